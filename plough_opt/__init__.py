@@ -1,0 +1,1 @@
+"""plough_opt: design of subsoiler ploughshares by optimisation with exact derivatives."""

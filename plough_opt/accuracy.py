@@ -1,0 +1,64 @@
+"""Accuracy: a method and its setting, or an error to reach."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final, get_args, Literal
+
+from plough_opt.errors import InputError, nearest
+
+Method = Literal["auto", "dop853", "cvodes", "idas", "erk", "rosenbrock", "collocation", "rk"]
+FIXED_STEP: Final = ("dop853", "collocation", "rk")
+ADAPTIVE: Final = ("cvodes", "idas", "erk", "rosenbrock")
+
+DEFAULT_ERROR = 1e-8
+DEFAULT_TOLERANCE = 1e-10
+
+
+@dataclass(frozen=True)
+class Accuracy:
+    """How exactly the equation of motion is integrated.
+
+    Args:
+        method: ``"auto"`` reaches ``error``; the others are named for whoever wants one:
+            ``"dop853"``, fixed steps of order 8, cheapest inside a design and twice differentiable at
+            every setting; CasADi's adaptive ``"cvodes"``, ``"idas"``, ``"erk"``, ``"rosenbrock"``; and
+            CasADi's fixed-step ``"collocation"`` and ``"rk"``.
+        error: for ``"auto"``, the wanted relative error of mean draft and RMS force (each relative to the mean
+            draft); default 1e-8.
+        steps: for a fixed-step method, steps over the whole duration; default: as many as the scene's
+            fastest oscillation needs for 1e-8, or one for each output interval of a symbolic scene,
+            which a design refines by itself.
+        tolerance: for an adaptive method, relative tolerance; default 1e-10. Absolute tolerances
+            follow from it and from the scene's own scales of deflection and speed.
+
+    Raises:
+        InputError: an unknown method, or a setting that the method does not have.
+    """
+
+    method: Method = "auto"
+    error: float | None = None
+    steps: int | None = None
+    tolerance: float | None = None
+
+    def __post_init__(self) -> None:
+        methods = get_args(Method)
+        if self.method not in methods:
+            raise InputError(
+                f"no integration method is named '{self.method}': {nearest(self.method, methods)}"
+            )
+        self._check_setting("error", self.error, ("auto",), 1e-12, 1e-1)
+        self._check_setting("steps", self.steps, FIXED_STEP, 1, 10**7)
+        self._check_setting("tolerance", self.tolerance, ADAPTIVE, 1e-14, 1e-1)
+
+    def _check_setting(
+        self, name: str, value: float | None, methods: tuple[str, ...], low: float, high: float
+    ) -> None:
+        if value is None:
+            return
+        if self.method not in methods:
+            raise InputError(
+                f"method '{self.method}' has no setting '{name}': it belongs to {', '.join(methods)}"
+            )
+        if not low <= value <= high:
+            raise InputError(f"accuracy {name} = {value:g} must lie between {low:g} and {high:g}")

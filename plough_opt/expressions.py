@@ -1,0 +1,148 @@
+"""Operations that work alike on floats, NumPy arrays and CasADi expressions, without cancellation.
+
+CasADi symbols must never meet ``math.*`` or ``np.*`` (``math.sin`` of a symbol is a silent NaN), so
+every formula of the toolkit is written with the functions of this file.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable, Mapping
+from typing import Any, TypeAlias
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from plough_opt.errors import InputError
+
+Expression: TypeAlias = Any
+"""A float, a NumPy array, or a CasADi ``SX``, ``MX`` or ``DM``: what every physical function takes."""
+
+# Terms kept in the two power series: enough for a relative 1e-17 in the value and 1e-14 in the second
+# derivative at the far end of the interval on which each series is used.
+_EXPM1_TERMS = 24
+_ATANH_TERMS = 26
+_ATANH_SWITCH = 0.5
+
+
+def is_symbolic(value: Expression) -> bool:
+    """Return whether ``value`` is a CasADi expression without a number in it yet (``SX`` or ``MX``)."""
+    return isinstance(value, ca.SX | ca.MX) and not value.is_constant()
+
+
+def is_casadi(value: Expression) -> bool:
+    """Return whether ``value`` is any CasADi matrix type: ``SX``, ``MX`` or ``DM``."""
+    return isinstance(value, ca.SX | ca.MX | ca.DM)
+
+
+def as_number(value: Expression) -> NDArray[np.float64]:
+    """Return a number, an array or a constant CasADi matrix as a NumPy array without superfluous axes.
+
+    Raises:
+        InputError: the expression still holds symbols.
+    """
+    if is_symbolic(value):
+        raise InputError(f"'{value}' holds symbols and so has no value yet: evaluate it with best(...)")
+    if isinstance(value, ca.SX):
+        value = ca.DM(value)
+    elif isinstance(value, ca.MX):
+        value = value.to_DM()
+    return np.squeeze(np.asarray(value, dtype=float))
+
+
+def holds_casadi(value: Any) -> bool:
+    """Return whether any CasADi expression is nested in dataclasses, lists, tuples or dictionaries."""
+    found: list[Any] = []
+    map_expressions(value, lambda expression: found.append(expression) or expression)
+    return bool(found)
+
+
+def map_expressions(value: Any, function: Callable[[Any], Any]) -> Any:
+    """Return the like of ``value`` with ``function`` applied to every CasADi expression nested in it.
+
+    Looks into dataclasses (by their fields), dictionaries, lists and tuples; anything else stays as it is.
+    """
+    if is_casadi(value):
+        return function(value)
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        changed = {
+            field.name: map_expressions(getattr(value, field.name), function)
+            for field in dataclasses.fields(value)
+            if field.init
+        }
+        return dataclasses.replace(value, **changed)
+    if isinstance(value, Mapping):
+        return {key: map_expressions(item, function) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return type(value)(map_expressions(item, function) for item in value)
+    return value
+
+
+def column(values: NDArray[np.float64], symbolic: bool) -> Expression:
+    """Return an array as it is, or as a CasADi column that may meet symbols."""
+    return ca.DM(values) if symbolic else values
+
+
+def _unary(casadi_function: Any, numpy_function: Any) -> Any:
+    def apply(x: Expression) -> Expression:
+        return casadi_function(x) if is_casadi(x) else numpy_function(x)
+
+    apply.__name__ = apply.__qualname__ = numpy_function.__name__
+    apply.__doc__ = f"{numpy_function.__name__} of a float, an array or a CasADi expression."
+    return apply
+
+
+sin = _unary(ca.sin, np.sin)
+cos = _unary(ca.cos, np.cos)
+tan = _unary(ca.tan, np.tan)
+arctan = _unary(ca.atan, np.arctan)
+sqrt = _unary(ca.sqrt, np.sqrt)
+exp = _unary(ca.exp, np.exp)
+log1p = _unary(ca.log1p, np.log1p)
+expm1 = _unary(ca.expm1, np.expm1)
+absolute = _unary(ca.fabs, np.abs)
+
+
+def where(condition: Expression, yes: Expression, no: Expression) -> Expression:
+    """Choose ``yes`` where ``condition`` holds, else ``no``; both are evaluated, so both must be finite."""
+    if any(is_casadi(value) for value in (condition, yes, no)):
+        return ca.if_else(condition, yes, no)
+    return np.where(condition, yes, no)[()]
+
+
+def minimum(x: Expression, y: Expression) -> Expression:
+    """Return the smaller of two values, element by element."""
+    return ca.fmin(x, y) if is_casadi(x) or is_casadi(y) else np.minimum(x, y)
+
+
+def expm1_ratio(x: Expression) -> Expression:
+    """Return E(x) = (exp(x) - 1)/x with E(0) = 1.
+
+    A power series serves for |x| < 1, because automatic differentiation of ``expm1(x)/x`` loses up to
+    half the digits beside zero. Relative accuracy 1e-15 in the value, 1e-13 in gradient and Hessian.
+    """
+    near_zero = absolute(x) < 1.0
+    small = where(near_zero, x, 0.0)
+    large = where(near_zero, 1.0, x)
+    series: Expression = 1.0 / math.factorial(_EXPM1_TERMS)
+    for n in range(_EXPM1_TERMS - 1, 0, -1):
+        series = 1.0 / math.factorial(n) + small * series
+    return where(near_zero, series, expm1(large) / large)
+
+
+def log1p_ratio(x: Expression) -> Expression:
+    """Return log(1 + x)/x with the value 1 at x = 0, for x > -1.
+
+    For |x| < 0.5 it is the series of 2 artanh(x/(2 + x))/x, for the reason given in `expm1_ratio` and
+    with the same accuracy.
+    """
+    near_zero = absolute(x) < _ATANH_SWITCH
+    small = where(near_zero, x, 0.0)
+    large = where(near_zero, _ATANH_SWITCH, x)
+    square = (small / (2.0 + small)) ** 2
+    series: Expression = 1.0 / (2 * _ATANH_TERMS + 1)
+    for n in range(_ATANH_TERMS - 1, -1, -1):
+        series = 1.0 / (2 * n + 1) + square * series
+    return where(near_zero, 2.0 * series / (2.0 + small), log1p(large) / large)

@@ -1,0 +1,93 @@
+"""Resistance of the soil to a moving share: equations (24)-(26), each with the factor pi once."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from plough_opt.expressions import Expression
+from plough_opt.geometry import Cone
+from plough_opt.plastic import compaction_radius_ratio, wall_pressure
+from plough_opt.soil import Soil
+
+
+@dataclass(frozen=True)
+class ResistanceCoefficients:
+    """Coefficients of F = pi (1 + mu0 cot(beta)) h^2 (A + B rho0 L'^2 + C rho0 h L''), equation (25).
+
+    Attributes:
+        A: static part [Pa].
+        B: coefficient of the squared speed [-].
+        C: coefficient of the acceleration [-].
+    """
+
+    A: Expression
+    B: Expression
+    C: Expression
+
+
+def resistance_coefficients(cone: Cone, soil: Soil) -> ResistanceCoefficients:
+    """Return A [Pa], B and C of equation (26); C with the factor 2/3 that the integral (24) gives.
+
+    Arguments may be floats, arrays or CasADi expressions. Holds for a slender cone (half angle up to
+    some 20 degrees, hypothesis of plane sections) wholly in the soil.
+    """
+    p = wall_pressure(soil)
+    slope = cone.slope
+    return ResistanceCoefficients(
+        A=slope**2 * p.strength, B=slope**4 * p.rate, C=2.0 / 3.0 * slope**4 * p.inertia
+    )
+
+
+@dataclass(frozen=True)
+class SoilReaction:
+    """The same force in the form that moves the share: F = static + drag L'^2 + added_mass L''.
+
+    Attributes:
+        static: F0 [N].
+        drag: Fd [N s^2/m^2].
+        added_mass: m_a [kg].
+    """
+
+    static: Expression
+    drag: Expression
+    added_mass: Expression
+
+
+def soil_reaction(cone: Cone, soil: Soil) -> SoilReaction:
+    """Return F0, Fd and the added mass of equations (25)-(27).
+
+    (1 + mu0 cot(beta)) tan^2(beta) is taken as tan(beta) (tan(beta) + mu0), so nothing is singular for a
+    slender cone.
+    """
+    p = wall_pressure(soil)
+    slope = cone.slope
+    face = math.pi * cone.height**2 * slope * (slope + soil.tool_friction)
+    return SoilReaction(
+        static=face * p.strength,
+        drag=face * slope**2 * p.rate * soil.density,
+        added_mass=face * slope**2 * (2.0 / 3.0) * p.inertia * soil.density * cone.height,
+    )
+
+
+def resistance(cone: Cone, soil: Soil, speed: Expression, acceleration: Expression) -> Expression:
+    """Return the total resistance F [N] of equation (25), friction on the face included.
+
+    Args:
+        cone: the share's equivalent cone.
+        soil: the soil; its ambient pressure counts, F is the force of the gauge pressure p - p_a.
+        speed: L' of the share [m/s], at least 0.
+        acceleration: L'' [m/s^2].
+    """
+    f = soil_reaction(cone, soil)
+    return f.static + f.drag * speed**2 + f.added_mass * acceleration
+
+
+def added_mass(cone: Cone, soil: Soil) -> Expression:
+    """Return the mass of soil that the share carries along, pi (1 + mu0 cot(beta)) C rho0 h^3 [kg]."""
+    return soil_reaction(cone, soil).added_mass
+
+
+def loosened_radius(cone: Cone, soil: Soil) -> Expression:
+    """Return the radius h tan(beta) sqrt(a) [m] of the compaction front at the base of the cone, (16)."""
+    return cone.height * cone.slope * compaction_radius_ratio(soil)

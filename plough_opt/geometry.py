@@ -1,0 +1,101 @@
+"""The wedge-shaped share and the cone of equal height and surface: equations (5)-(7)."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from plough_opt.domain import check_domain
+from plough_opt.expressions import Expression, arctan, cos, sqrt, tan
+
+PLANE_SECTIONS_LIMIT = math.radians(20.0)
+"""Half angle [rad] above which the hypothesis of plane sections is no longer credible."""
+
+
+def deg(angle: Expression) -> Expression:
+    """Return an angle given in degrees in radians."""
+    return angle * (math.pi / 180.0)
+
+
+@dataclass(frozen=True)
+class Cone:
+    """Right circular cone, moving along its axis with its tip ahead.
+
+    Args:
+        half_angle: semi-vertex angle beta [rad], between 0 and 90 degrees.
+        height: height h [m], above 0.
+
+    Every argument is a float, a NumPy array or a CasADi expression; results are the like.
+
+    Raises:
+        DomainError: an angle or height outside its domain.
+    """
+
+    half_angle: Expression
+    height: Expression
+
+    def __post_init__(self) -> None:
+        check_domain("half angle", self.half_angle, "rad", above=0.0, below=math.pi / 2)
+        check_domain("cone height", self.height, "m", above=0.0)
+
+    @property
+    def slope(self) -> Expression:
+        """Tangent of the half angle [-]."""
+        return tan(self.half_angle)
+
+    @property
+    def area(self) -> Expression:
+        """Lateral surface S = pi h^2 tan(beta) / cos(beta) [m^2], equation (6)."""
+        return math.pi * self.height**2 * self.slope / cos(self.half_angle)
+
+    @property
+    def volume(self) -> Expression:
+        """Volume (pi/3) h^3 tan^2(beta) [m^3]."""
+        return math.pi / 3.0 * self.height**3 * self.slope**2
+
+    def solid_mass(self, density: Expression) -> Expression:
+        """Mass [kg] of a solid cone of the given density [kg/m^3]; steel has about 7850."""
+        check_domain("density of the share's material", density, "kg/m^3", at_least=0.0)
+        return density * self.volume
+
+
+@dataclass(frozen=True)
+class Wedge:
+    """Ploughshare as a sharp wedge with two triangular faces, figure 2a of the source.
+
+    Args:
+        angle: wedge angle lambda at the top of the share [rad], between 0 and 90 degrees.
+        chisel_angle: angle beta_pl of the chisel point to the base [rad], from 0 to below 90 degrees.
+        height: height h of the share [m], above 0.
+
+    Every argument is a float, a NumPy array or a CasADi expression; results are the like.
+
+    Raises:
+        DomainError: an angle or height outside its domain.
+    """
+
+    angle: Expression
+    chisel_angle: Expression
+    height: Expression
+
+    def __post_init__(self) -> None:
+        check_domain("wedge angle", self.angle, "rad", above=0.0, below=math.pi / 2)
+        check_domain("chisel angle", self.chisel_angle, "rad", at_least=0.0, below=math.pi / 2)
+        check_domain("share height", self.height, "m", above=0.0)
+
+    @property
+    def area(self) -> Expression:
+        """Surface S = h^2 tan(lambda) / cos^2(beta_pl) [m^2], equation (5)."""
+        return self.height**2 * tan(self.angle) / cos(self.chisel_angle) ** 2
+
+    def equivalent_cone(self) -> Cone:
+        """Return the cone of equal height and surface, equation (7).
+
+        The source's sin(beta) = sqrt(p^2 + 1) - p cancels for a slender share and its arcsine rounds
+        for a blunt one. With q = 1/p the same angle is tan(beta) = q / sqrt(2 (1 + sqrt(1 + q^2))),
+        accurate to rounding at every wedge angle. Only this one angle enters the dynamics: wedge
+        angle and chisel angle cannot be told apart by draft or motion.
+        """
+        q = 2.0 * tan(self.angle) / (math.pi * cos(self.chisel_angle) ** 2)
+        slope = q / sqrt(2.0 * (1.0 + sqrt(1.0 + q**2)))
+        return Cone(half_angle=arctan(slope), height=self.height)

@@ -1,0 +1,151 @@
+"""The equation of motion under each integration method, behind one interface."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import casadi as ca
+
+from plough_opt.accuracy import ADAPTIVE, Accuracy
+from plough_opt.motion.equation import (
+    Structure,
+    equation_of_motion,
+    start_rate,
+    start_resistance,
+    start_state,
+)
+from plough_opt.motion.runge_kutta import run_map
+from plough_opt.motion.signals import signals
+from plough_opt.motion.timeline import Timeline
+
+# Lower than any force that matters; keeps the scales of a scene without forces above zero.
+_LEAST_FORCE = 1e-9
+# Lower than any time step, as fraction of the duration: makes the running mean 0/0 at the start a 0.
+_LEAST_TIME = 1e-100
+_MOST_STEPS = 2_000_000
+
+
+@dataclass(frozen=True)
+class Integration:
+    """A run as a CasADi Function of the parameters ``names`` and, last, the duration [s].
+
+    Its results are the states (w [m]; w' [m/s]) at the output times, a column each, the means of the
+    `signals`, and the mean squares about the mean of those signals that have an RMS.
+    """
+
+    structure: Structure
+    accuracy: Accuracy
+    timeline: Timeline
+    function: ca.Function
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the parameters before the duration."""
+        return signals(self.structure).parameters
+
+
+@lru_cache(maxsize=128)
+def integration(structure: Structure, accuracy: Accuracy, timeline: Timeline) -> Integration:
+    """Build, or find, the Function that integrates scenes of a structure by a named method."""
+    if accuracy.method == "dop853":
+        function = run_map(structure, timeline)
+    else:
+        function = _by_casadi(structure, accuracy, timeline)
+    return Integration(structure, accuracy, timeline, function)
+
+
+def _by_casadi(structure: Structure, accuracy: Accuracy, timeline: Timeline) -> ca.Function:
+    """Wrap a CasADi integrator of the scaled equation in the interface of `Integration`."""
+    observed = signals(structure)
+    solver = ca.integrator(
+        "motion",
+        accuracy.method,
+        _scaled_equation(structure),
+        0.0,
+        [float(t) for t in timeline.output_fractions[1:]],
+        _options(accuracy, timeline),
+    )
+    p = ca.MX.sym("p", len(observed.parameters) + 1)
+    known = dict(zip(observed.parameters, ca.vertsplit(p[:-1]), strict=True))
+    scales = _scales(structure, known)
+    unit = ca.vertcat(*scales)
+    first = start_state(structure, known)
+    result = solver(x0=ca.vertcat(first / unit, ca.MX.zeros(observed.squared)), p=ca.vertcat(p, unit))
+    states = result["xf"][:2, :] * ca.repmat(unit, 1, timeline.outputs)
+    sizes = _signal_scales(structure, known, scales)
+    integrals = ca.vertcat(result["xf"][2:, -1], result["qf"][observed.squared :, -1])
+    return ca.Function(
+        f"run_{accuracy.method}",
+        [p],
+        [
+            ca.horzcat(first, states),
+            integrals * sizes,
+            result["qf"][: observed.squared, -1] * sizes[: observed.squared] ** 2,
+        ],
+        {"never_inline": True},
+    )
+
+
+def _scales(structure: Structure, p: dict[str, Any]) -> tuple[Any, Any]:
+    """Return scales of deflection [m] and of its rate [m/s], so that one absolute tolerance fits both."""
+    force = start_resistance(structure, p | {key: 0.0 for key in _UNUSED if key not in p}) + _LEAST_FORCE
+    hardness = ca.sqrt(p["stiffness"] * p["inertia"])
+    force = force + p.get("tow_speed", 0.0) * hardness
+    return force / p["stiffness"], force / hardness
+
+
+_UNUSED = ("static", "drag", "rate_term", "tow_speed")
+
+
+def _signal_scales(structure: Structure, p: dict[str, Any], scales: tuple[Any, Any]) -> Any:
+    """Return the scale of each signal, in the order of `signals`."""
+    force = p["stiffness"] * scales[0]
+    sizes = [scales[0]]
+    if structure.damper:
+        sizes.append(force + p["damping"] * scales[1])
+    if structure.ramp:
+        sizes.append(force * (p["tow_speed"] + scales[1]))
+    return ca.vertcat(*sizes)
+
+
+def _scaled_equation(structure: Structure) -> dict[str, ca.SX]:
+    """Return the DAE over time as a fraction of the duration, in scaled states, with the signals' integrals.
+
+    The integral of a squared deviation takes the deviation from the running mean: its growth,
+    d/dt of the sum about the mean, is exactly that square, so the RMS is never a difference of squares.
+    """
+    motion, observed = equation_of_motion(structure), signals(structure)
+    fraction = ca.SX.sym("fraction")
+    x = ca.SX.sym("x", 2 + observed.squared)
+    p = ca.SX.sym("p", len(observed.parameters) + 1)
+    unit = ca.SX.sym("unit", 2)
+    known = dict(zip(observed.parameters, ca.vertsplit(p[:-1]), strict=True))
+    duration = p[-1]
+    time, state = fraction * duration, x[:2] * unit
+    rate = motion.function(time, state, ca.vertcat(*(known[name] for name in motion.names)))
+    sizes = _signal_scales(structure, known, (unit[0], unit[1]))
+    values = observed.function(time, state, p[:-1]) / sizes
+    squared = values[: observed.squared]
+    spread = (squared - x[2:] / (fraction + _LEAST_TIME)) ** 2
+    return {
+        "t": fraction,
+        "x": x,
+        "p": ca.vertcat(p, unit),
+        "ode": ca.vertcat(rate * duration / unit, squared),
+        "quad": ca.vertcat(spread, values[observed.squared :]),
+    }
+
+
+def _options(accuracy: Accuracy, timeline: Timeline) -> dict[str, Any]:
+    """Return CasADi's options for a method and its setting."""
+    if accuracy.method not in ADAPTIVE:
+        return {"number_of_finite_elements": timeline.steps}
+    tolerance = accuracy.tolerance
+    assert tolerance is not None  # `resolve` has given it one
+    options: dict[str, Any] = {"reltol": tolerance, "abstol": 0.01 * tolerance, "max_num_steps": _MOST_STEPS}
+    if accuracy.method in ("cvodes", "idas"):
+        # Without the quadratures in the error control, sensitivities of these two can be silently wrong.
+        options["quad_err_con"] = True
+    return options

@@ -1,0 +1,120 @@
+"""Second-order Taylor coefficients of a fixed-step run with respect to its parameters.
+
+A run enters a design through at most a handful of parameters (inertia, stiffness, static resistance,
+drag). Carrying the first and second derivatives with respect to those along with the state, step by
+step, costs a small multiple of the run itself and a graph of one step. Differentiating the whole run
+inside the optimiser's graph gives the same numbers for several times the time and memory.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import casadi as ca
+import numpy as np
+
+from plough_opt.motion.equation import Structure, start_state
+from plough_opt.motion.runge_kutta import step
+from plough_opt.motion.signals import signals
+from plough_opt.motion.timeline import Timeline
+
+
+def pairs(count: int) -> list[tuple[int, int]]:
+    """Return the index pairs (a, b) with a <= b of second derivatives, in the order that jets use."""
+    return [(a, b) for a in range(count) for b in range(a, count)]
+
+
+@lru_cache(maxsize=64)
+def jets(structure: Structure, timeline: Timeline, varying: tuple[int, ...], order: int) -> ca.Function:
+    """Return the run's outputs with their derivatives as one Function of the parameters.
+
+    Args:
+        structure: the terms that are on.
+        timeline: steps and outputs.
+        varying: positions of the parameters to differentiate by; the duration is the last parameter.
+        order: 1 for first derivatives, 2 for second derivatives too.
+
+    Returns:
+        Function of the parameters; its single result has a row for each output (states at the output
+        times column by column, means, variances: the outputs of `run_map`, stacked) and as columns the
+        value, the first derivatives and, with order 2, the second ones of `pairs`.
+    """
+    observed = signals(structure)
+    p = ca.MX.sym("p", len(observed.parameters) + 1)
+    sizes = np.diff(timeline.nodes)
+    count = len(sizes)
+    spans = ca.DM(np.vstack([timeline.nodes[:-1], sizes]))
+    first = _start_jet(structure, varying, order)(p)
+    states, moments = _jet_step(structure, varying, order).mapaccum(count)(
+        first, spans, ca.repmat(p, 1, count)
+    )
+    width = first.shape[1]
+    own = [moments[:, column::width] for column in range(width)]
+    means, variances = _pooled(own, ca.DM(sizes), observed.count, observed.squared, len(varying))
+    at_outputs = []
+    for column in range(width):
+        path = states[:, column::width]
+        chosen = path[:, [i - 1 for i in timeline.output_columns[1:]]]
+        at_outputs.append(ca.vec(ca.horzcat(first[:, column], chosen)))
+    result = ca.vertcat(ca.horzcat(*at_outputs), means, variances)
+    return ca.Function("jets", [p], [result])
+
+
+def _expand(y: ca.SX, e: ca.SX, order: int) -> ca.SX:
+    """Return value and derivatives of a column ``y`` with respect to ``e``, at e = 0, as columns."""
+    slopes = ca.jacobian(y, e)
+    columns = [y, slopes]
+    if order == 2:
+        for a in range(e.numel()):
+            columns.append(ca.jacobian(slopes[:, a], e)[:, a:])
+    return ca.substitute(ca.horzcat(*columns), e, ca.SX.zeros(e.numel()))
+
+
+def _shifted(p: ca.SX, e: ca.SX, varying: tuple[int, ...]) -> ca.SX:
+    shifted = ca.SX(p)
+    for position, change in zip(varying, ca.vertsplit(e), strict=True):
+        shifted[position] = p[position] + change
+    return shifted
+
+
+def _start_jet(structure: Structure, varying: tuple[int, ...], order: int) -> ca.Function:
+    """Return the jet of the state at time 0 as a Function of the parameters."""
+    names = signals(structure).parameters
+    p, e = ca.SX.sym("p", len(names) + 1), ca.SX.sym("e", len(varying))
+    known = dict(zip(names, ca.vertsplit(_shifted(p, e, varying)[:-1]), strict=True))
+    return ca.Function("start", [p], [ca.densify(_expand(start_state(structure, known), e, order))])
+
+
+def _jet_step(structure: Structure, varying: tuple[int, ...], order: int) -> ca.Function:
+    """Return one step of the jet: (jet of the state, span, parameters) -> (jet of the state, of the moments)."""
+    one = step(structure)
+    e = ca.SX.sym("e", len(varying))
+    p = ca.SX.sym("p", len(signals(structure).parameters) + 1)
+    span = ca.SX.sym("span", 2)
+    width = 1 + len(varying) + (len(pairs(len(varying))) if order == 2 else 0)
+    jet = ca.SX.sym("jet", 2, width)
+    state = jet[:, 0] + ca.mtimes(jet[:, 1 : 1 + len(varying)], e)
+    if order == 2:
+        for column, (a, b) in enumerate(pairs(len(varying)), start=1 + len(varying)):
+            state += jet[:, column] * e[a] * e[b] * (0.5 if a == b else 1.0)
+    following, moments = one(state, span, _shifted(p, e, varying))
+    result = ca.densify(_expand(ca.vertcat(following, moments), e, order))
+    return ca.Function("jet_step", [jet, span, p], [result[:2, :], result[2:, :]])
+
+
+def _pooled(
+    moments: list[ca.MX], sizes: ca.DM, count: int, squared: int, varying: int
+) -> tuple[ca.MX, ca.MX]:
+    """Pool the steps' moments into means and variances, with the derivatives of both."""
+    means = [m[:count, :] @ sizes for m in moments]
+    drift = [
+        m[:squared, :] - ca.repmat(mean[:squared], 1, sizes.numel())
+        for m, mean in zip(moments, means, strict=True)
+    ]
+    spreads = [m[count:, :] for m in moments]
+    variances = [spreads[0] + drift[0] ** 2]
+    for a in range(1, 1 + varying):
+        variances.append(spreads[a] + 2.0 * drift[0] * drift[a])
+    for column, (a, b) in enumerate(pairs(varying) if len(moments) > 1 + varying else [], start=1 + varying):
+        variances.append(spreads[column] + 2.0 * (drift[1 + a] * drift[1 + b] + drift[0] * drift[column]))
+    return ca.horzcat(*means), ca.horzcat(*(v @ sizes for v in variances))

@@ -1,0 +1,84 @@
+"""Which method, how many steps, and what checks it: choices made from a scene's own time scales."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+from plough_opt.accuracy import ADAPTIVE, DEFAULT_TOLERANCE, Accuracy
+from plough_opt.expressions import Expression, as_number, is_symbolic
+from plough_opt.motion.timeline import Timeline
+from plough_opt.scene import Scene
+
+STIFF_PHASE = 1e5
+"""Phase [rad] of the fastest oscillation over a run above which an implicit method integrates it."""
+
+TIGHTEST = 1e-13
+"""Tightest relative tolerance that double precision leaves room for."""
+
+# Phase of the fastest oscillation in one step of order 8 that leaves a relative error of some 1e-10.
+_PHASE_PER_STEP = 0.5
+_FEWEST_STEPS = 20
+_MOST_STEPS = 4_000_000
+
+
+def fastest_rate(scene: Scene) -> float:
+    """Return the fastest angular frequency or decay rate of a scene of numbers [rad/s]."""
+    damping = scene.effects.damping if scene.effects.damping is not None else 0.0
+    decay = (damping + 2.0 * scene.reaction.drag * scene.tow_speed) / scene.inertia
+    ramp = 2.0 * math.pi / scene.effects.tow_ramp if scene.effects.ramps else 0.0
+    # The wave is a sine of the travel: the share's own oscillation adds harmonics to it.
+    return float(max(scene.natural_frequency, 2.0 * scene.wave_frequency, decay, ramp))
+
+
+def phase(scene: Scene, duration: float) -> float:
+    """Return the phase of the fastest oscillation over the run [rad]."""
+    return fastest_rate(scene) * duration
+
+
+def steps_for(total_phase: float) -> int:
+    """Return how many steps of order 8 resolve an oscillation of that phase to a relative 1e-10."""
+    return max(_FEWEST_STEPS, math.ceil(min(total_phase / _PHASE_PER_STEP, _MOST_STEPS)))
+
+
+def timeline_of(scene: Scene, duration: Expression, outputs: int, steps: int) -> Timeline:
+    """Return the times of a run; the end of a tow ramp is among them when it is a number."""
+    ramp = scene.effects.tow_ramp
+    if not scene.effects.ramps or is_symbolic(ramp) or is_symbolic(duration):
+        return Timeline(outputs, steps)
+    kink = float(as_number(ramp)) / float(as_number(duration))
+    return Timeline(outputs, steps, kink if kink < 1.0 else None)
+
+
+def with_setting(accuracy: Accuracy, steps: int, outputs: int) -> Accuracy:
+    """Return a named method with the setting that it will really have.
+
+    Args:
+        accuracy: the method; a setting that it gives is kept.
+        steps: what order 8 would take.
+        outputs: output intervals; a fixed-step method takes as many whole steps in each of them.
+    """
+    if accuracy.method in ADAPTIVE:
+        return replace(accuracy, tolerance=accuracy.tolerance or DEFAULT_TOLERANCE)
+    # CasADi's fixed-step methods are of lower order and take more steps for the same error.
+    factor = {"dop853": 1, "collocation": 2, "rk": 16}[accuracy.method]
+    wanted = accuracy.steps or factor * steps
+    return replace(accuracy, steps=-(-wanted // outputs) * outputs)
+
+
+def automatic(wanted: float, total_phase: float) -> Accuracy:
+    """Return the adaptive method and tolerance that should reach a relative error over that phase."""
+    tolerance = max(0.01 * wanted, TIGHTEST)
+    return Accuracy("rosenbrock" if total_phase > STIFF_PHASE else "erk", tolerance=tolerance)
+
+
+def check_of(accuracy: Accuracy, total_phase: float, outputs: int) -> Accuracy:
+    """Return what checks a method with its setting: order 8 with enough steps, or the same method, finer."""
+    if accuracy.method not in ADAPTIVE:
+        return replace(accuracy, steps=2 * (accuracy.steps or 1))
+    tolerance = accuracy.tolerance or DEFAULT_TOLERANCE
+    if total_phase > STIFF_PHASE:
+        return replace(accuracy, tolerance=max(0.1 * tolerance, TIGHTEST))
+    # Order 8: the error falls by 2^8 when the steps double.
+    finer = max(1.0, (DEFAULT_TOLERANCE / tolerance) ** 0.125)
+    return with_setting(Accuracy("dop853"), math.ceil(finer * steps_for(total_phase)), outputs)

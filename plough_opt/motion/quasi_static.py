@@ -1,0 +1,84 @@
+"""The quasi-static limit: the share follows the strut rigidly, and no equation of motion is solved."""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from plough_opt.accuracy import Accuracy
+from plough_opt.expressions import Expression, column, holds_casadi, is_casadi
+from plough_opt.motion.equation import (
+    Structure,
+    parameters,
+    resistance_change,
+    start_resistance,
+    start_speed,
+    strut,
+)
+from plough_opt.motion.run import Averages, Run, rms
+from plough_opt.motion.timeline import Timeline
+from plough_opt.scene import Scene
+
+GAUSS_POINTS = 10
+"""Gauss-Legendre nodes in each panel of the averages."""
+
+
+def quasi_static(
+    scene: Scene, duration: Expression, timeline: Timeline, accuracy: Accuracy, points: int = GAUSS_POINTS
+) -> Run:
+    """Return the run of a share that moves with the strut: P = F0 (1 + eps sin(2 pi s/ell)) + Fd s'^2, z = P/k0.
+
+    Averages are composite Gauss-Legendre quadratures over the timeline's steps.
+    """
+    nodes, weights = np.polynomial.legendre.leggauss(points)
+    ends = timeline.nodes
+    sizes = np.diff(ends)
+    inner = (ends[:-1, None] + sizes[:, None] * (nodes + 1.0) / 2.0).ravel()
+    shares = (sizes[:, None] * weights / 2.0).ravel()
+
+    time, path, speed, force = _course(scene, duration, timeline.output_fractions)
+    _, _, inner_speed, inner_force = _course(scene, duration, inner)
+    mean_draft = _average(inner_force, shares)
+    variance = _average((inner_force - mean_draft) ** 2, shares)
+    force_rms = rms(variance, scene.steady_resistance)
+    stiffness = scene.stiffness
+    return Run(
+        scene=scene,
+        duration=duration,
+        time=time,
+        travel=path,
+        speed=speed,
+        deflection=force / stiffness,
+        mount_force=force,
+        soil_resistance=force,
+        averages=Averages(
+            mean_draft=mean_draft,
+            force_rms=force_rms,
+            mean_deflection=mean_draft / stiffness,
+            displacement_rms=force_rms / stiffness,
+            tow_power=_average(inner_force * inner_speed, shares),
+        ),
+        accuracy=accuracy,
+    )
+
+
+def _course(
+    scene: Scene, duration: Expression, fractions: NDArray[np.float64]
+) -> tuple[Expression, Expression, Expression, Expression]:
+    """Return time [s], path [m], speed [m/s] and resistance [N] at fractions of the duration."""
+    structure, p = Structure.of(scene), parameters(scene)
+    time = column(fractions, holds_casadi((scene, duration))) * duration
+    mount = strut(structure, p, time)
+    force = start_resistance(structure, p) + resistance_change(structure, p, mount.path, mount.gain)
+    everywhere = 0.0 * time
+    return (
+        time,
+        mount.path + everywhere,
+        start_speed(structure, p) + mount.gain + everywhere,
+        force + everywhere,
+    )
+
+
+def _average(values: Expression, shares: NDArray[np.float64]) -> Expression:
+    return ca.dot(ca.DM(shares), values) if is_casadi(values) else float(shares @ values)

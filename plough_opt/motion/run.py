@@ -1,0 +1,246 @@
+"""Run: what a simulation found, as numbers or as expressions of a design."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from plough_opt.accuracy import Accuracy
+from plough_opt.errors import InputError
+from plough_opt.expressions import Expression, column, is_casadi, sqrt
+from plough_opt.forces import loosened_radius
+from plough_opt.motion.equation import (
+    Structure,
+    parameters,
+    resistance_change,
+    start_deflection,
+    start_rate,
+    start_resistance,
+    start_speed,
+    strut,
+)
+from plough_opt.scene import Scene
+
+# In a symbolic run the RMS is rounded off below this fraction of the steady force, where the square
+# root has no derivative; the RMS is changed by no more than that.
+_LEAST_RMS = 1e-12
+
+
+@dataclass(frozen=True)
+class Averages:
+    """Time averages of a run; every RMS is the standard deviation about the mean.
+
+    Attributes:
+        mean_draft: mean of the mount force P [N].
+        force_rms: RMS of P [N].
+        mean_deflection: mean of the spring's deflection z [m].
+        displacement_rms: RMS of z [m].
+        tow_power: mean of P s' [W].
+    """
+
+    mean_draft: Expression
+    force_rms: Expression
+    mean_deflection: Expression
+    displacement_rms: Expression
+    tow_power: Expression
+
+
+@dataclass(frozen=True)
+class Checks:
+    """What is known about a run of numbers beside its results.
+
+    Attributes:
+        error_estimate: estimated relative error [-].
+        seconds: time taken [s].
+        warnings: sentences for whoever reads the results.
+    """
+
+    error_estimate: float
+    seconds: float
+    warnings: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Run:
+    """A simulated run: arrays over the output times, averages, and how far they can be trusted.
+
+    Of a scene of numbers every value is a float or an array of n + 1 outputs; of a symbolic scene each is
+    a CasADi expression (arrays: a column), and the run has no error estimate, time taken or peak of its own.
+
+    Attributes:
+        scene: the scene.
+        duration: simulated time [s].
+        time: output times [s].
+        travel: L of the share [m]; 0 at the unloaded spring's position when the strut is at 0.
+        speed: L' of the share [m/s].
+        deflection: z of the spring, compression positive [m].
+        mount_force: P = k0 z + c z' of spring and damper on the share [N].
+        soil_resistance: F on the share, the added mass's part included [N].
+        averages: mean draft and the like; each is also an attribute of the run.
+        accuracy: method and setting that were used.
+        checks: error estimate, time taken and warnings of a run of numbers, each also an attribute of the run.
+    """
+
+    scene: Scene
+    duration: Expression
+    time: Expression
+    travel: Expression
+    speed: Expression
+    deflection: Expression
+    mount_force: Expression
+    soil_resistance: Expression
+    averages: Averages
+    accuracy: Accuracy
+    checks: Checks | None = None
+
+    @property
+    def mean_draft(self) -> Expression:
+        """Time average of the mount force P [N]."""
+        return self.averages.mean_draft
+
+    @property
+    def force_rms(self) -> Expression:
+        """Standard deviation of the mount force about its mean [N]."""
+        return self.averages.force_rms
+
+    @property
+    def mean_deflection(self) -> Expression:
+        """Time average of the spring's deflection [m]."""
+        return self.averages.mean_deflection
+
+    @property
+    def displacement_rms(self) -> Expression:
+        """Standard deviation of the spring's deflection about its mean [m]."""
+        return self.averages.displacement_rms
+
+    @property
+    def tow_power(self) -> Expression:
+        """Time average of the power P s' that the strut delivers [W]."""
+        return self.averages.tow_power
+
+    @property
+    def specific_draft(self) -> Expression:
+        """Mean draft per loosened section pi r*^2 at the share's base [N/m^2]."""
+        return self.mean_draft / (math.pi * loosened_radius(self.scene.cone, self.scene.soil) ** 2)
+
+    @property
+    def peak_force(self) -> float:
+        """Largest mount force at an output time [N]; of a run of numbers only."""
+        return self._peak("peak_force", self.mount_force, "mount_force")
+
+    @property
+    def peak_deflection(self) -> float:
+        """Largest deflection at an output time [m]; of a run of numbers only."""
+        return self._peak("peak_deflection", self.deflection, "deflection")
+
+    @property
+    def error_estimate(self) -> float:
+        """Estimated relative error [-]: see `simulate`. A run of numbers only."""
+        return self._known("error estimate").error_estimate
+
+    @property
+    def seconds(self) -> float:
+        """Time that the run and its check took [s]. A run of numbers only."""
+        return self._known("time taken").seconds
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What a reader of the numbers must know: limits of the theory, a retreating share, missed accuracy."""
+        if self.checks is None:
+            return (
+                "a symbolic run cannot be checked: simulate the scene with numbers, for instance best(run)",
+            )
+        return self.checks.warnings
+
+    def _known(self, what: str) -> Checks:
+        if self.checks is None:
+            raise InputError(
+                f"a symbolic run has no {what}: simulate the scene with numbers, for instance best(run)"
+            )
+        return self.checks
+
+    def _peak(self, name: str, values: Expression, array: str) -> float:
+        if is_casadi(values):
+            raise InputError(
+                f"a symbolic run has no {name}, which has no derivative: limit run.{array} itself, at every output"
+            )
+        return float(np.max(values))
+
+
+def rms(variance: Expression, scale: Expression) -> Expression:
+    """Return the root of a variance; of an expression, with finite derivatives where nothing oscillates."""
+    if not is_casadi(variance):
+        return sqrt(np.maximum(variance, 0.0))
+    least = _LEAST_RMS * scale + 1e-100
+    return sqrt(variance + least**2) - least
+
+
+def assemble(
+    scene: Scene,
+    duration: Expression,
+    fractions: NDArray[np.float64],
+    states: Expression,
+    means: Expression,
+    variances: Expression,
+    accuracy: Accuracy,
+) -> Run:
+    """Turn the changes since the start that were integrated into forces and travel.
+
+    Args:
+        scene: the scene, of numbers or symbolic.
+        duration: simulated time [s].
+        fractions: output times as fractions of it.
+        states: (w; w') as two columns over the outputs.
+        means: of the signals of `plough_opt.motion.signals`.
+        variances: of those that have an RMS.
+        accuracy: method and setting used.
+    """
+    structure, p = Structure.of(scene), parameters(scene)
+    time = column(fractions, is_casadi(states)) * duration
+    w, rate = states[:, 0], states[:, 1]
+    mount, u0 = strut(structure, p, time), start_speed(structure, p)
+    stiffness, first = p["stiffness"], 0.0 if structure.rest else start_resistance(structure, p)
+    gain = mount.gain - rate
+    deflection = start_deflection(structure, p) + w
+    travel = mount.path - deflection
+    force = first + stiffness * w
+    if structure.damper:
+        force = force + p["damping"] * rate
+    soil = start_resistance(structure, p) + resistance_change(structure, p, travel, gain)
+    acceleration = (force - soil) / scene.inertia
+    return Run(
+        scene=scene,
+        duration=duration,
+        time=time,
+        travel=travel,
+        speed=u0 + gain,
+        deflection=deflection,
+        mount_force=force,
+        soil_resistance=soil + scene.reaction.added_mass * acceleration,
+        averages=_averages(scene, means, variances),
+        accuracy=accuracy,
+    )
+
+
+def _averages(scene: Scene, means: Expression, variances: Expression) -> Averages:
+    """Add the values at the start back to the averages of the changes since then."""
+    structure, p = Structure.of(scene), parameters(scene)
+    stiffness, first = p["stiffness"], 0.0 if structure.rest else start_resistance(structure, p)
+    scale = scene.steady_resistance
+    displacement_rms = rms(variances[0], scale / stiffness)
+    if structure.damper:
+        mean_draft = first + p["damping"] * start_rate(structure, p) + means[1]
+        force_rms = rms(variances[1], scale)
+    else:
+        mean_draft = first + stiffness * means[0]
+        force_rms = stiffness * displacement_rms
+    return Averages(
+        mean_draft=mean_draft,
+        force_rms=force_rms,
+        mean_deflection=start_deflection(structure, p) + means[0],
+        displacement_rms=displacement_rms,
+        tow_power=means[-1] if structure.ramp else mean_draft * p["tow_speed"],
+    )

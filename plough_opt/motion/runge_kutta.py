@@ -1,0 +1,82 @@
+"""Fixed-step integration of order 8 as one CasADi Function: the weights of Dormand and Prince's DOP853.
+
+Hairer, Norsett, Wanner: Solving Ordinary Differential Equations I, 2nd ed., 1993, section II.5. The
+coefficients are SciPy's. A step is a small symbolic graph, the run a loop over it (``mapaccum``), so the
+size of the graph does not grow with the number of steps and every derivative is that of the numbers.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import casadi as ca
+import numpy as np
+from scipy.integrate import DOP853
+
+from plough_opt.motion.equation import Structure, equation_of_motion, start_state
+from plough_opt.motion.signals import signals
+from plough_opt.motion.timeline import Timeline
+
+
+@lru_cache(maxsize=64)
+def step(structure: Structure) -> ca.Function:
+    """Return one step as a Function: (state, (start, size), parameters with the duration last) -> (state, moments).
+
+    Start and size are fractions of the duration. The moments are, for each signal, the mean over the step,
+    then, for each signal with an RMS, the mean square about that mean. Both are taken from the deviation
+    from the value at the step's start, where they lose at most a factor of four to cancellation.
+    """
+    motion = equation_of_motion(structure)
+    observed = signals(structure)
+    state = ca.SX.sym("state", 2)
+    span = ca.SX.sym("span", 2)
+    names = observed.parameters
+    p = ca.SX.sym("p", len(names) + 1)
+    duration = p[-1]
+    known = {name: p[i] for i, name in enumerate(names)}
+    own = ca.vertcat(*(known[name] for name in motion.names))
+    start, size = span[0] * duration, span[1] * duration
+
+    rates: list[ca.SX] = []
+    first = observed.function(start, state, p[:-1])
+    mean, square = ca.SX.zeros(observed.count), ca.SX.zeros(observed.squared)
+    for row, node, weight in zip(DOP853.A, DOP853.C, DOP853.B, strict=True):
+        stage = state
+        for coefficient, rate in zip(row, rates, strict=False):
+            if coefficient != 0.0:
+                stage = stage + (size * coefficient) * rate
+        time = start + node * size
+        rates.append(motion.function(time, stage, own))
+        if weight != 0.0:
+            change = observed.function(time, stage, p[:-1]) - first
+            mean += weight * change
+            square += weight * change[: observed.squared] ** 2
+    following = state
+    for weight, rate in zip(DOP853.B, rates, strict=True):
+        if weight != 0.0:
+            following = following + (size * weight) * rate
+    spread = square - mean[: observed.squared] ** 2
+    return ca.Function("step", [state, span, p], [following, ca.vertcat(first + mean, spread)])
+
+
+@lru_cache(maxsize=64)
+def run_map(structure: Structure, timeline: Timeline) -> ca.Function:
+    """Return the whole run as a Function of the parameters: see `plough_opt.motion.integrators.Integration`."""
+    one = step(structure)
+    observed = signals(structure)
+    p = ca.MX.sym("p", len(observed.parameters) + 1)
+    sizes = ca.DM(np.diff(timeline.nodes)).T
+    spans = ca.vertcat(ca.DM(timeline.nodes[:-1]).T, sizes)
+    count = sizes.shape[1]
+    first = start_state(structure, dict(zip(observed.parameters, ca.vertsplit(p[:-1]), strict=True)))
+    states, moments = one.mapaccum(count)(first, spans, ca.repmat(p, 1, count))
+    means = moments[: observed.count, :]
+    spreads = moments[observed.count :, :]
+    mean = means @ sizes.T
+    # Pooling the steps' own spreads with the spread of their means adds squares only: nothing cancels.
+    drift = means[: observed.squared, :] - ca.repmat(mean[: observed.squared], 1, count)
+    variance = (spreads + drift**2) @ sizes.T
+    columns = [timeline.output_columns[i] - 1 for i in range(1, timeline.outputs + 1)]
+    return ca.Function(
+        "run_map", [p], [ca.horzcat(first, states[:, columns]), mean, variance], {"never_inline": True}
+    )

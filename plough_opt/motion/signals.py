@@ -1,0 +1,59 @@
+"""What is averaged over a run: deflection, mount force, tow power, each as change since the start."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import casadi as ca
+
+from plough_opt.motion.equation import (
+    PARAMETERS,
+    Structure,
+    equation_of_motion,
+    start_deflection,
+    start_rate,
+    start_speed,
+    strut,
+)
+
+
+@dataclass(frozen=True)
+class Signals:
+    """Integrands of a run's averages.
+
+    Attributes:
+        function: (time [s], state (w [m], w' [m/s]), parameters) -> signals.
+        parameters: names of all parameters of the equation of motion and of the signals, in order.
+        count: number of signals: change of deflection w; with a damper, change of mount force
+            k0 w + c (w' - w'(0)); with a tow ramp, the tow power P s'.
+        squared: how many of them, from the first, have an RMS.
+    """
+
+    function: ca.Function
+    parameters: tuple[str, ...]
+    count: int
+    squared: int
+
+
+@lru_cache(maxsize=64)
+def signals(structure: Structure) -> Signals:
+    """Build the signals of a structure. Without a damper the mount force is k0 z and needs none of its own."""
+    symbols = {name: ca.SX.sym(name) for name in PARAMETERS}
+    time, w, rate = ca.SX.sym("time"), ca.SX.sym("w"), ca.SX.sym("rate")
+    force = symbols["stiffness"] * w
+    values = [w]
+    if structure.damper:
+        force = force + symbols["damping"] * (rate - start_rate(structure, symbols))
+        values.append(force)
+    squared = len(values)
+    if structure.ramp:
+        first = symbols["stiffness"] * start_deflection(structure, symbols)
+        speed = start_speed(structure, symbols) + strut(structure, symbols, time).gain
+        values.append((first + force) * speed)
+    expression = ca.vertcat(*values)
+    used = {s.name() for s in ca.symvar(expression)} | set(equation_of_motion(structure).names)
+    names = tuple(name for name in PARAMETERS if name in used)
+    p = ca.vertcat(*(symbols[name] for name in names))
+    function = ca.Function("signals", [time, ca.vertcat(w, rate), p], [expression])
+    return Signals(function, names, len(values), squared)

@@ -1,0 +1,214 @@
+"""`simulate`: one verb for scenes of numbers, checked, and for symbolic scenes inside a design."""
+
+from __future__ import annotations
+
+import math
+import time
+from dataclasses import replace
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from plough_opt.accuracy import DEFAULT_ERROR, Accuracy
+from plough_opt.domain import check_domain
+from plough_opt.errors import InputError, IntegrationError
+from plough_opt.expressions import Expression, as_number, holds_casadi, is_symbolic, map_expressions
+from plough_opt.motion.equation import Structure, parameters
+from plough_opt.motion.integrators import Integration, integration
+from plough_opt.motion.plan import (
+    STIFF_PHASE,
+    automatic,
+    check_of,
+    phase,
+    steps_for,
+    timeline_of,
+    with_setting,
+)
+from plough_opt.motion.quasi_static import GAUSS_POINTS, quasi_static
+from plough_opt.motion.run import Checks, Run, assemble
+from plough_opt.scene import Scene
+
+OUTPUTS = 400
+"""Default number of intervals between output times."""
+
+# How often, and by what factor, the tolerance is tightened until the wanted error is reached.
+_TIGHTENINGS = 3
+_TIGHTER = 0.03
+# Speeds backwards below this fraction of the fastest speed are rounding, not retreat.
+_RETREAT = 1e-9
+
+
+def simulate(
+    scene: Scene, duration: Expression, *, accuracy: Accuracy | None = None, outputs: int = OUTPUTS
+) -> Run:
+    """Simulate a share on its mount, equation (27), or its quasi-static limit.
+
+    Args:
+        scene: of floats, or with CasADi expressions in it.
+        duration: simulated time [s], above 0; a float or an expression.
+        accuracy: method and setting, or the error to reach; default: a relative error of 1e-8.
+        outputs: number of equal intervals between output times, at least 1.
+
+    Returns:
+        A `Run` of numbers or of expressions. A run of numbers is integrated a second time, by another
+        method or finer, and its ``error_estimate`` is the largest difference of the two: of mean draft and
+        RMS force relative to the larger of them, of the mount force at the outputs relative to its
+        peak. A symbolic run is an exactly differentiable expression that has no such estimate.
+
+    Raises:
+        DomainError: the duration is not positive.
+        InputError: fewer than one output interval, or SX symbols with a method that cannot take them.
+        IntegrationError: the method failed; the message says for which scene, when and the likely cause.
+    """
+    check_domain("duration", duration, "s", above=0.0)
+    if outputs < 1:
+        raise InputError(
+            f"outputs = {outputs} must be at least 1: the number of intervals between output times"
+        )
+    accuracy = accuracy or Accuracy()
+    if holds_casadi((scene, duration)):
+        if any(map(is_symbolic, (*parameters(scene).values(), scene.mass, duration))):
+            return _symbolic(scene, duration, accuracy, outputs)
+        scene, duration = map_expressions((scene, duration), lambda value: float(as_number(value)))
+    started = time.perf_counter()
+    run, error, notes = _verified(scene, float(duration), accuracy, outputs)
+    notes = (*scene.warnings(), *notes, *_retreat(run))
+    return replace(run, checks=Checks(error, time.perf_counter() - started, notes))
+
+
+def _symbolic(scene: Scene, duration: Expression, accuracy: Accuracy, outputs: int) -> Run:
+    """Return the run as expressions of the scene's symbols."""
+    if not scene.effects.motion:
+        return quasi_static(scene, duration, timeline_of(scene, duration, outputs, outputs), accuracy)
+    if accuracy.method == "auto":
+        accuracy = Accuracy("dop853", steps=outputs)
+    return _integrate(scene, duration, with_setting(accuracy, outputs, outputs), outputs)
+
+
+def _verified(
+    scene: Scene, duration: float, accuracy: Accuracy, outputs: int
+) -> tuple[Run, float, tuple[str, ...]]:
+    """Integrate twice; return the run, its estimated error, and a note where the wanted error was missed."""
+    total = phase(scene, duration)
+    if not scene.effects.motion:
+        timeline = timeline_of(scene, duration, outputs, max(outputs, steps_for(total)))
+        run = quasi_static(scene, duration, timeline, accuracy)
+        check = quasi_static(scene, duration, timeline, accuracy, GAUSS_POINTS + 6)
+        return run, _difference(run, check), ()
+    if accuracy.method != "auto":
+        return *_twice(scene, duration, with_setting(accuracy, steps_for(total), outputs), outputs), ()
+    wanted = accuracy.error or DEFAULT_ERROR
+    for tightening in range(_TIGHTENINGS):
+        method = automatic(wanted * _TIGHTER**tightening, total)
+        run, error = _twice(scene, duration, method, outputs)
+        if error <= wanted:
+            return run, error, ()
+    return (
+        run,
+        error,
+        (f"the wanted relative error {wanted:.1e} was not reached: the estimate is {error:.1e}",),
+    )
+
+
+def _twice(scene: Scene, duration: float, accuracy: Accuracy, outputs: int) -> tuple[Run, float]:
+    """Return the run by a method, and its relative difference from the run that checks it."""
+    run = _integrate(scene, duration, accuracy, outputs)
+    check = check_of(accuracy, phase(scene, duration), outputs)
+    return run, _difference(run, _integrate(scene, duration, check, outputs))
+
+
+def _integrate(scene: Scene, duration: Expression, accuracy: Accuracy, outputs: int) -> Run:
+    """Integrate once, by a method with its setting."""
+    timeline = timeline_of(scene, duration, outputs, accuracy.steps or outputs)
+    solver = integration(Structure.of(scene), accuracy, timeline)
+    p = parameters(scene)
+    values = [*(p[name] for name in solver.names), duration]
+    if any(map(is_symbolic, values)):
+        states, means, variances = _call(solver, ca.vertcat(*values))
+        states = states.T
+    else:
+        arrays = _evaluate(solver, [float(as_number(value)) for value in values], scene)
+        states, means, variances = arrays[0].T, arrays[1].ravel(), arrays[2].ravel()
+    return assemble(scene, duration, timeline.output_fractions, states, means, variances, accuracy)
+
+
+def _call(solver: Integration, p: Expression) -> tuple[Expression, ...]:
+    """Embed the run in the graph of the symbols ``p``."""
+    if isinstance(p, ca.SX) and solver.accuracy.method != "dop853":
+        raise InputError(
+            f"method '{solver.accuracy.method}' takes MX symbols only: make the scene of casadi.MX, or use 'dop853'"
+        )
+    return tuple(solver.function.call([p]))
+
+
+def _evaluate(solver: Integration, p: list[float], scene: Scene) -> list[NDArray[np.float64]]:
+    """Evaluate the run of numbers (its duration is the last), or say when and why it failed."""
+    found = _attempt(solver, p)
+    if found is not None:
+        return found
+    reached, failed = 0.0, p[-1]
+    for _ in range(12):
+        middle = (reached + failed) / 2.0
+        if _attempt(solver, [*p[:-1], middle]) is None:
+            failed = middle
+        else:
+            reached = middle
+    raise IntegrationError(
+        f"the motion of a {_described(scene)} could not be integrated by '{solver.accuracy.method}' beyond"
+        f" t = {reached:.4g} s of {p[-1]:g} s: {_likely_cause(scene, p[-1], solver)}"
+    )
+
+
+def _attempt(solver: Integration, p: list[float]) -> list[NDArray[np.float64]] | None:
+    """Return the results, or None where the method failed or they are not finite."""
+    try:
+        results = [np.asarray(result) for result in solver.function.call([ca.DM(p)])]
+    except RuntimeError:
+        return None
+    return results if all(np.all(np.isfinite(result)) for result in results) else None
+
+
+def _described(scene: Scene) -> str:
+    """Return a clause that tells which scene this is."""
+    return (
+        f"share of half angle {math.degrees(scene.cone.half_angle):.3g} deg and height {scene.cone.height:.3g} m"
+        f" in {scene.soil.name}, on {scene.stiffness:.3g} N/m with {scene.inertia:.3g} kg at"
+        f" {scene.tow_speed:.3g} m/s"
+    )
+
+
+def _likely_cause(scene: Scene, duration: float, solver: Integration) -> str:
+    """Return what probably made an integration fail, and what to do."""
+    total, steps = phase(scene, duration), len(solver.timeline.nodes) - 1
+    turns = total / (2.0 * math.pi)
+    if solver.accuracy.method == "dop853" and total / steps > 2.0:
+        return f"{steps} steps are too few for {turns:.3g} oscillations: take steps={steps_for(total)}"
+    if total > STIFF_PHASE:
+        return (
+            f"it oscillates {turns:.3g} times meanwhile: use the quasi-static scene (Effects(motion=False)),"
+            " a softer or a damped mount, or a shorter duration"
+        )
+    return "the tolerance is tighter than rounding allows, or the resistance drives the share away"
+
+
+def _difference(run: Run, check: Run) -> float:
+    """Return the largest relative difference of two runs: see `simulate`."""
+    size = max(abs(run.mean_draft), run.force_rms)
+    pairs = (
+        (abs(run.mean_draft - check.mean_draft), size),
+        (abs(run.force_rms - check.force_rms), size),
+        (np.max(np.abs(run.mount_force - check.mount_force)), np.max(np.abs(run.mount_force))),
+    )
+    return max((float(difference / scale) for difference, scale in pairs if scale > 0.0), default=0.0)
+
+
+def _retreat(run: Run) -> tuple[str, ...]:
+    """Return a warning where a resistance of fixed sign pushes the share backwards."""
+    slowest = float(np.min(run.speed))
+    if slowest >= -_RETREAT * float(np.max(np.abs(run.speed))):
+        return ()
+    return (
+        f"the share retreats (at up to {-slowest:.3g} m/s): under contact 'resisting' the soil then pushes it"
+        " backwards, which real soil does not",
+    )

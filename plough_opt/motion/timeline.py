@@ -1,0 +1,45 @@
+"""The times of a run: where it is sampled, and where a fixed-step method sets its steps."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+@dataclass(frozen=True)
+class Timeline:
+    """Steps and outputs of a run, as fractions of its duration.
+
+    Args:
+        outputs: number of equal intervals between output times.
+        steps: number of integration steps wanted; at least one in each output interval.
+        kink: fraction at which the right-hand side is not smooth (the end of a tow ramp), or None. A
+            step ends there, so that the method keeps its order. Between 0 and 1.
+    """
+
+    outputs: int
+    steps: int
+    kink: float | None = None
+
+    @cached_property
+    def output_fractions(self) -> NDArray[np.float64]:
+        """Output times as fractions of the duration, both ends included."""
+        return np.linspace(0.0, 1.0, self.outputs + 1)
+
+    @cached_property
+    def nodes(self) -> NDArray[np.float64]:
+        """Ends of the steps as fractions of the duration, both ends included."""
+        per_interval = -(-self.steps // self.outputs)
+        nodes = np.linspace(0.0, 1.0, self.outputs * per_interval + 1)
+        # A kink at rounding distance from a node would make a step of no length.
+        if self.kink is None or np.min(np.abs(nodes - self.kink)) < 1e-9:
+            return nodes
+        return np.sort(np.append(nodes, self.kink))
+
+    @cached_property
+    def output_columns(self) -> list[int]:
+        """Index of each output time among the nodes."""
+        return [int(i) for i in np.searchsorted(self.nodes, self.output_fractions - 1e-12)]

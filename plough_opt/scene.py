@@ -1,0 +1,205 @@
+"""Scene and Effects: what is simulated, and nothing else."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Literal
+
+from plough_opt.domain import check_domain
+from plough_opt.errors import InputError
+from plough_opt.expressions import Expression, as_number, is_symbolic, sqrt
+from plough_opt.forces import SoilReaction, soil_reaction
+from plough_opt.geometry import PLANE_SECTIONS_LIMIT, Cone, Wedge
+from plough_opt.soil import Soil
+
+
+@dataclass(frozen=True)
+class StrengthWave:
+    """Soil strength that varies along the path: F0 is multiplied by 1 + amplitude sin(2 pi L / wavelength).
+
+    Args:
+        amplitude: epsilon [-], from 0 to 1.
+        wavelength: ell [m], above 0.
+    """
+
+    amplitude: Expression
+    wavelength: Expression
+
+    def __post_init__(self) -> None:
+        check_domain(
+            "strength wave amplitude",
+            self.amplitude,
+            at_least=0.0,
+            at_most=1.0,
+            why="soil cannot push the share forward",
+        )
+        check_domain("strength wavelength", self.wavelength, "m", above=0.0)
+
+
+@dataclass(frozen=True)
+class Effects:
+    """Which effects a scene contains. What is off adds no node, state or parameter to the equation of motion.
+
+    Args:
+        motion: integrate the equation of motion; False: quasi-static, the share follows the strut rigidly
+            and the draft is the soil's resistance to it.
+        inertial_drag: the resistance's part B rho0 L'^2.
+        added_mass: the soil that the share carries along, C rho0 h L''.
+        ambient_pressure: the soil's ambient pressure p_a in A; False takes p_a = 0.
+        contact: ``"resisting"``: the resistance always points backwards, as printed in (27). It would
+            push a resting or retreating share, so a run in which that happens carries a warning.
+        start: ``"equilibrium"``: at the steady deflection for the strut's initial speed; ``"rest"``: travel and
+            speed of the share zero, spring relaxed.
+        strength_wave: periodic soil strength along the path, or None.
+        tow_ramp: time [s] in which the strut's speed rises from 0 by a C2 smoothstep; None or 0: none.
+        damping: viscous damper c in the mount [N s/m], or None.
+        rate_term: kappa [s^2/m^2] of F0 (1 + kappa L'^2), for calibration, or None. Not in the source.
+
+    Raises:
+        InputError: an unknown choice, or effects that exclude each other; the message says why.
+        DomainError: a value outside its domain.
+    """
+
+    motion: bool = True
+    inertial_drag: bool = True
+    added_mass: bool = True
+    ambient_pressure: bool = True
+    contact: Literal["resisting"] = "resisting"
+    start: Literal["equilibrium", "rest"] = "equilibrium"
+    strength_wave: StrengthWave | None = None
+    tow_ramp: Expression | None = None
+    damping: Expression | None = None
+    rate_term: Expression | None = None
+
+    def __post_init__(self) -> None:
+        if self.contact != "resisting":
+            raise InputError(
+                f"contact = {self.contact!r} is not a contact law of this version: use 'resisting'"
+            )
+        if self.start not in ("equilibrium", "rest"):
+            raise InputError(f"start = {self.start!r} must be 'equilibrium' or 'rest'")
+        for name, value, unit in (
+            ("tow ramp", self.tow_ramp, "s"),
+            ("damping", self.damping, "N s/m"),
+            ("rate term", self.rate_term, "s^2/m^2"),
+        ):
+            if value is not None:
+                check_domain(name, value, unit, at_least=0.0)
+        if not self.motion and self.start == "rest":
+            raise InputError(
+                "start = 'rest' needs motion: a quasi-static share follows the strut from the start"
+            )
+        if not self.motion and self.damping is not None:
+            raise InputError(
+                "damping needs motion: in a quasi-static scene the mount never moves, so leave it out"
+            )
+
+    @property
+    def ramps(self) -> bool:
+        """Whether the strut's speed ramps up; a ramp of zero duration is no ramp."""
+        return self.tow_ramp is not None and (
+            is_symbolic(self.tow_ramp) or bool(as_number(self.tow_ramp) > 0)
+        )
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A share on an elastic mount, towed through soil.
+
+    Args:
+        soil: the soil.
+        share: a `Wedge`, of which only the equivalent cone enters, or that `Cone` itself.
+        stiffness: k0 of the mount [N/m], above 0.
+        mass: m of all that moves but the soil [kg], above 0: frame part and share (`Cone.solid_mass`).
+        tow_speed: V0 of the strut [m/s], at least 0.
+        effects: what to simulate.
+
+    Every number may be a float or a CasADi expression.
+
+    Raises:
+        DomainError: a number outside its domain.
+    """
+
+    soil: Soil
+    share: Wedge | Cone
+    stiffness: Expression
+    mass: Expression
+    tow_speed: Expression
+    effects: Effects = field(default_factory=Effects)
+
+    def __post_init__(self) -> None:
+        check_domain("stiffness", self.stiffness, "N/m", above=0.0)
+        check_domain("mass", self.mass, "kg", above=0.0, why="the share itself moves")
+        check_domain("tow speed", self.tow_speed, "m/s", at_least=0.0)
+
+    @cached_property
+    def cone(self) -> Cone:
+        """The share's equivalent cone."""
+        return self.share.equivalent_cone() if isinstance(self.share, Wedge) else self.share
+
+    @cached_property
+    def reaction(self) -> SoilReaction:
+        """F0 [N], Fd [N s^2/m^2] and added mass [kg], zero where the effect is off."""
+        off = dataclasses.replace(self.soil, ambient_pressure=0.0)
+        full = soil_reaction(self.cone, self.soil if self.effects.ambient_pressure else off)
+        return SoilReaction(
+            static=full.static,
+            drag=full.drag if self.effects.inertial_drag else 0.0,
+            added_mass=full.added_mass if self.effects.added_mass else 0.0,
+        )
+
+    @property
+    def inertia(self) -> Expression:
+        """M = m + m_a [kg]."""
+        return self.mass + self.reaction.added_mass
+
+    @property
+    def steady_resistance(self) -> Expression:
+        """Resistance F0 (1 + kappa V0^2) + Fd V0^2 [N] at the tow speed, without the strength wave."""
+        rate = self.effects.rate_term if self.effects.rate_term is not None else 0.0
+        return (
+            self.reaction.static * (1.0 + rate * self.tow_speed**2) + self.reaction.drag * self.tow_speed**2
+        )
+
+    @property
+    def natural_frequency(self) -> Expression:
+        """Undamped angular frequency sqrt(k0/M) [rad/s]."""
+        return sqrt(self.stiffness / self.inertia)
+
+    @property
+    def wave_frequency(self) -> Expression:
+        """Angular frequency 2 pi V0/ell [rad/s] at which the strength wave passes; 0 without a wave."""
+        wave = self.effects.strength_wave
+        return 0.0 if wave is None else 2.0 * math.pi * self.tow_speed / wave.wavelength
+
+    @property
+    def ambient_share(self) -> Expression:
+        """Part of the static resistance F0 that the ambient pressure carries [-]; 0 where F0 is 0."""
+        if not self.effects.ambient_pressure:
+            return 0.0
+        bare = soil_reaction(self.cone, dataclasses.replace(self.soil, ambient_pressure=0.0)).static
+        total = self.reaction.static
+        if not is_symbolic(total) and not float(as_number(total)) > 0.0:
+            return 0.0
+        return 1.0 - bare / total
+
+    def warnings(self) -> tuple[str, ...]:
+        """Return, for a scene of numbers, what a reader of its results must know about the theory's limits."""
+        found = []
+        half_angle = float(as_number(self.cone.half_angle))
+        if half_angle > PLANE_SECTIONS_LIMIT:
+            found.append(
+                f"the equivalent cone's half angle is {math.degrees(half_angle):.1f} deg: above"
+                f" {math.degrees(PLANE_SECTIONS_LIMIT):.0f} deg the hypothesis of plane sections does not hold"
+            )
+        share = float(as_number(self.ambient_share))
+        if share > 0.0:
+            pressure = float(as_number(self.soil.ambient_pressure)) / 1e3
+            found.append(
+                f"ambient pressure ({pressure:.4g} kPa) carries {100 * share:.0f} % of the static draft; soil with"
+                " open pores would feel only the overburden, a few kPa: set soil.ambient_pressure for that reading"
+            )
+        return tuple(found)

@@ -1,0 +1,146 @@
+"""Soil properties, and named soils with the sources of their values."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from plough_opt.domain import check_domain
+from plough_opt.errors import InputError, nearest
+from plough_opt.expressions import Expression
+
+STANDARD_ATMOSPHERE = 101325.0
+"""Ambient pressure [Pa] of the named soils, as the source takes it."""
+
+
+@dataclass(frozen=True)
+class Soil:
+    """A dense soil in front of the share.
+
+    Args:
+        density: rho0 of the undisturbed soil [kg/m^3], above 0.
+        density_ratio: b1 = rho0/rho1, undisturbed over locked density [-], between 0 and 1.
+        cohesion: k [Pa], at least 0.
+        friction_angle: theta of internal friction [rad], from 0 to below 90 degrees.
+        tool_friction: mu0 of soil on metal [-], at least 0.
+        ambient_pressure: p_a ahead of the compaction front [Pa], at least 0. The source takes the
+            atmosphere; for soil with open pores the overburden, a few kPa, is the other reading.
+        youngs_modulus: E [Pa], above 0, or None when unknown. The plastic gas does not use it.
+        poisson_ratio: from 0 to below 0.5, or None when unknown. The plastic gas does not use it.
+        name: what to call the soil in reports.
+        source: where the values come from.
+
+    Properties may be floats, NumPy arrays or CasADi expressions.
+
+    Raises:
+        DomainError: a property outside its domain.
+    """
+
+    density: Expression
+    density_ratio: Expression
+    cohesion: Expression
+    friction_angle: Expression
+    tool_friction: Expression
+    ambient_pressure: Expression = STANDARD_ATMOSPHERE
+    youngs_modulus: Expression | None = None
+    poisson_ratio: Expression | None = None
+    name: str = "unnamed soil"
+    source: str = "values given by the user"
+
+    def __post_init__(self) -> None:
+        check_domain("soil density", self.density, "kg/m^3", above=0.0)
+        check_domain(
+            "density ratio b1",
+            self.density_ratio,
+            above=0.0,
+            below=1.0,
+            why="it is undisturbed over locked density, and the plastic gas needs soil that compacts",
+        )
+        check_domain("cohesion", self.cohesion, "Pa", at_least=0.0)
+        check_domain("friction angle", self.friction_angle, "rad", at_least=0.0, below=math.pi / 2)
+        check_domain("tool friction", self.tool_friction, at_least=0.0)
+        check_domain("ambient pressure", self.ambient_pressure, "Pa", at_least=0.0)
+        if self.youngs_modulus is not None:
+            check_domain("Young's modulus", self.youngs_modulus, "Pa", above=0.0)
+        if self.poisson_ratio is not None:
+            check_domain("Poisson's ratio", self.poisson_ratio, at_least=0.0, below=0.5)
+
+
+_CHOICE = "engineering choice inside published brackets, not measured on one soil"
+_FRICTION = "tool friction: soil on steel 0.13-0.85 by moisture (Manuwa 2012, Mod. Appl. Sci. 6(4):117)"
+
+
+def _preset(
+    name: str,
+    density: float,
+    density_ratio: float,
+    cohesion: float,
+    friction_angle: float,
+    tool_friction: float,
+    youngs_modulus: float,
+    poisson_ratio: float,
+    brackets: str,
+) -> Soil:
+    """Build a named soil from kPa, degrees and MPa, the units of the table it is read from."""
+    return Soil(
+        density=density,
+        density_ratio=density_ratio,
+        cohesion=cohesion * 1e3,
+        friction_angle=math.radians(friction_angle),
+        tool_friction=tool_friction,
+        ambient_pressure=STANDARD_ATMOSPHERE,
+        youngs_modulus=youngs_modulus * 1e6,
+        poisson_ratio=poisson_ratio,
+        name=name,
+        source=f"{_CHOICE}; {brackets}; {_FRICTION}",
+    )
+
+
+_NAMED = {
+    soil.name: soil
+    for soil in (
+        _preset(
+            "loose sandy loam", 1300, 0.722, 5, 30, 0.40, 3, 0.30,
+            "density: light loam after subsoiling 1300 kg/m^3 (zzs.ujs.edu.cn, abstract 948)",
+        ),
+        _preset(
+            "firm sandy loam", 1500, 0.815, 15, 32, 0.45, 8, 0.30,
+            "locked density: Proctor maximum 1840 kg/m^3 of a savanna sandy loam (Hossne Garcia et al. 2012)",
+        ),
+        _preset(
+            "serozem", 1350, 0.794, 20, 28, 0.50, 10, 0.33,
+            "density: Syrdarya grey-meadow soils 1280-1370 kg/m^3 (tjabs 3738); modulus: compacted loess"
+            " 18-34 MPa at small strain (Adv. Civ. Eng. 2021, 9574548)",
+        ),
+        _preset(
+            "hardpan", 1600, 0.914, 35, 32, 0.50, 20, 0.35,
+            "density: critical for roots in clay loam 1450-1550 kg/m^3 (Harris 1990; Morris and Lowery 1988);"
+            " strength: Kenyan sandy clay loam 22-39 kPa (Mwonga et al. 2019, doi 10.4236/ojop.2019.83008)",
+        ),
+        _preset(
+            "heavy clay", 1300, 0.812, 45, 15, 0.40, 8, 0.40,
+            "density: growth-restricting above 1470 kg/m^3 in clay; cohesion of a clay at 1550 kg/m^3 30 kPa"
+            " (Horn and Fleige 2003)",
+        ),
+    )
+}  # fmt: skip
+
+
+def soil_names() -> tuple[str, ...]:
+    """Return the names that `named_soil` knows."""
+    return tuple(_NAMED)
+
+
+def named_soil(name: str) -> Soil:
+    """Return one of the named soils: loose sandy loam, firm sandy loam, serozem, hardpan, heavy clay.
+
+    Their values are engineering choices inside published brackets, and say so in ``source``; none of
+    them was measured as a set on one soil. Ambient pressure is the standard atmosphere.
+
+    Raises:
+        InputError: no soil of that name; the message suggests the nearest.
+    """
+    try:
+        return _NAMED[name]
+    except KeyError:
+        raise InputError(f"no soil is named '{name}': {nearest(name, _NAMED)}") from None

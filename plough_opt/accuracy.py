@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Final, get_args, Literal
+from typing import Final, Literal, get_args
 
 from plough_opt.errors import InputError, nearest
 

@@ -54,9 +54,15 @@ def as_number(value: Expression) -> NDArray[np.float64]:
 
 def holds_casadi(value: Any) -> bool:
     """Return whether any CasADi expression is nested in dataclasses, lists, tuples or dictionaries."""
-    found: list[Any] = []
-    map_expressions(value, lambda expression: found.append(expression) or expression)
-    return bool(found)
+    found = False
+
+    def note(expression: Any) -> Any:
+        nonlocal found
+        found = True
+        return expression
+
+    map_expressions(value, note)
+    return found
 
 
 def map_expressions(value: Any, function: Callable[[Any], Any]) -> Any:
@@ -109,7 +115,8 @@ def where(condition: Expression, yes: Expression, no: Expression) -> Expression:
     """Choose ``yes`` where ``condition`` holds, else ``no``; both are evaluated, so both must be finite."""
     if any(is_casadi(value) for value in (condition, yes, no)):
         return ca.if_else(condition, yes, no)
-    return np.where(condition, yes, no)[()]
+    chosen: NDArray[np.float64] = np.where(condition, yes, no)
+    return chosen if chosen.ndim else chosen.item()
 
 
 def minimum(x: Expression, y: Expression) -> Expression:

@@ -12,7 +12,6 @@ from plough_opt.accuracy import ADAPTIVE, Accuracy
 from plough_opt.motion.equation import (
     Structure,
     equation_of_motion,
-    start_rate,
     start_resistance,
     start_state,
 )

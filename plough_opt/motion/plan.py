@@ -24,9 +24,10 @@ _MOST_STEPS = 4_000_000
 
 def fastest_rate(scene: Scene) -> float:
     """Return the fastest angular frequency or decay rate of a scene of numbers [rad/s]."""
-    damping = scene.effects.damping if scene.effects.damping is not None else 0.0
+    effects = scene.effects
+    damping = 0.0 if effects.damping is None else effects.damping
     decay = (damping + 2.0 * scene.reaction.drag * scene.tow_speed) / scene.inertia
-    ramp = 2.0 * math.pi / scene.effects.tow_ramp if scene.effects.ramps else 0.0
+    ramp = 0.0 if effects.tow_ramp is None or not effects.ramps else 2.0 * math.pi / effects.tow_ramp
     # The wave is a sine of the travel: the share's own oscillation adds harmonics to it.
     return float(max(scene.natural_frequency, 2.0 * scene.wave_frequency, decay, ramp))
 

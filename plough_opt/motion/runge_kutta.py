@@ -11,7 +11,6 @@ from functools import lru_cache
 
 import casadi as ca
 import numpy as np
-from scipy.integrate import DOP853
 
 from plough_opt.motion.equation import Structure, equation_of_motion, start_state
 from plough_opt.motion.signals import signals
@@ -26,6 +25,8 @@ def step(structure: Structure) -> ca.Function:
     then, for each signal with an RMS, the mean square about that mean. Both are taken from the deviation
     from the value at the step's start, where they lose at most a factor of four to cancellation.
     """
+    from scipy.integrate import DOP853  # slow to import, and needed only once something moves
+
     motion = equation_of_motion(structure)
     observed = signals(structure)
     state = ca.SX.sym("state", 2)

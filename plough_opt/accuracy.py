@@ -44,9 +44,7 @@ class Accuracy:
     def __post_init__(self) -> None:
         methods = get_args(Method)
         if self.method not in methods:
-            raise InputError(
-                f"no integration method is named '{self.method}': {nearest(self.method, methods)}"
-            )
+            raise InputError(f"no integration method is named '{self.method}': {nearest(self.method, methods)}")
         self._check_setting("error", self.error, ("auto",), 1e-12, 1e-1)
         self._check_setting("steps", self.steps, FIXED_STEP, 1, 10**7)
         self._check_setting("tolerance", self.tolerance, ADAPTIVE, 1e-14, 1e-1)
@@ -57,8 +55,6 @@ class Accuracy:
         if value is None:
             return
         if self.method not in methods:
-            raise InputError(
-                f"method '{self.method}' has no setting '{name}': it belongs to {', '.join(methods)}"
-            )
+            raise InputError(f"method '{self.method}' has no setting '{name}': it belongs to {', '.join(methods)}")
         if not low <= value <= high:
             raise InputError(f"accuracy {name} = {value:g} must lie between {low:g} and {high:g}")

@@ -115,7 +115,7 @@ def where(condition: Expression, yes: Expression, no: Expression) -> Expression:
     """Choose ``yes`` where ``condition`` holds, else ``no``; both are evaluated, so both must be finite."""
     if any(is_casadi(value) for value in (condition, yes, no)):
         return ca.if_else(condition, yes, no)
-    chosen: NDArray[np.float64] = np.where(condition, yes, no)
+    chosen: Any = np.where(condition, yes, no)
     return chosen if chosen.ndim else chosen.item()
 
 

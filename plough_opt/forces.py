@@ -34,9 +34,7 @@ def resistance_coefficients(cone: Cone, soil: Soil) -> ResistanceCoefficients:
     """
     p = wall_pressure(soil)
     slope = cone.slope
-    return ResistanceCoefficients(
-        A=slope**2 * p.strength, B=slope**4 * p.rate, C=2.0 / 3.0 * slope**4 * p.inertia
-    )
+    return ResistanceCoefficients(A=slope**2 * p.strength, B=slope**4 * p.rate, C=2.0 / 3.0 * slope**4 * p.inertia)
 
 
 @dataclass(frozen=True)

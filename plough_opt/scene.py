@@ -76,9 +76,7 @@ class Effects:
 
     def __post_init__(self) -> None:
         if self.contact != "resisting":
-            raise InputError(
-                f"contact = {self.contact!r} is not a contact law of this version: use 'resisting'"
-            )
+            raise InputError(f"contact = {self.contact!r} is not a contact law of this version: use 'resisting'")
         if self.start not in ("equilibrium", "rest"):
             raise InputError(f"start = {self.start!r} must be 'equilibrium' or 'rest'")
         for name, value, unit in (
@@ -89,20 +87,14 @@ class Effects:
             if value is not None:
                 check_domain(name, value, unit, at_least=0.0)
         if not self.motion and self.start == "rest":
-            raise InputError(
-                "start = 'rest' needs motion: a quasi-static share follows the strut from the start"
-            )
+            raise InputError("start = 'rest' needs motion: a quasi-static share follows the strut from the start")
         if not self.motion and self.damping is not None:
-            raise InputError(
-                "damping needs motion: in a quasi-static scene the mount never moves, so leave it out"
-            )
+            raise InputError("damping needs motion: in a quasi-static scene the mount never moves, so leave it out")
 
     @property
     def ramps(self) -> bool:
         """Whether the strut's speed ramps up; a ramp of zero duration is no ramp."""
-        return self.tow_ramp is not None and (
-            is_symbolic(self.tow_ramp) or bool(as_number(self.tow_ramp) > 0)
-        )
+        return self.tow_ramp is not None and (is_symbolic(self.tow_ramp) or bool(as_number(self.tow_ramp) > 0))
 
 
 @dataclass(frozen=True)
@@ -160,9 +152,7 @@ class Scene:
     def steady_resistance(self) -> Expression:
         """Resistance F0 (1 + kappa V0^2) + Fd V0^2 [N] at the tow speed, without the strength wave."""
         rate = self.effects.rate_term if self.effects.rate_term is not None else 0.0
-        return (
-            self.reaction.static * (1.0 + rate * self.tow_speed**2) + self.reaction.drag * self.tow_speed**2
-        )
+        return self.reaction.static * (1.0 + rate * self.tow_speed**2) + self.reaction.drag * self.tow_speed**2
 
     @property
     def natural_frequency(self) -> Expression:

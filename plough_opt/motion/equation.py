@@ -136,9 +136,7 @@ def resistance_change(
     u0 = start_speed(structure, p)
     change: Expression = 0.0
     if structure.rate or structure.drag:
-        factor = (p["static"] * p["rate_term"] if structure.rate else 0.0) + (
-            p["drag"] if structure.drag else 0.0
-        )
+        factor = (p["static"] * p["rate_term"] if structure.rate else 0.0) + (p["drag"] if structure.drag else 0.0)
         change = factor * gain * (2.0 * u0 + gain)
     if structure.wave:
         wave = p["static"] * p["wave_amplitude"] * sin(2.0 * math.pi / p["wavelength"] * travel)

@@ -45,9 +45,7 @@ def jets(structure: Structure, timeline: Timeline, varying: tuple[int, ...], ord
     count = len(sizes)
     spans = ca.DM(np.vstack([timeline.nodes[:-1], sizes]))
     first = _start_jet(structure, varying, order)(p)
-    states, moments = _jet_step(structure, varying, order).mapaccum(count)(
-        first, spans, ca.repmat(p, 1, count)
-    )
+    states, moments = _jet_step(structure, varying, order).mapaccum(count)(first, spans, ca.repmat(p, 1, count))
     width = first.shape[1]
     own = [moments[:, column::width] for column in range(width)]
     means, variances = _pooled(own, ca.DM(sizes), observed.count, observed.squared, len(varying))
@@ -102,14 +100,11 @@ def _jet_step(structure: Structure, varying: tuple[int, ...], order: int) -> ca.
     return ca.Function("jet_step", [jet, span, p], [result[:2, :], result[2:, :]])
 
 
-def _pooled(
-    moments: list[ca.MX], sizes: ca.DM, count: int, squared: int, varying: int
-) -> tuple[ca.MX, ca.MX]:
+def _pooled(moments: list[ca.MX], sizes: ca.DM, count: int, squared: int, varying: int) -> tuple[ca.MX, ca.MX]:
     """Pool the steps' moments into means and variances, with the derivatives of both."""
     means = [m[:count, :] @ sizes for m in moments]
     drift = [
-        m[:squared, :] - ca.repmat(mean[:squared], 1, sizes.numel())
-        for m, mean in zip(moments, means, strict=True)
+        m[:squared, :] - ca.repmat(mean[:squared], 1, sizes.numel()) for m, mean in zip(moments, means, strict=True)
     ]
     spreads = [m[count:, :] for m in moments]
     variances = [spreads[0] + drift[0] ** 2]

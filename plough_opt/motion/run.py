@@ -150,9 +150,7 @@ class Run:
     def warnings(self) -> tuple[str, ...]:
         """What a reader of the numbers must know: limits of the theory, a retreating share, missed accuracy."""
         if self.checks is None:
-            return (
-                "a symbolic run cannot be checked: simulate the scene with numbers, for instance best(run)",
-            )
+            return ("a symbolic run cannot be checked: simulate the scene with numbers, for instance best(run)",)
         return self.checks.warnings
 
     def _known(self, what: str) -> Checks:

@@ -63,9 +63,7 @@ def simulate(
     """
     check_domain("duration", duration, "s", above=0.0)
     if outputs < 1:
-        raise InputError(
-            f"outputs = {outputs} must be at least 1: the number of intervals between output times"
-        )
+        raise InputError(f"outputs = {outputs} must be at least 1: the number of intervals between output times")
     accuracy = accuracy or Accuracy()
     if holds_casadi((scene, duration)):
         if any(map(is_symbolic, (*parameters(scene).values(), scene.mass, duration))):

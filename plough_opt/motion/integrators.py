@@ -8,7 +8,7 @@ from typing import Any
 
 import casadi as ca
 
-from plough_opt.accuracy import ADAPTIVE, Accuracy
+from plough_opt.accuracy import ADAPTIVE, ORDER_8, Accuracy
 from plough_opt.motion.equation import (
     Structure,
     equation_of_motion,
@@ -47,12 +47,22 @@ class Integration:
 
 @lru_cache(maxsize=128)
 def integration(structure: Structure, accuracy: Accuracy, timeline: Timeline) -> Integration:
-    """Build, or find, the Function that integrates scenes of a structure by a named method."""
-    if accuracy.method == "dop853":
+    """Build, or find, the Function that integrates scenes of a structure by a named method with its setting."""
+    if accuracy.method in ORDER_8:
         function = run_map(structure, timeline)
     else:
         function = _by_casadi(structure, accuracy, timeline)
-    return Integration(structure, accuracy, timeline, function)
+    built = Integration(structure, accuracy, timeline, function)
+    _BUILT[hash(function)] = built
+    return built
+
+
+_BUILT: dict[int, Integration] = {}
+
+
+def integration_of(function: ca.Function) -> Integration | None:
+    """Return the integration whose Function stands in somebody's graph, or None for any other Function."""
+    return _BUILT.get(hash(function))
 
 
 def _by_casadi(structure: Structure, accuracy: Accuracy, timeline: Timeline) -> ca.Function:
@@ -74,14 +84,15 @@ def _by_casadi(structure: Structure, accuracy: Accuracy, timeline: Timeline) -> 
     result = solver(x0=ca.vertcat(first / unit, ca.MX.zeros(observed.squared)), p=ca.vertcat(p, unit))
     states = result["xf"][:2, :] * ca.repmat(unit, 1, timeline.outputs)
     sizes = _signal_scales(structure, known, scales)
-    integrals = ca.vertcat(result["xf"][2:, -1], result["qf"][observed.squared :, -1])
+    spreads, others = ca.vertsplit(result["qf"][:, -1], [0, observed.squared, observed.count])
+    integrals = ca.vertcat(result["xf"][2:, -1], others)
     return ca.Function(
         f"run_{accuracy.method}",
         [p],
         [
             ca.horzcat(first, states),
             integrals * sizes,
-            result["qf"][: observed.squared, -1] * sizes[: observed.squared] ** 2,
+            spreads * sizes[: observed.squared] ** 2,
         ],
         {"never_inline": True},
     )
@@ -133,7 +144,7 @@ def _scaled_equation(structure: Structure) -> dict[str, ca.SX]:
         "x": x,
         "p": ca.vertcat(p, unit),
         "ode": ca.vertcat(rate * duration / unit, squared),
-        "quad": ca.vertcat(spread, values[observed.squared :]),
+        "quad": ca.vertcat(spread, values[observed.squared :, :]),
     }
 
 

@@ -13,7 +13,9 @@ from functools import lru_cache
 import casadi as ca
 import numpy as np
 
+from plough_opt.accuracy import ORDER_8
 from plough_opt.motion.equation import Structure, start_state
+from plough_opt.motion.integrators import Integration
 from plough_opt.motion.runge_kutta import step
 from plough_opt.motion.signals import signals
 from plough_opt.motion.timeline import Timeline
@@ -22,6 +24,25 @@ from plough_opt.motion.timeline import Timeline
 def pairs(count: int) -> list[tuple[int, int]]:
     """Return the index pairs (a, b) with a <= b of second derivatives, in the order that jets use."""
     return [(a, b) for a in range(count) for b in range(a, count)]
+
+
+def jets_of(integration: Integration, varying: tuple[int, ...], order: int) -> ca.Function:
+    """Return `jets` of any integration: carried along where the method is ours, else by differentiating the run."""
+    if integration.accuracy.method in ORDER_8:
+        return jets(integration.structure, integration.timeline, varying, order)
+    p = ca.MX.sym("p", integration.function.numel_in(0))
+    e = ca.MX.sym("e", len(varying))
+    chosen = ca.DM(p.numel(), len(varying))
+    for column, position in enumerate(varying):
+        chosen[position, column] = 1.0
+    results = integration.function.call([p + ca.mtimes(chosen, e)])
+    stacked = ca.vertcat(*(ca.vec(result) for result in results))
+    slopes = ca.jacobian(stacked, e)
+    columns = [stacked, slopes]
+    if order == 2:
+        columns += [ca.jacobian(slopes[:, a], e)[:, a:] for a in range(len(varying))]
+    whole = ca.Function("whole", [p, e], [ca.densify(ca.horzcat(*columns))])
+    return ca.Function("jets", [p], [whole(p, ca.DM.zeros(len(varying)))])
 
 
 @lru_cache(maxsize=64)

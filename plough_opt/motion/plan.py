@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import replace
 
 from plough_opt.accuracy import ADAPTIVE, DEFAULT_TOLERANCE, Accuracy
@@ -16,30 +17,34 @@ STIFF_PHASE = 1e5
 TIGHTEST = 1e-13
 """Tightest relative tolerance that double precision leaves room for."""
 
-# Phase of the fastest oscillation in one step of order 8 that leaves a relative error of some 1e-10.
-_PHASE_PER_STEP = 0.5
+STIFF_TOLERANCE = 1e-9
+"""Tightest tolerance for an implicit method; below it the steps follow every oscillation of a stiff mount."""
+
+PHASE_PER_STEP = 0.5
+"""Phase [rad] of the fastest oscillation in one step of order 8 that leaves a relative error of some 1e-10."""
+
 _FEWEST_STEPS = 20
 _MOST_STEPS = 4_000_000
 
 
-def fastest_rate(scene: Scene) -> float:
-    """Return the fastest angular frequency or decay rate of a scene of numbers [rad/s]."""
-    effects = scene.effects
-    damping = 0.0 if effects.damping is None else effects.damping
-    decay = (damping + 2.0 * scene.reaction.drag * scene.tow_speed) / scene.inertia
-    ramp = 0.0 if effects.tow_ramp is None or not effects.ramps else 2.0 * math.pi / effects.tow_ramp
-    # The wave is a sine of the travel: the share's own oscillation adds harmonics to it.
-    return float(max(scene.natural_frequency, 2.0 * scene.wave_frequency, decay, ramp))
+def fastest_rate(p: Mapping[str, float]) -> float:
+    """Return the fastest angular frequency or decay rate [rad/s] of the parameters of an equation of motion."""
+    speed = p.get("tow_speed", 0.0)
+    decay = (p.get("damping", 0.0) + 2.0 * p.get("drag", 0.0) * speed) / p["inertia"]
+    # The wave is a sine of the travel, to which the share's own oscillation adds harmonics.
+    wave = 4.0 * math.pi * speed / p["wavelength"] if "wavelength" in p else 0.0
+    ramp = 2.0 * math.pi / p["ramp_time"] if "ramp_time" in p else 0.0
+    return max(math.sqrt(p["stiffness"] / p["inertia"]), wave, decay, ramp)
 
 
-def phase(scene: Scene, duration: float) -> float:
+def phase(p: Mapping[str, float], duration: float) -> float:
     """Return the phase of the fastest oscillation over the run [rad]."""
-    return fastest_rate(scene) * duration
+    return fastest_rate(p) * duration
 
 
-def steps_for(total_phase: float) -> int:
-    """Return how many steps of order 8 resolve an oscillation of that phase to a relative 1e-10."""
-    return max(_FEWEST_STEPS, math.ceil(min(total_phase / _PHASE_PER_STEP, _MOST_STEPS)))
+def steps_for(total_phase: float, phase_per_step: float = PHASE_PER_STEP) -> int:
+    """Return how many steps of order 8 resolve an oscillation of that phase."""
+    return max(_FEWEST_STEPS, math.ceil(min(total_phase / phase_per_step, _MOST_STEPS)))
 
 
 def timeline_of(scene: Scene, duration: Expression, outputs: int, steps: int) -> Timeline:
@@ -69,8 +74,9 @@ def with_setting(accuracy: Accuracy, steps: int, outputs: int) -> Accuracy:
 
 def automatic(wanted: float, total_phase: float) -> Accuracy:
     """Return the adaptive method and tolerance that should reach a relative error over that phase."""
-    tolerance = max(0.01 * wanted, TIGHTEST)
-    return Accuracy("rosenbrock" if total_phase > STIFF_PHASE else "erk", tolerance=tolerance)
+    if total_phase > STIFF_PHASE:
+        return Accuracy("rosenbrock", tolerance=max(0.1 * wanted, STIFF_TOLERANCE))
+    return Accuracy("erk", tolerance=max(0.01 * wanted, TIGHTEST))
 
 
 def check_of(accuracy: Accuracy, total_phase: float, outputs: int) -> Accuracy:
@@ -79,7 +85,7 @@ def check_of(accuracy: Accuracy, total_phase: float, outputs: int) -> Accuracy:
         return replace(accuracy, steps=2 * (accuracy.steps or 1))
     tolerance = accuracy.tolerance or DEFAULT_TOLERANCE
     if total_phase > STIFF_PHASE:
-        return replace(accuracy, tolerance=max(0.1 * tolerance, TIGHTEST))
+        return replace(accuracy, tolerance=0.1 * tolerance)
     # Order 8: the error falls by 2^8 when the steps double.
     finer = max(1.0, (DEFAULT_TOLERANCE / tolerance) ** 0.125)
     return with_setting(Accuracy("dop853"), math.ceil(finer * steps_for(total_phase)), outputs)

@@ -21,7 +21,10 @@ from plough_opt.motion.timeline import Timeline
 from plough_opt.scene import Scene
 
 GAUSS_POINTS = 10
-"""Gauss-Legendre nodes in each panel of the averages."""
+"""Gauss-Legendre nodes in each panel of the averages of a run of numbers."""
+
+SYMBOLIC_GAUSS_POINTS = 4
+"""The same in a symbolic run, whose graph grows with them."""
 
 
 def quasi_static(

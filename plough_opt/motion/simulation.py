@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from plough_opt.accuracy import DEFAULT_ERROR, Accuracy
+from plough_opt.accuracy import DEFAULT_ERROR, ORDER_8, Accuracy
 from plough_opt.domain import check_domain
 from plough_opt.errors import InputError, IntegrationError
 from plough_opt.expressions import Expression, as_number, holds_casadi, is_symbolic, map_expressions
@@ -25,7 +25,7 @@ from plough_opt.motion.plan import (
     timeline_of,
     with_setting,
 )
-from plough_opt.motion.quasi_static import GAUSS_POINTS, quasi_static
+from plough_opt.motion.quasi_static import GAUSS_POINTS, SYMBOLIC_GAUSS_POINTS, quasi_static
 from plough_opt.motion.run import Checks, Run, assemble
 from plough_opt.scene import Scene
 
@@ -78,17 +78,18 @@ def simulate(
 def _symbolic(scene: Scene, duration: Expression, accuracy: Accuracy, outputs: int) -> Run:
     """Return the run as expressions of the scene's symbols."""
     if not scene.effects.motion:
-        return quasi_static(scene, duration, timeline_of(scene, duration, outputs, outputs), accuracy)
-    if accuracy.method == "auto":
-        accuracy = Accuracy("dop853", steps=outputs)
-    return _integrate(scene, duration, with_setting(accuracy, outputs, outputs), outputs)
+        timeline = timeline_of(scene, duration, outputs, outputs)
+        return quasi_static(scene, duration, timeline, accuracy, SYMBOLIC_GAUSS_POINTS)
+    if accuracy.method != "auto":
+        accuracy = with_setting(accuracy, outputs, outputs)
+    return _integrate(scene, duration, accuracy, outputs)
 
 
 def _verified(
     scene: Scene, duration: float, accuracy: Accuracy, outputs: int
 ) -> tuple[Run, float, tuple[str, ...]]:
     """Integrate twice; return the run, its estimated error, and a note where the wanted error was missed."""
-    total = phase(scene, duration)
+    total = _phase(scene, duration)
     if not scene.effects.motion:
         timeline = timeline_of(scene, duration, outputs, max(outputs, steps_for(total)))
         run = quasi_static(scene, duration, timeline, accuracy)
@@ -102,6 +103,8 @@ def _verified(
         run, error = _twice(scene, duration, method, outputs)
         if error <= wanted:
             return run, error, ()
+        if total > STIFF_PHASE:
+            break
     return (
         run,
         error,
@@ -112,7 +115,7 @@ def _verified(
 def _twice(scene: Scene, duration: float, accuracy: Accuracy, outputs: int) -> tuple[Run, float]:
     """Return the run by a method, and its relative difference from the run that checks it."""
     run = _integrate(scene, duration, accuracy, outputs)
-    check = check_of(accuracy, phase(scene, duration), outputs)
+    check = check_of(accuracy, _phase(scene, duration), outputs)
     return run, _difference(run, _integrate(scene, duration, check, outputs))
 
 
@@ -133,7 +136,7 @@ def _integrate(scene: Scene, duration: Expression, accuracy: Accuracy, outputs: 
 
 def _call(solver: Integration, p: Expression) -> tuple[Expression, ...]:
     """Embed the run in the graph of the symbols ``p``."""
-    if isinstance(p, ca.SX) and solver.accuracy.method != "dop853":
+    if isinstance(p, ca.SX) and solver.accuracy.method not in ORDER_8:
         raise InputError(
             f"method '{solver.accuracy.method}' takes MX symbols only: make the scene of casadi.MX, or use 'dop853'"
         )
@@ -178,9 +181,9 @@ def _described(scene: Scene) -> str:
 
 def _likely_cause(scene: Scene, duration: float, solver: Integration) -> str:
     """Return what probably made an integration fail, and what to do."""
-    total, steps = phase(scene, duration), len(solver.timeline.nodes) - 1
+    total, steps = _phase(scene, duration), len(solver.timeline.nodes) - 1
     turns = total / (2.0 * math.pi)
-    if solver.accuracy.method == "dop853" and total / steps > 2.0:
+    if solver.accuracy.method in ORDER_8 and total / steps > 2.0:
         return f"{steps} steps are too few for {turns:.3g} oscillations: take steps={steps_for(total)}"
     if total > STIFF_PHASE:
         return (
@@ -188,6 +191,10 @@ def _likely_cause(scene: Scene, duration: float, solver: Integration) -> str:
             " a softer or a damped mount, or a shorter duration"
         )
     return "the tolerance is tighter than rounding allows, or the resistance drives the share away"
+
+
+def _phase(scene: Scene, duration: float) -> float:
+    return phase({name: float(as_number(value)) for name, value in parameters(scene).items()}, duration)
 
 
 def _difference(run: Run, check: Run) -> float:

@@ -1,0 +1,7 @@
+"""Designs: variables, an objective and named requirements, solved by IPOPT with exact derivatives."""
+
+from plough_opt.design.optimum import Limit, LocalOptimum, Optimum
+from plough_opt.design.problem import Design
+from plough_opt.design.search import Progress, Scan
+
+__all__ = ["Design", "Limit", "LocalOptimum", "Optimum", "Progress", "Scan"]

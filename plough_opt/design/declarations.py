@@ -1,0 +1,124 @@
+"""What a design declares: variables, parameters, requirements; checked when they are declared."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from plough_opt.errors import InputError
+
+
+@dataclass(frozen=True)
+class Variable:
+    """A quantity that the optimiser may choose, between finite bounds."""
+
+    name: str
+    symbol: ca.MX
+    guess: float
+    lower: float
+    upper: float
+    unit: str
+    log: bool
+
+    def __post_init__(self) -> None:
+        numbers = (self.guess, self.lower, self.upper)
+        text = f"variable '{self.name}'"
+        if not all(math.isfinite(number) for number in numbers):
+            raise InputError(f"{text}: guess, lower and upper must be finite numbers, not {numbers}")
+        if not self.lower < self.upper:
+            raise InputError(
+                f"{text}: its bounds contradict each other: lower {self.lower:g} is not below upper"
+                f" {self.upper:g} {self.unit}"
+            )
+        if not self.lower <= self.guess <= self.upper:
+            raise InputError(
+                f"{text}: its guess {self.guess:g} lies outside its bounds {self.lower:g} to {self.upper:g} {self.unit}"
+            )
+        if self.log and self.lower <= 0.0:
+            raise InputError(f"{text}: a log-scaled variable needs a lower bound above 0, not {self.lower:g}")
+
+    def scaled(self, value: float) -> float:
+        """Return a value as its position between the bounds, 0 to 1."""
+        if self.log:
+            return math.log(value / self.lower) / math.log(self.upper / self.lower)
+        return (value - self.lower) / (self.upper - self.lower)
+
+    def unscaled(self, y: ca.MX) -> ca.MX:
+        """Return the value at a position between the bounds."""
+        if self.log:
+            return self.lower * ca.exp(y * math.log(self.upper / self.lower))
+        return self.lower + (self.upper - self.lower) * y
+
+    def value(self, y: float) -> float:
+        """Return the value at a position; exactly the bound at 0 and 1."""
+        if y <= 0.0:
+            return self.lower
+        if y >= 1.0:
+            return self.upper
+        return float(self.unscaled(ca.DM(y)))
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """A quantity that is fixed within a solve and may differ between solves."""
+
+    name: str
+    symbol: ca.MX
+    value: float
+    unit: str
+
+
+@dataclass(frozen=True)
+class Requirement:
+    """A named limit on an expression; a column of values is limited in every entry."""
+
+    name: str
+    expression: ca.MX
+    at_least: float | None
+    at_most: float | None
+    unit: str
+
+    def __post_init__(self) -> None:
+        text = f"requirement '{self.name}'"
+        if self.at_least is None and self.at_most is None:
+            raise InputError(f"{text} has no limit: give at_least, at_most or both")
+        for side, limit in (("at_least", self.at_least), ("at_most", self.at_most)):
+            if limit is not None and not math.isfinite(limit):
+                raise InputError(f"{text}: {side} = {limit} must be a finite number")
+        if self.at_least is not None and self.at_most is not None and self.at_least > self.at_most:
+            raise InputError(
+                f"{text}: its limits contradict each other: at least {self.at_least:g} is above at most"
+                f" {self.at_most:g} {self.unit}"
+            )
+
+    @property
+    def scale(self) -> float:
+        """Size of the limits, by which the optimiser divides the expression; 1 for limits of zero."""
+        return max(abs(limit) for limit in (self.at_least, self.at_most) if limit is not None) or 1.0
+
+    @property
+    def low(self) -> float:
+        """Lower limit, minus infinity where there is none."""
+        return -math.inf if self.at_least is None else self.at_least
+
+    @property
+    def high(self) -> float:
+        """Upper limit, infinity where there is none."""
+        return math.inf if self.at_most is None else self.at_most
+
+    def limits_text(self) -> str:
+        """Return the limits in words."""
+        parts = [
+            f"{word} {limit:g} {self.unit}".rstrip()
+            for word, limit in (("at least", self.at_least), ("at most", self.at_most))
+            if limit is not None
+        ]
+        return " and ".join(parts)
+
+    def margin(self, values: NDArray[np.float64]) -> float:
+        """Return the distance of the worst value from its limit, positive inside."""
+        return float(min(np.min(values - self.low), np.min(self.high - values)))

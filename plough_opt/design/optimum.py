@@ -1,0 +1,115 @@
+"""Optimum: the best design found, what decided it, and how far it can be trusted."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from plough_opt.design.search import Scan
+from plough_opt.expressions import as_number, is_casadi, map_expressions
+from plough_opt.motion.run import Run
+from plough_opt.motion.simulation import simulate
+
+
+@dataclass(frozen=True)
+class Limit:
+    """A requirement or bound at a design.
+
+    Attributes:
+        name: as declared.
+        kind: "requirement" or "bound".
+        value: worst value of the limited expression, in ``unit``.
+        limits: the limits in words.
+        margin: distance of the worst value from its limit, positive inside, in ``unit``.
+        multiplier: fall of the objective per unit by which the limit is loosened.
+        active: whether the limit decides the design: no margin to speak of, and a multiplier.
+        unit: unit.
+    """
+
+    name: str
+    kind: str
+    value: float
+    limits: str
+    margin: float
+    multiplier: float
+    active: bool
+    unit: str
+
+
+@dataclass(frozen=True)
+class LocalOptimum:
+    """One local optimum.
+
+    Attributes:
+        name: what tells it from the others: its branch under a strength wave, and its place in the order.
+        objective: objective of the tightly integrated model.
+        variables: name -> value, SI units.
+        limits: every requirement and every variable's bounds.
+        gap: relative difference of the optimiser's own objective from the tightly integrated one.
+        error_estimate: relative difference of two tight integrations of the objective, by different methods.
+        iterations: of IPOPT.
+    """
+
+    name: str
+    objective: float
+    variables: dict[str, float]
+    limits: tuple[Limit, ...]
+    gap: float
+    error_estimate: float
+    iterations: int
+
+    @property
+    def margins(self) -> dict[str, float]:
+        """Margin of each requirement, positive inside, in its unit."""
+        return {limit.name: limit.margin for limit in self.limits if limit.kind == "requirement"}
+
+    @property
+    def active(self) -> tuple[str, ...]:
+        """Names of the requirements and variables whose limits decide the design."""
+        return tuple(limit.name for limit in self.limits if limit.active)
+
+
+@dataclass(frozen=True)
+class Optimum(LocalOptimum):
+    """The best local optimum found; called with any object of the design it gives it back with numbers.
+
+    ``best(share)``, ``best(scene)``, ``best(run.mean_draft)``: expressions become numbers, the runs
+    inside them integrated tightly anew; ``best(run)`` simulates the scene with its numbers.
+
+    Attributes:
+        status: "solved", or "not unique" where ``flat_directions`` lead to designs that are as good.
+        flat_directions: directions, as changes of the variables, along which objective and requirements stay.
+        local_optima: all distinct local optima that were found, best first, this one included.
+        scans: objective along the scanned variables.
+        seconds: time that the solve took [s].
+        warnings: what a reader of the numbers must know.
+    """
+
+    status: str = "solved"
+    flat_directions: tuple[dict[str, float], ...] = ()
+    local_optima: tuple[LocalOptimum, ...] = ()
+    scans: tuple[Scan, ...] = ()
+    seconds: float = 0.0
+    warnings: tuple[str, ...] = ()
+    evaluate: Callable[[Any], np.ndarray] = field(repr=False, default=as_number)
+
+    def __call__(self, item: Any) -> Any:
+        """Return an expression, or any object with expressions nested in it, with numbers in their place.
+
+        A single value becomes a float, a column an array. A symbolic run is simulated with numbers, checked.
+
+        Raises:
+            InputError: an expression holds symbols that are not of this design.
+            DomainError: the numbers lie outside the model's domain.
+        """
+        if isinstance(item, Run):
+            outputs = item.time.numel() - 1 if is_casadi(item.time) else len(item.time) - 1
+            return simulate(self(item.scene), self(item.duration), outputs=outputs)
+        return map_expressions(item, self._number)
+
+    def _number(self, expression: Any) -> float | np.ndarray:
+        value = self.evaluate(expression)
+        return float(value) if value.size == 1 else value

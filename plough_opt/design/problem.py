@@ -1,0 +1,171 @@
+"""Design: variables, parameters, an objective and named requirements, solved by IPOPT."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping, Sequence
+
+import casadi as ca
+import numpy as np
+
+from plough_opt.design.declarations import Parameter, Requirement, Variable
+from plough_opt.design.optimum import Optimum
+from plough_opt.design.program import Declarations, Program
+from plough_opt.design.search import Progress
+from plough_opt.design.solving import solve_program
+from plough_opt.errors import InputError, nearest
+from plough_opt.expressions import Expression, is_casadi
+
+
+class Design:
+    """A design question: choose variables to minimise an objective subject to requirements.
+
+    Declare variables and parameters, build share, scene and run from them exactly as from numbers, then say
+    what to minimise and to require, and solve::
+
+        d = Design()
+        height = d.variable("height", guess=0.25, lower=0.10, upper=0.50, unit="m")
+        ...
+        d.minimise(run.mean_draft / 1e3 + run.force_rms / 1e3)
+        d.require("loosened radius", loosened_radius(cone, soil), at_least=0.12, unit="m")
+        best = d.solve()
+    """
+
+    def __init__(self) -> None:
+        self._variables: list[Variable] = []
+        self._parameters: list[Parameter] = []
+        self._requirements: list[Requirement] = []
+        self._objective: ca.MX | None = None
+        self._program: Program | None = None
+
+    def variable(
+        self, name: str, *, guess: float, lower: float, upper: float, unit: str = "", log: bool = False
+    ) -> ca.MX:
+        """Declare a quantity to choose, and return its CasADi symbol.
+
+        Args:
+            name: what to call it in reports.
+            guess: where to start, in ``unit``, between the bounds.
+            lower: lower bound.
+            upper: upper bound.
+            unit: SI unit, for reports.
+            log: scale it by its logarithm: for a quantity whose bounds lie decades apart.
+
+        Raises:
+            InputError: bounds that contradict each other or the guess, or a name declared before.
+        """
+        self._refuse_again(name)
+        symbol = ca.MX.sym(name)
+        self._variables.append(Variable(name, symbol, float(guess), float(lower), float(upper), unit, log))
+        self._program = None
+        return symbol
+
+    def parameter(self, name: str, value: float, *, unit: str = "") -> ca.MX:
+        """Declare a quantity that is fixed within a solve and may differ between solves; return its symbol.
+
+        Raises:
+            InputError: a value that is not finite, or a name declared before.
+        """
+        self._refuse_again(name)
+        if not np.isfinite(value):
+            raise InputError(f"parameter '{name}' = {value} must be a finite number")
+        symbol = ca.MX.sym(name)
+        self._parameters.append(Parameter(name, symbol, float(value), unit))
+        self._program = None
+        return symbol
+
+    def minimise(self, objective: Expression) -> None:
+        """Say what to minimise: a scalar expression of the variables, best of order 1 when summed from parts.
+
+        Raises:
+            InputError: not a scalar CasADi expression.
+        """
+        self._objective = _expression("the objective", objective)
+        if self._objective.numel() != 1:
+            raise InputError(f"the objective must be one number, not {self._objective.numel()}: sum or average it")
+        self._program = None
+
+    def require(
+        self,
+        name: str,
+        expression: Expression,
+        *,
+        at_least: float | None = None,
+        at_most: float | None = None,
+        unit: str = "",
+    ) -> None:
+        """Require an expression to stay within limits; a column, such as a run's deflection, in every entry.
+
+        Args:
+            name: what to call it in reports.
+            expression: scalar or column of the variables.
+            at_least: lower limit in ``unit``, or None.
+            at_most: upper limit in ``unit``, or None.
+            unit: unit of expression and limits, for reports.
+
+        Raises:
+            InputError: no limit, limits that contradict each other, or a name used before.
+        """
+        if any(r.name == name for r in self._requirements):
+            raise InputError(f"a requirement named '{name}' exists already: give each its own name")
+        self._requirements.append(Requirement(name, _expression(f"'{name}'", expression), at_least, at_most, unit))
+        self._program = None
+
+    def solve(
+        self,
+        *,
+        parameters: Mapping[str, float] | None = None,
+        search: str | Sequence[str] = "auto",
+        progress: Progress | None = None,
+    ) -> Optimum:
+        """Find the best design; the model is built once and kept for further solves.
+
+        Args:
+            parameters: values of parameters that differ from the declared ones, by name.
+            search: ``"auto"``: where a strength wave makes the stiffness multimodal, scan it and polish every basin,
+                else start from the guess alone; ``"local"``: from the guess alone; or names of
+                variables to scan.
+            progress: called with what is being done and the fraction done.
+
+        Returns:
+            The best optimum found, re-integrated tightly, with all local optima.
+
+        Raises:
+            InputError: nothing to minimise or to vary, an unknown name, or a model without a value at the start.
+            InfeasibleDesign: no design meets the requirements; it names those that conflict, and by how much.
+            NotConverged: the optimiser stopped without an optimum; it says why and what to do.
+        """
+        started = time.perf_counter()
+        values = self._parameter_values(parameters or {})
+        if self._objective is None:
+            raise InputError("nothing to minimise: call design.minimise(...) before design.solve()")
+        if not self._variables:
+            raise InputError("nothing to choose: declare at least one design.variable(...)")
+        if self._program is None:
+            declared = Declarations(
+                tuple(self._variables), tuple(self._parameters), self._objective, tuple(self._requirements)
+            )
+            self._program = Program(declared)
+        return solve_program(self._program, values, search, progress or _silent, started)
+
+    def _refuse_again(self, name: str) -> None:
+        if any(item.name == name for item in (*self._variables, *self._parameters)):
+            raise InputError(f"'{name}' is declared already: give each variable and parameter its own name")
+
+    def _parameter_values(self, changed: Mapping[str, float]) -> np.ndarray:
+        names = [p.name for p in self._parameters]
+        for name in changed:
+            if name not in names:
+                raise InputError(f"'{name}' is no parameter of this design: {nearest(name, names)}")
+        return np.array([float(changed.get(p.name, p.value)) for p in self._parameters])
+
+
+def _silent(_stage: str, _fraction: float) -> None:
+    """Report nothing."""
+
+
+def _expression(what: str, value: Expression) -> ca.MX:
+    """Return a value as a column of a design's expressions."""
+    if isinstance(value, ca.SX):
+        raise InputError(f"{what} is an SX expression: build it from this design's own variables, which are MX")
+    return ca.vec(ca.MX(value)) if is_casadi(value) else ca.MX(ca.DM(np.atleast_1d(np.asarray(value, dtype=float))))

@@ -1,0 +1,205 @@
+"""A design as a scaled program: declarations in, IPOPT's functions out, built once for all solves."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+
+from plough_opt.accuracy import DEFAULT_ERROR
+from plough_opt.design.declarations import Parameter, Requirement, Variable
+from plough_opt.design.elastic import first_slack, relaxed
+from plough_opt.design.ipopt import Point, Solver, Vector
+from plough_opt.design.nlp import build_nlp
+from plough_opt.design.split import Split, split
+from plough_opt.design.verify import TightEvaluation
+from plough_opt.errors import DomainError, InputError
+from plough_opt.motion.plan import phase, steps_for
+
+# Phase per step inside a design: a relative error of some 3e-9, and finer where the check finds it wanting.
+_PHASE_PER_STEP = 0.8
+_MOST_STEPS = 50_000
+_SMALLEST_SCALE = 1e-12
+
+
+@dataclass(frozen=True)
+class Declarations:
+    """Everything that was declared, in the order of declaration."""
+
+    variables: tuple[Variable, ...]
+    parameters: tuple[Parameter, ...]
+    objective: ca.MX
+    requirements: tuple[Requirement, ...]
+
+    def symbols(self) -> list[ca.MX]:
+        """Return the variables' and the parameters' symbols as two columns' worth of inputs."""
+        return [*(v.symbol for v in self.variables), *(p.symbol for p in self.parameters)]
+
+    def describe(self, values: Vector) -> str:
+        """Return the variables at values in words."""
+        return ", ".join(
+            f"{v.name} = {x:.6g} {v.unit}".rstrip() for v, x in zip(self.variables, values, strict=True)
+        )
+
+
+class Program:
+    """The scaled program of some declarations: variables between 0 and 1, requirements and objective of order 1."""
+
+    def __init__(self, declared: Declarations) -> None:
+        """Split the expressions around their runs.
+
+        Raises:
+            InputError: an expression holds a symbol that was not declared.
+        """
+        self.declared = declared
+        self.expressions = [declared.objective, *(r.expression for r in declared.requirements)]
+        self._refuse_strangers()
+        self.exact = TightEvaluation(self.expressions, declared.symbols())
+        self.owner = [k for k, r in enumerate(declared.requirements) for _ in range(r.expression.numel())]
+        self._y, self._p = ca.MX.sym("y", len(declared.variables)), ca.MX.sym("p", len(declared.parameters))
+        scales = [r.scale for r in declared.requirements]
+        self.low = np.array([declared.requirements[k].low / scales[k] for k in self.owner])
+        self.high = np.array([declared.requirements[k].high / scales[k] for k in self.owner])
+        self.objective_scale = 1.0
+        self._steps: list[int | None] = []
+
+    def _refuse_strangers(self) -> None:
+        known = {symbol.name() for symbol in self.declared.symbols()}
+        for name, expression in zip(
+            ["objective", *(r.name for r in self.declared.requirements)], self.expressions, strict=True
+        ):
+            strangers = sorted({s.name() for s in ca.symvar(expression)} - known)
+            if strangers:
+                raise InputError(
+                    f"'{name}' holds symbols that this design did not declare ({', '.join(strangers)}): make them with"
+                    " design.variable or design.parameter"
+                )
+
+    # --- scaling -----------------------------------------------------------------------------------------
+
+    def start(self) -> Vector:
+        """Return the guesses, scaled."""
+        return np.array([v.scaled(v.guess) for v in self.declared.variables])
+
+    def values(self, y: Vector) -> Vector:
+        """Return the variables in their own units."""
+        return np.array([v.value(float(x)) for v, x in zip(self.declared.variables, y, strict=True)])
+
+    def exact_values(self, y: Vector, p: Vector) -> tuple[list[Vector], list[Vector]]:
+        """Return objective and requirements, tightly integrated, and the same by the checking method."""
+        return self.exact(*self.values(y), *p)
+
+    # --- building ----------------------------------------------------------------------------------------
+
+    def build(self, p: Vector, refinement: float = 1.0) -> None:
+        """Write the program with enough integration steps between the bounds, times ``refinement``.
+
+        Raises:
+            InputError: the objective or a requirement is not finite at the start.
+        """
+        declared = self.declared
+        found = self._checked_start(p)
+        self.objective_scale = max(abs(float(found[0].item())), _SMALLEST_SCALE)
+        unscaled = [v.unscaled(y) for v, y in zip(declared.variables, ca.vertsplit(self._y), strict=True)]
+        replacements = [*unscaled, *(ca.vertsplit(self._p) if declared.parameters else [])]
+        scaled = [
+            declared.objective / self.objective_scale,
+            ca.vertcat(*(ca.vec(r.expression) / r.scale for r in declared.requirements)),
+        ]
+        scaled = ca.graph_substitute(scaled, declared.symbols(), replacements)
+        parts = split(scaled, [self._y, self._p])
+        self.parts = parts
+        self._steps = self._steps_between_bounds(parts, p, refinement)
+        self.nlp = build_nlp(parts, self._y, self._p, self._steps)
+        sizes = (len(declared.variables), len(declared.parameters))
+        self._solver = Solver(self.nlp, *sizes, self.low, self.high)
+        self._relaxed: Solver | None = None
+
+    def _checked_start(self, p: Vector) -> list[Vector]:
+        """Return the expressions at the guess, or say which of them has no value there."""
+        guess = np.array([v.guess for v in self.declared.variables])
+        place = self.declared.describe(guess)
+        try:
+            found, _ = self.exact(*guess, *p)
+        except (RuntimeError, ValueError, ArithmeticError) as error:
+            raise InputError(f"the model cannot be evaluated at the start ({place}): {error}") from error
+        names = ["the objective", *(f"requirement '{r.name}'" for r in self.declared.requirements)]
+        for name, value in zip(names, found, strict=True):
+            if not np.all(np.isfinite(value)):
+                raise InputError(f"{name} is not a finite number at the start ({place}): start elsewhere")
+        return found
+
+    def _steps_between_bounds(self, parts: Split, p: Vector, refinement: float) -> list[int | None]:
+        """Return, for each run whose accuracy is automatic, the steps that its fastest design needs."""
+        corners = [self.start()]
+        for k in range(len(self.declared.variables)):
+            for bound in (0.0, 1.0):
+                corners.append(self.start())
+                corners[-1][k] = bound
+        steps: list[int | None] = []
+        for run in parts.runs:
+            if run.integration.accuracy.method != "auto":
+                steps.append(None)
+                continue
+            inputs = ca.Function("inputs", [self._y, self._p], [run.inputs])
+            phases = []
+            for corner in corners:
+                numbers = np.asarray(inputs(corner, p)).ravel()
+                phases.append(phase(dict(zip(run.integration.names, numbers[:-1], strict=True)), numbers[-1]))
+            count = math.ceil(refinement * steps_for(max(phases), _PHASE_PER_STEP))
+            if count > _MOST_STEPS:
+                raise DomainError(
+                    f"between the bounds the share oscillates up to {max(phases) / (2 * math.pi):.3g} times in a run,"
+                    f" which would take {count} integration steps: tighten the bounds on stiffness and mass, shorten"
+                    " the duration, or take the quasi-static scene"
+                )
+            steps.append(count)
+        return steps
+
+    @property
+    def wanted_error(self) -> float | None:
+        """Tightest relative error that an automatic run of this program is to reach; None without such a run."""
+        automatic = [
+            run.integration.accuracy for run in self.parts.runs if run.integration.accuracy.method == "auto"
+        ]
+        return min((accuracy.error or DEFAULT_ERROR for accuracy in automatic), default=None)
+
+    # --- solving -----------------------------------------------------------------------------------------
+
+    def solve(self, start: Vector, p: Vector, *, near: bool = False) -> Point:
+        """Return the local optimum that IPOPT reaches from a scaled start."""
+        return self._solver.solve(start, p, near=near)
+
+    def solve_with_fixed(self, start: Vector, p: Vector, fixed: int) -> Point:
+        """Return the local optimum with one variable held at its start."""
+        lower, upper = np.zeros(len(start)), np.ones(len(start))
+        lower[fixed] = upper[fixed] = start[fixed]
+        return self._solver.solve(start, p, lower, upper, near=True)
+
+    def solve_relaxed(self, start: Vector, p: Vector) -> Point:
+        """Return the design near a start at which the requirements give way least; slacks follow y."""
+        count, n = len(self.declared.requirements), len(start)
+        if self._relaxed is None:
+            loose = relaxed(self.nlp, n, len(p), self.owner, count)
+            self._relaxed = Solver(loose, n + 2 * count, len(p), self.low, self.high)
+        g = np.asarray(self.nlp.g(start, p)).ravel()
+        slack = first_slack(g, self.low, self.high, self.owner, count)
+        upper = np.r_[np.ones(n), np.full(2 * count, np.inf)]
+        return self._relaxed.solve(np.r_[start, slack], p, np.zeros(len(upper)), upper)
+
+    def merit(self, points: Vector, p: Vector) -> tuple[Vector, Vector]:
+        """Return scaled objective and largest violation at scaled points, a row each; NaN becomes infinity."""
+        evaluate: Callable[..., tuple[ca.DM, ca.DM]] = ca.Function(
+            "merit", [self._y, self._p], [self.nlp.f(self._y, self._p), self.nlp.g(self._y, self._p)]
+        )
+        objective, violation = np.empty(len(points)), np.empty(len(points))
+        for k, point in enumerate(points):
+            f, g = (np.asarray(result).ravel() for result in evaluate(point, p))
+            objective[k] = f[0]
+            violation[k] = max(0.0, np.max(self.low - g, initial=0.0), np.max(g - self.high, initial=0.0))
+        bad = ~(np.isfinite(objective) & np.isfinite(violation))
+        objective[bad] = violation[bad] = np.inf
+        return objective, violation

@@ -1,0 +1,202 @@
+"""From a program to its certified optimum: local solve, global search, refinement, report."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Sequence
+from functools import partial
+
+import casadi as ca
+import numpy as np
+
+from plough_opt.design.infeasible import infeasible, is_feasible, least_violation
+from plough_opt.design.ipopt import REMEDIES, Point, Vector
+from plough_opt.design.optimum import Limit, LocalOptimum, Optimum
+from plough_opt.design.program import Program
+from plough_opt.design.search import Progress, global_search, scanned_variables
+from plough_opt.design.uniqueness import flat_directions
+from plough_opt.design.verify import TightEvaluation
+from plough_opt.errors import InputError, NotConverged
+
+_REFINEMENTS = 4
+_FINER = 1.5
+# A limit decides the design when, scaled by its size, it leaves no more margin than this and pulls more than that.
+_TOUCHES = 1e-6
+_PULLS = 1e-7
+
+
+def solve_program(
+    program: Program, p: Vector, search: str | Sequence[str], progress: Progress, started: float
+) -> Optimum:
+    """Return the best optimum of a program: see `Design.solve`."""
+    progress("building the model", 0.0)
+    program.build(p)
+    scanned = scanned_variables(program, search)
+    progress("solving from the guess", 0.0)
+    points, scans = global_search(program, p, first_optimum(program, p), scanned, progress)
+    points, missed = _refined(program, p, points, progress)
+    progress("checking", 0.0)
+    names = _names(program, points, p)
+    optima = [_local_optimum(program, p, point, name) for point, name in zip(points, names, strict=True)]
+    order = sorted(range(len(optima)), key=lambda k: optima[k].objective)
+    directions = flat_directions(program, p, points[order[0]])
+    best = optima[order[0]]
+    return Optimum(
+        **{name: getattr(best, name) for name in LocalOptimum.__dataclass_fields__},
+        status="not unique" if directions else "solved",
+        flat_directions=tuple(_in_units(program, points[order[0]], d) for d in directions),
+        local_optima=tuple(optima[k] for k in order),
+        scans=tuple(scans),
+        seconds=time.perf_counter() - started,
+        warnings=missed,
+        evaluate=partial(_evaluated, program, program.values(points[order[0]].y), p),
+    )
+
+
+def first_optimum(program: Program, p: Vector) -> Point:
+    """Return a local optimum near the guess; failing that, from the nearest feasible design.
+
+    Raises:
+        InfeasibleDesign: no design meets the requirements.
+        NotConverged: IPOPT found no optimum although feasible designs exist.
+    """
+    point = program.solve(program.start(), p)
+    if point.solved:
+        return point
+    n = len(program.declared.variables)
+    if program.declared.requirements:
+        nearest = least_violation(program, p)
+        if nearest.solved and not is_feasible(nearest):
+            raise infeasible(program, nearest)
+        point = program.solve(np.clip(nearest.y[:n], 0.0, 1.0), p)
+    else:
+        point = program.solve(np.full(n, 0.5), p)
+    if point.solved:
+        return point
+    place = program.declared.describe(program.values(np.clip(point.y, 0.0, 1.0)))
+    remedy = REMEDIES.get(point.status, "start nearer, or check the bounds")
+    raise NotConverged(f"IPOPT stopped with {point.status} at {place}: {remedy}", point.status)
+
+
+def _refined(
+    program: Program, p: Vector, points: list[Point], progress: Progress
+) -> tuple[list[Point], tuple[str, ...]]:
+    """Take more integration steps until the optimiser's objective is that of the tight integration."""
+    wanted = program.wanted_error
+    if wanted is None:
+        return points, ()
+    for refinement in range(1, _REFINEMENTS + 1):
+        gap = max(_gap(program, p, point) for point in points)
+        if gap <= wanted:
+            return points, ()
+        progress(f"refining: error {gap:.1e}", refinement / _REFINEMENTS)
+        program.build(p, _FINER**refinement)
+        again = [program.solve(point.y, p, near=True) for point in points]
+        points = [new if new.solved else old for new, old in zip(again, points, strict=True)]
+    gap = max(_gap(program, p, point) for point in points)
+    if gap <= wanted:
+        return points, ()
+    return points, (f"the wanted relative error {wanted:.1e} of the objective was not reached: it is {gap:.1e}",)
+
+
+def _gap(program: Program, p: Vector, point: Point) -> float:
+    exact = float(program.exact_values(point.y, p)[0][0].item())
+    return abs(point.f * program.objective_scale - exact) / max(abs(exact), math.ulp(0.0))
+
+
+def _local_optimum(program: Program, p: Vector, point: Point, name: str) -> LocalOptimum:
+    """Return the report on a point, from the tightly integrated model."""
+    found, check = program.exact_values(point.y, p)
+    objective = float(found[0].item())
+    values = program.values(point.y)
+    return LocalOptimum(
+        name=name,
+        objective=objective,
+        variables={v.name: float(x) for v, x in zip(program.declared.variables, values, strict=True)},
+        limits=(*_requirements(program, point, found[1:]), *_bounds(program, point, values)),
+        gap=_gap(program, p, point),
+        error_estimate=abs(objective - float(check[0].item())) / max(abs(objective), math.ulp(0.0)),
+        iterations=point.iterations,
+    )
+
+
+def _requirements(program: Program, point: Point, found: Sequence[Vector]) -> list[Limit]:
+    limits = []
+    for k, (r, value) in enumerate(zip(program.declared.requirements, found, strict=True)):
+        numbers = value.ravel()
+        own = np.flatnonzero(np.array(program.owner) == k)
+        pull = float(np.max(np.abs(point.lam_g[own])))
+        margin = r.margin(numbers)
+        worst = int(np.argmin(np.minimum(numbers - r.low, r.high - numbers)))
+        limits.append(
+            Limit(
+                name=r.name,
+                kind="requirement",
+                value=float(numbers[worst]),
+                limits=r.limits_text(),
+                margin=margin,
+                multiplier=float(np.sum(np.abs(point.lam_g[own]))) * program.objective_scale / r.scale,
+                active=margin < _TOUCHES * r.scale and pull > _PULLS,
+                unit=r.unit,
+            )
+        )
+    return limits
+
+
+def _bounds(program: Program, point: Point, values: Vector) -> list[Limit]:
+    limits = []
+    for v, value, y, multiplier in zip(program.declared.variables, values, point.y, point.lam_y, strict=True):
+        slope = value * math.log(v.upper / v.lower) if v.log else v.upper - v.lower
+        limits.append(
+            Limit(
+                name=v.name,
+                kind="bound",
+                value=float(value),
+                limits=f"{v.lower:g} to {v.upper:g} {v.unit}".rstrip(),
+                margin=float(min(value - v.lower, v.upper - value)),
+                multiplier=abs(float(multiplier)) * program.objective_scale / slope,
+                active=min(y, 1.0 - y) < _TOUCHES and abs(multiplier) > _PULLS,
+                unit=v.unit,
+            )
+        )
+    return limits
+
+
+def _names(program: Program, points: Sequence[Point], p: Vector) -> list[str]:
+    """Return a name for each optimum: under a strength wave its branch, soft or stiff beside the resonance."""
+    for inputs, integration in program.exact.runs():
+        if not integration.structure.wave:
+            continue
+        symbols = program.declared.symbols()
+        evaluate = ca.Function("inputs", symbols, [inputs])
+        names = []
+        for point in points:
+            numbers = np.asarray(evaluate(*program.values(point.y), *p)).ravel()
+            q = dict(zip(integration.names, numbers, strict=False))
+            ratio = math.sqrt(q["stiffness"] / q["inertia"]) * q["wavelength"] / (2.0 * math.pi * q["tow_speed"])
+            branch = "soft branch" if ratio < 1.0 else "stiff branch"
+            names.append(f"{branch}, natural frequency {ratio:.2f} of the wave's")
+        return names
+    return ["optimum"] if len(points) == 1 else [f"optimum {k + 1}" for k in range(len(points))]
+
+
+def _in_units(program: Program, point: Point, direction: Vector) -> dict[str, float]:
+    """Return a scaled direction as changes of the variables, for a step of 1 % of the range of the one that leads."""
+    step = 0.01 * direction / np.max(np.abs(direction))
+    change = program.values(np.clip(point.y + step, 0.0, 1.0)) - program.values(point.y)
+    return {v.name: float(x) for v, x in zip(program.declared.variables, change, strict=True)}
+
+
+def _evaluated(program: Program, values: Vector, p: Vector, expression: ca.MX) -> Vector:
+    """Return an expression of the design's symbols at numbers, its runs integrated tightly."""
+    if isinstance(expression, ca.SX):
+        raise InputError("an SX expression cannot be of this design, whose variables are MX")
+    symbols = program.declared.symbols()
+    known = {symbol.name() for symbol in symbols}
+    expression = ca.MX(expression)
+    strangers = sorted({s.name() for s in ca.symvar(expression)} - known)
+    if strangers:
+        raise InputError(f"the expression holds symbols that are not of this design: {', '.join(strangers)}")
+    (value,), _ = TightEvaluation([expression], symbols)(*values, *p)
+    return np.squeeze(value)

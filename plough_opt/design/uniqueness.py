@@ -1,0 +1,58 @@
+"""Directions along which nothing changes: optima that are not unique."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from plough_opt.design.ipopt import Point, Vector
+from plough_opt.design.program import Program
+
+# A curvature this far below the largest is suspected flat, and a change of the objective this small confirms it.
+_FLAT_CURVATURE = 1e-7
+_FLAT_OBJECTIVE = 1e-9
+_ACTIVE = 1e-7
+_STEP = 0.02
+
+
+def flat_directions(program: Program, p: Vector, at: Point) -> list[Vector]:
+    """Return scaled directions in which designs as good as the optimum lie.
+
+    The reduced Hessian suspects a direction; moving along it and solving again for the rest confirms it.
+    """
+    free = _free_directions(program, p, at)
+    if free.shape[1] == 0:
+        return []
+    hessian = _hessian(program, p, at)
+    curvatures, vectors = np.linalg.eigh(free.T @ hessian @ free)
+    size = max(1.0, float(np.max(np.abs(hessian))))
+    suspects = [free @ vectors[:, k] for k in np.flatnonzero(np.abs(curvatures) < _FLAT_CURVATURE * size)]
+    return [direction for direction in suspects if _confirmed(program, p, at, direction)]
+
+
+def _hessian(program: Program, p: Vector, at: Point) -> Vector:
+    upper = np.asarray(program.nlp.hess_lag(at.y, p, 1.0, at.lam_g))
+    return upper + np.triu(upper, 1).T
+
+
+def _free_directions(program: Program, p: Vector, at: Point) -> Vector:
+    """Return an orthonormal basis, as columns, of the directions that leave every active limit in place."""
+    g, jacobian = (np.asarray(result) for result in program.nlp.jac_g(at.y, p))
+    values = g.ravel()
+    touching = (values - program.low < _ACTIVE) | (program.high - values < _ACTIVE)
+    bounds = np.eye(len(at.y))[(at.y < _ACTIVE) | (at.y > 1.0 - _ACTIVE)]
+    rows = np.vstack([jacobian[touching], bounds])
+    if not len(rows):
+        return np.eye(len(at.y))
+    _, sizes, right = np.linalg.svd(rows)
+    rank = int(np.sum(sizes > 1e-9 * max(1.0, sizes[0])))
+    return right[rank:].T
+
+
+def _confirmed(program: Program, p: Vector, at: Point, direction: Vector) -> bool:
+    leading = int(np.argmax(np.abs(direction)))
+    for sign in (1.0, -1.0):
+        moved = at.y + sign * _STEP * direction / abs(direction[leading])
+        if np.all((moved >= 0.0) & (moved <= 1.0)):
+            there = program.solve_with_fixed(moved, p, leading)
+            return there.solved and abs(there.f - at.f) <= _FLAT_OBJECTIVE * max(1.0, abs(at.f))
+    return False

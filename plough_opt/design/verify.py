@@ -1,0 +1,80 @@
+"""Expressions of a design at numbers, with every run inside them integrated anew and tightly."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import lru_cache
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from plough_opt.design.split import split
+from plough_opt.errors import IntegrationError
+from plough_opt.motion.integrators import Integration, integration
+from plough_opt.motion.plan import automatic, check_of, phase
+from plough_opt.motion.timeline import Timeline
+
+Vector = NDArray[np.float64]
+
+TIGHT = 1e-10
+"""Relative error that the re-integration aims at."""
+
+
+class TightEvaluation:
+    """Expressions of symbols as functions of numbers, through runs that are re-integrated tightly."""
+
+    def __init__(self, expressions: Sequence[ca.MX], symbols: Sequence[ca.MX]) -> None:
+        """Split the expressions of ``symbols`` around their runs."""
+        parts = split(list(expressions), list(symbols))
+        self._parts = parts
+        self._runs = [run.integration for run in parts.runs]
+        self._inputs = [ca.Function("inputs", list(symbols), [run.inputs]) for run in parts.runs]
+        self._algebra = ca.Function("algebra", [*symbols, *parts.results], list(parts.expressions))
+
+    def runs(self) -> list[tuple[ca.MX, Integration]]:
+        """Return for each run its parameters, as expressions of the symbols, and how it was written."""
+        return [(run.inputs, run.integration) for run in self._parts.runs]
+
+    def __call__(self, *numbers: Sequence[float]) -> tuple[list[Vector], list[Vector]]:
+        """Return the expressions' values, and the same by the method that checks the integration.
+
+        Raises:
+            IntegrationError: a run has no finite result at these numbers.
+        """
+        values = [
+            tight_results(run, tuple(np.asarray(function(*numbers)).ravel().tolist()))
+            for run, function in zip(self._runs, self._inputs, strict=True)
+        ]
+        found, check = (
+            [np.asarray(result) for result in self._algebra.call([*map(ca.DM, numbers), *results])]
+            for results in ([pair[0] for pair in values], [pair[1] for pair in values])
+        )
+        return found, check
+
+
+@lru_cache(maxsize=256)
+def tight_results(own: Integration, inputs: tuple[float, ...]) -> tuple[Vector, Vector]:
+    """Return a run's stacked results at numbers by a tight adaptive method, and by the one that checks it.
+
+    Args:
+        own: how the run was written in the design; only its structure and output times are kept.
+        inputs: its parameters, the duration last.
+
+    Raises:
+        IntegrationError: either result is not finite.
+    """
+    total = phase(dict(zip(own.names, inputs[:-1], strict=True)), inputs[-1])
+    method = automatic(TIGHT, total)
+    outputs = own.timeline.outputs
+    results = []
+    for accuracy in (method, check_of(method, total, outputs)):
+        timeline = Timeline(outputs, accuracy.steps or outputs, own.timeline.kink)
+        function = integration(own.structure, accuracy, timeline).function
+        parts = [np.asarray(part).ravel(order="F") for part in function.call([ca.DM(inputs)])]
+        results.append(np.concatenate(parts))
+        if not np.all(np.isfinite(results[-1])):
+            raise IntegrationError(
+                f"the motion has no finite result by '{accuracy.method}' at {own.names} = {inputs}"
+            )
+    return results[0], results[1]

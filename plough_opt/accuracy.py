@@ -52,9 +52,7 @@ class Accuracy:
         self._check_setting("steps", self.steps, FIXED_STEP, 1, 10**7)
         self._check_setting("tolerance", self.tolerance, ADAPTIVE, 1e-14, 1e-1)
 
-    def _check_setting(
-        self, name: str, value: float | None, methods: tuple[str, ...], low: float, high: float
-    ) -> None:
+    def _check_setting(self, name: str, value: float | None, methods: tuple[str, ...], low: float, high: float) -> None:
         if value is None:
             return
         if self.method not in methods:

@@ -50,4 +50,5 @@ def check_domain(
         if not np.all(holds):
             bound = "" if limit is None else f" {limit:.6g}{suffix}"
             reason = f": {why}" if why else ""
-            raise DomainError(f"{name} = {numbers[~holds][0]:.6g}{suffix} must be {relation}{bound}{reason}")
+            message = f"{name} = {numbers[~holds][0]:.6g}{suffix} must be {relation}{bound}{reason}"
+            raise DomainError(message, name)

@@ -11,7 +11,15 @@ class PloughError(Exception):
 
 
 class DomainError(PloughError, ValueError):
-    """A value lies outside the domain in which the model's equations hold."""
+    """A value lies outside the domain in which the model's equations hold.
+
+    Attributes:
+        quantity: what the value is, as in the message; empty when it is no single value.
+    """
+
+    def __init__(self, message: str, quantity: str = "") -> None:
+        super().__init__(message)
+        self.quantity = quantity
 
 
 class InputError(PloughError, ValueError):

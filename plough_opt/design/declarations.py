@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from plough_opt.errors import InputError
+from plough_opt.expressions import Expression, exp
 
 
 @dataclass(frozen=True)
@@ -47,10 +48,10 @@ class Variable:
             return math.log(value / self.lower) / math.log(self.upper / self.lower)
         return (value - self.lower) / (self.upper - self.lower)
 
-    def unscaled(self, y: ca.MX) -> ca.MX:
+    def unscaled(self, y: Expression) -> Expression:
         """Return the value at a position between the bounds."""
         if self.log:
-            return self.lower * ca.exp(y * math.log(self.upper / self.lower))
+            return self.lower * exp(y * math.log(self.upper / self.lower))
         return self.lower + (self.upper - self.lower) * y
 
     def value(self, y: float) -> float:
@@ -59,7 +60,7 @@ class Variable:
             return self.lower
         if y >= 1.0:
             return self.upper
-        return float(self.unscaled(ca.DM(y)))
+        return float(self.unscaled(y))
 
 
 @dataclass(frozen=True)

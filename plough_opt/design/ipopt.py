@@ -38,8 +38,11 @@ _OPTIONS: dict[str, Any] = {
     "ipopt.acceptable_iter": 0,
     "ipopt.max_iter": 300,
 }
+# From anywhere: the adaptive barrier takes about half the iterations of the monotone one here.
+_FAR: dict[str, Any] = {"ipopt.mu_strategy": "adaptive"}
 # From a point that is nearly optimal already: stay in its basin instead of first moving to the middle.
 _NEAR: dict[str, Any] = {
+    "ipopt.max_iter": 30,
     "ipopt.mu_init": 1e-4,
     "ipopt.bound_push": 1e-6,
     "ipopt.bound_frac": 1e-6,
@@ -93,7 +96,7 @@ class Solver:
     ) -> Point:
         """Return the local optimum that IPOPT reaches from a start, ``near`` if it is nearly optimal."""
         if near not in self._solvers:
-            options = _OPTIONS | self._derivatives | (_NEAR if near else {})
+            options = _OPTIONS | self._derivatives | (_NEAR if near else _FAR)
             self._solvers[near] = ca.nlpsol("design", "ipopt", self._problem, options)
         solver = self._solvers[near]
         result = solver(

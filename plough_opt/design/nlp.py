@@ -12,6 +12,7 @@ where z = (y, o), S = dz/dy, mu = L_o and c = mu' o_theta.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import casadi as ca
 
@@ -93,6 +94,25 @@ def run_in_nlp(run: EmbeddedRun, only_averages: bool, varying: tuple[int, ...], 
     )
 
 
+@dataclass(frozen=True)
+class Algebra:
+    """Objective and requirements as algebra over the runs' results o, and the runs' parameters theta over y.
+
+    Attributes:
+        values: (y, p, o) -> (J, g).
+        slopes: (y, p, o) -> (J, g, J_y, J_o, g_y, g_o).
+        curvature: (y, p, o, lam_f, lam_g) -> (L_zz with z = (y, o), L_o).
+        theta_slopes: (y, p) -> theta_y, of those parameters that vary.
+        theta_curvature: (y, p, c) -> sum_v c_v theta_v,yy.
+    """
+
+    values: ca.Function
+    slopes: ca.Function
+    curvature: ca.Function
+    theta_slopes: ca.Function
+    theta_curvature: ca.Function
+
+
 def build_nlp(parts: Split, y: ca.MX, p: ca.MX, steps: list[int | None]) -> Nlp:
     """Assemble the program of an objective and requirements.
 
@@ -108,88 +128,91 @@ def build_nlp(parts: Split, y: ca.MX, p: ca.MX, steps: list[int | None]) -> Nlp:
     for k, run in enumerate(parts.runs):
         varying = tuple(sorted(set(inputs[k].jac_sparsity(0, 0).row())))
         runs.append(run_in_nlp(run, averages_only(run, full, 2 + k), varying, steps[k]))
+    algebra = _algebra(parts, full, inputs, runs, (y.numel(), p.numel()))
 
-    # The algebra in scalar form, over the results that are really used.
-    ys, ps = ca.SX.sym("y", y.numel()), ca.SX.sym("p", p.numel())
-    results = [ca.SX.sym("o", run.size) for run in runs]
-    padded = [
-        ca.vertcat(ca.SX.zeros(symbol.numel() - result.numel()), result)
-        for symbol, result in zip(parts.results, results, strict=True)
-    ]
-    o = ca.vertcat(*results) if results else ca.SX(0, 1)
-    objective, requirements = full(ys, ps, *padded)
-    theta = ca.vertcat(
-        *(function(ys, ps)[list(run.varying)] for function, run in zip(inputs, runs, strict=True))
-    ) if runs else ca.SX(0, 1)  # fmt: skip
-    lam_f, lam_g = ca.SX.sym("lam_f"), ca.SX.sym("lam_g", requirements.numel())
-    weights = ca.SX.sym("c", theta.numel())
-    lagrangian = lam_f * objective + ca.dot(lam_g, requirements)
-    z = ca.vertcat(ys, o)
-    algebra = ca.Function("algebra", [ys, ps, o], [objective, requirements])
-    slopes = ca.Function(
-        "algebra_slopes",
-        [ys, ps, o],
-        [objective, requirements] + [ca.jacobian(e, v) for e in (objective, requirements) for v in (ys, o)],
-    )
-    curvature = ca.Function(
-        "algebra_curvature",
-        [ys, ps, o, lam_f, lam_g],
-        [ca.hessian(lagrangian, z)[0], ca.gradient(lagrangian, o)],
-    )
-    theta_slopes = ca.Function("theta_slopes", [ys, ps], [ca.jacobian(theta, ys)])
-    theta_curvature = ca.Function("theta_curvature", [ys, ps, weights], [ca.hessian(ca.dot(weights, theta), ys)[0]])
-
-    def jets(order: int) -> list[ca.MX]:
-        return [
-            (run.slopes if order == 1 else run.curvatures)(function(y, p))
-            for run, function in zip(runs, inputs, strict=True)
-        ]
-
-    def column(parts_of: list[ca.MX]) -> ca.MX:
-        return ca.vertcat(*parts_of) if parts_of else ca.MX(0, 1)
-
-    def run_slopes(found: list[ca.MX]) -> ca.MX:
-        blocks = [jet[:, 1 : 1 + len(run.varying)] for jet, run in zip(found, runs, strict=True)]
-        return ca.diagcat(*blocks) if blocks else ca.MX(0, 0)
-
-    values = column([run.value(function(y, p)) for run, function in zip(runs, inputs, strict=True)])
-    f_value, g_value = algebra(y, p, values)
-
-    first = jets(1)
-    o_y = ca.mtimes(run_slopes(first), theta_slopes(y, p))
-    f_first, g_first, f_y, f_o, g_y, g_o = slopes(y, p, column([jet[:, 0] for jet in first]))
-    gradient = ca.densify(f_y + ca.mtimes(f_o, o_y)).T
-    jacobian = ca.densify(g_y + ca.mtimes(g_o, o_y))
-
-    second = jets(2)
-    lf, lg = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", requirements.numel())
-    theta_y = theta_slopes(y, p)
-    o_theta = run_slopes(second)
-    hessian_z, mu = curvature(y, p, column([jet[:, 0] for jet in second]), lf, lg)
-    s = ca.vertcat(ca.MX.eye(y.numel()), ca.mtimes(o_theta, theta_y))
-    hessian = ca.mtimes([s.T, hessian_z, s]) + theta_curvature(y, p, ca.mtimes(o_theta.T, mu))
-    if runs:
-        hessian += ca.mtimes([theta_y.T, _contracted(second, runs, mu), theta_y])
+    results = _column([run.value(function(y, p)) for run, function in zip(runs, inputs, strict=True)])
+    f, g = algebra.values(y, p, results)
+    lam_f, lam_g = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", g.numel())
+    first = [run.slopes(function(y, p)) for run, function in zip(runs, inputs, strict=True)]
+    second = [run.curvatures(function(y, p)) for run, function in zip(runs, inputs, strict=True)]
+    f_again, g_again, gradient, jacobian = _first_derivatives(algebra, runs, first, y, p)
+    hessian = _hessian(algebra, runs, second, (y, p, lam_f, lam_g))
     names = ["x", "p"]
     return Nlp(
-        f=ca.Function("f", [y, p], [f_value], names, ["f"]),
-        g=ca.Function("g", [y, p], [g_value], names, ["g"]),
-        grad_f=ca.Function("grad_f", [y, p], [f_first, gradient], names, ["f", "grad_f_x"]),
-        jac_g=ca.Function("jac_g", [y, p], [g_first, jacobian], names, ["g", "jac_g_x"]),
+        f=ca.Function("f", [y, p], [f], names, ["f"]),
+        g=ca.Function("g", [y, p], [g], names, ["g"]),
+        grad_f=ca.Function("grad_f", [y, p], [f_again, gradient], names, ["f", "grad_f_x"]),
+        jac_g=ca.Function("jac_g", [y, p], [g_again, jacobian], names, ["g", "jac_g_x"]),
         hess_lag=ca.Function(
-            "hess_lag",
-            [y, p, lf, lg],
-            [ca.triu(ca.densify(hessian))],
-            [*names, "lam_f", "lam_g"],
-            ["triu_hess_gamma_x_x"],
+            "hess_lag", [y, p, lam_f, lam_g], [hessian], [*names, "lam_f", "lam_g"], ["triu_hess_gamma_x_x"]
         ),
     )
 
 
-def _contracted(second: list[ca.MX], runs: list[RunInNlp], mu: ca.MX) -> ca.MX:
+def _algebra(
+    parts: Split, full: ca.Function, inputs: list[ca.Function], runs: list[RunInNlp], sizes: tuple[int, int]
+) -> Algebra:
+    """Differentiate the algebra around the runs, in scalar form and over those results only that are used."""
+    y, p = ca.SX.sym("y", sizes[0]), ca.SX.sym("p", sizes[1])
+    used = [ca.SX.sym("o", run.size) for run in runs]
+    padded = [
+        ca.vertcat(ca.SX.zeros(symbol.numel() - results.numel()), results)
+        for symbol, results in zip(parts.results, used, strict=True)
+    ]
+    objective, requirements = full(y, p, *padded)
+    o = _column(used, ca.SX)
+    theta = _column([f(y, p)[list(run.varying)] for f, run in zip(inputs, runs, strict=True)], ca.SX)
+    lam_f, lam_g = ca.SX.sym("lam_f"), ca.SX.sym("lam_g", requirements.numel())
+    weights = ca.SX.sym("c", theta.numel())
+    lagrangian = lam_f * objective + ca.dot(lam_g, requirements)
+    slopes = [ca.jacobian(e, v) for e in (objective, requirements) for v in (y, o)]
+    curvature = [ca.hessian(lagrangian, ca.vertcat(y, o))[0], ca.gradient(lagrangian, o)]
+    return Algebra(
+        values=ca.Function("values", [y, p, o], [objective, requirements]),
+        slopes=ca.Function("slopes", [y, p, o], [objective, requirements, *slopes]),
+        curvature=ca.Function("curvature", [y, p, o, lam_f, lam_g], curvature),
+        theta_slopes=ca.Function("theta_slopes", [y, p], [ca.jacobian(theta, y)]),
+        theta_curvature=ca.Function("theta_curvature", [y, p, weights], [ca.hessian(ca.dot(weights, theta), y)[0]]),
+    )
+
+
+def _first_derivatives(
+    algebra: Algebra, runs: list[RunInNlp], jets: list[ca.MX], y: ca.MX, p: ca.MX
+) -> tuple[ca.MX, ca.MX, ca.MX, ca.MX]:
+    """Return J, g, the gradient of J as a column and the Jacobian of g, from the runs' first-order jets."""
+    f, g, f_y, f_o, g_y, g_o = algebra.slopes(y, p, _column([jet[:, 0] for jet in jets]))
+    o_y = ca.mtimes(_run_slopes(runs, jets), algebra.theta_slopes(y, p))
+    return f, g, ca.densify(f_y + ca.mtimes(f_o, o_y)).T, ca.densify(g_y + ca.mtimes(g_o, o_y))
+
+
+def _hessian(algebra: Algebra, runs: list[RunInNlp], jets: list[ca.MX], at: tuple[ca.MX, ca.MX, ca.MX, ca.MX]) -> ca.MX:
+    """Return the upper triangle of the Lagrangian's Hessian, from the runs' second-order jets."""
+    y, p, lam_f, lam_g = at
+    results = _column([jet[:, 0] for jet in jets])
+    l_zz, l_o = algebra.curvature(y, p, results, lam_f, lam_g)
+    theta_y, o_theta = algebra.theta_slopes(y, p), _run_slopes(runs, jets)
+    z_y = ca.vertcat(ca.MX.eye(y.numel()), ca.mtimes(o_theta, theta_y))
+    hessian = ca.mtimes([z_y.T, l_zz, z_y]) + algebra.theta_curvature(y, p, ca.mtimes(o_theta.T, l_o))
+    if runs:
+        hessian += ca.mtimes([theta_y.T, _contracted(runs, jets, l_o), theta_y])
+    return ca.triu(ca.densify(hessian))
+
+
+def _column(parts: list[Any], kind: Any = ca.MX) -> Any:
+    """Stack columns; without any, return a column of no rows."""
+    return ca.vertcat(*parts) if parts else kind(0, 1)
+
+
+def _run_slopes(runs: list[RunInNlp], jets: list[ca.MX]) -> ca.MX:
+    """Return o_theta: one block for each run."""
+    blocks = [jet[:, 1 : 1 + len(run.varying)] for jet, run in zip(jets, runs, strict=True)]
+    return ca.diagcat(*blocks) if blocks else ca.MX(0, 0)
+
+
+def _contracted(runs: list[RunInNlp], jets: list[ca.MX], mu: ca.MX) -> ca.MX:
     """Return the runs' second derivatives contracted with the adjoints mu: one symmetric block for each run."""
     blocks, position = [], 0
-    for jet, run in zip(second, runs, strict=True):
+    for jet, run in zip(jets, runs, strict=True):
         count = len(run.varying)
         row = ca.mtimes(mu[position : position + run.size].T, jet[:, 1 + count :])
         position += run.size

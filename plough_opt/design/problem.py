@@ -149,7 +149,7 @@ class Design:
         return solve_program(self._program, values, search, progress or _silent, started)
 
     def _refuse_again(self, name: str) -> None:
-        if any(item.name == name for item in (*self._variables, *self._parameters)):
+        if name in [v.name for v in self._variables] + [p.name for p in self._parameters]:
             raise InputError(f"'{name}' is declared already: give each variable and parameter its own name")
 
     def _parameter_values(self, changed: Mapping[str, float]) -> np.ndarray:

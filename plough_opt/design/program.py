@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import casadi as ca
@@ -40,9 +39,7 @@ class Declarations:
 
     def describe(self, values: Vector) -> str:
         """Return the variables at values in words."""
-        return ", ".join(
-            f"{v.name} = {x:.6g} {v.unit}".rstrip() for v, x in zip(self.variables, values, strict=True)
-        )
+        return ", ".join(f"{v.name} = {x:.6g} {v.unit}".rstrip() for v, x in zip(self.variables, values, strict=True))
 
 
 class Program:
@@ -162,9 +159,7 @@ class Program:
     @property
     def wanted_error(self) -> float | None:
         """Tightest relative error that an automatic run of this program is to reach; None without such a run."""
-        automatic = [
-            run.integration.accuracy for run in self.parts.runs if run.integration.accuracy.method == "auto"
-        ]
+        automatic = [run.integration.accuracy for run in self.parts.runs if run.integration.accuracy.method == "auto"]
         return min((accuracy.error or DEFAULT_ERROR for accuracy in automatic), default=None)
 
     # --- solving -----------------------------------------------------------------------------------------
@@ -192,13 +187,10 @@ class Program:
 
     def merit(self, points: Vector, p: Vector) -> tuple[Vector, Vector]:
         """Return scaled objective and largest violation at scaled points, a row each; NaN becomes infinity."""
-        evaluate: Callable[..., tuple[ca.DM, ca.DM]] = ca.Function(
-            "merit", [self._y, self._p], [self.nlp.f(self._y, self._p), self.nlp.g(self._y, self._p)]
-        )
         objective, violation = np.empty(len(points)), np.empty(len(points))
         for k, point in enumerate(points):
-            f, g = (np.asarray(result).ravel() for result in evaluate(point, p))
-            objective[k] = f[0]
+            objective[k] = float(self.nlp.f(point, p))
+            g = np.asarray(self.nlp.g(point, p)).ravel()
             violation[k] = max(0.0, np.max(self.low - g, initial=0.0), np.max(g - self.high, initial=0.0))
         bad = ~(np.isfinite(objective) & np.isfinite(violation))
         objective[bad] = violation[bad] = np.inf

@@ -76,7 +76,5 @@ def split(expressions: list[ca.MX], symbols: list[ca.MX]) -> Split:
         for run, inputs in zip(found, replaced[len(expressions) :], strict=True)
     )
     if any(ca.depends_on(run.inputs, result) for run in independent for result in results):
-        raise InputError(
-            "a run of this design is given results of another run: a design takes runs side by side only"
-        )
+        raise InputError("a run of this design is given results of another run: a design takes runs side by side only")
     return Split(independent, tuple(replaced[: len(expressions)]), results)

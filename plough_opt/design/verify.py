@@ -74,7 +74,5 @@ def tight_results(own: Integration, inputs: tuple[float, ...]) -> tuple[Vector, 
         parts = [np.asarray(part).ravel(order="F") for part in function.call([ca.DM(inputs)])]
         results.append(np.concatenate(parts))
         if not np.all(np.isfinite(results[-1])):
-            raise IntegrationError(
-                f"the motion has no finite result by '{accuracy.method}' at {own.names} = {inputs}"
-            )
+            raise IntegrationError(f"the motion has no finite result by '{accuracy.method}' at {own.names} = {inputs}")
     return results[0], results[1]

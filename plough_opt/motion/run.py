@@ -155,9 +155,7 @@ class Run:
 
     def _known(self, what: str) -> Checks:
         if self.checks is None:
-            raise InputError(
-                f"a symbolic run has no {what}: simulate the scene with numbers, for instance best(run)"
-            )
+            raise InputError(f"a symbolic run has no {what}: simulate the scene with numbers, for instance best(run)")
         return self.checks
 
     def _peak(self, name: str, values: Expression, array: str) -> float:

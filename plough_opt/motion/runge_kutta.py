@@ -60,7 +60,6 @@ def step(structure: Structure) -> ca.Function:
     return ca.Function("step", [state, span, p], [following, ca.vertcat(first + mean, spread)])
 
 
-@lru_cache(maxsize=64)
 def run_map(structure: Structure, timeline: Timeline) -> ca.Function:
     """Return the whole run as a Function of the parameters: see `plough_opt.motion.integrators.Integration`."""
     one = step(structure)
@@ -78,6 +77,4 @@ def run_map(structure: Structure, timeline: Timeline) -> ca.Function:
     drift = means[: observed.squared, :] - ca.repmat(mean[: observed.squared], 1, count)
     variance = (spreads + drift**2) @ sizes.T
     columns = [timeline.output_columns[i] - 1 for i in range(1, timeline.outputs + 1)]
-    return ca.Function(
-        "run_map", [p], [ca.horzcat(first, states[:, columns]), mean, variance], {"never_inline": True}
-    )
+    return ca.Function("run_map", [p], [ca.horzcat(first, states[:, columns]), mean, variance], {"never_inline": True})

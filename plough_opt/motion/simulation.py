@@ -39,9 +39,7 @@ _TIGHTER = 0.03
 _RETREAT = 1e-9
 
 
-def simulate(
-    scene: Scene, duration: Expression, *, accuracy: Accuracy | None = None, outputs: int = OUTPUTS
-) -> Run:
+def simulate(scene: Scene, duration: Expression, *, accuracy: Accuracy | None = None, outputs: int = OUTPUTS) -> Run:
     """Simulate a share on its mount, equation (27), or its quasi-static limit.
 
     Args:
@@ -85,9 +83,7 @@ def _symbolic(scene: Scene, duration: Expression, accuracy: Accuracy, outputs: i
     return _integrate(scene, duration, accuracy, outputs)
 
 
-def _verified(
-    scene: Scene, duration: float, accuracy: Accuracy, outputs: int
-) -> tuple[Run, float, tuple[str, ...]]:
+def _verified(scene: Scene, duration: float, accuracy: Accuracy, outputs: int) -> tuple[Run, float, tuple[str, ...]]:
     """Integrate twice; return the run, its estimated error, and a note where the wanted error was missed."""
     total = _phase(scene, duration)
     if not scene.effects.motion:

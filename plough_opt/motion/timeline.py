@@ -15,7 +15,7 @@ class Timeline:
 
     Args:
         outputs: number of equal intervals between output times.
-        steps: number of integration steps wanted; at least one in each output interval.
+        steps: number of integration steps wanted; each output interval takes the nearest whole number, at least one.
         kink: fraction at which the right-hand side is not smooth (the end of a tow ramp), or None. A
             step ends there, so that the method keeps its order. Between 0 and 1.
     """
@@ -32,7 +32,7 @@ class Timeline:
     @cached_property
     def nodes(self) -> NDArray[np.float64]:
         """Ends of the steps as fractions of the duration, both ends included."""
-        per_interval = -(-self.steps // self.outputs)
+        per_interval = max(1, round(self.steps / self.outputs))
         nodes = np.linspace(0.0, 1.0, self.outputs * per_interval + 1)
         # A kink at rounding distance from a node would make a step of no length.
         if self.kink is None or np.min(np.abs(nodes - self.kink)) < 1e-9:

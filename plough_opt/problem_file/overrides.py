@@ -1,0 +1,58 @@
+"""Changes to a problem file from the command line."""
+
+from __future__ import annotations
+
+import tomllib
+from typing import Any
+
+from plough_opt.errors import InputError, nearest
+from plough_opt.problem_file.schema import ProblemTable, quantities
+from plough_opt.problem_file.source import Source
+
+
+def apply_override(source: Source, text: str) -> str:
+    """Change one key of a parsed file, and return a note if that changed more than the key.
+
+    Args:
+        source: the file.
+        text: ``key=value``; the value as in the file, with quotes around a quantity or without. Keys of
+            variables are written as in the file: ``variables.share.height.upper``.
+
+    Raises:
+        InputError: no ``=``, or a key that the file cannot have.
+    """
+    path, separator, written = text.partition("=")
+    path = path.strip()
+    if not separator or not path or not written.strip():
+        raise InputError(f'--set {text}: expected KEY=VALUE, like scene.tow_speed="2.5 m/s"')
+    keys = _split(path)
+    if keys[0] not in ProblemTable.model_fields:
+        raise InputError(f"--set {text}: no table is named '{keys[0]}': {nearest(keys[0], ProblemTable.model_fields)}")
+    place: Any = source.data
+    for key in keys[:-1]:
+        place = place.setdefault(key, {})
+        if not isinstance(place, dict):
+            raise InputError(f"--set {text}: '{path}' is not a key: '{key}' holds a value already")
+    place[keys[-1]] = _value(written.strip())
+    source.overridden[tuple(keys)] = text
+    if source.data.get("variables", {}).pop(path, None) is not None:
+        return f"'{path}' is a variable of the file: it is fixed at {written.strip()}"
+    return ""
+
+
+def _split(path: str) -> list[str]:
+    """Split a dotted path; a variable's own dotted name stays whole."""
+    if path.startswith("variables."):
+        rest = path.removeprefix("variables.")
+        for key in quantities():
+            if rest == key or rest.startswith(key + "."):
+                return ["variables", key, *filter(None, rest.removeprefix(key).split("."))]
+    return path.split(".")
+
+
+def _value(written: str) -> Any:
+    """Return a value as TOML reads it; what is not TOML is text, so that quotes may be left out."""
+    try:
+        return tomllib.loads(f"value = {written}")["value"]
+    except tomllib.TOMLDecodeError:
+        return written

@@ -1,0 +1,148 @@
+"""What a problem file may contain, table by table; every quantity is kept in SI."""
+
+from __future__ import annotations
+
+import typing
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from plough_opt.problem_file.units import Unit
+
+Length = Annotated[float, Unit("m")]
+Angle = Annotated[float, Unit("rad")]
+Mass = Annotated[float, Unit("kg")]
+Time = Annotated[float, Unit("s")]
+Speed = Annotated[float, Unit("m/s")]
+Stiffness = Annotated[float, Unit("N/m")]
+Damping = Annotated[float, Unit("N*s/m")]
+Pressure = Annotated[float, Unit("Pa")]
+Density = Annotated[float, Unit("kg/m^3")]
+RateTerm = Annotated[float, Unit("s^2/m^2")]
+Number = Annotated[float, Unit("")]
+
+
+class Table(BaseModel):
+    """A table in which an unknown key is an error."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class SoilTable(Table):
+    """The soil: a name, the properties themselves, or a name and what differs from it."""
+
+    name: str | None = None
+    density: Density | None = None
+    density_ratio: Number | None = None
+    cohesion: Pressure | None = None
+    friction_angle: Angle | None = None
+    tool_friction: Number | None = None
+    ambient_pressure: Pressure | None = None
+    youngs_modulus: Pressure | None = None
+    poisson_ratio: Number | None = None
+
+
+class ShareTable(Table):
+    """The share; what is left out must be a variable."""
+
+    wedge_angle: Angle | None = None
+    chisel_angle: Angle | None = None
+    height: Length | None = None
+
+
+class SceneTable(Table):
+    """Mount, masses, speed and time."""
+
+    tow_speed: Speed | None = None
+    frame_mass: Mass | None = None
+    steel_density: Density = 7850.0
+    stiffness: Stiffness | None = None
+    duration: Time
+    outputs: Annotated[int, Field(ge=1, le=100_000)] = 400
+
+
+class StrengthWaveTable(Table):
+    """Periodic soil strength along the path."""
+
+    amplitude: Number
+    wavelength: Length
+
+
+class EffectsTable(Table):
+    """Effects beside the default ones."""
+
+    motion: bool = True
+    inertial_drag: bool = True
+    added_mass: bool = True
+    ambient_pressure: bool = True
+    contact: Literal["resisting"] = "resisting"
+    start: Literal["equilibrium", "rest"] = "equilibrium"
+    strength_wave: StrengthWaveTable | None = None
+    tow_ramp: Time | None = None
+    damping: Damping | None = None
+    rate_term: RateTerm | None = None
+
+
+class VariableTable(Table):
+    """Bounds of a variable as they are written; the unit depends on which variable it is."""
+
+    lower: str | float
+    upper: str | float
+    guess: str | float | None = None
+    log: bool = False
+
+
+class TermTable(Table):
+    """A term of the objective: the measure divided by ``per``."""
+
+    per: str | float
+
+
+class LimitTable(Table):
+    """Limits of a measure as they are written."""
+
+    at_least: str | float | None = None
+    at_most: str | float | None = None
+
+
+class AccuracyTable(Table):
+    """Integration method and its setting, or an error to reach."""
+
+    method: str = "auto"
+    error: float | None = None
+    steps: int | None = None
+    tolerance: float | None = None
+
+
+class ProblemTable(Table):
+    """A whole problem file."""
+
+    title: str = "untitled problem"
+    soil: SoilTable
+    share: ShareTable = ShareTable()
+    scene: SceneTable
+    effects: EffectsTable = EffectsTable()
+    accuracy: AccuracyTable = AccuracyTable()
+    variables: dict[str, VariableTable] = {}
+    minimise: dict[str, TermTable] = {}
+    require: dict[str, LimitTable] = {}
+
+
+def unit_of(annotation: Any) -> Unit | None:
+    """Return the unit in a field's type, or None for a field that is no quantity."""
+    if isinstance(annotation, Unit):
+        return annotation
+    return next((unit for part in typing.get_args(annotation) if (unit := unit_of(part))), None)
+
+
+def quantities() -> dict[str, Unit]:
+    """Return every key that a quantity can stand at, such as "share.height", with its unit."""
+    found: dict[str, Unit] = {}
+    for table, model in (("soil", SoilTable), ("share", ShareTable), ("scene", SceneTable), ("effects", EffectsTable)):
+        for name, annotation in typing.get_type_hints(model, include_extras=True).items():
+            if unit := unit_of(annotation):
+                found[f"{table}.{name}"] = unit
+    for name, annotation in typing.get_type_hints(StrengthWaveTable, include_extras=True).items():
+        if unit := unit_of(annotation):
+            found[f"effects.strength_wave.{name}"] = unit
+    return found

@@ -1,0 +1,46 @@
+"""The commented problem file that `plough-opt init` writes."""
+
+TEMPLATE = """\
+# A design question for plough_opt. Quantities are text with a unit; angles too.
+#   plough-opt check FILE       is everything right, and what does the scene contain?
+#   plough-opt simulate FILE    the response at the guesses below
+#   plough-opt optimise FILE    the best share, and what decided it
+title = "Subsoiler for cotton on serozem"
+
+[soil]
+name = "serozem"                  # one of: plough-opt soils; any property may be overridden below, such as
+# cohesion = "25 kPa"             # or give all: density, density_ratio, cohesion, friction_angle, tool_friction
+# ambient_pressure = "5 kPa"      # the atmosphere by default; the overburden, for soil with open pores
+
+[share]
+chisel_angle = "15 deg"           # what is neither here nor among the variables is reported as missing
+
+[scene]
+tow_speed = "7.2 km/h"
+frame_mass = "20 kg"              # what moves with the share
+steel_density = "7850 kg/m^3"     # the share's own mass, a solid cone, is added
+duration = "2 s"
+# outputs = 400                   # intervals between output times; limits "at every output" are checked there
+
+[effects]                         # what is left out is off, or as: plough-opt check FILE
+strength_wave = { amplitude = 0.3, wavelength = "0.2 m" }
+damping = "400 N*s/m"
+# start = "rest"                  # default "equilibrium": at the steady deflection
+# tow_ramp = "0.5 s"              # the strut reaches its speed smoothly
+# motion = false                  # quasi-static: no equation of motion at all
+# rate_term = "0.01 s^2/m^2"      # F0 (1 + kappa L'^2), for calibration
+
+[variables]                       # what to choose, between bounds, starting from a guess
+"share.wedge_angle" = { lower = "5 deg", upper = "60 deg", guess = "25 deg" }
+"share.height"      = { lower = "0.1 m", upper = "0.5 m", guess = "0.25 m" }
+"scene.stiffness"   = { lower = "10 kN/m", upper = "1000 kN/m", guess = "50 kN/m", log = true }
+
+[minimise]                        # the sum of these: mean_draft/1 kN + force_rms/1 kN
+mean_draft = { per = "1 kN" }
+force_rms  = { per = "1 kN" }
+
+[require]
+loosened_radius = { at_least = "0.15 m" }
+half_angle      = { at_most = "15 deg" }     # of the equivalent cone; above 20 deg the theory does not hold
+deflection      = { at_most = "0.12 m" }     # at every output time; mean_deflection limits the average
+"""

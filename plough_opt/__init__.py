@@ -4,8 +4,11 @@ SI units and radians throughout. Every physical function takes floats, NumPy arr
 sense, or CasADi expressions, and returns the like.
 """
 
+from typing import TYPE_CHECKING, Any
+
 from plough_opt import plastic
 from plough_opt.accuracy import Accuracy
+from plough_opt.design import Design, LocalOptimum, Optimum
 from plough_opt.errors import (
     DomainError,
     InfeasibleDesign,
@@ -26,16 +29,45 @@ from plough_opt.motion import Run, simulate
 from plough_opt.scene import Effects, Scene, StrengthWave
 from plough_opt.soil import Soil, named_soil, soil_names
 
+if TYPE_CHECKING:
+    from plough_opt import plots
+    from plough_opt.problem_file import Problem, read_problem
+    from plough_opt.results import load
+
+# What only files and pictures need is imported when it is first used: pint, pydantic and matplotlib are slow.
+_LATER = {
+    "Problem": "plough_opt.problem_file",
+    "read_problem": "plough_opt.problem_file",
+    "load": "plough_opt.results",
+    "plots": "plough_opt",
+}
+
+
+def __getattr__(name: str) -> Any:
+    """Import a name of ``_LATER`` on first use."""
+    import importlib
+
+    if name not in _LATER:
+        raise AttributeError(f"module 'plough_opt' has no attribute '{name}'")
+    if name == "plots":
+        return importlib.import_module("plough_opt.plots")
+    return getattr(importlib.import_module(_LATER[name]), name)
+
+
 __all__ = [
     "Accuracy",
     "Cone",
+    "Design",
     "DomainError",
     "Effects",
     "InfeasibleDesign",
     "InputError",
     "IntegrationError",
+    "LocalOptimum",
     "NotConverged",
+    "Optimum",
     "PloughError",
+    "Problem",
     "Run",
     "Scene",
     "Soil",
@@ -43,9 +75,12 @@ __all__ = [
     "Wedge",
     "added_mass",
     "deg",
+    "load",
     "loosened_radius",
     "named_soil",
     "plastic",
+    "plots",
+    "read_problem",
     "resistance",
     "resistance_coefficients",
     "simulate",

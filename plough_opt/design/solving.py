@@ -176,7 +176,7 @@ def _names(program: Program, points: Sequence[Point], p: Vector) -> list[str]:
             q = dict(zip(integration.names, numbers, strict=False))
             ratio = math.sqrt(q["stiffness"] / q["inertia"]) * q["wavelength"] / (2.0 * math.pi * q["tow_speed"])
             branch = "soft branch" if ratio < 1.0 else "stiff branch"
-            names.append(f"{branch}, natural frequency {ratio:.2f} of the wave's")
+            names.append(f"{branch}, {ratio:.2f} of the wave's frequency")
         return names
     return ["optimum"] if len(points) == 1 else [f"optimum {k + 1}" for k in range(len(points))]
 

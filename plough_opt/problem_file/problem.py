@@ -138,9 +138,18 @@ class Problem:
                 amplitude=values["effects.strength_wave.amplitude"],
                 wavelength=values["effects.strength_wave.wavelength"],
             )
-        switches = table.model_dump(exclude={"strength_wave", "tow_ramp", "damping", "rate_term"})
-        amounts = {name: values.get(f"effects.{name}") for name in ("tow_ramp", "damping", "rate_term")}
-        return Effects(**switches, **amounts, strength_wave=wave)
+        return Effects(
+            motion=table.motion,
+            inertial_drag=table.inertial_drag,
+            added_mass=table.added_mass,
+            ambient_pressure=table.ambient_pressure,
+            contact=table.contact,
+            start=table.start,
+            strength_wave=wave,
+            tow_ramp=values.get("effects.tow_ramp"),
+            damping=values.get("effects.damping"),
+            rate_term=values.get("effects.rate_term"),
+        )
 
     def simulate(self, changes: Mapping[str, float] | None = None) -> Run:
         """Simulate the scene of `scene`."""
@@ -249,7 +258,7 @@ def _checked(source: Source, table: ProblemTable, notes: tuple[str, ...]) -> Pro
     return Problem(source.name, table, fixed, variables, displays, notes, source)
 
 
-def _at(table: Any, key: str) -> float | None:
+def _at(table: Any, key: str) -> Any:
     """Return what a dotted key holds, or None."""
     for part in key.split("."):
         table = getattr(table, part) if table is not None else None

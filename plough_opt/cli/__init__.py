@@ -1,0 +1,5 @@
+"""Command line: plough-opt init, check, simulate, optimise, soils."""
+
+from plough_opt.cli.main import main
+
+__all__ = ["main"]

@@ -1,0 +1,114 @@
+"""What each command does: read, compute, report; files are written last, when nothing can fail any more."""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import json
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+from plough_opt import design as designs
+from plough_opt.cli import report
+from plough_opt.errors import InputError
+from plough_opt.problem_file import TEMPLATE, Problem, read_problem
+from plough_opt.soil import named_soil, soil_names
+
+
+def init(options: argparse.Namespace) -> None:
+    """Write the template; an existing file is left alone."""
+    path = Path(options.file)
+    try:
+        with path.open("x", encoding="utf-8") as file:
+            file.write(TEMPLATE)
+    except FileExistsError:
+        raise InputError(f"'{path}' exists already and is left as it is: name another file") from None
+    except OSError as error:
+        raise InputError(f"'{path}' cannot be written: {error.strerror}") from None
+    _console().print(f"wrote {path}; next: plough-opt optimise {path}", markup=False)
+
+
+def soils(options: argparse.Namespace) -> None:
+    """List the named soils."""
+    found = [named_soil(name) for name in soil_names()]
+    if options.json:
+        print(json.dumps([dataclasses.asdict(soil) for soil in found], indent=2))
+    else:
+        report.print_soils(_console(), found)
+
+
+def check(options: argparse.Namespace) -> None:
+    """Say whether a file is right, what its scene contains and what its guess is like."""
+    problem = _read(options)
+    report.print_check(_console(), problem)
+
+
+def simulate(options: argparse.Namespace) -> None:
+    """Simulate a file's scene with every variable at its guess."""
+    problem = _read(options)
+    with _progress() as told:
+        told("simulating", 0.0)
+        run = problem.simulate()
+    if options.json:
+        from plough_opt.results import SavedRun
+
+        print(SavedRun.of(run, problem.title).to_json())
+    else:
+        report.print_run(_console(), problem, run)
+    if options.plot:
+        from plough_opt import plots
+
+        _wrote(plots.save(plots.plot_run(run), options.plot))
+
+
+def optimise(options: argparse.Namespace) -> None:
+    """Find the best share of a file."""
+    problem = _read(options)
+    with _progress() as told:
+        best, run = problem.optimise(told)
+    if options.json:
+        from plough_opt.results import SavedOptimum
+
+        print(SavedOptimum.of(best, run, problem.title).to_json())
+    else:
+        report.print_optimum(_console(), problem, best, run)
+    if options.plot:
+        from plough_opt import plots
+
+        _wrote(plots.save(plots.plot_optimum(best, run), options.plot))
+
+
+def _read(options: argparse.Namespace) -> Problem:
+    """Read the problem file; refuse an impossible plot before anything is computed."""
+    problem = read_problem(options.file, options.set)
+    if getattr(options, "plot", None):
+        from plough_opt import plots
+
+        plots.check_format(options.plot)
+    for note in problem.notes:
+        Console(stderr=True).print(f"note: {note}", markup=False)
+    return problem
+
+
+def _console() -> Console:
+    """Return where results go; as wide as its tables need when it is no terminal."""
+    console = Console(highlight=False)
+    return console if console.is_terminal else Console(highlight=False, width=120)
+
+
+def _wrote(path: Path) -> None:
+    Console(stderr=True, highlight=False, soft_wrap=True).print(f"wrote {path}", markup=False)
+
+
+@contextmanager
+def _progress() -> Iterator[designs.Progress]:
+    """Show on the terminal's error stream what is being done, and how long it has taken."""
+    console = Console(stderr=True)
+    columns = (TextColumn("{task.description}"), BarColumn(bar_width=24), TimeElapsedColumn())
+    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
+        task = bar.add_task("reading", total=1.0)
+        yield lambda stage, fraction: bar.update(task, description=stage, completed=fraction)

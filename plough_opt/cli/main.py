@@ -1,0 +1,79 @@
+"""The command `plough-opt`: arguments, exit status, and nothing of the physics.
+
+Exit status: 0 solved; 1 the problem has no solution, or none was found; 2 the input is wrong.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from importlib.metadata import version
+
+from rich.console import Console
+from rich.markup import escape
+
+from plough_opt.cli import commands
+from plough_opt.errors import DomainError, InputError, PloughError
+
+SOLVED, UNSOLVED, BAD_INPUT = 0, 1, 2
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line; return the exit status."""
+    options = _parser().parse_args(arguments)
+    try:
+        options.run(options)
+    except (InputError, DomainError) as error:
+        _complain("bad input", error)
+        return BAD_INPUT
+    except PloughError as error:
+        _complain("no solution", error)
+        return UNSOLVED
+    except KeyboardInterrupt:
+        _complain("stopped", "nothing was written")
+        return UNSOLVED
+    except BrokenPipeError:  # whoever read the output has seen enough
+        sys.stderr.close()
+    return SOLVED
+
+
+def _complain(kind: str, error: object) -> None:
+    Console(stderr=True, highlight=False, soft_wrap=True).print(f"[bold red]{kind}:[/] {escape(str(error))}")
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="plough-opt", description="Design of subsoiler ploughshares: draft, oscillation, constraints."
+    )
+    parser.add_argument("--version", action="version", version=f"plough-opt {version('plough_opt')}")
+    verbs = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
+
+    init = verbs.add_parser("init", help="write a commented problem file to start from")
+    init.add_argument("file", metavar="FILE", help="file to write; it must not exist")
+    init.set_defaults(run=commands.init)
+
+    soils = verbs.add_parser("soils", help="list the named soils and where their values come from")
+    soils.add_argument("--json", action="store_true", help="print JSON instead of a table")
+    soils.set_defaults(run=commands.soils)
+
+    for name, run, text in (
+        ("check", commands.check, "check a problem file and say what its scene contains"),
+        ("simulate", commands.simulate, "simulate the scene with every variable at its guess"),
+        ("optimise", commands.optimise, "find the best share, and say what decided it"),
+    ):
+        verb = verbs.add_parser(name, help=text)
+        verb.add_argument("file", metavar="FILE", help="problem file (TOML)")
+        verb.add_argument(
+            "--set",
+            action="append",
+            default=[],
+            metavar='KEY="VALUE"',
+            help='change a key of the file, like scene.tow_speed="2.5 m/s"; a variable is fixed by it; repeatable',
+        )
+        verb.set_defaults(run=run)
+        if name == "check":
+            continue
+        verb.add_argument("--json", action="store_true", help="print JSON (SI units) instead of a table")
+        verb.add_argument("--plot", metavar="FILE", help="write a picture: .png, .svg or .pdf")
+    return parser

@@ -1,0 +1,196 @@
+"""Tables on the screen, each value in the unit that the problem file uses."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+
+from plough_opt.design import LocalOptimum, Optimum
+from plough_opt.motion import Run
+from plough_opt.motion.equation import Structure, equation_of_motion
+from plough_opt.problem_file import Problem
+from plough_opt.problem_file.measures import MEASURES
+from plough_opt.problem_file.units import Display
+from plough_opt.scene import Scene
+from plough_opt.soil import Soil
+
+_DEGREES = Display("deg", math.pi / 180.0)
+_KILO = {"N": Display("kN", 1e3), "W": Display("kW", 1e3), "Pa": Display("kPa", 1e3), "N/m": Display("kN/m", 1e3)}
+
+
+def shown(problem: Problem, key: str, value: float, unit: str) -> str:
+    """Return an SI value in the unit that the file gives the key in, or in a customary one."""
+    display = problem.displays.get(key)
+    if display is None:
+        display = _DEGREES if unit == "rad" else _KILO.get(unit, Display(unit, 1.0))
+    return display.text(value)
+
+
+def print_soils(console: Console, soils: Sequence[Soil]) -> None:
+    """Print the named soils, then where their values come from."""
+    table = Table(title="Named soils (engineering choices inside published brackets; none measured as a set)")
+    for heading in ("name", "density", "locked density", "ratio b1", "cohesion", "friction angle", "tool friction"):
+        table.add_column(heading, justify="left" if heading == "name" else "right")
+    for soil in soils:
+        table.add_row(
+            soil.name,
+            f"{soil.density:.0f} kg/m^3",
+            f"{soil.density / soil.density_ratio:.0f} kg/m^3",
+            f"{soil.density_ratio:.3f}",
+            f"{soil.cohesion / 1e3:.0f} kPa",
+            f"{math.degrees(soil.friction_angle):.0f} deg",
+            f"{soil.tool_friction:.2f}",
+        )
+    console.print(table)
+    for soil in soils:
+        console.print(f"[bold]{soil.name}[/]: {soil.source}")
+    console.print("Ambient pressure of all: 101.325 kPa. Soil with open pores: set soil.ambient_pressure.")
+
+
+def print_run(console: Console, problem: Problem, run: Run) -> None:
+    """Print a run of numbers."""
+    console.print(f"[bold]{escape(problem.title)}[/]")
+    console.print(_scene_table(problem, run.scene))
+    console.print(_run_table(problem, run))
+    _print_footer(console, (*run.warnings,), f"relative error about {run.error_estimate:.0e}, {run.seconds:.2f} s")
+
+
+def print_optimum(console: Console, problem: Problem, best: Optimum, run: Run) -> None:
+    """Print the best design, its response, what decided it and the other local optima."""
+    console.print(f"[bold]{escape(problem.title)}[/]")
+    console.print(_variables_table(problem, best))
+    console.print(_run_table(problem, run))
+    console.print(_limits_table(problem, best))
+    if len(best.local_optima) > 1:
+        console.print(_optima_table(problem, best))
+    for direction in best.flat_directions:
+        moves = ", ".join(_move(problem, name, change) for name, change in direction.items() if change)
+        console.print(f"[yellow]The optimum is not unique:[/] nothing changes along {moves}: fix one of these.")
+    trust = (
+        f"objective re-integrated tightly: gap {best.gap:.0e}, error estimate {best.error_estimate:.0e};"
+        f" {best.seconds:.2f} s"
+    )
+    _print_footer(console, (*best.warnings, *run.warnings), trust)
+
+
+def print_check(console: Console, problem: Problem) -> None:
+    """Print what a file's scene contains and how it would be integrated."""
+    scene = problem.scene()
+    console.print(f"[bold]{escape(problem.title)}[/]: {escape(problem.name)} is right.")
+    console.print(_scene_table(problem, scene))
+    table = Table(title="What is simulated", show_header=False)
+    table.add_column()
+    table.add_column()
+    if scene.effects.motion:
+        equation = equation_of_motion(Structure.of(scene))
+        table.add_row("equation of motion", f"2 states, {equation.function.n_nodes()} nodes")
+        table.add_row("its parameters", ", ".join(equation.names))
+        frequency = float(scene.natural_frequency) / (2.0 * math.pi)
+        table.add_row("natural frequency", f"{frequency:.4g} Hz")
+    else:
+        table.add_row("quasi-static", "no equation of motion")
+    if scene.effects.strength_wave is not None:
+        table.add_row("frequency of the strength wave", f"{float(scene.wave_frequency) / (2.0 * math.pi):.4g} Hz")
+    console.print(table)
+    if problem.variables:
+        console.print(f"{len(problem.variables)} variables, {len(problem.table.require)} requirements: "
+                      f"plough-opt optimise {problem.name}")  # fmt: skip
+    _print_footer(console, scene.warnings(), "")
+
+
+def _scene_table(problem: Problem, scene: Scene) -> Table:
+    table = Table(title="Scene, variables at their guesses" if problem.variables else "Scene", show_header=False)
+    table.add_column()
+    table.add_column(justify="right")
+    table.add_row("soil", scene.soil.name)
+    for key, value in problem.values().items():
+        if not key.startswith("soil."):
+            unit = problem.variables[key].unit if key in problem.variables else ""
+            table.add_row(key, shown(problem, key, float(value), unit))
+    table.add_row("half angle of the equivalent cone", _DEGREES.text(float(scene.cone.half_angle)))
+    table.add_row("moving mass with the share", f"{float(scene.mass):.5g} kg")
+    table.add_row("added mass of soil", f"{float(scene.reaction.added_mass):.4g} kg")
+    table.add_row("ambient pressure's part of the static draft", f"{100.0 * float(scene.ambient_share):.0f} %")
+    return table
+
+
+def _run_table(problem: Problem, run: Run) -> Table:
+    table = Table(title="Response", show_header=False)
+    table.add_column()
+    table.add_column(justify="right")
+    for label, name in (
+        ("mean draft", "mean_draft"),
+        ("RMS of the mount force", "force_rms"),
+        ("mean deflection", "mean_deflection"),
+        ("RMS of the deflection", "displacement_rms"),
+        ("tow power", "tow_power"),
+        ("draft per loosened section", "specific_draft"),
+        ("loosened radius", "loosened_radius"),
+    ):
+        table.add_row(label, shown(problem, name, float(MEASURES[name].of(run)), MEASURES[name].unit.symbol))
+    table.add_row("peak mount force", shown(problem, "mount_force", run.peak_force, "N"))
+    table.add_row("peak deflection", shown(problem, "deflection", run.peak_deflection, "m"))
+    return table
+
+
+def _variables_table(problem: Problem, best: Optimum) -> Table:
+    table = Table(title=f"Best design: objective {best.objective:.9g} ({best.status})")
+    for heading in ("variable", "best", "bounds", ""):
+        table.add_column(heading, justify="left" if heading == "variable" else "right")
+    for limit in best.limits:
+        if limit.kind == "bound":
+            v = problem.variables[limit.name]
+            bounds = f"{v.display.text(v.lower)} to {v.display.text(v.upper)}"
+            value = v.display.text(limit.value, 7)
+            table.add_row(limit.name, value, bounds, "[yellow]at its bound[/]" if limit.active else "")
+    return table
+
+
+def _limits_table(problem: Problem, best: Optimum) -> Table:
+    table = Table(title="Requirements")
+    for heading in ("requirement", "limits", "value", "margin", ""):
+        table.add_column(heading, justify="left" if heading == "requirement" else "right")
+    for limit in best.limits:
+        if limit.kind != "requirement":
+            continue
+        low, high = (getattr(problem.table.require[limit.name], side) for side in ("at_least", "at_most"))
+        limits = ", ".join(f"{word} {x}" for word, x in (("at least", low), ("at most", high)) if x is not None)
+        value, margin = (shown(problem, limit.name, x, limit.unit) for x in (limit.value, _rounded(limit.margin)))
+        table.add_row(limit.name, limits, value, margin, "[yellow]decides[/]" if limit.active else "")
+    return table
+
+
+def _optima_table(problem: Problem, best: Optimum) -> Table:
+    table = Table(title="All local optima found")
+    table.add_column("")
+    table.add_column("objective", justify="right")
+    for key in problem.variables:
+        table.add_column(key, justify="right")
+    for optimum in best.local_optima:
+        table.add_row(optimum.name, f"{optimum.objective:.9g}", *_cells(problem, optimum))
+    return table
+
+
+def _cells(problem: Problem, optimum: LocalOptimum) -> list[str]:
+    return [v.display.text(optimum.variables[key], 7) for key, v in problem.variables.items()]
+
+
+def _move(problem: Problem, name: str, change: float) -> str:
+    display = problem.variables[name].display
+    return f"{name} {'+' if change > 0 else '-'}{display.text(abs(change), 3)}"
+
+
+def _rounded(margin: float) -> float:
+    """Return a margin without the optimiser's last rounding, which reads as a violation of 1e-13."""
+    return 0.0 if abs(margin) < 1e-9 else margin
+
+
+def _print_footer(console: Console, warnings: Sequence[str], trust: str) -> None:
+    for warning in warnings:
+        console.print(f"[yellow]Note:[/] {warning}.")
+    if trust:
+        console.print(trust)

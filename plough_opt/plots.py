@@ -1,0 +1,196 @@
+"""Pictures: the share with its equivalent cone, the response over time, the search for an optimum."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from plough_opt.design import Optimum
+from plough_opt.errors import InputError
+from plough_opt.forces import loosened_radius
+from plough_opt.geometry import Wedge
+from plough_opt.motion import Run
+from plough_opt.motion.equation import Structure, parameters, start_speed, strut
+from plough_opt.scene import Scene
+
+FORMATS = ("png", "svg", "pdf")
+_STEEL, _SOIL, _FORCE, _ACCENT, _MUTED = "#4a5a68", "#b98b5e", "#1f5f8b", "#c0392b", "#8a8a8a"
+
+
+def save(figure: Figure, path: str | Path) -> Path:
+    """Write a figure to a file, making its folder; the ending chooses the format.
+
+    Raises:
+        InputError: an ending that is no known format, or a place that cannot be written.
+    """
+    target = Path(path)
+    check_format(target)
+    try:
+        target.parent.mkdir(parents=True, exist_ok=True)
+        partial = target.with_name(f".{target.name}.part")
+        figure.savefig(partial, dpi=130, format=target.suffix[1:].lower())
+        partial.replace(target)
+    except OSError as error:
+        raise InputError(f"the plot '{target}' cannot be written: {error}") from None
+    return target
+
+
+def check_format(path: str | Path) -> None:
+    """Refuse a file whose ending is no picture format.
+
+    Raises:
+        InputError: as said.
+    """
+    if Path(path).suffix[1:].lower() not in FORMATS:
+        endings = ", ".join(f".{ending}" for ending in FORMATS)
+        raise InputError(f"the plot '{path}' has no known picture format: end its name in one of {endings}")
+
+
+def plot_share(scene: Scene) -> Figure:
+    """Draw the share's faces laid flat beside its equivalent cone in the soil, to one scale."""
+    figure = Figure(figsize=(10, 4.2), layout="constrained")
+    left, right = figure.subplots(1, 2)
+    draw_wedge(left, scene)
+    draw_cone(right, scene)
+    return figure
+
+
+def plot_run(run: Run) -> Figure:
+    """Draw forces, deflection and speed of a run of numbers over time."""
+    figure = Figure(figsize=(9, 7.5), layout="constrained")
+    upper, middle, lower = figure.subplots(3, 1, sharex=True)
+    draw_force(upper, run)
+    draw_deflection(middle, run)
+    draw_speed(lower, run)
+    lower.set_xlabel("time [s]")
+    return figure
+
+
+def plot_optimum(best: Optimum, run: Run) -> Figure:
+    """Draw an optimum: the share, its equivalent cone, the response, and what the search saw.
+
+    Args:
+        best: the optimum.
+        run: its run of numbers.
+    """
+    figure = Figure(figsize=(12, 9.5), layout="constrained")
+    grid = figure.add_gridspec(3, 2, height_ratios=(1.15, 1.0, 1.0))
+    draw_wedge(figure.add_subplot(grid[0, 0]), run.scene)
+    draw_cone(figure.add_subplot(grid[0, 1]), run.scene)
+    force = figure.add_subplot(grid[1, :])
+    draw_force(force, run)
+    force.set_xlabel("time [s]")
+    deflection = figure.add_subplot(grid[2, 0] if best.scans else grid[2, :])
+    draw_deflection(deflection, run)
+    deflection.set_xlabel("time [s]")
+    if best.scans:
+        draw_scan(figure.add_subplot(grid[2, 1]), best)
+    return figure
+
+
+def draw_wedge(axes: Axes, scene: Scene) -> None:
+    """Draw the two triangular faces of a wedge, laid flat along the edge that they share."""
+    share = scene.share
+    axes.set_title("Share: its two faces laid flat")
+    if not isinstance(share, Wedge):
+        axes.text(0.5, 0.5, "the share is given as a cone", ha="center", transform=axes.transAxes)
+        axes.set_axis_off()
+        return
+    edge = share.height / math.cos(share.chisel_angle)
+    width = edge * math.tan(share.angle)
+    for side in (1.0, -1.0):
+        axes.fill([0, edge, edge], [0, 0, side * width], facecolor=_STEEL, alpha=0.75 if side > 0 else 0.55,
+                  edgecolor="black", linewidth=0.8)  # fmt: skip
+    angles = np.linspace(0.0, share.angle, 30)
+    axes.plot(0.3 * edge * np.cos(angles), 0.3 * edge * np.sin(angles), color="white", linewidth=1.2)
+    axes.text(0.34 * edge * math.cos(share.angle / 2), 0.34 * edge * math.sin(share.angle / 2),
+              f"λ = {math.degrees(share.angle):.1f}°", color="white", ha="left", va="center")  # fmt: skip
+    axes.set_xlabel(
+        f"along the edge h/cos β_pl = {edge:.3f} m   (h = {share.height:.3f} m,"
+        f" β_pl = {math.degrees(share.chisel_angle):.0f}°)"
+    )
+    axes.set_ylabel("[m]")
+    _pad(axes, edge, width)
+
+
+def draw_cone(axes: Axes, scene: Scene) -> None:
+    """Draw the equivalent cone in longitudinal section, with the compaction front around it."""
+    cone = scene.cone
+    radius, front = cone.height * cone.slope, loosened_radius(cone, scene.soil)
+    axes.fill([0, cone.height, cone.height], [0, front, -front], facecolor=_SOIL, alpha=0.35, edgecolor="none",
+              label="compacted soil")  # fmt: skip
+    for side in (1.0, -1.0):
+        axes.plot([0, cone.height], [0, side * front], color=_SOIL, linestyle="--", linewidth=1.2)
+    axes.fill([0, cone.height, cone.height], [0, radius, -radius], facecolor=_STEEL, alpha=0.85, edgecolor="black",
+              linewidth=0.8)  # fmt: skip
+    axes.annotate("", xy=(-0.28 * cone.height, 0), xytext=(-0.05 * cone.height, 0),
+                  arrowprops={"arrowstyle": "->", "color": "black"})  # fmt: skip
+    axes.text(-0.165 * cone.height, 0.04 * front, "travel", ha="center", va="bottom")
+    axes.text(0.6 * cone.height, 0, f"β = {math.degrees(cone.half_angle):.1f}°", color="white", ha="left", va="center")
+    axes.text(0.98 * cone.height, -0.58 * front, f"r* = {front:.3f} m", ha="right", va="center", fontsize="small")
+    axes.legend(loc="upper left", fontsize="small")
+    axes.set_title("Equivalent cone in section (equal height and surface)")
+    axes.set_xlabel(f"along the axis [m]   (h = {cone.height:.3f} m, base radius {radius:.3f} m)")
+    axes.set_ylabel("[m]")
+    _pad(axes, cone.height, front, ahead=0.35 * cone.height)
+
+
+def draw_force(axes: Axes, run: Run) -> None:
+    """Draw mount force and soil resistance, with mean draft and RMS."""
+    axes.plot(run.time, run.soil_resistance / 1e3, color=_SOIL, linewidth=1.0, label="soil resistance")
+    axes.plot(run.time, run.mount_force / 1e3, color=_FORCE, linewidth=1.4, label="mount force")
+    mean, rms = run.mean_draft / 1e3, run.force_rms / 1e3
+    axes.axhline(mean, color=_ACCENT, linewidth=1.0, label=f"mean draft {mean:.3g} kN")
+    axes.axhspan(mean - rms, mean + rms, color=_ACCENT, alpha=0.12, label=f"± RMS {rms:.3g} kN")
+    axes.set_ylabel("force [kN]")
+    axes.set_xlim(float(run.time[0]), float(run.time[-1]))
+    axes.legend(loc="upper right", ncols=4, fontsize="small")
+    low, high = axes.get_ylim()
+    axes.set_ylim(low, high + 0.22 * (high - low))
+
+
+def draw_deflection(axes: Axes, run: Run) -> None:
+    """Draw the spring's deflection."""
+    axes.plot(run.time, 1e3 * run.deflection, color=_FORCE, linewidth=1.2)
+    axes.axhline(1e3 * run.mean_deflection, color=_MUTED, linewidth=1.0, linestyle="--")
+    axes.set_ylabel("deflection [mm]")
+    axes.set_xlim(float(run.time[0]), float(run.time[-1]))
+
+
+def draw_speed(axes: Axes, run: Run) -> None:
+    """Draw the share's speed beside the strut's."""
+    structure, p = Structure.of(run.scene), parameters(run.scene)
+    own = start_speed(structure, p) + strut(structure, p, run.time).gain + 0.0 * run.time
+    axes.plot(run.time, own, color=_MUTED, linewidth=1.0, linestyle="--", label="strut")
+    axes.plot(run.time, run.speed, color=_FORCE, linewidth=1.2, label="share")
+    axes.set_ylabel("speed [m/s]")
+    axes.legend(loc="upper right", fontsize="small")
+
+
+def draw_scan(axes: Axes, best: Optimum) -> None:
+    """Draw the objective along a scanned variable, with all local optima."""
+    scan = best.scans[0]
+    axes.plot(scan.values, scan.objective, color=_FORCE, linewidth=1.2, label="at one geometry, where feasible")
+    for k, optimum in enumerate(best.local_optima):
+        axes.plot(optimum.variables[scan.variable], optimum.objective, "o" if k else "*", markersize=7 if k else 13,
+                  color=_ACCENT, label=None if k > 1 else ("best" if k == 0 else "other local optima"))  # fmt: skip
+    if np.min(scan.values) > 0 and np.max(scan.values) / np.min(scan.values) > 20:
+        axes.set_xscale("log")
+    seen = scan.objective[np.isfinite(scan.objective)]
+    if seen.size and np.max(seen) > 5 * np.min(seen) > 0:
+        axes.set_yscale("log")
+    unit = next(limit.unit for limit in best.limits if limit.name == scan.variable)
+    axes.set_xlabel(f"{scan.variable} [{unit}]")
+    axes.set_ylabel("objective")
+    axes.legend(loc="upper right", fontsize="small")
+
+
+def _pad(axes: Axes, length: float, half_width: float, ahead: float = 0.0) -> None:
+    """Show lengths to scale, with a margin around the drawing."""
+    axes.set_aspect("equal")
+    axes.set_xlim(-ahead - 0.06 * length, 1.08 * length)
+    axes.set_ylim(-1.2 * half_width, 1.2 * half_width)

@@ -1,0 +1,131 @@
+"""Results as JSON files: written with versions and a schema number, read back by `load`."""
+
+from __future__ import annotations
+
+import platform
+from importlib.metadata import version
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
+
+from plough_opt.accuracy import Accuracy
+from plough_opt.design import LocalOptimum, Optimum
+from plough_opt.errors import InputError
+from plough_opt.motion import Averages, Run
+
+SCHEMA = 1
+"""Number of the layout of saved results; it rises when a key changes its meaning."""
+
+
+def versions() -> dict[str, str]:
+    """Return the versions that a result depends on."""
+    packages = {name: version(name) for name in ("plough_opt", "casadi", "numpy")}
+    return {**packages, "python": platform.python_version(), "machine": platform.machine()}
+
+
+class Saved(BaseModel):
+    """What every saved result says about itself."""
+
+    model_config = ConfigDict(frozen=True, arbitrary_types_allowed=True)
+
+    layout: Annotated[Literal[1], Field(alias="schema")] = 1
+    title: str
+    versions: dict[str, str]
+
+    def to_json(self) -> str:
+        """Return the result as JSON text."""
+        return self.model_dump_json(indent=2, by_alias=True)
+
+
+class SavedRun(Saved):
+    """A run of numbers: SI units; arrays over the output times."""
+
+    kind: Literal["run"] = "run"
+    accuracy: Accuracy
+    error_estimate: float
+    seconds: float
+    warnings: tuple[str, ...]
+    ambient_share: float
+    averages: Averages
+    peak_force: float
+    peak_deflection: float
+    specific_draft: float
+    time: list[float]
+    travel: list[float]
+    speed: list[float]
+    deflection: list[float]
+    mount_force: list[float]
+    soil_resistance: list[float]
+
+    @classmethod
+    def of(cls, run: Run, title: str) -> SavedRun:
+        """Take what is worth keeping of a run."""
+        arrays = {name: np.asarray(getattr(run, name)).tolist() for name in _ARRAYS}
+        own = {name: getattr(run, name) for name in _RUN}
+        return cls(
+            title=title,
+            versions=versions(),
+            averages=_floats(run.averages),
+            ambient_share=float(run.scene.ambient_share),
+            **own,
+            **arrays,
+        )
+
+
+_ARRAYS = ("time", "travel", "speed", "deflection", "mount_force", "soil_resistance")
+_RUN = ("accuracy", "error_estimate", "seconds", "warnings", "peak_force", "peak_deflection", "specific_draft")
+
+
+class SavedOptimum(Saved):
+    """An optimum: variables in SI units, limits, all local optima, and the run at the best one."""
+
+    kind: Literal["optimum"] = "optimum"
+    status: str
+    seconds: float
+    warnings: tuple[str, ...]
+    flat_directions: tuple[dict[str, float], ...]
+    best: LocalOptimum
+    local_optima: tuple[LocalOptimum, ...]
+    run: SavedRun
+
+    @classmethod
+    def of(cls, best: Optimum, run: Run, title: str) -> SavedOptimum:
+        """Take what is worth keeping of an optimum and its run."""
+        return cls(
+            title=title,
+            versions=versions(),
+            status=best.status,
+            seconds=best.seconds,
+            warnings=best.warnings,
+            flat_directions=best.flat_directions,
+            best=best.local_optima[0],
+            local_optima=best.local_optima,
+            run=SavedRun.of(run, title),
+        )
+
+
+def load(path: str | Path) -> SavedRun | SavedOptimum:
+    """Read a result that the command line or ``to_json`` wrote.
+
+    Raises:
+        InputError: no such file, or not a result of this layout.
+    """
+    reader: TypeAdapter[SavedRun | SavedOptimum] = TypeAdapter(
+        Annotated[SavedRun | SavedOptimum, Field(discriminator="kind")]
+    )
+    try:
+        return reader.validate_json(Path(path).read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"the result '{path}' cannot be read: {error}") from None
+    except ValidationError as error:
+        first = error.errors()[0]
+        place = ".".join(map(str, first["loc"])) or "its beginning"
+        raise InputError(
+            f"'{path}' is not a result of this version (schema {SCHEMA}): at {place}: {first['msg']}"
+        ) from None
+
+
+def _floats(averages: Averages) -> Averages:
+    return Averages(**{name: float(getattr(averages, name)) for name in Averages.__dataclass_fields__})

@@ -65,24 +65,30 @@ def holds_casadi(value: Any) -> bool:
     return found
 
 
-def map_expressions(value: Any, function: Callable[[Any], Any]) -> Any:
+def is_quantity(value: Any) -> bool:
+    """Return whether a value is a number or a CasADi expression, and no switch."""
+    return is_casadi(value) or (isinstance(value, int | float | np.number) and not isinstance(value, bool))
+
+
+def map_expressions(value: Any, function: Callable[[Any], Any], leaf: Callable[[Any], bool] = is_casadi) -> Any:
     """Return the like of ``value`` with ``function`` applied to every CasADi expression nested in it.
 
-    Looks into dataclasses (by their fields), dictionaries, lists and tuples; anything else stays as it is.
+    Looks into dataclasses (by their fields), dictionaries, lists and tuples; anything else stays as it
+    is. With ``leaf=is_quantity`` plain numbers are replaced too.
     """
-    if is_casadi(value):
+    if leaf(value):
         return function(value)
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
         changed = {
-            field.name: map_expressions(getattr(value, field.name), function)
+            field.name: map_expressions(getattr(value, field.name), function, leaf)
             for field in dataclasses.fields(value)
             if field.init
         }
         return dataclasses.replace(value, **changed)
     if isinstance(value, Mapping):
-        return {key: map_expressions(item, function) for key, item in value.items()}
+        return {key: map_expressions(item, function, leaf) for key, item in value.items()}
     if isinstance(value, list | tuple):
-        return type(value)(map_expressions(item, function) for item in value)
+        return type(value)(map_expressions(item, function, leaf) for item in value)
     return value
 
 

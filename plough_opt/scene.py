@@ -176,6 +176,13 @@ class Scene:
             return 0.0
         return 1.0 - bare / total
 
+    def describe(self) -> str:
+        """Return, for a scene of numbers, a clause that tells which it is."""
+        return (
+            f"share of half angle {math.degrees(self.cone.half_angle):.3g} deg and height {self.cone.height:.3g} m"
+            f" in {self.soil.name}, on {self.stiffness:.3g} N/m with {self.inertia:.3g} kg at {self.tow_speed:.3g} m/s"
+        )
+
     def warnings(self) -> tuple[str, ...]:
         """Return, for a scene of numbers, what a reader of its results must know about the theory's limits."""
         found = []

@@ -190,7 +190,7 @@ def _rounded(margin: float) -> float:
 
 
 def _print_footer(console: Console, warnings: Sequence[str], trust: str) -> None:
-    for warning in warnings:
+    for warning in dict.fromkeys(warnings):
         console.print(f"[yellow]Note:[/] {warning}.")
     if trust:
         console.print(trust)

@@ -13,9 +13,9 @@ from plough_opt.design.declarations import Parameter, Requirement, Variable
 from plough_opt.design.elastic import first_slack, relaxed
 from plough_opt.design.ipopt import Point, Solver, Vector
 from plough_opt.design.nlp import build_nlp
-from plough_opt.design.split import Split, split
+from plough_opt.design.split import split
 from plough_opt.design.verify import TightEvaluation
-from plough_opt.errors import DomainError, InputError
+from plough_opt.errors import DomainError, InputError, PloughError
 from plough_opt.motion.plan import phase, steps_for
 
 # Phase per step inside a design: a relative error of some 3e-9, and finer where the check finds it wanting.
@@ -61,7 +61,9 @@ class Program:
         self.low = np.array([declared.requirements[k].low / scales[k] for k in self.owner])
         self.high = np.array([declared.requirements[k].high / scales[k] for k in self.owner])
         self.objective_scale = 1.0
+        self._built = False
         self._steps: list[int | None] = []
+        self._relaxed: Solver | None = None
 
     def _refuse_strangers(self) -> None:
         known = {symbol.name() for symbol in self.declared.symbols()}
@@ -87,19 +89,29 @@ class Program:
 
     def exact_values(self, y: Vector, p: Vector) -> tuple[list[Vector], list[Vector]]:
         """Return objective and requirements, tightly integrated, and the same by the checking method."""
-        return self.exact(*self.values(y), *p)
+        return self.exact([*self.values(y), *p])
 
     # --- building ----------------------------------------------------------------------------------------
 
     def build(self, p: Vector, refinement: float = 1.0) -> None:
         """Write the program with enough integration steps between the bounds, times ``refinement``.
 
+        A program that has enough of them already is kept.
+
         Raises:
             InputError: the objective or a requirement is not finite at the start.
+            DomainError: bounds that lead out of the model's domain, or a motion too fast to integrate.
         """
-        declared = self.declared
+        self._check_bounds(p)
         found = self._checked_start(p)
-        self.objective_scale = max(abs(float(found[0].item())), _SMALLEST_SCALE)
+        if not self._built:
+            self.objective_scale = max(abs(float(found[0].item())), _SMALLEST_SCALE)
+        steps = self._steps_between_bounds(p, refinement)
+        enough = [have is None or need is None or have >= need for have, need in zip(self._steps, steps, strict=False)]
+        if self._built and all(enough):
+            return
+        self._steps, self._built, self._relaxed = steps, True, None
+        declared = self.declared
         unscaled = [v.unscaled(y) for v, y in zip(declared.variables, ca.vertsplit(self._y), strict=True)]
         replacements = [*unscaled, *(ca.vertsplit(self._p) if declared.parameters else [])]
         scaled = [
@@ -107,21 +119,17 @@ class Program:
             ca.vertcat(*(ca.vec(r.expression) / r.scale for r in declared.requirements)),
         ]
         scaled = ca.graph_substitute(scaled, declared.symbols(), replacements)
-        parts = split(scaled, [self._y, self._p])
-        self.parts = parts
-        self._steps = self._steps_between_bounds(parts, p, refinement)
-        self.nlp = build_nlp(parts, self._y, self._p, self._steps)
+        self.nlp = build_nlp(split(scaled, [self._y, self._p]), self._y, self._p, steps)
         sizes = (len(declared.variables), len(declared.parameters))
         self._solver = Solver(self.nlp, *sizes, self.low, self.high)
-        self._relaxed: Solver | None = None
 
     def _checked_start(self, p: Vector) -> list[Vector]:
         """Return the expressions at the guess, or say which of them has no value there."""
         guess = np.array([v.guess for v in self.declared.variables])
         place = self.declared.describe(guess)
         try:
-            found, _ = self.exact(*guess, *p)
-        except (RuntimeError, ValueError, ArithmeticError) as error:
+            found, _ = self.exact([*guess, *p])
+        except (PloughError, RuntimeError) as error:
             raise InputError(f"the model cannot be evaluated at the start ({place}): {error}") from error
         names = ["the objective", *(f"requirement '{r.name}'" for r in self.declared.requirements)]
         for name, value in zip(names, found, strict=True):
@@ -129,29 +137,42 @@ class Program:
                 raise InputError(f"{name} is not a finite number at the start ({place}): start elsewhere")
         return found
 
-    def _steps_between_bounds(self, parts: Split, p: Vector, refinement: float) -> list[int | None]:
+    def _corners(self) -> list[tuple[str, list[float]]]:
+        """Return the guess, and the guess with each variable at each of its bounds, with a clause for each."""
+        variables = self.declared.variables
+        guess = [v.guess for v in variables]
+        corners = [("at the guess", guess)]
+        for k, v in enumerate(variables):
+            for side, bound in (("lower", v.lower), ("upper", v.upper)):
+                corners.append((f"at the {side} bound of '{v.name}'", [*guess[:k], bound, *guess[k + 1 :]]))
+        return corners
+
+    def _check_bounds(self, p: Vector) -> None:
+        """Refuse bounds between which a scene leaves the model's domain."""
+        for clause, values in self._corners():
+            for k in range(len(self.exact.runs)):
+                try:
+                    self.exact.inputs(k, [*values, *p])
+                except DomainError as error:
+                    raise DomainError(f"{clause}: {error}", error.quantity) from None
+
+    def _steps_between_bounds(self, p: Vector, refinement: float) -> list[int | None]:
         """Return, for each run whose accuracy is automatic, the steps that its fastest design needs."""
-        corners = [self.start()]
-        for k in range(len(self.declared.variables)):
-            for bound in (0.0, 1.0):
-                corners.append(self.start())
-                corners[-1][k] = bound
         steps: list[int | None] = []
-        for run in parts.runs:
+        for k, run in enumerate(self.exact.runs):
             if run.integration.accuracy.method != "auto":
                 steps.append(None)
                 continue
-            inputs = ca.Function("inputs", [self._y, self._p], [run.inputs])
-            phases = []
-            for corner in corners:
-                numbers = np.asarray(inputs(corner, p)).ravel()
-                phases.append(phase(dict(zip(run.integration.names, numbers[:-1], strict=True)), numbers[-1]))
-            count = math.ceil(refinement * steps_for(max(phases), _PHASE_PER_STEP))
+            fastest = 0.0
+            for _, values in self._corners():
+                numbers, _ = self.exact.inputs(k, [*values, *p])
+                fastest = max(fastest, phase(dict(zip(run.integration.names, numbers, strict=False)), numbers[-1]))
+            count = math.ceil(refinement * steps_for(fastest, _PHASE_PER_STEP))
             if count > _MOST_STEPS:
                 raise DomainError(
-                    f"between the bounds the share oscillates up to {max(phases) / (2 * math.pi):.3g} times in a run,"
-                    f" which would take {count} integration steps: tighten the bounds on stiffness and mass, shorten"
-                    " the duration, or take the quasi-static scene"
+                    f"between the bounds the share oscillates up to {fastest / (2 * math.pi):.3g} times in a run,"
+                    f" which would take {count} integration steps: tighten the bounds on stiffness and mass,"
+                    " shorten the duration, or take the quasi-static scene"
                 )
             steps.append(count)
         return steps
@@ -159,7 +180,7 @@ class Program:
     @property
     def wanted_error(self) -> float | None:
         """Tightest relative error that an automatic run of this program is to reach; None without such a run."""
-        automatic = [run.integration.accuracy for run in self.parts.runs if run.integration.accuracy.method == "auto"]
+        automatic = [run.integration.accuracy for run in self.exact.runs if run.integration.accuracy.method == "auto"]
         return min((accuracy.error or DEFAULT_ERROR for accuracy in automatic), default=None)
 
     # --- solving -----------------------------------------------------------------------------------------

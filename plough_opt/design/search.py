@@ -64,9 +64,9 @@ def scanned_variables(program: Program, search: str | Sequence[str]) -> list[int
                 )
         return [names.index(name) for name in wanted]
     found: set[int] = set()
-    for inputs, integration in program.exact.runs():
-        if integration.structure.wave:
-            stiffness = inputs[integration.names.index("stiffness")]
+    for run in program.exact.runs:
+        if run.integration.structure.wave:
+            stiffness = run.inputs[run.integration.names.index("stiffness")]
             function = ca.Function("stiffness", program.declared.symbols(), [stiffness])
             found |= {k for k in range(len(names)) if function.jac_sparsity(0, k).nnz() > 0}
     return sorted(found)

@@ -18,6 +18,7 @@ from plough_opt.design.search import Progress, global_search, scanned_variables
 from plough_opt.design.uniqueness import flat_directions
 from plough_opt.design.verify import TightEvaluation
 from plough_opt.errors import InputError, NotConverged
+from plough_opt.scene import Scene
 
 _REFINEMENTS = 4
 _FINER = 1.5
@@ -37,7 +38,8 @@ def solve_program(
     points, scans = global_search(program, p, first_optimum(program, p), scanned, progress)
     points, missed = _refined(program, p, points, progress)
     progress("checking", 0.0)
-    names = _names(program, points, p)
+    scenes = [_scenes(program, point, p) for point in points]
+    names = _names(program, scenes)
     optima = [_local_optimum(program, p, point, name) for point, name in zip(points, names, strict=True)]
     order = sorted(range(len(optima)), key=lambda k: optima[k].objective)
     directions = flat_directions(program, p, points[order[0]])
@@ -49,7 +51,7 @@ def solve_program(
         local_optima=tuple(optima[k] for k in order),
         scans=tuple(scans),
         seconds=time.perf_counter() - started,
-        warnings=missed,
+        warnings=(*missed, *dict.fromkeys(text for scene in scenes[order[0]] for text in scene.warnings())),
         evaluate=partial(_evaluated, program, program.values(points[order[0]].y), p),
     )
 
@@ -163,22 +165,25 @@ def _bounds(program: Program, point: Point, values: Vector) -> list[Limit]:
     return limits
 
 
-def _names(program: Program, points: Sequence[Point], p: Vector) -> list[str]:
-    """Return a name for each optimum: under a strength wave its branch, soft or stiff beside the resonance."""
-    for inputs, integration in program.exact.runs():
-        if not integration.structure.wave:
+def _scenes(program: Program, point: Point, p: Vector) -> list[Scene]:
+    """Return the scenes of the program's runs at a point, with numbers."""
+    numbers = [*program.values(point.y), *p]
+    return [program.exact.inputs(k, numbers)[1] for k in range(len(program.exact.runs))]
+
+
+def _names(program: Program, scenes: Sequence[Sequence[Scene]]) -> list[str]:
+    """Return a name for each optimum: under a strength wave its branch, soft or stiff beside the resonance.
+
+    Args:
+        program: the design's program.
+        scenes: for each optimum, the scenes of its runs.
+    """
+    for k, run in enumerate(program.exact.runs):
+        if not run.integration.structure.wave or not all(float(own[k].wave_frequency) > 0.0 for own in scenes):
             continue
-        symbols = program.declared.symbols()
-        evaluate = ca.Function("inputs", symbols, [inputs])
-        names = []
-        for point in points:
-            numbers = np.asarray(evaluate(*program.values(point.y), *p)).ravel()
-            q = dict(zip(integration.names, numbers, strict=False))
-            ratio = math.sqrt(q["stiffness"] / q["inertia"]) * q["wavelength"] / (2.0 * math.pi * q["tow_speed"])
-            branch = "soft branch" if ratio < 1.0 else "stiff branch"
-            names.append(f"{branch}, {ratio:.2f} of the wave's frequency")
-        return names
-    return ["optimum"] if len(points) == 1 else [f"optimum {k + 1}" for k in range(len(points))]
+        ratios = [float(own[k].natural_frequency / own[k].wave_frequency) for own in scenes]
+        return [f"{'soft' if r < 1.0 else 'stiff'} branch, {r:.2f} of the wave's frequency" for r in ratios]
+    return ["optimum"] if len(scenes) == 1 else [f"optimum {k + 1}" for k in range(len(scenes))]
 
 
 def _in_units(program: Program, point: Point, direction: Vector) -> dict[str, float]:
@@ -198,5 +203,5 @@ def _evaluated(program: Program, values: Vector, p: Vector, expression: ca.MX) -
     strangers = sorted({s.name() for s in ca.symvar(expression)} - known)
     if strangers:
         raise InputError(f"the expression holds symbols that are not of this design: {', '.join(strangers)}")
-    (value,), _ = TightEvaluation([expression], symbols)(*values, *p)
+    (value,), _ = TightEvaluation([expression], symbols)([*values, *p])
     return np.squeeze(value)

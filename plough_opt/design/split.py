@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import casadi as ca
 
 from plough_opt.errors import InputError
-from plough_opt.motion.integrators import Integration, integration_of
+from plough_opt.motion.embedding import Embedding, embedding_of
+from plough_opt.motion.integrators import Integration
 
 
 @dataclass(frozen=True)
@@ -15,14 +16,21 @@ class EmbeddedRun:
     """A run that stands in a design's expressions.
 
     Attributes:
-        integration: method, times and structure that it was written with.
+        embedding: method, times, structure and scene that it was written with.
         inputs: its parameters, the duration last, as expressions of the design's symbols.
+        quantities: every quantity of its scene, as expressions of the design's symbols.
         outputs: its results in the graph: states, means, variances.
     """
 
-    integration: Integration
+    embedding: Embedding
     inputs: ca.MX
+    quantities: ca.MX
     outputs: tuple[ca.MX, ...]
+
+    @property
+    def integration(self) -> Integration:
+        """Method, times and structure that the run was written with."""
+        return self.embedding.integration
 
 
 @dataclass(frozen=True)
@@ -52,10 +60,10 @@ def split(expressions: list[ca.MX], symbols: list[ca.MX]) -> Split:
         if whole.instruction_id(k) != ca.OP_CALL:
             continue
         node = whole.instruction_MX(k)
-        known = integration_of(node.which_function())
+        known = embedding_of(node.which_function())
         if known is not None:
             outputs = tuple(node.get_output(i) for i in range(known.function.n_out()))
-            runs[hash(node)] = EmbeddedRun(known, node.dep(0), outputs)
+            runs[hash(node)] = EmbeddedRun(known, node.dep(0), node.dep(1), outputs)
     found = tuple(runs.values())
     results = tuple(
         ca.MX.sym(f"results_{i}", sum(output.numel() for output in run.outputs)) for i, run in enumerate(found)
@@ -69,11 +77,12 @@ def split(expressions: list[ca.MX], symbols: list[ca.MX]) -> Split:
             old.append(output)
             new.append(ca.reshape(part, output.shape))
             position += output.numel()
-    originals = [*expressions, *(run.inputs for run in found)]
+    originals = [*expressions, *(run.inputs for run in found), *(run.quantities for run in found)]
     replaced = ca.graph_substitute(originals, old, new) if found else originals
+    own = replaced[len(expressions) :]
     independent = tuple(
-        EmbeddedRun(run.integration, inputs, run.outputs)
-        for run, inputs in zip(found, replaced[len(expressions) :], strict=True)
+        replace(run, inputs=inputs, quantities=quantities)
+        for run, inputs, quantities in zip(found, own[: len(found)], own[len(found) :], strict=True)
     )
     if any(ca.depends_on(run.inputs, result) for run in independent for result in results):
         raise InputError("a run of this design is given results of another run: a design takes runs side by side only")

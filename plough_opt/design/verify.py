@@ -14,6 +14,7 @@ from plough_opt.errors import IntegrationError
 from plough_opt.motion.integrators import Integration, integration
 from plough_opt.motion.plan import automatic, check_of, phase
 from plough_opt.motion.timeline import Timeline
+from plough_opt.scene import Scene
 
 Vector = NDArray[np.float64]
 
@@ -22,33 +23,44 @@ TIGHT = 1e-10
 
 
 class TightEvaluation:
-    """Expressions of symbols as functions of numbers, through runs that are re-integrated tightly."""
+    """Expressions of symbols as functions of numbers, through runs that are re-integrated tightly.
+
+    Attributes:
+        runs: the runs in the expressions.
+    """
 
     def __init__(self, expressions: Sequence[ca.MX], symbols: Sequence[ca.MX]) -> None:
         """Split the expressions of ``symbols`` around their runs."""
         parts = split(list(expressions), list(symbols))
-        self._parts = parts
-        self._runs = [run.integration for run in parts.runs]
-        self._inputs = [ca.Function("inputs", list(symbols), [run.inputs]) for run in parts.runs]
+        self.runs = parts.runs
+        self._inputs = [ca.Function("inputs", list(symbols), [run.inputs, run.quantities]) for run in parts.runs]
         self._algebra = ca.Function("algebra", [*symbols, *parts.results], list(parts.expressions))
 
-    def runs(self) -> list[tuple[ca.MX, Integration]]:
-        """Return for each run its parameters, as expressions of the symbols, and how it was written."""
-        return [(run.inputs, run.integration) for run in self._parts.runs]
+    def inputs(self, run: int, numbers: Sequence[float]) -> tuple[Vector, Scene]:
+        """Return a run's parameters, the duration last, and its scene at numbers.
 
-    def __call__(self, *numbers: Sequence[float]) -> tuple[list[Vector], list[Vector]]:
+        Raises:
+            DomainError: the scene lies outside the model's domain.
+        """
+        parameters, quantities = (np.asarray(result).ravel() for result in self._inputs[run](*numbers))
+        return parameters, self.runs[run].embedding.scene(quantities.tolist())
+
+    def __call__(self, numbers: Sequence[float]) -> tuple[list[Vector], list[Vector]]:
         """Return the expressions' values, and the same by the method that checks the integration.
 
         Raises:
+            DomainError: a scene lies outside the model's domain at these numbers.
             IntegrationError: a run has no finite result at these numbers.
         """
-        values = [
-            tight_results(run, tuple(np.asarray(function(*numbers)).ravel().tolist()))
-            for run, function in zip(self._runs, self._inputs, strict=True)
-        ]
+        pairs = []
+        for k, run in enumerate(self.runs):
+            parameters, scene = self.inputs(k, numbers)
+            pairs.append(tight_results(run.integration, tuple(parameters.tolist())))
+            if not all(np.all(np.isfinite(results)) for results in pairs[-1]):
+                raise IntegrationError(f"the motion of a {scene.describe()} has no finite result")
         found, check = (
             [np.asarray(result) for result in self._algebra.call([*map(ca.DM, numbers), *results])]
-            for results in ([pair[0] for pair in values], [pair[1] for pair in values])
+            for results in ([pair[0] for pair in pairs], [pair[1] for pair in pairs])
         )
         return found, check
 
@@ -60,9 +72,6 @@ def tight_results(own: Integration, inputs: tuple[float, ...]) -> tuple[Vector, 
     Args:
         own: how the run was written in the design; only its structure and output times are kept.
         inputs: its parameters, the duration last.
-
-    Raises:
-        IntegrationError: either result is not finite.
     """
     total = phase(dict(zip(own.names, inputs[:-1], strict=True)), inputs[-1])
     method = automatic(TIGHT, total)
@@ -73,6 +82,4 @@ def tight_results(own: Integration, inputs: tuple[float, ...]) -> tuple[Vector, 
         function = integration(own.structure, accuracy, timeline).function
         parts = [np.asarray(part).ravel(order="F") for part in function.call([ca.DM(inputs)])]
         results.append(np.concatenate(parts))
-        if not np.all(np.isfinite(results[-1])):
-            raise IntegrationError(f"the motion has no finite result by '{accuracy.method}' at {own.names} = {inputs}")
     return results[0], results[1]

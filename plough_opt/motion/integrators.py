@@ -52,17 +52,7 @@ def integration(structure: Structure, accuracy: Accuracy, timeline: Timeline) ->
         function = run_map(structure, timeline)
     else:
         function = _by_casadi(structure, accuracy, timeline)
-    built = Integration(structure, accuracy, timeline, function)
-    _BUILT[hash(function)] = built
-    return built
-
-
-_BUILT: dict[int, Integration] = {}
-
-
-def integration_of(function: ca.Function) -> Integration | None:
-    """Return the integration whose Function stands in somebody's graph, or None for any other Function."""
-    return _BUILT.get(hash(function))
+    return Integration(structure, accuracy, timeline, function)
 
 
 def _by_casadi(structure: Structure, accuracy: Accuracy, timeline: Timeline) -> ca.Function:

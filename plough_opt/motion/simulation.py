@@ -14,6 +14,7 @@ from plough_opt.accuracy import DEFAULT_ERROR, ORDER_8, Accuracy
 from plough_opt.domain import check_domain
 from plough_opt.errors import InputError, IntegrationError
 from plough_opt.expressions import Expression, as_number, holds_casadi, is_symbolic, map_expressions
+from plough_opt.motion.embedding import embed
 from plough_opt.motion.equation import Structure, parameters
 from plough_opt.motion.integrators import Integration, integration
 from plough_opt.motion.plan import (
@@ -122,21 +123,12 @@ def _integrate(scene: Scene, duration: Expression, accuracy: Accuracy, outputs: 
     p = parameters(scene)
     values = [*(p[name] for name in solver.names), duration]
     if any(map(is_symbolic, values)):
-        states, means, variances = _call(solver, ca.vertcat(*values))
+        states, means, variances = embed(solver, values, scene)
         states = states.T
     else:
         arrays = _evaluate(solver, [float(as_number(value)) for value in values], scene)
         states, means, variances = arrays[0].T, arrays[1].ravel(), arrays[2].ravel()
     return assemble(scene, duration, timeline.output_fractions, states, means, variances, accuracy)
-
-
-def _call(solver: Integration, p: Expression) -> tuple[Expression, ...]:
-    """Embed the run in the graph of the symbols ``p``."""
-    if isinstance(p, ca.SX) and solver.accuracy.method not in ORDER_8:
-        raise InputError(
-            f"method '{solver.accuracy.method}' takes MX symbols only: make the scene of casadi.MX, or use 'dop853'"
-        )
-    return tuple(solver.function.call([p]))
 
 
 def _evaluate(solver: Integration, p: list[float], scene: Scene) -> list[NDArray[np.float64]]:
@@ -152,7 +144,7 @@ def _evaluate(solver: Integration, p: list[float], scene: Scene) -> list[NDArray
         else:
             reached = middle
     raise IntegrationError(
-        f"the motion of a {_described(scene)} could not be integrated by '{solver.accuracy.method}' beyond"
+        f"the motion of a {scene.describe()} could not be integrated by '{solver.accuracy.method}' beyond"
         f" t = {reached:.4g} s of {p[-1]:g} s: {_likely_cause(scene, p[-1], solver)}"
     )
 
@@ -164,15 +156,6 @@ def _attempt(solver: Integration, p: list[float]) -> list[NDArray[np.float64]] |
     except RuntimeError:
         return None
     return results if all(np.all(np.isfinite(result)) for result in results) else None
-
-
-def _described(scene: Scene) -> str:
-    """Return a clause that tells which scene this is."""
-    return (
-        f"share of half angle {math.degrees(scene.cone.half_angle):.3g} deg and height {scene.cone.height:.3g} m"
-        f" in {scene.soil.name}, on {scene.stiffness:.3g} N/m with {scene.inertia:.3g} kg at"
-        f" {scene.tow_speed:.3g} m/s"
-    )
 
 
 def _likely_cause(scene: Scene, duration: float, solver: Integration) -> str:

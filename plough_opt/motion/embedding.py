@@ -1,0 +1,91 @@
+"""A run inside somebody's graph: one call that carries its scene along, so that others can find and check it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import casadi as ca
+
+from plough_opt.accuracy import ORDER_8
+from plough_opt.errors import InputError
+from plough_opt.expressions import Expression, is_quantity, map_expressions
+from plough_opt.motion.integrators import Integration
+from plough_opt.scene import Scene
+
+
+@dataclass(frozen=True)
+class Embedding:
+    """A run as one CasADi Function of the equation's parameters and of the whole scene.
+
+    Attributes:
+        integration: method, structure and times.
+        template: the scene with a placeholder for each of its quantities.
+        function: (parameters with the duration last, quantities of the scene) -> results of the
+            integration. The quantities have no influence; they let a design rebuild the scene.
+    """
+
+    integration: Integration
+    template: Scene
+    function: ca.Function
+
+    def scene(self, quantities: Sequence[float]) -> Scene:
+        """Return the scene with numbers.
+
+        Raises:
+            DomainError: a number lies outside the model's domain.
+        """
+        numbers = iter(quantities)
+        return map_expressions(self.template, lambda _: float(next(numbers)), is_quantity)  # type: ignore[no-any-return]
+
+
+_KNOWN: dict[int, Embedding] = {}
+_BY_LAYOUT: dict[tuple[int, str], Embedding] = {}
+
+
+def embed(solver: Integration, p: Sequence[Expression], scene: Scene) -> tuple[Expression, ...]:
+    """Return the run's results as expressions of the symbols in its scene.
+
+    Args:
+        solver: the integration.
+        p: its parameters, the duration last.
+        scene: the scene that they come from.
+
+    Raises:
+        InputError: SX symbols and a method that exists for MX only.
+    """
+    quantities: list[Expression] = []
+    template = map_expressions(scene, lambda value: _placeholder(value, quantities), is_quantity)
+    inputs, carried = ca.vertcat(*p), ca.vertcat(*quantities)
+    if isinstance(inputs, ca.SX) or isinstance(carried, ca.SX):
+        if solver.accuracy.method not in ORDER_8:
+            raise InputError(
+                f"method '{solver.accuracy.method}' takes MX symbols only: make the scene of casadi.MX, or use 'dop853'"
+            )
+        return tuple(solver.function.call([inputs]))
+    # Quantities print alike, as placeholders, so scenes that differ in numbers only share one Function.
+    layout = (hash(solver.function), repr(template))
+    if layout not in _BY_LAYOUT:
+        _BY_LAYOUT[layout] = _build(solver, template, len(quantities))
+    return tuple(_BY_LAYOUT[layout].function.call([inputs, carried]))
+
+
+def embedding_of(function: ca.Function) -> Embedding | None:
+    """Return the run that a Function in a graph stands for, or None for any other Function."""
+    return _KNOWN.get(hash(function))
+
+
+def _placeholder(value: Expression, quantities: list[Expression]) -> ca.SX:
+    quantities.append(value)
+    return ca.SX.sym("quantity")
+
+
+def _build(solver: Integration, template: Scene, count: int) -> Embedding:
+    p, carried = ca.MX.sym("p", solver.function.numel_in(0)), ca.MX.sym("scene", count)
+    function = ca.Function(
+        "run", [p, carried], solver.function.call([p]), ["parameters", "scene"], ["states", "means", "variances"],
+        {"never_inline": True},
+    )  # fmt: skip
+    built = Embedding(solver, template, function)
+    _KNOWN[hash(function)] = built
+    return built

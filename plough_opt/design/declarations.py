@@ -13,6 +13,11 @@ from plough_opt.errors import InputError
 from plough_opt.expressions import Expression, exp
 
 
+def in_words(value: float, unit: str) -> str:
+    """Return a value with its unit as an engineer reads it: angles in degrees."""
+    return f"{math.degrees(value):.6g} deg" if unit == "rad" else f"{value:.6g} {unit}".rstrip()
+
+
 @dataclass(frozen=True)
 class Variable:
     """A quantity that the optimiser may choose, between finite bounds."""
@@ -32,13 +37,12 @@ class Variable:
             raise InputError(f"{text}: guess, lower and upper must be finite numbers, not {numbers}")
         if not self.lower < self.upper:
             raise InputError(
-                f"{text}: its bounds contradict each other: lower {self.lower:g} is not below upper"
-                f" {self.upper:g} {self.unit}"
+                f"{text}: its bounds contradict each other: lower {in_words(self.lower, self.unit)} is not below"
+                f" upper {in_words(self.upper, self.unit)}"
             )
         if not self.lower <= self.guess <= self.upper:
-            raise InputError(
-                f"{text}: its guess {self.guess:g} lies outside its bounds {self.lower:g} to {self.upper:g} {self.unit}"
-            )
+            low, high, guess = (in_words(x, self.unit) for x in (self.lower, self.upper, self.guess))
+            raise InputError(f"{text}: its guess {guess} lies outside its bounds {low} to {high}")
         if self.log and self.lower <= 0.0:
             raise InputError(f"{text}: a log-scaled variable needs a lower bound above 0, not {self.lower:g}")
 
@@ -92,8 +96,8 @@ class Requirement:
                 raise InputError(f"{text}: {side} = {limit} must be a finite number")
         if self.at_least is not None and self.at_most is not None and self.at_least > self.at_most:
             raise InputError(
-                f"{text}: its limits contradict each other: at least {self.at_least:g} is above at most"
-                f" {self.at_most:g} {self.unit}"
+                f"{text}: its limits contradict each other: at least {in_words(self.at_least, self.unit)} is above"
+                f" at most {in_words(self.at_most, self.unit)}"
             )
 
     @property
@@ -114,7 +118,7 @@ class Requirement:
     def limits_text(self) -> str:
         """Return the limits in words."""
         parts = [
-            f"{word} {limit:g} {self.unit}".rstrip()
+            f"{word} {in_words(limit, self.unit)}"
             for word, limit in (("at least", self.at_least), ("at most", self.at_most))
             if limit is not None
         ]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from plough_opt.design.declarations import in_words
 from plough_opt.design.ipopt import Point, Vector
 from plough_opt.design.program import Program
 from plough_opt.errors import InfeasibleDesign
@@ -50,9 +51,9 @@ def infeasible(program: Program, point: Point) -> InfeasibleDesign:
     for variable, multiplier in zip(declared.variables, point.lam_y[:n], strict=True):
         if abs(multiplier) > _HOLDS:
             side, bound = ("upper", variable.upper) if multiplier > 0 else ("lower", variable.lower)
-            blockers.append(f"{side} bound {bound:g} {variable.unit} of '{variable.name}'".replace("  ", " "))
+            blockers.append(f"{side} bound {in_words(bound, variable.unit)} of '{variable.name}'")
     fails = ", ".join(
-        f"'{r.name}' ({r.limits_text()}) fails by {conflicts[r.name]:.4g} {r.unit}".rstrip()
+        f"'{r.name}' ({r.limits_text()}) fails by {in_words(conflicts[r.name], r.unit)}"
         for r in declared.requirements
         if r.name in conflicts
     )

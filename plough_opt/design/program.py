@@ -9,7 +9,7 @@ import casadi as ca
 import numpy as np
 
 from plough_opt.accuracy import DEFAULT_ERROR
-from plough_opt.design.declarations import Parameter, Requirement, Variable
+from plough_opt.design.declarations import Parameter, Requirement, Variable, in_words
 from plough_opt.design.elastic import first_slack, relaxed
 from plough_opt.design.ipopt import Point, Solver, Vector
 from plough_opt.design.nlp import build_nlp
@@ -39,7 +39,9 @@ class Declarations:
 
     def describe(self, values: Vector) -> str:
         """Return the variables at values in words."""
-        return ", ".join(f"{v.name} = {x:.6g} {v.unit}".rstrip() for v, x in zip(self.variables, values, strict=True))
+        return ", ".join(
+            f"{v.name} = {in_words(float(x), v.unit)}" for v, x in zip(self.variables, values, strict=True)
+        )
 
 
 class Program:

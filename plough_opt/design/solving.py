@@ -10,6 +10,7 @@ from functools import partial
 import casadi as ca
 import numpy as np
 
+from plough_opt.design.declarations import in_words
 from plough_opt.design.infeasible import infeasible, is_feasible, least_violation
 from plough_opt.design.ipopt import REMEDIES, Point, Vector
 from plough_opt.design.optimum import Limit, LocalOptimum, Optimum
@@ -155,7 +156,7 @@ def _bounds(program: Program, point: Point, values: Vector) -> list[Limit]:
                 name=v.name,
                 kind="bound",
                 value=float(value),
-                limits=f"{v.lower:g} to {v.upper:g} {v.unit}".rstrip(),
+                limits=f"{in_words(v.lower, v.unit)} to {in_words(v.upper, v.unit)}",
                 margin=float(min(value - v.lower, v.upper - value)),
                 multiplier=abs(float(multiplier)) * program.objective_scale / slope,
                 active=min(y, 1.0 - y) < _TOUCHES and abs(multiplier) > _PULLS,

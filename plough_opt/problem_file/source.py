@@ -66,9 +66,9 @@ class Source:
 
     def error(self, keys: Sequence[str], message: str) -> InputError:
         """Return an error about a key, with its line or the override that set it."""
-        for count in range(len(keys), 0, -1):
-            if tuple(keys[:count]) in self.overridden:
-                return InputError(f"--set {self.overridden[tuple(keys[:count])]}: {message}")
+        for path, text in self.overridden.items():
+            if path[: len(keys)] == tuple(keys)[: len(path)]:
+                return InputError(f"--set {text}: {message}")
         line = self.line_of(keys)
         return InputError(f"{self.name}{'' if line is None else f', line {line}'}: {message}")
 

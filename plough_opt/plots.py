@@ -122,7 +122,7 @@ def draw_cone(axes: Axes, scene: Scene) -> None:
     cone = scene.cone
     radius, front = cone.height * cone.slope, loosened_radius(cone, scene.soil)
     axes.fill([0, cone.height, cone.height], [0, front, -front], facecolor=_SOIL, alpha=0.35, edgecolor="none",
-              label="compacted soil")  # fmt: skip
+              label=f"compacted soil, r* = {front:.3f} m")  # fmt: skip
     for side in (1.0, -1.0):
         axes.plot([0, cone.height], [0, side * front], color=_SOIL, linestyle="--", linewidth=1.2)
     axes.fill([0, cone.height, cone.height], [0, radius, -radius], facecolor=_STEEL, alpha=0.85, edgecolor="black",
@@ -131,7 +131,6 @@ def draw_cone(axes: Axes, scene: Scene) -> None:
                   arrowprops={"arrowstyle": "->", "color": "black"})  # fmt: skip
     axes.text(-0.165 * cone.height, 0.04 * front, "travel", ha="center", va="bottom")
     axes.text(0.6 * cone.height, 0, f"β = {math.degrees(cone.half_angle):.1f}°", color="white", ha="left", va="center")
-    axes.text(0.98 * cone.height, -0.58 * front, f"r* = {front:.3f} m", ha="right", va="center", fontsize="small")
     axes.legend(loc="upper left", fontsize="small")
     axes.set_title("Equivalent cone in section (equal height and surface)")
     axes.set_xlabel(f"along the axis [m]   (h = {cone.height:.3f} m, base radius {radius:.3f} m)")

@@ -1,0 +1,69 @@
+"""Every code block of the README runs."""
+
+import os
+import re
+import shlex
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+BLOCKS = re.findall(r"```(\w+)\n(.*?)```", (ROOT / "README.md").read_text(encoding="utf-8"), flags=re.DOTALL)
+PYTHON = [text for language, text in BLOCKS if language == "python"]
+LINES = [line for language, text in BLOCKS if language == "sh" for line in text.splitlines() if line]
+ENVIRONMENT = Path(sys.prefix)
+
+
+def shell(line: str, folder: Path) -> subprocess.CompletedProcess[str]:
+    path = f"{ENVIRONMENT / 'bin'}{os.pathsep}{os.environ['PATH']}"
+    return subprocess.run(
+        line, shell=True, cwd=folder, env=os.environ | {"PATH": path}, capture_output=True, text=True, check=False
+    )
+
+
+def rehearsed(line: str) -> str:
+    """Return what stands for a line that would set up an environment, or test the tests, anew."""
+    words = shlex.split(line)
+    if line == "make run":
+        # The environment that runs this test is ready: -o keeps make from building another.
+        return f"make run VENV={ENVIRONMENT} -o {ENVIRONMENT}/.plough_opt-installed"
+    if line == "make test":
+        return "make --dry-run test"
+    if words[0].endswith("python3") and words[1:3] == ["-m", "venv"]:
+        return f"{sys.executable} -m venv --without-pip .venv"
+    if words[0] == ".venv/bin/pip":
+        rest = line.removeprefix(".venv/bin/pip install")
+        return f"{sys.executable} -m pip install --dry-run --no-deps --no-build-isolation {rest}"
+    return line.replace(".venv/bin/plough-opt", "plough-opt")
+
+
+def test_there_are_blocks_of_both_kinds_and_no_others():
+    assert PYTHON
+    assert LINES
+    assert {language for language, _ in BLOCKS} == {"python", "sh"}
+
+
+@pytest.mark.parametrize("block", PYTHON, ids=range(len(PYTHON)))
+def test_python_block_runs(block, capsys):
+    exec(compile(block, "README.md", "exec"), {})  # the README's own text
+    assert capsys.readouterr().out
+
+
+def test_shell_lines_run_in_order(tmp_path):
+    work = tmp_path / "clone"
+    shutil.copytree(ROOT, work, ignore=shutil.ignore_patterns(".git", ".venv", ".*_cache", "out", "__pycache__"))
+    for line in LINES:
+        done = shell(rehearsed(line), work)
+        assert done.returncode == 0, f"{line}\n{done.stdout}\n{done.stderr}"
+    assert (work / "out" / "cotton_subsoiler.png").stat().st_size > 10_000
+    assert (work / "my_share.png").stat().st_size > 10_000
+    assert '"schema": 1' in (work / "my_share.json").read_text(encoding="utf-8")
+
+
+def test_figures_of_the_readme_are_those_that_the_command_prints():
+    done = shell("plough-opt optimise problems/cotton_subsoiler.toml", ROOT)
+    for figure in ("39.1147 deg", "0.2540811 m", "50.77128 kN/m", "3.9415 kN", "0.65314 kN", "0.010312 m", "73 %"):
+        assert figure in done.stdout

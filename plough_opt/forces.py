@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from plough_opt.expressions import Expression
 from plough_opt.geometry import Cone
-from plough_opt.plastic import compaction_radius_ratio, wall_pressure
+from plough_opt.plastic import Cavity, front_radius, wall_pressure
 from plough_opt.soil import Soil
 
 
@@ -88,4 +88,5 @@ def added_mass(cone: Cone, soil: Soil) -> Expression:
 
 def loosened_radius(cone: Cone, soil: Soil) -> Expression:
     """Return the radius h tan(beta) sqrt(a) [m] of the compaction front at the base of the cone, (16)."""
-    return cone.height * cone.slope * compaction_radius_ratio(soil)
+    at_base = Cavity(radius=cone.height * cone.slope, rate=0.0, acceleration=0.0)
+    return front_radius(at_base, soil)

@@ -81,6 +81,6 @@ def surface_pressure(cavity: Cavity, soil: Soil) -> Expression:
     return p.strength + soil.density * motion
 
 
-def compaction_radius_ratio(soil: Soil) -> Expression:
-    """Return sqrt(a) = 1/sqrt(1 - b1): front radius over cavity radius [-], equation (16)."""
-    return exp(-log1p(-soil.density_ratio) / 2.0)
+def front_radius(cavity: Cavity, soil: Soil) -> Expression:
+    """Return the radius r* = R sqrt(a) of the compaction front [m], a = 1/(1 - b1), equation (16)."""
+    return cavity.radius * exp(-log1p(-soil.density_ratio) / 2.0)

@@ -90,13 +90,14 @@ def _refined(
     if wanted is None:
         return points, ()
     for refinement in range(1, _REFINEMENTS + 1):
-        gap = max(_gap(program, p, point) for point in points)
-        if gap <= wanted:
+        gaps = [_gap(program, p, point) for point in points]
+        if max(gaps) <= wanted:
             return points, ()
-        progress(f"refining: error {gap:.1e}", refinement / _REFINEMENTS)
+        progress(f"refining: error {max(gaps):.1e}", refinement / _REFINEMENTS)
         program.build(p, _FINER**refinement)
-        again = [program.solve(point.y, p, near=True) for point in points]
-        points = [new if new.solved else old for new, old in zip(again, points, strict=True)]
+        for k, gap in enumerate(gaps):
+            if gap > wanted and (again := program.solve(points[k].y, p, near=True)).solved:
+                points[k] = again
     gap = max(_gap(program, p, point) for point in points)
     if gap <= wanted:
         return points, ()

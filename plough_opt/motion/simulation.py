@@ -57,7 +57,8 @@ def simulate(scene: Scene, duration: Expression, *, accuracy: Accuracy | None = 
 
     Raises:
         DomainError: the duration is not positive.
-        InputError: fewer than one output interval, or SX symbols with a method that cannot take them.
+        InputError: fewer than one output interval, an array in the scene, or SX symbols with a method that
+            cannot take them.
         IntegrationError: the method failed; the message says for which scene, when and the likely cause.
     """
     check_domain("duration", duration, "s", above=0.0)
@@ -68,6 +69,9 @@ def simulate(scene: Scene, duration: Expression, *, accuracy: Accuracy | None = 
         if any(map(is_symbolic, (*parameters(scene).values(), scene.mass, duration))):
             return _symbolic(scene, duration, accuracy, outputs)
         scene, duration = map_expressions((scene, duration), lambda value: float(as_number(value)))
+    for name, value in parameters(scene).items():
+        if np.ndim(value) > 0:
+            raise InputError(f"{name} is an array of {np.size(value)} values: simulate takes one scene at a time")
     started = time.perf_counter()
     run, error, notes = _verified(scene, float(duration), accuracy, outputs)
     notes = (*scene.warnings(), *notes, *_retreat(run))

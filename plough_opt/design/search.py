@@ -21,6 +21,7 @@ Progress = Callable[[str, float], None]
 # A violated requirement must outweigh any gain in the scaled objective, which is of order 1.
 _PENALTY = 100.0
 _ROUNDS = 3
+_FEASIBLE = 1e-6
 # Two scaled points nearer than this are one optimum.
 _SAME = 1e-4
 _SAME_GEOMETRY = 1e-2
@@ -94,10 +95,11 @@ def global_search(
             visited.append(np.delete(fresh[0].y, variable))
             scan, starts = _scan(program, p, fresh[0], variable, progress)
             scans.append(scan)
-            for number, start in enumerate(starts):
+            for number, (start, feasible) in enumerate(starts):
                 progress(f"polishing basin {number + 1} of {len(starts)}", number / len(starts))
                 point = program.solve(start, p, near=True)
-                if not point.solved:
+                # A start that breaks a requirement and cannot mend it nearby leads to basins already known.
+                if not point.solved and feasible:
                     point = program.solve(start, p)
                 if point.solved and not any(np.max(np.abs(point.y - other.y)) < _SAME for other in optima):
                     optima.append(point)
@@ -109,8 +111,10 @@ def _new_geometry(point: Point, variable: int, visited: list[Vector]) -> bool:
     return all(np.max(np.abs(rest - other), initial=0.0) > _SAME_GEOMETRY for other in visited)
 
 
-def _scan(program: Program, p: Vector, at: Point, variable: int, progress: Progress) -> tuple[Scan, list[Vector]]:
-    """Try positions of one variable; return the record and a start in each basin of the penalised objective."""
+def _scan(
+    program: Program, p: Vector, at: Point, variable: int, progress: Progress
+) -> tuple[Scan, list[tuple[Vector, bool]]]:
+    """Try positions of one variable; return the record, and a start in each basin and whether it is feasible."""
     declared = program.declared.variables[variable]
     progress(f"scanning {declared.name}", 0.0)
     points = np.repeat(at.y[None, :], SCAN_POINTS, axis=0)
@@ -120,6 +124,7 @@ def _scan(program: Program, p: Vector, at: Point, variable: int, progress: Progr
     left, right = np.r_[np.inf, merit[:-1]], np.r_[merit[1:], np.inf]
     basins = np.flatnonzero((merit < left) & (merit <= right) & np.isfinite(merit))
     order = basins[np.argsort(merit[basins])]
-    seen = np.where(violation <= 1e-6, objective * program.objective_scale, np.nan)
+    feasible = violation <= _FEASIBLE
+    seen = np.where(feasible, objective * program.objective_scale, np.nan)
     values = np.array([declared.value(x) for x in points[:, variable]])
-    return Scan(declared.name, values, seen), [points[k] for k in order]
+    return Scan(declared.name, values, seen), [(points[k], bool(feasible[k])) for k in order]

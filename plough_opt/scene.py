@@ -45,7 +45,7 @@ class Effects:
 
     Args:
         motion: integrate the equation of motion; False: quasi-static, the share follows the strut rigidly
-            and the draft is the soil's resistance to it.
+            and the draft is the soil's resistance to it, without the force M s'' that a ramp takes.
         inertial_drag: the resistance's part B rho0 L'^2.
         added_mass: the soil that the share carries along, C rho0 h L''.
         ambient_pressure: the soil's ambient pressure p_a in A; False takes p_a = 0.

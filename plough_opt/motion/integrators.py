@@ -21,9 +21,9 @@ from plough_opt.motion.timeline import Timeline
 
 # Lower than any force that matters; keeps the scales of a scene without forces above zero.
 _LEAST_FORCE = 1e-9
-# Lower than any time step, as fraction of the duration: makes the running mean 0/0 at the start a 0.
-_LEAST_TIME = 1e-100
 _MOST_STEPS = 2_000_000
+# A failure is reported once, as an IntegrationError, and not by CasADi at every attempt.
+_QUIET = {"show_eval_warnings": False}
 
 
 @dataclass(frozen=True)
@@ -128,7 +128,10 @@ def _scaled_equation(structure: Structure) -> dict[str, ca.SX]:
     sizes = _signal_scales(structure, known, (unit[0], unit[1]))
     values = observed.function(time, state, p[:-1]) / sizes
     squared = values[: observed.squared]
-    spread = (squared - x[2:] / (fraction + _LEAST_TIME)) ** 2
+    # At the start the running mean is 0/0; the spread is 0 there.
+    started = fraction > 0.0
+    running_mean = x[2:] / ca.if_else(started, fraction, 1.0)
+    spread = ca.if_else(started, squared - running_mean, 0.0) ** 2
     return {
         "t": fraction,
         "x": x,
@@ -141,10 +144,10 @@ def _scaled_equation(structure: Structure) -> dict[str, ca.SX]:
 def _options(accuracy: Accuracy, timeline: Timeline) -> dict[str, Any]:
     """Return CasADi's options for a method and its setting."""
     if accuracy.method not in ADAPTIVE:
-        return {"number_of_finite_elements": timeline.steps}
+        return {"number_of_finite_elements": timeline.steps, **_QUIET}
     tolerance = accuracy.tolerance
     assert tolerance is not None  # `resolve` has given it one
-    options: dict[str, Any] = {"reltol": tolerance, "abstol": 0.01 * tolerance, "max_num_steps": _MOST_STEPS}
+    options: dict[str, Any] = {**_QUIET, "reltol": tolerance, "abstol": 0.01 * tolerance, "max_num_steps": _MOST_STEPS}
     if accuracy.method in ("cvodes", "idas"):
         # Without the quadratures in the error control, sensitivities of these two can be silently wrong.
         options["quad_err_con"] = True

@@ -27,14 +27,18 @@ _FEWEST_STEPS = 20
 _MOST_STEPS = 4_000_000
 
 
+def forced_rate(p: Mapping[str, float]) -> float:
+    """Return the fastest angular frequency [rad/s] that the strut and the soil impose."""
+    # The wave is a sine of the travel, to which the share's own oscillation adds harmonics.
+    wave = 4.0 * math.pi * p["tow_speed"] / p["wavelength"] if "wavelength" in p else 0.0
+    ramp = 2.0 * math.pi / p["ramp_time"] if "ramp_time" in p else 0.0
+    return max(wave, ramp)
+
+
 def fastest_rate(p: Mapping[str, float]) -> float:
     """Return the fastest angular frequency or decay rate [rad/s] of the parameters of an equation of motion."""
-    speed = p.get("tow_speed", 0.0)
-    decay = (p.get("damping", 0.0) + 2.0 * p.get("drag", 0.0) * speed) / p["inertia"]
-    # The wave is a sine of the travel, to which the share's own oscillation adds harmonics.
-    wave = 4.0 * math.pi * speed / p["wavelength"] if "wavelength" in p else 0.0
-    ramp = 2.0 * math.pi / p["ramp_time"] if "ramp_time" in p else 0.0
-    return max(math.sqrt(p["stiffness"] / p["inertia"]), wave, decay, ramp)
+    decay = (p.get("damping", 0.0) + 2.0 * p.get("drag", 0.0) * p.get("tow_speed", 0.0)) / p["inertia"]
+    return max(math.sqrt(p["stiffness"] / p["inertia"]), decay, forced_rate(p))
 
 
 def phase(p: Mapping[str, float], duration: float) -> float:

@@ -52,7 +52,9 @@ def signals(structure: Structure) -> Signals:
         speed = start_speed(structure, symbols) + strut(structure, symbols, time).gain
         values.append((first + force) * speed)
     expression = ca.vertcat(*values)
-    used = {s.name() for s in ca.symvar(expression)} | set(equation_of_motion(structure).names)
+    # A start at rest needs the strut's speed even where nothing else does.
+    everything = ca.vertcat(expression, start_rate(structure, symbols))
+    used = {s.name() for s in ca.symvar(everything)} | set(equation_of_motion(structure).names)
     names = tuple(name for name in PARAMETERS if name in used)
     p = ca.vertcat(*(symbols[name] for name in names))
     function = ca.Function("signals", [time, ca.vertcat(w, rate), p], [expression])

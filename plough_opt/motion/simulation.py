@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from plough_opt.accuracy import DEFAULT_ERROR, ORDER_8, Accuracy
+from plough_opt.accuracy import DEFAULT_ERROR, FIXED_STEP, Accuracy
 from plough_opt.domain import check_domain
 from plough_opt.errors import InputError, IntegrationError
 from plough_opt.expressions import Expression, as_number, holds_casadi, is_symbolic, map_expressions
@@ -21,6 +21,7 @@ from plough_opt.motion.plan import (
     STIFF_PHASE,
     automatic,
     check_of,
+    forced_rate,
     phase,
     steps_for,
     timeline_of,
@@ -57,14 +58,16 @@ def simulate(scene: Scene, duration: Expression, *, accuracy: Accuracy | None = 
 
     Raises:
         DomainError: the duration is not positive.
-        InputError: fewer than one output interval, an array in the scene, or SX symbols with a method that
-            cannot take them.
+        InputError: fewer than one output interval, an array in the scene, an integration method for a
+            quasi-static scene, or SX symbols with a method that cannot take them.
         IntegrationError: the method failed; the message says for which scene, when and the likely cause.
     """
     check_domain("duration", duration, "s", above=0.0)
     if outputs < 1:
         raise InputError(f"outputs = {outputs} must be at least 1: the number of intervals between output times")
     accuracy = accuracy or Accuracy()
+    if accuracy.method != "auto" and not scene.effects.motion:
+        raise InputError(f"accuracy method '{accuracy.method}' has nothing to integrate in a quasi-static scene")
     if holds_casadi((scene, duration)):
         if any(map(is_symbolic, (*parameters(scene).values(), scene.mass, duration))):
             return _symbolic(scene, duration, accuracy, outputs)
@@ -90,12 +93,12 @@ def _symbolic(scene: Scene, duration: Expression, accuracy: Accuracy, outputs: i
 
 def _verified(scene: Scene, duration: float, accuracy: Accuracy, outputs: int) -> tuple[Run, float, tuple[str, ...]]:
     """Integrate twice; return the run, its estimated error, and a note where the wanted error was missed."""
-    total = _phase(scene, duration)
     if not scene.effects.motion:
-        timeline = timeline_of(scene, duration, outputs, max(outputs, steps_for(total)))
+        timeline = timeline_of(scene, duration, outputs, steps_for(forced_rate(_numbers(scene)) * duration))
         run = quasi_static(scene, duration, timeline, accuracy)
         check = quasi_static(scene, duration, timeline, accuracy, GAUSS_POINTS + 6)
         return run, _difference(run, check), ()
+    total = _phase(scene, duration)
     if accuracy.method != "auto":
         return *_twice(scene, duration, with_setting(accuracy, steps_for(total), outputs), outputs), ()
     wanted = accuracy.error or DEFAULT_ERROR
@@ -164,10 +167,12 @@ def _attempt(solver: Integration, p: list[float]) -> list[NDArray[np.float64]] |
 
 def _likely_cause(scene: Scene, duration: float, solver: Integration) -> str:
     """Return what probably made an integration fail, and what to do."""
-    total, steps = _phase(scene, duration), len(solver.timeline.nodes) - 1
+    total, outputs, accuracy = _phase(scene, duration), solver.timeline.outputs, solver.accuracy
     turns = total / (2.0 * math.pi)
-    if solver.accuracy.method in ORDER_8 and total / steps > 2.0:
-        return f"{steps} steps are too few for {turns:.3g} oscillations: take steps={steps_for(total)}"
+    if accuracy.method in FIXED_STEP:
+        enough = with_setting(replace(accuracy, steps=None), steps_for(total), outputs).steps or 0
+        if enough > 2 * (accuracy.steps or 0):
+            return f"{accuracy.steps} steps are too few for {turns:.3g} oscillations: take steps={enough}"
     if total > STIFF_PHASE:
         return (
             f"it oscillates {turns:.3g} times meanwhile: use the quasi-static scene (Effects(motion=False)),"
@@ -177,7 +182,11 @@ def _likely_cause(scene: Scene, duration: float, solver: Integration) -> str:
 
 
 def _phase(scene: Scene, duration: float) -> float:
-    return phase({name: float(as_number(value)) for name, value in parameters(scene).items()}, duration)
+    return phase(_numbers(scene), duration)
+
+
+def _numbers(scene: Scene) -> dict[str, float]:
+    return {name: float(as_number(value)) for name, value in parameters(scene).items()}
 
 
 def _difference(run: Run, check: Run) -> float:
@@ -192,7 +201,7 @@ def _difference(run: Run, check: Run) -> float:
 
 
 def _retreat(run: Run) -> tuple[str, ...]:
-    """Return a warning where a resistance of fixed sign pushes the share backwards."""
+    """Return a warning where, at an output time, a resistance of fixed sign pushes the share backwards."""
     slowest = float(np.min(run.speed))
     if slowest >= -_RETREAT * float(np.max(np.abs(run.speed))):
         return ()

@@ -1,0 +1,71 @@
+"""Scenes that several test files share."""
+
+import itertools
+
+import pytest
+
+import plough_opt as po
+
+FLAGS = ("drag", "rate", "wave", "ramp", "damper", "rest")
+
+
+def _is_covering(drag, rate, wave, ramp, damper, rest):
+    # Sixteen of the sixty-four combinations: in any three of the flags all eight settings occur.
+    return damper == (drag ^ rate ^ wave) and rest == (drag ^ rate ^ ramp)
+
+
+@pytest.fixture(scope="session")
+def r1_soil():
+    return po.Soil(
+        density=1400.0,
+        density_ratio=0.8,
+        cohesion=15e3,
+        friction_angle=po.deg(30.0),
+        tool_friction=0.5,
+        ambient_pressure=1e4,
+    )
+
+
+@pytest.fixture(scope="session")
+def r1_scene(r1_soil):
+    """Build a scene of problem R1: a steel share and 20 kg of frame at 2 m/s under a strength wave."""
+
+    def build(wedge_angle_deg=25.0, height=0.25, stiffness=5e4, *, tow_speed=2.0, soil=r1_soil, **effects):
+        share = po.Wedge(po.deg(wedge_angle_deg), po.deg(15.0), height)
+        mass = 20.0 + share.equivalent_cone().solid_mass(7850.0)
+        return po.Scene(soil, share, stiffness, mass, tow_speed, po.Effects(**effects))
+
+    return build
+
+
+@pytest.fixture(scope="session")
+def r1_wave():
+    return po.StrengthWave(amplitude=0.3, wavelength=0.6)
+
+
+@pytest.fixture(
+    params=[
+        pytest.param(
+            dict(zip(FLAGS, flags, strict=True)),
+            id="+".join(name for name, on in zip(FLAGS, flags, strict=True) if on) or "none",
+            marks=() if _is_covering(*flags) else pytest.mark.slow,
+        )
+        for flags in itertools.product((False, True), repeat=len(FLAGS))
+    ]
+)
+def combination(request):
+    """Which effects are on: a covering sixteen by default, all sixty-four with the slow tests."""
+    return request.param
+
+
+@pytest.fixture
+def effects(combination):
+    """The keywords of `plough_opt.Effects` for a combination, all with strengths that matter."""
+    return {
+        "inertial_drag": combination["drag"],
+        "rate_term": 0.05 if combination["rate"] else None,
+        "strength_wave": po.StrengthWave(0.3, 0.6) if combination["wave"] else None,
+        "tow_ramp": 0.137 if combination["ramp"] else None,
+        "damping": 250.0 if combination["damper"] else None,
+        "start": "rest" if combination["rest"] else "equilibrium",
+    }

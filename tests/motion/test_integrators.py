@@ -1,0 +1,205 @@
+"""One equation, seven methods: they agree, keep their orders and differentiate alike."""
+
+import functools
+
+import casadi as ca
+import numpy as np
+import pytest
+
+import plough_opt as po
+
+WAVE = po.StrengthWave(0.3, 0.6)
+SCENES = {
+    "wave": {"strength_wave": WAVE},
+    "wave from rest": {"strength_wave": WAVE, "start": "rest"},
+    "damped from rest": {"strength_wave": WAVE, "start": "rest", "damping": 250.0},
+    "everything": {
+        "strength_wave": WAVE,
+        "start": "rest",
+        "rate_term": 0.05,
+        "damping": 250.0,
+        "tow_ramp": 0.137,
+    },
+    "bare": {"inertial_drag": False, "added_mass": False, "ambient_pressure": False},
+}
+# Settings tight enough for 1e-9. The kink at a tow ramp's end costs the low orders of collocation most.
+TIGHT = [
+    po.Accuracy("cvodes", tolerance=1e-12),
+    po.Accuracy("idas", tolerance=1e-12),
+    po.Accuracy("erk", tolerance=1e-12),
+    po.Accuracy("rosenbrock", tolerance=1e-12),
+    po.Accuracy("collocation", steps=4000),
+    po.Accuracy("rk", steps=16000),
+]
+ARRAYS = ("time", "travel", "speed", "deflection", "mount_force", "soil_resistance")
+AVERAGES = ("mean_draft", "force_rms", "mean_deflection", "displacement_rms", "tow_power")
+
+
+def method(accuracy):
+    return accuracy.method if isinstance(accuracy, po.Accuracy) else None
+
+
+@pytest.mark.parametrize("accuracy", TIGHT, ids=method)
+@pytest.mark.parametrize("name", SCENES)
+def test_all_methods_agree(r1_scene, name, accuracy):
+    scene = r1_scene(**SCENES[name])
+    found = po.simulate(scene, 1.0, accuracy=accuracy, outputs=20)
+    order_8 = po.simulate(scene, 1.0, accuracy=po.Accuracy("dop853", steps=2000), outputs=20)
+    for attribute in (*ARRAYS, *AVERAGES):
+        size = np.max(np.abs(getattr(order_8, attribute)))
+        # Tolerances of 1e-12 accumulate over some seven oscillations.
+        assert getattr(found, attribute) == pytest.approx(getattr(order_8, attribute), rel=0, abs=1e-9 * size), (
+            attribute
+        )
+
+
+@pytest.mark.parametrize("accuracy", [po.Accuracy("dop853"), *map(po.Accuracy, ("cvodes", "idas", "erk"))], ids=method)
+def test_estimate_of_a_named_method_covers_its_error(r1_scene, accuracy):
+    scene = r1_scene(**SCENES["everything"])
+    coarse = po.simulate(scene, 1.0, accuracy=accuracy, outputs=20)
+    fine = po.simulate(scene, 1.0, accuracy=po.Accuracy("dop853", steps=4000), outputs=20)
+    assert abs(coarse.mean_draft - fine.mean_draft) <= 2 * coarse.error_estimate * fine.mean_draft + 1e-10
+    assert abs(coarse.force_rms - fine.force_rms) <= 2 * coarse.error_estimate * fine.mean_draft + 1e-10
+
+
+# --- orders of convergence ---
+
+
+def error_of(scene, accuracy, fine):
+    run = po.simulate(scene, 2.0, accuracy=accuracy, outputs=10)
+    return np.max(np.abs(run.mount_force - fine.mount_force)) / np.max(np.abs(fine.mount_force))
+
+
+def order_of(scene, name, steps):
+    """Return the order between two numbers of steps, the larger twice the smaller."""
+    fine = po.simulate(scene, 2.0, accuracy=po.Accuracy("dop853", steps=4000), outputs=10)
+    coarse, finer = (error_of(scene, po.Accuracy(name, steps=n), fine) for n in (steps, 2 * steps))
+    # Between rounding and the range in which the leading term does not yet rule.
+    assert 1e-11 < finer < coarse < 1e-3
+    return np.log2(coarse / finer)
+
+
+@pytest.mark.parametrize(
+    "effects",
+    [
+        {"strength_wave": WAVE},
+        {"strength_wave": WAVE, "start": "rest"},
+        {"strength_wave": WAVE, "start": "rest", "damping": 300.0, "rate_term": 0.05},
+        # The ramp ends between two outputs and between two of the equal steps.
+        {"strength_wave": WAVE, "tow_ramp": 0.371234, "damping": 300.0},
+        {"strength_wave": WAVE, "tow_ramp": 0.371234, "start": "rest"},
+    ],
+    ids=["smooth", "rest", "damper and rate", "ramp", "ramp from rest"],
+)
+def test_order_8(r1_scene, effects):
+    assert order_of(r1_scene(**effects), "dop853", 100) >= 7.8
+
+
+def test_order_5_of_collocation(r1_scene):
+    # Radau points of degree 3.
+    assert order_of(r1_scene(strength_wave=WAVE), "collocation", 240) == pytest.approx(5.0, abs=0.1)
+
+
+def test_order_4_of_rk(r1_scene):
+    assert order_of(r1_scene(strength_wave=WAVE), "rk", 2560) == pytest.approx(4.0, abs=0.1)
+
+
+def test_averages_keep_order_8_too(r1_scene):
+    scene = r1_scene(strength_wave=WAVE, tow_ramp=0.371234, damping=300.0)
+    fine = po.simulate(scene, 2.0, accuracy=po.Accuracy("dop853", steps=4000), outputs=10)
+    coarse, finer = (po.simulate(scene, 2.0, accuracy=po.Accuracy("dop853", steps=n), outputs=10) for n in (80, 160))
+    for average in AVERAGES:
+        errors = [abs(getattr(run, average) - getattr(fine, average)) for run in (coarse, finer)]
+        assert np.log2(errors[0] / errors[1]) >= 7.8, average
+
+
+# --- derivatives ---
+
+
+@functools.cache
+def derivatives(r1_scene, name, accuracy, order):
+    """Return mean and RMS with their derivatives by height and stiffness, as fractions of both."""
+    x = ca.MX.sym("x", 2)
+    scene = r1_scene(25.0, 0.25 * x[0], 5e4 * x[1], **SCENES[name])
+    run = po.simulate(scene, 0.5, accuracy=accuracy, outputs=5)
+    results = [ca.vertcat(run.mean_draft, run.force_rms)]
+    for _ in range(order):
+        results.append(ca.jacobian(results[-1], x))
+    return [result.full() for result in ca.Function("derivatives", [x], results).call([ca.DM([1.0, 1.0])])]
+
+
+def assert_same_derivatives(r1_scene, name, accuracy, allowed, order):
+    expected = derivatives(r1_scene, name, po.Accuracy("dop853", steps=400), order)
+    for found, truth in zip(derivatives(r1_scene, name, accuracy, order), expected, strict=True):
+        assert found == pytest.approx(truth, rel=0, abs=allowed * np.max(np.abs(truth)))
+
+
+@pytest.mark.parametrize("name", ["wave from rest", "damped from rest", "everything"])
+@pytest.mark.parametrize(
+    ("accuracy", "allowed"),
+    [
+        (po.Accuracy("cvodes", tolerance=1e-11), 1e-8),
+        (po.Accuracy("idas", tolerance=1e-11), 1e-8),
+        (po.Accuracy("erk", tolerance=1e-11), 1e-9),
+        (po.Accuracy("rosenbrock", tolerance=1e-11), 1e-9),
+        # Order 5 and 4 with these steps; the kink at the ramp's end brings collocation to order 3.
+        (po.Accuracy("collocation", steps=800), 1e-7),
+        (po.Accuracy("rk", steps=3200), 1e-7),
+    ],
+    ids=method,
+)
+def test_all_methods_have_the_same_gradient(r1_scene, name, accuracy, allowed):
+    assert_same_derivatives(r1_scene, name, accuracy, allowed, order=1)
+
+
+@pytest.mark.parametrize("name", ["cvodes", "erk"])
+def test_adaptive_methods_have_the_same_second_derivatives(r1_scene, name):
+    assert_same_derivatives(r1_scene, "everything", po.Accuracy(name, tolerance=1e-11), 1e-8, order=2)
+
+
+@pytest.mark.parametrize("name", ["cvodes", "idas", "erk", "rosenbrock", "collocation", "rk"])
+def test_sx_symbols_are_refused_by_methods_that_take_mx_only(r1_scene, name):
+    scene = r1_scene(stiffness=ca.SX.sym("stiffness"))
+    with pytest.raises(po.InputError, match=f"'{name}' takes MX symbols only: .*casadi.MX, or use 'dop853'"):
+        po.simulate(scene, 1.0, accuracy=po.Accuracy(name))
+
+
+# --- failure ---
+
+
+def test_failure_names_scene_time_and_cause(r1_scene):
+    scene = r1_scene(stiffness=5e5, start="rest")
+    with pytest.raises(po.IntegrationError) as caught:
+        po.simulate(scene, 200.0, accuracy=po.Accuracy("dop853", steps=4), outputs=2)
+    message = str(caught.value)
+    assert "half angle 8.93 deg and height 0.25 m" in message
+    assert "5e+05 N/m" in message
+    assert "at 2 m/s" in message
+    assert "beyond t = " in message
+    assert "of 200 s" in message
+    assert "4 steps are too few for" in message
+    assert "take steps=" in message
+
+
+def test_advice_of_a_failure_works(r1_scene):
+    scene = r1_scene(stiffness=5e5, start="rest")
+    with pytest.raises(po.IntegrationError) as caught:
+        po.simulate(scene, 200.0, accuracy=po.Accuracy("dop853", steps=4), outputs=2)
+    steps = int(str(caught.value).rsplit("steps=", 1)[1])
+    run = po.simulate(scene, 200.0, accuracy=po.Accuracy("dop853", steps=steps), outputs=2)
+    # Phase errors grow with 200 s of oscillation; they are told.
+    assert run.error_estimate < 1e-6
+
+
+def test_too_few_steps_of_a_lower_order_are_named_as_the_cause(r1_scene):
+    scene = r1_scene(stiffness=5e5, start="rest")
+    with pytest.raises(po.IntegrationError, match="steps are too few"):
+        po.simulate(scene, 200.0, accuracy=po.Accuracy("rk", steps=4), outputs=2)
+
+
+@pytest.mark.parametrize("name", ["auto", "dop853", "rosenbrock"])
+def test_a_share_driven_away_without_bound_is_named_as_the_cause(r1_scene, name):
+    # Backwards, a resistance of fixed sign that grows with the speed has no limit.
+    scene = r1_scene(15.0, 0.35, 2e4, tow_speed=1.2, soil=po.named_soil("hardpan"), rate_term=0.1, start="rest")
+    with pytest.raises(po.IntegrationError, match=r"in hardpan, .* beyond t = .*the resistance drives the share away"):
+        po.simulate(scene, 2.0, accuracy=po.Accuracy(name), outputs=20)

@@ -1,0 +1,161 @@
+"""The quasi-static limit against closed forms, quadrature and the stiff mount."""
+
+import dataclasses
+import math
+
+import casadi as ca
+import numpy as np
+import pytest
+from scipy.integrate import quad
+
+import plough_opt as po
+
+WAVE = po.StrengthWave(amplitude=0.3, wavelength=0.6)
+AVERAGES = ("mean_draft", "force_rms", "mean_deflection", "displacement_rms", "tow_power")
+ARRAYS = ("time", "travel", "speed", "deflection", "mount_force", "soil_resistance")
+
+
+@pytest.fixture
+def quasi_scene(r1_scene):
+    def build(*args, **keywords):
+        return r1_scene(*args, **keywords, motion=False)
+
+    return build
+
+
+@pytest.mark.parametrize("duration", [0.07, 0.3, 2.0])
+@pytest.mark.parametrize("wavelength", [0.02, 0.6, 50.0])
+@pytest.mark.parametrize("rate_term", [None, 0.05])
+def test_wave_in_closed_form(quasi_scene, duration, wavelength, rate_term):
+    scene = quasi_scene(strength_wave=po.StrengthWave(0.3, wavelength), rate_term=rate_term)
+    run = po.simulate(scene, duration)
+    v, reaction = scene.tow_speed, scene.reaction
+    static, drag = reaction.static * (1.0 + (rate_term or 0.0) * v**2), reaction.drag * v**2
+    # Mean and mean square of sin(x) for x from 0 to the phase of the whole path.
+    phase = 2 * math.pi * v * duration / wavelength
+    mean = (1 - math.cos(phase)) / phase
+    square = 0.5 - math.sin(2 * phase) / (4 * phase)
+    rms = 0.3 * static * math.sqrt(square - mean**2)
+    # Gauss-Legendre of degree 19 on panels of at most half a radian is exact; rounding is left.
+    assert run.mean_draft == pytest.approx(static * (1 + 0.3 * mean) + drag, rel=1e-13)
+    assert run.force_rms == pytest.approx(rms, rel=0, abs=1e-13 * run.mean_draft)
+    assert run.mean_deflection == pytest.approx(run.mean_draft / scene.stiffness, rel=1e-15)
+    assert run.displacement_rms == pytest.approx(run.force_rms / scene.stiffness, rel=1e-15)
+    assert run.tow_power == pytest.approx(run.mean_draft * v, rel=1e-13)
+    assert run.error_estimate < 1e-13
+    sine = np.sin(2 * np.pi * v * run.time / wavelength)
+    # A phase of hundreds of radians rounds to 1e-14 of itself.
+    assert run.mount_force == pytest.approx(static * (1 + 0.3 * sine) + drag, rel=1e-13)
+    assert run.deflection == pytest.approx(run.mount_force / scene.stiffness, rel=1e-15)
+    assert list(run.soil_resistance) == list(run.mount_force)
+    assert run.travel == pytest.approx(v * run.time, rel=1e-15)
+    assert run.speed == pytest.approx(np.full(401, v), rel=1e-15)
+
+
+@pytest.mark.parametrize(("ramp", "duration"), [(0.3, 1.0), (0.371234, 1.0), (1.0, 1.0), (2.5, 1.0)])
+@pytest.mark.parametrize("rate_term", [None, 0.05])
+def test_tow_ramp_by_adaptive_quadrature(quasi_scene, ramp, duration, rate_term):
+    scene = quasi_scene(strength_wave=WAVE, tow_ramp=ramp, rate_term=rate_term)
+    run = po.simulate(scene, duration, outputs=10)
+    smoothstep = np.polynomial.Polynomial([0, 0, 0, 10, -15, 6])
+    path = smoothstep.integ()
+    v, reaction = scene.tow_speed, scene.reaction
+
+    def speed(t):
+        return v * smoothstep(min(t / ramp, 1.0))
+
+    def force(t):
+        s = v * (ramp * path(min(t / ramp, 1.0)) + max(t - ramp, 0.0))
+        static = reaction.static * (1 + (rate_term or 0.0) * speed(t) ** 2)
+        return static * (1 + 0.3 * math.sin(2 * math.pi * s / 0.6)) + reaction.drag * speed(t) ** 2
+
+    def average(function):
+        points = [ramp] if ramp < duration else None
+        return quad(function, 0.0, duration, points=points, epsrel=1e-13, epsabs=0.0, limit=200)[0] / duration
+
+    mean = average(force)
+    assert run.mean_draft == pytest.approx(mean, rel=1e-12)
+    assert run.force_rms == pytest.approx(math.sqrt(average(lambda t: (force(t) - mean) ** 2)), rel=1e-12)
+    assert run.tow_power == pytest.approx(average(lambda t: force(t) * speed(t)), rel=1e-12)
+    assert run.mount_force == pytest.approx([force(t) for t in run.time], rel=1e-12)
+    assert run.speed == pytest.approx([speed(t) for t in run.time], rel=1e-12, abs=1e-15)
+
+
+def test_without_a_wave_nothing_varies(quasi_scene):
+    run = po.simulate(quasi_scene(), 2.0)
+    # The weights of 400 panels sum to one within some last bits.
+    assert run.force_rms == pytest.approx(0.0, abs=1e-14 * run.mean_draft)
+    assert run.mean_draft == pytest.approx(run.scene.steady_resistance, rel=1e-14)
+
+
+def test_smallest_wave_keeps_its_digits(quasi_scene):
+    # Whole waves: RMS eps F0/sqrt(2). It is 1e-9 of the mean draft.
+    run = po.simulate(quasi_scene(strength_wave=po.StrengthWave(1e-9, 0.5)), 2.0)
+    assert run.force_rms == pytest.approx(1e-9 * run.scene.reaction.static / math.sqrt(2), rel=1e-8)
+
+
+@pytest.mark.parametrize("effects", [{}, {"tow_ramp": 0.3, "rate_term": 0.05}])
+def test_mass_has_no_influence(quasi_scene, effects):
+    scene = quasi_scene(strength_wave=WAVE, **effects)
+    run = po.simulate(scene, 2.0)
+    for other in (
+        dataclasses.replace(scene, mass=1000.0),
+        dataclasses.replace(scene, effects=dataclasses.replace(scene.effects, added_mass=False)),
+    ):
+        found = po.simulate(other, 2.0)
+        assert all(getattr(found, name) == getattr(run, name) for name in AVERAGES)
+        assert all(list(getattr(found, name)) == list(getattr(run, name)) for name in ARRAYS)
+
+
+def test_stiffness_moves_the_deflection_only(quasi_scene):
+    soft, stiff = (po.simulate(quasi_scene(stiffness=k, strength_wave=WAVE), 2.0) for k in (1e4, 1e6))
+    # Exactly: nothing oscillates on the mount, so its frequency must not set the quadrature's panels either.
+    assert soft.mean_draft == stiff.mean_draft
+    assert soft.mean_deflection == pytest.approx(100 * stiff.mean_deflection, rel=1e-14)
+
+
+def test_stiff_mounts_tend_to_it(r1_scene, quasi_scene):
+    def difference(stiffness):
+        moving = po.simulate(r1_scene(stiffness=stiffness, strength_wave=WAVE, damping=2000.0), 0.5)
+        limit = po.simulate(quasi_scene(stiffness=stiffness, strength_wave=WAVE), 0.5)
+        return abs(moving.mean_draft - limit.mean_draft) / limit.mean_draft
+
+    stiff, stiffer = difference(1e6), difference(1e8)
+    # The share lags by the deflection, which is in inverse proportion to the stiffness.
+    assert stiffer < 1e-5
+    assert stiff / stiffer == pytest.approx(100.0, rel=0.1)
+
+
+@pytest.mark.parametrize("kind", [ca.SX, ca.MX])
+@pytest.mark.parametrize("effects", [{}, {"tow_ramp": 0.3}, {"tow_ramp": 0.3, "rate_term": 0.05}])
+def test_numbers_and_symbols_run_alike(quasi_scene, kind, effects):
+    x = kind.sym("x", 3)
+    symbolic = po.simulate(quasi_scene(25.0, x[0], x[1], tow_speed=x[2], strength_wave=WAVE, **effects), 2.0)
+    numeric = po.simulate(quasi_scene(25.0, 0.3, 4e4, tow_speed=1.5, strength_wave=WAVE, **effects), 2.0)
+    names = (*ARRAYS, *AVERAGES)
+    of_x = ca.Function("run", [x], [getattr(symbolic, name) for name in names])
+    for name, found in zip(names, of_x.call([ca.DM([0.3, 4e4, 1.5])]), strict=True):
+        # Gauss-Legendre of degree 7 on panels of 0.1 rad.
+        assert found.full().ravel() == pytest.approx(getattr(numeric, name), rel=1e-11, abs=1e-15), name
+
+
+def test_gradient_is_that_of_the_closed_form(quasi_scene):
+    x = ca.MX.sym("x", 2)
+    run = po.simulate(quasi_scene(tow_speed=x[0], strength_wave=po.StrengthWave(x[1], 0.6)), 2.0)
+    values = ca.vertcat(run.mean_draft, run.force_rms)
+    v, eps, duration = ca.MX.sym("v"), ca.MX.sym("eps"), 2.0
+    reaction = quasi_scene().reaction
+    phase = 2 * math.pi * v * duration / 0.6
+    mean = (1 - ca.cos(phase)) / phase
+    square = 0.5 - ca.sin(2 * phase) / (4 * phase)
+    closed = ca.vertcat(
+        reaction.static * (1 + eps * mean) + reaction.drag * v**2, reaction.static * eps * ca.sqrt(square - mean**2)
+    )
+    found = ca.Function("found", [x], [ca.jacobian(values, x)])([1.9, 0.3]).full()
+    expected = ca.Function("expected", [v, eps], [ca.jacobian(closed, ca.vertcat(v, eps))])(1.9, 0.3).full()
+    assert found == pytest.approx(expected, rel=0, abs=1e-11 * np.max(np.abs(expected)))
+
+
+def test_a_quasi_static_run_warns_of_what_its_scene_does(quasi_scene):
+    scene = quasi_scene(strength_wave=WAVE)
+    assert po.simulate(scene, 2.0).warnings == scene.warnings()

@@ -1,0 +1,47 @@
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from plough_opt.motion.timeline import Timeline
+
+
+def test_every_output_interval_has_the_same_whole_number_of_steps():
+    timeline = Timeline(outputs=4, steps=12)
+    assert timeline.nodes == pytest.approx(np.arange(13) / 12, rel=0, abs=4e-16)
+    assert timeline.output_columns == [0, 3, 6, 9, 12]
+    assert list(timeline.output_fractions) == [0.0, 0.25, 0.5, 0.75, 1.0]
+
+
+@pytest.mark.parametrize(
+    ("outputs", "steps", "taken"), [(1, 1, 1), (1, 7, 7), (7, 1, 7), (5, 5, 5), (5, 12, 10), (5, 13, 15), (100, 3, 100)]
+)
+def test_each_interval_takes_the_nearest_whole_number_of_steps(outputs, steps, taken):
+    assert len(Timeline(outputs, steps).nodes) == taken + 1
+
+
+def test_a_step_ends_at_the_kink():
+    timeline = Timeline(outputs=2, steps=4, kink=0.6)
+    assert list(timeline.nodes) == [0.0, 0.25, 0.5, 0.6, 0.75, 1.0]
+    assert timeline.output_columns == [0, 2, 5]
+
+
+@pytest.mark.parametrize("kink", [None, 0.25, 0.25 + 1e-12, 0.25 - 1e-12, 1.0 - 1e-12])
+def test_a_kink_at_a_node_adds_no_step_without_length(kink):
+    assert Timeline(outputs=4, steps=4, kink=kink).nodes == pytest.approx([0.0, 0.25, 0.5, 0.75, 1.0], rel=0, abs=0)
+
+
+@given(
+    outputs=st.integers(1, 60),
+    steps=st.integers(1, 400),
+    kink=st.none() | st.floats(0.0, 1.0, exclude_min=True, exclude_max=True),
+)
+def test_nodes_hold_outputs_and_kink_in_order(outputs, steps, kink):
+    timeline = Timeline(outputs, steps, kink)
+    assert timeline.nodes[0] == 0.0
+    assert timeline.nodes[-1] == 1.0
+    # A kink nearer than 1e-9 to a node is that node.
+    assert np.min(np.diff(timeline.nodes)) > 0.9e-9
+    assert kink is None or np.min(np.abs(timeline.nodes - kink)) < 1e-9
+    # linspace over outputs and over steps may differ in the last bit.
+    assert timeline.nodes[timeline.output_columns] == pytest.approx(timeline.output_fractions, rel=0, abs=4e-16)

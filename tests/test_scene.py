@@ -1,0 +1,213 @@
+import dataclasses
+import math
+
+import casadi as ca
+import pytest
+
+import plough_opt as po
+
+# --- effects: choices and what excludes what ---
+
+
+def test_defaults_are_the_equation_as_derived():
+    effects = po.Effects()
+    assert (effects.motion, effects.inertial_drag, effects.added_mass, effects.ambient_pressure) == (True,) * 4
+    assert (effects.contact, effects.start) == ("resisting", "equilibrium")
+    assert effects.strength_wave is effects.tow_ramp is effects.damping is effects.rate_term is None
+
+
+@pytest.mark.parametrize("contact", ["stick_slip", "Resisting", None, 0])
+def test_an_unknown_contact_law_is_refused(contact):
+    with pytest.raises(po.InputError, match="not a contact law of this version: use 'resisting'"):
+        po.Effects(contact=contact)
+
+
+@pytest.mark.parametrize("start", ["steady", "Rest", None])
+def test_an_unknown_start_is_refused(start):
+    with pytest.raises(po.InputError, match="must be 'equilibrium' or 'rest'"):
+        po.Effects(start=start)
+
+
+@pytest.mark.parametrize(
+    ("effects", "reason"),
+    [
+        ({"start": "rest"}, "start = 'rest' needs motion"),
+        ({"damping": 100.0}, "damping needs motion"),
+        ({"damping": 0.0}, "damping needs motion"),
+    ],
+)
+def test_quasi_static_scene_refuses_what_needs_motion(effects, reason):
+    with pytest.raises(po.InputError, match=reason):
+        po.Effects(motion=False, **effects)
+
+
+@pytest.mark.parametrize(
+    ("name", "text"), [("tow_ramp", "tow ramp"), ("damping", "damping"), ("rate_term", "rate term")]
+)
+@pytest.mark.parametrize("value", [-1e-3, math.nan, math.inf])
+def test_a_strength_below_zero_is_refused(name, text, value):
+    with pytest.raises(po.DomainError, match=f"{text} = "):
+        po.Effects(**{name: value})
+
+
+@pytest.mark.parametrize(
+    ("amplitude", "wavelength", "text"),
+    [
+        (-0.1, 0.6, "amplitude = -0.1 must be at least 0"),
+        (1.1, 0.6, "amplitude = 1.1 must be at most 1: soil cannot push the share forward"),
+        (0.3, 0.0, "wavelength = 0 m must be above 0 m"),
+        (0.3, -0.6, "wavelength = -0.6 m must be above 0 m"),
+        (math.nan, 0.6, "amplitude = nan must be finite"),
+    ],
+)
+def test_a_strength_wave_outside_its_domain_is_refused(amplitude, wavelength, text):
+    with pytest.raises(po.DomainError, match=text):
+        po.StrengthWave(amplitude, wavelength)
+
+
+@pytest.mark.parametrize("amplitude", [0.0, 1.0])
+def test_ends_of_the_amplitude_belong_to_it(amplitude):
+    assert po.StrengthWave(amplitude, 0.6).amplitude == amplitude
+
+
+@pytest.mark.parametrize(("ramp", "ramps"), [(None, False), (0.0, False), (0.3, True), (ca.SX.sym("t"), True)])
+def test_a_ramp_of_no_time_is_no_ramp(ramp, ramps):
+    assert po.Effects(tow_ramp=ramp).ramps is ramps
+
+
+@pytest.mark.parametrize(
+    ("keywords", "text"),
+    [
+        ({"stiffness": 0.0}, "stiffness = 0 N/m must be above 0 N/m"),
+        ({"stiffness": -5e4}, "stiffness = -50000 N/m"),
+        ({"mass": 0.0}, "mass = 0 kg must be above 0 kg: the share itself moves"),
+        ({"tow_speed": -2.0}, "tow speed = -2 m/s must be at least 0 m/s"),
+        ({"tow_speed": math.nan}, "tow speed = nan m/s must be finite"),
+    ],
+)
+def test_a_scene_outside_its_domain_is_refused(r1_scene, keywords, text):
+    with pytest.raises(po.DomainError, match=text):
+        dataclasses.replace(r1_scene(), **keywords)
+
+
+def test_symbols_pass_until_they_have_numbers(r1_scene):
+    x = ca.SX.sym("x", 6)
+    wave = po.StrengthWave(amplitude=x[0], wavelength=x[1])
+    scene = r1_scene(stiffness=x[2], tow_speed=x[3], strength_wave=wave, damping=x[4], tow_ramp=x[5])
+    assert scene.stiffness is not None
+
+
+def test_scenes_are_values(r1_scene):
+    scene = r1_scene()
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        scene.stiffness = 1.0
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        scene.effects.damping = 1.0
+    assert scene == r1_scene()
+    assert scene != r1_scene(damping=1.0)
+
+
+# --- what a scene knows ---
+
+
+def test_share_may_be_the_equivalent_cone_itself(r1_scene):
+    scene = r1_scene()
+    cone = scene.share.equivalent_cone()
+    same = dataclasses.replace(scene, share=cone)
+    assert same.cone is cone
+    assert same.reaction == scene.reaction
+
+
+def test_reaction_is_that_of_the_soil_without_what_is_off(r1_scene):
+    full = po.soil_reaction(r1_scene().cone, r1_scene().soil)
+    dry = po.soil_reaction(r1_scene().cone, dataclasses.replace(r1_scene().soil, ambient_pressure=0.0))
+    assert r1_scene().reaction == full
+    assert r1_scene(inertial_drag=False).reaction == dataclasses.replace(full, drag=0.0)
+    assert r1_scene(added_mass=False).reaction == dataclasses.replace(full, added_mass=0.0)
+    assert r1_scene(ambient_pressure=False).reaction == dry
+    assert dry.static < full.static
+
+
+def test_scales_of_a_scene(r1_scene):
+    scene = r1_scene(strength_wave=po.StrengthWave(0.3, 0.6), rate_term=0.05)
+    static, drag, added = scene.reaction.static, scene.reaction.drag, scene.reaction.added_mass
+    assert scene.inertia == scene.mass + added
+    assert scene.natural_frequency == pytest.approx(math.sqrt(5e4 / (scene.mass + added)), rel=1e-15)
+    assert scene.wave_frequency == pytest.approx(2 * math.pi * 2.0 / 0.6, rel=1e-15)
+    assert scene.steady_resistance == pytest.approx(static * (1 + 0.05 * 4.0) + drag * 4.0, rel=1e-15)
+    assert r1_scene().wave_frequency == 0.0
+    assert r1_scene(added_mass=False).inertia == scene.mass
+
+
+# --- warnings ---
+
+
+def static_resistance(scene, pressure):
+    return po.soil_reaction(scene.cone, dataclasses.replace(scene.soil, ambient_pressure=pressure)).static
+
+
+@pytest.mark.parametrize("soil", po.soil_names())
+def test_ambient_share_is_what_the_pressure_adds(r1_scene, soil):
+    scene = r1_scene(soil=po.named_soil(soil))
+    with_it, without = static_resistance(scene, 101325.0), static_resistance(scene, 0.0)
+    share = (with_it - without) / with_it
+    assert scene.ambient_share == pytest.approx(share, rel=1e-13)
+    (warning,) = scene.warnings()
+    assert f"ambient pressure (101.3 kPa) carries {100 * share:.0f} % of the static draft" in warning
+    assert "set soil.ambient_pressure" in warning
+
+
+def test_ambient_share_of_serozem(r1_scene):
+    # It does not depend on the share: A is proportional to nu p_a + tau0/(1 + mu), equation (26).
+    soil = po.named_soil("serozem")
+    mu = math.sin(math.radians(28.0))
+    ambient, own = 2 * mu / (1 + mu) * 101325.0, 2 * 20e3 * math.cos(math.radians(28.0)) / (1 + mu)
+    for scene in (r1_scene(soil=soil), r1_scene(12.0, 0.4, soil=soil)):
+        assert scene.ambient_share == pytest.approx(ambient / (ambient + own), rel=1e-13)
+    assert round(100 * r1_scene(soil=soil).ambient_share) == 73
+
+
+def test_without_ambient_pressure_there_is_no_share_and_no_warning(r1_scene, r1_soil):
+    for scene in (r1_scene(ambient_pressure=False), r1_scene(soil=dataclasses.replace(r1_soil, ambient_pressure=0.0))):
+        assert scene.ambient_share == 0.0
+        assert scene.warnings() == ()
+
+
+def test_soil_without_strength_has_no_share(r1_scene, r1_soil):
+    scene = r1_scene(soil=dataclasses.replace(r1_soil, cohesion=0.0, ambient_pressure=0.0))
+    assert scene.reaction.static == 0.0
+    assert scene.ambient_share == 0.0
+
+
+def test_ambient_share_of_symbols(r1_scene, r1_soil):
+    pressure = ca.SX.sym("pressure")
+    share = r1_scene(soil=dataclasses.replace(r1_soil, ambient_pressure=pressure)).ambient_share
+    assert float(ca.Function("share", [pressure], [share])(1e4)) == pytest.approx(r1_scene().ambient_share, rel=1e-13)
+
+
+@pytest.mark.parametrize(("half_angle", "warned"), [(15.0, False), (19.99, False), (20.01, True), (35.0, True)])
+def test_a_blunt_share_is_warned_of(r1_scene, half_angle, warned):
+    scene = dataclasses.replace(r1_scene(ambient_pressure=False), share=po.Cone(po.deg(half_angle), 0.25))
+    found = scene.warnings()
+    assert bool(found) == warned
+    assert not warned or (f"half angle is {half_angle:.1f} deg" in found[0] and "plane sections" in found[0])
+
+
+def test_warnings_reach_the_run(r1_scene):
+    scene = dataclasses.replace(r1_scene(), share=po.Cone(po.deg(25.0), 0.2))
+    assert len(scene.warnings()) == 2
+    assert po.simulate(scene, 1.0).warnings == scene.warnings()
+
+
+def test_a_scene_without_any_force_runs(r1_scene, r1_soil):
+    soil = dataclasses.replace(r1_soil, cohesion=0.0, ambient_pressure=0.0)
+    run = po.simulate(r1_scene(soil=soil, inertial_drag=False), 1.0)
+    assert run.mean_draft == run.force_rms == 0.0
+    assert run.error_estimate == 0.0
+    assert list(run.speed) == [2.0] * 401
+
+
+def test_a_strut_that_stands_still_leaves_the_share_where_it_is(r1_scene):
+    run = po.simulate(r1_scene(tow_speed=0.0), 1.0)
+    assert run.mean_draft == run.scene.reaction.static
+    assert max(map(abs, run.speed)) == 0.0

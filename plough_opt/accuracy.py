@@ -31,8 +31,8 @@ class Accuracy:
         error: for ``"auto"``, the wanted relative error of mean draft and RMS force (each relative to the mean
             draft); default 1e-8.
         steps: for a fixed-step method, steps over the whole duration; default: as many as the scene's
-            fastest oscillation needs for 1e-8, or one for each output interval of a symbolic scene,
-            which a design refines by itself.
+            fastest oscillation needs for 1e-8, or of a symbolic scene, whose time scales are unknown, at
+            least 400 of order 8. Under ``"auto"`` a design chooses and refines them by itself.
         tolerance: for an adaptive method, relative tolerance; default 1e-10. Absolute tolerances
             follow from it and from the scene's own scales of deflection and speed.
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from plough_opt.errors import DomainError
-from plough_opt.expressions import Expression, as_number, is_symbolic
+from plough_opt.expressions import Expression, as_number, is_casadi, is_symbolic
 
 
 def check_domain(
@@ -32,10 +32,13 @@ def check_domain(
         why: where the limit comes from or what to do, added to the message.
 
     Raises:
-        DomainError: a number is not finite or lies outside; the message gives name, value and limit.
+        DomainError: not a number, or one that is not finite or lies outside; the message gives name, value
+            and limit.
     """
     if is_symbolic(value):
         return
+    if not is_casadi(value) and np.asarray(value).dtype.kind not in "iuf":
+        raise DomainError(f"{name} = {value!r} must be a number, in {unit or 'no unit'}", name)
     numbers = np.atleast_1d(as_number(value))
     rules = [
         (np.isfinite(numbers), "finite", None),
@@ -48,7 +51,9 @@ def check_domain(
     for holds, relation, limit in rules:
         # An absent limit is infinite: only the rule of finiteness can then fail.
         if not np.all(holds):
-            bound = "" if limit is None else f" {limit:.6g}{suffix}"
+            bad = numbers[~holds][0]
+            # A number beside its limit would read as the limit itself with six digits.
+            digits = 6 if limit is None or f"{bad:.6g}" != f"{limit:.6g}" else 17
+            bound = "" if limit is None else f" {limit:.{digits}g}{suffix}"
             reason = f": {why}" if why else ""
-            message = f"{name} = {numbers[~holds][0]:.6g}{suffix} must be {relation}{bound}{reason}"
-            raise DomainError(message, name)
+            raise DomainError(f"{name} = {bad:.{digits}g}{suffix} must be {relation}{bound}{reason}", name)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from plough_opt.domain import check_domain
 from plough_opt.expressions import Expression
 from plough_opt.geometry import Cone
 from plough_opt.plastic import Cavity, front_radius, wall_pressure
@@ -76,7 +77,12 @@ def resistance(cone: Cone, soil: Soil, speed: Expression, acceleration: Expressi
         soil: the soil; its ambient pressure counts, F is the force of the gauge pressure p - p_a.
         speed: L' of the share [m/s], at least 0.
         acceleration: L'' [m/s^2].
+
+    Raises:
+        DomainError: a speed below 0, which the plastic gas does not follow, or a number that is not finite.
     """
+    check_domain("speed", speed, "m/s", at_least=0.0, why="the plastic gas does not follow a share that retreats")
+    check_domain("acceleration", acceleration, "m/s^2")
     f = soil_reaction(cone, soil)
     return f.static + f.drag * speed**2 + f.added_mass * acceleration
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from plough_opt.domain import check_domain
 from plough_opt.expressions import Expression, cos, exp, expm1_ratio, log1p, log1p_ratio, sin
 from plough_opt.soil import Soil
 
@@ -17,14 +18,22 @@ class Cavity:
     """State of the cavity in one cross-section of the soil.
 
     Args:
-        radius: cavity radius R [m].
-        rate: R' [m/s].
+        radius: cavity radius R [m], at least 0.
+        rate: R' [m/s], at least 0: the plastic gas does not follow a wall that retreats.
         acceleration: R'' [m/s^2].
+
+    Raises:
+        DomainError: a number outside its domain.
     """
 
     radius: Expression
     rate: Expression
     acceleration: Expression
+
+    def __post_init__(self) -> None:
+        check_domain("cavity radius", self.radius, "m", at_least=0.0)
+        check_domain("cavity rate", self.rate, "m/s", at_least=0.0)
+        check_domain("cavity acceleration", self.acceleration, "m/s^2")
 
 
 @dataclass(frozen=True)
@@ -73,8 +82,7 @@ def surface_pressure(cavity: Cavity, soil: Soil) -> Expression:
     """Return the gauge pressure p1 - p_a [Pa] of the soil on the cavity wall, equation (23).
 
     On a cone that moves with speed L' the cavity at distance x behind the tip has R = x tan(beta),
-    R' = L' tan(beta), R'' = L'' tan(beta). Positive is compression. Holds for an expanding cavity
-    (rate at least 0); the plastic gas does not follow a wall that retreats.
+    R' = L' tan(beta), R'' = L'' tan(beta). Positive is compression.
     """
     p = wall_pressure(soil)
     motion = p.rate * cavity.rate**2 + p.inertia * cavity.radius * cavity.acceleration

@@ -89,6 +89,8 @@ class Requirement:
 
     def __post_init__(self) -> None:
         text = f"requirement '{self.name}'"
+        if self.expression.numel() == 0:
+            raise InputError(f"{text} has no value to limit: its expression is empty")
         if self.at_least is None and self.at_most is None:
             raise InputError(f"{text} has no limit: give at_least, at_most or both")
         for side, limit in (("at_least", self.at_least), ("at_most", self.at_most)):
@@ -102,8 +104,8 @@ class Requirement:
 
     @property
     def scale(self) -> float:
-        """Size of the limits, by which the optimiser divides the expression; 1 for limits of zero."""
-        return max(abs(limit) for limit in (self.at_least, self.at_most) if limit is not None) or 1.0
+        """Size of the limits, by which the optimiser divides the expression; 0 for limits of zero."""
+        return max(abs(limit) for limit in (self.at_least, self.at_most) if limit is not None)
 
     @property
     def low(self) -> float:

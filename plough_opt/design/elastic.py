@@ -37,6 +37,7 @@ def relaxed(nlp: Nlp, variables: int, parameters: int, owner: list[int], count: 
     hessian = ca.diagcat(nlp.hess_lag(y, p, 0.0, lam_g), ca.MX(2 * count, 2 * count))
     names = ["x", "p"]
     return Nlp(
+        values=ca.Function("values", [x, p], [f, nlp.g(y, p) + loose]),
         f=ca.Function("f", [x, p], [f], names, ["f"]),
         g=ca.Function("g", [x, p], [nlp.g(y, p) + loose], names, ["g"]),
         grad_f=ca.Function("grad_f", [x, p], [f, gradient], names, ["f", "grad_f_x"]),

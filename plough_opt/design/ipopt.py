@@ -20,6 +20,7 @@ REMEDIES = {
     "Invalid_Number_Detected": "the model gave no finite number somewhere between the bounds: tighten the bounds",
     "Diverging_Iterates": "the objective falls without limit: bound what makes it fall",
     "Error_In_Step_Computation": "the derivatives are too large or too small: check units and bounds",
+    "Not_Enough_Degrees_Of_Freedom": "there are more equalities than variables: drop some, or give them some room",
     "Search_Direction_Becomes_Too_Small": "the objective is not smooth enough here: take more integration steps",
 }
 

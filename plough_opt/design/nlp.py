@@ -29,6 +29,7 @@ class Nlp:
     """Functions of scaled variables y and parameters p, as IPOPT wants them.
 
     Attributes:
+        values: (y, p) -> (scaled objective, scaled requirements), from one integration of each run.
         f: (y, p) -> scaled objective.
         g: (y, p) -> scaled requirements, a column.
         grad_f: (y, p) -> (f, gradient).
@@ -36,6 +37,7 @@ class Nlp:
         hess_lag: (y, p, lam_f, lam_g) -> upper triangle of the Hessian of lam_f f + lam_g' g.
     """
 
+    values: ca.Function
     f: ca.Function
     g: ca.Function
     grad_f: ca.Function
@@ -131,7 +133,7 @@ def build_nlp(parts: Split, y: ca.MX, p: ca.MX, steps: list[int | None]) -> Nlp:
     algebra = _algebra(parts, full, inputs, runs, (y.numel(), p.numel()))
 
     results = _column([run.value(function(y, p)) for run, function in zip(runs, inputs, strict=True)])
-    f, g = algebra.values(y, p, results)
+    f, g = map(ca.densify, algebra.values(y, p, results))
     lam_f, lam_g = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", g.numel())
     first = [run.slopes(function(y, p)) for run, function in zip(runs, inputs, strict=True)]
     second = [run.curvatures(function(y, p)) for run, function in zip(runs, inputs, strict=True)]
@@ -139,6 +141,7 @@ def build_nlp(parts: Split, y: ca.MX, p: ca.MX, steps: list[int | None]) -> Nlp:
     hessian = _hessian(algebra, runs, second, (y, p, lam_f, lam_g))
     names = ["x", "p"]
     return Nlp(
+        values=ca.Function("values", [y, p], [f, g]),
         f=ca.Function("f", [y, p], [f], names, ["f"]),
         g=ca.Function("g", [y, p], [g], names, ["g"]),
         grad_f=ca.Function("grad_f", [y, p], [f_again, gradient], names, ["f", "grad_f_x"]),
@@ -182,7 +185,7 @@ def _first_derivatives(
     """Return J, g, the gradient of J as a column and the Jacobian of g, from the runs' first-order jets."""
     f, g, f_y, f_o, g_y, g_o = algebra.slopes(y, p, _column([jet[:, 0] for jet in jets]))
     o_y = ca.mtimes(_run_slopes(runs, jets), algebra.theta_slopes(y, p))
-    return f, g, ca.densify(f_y + ca.mtimes(f_o, o_y)).T, ca.densify(g_y + ca.mtimes(g_o, o_y))
+    return ca.densify(f), ca.densify(g), ca.densify(f_y + ca.mtimes(f_o, o_y)).T, ca.densify(g_y + ca.mtimes(g_o, o_y))
 
 
 def _hessian(algebra: Algebra, runs: list[RunInNlp], jets: list[ca.MX], at: tuple[ca.MX, ca.MX, ca.MX, ca.MX]) -> ca.MX:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from plough_opt.design.search import Scan
+from plough_opt.errors import InputError
 from plough_opt.expressions import as_number, is_casadi, map_expressions
 from plough_opt.motion.run import Run
 from plough_opt.motion.simulation import simulate
@@ -110,6 +111,15 @@ class Optimum(LocalOptimum):
             return simulate(self(item.scene), self(item.duration), outputs=outputs)
         return map_expressions(item, self._number)
 
+    def __getstate__(self) -> dict[str, Any]:
+        """Leave the design's graph, which cannot be pickled, behind."""
+        return {**self.__dict__, "evaluate": _left_behind}
+
     def _number(self, expression: Any) -> float | np.ndarray:
         value = self.evaluate(expression)
         return float(value) if value.size == 1 else value
+
+
+def _left_behind(_expression: object) -> np.ndarray:
+    """Stand in for the design's graph after pickling."""
+    raise InputError("this optimum was pickled without its design: evaluate expressions before, or solve again")

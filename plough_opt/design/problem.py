@@ -56,7 +56,8 @@ class Design:
         """
         self._refuse_again(name)
         symbol = ca.MX.sym(name)
-        self._variables.append(Variable(name, symbol, float(guess), float(lower), float(upper), unit, log))
+        at, low, high = (_number(f"variable '{name}'", value) for value in (guess, lower, upper))
+        self._variables.append(Variable(name, symbol, at, low, high, unit, log))
         self._program = None
         return symbol
 
@@ -67,10 +68,8 @@ class Design:
             InputError: a value that is not finite, or a name declared before.
         """
         self._refuse_again(name)
-        if not np.isfinite(value):
-            raise InputError(f"parameter '{name}' = {value} must be a finite number")
         symbol = ca.MX.sym(name)
-        self._parameters.append(Parameter(name, symbol, float(value), unit))
+        self._parameters.append(Parameter(name, symbol, _number(f"parameter '{name}'", value), unit))
         self._program = None
         return symbol
 
@@ -106,8 +105,8 @@ class Design:
         Raises:
             InputError: no limit, limits that contradict each other, or a name used before.
         """
-        if any(r.name == name for r in self._requirements):
-            raise InputError(f"a requirement named '{name}' exists already: give each its own name")
+        if name in [item.name for item in self._requirements] + [item.name for item in self._variables]:
+            raise InputError(f"a requirement or variable named '{name}' exists already: give each its own name")
         self._requirements.append(Requirement(name, _expression(f"'{name}'", expression), at_least, at_most, unit))
         self._program = None
 
@@ -157,15 +156,31 @@ class Design:
         for name in changed:
             if name not in names:
                 raise InputError(f"'{name}' is no parameter of this design: {nearest(name, names)}")
-        return np.array([float(changed.get(p.name, p.value)) for p in self._parameters])
+        return np.array([_number(f"parameter '{p.name}'", changed.get(p.name, p.value)) for p in self._parameters])
 
 
 def _silent(_stage: str, _fraction: float) -> None:
     """Report nothing."""
 
 
+def _number(what: str, value: object) -> float:
+    """Return a value as a finite float."""
+    try:
+        number = float(value)  # type: ignore[arg-type]
+    except (TypeError, ValueError):
+        raise InputError(f"{what}: {value!r} is not a number (in SI units; po.deg converts degrees)") from None
+    if not np.isfinite(number):
+        raise InputError(f"{what}: {value} must be a finite number")
+    return number
+
+
 def _expression(what: str, value: Expression) -> ca.MX:
     """Return a value as a column of a design's expressions."""
     if isinstance(value, ca.SX):
         raise InputError(f"{what} is an SX expression: build it from this design's own variables, which are MX")
-    return ca.vec(ca.MX(value)) if is_casadi(value) else ca.MX(ca.DM(np.atleast_1d(np.asarray(value, dtype=float))))
+    if is_casadi(value):
+        return ca.vec(ca.MX(value))
+    try:
+        return ca.MX(ca.DM(np.atleast_1d(np.asarray(value, dtype=float))))
+    except (TypeError, ValueError):
+        raise InputError(f"{what}: {value!r} is neither an expression nor a number") from None

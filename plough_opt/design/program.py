@@ -37,6 +37,11 @@ class Declarations:
         """Return the variables' and the parameters' symbols as two columns' worth of inputs."""
         return [*(v.symbol for v in self.variables), *(p.symbol for p in self.parameters)]
 
+    def strangers(self, expression: ca.MX) -> list[str]:
+        """Return the names of an expression's symbols that were not declared here, namesakes included."""
+        known = {hash(symbol) for symbol in self.symbols()}
+        return sorted({s.name() for s in ca.symvar(expression) if hash(s) not in known})
+
     def describe(self, values: Vector) -> str:
         """Return the variables at values in words."""
         return ", ".join(
@@ -57,27 +62,29 @@ class Program:
         self.expressions = [declared.objective, *(r.expression for r in declared.requirements)]
         self._refuse_strangers()
         self.exact = TightEvaluation(self.expressions, declared.symbols())
+        self._refuse_idas()
         self.owner = [k for k, r in enumerate(declared.requirements) for _ in range(r.expression.numel())]
         self._y, self._p = ca.MX.sym("y", len(declared.variables)), ca.MX.sym("p", len(declared.parameters))
-        scales = [r.scale for r in declared.requirements]
-        self.low = np.array([declared.requirements[k].low / scales[k] for k in self.owner])
-        self.high = np.array([declared.requirements[k].high / scales[k] for k in self.owner])
         self.objective_scale = 1.0
+        self.scales: list[float] = []
         self._built = False
         self._steps: list[int | None] = []
         self._relaxed: Solver | None = None
 
     def _refuse_strangers(self) -> None:
-        known = {symbol.name() for symbol in self.declared.symbols()}
-        for name, expression in zip(
-            ["objective", *(r.name for r in self.declared.requirements)], self.expressions, strict=True
-        ):
-            strangers = sorted({s.name() for s in ca.symvar(expression)} - known)
-            if strangers:
+        names = ["objective", *(r.name for r in self.declared.requirements)]
+        for name, expression in zip(names, self.expressions, strict=True):
+            if strangers := self.declared.strangers(expression):
                 raise InputError(
-                    f"'{name}' holds symbols that this design did not declare ({', '.join(strangers)}): make them with"
-                    " design.variable or design.parameter"
+                    f"'{name}' holds symbols that this design did not declare ({', '.join(strangers)}): make them"
+                    " with design.variable or design.parameter of this design"
                 )
+
+    def _refuse_idas(self) -> None:
+        if any(run.integration.accuracy.method == "idas" for run in self.exact.runs):
+            raise InputError(
+                "method 'idas' has no second derivatives, which a design needs: take 'auto', 'erk' or 'cvodes'"
+            )
 
     # --- scaling -----------------------------------------------------------------------------------------
 
@@ -105,10 +112,10 @@ class Program:
             DomainError: bounds that lead out of the model's domain, or a motion too fast to integrate.
         """
         self._check_bounds(p)
+        steps = self._steps_between_bounds(p, refinement)
         found = self._checked_start(p)
         if not self._built:
-            self.objective_scale = max(abs(float(found[0].item())), _SMALLEST_SCALE)
-        steps = self._steps_between_bounds(p, refinement)
+            self._set_scales(found)
         enough = [have is None or need is None or have >= need for have, need in zip(self._steps, steps, strict=False)]
         if self._built and all(enough):
             return
@@ -118,12 +125,22 @@ class Program:
         replacements = [*unscaled, *(ca.vertsplit(self._p) if declared.parameters else [])]
         scaled = [
             declared.objective / self.objective_scale,
-            ca.vertcat(*(ca.vec(r.expression) / r.scale for r in declared.requirements)),
+            ca.vertcat(*(r.expression / scale for r, scale in zip(declared.requirements, self.scales, strict=True))),
         ]
         scaled = ca.graph_substitute(scaled, declared.symbols(), replacements)
         self.nlp = build_nlp(split(scaled, [self._y, self._p]), self._y, self._p, steps)
         sizes = (len(declared.variables), len(declared.parameters))
         self._solver = Solver(self.nlp, *sizes, self.low, self.high)
+
+    def _set_scales(self, start: list[Vector]) -> None:
+        """Scale the objective by its value at the start, each requirement by its limits, or by its own value."""
+        self.objective_scale = max(abs(float(start[0].item())), _SMALLEST_SCALE)
+        requirements = self.declared.requirements
+        self.scales = [
+            r.scale or float(np.max(np.abs(value))) or 1.0 for r, value in zip(requirements, start[1:], strict=True)
+        ]
+        self.low = np.array([requirements[k].low / self.scales[k] for k in self.owner])
+        self.high = np.array([requirements[k].high / self.scales[k] for k in self.owner])
 
     def _checked_start(self, p: Vector) -> list[Vector]:
         """Return the expressions at the guess, or say which of them has no value there."""
@@ -212,8 +229,8 @@ class Program:
         """Return scaled objective and largest violation at scaled points, a row each; NaN becomes infinity."""
         objective, violation = np.empty(len(points)), np.empty(len(points))
         for k, point in enumerate(points):
-            objective[k] = float(self.nlp.f(point, p))
-            g = np.asarray(self.nlp.g(point, p)).ravel()
+            f, g = (np.asarray(result).ravel() for result in self.nlp.values(point, p))
+            objective[k] = f[0]
             violation[k] = max(0.0, np.max(self.low - g, initial=0.0), np.max(g - self.high, initial=0.0))
         bad = ~(np.isfinite(objective) & np.isfinite(violation))
         objective[bad] = violation[bad] = np.inf

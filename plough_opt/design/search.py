@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
+from plough_opt.design.curvature import minimum_from
 from plough_opt.design.ipopt import Point, Vector
 from plough_opt.design.program import Program
 from plough_opt.errors import InputError, nearest
@@ -63,7 +64,7 @@ def scanned_variables(program: Program, search: str | Sequence[str]) -> list[int
                 raise InputError(
                     f"search = '{name}' is no variable of this design: {nearest(name, ['auto', 'local', *names])}"
                 )
-        return [names.index(name) for name in wanted]
+        return [names.index(name) for name in dict.fromkeys(wanted)]
     found: set[int] = set()
     for run in program.exact.runs:
         if run.integration.structure.wave:
@@ -101,6 +102,7 @@ def global_search(
                 # A start that breaks a requirement and cannot mend it nearby leads to basins already known.
                 if not point.solved and feasible:
                     point = program.solve(start, p)
+                point = minimum_from(program, p, point)
                 if point.solved and not any(np.max(np.abs(point.y - other.y)) < _SAME for other in optima):
                     optima.append(point)
     return sorted(optima, key=lambda point: point.f), scans

@@ -10,21 +10,22 @@ from functools import partial
 import casadi as ca
 import numpy as np
 
+from plough_opt.design.curvature import flat_directions, minimum_from
 from plough_opt.design.declarations import in_words
 from plough_opt.design.infeasible import infeasible, is_feasible, least_violation
 from plough_opt.design.ipopt import REMEDIES, Point, Vector
 from plough_opt.design.optimum import Limit, LocalOptimum, Optimum
 from plough_opt.design.program import Program
 from plough_opt.design.search import Progress, global_search, scanned_variables
-from plough_opt.design.uniqueness import flat_directions
 from plough_opt.design.verify import TightEvaluation
 from plough_opt.errors import InputError, NotConverged
 from plough_opt.scene import Scene
 
 _REFINEMENTS = 4
 _FINER = 1.5
-# A limit decides the design when, scaled by its size, it leaves no more margin than this and pulls more than that.
-_TOUCHES = 1e-6
+# Above this gap a design by a method with its own setting carries a warning.
+_COARSE = 1e-6
+# Scaled multipliers below this pull at nothing.
 _PULLS = 1e-7
 
 
@@ -36,7 +37,7 @@ def solve_program(
     program.build(p)
     scanned = scanned_variables(program, search)
     progress("solving from the guess", 0.0)
-    points, scans = global_search(program, p, first_optimum(program, p), scanned, progress)
+    points, scans = global_search(program, p, minimum_from(program, p, first_optimum(program, p)), scanned, progress)
     points, missed = _refined(program, p, points, progress)
     progress("checking", 0.0)
     scenes = [_scenes(program, point, p) for point in points]
@@ -88,7 +89,9 @@ def _refined(
     """Take more integration steps until the optimiser's objective is that of the tight integration."""
     wanted = program.wanted_error
     if wanted is None:
-        return points, ()
+        gap = max(_gap(program, p, point) for point in points)
+        coarse = f"the optimiser's objective is off by a relative {gap:.1e}: take more steps or a tighter tolerance"
+        return points, (coarse,) if gap > _COARSE else ()
     for refinement in range(1, _REFINEMENTS + 1):
         gaps = [_gap(program, p, point) for point in points]
         if max(gaps) <= wanted:
@@ -106,7 +109,7 @@ def _refined(
 
 def _gap(program: Program, p: Vector, point: Point) -> float:
     exact = float(program.exact_values(point.y, p)[0][0].item())
-    return abs(point.f * program.objective_scale - exact) / max(abs(exact), math.ulp(0.0))
+    return abs(point.f * program.objective_scale - exact) / max(abs(exact), program.objective_scale)
 
 
 def _local_optimum(program: Program, p: Vector, point: Point, name: str) -> LocalOptimum:
@@ -120,7 +123,7 @@ def _local_optimum(program: Program, p: Vector, point: Point, name: str) -> Loca
         variables={v.name: float(x) for v, x in zip(program.declared.variables, values, strict=True)},
         limits=(*_requirements(program, point, found[1:]), *_bounds(program, point, values)),
         gap=_gap(program, p, point),
-        error_estimate=abs(objective - float(check[0].item())) / max(abs(objective), math.ulp(0.0)),
+        error_estimate=abs(objective - float(check[0].item())) / max(abs(objective), program.objective_scale),
         iterations=point.iterations,
     )
 
@@ -140,12 +143,17 @@ def _requirements(program: Program, point: Point, found: Sequence[Vector]) -> li
                 value=float(numbers[worst]),
                 limits=r.limits_text(),
                 margin=margin,
-                multiplier=float(np.sum(np.abs(point.lam_g[own]))) * program.objective_scale / r.scale,
-                active=margin < _TOUCHES * r.scale and pull > _PULLS,
+                multiplier=float(np.sum(np.abs(point.lam_g[own])) * program.objective_scale / program.scales[k]),
+                active=_decides(margin / program.scales[k], pull),
                 unit=r.unit,
             )
         )
     return limits
+
+
+def _decides(scaled_margin: float, pull: float) -> bool:
+    """Return whether a limit decides the design: at an optimum either margin or multiplier vanishes."""
+    return pull > _PULLS and pull > scaled_margin
 
 
 def _bounds(program: Program, point: Point, values: Vector) -> list[Limit]:
@@ -159,8 +167,8 @@ def _bounds(program: Program, point: Point, values: Vector) -> list[Limit]:
                 value=float(value),
                 limits=f"{in_words(v.lower, v.unit)} to {in_words(v.upper, v.unit)}",
                 margin=float(min(value - v.lower, v.upper - value)),
-                multiplier=abs(float(multiplier)) * program.objective_scale / slope,
-                active=min(y, 1.0 - y) < _TOUCHES and abs(multiplier) > _PULLS,
+                multiplier=float(abs(multiplier) * program.objective_scale / slope),
+                active=_decides(float(min(y, 1.0 - y)), float(abs(multiplier))),
                 unit=v.unit,
             )
         )
@@ -200,10 +208,8 @@ def _evaluated(program: Program, values: Vector, p: Vector, expression: ca.MX) -
     if isinstance(expression, ca.SX):
         raise InputError("an SX expression cannot be of this design, whose variables are MX")
     symbols = program.declared.symbols()
-    known = {symbol.name() for symbol in symbols}
     expression = ca.MX(expression)
-    strangers = sorted({s.name() for s in ca.symvar(expression)} - known)
-    if strangers:
+    if strangers := program.declared.strangers(expression):
         raise InputError(f"the expression holds symbols that are not of this design: {', '.join(strangers)}")
     (value,), _ = TightEvaluation([expression], symbols)([*values, *p])
     return np.squeeze(value)

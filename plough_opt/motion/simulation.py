@@ -87,7 +87,7 @@ def _symbolic(scene: Scene, duration: Expression, accuracy: Accuracy, outputs: i
         timeline = timeline_of(scene, duration, outputs, outputs)
         return quasi_static(scene, duration, timeline, accuracy, SYMBOLIC_GAUSS_POINTS)
     if accuracy.method != "auto":
-        accuracy = with_setting(accuracy, outputs, outputs)
+        accuracy = with_setting(accuracy, max(outputs, OUTPUTS), outputs)
     return _integrate(scene, duration, accuracy, outputs)
 
 

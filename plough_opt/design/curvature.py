@@ -1,4 +1,4 @@
-"""Directions along which nothing changes: optima that are not unique."""
+"""Second-order conditions: optima that are not unique, and stationary points that are no optima."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ _FLAT_CURVATURE = 1e-7
 _FLAT_OBJECTIVE = 1e-9
 _ACTIVE = 1e-7
 _STEP = 0.02
+_DESCENTS = 3
 
 
 def flat_directions(program: Program, p: Vector, at: Point) -> list[Vector]:
@@ -19,14 +20,37 @@ def flat_directions(program: Program, p: Vector, at: Point) -> list[Vector]:
 
     The reduced Hessian suspects a direction; moving along it and solving again for the rest confirms it.
     """
+    curvatures, directions = _reduced_curvatures(program, p, at)
+    flat = np.flatnonzero(np.abs(curvatures) < _FLAT_CURVATURE)
+    return [directions[:, k] for k in flat if _confirmed(program, p, at, directions[:, k])]
+
+
+def minimum_from(program: Program, p: Vector, at: Point) -> Point:
+    """Return the point itself, or where it leads downhill if it is a hilltop or a saddle.
+
+    IPOPT accepts any stationary point that it starts on; the reduced Hessian tells.
+    """
+    for _ in range(_DESCENTS):
+        if not at.solved:
+            return at
+        curvatures, directions = _reduced_curvatures(program, p, at)
+        if not curvatures.size or curvatures[0] >= -_FLAT_CURVATURE:
+            return at
+        step = _STEP * directions[:, 0] / np.max(np.abs(directions[:, 0]))
+        starts = [np.clip(at.y + sign * step, 0.0, 1.0) for sign in (1.0, -1.0)]
+        found = [point for start in starts if (point := program.solve(start, p)).solved and point.f < at.f]
+        if not found:
+            return at
+        at = min(found, key=lambda point: point.f)
+    return at
+
+
+def _reduced_curvatures(program: Program, p: Vector, at: Point) -> tuple[Vector, Vector]:
+    """Return the curvatures, relative to the largest, in ascending order, and their directions as columns."""
     free = _free_directions(program, p, at)
-    if free.shape[1] == 0:
-        return []
     hessian = _hessian(program, p, at)
     curvatures, vectors = np.linalg.eigh(free.T @ hessian @ free)
-    size = max(1.0, float(np.max(np.abs(hessian))))
-    suspects = [free @ vectors[:, k] for k in np.flatnonzero(np.abs(curvatures) < _FLAT_CURVATURE * size)]
-    return [direction for direction in suspects if _confirmed(program, p, at, direction)]
+    return curvatures / max(1.0, float(np.max(np.abs(hessian)))), free @ vectors
 
 
 def _hessian(program: Program, p: Vector, at: Point) -> Vector:

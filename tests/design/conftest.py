@@ -1,0 +1,80 @@
+"""Designs that the tests of the design layer share; each expensive one is solved once."""
+
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+
+import plough_opt as po
+from plough_opt.design.program import Declarations, Program
+
+PROBLEMS = Path(__file__).resolve().parents[2] / "problems"
+
+
+@pytest.fixture(scope="session")
+def build_r1(r1_soil):
+    """Build problem R1, or a relative of it, in the vocabulary of the package."""
+
+    def build(
+        *,
+        soil=r1_soil,
+        guess=(25.0, 0.25, 5e4),
+        radius=0.12,
+        deflection=0.15,
+        half_angle=15.0,
+        accuracy=None,
+        duration=2.0,
+        outputs=400,
+        wavelength=0.6,
+        damping=None,
+    ):
+        d = po.Design()
+        angle = d.variable("wedge angle", guess=po.deg(guess[0]), lower=po.deg(5.0), upper=po.deg(60.0), unit="rad")
+        height = d.variable("height", guess=guess[1], lower=0.10, upper=0.50, unit="m")
+        k0 = d.variable("stiffness", guess=guess[2], lower=5e3, upper=5e5, unit="N/m", log=True)
+        share = po.Wedge(angle, po.deg(15.0), height)
+        cone = share.equivalent_cone()
+        wave = po.StrengthWave(amplitude=0.3, wavelength=wavelength) if wavelength else None
+        effects = po.Effects(strength_wave=wave, damping=damping)
+        scene = po.Scene(soil, share, k0, 20.0 + cone.solid_mass(7850.0), 2.0, effects)
+        run = po.simulate(scene, duration, accuracy=accuracy, outputs=outputs)
+        d.minimise(run.mean_draft / 1e3 + run.force_rms / 1e3)
+        d.require("loosened radius", po.loosened_radius(cone, soil), at_least=radius, unit="m")
+        d.require("mean deflection", run.mean_draft / k0, at_most=deflection, unit="m")
+        d.require("half angle", cone.half_angle, at_most=po.deg(half_angle), unit="rad")
+        return SimpleNamespace(
+            design=d, angle=angle, height=height, k0=k0, share=share, cone=cone, scene=scene, run=run, soil=soil
+        )
+
+    return build
+
+
+@pytest.fixture(scope="session")
+def r1(build_r1):
+    """Problem R1, solved with the search for all its optima."""
+    problem = build_r1()
+    problem.best = problem.design.solve()
+    return problem
+
+
+@pytest.fixture(scope="session")
+def cotton(tmp_path_factory):
+    """Solve the cotton subsoiler without its damper, which leaves more optima."""
+    text = (PROBLEMS / "cotton_subsoiler.toml").read_text(encoding="utf-8")
+    lines = [line for line in text.splitlines() if not line.startswith("damping")]
+    file = tmp_path_factory.mktemp("problems") / "undamped.toml"
+    file.write_text("\n".join(lines), encoding="utf-8")
+    problem = po.read_problem(file)
+    assert problem.scene().effects.damping is None
+    design, run = problem.design()
+    return SimpleNamespace(problem=problem, design=design, run=run, best=design.solve())
+
+
+@pytest.fixture(scope="session")
+def program_of():
+    """Return the program of a design, not built yet."""
+
+    def program(d):
+        return Program(Declarations(tuple(d._variables), tuple(d._parameters), d._objective, tuple(d._requirements)))
+
+    return program

@@ -1,0 +1,299 @@
+"""What a design refuses to be told, and the sentence with which it does."""
+
+import math
+import re
+
+import casadi as ca
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import plough_opt as po
+from plough_opt.design.declarations import Requirement, Variable
+
+WELL = {"guess": 0.25, "lower": 0.1, "upper": 0.5, "unit": "m"}
+
+
+def _variable(**changes):
+    settings = {"name": "height", "symbol": ca.MX.sym("height"), "log": False} | WELL | changes
+    return Variable(**settings)
+
+
+@pytest.mark.parametrize(
+    ("changes", "sentence"),
+    [
+        ({"guess": 0.6}, r"its guess 0.6( m)? lies outside its bounds 0.1( m)? to 0.5 m"),
+        ({"guess": 0.09}, r"its guess 0.09( m)? lies outside its bounds 0.1( m)? to 0.5 m"),
+        ({"lower": 0.5, "guess": 0.5}, r"lower 0.5( m)? is not below upper 0.5 m"),
+        ({"lower": 0.7}, r"lower 0.7( m)? is not below upper 0.5 m"),
+        ({"guess": math.nan}, "must be a finite number"),
+        ({"lower": math.nan}, "must be a finite number"),
+        ({"upper": math.nan}, "must be a finite number"),
+        ({"lower": -math.inf}, "must be a finite number"),
+        ({"upper": math.inf}, "must be a finite number"),
+        ({"lower": 0.0, "log": True}, "needs a lower bound above 0, not 0"),
+        ({"lower": -1.0, "log": True}, "needs a lower bound above 0, not -1"),
+    ],
+)
+def test_a_variable_that_cannot_be_is_refused_by_name(changes, sentence):
+    with pytest.raises(po.InputError) as caught:
+        po.Design().variable("share height", **(WELL | changes))
+    assert str(caught.value).startswith("variable 'share height': ")
+    assert re.search(sentence, str(caught.value))
+
+
+def test_a_guess_at_a_bound_is_allowed():
+    d = po.Design()
+    d.variable("low", guess=0.1, lower=0.1, upper=0.5)
+    d.variable("high", guess=0.5, lower=0.1, upper=0.5)
+
+
+def test_a_refused_variable_leaves_no_trace():
+    d = po.Design()
+    with pytest.raises(po.InputError):
+        d.variable("x", guess=2.0, lower=0.0, upper=1.0)
+    x = d.variable("x", guess=0.5, lower=0.0, upper=1.0)
+    d.minimise((x - 0.2) ** 2)
+    assert d.solve().variables == {"x": pytest.approx(0.2, rel=1e-8)}
+
+
+@pytest.mark.parametrize("first", ["variable", "parameter"])
+@pytest.mark.parametrize("second", ["variable", "parameter"])
+def test_a_name_declared_twice_is_refused(first, second):
+    def declare(kind):
+        return d.variable("cohesion", guess=1.0, lower=0.0, upper=2.0) if kind == "variable" else d.parameter(
+            "cohesion", 1.0
+        )  # fmt: skip
+
+    d = po.Design()
+    declare(first)
+    with pytest.raises(po.InputError, match="'cohesion' is declared already"):
+        declare(second)
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
+def test_a_parameter_without_a_finite_value_is_refused(value):
+    with pytest.raises(po.InputError, match=r"parameter 'cohesion' = .* must be a finite number"):
+        po.Design().parameter("cohesion", value)
+
+
+@pytest.mark.parametrize(
+    ("limits", "sentence"),
+    [
+        ({}, "has no limit: give at_least, at_most or both"),
+        ({"at_least": 2.0, "at_most": 1.0}, r"at least 2( m)? is above at most 1 m"),
+        ({"at_least": math.nan}, "at_least = nan must be a finite number"),
+        ({"at_most": math.inf}, "at_most = inf must be a finite number"),
+    ],
+)
+def test_limits_that_cannot_be_are_refused_by_name(limits, sentence):
+    d = po.Design()
+    x = d.variable("x", guess=0.5, lower=0.0, upper=1.0)
+    with pytest.raises(po.InputError) as caught:
+        d.require("loosened radius", x, unit="m", **limits)
+    assert str(caught.value).startswith("requirement 'loosened radius'")
+    assert re.search(sentence, str(caught.value))
+
+
+def test_two_requirements_of_one_name_are_refused():
+    d = po.Design()
+    x = d.variable("x", guess=0.5, lower=0.0, upper=1.0)
+    d.require("radius", x, at_least=0.1)
+    with pytest.raises(po.InputError, match="a requirement or variable named 'radius' exists already"):
+        d.require("radius", x, at_most=0.9)
+
+
+def test_an_objective_must_be_one_number():
+    d = po.Design()
+    x = d.variable("x", guess=0.5, lower=0.0, upper=1.0)
+    with pytest.raises(po.InputError, match="objective must be one number, not 2"):
+        d.minimise(ca.vertcat(x, x**2))
+
+
+def test_an_objective_must_be_an_expression():
+    d = po.Design()
+    d.variable("x", guess=0.5, lower=0.0, upper=1.0)
+    with pytest.raises(po.InputError):
+        d.minimise("mean draft")
+
+
+def test_a_requirement_must_have_a_value():
+    d = po.Design()
+    x = d.variable("x", guess=0.5, lower=0.0, upper=1.0)
+    d.minimise(1.0 + x)
+
+    def require_and_solve():
+        d.require("radius", ca.MX(0, 1), at_least=0.0)
+        d.solve()
+
+    with pytest.raises(po.InputError, match="radius"):
+        require_and_solve()
+
+
+def test_an_sx_expression_is_refused():
+    d = po.Design()
+    d.variable("x", guess=0.5, lower=0.0, upper=1.0)
+    with pytest.raises(po.InputError, match="the objective is an SX expression"):
+        d.minimise(ca.SX.sym("x") ** 2)
+    with pytest.raises(po.InputError, match="'radius' is an SX expression"):
+        d.require("radius", ca.SX.sym("x"), at_least=0.0)
+
+
+def test_solving_without_an_objective_is_refused():
+    d = po.Design()
+    d.variable("x", guess=0.5, lower=0.0, upper=1.0)
+    with pytest.raises(po.InputError, match="nothing to minimise"):
+        d.solve()
+
+
+def test_solving_without_variables_is_refused():
+    d = po.Design()
+    d.minimise(3.0)
+    with pytest.raises(po.InputError, match="nothing to choose"):
+        d.solve()
+
+
+def test_a_foreign_symbol_is_named():
+    d = po.Design()
+    x = d.variable("x", guess=0.5, lower=0.0, upper=1.0)
+    d.minimise(x * ca.MX.sym("stranger"))
+    with pytest.raises(po.InputError, match=r"'objective' holds symbols that this design did not declare \(stranger\)"):
+        d.solve()
+
+
+def test_a_foreign_symbol_in_a_requirement_is_named():
+    d = po.Design()
+    x = d.variable("x", guess=0.5, lower=0.0, upper=1.0)
+    d.minimise(x)
+    d.require("radius", x + ca.MX.sym("stranger"), at_least=0.1)
+    with pytest.raises(po.InputError, match=r"'radius' holds symbols .* \(stranger\)"):
+        d.solve()
+
+
+def test_a_symbol_of_another_design_is_refused_although_its_name_is_the_same():
+    other = po.Design().variable("x", guess=0.5, lower=0.0, upper=1.0)
+    d = po.Design()
+    x = d.variable("x", guess=0.5, lower=0.0, upper=1.0)
+    d.minimise((x - other) ** 2)
+    with pytest.raises(po.InputError, match="x"):
+        d.solve()
+
+
+@pytest.mark.parametrize("where", ["objective", "requirement"])
+def test_a_model_without_a_value_at_the_start_names_what_fails(where):
+    d = po.Design()
+    x = d.variable("x", guess=-0.5, lower=-1.0, upper=1.0, unit="m")
+    bad = ca.log(x)
+    d.minimise(bad if where == "objective" else x**2)
+    d.require("radius", bad if where == "requirement" else x, at_least=-3.0)
+    named = "the objective" if where == "objective" else "requirement 'radius'"
+    with pytest.raises(po.InputError, match=rf"{named} is not a finite number at the start \(x = -0.5 m\)"):
+        d.solve()
+
+
+@pytest.mark.parametrize(
+    ("side", "bounds", "named"),
+    [("lower", {"lower": -1e3, "upper": 1e5}, "stiffness"), ("upper", {"lower": 1.0, "upper": 95.0}, "wedge angle")],
+)
+def test_bounds_outside_the_models_domain_are_named(r1_scene, r1_wave, side, bounds, named):
+    d = po.Design()
+    x = d.variable(named, guess=25.0, **bounds)
+    own = {"stiffness": x} if named == "stiffness" else {"wedge_angle_deg": x}
+    d.minimise(po.simulate(r1_scene(**own, strength_wave=r1_wave), 0.5, outputs=5).mean_draft)
+    with pytest.raises(po.DomainError, match=f"at the {side} bound of '{named}': {named} = "):
+        d.solve()
+
+
+def test_a_parameter_without_a_value_at_solve_is_refused():
+    d = po.Design()
+    x = d.variable("x", guess=0.5, lower=0.0, upper=1.0)
+    p = d.parameter("cohesion", 0.3)
+    d.minimise((x - p) ** 2)
+    with pytest.raises(po.InputError):
+        d.solve(parameters={"cohesion": math.nan})
+
+
+# --- scaling ------------------------------------------------------------------------------------------------
+
+BOUNDS = st.tuples(st.floats(1e-6, 1e6), st.floats(1e-3, 1e6)).map(lambda pair: (pair[0], pair[0] * (1.0 + pair[1])))
+
+
+@given(bounds=BOUNDS, y=st.floats(0.0, 1.0), log=st.booleans())
+def test_scaling_and_its_inverse_agree(bounds, y, log):
+    lower, upper = bounds
+    variable = _variable(lower=lower, upper=upper, guess=lower, log=log)
+    # A position is known no better than the value's rounding allows over the range of the bounds.
+    accuracy = 4e-16 * (1.0 + upper / (upper - lower))
+    assert variable.scaled(variable.value(y)) == pytest.approx(y, rel=0, abs=4 * accuracy)
+
+
+@given(bounds=BOUNDS, log=st.booleans())
+def test_bounds_are_met_exactly(bounds, log):
+    lower, upper = bounds
+    variable = _variable(lower=lower, upper=upper, guess=upper, log=log)
+    assert [variable.value(y) for y in (-1e-9, 0.0, 1.0, 1.0 + 1e-9)] == [lower, lower, upper, upper]
+
+
+@given(bounds=BOUNDS, y=st.floats(0.0, 1.0), log=st.booleans())
+def test_no_value_lies_outside_the_bounds(bounds, y, log):
+    lower, upper = bounds
+    assert lower <= _variable(lower=lower, upper=upper, guess=lower, log=log).value(y) <= upper
+
+
+def test_middle_of_a_log_scale_is_the_geometric_mean():
+    variable = _variable(lower=5e3, upper=5e5, guess=5e4, log=True)
+    assert variable.value(0.5) == pytest.approx(5e4, rel=1e-15)
+    assert variable.scaled(5e4) == pytest.approx(0.5, rel=1e-15)
+
+
+def test_symbols_scale_like_numbers():
+    variable = _variable(lower=5e3, upper=5e5, guess=5e4, log=True)
+    y = ca.SX.sym("y")
+    function = ca.Function("value", [y], [variable.unscaled(y)])
+    assert float(function(0.37)) == pytest.approx(variable.value(0.37), rel=1e-15)
+
+
+# --- limits in words and numbers ----------------------------------------------------------------------------
+
+
+def _requirement(at_least=None, at_most=None, unit="m"):
+    return Requirement("radius", ca.MX.sym("x"), at_least, at_most, unit)
+
+
+@pytest.mark.parametrize(
+    ("limits", "text"),
+    [
+        ((0.12, None), "at least 0.12 m"),
+        ((None, 0.15), "at most 0.15 m"),
+        ((0.1, 0.2), "at least 0.1 m and at most 0.2 m"),
+    ],
+)
+def test_limits_are_told_in_words(limits, text):
+    assert _requirement(*limits).limits_text() == text
+
+
+def test_limits_without_unit_end_in_no_blank():
+    assert _requirement(0.12, None, unit="").limits_text() == "at least 0.12"
+
+
+@pytest.mark.parametrize(
+    ("limits", "values", "margin"),
+    [
+        ((0.1, None), [0.3, 0.2], 0.1),
+        ((None, 0.5), [0.3, 0.2], 0.2),
+        ((0.0, 1.0), [0.25, 0.5], 0.25),
+        ((0.0, 1.0), [0.5, 0.875], 0.125),
+        ((0.5, None), [0.25], -0.25),
+    ],
+)
+def test_margin_is_that_of_the_worst_value(limits, values, margin):
+    # The difference of two decimals near 1 is exact to a rounding unit.
+    assert _requirement(*limits).margin(np.array(values)) == pytest.approx(margin, rel=0, abs=1e-16)
+
+
+@pytest.mark.parametrize(
+    ("limits", "scale"), [((2.0, None), 2.0), ((-3.0, 1.0), 3.0), ((0.0, None), 0.0), ((0.0, 0.0), 0.0)]
+)
+def test_scale_is_the_larger_limit(limits, scale):
+    assert _requirement(*limits).scale == scale

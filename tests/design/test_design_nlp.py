@@ -1,0 +1,484 @@
+"""The program that IPOPT sees: values and first and second derivatives, against references of their own."""
+
+from types import SimpleNamespace
+
+import casadi as ca
+import numpy as np
+import pytest
+
+import plough_opt as po
+from plough_opt.design.nlp import averages_only
+from plough_opt.design.split import split
+
+# Weights of the central difference of order 8: with phases up to 30 rad a step of 2e-4 leaves some 1e-12.
+_WEIGHTS = np.array([4 / 5, -1 / 5, 4 / 105, -1 / 280])
+_STEP = 2e-4
+
+
+def _differences(function, y):
+    """Return the derivative of a function of y by central differences of order 8, a column for each entry of y."""
+    columns = []
+    for k in range(len(y)):
+        unit = np.zeros(len(y))
+        unit[k] = _STEP
+        pairs = [np.ravel(function(y + m * unit) - function(y - m * unit)) for m in range(1, 5)]
+        columns.append(sum(w * pair for w, pair in zip(_WEIGHTS, pairs, strict=True)) / _STEP)
+    return np.column_stack(columns)
+
+
+def _whole_by_ad(program):
+    """Return objective, requirements, gradient, Jacobian and Hessian by CasADi from the undivided expression."""
+    declared = program.declared
+    y, p = ca.MX.sym("y", len(declared.variables)), ca.MX.sym("p", len(declared.parameters))
+    unscaled = [v.unscaled(part) for v, part in zip(declared.variables, ca.vertsplit(y), strict=True)]
+    values = [*unscaled, *(ca.vertsplit(p) if declared.parameters else [])]
+    whole = ca.Function("whole", declared.symbols(), program.expressions)
+    objective, *requirements = whole.call(values)
+    f = objective / program.objective_scale
+    scales = [r.scale for r in declared.requirements]
+    g = ca.densify(ca.vertcat(ca.MX(0, 1), *(r / scale for r, scale in zip(requirements, scales, strict=True))))
+    lam_f, lam_g = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", g.numel())
+    lagrangian = lam_f * f + ca.dot(lam_g, g)
+    hessian = ca.jacobian(ca.gradient(lagrangian, y), y)
+    return SimpleNamespace(
+        f=ca.Function("f", [y, p], [f]),
+        g=ca.Function("g", [y, p], [g]),
+        grad_f=ca.Function("grad_f", [y, p], [ca.gradient(f, y)]),
+        jac_g=ca.Function("jac_g", [y, p], [ca.jacobian(g, y)]),
+        hess_lag=ca.Function("hess_lag", [y, p, lam_f, lam_g], [hessian]),
+    )
+
+
+def _symmetric(upper):
+    upper = np.asarray(upper)
+    assert np.all(np.tril(upper, -1) == 0.0)
+    return upper + np.triu(upper, 1).T
+
+
+def _close(found, wanted, relative):
+    """Compare arrays by their largest entry."""
+    found, wanted = np.asarray(found), np.asarray(wanted)
+    assert found.shape == wanted.shape
+    assert np.all(np.isfinite(found))
+    error = np.max(np.abs(found - wanted), initial=0.0)
+    assert error <= relative * max(np.max(np.abs(wanted), initial=0.0), 1e-8)
+
+
+def _evaluations(program, y):
+    """Return everything the program knows at a point, with multipliers that reach every row."""
+    p = np.array([q.value for q in program.declared.parameters])
+    nlp, rows = program.nlp, len(program.owner)
+    lam_f, lam_g = 0.7, np.cos(1.0 + np.arange(rows))
+    f, gradient = nlp.grad_f(y, p)
+    g, jacobian = nlp.jac_g(y, p)
+    assert float(f) == pytest.approx(float(nlp.f(y, p)), rel=1e-13)
+    # The two graphs sum the same averages in different order.
+    assert np.asarray(g) == pytest.approx(np.asarray(nlp.g(y, p)), rel=1e-12, abs=1e-13)
+    return SimpleNamespace(
+        p=p,
+        f=float(f),
+        g=np.asarray(g),
+        gradient=np.asarray(gradient).reshape(1, -1),
+        jacobian=np.asarray(jacobian),
+        lam_f=lam_f,
+        lam_g=lam_g,
+        hessian=_symmetric(nlp.hess_lag(y, p, lam_f, lam_g)),
+    )
+
+
+def _check_against_ad(program, y, *, values=1e-11, first=1e-9, second=1e-8):
+    at, whole = _evaluations(program, y), _whole_by_ad(program)
+    assert at.f == pytest.approx(float(whole.f(y, at.p)), rel=values)
+    _close(at.g, whole.g(y, at.p), values)
+    _close(at.gradient, np.asarray(whole.grad_f(y, at.p)).reshape(1, -1), first)
+    _close(at.jacobian, whole.jac_g(y, at.p), first)
+    _close(at.hessian, whole.hess_lag(y, at.p, at.lam_f, at.lam_g), second)
+
+
+def _check_against_differences(program, y, *, first=1e-8, second=1e-7):
+    """Compare the gradients with differences of values, the Hessian with differences of gradients."""
+    at, nlp = _evaluations(program, y), program.nlp
+
+    def slope(point):
+        gradient, jacobian = nlp.grad_f(point, at.p)[1], nlp.jac_g(point, at.p)[1]
+        return at.lam_f * np.asarray(gradient).ravel() + np.asarray(jacobian).T @ at.lam_g
+
+    _close(at.gradient, _differences(lambda point: np.asarray(nlp.f(point, at.p)), y), first)
+    _close(at.jacobian, _differences(lambda point: np.asarray(nlp.g(point, at.p)), y).reshape(-1, len(y)), first)
+    _close(at.hessian, _differences(slope, y), second)
+
+
+@pytest.fixture
+def built(program_of):
+    """Build the program of a design at its declared parameters."""
+
+    def build(d):
+        program = program_of(d)
+        program.build(np.array([p.value for p in d._parameters]))
+        return program
+
+    return build
+
+
+@pytest.fixture
+def small(r1_soil):
+    """Build a design around a share of R1 with few steps, its requirements and objective left to the caller."""
+
+    def build(accuracy=None, outputs=5, duration=0.8, effects=None, motion=True, speed=2.0):
+        d = po.Design()
+        angle = d.variable("wedge angle", guess=0.5, lower=0.2, upper=0.9, unit="rad")
+        height = d.variable("height", guess=0.25, lower=0.10, upper=0.40, unit="m")
+        k0 = d.variable("stiffness", guess=2e4, lower=5e3, upper=1e5, unit="N/m", log=True)
+        share = po.Wedge(angle, po.deg(15.0), height)
+        cone = share.equivalent_cone()
+        keywords = {"strength_wave": po.StrengthWave(0.3, 0.6)} if effects is None else effects
+        scene = po.Scene(
+            r1_soil, share, k0, 20.0 + cone.solid_mass(7850.0), speed, po.Effects(motion=motion, **keywords)
+        )
+        run = po.simulate(scene, duration, accuracy=accuracy, outputs=outputs)
+        return SimpleNamespace(design=d, angle=angle, height=height, k0=k0, cone=cone, scene=scene, run=run)
+
+    return build
+
+
+FIXED = po.Accuracy("dop853", steps=60)
+POINT = np.array([0.61, 0.43, 0.37])
+
+
+def test_averages_only(small, built):
+    case = small(FIXED)
+    case.design.minimise(case.run.mean_draft / 1e3 + case.run.force_rms / 1e3)
+    case.design.require("mean deflection", case.run.mean_deflection, at_most=0.15)
+    case.design.require("radius", po.loosened_radius(case.cone, case.scene.soil), at_least=0.05)
+    program = built(case.design)
+    _check_against_ad(program, POINT)
+    _check_against_differences(program, POINT)
+
+
+def test_path_requirements(small, built):
+    case = small(FIXED)
+    case.design.minimise(case.run.force_rms / 1e3)
+    case.design.require("deflection", case.run.deflection, at_most=0.2)
+    case.design.require("force", case.run.mount_force, at_least=-5e3, at_most=5e3)
+    case.design.require("speed", case.run.speed, at_least=-1.0)
+    case.design.require("soil", case.run.soil_resistance, at_most=1e4)
+    program = built(case.design)
+    assert len(program.owner) == 4 * 6
+    _check_against_ad(program, POINT)
+    _check_against_differences(program, POINT)
+
+
+def test_two_runs_side_by_side(small, built):
+    case = small(FIXED)
+    hard = po.Soil(1500.0, 0.82, 30e3, po.deg(32.0), 0.45, 1e4)
+    scene = po.Scene(
+        hard, case.scene.share, case.k0, case.scene.mass, 1.5, po.Effects(damping=300.0, inertial_drag=False)
+    )
+    other = po.simulate(scene, 0.5, accuracy=po.Accuracy("dop853", steps=35), outputs=7)
+    case.design.minimise((2.0 * case.run.mean_draft + other.mean_draft) / 1e3 + other.force_rms / 1e2)
+    case.design.require("deflection", other.deflection, at_most=0.2)
+    case.design.require("both", case.run.mean_deflection * other.mean_deflection, at_most=0.01)
+    program = built(case.design)
+    assert len(program.exact.runs) == 2
+    _check_against_ad(program, POINT)
+    _check_against_differences(program, POINT)
+
+
+def test_one_scene_at_two_speeds(small, built):
+    slow = small(FIXED)
+    d = slow.design
+    fast = po.simulate(
+        po.Scene(slow.scene.soil, slow.scene.share, slow.k0, slow.scene.mass, 3.0, slow.scene.effects),
+        0.8,
+        accuracy=FIXED,
+        outputs=5,
+    )
+    d.minimise((slow.run.mean_draft + fast.mean_draft) / 1e3 + (slow.run.force_rms + fast.force_rms) / 1e3)
+    program = built(d)
+    assert len(program.exact.runs) == 2
+    _check_against_ad(program, POINT)
+    _check_against_differences(program, POINT)
+
+
+def test_quasi_static_run(small, built):
+    case = small(motion=False, effects={"strength_wave": po.StrengthWave(0.3, 0.6), "tow_ramp": 0.3})
+    case.design.minimise(case.run.mean_draft / 1e3 + case.run.force_rms / 1e3)
+    case.design.require("deflection", case.run.deflection, at_most=0.2)
+    program = built(case.design)
+    assert len(program.exact.runs) == 0
+    _check_against_ad(program, POINT)
+    _check_against_differences(program, POINT)
+
+
+def test_run_with_a_parameter(small, built):
+    case = small(FIXED)
+    d = case.design
+    cohesion, speed = d.parameter("cohesion", 22e3, unit="Pa"), d.parameter("speed", 1.7, unit="m/s")
+    soil = po.Soil(1400.0, 0.8, cohesion, po.deg(30.0), 0.5, 1e4)
+    scene = po.Scene(soil, case.scene.share, case.k0, case.scene.mass, speed, case.scene.effects)
+    run = po.simulate(scene, 0.8, accuracy=FIXED, outputs=5)
+    d.minimise(run.mean_draft / 1e3 + run.force_rms / cohesion)
+    d.require("deflection", run.deflection, at_most=0.2)
+    program = built(d)
+    assert len(program.exact.runs) == 1
+    _check_against_ad(program, POINT)
+    _check_against_differences(program, POINT)
+
+
+def test_run_of_parameters_alone(built, r1_scene, r1_wave):
+    d = po.Design()
+    x = d.variable("x", guess=0.5, lower=0.0, upper=1.0)
+    k0 = d.parameter("stiffness", 2e4)
+    run = po.simulate(r1_scene(stiffness=k0, strength_wave=r1_wave), 0.5, accuracy=FIXED, outputs=5)
+    d.minimise(run.mean_draft / 1e3 * (1.0 + (x - 0.3) ** 2))
+    d.require("deflection", x * run.deflection, at_most=1.0)
+    program = built(d)
+    _check_against_ad(program, np.array([0.61]))
+    assert d.solve().variables["x"] == pytest.approx(0.3, abs=1e-8)
+
+
+def test_duration_speed_and_wave_may_vary(built, r1_soil):
+    d = po.Design()
+    duration = d.variable("duration", guess=0.8, lower=0.4, upper=1.2)
+    speed = d.variable("speed", guess=2.0, lower=1.0, upper=3.0)
+    wavelength = d.variable("wavelength", guess=0.6, lower=0.3, upper=0.9)
+    damping = d.variable("damping", guess=200.0, lower=10.0, upper=1e3, log=True)
+    share = po.Wedge(po.deg(25.0), po.deg(15.0), 0.25)
+    effects = po.Effects(strength_wave=po.StrengthWave(0.3, wavelength), damping=damping)
+    run = po.simulate(po.Scene(r1_soil, share, 2e4, 25.0, speed, effects), duration, accuracy=FIXED, outputs=5)
+    d.minimise(run.tow_power / 1e3 + run.displacement_rms * 10.0)
+    d.require("force", run.mount_force, at_most=5e3)
+    program = built(d)
+    point = np.array([0.61, 0.43, 0.37, 0.52])
+    _check_against_ad(program, point)
+    _check_against_differences(program, point)
+
+
+def test_every_combination_of_effects(small, built, effects):
+    case = small(FIXED, effects=effects)
+    case.design.minimise(case.run.mean_draft / 1e3 + case.run.force_rms / 1e3 + case.run.tow_power / 1e3)
+    case.design.require("force", case.run.mount_force, at_most=5e3)
+    case.design.require("sway", case.run.displacement_rms, at_most=0.2)
+    program = built(case.design)
+    # Without a wave nothing oscillates: an RMS of 1e-10 of the force has rounding for a derivative.
+    _check_against_ad(program, POINT, first=1e-8, second=1e-7)
+
+
+def test_automatic_steps_agree_with_ad_of_as_many_steps(small, built):
+    case = small()
+    case.design.minimise(case.run.mean_draft / 1e3 + case.run.force_rms / 1e3)
+    case.design.require("deflection", case.run.deflection, at_most=0.2)
+    program = built(case.design)
+    (steps,) = program._steps
+    whole = 5 * max(1, round(steps / 5))
+    same = small(po.Accuracy("dop853", steps=whole))
+    same.design.minimise(same.run.mean_draft / 1e3 + same.run.force_rms / 1e3)
+    same.design.require("deflection", same.run.deflection, at_most=0.2)
+    explicit = built(same.design)
+    a, b = _evaluations(program, POINT), _evaluations(explicit, POINT)
+    assert a.f == pytest.approx(b.f, rel=1e-13)
+    _close(a.gradient, b.gradient, 1e-11)
+    _close(a.jacobian, b.jacobian, 1e-11)
+    _close(a.hessian, b.hessian, 1e-10)
+
+
+@pytest.mark.parametrize(
+    ("accuracy", "values", "first", "second"),
+    [
+        # Sensitivities are integrated to the tolerance too, of their own size: each order loses a digit or two.
+        pytest.param(po.Accuracy("cvodes", tolerance=1e-10), 1e-7, 1e-6, 1e-5, id="cvodes"),
+        # These two differentiate the discrete solution, the steps of the adaptive method frozen.
+        pytest.param(po.Accuracy("erk", tolerance=1e-10), 1e-8, 1e-7, 1e-6, id="erk"),
+        pytest.param(po.Accuracy("rosenbrock", tolerance=1e-10), 1e-8, 1e-7, 1e-6, id="rosenbrock"),
+        # Order 4 with 0.03 rad and order 5 with 0.3 rad in a step.
+        pytest.param(po.Accuracy("rk", steps=2000), 1e-7, 1e-6, 1e-5, id="rk"),
+        pytest.param(po.Accuracy("collocation", steps=200), 1e-8, 1e-7, 1e-6, id="collocation"),
+    ],
+)
+def test_methods_of_casadi_agree_with_order_8(small, built, accuracy, values, first, second):
+    found = []
+    for method in (accuracy, po.Accuracy("dop853", steps=400)):
+        case = small(method)
+        case.design.minimise(case.run.mean_draft / 1e3 + case.run.force_rms / 1e3)
+        case.design.require("deflection", case.run.deflection, at_most=0.2)
+        found.append(_evaluations(built(case.design), POINT))
+    own, reference = found
+    assert own.f == pytest.approx(reference.f, rel=values)
+    _close(own.g, reference.g, values)
+    _close(own.gradient, reference.gradient, first)
+    _close(own.jacobian, reference.jacobian, first)
+    _close(own.hessian, reference.hessian, second)
+
+
+@pytest.fixture
+def mount(r1_scene, r1_wave):
+    """Build a design of the mount alone: a soft spring shakes, a hard one costs."""
+
+    def build(accuracy):
+        d = po.Design()
+        k0 = d.variable("stiffness", guess=1e5, lower=6e4, upper=5e5, unit="N/m", log=True)
+        scene = r1_scene(stiffness=k0, strength_wave=r1_wave, damping=300.0)
+        run = po.simulate(scene, 0.5, accuracy=accuracy, outputs=5)
+        d.minimise(run.force_rms / 1e3 + k0 / 1e6)
+        return d
+
+    return build
+
+
+@pytest.mark.parametrize("method", ["cvodes", "erk", "rosenbrock"])
+def test_a_design_by_an_adaptive_method_is_solved_to_the_same_optimum(mount, method):
+    reference = mount(None).solve(search="local")
+    own = mount(po.Accuracy(method, tolerance=1e-9)).solve(search="local")
+    # The optimum lies at a bound, or forgives the square of the error in the gradient.
+    assert own.objective == pytest.approx(reference.objective, rel=1e-9)
+    assert own.variables["stiffness"] == pytest.approx(reference.variables["stiffness"], rel=1e-4)
+    # The gap is that of the method itself.
+    assert own.gap < 1e-6
+
+
+def test_a_design_by_idas_is_solved_or_refused_by_that_name(mount):
+    try:
+        own = mount(po.Accuracy("idas", tolerance=1e-8)).solve(search="local")
+    except po.PloughError as error:
+        assert "idas" in str(error)  # noqa: PT017 - either outcome helps
+    else:
+        assert own.objective == pytest.approx(mount(None).solve(search="local").objective, rel=1e-8)
+
+
+@pytest.mark.parametrize("method", ["dop853", "collocation", "rk"])
+def test_steps_that_nobody_set_are_enough_or_warned_of(mount, method):
+    # With five outputs one step for each would be far too coarse.
+    best = mount(po.Accuracy(method)).solve(search="local")
+    assert best.gap <= 1e-8 or any("error" in warning for warning in best.warnings)
+
+
+def test_every_effect_on(small, built):
+    effects = {
+        "strength_wave": po.StrengthWave(0.3, 0.6),
+        "tow_ramp": 0.137,
+        "damping": 250.0,
+        "rate_term": 0.05,
+        "start": "rest",
+    }
+    case = small(FIXED, effects=effects)
+    d, run = case.design, case.run
+    d.minimise(run.mean_draft / 1e3 + run.force_rms / 1e3 + run.tow_power / 1e3 + run.displacement_rms)
+    for name in ("deflection", "speed", "travel", "mount_force", "soil_resistance"):
+        d.require(name, getattr(run, name), at_most=1e4)
+    program = built(d)
+    _check_against_ad(program, POINT)
+    _check_against_differences(program, POINT)
+
+
+def test_no_run_at_all(built):
+    d = po.Design()
+    x = d.variable("x", guess=0.5, lower=0.1, upper=2.0, log=True)
+    y = d.variable("y", guess=0.5, lower=-1.0, upper=2.0)
+    p = d.parameter("p", 0.3)
+    d.minimise(ca.exp(x * y) + p * ca.sin(3.0 * x))
+    d.require("path", ca.vertcat(x * y, p * x**3, y), at_most=5.0)
+    program = built(d)
+    _check_against_ad(program, np.array([0.4, 0.7]), values=1e-14, first=1e-13, second=1e-13)
+    _check_against_differences(program, np.array([0.4, 0.7]))
+
+
+def test_derivatives_stay_finite_where_nothing_moves(small, built):
+    case = small(FIXED, effects={})
+    case.design.minimise(case.run.mean_draft / 1e3 + case.run.force_rms / 1e3)
+    at = _evaluations(built(case.design), POINT)
+    # Nothing moves: the RMS is zero for every design, and so are its derivatives.
+    assert np.all(np.isfinite(at.gradient))
+    assert np.all(np.isfinite(at.hessian))
+    values = [v.value(y) for v, y in zip(case.design._variables, POINT, strict=True)]
+    steady = ca.Function("steady", [case.angle, case.height, case.k0], [case.scene.steady_resistance])
+    scale = abs(float(steady(*(v.guess for v in case.design._variables))))
+    assert at.f == pytest.approx(float(steady(*values)) / scale, rel=1e-13)
+
+
+# --- the graph taken apart ----------------------------------------------------------------------------------
+
+
+def test_a_split_leaves_the_values_as_they_are(small):
+    case = small(FIXED)
+    symbols = [case.angle, case.height, case.k0]
+    expressions = [case.run.mean_draft, case.run.force_rms * case.height, case.run.deflection, 2.0 * case.angle]
+    parts = split(expressions, symbols)
+    numbers = [0.6, 0.23, 1.7e4]
+    whole = ca.Function("whole", symbols, expressions).call(numbers)
+    (run,) = parts.runs
+    outputs = ca.Function("outputs", symbols, [run.inputs])(*numbers)
+    results = ca.vertcat(*(ca.vec(o) for o in run.integration.function.call([outputs])))
+    again = ca.Function("again", [*symbols, *parts.results], list(parts.expressions)).call([*numbers, results])
+    for one, other in zip(whole, again, strict=True):
+        assert np.asarray(one) == pytest.approx(np.asarray(other), rel=1e-14)
+
+
+def test_a_run_used_often_is_found_once(small):
+    case = small(FIXED)
+    parts = split([case.run.mean_draft + case.run.force_rms, case.run.deflection], [case.angle, case.height, case.k0])
+    assert len(parts.runs) == 1
+
+
+def test_the_scene_of_a_run_in_a_graph_can_be_rebuilt(small):
+    case = small(FIXED)
+    symbols = [case.angle, case.height, case.k0]
+    (run,) = split([case.run.mean_draft], symbols).runs
+    numbers = np.asarray(ca.Function("quantities", symbols, [run.quantities])(0.6, 0.23, 1.7e4)).ravel()
+    scene = run.embedding.scene(numbers)
+    assert scene.share == po.Wedge(0.6, po.deg(15.0), 0.23)
+    assert scene.stiffness == 1.7e4
+    assert scene.soil == case.scene.soil
+
+
+def test_averages_are_told_from_paths(small):
+    case = small(FIXED)
+    symbols = [case.angle, case.height, case.k0]
+    for expression, wanted in ((case.run.mean_draft, True), (case.run.deflection[2], False), (case.run.time, True)):
+        parts = split([case.run.force_rms, expression], symbols)
+        algebra = ca.Function("algebra", [*symbols, *parts.results], list(parts.expressions))
+        assert averages_only(parts.runs[0], algebra, 3) is wanted
+
+
+def test_a_run_of_a_run_is_refused(small, r1_soil):
+    case = small(FIXED)
+    scene = po.Scene(r1_soil, case.scene.share, case.k0, 20.0 + case.run.mean_draft / 1e3, 2.0, case.scene.effects)
+    second = po.simulate(scene, 0.5, accuracy=FIXED, outputs=5)
+    case.design.minimise(second.mean_draft)
+    with pytest.raises(po.InputError, match="runs side by side only"):
+        case.design.solve()
+
+
+def test_a_run_inside_a_function_of_the_user(small):
+    plain, wrapped = small(), small()
+    plain.design.minimise(plain.run.mean_draft / 1e3 + plain.run.force_rms / 1e3)
+    inner = ca.Function(
+        "draft",
+        [wrapped.angle, wrapped.height, wrapped.k0],
+        [wrapped.run.mean_draft / 1e3 + wrapped.run.force_rms / 1e3],
+    )
+    wrapped.design.minimise(inner(wrapped.angle, wrapped.height, wrapped.k0))
+    one, other = plain.design.solve(search="local"), wrapped.design.solve(search="local")
+    assert other.objective == pytest.approx(one.objective, rel=1e-8)
+    assert other.gap < 1e-8
+
+
+# --- automatic accuracy -------------------------------------------------------------------------------------
+
+
+def test_automatic_values_agree_with_the_tight_integration(r1, program_of):
+    program = program_of(r1.design)
+    program.build(np.empty(0))
+    for point in (POINT, [0.1, 0.9, 0.95], [0.9, 0.1, 0.05], [0.5, 0.5, 1.0]):
+        exact = program.exact_values(np.array(point), np.empty(0))[0]
+        # The design's own steps are chosen for some 3e-9 at the fastest design between the bounds.
+        found = float(program.nlp.f(point, [])) * program.objective_scale
+        assert found == pytest.approx(float(exact[0].item()), rel=1e-8)
+
+
+def test_bounds_that_need_too_many_steps_are_refused(r1_scene, r1_wave):
+    d = po.Design()
+    # 2e5 rad/s for a second at the upper bound, at 0.8 rad a step.
+    k0 = d.variable("stiffness", guess=1e4, lower=5e3, upper=1e12, unit="N/m", log=True)
+    d.minimise(po.simulate(r1_scene(stiffness=k0, strength_wave=r1_wave), 1.0, outputs=5).mean_draft / 1e3)
+    with pytest.raises(po.DomainError, match=r"oscillates up to .* times in a run, .* tighten the bounds"):
+        d.solve()

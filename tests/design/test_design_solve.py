@@ -1,0 +1,401 @@
+"""Solving: known optima without any run, problem R1 against its truth, and what a solve reports."""
+
+import math
+
+import casadi as ca
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.integrate import solve_ivp
+from scipy.optimize import lsq_linear
+
+import plough_opt as po
+
+# Truth of R1, ten digits: the objective's tenth digit is 6e-11 of it.
+TRUTH = [
+    {"J": 0.8250057092, "stiffness": 5000.0, "mean": 690.5252, "rms": 134.4805},
+    {"J": 0.8383450230, "stiffness": 500000.0, "mean": 694.9432, "rms": 143.4018},
+    {"J": 0.9164459115, "stiffness": 37505.6423, "mean": 697.5651, "rms": 218.8808},
+]
+TRUE_ANGLE, TRUE_HEIGHT = po.deg(39.11469851), 0.2002828632
+
+
+# --- optima known without any simulation --------------------------------------------------------------------
+
+
+def test_minimum_of_a_quadratic_inside_its_bounds():
+    d = po.Design()
+    x = d.variable("x", guess=0.9, lower=0.0, upper=1.0)
+    y = d.variable("y", guess=-3.0, lower=-5.0, upper=5.0)
+    d.minimise(7.0 + (x - 0.25) ** 2 + 3.0 * (y - 2.0) ** 2)
+    best = d.solve()
+    # The gradient is within 1e-10 of the start's objective of 82, and the objective's error is its square.
+    assert best.variables == {"x": pytest.approx(0.25, abs=1e-8), "y": pytest.approx(2.0, abs=1e-8)}
+    assert best.objective == pytest.approx(7.0, rel=1e-15)
+    assert best.active == ()
+    assert (best.status, best.name, best.flat_directions, best.scans) == ("solved", "optimum", (), ())
+
+
+def test_an_active_bound_is_kept_exactly_and_the_objective_never_undercuts_the_truth():
+    d = po.Design()
+    x = d.variable("x", guess=0.5, lower=0.2, upper=1.0)
+    y = d.variable("y", guess=2.0, lower=1.0, upper=3.0, log=True)
+    d.minimise(2.0 + x**2 - y)
+    best = d.solve()
+    truth = 2.0 + 0.2**2 - 3.0
+    assert 0.2 <= best.variables["x"] <= 0.2 * (1 + 1e-8)
+    assert 3.0 * (1 - 1e-8) <= best.variables["y"] <= 3.0
+    assert 0.0 <= best.objective - truth < 1e-8
+    assert set(best.active) == {"x", "y"}
+
+
+def test_multipliers_of_bounds_are_the_slopes_of_the_objective():
+    d = po.Design()
+    x = d.variable("x", guess=0.5, lower=0.2, upper=1.0, unit="m")
+    y = d.variable("y", guess=2.0, lower=1.0, upper=3.0, log=True)
+    z = d.variable("z", guess=2.0, lower=1.0, upper=3.0)
+    d.minimise(x**2 - 5.0 * ca.log(y) + (z - 2.5) ** 2)
+    limits = {limit.name: limit for limit in d.solve().limits}
+    assert {limit.kind for limit in limits.values()} == {"bound"}
+    # The barrier leaves the multiplier wrong by its own size over the margin, 1e-9 here.
+    assert limits["x"].multiplier == pytest.approx(2.0 * 0.2, rel=1e-7)
+    assert limits["y"].multiplier == pytest.approx(5.0 / 3.0, rel=1e-7)
+    assert limits["z"].multiplier == pytest.approx(0.0, abs=1e-7)
+    assert [limits[name].active for name in "xyz"] == [True, True, False]
+    assert limits["x"].limits in ("0.2 to 1 m", "0.2 m to 1 m")
+
+
+def test_rosenbrock_with_log_scaled_variables():
+    d = po.Design()
+    x = d.variable("x", guess=0.02, lower=0.01, upper=10.0, log=True)
+    y = d.variable("y", guess=8.0, lower=0.01, upper=10.0, log=True)
+    d.minimise((1.0 - x) ** 2 + 100.0 * (y - x**2) ** 2)
+    best = d.solve()
+    # The smallest curvature is 1/2500 of the largest; the start's objective of 6400 scales the tolerance.
+    assert best.variables == {"x": pytest.approx(1.0, abs=1e-5), "y": pytest.approx(1.0, abs=1e-5)}
+    assert best.objective == pytest.approx(0.0, abs=1e-10)
+    assert best.status == "solved"
+
+
+def test_an_objective_that_is_zero_at_the_start_does_no_harm():
+    d = po.Design()
+    x = d.variable("x", guess=0.5, lower=0.0, upper=1.0)
+    y = d.variable("y", guess=0.5, lower=0.0, upper=1.0)
+    d.minimise((x - y) + (x - 0.3) ** 2 - 0.04)
+    best = d.solve()
+    # At y = 1 the rest is x + (x - 0.3)^2, smallest at x = 0.
+    assert best.objective == pytest.approx(-1.0 + 0.09 - 0.04, rel=1e-8)
+    assert best.variables == {"x": pytest.approx(0.0, abs=1e-8), "y": pytest.approx(1.0, abs=1e-8)}
+
+
+@pytest.mark.parametrize("size", [1e-9, 1.0, 1e9])
+def test_the_objective_may_have_any_size(size):
+    d = po.Design()
+    x = d.variable("x", guess=0.9, lower=0.0, upper=1.0)
+    d.minimise(size * ((x - 0.25) ** 2 + 1.0))
+    best = d.solve()
+    assert best.variables["x"] == pytest.approx(0.25, abs=1e-8)
+    assert best.objective == pytest.approx(size, rel=1e-14)
+
+
+@pytest.mark.parametrize("size", [1e-6, 1.0, 1e6])
+def test_a_requirement_may_have_any_size(size):
+    d = po.Design()
+    x = d.variable("x", guess=0.9, lower=0.0, upper=1.0)
+    d.minimise(x**2)
+    d.require("force", size * x, at_least=0.4 * size, unit="N")
+    best = d.solve()
+    (limit,) = [limit for limit in best.limits if limit.kind == "requirement"]
+    assert best.variables["x"] == pytest.approx(0.4, rel=1e-8)
+    assert limit.active
+    assert limit.margin == pytest.approx(0.0, abs=1e-8 * size)
+    assert limit.multiplier == pytest.approx(0.8 / size, rel=1e-7)
+
+
+@pytest.mark.parametrize("size", [1e3, 1e6, 1e9])
+def test_a_limit_of_zero_on_a_large_quantity(size):
+    d = po.Design()
+    x = d.variable("x", guess=0.9, lower=0.0, upper=1.0)
+    d.minimise(x**2)
+    d.require("reserve", size * (x - 0.4) * (x + 1.0), at_least=0.0, unit="N")
+    best = d.solve()
+    assert best.variables["x"] == pytest.approx(0.4, rel=1e-8)
+    assert best.active == ("reserve",)
+
+
+def test_a_quantity_may_be_required_to_have_one_value():
+    d = po.Design()
+    x = d.variable("x", guess=0.9, lower=0.0, upper=1.0)
+    y = d.variable("y", guess=0.9, lower=0.0, upper=1.0)
+    d.minimise(x**2 + 2.0 * y**2)
+    d.require("sum", x + y, at_least=0.9, at_most=0.9)
+    best = d.solve()
+    assert best.variables == {"x": pytest.approx(0.6, rel=1e-8), "y": pytest.approx(0.3, rel=1e-8)}
+    assert best.margins["sum"] == pytest.approx(0.0, abs=1e-9)
+    assert best.active == ("sum",)
+    assert next(limit.multiplier for limit in best.limits if limit.name == "sum") == pytest.approx(1.2, rel=1e-7)
+
+
+def test_a_column_is_required_in_every_entry():
+    d = po.Design()
+    x = d.variable("x", guess=0.5, lower=0.0, upper=1.0)
+    d.minimise(-x)
+    d.require("path", ca.vertcat(x, 2.0 * x, 0.5 * x), at_most=0.8)
+    best = d.solve()
+    (limit,) = [limit for limit in best.limits if limit.kind == "requirement"]
+    assert best.variables["x"] == pytest.approx(0.4, rel=1e-8)
+    assert limit.value == pytest.approx(0.8, rel=1e-8)
+    assert limit.multiplier == pytest.approx(0.5, rel=1e-7)
+
+
+def test_structural_zeros_in_a_column_count_as_zeros():
+    d = po.Design()
+    x = d.variable("x", guess=0.5, lower=0.0, upper=1.0)
+    d.minimise((x - 0.9) ** 2)
+    d.require("path", ca.vertcat(ca.MX(1, 1), x), at_least=-1.0, at_most=0.8)
+    assert d.solve().variables["x"] == pytest.approx(0.8, rel=1e-8)
+
+
+def test_a_row_of_values_is_limited_like_a_column():
+    d = po.Design()
+    x = d.variable("x", guess=0.5, lower=0.0, upper=1.0)
+    d.minimise(-x)
+    d.require("path", ca.horzcat(x, 2.0 * x), at_most=0.8)
+    assert d.solve().variables["x"] == pytest.approx(0.4, rel=1e-8)
+
+
+def test_a_requirement_that_is_no_expression_is_checked_all_the_same():
+    d = po.Design()
+    x = d.variable("x", guess=0.5, lower=0.0, upper=1.0)
+    d.minimise((x - 0.25) ** 2)
+    d.require("given", 3.0, at_most=4.0)
+    best = d.solve()
+    assert best.margins == {"given": pytest.approx(1.0)}
+    assert best.active == ()
+
+
+@pytest.mark.parametrize("constant", [0.0, 1.0])
+def test_nothing_to_gain_is_still_a_design(constant):
+    d = po.Design()
+    x = d.variable("x", guess=0.5, lower=0.0, upper=1.0)
+    d.minimise(constant)
+    d.require("least", x, at_least=0.7)
+    best = d.solve()
+    assert best.objective == constant
+    assert best.variables["x"] > 0.7
+
+
+@given(
+    rows=st.lists(st.tuples(*[st.floats(-2.0, 2.0)] * 3), min_size=3, max_size=5),
+    target=st.tuples(*[st.floats(-3.0, 3.0)] * 5),
+)
+@settings(max_examples=25, deadline=None)
+def test_bounded_least_squares_as_scipy_solves_them(rows, target):
+    a, b = np.array(rows), np.array(target[: len(rows)])
+    d = po.Design()
+    x = ca.vertcat(*(d.variable(f"x{k}", guess=0.5, lower=0.0, upper=1.0) for k in range(3)))
+    d.minimise(1.0 + ca.sumsqr(ca.mtimes(ca.DM(a), x) - ca.DM(b)))
+    best = d.solve()
+    truth = 1.0 + 2.0 * lsq_linear(a, b, (0.0, 1.0), tol=1e-14).cost
+    assert truth - 1e-9 <= best.objective <= truth * (1.0 + 1e-7)
+    assert all(0.0 <= value <= 1.0 for value in best.variables.values())
+
+
+def test_the_order_of_declaration_does_not_matter():
+    found = []
+    for names in (("x", "y", "z"), ("z", "x", "y")):
+        d = po.Design()
+        v = {name: d.variable(name, guess=0.5, lower=0.1, upper=2.0, log=name == "y") for name in names}
+        d.minimise(ca.exp(v["x"]) + v["y"] ** 2 / v["z"] + v["z"] * v["x"])
+        d.require("sum", v["x"] + v["y"], at_least=1.0)
+        found.append(d.solve())
+    one, other = found
+    assert one.objective == pytest.approx(other.objective, rel=1e-9)
+    assert one.variables == pytest.approx(other.variables, rel=1e-7)
+
+
+def test_a_look_up_table_may_stand_in_the_objective():
+    table = ca.interpolant("table", "bspline", [np.linspace(0.0, 1.0, 21).tolist()], np.linspace(0.0, 1.0, 21) ** 2)
+    d = po.Design()
+    x = d.variable("x", guess=0.9, lower=0.0, upper=1.0)
+    d.minimise(1.0 + table(x) - 0.5 * x)
+    # A cubic spline through a parabola is that parabola.
+    assert d.solve().variables["x"] == pytest.approx(0.25, abs=1e-8)
+
+
+def test_a_requirement_added_later_counts():
+    d = po.Design()
+    x = d.variable("x", guess=0.5, lower=0.0, upper=1.0)
+    d.minimise(x)
+    assert d.solve().variables["x"] == pytest.approx(0.0, abs=1e-8)
+    d.require("least", x, at_least=0.3)
+    assert d.solve().variables["x"] == pytest.approx(0.3, rel=1e-8)
+    d.minimise(-x)
+    assert d.solve().variables["x"] == pytest.approx(1.0, rel=1e-8)
+
+
+def test_progress_is_told_in_order():
+    told = []
+    d = po.Design()
+    x = d.variable("x", guess=0.5, lower=0.0, upper=1.0)
+    d.minimise((x - 0.25) ** 2)
+    d.solve(progress=lambda stage, fraction: told.append((stage, fraction)))
+    assert [stage for stage, _ in told] == ["building the model", "solving from the guess", "checking"]
+    assert all(0.0 <= fraction <= 1.0 for _, fraction in told)
+
+
+# --- problem R1 ---------------------------------------------------------------------------------------------
+
+
+def test_r1_is_solved_to_its_global_optimum(r1):
+    best = r1.best
+    assert best.status == "solved"
+    assert best.flat_directions == ()
+    assert not any("not reached" in warning for warning in best.warnings)
+    # Half of the truth's last digit is 6e-11; the objective's own tolerance is 1e-10.
+    assert best.objective == pytest.approx(TRUTH[0]["J"], rel=2e-10)
+    assert best.variables["wedge angle"] == pytest.approx(TRUE_ANGLE, rel=1e-9)
+    assert best.variables["height"] == pytest.approx(TRUE_HEIGHT, rel=1e-9)
+    assert best.variables["stiffness"] == pytest.approx(5000.0, rel=1e-9)
+
+
+def test_r1_has_its_three_optima_in_order(r1):
+    optima = r1.best.local_optima
+    assert len(optima) == 3
+    for optimum, truth in zip(optima, TRUTH, strict=True):
+        # At an active bound the barrier leaves 1e-10 of the objective on its safe side.
+        assert optimum.objective == pytest.approx(truth["J"], rel=1e-9)
+        # Nine digits of the truth; a bound is approached to 2e-9, and L3 is flat.
+        assert optimum.variables["stiffness"] == pytest.approx(truth["stiffness"], rel=3e-9)
+        assert optimum.variables["wedge angle"] == pytest.approx(TRUE_ANGLE, rel=1e-9)
+        assert optimum.variables["height"] == pytest.approx(TRUE_HEIGHT, rel=1e-8)
+    assert optima[0].objective == r1.best.objective
+    assert optima[0].variables == r1.best.variables
+
+
+def test_r1_optima_are_named_by_their_branch(r1):
+    assert [optimum.name.split(",")[0] for optimum in r1.best.local_optima] == [
+        "soft branch",
+        "stiff branch",
+        "stiff branch",
+    ]
+    # sqrt(5000/M) over 2 pi V0/ell, M and all by hand from the scene.
+    scene = r1.best(r1.scene)
+    ratio = math.sqrt(scene.stiffness / scene.inertia) / (2.0 * math.pi * 2.0 / 0.6)
+    assert r1.best.name == f"soft branch, {ratio:.2f} of the wave's frequency"
+    assert len({optimum.name for optimum in r1.best.local_optima}) == 3
+
+
+def test_r1_limits_that_decide(r1):
+    active = [set(optimum.active) for optimum in r1.best.local_optima]
+    geometry = {"loosened radius", "half angle"}
+    assert active == [geometry | {"stiffness"}, geometry | {"stiffness"}, geometry]
+    for optimum in r1.best.local_optima:
+        assert 0.0 <= optimum.margins["loosened radius"] < 1e-9
+        assert 0.0 <= optimum.margins["half angle"] < 1e-9
+        assert optimum.margins["mean deflection"] > 0.01
+        # J grows when the radius grows: the limit pulls.
+        pull = next(limit for limit in optimum.limits if limit.name == "loosened radius")
+        assert pull.multiplier > 1.0
+
+
+def test_r1_reports_its_own_errors(r1):
+    for optimum in r1.best.local_optima:
+        assert optimum.gap < 1e-8
+        # Two tight integrations of relative 1e-12 by different methods.
+        assert optimum.error_estimate < 1e-11
+        assert optimum.iterations > 0
+    assert r1.best.seconds > 0.0
+
+
+def test_r1_expressions_at_the_optimum(r1):
+    best = r1.best
+    # The table gives seven digits.
+    assert best(r1.run.mean_draft) == pytest.approx(TRUTH[0]["mean"], abs=6e-5)
+    assert best(r1.run.force_rms) == pytest.approx(TRUTH[0]["rms"], abs=6e-5)
+    assert isinstance(best(r1.run.mean_draft), float)
+    assert best(r1.run.mean_draft + r1.run.force_rms) / 1e3 == pytest.approx(best.objective, rel=1e-12)
+
+
+def test_r1_objects_come_back_with_numbers(r1):
+    best = r1.best
+    share, cone, scene = best(r1.share), best(r1.cone), best(r1.scene)
+    assert isinstance(share, po.Wedge)
+    assert share == po.Wedge(best.variables["wedge angle"], po.deg(15.0), best.variables["height"])
+    assert cone.half_angle == pytest.approx(po.deg(15.0), rel=1e-9)
+    assert po.loosened_radius(cone, r1.soil) == pytest.approx(0.12, rel=1e-9)
+    assert scene.stiffness == best.variables["stiffness"]
+    assert scene.soil == r1.soil
+    nested = best({"a": [r1.height, 3.0, "text"], "b": (r1.k0, None)})
+    assert nested == {"a": [best.variables["height"], 3.0, "text"], "b": (best.variables["stiffness"], None)}
+
+
+def test_r1_run_at_the_optimum_is_a_checked_run_of_numbers(r1):
+    run = r1.best(r1.run)
+    assert isinstance(run.mean_draft, float)
+    assert run.error_estimate < 1e-8
+    assert len(run.time) == 401
+    # Two tight integrations, each good to 1e-10 or better.
+    assert run.mean_draft == pytest.approx(r1.best(r1.run.mean_draft), rel=1e-9)
+    assert run.force_rms == pytest.approx(r1.best(r1.run.force_rms), rel=1e-9)
+    assert (run.mean_draft + run.force_rms) / 1e3 == pytest.approx(r1.best.objective, rel=1e-9)
+    assert run.mount_force == pytest.approx(r1.best(r1.run.mount_force), rel=1e-8)
+
+
+def test_r1_expression_with_a_foreign_symbol_is_refused(r1):
+    with pytest.raises(po.InputError, match="not of this design: stranger"):
+        r1.best(r1.height * ca.MX.sym("stranger"))
+    with pytest.raises(po.InputError, match="SX expression"):
+        r1.best(ca.SX.sym("height"))
+
+
+def test_r1_expression_with_a_namesake_is_refused(r1):
+    with pytest.raises(po.InputError, match="not of this design"):
+        r1.best(2.0 * ca.MX.sym("height"))
+
+
+def _objective_by_scipy(scene, duration):
+    """Return mean and RMS of the mount force by SciPy's adaptive order 8, from the equation as it is written."""
+    reaction = po.soil_reaction(scene.cone, scene.soil)
+    inertia, k0, speed = scene.mass + reaction.added_mass, scene.stiffness, scene.tow_speed
+    wave = scene.effects.strength_wave
+
+    def rates(t, x):
+        z, rate = x[0], x[1]
+        strength = 1.0 + wave.amplitude * math.sin(2.0 * math.pi * (speed * t - z) / wave.wavelength)
+        force = reaction.static * strength + reaction.drag * (speed - rate) ** 2
+        # M L'' = P - F with L'' = -z''.
+        return [rate, (force - k0 * z) / inertia, z, z * z]
+
+    start = (reaction.static + reaction.drag * speed**2) / k0
+    found = solve_ivp(rates, (0.0, duration), [start, 0.0, 0.0, 0.0], method="DOP853", rtol=1e-12, atol=1e-15)
+    mean, square = found.y[2, -1] / duration, found.y[3, -1] / duration
+    return k0 * mean, k0 * math.sqrt(square - mean**2)
+
+
+def test_r1_objective_agrees_with_an_integration_of_our_own(r1):
+    mean, rms = _objective_by_scipy(r1.best(r1.scene), 2.0)
+    # Local errors of 1e-12 over some thousand steps.
+    assert (mean + rms) / 1e3 == pytest.approx(r1.best.objective, rel=1e-9)
+    assert mean == pytest.approx(r1.best(r1.run.mean_draft), rel=1e-9)
+    assert rms == pytest.approx(r1.best(r1.run.force_rms), rel=1e-9)
+
+
+@pytest.mark.parametrize("guess", [6e3, 2e4, 1e5, 4e5])
+def test_r1_is_solved_from_every_start(build_r1, guess):
+    best = build_r1(guess=(25.0, 0.25, guess)).design.solve()
+    assert best.objective == pytest.approx(TRUTH[0]["J"], rel=2e-10)
+
+
+def test_r1_solved_twice_gives_identical_numbers(r1):
+    again = r1.design.solve()
+    assert again.objective == r1.best.objective
+    assert [o.variables for o in again.local_optima] == [o.variables for o in r1.best.local_optima]
+    assert [o.limits for o in again.local_optima] == [o.limits for o in r1.best.local_optima]
+
+
+def test_r1_built_twice_gives_identical_numbers(r1, build_r1):
+    again = build_r1().design.solve()
+    assert [o.objective for o in again.local_optima] == [o.objective for o in r1.best.local_optima]
+    assert [o.variables for o in again.local_optima] == [o.variables for o in r1.best.local_optima]

@@ -1,0 +1,201 @@
+"""Requirements that cannot all be met, and designs that need a second attempt."""
+
+import math
+import re
+
+import casadi as ca
+import pytest
+
+import plough_opt as po
+from plough_opt.design import ipopt
+
+
+def _sqrt_a(soil):
+    """Return the front's radius over the cone's, from a cone of slope 1 and height 1."""
+    return po.loosened_radius(po.Cone(math.pi / 4, 1.0), soil)
+
+
+def test_the_shortfall_of_an_impossible_radius(build_r1):
+    problem = build_r1(radius=0.9)
+    with pytest.raises(po.InfeasibleDesign) as caught:
+        problem.design.solve()
+    error = caught.value
+    # The largest share: half a metre high, at the largest half angle.
+    shortfall = 0.9 - 0.5 * math.tan(po.deg(15.0)) * _sqrt_a(problem.soil)
+    assert error.conflicts == {"loosened radius": pytest.approx(shortfall, rel=1e-7)}
+    assert len(error.blockers) == 2
+    assert any("requirement 'half angle'" in blocker for blocker in error.blockers)
+    assert any("upper bound 0.5 m of 'height'" in blocker for blocker in error.blockers)
+    assert re.search(r"'loosened radius' \(at least 0.9 m\) fails by 0.600\d* m", str(error))
+    assert "height = 0.5 m" in str(error)
+
+
+def test_requirements_that_contradict_each_other():
+    d = po.Design()
+    x = d.variable("x", guess=0.5, lower=0.0, upper=1.0)
+    d.minimise(x**2)
+    d.require("large", 10.0 * x, at_least=8.0, unit="m")
+    d.require("small", 10.0 * x, at_most=2.0, unit="m")
+    with pytest.raises(po.InfeasibleDesign) as caught:
+        d.solve()
+    # Scaled by their limits, the smaller limit is the dearer one to break.
+    assert caught.value.conflicts == {"large": pytest.approx(6.0, rel=1e-7)}
+    assert caught.value.blockers == ["requirement 'small' at most 2 m"]
+
+
+def test_a_path_that_cannot_be_kept(r1_scene):
+    d = po.Design()
+    k0 = d.variable("stiffness", guess=5e4, lower=5e3, upper=5e5, unit="N/m", log=True)
+    run = po.simulate(r1_scene(stiffness=k0), 0.5, outputs=50)
+    d.minimise(run.mean_draft / 1e3)
+    force = r1_scene().steady_resistance
+    limit = 0.5 * force / 5e5
+    d.require("deflection", run.deflection, at_most=limit, unit="m")
+    with pytest.raises(po.InfeasibleDesign) as caught:
+        d.solve()
+    # From equilibrium without a wave nothing moves, and the stiffest mount bends least.
+    assert caught.value.conflicts == {"deflection": pytest.approx(force / 5e5 - limit, rel=1e-6)}
+    assert caught.value.blockers == ["upper bound 500000 N/m of 'stiffness'"]
+
+
+def test_a_bound_alone_can_block():
+    d = po.Design()
+    x = d.variable("x", guess=0.5, lower=0.1, upper=1.0, unit="m", log=True)
+    d.minimise(x)
+    d.require("long", 3.0 * x, at_least=4.0, unit="m")
+    with pytest.raises(po.InfeasibleDesign) as caught:
+        d.solve()
+    assert caught.value.conflicts == {"long": pytest.approx(1.0, rel=1e-7)}
+    assert caught.value.blockers == ["upper bound 1 m of 'x'"]
+
+
+def test_a_requirement_on_a_number_that_fails():
+    d = po.Design()
+    x = d.variable("x", guess=0.5, lower=0.0, upper=1.0)
+    d.minimise(x)
+    d.require("given", 3.0, at_most=2.0, unit="m")
+    with pytest.raises(po.InfeasibleDesign) as caught:
+        d.solve()
+    assert caught.value.conflicts == {"given": pytest.approx(1.0, rel=1e-7)}
+
+
+def test_an_equality_that_cannot_hold():
+    d = po.Design()
+    x = d.variable("x", guess=0.5, lower=0.0, upper=1.0)
+    d.minimise(x)
+    d.require("exact", x, at_least=1.5, at_most=1.5)
+    with pytest.raises(po.InfeasibleDesign) as caught:
+        d.solve()
+    assert caught.value.conflicts == {"exact": pytest.approx(0.5, rel=1e-7)}
+
+
+def test_requirements_that_touch_in_one_point_are_feasible():
+    d = po.Design()
+    x = d.variable("x", guess=0.9, lower=0.0, upper=1.0)
+    d.minimise(x**2)
+    d.require("least", x, at_least=0.4)
+    d.require("most", x, at_most=0.4)
+    best = d.solve()
+    assert best.variables["x"] == pytest.approx(0.4, rel=1e-8)
+
+
+def test_a_conflict_names_only_what_takes_part():
+    d = po.Design()
+    x = d.variable("x", guess=0.5, lower=0.0, upper=1.0, unit="m")
+    y = d.variable("y", guess=0.5, lower=0.0, upper=1.0, unit="m")
+    d.minimise(x + y)
+    d.require("long", x, at_least=2.0, unit="m")
+    d.require("easy", y, at_least=0.25, unit="m")
+    with pytest.raises(po.InfeasibleDesign) as caught:
+        d.solve()
+    assert caught.value.conflicts == {"long": pytest.approx(1.0, rel=1e-7)}
+    assert caught.value.blockers == ["upper bound 1 m of 'x'"]
+
+
+def test_a_start_that_violates_everything_is_no_obstacle(build_r1):
+    problem = build_r1(guess=(59.0, 0.11, 5.1e3))
+    best = problem.design.solve()
+    assert best.objective == pytest.approx(0.8250057092, rel=2e-10)
+
+
+def test_feasible_designs_behind_a_bend_are_found():
+    d = po.Design()
+    x = d.variable("x", guess=-0.9, lower=-1.0, upper=1.0)
+    y = d.variable("y", guess=-0.9, lower=-1.0, upper=1.0)
+    d.minimise((x + 1.0) ** 2 + (y + 1.0) ** 2)
+    d.require("inside", (x - 0.5) ** 2 + (y - 0.5) ** 2, at_most=0.04)
+    d.require("outside", (x - 0.5) ** 2 + (y - 0.5) ** 2, at_least=0.01)
+    best = d.solve()
+    # The point of the circle of radius 0.2 about (0.5, 0.5) that is nearest to (-1, -1).
+    wanted = 0.5 - 0.2 / math.sqrt(2.0)
+    assert best.variables == {"x": pytest.approx(wanted, rel=1e-8), "y": pytest.approx(wanted, rel=1e-8)}
+
+
+# --- not converged ------------------------------------------------------------------------------------------
+
+
+def _rosenbrock():
+    d = po.Design()
+    x = d.variable("x", guess=-1.2, lower=-2.0, upper=2.0)
+    y = d.variable("y", guess=1.0, lower=-2.0, upper=2.0)
+    d.minimise((1.0 - x) ** 2 + 100.0 * (y - x**2) ** 2)
+    return d, x, y
+
+
+def test_too_few_iterations_give_no_optimum(monkeypatch):
+    monkeypatch.setitem(ipopt._OPTIONS, "ipopt.max_iter", 1)
+    d, _, _ = _rosenbrock()
+    with pytest.raises(po.NotConverged, match="ran out of iterations") as caught:
+        d.solve()
+    assert caught.value.status == "Maximum_Iterations_Exceeded"
+    assert "x = " in str(caught.value)
+
+
+def test_too_few_iterations_with_requirements_are_not_called_infeasible(monkeypatch):
+    monkeypatch.setitem(ipopt._OPTIONS, "ipopt.max_iter", 1)
+    d, x, y = _rosenbrock()
+    d.require("sum", x + y, at_least=1.0)
+    with pytest.raises(po.NotConverged) as caught:
+        d.solve()
+    assert caught.value.status == "Maximum_Iterations_Exceeded"
+
+
+def test_an_objective_with_a_kink_gives_an_optimum_or_an_error():
+    d = po.Design()
+    x = d.variable("x", guess=0.9, lower=0.0, upper=1.0)
+    d.minimise(1.0 + ca.fabs(x - 0.3))
+    try:
+        best = d.solve()
+    except po.NotConverged as error:
+        assert error.status  # noqa: PT017 - either outcome is honest
+    else:
+        assert best.variables["x"] == pytest.approx(0.3, abs=1e-6)
+
+
+def test_more_equalities_than_variables_are_refused_with_a_remedy():
+    d = po.Design()
+    x = d.variable("x", guess=0.5, lower=0.0, upper=1.0)
+    d.minimise(1.0 + x**2)
+    d.require("one", x, at_least=0.8, at_most=0.8)
+    d.require("same in other words", x + 1.0, at_least=1.8, at_most=1.8)
+    with pytest.raises(po.NotConverged, match="more equalities than variables"):
+        d.solve()
+
+
+def test_noise_is_no_optimum():
+    d = po.Design()
+    x = d.variable("x", guess=0.1, lower=0.0, upper=1.0)
+    d.minimise(1.0 + x + 1e-3 * ca.sin(1e7 * x))
+    with pytest.raises(po.NotConverged) as caught:
+        d.solve()
+    assert caught.value.status
+    assert str(caught.value).endswith(ipopt.REMEDIES[caught.value.status])
+
+
+def test_a_model_that_breaks_between_the_bounds_says_so():
+    d = po.Design()
+    x = d.variable("x", guess=0.9, lower=0.0, upper=1.0)
+    d.minimise(ca.sqrt(x - 0.5) + x)
+    with pytest.raises(po.NotConverged) as caught:
+        d.solve()
+    assert caught.value.status

@@ -1,0 +1,277 @@
+"""What an optimum carries: limits with multipliers, parameters, and plain numbers."""
+
+import json
+import math
+from dataclasses import asdict
+
+import casadi as ca
+import numpy as np
+import pytest
+
+import plough_opt as po
+from plough_opt.design import program as program_module
+
+
+def _slope(objective_at, limit, step):
+    """Return d objective / d limit by central differences of order 4."""
+    one = objective_at(limit + step) - objective_at(limit - step)
+    two = objective_at(limit + 2.0 * step) - objective_at(limit - 2.0 * step)
+    return (8.0 * one - two) / (12.0 * step)
+
+
+def _limit(best, name):
+    (limit,) = [limit for limit in best.limits if limit.name == name]
+    return limit
+
+
+# --- multipliers --------------------------------------------------------------------------------------------
+
+
+def test_multiplier_of_a_requirement_is_the_slope_of_the_best_objective():
+    def solve(radius):
+        d = po.Design()
+        x = d.variable("x", guess=0.5, lower=0.1, upper=3.0, log=True)
+        y = d.variable("y", guess=0.5, lower=-3.0, upper=3.0)
+        d.minimise(ca.exp(x) + x * y + y**2)
+        d.require("radius", ca.sqrt(x**2 + 2.0 * y**2), at_least=radius, unit="m")
+        return d.solve()
+
+    # The objective is good to 1e-10, the step leaves (step)^4.
+    slope = _slope(lambda radius: solve(radius).objective, 1.3, 3e-3)
+    limit = _limit(solve(1.3), "radius")
+    assert limit.active
+    assert limit.multiplier == pytest.approx(slope, rel=1e-6)
+
+
+def test_multiplier_of_the_radius_in_r1_is_the_slope_of_the_best_objective(build_r1, r1):
+    def objective(radius):
+        return build_r1(radius=radius, guess=(39.0, 0.2, 5.1e3)).design.solve(search="local").objective
+
+    assert objective(0.12) == pytest.approx(r1.best.objective, rel=1e-9)
+    # Values good to some 1e-13 over a step of 1e-4: 1e-9 of a slope of order ten.
+    assert _limit(r1.best, "loosened radius").multiplier == pytest.approx(_slope(objective, 0.12, 1e-4), rel=1e-7)
+
+
+def test_multiplier_of_a_path_is_the_slope_of_the_best_objective(r1_scene, r1_wave):
+    def solve(deflection):
+        d = po.Design()
+        k0 = d.variable("stiffness", guess=2e4, lower=1e4, upper=1e6, unit="N/m", log=True)
+        run = po.simulate(r1_scene(stiffness=k0, strength_wave=r1_wave, damping=2e3), 1.0, outputs=100)
+        d.minimise(1.0 + k0 / 1e5)
+        d.require("deflection", run.deflection, at_most=deflection, unit="m")
+        return d.solve(search="local")
+
+    best = solve(0.02)
+    limit = _limit(best, "deflection")
+    assert limit.active
+    assert limit.value == pytest.approx(0.02, rel=1e-8)
+    assert limit.multiplier == pytest.approx(-_slope(lambda z: solve(z).objective, 0.02, 1e-5), rel=1e-6)
+
+
+def test_multiplier_of_a_bound_is_the_slope_of_the_best_objective(r1_scene, r1_wave):
+    def solve(upper):
+        d = po.Design()
+        k0 = d.variable("stiffness", guess=2e5, lower=1.5e5, upper=upper, unit="N/m", log=True)
+        run = po.simulate(r1_scene(stiffness=k0, strength_wave=r1_wave, damping=2e3), 1.0, outputs=20)
+        d.minimise(run.displacement_rms * 1e3)
+        return d.solve(search="local")
+
+    best = solve(4e5)
+    assert best.active == ("stiffness",)
+    slope = _slope(lambda upper: solve(upper).objective, 4e5, 4e2)
+    assert _limit(best, "stiffness").multiplier == pytest.approx(-slope, rel=1e-5)
+
+
+def test_an_idle_limit_has_no_multiplier(r1):
+    limit = _limit(r1.best, "mean deflection")
+    assert not limit.active
+    assert limit.multiplier < 1e-6
+    assert limit.value == pytest.approx(r1.best(r1.run.mean_draft) / 5e3, rel=1e-8)
+    assert limit.margin == pytest.approx(0.15 - limit.value, rel=1e-12)
+
+
+def test_limits_come_in_the_order_of_declaration(r1):
+    assert [(limit.name, limit.kind) for limit in r1.best.limits] == [
+        ("loosened radius", "requirement"),
+        ("mean deflection", "requirement"),
+        ("half angle", "requirement"),
+        ("wedge angle", "bound"),
+        ("height", "bound"),
+        ("stiffness", "bound"),
+    ]
+    assert list(r1.best.margins) == ["loosened radius", "mean deflection", "half angle"]
+    assert [limit.unit for limit in r1.best.limits] == ["m", "m", "rad", "rad", "m", "N/m"]
+
+
+def test_variables_stay_within_their_bounds(r1, cotton):
+    for best in (r1.best, cotton.best):
+        for optimum in best.local_optima:
+            for limit in optimum.limits:
+                assert limit.kind == "requirement" or limit.margin >= 0.0
+
+
+def test_results_are_plain_numbers(r1):
+    for optimum in r1.best.local_optima:
+        assert all(type(value) is float for value in optimum.variables.values())
+        for limit in optimum.limits:
+            assert [type(value) for value in (limit.value, limit.margin, limit.multiplier)] == [float] * 3
+            assert type(limit.active) is bool
+        assert json.loads(json.dumps(asdict(optimum)))["objective"] == optimum.objective
+
+
+# --- an expression, a run ---------------------------------------------------------------------------------
+
+
+def test_an_array_comes_back_as_an_array(r1):
+    deflection = r1.best(r1.run.deflection)
+    assert isinstance(deflection, np.ndarray)
+    assert deflection.shape == (401,)
+    assert deflection[0] == pytest.approx(
+        r1.best(r1.scene.steady_resistance) / r1.best.variables["stiffness"], rel=1e-12
+    )
+    assert r1.best(r1.run.time) == pytest.approx(np.linspace(0.0, 2.0, 401), rel=1e-14)
+
+
+def test_numbers_and_texts_pass_unchanged(r1):
+    assert r1.best(3.0) == 3.0
+    assert r1.best("text") == "text"
+    assert r1.best(None) is None
+
+
+def test_an_expression_that_was_no_part_of_the_design(r1):
+    cone = r1.best(r1.cone)
+    assert r1.best(r1.cone.area) == pytest.approx(cone.area, rel=1e-14)
+    wanted = r1.best(r1.run.specific_draft)
+    assert wanted == pytest.approx(r1.best(r1.run.mean_draft) / (math.pi * 0.12**2), rel=1e-8)
+
+
+def test_the_wanted_run_may_have_few_outputs(build_r1):
+    problem = build_r1(outputs=7, duration=0.5)
+    best = problem.design.solve(search="local")
+    assert len(best(problem.run).time) == 8
+    assert best(problem.run.deflection).shape == (8,)
+    assert best(problem.run).duration == 0.5
+
+
+# --- parameters ---------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def with_parameter():
+    """Build R1 with the soil's cohesion as a parameter."""
+
+    def build(value):
+        d = po.Design()
+        cohesion = d.parameter("cohesion", value, unit="Pa")
+        height = d.variable("height", guess=0.25, lower=0.10, upper=0.50, unit="m")
+        k0 = d.variable("stiffness", guess=5e4, lower=1e4, upper=5e5, unit="N/m", log=True)
+        soil = po.Soil(1400.0, 0.8, cohesion, po.deg(30.0), 0.5, 1e4)
+        share = po.Wedge(po.deg(30.0), po.deg(15.0), height)
+        cone = share.equivalent_cone()
+        effects = po.Effects(strength_wave=po.StrengthWave(0.3, 0.6), damping=300.0)
+        run = po.simulate(po.Scene(soil, share, k0, 20.0 + cone.solid_mass(7850.0), 2.0, effects), 1.0, outputs=20)
+        d.minimise(run.mean_draft / 1e3 + run.force_rms / 1e3)
+        d.require("loosened radius", po.loosened_radius(cone, soil), at_least=0.12, unit="m")
+        return d, run, soil
+
+    return build
+
+
+def test_a_parameter_of_a_solve_is_as_if_declared(with_parameter):
+    d, run, soil = with_parameter(15e3)
+    first, other = d.solve(), d.solve(parameters={"cohesion": 30e3})
+    fresh_design, fresh_run, _ = with_parameter(30e3)
+    fresh = fresh_design.solve()
+    assert other.objective > 1.2 * first.objective
+    # The program is scaled by the first solve's objective; both are good to the optimiser's 1e-10.
+    assert other.objective == pytest.approx(fresh.objective, rel=1e-9)
+    assert other.variables == pytest.approx(fresh.variables, rel=1e-7)
+    assert len(other.local_optima) == len(fresh.local_optima)
+    assert other(run.mean_draft) == pytest.approx(fresh(fresh_run.mean_draft), rel=1e-9)
+    assert other(soil).cohesion == 30e3
+    assert first(soil).cohesion == 15e3
+
+
+def test_a_solve_leaves_the_declared_value_as_it_was(with_parameter):
+    d, _, _ = with_parameter(15e3)
+    first = d.solve()
+    d.solve(parameters={"cohesion": 30e3})
+    again = d.solve()
+    assert again.objective == first.objective
+    assert again.variables == first.variables
+
+
+def test_an_integer_parameter_is_a_number(with_parameter):
+    d, _, soil = with_parameter(15000)
+    assert d.solve(parameters={"cohesion": 20000})(soil).cohesion == 20e3
+
+
+def test_an_unknown_parameter_is_refused_with_the_nearest(with_parameter):
+    d, _, _ = with_parameter(15e3)
+    with pytest.raises(po.InputError, match="'cohesoin' is no parameter of this design: did you mean 'cohesion'"):
+        d.solve(parameters={"cohesoin": 20e3})
+    with pytest.raises(po.InputError, match="'height' is no parameter of this design"):
+        d.solve(parameters={"height": 0.2})
+
+
+def test_a_parameter_outside_the_models_domain_is_refused(with_parameter):
+    d, _, _ = with_parameter(15e3)
+    with pytest.raises(po.PloughError, match="cohesion"):
+        d.solve(parameters={"cohesion": -1.0})
+
+
+def test_the_model_is_written_once_for_all_solves(monkeypatch, with_parameter):
+    builds = []
+    build_nlp = program_module.build_nlp
+    monkeypatch.setattr(
+        program_module, "build_nlp", lambda *arguments: builds.append(arguments) or build_nlp(*arguments)
+    )
+    d, _, _ = with_parameter(15e3)
+    d.solve()
+    program, written = d._program, len(builds)
+    for cohesion in (14e3, 20e3, 15e3):
+        d.solve(parameters={"cohesion": cohesion})
+    assert d._program is program
+    assert len(builds) == written
+
+
+def test_a_parameter_that_moves_an_optimum_known_by_hand():
+    d = po.Design()
+    x = d.variable("x", guess=0.9, lower=0.0, upper=1.0)
+    target = d.parameter("target", 0.25)
+    d.minimise(2.0 + (x - target) ** 2)
+    d.require("least", x - 0.5 * target, at_least=0.05)
+    for value in (0.25, 0.5, 0.75, 0.25):
+        assert d.solve(parameters={"target": value}).variables["x"] == pytest.approx(value, abs=1e-8)
+    # Below 0.1 the requirement decides, with a multiplier of 0.02: the barrier keeps 1e-10 of the scale over it.
+    assert d.solve(parameters={"target": 0.04}).variables["x"] == pytest.approx(0.07, abs=1e-8)
+
+
+def test_an_optimum_outlives_later_solves(with_parameter):
+    d, run, _ = with_parameter(15e3)
+    first = d.solve()
+    before = first(run.mean_draft)
+    d.solve(parameters={"cohesion": 30e3})
+    assert first(run.mean_draft) == before
+
+
+# --- two soils in one design --------------------------------------------------------------------------------
+
+
+def test_a_design_for_two_soils(r1_soil):
+    d = po.Design()
+    height = d.variable("height", guess=0.25, lower=0.10, upper=0.50, unit="m")
+    k0 = d.variable("stiffness", guess=5e4, lower=1e4, upper=5e5, unit="N/m", log=True)
+    share = po.Wedge(po.deg(30.0), po.deg(15.0), height)
+    effects = po.Effects(strength_wave=po.StrengthWave(0.3, 0.6), damping=300.0)
+    soils = (r1_soil, po.named_soil("serozem"))
+    runs = [po.simulate(po.Scene(soil, share, k0, 25.0, 2.0, effects), 1.0, outputs=20) for soil in soils]
+    d.minimise(sum(run.mean_draft + run.force_rms for run in runs) / 1e3)
+    d.require("loosened radius", po.loosened_radius(share.equivalent_cone(), r1_soil), at_least=0.12, unit="m")
+    best = d.solve()
+    checked = [best(run) for run in runs]
+    assert [run.scene.soil.name for run in checked] == [soil.name for soil in soils]
+    total = sum(run.mean_draft + run.force_rms for run in checked) / 1e3
+    # Two runs by the tightest method, good to 1e-10 each.
+    assert total == pytest.approx(best.objective, rel=1e-9)
+    assert best.gap < 1e-8

@@ -1,0 +1,153 @@
+"""Optima that are not unique: along which directions nothing changes, and that unique ones have none."""
+
+import casadi as ca
+import numpy as np
+import pytest
+
+import plough_opt as po
+
+
+@pytest.fixture(scope="module")
+def two_angles(r1_soil):
+    """A share whose wedge angle and chisel angle are both free, of which only the cone's half angle matters."""
+    d = po.Design()
+    angle = d.variable("wedge angle", guess=po.deg(25.0), lower=po.deg(5.0), upper=po.deg(60.0), unit="rad")
+    chisel = d.variable("chisel angle", guess=po.deg(15.0), lower=po.deg(5.0), upper=po.deg(30.0), unit="rad")
+    height = d.variable("height", guess=0.25, lower=0.10, upper=0.50, unit="m")
+    share = po.Wedge(angle, chisel, height)
+    cone = share.equivalent_cone()
+    scene = po.Scene(r1_soil, share, 2e4, 25.0, 2.0, po.Effects(strength_wave=po.StrengthWave(0.3, 0.6), damping=300.0))
+    run = po.simulate(scene, 1.0)
+    d.minimise(run.mean_draft / 1e3 + run.force_rms / 1e3)
+    d.require("loosened radius", po.loosened_radius(cone, r1_soil), at_least=0.12, unit="m")
+    d.require("half angle", cone.half_angle, at_most=po.deg(15.0), unit="rad")
+    return d, d.solve(search="local"), share, height
+
+
+def test_wedge_and_chisel_angle_cannot_be_told_apart(two_angles):
+    _, best, _, _ = two_angles
+    assert best.status == "not unique"
+    (direction,) = best.flat_directions
+    assert abs(direction["wedge angle"]) > 1e-4
+    assert abs(direction["chisel angle"]) > 1e-4
+    assert abs(direction["height"]) < 1e-6
+
+
+def test_along_the_flat_direction_the_half_angle_stays(two_angles):
+    _, best, _, _ = two_angles
+    (direction,) = best.flat_directions
+
+    def half_angle(step):
+        angle = best.variables["wedge angle"] + step * direction["wedge angle"]
+        chisel = best.variables["chisel angle"] + step * direction["chisel angle"]
+        return po.Wedge(angle, chisel, best.variables["height"]).equivalent_cone().half_angle
+
+    def change(step):
+        return abs(half_angle(step) - half_angle(0.0))
+
+    # A tangent: halving the step quarters the change, and one tenth of it leaves a hundredth.
+    assert change(0.5) / change(1.0) == pytest.approx(0.25, rel=0.05)
+    assert change(0.1) / change(1.0) == pytest.approx(0.01, rel=0.1)
+    # Across it the half angle does change: some 0.3 rad for one of wedge angle.
+    assert change(0.1) < 1e-2 * abs(0.1 * direction["wedge angle"])
+
+
+def test_designs_along_the_flat_direction_are_as_good(two_angles):
+    d, best, _, _ = two_angles
+    (direction,) = best.flat_directions
+    moved = best.variables["chisel angle"] + direction["chisel angle"]
+    d.require("moved", d._variables[1].symbol, at_least=moved, at_most=moved)
+    again = d.solve(search="local")
+    assert again.objective == pytest.approx(best.objective, rel=1e-9)
+    assert again.variables["chisel angle"] == pytest.approx(moved, rel=1e-9)
+    assert again.status == "solved"
+
+
+def test_a_variable_that_nothing_depends_on():
+    d = po.Design()
+    x = d.variable("x", guess=0.9, lower=0.0, upper=1.0)
+    d.variable("idle", guess=0.3, lower=0.0, upper=2.0)
+    d.minimise(1.0 + (x - 0.25) ** 2)
+    best = d.solve()
+    assert best.status == "not unique"
+    (direction,) = best.flat_directions
+    assert abs(direction["idle"]) == pytest.approx(0.01 * 2.0, rel=1e-9)
+    assert direction["x"] == pytest.approx(0.0, abs=1e-12)
+    assert best.variables["x"] == pytest.approx(0.25, abs=1e-8)
+
+
+def test_a_sum_of_which_only_the_total_matters():
+    d = po.Design()
+    x = d.variable("x", guess=0.9, lower=0.0, upper=1.0)
+    y = d.variable("y", guess=0.3, lower=0.0, upper=2.0)
+    d.minimise(1.0 + (x + y - 1.2) ** 2)
+    best = d.solve()
+    (direction,) = best.flat_directions
+    assert direction["x"] == pytest.approx(-direction["y"], rel=1e-9)
+    assert best.variables["x"] + best.variables["y"] == pytest.approx(1.2, abs=1e-8)
+
+
+def test_a_constant_objective_leaves_every_direction_flat():
+    d = po.Design()
+    x = d.variable("x", guess=0.9, lower=0.0, upper=1.0)
+    y = d.variable("y", guess=0.3, lower=0.0, upper=2.0)
+    d.minimise(1.0)
+    d.require("sum", x + y, at_most=2.5)
+    best = d.solve()
+    assert best.status == "not unique"
+    assert len(best.flat_directions) == 2
+
+
+def test_a_flat_line_along_an_active_limit():
+    d = po.Design()
+    x = d.variable("x", guess=0.9, lower=0.0, upper=1.0)
+    y = d.variable("y", guess=0.3, lower=0.0, upper=1.0)
+    d.minimise(x + y)
+    d.require("sum", x + y, at_least=0.7)
+    best = d.solve()
+    assert best.status == "not unique"
+    (direction,) = best.flat_directions
+    assert direction["x"] == pytest.approx(-direction["y"], rel=1e-6)
+
+
+@pytest.mark.parametrize("objective", ["steep", "gentle", "quartic", "corner"])
+def test_a_unique_optimum_has_no_flat_direction(objective):
+    d = po.Design()
+    x = d.variable("x", guess=0.9, lower=0.0, upper=1.0)
+    y = d.variable("y", guess=0.3, lower=0.0, upper=1.0)
+    d.minimise(
+        {
+            "steep": 1.0 + 1e4 * (x - 0.25) ** 2 + (y - 0.5) ** 2,
+            "gentle": 1.0 + (x - 0.25) ** 2 + 1e-4 * (y - 0.5) ** 2,
+            "quartic": 1.0 + (x - 0.25) ** 2 + (y - 0.5) ** 4,
+            "corner": x + 2.0 * y + 1.0,
+        }[objective]
+    )
+    best = d.solve()
+    assert best.status == "solved"
+    assert best.flat_directions == ()
+
+
+@pytest.mark.parametrize("others", [0, 1])
+def test_a_start_on_top_of_a_hill_is_left(others):
+    d = po.Design()
+    x = d.variable("x", guess=0.5, lower=0.0, upper=1.0)
+    hill = 2.0 - (x - 0.5) ** 2
+    for k in range(others):
+        hill += (d.variable(f"y{k}", guess=0.5, lower=0.0, upper=1.0) - 0.3) ** 2
+    d.minimise(hill)
+    # Both ends of x are 0.25 lower than the top, where the gradient is zero too.
+    assert d.solve().objective == pytest.approx(1.75, rel=1e-8)
+
+
+def test_r1_is_unique(r1):
+    assert r1.best.status == "solved"
+    assert r1.best.flat_directions == ()
+
+
+def test_flat_directions_keep_the_parameters(two_angles):
+    _, best, share, _ = two_angles
+    assert set(best.flat_directions[0]) == {"wedge angle", "chisel angle", "height"}
+    assert isinstance(best(share), po.Wedge)
+    assert not isinstance(best(share).angle, ca.MX)
+    assert np.isfinite(best(share).angle)

@@ -1,0 +1,54 @@
+from pathlib import Path
+
+import pytest
+
+import plough_opt as po
+
+PROBLEMS = Path(__file__).parents[2] / "problems"
+
+
+@pytest.fixture(scope="session")
+def problems():
+    """Return the folder of problem files."""
+    return PROBLEMS
+
+
+@pytest.fixture(scope="session")
+def cotton():
+    """Return the text of the problem file that the tests change."""
+    return (PROBLEMS / "cotton_subsoiler.toml").read_text(encoding="utf-8")
+
+
+@pytest.fixture
+def changed(cotton):
+    """Return the problem file's text with one place of it changed."""
+
+    def change(old, new):
+        assert cotton.count(old) == 1, f"{old!r} must stand in the file once"
+        return cotton.replace(old, new)
+
+    return change
+
+
+@pytest.fixture
+def read(tmp_path):
+    """Read a text as the problem file share.toml."""
+
+    def read(text, *overrides):
+        path = tmp_path / "share.toml"
+        path.write_text(text, encoding="utf-8")
+        return po.read_problem(path, overrides)
+
+    return read
+
+
+@pytest.fixture
+def refusal(read, tmp_path):
+    """Return the message with which a text is refused; the file is share.toml in it."""
+
+    def refusal(text, *overrides):
+        with pytest.raises(po.InputError) as caught:
+            read(text, *overrides)
+        return str(caught.value).replace(f"{tmp_path}/", "")
+
+    return refusal

@@ -1,0 +1,300 @@
+"""What a right problem file becomes: a scene, its variables, and the same results as Python by hand."""
+
+import math
+import tomllib
+
+import numpy as np
+import pytest
+
+import plough_opt as po
+from plough_opt.problem_file import TEMPLATE
+
+DEG = math.pi / 180
+
+
+def steel_mass(wedge_angle, chisel_angle, height):
+    """Return the mass of a solid steel cone of equal height and surface, by the source's own form of (7)."""
+    p = math.pi * math.cos(chisel_angle) ** 2 / (2 * math.tan(wedge_angle))
+    half_angle = math.asin(math.sqrt(p**2 + 1) - p)
+    return 7850 * math.pi / 3 * height**3 * math.tan(half_angle) ** 2
+
+
+@pytest.fixture(scope="module")
+def subsoiler(problems):
+    return po.read_problem(problems / "cotton_subsoiler.toml")
+
+
+@pytest.fixture(scope="module")
+def reference(problems):
+    return po.read_problem(problems / "reference.toml")
+
+
+def test_the_subsoiler_is_a_scene_of_the_values_in_its_file(subsoiler):
+    scene = subsoiler.scene()
+    assert scene.soil == po.named_soil("serozem")
+    assert scene.share.angle == pytest.approx(25 * DEG)
+    assert scene.share.chisel_angle == pytest.approx(15 * DEG)
+    assert scene.share.height == 0.25
+    assert scene.stiffness == pytest.approx(50e3)
+    assert scene.mass == pytest.approx(20 + steel_mass(25 * DEG, 15 * DEG, 0.25), rel=1e-12)
+    assert scene.tow_speed == pytest.approx(2.0)
+    assert scene.effects == po.Effects(strength_wave=po.StrengthWave(amplitude=0.3, wavelength=0.2), damping=400.0)
+
+
+def test_the_reference_is_a_scene_of_the_values_in_its_file(reference):
+    scene = reference.scene()
+    soil = scene.soil
+    assert (soil.density, soil.density_ratio, soil.tool_friction) == (1400.0, 0.8, 0.5)
+    assert (soil.cohesion, soil.ambient_pressure) == (pytest.approx(15e3), pytest.approx(10e3))
+    assert soil.friction_angle == pytest.approx(30 * DEG)
+    assert "reference.toml" in soil.source
+    assert (scene.share.angle, scene.share.chisel_angle) == (pytest.approx(25 * DEG), pytest.approx(15 * DEG))
+    assert (scene.share.height, scene.tow_speed, scene.stiffness) == (0.25, 2.0, pytest.approx(50e3))
+    assert scene.effects == po.Effects(strength_wave=po.StrengthWave(amplitude=0.3, wavelength=0.6))
+
+
+def test_the_reference_has_the_variables_in_its_file(reference):
+    assert list(reference.variables) == ["share.wedge_angle", "share.height", "scene.stiffness"]
+    angle, height, stiffness = reference.variables.values()
+    assert (angle.lower, angle.upper) == (pytest.approx(5 * DEG), pytest.approx(60 * DEG))
+    assert (height.lower, height.upper, height.guess) == (0.10, 0.50, 0.25)
+    assert (stiffness.lower, stiffness.upper) == (pytest.approx(5e3), pytest.approx(500e3))
+    assert (angle.log, height.log, stiffness.log) == (False, False, True)
+    assert (angle.unit, height.unit, stiffness.unit) == ("rad", "m", "N/m")
+
+
+def test_a_file_has_its_title_and_no_notes(reference):
+    assert reference.title == "R1: reference problem with three local optima"
+    assert reference.notes == ()
+
+
+@pytest.mark.parametrize("name", ["subsoiler", "reference"])
+def test_a_file_simulates_as_the_same_scene_built_in_python(name, request):
+    run = request.getfixturevalue(name).simulate()
+    soil = {
+        "subsoiler": po.named_soil("serozem"),
+        "reference": po.Soil(density=1400, density_ratio=0.8, cohesion=15e3, friction_angle=po.deg(30),
+                             tool_friction=0.5, ambient_pressure=10e3),
+    }[name]  # fmt: skip
+    share = po.Wedge(angle=po.deg(25), chisel_angle=po.deg(15), height=0.25)
+    wavelength, damping = {"subsoiler": (0.2, 400.0), "reference": (0.6, None)}[name]
+    effects = po.Effects(strength_wave=po.StrengthWave(amplitude=0.3, wavelength=wavelength), damping=damping)
+    mass = 20.0 + share.equivalent_cone().solid_mass(7850.0)
+    by_hand = po.simulate(po.Scene(soil, share, 50e3, mass, 2.0, effects), duration=2.0)
+    np.testing.assert_allclose(run.time, np.linspace(0.0, 2.0, 401), atol=1e-12)
+    np.testing.assert_allclose(run.mount_force, by_hand.mount_force, rtol=1e-9)
+    np.testing.assert_allclose(run.deflection, by_hand.deflection, rtol=1e-9)
+    assert run.mean_draft == pytest.approx(by_hand.mean_draft, rel=1e-11)
+    assert run.force_rms == pytest.approx(by_hand.force_rms, rel=1e-10)
+
+
+def test_the_template_means_the_same_as_the_subsoiler(read, cotton, subsoiler):
+    assert tomllib.loads(TEMPLATE) == tomllib.loads(cotton)
+    template = read(TEMPLATE)
+    assert template.scene() == subsoiler.scene()
+    assert template.variables == subsoiler.variables
+    assert template.table == subsoiler.table
+
+
+def test_what_the_template_comments_out_is_right_too(read):
+    lines = [
+        line.removeprefix("# ") if line.startswith("# ") and " = " in line else line for line in TEMPLATE.splitlines()
+    ]
+    text = "\n".join(line for line in lines if not line.startswith(("motion", "start", "damping")))
+    problem = read(text)
+    scene = problem.scene()
+    assert scene.soil.cohesion == pytest.approx(25e3)
+    assert scene.soil.ambient_pressure == pytest.approx(5e3)
+    assert (scene.effects.tow_ramp, scene.effects.rate_term) == (0.5, pytest.approx(0.01))
+    assert problem.table.scene.outputs == 400
+
+
+def test_a_named_soil_takes_overrides_and_says_so(read, changed):
+    soil = (
+        read(changed('name = "serozem"', 'name = "serozem"\ncohesion = "25 kPa"\ndensity_ratio = "75 %"')).scene().soil
+    )
+    serozem = po.named_soil("serozem")
+    assert (soil.cohesion, soil.density_ratio) == (pytest.approx(25e3), pytest.approx(0.75))
+    assert (soil.density, soil.friction_angle) == (serozem.density, serozem.friction_angle)
+    assert soil.source.startswith(serozem.source)
+    assert "changed in" in soil.source
+    assert "cohesion, density_ratio" in soil.source
+
+
+def test_a_soil_may_be_given_in_full_with_its_elastic_constants(read, changed):
+    given = """\
+density = "1.35 g/cm^3"
+density_ratio = 0.8
+cohesion = "15 kPa"
+friction_angle = "30 deg"
+tool_friction = "50 %"
+youngs_modulus = "10 MPa"
+poisson_ratio = 0.33"""
+    soil = read(changed('name = "serozem"', given)).scene().soil
+    assert soil.density == pytest.approx(1350.0)
+    assert (soil.youngs_modulus, soil.poisson_ratio) == (pytest.approx(10e6), 0.33)
+    assert (soil.tool_friction, soil.ambient_pressure) == (0.5, 101325.0)
+
+
+MINIMAL = """\
+soil.name = "hardpan"
+share = { wedge_angle = "30 deg", chisel_angle = "0 deg", height = "20 cm" }
+scene = { tow_speed = "1 m/s", frame_mass = "10 kg", stiffness = "50 N/mm", duration = "1 s" }
+"""
+
+
+def test_what_a_file_leaves_out_has_its_default(read):
+    problem = read(MINIMAL)
+    assert problem.title == "untitled problem"
+    assert problem.scene().effects == po.Effects()
+    assert problem.accuracy == po.Accuracy()
+    assert problem.table.scene.outputs == 400
+    assert problem.scene().mass == pytest.approx(10 + steel_mass(30 * DEG, 0.0, 0.2), rel=1e-12)
+    assert problem.variables == {}
+
+
+def test_effects_and_accuracy_reach_the_simulation(read):
+    extra = """
+[effects]
+inertial_drag = false
+added_mass = false
+ambient_pressure = false
+start = "rest"
+tow_ramp = "0.5 s"
+rate_term = "0.01 s^2/m^2"
+[accuracy]
+method = "dop853"
+steps = 800
+"""
+    problem = read(MINIMAL + extra)
+    assert problem.scene().effects == po.Effects(
+        inertial_drag=False, added_mass=False, ambient_pressure=False, start="rest", tow_ramp=0.5, rate_term=0.01
+    )  # fmt: skip
+    run = problem.simulate()
+    assert (run.accuracy.method, run.accuracy.steps) == ("dop853", 800)
+
+
+def test_the_outputs_of_a_file_are_the_intervals_between_output_times(read):
+    run = read(MINIMAL.replace('duration = "1 s"', 'duration = "1 s", outputs = 8')).simulate()
+    np.testing.assert_allclose(run.time, np.linspace(0.0, 1.0, 9), atol=1e-15)
+
+
+def test_a_quasi_static_file_has_the_steady_resistance_at_every_time(read):
+    problem = read(MINIMAL + "effects.motion = false\n")
+    scene = problem.scene()
+    steady = po.resistance(scene.cone, scene.soil, 1.0, 0.0)
+    np.testing.assert_allclose(problem.simulate().mount_force, steady, rtol=1e-12)
+
+
+def test_a_guess_left_out_is_the_middle_of_its_bounds(read, changed):
+    problem = read(changed(', guess = "25 deg"', ""))
+    assert problem.variables["share.wedge_angle"].guess == pytest.approx(32.5 * DEG)
+    assert problem.scene().share.angle == pytest.approx(32.5 * DEG)
+
+
+def test_a_guess_left_out_is_the_geometric_middle_on_a_log_scale(read, changed):
+    problem = read(changed(', guess = "50 kN/m"', ""))
+    assert problem.variables["scene.stiffness"].guess == pytest.approx(100e3)
+
+
+VARIABLES = [
+    ("soil.cohesion", "10 kPa", "30 kPa", lambda scene: scene.soil.cohesion / 20e3),
+    ("scene.tow_speed", "1 m/s", "3 m/s", lambda scene: scene.tow_speed / 2.0),
+    ("effects.damping", "300 N*s/m", "500 N*s/m", lambda scene: scene.effects.damping / 400.0),
+    ("share.chisel_angle", "10 deg", "20 deg", lambda scene: scene.share.chisel_angle / (15 * DEG)),
+    ("scene.steel_density", "7.8 t/m^3", "7.9 t/m^3", lambda s: (s.mass - 20) / steel_mass(25 * DEG, 15 * DEG, 0.25)),
+]
+
+
+@pytest.mark.parametrize(("key", "lower", "upper", "value"), VARIABLES, ids=[key for key, *_ in VARIABLES])
+def test_any_quantity_may_be_a_variable(read, cotton, key, lower, upper, value):
+    name = key.split(".")[1]
+    text = "\n".join(line for line in cotton.splitlines() if not line.startswith(f"{name} ="))
+    problem = read(text.replace("[variables]", f'[variables]\n"{key}" = {{ lower = "{lower}", upper = "{upper}" }}'))
+    assert value(problem.scene()) == pytest.approx(1.0, rel=1e-12)
+
+
+MUST_BE_GIVEN = [
+    (', wavelength = "0.2 m"', "effects.strength_wave.wavelength", '"0.1 m"', '"0.3 m"'),
+    ("amplitude = 0.3, ", "effects.strength_wave.amplitude", "0.1", "0.5"),
+    ('duration = "2 s"\n', "scene.duration", '"1 s"', '"3 s"'),
+]
+
+
+@pytest.mark.parametrize(("fixed", "key", "lower", "upper"), MUST_BE_GIVEN, ids=[key for _, key, *_ in MUST_BE_GIVEN])
+def test_a_quantity_that_must_be_given_may_be_given_as_a_variable(read, changed, fixed, key, lower, upper):
+    variable = f'"{key}" = {{ lower = {lower}, upper = {upper} }}'
+    problem = read(changed(fixed, "").replace("[variables]", f"[variables]\n{variable}"))
+    assert key in problem.variables
+
+
+def test_changes_to_a_scene_are_in_si(subsoiler):
+    scene = subsoiler.scene({"share.height": 0.3, "scene.tow_speed": 1.0})
+    assert (scene.share.height, scene.tow_speed) == (0.3, 1.0)
+    assert scene.mass == pytest.approx(20 + steel_mass(25 * DEG, 15 * DEG, 0.3), rel=1e-12)
+
+
+def test_comments_blank_lines_and_windows_line_ends_mean_nothing(tmp_path, cotton, subsoiler):
+    text = "# a comment\n\n" + cotton.replace("\n", "  # said\n\n")
+    path = tmp_path / "share.toml"
+    path.write_bytes(text.replace("\n", "\r\n").encode())
+    assert po.read_problem(path).scene() == subsoiler.scene()
+
+
+def test_a_byte_order_mark_means_nothing(tmp_path, cotton, subsoiler):
+    path = tmp_path / "share.toml"
+    path.write_bytes(b"\xef\xbb\xbf" + cotton.encode())
+    assert po.read_problem(path).scene() == subsoiler.scene()
+
+
+def test_a_path_may_be_text(problems, subsoiler):
+    assert po.read_problem(str(problems / "cotton_subsoiler.toml")).table == subsoiler.table
+
+
+AVERAGES = {"mean_draft": "N", "force_rms": "N", "mean_deflection": "m", "displacement_rms": "m", "tow_power": "W",
+            "specific_draft": "Pa", "loosened_radius": "m", "half_angle": "rad", "moving_mass": "kg",
+            "added_mass": "kg"}  # fmt: skip
+EVERYWHERE = {"deflection": "m", "mount_force": "N", "soil_resistance": "N", "speed": "m/s"}
+
+
+def test_every_average_may_be_minimised_and_every_measure_required(read, cotton):
+    minimise = "".join(f'minimise.{name}.per = "2 {unit}"\n' for name, unit in AVERAGES.items())
+    require = "".join(f'require.{name}.at_most = "1e9 {unit}"\n' for name, unit in {**AVERAGES, **EVERYWHERE}.items())
+    problem = read(minimise + require + cotton.split("[minimise]")[0])
+    _, run = problem.design()
+    assert set(problem.table.minimise) == set(AVERAGES)
+    assert set(problem.table.require) == {*AVERAGES, *EVERYWHERE}
+    assert run.time.numel() == 401
+
+
+def test_a_quasi_static_file_has_the_optimum_that_is_worked_out_by_hand(read):
+    """The radius is proportional to the height, and the draft grows with it: the least radius decides."""
+    question = """effects.motion = false
+variables."share.height" = { lower = "5 cm", upper = "50 cm" }
+minimise = { mean_draft = { per = "500 N" }, tow_power = { per = "2 kW" } }
+require.loosened_radius.at_least = "10 cm"
+"""
+    best, run = read(MINIMAL.replace(', height = "20 cm"', "") + question).optimise()
+    cone, soil = po.Wedge(angle=30 * DEG, chisel_angle=0.0, height=1.0).equivalent_cone(), po.named_soil("hardpan")
+    height = 0.1 / po.loosened_radius(cone, soil)
+    force = po.resistance(po.Cone(cone.half_angle, height), soil, 1.0, 0.0)
+    assert best.variables["share.height"] == pytest.approx(height, rel=1e-7)
+    assert best.objective == pytest.approx(force / 500.0 + force * 1.0 / 2000.0, rel=1e-7)
+    assert run.mean_draft == pytest.approx(force, rel=1e-7)
+
+
+def without(text, table):
+    """Return a problem file without one of its tables."""
+    return "[".join(part for part in text.split("[") if not part.startswith(f"{table}]"))
+
+
+def test_a_design_with_nothing_to_choose_is_refused(read):
+    problem = read(MINIMAL + 'minimise.mean_draft.per = "1 kN"\n')
+    with pytest.raises(po.InputError, match=r"share\.toml: nothing to choose: a \[variables\] table is missing"):
+        problem.design()
+
+
+def test_a_design_with_nothing_to_minimise_is_refused(read, cotton):
+    problem = read(without(cotton, "minimise"))
+    with pytest.raises(po.InputError, match=r"share\.toml: nothing to minimise: a \[minimise\] table is missing"):
+        problem.design()

@@ -1,0 +1,211 @@
+"""Quantities with units: what is read, what is refused and why, and how a value is given back."""
+
+import math
+import subprocess
+import sys
+
+import hypothesis.strategies as st
+import pytest
+from hypothesis import given, settings
+
+import plough_opt as po
+from plough_opt.problem_file.units import Unit, display_of
+
+# SI unit, what a user writes, the value in SI worked out by hand.
+READ = [
+    ("m/s", "7.2 km/h", 2.0),
+    ("m/s", "10 mph", 4.4704),
+    ("rad", "15 deg", math.pi / 12),
+    ("rad", "15°", math.pi / 12),
+    ("rad", "0.5 rad", 0.5),
+    ("N*s/m", "400 N*s/m", 400.0),
+    ("N*s/m", "400 N s/m", 400.0),
+    ("N*s/m", "0.4 kN*s/m", 400.0),
+    ("N/m", "1000 kN/m", 1e6),
+    ("N/m", "50 N/mm", 5e4),
+    ("kg/m^3", "1.35 g/cm^3", 1350.0),
+    ("kg/m^3", "1.35 g/cm³", 1350.0),
+    ("kg/m^3", "1.35 t/m^3", 1350.0),
+    ("kg", "0.02 t", 20.0),
+    ("m", "25 cm", 0.25),
+    ("m", "-3e2 mm", -0.3),
+    ("s", "2 min", 120.0),
+    ("Pa", "15 kPa", 15e3),
+    ("Pa", "0.1 bar", 1e4),
+    ("Pa", "15 kN/m^2", 15e3),
+    ("N", "1 kN", 1e3),
+    ("W", "3 kW", 3e3),
+    ("s^2/m^2", "0.01 s^2/m^2", 0.01),
+    ("", "30 %", 0.3),
+    ("", "0.3", 0.3),
+    ("", 0.3, 0.3),
+    ("", 1, 1.0),
+]
+
+
+@pytest.mark.parametrize(("unit", "written", "expected"), READ)
+def test_a_quantity_is_read_in_si(unit, written, expected):
+    value = Unit(unit).parse(written)
+    assert isinstance(value, float)
+    assert value == pytest.approx(expected, rel=1e-14)
+
+
+def refusal(unit, written):
+    with pytest.raises(po.InputError) as caught:
+        Unit(unit).parse(written)
+    return str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("unit", "written", "expected"),
+    [
+        ("m/s", "7.2 kg", 'expected a quantity in m/s, like "7.2 km/h"'),
+        ("m", "15 deg", 'expected a quantity in m, like "0.3 m"'),
+        ("rad", "15 m", 'expected a quantity in rad, like "25 deg"'),
+        ("N/m", "50 kN*m", 'expected a quantity in N/m, like "50 kN/m"'),
+        ("Pa", "20 kN", 'expected a quantity in Pa, like "20 kPa"'),
+        ("kg/m^3", "1350 kg", 'expected a quantity in kg/m^3, like "1350 kg/m^3"'),
+        ("N*s/m", "400 N/m", 'expected a quantity in N*s/m, like "400 N*s/m"'),
+        ("", "0.3 m", "expected a pure number, like 0.3"),
+    ],
+)
+def test_another_dimension_is_refused_with_an_example_of_the_right_one(unit, written, expected):
+    assert refusal(unit, written) == f'= "{written}" has the wrong unit: {expected}'
+
+
+@pytest.mark.parametrize(
+    ("unit", "written", "unknown", "suggested"),
+    [
+        ("m/s", "7.2 kmh", "kmh", "'km/h'"),
+        ("Pa", "20 KPa", "KPa", "'kPa'"),
+        ("Pa", "20 kpa", "kpa", "'kPa'"),
+        ("kg", "20 kgs", "kgs", "'kg'"),
+        ("N/m", "50 kn/mm2", "mm2", "'mm'"),
+    ],
+)
+def test_an_unknown_unit_is_named_with_the_nearest(unit, written, unknown, suggested):
+    message = refusal(unit, written)
+    assert f"unknown unit '{unknown}'" in message
+    assert "did you mean" in message
+    assert suggested in message
+
+
+def test_an_unknown_unit_that_is_near_to_none_lists_those_that_are_usual():
+    message = refusal("m/s", "fast")
+    assert "unknown unit 'fast': valid names: " in message
+    assert "km/h" in message
+
+
+@pytest.mark.parametrize(("unit", "number", "example"), [("m", 0.3, '"0.3 m"'), ("rad", 25, '"25 deg"')])
+def test_a_number_without_its_unit_is_refused(unit, number, example):
+    assert refusal(unit, number) == f"= {number} has no unit: write it like {example}"
+
+
+@pytest.mark.parametrize("unit", ["m", "rad", "Pa"])
+def test_text_without_a_unit_is_refused(unit):
+    assert "unit" in refusal(unit, "0.5")
+
+
+@pytest.mark.parametrize(("unit", "written"), [("", "25 deg"), ("", "0.5 rad"), ("rad", "50 %"), ("rad", "3 mm/m")])
+def test_an_angle_is_no_pure_number_nor_the_reverse(unit, written):
+    assert "wrong unit" in refusal(unit, written)
+
+
+@pytest.mark.parametrize("written", ["km/h", "m/s"])
+def test_a_unit_without_a_number_is_refused(written):
+    assert 'like "7.2 km/h"' in refusal("m/s", written)
+
+
+@pytest.mark.parametrize("written", ["7,2 km/h", "1,5 km/h", "[7, 2] km/h"])
+def test_a_decimal_comma_is_refused_and_not_read_as_another_number(written):
+    assert written in refusal("m/s", written)
+
+
+@pytest.mark.parametrize("unit", ["m", ""])
+@pytest.mark.parametrize("value", [True, False, [1.0], [1, 2], {"a": 1}, None, b"2 m"])
+def test_what_is_no_number_and_no_text_is_refused(unit, value):
+    assert refusal(unit, value).startswith("is not a quantity: write it like ")
+
+
+@pytest.mark.parametrize("written", ["", " ", "m 2 m)", "2 m/s/", "2 +", "2 m if x", "\x00"])
+def test_text_that_is_no_quantity_is_refused_with_an_example(written):
+    message = refusal("m", written)
+    assert "is not a quantity" in message or "unknown unit" in message
+
+
+@pytest.mark.parametrize(
+    ("unit", "written"),
+    [("m", "nan m"), ("m", "inf m"), ("m", "-inf m"), ("m", "1e400 m"), ("", math.nan), ("", math.inf), ("", "nan")],
+)
+def test_what_is_not_finite_is_refused(unit, written):
+    assert "must be finite" in refusal(unit, written)
+
+
+def test_a_whole_number_beyond_all_floats_is_refused():
+    assert "finite" in refusal("", 10**400)
+
+
+def test_a_tower_of_powers_is_refused_and_not_worked_out():
+    code = "from plough_opt.problem_file.units import Unit; Unit('m').parse('9**9**9**9 m')"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=10, check=False)
+    assert "is not a quantity" in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("unit", "written", "symbol", "factor"),
+    [
+        ("m/s", "7.2 km/h", "km/h", 1 / 3.6),
+        ("rad", "15 deg", "deg", math.pi / 180),
+        ("N/m", "50 kN/m", "kN/m", 1e3),
+        ("kg/m^3", "1.35 g/cm^3", "g/cm^3", 1e3),
+        ("N*s/m", "400 N*s/m", "N*s/m", 1.0),
+        ("", "30 %", "%", 0.01),
+        ("", 0.3, "", 1.0),
+    ],
+)
+def test_the_unit_of_the_user_is_kept_for_results(unit, written, symbol, factor):
+    display = display_of(written, Unit(unit))
+    assert display.symbol == symbol
+    assert display.factor == pytest.approx(factor, rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("unit", "written", "value", "text"),
+    [
+        ("m/s", "7.2 km/h", 2.5, "9 km/h"),
+        ("rad", "15 deg", math.pi / 3, "60 deg"),
+        ("N/m", "50 kN/m", 123456.0, "123.46 kN/m"),
+        ("", "30 %", 0.125, "12.5 %"),
+        ("", 0.3, 0.25, "0.25"),
+    ],
+)
+def test_results_are_given_in_the_unit_of_the_user(unit, written, value, text):
+    assert display_of(written, Unit(unit)).text(value) == text
+
+
+WRITTEN_UNITS = [
+    (unit, written.split(" ", 1)[1]) for unit, written, _ in READ if isinstance(written, str) and " " in written
+]
+
+
+@settings(deadline=None)  # the first quantity of all builds the registry of units
+@given(number=st.floats(-1e9, 1e9).filter(lambda x: x == 0 or abs(x) > 1e-9), units=st.sampled_from(WRITTEN_UNITS))
+def test_a_displayed_quantity_reads_back_as_the_same_value(number, units):
+    symbol, written = units
+    unit = Unit(symbol)
+    value = unit.parse(f"{number!r} {written}")
+    shown = display_of(f"1 {written}", unit).text(value, digits=17)
+    assert unit.parse(shown) == pytest.approx(value, rel=1e-12, abs=0.0)
+
+
+@settings(deadline=None)  # the first quantity of all builds the registry of units
+@given(
+    text=st.text("0123456789.eE+-/()[]{}%,;# mNPaskgdr°·", max_size=16),
+    unit=st.sampled_from(["m", "rad", "N*s/m", ""]),
+)
+def test_any_text_is_a_finite_quantity_or_refused_with_a_sentence(text, unit):
+    try:
+        value = Unit(unit).parse(text)
+    except po.InputError:
+        return
+    assert math.isfinite(value)

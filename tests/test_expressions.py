@@ -1,0 +1,162 @@
+"""The operations that floats, arrays and CasADi expressions share, and the two ratios without cancellation."""
+
+import math
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+import pytest
+from high_precision import assert_close, derivatives, mp
+
+import plough_opt as po
+from plough_opt import expressions as ex
+
+
+def precise_expm1_ratio(x):
+    return (mp.exp(x) - 1) / x if x else mp.mpf(1)
+
+
+def precise_log1p_ratio(x):
+    return mp.log(1 + x) / x if x else mp.mpf(1)
+
+
+def beside(x):
+    """The number and its two neighbours: both sides of a switch."""
+    return [math.nextafter(x, -math.inf), x, math.nextafter(x, math.inf)]
+
+
+BOTH_SIDES = [s * x for x in (1e-20, 1e-12, 1e-8, 1e-4, 0.01, 0.3) for s in (-1, 1)]
+EXPM1 = [
+    *[0.0, *BOTH_SIDES, -0.9, 0.5, 0.9, *beside(-1.0), *beside(1.0)],
+    *[-1.0001, 1.0001, -1.5, 1.5, -5.0, 5.0, -30.0, 30.0, -700.0, 600.0],
+]
+LOG1P = [
+    *[0.0, *BOTH_SIDES, -0.45, 0.45, *beside(-0.5), *beside(0.5)],
+    *[-0.5001, 0.5001, -0.7, 1.0, 10.0, 1e6, -0.999, -1 + 1e-9, math.nextafter(-1.0, 0.0)],
+]
+RATIOS = [(ex.expm1_ratio, precise_expm1_ratio, x) for x in EXPM1]
+RATIOS += [(ex.log1p_ratio, precise_log1p_ratio, x) for x in LOG1P]
+
+
+@pytest.mark.parametrize("symbol", [ca.SX, ca.MX])
+@pytest.mark.parametrize(("ratio", "precise", "at"), RATIOS)
+def test_ratio_and_its_two_derivatives_keep_their_digits(ratio, precise, at, symbol):
+    x = symbol.sym("x")
+    y = ratio(x)
+    first = ca.gradient(y, x)
+    function = ca.Function("f", [x], [y, first, ca.gradient(first, x)])
+    value, slope, curvature = function(at)
+    want, [want_slope], [[want_curvature]] = derivatives(precise, [at])
+    # Some ten roundings in the value; each derivative of the closed form beyond the switch costs a digit.
+    assert_close(value, want, 1e-15, "value")
+    assert_close(ratio(at), want, 1e-15, "value of a float")
+    assert_close(slope, want_slope, 1e-14, "first derivative")
+    assert_close(curvature, want_curvature, 1e-13, "second derivative")
+
+
+@pytest.mark.parametrize(
+    ("ratio", "limits"), [(ex.expm1_ratio, (1, 1 / 2, 1 / 3)), (ex.log1p_ratio, (1, -1 / 2, 2 / 3))]
+)
+@pytest.mark.parametrize("at", [0.0, -0.0, 5e-324, -5e-324, 1e-300, -1e-300])
+def test_ratio_has_its_limits_at_zero(ratio, limits, at):
+    x = ca.SX.sym("x")
+    y = ratio(x)
+    first = ca.gradient(y, x)
+    got = [float(v) for v in ca.Function("f", [x], [y, first, ca.gradient(first, x)])(at)]
+    assert got == pytest.approx(limits, rel=4e-16)  # two units in the last place
+
+
+@pytest.mark.parametrize("ratio", [ex.expm1_ratio, ex.log1p_ratio])
+def test_ratio_of_an_array_is_that_of_its_elements(ratio):
+    x = np.array([[-0.9, -0.5, -1e-9], [0.0, 0.5, 3.0]])
+    # One unit in the last place: NumPy may take another exponential for whole registers than for one number.
+    np.testing.assert_allclose(ratio(x), [[ratio(float(v)) for v in row] for row in x], rtol=3e-16)
+    assert isinstance(ratio(0.25), float)
+
+
+UNARY = ["sin", "cos", "tan", "arctan", "sqrt", "exp", "log1p", "expm1", "absolute"]
+
+
+@pytest.mark.parametrize("name", UNARY)
+def test_operation_is_the_same_for_numbers_arrays_and_symbols(name):
+    operation = getattr(ex, name)
+    points = [0.0, 1e-9, 0.3, 1.2]
+    precise = {"arctan": mp.atan, "absolute": abs, "log1p": lambda v: mp.log(1 + v)}.get(name) or getattr(mp, name)
+    for x in points:
+        want = precise(mp.mpf(x))
+        assert_close(operation(x), want, 3e-16, f"{name} of a float")
+        assert_close(operation(ca.DM(x)), want, 3e-16, f"{name} of a DM")
+        for symbol in (ca.SX, ca.MX):
+            s = symbol.sym("s")
+            assert_close(ca.Function("f", [s], [operation(s)])(x), want, 3e-16, f"{name} of a symbol")
+    np.testing.assert_allclose(operation(np.array(points)), [operation(x) for x in points], rtol=3e-16)
+    assert operation.__name__ in operation.__doc__
+
+
+@pytest.mark.parametrize("symbol", [ca.SX, ca.MX])
+def test_choice_and_minimum_take_symbols(symbol):
+    x = symbol.sym("x")
+    function = ca.Function("f", [x], [ex.where(x < 2.0, x, -1.0), ex.minimum(x, 2.0), ex.minimum(2.0, x)])
+    assert [float(v) for v in function(1.5)] == [1.5, 1.5, 1.5]
+    assert [float(v) for v in function(2.5)] == [-1.0, 2.0, 2.0]
+
+
+def test_choice_and_minimum_take_numbers_and_arrays():
+    x = np.array([1.5, 2.5])
+    assert ex.where(x < 2.0, x, -1.0).tolist() == [1.5, -1.0]
+    assert ex.where(True, 1.5, -1.0) == 1.5
+    assert ex.minimum(x, 2.0).tolist() == [1.5, 2.0]
+    assert ex.minimum(1.5, 2.0) == 1.5
+
+
+@pytest.mark.parametrize(
+    ("value", "casadi", "symbolic"),
+    [
+        (1.0, False, False),
+        (np.ones(2), False, False),
+        (ca.DM(1.0), True, False),
+        (ca.SX(1.0), True, False),
+        (ca.MX(1.0), True, False),
+        (ca.SX.sym("x"), True, True),
+        (2.0 * ca.MX.sym("x"), True, True),
+        (ca.vertcat(ca.SX.sym("x"), 1.0), True, True),
+    ],
+)
+def test_symbols_are_told_from_numbers(value, casadi, symbolic):
+    assert ex.is_casadi(value) is casadi
+    assert ex.is_symbolic(value) is symbolic
+    assert ex.holds_casadi([{"nested": (value,)}]) is casadi
+
+
+@pytest.mark.parametrize("value", [1.5, np.float64(1.5), ca.DM(1.5), ca.SX(1.5), ca.MX(1.5), [1.5], np.array([[1.5]])])
+def test_a_number_is_read_from_every_kind(value):
+    assert ex.as_number(value).shape == ()
+    assert float(ex.as_number(value)) == 1.5
+
+
+@pytest.mark.parametrize("symbol", [ca.SX, ca.MX])
+def test_a_symbol_has_no_value(symbol):
+    with pytest.raises(po.InputError, match=r"speed.*no value"):
+        ex.as_number(2.0 * symbol.sym("speed"))
+
+
+def test_expressions_are_mapped_wherever_they_are_nested():
+    @dataclass(frozen=True)
+    class Thing:
+        size: object
+        name: str
+
+    x = ca.MX.sym("x")
+    nested = {"thing": Thing(x, "kept"), "list": [x, 2.0], "tuple": (1.0, x), "word": "kept"}
+    mapped = ex.map_expressions(nested, lambda _: 7.0)
+    assert mapped == {"thing": Thing(7.0, "kept"), "list": [7.0, 2.0], "tuple": (1.0, 7.0), "word": "kept"}
+    assert ex.holds_casadi(nested)
+    assert not ex.holds_casadi(mapped)
+
+
+def test_a_column_meets_symbols_or_stays_an_array():
+    values = np.array([1.0, 2.0])
+    assert ex.column(values, symbolic=False) is values
+    x = ca.SX.sym("x")
+    product = ca.Function("f", [x], [x * ex.column(values, symbolic=True)])(3.0)
+    assert product.full().tolist() == [[3.0], [6.0]]

@@ -1,0 +1,241 @@
+"""Pictures: what they show, in which units, and files that are whole or not there at all."""
+
+import dataclasses
+import xml.etree.ElementTree as ET
+
+import matplotlib.image
+import matplotlib.pyplot
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+
+import plough_opt as po
+from plough_opt import plots
+
+
+@pytest.fixture(scope="module")
+def scene():
+    share = po.Wedge(angle=po.deg(25), chisel_angle=po.deg(15), height=0.25)
+    effects = po.Effects(strength_wave=po.StrengthWave(amplitude=0.3, wavelength=0.6))
+    return po.Scene(po.named_soil("serozem"), share, stiffness=5e4, mass=23.0, tow_speed=2.0, effects=effects)
+
+
+@pytest.fixture(scope="module")
+def run(scene):
+    return po.simulate(scene, duration=0.5, outputs=50)
+
+
+@pytest.fixture(scope="module")
+def optimum():
+    """Return an optimum, with a scan over a log-scaled stiffness, and its run."""
+    design = po.Design()
+    stiffness = design.variable("mount", guess=5e4, lower=5e3, upper=5e5, unit="N/m", log=True)
+    share = po.Wedge(angle=po.deg(39), chisel_angle=po.deg(15), height=0.2)
+    soil = po.Soil(1400.0, 0.8, 15e3, po.deg(30), 0.5, ambient_pressure=10e3)
+    effects = po.Effects(strength_wave=po.StrengthWave(amplitude=0.3, wavelength=0.6))
+    found = po.simulate(po.Scene(soil, share, stiffness, 22.0, 2.0, effects), 1.0, outputs=100)
+    design.minimise(found.mean_draft / 1e3 + found.force_rms / 1e3)
+    best = design.solve()
+    return best, best(found)
+
+
+@pytest.fixture
+def figure():
+    small = Figure(figsize=(2, 1))
+    small.subplots().plot([0, 1], [0, 1])
+    return small
+
+
+def labels(axes):
+    return axes.get_xlabel(), axes.get_ylabel()
+
+
+def legend(axes):
+    return [text.get_text() for text in axes.get_legend().get_texts()]
+
+
+def words(axes):
+    """Return all that is written inside the axes."""
+    texts = [text.get_text() for text in axes.texts]
+    return "\n".join(texts if axes.get_legend() is None else texts + legend(axes))
+
+
+def line(axes, label):
+    """Return the data of the line with a label."""
+    return next(found.get_xydata() for found in axes.get_lines() if found.get_label() == label)
+
+
+class TestRun:
+    """plot_run: force, deflection and speed over time."""
+
+    def test_its_axes_have_quantities_and_units(self, run):
+        figure = plots.plot_run(run)
+        assert isinstance(figure, Figure)
+        force, deflection, speed = figure.axes
+        assert force.get_ylabel() == "force [kN]"
+        assert deflection.get_ylabel() == "deflection [mm]"
+        assert labels(speed) == ("time [s]", "speed [m/s]")
+
+    def test_its_lines_are_the_run_in_those_units(self, run):
+        force, deflection, speed = plots.plot_run(run).axes
+        np.testing.assert_allclose(line(force, "mount force"), np.c_[run.time, run.mount_force / 1000])
+        np.testing.assert_allclose(line(force, "soil resistance"), np.c_[run.time, run.soil_resistance / 1000])
+        np.testing.assert_allclose(deflection.get_lines()[0].get_xydata(), np.c_[run.time, run.deflection * 1000])
+        np.testing.assert_allclose(line(speed, "share"), np.c_[run.time, run.speed])
+        np.testing.assert_allclose(line(speed, "strut")[:, 1], 2.0)
+
+    def test_its_legend_has_the_mean_and_the_rms(self, run):
+        force = plots.plot_run(run).axes[0]
+        assert f"mean draft {run.mean_draft / 1000:.3g} kN" in legend(force)
+        assert f"± RMS {run.force_rms / 1000:.3g} kN" in legend(force)
+
+    def test_the_strut_ramps_where_the_scene_does(self, scene):
+        ramped = dataclasses.replace(scene, effects=po.Effects(start="rest", tow_ramp=0.25))
+        speed = plots.plot_run(po.simulate(ramped, 0.5, outputs=50)).axes[2]
+        strut = line(speed, "strut")[:, 1]
+        assert strut[0] == pytest.approx(0.0, abs=1e-12)
+        assert strut[25:] == pytest.approx(2.0)
+
+    def test_a_quasi_static_run(self, scene):
+        still = dataclasses.replace(scene, effects=po.Effects(motion=False))
+        assert len(plots.plot_run(po.simulate(still, 0.5, outputs=10)).axes) == 3
+
+
+class TestShare:
+    """plot_share: the wedge's faces beside the equivalent cone."""
+
+    def test_it_shows_wedge_and_cone_to_one_scale(self, scene):
+        figure = plots.plot_share(scene)
+        assert isinstance(figure, Figure)
+        wedge, cone = figure.axes
+        assert "faces" in wedge.get_title()
+        assert "cone" in cone.get_title()
+        assert wedge.get_aspect() == cone.get_aspect() == 1.0
+        assert wedge.get_ylabel() == cone.get_ylabel() == "[m]"
+
+    def test_it_says_the_angles_and_the_loosened_radius(self, scene):
+        wedge, cone = plots.plot_share(scene).axes
+        assert "λ = 25.0°" in words(wedge)
+        assert f"β = {np.degrees(scene.cone.half_angle):.1f}°" in words(cone)
+        assert f"r* = {po.loosened_radius(scene.cone, scene.soil):.3f} m" in words(cone)
+
+    def test_its_faces_have_the_surface_of_the_share(self, scene):
+        wedge = plots.plot_share(scene).axes[0]
+        corners = [patch.get_xy() for patch in wedge.patches]
+        (x0, y0), (x1, y1), (x2, y2) = corners[0][:3]
+        one_face = abs((x1 - x0) * (y2 - y0) - (x2 - x0) * (y1 - y0)) / 2
+        assert len(corners) == 2
+        assert 2 * one_face == pytest.approx(scene.share.area, rel=1e-12)
+
+    def test_a_share_given_as_a_cone_has_no_faces_to_show(self, scene, tmp_path):
+        figure = plots.plot_share(dataclasses.replace(scene, share=po.Cone(po.deg(10), 0.25)))
+        left, right = figure.axes
+        assert "given as a cone" in words(left)
+        assert not left.axison
+        assert "β = 10.0°" in words(right)
+        assert plots.save(figure, tmp_path / "cone.png").stat().st_size > 1000
+
+    @pytest.mark.parametrize("angle", [0.5, 85.0])
+    def test_extreme_shares_are_drawn(self, scene, tmp_path, angle):
+        share = po.Wedge(po.deg(angle), po.deg(0), 0.25)
+        assert plots.save(plots.plot_share(dataclasses.replace(scene, share=share)), tmp_path / "share.png").exists()
+
+
+class TestOptimum:
+    """plot_optimum: the share, the response and the search."""
+
+    def test_it_shows_share_response_and_search(self, optimum):
+        figure = plots.plot_optimum(*optimum)
+        assert isinstance(figure, Figure)
+        wedge, _, force, deflection, scan = figure.axes
+        assert "faces" in wedge.get_title()
+        assert labels(force) == ("time [s]", "force [kN]")
+        assert labels(deflection) == ("time [s]", "deflection [mm]")
+        assert labels(scan) == ("mount [N/m]", "objective")
+
+    def test_its_search_is_on_a_log_scale_with_the_best_design_marked(self, optimum):
+        best, run = optimum
+        scan = plots.plot_optimum(best, run).axes[4]
+        assert scan.get_xscale() == "log"
+        np.testing.assert_allclose(line(scan, "best"), [[best.variables["mount"], best.objective]])
+
+    def test_every_local_optimum_is_marked(self, optimum):
+        best, run = optimum
+        two = (best.local_optima[0], dataclasses.replace(best.local_optima[0], variables={"mount": 1e5}, objective=2.0))
+        scan = plots.plot_optimum(dataclasses.replace(best, local_optima=two), run).axes[4]
+        np.testing.assert_allclose(line(scan, "other local optima"), [[1e5, 2.0]])
+
+    def test_without_a_scan_it_shows_the_response_alone(self, optimum):
+        best, run = optimum
+        assert len(plots.plot_optimum(dataclasses.replace(best, scans=()), run).axes) == 4
+
+
+class TestSave:
+    """save: a whole file of the format that its ending names, or none."""
+
+    def test_a_png_has_the_size_of_the_figure(self, run, tmp_path):
+        path = plots.save(plots.plot_run(run), tmp_path / "run.png")
+        assert path.read_bytes().startswith(b"\x89PNG\r\n\x1a\n")
+        image = matplotlib.image.imread(path)
+        assert image.shape[:2] == (975, 1170)  # 7.5 by 9 inches of 130 dots
+        assert image[..., :3].std() > 0.05
+
+    def test_an_svg_is_xml(self, figure, tmp_path):
+        root = ET.parse(plots.save(figure, tmp_path / "run.svg")).getroot()
+        assert root.tag == "{http://www.w3.org/2000/svg}svg"
+
+    def test_a_pdf_is_a_pdf(self, figure, tmp_path):
+        assert plots.save(figure, tmp_path / "run.pdf").read_bytes().startswith(b"%PDF-")
+
+    def test_an_ending_may_be_in_capitals_and_a_path_text(self, figure, tmp_path):
+        assert plots.save(figure, f"{tmp_path}/RUN.PNG").read_bytes().startswith(b"\x89PNG")
+
+    def test_its_folder_is_made(self, figure, tmp_path):
+        assert plots.save(figure, tmp_path / "a" / "b" / "run.png").exists()
+
+    def test_nothing_is_left_beside_the_file(self, figure, tmp_path):
+        plots.save(figure, tmp_path / "run.png")
+        assert [path.name for path in tmp_path.iterdir()] == ["run.png"]
+
+    def test_an_existing_file_is_replaced(self, figure, tmp_path):
+        path = tmp_path / "run.png"
+        path.write_text("old", encoding="utf-8")
+        assert plots.save(figure, path).read_bytes().startswith(b"\x89PNG")
+
+    @pytest.mark.parametrize("name", ["run.jpg", "run", "run.png.txt", "run.", ".png", "png"])
+    def test_another_format_is_refused_with_those_there_are(self, figure, tmp_path, name):
+        with pytest.raises(po.InputError, match=r"picture format: end its name in one of \.png, \.svg, \.pdf"):
+            plots.save(figure, tmp_path / "new" / name)
+        assert list(tmp_path.iterdir()) == []
+
+    def test_a_failing_save_leaves_an_existing_file_as_it_was(self, figure, tmp_path, monkeypatch):
+        path = tmp_path / "run.png"
+        path.write_text("old", encoding="utf-8")
+
+        def fill_the_disk(target, **_):
+            target.write_bytes(b"\x89PNG half of it")
+            raise OSError(28, "No space left on device")
+
+        monkeypatch.setattr(figure, "savefig", fill_the_disk)
+        with pytest.raises(po.InputError, match=r"the plot '.*run\.png' cannot be written: .*No space left"):
+            plots.save(figure, path)
+        assert path.read_text(encoding="utf-8") == "old"
+        assert [found.name for found in tmp_path.iterdir()] == ["run.png"]
+
+    def test_a_folder_is_not_replaced_by_a_picture(self, figure, tmp_path):
+        folder = tmp_path / "run.png"
+        folder.mkdir()
+        with pytest.raises(po.InputError, match="cannot be written"):
+            plots.save(figure, folder)
+        assert [found.name for found in tmp_path.iterdir()] == ["run.png"]
+
+    def test_a_file_taken_for_a_folder_is_refused(self, figure, tmp_path):
+        (tmp_path / "file").touch()
+        with pytest.raises(po.InputError, match="cannot be written"):
+            plots.save(figure, tmp_path / "file" / "run.png")
+
+
+def test_figures_are_not_kept_by_matplotlib(run, scene):
+    plots.plot_run(run)
+    plots.plot_share(scene)
+    assert matplotlib.pyplot.get_fignums() == []

@@ -419,14 +419,14 @@ def test_arrays_are_taken_element_by_element():
 @pytest.mark.parametrize(
     ("name", "value", "words"),
     [
-        ("wedge_angle", math.pi / 2, "wedge angle = 1.5708 rad"),
+        ("wedge_angle", math.pi / 2, "wedge angle = 1.5707963267948966 rad"),
         ("chisel_angle", -0.1, "chisel angle = -0.1 rad"),
         ("height", 0.0, "share height = 0 m"),
         ("density", math.nan, "soil density = nan"),
         ("density_ratio", 1.0, "density ratio b1 = 1 must"),
         ("density_ratio", 0.0, "density ratio b1 = 0 must"),
         ("cohesion", -5.0, "cohesion = -5 Pa"),
-        ("friction_angle", math.pi / 2, "friction angle = 1.5708 rad"),
+        ("friction_angle", math.pi / 2, "friction angle = 1.5707963267948966 rad"),
         ("tool_friction", -0.5, "tool friction = -0.5"),
         ("ambient_pressure", -1.0, "ambient pressure = -1 Pa"),
     ],

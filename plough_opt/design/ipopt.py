@@ -81,7 +81,7 @@ class Solver:
     def __init__(self, nlp: Nlp, variables: int, parameters: int, low: Vector, high: Vector) -> None:
         """Take the program, its sizes, and the limits of its requirements."""
         y, p = ca.MX.sym("y", variables), ca.MX.sym("p", parameters)
-        self._problem = {"x": y, "p": p, "f": nlp.f(y, p), "g": nlp.g(y, p)}
+        self._problem = {"x": y, "p": p, "f": ca.densify(nlp.f(y, p)), "g": ca.densify(nlp.g(y, p))}
         self._derivatives = {"grad_f": nlp.grad_f, "jac_g": nlp.jac_g, "hess_lag": nlp.hess_lag}
         self._low, self._high = low, high
         self._solvers: dict[bool, ca.Function] = {}

@@ -74,7 +74,7 @@ def test_a_name_declared_twice_is_refused(first, second):
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
 def test_a_parameter_without_a_finite_value_is_refused(value):
-    with pytest.raises(po.InputError, match=r"parameter 'cohesion' = .* must be a finite number"):
+    with pytest.raises(po.InputError, match=r"parameter 'cohesion': .* must be a finite number"):
         po.Design().parameter("cohesion", value)
 
 

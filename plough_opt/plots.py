@@ -29,18 +29,21 @@ def save(figure: Figure, path: str | Path) -> Path:
     """
     target = Path(path)
     check_format(target)
+    partial = target.with_name(f".{target.name}.part")
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
-        partial = target.with_name(f".{target.name}.part")
-        figure.savefig(partial, dpi=130, format=target.suffix[1:].lower())
-        partial.replace(target)
+        try:
+            figure.savefig(partial, dpi=130, format=target.suffix[1:].lower())
+            partial.replace(target)
+        finally:
+            partial.unlink(missing_ok=True)
     except OSError as error:
         raise InputError(f"the plot '{target}' cannot be written: {error}") from None
     return target
 
 
 def check_format(path: str | Path) -> None:
-    """Refuse a file whose ending is no picture format.
+    """Refuse a file whose ending is no picture format, or that is a folder.
 
     Raises:
         InputError: as said.
@@ -48,6 +51,8 @@ def check_format(path: str | Path) -> None:
     if Path(path).suffix[1:].lower() not in FORMATS:
         endings = ", ".join(f".{ending}" for ending in FORMATS)
         raise InputError(f"the plot '{path}' has no known picture format: end its name in one of {endings}")
+    if Path(path).is_dir():
+        raise InputError(f"the plot '{path}' is a folder: name a file in it")
 
 
 def plot_share(scene: Scene) -> Figure:

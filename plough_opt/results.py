@@ -5,7 +5,7 @@ from __future__ import annotations
 import platform
 from importlib.metadata import version
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Final, Literal
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
@@ -15,7 +15,7 @@ from plough_opt.design import LocalOptimum, Optimum
 from plough_opt.errors import InputError
 from plough_opt.motion import Averages, Run
 
-SCHEMA = 1
+SCHEMA: Final = 1
 """Number of the layout of saved results; it rises when a key changes its meaning."""
 
 
@@ -28,9 +28,9 @@ def versions() -> dict[str, str]:
 class Saved(BaseModel):
     """What every saved result says about itself."""
 
-    model_config = ConfigDict(frozen=True, arbitrary_types_allowed=True)
+    model_config = ConfigDict(frozen=True, arbitrary_types_allowed=True, populate_by_name=True)
 
-    layout: Annotated[Literal[1], Field(alias="schema")] = 1
+    layout: Annotated[Literal[1], Field(alias="schema")]
     title: str
     versions: dict[str, str]
 
@@ -65,6 +65,7 @@ class SavedRun(Saved):
         arrays = {name: np.asarray(getattr(run, name)).tolist() for name in _ARRAYS}
         own = {name: getattr(run, name) for name in _RUN}
         return cls(
+            layout=SCHEMA,
             title=title,
             versions=versions(),
             averages=_floats(run.averages),
@@ -94,6 +95,7 @@ class SavedOptimum(Saved):
     def of(cls, best: Optimum, run: Run, title: str) -> SavedOptimum:
         """Take what is worth keeping of an optimum and its run."""
         return cls(
+            layout=SCHEMA,
             title=title,
             versions=versions(),
             status=best.status,

@@ -225,7 +225,7 @@ class TestSave:
     def test_a_folder_is_not_replaced_by_a_picture(self, figure, tmp_path):
         folder = tmp_path / "run.png"
         folder.mkdir()
-        with pytest.raises(po.InputError, match="cannot be written"):
+        with pytest.raises(po.InputError, match="is a folder"):
             plots.save(figure, folder)
         assert [found.name for found in tmp_path.iterdir()] == ["run.png"]
 

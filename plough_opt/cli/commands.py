@@ -85,7 +85,7 @@ def optimise(options: argparse.Namespace) -> None:
 def _read(options: argparse.Namespace) -> Problem:
     """Read the problem file; refuse an impossible plot before anything is computed."""
     problem = read_problem(options.file, options.set)
-    if getattr(options, "plot", None):
+    if getattr(options, "plot", None) is not None:
         from plough_opt import plots
 
         plots.check_format(options.plot)
@@ -96,8 +96,16 @@ def _read(options: argparse.Namespace) -> Problem:
 
 def _console() -> Console:
     """Return where results go; as wide as its tables need when it is no terminal."""
-    console = Console(highlight=False)
-    return console if console.is_terminal else Console(highlight=False, width=120)
+    console = _Console(highlight=False)
+    return console if console.is_terminal else _Console(highlight=False, width=120)
+
+
+class _Console(Console):
+    """A console that leaves a closed pipe to `main`, which knows the exit status."""
+
+    def on_broken_pipe(self) -> None:
+        """Let the error pass."""
+        raise BrokenPipeError
 
 
 def _wrote(path: Path) -> None:

@@ -6,6 +6,8 @@ Exit status: 0 solved; 1 the problem has no solution, or none was found; 2 the i
 from __future__ import annotations
 
 import argparse
+import io
+import os
 import sys
 from collections.abc import Sequence
 from importlib.metadata import version
@@ -22,8 +24,13 @@ SOLVED, UNSOLVED, BAD_INPUT = 0, 1, 2
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; return the exit status."""
     options = _parser().parse_args(arguments)
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            # A title in a script that the terminal cannot show is no reason to fail; in JSON this is an escape.
+            stream.reconfigure(errors="backslashreplace")
     try:
         options.run(options)
+        sys.stdout.flush()
     except (InputError, DomainError) as error:
         _complain("bad input", error)
         return BAD_INPUT
@@ -33,8 +40,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         _complain("stopped", "nothing was written")
         return UNSOLVED
-    except BrokenPipeError:  # whoever read the output has seen enough
-        sys.stderr.close()
+    except BrokenPipeError:  # whoever read the output has seen enough; nothing is left to flush at exit
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    except OSError as error:
+        _complain("output", error)
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return BAD_INPUT
     return SOLVED
 
 

@@ -14,6 +14,7 @@ from plough_opt.motion import Run
 from plough_opt.motion.equation import Structure, equation_of_motion
 from plough_opt.problem_file import Problem
 from plough_opt.problem_file.measures import MEASURES
+from plough_opt.problem_file.schema import quantities
 from plough_opt.problem_file.units import Display
 from plough_opt.scene import Scene
 from plough_opt.soil import Soil
@@ -98,7 +99,7 @@ def print_check(console: Console, problem: Problem) -> None:
     console.print(table)
     if problem.variables:
         console.print(f"{len(problem.variables)} variables, {len(problem.table.require)} requirements: "
-                      f"plough-opt optimise {problem.name}")  # fmt: skip
+                      f"plough-opt optimise {escape(problem.name)}")  # fmt: skip
     _print_footer(console, scene.warnings(), "")
 
 
@@ -106,11 +107,10 @@ def _scene_table(problem: Problem, scene: Scene) -> Table:
     table = Table(title="Scene, variables at their guesses" if problem.variables else "Scene", show_header=False)
     table.add_column()
     table.add_column(justify="right")
-    table.add_row("soil", scene.soil.name)
+    table.add_row("soil", escape(scene.soil.name))
     for key, value in problem.values().items():
         if not key.startswith("soil."):
-            unit = problem.variables[key].unit if key in problem.variables else ""
-            table.add_row(key, shown(problem, key, float(value), unit))
+            table.add_row(key, shown(problem, key, float(value), quantities()[key].symbol))
     table.add_row("half angle of the equivalent cone", _DEGREES.text(float(scene.cone.half_angle)))
     table.add_row("moving mass with the share", f"{float(scene.mass):.5g} kg")
     table.add_row("added mass of soil", f"{float(scene.reaction.added_mass):.4g} kg")

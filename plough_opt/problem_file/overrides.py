@@ -25,7 +25,7 @@ def apply_override(source: Source, text: str) -> str:
     path = path.strip()
     if not separator or not path or not written.strip():
         raise InputError(f'--set {text}: expected KEY=VALUE, like scene.tow_speed="2.5 m/s"')
-    keys = _split(path)
+    keys = _split(path, text)
     if keys[0] not in ProblemTable.model_fields:
         raise InputError(f"--set {text}: no table is named '{keys[0]}': {nearest(keys[0], ProblemTable.model_fields)}")
     place: Any = source.data
@@ -35,19 +35,23 @@ def apply_override(source: Source, text: str) -> str:
             raise InputError(f"--set {text}: '{path}' is not a key: '{key}' holds a value already")
     place[keys[-1]] = _value(written.strip())
     source.overridden[tuple(keys)] = text
-    if source.data.get("variables", {}).pop(path, None) is not None:
+    variables = source.data.get("variables")
+    if isinstance(variables, dict) and variables.pop(".".join(keys), None) is not None:
         return f"'{path}' is a variable of the file: it is fixed at {written.strip()}"
     return ""
 
 
-def _split(path: str) -> list[str]:
-    """Split a dotted path; a variable's own dotted name stays whole."""
-    if path.startswith("variables."):
-        rest = path.removeprefix("variables.")
-        for key in quantities():
-            if rest == key or rest.startswith(key + "."):
-                return ["variables", key, *filter(None, rest.removeprefix(key).split("."))]
-    return path.split(".")
+def _split(path: str, text: str) -> list[str]:
+    """Split a dotted path; a variable's own dotted name stays whole, with or without quotes."""
+    if not path.startswith("variables."):
+        return path.split(".")
+    rest = path.removeprefix("variables.").replace('"', "").replace("'", "")
+    name, _, side = rest.rpartition(".")
+    if rest in quantities():
+        return ["variables", rest]
+    if name not in quantities():
+        raise InputError(f"--set {text}: '{name or rest}' cannot be a variable: {nearest(name or rest, quantities())}")
+    return ["variables", name, side]
 
 
 def _value(written: str) -> Any:

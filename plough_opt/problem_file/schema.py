@@ -5,7 +5,7 @@ from __future__ import annotations
 import typing
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, StrictBool, StrictFloat, StrictInt, StrictStr
 
 from plough_opt.problem_file.units import Unit
 
@@ -20,6 +20,7 @@ Pressure = Annotated[float, Unit("Pa")]
 Density = Annotated[float, Unit("kg/m^3")]
 RateTerm = Annotated[float, Unit("s^2/m^2")]
 Number = Annotated[float, Unit("")]
+Written = StrictStr | StrictFloat
 
 
 class Table(BaseModel):
@@ -57,24 +58,24 @@ class SceneTable(Table):
     frame_mass: Mass | None = None
     steel_density: Density = 7850.0
     stiffness: Stiffness | None = None
-    duration: Time
-    outputs: Annotated[int, Field(ge=1, le=100_000)] = 400
+    duration: Time | None = None
+    outputs: Annotated[StrictInt, Field(ge=1, le=100_000)] = 400
 
 
 class StrengthWaveTable(Table):
     """Periodic soil strength along the path."""
 
-    amplitude: Number
-    wavelength: Length
+    amplitude: Number | None = None
+    wavelength: Length | None = None
 
 
 class EffectsTable(Table):
     """Effects beside the default ones."""
 
-    motion: bool = True
-    inertial_drag: bool = True
-    added_mass: bool = True
-    ambient_pressure: bool = True
+    motion: StrictBool = True
+    inertial_drag: StrictBool = True
+    added_mass: StrictBool = True
+    ambient_pressure: StrictBool = True
     contact: Literal["resisting"] = "resisting"
     start: Literal["equilibrium", "rest"] = "equilibrium"
     strength_wave: StrengthWaveTable | None = None
@@ -86,32 +87,32 @@ class EffectsTable(Table):
 class VariableTable(Table):
     """Bounds of a variable as they are written; the unit depends on which variable it is."""
 
-    lower: str | float
-    upper: str | float
-    guess: str | float | None = None
-    log: bool = False
+    lower: Written
+    upper: Written
+    guess: Written | None = None
+    log: StrictBool = False
 
 
 class TermTable(Table):
     """A term of the objective: the measure divided by ``per``."""
 
-    per: str | float
+    per: Written
 
 
 class LimitTable(Table):
     """Limits of a measure as they are written."""
 
-    at_least: str | float | None = None
-    at_most: str | float | None = None
+    at_least: Written | None = None
+    at_most: Written | None = None
 
 
 class AccuracyTable(Table):
     """Integration method and its setting, or an error to reach."""
 
-    method: str = "auto"
-    error: float | None = None
-    steps: int | None = None
-    tolerance: float | None = None
+    method: StrictStr = "auto"
+    error: StrictFloat | None = None
+    steps: StrictInt | None = None
+    tolerance: StrictFloat | None = None
 
 
 class ProblemTable(Table):

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
+from typing import Any, cast
 
 import pint
 from pydantic import GetCoreSchemaHandler
@@ -13,6 +14,10 @@ from pydantic_core import CoreSchema, core_schema
 
 from plough_opt.errors import InputError, nearest
 
+_QUANTITY = re.compile(
+    r"\s*(?P<number>[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?)\s*"
+    r"(?P<unit>(?:[^\W\d_]|[°%])(?:[\w°%/*^.·³²()-]| (?=\S))*|)\s*"
+)
 # What users write; the nearest of these is suggested for a unit that pint does not know.
 _COMMON = (
     "m", "cm", "mm", "km", "deg", "rad", "kg", "g", "t", "s", "ms", "min", "h", "N", "kN", "Pa", "kPa", "MPa",
@@ -49,24 +54,38 @@ class Unit:
         """Return a quantity as a number in this unit.
 
         Args:
-            value: text with a unit, or a plain number where the unit is "".
+            value: text with a number and a unit, or a plain number where the unit is "".
 
         Raises:
-            InputError: not a quantity, an unknown unit, or one of another dimension.
+            InputError: not a quantity, an unknown unit, or one of another kind.
+        """
+        number, factor = self.split(value)
+        return _finite(number * factor, str(value))
+
+    def split(self, value: object) -> tuple[float, float]:
+        """Return a quantity's number as written, and the factor from the unit it is written in to this one.
+
+        Raises:
+            InputError: as `parse`.
         """
         if isinstance(value, bool) or not isinstance(value, int | float | str):
             raise InputError(f"is not a quantity: write it like {self.example()}")
         if not isinstance(value, str):
             if self.symbol:
                 raise InputError(f"= {value} has no unit: write it like {self.example()}")
-            return _finite(float(value), str(value))
-        quantity = _quantity(value, self)
-        try:
-            number = float(quantity.to(self.symbol or "dimensionless").magnitude)
-        except pint.DimensionalityError:
-            kind = f"a quantity in {self.symbol}" if self.symbol else "a pure number"
-            raise InputError(f'= "{value}" has the wrong unit: expected {kind}, like {self.example()}') from None
-        return _finite(number, value)
+            return _as_float(value), 1.0
+        match = _QUANTITY.fullmatch(value)
+        if match is None:
+            raise InputError(f'= "{value}" is not a quantity: write it like {self.example()}')
+        number, written = float(match["number"]), match["unit"]
+        if not written and self.symbol:
+            raise InputError(f'= "{value}" has no unit: write it like {self.example()}')
+        factor, kind = _root(written, value)
+        own_factor, own_kind = _root(self.symbol, value)
+        if kind != own_kind:
+            expected = f"a quantity in {self.symbol}" if self.symbol else "a pure number"
+            raise InputError(f'= "{value}" has the wrong unit: expected {expected}, like {self.example()}')
+        return number, factor / own_factor
 
 
 @dataclass(frozen=True)
@@ -82,22 +101,29 @@ class Display:
 
 
 def display_of(value: object, unit: Unit) -> Display:
-    """Return the unit in which a parsed quantity was written."""
-    if not isinstance(value, str):
-        return Display(unit.symbol, 1.0)
-    quantity = _quantity(value, unit)
-    factor = float((1.0 * quantity.units).to(unit.symbol or "dimensionless").magnitude)
-    return Display(f"{quantity.units:~}".replace(" ", "").replace("**", "^"), factor)
+    """Return the unit in which a quantity that can be parsed was written."""
+    _, factor = unit.split(value)
+    match = _QUANTITY.fullmatch(value) if isinstance(value, str) else None
+    return Display(match["unit"] if match else unit.symbol, factor)
 
 
-def _quantity(value: str, unit: Unit) -> Any:
+def _root(written: str, value: object) -> tuple[float, str]:
+    """Return a unit's factor to root units and those units; unlike dimensions, they tell an angle from a number."""
     try:
-        return registry().Quantity(value)
+        factor, root = registry().get_root_units(registry().parse_units(written.replace("%", "percent")))
     except pint.UndefinedUnitError as error:
         names = error.unit_names if isinstance(error.unit_names, str) else ", ".join(error.unit_names)
         raise InputError(f"= \"{value}\" has an unknown unit '{names}': {nearest(names, _COMMON)}") from None
     except Exception:  # pint's parser raises whatever it stumbles over
-        raise InputError(f'= "{value}" is not a quantity: write it like {unit.example()}') from None
+        raise InputError(f'= "{value}" is not a quantity: its unit cannot be read; one is like "kN*s/m"') from None
+    return float(cast(float, factor)), str(root)
+
+
+def _as_float(value: float) -> float:
+    try:
+        return _finite(float(value), str(value))
+    except OverflowError:
+        raise InputError(f"= {str(value)[:12]}... must be finite: it is too large") from None
 
 
 def _finite(number: float, text: str) -> float:

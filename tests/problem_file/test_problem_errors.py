@@ -126,10 +126,10 @@ MISSING = [
     case("speed", f"tow_speed = {SPEED}\n", "", "[scene]", "'tow_speed' is missing: give it in [scene]",
          "make 'scene.tow_speed' a variable"),
     case("angle", 'chisel_angle = "15 deg"', "", "[share]", "'chisel_angle' is missing", "'share.chisel_angle'"),
-    case("duration", 'duration = "2 s"\n', "", "[scene]", "'scene.duration' is missing"),
-    case("soil", SOIL, 'density = "1 t/m^3"', "[soil]", "'density_ratio' is missing", "the 'name' of a known soil"),
+    case("duration", 'duration = "2 s"\n', "", "[scene]", "'duration' is missing: give it in [scene]"),
+    case("soil", SOIL, 'density = "1 t/m^3"', "[soil]", "'density_ratio', ", "are missing", "the 'name' of a known soil"),
     case("bound", 'lower = "5 deg", ', "", "wedge_angle", "'variables.share.wedge_angle.lower' is missing"),
-    case("wavelength", ', wavelength = "0.2 m"', "", "strength_wave", "'effects.strength_wave.wavelength' is missing"),
+    case("wavelength", ', wavelength = "0.2 m"', "", "strength_wave", "'wavelength' is missing: give it in [effects.strength_wave]"),
     case("per", MEAN, "mean_draft = {", "mean_draft = {", "'minimise.mean_draft.per' is missing"),
 ]  # fmt: skip
 
@@ -154,7 +154,7 @@ DOMAIN = [
     case("angle's lower bound", '"5 deg"', '"-5 deg"', "-5 deg", "wedge angle", "above 0"),
     case("height's bound", '"0.1 m"', '"0 m"', '"0 m"', "height", "above 0"),
     case("speed", SPEED, '"-7.2 km/h"', "-7.2", "tow speed", "at least 0"),
-    case("frame mass", '"20 kg"', '"-20 kg"', "-20 kg", "mass", "above 0"),
+    case("frame mass", '"20 kg"', '"-20 kg"', "-20 kg", "mass", "at least 0"),
     case("steel density", '"7850 kg/m^3"', '"-7850 kg/m^3"', "-7850", "density", "at least 0"),
     case("duration", '"2 s"', '"0 s"', "0 s", "duration", "above 0"),
     case("outputs", 'duration = "2 s"', "duration = '2 s'\noutputs = 0", "outputs", "'scene.outputs'", "or equal to 1"),

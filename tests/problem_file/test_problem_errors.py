@@ -127,9 +127,11 @@ MISSING = [
          "make 'scene.tow_speed' a variable"),
     case("angle", 'chisel_angle = "15 deg"', "", "[share]", "'chisel_angle' is missing", "'share.chisel_angle'"),
     case("duration", 'duration = "2 s"\n', "", "[scene]", "'duration' is missing: give it in [scene]"),
-    case("soil", SOIL, 'density = "1 t/m^3"', "[soil]", "'density_ratio', ", "are missing", "the 'name' of a known soil"),
+    case("soil", SOIL, 'density = "1 t/m^3"', "[soil]", "'density_ratio', ", "are missing",
+         "the 'name' of a known soil"),
     case("bound", 'lower = "5 deg", ', "", "wedge_angle", "'variables.share.wedge_angle.lower' is missing"),
-    case("wavelength", ', wavelength = "0.2 m"', "", "strength_wave", "'wavelength' is missing: give it in [effects.strength_wave]"),
+    case("wavelength", ', wavelength = "0.2 m"', "", "strength_wave",
+         "'wavelength' is missing: give it in [effects.strength_wave]"),
     case("per", MEAN, "mean_draft = {", "mean_draft = {", "'minimise.mean_draft.per' is missing"),
 ]  # fmt: skip
 

@@ -1,0 +1,262 @@
+"""Reading a problem file: everything that is wrong in it is listed, each mistake with its line."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+from pydantic import ValidationError
+
+from plough_opt.accuracy import Accuracy
+from plough_opt.domain import check_domain
+from plough_opt.errors import InputError, nearest
+from plough_opt.problem_file.measures import MEASURES
+from plough_opt.problem_file.overrides import apply_override
+from plough_opt.problem_file.problem import FileVariable, Problem
+from plough_opt.problem_file.schema import EffectsTable, ProblemTable, VariableTable, quantities
+from plough_opt.problem_file.source import Keys, Source
+from plough_opt.problem_file.units import Display, display_of
+from plough_opt.soil import named_soil
+
+_REQUIRED = (
+    "share.wedge_angle",
+    "share.chisel_angle",
+    "share.height",
+    "scene.stiffness",
+    "scene.frame_mass",
+    "scene.tow_speed",
+    "scene.duration",
+)
+_SOIL_REQUIRED = ("density", "density_ratio", "cohesion", "friction_angle", "tool_friction")
+_WAVE = ("effects.strength_wave.amplitude", "effects.strength_wave.wavelength")
+# Values inside every domain, beside which a single value is checked.
+_PLAUSIBLE = {
+    "soil.density": 1350.0, "soil.density_ratio": 0.8, "soil.cohesion": 2e4, "soil.friction_angle": 0.5,
+    "soil.tool_friction": 0.5, "soil.ambient_pressure": 1e5, "soil.youngs_modulus": 1e7, "soil.poisson_ratio": 0.3,
+    "share.wedge_angle": 0.5, "share.chisel_angle": 0.25, "share.height": 0.25, "scene.tow_speed": 2.0,
+    "scene.frame_mass": 20.0, "scene.steel_density": 7850.0, "scene.stiffness": 5e4, "scene.duration": 2.0,
+    "effects.strength_wave.amplitude": 0.3, "effects.strength_wave.wavelength": 0.2, "effects.tow_ramp": 0.5,
+    "effects.damping": 400.0, "effects.rate_term": 0.01,
+}  # fmt: skip
+
+
+def read_problem(path: str | Path, overrides: Iterable[str] = ()) -> Problem:
+    """Read and check a problem file.
+
+    Args:
+        path: the file.
+        overrides: changes such as ``'scene.tow_speed="2.5 m/s"'``; one that names a variable fixes it.
+
+    Raises:
+        InputError: the file does not exist, is not TOML, or holds something that cannot be; the message gives file,
+            line, key, what was expected and the nearest valid name, for everything that is wrong in a table.
+    """
+    source = Source.read(Path(path))
+    notes = tuple(note for text in overrides if (note := apply_override(source, text)))
+    _join_dotted_variables(source.data)
+    try:
+        table = ProblemTable.model_validate(source.data)
+    except ValidationError as error:
+        source.note_schema(error, _valid_keys())
+    source.raise_noted()
+    problem = _checked(source, table, notes)
+    source.raise_noted()
+    _check_values(source, problem)
+    source.raise_noted()
+    return problem
+
+
+def _join_dotted_variables(data: dict[str, Any]) -> None:
+    """Read share.height = {...} under [variables], without quotes, as "share.height" = {...}."""
+    variables = data.get("variables")
+    if not isinstance(variables, dict):
+        return
+    for key in quantities():
+        *tables, name = key.split(".")
+        place: Any = variables
+        for table in tables:
+            place = place.get(table) if isinstance(place, dict) else None
+        if isinstance(place, dict) and name in place:
+            variables[key] = place.pop(name)
+    for table in ("soil", "share", "scene", "effects"):
+        if variables.get(table) in ({}, {"strength_wave": {}}):
+            del variables[table]
+
+
+def _valid_keys() -> dict[str, list[str]]:
+    valid = {"": list(ProblemTable.model_fields)}
+    for name, field in ProblemTable.model_fields.items():
+        model = field.annotation
+        if isinstance(model, type) and hasattr(model, "model_fields"):
+            valid[name] = list(model.model_fields)
+    valid["effects.strength_wave"] = ["amplitude", "wavelength"]
+    for table, keys in (("variables", ["lower", "upper", "guess", "log"]), ("minimise", ["per"]),
+                        ("require", ["at_least", "at_most"])):  # fmt: skip
+        valid[table] = keys
+    return valid
+
+
+def _checked(source: Source, table: ProblemTable, notes: tuple[str, ...]) -> Problem:
+    """Check names and bounds that the schema cannot, and collect the quantities."""
+    units = quantities()
+    variables: dict[str, FileVariable] = {}
+    displays: dict[str, Display] = {}
+    for key, declared in table.variables.items():
+        with source.noting(("variables", key)):
+            if key not in units:
+                raise InputError(f"'{key}' cannot be a variable: {nearest(key, units)}")
+            variables[key] = _variable(source, key, declared)
+            displays[key] = variables[key].display
+    fixed: dict[str, float] = {}
+    for key, unit in units.items():
+        value, written = _at(table, key), _raw(source.data, key)
+        if key in table.variables:
+            with source.noting(("variables", key)):
+                if written is not None:
+                    raise InputError(f"'{key}' is a variable and has a fixed value too: remove one")
+        elif value is not None:
+            fixed[key] = value
+            if written is not None:
+                displays[key] = display_of(written, unit)
+    _check_complete(source, table, {*fixed, *table.variables})
+    _check_measures(source, table, displays)
+    return Problem(source.name, table, fixed, variables, displays, notes)
+
+
+def _at(table: Any, key: str) -> Any:
+    """Return what a dotted key holds, or None."""
+    for part in key.split("."):
+        table = getattr(table, part) if table is not None else None
+    return table
+
+
+def _raw(data: Any, key: str) -> object:
+    """Return what the file says at a dotted key, or None."""
+    for part in key.split("."):
+        data = data.get(part) if isinstance(data, dict) else None
+    return data
+
+
+def _variable(source: Source, key: str, declared: VariableTable) -> FileVariable:
+    unit = quantities()[key]
+    bounds = {}
+    for side in ("lower", "upper", "guess"):
+        written = getattr(declared, side)
+        if written is None:
+            continue
+        try:
+            bounds[side] = unit.parse(written)
+        except InputError as error:
+            raise source.error(("variables", key, side), f"'{key}' {side} {error}") from None
+    lower, upper = bounds["lower"], bounds["upper"]
+    if not lower < upper:
+        raise InputError(
+            f"the bounds of '{key}' contradict each other: lower {declared.lower} is not below upper {declared.upper}"
+        )
+    if declared.log and lower <= 0.0:
+        raise InputError(f"'{key}' is log-scaled and needs a lower bound above 0, not {declared.lower}")
+    middle = math.sqrt(lower * upper) if declared.log else (lower + upper) / 2.0
+    guess = bounds.get("guess", middle)
+    if not lower <= guess <= upper:
+        raise InputError(
+            f"the guess {declared.guess} of '{key}' lies outside its bounds {declared.lower} to {declared.upper}"
+        )
+    return FileVariable(lower, upper, guess, declared.log, unit.symbol, display_of(declared.lower, unit))
+
+
+def _check_complete(source: Source, table: ProblemTable, known: set[str]) -> None:
+    """Note every quantity that is neither given nor a variable."""
+    if not known <= {*quantities()}:
+        return  # a misspelt variable is noted already, and would be missing here once more
+    if table.soil.name is not None:
+        with source.noting(("soil", "name")):
+            named_soil(table.soil.name)
+    elif missing := [name for name in _SOIL_REQUIRED if f"soil.{name}" not in known]:
+        with source.noting(("soil",)):
+            names = ", ".join(f"'{name}'" for name in missing)
+            verb = "is" if len(missing) == 1 else "are"
+            raise InputError(f"{names} {verb} missing: give them in [soil], or the 'name' of a known soil")
+    if table.effects.strength_wave is None and len(alone := known & {*_WAVE}) == 1:
+        key = alone.pop()
+        with source.noting(("variables", key)):
+            raise InputError(f"'{key}' has no effects.strength_wave to belong to: give that in [effects]")
+    wave = _WAVE if table.effects.strength_wave is not None else ()
+    for key in (*_REQUIRED, *wave):
+        owner, _, name = key.rpartition(".")
+        with source.noting(tuple(owner.split("."))):
+            if key not in known:
+                raise InputError(f"'{name}' is missing: give it in [{owner}] or make '{key}' a variable")
+
+
+def _check_measures(source: Source, table: ProblemTable, displays: dict[str, Display]) -> None:
+    """Check objective and requirements, and note the units they are written in."""
+    kinds: tuple[tuple[str, dict[str, Any]], ...] = (("minimise", table.minimise), ("require", table.require))
+    for kind, entries in kinds:
+        for name, entry in entries.items():
+            with source.noting((kind, name)):
+                _check_measure(source, (kind, name), entry.model_dump(exclude_none=True))
+                for written in entry.model_dump(exclude_none=True).values():
+                    displays[name] = display_of(written, MEASURES[name].unit)
+
+
+def _check_measure(source: Source, place: Keys, sides: Mapping[str, Any]) -> None:
+    """Check one term of the objective, or one requirement."""
+    kind, name = place
+    allowed = [m for m, measure in MEASURES.items() if kind == "require" or not measure.everywhere]
+    if name not in allowed:
+        verb = "minimised" if kind == "minimise" else "required"
+        raise InputError(f"'{name}' cannot be {verb}: {nearest(name, allowed)}")
+    values = {}
+    for side, written in sides.items():
+        try:
+            values[side] = MEASURES[name].unit.parse(written)
+        except InputError as error:
+            raise source.error((*place, side), f"'{name}' {side} {error}") from None
+    if kind == "minimise" and values["per"] <= 0.0:
+        raise source.error((*place, "per"), f"'{name}' per = {sides['per']} must be above 0")
+    if kind == "require" and not values:
+        raise InputError(f"'{name}' has no limit: give at_least, at_most or both")
+    if values.get("at_least", -math.inf) > values.get("at_most", math.inf):
+        raise InputError(
+            f"the limits of '{name}' contradict each other: at least {sides['at_least']} is above at most"
+            f" {sides['at_most']}"
+        )
+
+
+def _check_values(source: Source, problem: Problem) -> None:
+    """Refuse values, guesses and bounds outside the model's domain, each with the line that sets it."""
+    settings = problem.table.accuracy.model_dump(exclude_none=True)
+    for name in settings:
+        with source.noting(("accuracy", name)):
+            Accuracy(**{"method": settings["method"], name: settings[name]})
+    for key, value in problem.fixed.items():
+        with source.noting(tuple(key.split(".")), prefix=f"{_quoted(source, key)}: "):
+            _check_value(problem, key, value)
+    for key, variable in problem.variables.items():
+        for side in ("lower", "upper"):
+            written = getattr(problem.table.variables[key], side)
+            with source.noting(("variables", key, side), prefix=f"'{key}' {side} = {written}: "):
+                _check_value(problem, key, getattr(variable, side))
+    source.raise_noted()
+    # What is left are effects that exclude each other.
+    with source.noting(("effects", "motion")):
+        problem.scene()
+
+
+def _check_value(problem: Problem, key: str, value: float) -> None:
+    """Refuse a value outside its domain, whatever the others are."""
+    if key == "scene.duration":
+        check_domain("duration", value, "s", above=0.0)
+    alone = dataclasses.replace(problem, fixed={k: _PLAUSIBLE[k] for k in problem.values()}, variables={})
+    effects = EffectsTable()
+    alone = dataclasses.replace(alone, table=problem.table.model_copy(update={"effects": effects}))
+    alone.scene({key: value})
+
+
+def _quoted(source: Source, key: str) -> str:
+    """Return a key with what the file says at it."""
+    written = _raw(source.data, key)
+    return f"'{key}'" if written is None else f"'{key}' = {written}"

@@ -19,6 +19,7 @@ from plough_opt.design.program import Program
 from plough_opt.design.search import Progress, global_search, scanned_variables
 from plough_opt.design.verify import TightEvaluation
 from plough_opt.errors import InputError, NotConverged
+from plough_opt.motion import simulate
 from plough_opt.scene import Scene
 
 _REFINEMENTS = 4
@@ -41,7 +42,7 @@ def solve_program(
     points, missed = _refined(program, p, points, progress)
     progress("checking", 0.0)
     scenes = [_scenes(program, point, p) for point in points]
-    names = _names(program, scenes)
+    names = _names(program, [[scene for scene, _ in own] for own in scenes])
     optima = [_local_optimum(program, p, point, name) for point, name in zip(points, names, strict=True)]
     order = sorted(range(len(optima)), key=lambda k: optima[k].objective)
     directions = flat_directions(program, p, points[order[0]])
@@ -53,7 +54,7 @@ def solve_program(
         local_optima=tuple(optima[k] for k in order),
         scans=tuple(scans),
         seconds=time.perf_counter() - started,
-        warnings=(*missed, *dict.fromkeys(text for scene in scenes[order[0]] for text in scene.warnings())),
+        warnings=(*missed, *_warnings(scenes[order[0]])),
         evaluate=partial(_evaluated, program, program.values(points[order[0]].y), p),
     )
 
@@ -175,10 +176,16 @@ def _bounds(program: Program, point: Point, values: Vector) -> list[Limit]:
     return limits
 
 
-def _scenes(program: Program, point: Point, p: Vector) -> list[Scene]:
-    """Return the scenes of the program's runs at a point, with numbers."""
+def _scenes(program: Program, point: Point, p: Vector) -> list[tuple[Scene, float]]:
+    """Return the scenes of the program's runs at a point, with numbers, and how long each runs [s]."""
     numbers = [*program.values(point.y), *p]
-    return [program.exact.inputs(k, numbers)[1] for k in range(len(program.exact.runs))]
+    inputs = [program.exact.inputs(k, numbers) for k in range(len(program.exact.runs))]
+    return [(scene, float(parameters[-1])) for parameters, scene in inputs]
+
+
+def _warnings(scenes: Sequence[tuple[Scene, float]]) -> tuple[str, ...]:
+    """Return what a reader of the scenes' results must know, each sentence once."""
+    return tuple(dict.fromkeys(text for scene, duration in scenes for text in simulate(scene, duration).warnings))
 
 
 def _names(program: Program, scenes: Sequence[Sequence[Scene]]) -> list[str]:

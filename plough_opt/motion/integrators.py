@@ -90,13 +90,11 @@ def _by_casadi(structure: Structure, accuracy: Accuracy, timeline: Timeline) -> 
 
 def _scales(structure: Structure, p: dict[str, Any]) -> tuple[Any, Any]:
     """Return scales of deflection [m] and of its rate [m/s], so that one absolute tolerance fits both."""
-    force = start_resistance(structure, p | {key: 0.0 for key in _UNUSED if key not in p}) + _LEAST_FORCE
+    # A parameter that nothing in the equation needs moves nothing, and counts as zero here.
+    complete = {**dict.fromkeys(("static", "drag", "rate_term", "tow_speed"), 0.0), **p}
     hardness = ca.sqrt(p["stiffness"] * p["inertia"])
-    force = force + p.get("tow_speed", 0.0) * hardness
+    force = start_resistance(structure, complete) + complete["tow_speed"] * hardness + _LEAST_FORCE
     return force / p["stiffness"], force / hardness
-
-
-_UNUSED = ("static", "drag", "rate_term", "tow_speed")
 
 
 def _signal_scales(structure: Structure, p: dict[str, Any], scales: tuple[Any, Any]) -> Any:
@@ -146,7 +144,7 @@ def _options(accuracy: Accuracy, timeline: Timeline) -> dict[str, Any]:
     if accuracy.method not in ADAPTIVE:
         return {"number_of_finite_elements": timeline.steps, **_QUIET}
     tolerance = accuracy.tolerance
-    assert tolerance is not None  # `resolve` has given it one
+    assert tolerance is not None  # `with_setting` or `automatic` has given it one
     options: dict[str, Any] = {**_QUIET, "reltol": tolerance, "abstol": 0.01 * tolerance, "max_num_steps": _MOST_STEPS}
     if accuracy.method in ("cvodes", "idas"):
         # Without the quadratures in the error control, sensitivities of these two can be silently wrong.

@@ -1,4 +1,4 @@
-"""Rakhmatulin's plastic gas around an expanding cylindrical cavity: equation (23).
+"""Rakhmatulin's plastic gas around an expanding cylindrical cavity: equations (8)-(23), constant locked density.
 
 Soil that the share displaces is compacted at a front that runs ahead of the cavity wall to the locked
 density, and keeps it. Stresses behind the front obey Mohr and Coulomb.
@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from plough_opt.domain import check_domain
-from plough_opt.expressions import Expression, cos, exp, expm1_ratio, log1p, log1p_ratio, sin
+from plough_opt.expressions import Expression, cos, exp, expm1_ratio, log1p, log1p_ratio, sin, sqrt
 from plough_opt.soil import Soil
 
 
@@ -92,3 +92,93 @@ def surface_pressure(cavity: Cavity, soil: Soil) -> Expression:
 def front_radius(cavity: Cavity, soil: Soil) -> Expression:
     """Return the radius r* = R sqrt(a) of the compaction front [m], a = 1/(1 - b1), equation (16)."""
     return cavity.radius * exp(-log1p(-soil.density_ratio) / 2.0)
+
+
+def front_speed(cavity: Cavity, soil: Soil) -> Expression:
+    """Return the speed D = u*'/(1 - b1) = R' sqrt(a) of the compaction front [m/s], equations (19)-(21)."""
+    return cavity.rate * exp(-log1p(-soil.density_ratio) / 2.0)
+
+
+def current_radius(r: Expression, cavity: Cavity, soil: Soil) -> Expression:
+    """Return where a particle is now: y = r + u = sqrt(b1 r^2 + R^2) [m], equation (15) for constant density.
+
+    Args:
+        r: Lagrangian radius, the particle's distance from the axis before the share came [m], from 0 on the
+            wall to the front radius r*. An array for a cavity of floats.
+        cavity: state of the cavity.
+        soil: the soil.
+
+    Raises:
+        DomainError: a radius below 0 or ahead of the front, where the soil is undisturbed.
+    """
+    check_domain("Lagrangian radius", r, "m", at_least=0.0)
+    ahead = r / front_radius(cavity, soil)
+    # Rounding may put the front itself ahead of itself.
+    check_domain(
+        "Lagrangian radius over front radius", ahead, at_most=1.0 + 1e-12, why="ahead of the front nothing moves"
+    )
+    return sqrt(soil.density_ratio * r**2 + cavity.radius**2)
+
+
+def particle_velocity(r: Expression, cavity: Cavity, soil: Soil) -> Expression:
+    """Return the radial velocity R R'/y of the particle at Lagrangian radius r [m/s], equation (17)."""
+    return cavity.radius * cavity.rate / current_radius(r, cavity, soil)
+
+
+def particle_acceleration(r: Expression, cavity: Cavity, soil: Soil) -> Expression:
+    """Return (R'^2 + R R'')/y - R^2 R'^2/y^3 of the particle at Lagrangian radius r [m/s^2], equation (18)."""
+    y = current_radius(r, cavity, soil)
+    spreading = cavity.rate**2 + cavity.radius * cavity.acceleration
+    return spreading / y - (cavity.radius * cavity.rate) ** 2 / y**3
+
+
+@dataclass(frozen=True)
+class Stress:
+    """Stresses behind the front, tension positive as in the source.
+
+    Attributes:
+        radial: sigma_r [Pa].
+        tangential: sigma_theta [Pa].
+    """
+
+    radial: Expression
+    tangential: Expression
+
+
+def stress(r: Expression, cavity: Cavity, soil: Soil) -> Stress:
+    """Return both stresses of the particle at Lagrangian radius r [m], equations (10), (14), (22) corrected.
+
+    With y the particle's radius and l = ln(r*/y), the radial pressure is::
+
+        p = e^(nu l) (p_a + rho0 R'^2) + tau0/(1 + mu) l E(nu l)
+            + (rho0/b1) l ((R'^2 + R R'') E(nu l) - (R R'/y)^2 E((nu - 2) l))
+
+    and the tangential one follows from the yield condition p - p_theta = tau0 + mu (p + p_theta). The form is
+    regular without internal friction and for b1 -> 0, and at r = 0 gives `surface_pressure`.
+
+    Args:
+        r: Lagrangian radius [m], from 0 to the front radius; an array for a cavity of floats.
+        cavity: state of the cavity.
+        soil: the soil.
+
+    Raises:
+        DomainError: a radius below 0 or ahead of the front.
+    """
+    mu = sin(soil.friction_angle)
+    nu = 2.0 * mu / (1.0 + mu)
+    tau0 = 2.0 * soil.cohesion * cos(soil.friction_angle)
+    y = current_radius(r, cavity, soil)
+    # r*^2 - y^2 = b1 (r*^2 - r^2): the logarithm of a ratio beside one, without cancellation.
+    front = front_radius(cavity, soil)
+    spread = (front - r) * (front + r) / y**2
+    log_over_b1 = spread * log1p_ratio(soil.density_ratio * spread) / 2.0
+    log = soil.density_ratio * log_over_b1
+    growth = expm1_ratio(nu * log)
+    spreading = cavity.rate**2 + cavity.radius * cavity.acceleration
+    slowing = (cavity.radius * cavity.rate / y) ** 2 * expm1_ratio((nu - 2.0) * log)
+    pressure = (
+        exp(nu * log) * (soil.ambient_pressure + soil.density * cavity.rate**2)
+        + tau0 / (1.0 + mu) * log * growth
+        + soil.density * log_over_b1 * (spreading * growth - slowing)
+    )
+    return Stress(radial=-pressure, tangential=-((1.0 - mu) * pressure - tau0) / (1.0 + mu))

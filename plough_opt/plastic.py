@@ -126,10 +126,12 @@ def particle_velocity(r: Expression, cavity: Cavity, soil: Soil) -> Expression:
 
 
 def particle_acceleration(r: Expression, cavity: Cavity, soil: Soil) -> Expression:
-    """Return (R'^2 + R R'')/y - R^2 R'^2/y^3 of the particle at Lagrangian radius r [m/s^2], equation (18)."""
+    """Return (R'^2 + R R'')/y - R^2 R'^2/y^3 of the particle at Lagrangian radius r [m/s^2], equation (18).
+
+    As y^2 - R^2 = b1 r^2, that is (R R'' + R'^2 b1 r^2/y^2)/y, which does not cancel for soil that locks at once.
+    """
     y = current_radius(r, cavity, soil)
-    spreading = cavity.rate**2 + cavity.radius * cavity.acceleration
-    return spreading / y - (cavity.radius * cavity.rate) ** 2 / y**3
+    return (cavity.radius * cavity.acceleration + cavity.rate**2 * soil.density_ratio * (r / y) ** 2) / y
 
 
 @dataclass(frozen=True)

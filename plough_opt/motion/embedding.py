@@ -36,7 +36,8 @@ class Embedding:
             DomainError: a number lies outside the model's domain.
         """
         numbers = iter(quantities)
-        return map_expressions(self.template, lambda _: float(next(numbers)), is_quantity)  # type: ignore[no-any-return]
+        scene: Scene = map_expressions(self.template, lambda _: float(next(numbers)), is_quantity)
+        return scene
 
 
 _KNOWN: dict[int, Embedding] = {}
@@ -82,10 +83,11 @@ def _placeholder(value: Expression, quantities: list[Expression]) -> ca.SX:
 
 def _build(solver: Integration, template: Scene, count: int) -> Embedding:
     p, carried = ca.MX.sym("p", solver.function.numel_in(0)), ca.MX.sym("scene", count)
-    function = ca.Function(
-        "run", [p, carried], solver.function.call([p]), ["parameters", "scene"], ["states", "means", "variances"],
-        {"never_inline": True},
-    )  # fmt: skip
+    # A share that never moves from equilibrium has results that are zero by structure; dense, they keep the call,
+    # and with it the scene, in the graph.
+    results = [ca.densify(result) for result in solver.function.call([p])]
+    names = ["parameters", "scene"], ["states", "means", "variances"]
+    function = ca.Function("run", [p, carried], results, *names, {"never_inline": True})
     built = Embedding(solver, template, function)
     _KNOWN[hash(function)] = built
     return built

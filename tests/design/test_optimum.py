@@ -2,6 +2,7 @@
 
 import json
 import math
+import pickle
 from dataclasses import asdict
 
 import casadi as ca
@@ -275,3 +276,39 @@ def test_a_design_for_two_soils(r1_soil):
     # Two runs by the tightest method, good to 1e-10 each.
     assert total == pytest.approx(best.objective, rel=1e-9)
     assert best.gap < 1e-8
+
+
+# --- what a design knows of its scenes -------------------------------------------------------------------------
+
+
+def _towed(upper):
+    d = po.Design()
+    angle = d.variable("wedge angle", guess=po.deg(30), lower=po.deg(20), upper=upper, unit="rad")
+    share = po.Wedge(angle, po.deg(15), 0.25)
+    scene = po.Scene(po.named_soil("serozem"), share, stiffness=1e5, mass=25.0, tow_speed=2.0)
+    run = po.simulate(scene, 0.5)
+    d.minimise(run.mean_draft / 1e3)
+    d.require("loosened radius", po.loosened_radius(scene.cone, scene.soil), at_least=0.25, unit="m")
+    return d, run
+
+
+def test_bounds_that_lead_out_of_the_domain_are_refused_before_solving():
+    d, _ = _towed(upper=po.deg(95))
+    with pytest.raises(po.DomainError, match=r"at the upper bound of 'wedge angle': wedge angle = 1\.65806 rad must"):
+        d.solve()
+
+
+def test_an_optimum_carries_the_warnings_of_its_run():
+    d, run = _towed(upper=po.deg(80))
+    best = d.solve()
+    assert any("hypothesis of plane sections does not hold" in text for text in best.warnings)
+    assert set(best.warnings) == set(best(run).warnings)
+
+
+def test_a_pickled_optimum_keeps_its_numbers_and_says_what_it_lost():
+    d, run = _towed(upper=po.deg(80))
+    best = d.solve()
+    again = pickle.loads(pickle.dumps(best))
+    assert (again.objective, again.variables, again.limits) == (best.objective, best.variables, best.limits)
+    with pytest.raises(po.InputError, match="pickled without its design"):
+        again(run.mean_draft)

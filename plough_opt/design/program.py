@@ -169,11 +169,12 @@ class Program:
     def _check_bounds(self, p: Vector) -> None:
         """Refuse bounds between which a scene leaves the model's domain."""
         for clause, values in self._corners():
-            for k in range(len(self.exact.runs)):
-                try:
+            try:
+                for k in range(len(self.exact.runs)):
                     self.exact.inputs(k, [*values, *p])
-                except DomainError as error:
-                    raise DomainError(f"{clause}: {error}", error.quantity) from None
+                self.exact.quasi_static_scenes([*values, *p])
+            except DomainError as error:
+                raise DomainError(f"{clause}: {error}", error.quantity) from None
 
     def _steps_between_bounds(self, p: Vector, refinement: float) -> list[int | None]:
         """Return, for each run whose accuracy is automatic, the steps that its fastest design needs."""

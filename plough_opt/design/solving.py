@@ -54,7 +54,7 @@ def solve_program(
         local_optima=tuple(optima[k] for k in order),
         scans=tuple(scans),
         seconds=time.perf_counter() - started,
-        warnings=(*missed, *_warnings(scenes[order[0]])),
+        warnings=(*missed, *_warnings(program, points[order[0]], p, scenes[order[0]])),
         evaluate=partial(_evaluated, program, program.values(points[order[0]].y), p),
     )
 
@@ -183,9 +183,11 @@ def _scenes(program: Program, point: Point, p: Vector) -> list[tuple[Scene, floa
     return [(scene, float(parameters[-1])) for parameters, scene in inputs]
 
 
-def _warnings(scenes: Sequence[tuple[Scene, float]]) -> tuple[str, ...]:
-    """Return what a reader of the scenes' results must know, each sentence once."""
-    return tuple(dict.fromkeys(text for scene, duration in scenes for text in simulate(scene, duration).warnings))
+def _warnings(program: Program, point: Point, p: Vector, scenes: Sequence[tuple[Scene, float]]) -> tuple[str, ...]:
+    """Return what a reader of the results at a point must know, each sentence once."""
+    moving = [text for scene, duration in scenes for text in simulate(scene, duration).warnings]
+    still = program.exact.quasi_static_scenes([*program.values(point.y), *p])
+    return tuple(dict.fromkeys([*moving, *(text for scene in still for text in scene.warnings())]))
 
 
 def _names(program: Program, scenes: Sequence[Sequence[Scene]]) -> list[str]:

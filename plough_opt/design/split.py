@@ -5,9 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import casadi as ca
+import numpy as np
 
 from plough_opt.errors import InputError
-from plough_opt.motion.embedding import Embedding, embedding_of
+from plough_opt.motion.embedding import Embedding, Label, known_call
 from plough_opt.motion.integrators import Integration
 
 
@@ -41,11 +42,13 @@ class Split:
         runs: the runs found, each once.
         expressions: the expressions in terms of the design's symbols and the runs' results.
         results: for each run, a symbol for its results stacked: states column by column, means, variances.
+        labels: scenes in the expressions that are not integrated, each with its quantities as expressions.
     """
 
     runs: tuple[EmbeddedRun, ...]
     expressions: tuple[ca.MX, ...]
     results: tuple[ca.MX, ...]
+    labels: tuple[tuple[Label, ca.MX], ...]
 
 
 def split(expressions: list[ca.MX], symbols: list[ca.MX]) -> Split:
@@ -54,36 +57,44 @@ def split(expressions: list[ca.MX], symbols: list[ca.MX]) -> Split:
     Raises:
         InputError: a run's parameters depend on the results of another run.
     """
-    whole = ca.Function("whole", symbols, expressions, {"never_inline": True})
-    runs: dict[int, EmbeddedRun] = {}
-    for k in range(whole.n_instructions()):
-        if whole.instruction_id(k) != ca.OP_CALL:
-            continue
-        node = whole.instruction_MX(k)
-        known = embedding_of(node.which_function())
-        if known is not None:
-            outputs = tuple(node.get_output(i) for i in range(known.function.n_out()))
-            runs[hash(node)] = EmbeddedRun(known, node.dep(0), node.dep(1), outputs)
-    found = tuple(runs.values())
+    found, labels = _calls(ca.Function("whole", symbols, expressions, {"never_inline": True}))
     results = tuple(
         ca.MX.sym(f"results_{i}", sum(output.numel() for output in run.outputs)) for i, run in enumerate(found)
     )
     old: list[ca.MX] = []
     new: list[ca.MX] = []
     for run, result in zip(found, results, strict=True):
-        position = 0
-        for output in run.outputs:
-            part = result[position : position + output.numel()]
-            old.append(output)
-            new.append(ca.reshape(part, output.shape))
-            position += output.numel()
-    originals = [*expressions, *(run.inputs for run in found), *(run.quantities for run in found)]
-    replaced = ca.graph_substitute(originals, old, new) if found else originals
-    own = replaced[len(expressions) :]
-    independent = tuple(
-        replace(run, inputs=inputs, quantities=quantities)
-        for run, inputs, quantities in zip(found, own[: len(found)], own[len(found) :], strict=True)
-    )
-    if any(ca.depends_on(run.inputs, result) for run in independent for result in results):
+        ends = np.cumsum([0, *(output.numel() for output in run.outputs)]).tolist()
+        old += run.outputs
+        new += [ca.reshape(result[i:j], o.shape) for o, i, j in zip(run.outputs, ends, ends[1:], strict=False)]
+    inputs, quantities = [run.inputs for run in found], [run.quantities for run in found]
+    groups = [expressions, inputs, quantities, [carried for _, carried in labels]]
+    if found:
+        flat = iter(ca.graph_substitute([item for group in groups for item in group], old, new))
+        groups = [[next(flat) for _ in group] for group in groups]
+    expressions, inputs, quantities, carried = groups
+    if any(ca.depends_on(given, result) for given in (*inputs, *carried) for result in results):
         raise InputError("a run of this design is given results of another run: a design takes runs side by side only")
-    return Split(independent, tuple(replaced[: len(expressions)]), results)
+    independent = (
+        replace(run, inputs=given, quantities=scene)
+        for run, given, scene in zip(found, inputs, quantities, strict=True)
+    )
+    named = zip((label for label, _ in labels), carried, strict=True)
+    return Split(tuple(independent), tuple(expressions), results, tuple(named))
+
+
+def _calls(whole: ca.Function) -> tuple[list[EmbeddedRun], list[tuple[Label, ca.MX]]]:
+    """Return the runs and the labelled scenes that a Function's graph calls, each once."""
+    runs: dict[int, EmbeddedRun] = {}
+    labels: dict[int, tuple[Label, ca.MX]] = {}
+    for k in range(whole.n_instructions()):
+        if whole.instruction_id(k) != ca.OP_CALL:
+            continue
+        node = whole.instruction_MX(k)
+        known = known_call(node.which_function())
+        if isinstance(known, Label):
+            labels[hash(node)] = (known, node.dep(1))
+        elif known is not None:
+            outputs = tuple(node.get_output(i) for i in range(known.function.n_out()))
+            runs[hash(node)] = EmbeddedRun(known, node.dep(0), node.dep(1), outputs)
+    return list(runs.values()), list(labels.values())

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from plough_opt.design.split import split
 from plough_opt.errors import IntegrationError
+from plough_opt.motion.embedding import with_numbers
 from plough_opt.motion.integrators import Integration, integration
 from plough_opt.motion.plan import automatic, check_of, phase
 from plough_opt.motion.timeline import Timeline
@@ -34,6 +35,9 @@ class TightEvaluation:
         parts = split(list(expressions), list(symbols))
         self.runs = parts.runs
         self._inputs = [ca.Function("inputs", list(symbols), [run.inputs, run.quantities]) for run in parts.runs]
+        self._labels = [
+            (label.template, ca.Function("quantities", list(symbols), [carried])) for label, carried in parts.labels
+        ]
         self._algebra = ca.Function("algebra", [*symbols, *parts.results], list(parts.expressions))
 
     def inputs(self, run: int, numbers: Sequence[float]) -> tuple[Vector, Scene]:
@@ -43,7 +47,18 @@ class TightEvaluation:
             DomainError: the scene lies outside the model's domain.
         """
         parameters, quantities = (np.asarray(result).ravel() for result in self._inputs[run](*numbers))
-        return parameters, self.runs[run].embedding.scene(quantities.tolist())
+        return parameters, with_numbers(self.runs[run].embedding.template, quantities.tolist())
+
+    def quasi_static_scenes(self, numbers: Sequence[float]) -> list[Scene]:
+        """Return the scenes at numbers that the expressions hold and that are not integrated.
+
+        Raises:
+            DomainError: a scene lies outside the model's domain.
+        """
+        return [
+            with_numbers(template, np.asarray(quantities(*numbers)).ravel().tolist())
+            for template, quantities in self._labels
+        ]
 
     def __call__(self, numbers: Sequence[float]) -> tuple[list[Vector], list[Vector]]:
         """Return the expressions' values, and the same by the method that checks the integration.

@@ -29,19 +29,34 @@ class Embedding:
     template: Scene
     function: ca.Function
 
-    def scene(self, quantities: Sequence[float]) -> Scene:
-        """Return the scene with numbers.
 
-        Raises:
-            DomainError: a number lies outside the model's domain.
-        """
-        numbers = iter(quantities)
-        scene: Scene = map_expressions(self.template, lambda _: float(next(numbers)), is_quantity)
-        return scene
+@dataclass(frozen=True)
+class Label:
+    """A scene that a graph carries along without an integration: a value passed through beside its quantities.
+
+    Attributes:
+        template: the scene with a placeholder for each of its quantities.
+        function: (value, quantities of the scene) -> the same value.
+    """
+
+    template: Scene
+    function: ca.Function
 
 
-_KNOWN: dict[int, Embedding] = {}
+_KNOWN: dict[int, Embedding | Label] = {}
 _BY_LAYOUT: dict[tuple[int, str], Embedding] = {}
+_LABELS: dict[str, Label] = {}
+
+
+def with_numbers(template: Scene, quantities: Sequence[float]) -> Scene:
+    """Return a template's scene with numbers for its quantities.
+
+    Raises:
+        DomainError: a number lies outside the model's domain.
+    """
+    numbers = iter(quantities)
+    scene: Scene = map_expressions(template, lambda _: float(next(numbers)), is_quantity)
+    return scene
 
 
 def embed(solver: Integration, p: Sequence[Expression], scene: Scene) -> tuple[Expression, ...]:
@@ -55,9 +70,8 @@ def embed(solver: Integration, p: Sequence[Expression], scene: Scene) -> tuple[E
     Raises:
         InputError: SX symbols and a method that exists for MX only.
     """
-    quantities: list[Expression] = []
-    template = map_expressions(scene, lambda value: _placeholder(value, quantities), is_quantity)
-    inputs, carried = ca.vertcat(*p), ca.vertcat(*quantities)
+    template, carried = _template(scene)
+    inputs = ca.vertcat(*p)
     if isinstance(inputs, ca.SX) or isinstance(carried, ca.SX):
         if solver.accuracy.method not in ORDER_8:
             raise InputError(
@@ -67,18 +81,38 @@ def embed(solver: Integration, p: Sequence[Expression], scene: Scene) -> tuple[E
     # Quantities print alike, as placeholders, so scenes that differ in numbers only share one Function.
     layout = (hash(solver.function), repr(template))
     if layout not in _BY_LAYOUT:
-        _BY_LAYOUT[layout] = _build(solver, template, len(quantities))
+        _BY_LAYOUT[layout] = _build(solver, template, carried.numel())
     return tuple(_BY_LAYOUT[layout].function.call([inputs, carried]))
 
 
-def embedding_of(function: ca.Function) -> Embedding | None:
-    """Return the run that a Function in a graph stands for, or None for any other Function."""
+def labelled(value: Expression, scene: Scene) -> Expression:
+    """Return a value of a scene as it is; of MX symbols, with the scene carried along in the graph."""
+    template, carried = _template(scene)
+    if not isinstance(carried, ca.MX) or not isinstance(value, ca.MX):
+        return value
+    layout = repr(template)
+    if layout not in _LABELS:
+        x, q = ca.MX.sym("x"), ca.MX.sym("scene", carried.numel())
+        function = ca.Function("label", [x, q], [x], ["value", "scene"], ["value_again"], {"never_inline": True})
+        _LABELS[layout] = _KNOWN[hash(function)] = Label(template, function)
+    return _LABELS[layout].function(value, carried)
+
+
+def known_call(function: ca.Function) -> Embedding | Label | None:
+    """Return what a Function in a graph stands for, or None for any Function that is not of this file."""
     return _KNOWN.get(hash(function))
 
 
-def _placeholder(value: Expression, quantities: list[Expression]) -> ca.SX:
-    quantities.append(value)
-    return ca.SX.sym("quantity")
+def _template(scene: Scene) -> tuple[Scene, Expression]:
+    """Return a scene with placeholders, and the quantities that they stand for as a column."""
+    quantities: list[Expression] = []
+
+    def placeholder(value: Expression) -> ca.SX:
+        quantities.append(value)
+        return ca.SX.sym("quantity")
+
+    template = map_expressions(scene, placeholder, is_quantity)
+    return template, ca.vertcat(*quantities)
 
 
 def _build(solver: Integration, template: Scene, count: int) -> Embedding:

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
 from plough_opt.accuracy import Accuracy
 from plough_opt.expressions import Expression, column, holds_casadi, is_casadi
+from plough_opt.motion.embedding import labelled
 from plough_opt.motion.equation import (
     Structure,
     parameters,
@@ -40,8 +43,11 @@ def quasi_static(
     inner = (ends[:-1, None] + sizes[:, None] * (nodes + 1.0) / 2.0).ravel()
     shares = (sizes[:, None] * weights / 2.0).ravel()
 
-    time, path, speed, force = _course(scene, duration, timeline.output_fractions)
-    _, _, inner_speed, inner_force = _course(scene, duration, inner)
+    p = parameters(scene)
+    p["static"] = labelled(p["static"], scene)
+    course = partial(_course, scene, p, duration)
+    time, path, speed, force = course(timeline.output_fractions)
+    _, _, inner_speed, inner_force = course(inner)
     mean_draft = _average(inner_force, shares)
     variance = _average((inner_force - mean_draft) ** 2, shares)
     force_rms = rms(variance, scene.steady_resistance)
@@ -67,10 +73,10 @@ def quasi_static(
 
 
 def _course(
-    scene: Scene, duration: Expression, fractions: NDArray[np.float64]
+    scene: Scene, p: dict[str, Expression], duration: Expression, fractions: NDArray[np.float64]
 ) -> tuple[Expression, Expression, Expression, Expression]:
     """Return time [s], path [m], speed [m/s] and resistance [N] at fractions of the duration."""
-    structure, p = Structure.of(scene), parameters(scene)
+    structure = Structure.of(scene)
     time = column(fractions, holds_casadi((scene, duration))) * duration
     mount = strut(structure, p, time)
     force = start_resistance(structure, p) + resistance_change(structure, p, mount.path, mount.gain)

@@ -9,6 +9,7 @@ import pytest
 import plough_opt as po
 from plough_opt.design.nlp import averages_only
 from plough_opt.design.split import split
+from plough_opt.motion.embedding import with_numbers
 
 # Weights of the central difference of order 8: with phases up to 30 rad a step of 2e-4 leaves some 1e-12.
 _WEIGHTS = np.array([4 / 5, -1 / 5, 4 / 105, -1 / 280])
@@ -420,7 +421,7 @@ def test_the_scene_of_a_run_in_a_graph_can_be_rebuilt(small):
     symbols = [case.angle, case.height, case.k0]
     (run,) = split([case.run.mean_draft], symbols).runs
     numbers = np.asarray(ca.Function("quantities", symbols, [run.quantities])(0.6, 0.23, 1.7e4)).ravel()
-    scene = run.embedding.scene(numbers)
+    scene = with_numbers(run.embedding.template, numbers)
     assert scene.share == po.Wedge(0.6, po.deg(15.0), 0.23)
     assert scene.stiffness == 1.7e4
     assert scene.soil == case.scene.soil

@@ -281,25 +281,29 @@ def test_a_design_for_two_soils(r1_soil):
 # --- what a design knows of its scenes -------------------------------------------------------------------------
 
 
-def _towed(upper):
+def _towed(upper, **effects):
     d = po.Design()
     angle = d.variable("wedge angle", guess=po.deg(30), lower=po.deg(20), upper=upper, unit="rad")
     share = po.Wedge(angle, po.deg(15), 0.25)
-    scene = po.Scene(po.named_soil("serozem"), share, stiffness=1e5, mass=25.0, tow_speed=2.0)
+    scene = po.Scene(
+        po.named_soil("serozem"), share, stiffness=1e5, mass=25.0, tow_speed=2.0, effects=po.Effects(**effects)
+    )
     run = po.simulate(scene, 0.5)
     d.minimise(run.mean_draft / 1e3)
     d.require("loosened radius", po.loosened_radius(scene.cone, scene.soil), at_least=0.25, unit="m")
     return d, run
 
 
-def test_bounds_that_lead_out_of_the_domain_are_refused_before_solving():
-    d, _ = _towed(upper=po.deg(95))
+@pytest.mark.parametrize("motion", [True, False])
+def test_bounds_that_lead_out_of_the_domain_are_refused_before_solving(motion):
+    d, _ = _towed(upper=po.deg(95), motion=motion)
     with pytest.raises(po.DomainError, match=r"at the upper bound of 'wedge angle': wedge angle = 1\.65806 rad must"):
         d.solve()
 
 
-def test_an_optimum_carries_the_warnings_of_its_run():
-    d, run = _towed(upper=po.deg(80))
+@pytest.mark.parametrize("motion", [True, False])
+def test_an_optimum_carries_the_warnings_of_its_run(motion):
+    d, run = _towed(upper=po.deg(80), motion=motion)
     best = d.solve()
     assert any("hypothesis of plane sections does not hold" in text for text in best.warnings)
     assert set(best.warnings) == set(best(run).warnings)

@@ -172,7 +172,7 @@ def draw_speed(axes: Axes, run: Run) -> None:
     axes.plot(run.time, own, color=_MUTED, linewidth=1.0, linestyle="--", label="strut")
     axes.plot(run.time, run.speed, color=_FORCE, linewidth=1.2, label="share")
     axes.set_ylabel("speed [m/s]")
-    axes.legend(loc="upper right", fontsize="small")
+    axes.legend(loc="best", fontsize="small")
 
 
 def draw_scan(axes: Axes, best: Optimum) -> None:

@@ -1,4 +1,4 @@
-"""The layout that DESIGN promises: imports go one way, files stay short, links lead somewhere."""
+"""The layout: imports go one way, files stay short, links lead somewhere."""
 
 import re
 import subprocess

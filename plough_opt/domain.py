@@ -38,7 +38,7 @@ def check_domain(
     if is_symbolic(value):
         return
     if not is_casadi(value) and np.asarray(value).dtype.kind not in "iuf":
-        raise DomainError(f"{name} = {value!r} must be a number, in {unit or 'no unit'}", name)
+        raise DomainError(f"{name} = {value!r} must be a number, in {unit or 'no unit'}")
     numbers = np.atleast_1d(as_number(value))
     rules = [
         (np.isfinite(numbers), "finite", None),
@@ -56,4 +56,4 @@ def check_domain(
             digits = 6 if limit is None or f"{bad:.6g}" != f"{limit:.6g}" else 17
             bound = "" if limit is None else f" {limit:.{digits}g}{suffix}"
             reason = f": {why}" if why else ""
-            raise DomainError(f"{name} = {bad:.{digits}g}{suffix} must be {relation}{bound}{reason}", name)
+            raise DomainError(f"{name} = {bad:.{digits}g}{suffix} must be {relation}{bound}{reason}")

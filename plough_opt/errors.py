@@ -11,15 +11,7 @@ class PloughError(Exception):
 
 
 class DomainError(PloughError, ValueError):
-    """A value lies outside the domain in which the model's equations hold.
-
-    Attributes:
-        quantity: what the value is, as in the message; empty when it is no single value.
-    """
-
-    def __init__(self, message: str, quantity: str = "") -> None:
-        super().__init__(message)
-        self.quantity = quantity
+    """A value lies outside the domain in which the model's equations hold."""
 
 
 class InputError(PloughError, ValueError):
@@ -30,7 +22,7 @@ class IntegrationError(PloughError, RuntimeError):
     """The equation of motion could not be integrated; the message names scene, time and likely cause."""
 
 
-class InfeasibleDesign(PloughError, RuntimeError):  # noqa: N818 - reads as what it is: the outcome of a solve
+class InfeasibleDesign(PloughError, RuntimeError):
     """No design meets all requirements; ``conflicts`` maps each requirement that fails to the shortfall.
 
     Attributes:
@@ -44,7 +36,7 @@ class InfeasibleDesign(PloughError, RuntimeError):  # noqa: N818 - reads as what
         self.blockers = blockers
 
 
-class NotConverged(PloughError, RuntimeError):  # noqa: N818
+class NotConverged(PloughError, RuntimeError):
     """The optimiser stopped without an optimum; ``status`` is IPOPT's own word for why."""
 
     def __init__(self, message: str, status: str) -> None:

@@ -39,7 +39,11 @@ def infeasible(program: Program, point: Point) -> InfeasibleDesign:
     declared = program.declared
     count, n = len(declared.requirements), len(declared.variables)
     slack = point.y[n : n + count] + point.y[n + count :]
-    conflicts = {r.name: float(s * r.scale) for r, s in zip(declared.requirements, slack, strict=True) if s > _VIOLATED}
+    conflicts = {
+        r.name: float(s * scale)
+        for r, s, scale in zip(declared.requirements, slack, program.scales, strict=True)
+        if s > _VIOLATED
+    }
     pull = np.zeros(count)
     for multiplier, requirement in zip(point.lam_g, program.owner, strict=True):
         pull[requirement] = max(pull[requirement], abs(multiplier))

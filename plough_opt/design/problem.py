@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -163,10 +164,10 @@ def _silent(_stage: str, _fraction: float) -> None:
     """Report nothing."""
 
 
-def _number(what: str, value: object) -> float:
+def _number(what: str, value: Any) -> float:
     """Return a value as a finite float."""
     try:
-        number = float(value)  # type: ignore[arg-type]
+        number = float(value)
     except (TypeError, ValueError):
         raise InputError(f"{what}: {value!r} is not a number (in SI units; po.deg converts degrees)") from None
     if not np.isfinite(number):

@@ -174,7 +174,7 @@ class Program:
                     self.exact.inputs(k, [*values, *p])
                 self.exact.quasi_static_scenes([*values, *p])
             except DomainError as error:
-                raise DomainError(f"{clause}: {error}", error.quantity) from None
+                raise DomainError(f"{clause}: {error}") from None
 
     def _steps_between_bounds(self, p: Vector, refinement: float) -> list[int | None]:
         """Return, for each run whose accuracy is automatic, the steps that its fastest design needs."""

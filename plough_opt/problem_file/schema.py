@@ -8,6 +8,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, StrictBool, StrictFloat, StrictInt, StrictStr
 
 from plough_opt.problem_file.units import Unit
+from plough_opt.scene import Effects
 
 Length = Annotated[float, Unit("m")]
 Angle = Annotated[float, Unit("rad")]
@@ -72,12 +73,12 @@ class StrengthWaveTable(Table):
 class EffectsTable(Table):
     """Effects beside the default ones."""
 
-    motion: StrictBool = True
-    inertial_drag: StrictBool = True
-    added_mass: StrictBool = True
-    ambient_pressure: StrictBool = True
-    contact: Literal["resisting"] = "resisting"
-    start: Literal["equilibrium", "rest"] = "equilibrium"
+    motion: StrictBool = Effects.motion
+    inertial_drag: StrictBool = Effects.inertial_drag
+    added_mass: StrictBool = Effects.added_mass
+    ambient_pressure: StrictBool = Effects.ambient_pressure
+    contact: Literal["resisting"] = Effects.contact
+    start: Literal["equilibrium", "rest"] = Effects.start
     strength_wave: StrengthWaveTable | None = None
     tow_ramp: Time | None = None
     damping: Damping | None = None

@@ -169,6 +169,19 @@ def test_an_objective_with_a_kink_never_looks_like_an_optimum():
     assert caught.value.status == "Maximum_Iterations_Exceeded"
 
 
+@pytest.mark.parametrize("size", [1.0, 1e6])
+def test_the_shortfall_of_a_limit_of_zero_is_in_the_requirements_own_unit(size):
+    d = po.Design()
+    x = d.variable("x", guess=0.5, lower=0.0, upper=1.0)
+    d.minimise(1.0 + x)
+    d.require("margin", size * (x - 1.25), at_least=0.0, unit="N")
+    with pytest.raises(po.InfeasibleDesign, match="'margin'") as caught:
+        d.solve()
+    # At best x = 1, and a quarter of the size is lacking; IPOPT stops within 1e-8 of it.
+    assert caught.value.conflicts == pytest.approx({"margin": 0.25 * size}, rel=1e-7)
+    assert caught.value.blockers == ["upper bound 1 of 'x'"]
+
+
 def test_more_equalities_than_variables_are_refused_with_a_remedy():
     d = po.Design()
     x = d.variable("x", guess=0.5, lower=0.0, upper=1.0)

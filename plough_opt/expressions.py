@@ -23,8 +23,8 @@ Expression: TypeAlias = Any
 # Terms kept in the two power series: enough for a relative 1e-17 in the value and 1e-14 in the second
 # derivative at the far end of the interval on which each series is used.
 _EXPM1_TERMS = 24
-_ATANH_TERMS = 26
-_ATANH_SWITCH = 0.5
+_ATANH_TERMS = 32
+_SERIES_BELOW = 0.5
 
 
 def is_symbolic(value: Expression) -> bool:
@@ -111,7 +111,10 @@ cos = _unary(ca.cos, np.cos)
 tan = _unary(ca.tan, np.tan)
 arctan = _unary(ca.atan, np.arctan)
 sqrt = _unary(ca.sqrt, np.sqrt)
+arcsinh = _unary(ca.asinh, np.arcsinh)
+arctanh = _unary(ca.atanh, np.arctanh)
 exp = _unary(ca.exp, np.exp)
+log = _unary(ca.log, np.log)
 log1p = _unary(ca.log1p, np.log1p)
 expm1 = _unary(ca.expm1, np.expm1)
 absolute = _unary(ca.fabs, np.abs)
@@ -128,6 +131,16 @@ def where(condition: Expression, yes: Expression, no: Expression) -> Expression:
 def minimum(x: Expression, y: Expression) -> Expression:
     """Return the smaller of two values, element by element."""
     return ca.fmin(x, y) if is_casadi(x) or is_casadi(y) else np.minimum(x, y)
+
+
+def maximum(x: Expression, y: Expression) -> Expression:
+    """Return the larger of two values, element by element."""
+    return ca.fmax(x, y) if is_casadi(x) or is_casadi(y) else np.maximum(x, y)
+
+
+def arctan2(y: Expression, x: Expression) -> Expression:
+    """Return the angle of the point (x, y) in its plane [rad], from -pi to pi."""
+    return ca.atan2(y, x) if is_casadi(x) or is_casadi(y) else np.arctan2(y, x)
 
 
 def expm1_ratio(x: Expression) -> Expression:
@@ -151,11 +164,44 @@ def log1p_ratio(x: Expression) -> Expression:
     For |x| < 0.5 it is the series of 2 artanh(x/(2 + x))/x, for the reason given in `expm1_ratio` and
     with the same accuracy.
     """
-    near_zero = absolute(x) < _ATANH_SWITCH
+    near_zero = absolute(x) < _SERIES_BELOW
     small = where(near_zero, x, 0.0)
-    large = where(near_zero, _ATANH_SWITCH, x)
-    square = (small / (2.0 + small)) ** 2
+    large = where(near_zero, _SERIES_BELOW, x)
+    series = 2.0 * _arctanh_series((small / (2.0 + small)) ** 2) / (2.0 + small)
+    return where(near_zero, series, log1p(large) / large)
+
+
+def arctanh_ratio(x: Expression) -> Expression:
+    """Return artanh(x)/x with the value 1 at x = 0, for |x| < 1; accurate as `expm1_ratio`."""
+    near_zero, small, large = _split(x)
+    return where(near_zero, _arctanh_series(small**2), arctanh(large) / large)
+
+
+def arctan_ratio(x: Expression) -> Expression:
+    """Return arctan(x)/x with the value 1 at x = 0; accurate as `expm1_ratio`."""
+    near_zero, small, large = _split(x)
+    return where(near_zero, _arctanh_series(-(small**2)), arctan(large) / large)
+
+
+def arcsinh_ratio(x: Expression) -> Expression:
+    """Return arsinh(x)/x with the value 1 at x = 0; accurate as `expm1_ratio`.
+
+    Beside zero it is artanh(t)/x with t = x/sqrt(1 + x^2).
+    """
+    near_zero, small, large = _split(x)
+    scale = 1.0 / (1.0 + small**2)
+    return where(near_zero, sqrt(scale) * _arctanh_series(small**2 * scale), arcsinh(large) / large)
+
+
+def _split(x: Expression) -> tuple[Expression, Expression, Expression]:
+    """Return whether x lies where the series serves, x there and 0 elsewhere, x elsewhere and a safe value there."""
+    near_zero = absolute(x) < _SERIES_BELOW
+    return near_zero, where(near_zero, x, 0.0), where(near_zero, _SERIES_BELOW, x)
+
+
+def _arctanh_series(square: Expression) -> Expression:
+    """Return artanh(t)/t from t^2 of at most a quarter in size; of -t^2 it is arctan(t)/t."""
     series: Expression = 1.0 / (2 * _ATANH_TERMS + 1)
     for n in range(_ATANH_TERMS - 1, -1, -1):
         series = 1.0 / (2 * n + 1) + square * series
-    return where(near_zero, 2.0 * series / (2.0 + small), log1p(large) / large)
+    return series

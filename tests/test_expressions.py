@@ -1,4 +1,4 @@
-"""The operations that floats, arrays and CasADi expressions share, and the two ratios without cancellation."""
+"""The operations that floats, arrays and CasADi expressions share, and the ratios without cancellation."""
 
 import math
 from dataclasses import dataclass
@@ -34,8 +34,12 @@ LOG1P = [
     *[0.0, *BOTH_SIDES, -0.45, 0.45, *beside(-0.5), *beside(0.5)],
     *[-0.5001, 0.5001, -0.7, 1.0, 10.0, 1e6, -0.999, -1 + 1e-9, math.nextafter(-1.0, 0.0)],
 ]
+INSIDE = [0.0, *BOTH_SIDES, -0.45, 0.45, *beside(-0.5), *beside(0.5), -0.5001, 0.5001, -0.9, 0.99]
 RATIOS = [(ex.expm1_ratio, precise_expm1_ratio, x) for x in EXPM1]
 RATIOS += [(ex.log1p_ratio, precise_log1p_ratio, x) for x in LOG1P]
+RATIOS += [(ex.arctanh_ratio, lambda x: mp.atanh(x) / x if x else mp.mpf(1), x) for x in INSIDE]
+RATIOS += [(ex.arctan_ratio, lambda x: mp.atan(x) / x if x else mp.mpf(1), x) for x in [*INSIDE, -3.0, 20.0]]
+RATIOS += [(ex.arcsinh_ratio, lambda x: mp.asinh(x) / x if x else mp.mpf(1), x) for x in [*INSIDE, -3.0, 20.0]]
 
 
 @pytest.mark.parametrize("symbol", [ca.SX, ca.MX])
@@ -55,7 +59,14 @@ def test_ratio_and_its_two_derivatives_keep_their_digits(ratio, precise, at, sym
 
 
 @pytest.mark.parametrize(
-    ("ratio", "limits"), [(ex.expm1_ratio, (1, 1 / 2, 1 / 3)), (ex.log1p_ratio, (1, -1 / 2, 2 / 3))]
+    ("ratio", "limits"),
+    [
+        (ex.expm1_ratio, (1, 1 / 2, 1 / 3)),
+        (ex.log1p_ratio, (1, -1 / 2, 2 / 3)),
+        (ex.arctanh_ratio, (1, 0, 2 / 3)),
+        (ex.arctan_ratio, (1, 0, -2 / 3)),
+        (ex.arcsinh_ratio, (1, 0, -1 / 3)),
+    ],
 )
 @pytest.mark.parametrize("at", [0.0, -0.0, 5e-324, -5e-324, 1e-300, -1e-300])
 def test_ratio_has_its_limits_at_zero(ratio, limits, at):
@@ -63,10 +74,10 @@ def test_ratio_has_its_limits_at_zero(ratio, limits, at):
     y = ratio(x)
     first = ca.gradient(y, x)
     got = [float(v) for v in ca.Function("f", [x], [y, first, ca.gradient(first, x)])(at)]
-    assert got == pytest.approx(limits, rel=4e-16)  # two units in the last place
+    assert got == pytest.approx(limits, rel=4e-16, abs=1e-299)  # two units in the last place; a slope follows x
 
 
-@pytest.mark.parametrize("ratio", [ex.expm1_ratio, ex.log1p_ratio])
+@pytest.mark.parametrize("ratio", [ex.expm1_ratio, ex.log1p_ratio, ex.arctan_ratio, ex.arcsinh_ratio])
 def test_ratio_of_an_array_is_that_of_its_elements(ratio):
     x = np.array([[-0.9, -0.5, -1e-9], [0.0, 0.5, 3.0]])
     # One unit in the last place: NumPy may take another exponential for whole registers than for one number.
@@ -74,14 +85,16 @@ def test_ratio_of_an_array_is_that_of_its_elements(ratio):
     assert isinstance(ratio(0.25), float)
 
 
-UNARY = ["sin", "cos", "tan", "arctan", "sqrt", "exp", "log1p", "expm1", "absolute"]
+UNARY = ["sin", "cos", "tan", "arctan", "sqrt", "exp", "log1p", "expm1", "absolute", "arcsinh"]
 
 
 @pytest.mark.parametrize("name", UNARY)
 def test_operation_is_the_same_for_numbers_arrays_and_symbols(name):
     operation = getattr(ex, name)
     points = [0.0, 1e-9, 0.3, 1.2]
-    precise = {"arctan": mp.atan, "absolute": abs, "log1p": lambda v: mp.log(1 + v)}.get(name) or getattr(mp, name)
+    precise = {"arctan": mp.atan, "arcsinh": mp.asinh, "absolute": abs, "log1p": lambda v: mp.log(1 + v)}.get(
+        name
+    ) or getattr(mp, name)
     for x in points:
         want = precise(mp.mpf(x))
         assert_close(operation(x), want, 3e-16, f"{name} of a float")

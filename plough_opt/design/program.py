@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import casadi as ca
 import numpy as np
 
 from plough_opt.accuracy import DEFAULT_ERROR
 from plough_opt.design.declarations import Parameter, Requirement, Variable, in_words
-from plough_opt.design.elastic import first_slack, relaxed
 from plough_opt.design.ipopt import Point, Solver, Vector
 from plough_opt.design.nlp import build_nlp
+from plough_opt.design.relaxation import first_slack, relaxed
 from plough_opt.design.split import split
 from plough_opt.design.verify import TightEvaluation
 from plough_opt.errors import DomainError, InputError, PloughError
@@ -53,15 +53,18 @@ class Program:
     """The scaled program of some declarations: variables between 0 and 1, requirements and objective of order 1."""
 
     def __init__(self, declared: Declarations) -> None:
-        """Split the expressions around their runs.
+        """Split the expressions around their runs, and add the requirements that the theories in them bring.
 
         Raises:
             InputError: an expression holds a symbol that was not declared.
         """
         self.declared = declared
-        self.expressions = [declared.objective, *(r.expression for r in declared.requirements)]
         self._refuse_strangers()
         self.exact = TightEvaluation(self.expressions, declared.symbols())
+        if limits := self.exact.limits:
+            implied = (Requirement(m.name, carried, None, m.at_most, m.unit) for m, carried in limits.items())
+            self.declared = replace(declared, requirements=(*declared.requirements, *implied))
+            self.exact = TightEvaluation(self.expressions, declared.symbols())
         self._refuse_idas()
         self.owner = [k for k, r in enumerate(declared.requirements) for _ in range(r.expression.numel())]
         self._y, self._p = ca.MX.sym("y", len(declared.variables)), ca.MX.sym("p", len(declared.parameters))
@@ -70,6 +73,11 @@ class Program:
         self._built = False
         self._steps: list[int | None] = []
         self._relaxed: Solver | None = None
+
+    @property
+    def expressions(self) -> list[ca.MX]:
+        """Objective and requirements."""
+        return [self.declared.objective, *(r.expression for r in self.declared.requirements)]
 
     def _refuse_strangers(self) -> None:
         names = ["objective", *(r.name for r in self.declared.requirements)]

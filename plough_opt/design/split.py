@@ -8,7 +8,8 @@ import casadi as ca
 import numpy as np
 
 from plough_opt.errors import InputError
-from plough_opt.motion.embedding import Embedding, Label, known_call
+from plough_opt.labels import Label, label_of
+from plough_opt.motion.embedding import Embedding, embedding_of
 from plough_opt.motion.integrators import Integration
 
 
@@ -42,7 +43,7 @@ class Split:
         runs: the runs found, each once.
         expressions: the expressions in terms of the design's symbols and the runs' results.
         results: for each run, a symbol for its results stacked: states column by column, means, variances.
-        labels: scenes in the expressions that are not integrated, each with its quantities as expressions.
+        labels: values in the expressions that carry something along, each with the expressions that it carries.
     """
 
     runs: tuple[EmbeddedRun, ...]
@@ -84,17 +85,16 @@ def split(expressions: list[ca.MX], symbols: list[ca.MX]) -> Split:
 
 
 def _calls(whole: ca.Function) -> tuple[list[EmbeddedRun], list[tuple[Label, ca.MX]]]:
-    """Return the runs and the labelled scenes that a Function's graph calls, each once."""
+    """Return the runs and the labels that a Function's graph calls, each once."""
     runs: dict[int, EmbeddedRun] = {}
     labels: dict[int, tuple[Label, ca.MX]] = {}
     for k in range(whole.n_instructions()):
         if whole.instruction_id(k) != ca.OP_CALL:
             continue
         node = whole.instruction_MX(k)
-        known = known_call(node.which_function())
-        if isinstance(known, Label):
-            labels[hash(node)] = (known, node.dep(1))
-        elif known is not None:
-            outputs = tuple(node.get_output(i) for i in range(known.function.n_out()))
-            runs[hash(node)] = EmbeddedRun(known, node.dep(0), node.dep(1), outputs)
+        if (label := label_of(node.which_function())) is not None:
+            labels[hash(node)] = (label, node.dep(1))
+        elif (run := embedding_of(node.which_function())) is not None:
+            outputs = tuple(node.get_output(i) for i in range(run.function.n_out()))
+            runs[hash(node)] = EmbeddedRun(run, node.dep(0), node.dep(1), outputs)
     return list(runs.values()), list(labels.values())

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from plough_opt.design.split import split
 from plough_opt.errors import IntegrationError
+from plough_opt.labels import Limit
 from plough_opt.motion.embedding import with_numbers
 from plough_opt.motion.integrators import Integration, integration
 from plough_opt.motion.plan import automatic, check_of, phase
@@ -28,6 +29,7 @@ class TightEvaluation:
 
     Attributes:
         runs: the runs in the expressions.
+        limits: the limits of theories that the expressions rest on, with what must stay within them.
     """
 
     def __init__(self, expressions: Sequence[ca.MX], symbols: Sequence[ca.MX]) -> None:
@@ -35,9 +37,16 @@ class TightEvaluation:
         parts = split(list(expressions), list(symbols))
         self.runs = parts.runs
         self._inputs = [ca.Function("inputs", list(symbols), [run.inputs, run.quantities]) for run in parts.runs]
-        self._labels = [
-            (label.template, ca.Function("quantities", list(symbols), [carried])) for label, carried in parts.labels
+        self._scenes = [
+            (label.meaning, ca.Function("quantities", list(symbols), [carried]))
+            for label, carried in parts.labels
+            if isinstance(label.meaning, Scene)
         ]
+        limits = {label.meaning for label, _ in parts.labels if isinstance(label.meaning, Limit)}
+        self.limits = {
+            limit: ca.vertcat(*(carried for label, carried in parts.labels if label.meaning == limit))
+            for limit in sorted(limits, key=lambda limit: limit.name)
+        }
         self._algebra = ca.Function("algebra", [*symbols, *parts.results], list(parts.expressions))
 
     def inputs(self, run: int, numbers: Sequence[float]) -> tuple[Vector, Scene]:
@@ -57,7 +66,7 @@ class TightEvaluation:
         """
         return [
             with_numbers(template, np.asarray(quantities(*numbers)).ravel().tolist())
-            for template, quantities in self._labels
+            for template, quantities in self._scenes
         ]
 
     def __call__(self, numbers: Sequence[float]) -> tuple[list[Vector], list[Vector]]:

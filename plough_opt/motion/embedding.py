@@ -10,6 +10,7 @@ import casadi as ca
 from plough_opt.accuracy import ORDER_8
 from plough_opt.errors import InputError
 from plough_opt.expressions import Expression, is_quantity, map_expressions
+from plough_opt.labels import attach
 from plough_opt.motion.integrators import Integration
 from plough_opt.scene import Scene
 
@@ -30,22 +31,8 @@ class Embedding:
     function: ca.Function
 
 
-@dataclass(frozen=True)
-class Label:
-    """A scene that a graph carries along without an integration: a value passed through beside its quantities.
-
-    Attributes:
-        template: the scene with a placeholder for each of its quantities.
-        function: (value, quantities of the scene) -> the same value.
-    """
-
-    template: Scene
-    function: ca.Function
-
-
-_KNOWN: dict[int, Embedding | Label] = {}
+_KNOWN: dict[int, Embedding] = {}
 _BY_LAYOUT: dict[tuple[int, str], Embedding] = {}
-_LABELS: dict[str, Label] = {}
 
 
 def with_numbers(template: Scene, quantities: Sequence[float]) -> Scene:
@@ -86,20 +73,13 @@ def embed(solver: Integration, p: Sequence[Expression], scene: Scene) -> tuple[E
 
 
 def labelled(value: Expression, scene: Scene) -> Expression:
-    """Return a value of a scene as it is; of MX symbols, with the scene carried along in the graph."""
+    """Return a value of a scene as it is; of MX symbols, labelled with the scene, as a template and its quantities."""
     template, carried = _template(scene)
-    if not isinstance(carried, ca.MX) or not isinstance(value, ca.MX):
-        return value
-    layout = repr(template)
-    if layout not in _LABELS:
-        x, q = ca.MX.sym("x"), ca.MX.sym("scene", carried.numel())
-        function = ca.Function("label", [x, q], [x], ["value", "scene"], ["value_again"], {"never_inline": True})
-        _LABELS[layout] = _KNOWN[hash(function)] = Label(template, function)
-    return _LABELS[layout].function(value, carried)
+    return attach(value, carried, template, repr(template))
 
 
-def known_call(function: ca.Function) -> Embedding | Label | None:
-    """Return what a Function in a graph stands for, or None for any Function that is not of this file."""
+def embedding_of(function: ca.Function) -> Embedding | None:
+    """Return the run that a Function in a graph is, or None for any other Function."""
     return _KNOWN.get(hash(function))
 
 

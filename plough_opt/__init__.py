@@ -6,7 +6,7 @@ sense, or CasADi expressions, and returns the like.
 
 from typing import TYPE_CHECKING, Any
 
-from plough_opt import plastic
+from plough_opt import elastic, plastic
 from plough_opt.accuracy import Accuracy
 from plough_opt.design import Design, LocalOptimum, Optimum
 from plough_opt.errors import (
@@ -26,6 +26,7 @@ from plough_opt.forces import (
 )
 from plough_opt.geometry import Cone, Wedge, deg
 from plough_opt.motion import Run, simulate
+from plough_opt.printed import Printed
 from plough_opt.scene import Effects, Scene, StrengthWave
 from plough_opt.soil import Soil, named_soil, soil_names
 
@@ -67,6 +68,7 @@ __all__ = [
     "NotConverged",
     "Optimum",
     "PloughError",
+    "Printed",
     "Problem",
     "Run",
     "Scene",
@@ -75,6 +77,7 @@ __all__ = [
     "Wedge",
     "added_mass",
     "deg",
+    "elastic",
     "load",
     "loosened_radius",
     "named_soil",

@@ -9,6 +9,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Callable, Mapping
+from functools import lru_cache, wraps
 from typing import Any, TypeAlias
 
 import casadi as ca
@@ -95,6 +96,30 @@ def map_expressions(value: Any, function: Callable[[Any], Any], leaf: Callable[[
 def column(values: NDArray[np.float64], symbolic: bool) -> Expression:
     """Return an array as it is, or as a CasADi column that may meet symbols."""
     return ca.DM(values) if symbolic else values
+
+
+def one_node(function: Callable[..., tuple[Expression, ...]]) -> Callable[..., tuple[Expression, ...]]:
+    """Decorate a function of scalars so that a graph of MX holds it as one node instead of its every operation.
+
+    Of numbers, arrays and SX it stays as it is. Of MX each argument is a scalar or a column, and a scalar counts
+    for all elements of the columns.
+    """
+
+    @lru_cache(maxsize=1)
+    def graph(count: int) -> ca.Function:
+        arguments = [ca.SX.sym(f"x{k}") for k in range(count)]
+        return ca.Function(function.__name__.strip("_"), arguments, list(function(*arguments)))
+
+    @wraps(function)
+    def apply(*arguments: Expression) -> tuple[Expression, ...]:
+        if not any(isinstance(argument, ca.MX) for argument in arguments):
+            return function(*arguments)
+        columns = [ca.MX(argument) for argument in arguments]
+        count = max(argument.numel() for argument in columns)
+        rows = [a.T if a.numel() > 1 else ca.repmat(a, 1, count) for a in columns]
+        return tuple(result.T for result in graph(len(rows)).map(count).call(rows))
+
+    return apply
 
 
 def _unary(casadi_function: Any, numpy_function: Any) -> Any:

@@ -7,7 +7,7 @@ from typing import Any
 
 from plough_opt.domain import check_domain
 from plough_opt.errors import InputError
-from plough_opt.expressions import Expression, is_symbolic, map_expressions, sqrt
+from plough_opt.expressions import Expression, is_symbolic, map_expressions, sqrt, where
 from plough_opt.labels import Limit, attach
 from plough_opt.soil import Soil
 
@@ -134,8 +134,8 @@ def medium(soil: Soil, speed: Expression) -> Medium:
     _, ratio = _constants(soil)
     kappa = _kappa(ratio)
     m = mach**2
-    # Beside the shear wave's speed 1 - (V0/c2)^2 would keep the digits of V0/c2 only.
-    eta_squared = (fastest - speed) * (fastest + speed) / fastest**2
+    # Beside the shear wave's speed 1 - m keeps the digits of m only; at low speed the product's derivative cancels.
+    eta_squared = where(m < 0.5, 1.0 - m, (fastest - speed) * (fastest + speed) / fastest**2)
     return Medium(
         shear_modulus=modulus,
         m=m,

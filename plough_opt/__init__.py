@@ -27,6 +27,7 @@ from plough_opt.forces import (
 from plough_opt.geometry import Cone, Wedge, deg
 from plough_opt.motion import Run, simulate
 from plough_opt.printed import Printed
+from plough_opt.refinement import Refinement, refine
 from plough_opt.scene import Effects, Scene, StrengthWave
 from plough_opt.soil import Soil, named_soil, soil_names
 
@@ -70,6 +71,7 @@ __all__ = [
     "PloughError",
     "Printed",
     "Problem",
+    "Refinement",
     "Run",
     "Scene",
     "Soil",
@@ -84,6 +86,7 @@ __all__ = [
     "plastic",
     "plots",
     "read_problem",
+    "refine",
     "resistance",
     "resistance_coefficients",
     "simulate",

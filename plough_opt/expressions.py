@@ -28,6 +28,10 @@ _ATANH_TERMS = 32
 _SERIES_BELOW = 0.5
 
 
+COUNT = {"quantity": False}
+"""Metadata of a dataclass's field that counts something, and is no quantity that a design could vary."""
+
+
 def is_symbolic(value: Expression) -> bool:
     """Return whether ``value`` is a CasADi expression without a number in it yet (``SX`` or ``MX``)."""
     return isinstance(value, ca.SX | ca.MX) and not value.is_constant()
@@ -75,7 +79,7 @@ def map_expressions(value: Any, function: Callable[[Any], Any], leaf: Callable[[
     """Return the like of ``value`` with ``function`` applied to every CasADi expression nested in it.
 
     Looks into dataclasses (by their fields), dictionaries, lists and tuples; anything else stays as it
-    is. With ``leaf=is_quantity`` plain numbers are replaced too.
+    is. With ``leaf=is_quantity`` plain numbers are replaced too, but for fields that are `COUNT`s.
     """
     if leaf(value):
         return function(value)
@@ -83,7 +87,7 @@ def map_expressions(value: Any, function: Callable[[Any], Any], leaf: Callable[[
         changed = {
             field.name: map_expressions(getattr(value, field.name), function, leaf)
             for field in dataclasses.fields(value)
-            if field.init
+            if field.init and field.metadata != COUNT
         }
         return dataclasses.replace(value, **changed)
     if isinstance(value, Mapping):

@@ -5,10 +5,15 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
 from plough_opt.domain import check_domain
-from plough_opt.expressions import Expression
+from plough_opt.expressions import Expression, column, holds_casadi, is_casadi
 from plough_opt.geometry import Cone
-from plough_opt.plastic import Cavity, front_radius, wall_pressure
+from plough_opt.plastic import Cavity, WallPressure, front_radius, wall_pressure
+from plough_opt.quadrature import gauss_legendre
 from plough_opt.soil import Soil
 
 
@@ -30,12 +35,35 @@ class ResistanceCoefficients:
 def resistance_coefficients(cone: Cone, soil: Soil) -> ResistanceCoefficients:
     """Return A [Pa], B and C of equation (26); C with the factor 2/3 that the integral (24) gives.
 
-    Arguments may be floats, arrays or CasADi expressions. Holds for a slender cone (half angle up to
+    Arguments may be floats, arrays or CasADi expressions; of a density profile floats or expressions, and the
+    coefficients are then quadratures over the cone's height too. Holds for a slender cone (half angle up to
     some 20 degrees, hypothesis of plane sections) wholly in the soil.
     """
-    p = wall_pressure(soil)
+    p = _mean_wall_pressure(cone, soil)
     slope = cone.slope
     return ResistanceCoefficients(A=slope**2 * p.strength, B=slope**4 * p.rate, C=2.0 / 3.0 * slope**4 * p.inertia)
+
+
+def _mean_wall_pressure(cone: Cone, soil: Soil) -> WallPressure:
+    """Return the wall pressure's coefficients, of a density profile their means over the cone's face.
+
+    Strength and rate are weighted with x, the inertia with x^2, as they are in the integral (24).
+    """
+    profile = soil.density_profile
+    if profile is None:
+        return wall_pressure(soil)
+    nodes, weights = (np.array(values) for values in gauss_legendre(profile.order))
+    shares = column(nodes, holds_casadi((cone, soil)))
+    p = wall_pressure(soil, cone.height * cone.slope * shares)
+    return WallPressure(
+        strength=_dot(2.0 * weights * nodes, p.strength),
+        rate=_dot(2.0 * weights * nodes, p.rate),
+        inertia=_dot(3.0 * weights * nodes**2, p.inertia),
+    )
+
+
+def _dot(weights: NDArray[np.float64], values: Expression) -> Expression:
+    return ca.dot(ca.DM(weights), values) if is_casadi(values) else float(weights @ values)
 
 
 @dataclass(frozen=True)
@@ -59,7 +87,7 @@ def soil_reaction(cone: Cone, soil: Soil) -> SoilReaction:
     (1 + mu0 cot(beta)) tan^2(beta) is taken as tan(beta) (tan(beta) + mu0), so nothing is singular for a
     slender cone.
     """
-    p = wall_pressure(soil)
+    p = _mean_wall_pressure(cone, soil)
     slope = cone.slope
     face = math.pi * cone.height**2 * slope * (slope + soil.tool_friction)
     return SoilReaction(

@@ -1,15 +1,22 @@
-"""Rakhmatulin's plastic gas around an expanding cylindrical cavity: equations (8)-(23), constant locked density.
+"""Rakhmatulin's plastic gas around an expanding cylindrical cavity: equations (8)-(23).
 
-Soil that the share displaces is compacted at a front that runs ahead of the cavity wall to the locked
-density, and keeps it. Stresses behind the front obey Mohr and Coulomb.
+Soil that the share displaces is compacted at a front that runs ahead of the cavity wall, and keeps its density.
+Stresses behind the front obey Mohr and Coulomb. A constant locked density has everything in closed form; of a density
+profile (`Soil.with_density_profile`) it is a Gauss-Legendre quadrature of the profile's order.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 
+import numpy as np
+
+from plough_opt.compaction import front, mean_ratio, ratio
 from plough_opt.domain import check_domain
-from plough_opt.expressions import Expression, cos, exp, expm1_ratio, log1p, log1p_ratio, sin, sqrt
+from plough_opt.errors import InputError
+from plough_opt.expressions import Expression, as_number, cos, exp, expm1_ratio, log1p, log1p_ratio, sin, sqrt
+from plough_opt.quadrature import gauss_legendre
 from plough_opt.soil import Soil
 
 
@@ -44,6 +51,8 @@ class WallPressure:
         strength: phi (nu p_a + tau0/(1 + mu)) [Pa].
         rate: the bracket {...} of equation (23) [-].
         inertia: phi/b1 [-].
+
+    Of a density profile they are what takes the place of these terms, and depend on the cavity's radius.
     """
 
     strength: Expression
@@ -51,10 +60,11 @@ class WallPressure:
     inertia: Expression
 
 
-def wall_pressure(soil: Soil) -> WallPressure:
-    """Return the coefficients of equation (23) for a constant locked density.
+def wall_pressure(soil: Soil, radius: Expression | None = None) -> WallPressure:
+    """Return the coefficients of equation (23).
 
-    With nu = 2 mu/(1 + mu), mu = sin(theta), a = 1/(1 - b1), l = ln a and E(x) = (exp(x) - 1)/x::
+    For a constant locked density, with nu = 2 mu/(1 + mu), mu = sin(theta), a = 1/(1 - b1), l = ln a and
+    E(x) = (exp(x) - 1)/x::
 
         phi   = (l/2) E(nu l/2)
         {...} = (l/(2 b1)) (E(nu l/2) - E((nu/2 - 1) l)) + a^(nu/2)
@@ -62,20 +72,47 @@ def wall_pressure(soil: Soil) -> WallPressure:
     which is regular without internal friction (nu = 0) and for soil that locks at once (b1 = 0). Value,
     gradient and Hessian are accurate to a relative 1e-12 for b1 in (0, 1 - 1e-9) and every friction
     angle below 90 degrees.
+
+    Args:
+        soil: the soil.
+        radius: R of the cavity [m], above 0; a density profile needs it.
+
+    Raises:
+        InputError: a density profile and no radius.
     """
-    mu = sin(soil.friction_angle)
-    nu = 2.0 * mu / (1.0 + mu)
-    b1 = soil.density_ratio
+    if soil.density_profile is not None:
+        if radius is None:
+            raise InputError("the wall pressure of a density profile depends on the cavity: give its radius")
+        return _wall_pressure_of_profile(soil, radius)
+    yielding = _Yielding.of(soil)
+    nu, b1 = yielding.nu, soil.density_ratio
     log_a = -log1p(-b1)
     log_a_over_b1 = log1p_ratio(-b1)
     growth = expm1_ratio(nu * log_a / 2.0)
-    phi = log_a / 2.0 * growth
-    tau0 = 2.0 * soil.cohesion * cos(soil.friction_angle)
     return WallPressure(
-        strength=phi * (nu * soil.ambient_pressure + tau0 / (1.0 + mu)),
+        strength=log_a / 2.0 * growth * yielding.strength(soil),
         rate=log_a_over_b1 / 2.0 * (growth - expm1_ratio((nu / 2.0 - 1.0) * log_a)) + exp(nu * log_a / 2.0),
         inertia=log_a_over_b1 / 2.0 * growth,
     )
+
+
+@dataclass(frozen=True)
+class _Yielding:
+    """The yield condition (10): p_r - p_theta = tau0 + mu (p_r + p_theta), and nu = 2 mu/(1 + mu)."""
+
+    mu: Expression
+    nu: Expression
+    tau0: Expression
+
+    @classmethod
+    def of(cls, soil: Soil) -> _Yielding:
+        """Read it off a soil."""
+        mu = sin(soil.friction_angle)
+        return cls(mu, 2.0 * mu / (1.0 + mu), 2.0 * soil.cohesion * cos(soil.friction_angle))
+
+    def strength(self, soil: Soil) -> Expression:
+        """Return nu p_a + tau0/(1 + mu) [Pa]."""
+        return self.nu * soil.ambient_pressure + self.tau0 / (1.0 + self.mu)
 
 
 def surface_pressure(cavity: Cavity, soil: Soil) -> Expression:
@@ -84,23 +121,47 @@ def surface_pressure(cavity: Cavity, soil: Soil) -> Expression:
     On a cone that moves with speed L' the cavity at distance x behind the tip has R = x tan(beta),
     R' = L' tan(beta), R'' = L'' tan(beta). Positive is compression.
     """
-    p = wall_pressure(soil)
+    p = wall_pressure(soil, cavity.radius)
     motion = p.rate * cavity.rate**2 + p.inertia * cavity.radius * cavity.acceleration
     return p.strength + soil.density * motion
 
 
 def front_radius(cavity: Cavity, soil: Soil) -> Expression:
-    """Return the radius r* = R sqrt(a) of the compaction front [m], a = 1/(1 - b1), equation (16)."""
-    return cavity.radius * exp(-log1p(-soil.density_ratio) / 2.0)
+    """Return the radius r* of the compaction front [m], equation (16).
+
+    For a constant density it is R sqrt(a) with a = 1/(1 - b1).
+
+    Raises:
+        DomainError: a density profile with which no front carries all the soil of the cavity.
+    """
+    return front(cavity.radius, soil)
 
 
 def front_speed(cavity: Cavity, soil: Soil) -> Expression:
-    """Return the speed D = u*'/(1 - b1) = R' sqrt(a) of the compaction front [m/s], equations (19)-(21)."""
-    return cavity.rate * exp(-log1p(-soil.density_ratio) / 2.0)
+    """Return the speed D = u*'/(1 - b*) of the compaction front [m/s], equations (19)-(21).
+
+    For a constant density it is R' sqrt(a) with a = 1/(1 - b1).
+    """
+    if soil.density_profile is None:
+        return cavity.rate * exp(-log1p(-soil.density_ratio) / 2.0)
+    r = front_radius(cavity, soil)
+    return cavity.radius * cavity.rate / (r * (1.0 - ratio(r, soil)))
+
+
+def density(r: Expression, cavity: Cavity, soil: Soil) -> Expression:
+    """Return the density rho(r) [kg/m^3] of the compacted soil at Lagrangian radius r [m], equation (9).
+
+    Raises:
+        DomainError: a radius below 0 or ahead of the front, where the soil has its undisturbed density.
+    """
+    _check_behind(r, front_radius(cavity, soil))
+    return soil.density / ratio(r, soil) + 0.0 * r
 
 
 def current_radius(r: Expression, cavity: Cavity, soil: Soil) -> Expression:
-    """Return where a particle is now: y = r + u = sqrt(b1 r^2 + R^2) [m], equation (15) for constant density.
+    """Return where a particle is now: y = r + u = sqrt(2 psi(r) + R^2) [m], equation (15).
+
+    For a constant density 2 psi = b1 r^2.
 
     Args:
         r: Lagrangian radius, the particle's distance from the axis before the share came [m], from 0 on the
@@ -111,13 +172,8 @@ def current_radius(r: Expression, cavity: Cavity, soil: Soil) -> Expression:
     Raises:
         DomainError: a radius below 0 or ahead of the front, where the soil is undisturbed.
     """
-    check_domain("Lagrangian radius", r, "m", at_least=0.0)
-    ahead = r / front_radius(cavity, soil)
-    # Rounding may put the front itself ahead of itself.
-    check_domain(
-        "Lagrangian radius over front radius", ahead, at_most=1.0 + 1e-12, why="ahead of the front nothing moves"
-    )
-    return sqrt(soil.density_ratio * r**2 + cavity.radius**2)
+    _check_behind(r, front_radius(cavity, soil))
+    return _current_radius(r, cavity, soil)
 
 
 def particle_velocity(r: Expression, cavity: Cavity, soil: Soil) -> Expression:
@@ -128,10 +184,10 @@ def particle_velocity(r: Expression, cavity: Cavity, soil: Soil) -> Expression:
 def particle_acceleration(r: Expression, cavity: Cavity, soil: Soil) -> Expression:
     """Return (R'^2 + R R'')/y - R^2 R'^2/y^3 of the particle at Lagrangian radius r [m/s^2], equation (18).
 
-    As y^2 - R^2 = b1 r^2, that is (R R'' + R'^2 b1 r^2/y^2)/y, which does not cancel for soil that locks at once.
+    As y^2 - R^2 = 2 psi, that is (R R'' + 2 psi R'^2/y^2)/y, which does not cancel for soil that locks at once.
     """
     y = current_radius(r, cavity, soil)
-    return (cavity.radius * cavity.acceleration + cavity.rate**2 * soil.density_ratio * (r / y) ** 2) / y
+    return (cavity.radius * cavity.acceleration + cavity.rate**2 * mean_ratio(r, soil) * (r / y) ** 2) / y
 
 
 @dataclass(frozen=True)
@@ -150,37 +206,133 @@ class Stress:
 def stress(r: Expression, cavity: Cavity, soil: Soil) -> Stress:
     """Return both stresses of the particle at Lagrangian radius r [m], equations (10), (14), (22) corrected.
 
-    With y the particle's radius and l = ln(r*/y), the radial pressure is::
+    With y the particle's radius and l = ln(r*/y), the radial pressure for a constant density is::
 
         p = e^(nu l) (p_a + rho0 R'^2) + tau0/(1 + mu) l E(nu l)
             + (rho0/b1) l ((R'^2 + R R'') E(nu l) - (R R'/y)^2 E((nu - 2) l))
 
     and the tangential one follows from the yield condition p - p_theta = tau0 + mu (p + p_theta). The form is
-    regular without internal friction and for b1 -> 0, and at r = 0 gives `surface_pressure`.
+    regular without internal friction and for b1 -> 0, and at r = 0 gives `surface_pressure`. Of a density profile
+    the two inertial terms are quadratures.
 
     Args:
         r: Lagrangian radius [m], from 0 to the front radius; an array for a cavity of floats.
-        cavity: state of the cavity.
+        cavity: state of the cavity, of radius above 0.
         soil: the soil.
 
     Raises:
-        DomainError: a radius below 0 or ahead of the front.
+        DomainError: a radius below 0 or ahead of the front, or a cavity without radius.
     """
-    mu = sin(soil.friction_angle)
-    nu = 2.0 * mu / (1.0 + mu)
-    tau0 = 2.0 * soil.cohesion * cos(soil.friction_angle)
-    y = current_radius(r, cavity, soil)
-    # r*^2 - y^2 = b1 (r*^2 - r^2): the logarithm of a ratio beside one, without cancellation.
-    front = front_radius(cavity, soil)
-    spread = (front - r) * (front + r) / y**2
-    log_over_b1 = spread * log1p_ratio(soil.density_ratio * spread) / 2.0
-    log = soil.density_ratio * log_over_b1
-    growth = expm1_ratio(nu * log)
-    spreading = cavity.rate**2 + cavity.radius * cavity.acceleration
-    slowing = (cavity.radius * cavity.rate / y) ** 2 * expm1_ratio((nu - 2.0) * log)
-    pressure = (
-        exp(nu * log) * (soil.ambient_pressure + soil.density * cavity.rate**2)
-        + tau0 / (1.0 + mu) * log * growth
-        + soil.density * log_over_b1 * (spreading * growth - slowing)
+    check_domain("cavity radius", cavity.radius, "m", above=0.0, why="at the tip itself the stress has no one value")
+    r_front = front_radius(cavity, soil)
+    _check_behind(r, r_front)
+    pressure = _pressure(r, r_front, cavity, soil)
+    yielding = _Yielding.of(soil)
+    tangential = ((1.0 - yielding.mu) * pressure - yielding.tau0) / (1.0 + yielding.mu)
+    return Stress(radial=-pressure, tangential=-tangential)
+
+
+def quadrature_error(r: Expression, cavity: Cavity, soil: Soil) -> float:
+    """Return an estimate of the relative error that the order of a density profile's quadrature leaves in `stress`.
+
+    It is the largest difference from the stress with half as many nodes again, relative to the largest stress; 0 for a
+    constant density. For numbers.
+
+    Raises:
+        DomainError: as `stress`.
+        InputError: symbols.
+    """
+    profile = soil.density_profile
+    if profile is None:
+        return 0.0
+    finer = replace(soil, density_profile=replace(profile, order=profile.order + profile.order // 2 + 1))
+    own, better = (as_number(stress(r, cavity, ground).radial) for ground in (soil, finer))
+    return float(np.max(np.abs(own - better)) / np.max(np.abs(better)))
+
+
+def _check_behind(r: Expression, r_front: Expression) -> None:
+    """Refuse numbers that are no Lagrangian radius behind the front."""
+    check_domain("Lagrangian radius", r, "m", at_least=0.0)
+    # Rounding, or the tolerance of the front's equation, may put the front itself ahead of itself.
+    check_domain(
+        "Lagrangian radius over front radius", r / r_front, at_most=1.0 + 1e-11, why="ahead of the front nothing moves"
     )
-    return Stress(radial=-pressure, tangential=-((1.0 - mu) * pressure - tau0) / (1.0 + mu))
+
+
+def _current_radius(r: Expression, cavity: Cavity, soil: Soil) -> Expression:
+    return sqrt(mean_ratio(r, soil) * r**2 + cavity.radius**2)
+
+
+def _pressure(r: Expression, r_front: Expression, cavity: Cavity, soil: Soil) -> Expression:
+    """Return the radial pressure [Pa] at Lagrangian radius r, equation (14) with (18) and (21)."""
+    yielding = _Yielding.of(soil)
+    y = _current_radius(r, cavity, soil)
+    if soil.density_profile is None:
+        # r*^2 - y^2 = b1 (r*^2 - r^2): the logarithm of a ratio beside one, without cancellation.
+        spread = (r_front - r) * (r_front + r) / y**2
+        log_over_b1 = spread * log1p_ratio(soil.density_ratio * spread) / 2.0
+        log = soil.density_ratio * log_over_b1
+        growth, jump = expm1_ratio(yielding.nu * log), cavity.rate**2
+        spreading = cavity.rate**2 + cavity.radius * cavity.acceleration
+        slowing = (cavity.radius * cavity.rate / y) ** 2 * expm1_ratio((yielding.nu - 2.0) * log)
+        inertial = log_over_b1 * (spreading * growth - slowing)
+    else:
+        log = log1p((r_front - y) * (r_front + y) / y**2) / 2.0
+        growth = expm1_ratio(yielding.nu * log)
+        jump = (cavity.radius * cavity.rate / r_front) ** 2 / (1.0 - ratio(r_front, soil))
+        swelling, spreading = _inertia_of_profile(r, r_front, cavity.radius, soil)
+        inertial = swelling * cavity.radius * cavity.acceleration + spreading * cavity.rate**2
+    strength = yielding.tau0 / (1.0 + yielding.mu) * log * growth
+    return exp(yielding.nu * log) * (soil.ambient_pressure + soil.density * jump) + strength + soil.density * inertial
+
+
+def _wall_pressure_of_profile(soil: Soil, radius: Expression) -> WallPressure:
+    """Return the coefficients of the wall pressure around a cavity of radius R [m], by quadrature."""
+    check_domain("cavity radius", radius, "m", above=0.0, why="the wall pressure of a density profile depends on it")
+    yielding = _Yielding.of(soil)
+    r_front = front(radius, soil)
+    log = log1p((r_front - radius) * (r_front + radius) / radius**2) / 2.0
+    jump = (radius / r_front) ** 2 / (1.0 - ratio(r_front, soil))
+    swelling, spreading = _inertia_of_profile(0.0, r_front, radius, soil)
+    return WallPressure(
+        strength=log * expm1_ratio(yielding.nu * log) * yielding.strength(soil),
+        rate=exp(yielding.nu * log) * jump + spreading,
+        inertia=swelling,
+    )
+
+
+def _inertia_of_profile(
+    r: Expression, r_front: Expression, radius: Expression, soil: Soil
+) -> tuple[Expression, Expression]:
+    """Return the integrals from r to r* of (y_s/y)^nu s/y_s^2 ds, and of the same times 2 psi(s)/y_s^2 [-]."""
+    nu = _Yielding.of(soil).nu
+    wall = radius**2
+    y_squared = wall + mean_ratio(r, soil) * r**2
+    swelling: Expression = 0.0
+    spreading: Expression = 0.0
+    for square, weight in _squares(r, r_front, radius, soil):
+        compacted = mean_ratio(sqrt(square), soil) * square
+        here = wall + compacted
+        share = weight * exp(nu * log1p((here - y_squared) / y_squared) / 2.0) / here
+        swelling, spreading = swelling + share, spreading + share * compacted / here
+    return swelling, spreading
+
+
+def _squares(
+    r: Expression, r_front: Expression, radius: Expression, soil: Soil
+) -> Iterator[tuple[Expression, Expression]]:
+    """Yield s^2 and the weight of s ds of Gauss-Legendre nodes between r and the front.
+
+    The nodes are even in sigma, s^2 = R^2 (e^(2 l sigma^2) - 1)/b with l = ln(r*/R) and b = 1 - (R/r*)^2: for a
+    constant density the integrands are then entire functions, and profiles in r and in r^2 are both smooth.
+    """
+    profile = soil.density_profile
+    assert profile is not None
+    mean = (r_front - radius) * (r_front + radius) / r_front**2
+    per_mean = log1p_ratio(-mean)
+    first = r / radius * sqrt(log1p_ratio(mean * (r / radius) ** 2) / per_mean)
+    for node, weight in zip(*gauss_legendre(profile.order), strict=True):
+        sigma = first + (1.0 - first) * node
+        exponent = mean * per_mean * sigma**2
+        square = radius**2 * per_mean * sigma**2 * expm1_ratio(exponent)
+        yield square, weight * (1.0 - first) * radius**2 * per_mean * sigma * exp(exponent)

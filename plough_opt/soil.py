@@ -3,14 +3,44 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
 
 from plough_opt.domain import check_domain
 from plough_opt.errors import InputError, nearest
-from plough_opt.expressions import Expression
+from plough_opt.expressions import COUNT, Expression
 
 STANDARD_ATMOSPHERE = 101325.0
 """Ambient pressure [Pa] of the named soils, as the source takes it."""
+
+
+@dataclass(frozen=True)
+class DensityProfile:
+    """Density of the soil behind the compaction front as a function of the Lagrangian radius.
+
+    Args:
+        density: rho(r, *parameters) [kg/m^3] of the radius r [m], a float, an array or a CasADi expression as r is:
+            write it with arithmetic and the functions of `plough_opt.expressions`.
+        parameters: what the function needs beside r. Design variables belong here, where a design finds them.
+        order: number of Gauss-Legendre nodes in every quadrature over the profile.
+
+    Raises:
+        InputError: no function, or an order below 1.
+    """
+
+    density: Callable[..., Expression]
+    parameters: tuple[Expression, ...] = ()
+    order: int = field(default=16, metadata=COUNT)
+
+    def __post_init__(self) -> None:
+        if not callable(self.density):
+            raise InputError(f"the density profile {self.density!r} must be a function of the radius, in kg/m^3")
+        if self.order < 1:
+            raise InputError(f"order = {self.order} of the density profile's quadrature must be at least 1")
+
+    def at(self, r: Expression) -> Expression:
+        """Return the density [kg/m^3] at a Lagrangian radius [m]."""
+        return self.density(r, *self.parameters)
 
 
 @dataclass(frozen=True)
@@ -29,6 +59,8 @@ class Soil:
         poisson_ratio: from 0 to below 0.5, or None when unknown. The plastic gas does not use it.
         name: what to call the soil in reports.
         source: where the values come from.
+        density_profile: density behind the compaction front, in the place of the constant one that b1 gives; see
+            `with_density_profile`.
 
     Properties may be floats, NumPy arrays or CasADi expressions.
 
@@ -46,6 +78,7 @@ class Soil:
     poisson_ratio: Expression | None = None
     name: str = "unnamed soil"
     source: str = "values given by the user"
+    density_profile: DensityProfile | None = None
 
     def __post_init__(self) -> None:
         check_domain("soil density", self.density, "kg/m^3", above=0.0)
@@ -64,6 +97,27 @@ class Soil:
             check_domain("Young's modulus", self.youngs_modulus, "Pa", above=0.0)
         if self.poisson_ratio is not None:
             check_domain("Poisson's ratio", self.poisson_ratio, at_least=0.0, below=0.5)
+
+    def with_density_profile(
+        self, density: Callable[..., Expression], *parameters: Expression, order: int = 16
+    ) -> Soil:
+        """Return the soil with a density that varies behind the compaction front, equations (9)-(22).
+
+        The density ratio b1 then counts no longer. Everything that follows from the profile is a Gauss-Legendre
+        quadrature of the given order, written into the graph; `plough_opt.plastic.quadrature_error` estimates
+        its error and `plough_opt.refine` shows it against its cost.
+
+        Args:
+            density: rho(r, *parameters) [kg/m^3] of the Lagrangian radius r [m], above the undisturbed density up to
+                the front; for instance ``lambda r, width: 1350.0 + 250.0 * exp(-(r / width) ** 2)`` with the ``exp``
+                of `plough_opt.expressions`, which takes numbers and symbols.
+            parameters: what the function needs beside r; design variables among them.
+            order: number of nodes, at least 1.
+
+        Raises:
+            InputError: no function, or an order below 1.
+        """
+        return replace(self, density_profile=DensityProfile(density, parameters, order))
 
 
 _CHOICE = "engineering choice inside published brackets, not measured on one soil"

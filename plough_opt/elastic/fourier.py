@@ -1,6 +1,6 @@
 """The Fourier integrals of equations (1)-(4) themselves, by quadrature, for a profile of any form.
 
-They are an independent way to the fields of `plough_opt.elastic.wedge` and `plough_opt.elastic.cone`, and the way for profiles
+They are an independent way to the fields of the wedge and the cone, and the way for profiles
 that are not straight. Of numbers only; a design takes the closed forms with `knots` on its profile.
 """
 
@@ -61,7 +61,7 @@ class _Spectrum:
 def wedge_stress(
     x: Expression, y: Expression, profile: Curve, length: float, soil: Soil, speed: float, order: int = ORDER
 ) -> wedges.WedgeStress:
-    """Return the stresses around a thin wedge of any profile by the integrals J1 and J2, equations (1) and (2) corrected.
+    """Return the stresses around a thin wedge of any profile by J1 and J2, equations (1) and (2) corrected.
 
     Args:
         x: behind the tip [m]; a float or an array.

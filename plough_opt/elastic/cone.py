@@ -19,11 +19,8 @@ from plough_opt.elastic.medium import Medium, medium
 from plough_opt.elastic.profile import Body, Profile, Segment, body, points
 from plough_opt.expressions import (
     Expression,
-    absolute,
     arcsinh,
     arcsinh_ratio,
-    maximum,
-    minimum,
     one_node,
     sqrt,
     where,
@@ -112,6 +109,11 @@ class _Point:
     soil: _State
 
     @cached_property
+    def distance(self) -> Expression:
+        """|X|, on the side of X > 0 at 0, as the section S(x) is: their kinks cancel."""
+        return where(self.x < 0.0, -self.x, self.x)
+
+    @cached_property
     def fast(self) -> Expression:
         """rho_alpha."""
         return sqrt(self.x**2 + (self.soil.alpha * self.r) ** 2)
@@ -139,7 +141,7 @@ class _Point:
     @cached_property
     def gap(self) -> Expression:
         """2 (rho_alpha - rho_eta)/(m r^2) - (rho_alpha - |X|)/r^2."""
-        soil, distance = self.soil, absolute(self.x)
+        soil, distance = self.soil, self.distance
         # rho_k - |X|, of which nothing is left beside the axis if it is computed so.
         beyond_fast = (soil.alpha * self.r) ** 2 / (self.fast + distance)
         beyond_slow = (soil.eta * self.r) ** 2 / (self.slow + distance)
@@ -185,7 +187,7 @@ def _piece(
     soil = _State(*state)
     first, last = _Point(x0, r, soil), _Point(x1, r, soil)
     far = first.slow + last.slow > _FAR * length
-    found = _far(first, length, (at_first, slope)).where(far, _near(first, last, (at_first, slope)))
+    found = _far(first, last, length, (at_first, slope)).where(far, _near(first, last, (at_first, slope)))
     return tuple(getattr(found, f.name) for f in fields(found))
 
 
@@ -229,11 +231,11 @@ def _logarithm(first: _Point, last: _Point) -> tuple[Expression, Expression]:
     return log, -turn * arcsinh_ratio(soil.m * turn)
 
 
-def _far(first: _Point, length: Expression, source: tuple[Expression, Expression]) -> Potentials:
+def _far(first: _Point, last: _Point, length: Expression, source: tuple[Expression, Expression]) -> Potentials:
     """Return the potentials of a piece by Gauss-Legendre over it."""
     at_first, slope = source
     soil, r = first.soil, first.r
-    above = (first.x > 0.0) * (first.x < length)
+    above = (first.x >= 0.0) * (last.x < 0.0)
     total = Potentials.zero()
     for node, weight in zip(*gauss_legendre(_FAR_NODES), strict=True):
         point = _Point(first.x - node * length, r, soil)
@@ -243,7 +245,7 @@ def _far(first: _Point, length: Expression, source: tuple[Expression, Expression
         side = where(point.x < 0.0, -1.0, 1.0)
         # Above the piece the whole u_r, ahead of it and behind what is left of it without S/r.
         radial = (
-            where(point.x < 0.0, (soil.alpha * r) ** 2 / (point.fast + absolute(point.x)), point.fast + point.x)
+            where(point.x < 0.0, (soil.alpha * r) ** 2 / (point.fast + point.distance), point.fast + point.x)
             / (r * point.fast)
             - 2.0 * point.x * point.inverse_change / r
         )
@@ -256,14 +258,19 @@ def _far(first: _Point, length: Expression, source: tuple[Expression, Expression
             outward=where(above, radial, side * _outward(point)),
         )
         total = total.plus(kernel, share)
-    over = minimum(maximum(first.x, 0.0), length)
-    passed = over * (at_first + slope * over / 2.0)
+    passed = _passed(first.x, last.x, length, source)
     return total.plus(Potentials(0.0, 0.0, 0.0, 0.0, 0.0, where(above, -passed / r, 0.0)))
+
+
+def _passed(x0: Expression, x1: Expression, length: Expression, source: tuple[Expression, Expression]) -> Expression:
+    """Return the part of S(x) that a piece contributes, from the distances from its ends."""
+    over = where(x0 < 0.0, 0.0, where(x1 < 0.0, x0, length))
+    return over * (source[0] + source[1] * over / 2.0)
 
 
 def _outward(point: _Point) -> Expression:
     """Return the kernel of u_r - S/r ahead of a source, with the sign it has behind it."""
-    soil, distance = point.soil, absolute(point.x)
+    soil, distance = point.soil, point.distance
     beyond_fast = (soil.alpha * point.r) ** 2 / (point.fast + distance)
     beyond_slow = (soil.eta * point.r) ** 2 / (point.slow + distance)
     upper = _stiffness(soil) * distance * (2.0 * distance + beyond_fast) - soil.alpha**2 * beyond_slow * (
@@ -276,9 +283,8 @@ def displaced(offsets: list[Expression], cone: Body, section_factor: Expression)
     """Return S(x) = section_factor R^2 [m^2] at distances from the nodes."""
     total: Expression = 0.0
     for segment in cone.segments:
-        at_first, slope = sources(segment, section_factor)
-        over = minimum(maximum(offsets[segment.start], 0.0), segment.length)
-        total = total + over * (at_first + slope * over / 2.0)
+        place = offsets[segment.start], offsets[segment.start + 1]
+        total = total + _passed(*place, segment.length, sources(segment, section_factor))
     return total
 
 

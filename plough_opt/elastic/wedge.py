@@ -26,6 +26,8 @@ from plough_opt.soil import Soil
 # differences of the closed form.
 _FAR = 1.35
 _FAR_NODES = 24
+# Keeps y ln(distance from a node) at its limit 0 on the node itself.
+_TINY = 1e-300
 
 
 @dataclass(frozen=True)
@@ -230,14 +232,13 @@ def _place(
     wedge = body(profile)
     x, y = points(x, y, wedge, soil)
     side = where(y < 0.0, -1.0, 1.0)
-    offsets = wedge.offsets(x)
-    refuse_nodes(offsets, y)
-    return offsets, side * y, side, wedge
+    return wedge.offsets(x), side * y, side, wedge
 
 
 def _potentials_at(x: Expression, y: Expression, profile: Profile, soil: Medium) -> tuple[Potentials, Expression]:
     """Return the potentials at a point of either side, and the side."""
     offsets, y, side, wedge = _place(x, y, profile, soil)
+    refuse_nodes(offsets, y)
     return potentials(offsets, y, wedge, soil), side
 
 
@@ -257,9 +258,9 @@ def _shift(
 
     def turn(x: Expression) -> Expression:
         """Return by how much the angles of x + i alpha y and x + i eta y differ, over m."""
-        return angle_difference(slowing * y * x, x**2 + product, m)
+        return angle_difference(slowing * y * x, x**2 + product + _TINY, m)
 
-    fast0, fast1, slow0, slow1 = (x**2 + (k * y) ** 2 for k in (alpha, eta) for x in (x0, x1))
+    fast0, fast1, slow0, slow1 = (x**2 + (k * y) ** 2 + _TINY for k in (alpha, eta) for x in (x0, x1))
     log_fast = log_difference(fast0, fast1, change)
     log_change = log_difference(fast0 * slow1, slow0 * fast1, -(1.0 - kappa) * y**2 * change, m)
     near_by = x0 * (arctan2(alpha * y, -x0) + 2.0 * turn(x0)) - x1 * (arctan2(alpha * y, -x1) + 2.0 * turn(x1))

@@ -13,6 +13,7 @@ from plough_opt.errors import InputError
 from plough_opt.expressions import Expression, as_number, is_symbolic, sqrt
 from plough_opt.forces import SoilReaction, soil_reaction
 from plough_opt.geometry import PLANE_SECTIONS_LIMIT, Cone, Wedge
+from plough_opt.printed import Formulation, Printed, errors_of
 from plough_opt.soil import Soil
 
 
@@ -57,6 +58,8 @@ class Effects:
         tow_ramp: time [s] in which the strut's speed rises from 0 by a C2 smoothstep; None or 0: none.
         damping: viscous damper c in the mount [N s/m], or None.
         rate_term: kappa [s^2/m^2] of F0 (1 + kappa L'^2), for calibration, or None. Not in the source.
+        formulation: ``"derived"``; ``"printed"``: equations (25)-(27) with the print's errors, to show what
+            they do; or a `Printed` with some of them. It is not physics, and a run says so.
 
     Raises:
         InputError: an unknown choice, or effects that exclude each other; the message says why.
@@ -73,6 +76,7 @@ class Effects:
     tow_ramp: Expression | None = None
     damping: Expression | None = None
     rate_term: Expression | None = None
+    formulation: Formulation = "derived"
 
     def __post_init__(self) -> None:
         if self.contact != "resisting":
@@ -90,6 +94,16 @@ class Effects:
             raise InputError("start = 'rest' needs motion: a quasi-static share follows the strut from the start")
         if not self.motion and self.damping is not None:
             raise InputError("damping needs motion: in a quasi-static scene the mount never moves, so leave it out")
+        if self.printed.repelling_spring and not self.motion:
+            raise InputError(
+                "the print's repelling spring needs motion: a share that it repels never follows the strut, so there"
+                " is no quasi-static limit; take formulation = 'derived'"
+            )
+
+    @property
+    def printed(self) -> Printed:
+        """Which errors of the print are kept: none, unless the formulation says so."""
+        return errors_of(self.formulation)
 
     @property
     def ramps(self) -> bool:
@@ -135,8 +149,7 @@ class Scene:
     @cached_property
     def reaction(self) -> SoilReaction:
         """F0 [N], Fd [N s^2/m^2] and added mass [kg], zero where the effect is off."""
-        off = dataclasses.replace(self.soil, ambient_pressure=0.0)
-        full = soil_reaction(self.cone, self.soil if self.effects.ambient_pressure else off)
+        full = self._reaction_of(self.soil if self.effects.ambient_pressure else self._soil_without_pressure)
         return SoilReaction(
             static=full.static,
             drag=full.drag if self.effects.inertial_drag else 0.0,
@@ -144,9 +157,22 @@ class Scene:
         )
 
     @property
+    def _soil_without_pressure(self) -> Soil:
+        return dataclasses.replace(self.soil, ambient_pressure=0.0)
+
+    def _reaction_of(self, soil: Soil) -> SoilReaction:
+        """Return the whole reaction of a soil to this share, in the scene's formulation."""
+        return self.effects.printed.reaction(soil_reaction(self.cone, soil))
+
+    @property
     def inertia(self) -> Expression:
         """M = m + m_a [kg]."""
         return self.mass + self.reaction.added_mass
+
+    @property
+    def restoring_stiffness(self) -> Expression:
+        """Force of the spring on the share per deflection [N/m]: k0, or -k0 as equation (27) is printed."""
+        return -self.stiffness if self.effects.printed.repelling_spring else self.stiffness
 
     @property
     def steady_resistance(self) -> Expression:
@@ -156,7 +182,7 @@ class Scene:
 
     @property
     def natural_frequency(self) -> Expression:
-        """Undamped angular frequency sqrt(k0/M) [rad/s]."""
+        """Undamped angular frequency sqrt(k0/M) [rad/s]; of the print's repelling spring the rate of growth."""
         return sqrt(self.stiffness / self.inertia)
 
     @property
@@ -170,7 +196,7 @@ class Scene:
         """Part of the static resistance F0 that the ambient pressure carries [-]; 0 where F0 is 0."""
         if not self.effects.ambient_pressure:
             return 0.0
-        bare = soil_reaction(self.cone, dataclasses.replace(self.soil, ambient_pressure=0.0)).static
+        bare = self._reaction_of(self._soil_without_pressure).static
         total = self.reaction.static
         if not is_symbolic(total) and not float(as_number(total)) > 0.0:
             return 0.0
@@ -178,14 +204,21 @@ class Scene:
 
     def describe(self) -> str:
         """Return, for a scene of numbers, a clause that tells which it is."""
+        spring = " of a repelling spring, as printed," if self.effects.printed.repelling_spring else ""
         return (
             f"share of half angle {math.degrees(self.cone.half_angle):.3g} deg and height {self.cone.height:.3g} m"
-            f" in {self.soil.name}, on {self.stiffness:.3g} N/m with {self.inertia:.3g} kg at {self.tow_speed:.3g} m/s"
+            f" in {self.soil.name}, on {self.stiffness:.3g} N/m{spring} with {self.inertia:.3g} kg at"
+            f" {self.tow_speed:.3g} m/s"
         )
 
     def warnings(self) -> tuple[str, ...]:
         """Return, for a scene of numbers, what a reader of its results must know about the theory's limits."""
         found = []
+        if errors := self.effects.printed.errors:
+            found.append(
+                f"these are the source's equations as printed ({', '.join(errors)}), not physics: their results only"
+                " show what the print's errors do; for all else take formulation = 'derived'"
+            )
         half_angle = float(as_number(self.cone.half_angle))
         if half_angle > PLANE_SECTIONS_LIMIT:
             found.append(

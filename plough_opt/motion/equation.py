@@ -5,7 +5,8 @@ With z = s(t) - L the spring's deflection, z0 its value at the start and w = z -
     M w'' = F(L, L') - k0 z0 - k0 w - c w' + M s''
 
 is written in deviations from the start, so that at an equilibrium start the large steady forces cancel
-on paper and not in floating point.
+on paper and not in floating point. As printed, with + k0 (L - V0 t), the spring repels: the parameter "stiffness"
+is then -k0, the equilibrium lies at z = -F/k0, and a deviation from it grows like exp(sqrt(k0/M) t).
 """
 
 from __future__ import annotations
@@ -50,7 +51,7 @@ def parameters(scene: Scene) -> dict[str, Expression]:
     effects = scene.effects
     values = {
         "inertia": scene.inertia,
-        "stiffness": scene.stiffness,
+        "stiffness": scene.restoring_stiffness,
         "static": scene.reaction.static,
         "tow_speed": scene.tow_speed,
     }

@@ -69,9 +69,9 @@ def _by_casadi(structure: Structure, accuracy: Accuracy, timeline: Timeline) -> 
     p = ca.MX.sym("p", len(observed.parameters) + 1)
     known = dict(zip(observed.parameters, ca.vertsplit(p[:-1]), strict=True))
     scales = _scales(structure, known)
-    unit = ca.vertcat(*scales)
+    unit = ca.vertcat(*scales[:2])
     first = start_state(structure, known)
-    result = solver(x0=ca.vertcat(first / unit, ca.MX.zeros(observed.squared)), p=ca.vertcat(p, unit))
+    result = solver(x0=ca.vertcat(first / unit, ca.MX.zeros(observed.squared)), p=ca.vertcat(p, *scales))
     states = result["xf"][:2, :] * ca.repmat(unit, 1, timeline.outputs)
     sizes = _signal_scales(structure, known, scales)
     spreads, others = ca.vertsplit(result["qf"][:, -1], [0, observed.squared, observed.count])
@@ -88,23 +88,24 @@ def _by_casadi(structure: Structure, accuracy: Accuracy, timeline: Timeline) -> 
     )
 
 
-def _scales(structure: Structure, p: dict[str, Any]) -> tuple[Any, Any]:
-    """Return scales of deflection [m] and of its rate [m/s], so that one absolute tolerance fits both."""
+def _scales(structure: Structure, p: dict[str, Any]) -> tuple[Any, Any, Any]:
+    """Return scales of deflection [m] and rate [m/s], so that one absolute tolerance fits both, and of force [N]."""
     # A parameter that nothing in the equation needs moves nothing, and counts as zero here.
     complete = {**dict.fromkeys(("static", "drag", "rate_term", "tow_speed"), 0.0), **p}
-    hardness = ca.sqrt(p["stiffness"] * p["inertia"])
+    stiffness = ca.fabs(p["stiffness"])  # below zero where a spring repels
+    hardness = ca.sqrt(stiffness * p["inertia"])
     force = start_resistance(structure, complete) + complete["tow_speed"] * hardness + _LEAST_FORCE
-    return force / p["stiffness"], force / hardness
+    return force / stiffness, force / hardness, force
 
 
-def _signal_scales(structure: Structure, p: dict[str, Any], scales: tuple[Any, Any]) -> Any:
-    """Return the scale of each signal, in the order of `signals`."""
-    force = p["stiffness"] * scales[0]
-    sizes = [scales[0]]
+def _signal_scales(structure: Structure, p: dict[str, Any], scales: tuple[Any, Any, Any]) -> Any:
+    """Return the scale of each signal, in the order of `signals`, from those of deflection, rate and force."""
+    deflection, rate, force = scales
+    sizes = [deflection]
     if structure.damper:
-        sizes.append(force + p["damping"] * scales[1])
+        sizes.append(force + p["damping"] * rate)
     if structure.ramp:
-        sizes.append(force * (p["tow_speed"] + scales[1]))
+        sizes.append(force * (p["tow_speed"] + rate))
     return ca.vertcat(*sizes)
 
 
@@ -118,12 +119,13 @@ def _scaled_equation(structure: Structure) -> dict[str, ca.SX]:
     fraction = ca.SX.sym("fraction")
     x = ca.SX.sym("x", 2 + observed.squared)
     p = ca.SX.sym("p", len(observed.parameters) + 1)
-    unit = ca.SX.sym("unit", 2)
+    scales = ca.SX.sym("scales", 3)
+    unit = scales[:2]
     known = dict(zip(observed.parameters, ca.vertsplit(p[:-1]), strict=True))
     duration = p[-1]
     time, state = fraction * duration, x[:2] * unit
     rate = motion.function(time, state, ca.vertcat(*(known[name] for name in motion.names)))
-    sizes = _signal_scales(structure, known, (unit[0], unit[1]))
+    sizes = _signal_scales(structure, known, (scales[0], scales[1], scales[2]))
     values = observed.function(time, state, p[:-1]) / sizes
     squared = values[: observed.squared]
     # At the start the running mean is 0/0; the spread is 0 there.
@@ -133,7 +135,7 @@ def _scaled_equation(structure: Structure) -> dict[str, ca.SX]:
     return {
         "t": fraction,
         "x": x,
-        "p": ca.vertcat(p, unit),
+        "p": ca.vertcat(p, scales),
         "ode": ca.vertcat(rate * duration / unit, squared),
         "quad": ca.vertcat(spread, values[observed.squared :, :]),
     }

@@ -36,9 +36,9 @@ def forced_rate(p: Mapping[str, float]) -> float:
 
 
 def fastest_rate(p: Mapping[str, float]) -> float:
-    """Return the fastest angular frequency or decay rate [rad/s] of the parameters of an equation of motion."""
+    """Return the fastest angular frequency [rad/s] or rate of decay or growth [1/s] of an equation's parameters."""
     decay = (p.get("damping", 0.0) + 2.0 * p.get("drag", 0.0) * p.get("tow_speed", 0.0)) / p["inertia"]
-    return max(math.sqrt(p["stiffness"] / p["inertia"]), decay, forced_rate(p))
+    return max(math.sqrt(abs(p["stiffness"]) / p["inertia"]), decay, forced_rate(p))
 
 
 def phase(p: Mapping[str, float], duration: float) -> float:

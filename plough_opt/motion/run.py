@@ -77,7 +77,9 @@ class Run:
         travel: L of the share [m]; 0 at the unloaded spring's position when the strut is at 0.
         speed: L' of the share [m/s].
         deflection: z of the spring, compression positive [m].
-        mount_force: P = k0 z + c z' of spring and damper on the share [N].
+        mount_force: P = k0 z + c z' of spring and damper on the share [N]. Under the print's repelling spring the
+            force on the share is -k0 z + c z'; the P(t) = k0 (V0 t - L) of its figures is then the negative of the
+            spring's part.
         soil_resistance: F on the share, the added mass's part included [N].
         averages: mean draft and the like; each is also an attribute of the run.
         accuracy: method and setting that were used.
@@ -226,13 +228,13 @@ def _averages(scene: Scene, means: Expression, variances: Expression) -> Average
     structure, p = Structure.of(scene), parameters(scene)
     stiffness, first = p["stiffness"], 0.0 if structure.rest else start_resistance(structure, p)
     scale = scene.steady_resistance
-    displacement_rms = rms(variances[0], scale / stiffness)
+    displacement_rms = rms(variances[0], scale / scene.stiffness)
     if structure.damper:
         mean_draft = first + p["damping"] * start_rate(structure, p) + means[1]
         force_rms = rms(variances[1], scale)
     else:
         mean_draft = first + stiffness * means[0]
-        force_rms = stiffness * displacement_rms
+        force_rms = scene.stiffness * displacement_rms
     return Averages(
         mean_draft=mean_draft,
         force_rms=force_rms,

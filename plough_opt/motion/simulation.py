@@ -37,6 +37,8 @@ OUTPUTS = 400
 # How often, and by what factor, the tolerance is tightened until the wanted error is reached.
 _TIGHTENINGS = 3
 _TIGHTER = 0.03
+# Exponents of growth above this overflow, squared as they are in an RMS sooner than by themselves.
+_MOST_GROWTH = 700.0
 # Speeds backwards below this fraction of the fastest speed are rounding, not retreat.
 _RETREAT = 1e-9
 
@@ -140,6 +142,7 @@ def _integrate(scene: Scene, duration: Expression, accuracy: Accuracy, outputs: 
 
 def _evaluate(solver: Integration, p: list[float], scene: Scene) -> list[NDArray[np.float64]]:
     """Evaluate the run of numbers (its duration is the last), or say when and why it failed."""
+    _refuse_runaway(scene, p[-1])
     found = _attempt(solver, p)
     if found is not None:
         return found
@@ -156,6 +159,26 @@ def _evaluate(solver: Integration, p: list[float], scene: Scene) -> list[NDArray
     )
 
 
+def _refuse_runaway(scene: Scene, duration: float) -> None:
+    """Refuse a repelling spring over a time in which no number holds the travel, and no method ends soon."""
+    if scene.effects.printed.repelling_spring and _growth(scene) * duration > _MOST_GROWTH:
+        raise IntegrationError(f"the motion of a {scene.describe()} has no end in {duration:g} s: {_runaway(scene)}")
+
+
+def _growth(scene: Scene) -> float:
+    """Return the rate [1/s] at which a repelling spring, against the mount's damper, drives the share away."""
+    decay = float(as_number(scene.effects.damping or 0.0)) / (2.0 * float(as_number(scene.inertia)))
+    frequency = float(as_number(scene.natural_frequency))
+    return frequency**2 / (decay + math.hypot(decay, frequency))
+
+
+def _runaway(scene: Scene) -> str:
+    return (
+        f"the print's repelling spring drives the share away like exp({_growth(scene):.3g} t), and drag still faster,"
+        " beyond what the method can follow: take a shorter duration, or formulation = 'derived'"
+    )
+
+
 def _attempt(solver: Integration, p: list[float]) -> list[NDArray[np.float64]] | None:
     """Return the results, or None where the method failed or they are not finite."""
     try:
@@ -168,6 +191,8 @@ def _attempt(solver: Integration, p: list[float]) -> list[NDArray[np.float64]] |
 def _likely_cause(scene: Scene, duration: float, solver: Integration) -> str:
     """Return what probably made an integration fail, and what to do."""
     total, outputs, accuracy = _phase(scene, duration), solver.timeline.outputs, solver.accuracy
+    if scene.effects.printed.repelling_spring:
+        return _runaway(scene)
     turns = total / (2.0 * math.pi)
     if accuracy.method in FIXED_STEP:
         enough = with_setting(replace(accuracy, steps=None), steps_for(total), outputs).steps or 0

@@ -1,0 +1,282 @@
+"""Equation (27) as printed: a spring that repels, against exact solutions and another solver."""
+
+import dataclasses
+import math
+
+import casadi as ca
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from scipy.optimize import brentq
+
+import plough_opt as po
+from plough_opt.motion.equation import Structure, equation_of_motion, parameters
+
+REPELS = po.Printed(pi_twice=False, one_third=False)
+FINE = po.Accuracy("dop853", steps=2000)
+ADAPTIVE = [po.Accuracy(method) for method in ("erk", "cvodes", "idas", "rosenbrock")]
+
+
+def exact(scene, sinh=np.sinh, cosh=np.cosh, exp=np.exp, sqrt=np.sqrt):
+    """Return z and z' as functions of time: M z'' = F0 + k0 z - c z', z(0) = 0, z'(0) = V0."""
+    k, inertia, force = scene.stiffness, scene.inertia, scene.reaction.static
+    decay = (scene.effects.damping or 0.0) / (2 * inertia)
+    rate = sqrt(k / inertia + decay**2)
+    steady = -force / k
+    # z = steady + exp(-decay t) (-steady cosh + b sinh).
+    b = (scene.tow_speed - decay * steady) / rate
+
+    def deflection(t):
+        return steady + exp(-decay * t) * (-steady * cosh(rate * t) + b * sinh(rate * t))
+
+    def slope(t):
+        by_cosh, by_sinh = b * rate + decay * steady, -steady * rate - decay * b
+        return exp(-decay * t) * (by_cosh * cosh(rate * t) + by_sinh * sinh(rate * t))
+
+    return deflection, slope
+
+
+def averages(function, duration):
+    """Return mean and RMS about it, by a quadrature that is exact to rounding for some ten e-foldings."""
+    nodes, weights = np.polynomial.legendre.leggauss(80)
+    values = function(duration * (nodes + 1) / 2)
+    mean = weights @ values / 2
+    return mean, math.sqrt(weights @ (values - mean) ** 2 / 2)
+
+
+def largest(expected, allowed):
+    return pytest.approx(expected, rel=0, abs=allowed * np.max(np.abs(expected)))
+
+
+CASES = [
+    # stiffness N/m, tow speed m/s, damping N s/m, formulation, duration s
+    (5e4, 2.0, None, REPELS, 0.15),
+    (5e4, 2.0, None, "printed", 0.15),
+    (5e4, 2.0, 250.0, REPELS, 0.2),
+    (3e2, 0.5, None, "printed", 1.5),
+    (3e2, 0.0, 90.0, "printed", 2.0),
+]
+
+
+def rest_scene(r1_scene, stiffness, speed, damping, formulation):
+    effects = {"start": "rest", "inertial_drag": False, "damping": damping, "formulation": formulation}
+    return r1_scene(stiffness=stiffness, tow_speed=speed, **effects)
+
+
+@pytest.mark.parametrize("accuracy", [None, FINE, *ADAPTIVE], ids=lambda a: a.method if a else "auto")
+@pytest.mark.parametrize(("stiffness", "speed", "damping", "formulation", "duration"), CASES)
+def test_the_share_runs_away_as_the_exact_solution(
+    r1_scene, stiffness, speed, damping, formulation, duration, accuracy
+):
+    scene = rest_scene(r1_scene, stiffness, speed, damping, formulation)
+    run = po.simulate(scene, duration, accuracy=accuracy, outputs=20)
+    deflection, slope = exact(scene)
+    z, rate = deflection(run.time), slope(run.time)
+
+    def mount(t):
+        return -stiffness * deflection(t) + (damping or 0.0) * slope(t)
+
+    allowed = 1e-12 if accuracy is FINE else 3e-8
+    assert run.deflection == largest(z, allowed)
+    assert run.speed == pytest.approx(speed - rate, rel=0, abs=allowed * np.max(np.abs(rate)))
+    assert run.travel == pytest.approx(speed * run.time - z, rel=0, abs=allowed * np.max(np.abs(z)))
+    assert run.mount_force == largest(mount(run.time), allowed)
+    # What the source calls P(t), k0 (V0 t - L), is the negative of the spring's force on the share.
+    assert stiffness * (speed * run.time - run.travel) == largest(
+        (damping or 0.0) * rate - mount(run.time), 2 * allowed
+    )
+    for found, function in (
+        ((run.mean_deflection, run.displacement_rms), deflection),
+        ((run.mean_draft, run.force_rms), mount),
+    ):
+        mean, rms = averages(function, duration)
+        assert found == pytest.approx((mean, rms), rel=0, abs=allowed * max(abs(mean), rms))
+    if accuracy is None:
+        assert run.error_estimate < 1e-8
+    assert run.tow_power == pytest.approx(run.mean_draft * speed, rel=1e-12)
+
+
+def test_without_force_and_speed_it_stays_where_it_is(r1_scene, r1_soil):
+    soil = dataclasses.replace(r1_soil, cohesion=0.0, ambient_pressure=0.0)
+    run = po.simulate(r1_scene(soil=soil, tow_speed=0.0, start="rest", formulation="printed"), 5.0, outputs=5)
+    assert not np.any(run.deflection)
+
+
+def test_its_equilibrium_pulls_the_spring_and_holds_exactly_until_disturbed(r1_scene):
+    scene = r1_scene(formulation="printed")
+    run = po.simulate(scene, 1.0, outputs=10)
+    assert run.mean_deflection == pytest.approx(-scene.steady_resistance / scene.stiffness, rel=1e-15)
+    assert run.mean_draft == pytest.approx(scene.steady_resistance, rel=1e-15)
+    assert run.force_rms == np.ptp(run.deflection) == 0.0
+    # A wave of 1e-12 of the soil's strength grows like exp(omega t), which here is 1e9 in 0.45 s.
+    wave = po.StrengthWave(1e-12, 0.6)
+    disturbed = po.simulate(r1_scene(formulation="printed", strength_wave=wave, inertial_drag=False), 0.45, outputs=9)
+    deviation = np.abs(disturbed.deflection + scene.reaction.static / scene.stiffness)
+    growth = math.log(deviation[-1] / deviation[-2]) / (0.45 / 9)
+    assert growth == pytest.approx(float(disturbed.scene.natural_frequency), rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    "effects",
+    [
+        {"strength_wave": po.StrengthWave(0.3, 0.6)},
+        {"strength_wave": po.StrengthWave(0.3, 0.6), "rate_term": 0.02, "damping": 120.0},
+        {"start": "rest", "tow_ramp": 0.07},
+        {"tow_ramp": 0.06, "damping": 250.0, "strength_wave": po.StrengthWave(0.2, 0.3)},
+    ],
+    ids=lambda effects: "+".join(effects),
+)
+def test_another_solver_agrees_with_every_effect(r1_scene, effects):
+    scene = r1_scene(formulation="printed", **effects)
+    p, e, duration = scene.reaction, scene.effects, 0.12
+    smoothstep = np.polynomial.Polynomial([0, 0, 0, 10, -15, 6])
+    ramp, wave, kappa = e.tow_ramp or 0.0, e.strength_wave, e.rate_term or 0.0
+
+    def strut(t):
+        if not ramp:
+            return 2.0 * t, 2.0
+        u = min(t / ramp, 1.0)
+        return 2.0 * ramp * smoothstep.integ()(u) + 2.0 * max(t - ramp, 0.0), 2.0 * smoothstep(u)
+
+    def rates(t, x):
+        travel, speed = x
+        path, tow = strut(t)
+        static = p.static * (1 + kappa * speed**2)
+        if wave is not None:
+            static *= 1 + wave.amplitude * math.sin(2 * math.pi * travel / wave.wavelength)
+        # (27) as printed, with L'' on the left: + k0 (L - V0 t).
+        force = -static - p.drag * speed**2 + scene.stiffness * (travel - path) + (e.damping or 0.0) * (tow - speed)
+        return [speed, force / scene.inertia]
+
+    speed = 0.0 if ramp or e.start == "rest" else 2.0
+    steady = 0.0 if e.start == "rest" else p.static * (1 + kappa * speed**2) + p.drag * speed**2
+    state, found = [steady / scene.stiffness, speed], []
+    for a, b in ((0.0, 0.06), (0.06, 0.07), (0.07, duration)):
+        state = solve_ivp(rates, (a, b), state, method="DOP853", rtol=1e-13, atol=1e-14).y[:, -1]
+        found.append(state)
+    run = po.simulate(scene, duration, accuracy=FINE, outputs=12)
+    columns = [6, 7, 12]
+    assert run.travel[columns] == largest(np.array(found)[:, 0], 1e-10)
+    assert run.speed[columns] == largest(np.array(found)[:, 1], 1e-10)
+
+
+# --- derivatives ---
+
+
+@pytest.mark.parametrize("kind", [ca.SX, ca.MX])
+@pytest.mark.parametrize("formulation", [REPELS, "printed"])
+def test_derivatives_are_those_of_the_exact_solution(r1_scene, kind, formulation):
+    x = kind.sym("x", 4)
+    scene = r1_scene(
+        25.0 * x[0], 0.25 * x[1], 5e4 * x[2], tow_speed=2.0 * x[3], start="rest", inertial_drag=False,
+        formulation=formulation,
+    )  # fmt: skip
+    duration = 0.1
+    run = po.simulate(scene, duration, accuracy=po.Accuracy("dop853", steps=200), outputs=4)
+    deflection, slope = exact(scene, ca.sinh, ca.cosh, ca.exp, ca.sqrt)
+    found = ca.vertcat(run.deflection[2], run.deflection[4], run.speed[4], run.mount_force[4] / 5e4)
+    truth = ca.vertcat(
+        deflection(duration / 2), deflection(duration), 2.0 * x[3] - slope(duration),
+        -x[2] * deflection(duration),
+    )  # fmt: skip
+    at = [1.1, 0.9, 1.2, 0.95]
+    for order in range(3):
+        of_x = ca.Function("both", [x], [found, truth])
+        mine, theirs = (np.asarray(value) for value in of_x.call([ca.DM(at)]))
+        assert mine == largest(theirs, 1e-11), f"derivative of order {order}"
+        found, truth = (ca.vec(ca.jacobian(value, x)) for value in (found, truth))
+
+
+# --- what stays as it is ---
+
+
+def test_the_print_is_the_same_graph_with_other_numbers(r1_scene, effects):
+    printed, derived = r1_scene(formulation="printed", **effects), r1_scene(**effects)
+    assert Structure.of(printed) == Structure.of(derived)
+    assert equation_of_motion(Structure.of(printed)) is equation_of_motion(Structure.of(derived))
+    p, q = parameters(printed), parameters(derived)
+    assert p.keys() == q.keys()
+    assert {name for name in p if p[name] != q[name]} == {"inertia", "stiffness", "static"} | ({"drag"} & p.keys())
+
+
+def test_the_derived_formulation_leaves_every_expression_as_it_was(r1_scene):
+    x = ca.SX.sym("x", 4)
+
+    def nodes(formulation, plain=False):
+        scene = r1_scene(25.0 * x[0], 0.25 * x[1], 5e4 * x[2], tow_speed=2.0 * x[3], formulation=formulation)
+        values = parameters(scene).values()
+        if plain:
+            f = po.soil_reaction(scene.cone, scene.soil)
+            values = (scene.mass + f.added_mass, scene.stiffness, f.static, scene.tow_speed, f.drag)
+        return ca.Function("parameters", [x], [ca.vertcat(*values)]).n_nodes()
+
+    assert nodes("derived") == nodes("derived", plain=True)
+    assert nodes("printed") > nodes("derived")
+
+
+# --- runs that no number can hold ---
+
+
+@pytest.mark.parametrize("accuracy", [None, po.Accuracy("dop853"), po.Accuracy("erk")], ids=str)
+@pytest.mark.parametrize(
+    ("drag", "duration"),
+    # Growth by exp(3e4), by exp(600) whose square no number holds; and with drag of a fixed sign a share driven
+    # back ever faster, in finite time.
+    [(False, 2e3), (False, 39.0), (True, 1.0)],
+)
+def test_growth_beyond_every_number_names_the_spring(r1_scene, drag, duration, accuracy):
+    scene = r1_scene(stiffness=5e3, start="rest", inertial_drag=drag, formulation="printed")
+    with pytest.raises(po.IntegrationError) as refusal:
+        po.simulate(scene, duration, accuracy=accuracy, outputs=10)
+    message = str(refusal.value)
+    assert "the print's repelling spring drives the share away like exp(" in message
+    assert f"exp({scene.natural_frequency:.3g} t)" in message
+    assert "take a shorter duration, or formulation = 'derived'" in message
+    assert "on 5e+03 N/m of a repelling spring, as printed, with" in message
+
+
+def test_a_damper_slows_the_growth(r1_scene):
+    # omega = 15.6/s alone; against the damper the share needs 220 s for exp(700).
+    scene = r1_scene(stiffness=5e3, start="rest", inertial_drag=False, damping=1500.0, formulation=REPELS)
+    run = po.simulate(scene, 50.0, accuracy=po.Accuracy("dop853", steps=20_000), outputs=50)
+    growth = max(np.roots([scene.inertia, 1500.0, -5e3]))
+    assert math.log(run.deflection[-1] / run.deflection[-2]) == pytest.approx(growth, rel=1e-9)
+    with pytest.raises(po.IntegrationError, match=r"like exp\(3\.18 t\)"):
+        po.simulate(scene, 300.0)
+
+
+def test_a_failure_of_the_derived_equation_does_not_name_it(r1_scene):
+    with pytest.raises(po.IntegrationError) as refusal:
+        po.simulate(r1_scene(tow_speed=1e200, start="rest"), 1.0)
+    assert "repelling" not in str(refusal.value)
+
+
+# --- inside a design ---
+
+
+def test_a_design_finds_the_stiffness_of_a_wanted_deflection(r1_scene):
+    def scene(stiffness):
+        return r1_scene(stiffness=stiffness, start="rest", inertial_drag=False, formulation="printed")
+
+    wanted, duration = 1.5, 0.1
+    truth = brentq(lambda k: float(exact(scene(k))[0](duration)) - wanted, 1e3, 1e5, xtol=1e-9)
+    design = po.Design()
+    stiffness = design.variable("stiffness", guess=2e4, lower=1e3, upper=1e5, unit="N/m", log=True)
+    run = po.simulate(scene(stiffness), duration, outputs=4)
+    design.minimise((run.deflection[-1] / wanted - 1.0) ** 2 + 1.0)
+    best = design.solve()
+    # The objective is quadratic about its least value of 1: IPOPT's 1e-8 leaves some 1e-5 of the variable.
+    assert best(stiffness) == pytest.approx(truth, rel=1e-4)
+    assert any("not physics" in text for text in best.warnings)
+
+
+def test_a_design_with_a_wave_is_scanned_along_the_stiffness(r1_scene):
+    design = po.Design()
+    stiffness = design.variable("stiffness", guess=2e4, lower=5e3, upper=5e4, unit="N/m", log=True)
+    wave = po.StrengthWave(0.3, 0.6)
+    run = po.simulate(r1_scene(stiffness=stiffness, strength_wave=wave, formulation="printed"), 0.1, outputs=4)
+    design.minimise(run.force_rms / 1e3)
+    best = design.solve()
+    assert [scan.variable for scan in best.scans] == ["stiffness"]
+    assert best.objective <= np.nanmin(best.scans[0].objective)
+    assert best.gap < 1e-8

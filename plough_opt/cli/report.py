@@ -91,7 +91,10 @@ def print_check(console: Console, problem: Problem) -> None:
         table.add_row("equation of motion", f"2 states, {equation.function.n_nodes()} nodes")
         table.add_row("its parameters", ", ".join(equation.names))
         frequency = float(scene.natural_frequency) / (2.0 * math.pi)
-        table.add_row("natural frequency", f"{frequency:.4g} Hz")
+        if scene.effects.printed.repelling_spring:
+            table.add_row("growth under the print's repelling spring", f"exp({float(scene.natural_frequency):.4g}/s t)")
+        else:
+            table.add_row("natural frequency", f"{frequency:.4g} Hz")
     else:
         table.add_row("quasi-static", "no equation of motion")
     if scene.effects.strength_wave is not None:

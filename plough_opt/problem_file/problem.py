@@ -116,6 +116,7 @@ class Problem:
             tow_ramp=values.get("effects.tow_ramp"),
             damping=values.get("effects.damping"),
             rate_term=values.get("effects.rate_term"),
+            formulation=table.formulation,
         )
 
     def simulate(self, changes: Mapping[str, float] | None = None) -> Run:

@@ -83,6 +83,7 @@ class EffectsTable(Table):
     tow_ramp: Time | None = None
     damping: Damping | None = None
     rate_term: RateTerm | None = None
+    formulation: Literal["derived", "printed"] = "derived"
 
 
 class VariableTable(Table):

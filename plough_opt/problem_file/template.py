@@ -29,6 +29,7 @@ damping = "400 N*s/m"
 # tow_ramp = "0.5 s"              # the strut reaches its speed smoothly
 # motion = false                  # quasi-static: no equation of motion at all
 # rate_term = "0.01 s^2/m^2"      # F0 (1 + kappa L'^2), for calibration
+# formulation = "printed"         # the source's equations with the errors of its print, to show what these do
 
 [variables]                       # what to choose, between bounds, starting from a guess
 "share.wedge_angle" = { lower = "5 deg", upper = "60 deg", guess = "25 deg" }

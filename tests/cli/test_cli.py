@@ -111,6 +111,12 @@ class TestCheck:
         assert cells(out, "equation of motion")[0].startswith("2 states")
         assert "3 variables, 3 requirements" in out
 
+    def test_a_spring_that_repels_grows_and_does_not_oscillate(self, cli, cotton):
+        out = cli("check", cotton, "--set", "effects.formulation=printed").out
+        assert "natural frequency" not in out
+        assert cells(out, "growth under the print's repelling spring")[0].startswith("exp(")
+        assert "as printed" in out
+
     def test_it_shows_a_change(self, cli, cotton):
         out = cli("check", cotton, "--set", 'scene.tow_speed="2.5 m/s"', "--set", "effects.damping=1 kN*s/m").out
         assert cells(out, "scene.tow_speed") == ["2.5 m/s"]

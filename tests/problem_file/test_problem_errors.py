@@ -45,6 +45,8 @@ MISSPELT = [
     case("term's name", "mean_draft = ", "mean_draught = ", "draught", "'mean_draught' cannot be", "'mean_draft'?"),
     case("limit's name", "loosened_radius", "losened", "losened", "'losened' cannot be required", "loosened_radius"),
     case("soil's name", '"serozem" ', '"serozom" ', "serozom", "no soil is named 'serozom'", "mean 'serozem'?"),
+    case("form", "damping =", 'formulaton = "printed"\ndamping =', "laton", "'effects.formulaton'", "'formulation'?"),
+    case("print", "damping =", 'formulation = "prnt"\ndamping =', "prnt", "'effects.formulation'", "or 'printed'"),
     case("choice", "damping =", 'start = "rst"\ndamping =', "rst", "'effects.start'", "'equilibrium' or 'rest'"),
 ]
 

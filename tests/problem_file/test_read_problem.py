@@ -174,6 +174,14 @@ steps = 800
     assert (run.accuracy.method, run.accuracy.steps) == ("dop853", 800)
 
 
+@pytest.mark.parametrize("formulation", ["derived", "printed"])
+def test_a_file_chooses_the_formulation(read, formulation):
+    problem = read(MINIMAL + f'effects.formulation = "{formulation}"\n')
+    assert problem.scene().effects == po.Effects(formulation=formulation)
+    printed = any("as printed" in text for text in problem.scene().warnings())
+    assert printed == (formulation == "printed")
+
+
 def test_the_outputs_of_a_file_are_the_intervals_between_output_times(read):
     run = read(MINIMAL.replace('duration = "1 s"', 'duration = "1 s", outputs = 8')).simulate()
     np.testing.assert_allclose(run.time, np.linspace(0.0, 1.0, 9), atol=1e-15)

@@ -1,0 +1,321 @@
+"""Equations (1)-(27) one by one, as the source prints them but for its errata, evaluated to the letter.
+
+Nothing is rearranged against cancellation and integrals are computed by quadrature, so that a reader with the source
+in hand finds every line again. What the errata change is in `tests/test_errata.py`.
+"""
+
+import math
+from itertools import pairwise
+
+import casadi as ca
+import numpy as np
+import pytest
+from scipy.special import k0, k1
+
+import plough_opt as po
+from plough_opt import elastic, plastic
+
+SOIL = po.Soil(1350.0, 0.6, 20e3, po.deg(28), 0.5, 30e3, youngs_modulus=10e6, poisson_ratio=0.33)
+CAVITY = plastic.Cavity(0.05, 0.7, 3.0)
+SHARE = po.Wedge(po.deg(30), po.deg(15), 0.25)
+CONE = SHARE.equivalent_cone()
+
+MU, TAU0 = math.sin(SOIL.friction_angle), 2.0 * SOIL.cohesion * math.cos(SOIL.friction_angle)
+NU = 2.0 * MU / (1.0 + MU)
+B1 = SOIL.density_ratio
+A = 1.0 / (1.0 - B1)
+RHO0, PA = SOIL.density, SOIL.ambient_pressure
+FRONT = plastic.front_radius(CAVITY, SOIL)
+
+# Quadrature and formulas to the letter lose a few of sixteen digits to cancellation.
+DIGITS = 1e-12
+NODES, WEIGHTS = np.polynomial.legendre.leggauss(24)
+
+
+def integral(function, first, last, panels=1):
+    """Composite Gauss-Legendre."""
+    edges = np.linspace(first, last, panels + 1)
+    half = np.diff(edges)[:, None] / 2.0
+    places = edges[:-1, None] + half * (NODES + 1.0)
+    return np.sum(half * WEIGHTS * function(places))
+
+
+def y(r):
+    return np.sqrt(2.0 * B1 * r**2 / 2.0 + CAVITY.radius**2)
+
+
+def acceleration(r):
+    """Equation (18)."""
+    big_r, rate, rise = CAVITY.radius, CAVITY.rate, CAVITY.acceleration
+    return (rate**2 + big_r * rise) / y(r) - big_r**2 * rate**2 / y(r) ** 3
+
+
+def sigma(r):
+    return plastic.stress(r, CAVITY, SOIL).radial
+
+
+def work(first, last):
+    """rho0 times the integral of (r + u)^(nu - 1) r d2u/dt2, in (12)-(14)."""
+    return RHO0 * integral(lambda r: y(r) ** (NU - 1.0) * r * acceleration(r), first, last)
+
+
+def slopes(r):
+    """y, dy/dr, sigma_r, d sigma_r/dr and sigma_theta at a Lagrangian radius, by automatic differentiation."""
+    s = ca.SX.sym("r")
+    field, place = plastic.stress(s, CAVITY, SOIL), plastic.current_radius(s, CAVITY, SOIL)
+    parts = [place, ca.gradient(place, s), field.radial, ca.gradient(field.radial, s), field.tangential]
+    return [float(value) for value in ca.Function("f", [s], parts)(r)]
+
+
+RADII = pytest.mark.parametrize("r", [0.2 * FRONT, 0.6 * FRONT, 0.95 * FRONT])
+
+# --- the linear elastic medium ----------------------------------------------------------------------------------
+
+SPEED = 0.6 * elastic.shear_wave_speed(SOIL)
+ALPHA, ETA = math.sqrt(1 - (SPEED / elastic.longitudinal_wave_speed(SOIL)) ** 2), 0.8
+SLOPE, LENGTH, X, AWAY = 0.2, 0.25, 0.1, 0.08
+
+
+def spectrum_of_wedge(p):
+    """Transform of the slope of a straight wedge."""
+    return SLOPE * (np.exp(1j * p * LENGTH) - 1.0) / (1j * p) / math.sqrt(2 * math.pi)
+
+
+def j(k, sign):
+    def integrand(p):
+        ahead, behind = spectrum_of_wedge(p) * np.exp(-1j * p * X), spectrum_of_wedge(-p) * np.exp(1j * p * X)
+        return (ahead + sign * behind) * np.exp(-p * k * AWAY)
+
+    return integral(integrand, 0.0, 40.0 / (k * AWAY), 60) / math.sqrt(2 * math.pi)
+
+
+def test_equation_1():
+    bracket = -((1 + ETA**2) ** 2) * j(ALPHA, -1) + 4 * ETA * ALPHA * j(ETA, -1)
+    printed = -1j * bracket / ((1 - ETA**2) ** 2 * ALPHA)
+    found = elastic.wedge_stress(X, AWAY, [(0.0, 0.0), (LENGTH, SLOPE * LENGTH)], SOIL, SPEED)
+    assert RHO0 * SPEED**2 * printed.real == pytest.approx(found.yy, rel=DIGITS)
+    assert abs(printed.imag) < DIGITS * abs(printed.real)
+
+
+def test_equation_2_with_its_factor_of_2():
+    printed = (1 + ETA**2) * (j(ETA, 1) - j(ALPHA, 1)) / (1 - ETA**2) ** 2
+    found = elastic.wedge_stress(X, AWAY, [(0.0, 0.0), (LENGTH, SLOPE * LENGTH)], SOIL, SPEED)
+    assert 2.0 * RHO0 * SPEED**2 * printed.real == pytest.approx(found.xy, rel=DIGITS)
+
+
+def spectrum_of_cone(p):
+    """Transform of S' = R R' of a straight cone, by quadrature over its length."""
+    x = LENGTH * (NODES + 1.0) / 2.0
+    return np.exp(1j * p[..., None] * x) @ (WEIGHTS * LENGTH / 2.0 * SLOPE**2 * x) / math.sqrt(2 * math.pi)
+
+
+def over_all_p(kernel):
+    """Integral over p from minus to plus infinity, with panels that close in on the logarithm at 0."""
+
+    def both(p):
+        ahead, behind = (sign * spectrum_of_cone(sign * p) * np.exp(-1j * sign * p * X) for sign in (1.0, -1.0))
+        return kernel(p, ahead, behind)
+
+    last = 40.0 / (ETA * AWAY)
+    edges = [0.0, *(last / 60 * 0.5**k for k in range(46, -1, -1))]
+    near = sum(integral(both, first, end) for first, end in pairwise(edges))
+    return near + integral(both, last / 60, last, 59)
+
+
+def test_equation_3_is_the_axial_displacement():
+    def kernel(p, ahead, behind):
+        bessel = (1 + ETA**2) * k0(ALPHA * AWAY * p) - 2 * ETA**2 * k0(ETA * AWAY * p)
+        return bessel * (ahead - behind)  # `behind` carries the sign of p, which (3) lacks
+
+    printed = over_all_p(kernel) / ((1 - ETA**2) * math.sqrt(2 * math.pi))
+    found = elastic.cone_displacement(X, AWAY, [(0.0, 0.0), (LENGTH, SLOPE * LENGTH)], SOIL, SPEED)
+    assert printed.real == pytest.approx(found.axial, rel=DIGITS)
+
+
+def test_equation_4_is_the_radial_displacement_with_its_missing_term():
+    def kernel(p, ahead, behind):
+        bessel = ALPHA * (1 + ETA**2) * k1(ALPHA * AWAY * p) - 2 * ETA * k1(ETA * AWAY * p)
+        return bessel * (ahead + behind)
+
+    printed = -1j * over_all_p(kernel) / ((1 - ETA**2) * math.sqrt(2 * math.pi))
+    missing = 0.5 * (SLOPE * LENGTH) ** 2 / (2.0 * AWAY)
+    found = elastic.cone_displacement(X, AWAY, [(0.0, 0.0), (LENGTH, SLOPE * LENGTH)], SOIL, SPEED)
+    assert printed.real + missing == pytest.approx(found.radial, rel=DIGITS)
+
+
+# --- geometry ---------------------------------------------------------------------------------------------------
+
+
+def test_equation_5():
+    assert SHARE.area == pytest.approx(0.25**2 * math.tan(po.deg(30)) / math.cos(po.deg(15)) ** 2, rel=DIGITS)
+
+
+def test_equation_6():
+    beta = CONE.half_angle
+    assert CONE.area == pytest.approx(math.pi * 0.25**2 * math.tan(beta) / math.cos(beta), rel=DIGITS)
+
+
+def test_equation_7():
+    p = math.pi * math.cos(po.deg(15)) ** 2 / (2.0 * math.tan(po.deg(30)))
+    assert CONE.half_angle == pytest.approx(math.asin(math.sqrt(p**2 + 1.0) - p), rel=DIGITS)
+    assert CONE.area == pytest.approx(SHARE.area, rel=DIGITS)
+
+
+# --- the plastic gas --------------------------------------------------------------------------------------------
+
+
+@RADII
+def test_equation_8(r):
+    place, place_r, radial, radial_r, tangential = slopes(r)
+    terms = [RHO0 * r * acceleration(r), place * radial_r, (radial - tangential) * place_r]
+    assert terms[0] == pytest.approx(terms[1] + terms[2], abs=DIGITS * max(map(abs, terms)))
+
+
+@RADII
+def test_equation_9(r):
+    place, place_r, *_ = slopes(r)
+    assert place * place_r == pytest.approx(RHO0 / plastic.density(r, CAVITY, SOIL) * r, rel=DIGITS)
+
+
+@RADII
+def test_equation_10_with_tau0_of_the_other_sign(r):
+    _, _, radial, _, tangential = slopes(r)
+    assert radial - tangential == pytest.approx(-TAU0 + MU * (radial + tangential), rel=DIGITS)
+
+
+@RADII
+def test_equation_11_with_tau0_of_the_other_sign(r):
+    place, place_r, radial, radial_r, _ = slopes(r)
+    left = NU * radial * place_r + place * radial_r
+    right = RHO0 * r * acceleration(r) + TAU0 / (1 + MU) * place_r
+    assert left == pytest.approx(right, abs=DIGITS * abs(place * radial_r))
+
+
+@RADII
+def test_equation_12_with_tau0_of_the_other_sign(r):
+    wall = CAVITY.radius**NU
+    right = work(0.0, r) + TAU0 / (1 + MU) * (y(r) ** NU - wall) / NU + wall * sigma(0.0)
+    assert y(r) ** NU * sigma(r) == pytest.approx(right, rel=DIGITS)
+
+
+def test_equation_13():
+    wall = CAVITY.radius**NU
+    right = work(0.0, FRONT) + TAU0 / (1 + MU) * (FRONT**NU - wall) / NU + wall * sigma(0.0)
+    assert FRONT**NU * sigma(FRONT) == pytest.approx(right, rel=DIGITS)
+
+
+@RADII
+def test_equation_14_with_tau0_of_the_other_sign(r):
+    right = -work(r, FRONT) - TAU0 / (1 + MU) * (FRONT**NU - y(r) ** NU) / NU
+    assert y(r) ** NU * sigma(r) - FRONT**NU * sigma(FRONT) == pytest.approx(right, abs=DIGITS * abs(sigma(r)))
+
+
+@RADII
+def test_equation_15(r):
+    psi = integral(lambda s: B1 * s, 0.0, r)
+    assert plastic.current_radius(r, CAVITY, SOIL) ** 2 == pytest.approx(2.0 * psi + CAVITY.radius**2, rel=DIGITS)
+
+
+def test_equation_16():
+    psi = integral(lambda s: B1 * s, 0.0, FRONT)
+    front = plastic.front_radius(CAVITY, SOIL)
+    assert front**2 == pytest.approx(2.0 * psi + CAVITY.radius**2, rel=DIGITS)
+    assert front == pytest.approx(CAVITY.radius * math.sqrt(A), rel=DIGITS)
+
+
+@RADII
+def test_equation_17(r):
+    wanted = CAVITY.radius * CAVITY.rate / math.sqrt(B1 * r**2 + CAVITY.radius**2)
+    assert plastic.particle_velocity(r, CAVITY, SOIL) == pytest.approx(wanted, rel=DIGITS)
+
+
+@RADII
+def test_equation_18(r):
+    assert plastic.particle_acceleration(r, CAVITY, SOIL) == pytest.approx(acceleration(r), rel=DIGITS)
+
+
+def test_equation_19():
+    assert plastic.particle_velocity(FRONT, CAVITY, SOIL) == pytest.approx(
+        CAVITY.radius * CAVITY.rate / FRONT, rel=DIGITS
+    )
+
+
+def test_equation_20():
+    speed, velocity = plastic.front_speed(CAVITY, SOIL), plastic.particle_velocity(FRONT, CAVITY, SOIL)
+    assert RHO0 * speed == pytest.approx(plastic.density(FRONT, CAVITY, SOIL) * (speed - velocity), rel=DIGITS)
+
+
+def test_equation_21():
+    speed, velocity = plastic.front_speed(CAVITY, SOIL), plastic.particle_velocity(FRONT, CAVITY, SOIL)
+    assert RHO0 * speed * velocity == pytest.approx(-sigma(FRONT) - PA, rel=1e-10)  # 1 % of the pressure
+    assert sigma(FRONT) == pytest.approx(-RHO0 * velocity**2 / (1.0 - B1) - PA, rel=DIGITS)
+
+
+@RADII
+def test_equation_22_corrected(r):
+    big_r, rate, rise = CAVITY.radius, CAVITY.rate, CAVITY.acceleration
+    first = integral(lambda s: s / (B1 * s**2 + big_r**2) ** (1.0 - NU / 2.0), r, FRONT)
+    second = integral(lambda s: s / (B1 * s**2 + big_r**2) ** (2.0 - NU / 2.0), r, FRONT)
+    right = RHO0 * (big_r * rise + rate**2) * first - RHO0 * (big_r * rate) ** 2 * second
+    right += RHO0 / (1.0 - B1) * (big_r * rate) ** 2 / FRONT ** (2.0 - NU)
+    right += TAU0 / (1.0 + MU) * (FRONT**NU - y(r) ** NU) / NU + PA * FRONT**NU
+    assert -(y(r) ** NU) * sigma(r) == pytest.approx(right, rel=DIGITS)
+
+
+def test_equation_23():
+    speed, rise, x, slope = 2.0, 5.0, 0.2, CONE.slope
+    phi = (A ** (NU / 2.0) - 1.0) / NU
+    bracket = (NU - 2.0) * phi + B1 * (NU - 2.0) * A ** (NU / 2.0) - A ** (NU / 2.0 - 1.0) + 1.0
+    wanted = rise * RHO0 * phi * x * slope**2 / B1
+    wanted += speed**2 * RHO0 * slope**2 / (B1 * (NU - 2.0)) * bracket + phi * (NU * PA + TAU0 / (1.0 + MU))
+    cavity = plastic.Cavity(x * slope, speed * slope, rise * slope)
+    assert plastic.surface_pressure(cavity, SOIL) == pytest.approx(wanted, rel=DIGITS)
+
+
+# --- resistance and motion --------------------------------------------------------------------------------------
+
+
+def test_equation_24():
+    speed, rise, beta = 2.0, 5.0, CONE.half_angle
+    slope = math.tan(beta)
+
+    def integrand(x):
+        pressure = plastic.surface_pressure(plastic.Cavity(x * slope, speed * slope, rise * slope), SOIL)
+        return pressure * x * slope * math.sqrt(1.0 + slope**2)
+
+    face = 2.0 * math.pi * (math.sin(beta) + SOIL.tool_friction * math.cos(beta))
+    assert po.resistance(CONE, SOIL, speed, rise) == pytest.approx(
+        face * integral(integrand, 0.0, CONE.height), rel=DIGITS
+    )
+
+
+def test_equation_25_with_pi_once():
+    speed, rise = 2.0, 5.0
+    c = po.resistance_coefficients(CONE, SOIL)
+    motion = c.B * RHO0 * speed**2 + RHO0 * c.C * CONE.height * rise
+    wanted = math.pi * (1.0 + SOIL.tool_friction / math.tan(CONE.half_angle)) * (c.A + motion) * CONE.height**2
+    assert po.resistance(CONE, SOIL, speed, rise) == pytest.approx(wanted, rel=DIGITS)
+
+
+def test_equation_26_without_pi_and_with_two_thirds():
+    c, slope = po.resistance_coefficients(CONE, SOIL), math.tan(CONE.half_angle)
+    growth = A ** (NU / 2.0) - 1.0
+    assert pytest.approx(slope**2 * (PA + TAU0 / (NU * (1.0 + MU))) * growth, rel=DIGITS) == c.A
+    bracket = (NU - 2.0) / NU * growth + B1 * (NU - 2.0) * A ** (NU / 2.0) - (A ** (NU / 2.0 - 1.0) - 1.0)
+    assert pytest.approx(slope**4 / (B1 * (NU - 2.0)) * bracket, rel=DIGITS) == c.B
+    assert pytest.approx(2.0 * slope**4 / (3.0 * B1 * NU) * growth, rel=DIGITS) == c.C
+
+
+def test_equation_27_with_an_attracting_spring():
+    scene = po.Scene(SOIL, SHARE, 5e4, 20.0, 2.0, po.Effects(start="rest"))
+    run = po.simulate(scene, duration=0.2, accuracy=po.Accuracy(error=1e-11), outputs=400)
+    c = po.resistance_coefficients(CONE, SOIL)
+    step = run.time[1]
+    # Eighth-order central difference of the speed, of 14 waves in 400 steps.
+    weights = np.array([1 / 280, -4 / 105, 1 / 5, -4 / 5, 0.0, 4 / 5, -1 / 5, 4 / 105, -1 / 280])
+    rise = np.convolve(run.speed, weights[::-1], mode="valid") / step
+    speed, time, travel = (values[4:-4] for values in (run.speed, run.time, run.travel))
+    face = math.pi * (1.0 + SOIL.tool_friction / CONE.slope) * CONE.height**2
+    left = (20.0 + po.added_mass(CONE, SOIL)) * rise
+    right = -face * (c.A + c.B * RHO0 * speed**2) + 5e4 * (2.0 * time - travel)
+    np.testing.assert_allclose(left, right, atol=1e-8 * np.max(np.abs(left)))

@@ -1,0 +1,171 @@
+"""Each erratum of the source: what is printed fails where what is derived holds, and by how much."""
+
+import math
+
+import casadi as ca
+import numpy as np
+import pytest
+from test_source_equations import (
+    ALPHA,
+    AWAY,
+    B1,
+    CAVITY,
+    CONE,
+    ETA,
+    FRONT,
+    LENGTH,
+    MU,
+    NU,
+    PA,
+    RADII,
+    RHO0,
+    SLOPE,
+    SOIL,
+    SPEED,
+    TAU0,
+    A,
+    X,
+    integral,
+    sigma,
+    slopes,
+    work,
+    y,
+)
+
+import plough_opt as po
+from plough_opt import elastic, plastic
+from plough_opt.printed import printed_coefficients, printed_resistance
+
+NODES = [(0.0, 0.0), (LENGTH, SLOPE * LENGTH)]
+
+
+def imbalance_across(factor):
+    """Residual of d sigma_xy/dx + d sigma_yy/dy = rho V0^2 uy_xx over its largest term; sigma_xy times a factor."""
+    at = ca.SX.sym("at", 2)
+    found = elastic.wedge_stress(at[0], at[1], NODES, SOIL, SPEED)
+    slope = elastic.wedge_gradient(at[0], at[1], NODES, SOIL, SPEED).uy_x
+    shear_x, stress_y = ca.jacobian(factor * found.xy, at)[0], ca.jacobian(found.yy, at)[1]
+    inertia = RHO0 * SPEED**2 * ca.jacobian(slope, at)[0]
+    terms = ca.Function("f", [at], [ca.vertcat(shear_x, stress_y, -inertia)])([0.0, AWAY]).full()
+    return abs(np.sum(terms)) / np.max(np.abs(terms))
+
+
+def test_2_lacks_a_factor_2():
+    assert imbalance_across(1.0) < 1e-13
+    assert imbalance_across(0.5) > 0.4
+
+
+def test_3_and_4_are_the_axial_and_the_radial_displacement():
+    # Named the other way round they would give a body that sucks the soil in: beside it the first is not S/r.
+    near = 1e-5
+    found = elastic.cone_displacement(X, near, NODES, SOIL, SPEED)
+    section = 0.5 * (SLOPE * X) ** 2
+    assert near * found.radial == pytest.approx(section, rel=1e-6)
+    assert near * found.axial < 0.01 * section
+
+
+def test_4_lacks_what_keeps_the_soil_far_ahead_at_rest():
+    ahead = elastic.cone_displacement(-1e4 * LENGTH, AWAY, NODES, SOIL, SPEED).radial
+    missing = 0.5 * (SLOPE * LENGTH) ** 2 / (2.0 * AWAY)
+    assert abs(ahead) < 1e-8 * missing  # and the printed integral is ahead - missing, which is not small
+
+
+def test_text_before_6_has_the_wrong_angle():
+    assert CONE.area == pytest.approx(po.Wedge(po.deg(30), po.deg(15), 0.25).area, rel=1e-14)
+    assert po.Cone(po.deg(15), 0.25).area > 1.3 * CONE.area
+
+
+@RADII
+def test_10_as_printed_is_not_what_22_and_23_follow_from(r):
+    _, _, radial, _, tangential = slopes(r)
+    assert abs(radial - tangential - (TAU0 + MU * (radial + tangential))) > 0.9 * 2.0 * TAU0
+
+
+def test_10_as_printed_lets_cohesion_lower_the_pressure():
+    def pressure(sign):
+        phi = (A ** (NU / 2.0) - 1.0) / NU
+        return phi * (NU * PA + sign * TAU0 / (1.0 + MU))
+
+    rest = plastic.Cavity(0.05, 0.0, 0.0)
+    assert pressure(1.0) == pytest.approx(plastic.surface_pressure(rest, SOIL), rel=1e-13)
+    assert pressure(-1.0) < 0.0 < plastic.surface_pressure(rest, SOIL)
+
+
+@RADII
+def test_14_with_13_as_printed_contradict_each_other_by_twice_tau0(r):
+    """(13) holds as printed; (14) as printed is then wrong by 2 tau0/(1 + mu) (r*^nu - y^nu)/nu."""
+    cohesive = TAU0 / (1 + MU) * (FRONT**NU - y(r) ** NU) / NU
+    printed = -work(r, FRONT) + cohesive
+    left = y(r) ** NU * sigma(r) - FRONT**NU * sigma(FRONT)
+    assert printed - left == pytest.approx(2.0 * cohesive, rel=1e-10)
+
+
+def test_22_to_the_letter_is_far_off():
+    """Its sign, R for R^2 under the powers, h for r* as upper limit, and the tau0 term without 1/nu."""
+    r, big_r, rate, rise = 0.5 * FRONT, CAVITY.radius, CAVITY.rate, CAVITY.acceleration
+    height = CONE.height
+    first = integral(lambda s: s / (B1 * s**2 + big_r) ** (1.0 - NU / 2.0), r, height)
+    second = integral(lambda s: s / (B1 * s**2 + big_r) ** (2.0 - NU / 2.0), r, height)
+    right = RHO0 * (big_r * rise + rate**2) * first - RHO0 * (big_r * rate) ** 2 * second
+    right += RHO0 / (1.0 - B1) * (big_r * rate) ** 2 / FRONT ** (2.0 - NU)
+    right += TAU0 / (1.0 + MU) * (FRONT**NU - y(r) ** NU) + PA * FRONT**NU
+    printed = right / y(r) ** NU
+    assert printed > 0.0 > sigma(r)  # the print would have the soil pull
+    assert abs(printed + sigma(r)) > 0.04 * abs(sigma(r))  # and of another size
+
+
+def test_23_needs_the_undisturbed_density_in_b1():
+    # With the current density rho in the place of rho0 behind the front b1 would be 1, and the front infinitely far.
+    assert plastic.density(0.5 * FRONT, CAVITY, SOIL) == pytest.approx(RHO0 / B1, rel=1e-14)
+    assert FRONT / CAVITY.radius == pytest.approx(1.0 / math.sqrt(1.0 - RHO0 / (RHO0 / B1)), rel=1e-14)
+
+
+def test_24_needs_the_ambient_pressure():
+    # A share at rest in soil without strength feels no net force: what presses on its face presses on its back.
+    weak = po.Soil(1350.0, 0.6, 0.0, 0.0, 0.5, PA)
+    assert po.resistance(CONE, weak, 0.0, 0.0) == pytest.approx(0.0, abs=1e-12 * PA * CONE.height**2)
+
+
+def test_25_and_26_count_pi_twice():
+    ratio = printed_resistance(CONE, SOIL, 2.0, 0.0) / po.resistance(CONE, SOIL, 2.0, 0.0)
+    assert ratio == pytest.approx(math.pi, rel=1e-12)
+
+
+def test_26_has_a_third_for_two_thirds():
+    printed, derived = printed_coefficients(CONE, SOIL), po.resistance_coefficients(CONE, SOIL)
+    assert printed.C / (math.pi * derived.C) == pytest.approx(0.5, rel=1e-12)
+    # The inertial part of (24) is an integral of x^2, h^3/3; the factored h^2/2 leaves 2 h/3.
+    assert integral(lambda x: x**2, 0.0, 1.0) / (1.0 / 2.0) == pytest.approx(2.0 / 3.0, rel=1e-14)
+
+
+def motion(formulation, duration):
+    effects = po.Effects(start="rest", inertial_drag=False, formulation=formulation)
+    scene = po.Scene(SOIL, po.Wedge(po.deg(30), po.deg(15), 0.25), 5e4, 20.0, 2.0, effects)
+    return scene, po.simulate(scene, duration)
+
+
+def test_27_with_its_printed_spring_runs_away():
+    scene, printed = motion(po.Printed(pi_twice=False, one_third=False), 0.3)
+    _, derived = motion("derived", 0.3)
+    omega = scene.natural_frequency
+    # z'' = F0/M + omega^2 z grows like cosh and sinh of omega t, for ever.
+    rest = scene.reaction.static / 5e4
+    grown = rest * (math.cosh(omega * 0.3) - 1.0) + 2.0 / omega * math.sinh(omega * 0.3)
+    assert printed.deflection[-1] == pytest.approx(grown, rel=1e-7)
+    assert np.max(np.abs(derived.deflection)) <= rest + math.hypot(rest, 2.0 / omega)
+    assert grown > 10.0 * np.max(np.abs(derived.deflection))
+
+
+def test_27_needs_the_acceleration_on_the_left():
+    """A sum of forces scales with the square of the unit of time; mass times speed does not."""
+    scene, run = motion("derived", 0.3)
+    forces = run.mount_force - run.soil_resistance
+    acceleration = np.gradient(run.speed, run.time, edge_order=2)
+    scale = np.max(np.abs(forces))
+    np.testing.assert_allclose(scene.mass * acceleration[1:-1], forces[1:-1], atol=2e-3 * scale)
+    assert np.max(np.abs(scene.mass * run.speed - forces)) > 0.5 * scale
+
+
+def test_the_elastic_constants_of_these_tests_are_those_of_the_medium():
+    assert pytest.approx((SPEED / elastic.shear_wave_speed(SOIL)) ** 2, rel=1e-14) == 1.0 - ETA**2
+    assert 0.0 < ETA < ALPHA < 1.0

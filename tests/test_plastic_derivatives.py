@@ -1,0 +1,164 @@
+"""Value, gradient and Hessian of the whole field behind the front, against 120 digits of the textbook's formulas."""
+
+import itertools
+import math
+
+import casadi as ca
+import high_precision as hp
+import numpy as np
+import precise_field as pf
+import pytest
+
+import plough_opt as po
+from plough_opt import plastic
+
+# Every entry is some fifty roundings of 1.1e-16, of both signs, away from the truth; the worst found is 1.6e-15.
+DIGITS = 4e-15
+
+NAMES = pf.Particle._fields
+STRESS, KINEMATIC = len(NAMES), NAMES.index("density_ratio") + 1
+
+
+def field(r, radius, rate, acceleration, b1, friction_angle=0.5, cohesion=0.0, ambient_pressure=0.0, density=1.0):
+    """Return cavity and soil of the arguments in the order of `precise_field.Particle`, and r."""
+    cavity = plastic.Cavity(radius, rate, acceleration)
+    return r, cavity, po.Soil(density, b1, cohesion, friction_angle, 0.5, ambient_pressure)
+
+
+QUANTITIES = {
+    "radial": (lambda *v: plastic.stress(*field(*v)).radial, STRESS),
+    "tangential": (lambda *v: plastic.stress(*field(*v)).tangential, STRESS),
+    "surface_pressure": (lambda *v: plastic.surface_pressure(*field(*v)[1:]), STRESS),
+    "current_radius": (lambda *v: plastic.current_radius(*field(*v)), KINEMATIC),
+    "particle_velocity": (lambda *v: plastic.particle_velocity(*field(*v)), KINEMATIC),
+    "particle_acceleration": (lambda *v: plastic.particle_acceleration(*field(*v)), KINEMATIC),
+    "front_radius": (lambda *v: plastic.front_radius(*field(*v)[1:]), KINEMATIC),
+    "front_speed": (lambda *v: plastic.front_speed(*field(*v)[1:]), KINEMATIC),
+}
+
+ORDINARY = {
+    "radius": 0.05,
+    "rate": 0.5,
+    "acceleration": 3.0,
+    "density_ratio": 0.8,
+    "friction_angle": 0.5,
+    "cohesion": 2e4,
+    "ambient_pressure": 101325.0,
+    "density": 1400.0,
+}
+RATIOS = [1e-9, 1e-3, 0.5, 1 - 1e-6]
+ANGLES = [0.0, 1e-9, 1.5]
+PLACES = [0.0, 0.6, 1.0]
+
+
+def point(place, **changes):
+    """Return the arguments at a fraction of the front radius."""
+    values = ORDINARY | changes
+    front = values["radius"] / math.sqrt(1 - values["density_ratio"])
+    return (place * front, *values.values())
+
+
+def names_of(**changes):
+    return " ".join(f"{name}={value:g}" for name, value in changes.items()) or "ordinary"
+
+
+def points():
+    """Yield ordinary points, both ends of each property at wall, middle and front, corners and motions."""
+    everywhere = [{}, *({"density_ratio": b} for b in RATIOS), *({"friction_angle": t} for t in ANGLES)]
+    corners = [{"density_ratio": b, "friction_angle": t} for b in (1e-9, 1 - 1e-6) for t in (0.0, 1.5)]
+    for changes, place in itertools.product(everywhere, PLACES):
+        thin = changes.get("density_ratio") in (1e-3, 0.5) or changes.get("friction_angle") == 1e-9
+        marks = [pytest.mark.slow] if thin and place != 0.6 else []
+        yield pytest.param(point(place, **changes), id=f"{names_of(**changes)} at {place}", marks=marks)
+    for changes in corners:
+        yield pytest.param(point(0.6, **changes), id=names_of(**changes))
+    yield pytest.param(point(1e-6), id="beside the wall")
+    yield pytest.param(point(0.4, rate=0.0, acceleration=0.0), id="at rest")
+    yield pytest.param(point(0.7, acceleration=-40.0, cohesion=0.0, ambient_pressure=0.0), id="slowing down")
+    yield pytest.param(point(0.9, radius=0.2, rate=30.0, acceleration=-500.0, density_ratio=0.95), id="fast")
+
+
+@pytest.fixture(scope="module", params=QUANTITIES)
+def quantity(request):
+    """Return the toolkit's function, the precise one, its number of arguments, and its derivatives as SX and MX."""
+    function, size = QUANTITIES[request.param]
+    symbolic = []
+    for symbol in (ca.SX, ca.MX):
+        x = symbol.sym("x", size)
+        value = function(*ca.vertsplit(x))
+        hessian, gradient = ca.hessian(value, x)
+        symbolic.append(ca.Function("f", [x], [value, gradient, hessian]))
+    return function, request.param, size, symbolic
+
+
+# On these a function depends in a smooth way of its own; on all others as a polynomial of degree two.
+SHAPED = ("r", "radius", "density_ratio", "friction_angle")
+
+
+def lengths(x):
+    """Return over which change of each argument the field changes by its own size; None: a polynomial."""
+    own = dict(zip(NAMES, x, strict=False))
+    scales = {"radius": own["radius"], "r": max(own["r"], own["radius"]), "density_ratio": 1 - own["density_ratio"]}
+    return [scales.get(name, hp.mp.mpf(1)) if name in SHAPED else None for name in NAMES[: len(x)]]
+
+
+def natural_sizes(at, wall, scale):
+    """Return the sizes of the terms that value, gradient and Hessian are summed of.
+
+    An entry can be much smaller than its terms: the pressure on the wall does not depend on the cavity's radius, nor
+    that at the front on the acceleration. Terms of a place count as at the wall, where the logarithm of the distance
+    from the front, rounded as a length is, has the size that it has nowhere else; and a derivative in one argument is
+    made of terms of the size of what is differentiated, over the change that matters.
+    """
+    value = max(abs(at[0]), abs(wall[0]))
+    gradient = [max(abs(a), abs(b)) for a, b in zip(at[1], wall[1], strict=True)]
+    n = len(scale)
+    hessian = [[max(abs(at[2][i][j]), abs(wall[2][i][j])) for j in range(n)] for i in range(n)]
+    for i, j in itertools.product(range(n), range(n)):
+        hessian[i][j] += gradient[i] / scale[j] if scale[j] else 0
+        hessian[i][j] += gradient[j] / scale[i] if scale[i] else 0
+        hessian[i][j] += value / scale[i] / scale[j] if scale[i] and scale[j] else 0
+    return value, [g + (value / s if s else 0) for g, s in zip(gradient, scale, strict=True)], hessian
+
+
+def check(got, want, size, digits, label):
+    """Compare an entry; below 1e-35 the truth is a zero blurred by the differences."""
+    got = float(got)
+    if size < hp.mp.mpf(10) ** -35:
+        assert got == 0.0, f"{label}: {got} instead of zero"
+        return
+    error = float(abs(hp.mp.mpf(got) - want) / size)
+    assert error <= digits, f"{label}: {got:.17g} instead of {hp.mp.nstr(want, 20)}, off by {error:.1e} of its terms"
+
+
+@pytest.mark.parametrize("arguments", [*points()])
+def test_value_gradient_and_hessian(quantity, arguments):
+    function, name, size, symbolic = quantity
+    x = arguments[:size]
+
+    def precise(*values):
+        return getattr(pf.Particle(*values), name)
+
+    at, wall = hp.derivatives(precise, x), hp.derivatives(precise, (0.0, *x[1:]))
+    digits = DIGITS
+    if name == "tangential":
+        # 1 - sin(theta) has the digits that the sine leaves it.
+        digits += 2.0**-53 / (1.0 - math.sin(x[5]))
+    value, gradient, hessian = natural_sizes(at, wall, lengths(hp.exact(x)))
+    check(function(*x), at[0], value, digits, "float")
+    for f in symbolic:
+        own = [np.asarray(part) for part in f(x)]
+        check(own[0][0, 0], at[0], value, digits, "value")
+        for i, name in enumerate(NAMES[:size]):
+            check(own[1][i, 0], at[1][i], gradient[i], digits, f"d/d {name}")
+            for j, other in enumerate(NAMES[:size]):
+                check(own[2][i, j], at[2][i][j], hessian[i][j], digits, f"d2/d {name} d {other}")
+
+
+@pytest.mark.parametrize("changes", [{}, {"friction_angle": 0.0}, {"density_ratio": 0.3, "acceleration": -40.0}])
+def test_the_closed_integral_of_the_oracle_is_the_integral_of_momentum(changes):
+    # (14) over the Lagrangian radius, as it is derived, against the same over the particle's radius.
+    particle = pf.Particle(*hp.exact(point(0.3, **changes)))
+    constant = pf.Profile(lambda _s, c, _w: c, lambda s, c, _w: c * s**2)
+    field = pf.Field(constant, particle.density_ratio, None, *particle[1:4], *particle[5:])
+    assert abs(field.pressure(particle.r) / particle.pressure - 1) < hp.mp.mpf(10) ** -70

@@ -11,7 +11,6 @@ from matplotlib.figure import Figure
 
 from plough_opt.design import Optimum
 from plough_opt.errors import InputError
-from plough_opt.forces import loosened_radius
 from plough_opt.geometry import Wedge
 from plough_opt.motion import Run
 from plough_opt.motion.equation import Structure, parameters, start_speed, strut
@@ -125,18 +124,20 @@ def draw_wedge(axes: Axes, scene: Scene) -> None:
 def draw_cone(axes: Axes, scene: Scene) -> None:
     """Draw the equivalent cone in longitudinal section, with the compaction front around it."""
     cone = scene.cone
-    radius, front = cone.height * cone.slope, loosened_radius(cone, scene.soil)
-    axes.fill([0, cone.height, cone.height], [0, front, -front], facecolor=_SOIL, alpha=0.35, edgecolor="none",
-              label=f"compacted soil, r* = {front:.3f} m")  # fmt: skip
-    for side in (1.0, -1.0):
-        axes.plot([0, cone.height], [0, side * front], color=_SOIL, linestyle="--", linewidth=1.2)
+    radius = cone.height * cone.slope
+    front = scene.loosened_radius if scene.medium == "plastic" else radius
+    if scene.medium == "plastic":
+        axes.fill([0, cone.height, cone.height], [0, front, -front], facecolor=_SOIL, alpha=0.35, edgecolor="none",
+                  label=f"compacted soil, r* = {front:.3f} m")  # fmt: skip
+        for side in (1.0, -1.0):
+            axes.plot([0, cone.height], [0, side * front], color=_SOIL, linestyle="--", linewidth=1.2)
+        axes.legend(loc="upper left", fontsize="small")
     axes.fill([0, cone.height, cone.height], [0, radius, -radius], facecolor=_STEEL, alpha=0.85, edgecolor="black",
               linewidth=0.8)  # fmt: skip
     axes.annotate("", xy=(-0.28 * cone.height, 0), xytext=(-0.05 * cone.height, 0),
                   arrowprops={"arrowstyle": "->", "color": "black"})  # fmt: skip
     axes.text(-0.165 * cone.height, 0.04 * front, "travel", ha="center", va="bottom")
     axes.text(0.6 * cone.height, 0, f"β = {math.degrees(cone.half_angle):.1f}°", color="white", ha="left", va="center")
-    axes.legend(loc="upper left", fontsize="small")
     axes.set_title("Equivalent cone in section (equal height and surface)")
     axes.set_xlabel(f"along the axis [m]   (h = {cone.height:.3f} m, base radius {radius:.3f} m)")
     axes.set_ylabel("[m]")
@@ -154,6 +155,8 @@ def draw_force(axes: Axes, run: Run) -> None:
     axes.set_xlim(float(run.time[0]), float(run.time[-1]))
     axes.legend(loc="upper right", ncols=4, fontsize="small")
     low, high = axes.get_ylim()
+    # A force that stays the same would have its rounding magnified.
+    low, high = min(low, 0.95 * mean), max(high, 1.05 * mean)
     axes.set_ylim(low, high + 0.22 * (high - low))
 
 

@@ -51,7 +51,7 @@ class SavedRun(Saved):
     averages: Averages
     peak_force: float
     peak_deflection: float
-    specific_draft: float
+    specific_draft: float | None
     time: list[float]
     travel: list[float]
     speed: list[float]
@@ -70,13 +70,14 @@ class SavedRun(Saved):
             versions=versions(),
             averages=_floats(run.averages),
             ambient_share=float(run.scene.ambient_share),
+            specific_draft=run.specific_draft if run.scene.medium == "plastic" else None,
             **own,
             **arrays,
         )
 
 
 _ARRAYS = ("time", "travel", "speed", "deflection", "mount_force", "soil_resistance")
-_RUN = ("accuracy", "error_estimate", "seconds", "warnings", "peak_force", "peak_deflection", "specific_draft")
+_RUN = ("accuracy", "error_estimate", "seconds", "warnings", "peak_force", "peak_deflection")
 
 
 class SavedOptimum(Saved):

@@ -9,9 +9,10 @@ from functools import cached_property
 from typing import Literal
 
 from plough_opt.domain import check_domain
+from plough_opt.elastic import cone_force
 from plough_opt.errors import InputError
 from plough_opt.expressions import Expression, as_number, is_symbolic, sqrt
-from plough_opt.forces import SoilReaction, soil_reaction
+from plough_opt.forces import SoilReaction, loosened_radius, soil_reaction
 from plough_opt.geometry import PLANE_SECTIONS_LIMIT, Cone, Wedge
 from plough_opt.printed import Formulation, Printed, errors_of
 from plough_opt.soil import Soil
@@ -122,11 +123,15 @@ class Scene:
         mass: m of all that moves but the soil [kg], above 0: frame part and share (`Cone.solid_mass`).
         tow_speed: V0 of the strut [m/s], at least 0.
         effects: what to simulate.
+        medium: ``"plastic"``: the plastic gas; ``"elastic"``: the linear elastic medium, which gives the steady
+            contact force on the equivalent cone (`plough_opt.elastic.cone_force`, an order of magnitude) and no motion:
+            it takes ``Effects(motion=False)`` and none of the effects that vary the force along the path or in time.
 
     Every number may be a float or a CasADi expression.
 
     Raises:
         DomainError: a number outside its domain.
+        InputError: an unknown medium, or an effect that has no meaning in the elastic one.
     """
 
     soil: Soil
@@ -135,11 +140,33 @@ class Scene:
     mass: Expression
     tow_speed: Expression
     effects: Effects = field(default_factory=Effects)
+    medium: Literal["plastic", "elastic"] = "plastic"
 
     def __post_init__(self) -> None:
+        if self.medium not in ("plastic", "elastic"):
+            raise InputError(f"medium = {self.medium!r} must be 'plastic' or 'elastic'")
+        if self.medium == "elastic":
+            self._refuse_plastic_effects()
         check_domain("stiffness", self.stiffness, "N/m", above=0.0)
         check_domain("mass", self.mass, "kg", above=0.0, why="the share itself moves")
         check_domain("tow speed", self.tow_speed, "m/s", at_least=0.0)
+
+    def _refuse_plastic_effects(self) -> None:
+        """Refuse effects that have no meaning in the elastic medium."""
+        effects = self.effects
+        if effects.motion:
+            raise InputError(
+                "motion has no meaning in the elastic medium, which is solved for steady sliding only, and so has no"
+                " oscillation: take effects = Effects(motion=False), or medium = 'plastic'"
+            )
+        for name in ("strength_wave", "tow_ramp", "rate_term"):
+            if getattr(effects, name) is not None:
+                raise InputError(
+                    f"{name} has no meaning in the elastic medium, which has no strength and is solved for steady"
+                    " sliding only: leave it out, or take medium = 'plastic'"
+                )
+        if effects.printed.errors:
+            raise InputError("the printed formulation belongs to the plastic gas: take medium = 'plastic' for it")
 
     @cached_property
     def cone(self) -> Cone:
@@ -149,7 +176,10 @@ class Scene:
     @cached_property
     def reaction(self) -> SoilReaction:
         """F0 [N], Fd [N s^2/m^2] and added mass [kg], zero where the effect is off."""
-        full = self._reaction_of(self.soil if self.effects.ambient_pressure else self._soil_without_pressure)
+        soil = self.soil if self.effects.ambient_pressure else self._soil_without_pressure
+        if self.medium == "elastic":
+            return SoilReaction(static=cone_force(self.cone, soil, self.tow_speed), drag=0.0, added_mass=0.0)
+        full = self._reaction_of(soil)
         return SoilReaction(
             static=full.static,
             drag=full.drag if self.effects.inertial_drag else 0.0,
@@ -163,6 +193,17 @@ class Scene:
     def _reaction_of(self, soil: Soil) -> SoilReaction:
         """Return the whole reaction of a soil to this share, in the scene's formulation."""
         return self.effects.printed.reaction(soil_reaction(self.cone, soil))
+
+    @property
+    def loosened_radius(self) -> Expression:
+        """Radius r* of the compaction front at the share's base [m].
+
+        Raises:
+            InputError: the medium is elastic, and nothing is compacted for good.
+        """
+        if self.medium == "elastic":
+            raise InputError("the elastic medium has no compaction front and loosens nothing: take medium = 'plastic'")
+        return loosened_radius(self.cone, self.soil)
 
     @property
     def inertia(self) -> Expression:
@@ -193,8 +234,11 @@ class Scene:
 
     @property
     def ambient_share(self) -> Expression:
-        """Part of the static resistance F0 that the ambient pressure carries [-]; 0 where F0 is 0."""
-        if not self.effects.ambient_pressure:
+        """Part of the static resistance F0 that the ambient pressure carries [-]; 0 where F0 is 0.
+
+        In the elastic medium it is 0: the force there is gauge, and the pressure only keeps the contact.
+        """
+        if not self.effects.ambient_pressure or self.medium == "elastic":
             return 0.0
         bare = self._reaction_of(self._soil_without_pressure).static
         total = self.reaction.static
@@ -218,6 +262,11 @@ class Scene:
             found.append(
                 f"these are the source's equations as printed ({', '.join(errors)}), not physics: their results only"
                 " show what the print's errors do; for all else take formulation = 'derived'"
+            )
+        if self.medium == "elastic":
+            found.append(
+                "the elastic medium's force on a cone is an order of magnitude: strains on its face are of order one,"
+                " and its dependence on the speed is not to be trusted"
             )
         half_angle = float(as_number(self.cone.half_angle))
         if half_angle > PLANE_SECTIONS_LIMIT:

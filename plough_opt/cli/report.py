@@ -9,7 +9,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from plough_opt.design import LocalOptimum, Optimum
+from plough_opt.design import Limit, LocalOptimum, Optimum
 from plough_opt.motion import Run
 from plough_opt.motion.equation import Structure, equation_of_motion
 from plough_opt.problem_file import Problem
@@ -116,8 +116,11 @@ def _scene_table(problem: Problem, scene: Scene) -> Table:
             table.add_row(key, shown(problem, key, float(value), quantities()[key].symbol))
     table.add_row("half angle of the equivalent cone", _DEGREES.text(float(scene.cone.half_angle)))
     table.add_row("moving mass with the share", f"{float(scene.mass):.5g} kg")
-    table.add_row("added mass of soil", f"{float(scene.reaction.added_mass):.4g} kg")
-    table.add_row("ambient pressure's part of the static draft", f"{100.0 * float(scene.ambient_share):.0f} %")
+    if scene.medium == "plastic":
+        table.add_row("added mass of soil", f"{float(scene.reaction.added_mass):.4g} kg")
+        table.add_row("ambient pressure's part of the static draft", f"{100.0 * float(scene.ambient_share):.0f} %")
+    else:
+        table.add_row("medium", "linear elastic")
     return table
 
 
@@ -134,7 +137,8 @@ def _run_table(problem: Problem, run: Run) -> Table:
         ("draft per loosened section", "specific_draft"),
         ("loosened radius", "loosened_radius"),
     ):
-        table.add_row(label, shown(problem, name, float(MEASURES[name].of(run)), MEASURES[name].unit.symbol))
+        if run.scene.medium == "plastic" or not MEASURES[name].plastic:
+            table.add_row(label, shown(problem, name, float(MEASURES[name].of(run)), MEASURES[name].unit.symbol))
     table.add_row("peak mount force", shown(problem, "mount_force", run.peak_force, "N"))
     table.add_row("peak deflection", shown(problem, "deflection", run.peak_deflection, "m"))
     return table
@@ -160,11 +164,20 @@ def _limits_table(problem: Problem, best: Optimum) -> Table:
     for limit in best.limits:
         if limit.kind != "requirement":
             continue
-        low, high = (getattr(problem.table.require[limit.name], side) for side in ("at_least", "at_most"))
-        limits = ", ".join(f"{word} {x}" for word, x in (("at least", low), ("at most", high)) if x is not None)
         value, margin = (shown(problem, limit.name, x, limit.unit) for x in (limit.value, _rounded(limit.margin)))
-        table.add_row(limit.name, limits, value, margin, "[yellow]decides[/]" if limit.active else "")
+        table.add_row(
+            limit.name, _limits_text(problem, limit), value, margin, "[yellow]decides[/]" if limit.active else ""
+        )
     return table
+
+
+def _limits_text(problem: Problem, limit: Limit) -> str:
+    """Return limits as the file writes them; what a theory in it requires is not in the file."""
+    own = problem.table.require.get(limit.name)
+    if own is None:
+        return "of the theory"
+    sides = (("at least", own.at_least), ("at most", own.at_most))
+    return ", ".join(f"{word} {written}" for word, written in sides if written is not None)
 
 
 def _optima_table(problem: Problem, best: Optimum) -> Table:

@@ -124,7 +124,9 @@ def build_nlp(parts: Split, y: ca.MX, p: ca.MX, steps: list[int | None]) -> Nlp:
         p: parameters.
         steps: for each run, the number of steps, or None for the method it was written with.
     """
-    full = ca.Function("full", [y, p, *parts.results], list(parts.expressions)).expand()
+    full = ca.Function("full", [y, p, *parts.results], list(parts.expressions))
+    if not _holds_maps(full):
+        full = full.expand()
     inputs = [ca.Function("inputs", [y, p], [run.inputs]).expand() for run in parts.runs]
     runs = []
     for k, run in enumerate(parts.runs):
@@ -155,18 +157,19 @@ def build_nlp(parts: Split, y: ca.MX, p: ca.MX, steps: list[int | None]) -> Nlp:
 def _algebra(
     parts: Split, full: ca.Function, inputs: list[ca.Function], runs: list[RunInNlp], sizes: tuple[int, int]
 ) -> Algebra:
-    """Differentiate the algebra around the runs, in scalar form and over those results only that are used."""
-    y, p = ca.SX.sym("y", sizes[0]), ca.SX.sym("p", sizes[1])
-    used = [ca.SX.sym("o", run.size) for run in runs]
+    """Differentiate the algebra around the runs, in its own form and over those results only that are used."""
+    kind: Any = ca.SX if full.is_a("SXFunction") else ca.MX
+    y, p = kind.sym("y", sizes[0]), kind.sym("p", sizes[1])
+    used = [kind.sym("o", run.size) for run in runs]
     padded = [
-        ca.vertcat(ca.SX.zeros(symbol.numel() - results.numel()), results)
+        ca.vertcat(kind.zeros(symbol.numel() - results.numel()), results)
         for symbol, results in zip(parts.results, used, strict=True)
     ]
     objective, requirements = full(y, p, *padded)
-    o = _column(used, ca.SX)
-    theta = _column([f(y, p)[list(run.varying)] for f, run in zip(inputs, runs, strict=True)], ca.SX)
-    lam_f, lam_g = ca.SX.sym("lam_f"), ca.SX.sym("lam_g", requirements.numel())
-    weights = ca.SX.sym("c", theta.numel())
+    o = _column(used, kind)
+    theta = _column([f(y, p)[list(run.varying)] for f, run in zip(inputs, runs, strict=True)], kind)
+    lam_f, lam_g = kind.sym("lam_f"), kind.sym("lam_g", requirements.numel())
+    weights = kind.sym("c", theta.numel())
     lagrangian = lam_f * objective + ca.dot(lam_g, requirements)
     slopes = [ca.jacobian(e, v) for e in (objective, requirements) for v in (y, o)]
     curvature = [ca.hessian(lagrangian, ca.vertcat(y, o))[0], ca.gradient(lagrangian, o)]
@@ -199,6 +202,12 @@ def _hessian(algebra: Algebra, runs: list[RunInNlp], jets: list[ca.MX], at: tupl
     if runs:
         hessian += ca.mtimes([theta_y.T, _contracted(runs, jets, l_o), theta_y])
     return ca.triu(ca.densify(hessian))
+
+
+def _holds_maps(function: ca.Function) -> bool:
+    """Return whether a graph calls mapped Functions, of which a scalar form would hold every copy."""
+    calls = (k for k in range(function.n_instructions()) if function.instruction_id(k) == ca.OP_CALL)
+    return any(function.instruction_MX(k).which_function().is_a("Map") for k in calls)
 
 
 def _column(parts: list[Any], kind: Any = ca.MX) -> Any:

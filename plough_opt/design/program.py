@@ -66,7 +66,7 @@ class Program:
             self.declared = replace(declared, requirements=(*declared.requirements, *implied))
             self.exact = TightEvaluation(self.expressions, declared.symbols())
         self._refuse_idas()
-        self.owner = [k for k, r in enumerate(declared.requirements) for _ in range(r.expression.numel())]
+        self.owner = [k for k, r in enumerate(self.declared.requirements) for _ in range(r.expression.numel())]
         self._y, self._p = ca.MX.sym("y", len(declared.variables)), ca.MX.sym("p", len(declared.parameters))
         self.objective_scale = 1.0
         self.scales: list[float] = []

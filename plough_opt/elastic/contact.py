@@ -126,7 +126,9 @@ def _root(
     guess = low
     for _ in range(_ROOT_STEPS):
         span = at_high - at_low
-        crossing = (low * at_high - high * at_low) / where(absolute(span) > 0.0, span, 1.0)
+        # Both values are zero once the root is found to all its digits.
+        open_ = absolute(span) > 0.0
+        crossing = where(open_, (low * at_high - high * at_low) / where(open_, span, 1.0), high)
         # Cells without a change of sign have no root; there the guess must only stay finite.
         guess = minimum(maximum(crossing, ends[0]), ends[1])
         found = function(guess)

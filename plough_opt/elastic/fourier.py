@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from plough_opt.domain import check_domain
 from plough_opt.elastic import cone as cones
+from plough_opt.elastic import sources
 from plough_opt.elastic import wedge as wedges
 from plough_opt.elastic.medium import Medium, medium
 from plough_opt.errors import DomainError, InputError
@@ -148,7 +149,7 @@ def _cone(
     speed: float,
     order: int,
     section_factor: float,
-) -> tuple[cones.Potentials, Expression, Expression, Medium]:
+) -> tuple[sources.Potentials, Expression, Expression, Medium]:
     """Return the potentials of a slender body, its displaced section S(x), and r."""
     check_domain("section factor", section_factor, above=0.0)
     state, places, shape = _place(x, r, length, soil, speed, order)
@@ -173,7 +174,7 @@ def _cone(
         ]
         sections[k] = section(xk)
         found[k, 5] += (section(length) / 2.0 - sections[k]) / rk
-    potentials = cones.Potentials(*_shaped(found, shape))
+    potentials = sources.Potentials(*_shaped(found, shape))
     return potentials, _shaped(sections[:, None], shape)[0], _shaped(places[:, 1:], shape)[0], state
 
 

@@ -24,7 +24,7 @@ from plough_opt.soil import Soil
 
 # Beyond this many lengths of a piece, summed from both its ends, a Gauss rule keeps more digits than the
 # differences of the closed form.
-_FAR = 1.35
+_FAR = 1.6
 _FAR_NODES = 24
 # Keeps y ln(distance from a node) at its limit 0 on the node itself.
 _TINY = 1e-300

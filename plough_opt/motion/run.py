@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from plough_opt.accuracy import Accuracy
 from plough_opt.errors import InputError
 from plough_opt.expressions import Expression, column, is_casadi, sqrt
-from plough_opt.forces import loosened_radius
 from plough_opt.motion.equation import (
     Structure,
     parameters,
@@ -125,8 +124,8 @@ class Run:
 
     @property
     def specific_draft(self) -> Expression:
-        """Mean draft per loosened section pi r*^2 at the share's base [N/m^2]."""
-        return self.mean_draft / (math.pi * loosened_radius(self.scene.cone, self.scene.soil) ** 2)
+        """Mean draft per loosened section pi r*^2 at the share's base [N/m^2]; the elastic medium has none."""
+        return self.mean_draft / (math.pi * self.scene.loosened_radius**2)
 
     @property
     def peak_force(self) -> float:

@@ -82,6 +82,7 @@ class Problem:
             mass=values["scene.frame_mass"] + steel,
             tow_speed=values["scene.tow_speed"],
             effects=self._effects(values),
+            medium=self.table.scene.medium,
         )
 
     def _soil(self, values: Mapping[str, Expression]) -> Soil:

@@ -197,18 +197,20 @@ def _check_measures(source: Source, table: ProblemTable, displays: dict[str, Dis
     for kind, entries in kinds:
         for name, entry in entries.items():
             with source.noting((kind, name)):
-                _check_measure(source, (kind, name), entry.model_dump(exclude_none=True))
+                _check_measure(source, (kind, name), table.scene.medium, entry.model_dump(exclude_none=True))
                 for written in entry.model_dump(exclude_none=True).values():
                     displays[name] = display_of(written, MEASURES[name].unit)
 
 
-def _check_measure(source: Source, place: Keys, sides: Mapping[str, Any]) -> None:
+def _check_measure(source: Source, place: Keys, medium: str, sides: Mapping[str, Any]) -> None:
     """Check one term of the objective, or one requirement."""
     kind, name = place
     allowed = [m for m, measure in MEASURES.items() if kind == "require" or not measure.everywhere]
     if name not in allowed:
         verb = "minimised" if kind == "minimise" else "required"
         raise InputError(f"'{name}' cannot be {verb}: {nearest(name, allowed)}")
+    if MEASURES[name].plastic and medium == "elastic":
+        raise InputError(f"'{name}' has no meaning in the elastic medium: leave it out, or take medium = \"plastic\"")
     values = {}
     for side, written in sides.items():
         try:
@@ -251,8 +253,9 @@ def _check_value(problem: Problem, key: str, value: float) -> None:
     if key == "scene.duration":
         check_domain("duration", value, "s", above=0.0)
     alone = dataclasses.replace(problem, fixed={k: _PLAUSIBLE[k] for k in problem.values()}, variables={})
-    effects = EffectsTable()
-    alone = dataclasses.replace(alone, table=problem.table.model_copy(update={"effects": effects}))
+    scene = problem.table.scene.model_copy(update={"medium": "plastic"})
+    plain = problem.table.model_copy(update={"effects": EffectsTable(), "scene": scene})
+    alone = dataclasses.replace(alone, table=plain)
     alone.scene({key: value})
 
 

@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, StrictBool, StrictFloat, StrictInt, StrictStr
 
 from plough_opt.problem_file.units import Unit
-from plough_opt.scene import Effects
+from plough_opt.scene import Effects, Scene
 
 Length = Annotated[float, Unit("m")]
 Angle = Annotated[float, Unit("rad")]
@@ -60,6 +60,7 @@ class SceneTable(Table):
     steel_density: Density = 7850.0
     stiffness: Stiffness | None = None
     duration: Time | None = None
+    medium: Literal["plastic", "elastic"] = Scene.medium
     outputs: Annotated[StrictInt, Field(ge=1, le=100_000)] = 400
 
 

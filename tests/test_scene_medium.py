@@ -1,0 +1,170 @@
+"""Scenes in the elastic medium: the steady contact force, and nothing that has no meaning there."""
+
+import dataclasses
+import math
+
+import casadi as ca
+import numpy as np
+import pytest
+
+import plough_opt as po
+from plough_opt import elastic, plots
+from plough_opt.problem_file import read_problem
+from plough_opt.results import SavedRun
+
+SOIL = po.named_soil("serozem")
+SHARE = po.Wedge(po.deg(30), po.deg(15), 0.25)
+STEADY = po.Effects(motion=False)
+
+FILE = """
+title = "Elastic soil"
+[soil]
+name = "serozem"
+[share]
+chisel_angle = "15 deg"
+height = "0.2 m"
+[scene]
+frame_mass = "20 kg"
+duration = "1 s"
+stiffness = "500 kN/m"
+medium = "elastic"
+outputs = 4
+[effects]
+motion = false
+[variables]
+"scene.tow_speed" = { lower = "1 m/s", upper = "80 m/s", guess = "20 m/s" }
+"share.wedge_angle" = { lower = "5 deg", upper = "60 deg", guess = "25 deg" }
+[minimise]
+mean_draft = { per = "10 kN" }
+[require]
+half_angle = { at_least = "6 deg" }
+"""
+
+
+def scene(**changes):
+    return po.Scene(**({"soil": SOIL, "share": SHARE, "stiffness": 5e5, "mass": 20.0, "tow_speed": 2.0,
+                        "effects": STEADY, "medium": "elastic"} | changes))  # fmt: skip
+
+
+@pytest.fixture
+def file(tmp_path):
+    path = tmp_path / "elastic.toml"
+    path.write_text(FILE, encoding="utf-8")
+    return path
+
+
+@pytest.mark.parametrize("share", [SHARE, SHARE.equivalent_cone()], ids=["wedge", "cone"])
+def test_draft_is_the_contact_force_on_the_equivalent_cone(share):
+    force = elastic.cone_force(SHARE.equivalent_cone(), SOIL, 2.0)
+    run = po.simulate(scene(share=share), duration=1.0)
+    assert run.mean_draft == pytest.approx(force, rel=1e-14)
+    np.testing.assert_allclose(run.mount_force, force, rtol=1e-14)
+    np.testing.assert_allclose(run.deflection, force / 5e5, rtol=1e-14)
+    # Rounding of the average of one value.
+    assert run.force_rms <= 1e-14 * force
+    assert run.tow_power == pytest.approx(2.0 * force, rel=1e-14)
+
+
+def test_scene_carries_no_part_of_the_plastic_gas():
+    own = scene()
+    assert own.inertia == 20.0
+    assert own.reaction.drag == own.reaction.added_mass == own.ambient_share == 0.0
+    assert any("order of magnitude" in warning for warning in own.warnings())
+    assert not any("order of magnitude" in warning for warning in scene(medium="plastic").warnings())
+
+
+def test_ambient_pressure_only_keeps_the_contact():
+    # The face of a cone is pressed everywhere, so contact is never lost and the gauge force stays.
+    without = scene(effects=po.Effects(motion=False, ambient_pressure=False))
+    assert without.steady_resistance == pytest.approx(scene().steady_resistance, rel=1e-14)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"effects": po.Effects()}, r"motion has no meaning in the elastic medium.*Effects\(motion=False\)"),
+        (
+            {"effects": po.Effects(motion=False, strength_wave=po.StrengthWave(0.3, 0.2))},
+            "strength_wave has no meaning",
+        ),
+        ({"effects": po.Effects(motion=False, tow_ramp=0.1)}, "tow_ramp has no meaning"),
+        ({"effects": po.Effects(motion=False, rate_term=0.1)}, "rate_term has no meaning"),
+        (
+            {"effects": po.Effects(motion=False, formulation=po.Printed(repelling_spring=False))},
+            "printed formulation belongs to the plastic gas",
+        ),
+        ({"medium": "viscous"}, "medium = 'viscous' must be 'plastic' or 'elastic'"),
+    ],
+)
+def test_what_has_no_meaning_is_refused(changes, message):
+    with pytest.raises(po.InputError, match=message):
+        scene(**changes)
+
+
+def test_it_loosens_nothing():
+    run = po.simulate(scene(), duration=1.0)
+    with pytest.raises(po.InputError, match="no compaction front"):
+        _ = run.specific_draft
+    with pytest.raises(po.InputError, match="no compaction front"):
+        _ = scene().loosened_radius
+
+
+def test_soil_without_elastic_constants_and_a_speed_beyond_the_shear_wave_are_refused():
+    with pytest.raises(po.InputError, match="needs youngs_modulus"):
+        po.simulate(scene(soil=dataclasses.replace(SOIL, youngs_modulus=None)), duration=1.0)
+    with pytest.raises(po.DomainError, match=r"speed over shear wave speed = 1\.1"):
+        po.simulate(scene(tow_speed=1.1 * elastic.shear_wave_speed(SOIL)), duration=1.0)
+
+
+def test_symbolic_scene_has_the_force_and_its_derivatives():
+    speed, slope = ca.MX.sym("speed"), ca.MX.sym("slope")
+    cone = po.Cone(ca.atan(slope), 0.25)
+    run = po.simulate(scene(share=cone, tow_speed=speed), duration=1.0, outputs=3)
+    at = ca.vertcat(speed, slope)
+    hessian, gradient = ca.hessian(run.mean_draft, at)
+    value, first, second = (
+        part.full() for part in ca.Function("f", [at], [run.mean_draft, gradient, hessian])([20, 0.2])
+    )
+
+    def force(v, t):
+        return elastic.cone_force(po.Cone(math.atan(t), 0.25), SOIL, v)
+
+    step = 1e-3
+    assert value.item() == pytest.approx(force(20.0, 0.2), rel=1e-13)
+    slopes = [(force(20 + 20 * step, 0.2) - force(20 - 20 * step, 0.2)) / (40 * step),
+              (force(20, 0.2 + step) - force(20, 0.2 - step)) / (2 * step)]  # fmt: skip
+    # Second-order differences of a step of a thousandth.
+    np.testing.assert_allclose(first.ravel(), slopes, rtol=1e-4)
+    curvature = (force(20, 0.2 + step) - 2 * force(20, 0.2) + force(20, 0.2 - step)) / step**2
+    assert second[1, 1] == pytest.approx(curvature, rel=1e-4)
+
+
+def test_problem_file_takes_the_medium_and_its_design_keeps_below_the_shear_wave(file, tmp_path):
+    problem = read_problem(file)
+    assert problem.scene().medium == "elastic"
+    best, run = problem.optimise()
+    wave = elastic.shear_wave_speed(SOIL)
+    assert best.margins["elastic medium: speed over shear wave speed"] == pytest.approx(
+        1.0 - best.variables["scene.tow_speed"] / wave, rel=1e-9
+    )
+    assert run.mean_draft == pytest.approx(best.objective * 1e4, rel=1e-9)
+    saved = SavedRun.of(run, problem.title)
+    assert saved.specific_draft is None
+    plots.save(plots.plot_optimum(best, run), tmp_path / "elastic.png")
+    assert (tmp_path / "elastic.png").stat().st_size > 10_000
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "line", "message"),
+    [
+        ("motion = false", "motion = true", 15, "motion has no meaning in the elastic medium"),
+        ("half_angle = ", "loosened_radius = ", 22, "'loosened_radius' has no meaning in the elastic medium"),
+        ('medium = "elastic"', 'medium = "elastc"', 12, "elastic"),
+    ],
+)
+def test_problem_file_refuses_with_the_line(file, old, new, line, message):
+    text = FILE.replace(old, new).replace('"6 deg"', '"0.1 m"' if "radius" in new else '"6 deg"')
+    file.write_text(text, encoding="utf-8")
+    with pytest.raises(po.InputError, match=message) as refusal:
+        read_problem(file)
+    assert f"line {line}" in str(refusal.value)

@@ -1,0 +1,131 @@
+"""Labels: a call in a graph that changes nothing, and can be found again."""
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from plough_opt.labels import Limit, attach, label_of
+
+LOW = Limit("something", at_most=2.0, unit="m")
+HIGH = Limit("something else", at_most=3.0)
+
+POINT = np.array([0.7, -1.3, 2.1])
+
+
+def whole(*outputs, symbol):
+    return ca.Function("whole", [symbol], list(outputs), {"never_inline": True})
+
+
+def labels_in(expression, symbol):
+    """Return the labels that an expression's graph calls, with the Functions that have none."""
+    function = whole(expression, symbol=symbol)
+    nodes = [function.instruction_MX(k) for k in range(function.n_instructions())]
+    calls = [
+        node.which_function()
+        for k, node in enumerate(nodes)
+        if function.instruction_id(k) == ca.OP_CALL  # other nodes have no function
+    ]
+    return [label_of(call) for call in calls]
+
+
+VALUES = {
+    "scalar": lambda x: ca.sin(x[0]) * ca.exp(x[1]) + x[2] ** 3,
+    "column": lambda x: ca.vertcat(x[0] * x[1], ca.cos(x[2]), x[0] ** 2),
+    "matrix": lambda x: x @ x.T,
+    "sparse": lambda x: ca.diag(x**2),
+}
+
+
+@pytest.mark.parametrize("value", VALUES.values(), ids=VALUES)
+def test_value_and_all_derivatives_pass_unchanged(value):
+    x = ca.MX.sym("x", 3)
+    plain = value(x)
+    labelled = attach(plain, ca.vertcat(x[0] * x[1], x[2]), LOW, LOW)
+    assert labelled.shape == plain.shape
+    found = []
+    for y in (plain, labelled):
+        y = ca.vec(ca.densify(y))
+        jacobian = ca.jacobian(y, x)
+        weights = ca.DM(np.linspace(1.0, 2.0, y.numel()))
+        hessian, gradient = ca.hessian(ca.dot(weights, y), x)
+        forward, reverse = ca.jtimes(y, x, ca.DM([1.0, 2.0, 3.0])), ca.jtimes(y, x, weights, True)
+        third = ca.jacobian(ca.vec(hessian), x)
+        function = whole(y, jacobian, gradient, hessian, forward, reverse, third, symbol=x)
+        found.append([np.asarray(part) for part in function(POINT)])
+    for own, wanted in zip(found[1], found[0], strict=True):
+        # The chain through the label adds terms in another order, nothing else.
+        np.testing.assert_allclose(own, wanted, rtol=4e-16, atol=4e-16 * np.max(np.abs(wanted)))
+
+
+def test_what_is_carried_has_no_influence_not_even_where_it_has_no_value():
+    x = ca.MX.sym("x")
+    y = attach(x**3, ca.vertcat(ca.sqrt(-x), ca.log(-x)), LOW, LOW)
+    hessian, gradient = ca.hessian(y, x)
+    assert [float(part) for part in whole(y, gradient, hessian, symbol=x)(2.0)] == [8.0, 12.0, 12.0]
+
+
+def test_a_label_is_found_with_its_meaning_and_what_it_carries():
+    x = ca.MX.sym("x", 3)
+    y = attach(ca.sin(x[0]), ca.vertcat(x[1], 2.0 * x[2]), LOW, LOW)
+    function = whole(ca.exp(y) + 1.0, symbol=x)
+    calls = [k for k in range(function.n_instructions()) if function.instruction_id(k) == ca.OP_CALL]
+    (node,) = (function.instruction_MX(k) for k in calls)
+    assert label_of(node.which_function()).meaning is LOW
+    carried = ca.Function("carried", ca.symvar(node.dep(1)), [node.dep(1)])
+    assert np.asarray(carried(POINT)).ravel().tolist() == [-1.3, 4.2]
+
+
+def test_labels_of_labels_are_all_found():
+    x = ca.MX.sym("x")
+    inner = attach(x**2, x, LOW, LOW)
+    outer = attach(ca.exp(inner), 2.0 * x, HIGH, HIGH)
+    assert {label.meaning for label in labels_in(outer, x)} == {LOW, HIGH}
+    gradient = whole(ca.jacobian(outer, x), symbol=x)
+    assert float(gradient(0.5)) == pytest.approx(np.exp(0.25), rel=4e-16)
+
+
+def test_equal_keys_share_a_function_and_others_do_not():
+    x = ca.MX.sym("x", 3)
+    first, again = (attach(x[k], x[2], LOW, LOW) for k in (0, 1))
+    other, wider = attach(x[0], x[2], HIGH, HIGH), attach(x[0], x, LOW, LOW)
+    functions = []
+    for expression in (first, again, other, wider):
+        node = whole(expression, symbol=x)
+        functions += [
+            hash(node.instruction_MX(k).which_function())
+            for k in range(node.n_instructions())
+            if node.instruction_id(k) == ca.OP_CALL
+        ]
+    assert len(functions) == 4
+    assert functions[0] == functions[1]
+    assert len(set(functions)) == 3
+
+
+def test_numbers_and_scalar_symbols_carry_nothing():
+    x, m = ca.SX.sym("x"), ca.MX.sym("m")
+    for value, carried in [
+        (1.5, m),
+        (np.array([1.0, 2.0]), m),
+        (ca.DM([1.0, 2.0]), m),
+        (x, x),
+        (m, ca.MX(2.0)),
+        (m, 2.0),
+        (m, ca.DM(2.0)),
+    ]:
+        assert attach(value, carried, LOW, LOW) is value
+
+
+def test_other_functions_have_no_label():
+    x = ca.MX.sym("x")
+    stranger = ca.Function("label", [x], [x**2], {"never_inline": True})
+    assert label_of(stranger) is None
+    assert labels_in(stranger(x) + attach(x, x, LOW, LOW), x).count(None) == 1
+
+
+def test_a_graph_with_a_label_is_substituted_and_evaluated_as_any_other():
+    x, z = ca.MX.sym("x"), ca.MX.sym("z")
+    y = attach(x**2, x, LOW, LOW)
+    (moved,) = ca.graph_substitute([y], [x], [3.0 * z])
+    assert float(whole(moved, symbol=z)(2.0)) == 36.0
+    assert [label.meaning for label in labels_in(moved, z)] == [LOW]
+    assert float(ca.Function("f", [x], [y]).map(3)([1.0, 2.0, 3.0])[2]) == 9.0

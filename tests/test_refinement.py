@@ -1,0 +1,186 @@
+"""`refine`: error against time, on quadratures whose errors are known."""
+
+import math
+import re
+from itertools import pairwise
+
+import casadi as ca
+import numpy as np
+import pytest
+
+import plough_opt as po
+from plough_opt import refinement
+from plough_opt.quadrature import gauss_legendre
+from plough_opt.refinement import Refinement
+
+
+def gauss(function, order):
+    """Integral of a function from 0 to 1."""
+    nodes, weights = gauss_legendre(order)
+    return math.fsum(w * function(x) for x, w in zip(nodes, weights, strict=True))
+
+
+def midpoints(count):
+    """Integral of exp from 0 to 1 by the midpoint rule."""
+    return math.fsum(math.exp((k + 0.5) / count) for k in range(count)) / count
+
+
+def test_errors_are_those_of_the_gauss_rule_of_exp():
+    found = po.refine(lambda order: gauss(math.exp, order), [1, 2, 3, 4, 5])
+    truth = math.e - 1.0
+    assert found.sizes == (1, 2, 3, 4, 5)
+    for order, error in zip(found.sizes, found.errors, strict=True):
+        # The remainder is (n!)^4/((2n + 1) (2n)!^3) exp(xi) with xi between 0 and 1.
+        least = math.factorial(order) ** 4 / ((2 * order + 1) * math.factorial(2 * order) ** 3) / truth
+        assert error == pytest.approx(abs(gauss(math.exp, order) - truth) / truth, abs=3e-16)
+        assert least <= error + 3e-16 <= math.e * least + 6e-16
+    assert found.errors[0] > 1e4 * found.errors[2] > 1e6 * found.errors[4] > 0.0
+
+
+def test_the_order_of_a_method_is_recovered():
+    # The reference is at twice the largest size, so its own error, a quarter of the last, is taken off.
+    found = po.refine(midpoints, [4, 8, 16, 32])
+    error = found.errors + (abs(midpoints(64) - (math.e - 1.0))) / midpoints(64)
+    rates = [math.log2(coarse / fine) for coarse, fine in pairwise(error)]
+    np.testing.assert_allclose(rates, 2.0, atol=4e-3)
+    assert found.errors[-1] == pytest.approx(0.75 * error[-1], rel=1e-3)
+
+
+def test_errors_of_arrays_are_the_largest_relative_to_the_largest_value():
+    # Of the reference (2, -20, 2) the entries are off by 1/size, 4/size, 0.
+    found = po.refine(lambda size: np.array([2.0 + 1.0 / size, -20.0 + 4.0 / size, 2.0]), [1, 2, 4])
+    reference = 20.0 - 4.0 / 8
+    np.testing.assert_allclose(found.errors, [4.0 * (1.0 / n - 1.0 / 8) / reference for n in (1, 2, 4)], rtol=1e-14)
+
+
+def test_errors_of_a_quantity_that_tends_to_zero_are_absolute():
+    found = po.refine(lambda size: 0.0 if size > 4 else 1.0 / size, [1, 2, 4])
+    assert found.errors.tolist() == [1.0, 0.5, 0.25]
+
+
+def test_numbers_of_every_kind_are_taken():
+    for kind in (float, np.float64, np.array, ca.DM, ca.SX, ca.MX):
+        found = po.refine(lambda size, kind=kind: kind(1.0 + 1.0 / size), [1, 2])
+        np.testing.assert_allclose(found.errors, [0.75 / 1.25, 0.25 / 1.25], rtol=1e-15)
+
+
+def test_sizes_are_sorted_and_each_tried_once():
+    tried = []
+
+    def quantity(size):
+        tried.append(size)
+        return float(size)
+
+    found = po.refine(quantity, [8, 2, 2, 4])
+    assert found.sizes == (2, 4, 8)
+    assert tried[0] == 16  # what the others are judged by
+    assert set(tried) == {2, 4, 8, 16}
+    assert tried.count(16) == 1
+
+
+def test_time_is_that_of_one_evaluation(monkeypatch):
+    clock = [0.0]
+    monkeypatch.setattr(refinement.time, "perf_counter", lambda: clock[0])
+
+    def quantity(size):
+        clock[0] += 0.25 * size
+        return 1.0 / size
+
+    found = po.refine(quantity, [2, 4, 8])
+    assert found.seconds.tolist() == [0.5, 1.0, 2.0]
+    assert found.cost.tolist() == [1.0, 2.0, 4.0]
+
+
+def test_one_slow_evaluation_does_not_count(monkeypatch):
+    clock, calls = [0.0], []
+    monkeypatch.setattr(refinement.time, "perf_counter", lambda: clock[0])
+
+    def quantity(size):
+        calls.append(size)
+        clock[0] += 100.0 if len(calls) == 4 else 1.0
+        return 1.0 / size
+
+    assert po.refine(quantity, [1]).seconds.tolist() == [1.0]
+    assert len(calls) > 4
+
+
+STUDY = Refinement((2, 4, 8, 16), np.array([0.01, 3e-6, 9.9e-15, 1e-16]), np.array([2e-3, 1e-3, 3e-3, 25e-3]))
+
+
+@pytest.mark.parametrize(
+    ("error", "size"), [(1.0, 2), (0.01, 2), (0.0099, 4), (3e-6, 4), (1e-6, 8), (1e-14, 8), (1e-15, 16), (1e-16, 16)]
+)
+def test_size_for_an_error_is_the_smallest_that_reaches_it(error, size):
+    assert STUDY.size_for(error) == size
+
+
+@pytest.mark.parametrize("error", [9e-17, 0.0])
+def test_an_error_out_of_reach_is_refused_with_the_largest_size_tried(error):
+    with pytest.raises(po.InputError, match=f"no size up to 16 reaches a relative error of {error:g}: try larger"):
+        STUDY.size_for(error)
+
+
+def test_the_table_shows_size_error_and_cost():
+    lines = str(STUDY).splitlines()
+    assert re.split(r"\s{2,}", lines[0].strip()) == ["size", "relative error", "time, fastest = 1"]
+    rows = [line.split() for line in lines[1:5]]
+    assert rows == [
+        ["2", "1.0e-02", "2.0"],
+        ["4", "3.0e-06", "1.0"],
+        ["8", "9.9e-15", "3.0"],
+        ["16", "1.0e-16", "25.0"],
+    ]
+    assert len({len(line) for line in lines[:5]}) == 1
+    assert lines[5:] == ["8 reaches rounding; more costs time and gains nothing."]
+
+
+def test_the_sentence_on_rounding_waits_for_it():
+    short = Refinement((2, 4), np.array([0.01, 1.1e-14]), np.array([1e-3, 1e-3]))
+    assert "rounding" not in str(short)
+    assert len(str(short).splitlines()) == 3
+    assert str(po.refine(lambda order: gauss(math.exp, order), [4, 8])).endswith(
+        "8 reaches rounding; more costs time and gains nothing."
+    )
+
+
+@pytest.mark.parametrize("sizes", [[], [0, 4], [-2], [4, 0]])
+def test_sizes_that_are_none_are_refused(sizes):
+    with pytest.raises(po.InputError) as caught:
+        po.refine(float, sizes)
+    assert str(sizes) in str(caught.value)
+    assert "from 1 on" in str(caught.value)
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf, np.array([1.0, math.nan])])
+@pytest.mark.parametrize("where", [2, 8])
+def test_a_result_that_is_not_finite_is_refused_with_its_size(bad, where):
+    with pytest.raises(po.InputError, match=f"the result at size {where} is not finite"):
+        po.refine(lambda size: bad if size == where else np.ones(np.shape(bad)), [2, 4])
+
+
+def test_symbols_are_refused():
+    with pytest.raises(po.InputError, match="holds symbols"):
+        po.refine(lambda size: size * ca.SX.sym("x"), [2, 4])
+
+
+def test_orders_of_a_density_profile_and_knots_on_a_smooth_share():
+    soil = po.named_soil("serozem")
+    cone = po.Cone(po.deg(12.0), 0.25)
+
+    def draft(order):
+        ground = soil.with_density_profile(lambda r, w: 1500.0 + 200.0 / (1.0 + (r / w) ** 2), 0.15, order=order)
+        return po.resistance(cone, ground, 2.0, 0.0)
+
+    study = po.refine(draft, [2, 4, 8, 16])
+    assert all(fine < coarse / 10 for coarse, fine in pairwise(study.errors[:3]))
+    assert study.errors[3] < 1e-11
+    assert study.size_for(1e-4) <= 8
+
+    def stress(count):
+        nodes = po.elastic.knots(lambda x: 0.06 * x * (1.0 - x), 0.5, count)
+        return po.elastic.wedge_stress(0.2, 0.3, nodes, soil, 2.0).yy
+
+    error = po.refine(stress, [8, 16, 32, 64, 128]).errors[:3]
+    # Straight pieces: second order; the reference at 256 leaves 1/1000 of the first error.
+    rates = [math.log2(coarse / fine) for coarse, fine in pairwise(error)]
+    np.testing.assert_allclose(rates, 2.0, atol=0.1)

@@ -8,13 +8,17 @@ from pathlib import Path
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 
 from plough_opt.design import Optimum
+from plough_opt.elastic import wedge_stress
+from plough_opt.elastic.profile import Profile, body
 from plough_opt.errors import InputError
 from plough_opt.geometry import Wedge
 from plough_opt.motion import Run
 from plough_opt.motion.equation import Structure, parameters, start_speed, strut
 from plough_opt.scene import Scene
+from plough_opt.soil import Soil
 
 FORMATS = ("png", "svg", "pdf")
 _STEEL, _SOIL, _FORCE, _ACCENT, _MUTED = "#4a5a68", "#b98b5e", "#1f5f8b", "#c0392b", "#8a8a8a"
@@ -56,10 +60,45 @@ def check_format(path: str | Path) -> None:
 
 def plot_share(scene: Scene) -> Figure:
     """Draw the share's faces laid flat beside its equivalent cone in the soil, to one scale."""
-    figure = Figure(figsize=(10, 4.2), layout="constrained")
-    left, right = figure.subplots(1, 2)
-    draw_wedge(left, scene)
+    figure = Figure(figsize=(13, 4.4), layout="constrained")
+    left, right = figure.subplots(1, 2, sharey=True, width_ratios=(1.0, 1.24))
     draw_cone(right, scene)
+    right.set_ylabel("")
+    half_width = right.get_ylim()[1]
+    draw_wedge(left, scene)
+    half_width = max(half_width, left.get_ylim()[1])
+    left.set_ylim(-half_width, half_width)
+    return figure
+
+
+def plot_wedge_field(profile: Profile, soil: Soil, speed: float) -> Figure:
+    """Draw the stresses across and along which a thin wedge puts an elastic soil, sigma_yy and sigma_xy.
+
+    Args:
+        profile: nodes (x, half thickness) [m], or a share, as in `plough_opt.elastic.wedge_stress`.
+        soil: with elastic constants.
+        speed: of the wedge [m/s], up to the shear wave's.
+    """
+    wedge = body(profile)
+    length = wedge.places[-1] - wedge.places[0]
+    x = wedge.places[0] + length * np.linspace(-0.6, 1.6, 221)
+    y = length * np.linspace(-0.8, 0.8, 162)  # an even number: the nodes lie between two rows
+    along, across = np.meshgrid(x, y)
+    field = wedge_stress(along, across, profile, soil, speed)
+    figure = Figure(figsize=(12, 4.8), layout="constrained")
+    for axes, name, values in zip(figure.subplots(1, 2), ("yy", "xy"), (field.yy, field.xy), strict=True):
+        # Stresses are infinite at the nodes: the scale ends where all but the last hundredth of the field does.
+        largest = float(np.quantile(np.abs(values), 0.99)) / 1e3
+        levels = MaxNLocator(20, symmetric=True).tick_values(-largest, largest)
+        filled = axes.contourf(x, y, values / 1e3, levels, cmap="RdBu", extend="both")
+        figure.colorbar(filled, ax=axes, label=f"$\\sigma_{{{name}}}$ [kPa], tension positive")
+        heights = np.array(wedge.heights)
+        axes.fill_between(wedge.places, -heights, heights, facecolor=_STEEL, edgecolor="black")
+        axes.annotate("", xy=(x[0] + 0.06 * length, 0), xytext=(x[0] + 0.3 * length, 0),
+                      arrowprops={"arrowstyle": "->", "color": "black"})  # fmt: skip
+        axes.set_aspect("equal")
+        axes.set_xlabel("x behind the tip [m]")
+        axes.set_ylabel("y across [m]")
     return figure
 
 
@@ -138,7 +177,7 @@ def draw_cone(axes: Axes, scene: Scene) -> None:
                   arrowprops={"arrowstyle": "->", "color": "black"})  # fmt: skip
     axes.text(-0.165 * cone.height, 0.04 * front, "travel", ha="center", va="bottom")
     axes.text(0.6 * cone.height, 0, f"β = {math.degrees(cone.half_angle):.1f}°", color="white", ha="left", va="center")
-    axes.set_title("Equivalent cone in section (equal height and surface)")
+    axes.set_title("Cone of equal height and surface, in section")
     axes.set_xlabel(f"along the axis [m]   (h = {cone.height:.3f} m, base radius {radius:.3f} m)")
     axes.set_ylabel("[m]")
     _pad(axes, cone.height, front, ahead=0.35 * cone.height)
@@ -199,5 +238,6 @@ def draw_scan(axes: Axes, best: Optimum) -> None:
 def _pad(axes: Axes, length: float, half_width: float, ahead: float = 0.0) -> None:
     """Show lengths to scale, with a margin around the drawing."""
     axes.set_aspect("equal")
+    axes.locator_params(nbins=6)
     axes.set_xlim(-ahead - 0.06 * length, 1.08 * length)
     axes.set_ylim(-1.2 * half_width, 1.2 * half_width)

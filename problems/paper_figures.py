@@ -1,4 +1,4 @@
-"""Figures 2 to 7 of the source, drawn anew, with what its Discussion says of them set beside what (27) gives.
+"""Figures 1 to 7 of the source, drawn anew, with what its Discussion says of them set beside what (27) gives.
 
     python problems/paper_figures.py --folder out
 
@@ -144,17 +144,19 @@ def part_above_zero(t: NDArray[np.float64], z: NDArray[np.float64], end: float) 
 # --- figures ---
 
 
+def figure_1() -> Figure:
+    """Draw the stresses around a curved thin wedge in the linear elastic medium, equations (1) and (2)."""
+    length = CHOICE.height
+    profile = po.elastic.knots(lambda x: 0.2 * x * (1.0 - x / (2.0 * length)), length, 12)
+    figure = plots.plot_wedge_field(profile, po.named_soil("loose sandy loam"), CHOICE.tow_speed)
+    figure.suptitle("Fig. 1. A curved thin wedge moves through a linear elastic soil")
+    return figure
+
+
 def figure_2() -> Figure:
     """Draw the share's faces beside its equivalent cone, to one scale, with the compacted soil of b1 = 0.8."""
     shown = scene(0.8, 50.0)
-    figure = Figure(figsize=(13, 4.4), layout="constrained")
-    left, right = figure.subplots(1, 2, sharey=True, width_ratios=(1.0, 1.24))
-    plots.draw_cone(right, shown)
-    plots.draw_wedge(left, shown)
-    for axes in (left, right):
-        axes.locator_params(nbins=6)
-    right.set_ylabel("")
-    right.set_title("Cone of equal height and surface, in section")
+    figure = plots.plot_share(shown)
     figure.suptitle("Fig. 2. Share and equivalent cone")
     return figure
 
@@ -249,6 +251,7 @@ def runaway(printed: po.Scene) -> float:
 
 
 FIGURES: dict[str, Callable[[], Figure]] = {
+    "figure_1": figure_1,
     "figure_2": figure_2,
     "figure_3": figure_3,
     "figure_4": lambda: figure_travel(4, 50.0),
@@ -381,7 +384,7 @@ def retreat() -> str:
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Draw the figures into a folder and print the claims beside what the equations give."""
-    parser = argparse.ArgumentParser(description="Figures 2 to 7 of the source, and what its Discussion says of them.")
+    parser = argparse.ArgumentParser(description="Figures 1 to 7 of the source, and what its Discussion says of them.")
     parser.add_argument("--folder", type=Path, default=Path("out"), help="where the pictures go (default: out)")
     folder = parser.parse_args(arguments).folder
     console = Console()

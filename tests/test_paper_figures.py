@@ -227,7 +227,7 @@ def test_the_printed_share_runs_away_exponentially_and_with_drag_faster(paper):
 def test_the_script_writes_every_picture_and_the_table(paper, tmp_path, capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", "200")
     paper.main(["--folder", str(tmp_path / "figures")])
-    names = [f"figure_{n}.png" for n in range(2, 8)] + ["printed.png"]
+    names = [f"figure_{n}.png" for n in range(1, 8)] + ["printed.png"]
     assert sorted(path.name for path in (tmp_path / "figures").iterdir()) == sorted(names)
     for name in names:
         image = matplotlib.image.imread(tmp_path / "figures" / name)

@@ -2,6 +2,7 @@
 
 import dataclasses
 import xml.etree.ElementTree as ET
+from dataclasses import replace
 
 import matplotlib.image
 import matplotlib.pyplot
@@ -109,9 +110,18 @@ class TestShare:
         assert isinstance(figure, Figure)
         wedge, cone = figure.axes
         assert "faces" in wedge.get_title()
-        assert "cone" in cone.get_title()
+        assert "Cone" in cone.get_title()
         assert wedge.get_aspect() == cone.get_aspect() == 1.0
-        assert wedge.get_ylabel() == cone.get_ylabel() == "[m]"
+        assert wedge.get_ylabel() == "[m]"
+        assert wedge.get_ylim() == cone.get_ylim()
+
+    def test_the_scale_holds_the_wider_of_the_two(self, scene):
+        denser = replace(scene, soil=replace(scene.soil, density_ratio=0.99))
+        wide = po.loosened_radius(denser.cone, denser.soil)
+        assert wide > scene.share.height * np.tan(scene.share.angle)
+        wedge, cone = plots.plot_share(denser).axes
+        assert wedge.get_ylim() == cone.get_ylim()
+        assert cone.get_ylim()[1] > wide
 
     def test_it_says_the_angles_and_the_loosened_radius(self, scene):
         wedge, cone = plots.plot_share(scene).axes
@@ -239,3 +249,16 @@ def test_figures_are_not_kept_by_matplotlib(run, scene):
     plots.plot_run(run)
     plots.plot_share(scene)
     assert matplotlib.pyplot.get_fignums() == []
+
+
+class TestWedgeField:
+    def test_it_draws_both_stresses_around_the_body(self):
+        nodes = [(0.0, 0.0), (0.1, 0.02), (0.2, 0.02)]
+        figure = plots.plot_wedge_field(nodes, po.named_soil("serozem"), 2.0)
+        labels = [axes.get_ylabel() for axes in figure.axes]
+        assert sum("sigma_{yy}" in label for label in labels) == 1
+        assert sum("sigma_{xy}" in label for label in labels) == 1
+        for axes in figure.axes[:2]:
+            assert axes.get_aspect() == 1.0
+            assert axes.get_xlim()[0] < 0.0
+            assert axes.get_xlim()[1] > 0.2

@@ -31,8 +31,8 @@ _FRONT_STEPS = 14
 # What it must leave of the front's equation, relative to R^2, and the rounding of its terms, relative to r*^2.
 _FRONT_RESIDUAL = 1e-12
 _FRONT_ROUNDING = 4e-15
-# Stands for a bound that is not known yet.
-_UNBOUNDED = 1e150
+# (r*/R)^2 beyond which there is no front: a density ratio b1 of 1 - 1e-13.
+_FURTHEST = 1e13
 
 
 def ratio(r: Expression, soil: Soil) -> Expression:
@@ -73,7 +73,7 @@ def _front_square(square: Expression, soil: Soil) -> Expression:
 
     The function rises with the slope 1 - b, and R^2 lies below its root.
     """
-    low, high = square, square + _UNBOUNDED
+    low, high = square, 10.0 * _FURTHEST * square
     x = square
     for _ in range(_FRONT_STEPS):
         r = sqrt(x)
@@ -84,7 +84,7 @@ def _front_square(square: Expression, soil: Soil) -> Expression:
         inside = (step >= low) * (step <= high) * (slope > 0.0)
         x = where(inside, step, sqrt(low * high))
     residual = absolute(x * (1.0 - mean_ratio(sqrt(x), soil)) - square)
-    missed = residual > _FRONT_RESIDUAL * square + _FRONT_ROUNDING * x
+    missed = maximum(residual - _FRONT_RESIDUAL * square - _FRONT_ROUNDING * x, x - _FURTHEST * square) > 0.0
     if not is_symbolic(missed) and np.any(as_number(missed)):
         widest = float(np.sqrt(np.max(as_number(square))))
         raise DomainError(

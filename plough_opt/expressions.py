@@ -26,6 +26,8 @@ Expression: TypeAlias = Any
 _EXPM1_TERMS = 24
 _ATANH_TERMS = 32
 _SERIES_BELOW = 0.5
+# Characters of an expression that a message quotes.
+_LONGEST_SHOWN = 80
 
 
 COUNT = {"quantity": False}
@@ -49,7 +51,9 @@ def as_number(value: Expression) -> NDArray[np.float64]:
         InputError: the expression still holds symbols.
     """
     if is_symbolic(value):
-        raise InputError(f"'{value}' holds symbols and so has no value yet: evaluate it with best(...)")
+        text = str(value)
+        shown = text if len(text) <= _LONGEST_SHOWN else f"{text[:_LONGEST_SHOWN]}..."
+        raise InputError(f"'{shown}' holds symbols and so has no value yet: evaluate it with best(...)")
     if isinstance(value, ca.SX):
         value = ca.DM(value)
     elif isinstance(value, ca.MX):

@@ -145,6 +145,7 @@ def front_speed(cavity: Cavity, soil: Soil) -> Expression:
     if soil.density_profile is None:
         return cavity.rate * exp(-log1p(-soil.density_ratio) / 2.0)
     r = front_radius(cavity, soil)
+    check_domain("front radius", r, "m", above=0.0, why="a density profile has no front speed at the tip")
     return cavity.radius * cavity.rate / (r * (1.0 - ratio(r, soil)))
 
 
@@ -228,7 +229,9 @@ def stress(r: Expression, cavity: Cavity, soil: Soil) -> Stress:
     _check_behind(r, r_front)
     pressure = _pressure(r, r_front, cavity, soil)
     yielding = _Yielding.of(soil)
-    tangential = ((1.0 - yielding.mu) * pressure - yielding.tau0) / (1.0 + yielding.mu)
+    # (1 - mu)/(1 + mu), of which nothing is left beside 90 degrees if it is computed so.
+    transferred = (cos(soil.friction_angle) / (1.0 + yielding.mu)) ** 2
+    tangential = transferred * pressure - yielding.tau0 / (1.0 + yielding.mu)
     return Stress(radial=-pressure, tangential=-tangential)
 
 
@@ -236,7 +239,7 @@ def quadrature_error(r: Expression, cavity: Cavity, soil: Soil) -> float:
     """Return an estimate of the relative error that the order of a density profile's quadrature leaves in `stress`.
 
     It is the largest difference from the stress with half as many nodes again, relative to the largest stress; 0 for a
-    constant density. For numbers.
+    constant density. For numbers. A radius between the fronts of the two is taken at the nearer one.
 
     Raises:
         DomainError: as `stress`.
@@ -246,13 +249,17 @@ def quadrature_error(r: Expression, cavity: Cavity, soil: Soil) -> float:
     if profile is None:
         return 0.0
     finer = replace(soil, density_profile=replace(profile, order=profile.order + profile.order // 2 + 1))
-    own, better = (as_number(stress(r, cavity, ground).radial) for ground in (soil, finer))
+    nearer = min(float(as_number(front_radius(cavity, ground))) for ground in (soil, finer))
+    _check_behind(r, front_radius(cavity, soil))
+    places = np.minimum(as_number(r), nearer)
+    own, better = (as_number(stress(places, cavity, ground).radial) for ground in (soil, finer))
     return float(np.max(np.abs(own - better)) / np.max(np.abs(better)))
 
 
 def _check_behind(r: Expression, r_front: Expression) -> None:
     """Refuse numbers that are no Lagrangian radius behind the front."""
     check_domain("Lagrangian radius", r, "m", at_least=0.0)
+    check_domain("front radius", r_front, "m", above=0.0, why="around a cavity without radius no soil has moved")
     # Rounding, or the tolerance of the front's equation, may put the front itself ahead of itself.
     check_domain(
         "Lagrangian radius over front radius", r / r_front, at_most=1.0 + 1e-11, why="ahead of the front nothing moves"
@@ -277,7 +284,8 @@ def _pressure(r: Expression, r_front: Expression, cavity: Cavity, soil: Soil) ->
         slowing = (cavity.radius * cavity.rate / y) ** 2 * expm1_ratio((yielding.nu - 2.0) * log)
         inertial = log_over_b1 * (spreading * growth - slowing)
     else:
-        log = log1p((r_front - y) * (r_front + y) / y**2) / 2.0
+        # The difference of the squares of front and particle, both of which hold R^2.
+        log = log1p((mean_ratio(r_front, soil) * r_front**2 - mean_ratio(r, soil) * r**2) / y**2) / 2.0
         growth = expm1_ratio(yielding.nu * log)
         jump = (cavity.radius * cavity.rate / r_front) ** 2 / (1.0 - ratio(r_front, soil))
         swelling, spreading = _inertia_of_profile(r, r_front, cavity.radius, soil)
@@ -291,7 +299,7 @@ def _wall_pressure_of_profile(soil: Soil, radius: Expression) -> WallPressure:
     check_domain("cavity radius", radius, "m", above=0.0, why="the wall pressure of a density profile depends on it")
     yielding = _Yielding.of(soil)
     r_front = front(radius, soil)
-    log = log1p((r_front - radius) * (r_front + radius) / radius**2) / 2.0
+    log = -log1p(-mean_ratio(r_front, soil)) / 2.0
     jump = (radius / r_front) ** 2 / (1.0 - ratio(r_front, soil))
     swelling, spreading = _inertia_of_profile(0.0, r_front, radius, soil)
     return WallPressure(
@@ -323,12 +331,12 @@ def _squares(
 ) -> Iterator[tuple[Expression, Expression]]:
     """Yield s^2 and the weight of s ds of Gauss-Legendre nodes between r and the front.
 
-    The nodes are even in sigma, s^2 = R^2 (e^(2 l sigma^2) - 1)/b with l = ln(r*/R) and b = 1 - (R/r*)^2: for a
+    The nodes are even in sigma, s^2 = R^2 (e^(2 l sigma^2) - 1)/b with l = ln(r*/R) and b its mean 1 - (R/r*)^2: for a
     constant density the integrands are then entire functions, and profiles in r and in r^2 are both smooth.
     """
     profile = soil.density_profile
     assert profile is not None
-    mean = (r_front - radius) * (r_front + radius) / r_front**2
+    mean = mean_ratio(r_front, soil)
     per_mean = log1p_ratio(-mean)
     first = r / radius * sqrt(log1p_ratio(mean * (r / radius) ** 2) / per_mean)
     for node, weight in zip(*gauss_legendre(profile.order), strict=True):

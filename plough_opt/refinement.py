@@ -75,9 +75,9 @@ def refine(quantity: Callable[[int], Expression], sizes: Sequence[int]) -> Refin
     Raises:
         InputError: no sizes, sizes below 1, or a result that is not finite.
     """
-    tried = tuple(sorted(set(sizes)))
-    if not tried or tried[0] < 1:
+    if not sizes or any(not isinstance(size, int) or size < 1 for size in sizes):
         raise InputError(f"sizes = {list(sizes)} must be one or more whole numbers from 1 on")
+    tried = tuple(sorted(set(sizes)))
     reference = _value(quantity, 2 * tried[-1])
     largest = float(np.max(np.abs(reference)))
     errors, seconds = [], []

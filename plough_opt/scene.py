@@ -186,6 +186,17 @@ class Scene:
             added_mass=full.added_mass if self.effects.added_mass else 0.0,
         )
 
+    def check_reaction(self) -> None:
+        """Refuse a scene of numbers whose soil has no reaction to the share.
+
+        The elastic medium is left out: a design limits its speed by a requirement.
+
+        Raises:
+            DomainError: a density profile with which there is no compaction front.
+        """
+        if self.medium == "plastic":
+            _ = self.reaction
+
     @property
     def _soil_without_pressure(self) -> Soil:
         return dataclasses.replace(self.soil, ambient_pressure=0.0)

@@ -35,8 +35,10 @@ class DensityProfile:
     def __post_init__(self) -> None:
         if not callable(self.density):
             raise InputError(f"the density profile {self.density!r} must be a function of the radius, in kg/m^3")
-        if self.order < 1:
-            raise InputError(f"order = {self.order} of the density profile's quadrature must be at least 1")
+        if not isinstance(self.order, int) or self.order < 1:
+            raise InputError(
+                f"order = {self.order!r} of the density profile's quadrature must be a whole number from 1 on"
+            )
 
     def at(self, r: Expression) -> Expression:
         """Return the density [kg/m^3] at a Lagrangian radius [m]."""

@@ -61,9 +61,12 @@ class Program:
         self.declared = declared
         self._refuse_strangers()
         self.exact = TightEvaluation(self.expressions, declared.symbols())
-        if limits := self.exact.limits:
-            implied = (Requirement(m.name, carried, None, m.at_most, m.unit) for m, carried in limits.items())
-            self.declared = replace(declared, requirements=(*declared.requirements, *implied))
+        self._implied = tuple(
+            Requirement(limit.name, carried, None, limit.at_most, limit.unit)
+            for limit, carried in self.exact.limits.items()
+        )
+        if self._implied:
+            self.declared = replace(declared, requirements=(*declared.requirements, *self._implied))
             self.exact = TightEvaluation(self.expressions, declared.symbols())
         self._refuse_idas()
         self.owner = [k for k, r in enumerate(self.declared.requirements) for _ in range(r.expression.numel())]
@@ -158,6 +161,12 @@ class Program:
             found, _ = self.exact([*guess, *p])
         except (PloughError, RuntimeError) as error:
             raise InputError(f"the model cannot be evaluated at the start ({place}): {error}") from error
+        for limit, value in zip(self._implied, found[len(found) - len(self._implied) :], strict=True):
+            if limit.margin(value) < 0.0:
+                raise InputError(
+                    f"at the start ({place}) '{limit.name}' is {float(np.max(value)):.6g}, where the theory ends at"
+                    f" {limit.high:.6g}: start below, and let the bounds reach below"
+                )
         names = ["the objective", *(f"requirement '{r.name}'" for r in self.declared.requirements)]
         for name, value in zip(names, found, strict=True):
             if not np.all(np.isfinite(value)):
@@ -178,9 +187,10 @@ class Program:
         """Refuse bounds between which a scene leaves the model's domain."""
         for clause, values in self._corners():
             try:
-                for k in range(len(self.exact.runs)):
-                    self.exact.inputs(k, [*values, *p])
-                self.exact.quasi_static_scenes([*values, *p])
+                numbers = [*values, *p]
+                scenes = [self.exact.inputs(k, numbers)[1] for k in range(len(self.exact.runs))]
+                for scene in (*scenes, *self.exact.quasi_static_scenes(numbers)):
+                    scene.check_reaction()
             except DomainError as error:
                 raise DomainError(f"{clause}: {error}") from None
 
@@ -231,7 +241,10 @@ class Program:
             self._relaxed = Solver(loose, n + 2 * count, len(p), self.low, self.high)
         g = np.asarray(self.nlp.g(start, p)).ravel()
         slack = first_slack(g, self.low, self.high, self.owner, count)
-        upper = np.r_[np.ones(n), np.full(2 * count, np.inf)]
+        # Where a theory ends nothing gives way: beyond it the model has no value.
+        gives = np.tile(np.arange(count) < count - len(self._implied), 2)
+        slack[~gives] = 0.0
+        upper = np.r_[np.ones(n), np.where(gives, np.inf, 0.0)]
         return self._relaxed.solve(np.r_[start, slack], p, np.zeros(len(upper)), upper)
 
     def merit(self, points: Vector, p: Vector) -> tuple[Vector, Vector]:

@@ -142,6 +142,7 @@ def _root(
 def wedge_force(profile: Profile, soil: Soil, speed: Expression, *, separation: bool = True) -> Expression:
     """Return the contact force on both faces of a thin wedge, friction included [N per metre of its width].
 
+    Symbols are best MX: of SX every operation of the quadrature is written out, which takes minutes to differentiate.
     Of a soil that clings to the face the signed drag is zero for every profile (nothing is radiated below the shear
     wave's speed), and so is the friction of a single straight wedge. What resists is the compressed part of the face
     once the rest has let go: for a straight wedge of slope t and length l 2 (t + mu0) l A ln(1 + exp(-p_a/A)) with
@@ -197,6 +198,8 @@ def cone_force(
     separation: bool = True,
 ) -> Expression:
     """Return the contact force on a slender cone, friction included [N], equation (24) with the elastic pressure.
+
+    Symbols are best MX, as for `wedge_force`.
 
     An order of magnitude: frictionless it is near pi mu (t l)^2 for a cone of slope t and length l with the default
     section factor, and twice that for a factor of 1. Its dependence on the speed is of the order that linear

@@ -223,13 +223,14 @@ def _spectrum(curve: Curve, length: float, places: Array, state: Medium, order: 
     """Return the transform of a curve's slope on wave numbers that resolve the integrals at all places."""
     last = _DECAY / (state.eta * float(np.min(places[:, 1])))
     longest = max(float(np.max(np.abs(places[:, 0]))), float(np.max(np.abs(places[:, 0] - length))), length)
-    p, weights = _panels(last, 2.0 * math.pi / longest, order, graded)
-    s, s_weights = _panels(length, 2.0 * math.pi / last, order, False)
-    if p.size * s.size > _MOST_NODES:
+    waves, lengths = (order * last * longest / (2.0 * math.pi), order * length * last / (2.0 * math.pi))
+    if waves * lengths > _MOST_NODES:
         raise DomainError(
             f"distance from the axis = {float(np.min(places[:, 1])):.3g} m must be larger for a body of {length:g} m:"
-            f" the Fourier integrals would take {p.size} by {s.size} nodes; the closed forms have no such limit"
+            f" the Fourier integrals would take {waves:.0f} by {lengths:.0f} nodes; the closed forms have no such limit"
         )
+    p, weights = _panels(last, 2.0 * math.pi / longest, order, graded)
+    s, s_weights = _panels(length, 2.0 * math.pi / last, order, False)
     values = np.array([float(curve(place)) for place in s])
     end = float(curve(length))
     check_domain("profile", np.append(values, end), "m")

@@ -7,6 +7,7 @@ form, are in `plough_opt.elastic.fourier`.
 Coordinates move with the body: its tip is at x = 0, the medium streams towards +x. Tension is positive.
 """
 
+from plough_opt.elastic import fourier
 from plough_opt.elastic.cone import (
     ConeDisplacement,
     ConeStress,
@@ -35,6 +36,7 @@ __all__ = [
     "cone_force",
     "cone_pressure",
     "cone_stress",
+    "fourier",
     "knots",
     "longitudinal_wave_speed",
     "rayleigh_speed",

@@ -1,0 +1,229 @@
+"""Bodies, grounds and points of the field's tests, and the comparison of the toolkit with the precise numbers.
+
+An input is one flat tuple: x, y (or r), E, nu, density, speed, then the positions and then the half thicknesses of all
+nodes but the first, which is (0, 0). So every number that a user gives can be varied, rounded or differentiated.
+"""
+
+import functools
+import itertools
+import math
+
+import casadi as ca
+import high_precision as hp
+import numpy as np
+import oracle
+import pytest
+
+import plough_opt as po
+
+mp = hp.mp
+EPS = 2.0**-52
+
+BODIES = {
+    "wedge": ((0.5,), (0.05,)),
+    "diamond": ((0.25, 0.5), (0.025, 0.0)),
+    "ogive": ((0.1, 0.3, 0.5), (0.03, 0.05, 0.055)),
+    "tapered": ((0.2, 0.4, 0.7), (0.03, 0.04, 0.01)),
+}
+NU, RHO, SHEAR_WAVE = 0.3, 1600.0, 100.0
+MU = RHO * SHEAR_WAVE**2
+INPUTS = ("x", "y", "E", "nu", "density", "speed")
+
+
+def inputs(x, y, body, speed_ratio=0.3, nu=NU):
+    """Return the flat input for a point beside a body (positions, half thicknesses), the speed in units of c2."""
+    positions, thicknesses = BODIES.get(body, body)
+    modulus = 2.0 * MU * (1.0 + nu)
+    return (x, y, modulus, nu, RHO, speed_ratio * SHEAR_WAVE, *positions, *thicknesses)
+
+
+def nodes_of(values):
+    count = (len(values) - len(INPUTS)) // 2
+    rest = values[len(INPUTS) :]
+    return [(0.0, 0.0), *zip(rest[:count], rest[count:], strict=True)]
+
+
+def soil_of(values, **others):
+    _, _, modulus, nu, density, *_ = values
+    given = {
+        "density_ratio": 0.8,
+        "cohesion": 15e3,
+        "friction_angle": 0.5,
+        "tool_friction": 0.3,
+        "ambient_pressure": 0.0,
+        **others,
+    }
+    return po.Soil(density=density, youngs_modulus=modulus, poisson_ratio=nu, **given)
+
+
+def ground(speed_ratio=0.3, nu=NU, **others):
+    """Return a soil and a speed."""
+    values = inputs(0.0, 0.0, "wedge", speed_ratio, nu)
+    return soil_of(values, **others), values[5]
+
+
+def wedge(*values):
+    """All the toolkit says about the medium at a point beside a wedge, in the order of the oracle."""
+    x, y, _, _, _, speed, *_ = values
+    at = (x, y, nodes_of(values), soil_of(values), speed)
+    stress, gradient = po.elastic.wedge_stress(*at), po.elastic.wedge_gradient(*at)
+    return oracle.Wedge(
+        xx=stress.xx,
+        yy=stress.yy,
+        xy=stress.xy,
+        zz=stress.zz,
+        ux_x=gradient.ux_x,
+        uy_y=gradient.uy_y,
+        ux_y=gradient.ux_y,
+        uy_x=gradient.uy_x,
+        uy=po.elastic.wedge_displacement(*at),
+    )
+
+
+def cone(*values):
+    """All the toolkit says about the medium at a point beside a cone, in the order of the oracle."""
+    x, r, _, _, _, speed, *_ = values
+    at = (x, r, nodes_of(values), soil_of(values), speed)
+    displacement, stress = po.elastic.cone_displacement(*at), po.elastic.cone_stress(*at)
+    return oracle.Cone(
+        axial=displacement.axial,
+        radial=displacement.radial,
+        xx=stress.xx,
+        rr=stress.rr,
+        tt=stress.tt,
+        rx=stress.rx,
+    )
+
+
+def thinned(*ranges, keep):
+    """All combinations, of which every ``keep``-th runs by default and the rest with the slow tests."""
+    return [
+        pytest.param(*values, marks=() if i % keep == 0 else pytest.mark.slow)
+        for i, values in enumerate(itertools.product(*ranges))
+    ]
+
+
+def slow(cases):
+    return [pytest.param(case, marks=pytest.mark.slow) for case in cases]
+
+
+def _pieces_of(field):
+    def evaluate(*values):
+        x, y, modulus, nu, density, speed, *_ = values
+        medium = oracle.Medium(modulus, nu, density, speed)
+        return [field(x, y, piece, medium) for piece in itertools.pairwise(nodes_of(values))]
+
+    return evaluate
+
+
+precise_wedge = _pieces_of(oracle.wedge)
+precise_cone = _pieces_of(oracle.cone)
+_AXIAL_STRESS, _RADIAL_STRESS = (oracle.Cone._fields.index(name) for name in ("xx", "rr"))
+
+
+@functools.cache
+def differentiated(field, symbol, size, chosen):
+    """Return a Function from a flat input to all components, their gradients and Hessians in the chosen inputs."""
+    values = symbol.sym("v", size)
+    variables = [symbol.sym(f"v{i}") for i in chosen]
+    entries = ca.vertsplit(values)
+    for i, variable in zip(chosen, variables, strict=True):
+        entries[i] = variable
+    components = field(*entries)
+    outputs = [ca.vertcat(*components)]
+    for component in components:
+        hessian, gradient = ca.hessian(component, ca.vertcat(*variables))
+        outputs += [gradient, hessian]
+    inner = ca.Function("inner", [values, *variables], outputs)
+
+    def evaluate(point):
+        found = [np.asarray(part) for part in inner(point, *[point[i] for i in chosen])]
+        return found[0].ravel(), [part.ravel() for part in found[1::2]], found[2::2]
+
+    return evaluate
+
+
+@functools.cache
+def precise(field, point, chosen=()):
+    """Return components, gradients and Hessians in the chosen inputs, each with its size: precise arrays.
+
+    The first index is that of value, gradient entries and Hessian entries, the second the component. The size is what
+    one unit of relative error in every input does to what each straight piece of the body contributes, plus the
+    contributions themselves: a sum over the pieces whose every step is accurate errs by a small multiple of 1.1e-16
+    of it. The inputs are moved by one part in 1e20, all at once, with signs that differ for any two of them.
+
+    Derivatives in the moduli pass through zero (of strains at rest in E, say), where only the digits of the quantity
+    that is differentiated count: f/E, and f for Poisson's ratio, belong to the size. So does f/r of a cone's
+    derivatives in r, which beside the axis are small differences of what is singular on it, and its radial stress
+    has the digits of the axial one, with which it shares the dilatation.
+    """
+    exact = hp.exact(point)
+    found = _tensors(field, exact, chosen)
+    step = mp.mpf(10) ** -20
+    change = 0
+    for bit in range((len(exact) - 1).bit_length() + 1):
+        moved = [value * (1 + (-1) ** (i >> bit) * step) for i, value in enumerate(exact)]
+        change = np.maximum(change, np.abs(_tensors(field, moved, chosen) - found) / step)
+    size = (np.abs(found) + change).sum(axis=0)
+    n, unit_of = len(chosen), {2: exact[2], 3: mp.mpf(1)}
+    if field is precise_cone:
+        size[:, _RADIAL_STRESS] += size[:, _AXIAL_STRESS]
+        unit_of[1] = exact[1]
+    units = [(i, unit_of[which]) for i, which in enumerate(chosen) if which in unit_of]
+    for i, unit in units:
+        size[1 + i] += size[0] / unit
+    gradient, hessian = size[1 : 1 + n], size[1 + n :].reshape(n, n, size.shape[1])
+    for i, unit in units:
+        hessian[i] += gradient / unit
+        hessian[:, i] += gradient / unit
+    return found.sum(axis=0), size
+
+
+def _tensors(field, at, chosen):
+    """Return values, gradients and Hessians of every piece: central differences as in `high_precision.derivatives`."""
+    h, n = mp.mpf(10) ** -25, len(chosen)
+
+    def moved(*moves):
+        values = list(at)
+        for i, sign in moves:
+            values[chosen[i]] += sign * h
+        return np.array(field(*values), dtype=object)
+
+    value = moved()
+    ahead, behind = [moved((i, 1)) for i in range(n)], [moved((i, -1)) for i in range(n)]
+    gradient = [(p - q) / (2 * h) for p, q in zip(ahead, behind, strict=True)]
+    hessian = [[None] * n for _ in range(n)]
+    for i in range(n):
+        hessian[i][i] = (ahead[i] - 2 * value + behind[i]) / h**2
+        for j in range(i):
+            ends = moved((i, 1), (j, 1)) + moved((i, -1), (j, -1)) + 2 * value
+            hessian[i][j] = hessian[j][i] = (ends - ahead[i] - ahead[j] - behind[i] - behind[j]) / (2 * h**2)
+    return np.stack([value, *gradient, *itertools.chain.from_iterable(hessian)], axis=1)
+
+
+def worst(found, wanted, size, names):
+    """Return the largest error in units of 2.2e-16 of the size, and where it is."""
+    worst_error, where = 0.0, ""
+    for name, f, w, s in zip(names, found, wanted, size, strict=True):
+        assert math.isfinite(f), f"{name}: {f}"
+        if f == 0 and s == 0:
+            continue
+        error = math.inf if s == 0 else float(abs(mp.mpf(float(f)) - w) / (s * EPS))
+        if error > worst_error:
+            worst_error, where = error, f"{name}: {float(f):.17g} instead of {mp.nstr(w, 20)}"
+    return worst_error, where
+
+
+def assert_accurate(found, wanted, size, names, multiple):
+    """Compare components, each to a multiple of 2.2e-16 of its size."""
+    error, where = worst(found, wanted, size, names)
+    assert error <= multiple, f"{where}: {error:.3g} units of rounding"
+
+
+def assert_derivatives(found, wanted, size, names, multiple, compared=slice(None)):
+    """Compare values, gradients and Hessians from `differentiated` with those from `precise`, entry by entry."""
+    values, gradients, hessians = found
+    for i, name in enumerate(names):
+        entries = np.concatenate([[values[i]], gradients[i], hessians[i].ravel()])
+        labels = np.array([f"{name}, entry {k}" for k in range(len(entries))])
+        assert_accurate(entries[compared], wanted[compared, i], size[compared, i], labels[compared], multiple)

@@ -1,0 +1,419 @@
+"""The elastic medium around a thin wedge or a slender cone in 120-digit arithmetic: what the toolkit is judged by.
+
+Three descriptions of one field, of which only the last is fast:
+
+1. Fourier integrals over potentials whose amplitudes are solved for, wave number by wave number, from the boundary
+   conditions (`wedge_gradient_by_waves`, `cone_displacement_by_waves`).
+2. Integrals of the potentials' kernels over the profile (`wedge_gradient_by_kernels`, `cone_displacement_by_kernels`).
+3. The antiderivatives of those kernels at the nodes, nothing rearranged against cancellation (all other functions).
+
+`test_oracle.py` shows that they agree. Nothing is imported from the toolkit. A body is a list of nodes
+(x, half thickness or radius), joined by straight lines and followed by a parallel shank. V0 must not be zero: at rest
+the potentials coincide and every formula here is 0/0. The field is even in V0 and analytic: 1e-15 c2 stands for rest.
+"""
+
+import itertools
+from collections import namedtuple
+
+import high_precision as hp
+from mpmath.calculus.quadrature import GaussLegendre
+
+mp = hp.mp
+HALF = mp.mpf(1) / 2
+
+Wedge = namedtuple("Wedge", "xx yy xy zz ux_x uy_y ux_y uy_x uy")
+"""Stresses [Pa], displacement gradient [-] and transverse displacement [m]."""
+
+Cone = namedtuple("Cone", "axial radial xx rr tt rx")
+"""Displacements [m] and stresses [Pa]."""
+
+
+class Medium:
+    """Moduli and wave numbers of the medium that streams past with the speed V0."""
+
+    def __init__(self, youngs_modulus, poisson_ratio, density, speed):
+        E, nu, rho, V0 = (mp.mpf(value) for value in (youngs_modulus, poisson_ratio, density, speed))
+        self.mu = E / (2 * (1 + nu))
+        self.lam = 2 * self.mu * nu / (1 - 2 * nu)
+        self.c1 = mp.sqrt((self.lam + 2 * self.mu) / rho)
+        self.c2 = mp.sqrt(self.mu / rho)
+        self.alpha = mp.sqrt(1 - (V0 / self.c1) ** 2)
+        self.eta = mp.sqrt(1 - (V0 / self.c2) ** 2)
+        self.m = 1 - self.eta**2
+        self.rayleigh_function = (1 + self.eta**2) ** 2 - 4 * self.alpha * self.eta
+        self.nu = nu
+
+
+def segments(nodes):
+    """Yield (a, h(a), b, h(b)) of every straight piece."""
+    for (a, left), (b, right) in itertools.pairwise(nodes):
+        yield a, left, b, right
+
+
+# --- wedge -----------------------------------------------------------------------------------------------------------
+
+
+def _wedge_from_gradient(gradient, uy, medium):
+    ux_x, uy_y, ux_y, uy_x = gradient
+    dilation = medium.lam * (ux_x + uy_y)
+    return Wedge(
+        xx=dilation + 2 * medium.mu * ux_x,
+        yy=dilation + 2 * medium.mu * uy_y,
+        xy=medium.mu * (ux_y + uy_x),
+        zz=dilation,
+        ux_x=ux_x,
+        uy_y=uy_y,
+        ux_y=ux_y,
+        uy_x=uy_x,
+        uy=uy,
+    )
+
+
+def wedge(x, y, nodes, medium):
+    """Return the field at a point, y > 0 or (y = 0, the upper face).
+
+    The slope g on [a, b] carries the kernels (1/pi) X/(X^2 + k^2 y^2) and (1/pi) k y/(X^2 + k^2 y^2), X = x - s:
+    real and imaginary part of 1/(X + i k y), whose antiderivative is a logarithm.
+    """
+    alpha, eta, m = medium.alpha, medium.eta, medium.m
+    ux_x = uy_y = ux_y = uy_x = uy = mp.mpf(0)
+    for a, left, b, right in segments(nodes):
+        g = (right - left) / (b - a)
+        odd, even, step = {}, {}, {}
+        for k in (alpha, eta):
+            log_a, angle_a = _logarithm(x - a, k * y)
+            log_b, angle_b = _logarithm(x - b, k * y)
+            odd[k] = g * (log_a - log_b) / mp.pi
+            even[k] = g * (angle_a - angle_b) / mp.pi
+            # The antiderivative of the angle is X angle - k y log.
+            step[k] = g * ((x - a) * angle_a - (x - b) * angle_b - k * y * (log_a - log_b)) / mp.pi + g * (b - a) / 2
+        ux_x += (2 * eta * odd[eta] - (1 + eta**2) / alpha * odd[alpha]) / m
+        uy_y += ((1 + eta**2) * alpha * odd[alpha] - 2 * eta * odd[eta]) / m
+        ux_y += (2 * eta**2 * even[eta] - (1 + eta**2) * even[alpha]) / m
+        uy_x += (2 * even[eta] - (1 + eta**2) * even[alpha]) / m
+        uy += (2 * step[eta] - (1 + eta**2) * step[alpha]) / m
+    return _wedge_from_gradient((ux_x, uy_y, ux_y, uy_x), uy, medium)
+
+
+def _logarithm(X, c):
+    """Return ln sqrt(X^2 + c^2) and the angle atan(X/c), at c = 0 the limit from above."""
+    return mp.log(X**2 + c**2) / 2, mp.atan(X / c) if c else mp.sign(X) * mp.pi / 2
+
+
+def wedge_gradient_by_waves(x, y, nodes, medium):
+    """Return ux_x, uy_y, ux_y, uy_x as Fourier integrals, with amplitudes that solve the boundary conditions.
+
+    u = phi_x + psi_y, v = phi_y - psi_x; phi ~ A exp(-alpha p y), psi ~ B exp(-eta p y), and on y = 0
+    v = h and sigma_12 = 0. A and B are found numerically.
+    """
+    alpha, eta = medium.alpha, medium.eta
+
+    def waves(p):
+        # The transform of the slope, with +ipx in the exponent and without 1/sqrt(2 pi).
+        slope = mp.fsum(
+            (right - left) / (b - a) * (mp.expj(p * b) - mp.expj(p * a)) / (1j * p)
+            for a, left, b, right in segments(nodes)
+        )
+        # Unknowns p^2 A, p^2 B; d/dx is a factor -ip, so the transform of h is that of the slope over -ip.
+        system = mp.matrix([[-alpha, 1j], [2j * alpha, 1 + eta**2]])
+        A, B = mp.lu_solve(system, mp.matrix([1j * slope, 0]))
+        A, B = A * mp.exp(-alpha * p * y), B * mp.exp(-eta * p * y)
+        forward = mp.expj(-p * x)
+        parts = (-A + 1j * eta * B, alpha**2 * A - 1j * eta * B, 1j * alpha * A + eta**2 * B, 1j * alpha * A + B)
+        return mp.matrix([(part * forward).real for part in parts])
+
+    return _integrate_waves(waves, eta * y, abs(x) + nodes[-1][0])
+
+
+def _integrate_waves(waves, decay, extent, halvings=0):
+    """Return (1/pi) times the integrals from 0 to infinity over functions that decay and oscillate.
+
+    With ``halvings`` the first interval is halved towards zero, where the functions may have a logarithm.
+    """
+    last = mp.mpf(mp.dps + 2) * mp.log(10) / decay
+    edges = mp.linspace(0, last, int(last * extent / 12) + 6)
+    edges[1:1] = [edges[1] / 2**i for i in range(halvings, 0, -1)]
+    rule = GaussLegendre(mp).calc_nodes(4, mp.prec)  # 24 nodes on [-1, 1]
+    parts = [
+        (end - start) / 2 * w * waves(start + (end - start) / 2 * (1 + t))
+        for start, end in itertools.pairwise(edges)
+        for t, w in rule
+    ]
+    return list(sum(parts[1:], parts[0]) / mp.pi)
+
+
+def wedge_gradient_by_kernels(x, y, nodes, medium):
+    """Return ux_x, uy_y, ux_y, uy_x as integrals of the potentials' second derivatives over the half thickness.
+
+    phi = -(1 + eta^2)/(2 pi alpha m) int h ln(X^2 + alpha^2 y^2) ds, psi = -2/(pi m) int h atan(X/(eta y)) ds.
+    """
+    alpha, eta, m = medium.alpha, medium.eta, medium.m
+    of_phi, of_psi = -(1 + eta**2) / (2 * mp.pi * alpha * m), -2 / (mp.pi * m)
+
+    def integral(kernel):
+        def straight(a, left, b, right):
+            return mp.quad(lambda s: (left + (right - left) * (s - a) / (b - a)) * kernel(x - s), [a, (a + b) / 2, b])
+
+        end, shank = nodes[-1]
+        total = mp.fsum(straight(*piece) for piece in segments(nodes))
+        return total + (shank * mp.quad(lambda s: kernel(x - s), [end, end + 1, mp.inf]) if shank else 0)
+
+    def phi_xx(X):
+        D = X**2 + (alpha * y) ** 2
+        return 2 * (1 / D - 2 * X**2 / D**2)
+
+    def phi_xy(X):
+        return -4 * alpha**2 * X * y / (X**2 + (alpha * y) ** 2) ** 2
+
+    def phi_yy(X):
+        D = X**2 + (alpha * y) ** 2
+        return 2 * alpha**2 * (1 / D - 2 * (alpha * y) ** 2 / D**2)
+
+    def psi_xx(X):
+        return -2 * X * eta * y / (X**2 + (eta * y) ** 2) ** 2
+
+    def psi_xy(X):
+        D = X**2 + (eta * y) ** 2
+        return eta * (1 / D - 2 * (eta * y) ** 2 / D**2)
+
+    def psi_yy(X):
+        return 2 * eta**3 * X * y / (X**2 + (eta * y) ** 2) ** 2
+
+    shear = of_psi * integral(psi_xy)
+    turn = of_phi * integral(phi_xy)
+    return [
+        of_phi * integral(phi_xx) + shear,
+        of_phi * integral(phi_yy) - shear,
+        turn + of_psi * integral(psi_yy),
+        turn - of_psi * integral(psi_xx),
+    ]
+
+
+def wedge_pressure(x, nodes, medium):
+    """Return the contact pressure [Pa], the principal value of h'(s)/(x - s) over pi, times mu K."""
+    K = -medium.rayleigh_function / (medium.alpha * medium.m)
+    return (
+        medium.mu
+        * K
+        * mp.fsum(
+            (right - left) / (b - a) * mp.log(abs((x - a) / (x - b))) / mp.pi for a, left, b, right in segments(nodes)
+        )
+    )
+
+
+def wedge_force(nodes, medium, tool_friction, ambient_pressure, separation=True):
+    """Return 2 int (max(p + p_a, 0) - p_a) (h' + mu0) dx, or with the soil clinging 2 int p (h' + mu0) dx.
+
+    The pressure's antiderivative is one of logarithms; where contact is lost is found numerically.
+    """
+
+    def swept(x):
+        # The antiderivative of the pressure.
+        K = -medium.rayleigh_function / (medium.alpha * medium.m)
+        total = mp.mpf(0)
+        for a, left, b, right in segments(nodes):
+            g = (right - left) / (b - a)
+            total += g / mp.pi * (_log_antiderivative(x - a) - _log_antiderivative(x - b))
+        return medium.mu * K * total
+
+    force = mp.mpf(0)
+    for a, left, b, right in segments(nodes):
+        weight = 2 * ((right - left) / (b - a) + tool_friction)
+        if not separation:
+            force += weight * (swept(b) - swept(a))
+            continue
+        for start, end in touching(lambda x: wedge_pressure(x, nodes, medium) + ambient_pressure, a, b):
+            force += weight * (swept(end) - swept(start) + ambient_pressure * (end - start))
+        force -= weight * ambient_pressure * (b - a)
+    return force
+
+
+def _log_antiderivative(X):
+    return X * (mp.log(abs(X)) - 1) if X else mp.mpf(0)
+
+
+def touching(absolute_pressure, a, b):
+    """Return the parts of a straight piece on which a pressure is positive.
+
+    Signs are taken at distances from both ends that fall geometrically to 1e-16 of the length.
+    """
+    near = [(b - a) / 2 * mp.mpf(10) ** (-mp.mpf(k) / 2) for k in range(32, 0, -1)]
+    middle = [(b - a) * mp.mpf(k) / 40 for k in range(7, 34)]
+    places = [*(a + d for d in near), *(a + d for d in middle), *(b - d for d in reversed(near))]
+    signs = [absolute_pressure(x) > 0 for x in places]
+    changes = [
+        _root(absolute_pressure, *pair)
+        for pair, (before, after) in zip(itertools.pairwise(places), itertools.pairwise(signs), strict=True)
+        if before != after
+    ]
+    edges = [a, *changes, b]
+    return list(itertools.pairwise(edges))[0 if signs[0] else 1 :: 2]
+
+
+def _root(function, low, high):
+    """Return where a function changes its sign: by secants, and by halving where they leave the interval."""
+    before, guess = low, high
+    at_before, at_guess = function(before), function(guess)
+    rising = at_guess > 0
+    while at_guess not in (0, at_before) and abs(guess - before) > mp.eps * abs(guess):
+        secant = guess - at_guess * (guess - before) / (at_guess - at_before)
+        before, at_before = guess, at_guess
+        guess = secant if low < secant < high else (low + high) / 2
+        at_guess = function(guess)
+        low, high = (guess, high) if (at_guess < 0) == rising else (low, guess)
+    return guess
+
+
+# --- cone ------------------------------------------------------------------------------------------------------------
+
+
+def cone(x, r, nodes, medium, section_factor=HALF):
+    """Return the field at a point, r > 0.
+
+    With S = section_factor R^2 and s = S', N = int s/(2 rho) and M = -int s (1 + X/rho)/(2 r), rho^2 = X^2 + k^2 r^2,
+    the displacements are ((1 + eta^2) N(alpha) - 2 eta^2 N(eta))/m and ((1 + eta^2) M(alpha) - 2 M(eta))/m.
+    Stresses are Hooke's law on their derivatives.
+    """
+    eta, m = medium.eta, medium.m
+    (n_alpha, m_alpha), (n_eta, m_eta) = (source_integrals(x, r, nodes, k) for k in (medium.alpha, eta))
+    # Each with its derivatives in x and r.
+    axial, ux_x, ux_r = (
+        2 * section_factor * ((1 + eta**2) * of_alpha - 2 * eta**2 * of_eta) / m
+        for of_alpha, of_eta in zip(n_alpha, n_eta, strict=True)
+    )
+    radial, ur_x, ur_r = (
+        2 * section_factor * ((1 + eta**2) * of_alpha - 2 * of_eta) / m
+        for of_alpha, of_eta in zip(m_alpha, m_eta, strict=True)
+    )
+    dilation = medium.lam * (ux_x + ur_r + radial / r)
+    return Cone(
+        axial=axial,
+        radial=radial,
+        xx=dilation + 2 * medium.mu * ux_x,
+        rr=dilation + 2 * medium.mu * ur_r,
+        tt=dilation + 2 * medium.mu * radial / r,
+        rx=medium.mu * (ux_r + ur_x),
+    )
+
+
+def source_integrals(x, r, nodes, k):
+    """Return N and M for s = R R', each with its derivatives in x and r."""
+    n, n_x, n_r, swept, swept_x, swept_r = [mp.mpf(0)] * 6
+    for a, left, b, right in segments(nodes):
+        t = (right - left) / (b - a)
+        slope = t**2
+        here, at_a, at_b = (left + t * (x - a)) * t, left * t, right * t
+        X0, X1, kr2 = x - a, x - b, (k * r) ** 2
+        rho0, rho1 = mp.sqrt(X0**2 + kr2), mp.sqrt(X1**2 + kr2)
+        log = mp.asinh(X0 / (k * r)) - mp.asinh(X1 / (k * r))
+        log_x = 1 / rho0 - 1 / rho1
+        log_r = (X1 / rho1 - X0 / rho0) / r
+        n += (here * log - slope * (rho0 - rho1)) / 2
+        n_x += (slope * log + here * log_x - slope * (X0 / rho0 - X1 / rho1)) / 2
+        n_r += (here * log_r - slope * k**2 * r * log_x) / 2
+        swept += (b - a) * (at_a + at_b) / 2 + here * (rho0 - rho1) - slope * (X0 * rho0 - X1 * rho1 - kr2 * log) / 2
+        swept_x += slope * (rho0 - rho1) + here * (X0 / rho0 - X1 / rho1)
+        swept_x -= slope * (rho0 + X0**2 / rho0 - rho1 - X1**2 / rho1 - kr2 * log_x) / 2
+        swept_r += here * k**2 * r * log_x
+        swept_r -= slope * (k**2 * r * (X0 / rho0 - X1 / rho1) - 2 * k**2 * r * log - kr2 * log_r) / 2
+    return (n, n_x, n_r), (-swept / (2 * r), -swept_x / (2 * r), swept / (2 * r**2) - swept_r / (2 * r))
+
+
+def radius(x, nodes):
+    """Return the radius of a body at x."""
+    for a, left, b, right in segments(nodes):
+        if a <= x <= b:
+            return left + (right - left) * (x - a) / (b - a)
+    raise ValueError(f"{x} lies beside the body")
+
+
+def cone_pressure(x, nodes, medium, section_factor=HALF):
+    """Return -sigma_rr on r = R(x) [Pa]."""
+    return -cone(x, radius(x, nodes), nodes, medium, section_factor).rr
+
+
+def cone_force(nodes, medium, tool_friction, ambient_pressure, section_factor=HALF, separation=True):
+    """Return 2 pi int (max(p + p_a, 0) - p_a) (R' + mu0) R dx, or with the soil clinging 2 pi int p (R' + mu0) R dx.
+
+    By quadrature, to about half the digits of the working precision, which should be 30 or more.
+    """
+    force = mp.mpf(0)
+    for a, left, b, right in segments(nodes):
+        weight = 2 * mp.pi * ((right - left) / (b - a) + tool_friction)
+
+        def pressure(x):
+            return cone_pressure(x, nodes, medium, section_factor)
+
+        parts = touching(lambda x: pressure(x) + ambient_pressure, a, b) if separation else [(a, b)]
+        for start, end in parts:
+            integral = mp.quad(lambda x: pressure(x) * radius(x, nodes), [start, (start + end) / 2, end])
+            force += weight * integral
+        if separation:
+            lost = mp.quad(lambda x: radius(x, nodes), [a, b])
+            lost -= mp.fsum(mp.quad(lambda x: radius(x, nodes), part) for part in parts)
+            force -= weight * ambient_pressure * lost
+    return force
+
+
+def cone_displacement_by_waves(x, r, nodes, medium, section_factor=HALF):
+    """Return the displacements as Fourier integrals, with amplitudes that solve the boundary conditions on the axis.
+
+    u_x = phi_x + (r psi)_r/r, u_r = phi_r - psi_x; phi ~ A K0(alpha p r), psi ~ B K1(eta p r). As r -> 0 the shear
+    stress, which goes as 1/r, must vanish and r u_r must tend to S. The axial part of a body that is open behind has a
+    principal value only: S(inf)/(2 r) makes the disturbance vanish far ahead.
+    """
+    alpha, eta = medium.alpha, medium.eta
+
+    def rate(p):
+        # Transform of S' = section_factor (R^2)', where R R' is linear on each piece.
+        total = mp.mpf(0)
+        with mp.extradps(40):  # small p cancel
+            for a, left, b, right in segments(nodes):
+                t = (right - left) / (b - a)
+                at_a, at_b = mp.expj(p * a), mp.expj(p * b)
+                total += t * (right * at_b - left * at_a) / (1j * p) + t**2 * (at_b - at_a) / p**2
+        return 2 * section_factor * total
+
+    def waves(p):
+        # Unknowns p A, p B. As r -> 0: K0(z) -> -ln z and K1(z) -> 1/z.
+        system = mp.matrix([[2j, eta + 1 / eta], [-1, 1j / eta]])
+        A, B = mp.lu_solve(system, mp.matrix([0, 1j * rate(p)]))
+        forward = mp.expj(-p * x)
+        axial = -1j * A * mp.besselk(0, alpha * p * r) - eta * B * mp.besselk(0, eta * p * r)
+        radial = -alpha * A * mp.besselk(1, alpha * p * r) + 1j * B * mp.besselk(1, eta * p * r)
+        return mp.matrix([(axial * forward).real, (radial * forward).real])
+
+    # Down to p = 1e-8 of the first interval, which leaves an error of 1e-10 of the result.
+    axial, radial = _integrate_waves(waves, eta * r, abs(x) + nodes[-1][0], halvings=26)
+    return axial, radial + section_factor * nodes[-1][1] ** 2 / (2 * r)
+
+
+def cone_displacement_by_kernels(x, r, nodes, medium, section_factor=HALF):
+    """Return the displacements as integrals of potentials over S: the kernel of K0(k r p) is 1/(2 rho).
+
+    u_x = ((1 + eta^2) int S d/dx(1/(2 rho_alpha)) - 2 eta^2 int S d/dx(1/(2 rho_eta)))/m and
+    u_r = ((1 + eta^2) int S d/dr(1/(2 rho_alpha)) - 2 int S d/dr(1/(2 rho_eta)))/m, the shank included.
+    """
+    eta, m = medium.eta, medium.m
+
+    def integral(kernel):
+        def straight(a, left, b, right):
+            return mp.quad(
+                lambda s: (left + (right - left) * (s - a) / (b - a)) ** 2 * kernel(x - s), [a, (a + b) / 2, b]
+            )
+
+        end, shank = nodes[-1]
+        total = mp.fsum(straight(*piece) for piece in segments(nodes))
+        total += shank**2 * mp.quad(lambda s: kernel(x - s), [end, end + 1, mp.inf]) if shank else 0
+        return section_factor * total
+
+    def d_dx(k):
+        return integral(lambda X: -X / (2 * mp.sqrt(X**2 + (k * r) ** 2) ** 3))
+
+    def d_dr(k):
+        return integral(lambda X: -(k**2) * r / (2 * mp.sqrt(X**2 + (k * r) ** 2) ** 3))
+
+    return (
+        ((1 + eta**2) * d_dx(medium.alpha) - 2 * eta**2 * d_dx(eta)) / m,
+        ((1 + eta**2) * d_dr(medium.alpha) - 2 * d_dr(eta)) / m,
+    )

@@ -1,0 +1,447 @@
+"""What the soil does to the share: pressure on the face, force with friction and with contact that is lost."""
+
+import itertools
+import math
+
+import casadi as ca
+import high_precision as hp
+import numpy as np
+import oracle
+import pytest
+from field_cases import (
+    BODIES,
+    EPS,
+    MU,
+    RHO,
+    SHEAR_WAVE,
+    assert_accurate,
+    ground,
+    inputs,
+    nodes_of,
+    precise,
+    precise_cone,
+    precise_wedge,
+    slow,
+    soil_of,
+    thinned,
+)
+
+import plough_opt as po
+
+mp = hp.mp
+
+PLACES = [1e-9, 0.03, 0.15, 0.33, 0.4999]
+SPEEDS = [0.0, 1e-6, 0.3, 0.9274, 0.95, 0.9999]
+FRICTION = 0.3
+
+bodies = pytest.mark.parametrize("body", BODIES)
+
+
+def exact_nodes(body):
+    return [(mp.mpf(a), mp.mpf(b)) for a, b in nodes_of(inputs(0, 0, body))]
+
+
+def exact_medium(speed=0.3, nu=0.3):
+    return oracle.Medium(*inputs(0, 0, "wedge", speed, nu)[2:6])
+
+
+# --- pressure on a wedge ---------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("body", "speed", "nu"), thinned(BODIES, SPEEDS, [0.0, 0.3, 0.49], keep=5))
+def test_wedge_pressure(body, speed, nu):
+    soil, V0 = ground(speed, nu)
+    nodes = nodes_of(inputs(0, 0, body))
+    for x in PLACES:
+        # At rest the limit of slow motion.
+        wanted, size = precise(precise_wedge, inputs(x, 0.0, body, speed or 1e-15, nu))
+        yy = oracle.Wedge._fields.index("yy")
+        pressure = po.elastic.wedge_pressure(x, nodes, soil, V0)
+        assert_accurate([pressure], [-wanted[0, yy]], [size[0, yy]], [f"p({x})"], 4)
+        assert pressure == pytest.approx(-po.elastic.wedge_stress(x, 0.0, nodes, soil, V0).yy, rel=4 * EPS)
+
+
+def factor(soil, speed):
+    """Return K of p = mu K (t/pi) ln(x/(l - x)), from the pressure on a wedge of slope t = 0.1."""
+    x, length = 0.4, 0.5
+    pressure = po.elastic.wedge_pressure(x, [(0.0, 0.0), (length, 0.1 * length)], soil, speed)
+    return pressure * math.pi / (MU * 0.1 * math.log(x / (length - x)))
+
+
+@pytest.mark.parametrize("nu", [0.0, 0.25, 0.49])
+def test_pressure_at_rest_at_the_rayleigh_speed_and_at_the_shear_waves(nu):
+    soil, _ = ground(nu=nu)
+    assert factor(soil, 0.0) == pytest.approx(1.0 / (1.0 - nu), rel=8 * EPS)
+    # Beside its zero K falls by about 20 for each c2.
+    assert factor(soil, po.elastic.rayleigh_speed(soil)) == pytest.approx(0.0, abs=100 * EPS)
+    # c2 itself is rounded, and K hangs on the root of the distance from it.
+    assert factor(soil, po.elastic.shear_wave_speed(soil)) == pytest.approx(-math.sqrt(2.0 * (1.0 - nu)), rel=1e-7)
+
+
+def test_pressure_of_a_straight_wedge_is_antisymmetric_about_its_middle():
+    (soil, speed), nodes = ground(), [(0.0, 0.0), (0.5, 0.05)]
+    # Powers of two: no distance is rounded.
+    x = 2.0 ** -np.arange(3.0, 40.0)
+    ahead, behind = (po.elastic.wedge_pressure(at, nodes, soil, speed) for at in (x, 0.5 - x))
+    np.testing.assert_allclose(ahead, -behind, rtol=4 * EPS)
+    assert np.all(np.diff(ahead) < 0.0)
+    assert ahead[0] < 0.0
+
+
+def test_diamond_is_pulled_at_both_ends_only():
+    """p = (mu K t/pi) ln(x (l - x)/(x - l/2)^2) changes its sign at (1 -+ 1/sqrt(2)) l/2."""
+    (soil, speed), length = ground(), 0.5
+    nodes = [(0.0, 0.0), (0.25, 0.025), (0.5, 0.0)]
+    for turn in ((1.0 - math.sqrt(0.5)) * length / 2.0, (1.0 + math.sqrt(0.5)) * length / 2.0):
+        ahead, at, behind = (po.elastic.wedge_pressure(turn + dx, nodes, soil, speed) for dx in (-1e-6, 0.0, 1e-6))
+        assert ahead * behind < 0.0
+        assert abs(at) < 1e-9 * abs(ahead)
+    x = 0.1
+    wanted = MU * factor(soil, speed) * 0.1 / math.pi * math.log(x * (length - x) / (x - length / 2.0) ** 2)
+    assert po.elastic.wedge_pressure(x, nodes, soil, speed) == pytest.approx(wanted, rel=8 * EPS)
+
+
+# --- force on a wedge ------------------------------------------------------------------------------------------------
+
+
+def thrust(body, speed, nu=0.3):
+    """Return the size of a force: what the pressure of all pieces, without signs, does to the whole face [N/m]."""
+    nodes = nodes_of(inputs(0, 0, body))
+    slopes = [(d - b) / (c - a) for (a, b), (c, d) in itertools.pairwise(nodes)]
+    medium = exact_medium(speed, nu)
+    K = medium.rayleigh_function / (medium.alpha * medium.m)
+    return float(2 * nodes[-1][0] * (max(map(abs, slopes)) + FRICTION) * MU * (1 + abs(K)) * sum(map(abs, slopes)))
+
+
+@bodies
+@pytest.mark.parametrize("speed", [1e-6, 0.3, 0.9274, 0.95])
+def test_signed_drag_is_zero(body, speed):
+    """Below the shear wave's speed nothing is radiated: int p h' dx = 0, by quadrature and by the closed form."""
+    nodes = nodes_of(inputs(0, 0, body))
+    soil, V0 = ground(speed, tool_friction=0.0)
+    assert po.elastic.wedge_force(nodes, soil, V0, separation=False) == 0.0
+    drag = parts = 0.0
+    # Distances from each node fall exponentially, which makes the logarithms straight.
+    tau, weight = np.polynomial.legendre.leggauss(60)
+    tau, weight = 18.0 * (1.0 + tau), 18.0 * weight
+    for (a, left), (b, right) in itertools.pairwise(nodes):
+        distance = (b - a) / 2.0 * np.exp(-tau)
+        for x in (a + distance, b - distance):
+            # Beside a node its own coordinate rounds the distance, harmlessly: it is that small.
+            inside = (x > a) & (x < b)
+            pressure = po.elastic.wedge_pressure(x[inside], nodes, soil, V0)
+            shares = (right - left) / (b - a) * pressure * (weight * distance)[inside]
+            drag, parts = drag + np.sum(shares), parts + np.sum(np.abs(shares))
+    assert abs(drag) < 1e-10 * parts
+
+
+def test_friction_of_a_clinging_diamond_by_hand():
+    """4 mu0 mu K t l ln(2)/pi."""
+    (soil, speed), nodes = ground(), [(0.0, 0.0), (0.25, 0.025), (0.5, 0.0)]
+    wanted = 4.0 * FRICTION * MU * factor(soil, speed) * 0.1 * 0.5 * math.log(2.0) / math.pi
+    assert po.elastic.wedge_force(nodes, soil, speed, separation=False) == pytest.approx(wanted, rel=8 * EPS)
+
+
+def straight_force(E, nu, speed, length, thickness, tool_friction, ambient_pressure):
+    """2 (t + mu0) l A ln(1 + exp(-p_a/A)), A = mu |K| t/pi, per metre of width."""
+    medium, t = oracle.Medium(E, nu, RHO, speed), thickness / length
+    A = medium.mu * abs(medium.rayleigh_function) / (medium.alpha * medium.m) * t / mp.pi
+    return 2 * (t + tool_friction) * length * A * mp.log(1 + mp.exp(-ambient_pressure / A))
+
+
+PRESSURES = [0.0, 1e4, 1e5, 7e5, 4e6]
+
+
+@pytest.mark.parametrize("speed", [1e-6, 0.3, 0.8, 0.95])
+@pytest.mark.parametrize("ambient_pressure", PRESSURES)
+def test_force_on_a_straight_wedge_by_hand(ambient_pressure, speed):
+    soil, V0 = ground(speed, ambient_pressure=ambient_pressure)
+    wanted = straight_force(*hp.exact([soil.youngs_modulus, 0.3, V0, 0.5, 0.05, FRICTION, ambient_pressure]))
+    force = po.elastic.wedge_force([(0.0, 0.0), (0.5, 0.05)], soil, V0)
+    assert force == pytest.approx(float(wanted), rel=0, abs=32 * EPS * thrust("wedge", speed))
+
+
+@pytest.mark.parametrize(
+    ("body", "speed", "ambient_pressure"), thinned(BODIES, [1e-6, 0.3, 0.95], [*PRESSURES, 1e6, 1e7], keep=4)
+)
+def test_force_on_any_wedge_against_precise_integration(body, speed, ambient_pressure):
+    soil, V0 = ground(speed, ambient_pressure=ambient_pressure)
+    nodes = nodes_of(inputs(0, 0, body))
+    size = thrust(body, speed)
+    for separation in (True, False):
+        wanted = oracle.wedge_force(
+            exact_nodes(body), exact_medium(speed), mp.mpf(FRICTION), mp.mpf(ambient_pressure), separation
+        )
+        force = po.elastic.wedge_force(nodes, soil, V0, separation=separation)
+        assert force == pytest.approx(float(wanted), rel=0, abs=32 * EPS * size)
+
+
+def test_force_of_many_nodes():
+    """Contact is lost and found again on both sides of corners that point inwards."""
+    nodes = [(0.0, 0.0), (0.05, 0.02), (0.1, 0.021), (0.2, 0.05), (0.3, 0.045), (0.42, 0.07), (0.5, 0.071)]
+    soil, V0 = ground(ambient_pressure=2e5)
+    exact = [(mp.mpf(a), mp.mpf(b)) for a, b in nodes]
+    wanted = oracle.wedge_force(exact, exact_medium(), mp.mpf(FRICTION), mp.mpf(2e5))
+    assert po.elastic.wedge_force(nodes, soil, V0) == pytest.approx(float(wanted), rel=1e-13)
+
+
+@bodies
+def test_ambient_pressure_presses_the_soil_onto_the_face(body):
+    """The force falls with it, to that of the soil that clings: for one straight wedge to zero."""
+    nodes = nodes_of(inputs(0, 0, body))
+    forces = [po.elastic.wedge_force(nodes, *ground(ambient_pressure=p)) for p in (0.0, 1e5, 1e6, 1e7, 1e9)]
+    clinging = po.elastic.wedge_force(nodes, *ground(ambient_pressure=0.0), separation=False)
+    assert all(a > b for a, b in itertools.pairwise(forces[:4]))
+    assert forces[-1] == pytest.approx(clinging, rel=0, abs=32 * EPS * thrust(body, 0.3))
+    assert clinging == 0.0 or body != "wedge"
+
+
+def expressions(force, values):
+    """Return value, gradient and Hessian of a force by automatic differentiation, as arrays."""
+    v = ca.MX.sym("v", len(values))
+    symbolic = force(*ca.vertsplit(v))
+    hessian, gradient = ca.hessian(symbolic, v)
+    return [np.squeeze(np.asarray(part)) for part in ca.Function("f", [v], [symbolic, gradient, hessian])(values)]
+
+
+def assert_derivatives_of_force(found, wanted, values, relative):
+    """Compare derivatives times the inputs that they are taken in, relative to the force."""
+    value, gradient, hessian = found
+    scale = float(abs(wanted[0]))
+    assert value == pytest.approx(float(wanted[0]), rel=relative)
+    for i, xi in enumerate(values):
+        assert gradient[i] * xi == pytest.approx(float(wanted[1][i]) * xi, rel=relative, abs=relative * scale), i
+        for j, xj in enumerate(values):
+            exact = float(wanted[2][i][j]) * xi * xj
+            assert hessian[i, j] * xi * xj == pytest.approx(exact, rel=relative, abs=relative * scale), (i, j)
+
+
+def force_of_straight_wedge(E, nu, speed, length, thickness, tool_friction, ambient_pressure):
+    soil = po.Soil(RHO, 0.8, 0.0, 0.5, tool_friction, ambient_pressure, youngs_modulus=E, poisson_ratio=nu)
+    return po.elastic.wedge_force([(0.0, 0.0), (length, thickness)], soil, speed)
+
+
+@pytest.mark.parametrize("speed", [2.0, 30.0, 95.0])
+def test_gradient_and_hessian_of_the_force_on_a_straight_wedge(speed):
+    values = [4.16e7, 0.3, speed, 0.5, 0.05, 0.3, 1e5]
+    wanted = hp.derivatives(straight_force, values)
+    assert_derivatives_of_force(expressions(force_of_straight_wedge, values), wanted, values, 1e-11)
+
+
+def force_of_ogive(nu, speed, place, first, second):
+    soil = po.Soil(RHO, 0.8, 0.0, 0.5, FRICTION, 1e5, youngs_modulus=4.16e7, poisson_ratio=nu)
+    return po.elastic.wedge_force([(0.0, 0.0), (place, first), (0.6, second)], soil, speed)
+
+
+def precise_force_of_ogive(nu, speed, place, first, second):
+    nodes = [(mp.mpf(0), mp.mpf(0)), (place, first), (mp.mpf(0.6), second)]
+    return oracle.wedge_force(nodes, oracle.Medium(4.16e7, nu, RHO, speed), mp.mpf(FRICTION), mp.mpf(1e5))
+
+
+@pytest.mark.parametrize("speed", [95.0, *slow([2.0])])
+def test_gradient_and_hessian_of_the_force_on_an_ogive(speed):
+    values = [0.3, speed, 0.2, 0.03, 0.05]
+    wanted = hp.derivatives(precise_force_of_ogive, values)
+    assert_derivatives_of_force(expressions(force_of_ogive, values), wanted, values, 1e-10)
+
+
+# --- pressure and force on a cone ------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("body", "speed", "nu"), thinned(BODIES, SPEEDS, [0.0, 0.3, 0.49], keep=7))
+def test_cone_pressure(body, speed, nu):
+    soil, V0 = ground(speed, nu)
+    nodes = nodes_of(inputs(0, 0, body))
+    for x in (1e-6, 0.03, 0.15, 0.33, 0.4999):
+        radius = oracle.radius(mp.mpf(x), exact_nodes(body))
+        wanted, size = precise(precise_cone, inputs(x, float(radius), body, speed or 1e-15, nu))
+        rr = oracle.Cone._fields.index("rr")
+        # R(x), a difference of the nodes' radii, is rounded on the way.
+        rounded = 4 * abs(wanted[0, rr]) * max(BODIES[body][1]) / radius
+        pressure = po.elastic.cone_pressure(x, nodes, soil, V0)
+        assert_accurate([pressure], [-wanted[0, rr]], [size[0, rr] + rounded], [f"p({x})"], 16)
+        assert pressure == pytest.approx(-po.elastic.cone_stress(x, float(radius), nodes, soil, V0).rr, rel=1e-12)
+
+
+@pytest.mark.parametrize("nu", [0.0, 0.3, 0.49])
+@pytest.mark.parametrize("speed", [1e-3, 0.3, 0.7, 0.95])
+def test_pressure_on_a_slender_cone_is_near_the_shear_modulus(speed, nu):
+    """To an error of t^4 ln t, away from tip and shoulder, p/mu is an elementary expression of the profile."""
+    (soil, V0), length, x = ground(speed, nu), 0.5, 0.3
+    medium = exact_medium(speed, nu)
+    m, kappa, alpha, eta = medium.m, (medium.c2 / medium.c1) ** 2, medium.alpha, medium.eta
+    for t in (0.1, 0.01, 0.001):
+        nodes, r = [(0.0, 0.0), (length, t * length)], t * x
+        first, last = mp.hypot(x, alpha * r), mp.hypot(x - length, alpha * r)
+        log = mp.log((first + last + length) / (first + last - length))
+        along = (t**2 * log - t**2 * length / last) / 2
+        shear = (2 * eta**2 * mp.log(alpha / eta) + (1 + eta**2) * alpha**2 / 2 - eta**2) / m
+        wanted = 1 + (m * (1 - kappa) - (1 - 2 * kappa)) * along - t**2 * shear
+        found = po.elastic.cone_pressure(x, nodes, soil, V0) / MU
+        assert found == pytest.approx(float(wanted), rel=0, abs=20 * t**4 * (1 - math.log(t)) + 1e-13)
+
+
+CONE_CASES = [("wedge", 0.3, 1e4)]
+MORE_CONE_CASES = [
+    ("diamond", 0.3, 0.0),
+    ("diamond", 0.95, 1e6),
+    ("ogive", 0.3, 1e5),
+    ("ogive", 0.95, 0.0),
+    ("tapered", 0.3, 0.0),
+    ("tapered", 0.95, 1e7),
+]
+
+
+@pytest.mark.parametrize("case", [*CONE_CASES, *slow(MORE_CONE_CASES)], ids=str)
+def test_force_on_a_cone_against_precise_quadrature(case):
+    body, speed, ambient_pressure = case
+    soil, V0 = ground(speed, ambient_pressure=ambient_pressure)
+    nodes = nodes_of(inputs(0, 0, body))
+    with mp.workdps(20):
+        at = (exact_nodes(body), exact_medium(speed), mp.mpf(FRICTION), mp.mpf(ambient_pressure))
+        wanted = oracle.cone_force(*at)
+        assert po.elastic.cone_force(nodes, soil, V0) == pytest.approx(float(wanted), rel=1e-13)
+        clinging = po.elastic.cone_force(nodes, soil, V0, separation=False)
+        assert clinging == pytest.approx(float(oracle.cone_force(*at, separation=False)), rel=1e-13)
+
+
+@pytest.mark.parametrize(("section_factor", "speed", "nu"), [(0.5, 0.01, 0.3), (1.0, 0.7, 0.0)])
+def test_force_on_a_slender_cone_by_hand(section_factor, speed, nu):
+    """2 pi t (t + mu0) (mu l^2/2) 2 s (1 + t^2 (m - 2 nu)/(4 (1 - nu)) + O(t^3))."""
+    soil, V0 = ground(speed, nu)
+    for t in (0.03, 0.01):
+        head = 2.0 * math.pi * t * (t + FRICTION) * MU * 0.5**2 / 2.0 * 2.0 * section_factor
+        nodes = [(0.0, 0.0), (0.5, 0.5 * t)]
+        found = po.elastic.cone_force(nodes, soil, V0, section_factor=section_factor) / head - 1.0
+        wanted = t**2 * (speed**2 - 2.0 * nu) / (4.0 * (1.0 - nu))
+        assert found == pytest.approx(wanted, rel=0, abs=2.0 * t**3)
+
+
+def force_of_cone(E, nu, speed, length, radius, tool_friction):
+    soil = po.Soil(RHO, 0.8, 0.0, 0.5, tool_friction, 1e5, youngs_modulus=E, poisson_ratio=nu)
+    return po.elastic.cone_force([(0.0, 0.0), (length, radius)], soil, speed)
+
+
+def precise_force_of_cone(E, nu, speed, length, radius, tool_friction):
+    nodes = [(mp.mpf(0), mp.mpf(0)), (length, radius)]
+    return oracle.cone_force(nodes, oracle.Medium(E, nu, RHO, speed), tool_friction, mp.mpf(1e5), separation=False)
+
+
+@pytest.mark.parametrize("speed", [95.0, *slow([2.0])])
+def test_gradient_of_the_force_on_a_cone(speed):
+    values = [4.16e7, 0.3, speed, 0.5, 0.05, 0.3]
+    v = ca.MX.sym("v", len(values))
+    force = force_of_cone(*ca.vertsplit(v))
+    value, gradient = ca.Function("force", [v], [force, ca.gradient(force, v)])(values)
+    assert float(value) == pytest.approx(force_of_cone(*values), rel=1e-14)
+    slopes = np.asarray(gradient).ravel()
+    for i in (1, 2, 4):
+        xi, slope = values[i], slopes[i]
+        # Fourth order; a step of one thousandth leaves 1e-12 of the terms, and rounding 1e-13 over it.
+        h = 1e-3 * xi
+        moved = [force_of_cone(*values[:i], xi + k * h, *values[i + 1 :]) for k in (-2, -1, 1, 2)]
+        difference = (moved[0] - 8.0 * moved[1] + 8.0 * moved[2] - moved[3]) / (12.0 * h)
+        assert slope * xi == pytest.approx(difference * xi, rel=1e-9, abs=1e-9 * float(value))
+
+
+@pytest.mark.slow
+def test_gradient_and_hessian_of_the_force_on_a_cone():
+    values = [4.16e7, 0.3, 60.0, 0.5, 0.05, 0.3]
+    with mp.workdps(60):
+        # Quadrature to 60 digits carries a step of 1e-15.
+        wanted = differences(precise_force_of_cone, hp.exact(values), mp.mpf(10) ** -15)
+    assert_derivatives_of_force(expressions(force_of_cone, values), wanted, values, 1e-11)
+
+
+def differences(function, x, step):
+    """Return value, gradient and Hessian by central differences with a step relative to each input."""
+    h = [step * xi for xi in x]
+
+    def at(*moves):
+        y = list(x)
+        for i, sign in moves:
+            y[i] += sign * h[i]
+        return function(*y)
+
+    n, value = len(x), at()
+    ahead, behind = [at((i, 1)) for i in range(n)], [at((i, -1)) for i in range(n)]
+    gradient = [(p - q) / (2 * s) for p, q, s in zip(ahead, behind, h, strict=True)]
+    hessian = [[(ahead[i] - 2 * value + behind[i]) / h[i] ** 2 if i == j else None for j in range(n)] for i in range(n)]
+    for i, j in itertools.combinations(range(n), 2):
+        ends = at((i, 1), (j, 1)) + at((i, -1), (j, -1)) + 2 * value
+        hessian[i][j] = hessian[j][i] = (ends - ahead[i] - ahead[j] - behind[i] - behind[j]) / (2 * h[i] * h[j])
+    return value, gradient, hessian
+
+
+def test_ambient_pressure_does_not_matter_where_the_cone_is_pressed_everywhere():
+    nodes = [(0.0, 0.0), (0.5, 0.05)]
+    forces = [po.elastic.cone_force(nodes, *ground(ambient_pressure=p)) for p in (0.0, 1e5, 1e7)]
+    assert forces[0] == forces[1] == forces[2] == po.elastic.cone_force(nodes, *ground(), separation=False)
+
+
+# --- numbers, symbols, shares, refusals ------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("share", [po.Wedge(po.deg(25.0), po.deg(15.0), 0.25), po.Cone(po.deg(10.0), 0.3)])
+def test_a_share_stands_for_its_nodes(share):
+    soil, speed = ground(ambient_pressure=1e5)
+    cone = share.equivalent_cone() if isinstance(share, po.Wedge) else share
+    nodes = [(0.0, 0.0), (cone.height, cone.height * cone.slope)]
+    for force in (po.elastic.wedge_force, po.elastic.cone_force):
+        assert force(share, soil, speed) == force(nodes, soil, speed)
+    for pressure in (po.elastic.wedge_pressure, po.elastic.cone_pressure):
+        assert pressure(0.1, share, soil, speed) == pressure(0.1, nodes, soil, speed)
+
+
+@pytest.mark.parametrize("symbol", [ca.SX, ca.MX])
+def test_numbers_arrays_and_symbols_give_the_same_pressure(symbol):
+    soil, speed = ground()
+    nodes = nodes_of(inputs(0, 0, "tapered"))
+    x, places = symbol.sym("x"), np.array([0.03, 0.25, 0.6])
+    for pressure in (po.elastic.wedge_pressure, po.elastic.cone_pressure):
+        evaluate = ca.Function("p", [x], [pressure(x, nodes, soil, speed)])
+        floats = [pressure(float(place), nodes, soil, speed) for place in places]
+        np.testing.assert_allclose(pressure(places, nodes, soil, speed), floats, rtol=1e-14)
+        np.testing.assert_allclose([float(evaluate(place)) for place in places], floats, rtol=1e-14)
+
+
+@pytest.mark.parametrize("symbol", [ca.SX, ca.MX])
+def test_symbols_give_the_force_of_numbers(symbol):
+    values = inputs(0, 0, "diamond", 0.95)
+    soil = {"ambient_pressure": 1e5}
+    number = po.elastic.wedge_force(nodes_of(values), soil_of(values, **soil), values[5])
+    v = symbol.sym("v", len(values))
+    entries = ca.vertsplit(v)
+    force = po.elastic.wedge_force(nodes_of(entries), soil_of(entries, **soil), entries[5])
+    evaluated = float(ca.Function("force", [v], [force])(values))
+    assert evaluated == pytest.approx(number, rel=0, abs=32 * EPS * thrust("diamond", 0.95))
+
+
+GOOD = [(0.0, 0.0), (0.25, 0.025), (0.5, 0.0)]
+
+
+@pytest.mark.parametrize(
+    ("quantity", "x", "sentence"),
+    [
+        ("wedge_pressure", -0.1, "the face begins there"),
+        ("wedge_pressure", 0.6, "the face ends there"),
+        ("wedge_pressure", 0.25, "node 2 of the profile"),
+        ("wedge_pressure", math.nan, "x = nan m must be finite"),
+        ("cone_pressure", 0.0, "the face begins there"),
+        ("cone_pressure", 0.6, "the face ends there"),
+        ("cone_pressure", 0.5, "radius of the cone at x = 0 m must be above 0 m"),
+        ("cone_pressure", math.nan, "x = nan m must be finite"),
+    ],
+)
+def test_places_beside_the_face_are_refused(quantity, x, sentence):
+    with pytest.raises(po.DomainError, match=sentence):
+        getattr(po.elastic, quantity)(x, GOOD, *ground())
+
+
+@pytest.mark.parametrize("force", ["wedge_force", "cone_force"])
+def test_speeds_of_the_shear_wave_and_more_are_refused(force):
+    soil, _ = ground()
+    with pytest.raises(po.DomainError, match=r"speed over shear wave speed = 1\.01"):
+        getattr(po.elastic, force)(GOOD, soil, 1.01 * SHEAR_WAVE)
+    with pytest.raises(po.InputError, match="youngs_modulus"):
+        getattr(po.elastic, force)(GOOD, po.Soil(1600.0, 0.8, 0.0, 0.5, 0.3), 1.0)

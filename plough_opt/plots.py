@@ -238,6 +238,6 @@ def draw_scan(axes: Axes, best: Optimum) -> None:
 def _pad(axes: Axes, length: float, half_width: float, ahead: float = 0.0) -> None:
     """Show lengths to scale, with a margin around the drawing."""
     axes.set_aspect("equal")
-    axes.locator_params(nbins=6)
+    axes.locator_params(nbins=4)
     axes.set_xlim(-ahead - 0.06 * length, 1.08 * length)
     axes.set_ylim(-1.2 * half_width, 1.2 * half_width)

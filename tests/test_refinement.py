@@ -143,7 +143,7 @@ def test_the_sentence_on_rounding_waits_for_it():
     )
 
 
-@pytest.mark.parametrize("sizes", [[], [0, 4], [-2], [4, 0]])
+@pytest.mark.parametrize("sizes", [[], [0, 4], [-2], [4, 0], [2.5, 4], ["4"]])
 def test_sizes_that_are_none_are_refused(sizes):
     with pytest.raises(po.InputError) as caught:
         po.refine(float, sizes)

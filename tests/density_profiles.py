@@ -1,0 +1,56 @@
+"""Density profiles as the toolkit takes them, each beside its precise counterpart of `precise_field`."""
+
+from typing import NamedTuple
+
+import high_precision as hp
+import precise_field as pf
+
+import plough_opt as po
+from plough_opt.expressions import exp
+
+DENSITY = 1400.0
+"""Of the undisturbed soil [kg/m^3]."""
+
+STRENGTH = {"friction_angle": 0.5, "cohesion": 2e4, "ambient_pressure": 1e4}
+
+
+def _falling_bell(r, c, w):
+    return DENSITY * c * (1.0 + exp(-((r / w) ** 2)) / 4.0)
+
+
+DENSITIES = {
+    "exponential, b rising": (lambda r, c, w: DENSITY / (c - exp(-r / w) / 4.0), (0.9, 0.1)),
+    "exponential, b falling": (lambda r, c, w: DENSITY / (c + exp(-r / w) / 4.0), (0.55, 0.1)),
+    "linear, b rising": (lambda r, c, w: DENSITY * c * (1.0 - r / w), (1.5, 0.8)),
+    "linear, b falling": (lambda r, c, w: DENSITY * c * (1.0 + r / w), (1.12, 1.0)),
+    "quadratic, b rising": (lambda r, c, w: DENSITY * c * (1.0 - (r / w) ** 2), (1.4, 0.4)),
+    "quadratic, b falling": (lambda r, c, w: DENSITY * c * (1.0 + (r / w) ** 2), (1.1, 0.2)),
+    "bell": (_falling_bell, (1.1, 0.05)),
+}
+"""Density [kg/m^3] of radius and two parameters, with values of the parameters. The bell varies the most."""
+
+
+class Ground(NamedTuple):
+    """A profile by name, in soil of some strength."""
+
+    name: str
+    parameters: tuple
+    friction_angle: object = STRENGTH["friction_angle"]
+    cohesion: object = STRENGTH["cohesion"]
+
+    def soil(self, order):
+        """Return the toolkit's soil."""
+        plain = po.Soil(DENSITY, 0.5, self.cohesion, self.friction_angle, 0.45, STRENGTH["ambient_pressure"])
+        return plain.with_density_profile(DENSITIES[self.name][0], *self.parameters, order=order)
+
+    def field(self, radius, rate, acceleration):
+        """Return the precise field around a cavity."""
+        values = (*self.parameters, radius, rate, acceleration, self.friction_angle, self.cohesion)
+        rest = hp.exact([STRENGTH["ambient_pressure"], DENSITY])
+        exact = [hp.mp.mpf(value) for value in values]
+        return pf.Field(pf.PROFILES[self.name], *exact, *rest)
+
+
+def ground(name, **strength):
+    """Return a profile with its own values of the parameters."""
+    return Ground(name, DENSITIES[name][1], **strength)

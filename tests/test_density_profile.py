@@ -1,0 +1,338 @@
+"""A density that varies behind the front: against the closed form, the source's equations and other integrators."""
+
+import dataclasses
+import itertools
+import math
+from itertools import pairwise
+
+import casadi as ca
+import high_precision as hp
+import numpy as np
+import pytest
+from density_profiles import DENSITIES, DENSITY, ground
+from high_precision import mp
+from scipy.integrate import solve_ivp
+
+import plough_opt as po
+from plough_opt import plastic
+from plough_opt.plastic import Cavity
+
+CAVITIES = {
+    "steady": Cavity(0.05, 0.5, 0.0),
+    "speeding up": Cavity(0.03, 1.5, 40.0),
+    "slowing down": Cavity(0.05, 0.5, -20.0),
+    "at rest": Cavity(0.05, 0.0, 0.0),
+}
+cavities = pytest.mark.parametrize(
+    "cavity",
+    [
+        pytest.param(cavity, id=name, marks=[pytest.mark.slow] if name != "speeding up" else [])
+        for name, cavity in CAVITIES.items()
+    ],
+)
+profiles = pytest.mark.parametrize("name", DENSITIES)
+
+# An order with which all profiles but the bell are exact to rounding, and one that is enough for the bell.
+ENOUGH, PLENTY = 16, 24
+
+
+def order_for(name):
+    return PLENTY if name == "bell" else ENOUGH
+
+
+def radii(cavity, soil, count=5):
+    """Radii from the wall to the front; the front itself may be rounded outwards."""
+    return np.linspace(0.0, plastic.front_radius(cavity, soil), count)
+
+
+# --- a constant profile is the closed form ----------------------------------------------------------------------------
+
+RATIOS = [1e-6, 1e-3, 0.1, 0.5, 0.8, 0.95, 0.999]
+ANGLES = [0.0, 1e-9, 0.1, 0.5, 1.0, 1.4]
+# A dozen roundings; the worst found is 1.4e-15, in the added mass of soil with b1 = 0.999 and 1.4 rad.
+CONSTANT = 1e-14
+
+
+def constant_pairs():
+    """Yield a constant locked density as such, and the same as a profile."""
+    for b1, angle in itertools.product(RATIOS, ANGLES):
+        plain = po.Soil(DENSITY, b1, 2e4, angle, 0.45, 1e4)
+        varied = plain.with_density_profile(lambda r, rho: rho + 0.0 * r, DENSITY / b1)
+        yield b1, angle, plain, varied
+
+
+def kinematics(r, cavity, soil):
+    """Return everything around a cavity that is not pressure."""
+    found = {
+        name: getattr(plastic, name)(r, cavity, soil)
+        for name in ("density", "current_radius", "particle_velocity", "particle_acceleration")
+    }
+    front = {name: getattr(plastic, name)(cavity, soil) for name in ("front_radius", "front_speed")}
+    return found | front
+
+
+@pytest.mark.parametrize("cavity", CAVITIES.values(), ids=CAVITIES)
+def test_a_constant_profile_moves_as_the_closed_form(cavity):
+    for b1, angle, plain, varied in constant_pairs():
+        r = radii(cavity, plain)
+        wanted = kinematics(r, cavity, plain)
+        for name, found in kinematics(r, cavity, varied).items():
+            np.testing.assert_allclose(found, wanted[name], rtol=CONSTANT, err_msg=f"{name}, b1 = {b1}, {angle} rad")
+
+
+@pytest.mark.parametrize("cavity", CAVITIES.values(), ids=CAVITIES)
+def test_a_constant_profile_bears_the_stress_of_the_closed_form(cavity):
+    for b1, angle, plain, varied in constant_pairs():
+        r = radii(cavity, plain)
+        found, wanted = plastic.stress(r, cavity, varied), plastic.stress(r, cavity, plain)
+        label = f"b1 = {b1}, {angle} rad"
+        np.testing.assert_allclose(found.radial, wanted.radial, rtol=CONSTANT, err_msg=label)
+        # Tension from cohesion and compression may leave nothing of the tangential stress somewhere.
+        size = CONSTANT * np.max(np.abs(wanted.tangential))
+        np.testing.assert_allclose(found.tangential, wanted.tangential, atol=size, err_msg=label)
+
+
+@pytest.mark.parametrize("ratio", RATIOS)
+def test_a_constant_profile_presses_and_resists_as_the_closed_form(ratio):
+    cone = po.Cone(0.2, 0.3)
+    for b1, angle, plain, varied in constant_pairs():
+        if b1 != ratio:
+            continue
+        label = f"b1 = {b1}, {angle} rad"
+        for cavity in CAVITIES.values():
+            found, wanted = (plastic.surface_pressure(cavity, soil) for soil in (varied, plain))
+            p = plastic.wall_pressure(plain)
+            # The terms without their signs, which slowing down makes cancel.
+            inertial = p.rate * cavity.rate**2 + p.inertia * cavity.radius * abs(cavity.acceleration)
+            assert found == pytest.approx(wanted, abs=CONSTANT * (p.strength + DENSITY * inertial)), label
+        for quantity in (
+            lambda soil: dataclasses.astuple(po.resistance_coefficients(cone, soil)),
+            lambda soil: po.resistance(cone, soil, 2.0, 3.0),
+            lambda soil: po.added_mass(cone, soil),
+            lambda soil: po.loosened_radius(cone, soil),
+            lambda soil: dataclasses.astuple(plastic.wall_pressure(soil, 0.05)),
+        ):
+            assert quantity(varied) == pytest.approx(quantity(plain), rel=CONSTANT), label
+
+
+def test_a_constant_profile_needs_one_node_for_its_front_and_few_for_the_rest():
+    plain = po.Soil(DENSITY, 0.8, 2e4, 0.5, 0.45, 1e4)
+    cavity, error = CAVITIES["speeding up"], {}
+    for order in (1, 2, 3, 4, 6, 8):
+        varied = plain.with_density_profile(lambda _r, rho: rho, DENSITY / 0.8, order=order)  # one number for all radii
+        assert plastic.front_radius(cavity, varied) == pytest.approx(plastic.front_radius(cavity, plain), rel=1e-15)
+        assert plastic.front_speed(cavity, varied) == pytest.approx(plastic.front_speed(cavity, plain), rel=1e-15)
+        error[order] = abs(plastic.surface_pressure(cavity, varied) / plastic.surface_pressure(cavity, plain) - 1.0)
+    # Entire integrands: the digits grow faster than the nodes.
+    assert error[1] < 0.05
+    assert error[2] < 1e-3
+    assert error[4] < 1e-6
+    assert error[6] < 1e-9
+    assert error[8] < 1e-13
+
+
+# --- the source's equations as residuals ------------------------------------------------------------------------------
+
+# Two dozen operations, and differentiation.
+RESIDUAL = 1e-13
+
+
+@profiles
+@cavities
+def test_continuity_9_momentum_8_and_yield_10(name, cavity):
+    soil = ground(name).soil(order_for(name))
+    r = ca.SX.sym("r")
+    y, field = plastic.current_radius(r, cavity, soil), plastic.stress(r, cavity, soil)
+    y_r, sigma_r = ca.jacobian(y, r), ca.jacobian(field.radial, r)
+    momentum = [
+        soil.density * r * plastic.particle_acceleration(r, cavity, soil),
+        y * sigma_r,
+        (field.radial - field.tangential) * y_r,
+        field.radial * y_r,
+    ]
+    b = soil.density / soil.density_profile.at(r)
+    assert plastic.density(0.01, cavity, soil) == pytest.approx(soil.density_profile.at(0.01), rel=1e-15)
+    terms = ca.vertcat(y * y_r - b * r, *momentum, field.radial, field.tangential)
+    evaluate = ca.Function("residuals", [r], [terms])
+    sine, tau0 = math.sin(soil.friction_angle), 2.0 * soil.cohesion * math.cos(soil.friction_angle)
+    for radius in radii(cavity, soil, 7)[1:]:
+        continuity, inertia, gradient, hoop, stress, radial, tangential = np.asarray(evaluate(radius)).ravel()
+        assert abs(continuity) <= RESIDUAL * radius
+        assert abs(inertia - gradient - hoop) <= RESIDUAL * (abs(inertia) + abs(gradient) + abs(stress))
+        p, q = -radial, -tangential
+        assert p - q == pytest.approx(tau0 + sine * (p + q), abs=RESIDUAL * p)
+
+
+@profiles
+@cavities
+def test_front_conditions_19_to_21(name, cavity):
+    soil = ground(name).soil(order_for(name))
+    front, speed = plastic.front_radius(cavity, soil), plastic.front_speed(cavity, soil)
+    velocity = plastic.particle_velocity(front, cavity, soil)
+    assert plastic.current_radius(front, cavity, soil) == pytest.approx(front, rel=RESIDUAL)
+    assert plastic.density(front, cavity, soil) * (speed - velocity) == pytest.approx(DENSITY * speed, rel=RESIDUAL)
+    jump = DENSITY * speed * velocity
+    assert -plastic.stress(front, cavity, soil).radial == pytest.approx(soil.ambient_pressure + jump, rel=RESIDUAL)
+
+
+@profiles
+@cavities
+def test_time_derivatives_of_front_radius_and_particles(name, cavity):
+    soil = ground(name).soil(order_for(name))
+    state = ca.SX.sym("state", 2)
+    now, r = Cavity(state[0], state[1], cavity.acceleration), 0.02
+    moving = ca.vertcat(
+        plastic.front_radius(now, soil),
+        plastic.current_radius(r, now, soil),
+        plastic.particle_velocity(r, now, soil),
+    )
+    in_time = ca.jtimes(moving, state, ca.vertcat(state[1], cavity.acceleration))
+    found = np.asarray(ca.Function("f", [state], [in_time])([cavity.radius, cavity.rate])).ravel()
+    wanted = [plastic.front_speed(cavity, soil)]
+    wanted += [plastic.particle_velocity(r, cavity, soil), plastic.particle_acceleration(r, cavity, soil)]
+    np.testing.assert_allclose(found, wanted, rtol=RESIDUAL, atol=RESIDUAL * cavity.rate)
+
+
+# --- other ways to the same numbers -----------------------------------------------------------------------------------
+
+
+@profiles
+@cavities
+def test_values_against_75_digits(name, cavity):
+    earth = ground(name)
+    soil, precise = earth.soil(order_for(name)), earth.field(cavity.radius, cavity.rate, cavity.acceleration)
+    front = float(precise.front)
+    # All that is summed has one sign but under deceleration, which makes inertia cancel to a tenth.
+    digits = 1e-14
+    hp.assert_close(plastic.front_radius(cavity, soil), precise.front, digits, "front")
+    hp.assert_close(plastic.front_speed(cavity, soil), precise.front_speed, digits, "front speed")
+    wall = precise.pressure(mp.mpf(0))
+    gauge = wall - mp.mpf(soil.ambient_pressure)
+    hp.assert_close(plastic.surface_pressure(cavity, soil), gauge, digits, "wall")
+    for r in (0.0, 0.3 * front, 0.8 * front):
+        exact, stress = mp.mpf(r), plastic.stress(r, cavity, soil)
+        hp.assert_close(plastic.density(r, cavity, soil), DENSITY / precise.ratio(exact), digits, "density")
+        hp.assert_close(plastic.current_radius(r, cavity, soil), precise.current_radius(exact), digits, "radius")
+        hp.assert_close(plastic.particle_velocity(r, cavity, soil), precise.velocity(exact), digits, "velocity")
+        acceleration = precise.acceleration_of(exact)
+        hp.assert_close(plastic.particle_acceleration(r, cavity, soil), acceleration, digits, "acceleration")
+        hp.assert_close(-stress.radial, precise.pressure(exact), digits, "radial")
+        hp.assert_close(-stress.tangential, precise.tangential_pressure(exact), digits, "tangential", wall)
+
+
+@profiles
+def test_the_precise_profile_is_the_toolkits_and_its_integrals_are_checked(name):
+    earth = ground(name)
+    precise = earth.field(0.03, 1.5, 40.0)
+    for r in (0.0, 0.02, 0.06):
+        assert float(DENSITY / precise.ratio(mp.mpf(r))) == pytest.approx(
+            earth.soil(1).density_profile.at(r), rel=4e-16
+        )
+    with mp.workdps(40):
+        swept = mp.quad(lambda s: 2 * precise.ratio(s) * s, [0, precise.front])
+        assert abs(swept / precise.swept(precise.front) - 1) < mp.mpf(10) ** -35
+
+        def momentum(s):
+            return precise.current_radius(s) ** (precise.nu - 1) * s * precise.acceleration_of(s)
+
+        carried = DENSITY * mp.quad(momentum, [0, precise.front])
+        jump = DENSITY * precise.front_speed * precise.velocity(precise.front)
+        ends = [radius**precise.nu for radius in (precise.front, precise.radius)]
+        shear = precise.tau0 / (1 + precise.mu) * (ends[0] - ends[1]) / precise.nu
+        pressure = (ends[0] * (precise.ambient_pressure + jump) + carried + shear) / ends[1]
+        assert abs(precise.pressure(mp.mpf(0)) / pressure - 1) < mp.mpf(10) ** -35
+
+
+@profiles
+def test_equations_8_and_9_by_a_solver_of_differential_equations(name):
+    """Outwards for the particle's radius until it meets its own Lagrangian radius, back inwards for the pressure."""
+    cavity = CAVITIES["speeding up"]
+    soil = ground(name).soil(order_for(name))
+    wall, spread = cavity.radius * cavity.rate, cavity.rate**2 + cavity.radius * cavity.acceleration
+    sine, tau0 = math.sin(soil.friction_angle), 2.0 * soil.cohesion * math.cos(soil.friction_angle)
+    tight = {"method": "DOP853", "rtol": 1e-12, "atol": 1e-14}
+
+    def square(r, _):
+        return [2.0 * r * DENSITY / soil.density_profile.at(r)]
+
+    def meets(r, state):
+        return r**2 - state[0]
+
+    meets.terminal = True
+    out = solve_ivp(square, (0.0, 1.0), [cavity.radius**2], events=meets, **tight)
+    front = out.t_events[0][0]
+    assert plastic.front_radius(cavity, soil) == pytest.approx(front, rel=1e-11)
+    b = DENSITY / soil.density_profile.at(front)
+    velocity = wall / front
+
+    def inwards(r, state):
+        y, b = math.sqrt(state[0]), DENSITY / soil.density_profile.at(r)
+        acceleration = spread / y - wall**2 / y**3
+        difference = (tau0 + 2.0 * sine * state[1]) / (1.0 + sine)
+        return [2.0 * r * b, -(DENSITY * r * acceleration + difference * b * r / y) / y]
+
+    start = [front**2, soil.ambient_pressure + DENSITY * velocity**2 / (1.0 - b)]
+    places = np.array([0.7, 0.4, 0.1, 0.0]) * front
+    back = solve_ivp(inwards, (front, 0.0), start, t_eval=places, **tight)
+    np.testing.assert_allclose(-plastic.stress(places, cavity, soil).radial, back.y[1], rtol=1e-11)
+    assert plastic.surface_pressure(cavity, soil) == pytest.approx(back.y[1][-1] - soil.ambient_pressure, rel=1e-10)
+    np.testing.assert_allclose(plastic.current_radius(places, cavity, soil), np.sqrt(back.y[0]), rtol=1e-11)
+
+
+@profiles
+def test_resistance_is_the_pressure_integrated_over_the_cone(name):
+    earth, cone, speed, acceleration = ground(name), po.Cone(0.2, 0.3), 2.0, 3.0
+    soil = earth.soil(24)
+    nodes, weights = np.polynomial.legendre.leggauss(40)
+    total = 0.0
+    for x, weight in zip((nodes + 1.0) * 0.15, weights * 0.15, strict=True):
+        cavity = Cavity(x * cone.slope, speed * cone.slope, acceleration * cone.slope)
+        total += weight * plastic.surface_pressure(cavity, soil) * x * cone.slope * math.sqrt(1.0 + cone.slope**2)
+    angle = math.sin(cone.half_angle) + soil.tool_friction * math.cos(cone.half_angle)
+    # The bell is narrower than the front at the base.
+    tolerance = 1e-6 if name == "bell" else 1e-12
+    assert po.resistance(cone, soil, speed, acceleration) == pytest.approx(2.0 * math.pi * angle * total, rel=tolerance)
+
+
+# --- the error of the quadrature --------------------------------------------------------------------------------------
+
+
+def errors_of(name, orders, cavity):
+    """Return true errors of the radial stress relative to the largest, and the toolkit's estimates of them."""
+    earth = ground(name)
+    precise = earth.field(cavity.radius, cavity.rate, cavity.acceleration)
+    r = np.array([0.0, 0.4, 0.8]) * float(precise.front)
+    truth = np.array([float(precise.pressure(mp.mpf(place))) for place in r])
+    soils = [earth.soil(order) for order in orders]
+    found = [np.max(np.abs(-plastic.stress(r, cavity, soil).radial - truth)) / np.max(truth) for soil in soils]
+    return np.array(found), np.array([plastic.quadrature_error(r, cavity, soil) for soil in soils])
+
+
+@profiles
+@pytest.mark.parametrize("motion", ["steady", "speeding up"])
+def test_the_error_falls_exponentially_and_is_estimated_honestly(name, motion):
+    orders = [4, 8, 12, 16, 20, 24] if name == "bell" else [2, 4, 6, 8]
+    error, estimate = errors_of(name, orders, CAVITIES[motion])
+    above = error > 2e-14  # the others are rounding
+    resolved = error[above]
+    assert len(resolved) >= 2
+    # Four more nodes leave less than a fiftieth of the error, of the smooth profiles two more less than a hundredth.
+    factor = 50.0 if name == "bell" else 100.0
+    assert all(fine < coarse / factor for coarse, fine in pairwise(resolved))
+    assert np.all(error[~above] <= 2e-14)
+    np.testing.assert_array_less(resolved, 1.5 * estimate[above])
+    np.testing.assert_array_less(estimate[above], 1.5 * resolved)
+    assert np.all(estimate[~above] < 1e-13)
+
+
+@pytest.mark.parametrize("order", [4, 8])
+def test_the_error_is_estimated_up_to_the_front(order):
+    # The finer front may lie a little nearer, so that the coarse one is ahead of it.
+    cavity, soil = CAVITIES["steady"], ground("bell").soil(order)
+    precise = ground("bell").field(cavity.radius, cavity.rate, cavity.acceleration)
+    front = plastic.front_radius(cavity, soil)
+    off = abs(front / float(precise.front) - 1.0)
+    assert off > 1e-8
+    estimate = plastic.quadrature_error(np.linspace(0.0, front, 5), cavity, soil)
+    assert 0.1 * off < estimate < 10.0 * off
+    assert plastic.quadrature_error(0.0, cavity, po.named_soil("serozem")) == 0.0

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 from plough_opt import elastic, plastic
 from plough_opt.accuracy import Accuracy
 from plough_opt.design import Design, LocalOptimum, Optimum
+from plough_opt.effects import Effects, StrengthWave
 from plough_opt.errors import (
     DomainError,
     InfeasibleDesign,
@@ -28,7 +29,7 @@ from plough_opt.geometry import Cone, Wedge, deg
 from plough_opt.motion import Run, simulate
 from plough_opt.printed import Printed
 from plough_opt.refinement import Refinement, refine
-from plough_opt.scene import Effects, Scene, StrengthWave
+from plough_opt.scene import Scene
 from plough_opt.soil import Soil, named_soil, soil_names
 
 if TYPE_CHECKING:

@@ -1,4 +1,4 @@
-"""Scene and Effects: what is simulated, and nothing else."""
+"""Scene: a share on its mount in the soil, with the effects that are simulated and no others."""
 
 from __future__ import annotations
 
@@ -9,107 +9,13 @@ from functools import cached_property
 from typing import Literal
 
 from plough_opt.domain import check_domain
+from plough_opt.effects import Effects
 from plough_opt.elastic import cone_force
 from plough_opt.errors import InputError
 from plough_opt.expressions import Expression, as_number, is_symbolic, sqrt
 from plough_opt.forces import SoilReaction, loosened_radius, soil_reaction
 from plough_opt.geometry import PLANE_SECTIONS_LIMIT, Cone, Wedge
-from plough_opt.printed import Formulation, Printed, errors_of
 from plough_opt.soil import Soil
-
-
-@dataclass(frozen=True)
-class StrengthWave:
-    """Soil strength that varies along the path: F0 is multiplied by 1 + amplitude sin(2 pi L / wavelength).
-
-    Args:
-        amplitude: epsilon [-], from 0 to 1.
-        wavelength: ell [m], above 0.
-    """
-
-    amplitude: Expression
-    wavelength: Expression
-
-    def __post_init__(self) -> None:
-        check_domain(
-            "strength wave amplitude",
-            self.amplitude,
-            at_least=0.0,
-            at_most=1.0,
-            why="soil cannot push the share forward",
-        )
-        check_domain("strength wavelength", self.wavelength, "m", above=0.0)
-
-
-@dataclass(frozen=True)
-class Effects:
-    """Which effects a scene contains. What is off adds no node, state or parameter to the equation of motion.
-
-    Args:
-        motion: integrate the equation of motion; False: quasi-static, the share follows the strut rigidly
-            and the draft is the soil's resistance to it, without the force M s'' that a ramp takes.
-        inertial_drag: the resistance's part B rho0 L'^2.
-        added_mass: the soil that the share carries along, C rho0 h L''.
-        ambient_pressure: the soil's ambient pressure p_a in A; False takes p_a = 0.
-        contact: ``"resisting"``: the resistance always points backwards, as printed in (27). It would
-            push a resting or retreating share, so a run in which that happens carries a warning.
-        start: ``"equilibrium"``: at the steady deflection for the strut's initial speed; ``"rest"``: travel and
-            speed of the share zero, spring relaxed.
-        strength_wave: periodic soil strength along the path, or None.
-        tow_ramp: time [s] in which the strut's speed rises from 0 by a C2 smoothstep; None or 0: none.
-        damping: viscous damper c in the mount [N s/m], or None.
-        rate_term: kappa [s^2/m^2] of F0 (1 + kappa L'^2), for calibration, or None. Not in the source.
-        formulation: ``"derived"``; ``"printed"``: equations (25)-(27) with the print's errors, to show what
-            they do; or a `Printed` with some of them. It is not physics, and a run says so.
-
-    Raises:
-        InputError: an unknown choice, or effects that exclude each other; the message says why.
-        DomainError: a value outside its domain.
-    """
-
-    motion: bool = True
-    inertial_drag: bool = True
-    added_mass: bool = True
-    ambient_pressure: bool = True
-    contact: Literal["resisting"] = "resisting"
-    start: Literal["equilibrium", "rest"] = "equilibrium"
-    strength_wave: StrengthWave | None = None
-    tow_ramp: Expression | None = None
-    damping: Expression | None = None
-    rate_term: Expression | None = None
-    formulation: Formulation = "derived"
-
-    def __post_init__(self) -> None:
-        if self.contact != "resisting":
-            raise InputError(f"contact = {self.contact!r} is not a contact law of this version: use 'resisting'")
-        if self.start not in ("equilibrium", "rest"):
-            raise InputError(f"start = {self.start!r} must be 'equilibrium' or 'rest'")
-        for name, value, unit in (
-            ("tow ramp", self.tow_ramp, "s"),
-            ("damping", self.damping, "N s/m"),
-            ("rate term", self.rate_term, "s^2/m^2"),
-        ):
-            if value is not None:
-                check_domain(name, value, unit, at_least=0.0)
-        if not self.motion and self.start == "rest":
-            raise InputError("start = 'rest' needs motion: a quasi-static share follows the strut from the start")
-        if not self.motion and self.damping is not None:
-            raise InputError("damping needs motion: in a quasi-static scene the mount never moves, so leave it out")
-        if self.printed.repelling_spring and not self.motion:
-            raise InputError(
-                "the print's repelling spring needs motion: a share that it repels never follows the strut, so there"
-                " is no quasi-static limit; take formulation = 'derived'"
-            )
-
-    @property
-    def printed(self) -> Printed:
-        """Which errors of the print are kept: none, unless the formulation says so."""
-        return errors_of(self.formulation)
-
-    @property
-    def ramps(self) -> bool:
-        """Whether the strut's speed ramps up; a ramp of zero duration is no ramp."""
-        return self.tow_ramp is not None and (is_symbolic(self.tow_ramp) or bool(as_number(self.tow_ramp) > 0))
 
 
 @dataclass(frozen=True)

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from plough_opt.accuracy import Accuracy
 from plough_opt.design import Design, Optimum, Progress
 from plough_opt.domain import check_domain
+from plough_opt.effects import Effects, StrengthWave
 from plough_opt.errors import InputError
 from plough_opt.expressions import Expression
 from plough_opt.geometry import Wedge
@@ -15,7 +16,7 @@ from plough_opt.motion import Run, simulate
 from plough_opt.problem_file.measures import MEASURES
 from plough_opt.problem_file.schema import ProblemTable
 from plough_opt.problem_file.units import Display
-from plough_opt.scene import Effects, Scene, StrengthWave
+from plough_opt.scene import Scene
 from plough_opt.soil import Soil, named_soil
 
 

@@ -7,8 +7,9 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, StrictBool, StrictFloat, StrictInt, StrictStr
 
+from plough_opt.effects import Effects
 from plough_opt.problem_file.units import Unit
-from plough_opt.scene import Effects, Scene
+from plough_opt.scene import Scene
 
 Length = Annotated[float, Unit("m")]
 Angle = Annotated[float, Unit("rad")]

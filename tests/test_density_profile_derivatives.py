@@ -90,7 +90,9 @@ def test_value_gradient_and_hessian(quantity, name):
                 assert float(found[2][i, j]) == pytest.approx(wanted, rel=DIGITS, abs=1e-18), f"{own}, {other}"
 
 
-@pytest.mark.parametrize("name", ["exponential, b rising", "quadratic, b falling"])
+@pytest.mark.parametrize(
+    "name", ["exponential, b rising", pytest.param("quadratic, b falling", marks=pytest.mark.slow)]
+)
 def test_derivatives_of_the_resistance_in_everything_a_design_varies(name):
     """Central differences of eighth order: rounding of the value over a step of 2e-3."""
     names = ("c", "w", "half angle", "height", "speed", "acceleration", "friction angle", "cohesion")

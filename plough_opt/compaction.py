@@ -89,7 +89,8 @@ def _front_square(square: Expression, soil: Soil) -> Expression:
         widest = float(np.sqrt(np.max(as_number(square))))
         raise DomainError(
             f"the compaction front around a cavity of {widest:.4g} m was not found: with"
-            " this density profile no front carries all the soil of the cavity, so let it compact more, or further out"
+            " this density profile no front carries all the soil of the cavity, so let it compact more, or further"
+            " out; a quadrature of low order may also miss one"
         )
     # An expression has nobody to tell: what it evaluates to without a front must not look like one.
     return where(missed, np.nan, x) if is_symbolic(missed) else x

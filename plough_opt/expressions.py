@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import numbers
 from collections.abc import Callable, Mapping
 from functools import lru_cache, wraps
 from typing import Any, TypeAlias
@@ -77,6 +78,11 @@ def holds_casadi(value: Any) -> bool:
 def is_quantity(value: Any) -> bool:
     """Return whether a value is a number or a CasADi expression, and no switch."""
     return is_casadi(value) or (isinstance(value, int | float | np.number) and not isinstance(value, bool))
+
+
+def is_count(value: Any) -> bool:
+    """Return whether a value is a whole number from 1 on."""
+    return isinstance(value, numbers.Integral) and not isinstance(value, bool) and int(value) >= 1
 
 
 def map_expressions(value: Any, function: Callable[[Any], Any], leaf: Callable[[Any], bool] = is_casadi) -> Any:

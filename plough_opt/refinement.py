@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from plough_opt.errors import InputError
-from plough_opt.expressions import Expression, as_number
+from plough_opt.expressions import Expression, as_number, is_count
 
 _REPEATS = 5
 # Below this relative error differences are rounding, and further refinement gains nothing.
@@ -75,9 +75,10 @@ def refine(quantity: Callable[[int], Expression], sizes: Sequence[int]) -> Refin
     Raises:
         InputError: no sizes, sizes below 1, or a result that is not finite.
     """
-    if not sizes or any(not isinstance(size, int) or size < 1 for size in sizes):
+    tried = tuple(dict.fromkeys(sizes))
+    if not tried or not all(map(is_count, tried)):
         raise InputError(f"sizes = {list(sizes)} must be one or more whole numbers from 1 on")
-    tried = tuple(sorted(set(sizes)))
+    tried = tuple(sorted(map(int, tried)))
     reference = _value(quantity, 2 * tried[-1])
     largest = float(np.max(np.abs(reference)))
     errors, seconds = [], []

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 
 from plough_opt.domain import check_domain
 from plough_opt.errors import InputError, nearest
-from plough_opt.expressions import COUNT, Expression
+from plough_opt.expressions import COUNT, Expression, is_count
 
 STANDARD_ATMOSPHERE = 101325.0
 """Ambient pressure [Pa] of the named soils, as the source takes it."""
@@ -35,7 +35,7 @@ class DensityProfile:
     def __post_init__(self) -> None:
         if not callable(self.density):
             raise InputError(f"the density profile {self.density!r} must be a function of the radius, in kg/m^3")
-        if not isinstance(self.order, int) or self.order < 1:
+        if not is_count(self.order):
             raise InputError(
                 f"order = {self.order!r} of the density profile's quadrature must be a whole number from 1 on"
             )

@@ -11,8 +11,8 @@ from plough_opt.expressions import Expression, is_symbolic, map_expressions, sqr
 from plough_opt.labels import Limit, attach
 from plough_opt.soil import Soil
 
-# At the shear wave's speed itself the fields are finite, but their slope is infinite: a design ends a millionth below.
-_SUBSONIC = Limit("elastic medium: speed over shear wave speed", at_most=1.0 - 1e-6)
+# At the shear wave's speed the fields are finite, but their slope is infinite: a design ends a little below.
+_SUBSONIC = Limit("elastic medium: speed over shear wave speed", at_most=0.9999)
 # Newton's method for the cubic of the Rayleigh speed doubles its digits; it starts with three.
 _RAYLEIGH_STEPS = 5
 

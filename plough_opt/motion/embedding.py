@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Hashable, Sequence
 from dataclasses import dataclass
 
 import casadi as ca
@@ -32,7 +32,7 @@ class Embedding:
 
 
 _KNOWN: dict[int, Embedding] = {}
-_BY_LAYOUT: dict[tuple[int, str], Embedding] = {}
+_BY_LAYOUT: dict[tuple[int, Hashable], Embedding] = {}
 
 
 def with_numbers(template: Scene, quantities: Sequence[float]) -> Scene:
@@ -66,7 +66,7 @@ def embed(solver: Integration, p: Sequence[Expression], scene: Scene) -> tuple[E
             )
         return tuple(solver.function.call([inputs]))
     # Quantities print alike, as placeholders, so scenes that differ in numbers only share one Function.
-    layout = (hash(solver.function), repr(template))
+    layout = (hash(solver.function), _key(template))
     if layout not in _BY_LAYOUT:
         _BY_LAYOUT[layout] = _build(solver, template, carried.numel())
     return tuple(_BY_LAYOUT[layout].function.call([inputs, carried]))
@@ -75,7 +75,7 @@ def embed(solver: Integration, p: Sequence[Expression], scene: Scene) -> tuple[E
 def labelled(value: Expression, scene: Scene) -> Expression:
     """Return a value of a scene as it is; of MX symbols, labelled with the scene, as a template and its quantities."""
     template, carried = _template(scene)
-    return attach(value, carried, template, repr(template))
+    return attach(value, carried, template, _key(template))
 
 
 def embedding_of(function: ca.Function) -> Embedding | None:
@@ -93,6 +93,12 @@ def _template(scene: Scene) -> tuple[Scene, Expression]:
 
     template = map_expressions(scene, placeholder, is_quantity)
     return template, ca.vertcat(*quantities)
+
+
+def _key(template: Scene) -> Hashable:
+    """Return what tells templates apart: their print, and the function of a density profile, which may print alike."""
+    profile = template.soil.density_profile
+    return repr(template), None if profile is None else id(profile.density)
 
 
 def _build(solver: Integration, template: Scene, count: int) -> Embedding:

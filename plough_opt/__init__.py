@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from plough_opt import elastic, plastic
 from plough_opt.accuracy import Accuracy
 from plough_opt.design import Design, LocalOptimum, Optimum
-from plough_opt.effects import Effects, StrengthWave
+from plough_opt.effects import Effects, Smooth, StickSlip, StrengthWave
 from plough_opt.errors import (
     DomainError,
     InfeasibleDesign,
@@ -75,7 +75,9 @@ __all__ = [
     "Refinement",
     "Run",
     "Scene",
+    "Smooth",
     "Soil",
+    "StickSlip",
     "StrengthWave",
     "Wedge",
     "added_mass",

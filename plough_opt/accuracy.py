@@ -11,6 +11,9 @@ Method = Literal["auto", "dop853", "cvodes", "idas", "erk", "rosenbrock", "collo
 FIXED_STEP: Final = ("dop853", "collocation", "rk")
 ADAPTIVE: Final = ("cvodes", "idas", "erk", "rosenbrock")
 
+LOCATE_EVENTS: Final = ("auto", "erk", "rosenbrock")
+"""Methods that find the events of a motion, and differentiate through their times."""
+
 ORDER_8: Final = ("dop853", "auto")
 """Methods by which a symbolic scene becomes a loop of order-8 steps; under "auto" a design sets their number."""
 

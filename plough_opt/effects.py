@@ -35,6 +35,43 @@ class StrengthWave:
 
 
 @dataclass(frozen=True)
+class Smooth:
+    """One-sided contact without memory: the resistance is multiplied by a smooth step of the share's speed.
+
+    The step is 0 for L' <= 0 and 1 above the width, 6 u^5 - 15 u^4 + 10 u^3 between. It tends to `StickSlip` for a
+    width that tends to 0, but only where no gap opens.
+
+    Args:
+        width: speed [m/s] above which the soil resists fully, above 0.
+    """
+
+    width: Expression
+
+    def __post_init__(self) -> None:
+        check_domain("width of the smooth contact", self.width, "m/s", above=0.0)
+
+
+@dataclass(frozen=True)
+class StickSlip:
+    """Soil that keeps its density on unloading, and so cannot push: the share slips, sticks, or leaves a gap.
+
+    * Slip, L' > 0 at the furthest point: the resistance of (25). Where L' falls to 0 the share sticks if the mount
+      force P lies between 0 and ``breakaway`` times the static resistance, leaves a gap if P < 0, and else slips on.
+    * Stick, L' = 0: until P reaches ``breakaway`` F0(L), or 0.
+    * Gap, behind the furthest point: no soil and no added mass; at the furthest point the share takes up the added
+      mass, m v = (m + m_a) v', and slips on.
+
+    Args:
+        breakaway: resistance at which a sticking share moves, over the static resistance [-], at least 1.
+    """
+
+    breakaway: Expression = 1.0
+
+    def __post_init__(self) -> None:
+        check_domain("breakaway ratio", self.breakaway, at_least=1.0)
+
+
+@dataclass(frozen=True)
 class Effects:
     """Which effects a scene contains. What is off adds no node, state or parameter to the equation of motion.
 
@@ -45,9 +82,12 @@ class Effects:
         added_mass: the soil that the share carries along, C rho0 h L''.
         ambient_pressure: the soil's ambient pressure p_a in A; False takes p_a = 0.
         contact: ``"resisting"``: the resistance always points backwards, as printed in (27). It would
-            push a resting or retreating share, so a run in which that happens carries a warning.
+            push a resting or retreating share, so a run in which that happens carries a warning. `Smooth` and
+            `StickSlip` only ever resist.
         start: ``"equilibrium"``: at the steady deflection for the strut's initial speed; ``"rest"``: travel and
-            speed of the share zero, spring relaxed.
+            speed of the share zero, spring relaxed; ``"towed"``: travel zero, spring relaxed, at the strut's speed.
+        entry: the share enters at travel 0: its resistance is that of the length H = min(L, h) that is buried, F0 and
+            Fd with H^2 and the added mass with H^3. Starts at ``"rest"`` or ``"towed"``.
         strength_wave: periodic soil strength along the path, or None.
         tow_ramp: time [s] in which the strut's speed rises from 0 by a C2 smoothstep; None or 0: none.
         damping: viscous damper c in the mount [N s/m], or None.
@@ -64,8 +104,9 @@ class Effects:
     inertial_drag: bool = True
     added_mass: bool = True
     ambient_pressure: bool = True
-    contact: Literal["resisting"] = "resisting"
-    start: Literal["equilibrium", "rest"] = "equilibrium"
+    contact: Literal["resisting"] | Smooth | StickSlip = "resisting"
+    start: Literal["equilibrium", "rest", "towed"] = "equilibrium"
+    entry: bool = False
     strength_wave: StrengthWave | None = None
     tow_ramp: Expression | None = None
     damping: Expression | None = None
@@ -73,10 +114,10 @@ class Effects:
     formulation: Formulation = "derived"
 
     def __post_init__(self) -> None:
-        if self.contact != "resisting":
-            raise InputError(f"contact = {self.contact!r} is not a contact law of this version: use 'resisting'")
-        if self.start not in ("equilibrium", "rest"):
-            raise InputError(f"start = {self.start!r} must be 'equilibrium' or 'rest'")
+        if self.contact != "resisting" and not isinstance(self.contact, Smooth | StickSlip):
+            raise InputError(f"contact = {self.contact!r} must be 'resisting', Smooth(width) or StickSlip(breakaway)")
+        if self.start not in ("equilibrium", "rest", "towed"):
+            raise InputError(f"start = {self.start!r} must be 'equilibrium', 'rest' or 'towed'")
         for name, value, unit in (
             ("tow ramp", self.tow_ramp, "s"),
             ("damping", self.damping, "N s/m"),
@@ -84,11 +125,24 @@ class Effects:
         ):
             if value is not None:
                 check_domain(name, value, unit, at_least=0.0)
-        if not self.motion and self.start == "rest":
-            raise InputError("start = 'rest' needs motion: a quasi-static share follows the strut from the start")
-        if not self.motion and self.damping is not None:
+        if not self.motion:
+            self._refuse_without_motion()
+        if self.entry and self.start == "equilibrium":
+            raise InputError("entry begins at first contact, where nothing is steady: take start = 'rest' or 'towed'")
+        if self.printed.repelling_spring and self.contact != "resisting":
+            raise InputError("the print knows no contact law: its repelling spring goes with contact = 'resisting'")
+
+    def _refuse_without_motion(self) -> None:
+        """Refuse what a quasi-static scene cannot have."""
+        if self.start != "equilibrium":
+            raise InputError(
+                f"start = '{self.start}' needs motion: a quasi-static share follows the strut from the start"
+            )
+        if self.damping is not None:
             raise InputError("damping needs motion: in a quasi-static scene the mount never moves, so leave it out")
-        if self.printed.repelling_spring and not self.motion:
+        if self.contact != "resisting":
+            raise InputError("a contact law needs motion: a quasi-static share never stops or retreats")
+        if self.printed.repelling_spring:
             raise InputError(
                 "the print's repelling spring needs motion: a share that it repels never follows the strut, so there"
                 " is no quasi-static limit; take formulation = 'derived'"
@@ -98,6 +152,11 @@ class Effects:
     def printed(self) -> Printed:
         """Which errors of the print are kept: none, unless the formulation says so."""
         return errors_of(self.formulation)
+
+    @property
+    def events(self) -> bool:
+        """Whether the motion has events that an integrator must find: stick and slip, or the end of entry."""
+        return self.entry or isinstance(self.contact, StickSlip)
 
     @property
     def ramps(self) -> bool:

@@ -16,7 +16,7 @@ from plough_opt.elastic.profile import Profile, body
 from plough_opt.errors import InputError
 from plough_opt.geometry import Wedge
 from plough_opt.motion import Run
-from plough_opt.motion.equation import Structure, parameters, start_speed, strut
+from plough_opt.motion.terms import Structure, parameters, start_speed, strut
 from plough_opt.scene import Scene
 from plough_opt.soil import Soil
 

@@ -18,13 +18,13 @@ def test_defaults_are_the_equation_as_derived():
 
 @pytest.mark.parametrize("contact", ["stick_slip", "Resisting", None, 0])
 def test_an_unknown_contact_law_is_refused(contact):
-    with pytest.raises(po.InputError, match="not a contact law of this version: use 'resisting'"):
+    with pytest.raises(po.InputError, match=r"must be 'resisting', Smooth\(width\) or StickSlip\(breakaway\)"):
         po.Effects(contact=contact)
 
 
 @pytest.mark.parametrize("start", ["steady", "Rest", None])
 def test_an_unknown_start_is_refused(start):
-    with pytest.raises(po.InputError, match="must be 'equilibrium' or 'rest'"):
+    with pytest.raises(po.InputError, match="must be 'equilibrium', 'rest' or 'towed'"):
         po.Effects(start=start)
 
 
@@ -32,6 +32,9 @@ def test_an_unknown_start_is_refused(start):
     ("effects", "reason"),
     [
         ({"start": "rest"}, "start = 'rest' needs motion"),
+        ({"start": "towed"}, "start = 'towed' needs motion"),
+        ({"contact": po.StickSlip()}, "a contact law needs motion"),
+        ({"contact": po.Smooth(0.1)}, "a contact law needs motion"),
         ({"damping": 100.0}, "damping needs motion"),
         ({"damping": 0.0}, "damping needs motion"),
     ],

@@ -11,7 +11,8 @@ from rich.table import Table
 
 from plough_opt.design import Limit, LocalOptimum, Optimum
 from plough_opt.motion import Run
-from plough_opt.motion.equation import Structure, equation_of_motion
+from plough_opt.motion.equation import equation_of_motion
+from plough_opt.motion.terms import Structure
 from plough_opt.problem_file import Problem
 from plough_opt.problem_file.measures import MEASURES
 from plough_opt.problem_file.schema import quantities

@@ -19,7 +19,7 @@ import casadi as ca
 from plough_opt.accuracy import ORDER_8
 from plough_opt.design.split import EmbeddedRun, Split
 from plough_opt.motion.integrators import integration
-from plough_opt.motion.jets import jets_of, pairs
+from plough_opt.motion.jets import jets_of, pairs, weighted_curvature
 from plough_opt.motion.signals import signals
 from plough_opt.motion.timeline import Timeline
 
@@ -47,11 +47,21 @@ class Nlp:
 
 @dataclass(frozen=True)
 class RunInNlp:
-    """One run as the program sees it: its results, or just their averages when no more is asked for."""
+    """One run as the program sees it: its results, or just their averages when no more is asked for.
+
+    Attributes:
+        value: parameters -> results.
+        slopes: parameters -> results and their first derivatives, as columns.
+        curvatures: the same and the second derivatives; without these where there is ``weighted``.
+        weighted: (parameters, weights) -> second derivatives of the weighted sum of the results, or None.
+        varying: positions of the parameters that vary.
+        size: number of results.
+    """
 
     value: ca.Function
     slopes: ca.Function
     curvatures: ca.Function
+    weighted: ca.Function | None
     varying: tuple[int, ...]
     size: int
 
@@ -85,12 +95,17 @@ def run_in_nlp(run: EmbeddedRun, only_averages: bool, varying: tuple[int, ...], 
     observed = signals(own.structure)
     size = sum(solver.function.numel_out(k) for k in range(solver.function.n_out()))
     first = size - observed.count - observed.squared if only_averages else 0
-    p = ca.MX.sym("p", solver.function.numel_in(0))
+    p, weights = ca.MX.sym("p", solver.function.numel_in(0)), ca.MX.sym("weights", size - first)
     stacked = ca.vertcat(*(ca.vec(result) for result in solver.function.call([p])))
+    weighted = None
+    if events := own.structure.events:
+        every = ca.vertcat(ca.MX.zeros(first), weights)
+        weighted = ca.Function("weighted", [p, weights], [weighted_curvature(solver, varying)(p, every)])
     return RunInNlp(
         value=ca.Function("value", [p], [stacked[first:]]),
         slopes=ca.Function("slopes", [p], [jets_of(solver, varying, 1)(p)[first:, :]]),
-        curvatures=ca.Function("curvatures", [p], [jets_of(solver, varying, 2)(p)[first:, :]]),
+        curvatures=ca.Function("curvatures", [p], [jets_of(solver, varying, 1 if events else 2)(p)[first:, :]]),
+        weighted=weighted,
         varying=varying,
         size=size - first,
     )
@@ -138,9 +153,10 @@ def build_nlp(parts: Split, y: ca.MX, p: ca.MX, steps: list[int | None]) -> Nlp:
     f, g = map(ca.densify, algebra.values(y, p, results))
     lam_f, lam_g = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", g.numel())
     first = [run.slopes(function(y, p)) for run, function in zip(runs, inputs, strict=True)]
-    second = [run.curvatures(function(y, p)) for run, function in zip(runs, inputs, strict=True)]
+    given = [function(y, p) for function in inputs]
+    second = [run.curvatures(own) for run, own in zip(runs, given, strict=True)]
     f_again, g_again, gradient, jacobian = _first_derivatives(algebra, runs, first, y, p)
-    hessian = _hessian(algebra, runs, second, (y, p, lam_f, lam_g))
+    hessian = _hessian(algebra, runs, (given, second), (y, p, lam_f, lam_g))
     names = ["x", "p"]
     return Nlp(
         values=ca.Function("values", [y, p], [f, g]),
@@ -191,16 +207,22 @@ def _first_derivatives(
     return ca.densify(f), ca.densify(g), ca.densify(f_y + ca.mtimes(f_o, o_y)).T, ca.densify(g_y + ca.mtimes(g_o, o_y))
 
 
-def _hessian(algebra: Algebra, runs: list[RunInNlp], jets: list[ca.MX], at: tuple[ca.MX, ca.MX, ca.MX, ca.MX]) -> ca.MX:
-    """Return the upper triangle of the Lagrangian's Hessian, from the runs' second-order jets."""
+def _hessian(
+    algebra: Algebra,
+    runs: list[RunInNlp],
+    second: tuple[list[ca.MX], list[ca.MX]],
+    at: tuple[ca.MX, ca.MX, ca.MX, ca.MX],
+) -> ca.MX:
+    """Return the upper triangle of the Lagrangian's Hessian, from the runs' parameters and second-order jets."""
     y, p, lam_f, lam_g = at
+    given, jets = second
     results = _column([jet[:, 0] for jet in jets])
     l_zz, l_o = algebra.curvature(y, p, results, lam_f, lam_g)
     theta_y, o_theta = algebra.theta_slopes(y, p), _run_slopes(runs, jets)
     z_y = ca.vertcat(ca.MX.eye(y.numel()), ca.mtimes(o_theta, theta_y))
     hessian = ca.mtimes([z_y.T, l_zz, z_y]) + algebra.theta_curvature(y, p, ca.mtimes(o_theta.T, l_o))
     if runs:
-        hessian += ca.mtimes([theta_y.T, _contracted(runs, jets, l_o), theta_y])
+        hessian += ca.mtimes([theta_y.T, _contracted(runs, given, jets, l_o), theta_y])
     return ca.triu(ca.densify(hessian))
 
 
@@ -221,13 +243,17 @@ def _run_slopes(runs: list[RunInNlp], jets: list[ca.MX]) -> ca.MX:
     return ca.diagcat(*blocks) if blocks else ca.MX(0, 0)
 
 
-def _contracted(runs: list[RunInNlp], jets: list[ca.MX], mu: ca.MX) -> ca.MX:
+def _contracted(runs: list[RunInNlp], given: list[ca.MX], jets: list[ca.MX], mu: ca.MX) -> ca.MX:
     """Return the runs' second derivatives contracted with the adjoints mu: one symmetric block for each run."""
     blocks, position = [], 0
-    for jet, run in zip(jets, runs, strict=True):
+    for own, jet, run in zip(given, jets, runs, strict=True):
         count = len(run.varying)
-        row = ca.mtimes(mu[position : position + run.size].T, jet[:, 1 + count :])
+        weights = mu[position : position + run.size]
         position += run.size
+        if run.weighted is not None:
+            blocks.append(run.weighted(own, weights))
+            continue
+        row = ca.mtimes(weights.T, jet[:, 1 + count :])
         block = ca.MX.zeros(count, count)
         for k, (a, b) in enumerate(pairs(count)):
             block[a, b] = row[k]

@@ -101,7 +101,7 @@ def tight_results(own: Integration, inputs: tuple[float, ...]) -> tuple[Vector, 
     method = automatic(TIGHT, total)
     outputs = own.timeline.outputs
     results = []
-    for accuracy in (method, check_of(method, total, outputs)):
+    for accuracy in (method, check_of(method, total, outputs, own.structure.smooth)):
         timeline = Timeline(outputs, accuracy.steps or outputs, own.timeline.kink)
         function = integration(own.structure, accuracy, timeline).function
         parts = [np.asarray(part).ravel(order="F") for part in function.call([ca.DM(inputs)])]

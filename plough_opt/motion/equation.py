@@ -1,201 +1,176 @@
-"""Equation of motion (27) in the spring deflection, assembled from the terms that a scene contains.
+"""Equation of motion (27) as CasADi Functions: the right-hand side, and the events that interrupt it.
 
-With z = s(t) - L the spring's deflection, z0 its value at the start and w = z - z0,
-
-    M w'' = F(L, L') - k0 z0 - k0 w - c w' + M s''
-
-is written in deviations from the start, so that at an equilibrium start the large steady forces cancel
-on paper and not in floating point. As printed, with + k0 (L - V0 t), the spring repels: the parameter "stiffness"
-is then -k0, the equilibrium lies at z = -F/k0, and a deviation from it grows like exp(sqrt(k0/M) t).
+A share that slips has the states (w, w'). Under `StickSlip` two more follow: how far it is behind its furthest point
+[m], and its mode, whose rate is zero. Of a share that enters the last state is 0 until it is wholly in the soil, and
+then 1.
 """
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Final
 
 import casadi as ca
 
-from plough_opt.expressions import Expression, minimum, sin
-from plough_opt.scene import Scene
+from plough_opt.expressions import Expression
+from plough_opt.motion.terms import (
+    PARAMETERS,
+    Structure,
+    Strut,
+    carried_mass,
+    inertia_at,
+    resistance_change,
+    start_deflection,
+    start_rate,
+    start_resistance,
+    start_speed,
+    static_resistance,
+    strut,
+)
 
-
-@dataclass(frozen=True)
-class Structure:
-    """What a scene's equation of motion contains, apart from numbers: scenes alike in this share one graph."""
-
-    drag: bool
-    rate: bool
-    wave: bool
-    ramp: bool
-    damper: bool
-    rest: bool
-
-    @classmethod
-    def of(cls, scene: Scene) -> Structure:
-        """Read the structure off a scene."""
-        effects = scene.effects
-        return cls(
-            drag=effects.inertial_drag,
-            rate=effects.rate_term is not None,
-            wave=effects.strength_wave is not None,
-            ramp=effects.ramps,
-            damper=effects.damping is not None,
-            rest=effects.start == "rest",
-        )
-
-
-def parameters(scene: Scene) -> dict[str, Expression]:
-    """Return the numbers that the equation of motion may need, by name, in SI units."""
-    effects = scene.effects
-    values = {
-        "inertia": scene.inertia,
-        "stiffness": scene.restoring_stiffness,
-        "static": scene.reaction.static,
-        "tow_speed": scene.tow_speed,
-    }
-    if effects.inertial_drag:
-        values["drag"] = scene.reaction.drag
-    if effects.strength_wave is not None:
-        values["wave_amplitude"] = effects.strength_wave.amplitude
-        values["wavelength"] = effects.strength_wave.wavelength
-    if effects.ramps:
-        values["ramp_time"] = effects.tow_ramp
-    if effects.damping is not None:
-        values["damping"] = effects.damping
-    if effects.rate_term is not None:
-        values["rate_term"] = effects.rate_term
-    return values
-
-
-@dataclass(frozen=True)
-class Strut:
-    """Path s [m], speed gained since the start s' - s'(0) [m/s] and acceleration s'' [m/s^2] of the strut."""
-
-    path: Expression
-    gain: Expression
-    acceleration: Expression
-
-
-def strut(structure: Structure, p: dict[str, Expression], time: Expression) -> Strut:
-    """Return the strut's motion: constant speed, or a ramp by 6u^5 - 15u^4 + 10u^3 with u = t/t_r."""
-    speed = p["tow_speed"]
-    if not structure.ramp:
-        return Strut(path=speed * time, gain=0.0, acceleration=0.0)
-    ramp = p["ramp_time"]
-    u = minimum(time / ramp, 1.0)
-    return Strut(
-        path=speed * (ramp * u**4 * (2.5 + u * (u - 3.0)) + (time - ramp * u)),
-        gain=speed * u**3 * (10.0 + u * (6.0 * u - 15.0)),
-        acceleration=speed / ramp * 30.0 * u**2 * (1.0 - u) ** 2,
-    )
-
-
-def start_speed(structure: Structure, p: dict[str, Expression]) -> Expression:
-    """Return the strut's speed at time 0 [m/s]: the speed to which the steady state at the start belongs."""
-    return 0.0 if structure.ramp else p["tow_speed"]
-
-
-def start_resistance(structure: Structure, p: dict[str, Expression]) -> Expression:
-    """Return the steady resistance at the strut's initial speed [N], without the wave."""
-    u0 = start_speed(structure, p)
-    force = p["static"]
-    if structure.rate:
-        force = force * (1.0 + p["rate_term"] * u0**2)
-    if structure.drag:
-        force = force + p["drag"] * u0**2
-    return force
-
-
-def start_deflection(structure: Structure, p: dict[str, Expression]) -> Expression:
-    """Return z0 [m]: steady deflection, or zero from rest."""
-    return 0.0 if structure.rest else start_resistance(structure, p) / p["stiffness"]
-
-
-def start_rate(structure: Structure, p: dict[str, Expression]) -> Expression:
-    """Return z' at time 0 [m/s]: a share at rest under a moving strut has z' = V0."""
-    return start_speed(structure, p) if structure.rest else 0.0
-
-
-def start_state(structure: Structure, p: dict[str, Expression]) -> Expression:
-    """Return (w, w') at time 0 as a column."""
-    return ca.vertcat(0.0, start_rate(structure, p))
-
-
-def resistance_change(
-    structure: Structure, p: dict[str, Expression], travel: Expression, gain: Expression
-) -> Expression:
-    """Return how far the resistance is from the steady one at the start [N], the added mass's part excepted.
-
-    Args:
-        structure: the terms that are on.
-        p: parameters by name.
-        travel: L of the share [m].
-        gain: L' - s'(0), the share's speed above the strut's initial speed [m/s].
-    """
-    u0 = start_speed(structure, p)
-    change: Expression = 0.0
-    if structure.rate or structure.drag:
-        factor = (p["static"] * p["rate_term"] if structure.rate else 0.0) + (p["drag"] if structure.drag else 0.0)
-        change = factor * gain * (2.0 * u0 + gain)
-    if structure.wave:
-        wave = p["static"] * p["wave_amplitude"] * sin(2.0 * math.pi / p["wavelength"] * travel)
-        if structure.rate:
-            wave = wave * (1.0 + p["rate_term"] * (u0 + gain) ** 2)
-        change = change + wave
-    return change
+SLIP: Final = 0.0
+STICK: Final = 1.0
+GAP: Final = 2.0
 
 
 @dataclass(frozen=True)
 class EquationOfMotion:
-    """Right-hand side w', w'' as a CasADi Function, with exactly the parameters that it uses.
+    """Right-hand side as a CasADi Function, with exactly the parameters that it uses.
 
     Attributes:
-        function: (time [s], state (w [m], w' [m/s]), parameters) -> (w', w'').
+        function: (time [s], state, parameters) -> rate of the state.
+        events: (time, state, parameters) -> (what is negative after an event, a row each; the state after each event,
+            a column each), or None.
         names: names of the parameters, in order.
     """
 
     function: ca.Function
+    events: ca.Function | None
     names: tuple[str, ...]
+
+    @property
+    def states(self) -> int:
+        """Number of states."""
+        return int(self.function.numel_out(0))
 
 
 @lru_cache(maxsize=64)
 def equation_of_motion(structure: Structure) -> EquationOfMotion:
     """Build the differential equation of a structure; terms that are off leave no trace in it."""
     symbols = {name: ca.SX.sym(name) for name in PARAMETERS}
-    time, w, rate = ca.SX.sym("time"), ca.SX.sym("w"), ca.SX.sym("rate")
-    mount = strut(structure, symbols, time)
-    travel = mount.path - start_deflection(structure, symbols) - w
-    force = resistance_change(structure, symbols, travel, mount.gain - rate) - symbols["stiffness"] * w
-    if structure.rest:
-        force = force + start_resistance(structure, symbols)
-    if structure.damper:
-        force = force - symbols["damping"] * rate
-    acceleration = force / symbols["inertia"]
-    if structure.ramp:
-        acceleration = acceleration + mount.acceleration
-    used = {symbol.name() for symbol in ca.symvar(acceleration)} - {"time", "w", "rate"}
+    now = _Now(structure, symbols)
+    if structure.contact == "stick_slip":
+        rates, zeros, after = now.rates_of_modes(), [now.until_contact_changes()], [now.after_contact_changed()]
+    else:
+        rates, zeros, after = ca.vertcat(now.rate, now.slipping()), [], []
+    if structure.entry:
+        rates = ca.vertcat(rates, 0.0)
+        zeros.append(ca.if_else(now.entered < 0.5, symbols["height"] - now.travel, 1.0))
+        after = [ca.vertcat(state, now.entered) for state in (*after, now.state[:-1])]
+        after[-1][-1] = 1.0
+    everything = ca.vertcat(rates, *zeros, *after)
+    used = {symbol.name() for symbol in ca.symvar(everything)} & set(PARAMETERS)
     names = tuple(name for name in PARAMETERS if name in used)
-    function = ca.Function(
-        "equation_of_motion",
-        [time, ca.vertcat(w, rate), ca.vertcat(*(symbols[name] for name in names))],
-        [ca.vertcat(rate, acceleration)],
-        ["time", "state", "parameters"],
-        ["rate"],
-    )
-    return EquationOfMotion(function, names)
+    inputs = [now.time, now.state, ca.vertcat(*(symbols[name] for name in names))]
+    labels = ["time", "state", "parameters"]
+    function = ca.Function("equation_of_motion", inputs, [rates], labels, ["rate"])
+    if not zeros:
+        return EquationOfMotion(function, None, names)
+    results = [ca.vertcat(*zeros), ca.horzcat(*after)]
+    return EquationOfMotion(function, ca.Function("events", inputs, results, labels, ["zero", "after"]), names)
 
 
-PARAMETERS = (
-    "inertia",
-    "stiffness",
-    "static",
-    "drag",
-    "tow_speed",
-    "wave_amplitude",
-    "wavelength",
-    "ramp_time",
-    "damping",
-    "rate_term",
-)
+def start_state(structure: Structure, p: dict[str, Expression]) -> Expression:
+    """Return the state at time 0 as a column."""
+    first = ca.vertcat(0.0, start_rate(structure, p))
+    entered = (0.0,) if structure.entry else ()
+    if structure.contact != "stick_slip":
+        return ca.vertcat(first, *entered)
+    # A share without speed sticks, unless the mount already pulls enough.
+    speed = 0.0 if structure.start == "rest" else start_speed(structure, p)
+    pull = 0.0 if structure.relaxed else start_resistance(structure, p)
+    if structure.damper:
+        pull = pull + p["damping"] * start_rate(structure, p)
+    held = pull < p["breakaway"] * static_resistance(structure, p, -start_deflection(structure, p))
+    return ca.vertcat(first, 0.0, ca.if_else(speed > 0.0, SLIP, ca.if_else(held, STICK, SLIP)), *entered)
+
+
+class _Now:
+    """The share at one moment: its state as symbols, and what follows from it."""
+
+    def __init__(self, structure: Structure, p: dict[str, ca.SX]) -> None:
+        """Make the symbols of a structure's state."""
+        self.structure, self.p = structure, p
+        self.time = ca.SX.sym("time")
+        self.w, self.rate = ca.SX.sym("w"), ca.SX.sym("rate")
+        self.opening, self.mode = ca.SX.sym("opening"), ca.SX.sym("mode")
+        self.entered = ca.SX.sym("entered")
+        modes = (self.opening, self.mode) if structure.contact == "stick_slip" else ()
+        self.state = ca.vertcat(self.w, self.rate, *modes, *((self.entered,) if structure.entry else ()))
+        self.mount: Strut = strut(structure, p, self.time)
+        self.travel = self.mount.path - start_deflection(structure, p) - self.w
+
+    @property
+    def strut_speed(self) -> Expression:
+        """S' [m/s]."""
+        return start_speed(self.structure, self.p) + self.mount.gain
+
+    @property
+    def speed(self) -> Expression:
+        """L' of the share [m/s]."""
+        return self.strut_speed - self.rate
+
+    @property
+    def pull(self) -> Expression:
+        """Mount force P [N]."""
+        first = 0.0 if self.structure.relaxed else start_resistance(self.structure, self.p)
+        damper = self.p["damping"] * self.rate if self.structure.damper else 0.0
+        return first + self.p["stiffness"] * self.w + damper
+
+    @property
+    def hold(self) -> Expression:
+        """Mount force [N] at which a sticking share moves."""
+        return self.p["breakaway"] * static_resistance(self.structure, self.p, self.travel)
+
+    def slipping(self) -> Expression:
+        """Return w'' of a share that slips [m/s^2]."""
+        structure, p = self.structure, self.p
+        force = resistance_change(structure, p, self.travel, self.mount.gain - self.rate) - p["stiffness"] * self.w
+        if structure.relaxed:
+            force = force + start_resistance(structure, p)
+        if structure.damper:
+            force = force - p["damping"] * self.rate
+        acceleration = force / inertia_at(structure, p, self.travel)
+        return acceleration + self.mount.acceleration if structure.ramp else acceleration
+
+    def rates_of_modes(self) -> Expression:
+        """Return the rate of the four states in the mode that is on."""
+        flying = self.mount.acceleration - self.pull / self.p["mass"]
+        slip = ca.vertcat(self.rate, self.slipping(), 0.0, 0.0)
+        stick = ca.vertcat(self.strut_speed, self.mount.acceleration, 0.0, 0.0)
+        gap = ca.vertcat(self.rate, flying, -self.speed, 0.0)
+        return self._by_mode(slip, stick, gap)
+
+    def until_contact_changes(self) -> Expression:
+        """Return what becomes negative when a mode ends."""
+        return self._by_mode(self.speed, ca.fmin(self.hold - self.pull, self.pull), self.opening)
+
+    def after_contact_changed(self) -> Expression:
+        """Return the state after the mode has ended."""
+        stopped = ca.if_else(self.pull < 0.0, GAP, ca.if_else(self.pull <= self.hold, STICK, SLIP))
+        moved = ca.if_else(self.pull < self.hold / 2.0, GAP, SLIP)
+        at_rest = self.strut_speed
+        mass = self.p["mass"]
+        taken_up = self.speed * mass / (mass + carried_mass(self.structure, self.p, self.travel))
+        rate = self._by_mode(at_rest, at_rest, self.strut_speed - taken_up)
+        return ca.vertcat(self.w, rate, 0.0, self._by_mode(stopped, moved, SLIP))
+
+    def _by_mode(self, slip: Expression, stick: Expression, gap: Expression) -> Expression:
+        """Choose by the mode, element by element."""
+        middle = (SLIP + STICK) / 2.0, (STICK + GAP) / 2.0
+        chosen = [
+            ca.if_else(self.mode < middle[0], a, ca.if_else(self.mode < middle[1], b, c))
+            for a, b, c in zip(*(ca.vertsplit(ca.densify(ca.SX(x))) for x in (slip, stick, gap)), strict=True)
+        ]
+        return ca.vertcat(*chosen)

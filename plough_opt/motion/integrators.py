@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
+import io
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
@@ -9,19 +12,16 @@ from typing import Any
 import casadi as ca
 
 from plough_opt.accuracy import ADAPTIVE, ORDER_8, Accuracy
-from plough_opt.motion.equation import (
-    Structure,
-    equation_of_motion,
-    start_resistance,
-    start_state,
-)
+from plough_opt.motion.equation import equation_of_motion, start_state
 from plough_opt.motion.runge_kutta import run_map
 from plough_opt.motion.signals import signals
+from plough_opt.motion.terms import Structure, start_resistance
 from plough_opt.motion.timeline import Timeline
 
 # Lower than any force that matters; keeps the scales of a scene without forces above zero.
 _LEAST_FORCE = 1e-9
 _MOST_STEPS = 2_000_000
+_MOST_EVENTS = 1_000_000
 # A failure is reported once, as an IntegrationError, and not by CasADi at every attempt.
 _QUIET = {"show_eval_warnings": False}
 
@@ -57,25 +57,24 @@ def integration(structure: Structure, accuracy: Accuracy, timeline: Timeline) ->
 
 def _by_casadi(structure: Structure, accuracy: Accuracy, timeline: Timeline) -> ca.Function:
     """Wrap a CasADi integrator of the scaled equation in the interface of `Integration`."""
-    observed = signals(structure)
-    solver = ca.integrator(
-        "motion",
-        accuracy.method,
-        _scaled_equation(structure),
-        0.0,
-        [float(t) for t in timeline.output_fractions[1:]],
-        _options(accuracy, timeline),
-    )
+    observed, count = signals(structure), equation_of_motion(structure).states
+    equation, transition = _scaled_equation(structure)
+    options = _options(accuracy, timeline)
+    if transition is not None:
+        options |= {"transition": transition, "max_events": _MOST_EVENTS, "event_tol": 1e-12, "max_event_iter": 100}
+    times = [float(t) for t in timeline.output_fractions[1:]]
+    with quiet_events():
+        solver = ca.integrator("motion", accuracy.method, equation, 0.0, times, options)
     p = ca.MX.sym("p", len(observed.parameters) + 1)
     known = dict(zip(observed.parameters, ca.vertsplit(p[:-1]), strict=True))
     scales = _scales(structure, known)
-    unit = ca.vertcat(*scales[:2])
+    unit = _units(structure, scales)
     first = start_state(structure, known)
     result = solver(x0=ca.vertcat(first / unit, ca.MX.zeros(observed.squared)), p=ca.vertcat(p, *scales))
-    states = result["xf"][:2, :] * ca.repmat(unit, 1, timeline.outputs)
+    states = result["xf"][:count, :] * ca.repmat(unit, 1, timeline.outputs)
     sizes = _signal_scales(structure, known, scales)
     spreads, others = ca.vertsplit(result["qf"][:, -1], [0, observed.squared, observed.count])
-    integrals = ca.vertcat(result["xf"][2:, -1], others)
+    integrals = ca.vertcat(result["xf"][count:, -1], others)
     return ca.Function(
         f"run_{accuracy.method}",
         [p],
@@ -88,14 +87,27 @@ def _by_casadi(structure: Structure, accuracy: Accuracy, timeline: Timeline) -> 
     )
 
 
+@contextlib.contextmanager
+def quiet_events() -> Iterator[None]:
+    """Keep CasADi from saying of every integrator with events, and of its derivatives, that they are experimental."""
+    with contextlib.redirect_stderr(io.StringIO()), contextlib.redirect_stdout(io.StringIO()):
+        yield
+
+
 def _scales(structure: Structure, p: dict[str, Any]) -> tuple[Any, Any, Any]:
     """Return scales of deflection [m] and rate [m/s], so that one absolute tolerance fits both, and of force [N]."""
     # A parameter that nothing in the equation needs moves nothing, and counts as zero here.
     complete = {**dict.fromkeys(("static", "drag", "rate_term", "tow_speed"), 0.0), **p}
     stiffness = ca.fabs(p["stiffness"])  # below zero where a spring repels
-    hardness = ca.sqrt(stiffness * p["inertia"])
+    hardness = ca.sqrt(stiffness * (p["inertia"] if "inertia" in p else p["mass"]))
     force = start_resistance(structure, complete) + complete["tow_speed"] * hardness + _LEAST_FORCE
     return force / stiffness, force / hardness, force
+
+
+def _units(structure: Structure, scales: Any) -> Any:
+    """Return the units of an equation's states: deflection, rate, a gap's opening; mode and entry count."""
+    modes = (scales[0], 1.0) if structure.contact == "stick_slip" else ()
+    return ca.vertcat(scales[0], scales[1], *modes, *((1.0,) if structure.entry else ()))
 
 
 def _signal_scales(structure: Structure, p: dict[str, Any], scales: tuple[Any, Any, Any]) -> Any:
@@ -109,36 +121,50 @@ def _signal_scales(structure: Structure, p: dict[str, Any], scales: tuple[Any, A
     return ca.vertcat(*sizes)
 
 
-def _scaled_equation(structure: Structure) -> dict[str, ca.SX]:
-    """Return the DAE over time as a fraction of the duration, in scaled states, with the signals' integrals.
+def _scaled_equation(structure: Structure) -> tuple[dict[str, ca.SX], ca.Function | None]:
+    """Return the DAE over time as a fraction of the duration, in scaled states, and what an event does to them.
 
-    The integral of a squared deviation takes the deviation from the running mean: its growth,
-    d/dt of the sum about the mean, is exactly that square, so the RMS is never a difference of squares.
+    Over the scaled time integrals are averages. That of a squared deviation takes the deviation from the running mean:
+    its growth, d/dt of the sum about the mean, is exactly that square, so the RMS is never a difference of squares.
     """
     motion, observed = equation_of_motion(structure), signals(structure)
     fraction = ca.SX.sym("fraction")
-    x = ca.SX.sym("x", 2 + observed.squared)
+    count = motion.states
+    x = ca.SX.sym("x", count + observed.squared)
     p = ca.SX.sym("p", len(observed.parameters) + 1)
     scales = ca.SX.sym("scales", 3)
-    unit = scales[:2]
+    unit = _units(structure, scales)
     known = dict(zip(observed.parameters, ca.vertsplit(p[:-1]), strict=True))
     duration = p[-1]
-    time, state = fraction * duration, x[:2] * unit
-    rate = motion.function(time, state, ca.vertcat(*(known[name] for name in motion.names)))
+    time, state = fraction * duration, x[:count] * unit
+    own = ca.vertcat(*(known[name] for name in motion.names))
+    rate = motion.function(time, state, own)
     sizes = _signal_scales(structure, known, (scales[0], scales[1], scales[2]))
-    values = observed.function(time, state, p[:-1]) / sizes
+    values = observed.function(time, state[:2], p[:-1]) / sizes
     squared = values[: observed.squared]
     # At the start the running mean is 0/0; the spread is 0 there.
     started = fraction > 0.0
-    running_mean = x[2:] / ca.if_else(started, fraction, 1.0)
+    running_mean = x[count:] / ca.if_else(started, fraction, 1.0)
     spread = ca.if_else(started, squared - running_mean, 0.0) ** 2
-    return {
+    given = ca.vertcat(p, scales)
+    equation = {
         "t": fraction,
         "x": x,
-        "p": ca.vertcat(p, scales),
+        "p": given,
         "ode": ca.vertcat(rate * duration / unit, squared),
         "quad": ca.vertcat(spread, values[observed.squared :, :]),
     }
+    if motion.events is None:
+        return equation, None
+    index, none = ca.SX.sym("index"), [ca.SX(0, 1), ca.SX(0, 1)]
+    zero, after = motion.events(time, state, own)
+    chosen = after[:, 0]
+    for k in range(1, after.shape[1]):
+        chosen = ca.if_else(index < k - 0.5, chosen, after[:, k])
+    following = ca.vertcat(chosen / unit, x[count:])
+    names = ["index", "t", "x", "z", "p", "u"], ["post_x", "post_z"]
+    transition = ca.Function("transition", [index, fraction, x, none[0], given, none[1]], [following, none[0]], *names)
+    return equation | {"zero": zero}, transition
 
 
 def _options(accuracy: Accuracy, timeline: Timeline) -> dict[str, Any]:

@@ -14,10 +14,11 @@ import casadi as ca
 import numpy as np
 
 from plough_opt.accuracy import ORDER_8
-from plough_opt.motion.equation import Structure, start_state
-from plough_opt.motion.integrators import Integration
+from plough_opt.motion.equation import start_state
+from plough_opt.motion.integrators import Integration, quiet_events
 from plough_opt.motion.runge_kutta import step
 from plough_opt.motion.signals import signals
+from plough_opt.motion.terms import Structure
 from plough_opt.motion.timeline import Timeline
 
 
@@ -26,18 +27,39 @@ def pairs(count: int) -> list[tuple[int, int]]:
     return [(a, b) for a in range(count) for b in range(a, count)]
 
 
+def weighted_curvature(integration: Integration, varying: tuple[int, ...]) -> ca.Function:
+    """Return (parameters, weights) -> second derivatives of the weighted sum of the results by the varying parameters.
+
+    Through events CasADi differentiates forward over adjoint only.
+    """
+    p, shift, shifted = _shifts(integration, varying)
+    results = ca.vertcat(*(ca.vec(result) for result in integration.function.call([shifted])))
+    weights = ca.MX.sym("weights", results.numel())
+    with quiet_events():
+        hessian, _ = ca.hessian(ca.dot(weights, results), shift)
+    whole = ca.Function("whole", [p, shift, weights], [ca.densify(hessian)])
+    return ca.Function("curvature", [p, weights], [whole(p, ca.DM.zeros(len(varying)), weights)])
+
+
+def _shifts(integration: Integration, varying: tuple[int, ...]) -> tuple[ca.MX, ca.MX, ca.MX]:
+    """Return symbols for the parameters and for shifts of the varying ones, and the shifted parameters."""
+    p = ca.MX.sym("p", integration.function.numel_in(0))
+    shift = ca.MX.sym("shift", len(varying))
+    chosen = ca.DM(p.numel(), len(varying))
+    for column, position in enumerate(varying):
+        chosen[position, column] = 1.0
+    return p, shift, p + ca.mtimes(chosen, shift)
+
+
 def jets_of(integration: Integration, varying: tuple[int, ...], order: int) -> ca.Function:
     """Return `jets` of any integration: carried along where the method is ours, else by differentiating the run."""
     if integration.accuracy.method in ORDER_8:
         return jets(integration.structure, integration.timeline, varying, order)
-    p = ca.MX.sym("p", integration.function.numel_in(0))
-    e = ca.MX.sym("e", len(varying))
-    chosen = ca.DM(p.numel(), len(varying))
-    for column, position in enumerate(varying):
-        chosen[position, column] = 1.0
-    results = integration.function.call([p + ca.mtimes(chosen, e)])
+    p, e, shifted = _shifts(integration, varying)
+    results = integration.function.call([shifted])
     stacked = ca.vertcat(*(ca.vec(result) for result in results))
-    slopes = ca.jacobian(stacked, e)
+    with quiet_events():
+        slopes = ca.jacobian(stacked, e)
     columns = [stacked, slopes]
     if order == 2:
         columns += [ca.jacobian(slopes[:, a], e)[:, a:] for a in range(len(varying))]

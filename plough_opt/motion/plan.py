@@ -37,8 +37,13 @@ def forced_rate(p: Mapping[str, float]) -> float:
 
 def fastest_rate(p: Mapping[str, float]) -> float:
     """Return the fastest angular frequency [rad/s] or rate of decay or growth [1/s] of an equation's parameters."""
-    decay = (p.get("damping", 0.0) + 2.0 * p.get("drag", 0.0) * p.get("tow_speed", 0.0)) / p["inertia"]
-    return max(math.sqrt(abs(p["stiffness"]) / p["inertia"]), decay, forced_rate(p))
+    # In a gap, and at first contact, the share moves without the soil.
+    inertia = p["mass"] if "mass" in p else p["inertia"]
+    drag = 2.0 * p.get("drag", 0.0) * p.get("tow_speed", 0.0)
+    # Steepest slope of the smooth contact's step, at its strongest soil.
+    creep = 1.875 * p["static"] * (1.0 + p.get("wave_amplitude", 0.0)) / p["width"] if "width" in p else 0.0
+    decay = (p.get("damping", 0.0) + drag + creep) / inertia
+    return max(math.sqrt(abs(p["stiffness"]) / inertia), decay, forced_rate(p))
 
 
 def phase(p: Mapping[str, float], duration: float) -> float:
@@ -83,13 +88,20 @@ def automatic(wanted: float, total_phase: float) -> Accuracy:
     return Accuracy("erk", tolerance=max(0.01 * wanted, TIGHTEST))
 
 
-def check_of(accuracy: Accuracy, total_phase: float, outputs: int) -> Accuracy:
-    """Return what checks a method with its setting: order 8 with enough steps, or the same method, finer."""
+def check_of(accuracy: Accuracy, total_phase: float, outputs: int, smooth: bool) -> Accuracy:
+    """Return what checks a method with its setting: order 8 with enough steps, or the same method, finer.
+
+    Args:
+        accuracy: the method.
+        total_phase: of the fastest oscillation over the run [rad].
+        outputs: output intervals.
+        smooth: whether the motion has neither events nor kinks, between which order 8 is none.
+    """
     if accuracy.method not in ADAPTIVE:
         return replace(accuracy, steps=2 * (accuracy.steps or 1))
     tolerance = accuracy.tolerance or DEFAULT_TOLERANCE
-    if total_phase > STIFF_PHASE:
-        return replace(accuracy, tolerance=0.1 * tolerance)
+    if total_phase > STIFF_PHASE or not smooth:
+        return replace(accuracy, tolerance=max(0.1 * tolerance, 0.1 * TIGHTEST))
     # Order 8: the error falls by 2^8 when the steps double.
     finer = max(1.0, (DEFAULT_TOLERANCE / tolerance) ** 0.125)
     return with_setting(Accuracy("dop853"), math.ceil(finer * steps_for(total_phase)), outputs)

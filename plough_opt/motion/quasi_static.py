@@ -11,15 +11,8 @@ from numpy.typing import NDArray
 from plough_opt.accuracy import Accuracy
 from plough_opt.expressions import Expression, column, holds_casadi, is_casadi
 from plough_opt.motion.embedding import labelled
-from plough_opt.motion.equation import (
-    Structure,
-    parameters,
-    resistance_change,
-    start_resistance,
-    start_speed,
-    strut,
-)
 from plough_opt.motion.run import Averages, Run, rms
+from plough_opt.motion.terms import Structure, parameters, resistance_change, start_resistance, start_speed, strut
 from plough_opt.motion.timeline import Timeline
 from plough_opt.scene import Scene
 
@@ -61,6 +54,8 @@ def quasi_static(
         deflection=force / stiffness,
         mount_force=force,
         soil_resistance=force,
+        opening=0.0 * force,
+        mode=0.0 * force,
         averages=Averages(
             mean_draft=mean_draft,
             force_rms=force_rms,

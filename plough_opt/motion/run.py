@@ -10,9 +10,12 @@ from numpy.typing import NDArray
 
 from plough_opt.accuracy import Accuracy
 from plough_opt.errors import InputError
-from plough_opt.expressions import Expression, column, is_casadi, sqrt
-from plough_opt.motion.equation import (
+from plough_opt.expressions import Expression, column, is_casadi, sqrt, where
+from plough_opt.motion.equation import GAP, SLIP, STICK
+from plough_opt.motion.terms import (
     Structure,
+    carried_mass,
+    inertia_at,
     parameters,
     resistance_change,
     start_deflection,
@@ -80,6 +83,8 @@ class Run:
             force on the share is -k0 z + c z'; the P(t) = k0 (V0 t - L) of its figures is then the negative of the
             spring's part.
         soil_resistance: F on the share, the added mass's part included [N].
+        opening: how far the share is behind its furthest point, with a gap ahead [m]; zero but under `StickSlip`.
+        mode: 0 where the share slips, 1 where it sticks, 2 in a gap; zero but under `StickSlip`.
         averages: mean draft and the like; each is also an attribute of the run.
         accuracy: method and setting that were used.
         checks: error estimate, time taken and warnings of a run of numbers, each also an attribute of the run.
@@ -93,6 +98,8 @@ class Run:
     deflection: Expression
     mount_force: Expression
     soil_resistance: Expression
+    opening: Expression
+    mode: Expression
     averages: Averages
     accuracy: Accuracy
     checks: Checks | None = None
@@ -199,7 +206,7 @@ def assemble(
     time = column(fractions, is_casadi(states)) * duration
     w, rate = states[:, 0], states[:, 1]
     mount, u0 = strut(structure, p, time), start_speed(structure, p)
-    stiffness, first = p["stiffness"], 0.0 if structure.rest else start_resistance(structure, p)
+    stiffness, first = p["stiffness"], 0.0 if structure.relaxed else start_resistance(structure, p)
     gain = mount.gain - rate
     deflection = start_deflection(structure, p) + w
     travel = mount.path - deflection
@@ -207,16 +214,26 @@ def assemble(
     if structure.damper:
         force = force + p["damping"] * rate
     soil = start_resistance(structure, p) + resistance_change(structure, p, travel, gain)
-    acceleration = (force - soil) / scene.inertia
+    acceleration = (force - soil) / (inertia_at(structure, p, travel) if structure.events else scene.inertia)
+    carried = carried_mass(structure, p, travel) if structure.events else scene.reaction.added_mass
+    soil = soil + carried * acceleration
+    nothing = 0.0 * w
+    opening, mode = (states[:, 2], states[:, 3]) if structure.contact == "stick_slip" else (nothing, nothing)
+    speed = u0 + gain
+    if structure.contact == "stick_slip":
+        speed = where((mode - STICK) ** 2 < (SLIP - STICK) ** 2 / 4.0, 0.0, speed)
+        soil = where(mode < (SLIP + STICK) / 2.0, soil, where(mode < (STICK + GAP) / 2.0, force, 0.0))
     return Run(
         scene=scene,
         duration=duration,
         time=time,
         travel=travel,
-        speed=u0 + gain,
+        speed=speed,
         deflection=deflection,
         mount_force=force,
-        soil_resistance=soil + scene.reaction.added_mass * acceleration,
+        soil_resistance=soil,
+        opening=opening,
+        mode=mode,
         averages=_averages(scene, means, variances),
         accuracy=accuracy,
     )
@@ -225,7 +242,7 @@ def assemble(
 def _averages(scene: Scene, means: Expression, variances: Expression) -> Averages:
     """Add the values at the start back to the averages of the changes since then."""
     structure, p = Structure.of(scene), parameters(scene)
-    stiffness, first = p["stiffness"], 0.0 if structure.rest else start_resistance(structure, p)
+    stiffness, first = p["stiffness"], 0.0 if structure.relaxed else start_resistance(structure, p)
     scale = scene.steady_resistance
     displacement_rms = rms(variances[0], scale / scene.stiffness)
     if structure.damper:

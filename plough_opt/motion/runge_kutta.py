@@ -12,8 +12,9 @@ from functools import lru_cache
 import casadi as ca
 import numpy as np
 
-from plough_opt.motion.equation import Structure, equation_of_motion, start_state
+from plough_opt.motion.equation import equation_of_motion, start_state
 from plough_opt.motion.signals import signals
+from plough_opt.motion.terms import Structure
 from plough_opt.motion.timeline import Timeline
 
 

@@ -7,15 +7,8 @@ from functools import lru_cache
 
 import casadi as ca
 
-from plough_opt.motion.equation import (
-    PARAMETERS,
-    Structure,
-    equation_of_motion,
-    start_deflection,
-    start_rate,
-    start_speed,
-    strut,
-)
+from plough_opt.motion.equation import equation_of_motion
+from plough_opt.motion.terms import PARAMETERS, Structure, start_deflection, start_rate, start_speed, strut
 
 
 @dataclass(frozen=True)

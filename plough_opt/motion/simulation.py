@@ -10,15 +10,17 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from plough_opt.accuracy import DEFAULT_ERROR, FIXED_STEP, Accuracy
+from plough_opt.accuracy import DEFAULT_ERROR, FIXED_STEP, LOCATE_EVENTS, Accuracy
 from plough_opt.domain import check_domain
+from plough_opt.effects import StickSlip
 from plough_opt.errors import InputError, IntegrationError
-from plough_opt.expressions import Expression, as_number, holds_casadi, is_symbolic, map_expressions
+from plough_opt.expressions import Expression, as_number, holds_casadi, is_casadi, is_symbolic, map_expressions
 from plough_opt.motion.embedding import embed
-from plough_opt.motion.equation import Structure, parameters
+from plough_opt.motion.equation import SLIP
 from plough_opt.motion.integrators import Integration, integration
 from plough_opt.motion.plan import (
     STIFF_PHASE,
+    TIGHTEST,
     automatic,
     check_of,
     forced_rate,
@@ -29,6 +31,7 @@ from plough_opt.motion.plan import (
 )
 from plough_opt.motion.quasi_static import GAUSS_POINTS, SYMBOLIC_GAUSS_POINTS, quasi_static
 from plough_opt.motion.run import Checks, Run, assemble
+from plough_opt.motion.terms import Structure, parameters
 from plough_opt.scene import Scene
 
 OUTPUTS = 400
@@ -41,6 +44,8 @@ _TIGHTER = 0.03
 _MOST_GROWTH = 700.0
 # Speeds backwards below this fraction of the fastest speed are rounding, not retreat.
 _RETREAT = 1e-9
+# Speeds backwards of a slipping share above this fraction are no rounding of the time at which it stopped.
+_MISSED = 1e-5
 
 
 def simulate(scene: Scene, duration: Expression, *, accuracy: Accuracy | None = None, outputs: int = OUTPUTS) -> Run:
@@ -70,6 +75,11 @@ def simulate(scene: Scene, duration: Expression, *, accuracy: Accuracy | None = 
     accuracy = accuracy or Accuracy()
     if accuracy.method != "auto" and not scene.effects.motion:
         raise InputError(f"accuracy method '{accuracy.method}' has nothing to integrate in a quasi-static scene")
+    if scene.effects.events and accuracy.method not in LOCATE_EVENTS:
+        raise InputError(
+            f"accuracy method '{accuracy.method}' finds no events, which stick and slip and the entry of a share have:"
+            " take 'auto', 'erk' or 'rosenbrock'"
+        )
     if holds_casadi((scene, duration)):
         if any(map(is_symbolic, (*parameters(scene).values(), scene.mass, duration))):
             return _symbolic(scene, duration, accuracy, outputs)
@@ -90,6 +100,8 @@ def _symbolic(scene: Scene, duration: Expression, accuracy: Accuracy, outputs: i
         return quasi_static(scene, duration, timeline, accuracy, SYMBOLIC_GAUSS_POINTS)
     if accuracy.method != "auto":
         accuracy = with_setting(accuracy, max(outputs, OUTPUTS), outputs)
+    elif scene.effects.events:
+        accuracy = Accuracy("erk", tolerance=max(0.01 * (accuracy.error or DEFAULT_ERROR), TIGHTEST))
     return _integrate(scene, duration, accuracy, outputs)
 
 
@@ -121,7 +133,7 @@ def _verified(scene: Scene, duration: float, accuracy: Accuracy, outputs: int) -
 def _twice(scene: Scene, duration: float, accuracy: Accuracy, outputs: int) -> tuple[Run, float]:
     """Return the run by a method, and its relative difference from the run that checks it."""
     run = _integrate(scene, duration, accuracy, outputs)
-    check = check_of(accuracy, _phase(scene, duration), outputs)
+    check = check_of(accuracy, _phase(scene, duration), outputs, Structure.of(scene).smooth)
     return run, _difference(run, _integrate(scene, duration, check, outputs))
 
 
@@ -137,7 +149,21 @@ def _integrate(scene: Scene, duration: Expression, accuracy: Accuracy, outputs: 
     else:
         arrays = _evaluate(solver, [float(as_number(value)) for value in values], scene)
         states, means, variances = arrays[0].T, arrays[1].ravel(), arrays[2].ravel()
-    return assemble(scene, duration, timeline.output_fractions, states, means, variances, accuracy)
+    run = assemble(scene, duration, timeline.output_fractions, states, means, variances, accuracy)
+    if isinstance(scene.effects.contact, StickSlip) and not is_casadi(states):
+        _refuse_missed_event(run)
+    return run
+
+
+def _refuse_missed_event(run: Run) -> None:
+    """Refuse a run in which the share retreats without a gap: the end of its slip was missed."""
+    slowest = float(np.min(np.where(run.mode == SLIP, run.speed, 0.0)))
+    if slowest < -_MISSED * float(np.max(np.abs(run.speed))):
+        first = float(run.time[np.argmax((run.mode == SLIP) & (run.speed == slowest))])
+        raise IntegrationError(
+            f"the motion of a {run.scene.describe()}: '{run.accuracy.method}' missed that the share stopped before"
+            f" t = {first:.4g} s: take a tighter tolerance"
+        )
 
 
 def _evaluate(solver: Integration, p: list[float], scene: Scene) -> list[NDArray[np.float64]]:
@@ -226,11 +252,14 @@ def _difference(run: Run, check: Run) -> float:
 
 
 def _retreat(run: Run) -> tuple[str, ...]:
-    """Return a warning where, at an output time, a resistance of fixed sign pushes the share backwards."""
+    """Return a warning where, at an output time, the share retreats under a contact law that knows no gap."""
+    contact = run.scene.effects.contact
     slowest = float(np.min(run.speed))
-    if slowest >= -_RETREAT * float(np.max(np.abs(run.speed))):
+    if isinstance(contact, StickSlip) or slowest >= -_RETREAT * float(np.max(np.abs(run.speed))):
         return ()
-    return (
-        f"the share retreats (at up to {-slowest:.3g} m/s): under contact 'resisting' the soil then pushes it"
-        " backwards, which real soil does not",
+    law = (
+        "under contact 'resisting' the soil then pushes it backwards, which real soil does not"
+        if contact == "resisting"
+        else "the smooth contact forgets the gap that it leaves; StickSlip() does not"
     )
+    return (f"the share retreats (at up to {-slowest:.3g} m/s): {law}",)

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Literal
 
 from plough_opt.accuracy import Accuracy
 from plough_opt.design import Design, Optimum, Progress
 from plough_opt.domain import check_domain
-from plough_opt.effects import Effects, StrengthWave
+from plough_opt.effects import Effects, Smooth, StickSlip, StrengthWave
 from plough_opt.errors import InputError
 from plough_opt.expressions import Expression
 from plough_opt.geometry import Wedge
@@ -112,8 +113,9 @@ class Problem:
             inertial_drag=table.inertial_drag,
             added_mass=table.added_mass,
             ambient_pressure=table.ambient_pressure,
-            contact=table.contact,
+            contact=_contact(table.contact, values),
             start=table.start,
+            entry=table.entry,
             strength_wave=wave,
             tow_ramp=values.get("effects.tow_ramp"),
             damping=values.get("effects.damping"),
@@ -163,3 +165,12 @@ class Problem:
         design, run = self.design()
         best = design.solve(progress=progress)
         return best, best(run)
+
+
+def _contact(law: str, values: Mapping[str, Expression]) -> Literal["resisting"] | Smooth | StickSlip:
+    """Return the contact law that a file names."""
+    if law == "smooth":
+        return Smooth(values["effects.contact_width"])
+    if law == "stick_slip":
+        return StickSlip(values.get("effects.breakaway", StickSlip.breakaway))
+    return "resisting"

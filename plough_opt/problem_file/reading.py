@@ -39,7 +39,7 @@ _PLAUSIBLE = {
     "share.wedge_angle": 0.5, "share.chisel_angle": 0.25, "share.height": 0.25, "scene.tow_speed": 2.0,
     "scene.frame_mass": 20.0, "scene.steel_density": 7850.0, "scene.stiffness": 5e4, "scene.duration": 2.0,
     "effects.strength_wave.amplitude": 0.3, "effects.strength_wave.wavelength": 0.2, "effects.tow_ramp": 0.5,
-    "effects.damping": 400.0, "effects.rate_term": 0.01,
+    "effects.damping": 400.0, "effects.rate_term": 0.01, "effects.contact_width": 0.1, "effects.breakaway": 1.2,
 }  # fmt: skip
 
 
@@ -184,7 +184,12 @@ def _check_complete(source: Source, table: ProblemTable, known: set[str]) -> Non
         with source.noting(("variables", key)):
             raise InputError(f"'{key}' has no effects.strength_wave to belong to: give that in [effects]")
     wave = _WAVE if table.effects.strength_wave is not None else ()
-    for key in (*_REQUIRED, *wave):
+    width = ("effects.contact_width",) if table.effects.contact == "smooth" else ()
+    for key, law in (("effects.contact_width", "smooth"), ("effects.breakaway", "stick_slip")):
+        if key in known and table.effects.contact != law:
+            with source.noting(("variables", key) if key in table.variables else tuple(key.split("."))):
+                raise InputError(f"'{key}' belongs to contact = \"{law}\", which [effects] does not ask for")
+    for key in (*_REQUIRED, *wave, *width):
         owner, _, name = key.rpartition(".")
         with source.noting(tuple(owner.split("."))):
             if key not in known:

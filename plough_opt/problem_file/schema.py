@@ -79,8 +79,11 @@ class EffectsTable(Table):
     inertial_drag: StrictBool = Effects.inertial_drag
     added_mass: StrictBool = Effects.added_mass
     ambient_pressure: StrictBool = Effects.ambient_pressure
-    contact: Literal["resisting"] = Effects.contact
-    start: Literal["equilibrium", "rest"] = Effects.start
+    contact: Literal["resisting", "smooth", "stick_slip"] = "resisting"
+    contact_width: Speed | None = None
+    breakaway: Number | None = None
+    start: Literal["equilibrium", "rest", "towed"] = Effects.start
+    entry: StrictBool = Effects.entry
     strength_wave: StrengthWaveTable | None = None
     tow_ramp: Time | None = None
     damping: Damping | None = None

@@ -29,6 +29,9 @@ damping = "400 N*s/m"
 # tow_ramp = "0.5 s"              # the strut reaches its speed smoothly
 # motion = false                  # quasi-static: no equation of motion at all
 # rate_term = "0.01 s^2/m^2"      # F0 (1 + kappa L'^2), for calibration
+# contact = "stick_slip"          # stick, slip and gap by events; or "smooth" with contact_width = "0.05 m/s"
+# breakaway = 1.2                 # of stick and slip: resistance of a share at rest over that of one that slips
+# entry = true                    # from first contact; needs start = "rest" or "towed"
 # formulation = "printed"         # the source's equations with the errors of its print, to show what these do
 
 [variables]                       # what to choose, between bounds, starting from a guess

@@ -10,8 +10,8 @@ from scipy.optimize import differential_evolution, minimize_scalar
 import plough_opt as po
 from plough_opt.design import program as program_module
 from plough_opt.design.search import SCAN_POINTS
-from plough_opt.motion.equation import Structure, parameters
 from plough_opt.motion.integrators import integration
+from plough_opt.motion.terms import Structure, parameters
 from plough_opt.motion.timeline import Timeline
 
 

@@ -9,11 +9,17 @@ import numpy as np
 import pytest
 
 import plough_opt as po
-from plough_opt.motion.equation import Structure, equation_of_motion, parameters, start_state, strut
+from plough_opt.motion.equation import equation_of_motion, start_state
 from plough_opt.motion.signals import signals
+from plough_opt.motion.terms import Structure, parameters, strut
 
-FLAGS = ("drag", "rate", "wave", "ramp", "damper", "rest")
-STRUCTURES = [Structure(*flags) for flags in itertools.product((False, True), repeat=len(FLAGS))]
+FLAGS = ("drag", "rate", "wave", "ramp", "damper", "relaxed")
+STRUCTURES = [
+    Structure(
+        *flags[:-1], start="rest" if flags[-1] else "equilibrium", contact="resisting", entry=False, carries=False
+    )
+    for flags in itertools.product((False, True), repeat=len(FLAGS))
+]
 BARE = STRUCTURES[0]
 
 # What belongs to one effect alone.
@@ -23,7 +29,7 @@ OWN = {
     "wave": {"wave_amplitude", "wavelength"},
     "ramp": {"ramp_time"},
     "damper": {"damping"},
-    "rest": set(),
+    "relaxed": set(),
 }
 NUMBERS = {
     "inertia": 23.0,
@@ -46,7 +52,7 @@ def on(structure):
 def expected_parameters(structure):
     names = {"inertia", "stiffness"}.union(*(OWN[name] for name in on(structure)))
     # In deviations from the start the static resistance cancels unless something varies with it.
-    if on(structure) & {"rate", "wave", "rest"}:
+    if on(structure) & {"rate", "wave", "relaxed"}:
         names.add("static")
     if on(structure) & {"drag", "rate", "wave", "ramp"}:
         names.add("tow_speed")
@@ -94,12 +100,12 @@ def test_equation_has_two_states_and_only_the_operations_of_its_effects(structur
 def test_signals_have_only_the_parameters_of_their_effects(structure):
     observed = signals(structure)
     needed = expected_parameters(structure)
-    if structure.ramp and not structure.rest:
+    if structure.ramp and not structure.relaxed:
         needed.add("static")  # in the tow power P s', which holds the whole force at the start
-    if structure.rest and structure.damper:
+    if structure.relaxed and structure.damper:
         needed.add("tow_speed")  # in the damper's force c V0 at the start
     # A start from rest under a moving strut has z' = V0, whether or not the signals say so.
-    allowed = needed | ({"tow_speed"} if structure.rest and not structure.ramp else set())
+    allowed = needed | ({"tow_speed"} if structure.relaxed and not structure.ramp else set())
     assert needed <= set(observed.parameters) <= allowed
     assert observed.count == 1 + structure.damper + structure.ramp
     assert observed.squared == 1 + structure.damper
@@ -116,7 +122,7 @@ def test_bare_signal_is_the_deflection_itself():
     assert signals(BARE).function.n_nodes() == 1
 
 
-@pytest.mark.parametrize("effect", [name for name in FLAGS if name != "rest"])
+@pytest.mark.parametrize("effect", [name for name in FLAGS if name != "relaxed"])
 def test_an_effect_adds_nodes_to_every_graph_without_it(effect):
     for structure in STRUCTURES:
         if not getattr(structure, effect):
@@ -126,10 +132,15 @@ def test_an_effect_adds_nodes_to_every_graph_without_it(effect):
 @pytest.mark.parametrize(
     ("effect", "signal_nodes"),
     # Without damper and ramp the deflection is the only signal, whatever else is on.
-    [("drag", 1), ("rate", 1), ("wave", 1), ("rest", 1)],
+    [("drag", 1), ("rate", 1), ("wave", 1), ("relaxed", 1)],
 )
 def test_effects_that_leave_mount_and_strut_alone_add_no_signal(effect, signal_nodes):
-    assert signals(dataclasses.replace(BARE, **{effect: True})).function.n_nodes() == signal_nodes
+    assert (
+        signals(
+            dataclasses.replace(BARE, **({"start": "rest"} if effect == "relaxed" else {effect: True}))
+        ).function.n_nodes()
+        == signal_nodes
+    )
 
 
 @pytest.mark.parametrize(
@@ -140,7 +151,7 @@ def test_effects_that_leave_mount_and_strut_alone_add_no_signal(effect, signal_n
         ({"strength_wave": None}, "wave", {"strength_wave": po.StrengthWave(0.3, 0.6)}),
         ({"tow_ramp": None}, "ramp", {"tow_ramp": 0.2}),
         ({"damping": None}, "damper", {"damping": 100.0}),
-        ({"start": "equilibrium"}, "rest", {"start": "rest"}),
+        ({"start": "equilibrium"}, "relaxed", {"start": "rest"}),
     ],
 )
 def test_each_effect_of_a_scene_is_one_flag_of_its_structure(r1_scene, off, effect, on_value):
@@ -196,7 +207,7 @@ def test_acceleration_is_that_of_equation_27(structure):
     n, still = NUMBERS, dataclasses.replace(structure, wave=False)
     for time, w, rate in [(0.0, 0.0, 0.0), (0.1, 3e-3, 0.4), (0.37, -8e-3, 2.5), (0.4, 1e-3, -0.3), (1.7, 0.02, 1.0)]:
         path, speed, acceleration = strut_path(structure, time)
-        start = 0.0 if structure.rest else resistance(still, 0.0, 0.0 if structure.ramp else n["tow_speed"])
+        start = 0.0 if structure.relaxed else resistance(still, 0.0, 0.0 if structure.ramp else n["tow_speed"])
         z = start / n["stiffness"] + w
         mount = n["stiffness"] * z + (n["damping"] * rate if structure.damper else 0.0)
         share = (mount - resistance(structure, path - z, speed - rate)) / n["inertia"]
@@ -205,7 +216,7 @@ def test_acceleration_is_that_of_equation_27(structure):
         assert found == pytest.approx([rate, acceleration - share], rel=1e-13, abs=1e-13)
 
 
-@pytest.mark.parametrize("structure", [s for s in STRUCTURES if not (s.wave or s.rest)], ids=label)
+@pytest.mark.parametrize("structure", [s for s in STRUCTURES if not (s.wave or s.relaxed)], ids=label)
 def test_nothing_moves_at_a_steady_start(structure):
     motion = equation_of_motion(structure)
     # Exactly zero, without rounding: the steady forces cancel on paper.
@@ -214,7 +225,7 @@ def test_nothing_moves_at_a_steady_start(structure):
 
 @pytest.mark.parametrize("structure", STRUCTURES, ids=label)
 def test_a_share_at_rest_deflects_the_spring_at_the_struts_speed(structure):
-    moving = structure.rest and not structure.ramp
+    moving = structure.relaxed and not structure.ramp
     assert start_state(structure, NUMBERS).full().ravel() == pytest.approx([0.0, moving * NUMBERS["tow_speed"]])
 
 
@@ -224,9 +235,9 @@ def test_signals_are_changes_of_deflection_and_force_and_the_tow_power(structure
     still = dataclasses.replace(structure, wave=False)
     for time, w, rate in [(0.0, 0.0, 0.0), (0.2, 4e-3, 0.7), (1.3, -2e-2, -0.4)]:
         speed = strut_path(structure, time)[1]
-        first_rate = n["tow_speed"] if structure.rest and not structure.ramp else 0.0
+        first_rate = n["tow_speed"] if structure.relaxed and not structure.ramp else 0.0
         change = n["stiffness"] * w + (n["damping"] * (rate - first_rate) if structure.damper else 0.0)
-        first = 0.0 if structure.rest else resistance(still, 0.0, 0.0 if structure.ramp else n["tow_speed"])
+        first = 0.0 if structure.relaxed else resistance(still, 0.0, 0.0 if structure.ramp else n["tow_speed"])
         expected = [w] + [change] * structure.damper + [(first + change) * speed] * structure.ramp
         found = at_numbers(observed.function, observed.parameters, time, w, rate)
         # Beyond the ramp's end its polynomial rounds to 1 within a few last bits.

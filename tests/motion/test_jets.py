@@ -6,11 +6,11 @@ import pytest
 
 import plough_opt as po
 from plough_opt.expressions import as_number
-from plough_opt.motion.equation import Structure, parameters
 from plough_opt.motion.integrators import integration
 from plough_opt.motion.jets import jets, jets_of, pairs
 from plough_opt.motion.runge_kutta import run_map
 from plough_opt.motion.signals import signals
+from plough_opt.motion.terms import Structure, parameters
 from plough_opt.motion.timeline import Timeline
 
 DURATION = 0.4

@@ -10,7 +10,8 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
 import plough_opt as po
-from plough_opt.motion.equation import Structure, equation_of_motion, parameters
+from plough_opt.motion.equation import equation_of_motion
+from plough_opt.motion.terms import Structure, parameters
 
 REPELS = po.Printed(pi_twice=False, one_third=False)
 FINE = po.Accuracy("dop853", steps=2000)

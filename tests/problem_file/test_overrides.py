@@ -87,7 +87,7 @@ REFUSED = [
     ("scene.tow_speed=-2.5 m/s", "tow speed = -2.5 m/s", "at least 0"),
     ("share.hight=0.3 m", "'share.hight' is not a known key", "did you mean 'height'?"),
     ("share.height=-0.3 m", "share height = -0.3 m", "above 0"),
-    ("effects.start=rst", "'effects.start'", "'equilibrium' or 'rest'"),
+    ("effects.start=rst", "'effects.start'", "'equilibrium', 'rest' or 'towed'"),
     ("effects.motion=false", "damping needs motion", "leave it out"),
     ("effects.strength_wave.amplitude=1.3", "amplitude = 1.3", "at most 1"),
     ("soil.name=hardpn", "no soil is named 'hardpn'", "did you mean 'hardpan'?"),

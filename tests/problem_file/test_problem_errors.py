@@ -47,7 +47,9 @@ MISSPELT = [
     case("soil's name", '"serozem" ', '"serozom" ', "serozom", "no soil is named 'serozom'", "mean 'serozem'?"),
     case("form", "damping =", 'formulaton = "printed"\ndamping =', "laton", "'effects.formulaton'", "'formulation'?"),
     case("print", "damping =", 'formulation = "prnt"\ndamping =', "prnt", "'effects.formulation'", "or 'printed'"),
-    case("choice", "damping =", 'start = "rst"\ndamping =', "rst", "'effects.start'", "'equilibrium' or 'rest'"),
+    case(
+        "choice", "damping =", 'start = "rst"\ndamping =', "rst", "'effects.start'", "'equilibrium', 'rest' or 'towed'"
+    ),
 ]
 
 

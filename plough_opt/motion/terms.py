@@ -1,0 +1,233 @@
+"""Terms of the equation of motion (27) in the spring deflection, each there only if a scene contains it.
+
+With z = s(t) - L the spring's deflection, z0 its value at the start and w = z - z0,
+
+    M w'' = F(L, L') - k0 z0 - k0 w - c w' + M s''
+
+is written in deviations from the start, so that at an equilibrium start the large steady forces cancel
+on paper and not in floating point. As printed, with + k0 (L - V0 t), the spring repels: the parameter "stiffness"
+is then -k0, the equilibrium lies at z = -F/k0, and a deviation from it grows like exp(sqrt(k0/M) t).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+from plough_opt.effects import Smooth, StickSlip
+from plough_opt.expressions import Expression, maximum, minimum, sin
+from plough_opt.scene import Scene
+
+PARAMETERS = (
+    "inertia",
+    "stiffness",
+    "static",
+    "drag",
+    "tow_speed",
+    "wave_amplitude",
+    "wavelength",
+    "ramp_time",
+    "damping",
+    "rate_term",
+    "width",
+    "breakaway",
+    "height",
+    "mass",
+    "added_mass",
+)
+"""Names of everything that a term may need, in the order in which an equation takes what it uses."""
+
+
+@dataclass(frozen=True)
+class Structure:
+    """What a scene's equation of motion contains, apart from numbers: scenes alike in this share one graph."""
+
+    drag: bool
+    rate: bool
+    wave: bool
+    ramp: bool
+    damper: bool
+    start: Literal["equilibrium", "rest", "towed"]
+    contact: Literal["resisting", "smooth", "stick_slip"]
+    entry: bool
+    carries: bool
+
+    @classmethod
+    def of(cls, scene: Scene) -> Structure:
+        """Read the structure off a scene."""
+        effects = scene.effects
+        laws: dict[type, Literal["smooth", "stick_slip"]] = {Smooth: "smooth", StickSlip: "stick_slip"}
+        return cls(
+            drag=effects.inertial_drag,
+            rate=effects.rate_term is not None,
+            wave=effects.strength_wave is not None,
+            ramp=effects.ramps,
+            damper=effects.damping is not None,
+            start=effects.start,
+            contact=laws.get(type(effects.contact), "resisting"),
+            entry=effects.entry,
+            carries=effects.added_mass and effects.events,
+        )
+
+    @property
+    def relaxed(self) -> bool:
+        """Whether the spring is relaxed at the start."""
+        return self.start != "equilibrium"
+
+    @property
+    def smooth(self) -> bool:
+        """Whether the equation is smooth wherever a share that keeps its tow speed comes."""
+        return not self.entry and self.contact == "resisting"
+
+    @property
+    def events(self) -> bool:
+        """Whether an integrator must find events."""
+        return self.entry or self.contact == "stick_slip"
+
+
+def parameters(scene: Scene) -> dict[str, Expression]:
+    """Return the numbers that the equation of motion may need, by name, in SI units."""
+    effects = scene.effects
+    values = {
+        "inertia": scene.inertia,
+        "stiffness": scene.restoring_stiffness,
+        "static": scene.reaction.static,
+        "tow_speed": scene.tow_speed,
+    }
+    if effects.inertial_drag:
+        values["drag"] = scene.reaction.drag
+    if effects.strength_wave is not None:
+        values["wave_amplitude"] = effects.strength_wave.amplitude
+        values["wavelength"] = effects.strength_wave.wavelength
+    if effects.ramps:
+        values["ramp_time"] = effects.tow_ramp
+    if effects.damping is not None:
+        values["damping"] = effects.damping
+    if effects.rate_term is not None:
+        values["rate_term"] = effects.rate_term
+    if isinstance(effects.contact, Smooth):
+        values["width"] = effects.contact.width
+    if isinstance(effects.contact, StickSlip):
+        values["breakaway"] = effects.contact.breakaway
+    if effects.entry:
+        values["height"] = scene.cone.height
+    if effects.events:
+        values["mass"] = scene.mass
+        if effects.added_mass:
+            values["added_mass"] = scene.reaction.added_mass
+    return values
+
+
+@dataclass(frozen=True)
+class Strut:
+    """Path s [m], speed gained since the start s' - s'(0) [m/s] and acceleration s'' [m/s^2] of the strut."""
+
+    path: Expression
+    gain: Expression
+    acceleration: Expression
+
+
+def strut(structure: Structure, p: dict[str, Expression], time: Expression) -> Strut:
+    """Return the strut's motion: constant speed, or a ramp by 6u^5 - 15u^4 + 10u^3 with u = t/t_r."""
+    speed = p["tow_speed"]
+    if not structure.ramp:
+        return Strut(path=speed * time, gain=0.0, acceleration=0.0)
+    ramp = p["ramp_time"]
+    u = minimum(time / ramp, 1.0)
+    return Strut(
+        path=speed * (ramp * u**4 * (2.5 + u * (u - 3.0)) + (time - ramp * u)),
+        gain=speed * u**3 * (10.0 + u * (6.0 * u - 15.0)),
+        acceleration=speed / ramp * 30.0 * u**2 * (1.0 - u) ** 2,
+    )
+
+
+def start_speed(structure: Structure, p: dict[str, Expression]) -> Expression:
+    """Return the strut's speed at time 0 [m/s]: the speed to which the steady state at the start belongs."""
+    return 0.0 if structure.ramp else p["tow_speed"]
+
+
+def start_resistance(structure: Structure, p: dict[str, Expression]) -> Expression:
+    """Return the steady resistance at the strut's initial speed [N], without the wave."""
+    force = _steady(structure, p)
+    return _step(p, start_speed(structure, p)) * force if structure.contact == "smooth" else force
+
+
+def _steady(structure: Structure, p: dict[str, Expression]) -> Expression:
+    """Return the steady resistance of a wholly buried share that slips at the strut's initial speed [N]."""
+    u0 = start_speed(structure, p)
+    force = p["static"]
+    if structure.rate:
+        force = force * (1.0 + p["rate_term"] * u0**2)
+    if structure.drag:
+        force = force + p["drag"] * u0**2
+    return force
+
+
+def start_deflection(structure: Structure, p: dict[str, Expression]) -> Expression:
+    """Return z0 [m]: steady deflection, or zero from rest."""
+    return 0.0 if structure.relaxed else start_resistance(structure, p) / p["stiffness"]
+
+
+def start_rate(structure: Structure, p: dict[str, Expression]) -> Expression:
+    """Return z' at time 0 [m/s]: a share at rest under a moving strut has z' = V0."""
+    return start_speed(structure, p) if structure.start == "rest" else 0.0
+
+
+def resistance_change(
+    structure: Structure, p: dict[str, Expression], travel: Expression, gain: Expression
+) -> Expression:
+    """Return how far the resistance is from the steady one at the start [N], the added mass's part excepted.
+
+    Args:
+        structure: the terms that are on.
+        p: parameters by name.
+        travel: L of the share [m].
+        gain: L' - s'(0), the share's speed above the strut's initial speed [m/s].
+    """
+    u0 = start_speed(structure, p)
+    change: Expression = 0.0
+    if structure.rate or structure.drag:
+        factor = (p["static"] * p["rate_term"] if structure.rate else 0.0) + (p["drag"] if structure.drag else 0.0)
+        change = factor * gain * (2.0 * u0 + gain)
+    if structure.wave:
+        wave = p["static"] * p["wave_amplitude"] * sin(2.0 * math.pi / p["wavelength"] * travel)
+        if structure.rate:
+            wave = wave * (1.0 + p["rate_term"] * (u0 + gain) ** 2)
+        change = change + wave
+    if structure.entry:
+        section = buried(structure, p, travel) ** 2
+        change = section * change + (section - 1.0) * _steady(structure, p)
+    if structure.contact == "smooth":
+        step, first = _step(p, u0 + gain), _step(p, u0)
+        change = step * change + (step - first) * _steady(structure, p)
+    return change
+
+
+def static_resistance(structure: Structure, p: dict[str, Expression], travel: Expression) -> Expression:
+    """Return the resistance to a share at rest at a travel L [N]."""
+    at_rest = -start_speed(structure, p)
+    return start_resistance(structure, p) + resistance_change(structure, p, travel, at_rest)
+
+
+def buried(structure: Structure, p: dict[str, Expression], travel: Expression) -> Expression:
+    """Return the part H/h of the share's height that is in the soil [-]."""
+    return minimum(maximum(travel / p["height"], 0.0), 1.0) if structure.entry else 1.0
+
+
+def inertia_at(structure: Structure, p: dict[str, Expression], travel: Expression) -> Expression:
+    """Return the mass of the share and of the soil that it carries at a travel L [kg]."""
+    if not structure.events:
+        return p["inertia"]
+    return p["mass"] + carried_mass(structure, p, travel)
+
+
+def carried_mass(structure: Structure, p: dict[str, Expression], travel: Expression) -> Expression:
+    """Return the added mass of soil at a travel L [kg] in a structure with events."""
+    return p["added_mass"] * buried(structure, p, travel) ** 3 if structure.carries else 0.0
+
+
+def _step(p: dict[str, Expression], speed: Expression) -> Expression:
+    """Return the smooth step of the share's speed: 0 for a share at rest or retreating, 1 above the width."""
+    u = minimum(maximum(speed / p["width"], 0.0), 1.0)
+    return u**3 * (10.0 + u * (6.0 * u - 15.0))

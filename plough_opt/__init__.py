@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from plough_opt import elastic, plastic
 from plough_opt.accuracy import Accuracy
 from plough_opt.design import Design, LocalOptimum, Optimum
-from plough_opt.effects import Effects, Smooth, StickSlip, StrengthWave
+from plough_opt.effects import Effects, HarmonicBalance, Smooth, StickSlip, StrengthWave
 from plough_opt.errors import (
     DomainError,
     InfeasibleDesign,
@@ -63,6 +63,7 @@ __all__ = [
     "Design",
     "DomainError",
     "Effects",
+    "HarmonicBalance",
     "InfeasibleDesign",
     "InputError",
     "IntegrationError",

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
 from plough_opt.domain import check_domain
 from plough_opt.errors import InputError
-from plough_opt.expressions import Expression, as_number, is_symbolic
+from plough_opt.expressions import COUNT, Expression, as_number, is_count, is_symbolic
 from plough_opt.printed import Formulation, Printed, errors_of
+
+_MOST_HARMONICS = 64
 
 
 @dataclass(frozen=True)
@@ -72,6 +74,21 @@ class StickSlip:
 
 
 @dataclass(frozen=True)
+class HarmonicBalance:
+    """The lasting orbit approximated by a mean and harmonics of the strength wave's frequency.
+
+    Args:
+        harmonics: their number, from 1 to 64.
+    """
+
+    harmonics: int = field(default=3, metadata=COUNT)
+
+    def __post_init__(self) -> None:
+        if not is_count(self.harmonics) or self.harmonics > _MOST_HARMONICS:
+            raise InputError(f"harmonics = {self.harmonics!r} must be a whole number from 1 to {_MOST_HARMONICS}")
+
+
+@dataclass(frozen=True)
 class Effects:
     """Which effects a scene contains. What is off adds no node, state or parameter to the equation of motion.
 
@@ -92,6 +109,9 @@ class Effects:
         tow_ramp: time [s] in which the strut's speed rises from 0 by a C2 smoothstep; None or 0: none.
         damping: viscous damper c in the mount [N s/m], or None.
         rate_term: kappa [s^2/m^2] of F0 (1 + kappa L'^2), for calibration, or None. Not in the source.
+        orbit: ``"transient"``: from the start over the duration; ``"periodic"``: the lasting orbit under the strength
+            wave, one wavelength of it, which needs no duration; ``"linearised"``: its linear forced response in
+            closed form; `HarmonicBalance`: its first harmonics.
         formulation: ``"derived"``; ``"printed"``: equations (25)-(27) with the print's errors, to show what
             they do; or a `Printed` with some of them. It is not physics, and a run says so.
 
@@ -111,6 +131,7 @@ class Effects:
     tow_ramp: Expression | None = None
     damping: Expression | None = None
     rate_term: Expression | None = None
+    orbit: Literal["transient", "periodic", "linearised"] | HarmonicBalance = "transient"
     formulation: Formulation = "derived"
 
     def __post_init__(self) -> None:
@@ -129,8 +150,27 @@ class Effects:
             self._refuse_without_motion()
         if self.entry and self.start == "equilibrium":
             raise InputError("entry begins at first contact, where nothing is steady: take start = 'rest' or 'towed'")
+        if self.orbit != "transient":
+            self._refuse_on_an_orbit()
         if self.printed.repelling_spring and self.contact != "resisting":
             raise InputError("the print knows no contact law: its repelling spring goes with contact = 'resisting'")
+
+    def _refuse_on_an_orbit(self) -> None:
+        """Refuse what a lasting orbit cannot have."""
+        if self.orbit not in ("periodic", "linearised") and not isinstance(self.orbit, HarmonicBalance):
+            raise InputError(
+                f"orbit = {self.orbit!r} must be 'transient', 'periodic', 'linearised' or HarmonicBalance(harmonics)"
+            )
+        if not self.motion:
+            raise InputError("an orbit needs motion: a quasi-static share repeats itself from the start")
+        if self.strength_wave is None:
+            raise InputError("an orbit needs a strength_wave: without one the share comes to slide steadily")
+        if self.contact != "resisting":
+            raise InputError("an orbit takes contact = 'resisting': simulate other contact laws from a start, for long")
+        if self.start != "equilibrium" or self.tow_ramp is not None or self.entry:
+            raise InputError("an orbit has no start: leave start, tow_ramp and entry out")
+        if self.printed.repelling_spring:
+            raise InputError("the print's repelling spring has no lasting orbit: take formulation = 'derived'")
 
     def _refuse_without_motion(self) -> None:
         """Refuse what a quasi-static scene cannot have."""

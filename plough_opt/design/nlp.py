@@ -11,7 +11,7 @@ where z = (y, o), S = dz/dy, mu = L_o and c = mu' o_theta.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import casadi as ca
@@ -84,21 +84,26 @@ def averages_only(run: EmbeddedRun, algebra: ca.Function, result: int) -> bool:
 
 
 def run_in_nlp(run: EmbeddedRun, only_averages: bool, varying: tuple[int, ...], steps: int | None) -> RunInNlp:
-    """Prepare a run's values and derivatives, with ``steps`` in place of the steps that it was written with."""
+    """Prepare a run's values and derivatives, with ``steps`` in place of the steps that it was written with.
+
+    A periodic orbit is found by so many harmonics that balance: the orbit of shooting, in a fraction of its time.
+    """
     own = run.integration
-    accuracy, timeline = own.accuracy, own.timeline
+    accuracy, timeline, structure = own.accuracy, own.timeline, own.structure
+    if structure.orbit == "periodic" and steps is not None:
+        structure, steps = replace(structure, orbit="harmonic_balance", harmonics=steps), None
     if only_averages and accuracy.method in ORDER_8:
         timeline = Timeline(1, timeline.steps, timeline.kink)
     if steps is not None:
         timeline = Timeline(timeline.outputs, steps, timeline.kink)
-    solver = integration(own.structure, accuracy, timeline)
-    observed = signals(own.structure)
+    solver = integration(structure, accuracy, timeline)
+    observed = signals(structure)
     size = sum(solver.function.numel_out(k) for k in range(solver.function.n_out()))
     first = size - observed.count - observed.squared if only_averages else 0
     p, weights = ca.MX.sym("p", solver.function.numel_in(0)), ca.MX.sym("weights", size - first)
     stacked = ca.vertcat(*(ca.vec(result) for result in solver.function.call([p])))
     weighted = None
-    if events := own.structure.events:
+    if events := structure.events:
         every = ca.vertcat(ca.MX.zeros(first), weights)
         weighted = ca.Function("weighted", [p, weights], [weighted_curvature(solver, varying)(p, every)])
     return RunInNlp(

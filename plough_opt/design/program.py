@@ -21,6 +21,9 @@ from plough_opt.motion.plan import phase, steps_for
 # Phase per step inside a design: a relative error of some 3e-9, and finer where the check finds it wanting.
 _PHASE_PER_STEP = 0.8
 _MOST_STEPS = 50_000
+# Of a periodic orbit, whose harmonics fall off exponentially.
+_HARMONICS = 12
+_MOST_HARMONICS = 64
 _SMALLEST_SCALE = 1e-12
 
 
@@ -200,6 +203,9 @@ class Program:
         for k, run in enumerate(self.exact.runs):
             if run.integration.accuracy.method != "auto":
                 steps.append(None)
+                continue
+            if run.integration.structure.orbit == "periodic":
+                steps.append(min(math.ceil(_HARMONICS * refinement), _MOST_HARMONICS))
                 continue
             fastest = 0.0
             for _, values in self._corners():

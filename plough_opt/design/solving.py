@@ -185,7 +185,11 @@ def _scenes(program: Program, point: Point, p: Vector) -> list[tuple[Scene, floa
 
 def _warnings(program: Program, point: Point, p: Vector, scenes: Sequence[tuple[Scene, float]]) -> tuple[str, ...]:
     """Return what a reader of the results at a point must know, each sentence once."""
-    moving = [text for scene, duration in scenes for text in simulate(scene, duration).warnings]
+    moving = [
+        text
+        for scene, duration in scenes
+        for text in simulate(scene, duration if scene.effects.orbit == "transient" else None).warnings
+    ]
     still = program.exact.quasi_static_scenes([*program.values(point.y), *p])
     return tuple(dict.fromkeys([*moving, *(text for scene in still for text in scene.warnings())]))
 

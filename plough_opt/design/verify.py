@@ -98,8 +98,8 @@ def tight_results(own: Integration, inputs: tuple[float, ...]) -> tuple[Vector, 
         inputs: its parameters, the duration last.
     """
     total = phase(dict(zip(own.names, inputs[:-1], strict=True)), inputs[-1])
-    method = automatic(TIGHT, total)
     outputs = own.timeline.outputs
+    method = automatic(TIGHT, total, outputs, own.structure.orbit != "transient")
     results = []
     for accuracy in (method, check_of(method, total, outputs, own.structure.smooth)):
         timeline = Timeline(outputs, accuracy.steps or outputs, own.timeline.kink)

@@ -60,6 +60,8 @@ def embed(solver: Integration, p: Sequence[Expression], scene: Scene) -> tuple[E
     template, carried = _template(scene)
     inputs = ca.vertcat(*p)
     if isinstance(inputs, ca.SX) or isinstance(carried, ca.SX):
+        if solver.structure.orbit != "transient":
+            raise InputError("an orbit takes MX symbols only, for it is the root of an equation: use casadi.MX")
         if solver.accuracy.method not in ORDER_8:
             raise InputError(
                 f"method '{solver.accuracy.method}' takes MX symbols only: make the scene of casadi.MX, or use 'dop853'"

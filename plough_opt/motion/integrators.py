@@ -13,6 +13,7 @@ import casadi as ca
 
 from plough_opt.accuracy import ADAPTIVE, ORDER_8, Accuracy
 from plough_opt.motion.equation import equation_of_motion, start_state
+from plough_opt.motion.orbit import orbit_map
 from plough_opt.motion.runge_kutta import run_map
 from plough_opt.motion.signals import signals
 from plough_opt.motion.terms import Structure, start_resistance
@@ -48,7 +49,9 @@ class Integration:
 @lru_cache(maxsize=128)
 def integration(structure: Structure, accuracy: Accuracy, timeline: Timeline) -> Integration:
     """Build, or find, the Function that integrates scenes of a structure by a named method with its setting."""
-    if accuracy.method in ORDER_8:
+    if structure.orbit != "transient":
+        function = orbit_map(structure, timeline)
+    elif accuracy.method in ORDER_8:
         function = run_map(structure, timeline)
     else:
         function = _by_casadi(structure, accuracy, timeline)

@@ -53,7 +53,7 @@ def _shifts(integration: Integration, varying: tuple[int, ...]) -> tuple[ca.MX, 
 
 def jets_of(integration: Integration, varying: tuple[int, ...], order: int) -> ca.Function:
     """Return `jets` of any integration: carried along where the method is ours, else by differentiating the run."""
-    if integration.accuracy.method in ORDER_8:
+    if integration.accuracy.method in ORDER_8 and integration.structure.orbit == "transient":
         return jets(integration.structure, integration.timeline, varying, order)
     p, e, shifted = _shifts(integration, varying)
     results = integration.function.call([shifted])

@@ -81,8 +81,18 @@ def with_setting(accuracy: Accuracy, steps: int, outputs: int) -> Accuracy:
     return replace(accuracy, steps=-(-wanted // outputs) * outputs)
 
 
-def automatic(wanted: float, total_phase: float) -> Accuracy:
-    """Return the adaptive method and tolerance that should reach a relative error over that phase."""
+def automatic(wanted: float, total_phase: float, outputs: int, orbit: bool) -> Accuracy:
+    """Return the method and setting that should reach a relative error over that phase.
+
+    Args:
+        wanted: the relative error.
+        total_phase: of the fastest oscillation over the run [rad].
+        outputs: output intervals.
+        orbit: whether the run is a lasting orbit, which is found by steps of order 8.
+    """
+    if orbit:
+        finer = max(1.0, (DEFAULT_TOLERANCE / wanted) ** 0.125)
+        return with_setting(Accuracy("dop853"), math.ceil(finer * steps_for(total_phase)), outputs)
     if total_phase > STIFF_PHASE:
         return Accuracy("rosenbrock", tolerance=max(0.1 * wanted, STIFF_TOLERANCE))
     return Accuracy("erk", tolerance=max(0.01 * wanted, TIGHTEST))

@@ -58,11 +58,13 @@ class Checks:
         error_estimate: estimated relative error [-].
         seconds: time taken [s].
         warnings: sentences for whoever reads the results.
+        floquet: multipliers of a lasting orbit [-].
     """
 
     error_estimate: float
     seconds: float
     warnings: tuple[str, ...]
+    floquet: tuple[complex, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -160,6 +162,18 @@ class Run:
         if self.checks is None:
             return ("a symbolic run cannot be checked: simulate the scene with numbers, for instance best(run)",)
         return self.checks.warnings
+
+    @property
+    def floquet(self) -> tuple[complex, ...]:
+        """Floquet multipliers of a periodic orbit [-]: factors by which deviations grow in one wavelength.
+
+        Raises:
+            InputError: a run of expressions, or one that is no periodic orbit.
+        """
+        multipliers = self._known("Floquet multipliers").floquet
+        if not multipliers:
+            raise InputError("only a periodic orbit has Floquet multipliers: take orbit = 'periodic'")
+        return multipliers
 
     def _known(self, what: str) -> Checks:
         if self.checks is None:

@@ -63,13 +63,22 @@ def step(structure: Structure) -> ca.Function:
 
 def run_map(structure: Structure, timeline: Timeline) -> ca.Function:
     """Return the whole run as a Function of the parameters: see `plough_opt.motion.integrators.Integration`."""
+    p = ca.MX.sym("p", len(signals(structure).parameters) + 1)
+    known = dict(zip(signals(structure).parameters, ca.vertsplit(p[:-1]), strict=True))
+    results = run_from(structure, timeline)(start_state(structure, known), p)
+    return ca.Function("run_map", [p], list(results), {"never_inline": True})
+
+
+@lru_cache(maxsize=64)
+def run_from(structure: Structure, timeline: Timeline) -> ca.Function:
+    """Return the run from any state: (state at time 0, parameters) -> states at the outputs, means, variances."""
     one = step(structure)
     observed = signals(structure)
+    first = ca.MX.sym("first", 2)
     p = ca.MX.sym("p", len(observed.parameters) + 1)
     sizes = ca.DM(np.diff(timeline.nodes)).T
     spans = ca.vertcat(ca.DM(timeline.nodes[:-1]).T, sizes)
     count = sizes.shape[1]
-    first = start_state(structure, dict(zip(observed.parameters, ca.vertsplit(p[:-1]), strict=True)))
     states, moments = one.mapaccum(count)(first, spans, ca.repmat(p, 1, count))
     means = moments[: observed.count, :]
     spreads = moments[observed.count :, :]
@@ -78,4 +87,4 @@ def run_map(structure: Structure, timeline: Timeline) -> ca.Function:
     drift = means[: observed.squared, :] - ca.repmat(mean[: observed.squared], 1, count)
     variance = (spreads + drift**2) @ sizes.T
     columns = [timeline.output_columns[i] - 1 for i in range(1, timeline.outputs + 1)]
-    return ca.Function("run_map", [p], [ca.horzcat(first, states[:, columns]), mean, variance], {"never_inline": True})
+    return ca.Function("run_from", [first, p], [ca.horzcat(first, states[:, columns]), mean, variance])

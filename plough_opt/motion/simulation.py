@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from plough_opt.accuracy import DEFAULT_ERROR, FIXED_STEP, LOCATE_EVENTS, Accuracy
+from plough_opt.accuracy import DEFAULT_ERROR, FIXED_STEP, LOCATE_EVENTS, ORDER_8, Accuracy
 from plough_opt.domain import check_domain
 from plough_opt.effects import StickSlip
 from plough_opt.errors import InputError, IntegrationError
@@ -18,6 +18,7 @@ from plough_opt.expressions import Expression, as_number, holds_casadi, is_casad
 from plough_opt.motion.embedding import embed
 from plough_opt.motion.equation import SLIP
 from plough_opt.motion.integrators import Integration, integration
+from plough_opt.motion.orbit import monodromy
 from plough_opt.motion.plan import (
     STIFF_PHASE,
     TIGHTEST,
@@ -32,6 +33,7 @@ from plough_opt.motion.plan import (
 from plough_opt.motion.quasi_static import GAUSS_POINTS, SYMBOLIC_GAUSS_POINTS, quasi_static
 from plough_opt.motion.run import Checks, Run, assemble
 from plough_opt.motion.terms import Structure, parameters
+from plough_opt.motion.timeline import Timeline
 from plough_opt.scene import Scene
 
 OUTPUTS = 400
@@ -44,16 +46,21 @@ _TIGHTER = 0.03
 _MOST_GROWTH = 700.0
 # Speeds backwards below this fraction of the fastest speed are rounding, not retreat.
 _RETREAT = 1e-9
+# A multiplier above 1 by less is that of an undamped mount, rounded.
+_MARGINAL = 1e-8
 # Speeds backwards of a slipping share above this fraction are no rounding of the time at which it stopped.
 _MISSED = 1e-5
 
 
-def simulate(scene: Scene, duration: Expression, *, accuracy: Accuracy | None = None, outputs: int = OUTPUTS) -> Run:
+def simulate(
+    scene: Scene, duration: Expression | None = None, *, accuracy: Accuracy | None = None, outputs: int = OUTPUTS
+) -> Run:
     """Simulate a share on its mount, equation (27), or its quasi-static limit.
 
     Args:
         scene: of floats, or with CasADi expressions in it.
-        duration: simulated time [s], above 0; a float or an expression.
+        duration: simulated time [s], above 0; a float or an expression. Of a lasting orbit it is one wavelength of
+            the soil's strength and must be left out.
         accuracy: method and setting, or the error to reach; default: a relative error of 1e-8.
         outputs: number of equal intervals between output times, at least 1.
 
@@ -61,20 +68,25 @@ def simulate(scene: Scene, duration: Expression, *, accuracy: Accuracy | None = 
         A `Run` of numbers or of expressions. A run of numbers is integrated a second time, by another
         method or finer, and its ``error_estimate`` is the largest difference of the two: of mean draft and
         RMS force relative to the larger of them, of the mount force at the outputs relative to its
-        peak. A symbolic run is an exactly differentiable expression that has no such estimate.
+        peak. Of a stand-in for the lasting orbit it is the difference from that orbit. A symbolic run is an
+        exactly differentiable expression that has no such estimate.
 
     Raises:
         DomainError: the duration is not positive.
-        InputError: fewer than one output interval, an array in the scene, an integration method for a
-            quasi-static scene, or SX symbols with a method that cannot take them.
+        InputError: no duration, or one for an orbit, fewer than one output interval, an array in the scene, an
+            integration method for a quasi-static scene, or SX symbols with a method that cannot take them.
         IntegrationError: the method failed; the message says for which scene, when and the likely cause.
     """
-    check_domain("duration", duration, "s", above=0.0)
+    duration = _duration(scene, duration)
     if outputs < 1:
         raise InputError(f"outputs = {outputs} must be at least 1: the number of intervals between output times")
     accuracy = accuracy or Accuracy()
     if accuracy.method != "auto" and not scene.effects.motion:
         raise InputError(f"accuracy method '{accuracy.method}' has nothing to integrate in a quasi-static scene")
+    if scene.effects.orbit != "transient" and accuracy.method not in ORDER_8:
+        raise InputError(
+            f"accuracy method '{accuracy.method}' finds no orbit: take 'auto', or 'dop853' with a number of steps"
+        )
     if scene.effects.events and accuracy.method not in LOCATE_EVENTS:
         raise InputError(
             f"accuracy method '{accuracy.method}' finds no events, which stick and slip and the entry of a share have:"
@@ -89,8 +101,24 @@ def simulate(scene: Scene, duration: Expression, *, accuracy: Accuracy | None = 
             raise InputError(f"{name} is an array of {np.size(value)} values: simulate takes one scene at a time")
     started = time.perf_counter()
     run, error, notes = _verified(scene, float(duration), accuracy, outputs)
-    notes = (*scene.warnings(), *notes, *_retreat(run))
-    return replace(run, checks=Checks(error, time.perf_counter() - started, notes))
+    multipliers, unstable = _stability(run) if scene.effects.orbit == "periodic" else ((), ())
+    notes = (*scene.warnings(), *notes, *_retreat(run), *unstable)
+    return replace(run, checks=Checks(error, time.perf_counter() - started, notes, multipliers))
+
+
+def _duration(scene: Scene, duration: Expression | None) -> Expression:
+    """Return the simulated time, of an orbit one wavelength."""
+    if scene.effects.orbit == "transient":
+        if duration is None:
+            raise InputError("the duration is missing: how long shall the scene be simulated, in seconds?")
+        check_domain("duration", duration, "s", above=0.0)
+        return duration
+    if duration is not None:
+        raise InputError("a lasting orbit has a duration of its own, one wavelength of the soil: leave it out")
+    check_domain("tow speed", scene.tow_speed, "m/s", above=0.0, why="a share that stands still has no orbit")
+    wave = scene.effects.strength_wave
+    assert wave is not None  # an orbit without one is refused
+    return wave.wavelength / scene.tow_speed
 
 
 def _symbolic(scene: Scene, duration: Expression, accuracy: Accuracy, outputs: int) -> Run:
@@ -116,8 +144,11 @@ def _verified(scene: Scene, duration: float, accuracy: Accuracy, outputs: int) -
     if accuracy.method != "auto":
         return *_twice(scene, duration, with_setting(accuracy, steps_for(total), outputs), outputs), ()
     wanted = accuracy.error or DEFAULT_ERROR
+    orbit = scene.effects.orbit
+    if orbit not in ("transient", "periodic"):
+        return *_stand_in(scene, duration, wanted, outputs), ()
     for tightening in range(_TIGHTENINGS):
-        method = automatic(wanted * _TIGHTER**tightening, total)
+        method = automatic(wanted * _TIGHTER**tightening, total, outputs, orbit == "periodic")
         run, error = _twice(scene, duration, method, outputs)
         if error <= wanted:
             return run, error, ()
@@ -128,6 +159,14 @@ def _verified(scene: Scene, duration: float, accuracy: Accuracy, outputs: int) -
         error,
         (f"the wanted relative error {wanted:.1e} was not reached: the estimate is {error:.1e}",),
     )
+
+
+def _stand_in(scene: Scene, duration: float, wanted: float, outputs: int) -> tuple[Run, float]:
+    """Return a stand-in for the lasting orbit, and its relative difference from the orbit."""
+    exact = replace(scene, effects=replace(scene.effects, orbit="periodic"))
+    method = automatic(wanted, _phase(scene, duration), outputs, orbit=True)
+    run = _integrate(scene, duration, method, outputs)
+    return run, _difference(run, _integrate(exact, duration, method, outputs))
 
 
 def _twice(scene: Scene, duration: float, accuracy: Accuracy, outputs: int) -> tuple[Run, float]:
@@ -172,6 +211,11 @@ def _evaluate(solver: Integration, p: list[float], scene: Scene) -> list[NDArray
     found = _attempt(solver, p)
     if found is not None:
         return found
+    if scene.effects.orbit != "transient":
+        raise IntegrationError(
+            f"no lasting orbit of a {scene.describe()} was found from its linear response: simulate it from a start,"
+            " orbit = 'transient', to see whether it settles, or damp the mount"
+        )
     reached, failed = 0.0, p[-1]
     for _ in range(12):
         middle = (reached + failed) / 2.0
@@ -249,6 +293,23 @@ def _difference(run: Run, check: Run) -> float:
         (np.max(np.abs(run.mount_force - check.mount_force)), np.max(np.abs(run.mount_force))),
     )
     return max((float(difference / scale) for difference, scale in pairs if scale > 0.0), default=0.0)
+
+
+def _stability(run: Run) -> tuple[tuple[complex, ...], tuple[str, ...]]:
+    """Return the Floquet multipliers of an orbit, and a warning where it is unstable."""
+    structure, accuracy = Structure.of(run.scene), run.accuracy
+    solver = integration(structure, accuracy, Timeline(1, accuracy.steps or OUTPUTS))
+    numbers = _numbers(run.scene)
+    p = ca.DM([*(numbers[name] for name in solver.names), float(run.duration)])
+    first = solver.function.call([p])[0][:, 0]
+    found = np.linalg.eigvals(monodromy(structure, solver.timeline)(first, p).full())
+    largest = float(np.max(np.abs(found)))
+    multipliers = tuple(complex(value) for value in found)
+    if largest <= 1.0 + _MARGINAL:
+        return multipliers, ()
+    return multipliers, (
+        f"the orbit is unstable: a deviation grows {largest:.4g} times in every wavelength, so no share stays on it",
+    )
 
 
 def _retreat(run: Run) -> tuple[str, ...]:

@@ -15,7 +15,7 @@ import math
 from dataclasses import dataclass
 from typing import Literal
 
-from plough_opt.effects import Smooth, StickSlip
+from plough_opt.effects import HarmonicBalance, Smooth, StickSlip
 from plough_opt.expressions import Expression, maximum, minimum, sin
 from plough_opt.scene import Scene
 
@@ -52,6 +52,8 @@ class Structure:
     contact: Literal["resisting", "smooth", "stick_slip"]
     entry: bool
     carries: bool
+    orbit: Literal["transient", "periodic", "linearised", "harmonic_balance"] = "transient"
+    harmonics: int = 0
 
     @classmethod
     def of(cls, scene: Scene) -> Structure:
@@ -68,6 +70,8 @@ class Structure:
             contact=laws.get(type(effects.contact), "resisting"),
             entry=effects.entry,
             carries=effects.added_mass and effects.events,
+            orbit="harmonic_balance" if isinstance(effects.orbit, HarmonicBalance) else effects.orbit,
+            harmonics=effects.orbit.harmonics if isinstance(effects.orbit, HarmonicBalance) else 0,
         )
 
     @property

@@ -9,7 +9,7 @@ from typing import Literal
 from plough_opt.accuracy import Accuracy
 from plough_opt.design import Design, Optimum, Progress
 from plough_opt.domain import check_domain
-from plough_opt.effects import Effects, Smooth, StickSlip, StrengthWave
+from plough_opt.effects import Effects, HarmonicBalance, Smooth, StickSlip, StrengthWave
 from plough_opt.errors import InputError
 from plough_opt.expressions import Expression
 from plough_opt.geometry import Wedge
@@ -120,6 +120,7 @@ class Problem:
             tow_ramp=values.get("effects.tow_ramp"),
             damping=values.get("effects.damping"),
             rate_term=values.get("effects.rate_term"),
+            orbit=HarmonicBalance(table.harmonics) if table.orbit == "harmonic_balance" else table.orbit,
             formulation=table.formulation,
         )
 
@@ -127,7 +128,7 @@ class Problem:
         """Simulate the scene of `scene`."""
         values = self.values(changes)
         return simulate(
-            self.scene(changes), values["scene.duration"], accuracy=self.accuracy, outputs=self.table.scene.outputs
+            self.scene(changes), values.get("scene.duration"), accuracy=self.accuracy, outputs=self.table.scene.outputs
         )
 
     def design(self) -> tuple[Design, Run]:
@@ -148,7 +149,7 @@ class Problem:
         }
         values = self.values(symbols)
         run = simulate(
-            self.scene(symbols), values["scene.duration"], accuracy=self.accuracy, outputs=self.table.scene.outputs
+            self.scene(symbols), values.get("scene.duration"), accuracy=self.accuracy, outputs=self.table.scene.outputs
         )
         objective: Expression = 0.0
         for name, term in self.table.minimise.items():

@@ -189,7 +189,15 @@ def _check_complete(source: Source, table: ProblemTable, known: set[str]) -> Non
         if key in known and table.effects.contact != law:
             with source.noting(("variables", key) if key in table.variables else tuple(key.split("."))):
                 raise InputError(f"'{key}' belongs to contact = \"{law}\", which [effects] does not ask for")
-    for key in (*_REQUIRED, *wave, *width):
+    orbit = table.effects.orbit != "transient"
+    if orbit and "scene.duration" in known:
+        with source.noting(("scene", "duration")):
+            raise InputError("a lasting orbit has a duration of its own, one wavelength of the soil: leave it out")
+    if table.effects.orbit != "harmonic_balance" and "harmonics" in table.effects.model_fields_set:
+        with source.noting(("effects", "harmonics")):
+            raise InputError("'effects.harmonics' belongs to orbit = \"harmonic_balance\"")
+    required = [key for key in _REQUIRED if not (orbit and key == "scene.duration")]
+    for key in (*required, *wave, *width):
         owner, _, name = key.rpartition(".")
         with source.noting(tuple(owner.split("."))):
             if key not in known:

@@ -32,6 +32,7 @@ damping = "400 N*s/m"
 # contact = "stick_slip"          # stick, slip and gap by events; or "smooth" with contact_width = "0.05 m/s"
 # breakaway = 1.2                 # of stick and slip: resistance of a share at rest over that of one that slips
 # entry = true                    # from first contact; needs start = "rest" or "towed"
+# the lasting motion instead of one from a start: orbit, "periodic", "linearised" or "harmonic_balance" (harmonics)
 # formulation = "printed"         # the source's equations with the errors of its print, to show what these do
 
 [variables]                       # what to choose, between bounds, starting from a guess

@@ -1,0 +1,150 @@
+"""The lasting orbit under a strength wave: one wavelength of it, by shooting, and two cheap stand-ins for it.
+
+Under a wave of the soil's strength a share comes to repeat itself with the period T = ell/V0 (where that orbit is
+stable). Shooting finds the state to which one period of steps of order 8 returns; CasADi differentiates the root by the
+implicit function theorem. Both stand-ins see the share's motion as a Fourier series: of one term, in closed form,
+about steady sliding; or of several that balance the equation of motion.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import lru_cache
+
+import casadi as ca
+import numpy as np
+
+from plough_opt.expressions import Expression
+from plough_opt.motion.equation import equation_of_motion
+from plough_opt.motion.runge_kutta import run_from
+from plough_opt.motion.signals import signals
+from plough_opt.motion.terms import Structure, start_deflection
+from plough_opt.motion.timeline import Timeline
+
+# Of the residual, in units of the linear response.
+_TOLERANCE = 1e-12
+_MOST_ITERATIONS = 60
+
+
+def orbit_map(structure: Structure, timeline: Timeline) -> ca.Function:
+    """Return one wavelength of the orbit, with the interface of `plough_opt.motion.integrators.Integration`.
+
+    The duration, its last parameter, is the period ell/V0.
+    """
+    if structure.orbit == "periodic":
+        return _shooting(structure, timeline)
+    series = _linear(structure) if structure.orbit == "linearised" else _balanced(structure)
+    return _from_series(structure, timeline, series)
+
+
+def monodromy(structure: Structure, timeline: Timeline) -> ca.Function:
+    """Return (state at time 0, parameters) -> derivative of the state one period later by that at time 0."""
+    first, p = ca.MX.sym("first", 2), ca.MX.sym("p", len(signals(structure).parameters) + 1)
+    last = run_from(structure, timeline)(first, p)[0][:, -1]
+    return ca.Function("monodromy", [first, p], [ca.jacobian(last, first)])
+
+
+def _named(structure: Structure, p: Expression) -> dict[str, Expression]:
+    return dict(zip(signals(structure).parameters, ca.vertsplit(p[:-1]), strict=True))
+
+
+def _response(structure: Structure, p: dict[str, Expression]) -> tuple[Expression, Expression]:
+    """Return sine and cosine coefficients [m] of w in the linear forced response about steady sliding.
+
+    M w'' + d w' + k0 w = F sin(omega t - 2 pi z0/ell), d = c + 2 V0 (F0 kappa + Fd).
+    """
+    speed = p["tow_speed"]
+    omega = 2.0 * math.pi * speed / p["wavelength"]
+    rate = p["static"] * p["rate_term"] if structure.rate else 0.0
+    drag = p["drag"] if structure.drag else 0.0
+    damping = (p["damping"] if structure.damper else 0.0) + 2.0 * speed * (rate + drag)
+    force = p["wave_amplitude"] * (p["static"] + rate * speed**2)
+    spring = p["stiffness"] - p["inertia"] * omega**2
+    size = force / (spring**2 + (damping * omega) ** 2)
+    lag = 2.0 * math.pi / p["wavelength"] * start_deflection(structure, p)
+    along, across = spring * size, -damping * omega * size
+    return along * ca.cos(lag) + across * ca.sin(lag), across * ca.cos(lag) - along * ca.sin(lag)
+
+
+def _shooting(structure: Structure, timeline: Timeline) -> ca.Function:
+    """Return the orbit to which one period of steps returns."""
+    x, p = ca.MX.sym("x", 2), ca.MX.sym("p", len(signals(structure).parameters) + 1)
+    known = _named(structure, p)
+    sine, cosine = _response(structure, known)
+    omega = 2.0 * math.pi * known["tow_speed"] / known["wavelength"]
+    # The scales of deflection and rate: of the response, but no less than of the wave on the spring alone.
+    size = ca.sqrt(sine**2 + cosine**2) + known["wave_amplitude"] * known["static"] / known["stiffness"] + 1e-30
+    unit = ca.vertcat(size, size * omega)
+    once = run_from(structure, Timeline(1, timeline.steps))
+    miss = (once(x * unit, p)[0][:, -1] - x * unit) / unit
+    options = {"abstol": _TOLERANCE, "max_iter": _MOST_ITERATIONS, "error_on_fail": True}
+    solver = ca.rootfinder("orbit", "newton", {"x": x, "p": p, "g": miss}, options)
+    guess = ca.vertcat(cosine, sine * omega) / unit
+    first = solver(x0=guess, p=p)["x"] * unit
+    results = run_from(structure, timeline)(first, p)
+    return ca.Function("orbit", [p], list(results), {"never_inline": True})
+
+
+def _linear(structure: Structure) -> ca.Function:
+    """Return the Fourier coefficients of the linear response: mean, cosines, sines."""
+    p = ca.MX.sym("p", len(signals(structure).parameters) + 1)
+    sine, cosine = _response(structure, _named(structure, p))
+    return ca.Function("linear", [p], [ca.vertcat(0.0, cosine, sine)])
+
+
+@lru_cache(maxsize=32)
+def _balanced(structure: Structure) -> ca.Function:
+    """Return the Fourier coefficients for which no harmonic of the equation of motion is out of balance."""
+    count = structure.harmonics
+    samples = 4 * count + 12
+    phases = 2.0 * math.pi * np.arange(samples) / samples
+    basis, slope, bend = _basis(count, phases)
+    x, p = ca.MX.sym("x", 2 * count + 1), ca.MX.sym("p", len(signals(structure).parameters) + 1)
+    known = _named(structure, p)
+    sine, cosine = _response(structure, known)
+    omega = 2.0 * math.pi * known["tow_speed"] / known["wavelength"]
+    size = ca.sqrt(sine**2 + cosine**2) + known["wave_amplitude"] * known["static"] / known["stiffness"] + 1e-30
+    w, rate, acceleration = (size * ca.mtimes(ca.DM(b), x) for b in (basis, slope, bend))
+    rate, acceleration = rate * omega, acceleration * omega**2
+    motion = equation_of_motion(structure)
+    own = ca.vertcat(*(known[name] for name in motion.names))
+    states = ca.vertcat(w.T, rate.T)
+    forced = motion.function.map(samples)(ca.DM(phases).T / omega, states, ca.repmat(own, 1, samples))[1, :].T
+    weights = np.where(np.arange(2 * count + 1) == 0, 1.0, 2.0)[:, None] * basis.T / samples
+    # Scaled by the spring, whose force on the response is of order one.
+    stiff = known["stiffness"] / known["inertia"] + omega**2
+    out_of_balance = ca.mtimes(ca.DM(weights), acceleration - forced) / (size * stiff)
+    options = {"abstol": _TOLERANCE, "max_iter": _MOST_ITERATIONS, "error_on_fail": True}
+    solver = ca.rootfinder("balance", "newton", {"x": x, "p": p, "g": out_of_balance}, options)
+    guess = ca.vertcat(0.0, cosine / size, ca.MX.zeros(count - 1), sine / size, ca.MX.zeros(count - 1))
+    return ca.Function("balanced", [p], [solver(x0=guess, p=p)["x"] * size])
+
+
+def _basis(count: int, phases: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return mean, cosines and sines at phases, a column each, and their first and second derivatives by the phase."""
+    k = np.arange(1, count + 1)
+    angle = np.outer(phases, k)
+    cosine, sine, zero = np.cos(angle), np.sin(angle), np.zeros((len(phases), 1))
+    return (
+        np.hstack([zero + 1.0, cosine, sine]),
+        np.hstack([zero, -k * sine, k * cosine]),
+        np.hstack([zero, -(k**2) * cosine, -(k**2) * sine]),
+    )
+
+
+def _from_series(structure: Structure, timeline: Timeline, series: ca.Function) -> ca.Function:
+    """Return states at the outputs, means and variances of a Fourier series."""
+    p = ca.MX.sym("p", len(signals(structure).parameters) + 1)
+    known = _named(structure, p)
+    omega = 2.0 * math.pi * known["tow_speed"] / known["wavelength"]
+    x = series(p)
+    count = (x.numel() - 1) // 2
+    basis, slope, _ = _basis(count, 2.0 * math.pi * timeline.output_fractions)
+    states = ca.horzcat(ca.mtimes(ca.DM(basis), x), omega * ca.mtimes(ca.DM(slope), x)).T
+    cosines, sines = x[1 : count + 1], x[count + 1 :]
+    means, variances = [x[0]], [ca.sumsqr(x[1:]) / 2.0]
+    if structure.damper:
+        k, c = known["stiffness"], known["damping"] * omega * ca.DM(np.arange(1, count + 1))
+        means.append(k * x[0])
+        variances.append((ca.sumsqr(k * cosines + c * sines) + ca.sumsqr(k * sines - c * cosines)) / 2.0)
+    return ca.Function("series", [p], [states, ca.vertcat(*means), ca.vertcat(*variances)], {"never_inline": True})

@@ -40,7 +40,7 @@ from plough_opt.quadrature import gauss_legendre
 from plough_opt.soil import Soil
 
 # Each half of a straight piece is x = node +- (length/2) exp(-tau): in tau the pressure, with its logarithm at the
-# node, is nearly straight, so few cells with few nodes serve, and contact is lost at most once in each.
+# node, is nearly straight, so few cells with few nodes serve.
 _CELLS = (0.0, 1.0, 2.5, 5.0, 9.0, 15.0, 24.0, 38.0)
 _ORDER = 12
 _ROOT_STEPS = 9
@@ -107,12 +107,34 @@ def _lost(face: Body, pressure: Field, weight: Field, symbolic: bool) -> Express
     first, last = _ends(symbolic)
     total: Expression = 0.0
     for half in _halves(face):
-        at_first, at_last = pressure(half, first), pressure(half, last)
-        turn = _root(partial(pressure, half), (first, last), (at_first, at_last))
-        turn = where((at_first < 0.0) != (at_last < 0.0), turn, last)
-        lost_from, lost_to = where(at_first < 0.0, first, turn), where(at_first < 0.0, turn, last)
-        total = total - _over(half, lost_from, lost_to, lambda part, tau: pressure(part, tau) * weight(part, tau))
+        along = partial(pressure, half)
+        for begin, end in _monotonic(along, (first, last), len(face.segments)):
+            at_begin, at_end = along(begin), along(end)
+            turn = _root(along, (begin, end), (at_begin, at_end))
+            turn = where((at_begin < 0.0) != (at_end < 0.0), turn, end)
+            lost_from, lost_to = where(at_begin < 0.0, begin, turn), where(at_begin < 0.0, turn, end)
+            total = total - _over(half, lost_from, lost_to, lambda part, tau: pressure(part, tau) * weight(part, tau))
     return total
+
+
+def _monotonic(
+    function: Callable[[Expression], Expression], ends: tuple[Expression, Expression], pieces: int
+) -> list[tuple[Expression, Expression]]:
+    """Return the parts of a cell in which the pressure of so many pieces changes its sign once at most.
+
+    Between two shoulders it has an extremum, beside which it may change its sign twice. The place of the extremum only
+    has to part the two, so that differences serve as slopes.
+    """
+    if pieces == 1:
+        return [ends]
+    step = 1e-3 * (ends[1] - ends[0])
+
+    def slope(tau: Expression) -> Expression:
+        return function(tau + step) - function(tau - step)
+
+    at_first, at_last = slope(ends[0]), slope(ends[1])
+    top = where(at_first * at_last < 0.0, _root(slope, ends, (at_first, at_last)), ends[1])
+    return [(ends[0], top), (top, ends[1])]
 
 
 def _root(

@@ -13,7 +13,7 @@ import numpy as np
 
 from plough_opt.domain import check_domain
 from plough_opt.errors import DomainError, InputError
-from plough_opt.expressions import Expression, column, holds_casadi, maximum, minimum
+from plough_opt.expressions import Expression, column, holds_casadi, is_count, maximum, minimum
 from plough_opt.geometry import Cone, Wedge
 
 Profile: TypeAlias = Sequence[tuple[Expression, Expression]] | Wedge | Cone
@@ -114,8 +114,8 @@ def knots(profile: Callable[[float], float], length: float, count: int) -> list[
         DomainError: a length that is not positive, or a height that is not finite.
     """
     check_domain("length of the profile", length, "m", above=0.0)
-    if count < 1:
-        raise InputError(f"count = {count} must be at least 1: the number of straight pieces")
+    if not is_count(count):
+        raise InputError(f"count = {count!r} must be a whole number from 1 on: the number of straight pieces")
     places = [length * math.sin(math.pi * k / (2 * count)) ** 2 for k in range(count)] + [length]
     try:
         heights = [float(profile(place)) for place in places]
@@ -132,6 +132,7 @@ def points(first: Expression, second: Expression, *others: Any) -> tuple[Express
     Raises:
         DomainError: a coordinate that is not a finite number.
     """
+    first, second = (np.asarray(value) if isinstance(value, list | tuple) else value for value in (first, second))
     for name, value in (("x", first), ("distance from the axis", second)):
         check_domain(name, value, "m")
     if holds_casadi((first, second, others)):

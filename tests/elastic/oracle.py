@@ -235,19 +235,38 @@ def _log_antiderivative(X):
 def touching(absolute_pressure, a, b):
     """Return the parts of a straight piece on which a pressure is positive.
 
-    Signs are taken at distances from both ends that fall geometrically to 1e-16 of the length.
+    Signs are taken at distances from both ends that fall geometrically to 1e-16 of the length, and where the pressure
+    comes nearest to zero between two places of the same sign.
     """
     near = [(b - a) / 2 * mp.mpf(10) ** (-mp.mpf(k) / 2) for k in range(32, 0, -1)]
     middle = [(b - a) * mp.mpf(k) / 40 for k in range(7, 34)]
     places = [*(a + d for d in near), *(a + d for d in middle), *(b - d for d in reversed(near))]
-    signs = [absolute_pressure(x) > 0 for x in places]
+    found = [(x, absolute_pressure(x)) for x in places]
+    extra = []
+    for (before, p), (_, q), (after, r) in zip(found, found[1:], found[2:], strict=False):
+        side = 1 if q > 0 else -1
+        if 0 < side * q < min(side * p, side * r):
+            extra.append(_nearest_to_zero(lambda x, side=side: side * absolute_pressure(x), before, after))
+    found = sorted([*found, *((x, absolute_pressure(x)) for x in extra)])
     changes = [
-        _root(absolute_pressure, *pair)
-        for pair, (before, after) in zip(itertools.pairwise(places), itertools.pairwise(signs), strict=True)
-        if before != after
+        _root(absolute_pressure, before, after)
+        for (before, p), (after, q) in itertools.pairwise(found)
+        if (p > 0) != (q > 0)
     ]
     edges = [a, *changes, b]
-    return list(itertools.pairwise(edges))[0 if signs[0] else 1 :: 2]
+    return list(itertools.pairwise(edges))[0 if found[0][1] > 0 else 1 :: 2]
+
+
+def _nearest_to_zero(function, low, high):
+    """Return where a function with one minimum is negative, or its minimum if it is nowhere: by golden sections."""
+    golden = (mp.sqrt(5) - 1) / 2
+    for _ in range(60):
+        left, right = high - golden * (high - low), low + golden * (high - low)
+        at_left, at_right = function(left), function(right)
+        if min(at_left, at_right) < 0:
+            return left if at_left < at_right else right
+        low, high = (low, right) if at_left < at_right else (left, high)
+    return (low + high) / 2
 
 
 def _root(function, low, high):
@@ -335,7 +354,7 @@ def cone_pressure(x, nodes, medium, section_factor=HALF):
 def cone_force(nodes, medium, tool_friction, ambient_pressure, section_factor=HALF, separation=True):
     """Return 2 pi int (max(p + p_a, 0) - p_a) (R' + mu0) R dx, or with the soil clinging 2 pi int p (R' + mu0) R dx.
 
-    By quadrature, to about half the digits of the working precision, which should be 30 or more.
+    By quadrature, to about two thirds of the digits of the working precision.
     """
     force = mp.mpf(0)
     for a, left, b, right in segments(nodes):
@@ -344,10 +363,14 @@ def cone_force(nodes, medium, tool_friction, ambient_pressure, section_factor=HA
         def pressure(x):
             return cone_pressure(x, nodes, medium, section_factor)
 
+        def thrust(x):
+            R = radius(x, nodes)
+            # The quadrature comes so near to a tip that it rounds to it, where p R vanishes.
+            return pressure(x) * R if R else R
+
         parts = touching(lambda x: pressure(x) + ambient_pressure, a, b) if separation else [(a, b)]
         for start, end in parts:
-            integral = mp.quad(lambda x: pressure(x) * radius(x, nodes), [start, (start + end) / 2, end])
-            force += weight * integral
+            force += weight * mp.quad(thrust, [start, (start + end) / 2, end])
         if separation:
             lost = mp.quad(lambda x: radius(x, nodes), [a, b])
             lost -= mp.fsum(mp.quad(lambda x: radius(x, nodes), part) for part in parts)

@@ -32,7 +32,9 @@ NAMES = oracle.Cone._fields
 # Closed form and, farther off, two dozen quadrature nodes on each straight piece, in units of 2.2e-16 of what rounding
 # of the inputs does.
 VALUES = 16
-DERIVATIVES = 256
+DERIVATIVES = 32
+# Second derivatives in a speed that is within a few per cent of the shear wave's go as the gap to the power -3/2.
+DERIVATIVES_BESIDE_THE_SHEAR_WAVE = 512
 
 POINTS = {
     "beside": (0.22, 0.1),
@@ -41,7 +43,7 @@ POINTS = {
     "above a node": (0.5, 0.02),
     "on the face": (0.15, 0.015),
     "far": (30.0, 40.0),
-    "where quadrature takes over": (0.2501, 0.2277),
+    "where quadrature takes over": (0.2501, 0.3124),
     "far ahead": (-3000.0, 0.01),
     "far wake": (2000.0, 0.06),
     "axis inside": (0.17, 1e-8),
@@ -59,7 +61,7 @@ bodies = pytest.mark.parametrize("body", BODIES)
 # --- digits ----------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("body", "point", "speed", "nu"), thinned(BODIES, POINTS, SPEEDS, RATIOS, keep=19))
+@pytest.mark.parametrize(("body", "point", "speed", "nu"), thinned(BODIES, POINTS, SPEEDS, RATIOS, keep=37))
 def test_every_component_to_the_digits_that_its_inputs_have(body, point, speed, nu):
     values = inputs(*POINTS[point], body, speed, nu)
     wanted, size = precise(precise_cone, values)
@@ -82,7 +84,8 @@ def check_gradient_and_hessian(symbol, body, point, speed, nu, modulus=False):
     # Place, Poisson's ratio, speed, the first radius after the tip and, last, the modulus.
     chosen = (0, 1, 3, 5, len(values) - len(BODIES[body][0]), *([2] if modulus else []))
     wanted, size = precise(precise_cone, values, chosen)
-    assert_derivatives(differentiated(cone, symbol, len(values), chosen)(values), wanted, size, NAMES, DERIVATIVES)
+    multiple = DERIVATIVES if speed < 0.95 else DERIVATIVES_BESIDE_THE_SHEAR_WAVE
+    assert_derivatives(differentiated(cone, symbol, len(values), chosen)(values), wanted, size, NAMES, multiple)
 
 
 @pytest.mark.parametrize("case", CASES, ids=str)
@@ -101,7 +104,7 @@ def test_gradient_and_hessian_of_matrix_expressions(case):
     check_gradient_and_hessian(ca.MX, *case)
 
 
-@pytest.mark.parametrize("body", ["wedge", "diamond", *slow(["ogive", "tapered"])])
+@pytest.mark.parametrize("body", ["diamond", *slow(["wedge", "ogive", "tapered"])])
 def test_second_derivatives_above_every_node(body):
     """The field is analytic there, though its parts, the displaced section and the rest, are not."""
     for node in (0.0, *BODIES[body][0]):
@@ -112,7 +115,7 @@ def test_second_derivatives_above_every_node(body):
 
 
 @bodies
-@pytest.mark.parametrize("speed", [0.0, 1e-9])
+@pytest.mark.parametrize("speed", [0.0, *slow([1e-9])])
 def test_at_rest_the_field_is_the_limit_of_slow_motion(body, speed):
     for point in POINTS.values():
         slowest, size = precise(precise_cone, inputs(*point, body, 1e-15))
@@ -148,7 +151,7 @@ def grid():
     return x.reshape(1, -1), r.reshape(1, -1)
 
 
-@bodies
+@pytest.mark.parametrize("body", ["wedge", "tapered", *slow(["diamond", "ogive"])])
 def test_equations_of_motion_and_hookes_law(body):
     x, r, speed, nu = symbols = ca.vertsplit(ca.SX.sym("v", 4))
     values = inputs(x, r, body, speed, nu)
@@ -242,7 +245,7 @@ def test_speed_of_the_shear_wave_leaves_plane_sections():
 
 
 @everywhere
-@pytest.mark.parametrize("speed", [1e-6, 0.3, 0.99])
+@pytest.mark.parametrize("speed", [0.3, *slow([1e-6, 0.99])])
 def test_a_node_on_a_straight_face_changes_nothing(point, speed):
     whole, split = ((0.5,), (0.0625,)), ((0.125, 0.375, 0.5), (0.015625, 0.046875, 0.0625))
     wanted, size = precise(precise_cone, inputs(*point, split, speed))
@@ -280,7 +283,7 @@ def test_section_factor_is_a_factor(point):
 
 
 @pytest.mark.parametrize("symbol", [ca.SX, ca.MX])
-@pytest.mark.parametrize("point", ["beside", "axis inside"])
+@pytest.mark.parametrize("point", ["beside", *slow(["axis inside"])])
 def test_numbers_arrays_and_symbols_give_the_same(point, symbol):
     values = inputs(*POINTS[point], "tapered")
     numbers = cone(*values)
@@ -295,6 +298,16 @@ def test_numbers_arrays_and_symbols_give_the_same(point, symbol):
         assert array.shape == x.shape
         assert number == pytest.approx(array[1], rel=0, abs=VALUES * EPS * float(s)), name
         assert number == pytest.approx(float(expression), rel=0, abs=VALUES * EPS * float(s)), name
+
+
+@pytest.mark.parametrize("symbol", [ca.SX, ca.MX])
+def test_arrays_of_points_meet_symbols(symbol):
+    soil, V0 = ground()
+    speed, nodes = symbol.sym("V0"), nodes_of(inputs(0, 0, "wedge"))
+    x, r = np.array([0.3, -0.4, 2.0]), np.array([0.07, 0.1, 0.4])
+    column = po.elastic.cone_stress(x, r, nodes, soil, speed).rx
+    found = np.asarray(ca.Function("rx", [speed], [column])(V0)).ravel()
+    np.testing.assert_allclose(found, po.elastic.cone_stress(x, r, nodes, soil, V0).rx, rtol=1e-12)
 
 
 @pytest.mark.parametrize("share", [po.Wedge(po.deg(25.0), po.deg(15.0), 0.25), po.Cone(po.deg(10.0), 0.3)])

@@ -158,11 +158,11 @@ def test_force_on_a_straight_wedge_by_hand(ambient_pressure, speed):
     soil, V0 = ground(speed, ambient_pressure=ambient_pressure)
     wanted = straight_force(*hp.exact([soil.youngs_modulus, 0.3, V0, 0.5, 0.05, FRICTION, ambient_pressure]))
     force = po.elastic.wedge_force([(0.0, 0.0), (0.5, 0.05)], soil, V0)
-    assert force == pytest.approx(float(wanted), rel=0, abs=32 * EPS * thrust("wedge", speed))
+    assert force == pytest.approx(float(wanted), rel=0, abs=4 * EPS * thrust("wedge", speed))
 
 
 @pytest.mark.parametrize(
-    ("body", "speed", "ambient_pressure"), thinned(BODIES, [1e-6, 0.3, 0.95], [*PRESSURES, 1e6, 1e7], keep=4)
+    ("body", "speed", "ambient_pressure"), thinned(BODIES, [1e-6, 0.3, 0.95], [*PRESSURES, 1e6, 1e7], keep=5)
 )
 def test_force_on_any_wedge_against_precise_integration(body, speed, ambient_pressure):
     soil, V0 = ground(speed, ambient_pressure=ambient_pressure)
@@ -173,7 +173,7 @@ def test_force_on_any_wedge_against_precise_integration(body, speed, ambient_pre
             exact_nodes(body), exact_medium(speed), mp.mpf(FRICTION), mp.mpf(ambient_pressure), separation
         )
         force = po.elastic.wedge_force(nodes, soil, V0, separation=separation)
-        assert force == pytest.approx(float(wanted), rel=0, abs=32 * EPS * size)
+        assert force == pytest.approx(float(wanted), rel=0, abs=4 * EPS * size)
 
 
 def test_force_of_many_nodes():
@@ -182,7 +182,36 @@ def test_force_of_many_nodes():
     soil, V0 = ground(ambient_pressure=2e5)
     exact = [(mp.mpf(a), mp.mpf(b)) for a, b in nodes]
     wanted = oracle.wedge_force(exact, exact_medium(), mp.mpf(FRICTION), mp.mpf(2e5))
-    assert po.elastic.wedge_force(nodes, soil, V0) == pytest.approx(float(wanted), rel=1e-13)
+    assert po.elastic.wedge_force(nodes, soil, V0) == pytest.approx(float(wanted), rel=1e-14)
+
+
+# Positions and half thicknesses of nodes whose pressure has an extremum inside a straight piece, the speed, and an
+# ambient pressure that is nearly the negative of that extremum.
+SHORT = [
+    (((0.11, 0.38, 0.57), (0.024, 0.047, 0.045)), 0.95),
+    (((0.2, 0.38), (0.017, 0.056)), 0.1),
+    (((0.16, 0.38, 0.62), (0.004, 0.034, 0.043)), 0.1),
+    (((0.1, 0.3, 0.5), (0.03, 0.05, 0.055)), 0.95),
+]
+
+
+@pytest.mark.parametrize("body", SHORT, ids=str)
+def test_contact_that_is_lost_or_kept_on_a_short_part_of_a_piece(body):
+    body, speed = body
+    nodes = nodes_of(inputs(0, 0, body))
+    soil, V0 = ground(speed)
+    turning = []
+    for (a, _), (b, _) in itertools.pairwise(nodes):
+        pressure = po.elastic.wedge_pressure(np.linspace(a, b, 1001)[1:-1], nodes, soil, V0)
+        slopes = np.diff(pressure)
+        turning += list(pressure[1:-1][slopes[1:] * slopes[:-1] < 0.0])
+    ambient = [-p * part for p in turning for part in (0.7, 0.9, 0.99, 1.01, 1.1, 1.3) if p < 0.0]
+    assert ambient
+    for ambient_pressure in ambient:
+        exact = oracle.wedge_force(exact_nodes(body), exact_medium(speed), mp.mpf(FRICTION), mp.mpf(ambient_pressure))
+        soil, _ = ground(speed, ambient_pressure=float(ambient_pressure))
+        force = po.elastic.wedge_force(nodes, soil, V0)
+        assert force == pytest.approx(float(exact), rel=0, abs=4 * EPS * thrust(body, speed)), ambient_pressure
 
 
 @bodies
@@ -192,8 +221,12 @@ def test_ambient_pressure_presses_the_soil_onto_the_face(body):
     forces = [po.elastic.wedge_force(nodes, *ground(ambient_pressure=p)) for p in (0.0, 1e5, 1e6, 1e7, 1e9)]
     clinging = po.elastic.wedge_force(nodes, *ground(ambient_pressure=0.0), separation=False)
     assert all(a > b for a, b in itertools.pairwise(forces[:4]))
-    assert forces[-1] == pytest.approx(clinging, rel=0, abs=32 * EPS * thrust(body, 0.3))
+    assert forces[-1] == pytest.approx(clinging, rel=0, abs=4 * EPS * thrust(body, 0.3))
     assert clinging == 0.0 or body != "wedge"
+
+
+# Hundreds of roundings, and fifty times those of the speed: 95 m/s lies 2 % above the Rayleigh wave's.
+FORCES = 1e-12
 
 
 def expressions(force, values):
@@ -221,11 +254,11 @@ def force_of_straight_wedge(E, nu, speed, length, thickness, tool_friction, ambi
     return po.elastic.wedge_force([(0.0, 0.0), (length, thickness)], soil, speed)
 
 
-@pytest.mark.parametrize("speed", [2.0, 30.0, 95.0])
+@pytest.mark.parametrize("speed", [2.0, *slow([30.0, 95.0])])
 def test_gradient_and_hessian_of_the_force_on_a_straight_wedge(speed):
     values = [4.16e7, 0.3, speed, 0.5, 0.05, 0.3, 1e5]
     wanted = hp.derivatives(straight_force, values)
-    assert_derivatives_of_force(expressions(force_of_straight_wedge, values), wanted, values, 1e-11)
+    assert_derivatives_of_force(expressions(force_of_straight_wedge, values), wanted, values, FORCES)
 
 
 def force_of_ogive(nu, speed, place, first, second):
@@ -238,11 +271,12 @@ def precise_force_of_ogive(nu, speed, place, first, second):
     return oracle.wedge_force(nodes, oracle.Medium(4.16e7, nu, RHO, speed), mp.mpf(FRICTION), mp.mpf(1e5))
 
 
-@pytest.mark.parametrize("speed", [95.0, *slow([2.0])])
+@pytest.mark.slow
+@pytest.mark.parametrize("speed", [2.0, 95.0])
 def test_gradient_and_hessian_of_the_force_on_an_ogive(speed):
     values = [0.3, speed, 0.2, 0.03, 0.05]
     wanted = hp.derivatives(precise_force_of_ogive, values)
-    assert_derivatives_of_force(expressions(force_of_ogive, values), wanted, values, 1e-10)
+    assert_derivatives_of_force(expressions(force_of_ogive, values), wanted, values, 10 * FORCES)
 
 
 # --- pressure and force on a cone ------------------------------------------------------------------------------------
@@ -281,8 +315,13 @@ def test_pressure_on_a_slender_cone_is_near_the_shear_modulus(speed, nu):
         assert found == pytest.approx(float(wanted), rel=0, abs=20 * t**4 * (1 - math.log(t)) + 1e-13)
 
 
-CONE_CASES = [("wedge", 0.3, 1e4)]
+BLUNT = ((0.2,), (0.2,))
+"""So steep that the soil is pulled at the tip."""
+CONE_CASES = [(BLUNT, 0.1, 1e6)]
 MORE_CONE_CASES = [
+    (BLUNT, 0.95, 0.0),
+    (((0.2, 0.5), (0.15, 0.02)), 0.1, 8e6),
+    ("wedge", 0.3, 1e4),
     ("diamond", 0.3, 0.0),
     ("diamond", 0.95, 1e6),
     ("ogive", 0.3, 1e5),
@@ -300,9 +339,9 @@ def test_force_on_a_cone_against_precise_quadrature(case):
     with mp.workdps(20):
         at = (exact_nodes(body), exact_medium(speed), mp.mpf(FRICTION), mp.mpf(ambient_pressure))
         wanted = oracle.cone_force(*at)
-        assert po.elastic.cone_force(nodes, soil, V0) == pytest.approx(float(wanted), rel=1e-13)
+        assert po.elastic.cone_force(nodes, soil, V0) == pytest.approx(float(wanted), rel=2e-14)
         clinging = po.elastic.cone_force(nodes, soil, V0, separation=False)
-        assert clinging == pytest.approx(float(oracle.cone_force(*at, separation=False)), rel=1e-13)
+        assert clinging == pytest.approx(float(oracle.cone_force(*at, separation=False)), rel=2e-14)
 
 
 @pytest.mark.parametrize(("section_factor", "speed", "nu"), [(0.5, 0.01, 0.3), (1.0, 0.7, 0.0)])
@@ -335,7 +374,7 @@ def test_gradient_of_the_force_on_a_cone(speed):
     value, gradient = ca.Function("force", [v], [force, ca.gradient(force, v)])(values)
     assert float(value) == pytest.approx(force_of_cone(*values), rel=1e-14)
     slopes = np.asarray(gradient).ravel()
-    for i in (1, 2, 4):
+    for i in (2, 4):
         xi, slope = values[i], slopes[i]
         # Fourth order; a step of one thousandth leaves 1e-12 of the terms, and rounding 1e-13 over it.
         h = 1e-3 * xi
@@ -350,7 +389,7 @@ def test_gradient_and_hessian_of_the_force_on_a_cone():
     with mp.workdps(60):
         # Quadrature to 60 digits carries a step of 1e-15.
         wanted = differences(precise_force_of_cone, hp.exact(values), mp.mpf(10) ** -15)
-    assert_derivatives_of_force(expressions(force_of_cone, values), wanted, values, 1e-11)
+    assert_derivatives_of_force(expressions(force_of_cone, values), wanted, values, FORCES)
 
 
 def differences(function, x, step):
@@ -405,7 +444,7 @@ def test_numbers_arrays_and_symbols_give_the_same_pressure(symbol):
         np.testing.assert_allclose([float(evaluate(place)) for place in places], floats, rtol=1e-14)
 
 
-@pytest.mark.parametrize("symbol", [ca.SX, ca.MX])
+@pytest.mark.parametrize("symbol", [ca.MX, *slow([ca.SX])])
 def test_symbols_give_the_force_of_numbers(symbol):
     values = inputs(0, 0, "diamond", 0.95)
     soil = {"ambient_pressure": 1e5}
@@ -414,7 +453,7 @@ def test_symbols_give_the_force_of_numbers(symbol):
     entries = ca.vertsplit(v)
     force = po.elastic.wedge_force(nodes_of(entries), soil_of(entries, **soil), entries[5])
     evaluated = float(ca.Function("force", [v], [force])(values))
-    assert evaluated == pytest.approx(number, rel=0, abs=32 * EPS * thrust("diamond", 0.95))
+    assert evaluated == pytest.approx(number, rel=0, abs=4 * EPS * thrust("diamond", 0.95))
 
 
 GOOD = [(0.0, 0.0), (0.25, 0.025), (0.5, 0.0)]

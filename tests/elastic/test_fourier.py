@@ -7,7 +7,7 @@ import casadi as ca
 import numpy as np
 import oracle
 import pytest
-from field_cases import MU, ground, inputs
+from field_cases import MU, ground, inputs, slow
 
 import plough_opt as po
 from plough_opt.elastic import fourier
@@ -32,10 +32,9 @@ PRECISE = {
 }
 _L, _H, _T = mp.mpf(LENGTH), mp.mpf(HALF_THICKNESS), mp.mpf(0.1)
 POINTS = np.array([[0.2, 0.1], [-0.3, 0.2], [0.9, 0.3], [0.5, 0.05]])
-SPEEDS = [0.0, 0.3, 0.95]
 
 profiles = pytest.mark.parametrize("profile", PROFILES)
-speeds = pytest.mark.parametrize("speed", SPEEDS)
+speeds = pytest.mark.parametrize("speed", [0.3, *slow([0.0, 1e-6, 0.7, 0.95])])
 
 
 def as_columns(found):
@@ -103,7 +102,7 @@ def precise_cone_displacement(x, r, profile, medium):
     return [axial, ((1 + eta**2) * spread[medium.alpha] - 2 * spread[eta]) / m]
 
 
-@profiles
+@pytest.mark.parametrize("profile", ["parabolic arc", "shoulder", *slow(["straight", "half a wave"])])
 def test_smooth_profiles_against_precise_kernels(profile):
     soil, V0 = ground(0.3)
     x, y = POINTS.T
@@ -117,7 +116,7 @@ def test_smooth_profiles_against_precise_kernels(profile):
     assert relative(as_columns(found), displacements) < 2e-14
 
 
-@pytest.mark.parametrize("profile", ["parabolic arc", "half a wave", "shoulder"])
+@pytest.mark.parametrize("profile", ["parabolic arc", *slow(["half a wave", "shoulder"])])
 @pytest.mark.parametrize("field", ["wedge_stress", "cone_displacement", "cone_stress"])
 def test_knots_converge_with_the_square_of_their_number(field, profile):
     soil, V0 = ground(0.3)
@@ -167,7 +166,7 @@ def test_floats_arrays_and_planes():
 
 REFUSED = {
     "on the axis": ({"y": 0.0}, "distance from the axis = 0 m must be above 0 m"),
-    "so near that it would take for ever": ({"y": 1e-4}, "the closed forms have no such limit"),
+    "so near that it would take for ever": ({"y": 1e-7}, "the closed forms have no such limit"),
     "point not a number": ({"x": math.nan}, "x = nan m"),
     "supersonic": ({"speed": 101.0}, r"speed over shear wave speed = 1\.01"),
     "no length": ({"length": 0.0}, "length of the profile = 0 m"),

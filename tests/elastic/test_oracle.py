@@ -12,7 +12,7 @@ CLOSED = [*OPEN, (mp.mpf("0.9"), mp.mpf(0))]
 MEDIA = {"half speed": (4e7, 0.3, 1600.0, 60.0), "slow": (2e7, 0.0, 1300.0, 1e-3), "fast": (4e7, 0.45, 1600.0, 90.0)}
 POINTS = {"beside": ("0.15", "0.2"), "ahead": ("-0.3", "0.1"), "behind": ("1.1", "0.3")}
 
-everywhere = pytest.mark.parametrize(("nodes", "medium", "point"), thinned((OPEN, CLOSED), MEDIA, POINTS, keep=4))
+everywhere = pytest.mark.parametrize(("nodes", "medium", "point"), thinned((OPEN, CLOSED), MEDIA, POINTS, keep=7))
 
 
 def agree(found, wanted, relative):

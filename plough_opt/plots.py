@@ -16,6 +16,7 @@ from plough_opt.elastic.profile import Profile, body
 from plough_opt.errors import InputError
 from plough_opt.geometry import Wedge
 from plough_opt.motion import Run
+from plough_opt.motion.equation import GAP, STICK
 from plough_opt.motion.terms import Structure, parameters, start_speed, strut
 from plough_opt.scene import Scene
 from plough_opt.soil import Soil
@@ -190,9 +191,10 @@ def draw_force(axes: Axes, run: Run) -> None:
     mean, rms = run.mean_draft / 1e3, run.force_rms / 1e3
     axes.axhline(mean, color=_ACCENT, linewidth=1.0, label=f"mean draft {mean:.3g} kN")
     axes.axhspan(mean - rms, mean + rms, color=_ACCENT, alpha=0.12, label=f"± RMS {rms:.3g} kN")
+    _shade_modes(axes, run)
     axes.set_ylabel("force [kN]")
     axes.set_xlim(float(run.time[0]), float(run.time[-1]))
-    axes.legend(loc="upper right", ncols=4, fontsize="small")
+    axes.legend(loc="upper right", ncols=6, fontsize="small")
     low, high = axes.get_ylim()
     # A force that stays the same would have its rounding magnified.
     low, high = min(low, 0.95 * mean), max(high, 1.05 * mean)
@@ -233,6 +235,15 @@ def draw_scan(axes: Axes, best: Optimum) -> None:
     axes.set_xlabel(f"{scan.variable} [{unit}]")
     axes.set_ylabel("objective")
     axes.legend(loc="upper right", fontsize="small")
+
+
+def _shade_modes(axes: Axes, run: Run) -> None:
+    """Shade the times in which a share under stick and slip sticks or has a gap ahead."""
+    for mode, label, color in ((STICK, "sticks", _MUTED), (GAP, "gap", _ACCENT)):
+        inside = np.asarray(run.mode) == mode
+        if np.any(inside):
+            axes.fill_between(run.time, 0, 1, where=inside.tolist(), transform=axes.get_xaxis_transform(),
+                              color=color, alpha=0.18, linewidth=0.0, label=label)  # fmt: skip
 
 
 def _pad(axes: Axes, length: float, half_width: float, ahead: float = 0.0) -> None:

@@ -14,6 +14,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
 from plough_opt import design as designs
 from plough_opt.cli import report
+from plough_opt.effect_costs import effect_costs
 from plough_opt.errors import InputError
 from plough_opt.problem_file import TEMPLATE, Problem, read_problem
 from plough_opt.soil import named_soil, soil_names
@@ -45,6 +46,11 @@ def check(options: argparse.Namespace) -> None:
     """Say whether a file is right, what its scene contains and what its guess is like."""
     problem = _read(options)
     report.print_check(_console(), problem)
+    if options.effects:
+        with _progress() as told:
+            told("measuring the effects", 0.0)
+            found = effect_costs(problem.scene(), problem.values().get("scene.duration"))
+        report.print_effects(_console(), found)
 
 
 def simulate(options: argparse.Namespace) -> None:

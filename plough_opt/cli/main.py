@@ -84,6 +84,7 @@ def _parser() -> argparse.ArgumentParser:
         )
         verb.set_defaults(run=run)
         if name == "check":
+            verb.add_argument("--effects", action="store_true", help="print what each effect costs, on or off")
             continue
         verb.add_argument("--json", action="store_true", help="print JSON (SI units) instead of a table")
         verb.add_argument("--plot", metavar="FILE", help="write a picture: .png, .svg or .pdf")

@@ -10,6 +10,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from plough_opt.design import Limit, LocalOptimum, Optimum
+from plough_opt.effect_costs import EffectCost
 from plough_opt.motion import Run
 from plough_opt.motion.equation import equation_of_motion
 from plough_opt.motion.terms import Structure
@@ -105,6 +106,23 @@ def print_check(console: Console, problem: Problem) -> None:
         console.print(f"{len(problem.variables)} variables, {len(problem.table.require)} requirements: "
                       f"plough-opt optimise {escape(problem.name)}")  # fmt: skip
     _print_footer(console, scene.warnings(), "")
+
+
+def print_effects(console: Console, costs: Sequence[EffectCost]) -> None:
+    """Print what each effect adds to the differential equation and to the time of a run."""
+    table = Table(title="What each effect adds to this scene")
+    for heading in ("effect", "", "nodes", "states", "events", "time, with it over without"):
+        table.add_column(heading, justify="left" if heading == "effect" else "right")
+    for cost in costs:
+        if cost.refused:
+            table.add_row(cost.name, "on" if cost.on else "off", "", "", "", "not here, see below")
+            continue
+        sizes = (f"{size:+d}" for size in (cost.nodes, cost.states, cost.events))
+        table.add_row(cost.name, "on" if cost.on else "off", *sizes, f"{cost.time:.2f}")
+    console.print(table)
+    for cost in costs:
+        if cost.refused:
+            console.print(f"{cost.name}: {escape(cost.refused)}.", soft_wrap=True)
 
 
 def _scene_table(problem: Problem, scene: Scene) -> Table:

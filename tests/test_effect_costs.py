@@ -1,0 +1,80 @@
+"""What each effect costs: the differences of the differential equation itself, and refusals with their reason."""
+
+import math
+from dataclasses import replace
+
+import pytest
+
+import plough_opt as po
+from plough_opt.cli import main
+from plough_opt.effect_costs import effect_costs
+from plough_opt.motion.equation import equation_of_motion
+from plough_opt.motion.terms import Structure
+
+SCENE = po.Scene(
+    po.named_soil("serozem"),
+    po.Wedge(po.deg(30), po.deg(15), 0.25),
+    5e4,
+    20.0,
+    2.0,
+    po.Effects(strength_wave=po.StrengthWave(0.3, 0.2), damping=300.0),
+)
+
+
+@pytest.fixture(scope="module")
+def costs():
+    return {cost.name: cost for cost in effect_costs(SCENE, 0.1)}
+
+
+def nodes(**changes):
+    equation = equation_of_motion(Structure.of(replace(SCENE, effects=replace(SCENE.effects, **changes))))
+    return equation.function.n_nodes() + (0 if equation.events is None else equation.events.n_nodes())
+
+
+@pytest.mark.parametrize(
+    ("name", "on", "off"),
+    [
+        ("inertial drag", {}, {"inertial_drag": False}),
+        ("added mass", {}, {"added_mass": False}),
+        ("strength wave", {}, {"strength_wave": None}),
+        ("damping", {}, {"damping": None}),
+        ("rate term", {"rate_term": 0.01}, {}),
+        ("tow ramp", {"tow_ramp": 0.1}, {}),
+        ("stick and slip", {"contact": po.StickSlip()}, {}),
+        ("entry", {"entry": True, "start": "towed"}, {"start": "towed"}),
+    ],
+)
+def test_nodes_are_the_difference_that_the_effect_makes(costs, name, on, off):
+    assert costs[name].nodes == nodes(**on) - nodes(**off)
+    assert costs[name].on == (not on)
+
+
+def test_states_and_events_come_with_what_needs_them_alone(costs):
+    assert (costs["stick and slip"].states, costs["stick and slip"].events) == (2, 1)
+    assert (costs["entry"].states, costs["entry"].events) == (1, 1)
+    rest = [cost for name, cost in costs.items() if name not in ("stick and slip", "entry")]
+    assert all((cost.states, cost.events) == (0, 0) for cost in rest)
+
+
+def test_times_are_ratios_and_refusals_have_reasons(costs):
+    assert "damping needs motion" in costs["equation of motion"].refused
+    assert all(math.isfinite(cost.time) and cost.time > 0.0 for cost in costs.values())
+    assert [name for name, cost in costs.items() if cost.refused] == ["equation of motion"]
+
+
+def test_a_lasting_orbit_is_measured_too():
+    orbit = replace(SCENE, effects=replace(SCENE.effects, orbit="periodic"))
+    found = {cost.name: cost for cost in effect_costs(orbit, None)}
+    assert found["periodic orbit"].on
+    assert not found["periodic orbit"].refused
+    assert "has no start" in found["start at rest"].refused
+
+
+def test_the_command_prints_a_row_for_each(costs, capsys, tmp_path):
+    file = tmp_path / "share.toml"
+    assert main(["init", str(file)]) == 0
+    capsys.readouterr()
+    assert main(["check", str(file), "--effects", "--set", 'scene.duration="0.1 s"']) == 0
+    out = capsys.readouterr().out
+    assert all(name in out for name in costs)
+    assert "damping needs motion" in out

@@ -12,7 +12,7 @@ from plough_opt.design.search import Scan
 from plough_opt.errors import InputError
 from plough_opt.expressions import as_number, is_casadi, map_expressions
 from plough_opt.motion.run import Run
-from plough_opt.motion.simulation import simulate
+from plough_opt.motion.simulation import repeat
 
 
 @dataclass(frozen=True)
@@ -108,7 +108,7 @@ class Optimum(LocalOptimum):
         """
         if isinstance(item, Run):
             outputs = item.time.numel() - 1 if is_casadi(item.time) else len(item.time) - 1
-            return simulate(self(item.scene), self(item.duration), outputs=outputs)
+            return repeat(self(item.scene), self(item.duration), outputs=outputs)
         return map_expressions(item, self._number)
 
     def __getstate__(self) -> dict[str, Any]:

@@ -257,7 +257,10 @@ class Program:
         """Return scaled objective and largest violation at scaled points, a row each; NaN becomes infinity."""
         objective, violation = np.empty(len(points)), np.empty(len(points))
         for k, point in enumerate(points):
-            f, g = (np.asarray(result).ravel() for result in self.nlp.values(point, p))
+            try:
+                f, g = (np.asarray(result).ravel() for result in self.nlp.values(point, p))
+            except RuntimeError:  # no orbit, or no end of an integration
+                f, g = np.array([np.inf]), np.zeros(len(self.low))
             objective[k] = f[0]
             violation[k] = max(0.0, np.max(self.low - g, initial=0.0), np.max(g - self.high, initial=0.0))
         bad = ~(np.isfinite(objective) & np.isfinite(violation))

@@ -19,7 +19,7 @@ from plough_opt.design.program import Program
 from plough_opt.design.search import Progress, global_search, scanned_variables
 from plough_opt.design.verify import TightEvaluation
 from plough_opt.errors import InputError, NotConverged
-from plough_opt.motion import simulate
+from plough_opt.motion.simulation import repeat
 from plough_opt.scene import Scene
 
 _REFINEMENTS = 4
@@ -185,11 +185,7 @@ def _scenes(program: Program, point: Point, p: Vector) -> list[tuple[Scene, floa
 
 def _warnings(program: Program, point: Point, p: Vector, scenes: Sequence[tuple[Scene, float]]) -> tuple[str, ...]:
     """Return what a reader of the results at a point must know, each sentence once."""
-    moving = [
-        text
-        for scene, duration in scenes
-        for text in simulate(scene, duration if scene.effects.orbit == "transient" else None).warnings
-    ]
+    moving = [text for scene, duration in scenes for text in repeat(scene, duration).warnings]
     still = program.exact.quasi_static_scenes([*program.values(point.y), *p])
     return tuple(dict.fromkeys([*moving, *(text for scene in still for text in scene.warnings())]))
 

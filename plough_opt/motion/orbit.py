@@ -21,9 +21,12 @@ from plough_opt.motion.signals import signals
 from plough_opt.motion.terms import Structure, start_deflection
 from plough_opt.motion.timeline import Timeline
 
-# Of the residual, in units of the linear response.
-_TOLERANCE = 1e-12
-_MOST_ITERATIONS = 60
+# The residual is in units of `_size`. CasADi prints every input of a root that it fails to find; here such a root
+# becomes NaN, which is reported once, as an IntegrationError.
+_OPTIONS = {"abstol": 1e-12, "max_iter": 60, "error_on_fail": False, "show_eval_warnings": False}
+_FOUND = 1e-8
+# Wave amplitude below which the unit of the unknowns no longer follows it, so that it has derivatives at 0.
+_LEAST_AMPLITUDE = 1e-3
 
 
 def orbit_map(structure: Structure, timeline: Timeline) -> ca.Function:
@@ -66,21 +69,23 @@ def _response(structure: Structure, p: dict[str, Expression]) -> tuple[Expressio
     return along * ca.cos(lag) + across * ca.sin(lag), across * ca.cos(lag) - along * ca.sin(lag)
 
 
+def _size(p: dict[str, Expression]) -> Expression:
+    """Return the unit [m] of an orbit's unknowns: the wave's deflection of the spring."""
+    amplitude = ca.sqrt(p["wave_amplitude"] ** 2 + _LEAST_AMPLITUDE**2)
+    return amplitude * p["static"] / p["stiffness"] + 1e-30
+
+
 def _shooting(structure: Structure, timeline: Timeline) -> ca.Function:
     """Return the orbit to which one period of steps returns."""
     x, p = ca.MX.sym("x", 2), ca.MX.sym("p", len(signals(structure).parameters) + 1)
     known = _named(structure, p)
     sine, cosine = _response(structure, known)
     omega = 2.0 * math.pi * known["tow_speed"] / known["wavelength"]
-    # The scales of deflection and rate: of the response, but no less than of the wave on the spring alone.
-    size = ca.sqrt(sine**2 + cosine**2) + known["wave_amplitude"] * known["static"] / known["stiffness"] + 1e-30
+    size = _size(known)
     unit = ca.vertcat(size, size * omega)
     once = run_from(structure, Timeline(1, timeline.steps))
     miss = (once(x * unit, p)[0][:, -1] - x * unit) / unit
-    options = {"abstol": _TOLERANCE, "max_iter": _MOST_ITERATIONS, "error_on_fail": True}
-    solver = ca.rootfinder("orbit", "newton", {"x": x, "p": p, "g": miss}, options)
-    guess = ca.vertcat(cosine, sine * omega) / unit
-    first = solver(x0=guess, p=p)["x"] * unit
+    first = _root(x, p, miss, ca.vertcat(cosine, sine * omega) / unit) * unit
     results = run_from(structure, timeline)(first, p)
     return ca.Function("orbit", [p], list(results), {"never_inline": True})
 
@@ -103,7 +108,7 @@ def _balanced(structure: Structure) -> ca.Function:
     known = _named(structure, p)
     sine, cosine = _response(structure, known)
     omega = 2.0 * math.pi * known["tow_speed"] / known["wavelength"]
-    size = ca.sqrt(sine**2 + cosine**2) + known["wave_amplitude"] * known["static"] / known["stiffness"] + 1e-30
+    size = _size(known)
     w, rate, acceleration = (size * ca.mtimes(ca.DM(b), x) for b in (basis, slope, bend))
     rate, acceleration = rate * omega, acceleration * omega**2
     motion = equation_of_motion(structure)
@@ -114,10 +119,16 @@ def _balanced(structure: Structure) -> ca.Function:
     # Scaled by the spring, whose force on the response is of order one.
     stiff = known["stiffness"] / known["inertia"] + omega**2
     out_of_balance = ca.mtimes(ca.DM(weights), acceleration - forced) / (size * stiff)
-    options = {"abstol": _TOLERANCE, "max_iter": _MOST_ITERATIONS, "error_on_fail": True}
-    solver = ca.rootfinder("balance", "newton", {"x": x, "p": p, "g": out_of_balance}, options)
     guess = ca.vertcat(0.0, cosine / size, ca.MX.zeros(count - 1), sine / size, ca.MX.zeros(count - 1))
-    return ca.Function("balanced", [p], [solver(x0=guess, p=p)["x"] * size])
+    return ca.Function("balanced", [p], [_root(x, p, out_of_balance, guess) * size])
+
+
+def _root(x: ca.MX, p: ca.MX, residual: ca.MX, guess: ca.MX) -> ca.MX:
+    """Return the x at which a residual of p vanishes, or NaN where none was found from the guess."""
+    solver = ca.rootfinder("orbit", "newton", {"x": x, "p": p, "g": residual}, _OPTIONS)
+    found = solver(x0=guess, p=p)
+    left = ca.Function("left", [x, p], [residual])(found["x"], p)
+    return ca.if_else(ca.norm_inf(left) < _FOUND, found["x"], np.nan)
 
 
 def _basis(count: int, phases: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -54,8 +54,8 @@ def quasi_static(
         deflection=force / stiffness,
         mount_force=force,
         soil_resistance=force,
-        opening=0.0 * force,
-        mode=0.0 * force,
+        opening=0.0 * force + 0.0,
+        mode=0.0 * force + 0.0,
         averages=Averages(
             mean_draft=mean_draft,
             force_rms=force_rms,

@@ -231,7 +231,7 @@ def assemble(
     acceleration = (force - soil) / (inertia_at(structure, p, travel) if structure.events else scene.inertia)
     carried = carried_mass(structure, p, travel) if structure.events else scene.reaction.added_mass
     soil = soil + carried * acceleration
-    nothing = 0.0 * w
+    nothing = 0.0 * w + 0.0
     opening, mode = (states[:, 2], states[:, 3]) if structure.contact == "stick_slip" else (nothing, nothing)
     speed = u0 + gain
     if structure.contact == "stick_slip":

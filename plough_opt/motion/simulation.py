@@ -106,6 +106,12 @@ def simulate(
     return replace(run, checks=Checks(error, time.perf_counter() - started, notes, multipliers))
 
 
+def repeat(scene: Scene, duration: Expression, *, accuracy: Accuracy | None = None, outputs: int = OUTPUTS) -> Run:
+    """Simulate a scene for the duration of a run of its like; an orbit has its own."""
+    given = duration if scene.effects.orbit == "transient" else None
+    return simulate(scene, given, accuracy=accuracy, outputs=outputs)
+
+
 def _duration(scene: Scene, duration: Expression | None) -> Expression:
     """Return the simulated time, of an orbit one wavelength."""
     if scene.effects.orbit == "transient":
@@ -141,12 +147,12 @@ def _verified(scene: Scene, duration: float, accuracy: Accuracy, outputs: int) -
         check = quasi_static(scene, duration, timeline, accuracy, GAUSS_POINTS + 6)
         return run, _difference(run, check), ()
     total = _phase(scene, duration)
-    if accuracy.method != "auto":
-        return *_twice(scene, duration, with_setting(accuracy, steps_for(total), outputs), outputs), ()
     wanted = accuracy.error or DEFAULT_ERROR
     orbit = scene.effects.orbit
     if orbit not in ("transient", "periodic"):
-        return *_stand_in(scene, duration, wanted, outputs), ()
+        return _stand_in(scene, duration, wanted, outputs)
+    if accuracy.method != "auto":
+        return *_twice(scene, duration, with_setting(accuracy, steps_for(total), outputs), outputs), ()
     for tightening in range(_TIGHTENINGS):
         method = automatic(wanted * _TIGHTER**tightening, total, outputs, orbit == "periodic")
         run, error = _twice(scene, duration, method, outputs)
@@ -161,12 +167,16 @@ def _verified(scene: Scene, duration: float, accuracy: Accuracy, outputs: int) -
     )
 
 
-def _stand_in(scene: Scene, duration: float, wanted: float, outputs: int) -> tuple[Run, float]:
-    """Return a stand-in for the lasting orbit, and its relative difference from the orbit."""
+def _stand_in(scene: Scene, duration: float, wanted: float, outputs: int) -> tuple[Run, float, tuple[str, ...]]:
+    """Return a stand-in for the lasting orbit, its relative difference from the orbit, and a note if there is none."""
     exact = replace(scene, effects=replace(scene.effects, orbit="periodic"))
     method = automatic(wanted, _phase(scene, duration), outputs, orbit=True)
     run = _integrate(scene, duration, method, outputs)
-    return run, _difference(run, _integrate(exact, duration, method, outputs))
+    try:
+        orbit = _integrate(exact, duration, method, outputs)
+    except IntegrationError:
+        return run, math.inf, ("the lasting orbit that this run stands for was not found: its error is unknown",)
+    return run, _difference(run, orbit), ()
 
 
 def _twice(scene: Scene, duration: float, accuracy: Accuracy, outputs: int) -> tuple[Run, float]:

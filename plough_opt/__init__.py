@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from plough_opt import elastic, plastic
 from plough_opt.accuracy import Accuracy
 from plough_opt.design import Design, LocalOptimum, Optimum
-from plough_opt.effects import Effects, HarmonicBalance, Smooth, StickSlip, StrengthWave
+from plough_opt.effects import Effects, HarmonicBalance, OwnResistance, Smooth, StickSlip, StrengthWave
 from plough_opt.errors import (
     DomainError,
     InfeasibleDesign,
@@ -70,6 +70,7 @@ __all__ = [
     "LocalOptimum",
     "NotConverged",
     "Optimum",
+    "OwnResistance",
     "PloughError",
     "Printed",
     "Problem",

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from typing import Literal
+from dataclasses import dataclass, field, is_dataclass
+from typing import Literal, Protocol, runtime_checkable
 
 from plough_opt.domain import check_domain
 from plough_opt.errors import InputError
@@ -73,6 +73,28 @@ class StickSlip:
         check_domain("breakaway ratio", self.breakaway, at_least=1.0)
 
 
+@runtime_checkable
+class OwnResistance(Protocol):
+    """A resistance that the toolkit does not know, such as that of the shank: a frozen dataclass with this method.
+
+    Its fields are what it needs, numbers or expressions. For example::
+
+        @dataclass(frozen=True)
+        class Shank:
+            static: float
+            viscous: float
+
+            def force(self, travel, speed):
+                return self.static + self.viscous * speed
+    """
+
+    def force(self, travel: Expression, speed: Expression) -> Expression:
+        """Return the force [N] against the motion at a travel L [m] and a speed L' [m/s].
+
+        Written with arithmetic and the functions of `plough_opt.expressions`, so that it takes symbols.
+        """
+
+
 @dataclass(frozen=True)
 class HarmonicBalance:
     """The lasting orbit approximated by a mean and harmonics of the strength wave's frequency.
@@ -109,6 +131,7 @@ class Effects:
         tow_ramp: time [s] in which the strut's speed rises from 0 by a C2 smoothstep; None or 0: none.
         damping: viscous damper c in the mount [N s/m], or None.
         rate_term: kappa [s^2/m^2] of F0 (1 + kappa L'^2), for calibration, or None. Not in the source.
+        own: resistances of the user's own classes, added to the soil's: see `OwnResistance`.
         orbit: ``"transient"``: from the start over the duration; ``"periodic"``: the lasting orbit under the strength
             wave, one wavelength of it, which needs no duration; ``"linearised"``: its linear forced response in
             closed form; `HarmonicBalance`: its first harmonics.
@@ -131,6 +154,7 @@ class Effects:
     tow_ramp: Expression | None = None
     damping: Expression | None = None
     rate_term: Expression | None = None
+    own: tuple[OwnResistance, ...] = ()
     orbit: Literal["transient", "periodic", "linearised"] | HarmonicBalance = "transient"
     formulation: Formulation = "derived"
 
@@ -150,10 +174,23 @@ class Effects:
             self._refuse_without_motion()
         if self.entry and self.start == "equilibrium":
             raise InputError("entry begins at first contact, where nothing is steady: take start = 'rest' or 'towed'")
+        self._check_own()
         if self.orbit != "transient":
             self._refuse_on_an_orbit()
         if self.printed.repelling_spring and self.contact != "resisting":
             raise InputError("the print knows no contact law: its repelling spring goes with contact = 'resisting'")
+
+    def _check_own(self) -> None:
+        """Refuse own resistances that are none, or that a contact law would not know what to do with."""
+        for effect in self.own:
+            if isinstance(effect, type) or not (is_dataclass(effect) and isinstance(effect, OwnResistance)):
+                raise InputError(
+                    f"own effect {effect!r} must be a frozen dataclass with a method force(travel, speed) in newtons"
+                )
+        if self.own and isinstance(self.contact, StickSlip):
+            raise InputError(
+                "an own resistance does not say what it is at rest or in a gap: take contact = 'resisting' or Smooth"
+            )
 
     def _refuse_on_an_orbit(self) -> None:
         """Refuse what a lasting orbit cannot have."""

@@ -71,6 +71,8 @@ class Scene:
                     f"{name} has no meaning in the elastic medium, which has no strength and is solved for steady"
                     " sliding only: leave it out, or take medium = 'plastic'"
                 )
+        if effects.own:
+            raise InputError("own resistances belong to the plastic gas: take medium = 'plastic' for them")
         if effects.printed.errors:
             raise InputError("the printed formulation belongs to the plastic gas: take medium = 'plastic' for it")
 
@@ -136,7 +138,8 @@ class Scene:
     def steady_resistance(self) -> Expression:
         """Resistance F0 (1 + kappa V0^2) + Fd V0^2 [N] at the tow speed, without the strength wave."""
         rate = self.effects.rate_term if self.effects.rate_term is not None else 0.0
-        return self.reaction.static * (1.0 + rate * self.tow_speed**2) + self.reaction.drag * self.tow_speed**2
+        own = sum(effect.force(0.0, self.tow_speed) for effect in self.effects.own)
+        return self.reaction.static * (1.0 + rate * self.tow_speed**2) + self.reaction.drag * self.tow_speed**2 + own
 
     @property
     def natural_frequency(self) -> Expression:

@@ -15,7 +15,6 @@ import casadi as ca
 
 from plough_opt.expressions import Expression
 from plough_opt.motion.terms import (
-    PARAMETERS,
     Structure,
     Strut,
     carried_mass,
@@ -58,7 +57,7 @@ class EquationOfMotion:
 @lru_cache(maxsize=64)
 def equation_of_motion(structure: Structure) -> EquationOfMotion:
     """Build the differential equation of a structure; terms that are off leave no trace in it."""
-    symbols = {name: ca.SX.sym(name) for name in PARAMETERS}
+    symbols = {name: ca.SX.sym(name) for name in structure.names}
     now = _Now(structure, symbols)
     if structure.contact == "stick_slip":
         rates, zeros, after = now.rates_of_modes(), [now.until_contact_changes()], [now.after_contact_changed()]
@@ -70,8 +69,8 @@ def equation_of_motion(structure: Structure) -> EquationOfMotion:
         after = [ca.vertcat(state, now.entered) for state in (*after, now.state[:-1])]
         after[-1][-1] = 1.0
     everything = ca.vertcat(rates, *zeros, *after)
-    used = {symbol.name() for symbol in ca.symvar(everything)} & set(PARAMETERS)
-    names = tuple(name for name in PARAMETERS if name in used)
+    used = {symbol.name() for symbol in ca.symvar(everything)} & set(structure.names)
+    names = tuple(name for name in structure.names if name in used)
     inputs = [now.time, now.state, ca.vertcat(*(symbols[name] for name in names))]
     labels = ["time", "state", "parameters"]
     function = ca.Function("equation_of_motion", inputs, [rates], labels, ["rate"])

@@ -100,7 +100,8 @@ def quiet_events() -> Iterator[None]:
 def _scales(structure: Structure, p: dict[str, Any]) -> tuple[Any, Any, Any]:
     """Return scales of deflection [m] and rate [m/s], so that one absolute tolerance fits both, and of force [N]."""
     # A parameter that nothing in the equation needs moves nothing, and counts as zero here.
-    complete = {**dict.fromkeys(("static", "drag", "rate_term", "tow_speed"), 0.0), **p}
+    own = (name for k, term in enumerate(structure.own) for name in term.names(k))
+    complete = {**dict.fromkeys(("static", "drag", "rate_term", "tow_speed", *own), 0.0), **p}
     stiffness = ca.fabs(p["stiffness"])  # below zero where a spring repels
     hardness = ca.sqrt(stiffness * (p["inertia"] if "inertia" in p else p["mass"]))
     force = start_resistance(structure, complete) + complete["tow_speed"] * hardness + _LEAST_FORCE

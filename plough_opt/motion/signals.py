@@ -8,7 +8,7 @@ from functools import lru_cache
 import casadi as ca
 
 from plough_opt.motion.equation import equation_of_motion
-from plough_opt.motion.terms import PARAMETERS, Structure, start_deflection, start_rate, start_speed, strut
+from plough_opt.motion.terms import Structure, start_deflection, start_rate, start_speed, strut
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,7 @@ class Signals:
 @lru_cache(maxsize=64)
 def signals(structure: Structure) -> Signals:
     """Build the signals of a structure. Without a damper the mount force is k0 z and needs none of its own."""
-    symbols = {name: ca.SX.sym(name) for name in PARAMETERS}
+    symbols = {name: ca.SX.sym(name) for name in structure.names}
     time, w, rate = ca.SX.sym("time"), ca.SX.sym("w"), ca.SX.sym("rate")
     force = symbols["stiffness"] * w
     values = [w]
@@ -48,7 +48,7 @@ def signals(structure: Structure) -> Signals:
     # A start at rest needs the strut's speed even where nothing else does.
     everything = ca.vertcat(expression, start_rate(structure, symbols))
     used = {s.name() for s in ca.symvar(everything)} | set(equation_of_motion(structure).names)
-    names = tuple(name for name in PARAMETERS if name in used)
+    names = tuple(name for name in structure.names if name in used)
     p = ca.vertcat(*(symbols[name] for name in names))
     function = ca.Function("signals", [time, ca.vertcat(w, rate), p], [expression])
     return Signals(function, names, len(values), squared)

@@ -17,6 +17,7 @@ from typing import Literal
 
 from plough_opt.effects import HarmonicBalance, Smooth, StickSlip
 from plough_opt.expressions import Expression, maximum, minimum, sin
+from plough_opt.motion.own import OwnTerm, quantities
 from plough_opt.scene import Scene
 
 PARAMETERS = (
@@ -54,6 +55,7 @@ class Structure:
     carries: bool
     orbit: Literal["transient", "periodic", "linearised", "harmonic_balance"] = "transient"
     harmonics: int = 0
+    own: tuple[OwnTerm, ...] = ()
 
     @classmethod
     def of(cls, scene: Scene) -> Structure:
@@ -72,7 +74,13 @@ class Structure:
             carries=effects.added_mass and effects.events,
             orbit="harmonic_balance" if isinstance(effects.orbit, HarmonicBalance) else effects.orbit,
             harmonics=effects.orbit.harmonics if isinstance(effects.orbit, HarmonicBalance) else 0,
+            own=tuple(map(OwnTerm.of, effects.own)),
         )
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of everything that its terms may need, in order."""
+        return (*PARAMETERS, *(name for k, term in enumerate(self.own) for name in term.names(k)))
 
     @property
     def relaxed(self) -> bool:
@@ -110,6 +118,8 @@ def parameters(scene: Scene) -> dict[str, Expression]:
         values["damping"] = effects.damping
     if effects.rate_term is not None:
         values["rate_term"] = effects.rate_term
+    for k, effect in enumerate(effects.own):
+        values |= {f"own_{k}_{j}": value for j, value in enumerate(quantities(effect))}
     if isinstance(effects.contact, Smooth):
         values["width"] = effects.contact.width
     if isinstance(effects.contact, StickSlip):
@@ -153,8 +163,14 @@ def start_speed(structure: Structure, p: dict[str, Expression]) -> Expression:
 
 def start_resistance(structure: Structure, p: dict[str, Expression]) -> Expression:
     """Return the steady resistance at the strut's initial speed [N], without the wave."""
-    force = _steady(structure, p)
-    return _step(p, start_speed(structure, p)) * force if structure.contact == "smooth" else force
+    u0, force = start_speed(structure, p), _steady(structure, p)
+    soil = _step(p, u0) * force if structure.contact == "smooth" else force
+    return soil + _own_force(structure, p, 0.0, u0) if structure.own else soil
+
+
+def _own_force(structure: Structure, p: dict[str, Expression], travel: Expression, speed: Expression) -> Expression:
+    """Return the sum of the user's own resistances [N]."""
+    return sum(term.force(k, p, travel, speed) for k, term in enumerate(structure.own))
 
 
 def _steady(structure: Structure, p: dict[str, Expression]) -> Expression:
@@ -205,6 +221,8 @@ def resistance_change(
     if structure.contact == "smooth":
         step, first = _step(p, u0 + gain), _step(p, u0)
         change = step * change + (step - first) * _steady(structure, p)
+    if structure.own:
+        change = change + _own_force(structure, p, travel, u0 + gain) - _own_force(structure, p, 0.0, u0)
     return change
 
 

@@ -1,0 +1,64 @@
+"""A share's motion under a strength wave by SciPy, written from equation (27), and its lasting orbit."""
+
+from types import SimpleNamespace
+
+import numpy as np
+from scipy.integrate import solve_ivp
+
+
+def rates(scene):
+    """Return (t, (z, z')) -> (z', z'') of the spring's deflection, all forces written out."""
+    reaction, effects, wave = scene.reaction, scene.effects, scene.effects.strength_wave
+    inertia, damping, rate_term = scene.mass + reaction.added_mass, effects.damping or 0.0, effects.rate_term or 0.0
+    number = 2 * np.pi / wave.wavelength
+
+    def rates(t, state):
+        z, rate = state
+        speed = scene.tow_speed - rate
+        static = reaction.static * (1 + wave.amplitude * np.sin(number * (scene.tow_speed * t - z)))
+        resistance = static * (1 + rate_term * speed**2) + reaction.drag * speed**2
+        return np.array([rate, (resistance - scene.stiffness * z - damping * rate) / inertia])
+
+    return rates
+
+
+def follow(scene, first, duration, times=None, rtol=1e-12):
+    """Return the solution from a state (z, z')."""
+    size = np.array([abs(first[0]), 1e-3 * scene.tow_speed])
+    # Between its steps SciPy interpolates, for which short steps are taken where outputs are asked for.
+    longest = np.inf if times is None else times[1] - times[0]
+    options = {"method": "DOP853", "rtol": rtol, "atol": 1e-15 * size, "max_step": longest}
+    return solve_ivp(rates(scene), (0.0, duration), first, t_eval=times, **options).y
+
+
+def period(scene):
+    return scene.effects.strength_wave.wavelength / scene.tow_speed
+
+
+def monodromy(scene, first):
+    """Return the derivative of the state one period later by the state, by differences of order four."""
+    steps = np.array([1e-4 * abs(first[0]), 1e-4 * scene.tow_speed])
+
+    def after(shift):
+        return follow(scene, first + shift, period(scene))[:, -1]
+
+    columns = []
+    for axis in np.diag(steps):
+        near, far = after(axis) - after(-axis), after(2 * axis) - after(-2 * axis)
+        columns.append((8 * near - far) / (12 * np.sum(axis)))
+    return np.column_stack(columns)
+
+
+def orbit(scene, guess, outputs):
+    """Return the orbit near a state: states at the outputs, and the monodromy."""
+    first = np.array(guess, float)
+    for _ in range(10):
+        slope = monodromy(scene, first)
+        change = np.linalg.solve(slope - np.eye(2), first - follow(scene, first, period(scene))[:, -1])
+        first = first + change
+        if np.all(np.abs(change) < 1e-12 * np.array([abs(first[0]), scene.tow_speed])):
+            break
+    times = np.linspace(0.0, period(scene), outputs + 1)
+    z, rate = follow(scene, first, period(scene), times)
+    force = scene.stiffness * z + (scene.effects.damping or 0.0) * rate
+    return SimpleNamespace(deflection=z, rate=rate, force=force, monodromy=slope)

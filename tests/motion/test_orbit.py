@@ -1,0 +1,363 @@
+"""The lasting orbit under a strength wave, against SciPy's integration of equation (27)."""
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+from orbit_oracle import follow, monodromy, orbit, period
+from scipy.integrate import solve_bvp
+
+import plough_opt as po
+
+OUTPUTS = 96
+WAVE = po.StrengthWave(0.3, 0.6)
+FULL = po.StrengthWave(1.0, 0.6)
+CASES = {
+    "undamped with drag": {},
+    "damped": {"damping": 400.0},
+    "soft": {"stiffness": 2e3},
+    "soft and damped": {"stiffness": 3e3, "damping": 200.0},
+    "stiff": {"stiffness": 1e7},
+    "resonant": {"stiffness": 1.2e4},
+    "resonant and damped": {"stiffness": 1.2e4, "damping": 250.0},
+    "rate term": {"rate_term": 0.05, "damping": 100.0},
+    "rate term alone": {"rate_term": 0.05, "inertial_drag": False},
+    "conservative": {"inertial_drag": False},
+    "conservative and soft": {"inertial_drag": False, "stiffness": 4e3},
+    "slow": {"tow_speed": 0.5, "damping": 300.0},
+    "fast": {"tow_speed": 5.0},
+    "strongest": {"strength_wave": FULL},
+    "strongest, damped": {"strength_wave": FULL, "damping": 400.0},
+    "strongest, soft": {"strength_wave": FULL, "stiffness": 4e3, "damping": 100.0},
+    "strongest, short": {"strength_wave": po.StrengthWave(1.0, 0.2), "stiffness": 1e5, "damping": 400.0},
+    "weak": {"strength_wave": po.StrengthWave(1e-5, 0.6), "damping": 100.0},
+    "large": {"height": 0.5, "stiffness": 1e5, "strength_wave": po.StrengthWave(1.0, 0.2)},
+    "retreating": {"height": 0.5, "stiffness": 3e4, "strength_wave": FULL},
+    "light": {"added_mass": False, "ambient_pressure": False, "damping": 50.0},
+}
+STIFFEST = {
+    "stiffest": {"stiffness": 1e9},
+    "stiffest and damped": {"stiffness": 1e9, "damping": 2e4},
+}
+SLOW = [pytest.param(name, marks=pytest.mark.slow) for name in STIFFEST]
+
+
+@pytest.fixture(scope="module")
+def scene_of(r1_scene):
+    def build(name, **changes):
+        own = {"strength_wave": WAVE, "orbit": "periodic"} | (CASES | STIFFEST)[name] | changes
+        return r1_scene(**own)
+
+    return build
+
+
+@pytest.fixture(scope="module")
+def solved(scene_of):
+    """Return, once for each case, the run, and the orbit that SciPy finds from its state."""
+    known = {}
+
+    def solve(name):
+        if name not in known:
+            run = po.simulate(scene_of(name), outputs=OUTPUTS)
+            first = run.deflection[0], run.scene.tow_speed - run.speed[0]
+            known[name] = run, orbit(run.scene, first, OUTPUTS)
+        return known[name]
+
+    return solve
+
+
+def sines(run):
+    return np.sin(2 * np.pi * run.travel / run.scene.effects.strength_wave.wavelength)
+
+
+def average(values):
+    """Average of a periodic function over its period: the trapezoidal rule, which is spectral here."""
+    return np.mean(values[:-1])
+
+
+# --- the orbit ---
+
+
+@pytest.mark.parametrize("name", [*CASES, *SLOW])
+def test_orbit_is_the_one_that_scipy_finds_by_shooting(solved, name):
+    run, true = solved(name)
+    assert run.error_estimate <= 1e-8
+    # SciPy's steps of relative tolerance 1e-12 and the root of its shooting leave some 3e-11.
+    size = np.ptp(true.deflection)
+    assert run.deflection == pytest.approx(true.deflection, rel=0, abs=2e-10 * size + 1e-14 * np.max(true.deflection))
+    assert run.mount_force == pytest.approx(true.force, rel=0, abs=2e-10 * np.max(true.force))
+    # The speed of the share is rounded to 1e-16 of its own.
+    assert run.scene.tow_speed - run.speed == pytest.approx(
+        true.rate, rel=0, abs=1e-9 * np.max(np.abs(true.rate)) + 2e-15
+    )
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_averages_are_those_of_the_outputs_of_scipy(solved, name):
+    run, true = solved(name)
+    mean, deflection = average(true.force), average(true.deflection)
+    rms = math.sqrt(average((true.force - mean) ** 2))
+    assert run.mean_draft == pytest.approx(mean, rel=1e-10)
+    assert run.mean_deflection == pytest.approx(deflection, rel=1e-10)
+    assert run.force_rms == pytest.approx(rms, rel=2e-10, abs=1e-14 * mean)
+    spread = math.sqrt(average((true.deflection - deflection) ** 2))
+    assert run.displacement_rms == pytest.approx(spread, rel=2e-10, abs=1e-14 * deflection)
+    assert run.tow_power == pytest.approx(mean * run.scene.tow_speed, rel=1e-10)
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_it_returns_after_one_wavelength(solved, name):
+    run, _ = solved(name)
+    wavelength = run.scene.effects.strength_wave.wavelength
+    assert run.duration == pytest.approx(wavelength / run.scene.tow_speed, rel=1e-15)
+    assert list(run.time) == pytest.approx(np.linspace(0.0, run.duration, OUTPUTS + 1), rel=1e-14)
+    assert run.travel[-1] - run.travel[0] == pytest.approx(wavelength, rel=1e-12)
+    for values in (run.deflection, run.speed, run.mount_force, run.soil_resistance):
+        assert values[-1] == pytest.approx(values[0], rel=0, abs=2e-11 * np.max(np.abs(values)))
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_the_struts_work_over_a_wavelength_goes_into_soil_and_damper(solved, name):
+    run, _ = solved(name)
+    rate = run.scene.tow_speed - run.speed
+    damper = average((run.scene.effects.damping or 0.0) * rate**2)
+    on_soil = average(run.soil_resistance * run.speed)
+    assert run.tow_power == pytest.approx(on_soil + damper, rel=1e-11)
+    # Over a period no momentum is gained either.
+    assert average(run.soil_resistance) == pytest.approx(run.mean_draft, rel=1e-11)
+
+
+@pytest.mark.parametrize("name", ["damped", "soft and damped", "strongest, damped"])
+def test_it_solves_the_boundary_value_problem(solved, name):
+    run, _ = solved(name)
+    scene, reaction, wave = run.scene, run.scene.reaction, run.scene.effects.strength_wave
+    static = scene.steady_resistance / scene.stiffness
+
+    def rates(t, y):
+        speed = scene.tow_speed - y[1]
+        wavy = np.sin(2 * np.pi * (scene.tow_speed * t - static - y[0]) / wave.wavelength)
+        force = reaction.static * wave.amplitude * wavy + reaction.drag * (speed**2 - scene.tow_speed**2)
+        pull = scene.stiffness * y[0] + scene.effects.damping * y[1]
+        return np.vstack([y[1], (force - pull) / scene.inertia])
+
+    times = np.linspace(0.0, run.duration, 60)
+    found = solve_bvp(rates, lambda a, b: a - b, times, np.zeros((2, 60)), tol=1e-9, max_nodes=20000)
+    assert found.success
+    change = run.deflection - static
+    # Collocation of order four at a residual of 1e-9.
+    assert found.sol(run.time)[0] == pytest.approx(change, rel=0, abs=1e-8 * np.max(np.abs(change)))
+
+
+@pytest.mark.parametrize("name", ["damped", "resonant and damped", "strongest, damped"])
+def test_a_damped_transient_ends_on_it(solved, scene_of, name):
+    run, _ = solved(name)
+    periods = math.ceil(math.log(1e-13) / math.log(max(map(abs, run.floquet)))) + 2
+    start = scene_of(name, orbit="transient")
+    z = start.steady_resistance / start.stiffness
+    early = follow(start, [z, 0.0], periods * run.duration)[:, -1]
+    later = follow(start, early, run.duration, run.time)
+    assert later[0] == pytest.approx(run.deflection, rel=0, abs=1e-10 * np.ptp(run.deflection))
+    # The transient by `simulate`, whose outputs hold the wavelength after it has died.
+    long = po.simulate(start, (periods + 1) * run.duration, outputs=(periods + 1) * OUTPUTS)
+    assert long.mount_force[-OUTPUTS - 1 :] == pytest.approx(run.mount_force, rel=1e-7)
+
+
+def test_the_lasting_rms_is_not_that_from_the_start(scene_of):
+    run = po.simulate(scene_of("undamped with drag"))
+    from_start = po.simulate(scene_of("undamped with drag", orbit="transient"), 2.0)
+    # Without a damper the start's own oscillation takes many wavelengths to die.
+    assert abs(from_start.force_rms / run.force_rms - 1.0) > 0.03
+    assert from_start.mean_draft == pytest.approx(run.mean_draft, rel=0.03)
+
+
+def test_in_an_infinitely_stiff_mount_the_share_follows_the_strut(scene_of):
+    wave = {"motion": False, "orbit": "transient"}
+    errors = []
+    for stiffness in (1e6, 1e7):
+        run = po.simulate(scene_of("damped", stiffness=stiffness))
+        rigid = po.simulate(scene_of("damped", stiffness=stiffness, damping=None, **wave), 0.3)
+        errors.append(abs(run.force_rms / rigid.force_rms - 1.0))
+    assert errors[0] < 0.02
+    # First order in the compliance 1/k0.
+    assert math.log10(errors[0] / errors[1]) == pytest.approx(1.0, abs=0.1)
+
+
+@pytest.mark.parametrize("accuracy", [po.Accuracy("dop853", steps=96), po.Accuracy(error=1e-12)])
+def test_steps_and_error_can_be_chosen(solved, scene_of, accuracy):
+    run = po.simulate(scene_of("strongest, damped"), accuracy=accuracy, outputs=OUTPUTS)
+    assert run.mount_force == pytest.approx(solved("strongest, damped")[1].force, rel=1e-9)
+    assert run.accuracy.method == "dop853"
+
+
+def test_steps_of_order_eight(scene_of):
+    def first(steps):
+        accuracy = po.Accuracy("dop853", steps=steps)
+        return po.simulate(scene_of("strongest"), accuracy=accuracy, outputs=1).deflection[0]
+
+    exact = first(320)
+    errors = [abs(first(steps) - exact) for steps in (12, 24)]
+    assert math.log2(errors[0] / errors[1]) > 7.9
+
+
+# --- the multipliers ---
+
+
+@pytest.mark.parametrize("name", [*CASES, *SLOW])
+def test_multipliers_are_those_of_the_monodromy(solved, name):
+    run, true = solved(name)
+    found = np.poly(np.array(run.floquet)).real
+    # Of sum and product, which unlike the multipliers themselves are smooth where two meet.
+    phase = run.scene.natural_frequency * run.duration
+    expected = [1.0, -np.trace(true.monodromy), np.linalg.det(true.monodromy)]
+    assert found == pytest.approx(expected, rel=0, abs=1e-9 * max(1.0, np.max(np.abs(expected)), phase))
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_their_product_is_what_all_damping_leaves(solved, name):
+    run, _ = solved(name)
+    effects, reaction = run.scene.effects, run.scene.reaction
+    static = reaction.static * (1 + effects.strength_wave.amplitude * sines(run)) * (effects.rate_term or 0.0)
+    friction = (effects.damping or 0.0) + 2 * (reaction.drag + static) * run.speed
+    product = math.exp(-average(friction) / run.scene.inertia * run.duration)
+    found = run.floquet[0] * run.floquet[1]
+    assert found.imag == pytest.approx(0.0, abs=1e-12)
+    # Small multipliers are differences of larger numbers; steps of order 8 decay at a rate that is 1e-9 off.
+    assert found.real == pytest.approx(product, rel=2e-8)
+
+
+@pytest.mark.parametrize("name", ["conservative", "conservative and soft"])
+def test_without_any_friction_they_lie_on_the_unit_circle(solved, name):
+    run, _ = solved(name)
+    # Steps of order 8 at half a radian each lose 1e-11 or so of an oscillation's size.
+    assert [abs(value) for value in run.floquet] == pytest.approx([1.0, 1.0], abs=1e-10)
+    assert not [text for text in run.warnings if "unstable" in text]
+
+
+def test_an_unstable_orbit_carries_a_warning(solved):
+    run, true = solved("soft")
+    largest = max(abs(np.linalg.eigvals(true.monodromy)))
+    assert largest > 1.2
+    (warning,) = [text for text in run.warnings if "unstable" in text]
+    assert f"grows {largest:.4g} times in every wavelength" in warning
+
+
+def test_a_deviation_from_it_grows_by_the_largest(solved):
+    run, _ = solved("soft")
+    first = np.array([run.deflection[0], run.scene.tow_speed - run.speed[0]])
+    size, turn = 1e-6, np.linalg.eig(monodromy(run.scene, first))
+    axis = turn.eigenvectors[:, np.argmax(np.abs(turn.eigenvalues))] * size
+    away = follow(run.scene, first + axis, period(run.scene))[:, -1] - first
+    assert away == pytest.approx(max(run.floquet, key=abs).real * axis, rel=1e-4)
+
+
+@pytest.mark.parametrize("name", ["damped", "resonant and damped", "soft and damped"])
+def test_a_stable_orbit_carries_none(solved, name):
+    run, _ = solved(name)
+    assert max(map(abs, run.floquet)) < 0.9
+    assert not [text for text in run.warnings if "unstable" in text]
+
+
+def test_only_a_periodic_orbit_of_numbers_has_multipliers(r1_scene):
+    for effects, duration in (({}, 0.3), ({"orbit": "linearised"}, None), ({"orbit": po.HarmonicBalance()}, None)):
+        run = po.simulate(r1_scene(strength_wave=WAVE, damping=400.0, **effects), duration, outputs=4)
+        with pytest.raises(po.InputError, match="only a periodic orbit has Floquet multipliers"):
+            _ = run.floquet
+
+
+# --- a wave of no amplitude ---
+
+
+@pytest.mark.parametrize("choice", ["periodic", "linearised", po.HarmonicBalance(3)])
+@pytest.mark.parametrize("effects", [{}, {"damping": 100.0}, {"inertial_drag": False}, {"rate_term": 0.05}])
+def test_without_amplitude_the_share_slides_steadily(r1_scene, choice, effects):
+    scene = r1_scene(strength_wave=po.StrengthWave(0.0, 0.6), orbit=choice, **effects)
+    run = po.simulate(scene, outputs=8)
+    assert run.mean_draft == pytest.approx(scene.steady_resistance, rel=1e-15)
+    assert run.force_rms == run.displacement_rms == run.error_estimate == 0.0
+    assert run.deflection == pytest.approx(np.full(9, scene.steady_resistance / scene.stiffness), rel=1e-15)
+    assert run.speed == pytest.approx(np.full(9, 2.0), rel=1e-15)
+
+
+def test_multipliers_of_steady_sliding_are_known(r1_scene):
+    run = po.simulate(r1_scene(strength_wave=po.StrengthWave(0.0, 0.6), orbit="periodic", damping=100.0))
+    scene = run.scene
+    decay = (100.0 + 2 * scene.reaction.drag * scene.tow_speed) / (2 * scene.inertia)
+    turn = math.sqrt(scene.natural_frequency**2 - decay**2) * run.duration
+    expected = [math.exp(-decay * run.duration) * np.exp(1j * angle) for angle in (turn, -turn)]
+    assert np.sort_complex(run.floquet) == pytest.approx(np.sort_complex(expected), rel=1e-10)
+
+
+# --- refusals ---
+
+
+def effects(**changes):
+    return po.Effects(**({"strength_wave": WAVE, "orbit": "periodic"} | changes))
+
+
+@pytest.mark.parametrize("choice", ["periodic", "linearised", po.HarmonicBalance(2)])
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"strength_wave": None}, "an orbit needs a strength_wave"),
+        ({"motion": False}, "an orbit needs motion"),
+        ({"contact": po.Smooth(0.1)}, "an orbit takes contact = 'resisting'"),
+        ({"contact": po.StickSlip()}, "an orbit takes contact = 'resisting'"),
+        ({"start": "rest"}, "an orbit has no start: leave start, tow_ramp and entry out"),
+        ({"start": "towed"}, "an orbit has no start"),
+        ({"start": "towed", "entry": True}, "an orbit has no start"),
+        ({"tow_ramp": 0.2}, "an orbit has no start"),
+        ({"formulation": "printed"}, "the print's repelling spring has no lasting orbit: take formulation = 'derived'"),
+    ],
+)
+def test_effects_that_no_orbit_has_are_refused(choice, changes, message):
+    with pytest.raises(po.InputError, match=message):
+        effects(orbit=choice, **changes)
+
+
+@pytest.mark.parametrize("choice", ["steady", "Periodic", None, 3, po.HarmonicBalance, ["periodic"]])
+def test_an_unknown_orbit_is_refused(choice):
+    with pytest.raises(po.InputError, match="must be 'transient', 'periodic', 'linearised' or HarmonicBalance"):
+        effects(orbit=choice)
+
+
+@pytest.mark.parametrize("harmonics", [0, -1, 65, 2.5, "3", True, None])
+def test_harmonics_are_a_whole_number_up_to_64(harmonics):
+    with pytest.raises(po.InputError, match="must be a whole number from 1 to 64"):
+        po.HarmonicBalance(harmonics)
+
+
+@pytest.mark.parametrize("choice", ["periodic", "linearised", po.HarmonicBalance(2)])
+def test_a_duration_of_an_orbit_is_refused(r1_scene, choice):
+    with pytest.raises(po.InputError, match="duration of its own, one wavelength of the soil: leave it out"):
+        po.simulate(r1_scene(strength_wave=WAVE, orbit=choice), 0.3)
+
+
+@pytest.mark.parametrize("effects", [{}, {"strength_wave": WAVE}, {"motion": False}])
+def test_a_missing_duration_is_refused(r1_scene, effects):
+    with pytest.raises(po.InputError, match="the duration is missing"):
+        po.simulate(r1_scene(**effects))
+
+
+@pytest.mark.parametrize("choice", ["periodic", "linearised", po.HarmonicBalance(2)])
+def test_a_share_that_stands_still_has_no_orbit(r1_scene, choice):
+    with pytest.raises(po.DomainError, match=r"tow speed = 0.*a share that stands still has no orbit"):
+        po.simulate(r1_scene(strength_wave=WAVE, orbit=choice, tow_speed=0.0))
+
+
+@pytest.mark.parametrize("method", ["erk", "rosenbrock", "cvodes", "idas", "collocation", "rk"])
+def test_methods_that_find_no_orbit_are_refused(r1_scene, method):
+    with pytest.raises(po.InputError, match=f"'{method}' finds no orbit: take 'auto', or 'dop853'"):
+        po.simulate(r1_scene(strength_wave=WAVE, orbit="periodic"), accuracy=po.Accuracy(method))
+
+
+@pytest.mark.parametrize("damping", [None, 200.0])
+def test_where_no_orbit_is_found_the_message_names_a_remedy(scene_of, damping, capfd):
+    scene = scene_of("strongest", strength_wave=po.StrengthWave(1.0, 0.2), stiffness=2e3, tow_speed=0.3)
+    scene = dataclasses.replace(scene, effects=dataclasses.replace(scene.effects, damping=damping))
+    with pytest.raises(
+        po.IntegrationError, match=r"no lasting orbit of a share .*2e\+03 N/m.*orbit = 'transient'.*damp"
+    ):
+        po.simulate(scene)
+    # Not beside a page of what CasADi knows of it.
+    assert capfd.readouterr() == ("", "")

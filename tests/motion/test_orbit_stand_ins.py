@@ -1,0 +1,203 @@
+"""The stand-ins for the lasting orbit: linear response and harmonic balance, against formula and orbit."""
+
+import functools
+import itertools
+import math
+
+import numpy as np
+import pytest
+
+import plough_opt as po
+
+OUTPUTS = 48
+CASES = {
+    "damped": {"damping": 400.0},
+    "undamped": {},
+    "soft": {"stiffness": 6e3, "damping": 150.0},
+    "resonant": {"stiffness": 1.2e4, "damping": 300.0},
+    "rate term": {"rate_term": 0.05, "damping": 100.0},
+    "conservative": {"inertial_drag": False},
+    "slow": {"tow_speed": 0.5, "damping": 300.0},
+    "stiff": {"stiffness": 1e6, "damping": 1e3},
+}
+
+STIFFEST = {"stiffest": {"stiffness": 1e9, "damping": 1e4}}
+SLOW = [pytest.param(name, marks=pytest.mark.slow) for name in STIFFEST]
+
+
+@pytest.fixture(scope="module")
+def simulated(r1_scene):
+    """Simulate, once, the lasting motion of a case in one of its forms."""
+
+    @functools.cache
+    def simulated(name, choice, amplitude=0.3, wavelength=0.6, accuracy=None):
+        wave = po.StrengthWave(amplitude, wavelength)
+        return po.simulate(
+            r1_scene(strength_wave=wave, orbit=choice, **(CASES | STIFFEST)[name]), outputs=OUTPUTS, accuracy=accuracy
+        )
+
+    return simulated
+
+
+def farthest(one, other):
+    """Return the largest difference of the mount forces of two runs, over the peak."""
+    return np.max(np.abs(one.mount_force - other.mount_force)) / np.max(np.abs(other.mount_force))
+
+
+# --- linear response ---
+
+
+@pytest.mark.parametrize("amplitude", [0.02, 0.3, 1.0])
+@pytest.mark.parametrize("name", [*CASES, *SLOW])
+def test_linear_response_is_that_of_the_textbook(simulated, name, amplitude):
+    run = simulated(name, "linearised", amplitude)
+    scene, effects, reaction = run.scene, run.scene.effects, run.scene.reaction
+    v, kappa, damping = scene.tow_speed, effects.rate_term or 0.0, effects.damping or 0.0
+    # F(L, L') of first order in w about L = V0 t - z_s, L' = V0: forced by the wave, damped by dF/dL'.
+    omega = 2 * math.pi * v / 0.6
+    steady = reaction.static * (1 + kappa * v**2) + reaction.drag * v**2
+    friction = damping + 2 * v * (reaction.drag + kappa * reaction.static)
+    push = amplitude * reaction.static * (1 + kappa * v**2)
+    phasor = push / (scene.stiffness - scene.inertia * omega**2 + 1j * omega * friction)
+    phasor *= np.exp(-2j * math.pi / 0.6 * steady / scene.stiffness)
+    turning = phasor * np.exp(1j * omega * np.asarray(run.time))
+    force = phasor * (scene.stiffness + 1j * omega * damping)
+    # Near resonance the spring's force and the inertia's cancel to a few digits less.
+    size = abs(phasor)
+    assert run.deflection == pytest.approx(steady / scene.stiffness + turning.imag, rel=1e-13, abs=1e-11 * size)
+    assert run.speed == pytest.approx(v - (1j * omega * turning).imag, rel=1e-13, abs=1e-11 * omega * size)
+    assert run.mean_draft == pytest.approx(steady, rel=1e-14)
+    assert run.mean_deflection == pytest.approx(steady / scene.stiffness, rel=1e-14)
+    assert run.displacement_rms == pytest.approx(abs(phasor) / math.sqrt(2), rel=1e-11)
+    assert run.force_rms == pytest.approx(abs(force) / math.sqrt(2), rel=1e-11)
+    assert run.tow_power == pytest.approx(steady * v, rel=1e-14)
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_it_tends_to_the_orbit_with_the_square_of_the_amplitude(simulated, name):
+    amplitudes = (0.08, 0.04, 0.02)
+    pairs = [(simulated(name, "linearised", a), simulated(name, "periodic", a)) for a in amplitudes]
+    motions = [np.max(np.abs(linear.deflection - exact.deflection)) for linear, exact in pairs]
+    spreads = [abs(linear.force_rms - exact.force_rms) for linear, exact in pairs]
+    assert math.log2(motions[0] / motions[1]) == pytest.approx(2.0, abs=0.1)
+    assert math.log2(motions[1] / motions[2]) == pytest.approx(2.0, abs=0.05)
+    # The correction of the second order turns twice as fast and has no part in the first harmonic.
+    assert math.log2(spreads[1] / spreads[2]) == pytest.approx(3.0, abs=0.1)
+
+
+@pytest.mark.parametrize("name", [name for name in CASES if name not in ("conservative", "stiff")])
+def test_the_orbits_mean_draft_rises_with_the_square_of_the_amplitude(simulated, name):
+    rises = [
+        simulated(name, "periodic", a).mean_draft - simulated(name, "linearised", a).mean_draft for a in (0.1, 0.05)
+    ]
+    assert rises[1] > 0.0
+    assert math.log2(rises[0] / rises[1]) == pytest.approx(2.0, abs=0.1)
+
+
+# --- harmonic balance ---
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_one_harmonic_of_a_tiny_wave_is_the_linear_response(simulated, name):
+    one, linear = simulated(name, po.HarmonicBalance(1), 1e-6), simulated(name, "linearised", 1e-6)
+    size = np.ptp(linear.deflection)
+    # The difference is of second order in the amplitude; deflections are rounded to 1e-16 of the steady one.
+    assert one.deflection == pytest.approx(linear.deflection, rel=1e-15, abs=1e-5 * size)
+    assert one.force_rms == pytest.approx(linear.force_rms, rel=1e-9)
+    assert one.mean_draft == pytest.approx(linear.mean_draft, rel=1e-11)
+
+
+@pytest.mark.parametrize("amplitude", [0.3, 1.0])
+@pytest.mark.parametrize("name", [name for name in CASES if name != "slow"])
+def test_harmonics_converge_exponentially_to_the_orbit(simulated, name, amplitude):
+    exact = simulated(name, "periodic", amplitude)
+    errors = [farthest(simulated(name, po.HarmonicBalance(n), amplitude), exact) for n in (1, 3, 5, 7, 16)]
+    # Two harmonics more leave a tenth or less, until steps and root of the orbit itself are left.
+    for before, after in itertools.pairwise(errors):
+        assert after < max(0.12 * before, 3e-10)
+    assert errors[-1] < 3e-10
+
+
+def test_sharper_motion_takes_more_harmonics(simulated):
+    exact = simulated("slow", "periodic", 1.0, 0.2)
+    errors = [farthest(simulated("slow", po.HarmonicBalance(n), 1.0, 0.2), exact) for n in (4, 8, 16, 32, 64)]
+    for before, after in itertools.pairwise(errors):
+        assert after < max(0.2 * before, 1e-8)
+
+
+@pytest.mark.parametrize("choice", [po.HarmonicBalance(1), po.HarmonicBalance(4)])
+@pytest.mark.parametrize("name", ["damped", "undamped", "soft"])
+def test_no_balanced_harmonic_of_the_force_is_left_over(r1_scene, name, choice):
+    wave = po.StrengthWave(0.8, 0.6)
+    run = po.simulate(r1_scene(strength_wave=wave, orbit=choice, **(CASES | STIFFEST)[name]), outputs=240)
+    scene, reaction, damping = run.scene, run.scene.reaction, run.scene.effects.damping or 0.0
+    z = np.asarray(run.deflection)[:-1]
+    omega, turns = 2 * np.pi / run.duration, np.fft.rfftfreq(240, 1 / 240)
+    rate, bend = (np.fft.irfft((1j * omega * turns) ** k * np.fft.rfft(z), 240) for k in (1, 2))
+    speed, travel = scene.tow_speed - rate, scene.tow_speed * np.asarray(run.time)[:-1] - z
+    soil = reaction.static * (1 + 0.8 * np.sin(2 * np.pi * travel / 0.6)) + reaction.drag * speed**2
+    left = np.abs(np.fft.rfft(scene.inertia * bend + scene.stiffness * z + damping * rate - soil)) / 240
+    balanced = left[: choice.harmonics + 1]
+    # The projection has 4 n + 12 samples, which leave the force's harmonics beyond them.
+    assert np.max(balanced) < 1e-9 * reaction.static
+    assert np.max(left[choice.harmonics + 1 :]) > 1e-6 * reaction.static
+
+
+@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize("choice", ["linearised", po.HarmonicBalance(2), po.HarmonicBalance(16)])
+def test_averages_are_those_of_the_outputs(simulated, name, choice):
+    run = simulated(name, choice, 0.5)
+    force, z = run.mount_force[:-1], run.deflection[:-1]
+    # Of a few harmonics the mean over equal intervals is exact.
+    assert run.mean_draft == pytest.approx(np.mean(force), rel=1e-13)
+    assert run.mean_deflection == pytest.approx(np.mean(z), rel=1e-13)
+    assert run.force_rms == pytest.approx(np.std(force), rel=1e-12)
+    assert run.displacement_rms == pytest.approx(np.std(z), rel=1e-12)
+    assert run.tow_power == pytest.approx(run.mean_draft * run.scene.tow_speed, rel=1e-15)
+    assert run.duration == pytest.approx(0.6 / run.scene.tow_speed, rel=1e-15)
+    assert force[0] == pytest.approx(run.mount_force[-1], rel=1e-12)
+
+
+# --- how far they are from the orbit ---
+
+
+@pytest.mark.parametrize("choice", ["linearised", po.HarmonicBalance(1), po.HarmonicBalance(3)])
+@pytest.mark.parametrize("name", CASES)
+def test_error_estimate_is_the_difference_from_the_orbit(simulated, name, choice):
+    run, exact = simulated(name, choice), simulated(name, "periodic")
+    size = max(run.mean_draft, run.force_rms)
+    differences = (
+        abs(run.mean_draft - exact.mean_draft) / size,
+        abs(run.force_rms - exact.force_rms) / size,
+        np.max(np.abs(run.mount_force - exact.mount_force)) / np.max(np.abs(run.mount_force)),
+    )
+    assert run.error_estimate == pytest.approx(max(differences), rel=1e-6, abs=1e-12)
+    assert run.error_estimate > 0.0
+
+
+@pytest.mark.parametrize("choice", ["linearised", po.HarmonicBalance(1), po.HarmonicBalance(3)])
+def test_it_is_that_whichever_accuracy_is_asked_for(simulated, choice):
+    automatic = simulated("damped", choice)
+    for accuracy in (po.Accuracy(error=1e-11), po.Accuracy("dop853"), po.Accuracy("dop853", steps=96)):
+        run = simulated("damped", choice, accuracy=accuracy)
+        assert run.error_estimate == pytest.approx(automatic.error_estimate, rel=1e-6)
+        assert np.array_equal(run.mount_force, automatic.mount_force)
+
+
+def test_a_stand_in_for_an_orbit_that_is_not_found_says_nothing_of_its_error(r1_scene, capfd):
+    scene = r1_scene(stiffness=1e4, tow_speed=0.3, strength_wave=po.StrengthWave(1.0, 0.2), orbit=po.HarmonicBalance(1))
+    run = po.simulate(scene)
+    assert run.error_estimate == math.inf
+    assert run.force_rms > 0.0
+    # What CasADi says of the root that it did not find is not for the user.
+    assert capfd.readouterr() == ("", "")
+
+
+@pytest.mark.parametrize("choice", ["periodic", "linearised", po.HarmonicBalance(1), po.HarmonicBalance(3)])
+def test_at_the_resonance_of_a_conservative_mount_there_is_none(r1_scene, choice, capfd):
+    effects = {"inertial_drag": False, "strength_wave": po.StrengthWave(0.3, 0.6), "orbit": choice}
+    scene = r1_scene(**effects)
+    scene = r1_scene(stiffness=scene.inertia * scene.wave_frequency**2, **effects)
+    with pytest.raises(po.IntegrationError, match="damp the mount"):
+        po.simulate(scene)
+    assert capfd.readouterr() == ("", "")

@@ -1,0 +1,292 @@
+"""Motion of a share by SciPy, in its travel L and speed L' in SI units, for every contact law and with entry.
+
+Slip, stick and gap are integrated piece by piece; each event is found on the interpolant, and then sharpened by Newton
+steps that integrate anew, for the interpolant is of lower order than the method. Beside the motion it keeps books of
+energy: what the strut delivers, what the damper takes, and what is work on the soil, recapture included.
+"""
+
+import itertools
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.integrate import solve_ivp
+
+import plough_opt as po
+
+SLIP, STICK, GAP = 0, 1, 2
+RAMP = np.polynomial.Polynomial([0, 0, 0, 10, -15, 6])
+RAMP_PATH, RAMP_RATE = RAMP.integ(), RAMP.deriv()
+TIGHT = 1e-12
+
+
+@dataclass(frozen=True)
+class Change:
+    """An event: when, between which modes, and the share's speed before and after."""
+
+    time: float
+    old: int
+    new: int
+    speed: float
+    after: float
+    travel: float
+
+
+@dataclass(frozen=True)
+class Motion:
+    """Arrays at the output times, averages, events, and the books of energy at the end [J]."""
+
+    time: np.ndarray
+    travel: np.ndarray
+    speed: np.ndarray
+    deflection: np.ndarray
+    mount_force: np.ndarray
+    soil_resistance: np.ndarray
+    mode: np.ndarray
+    opening: np.ndarray
+    mean_draft: float
+    force_rms: float
+    mean_deflection: float
+    displacement_rms: float
+    tow_power: float
+    changes: tuple[Change, ...]
+    damper_work: float
+    soil_work: float
+    capture_loss: float
+
+    def near_a_change(self, within):
+        """Tell of each output time whether an event is that near [s]."""
+        moments = np.array([change.time for change in self.changes] or [-np.inf])
+        return np.min(np.abs(self.time[:, None] - moments), axis=1) < within
+
+    def count(self, old, new):
+        """Return how many events lead from one mode to another."""
+        return sum((change.old, change.new) == (old, new) for change in self.changes)
+
+
+class _Share:
+    """The forces of a scene of numbers, written from the model's equations."""
+
+    def __init__(self, scene):
+        e, reaction = scene.effects, scene.reaction
+        self.k, self.c = float(scene.stiffness), float(e.damping or 0.0)
+        self.m, self.added = float(scene.mass), float(reaction.added_mass)
+        self.static, self.drag = float(reaction.static), float(reaction.drag)
+        self.rate, self.ramp = float(e.rate_term or 0.0), float(e.tow_ramp or 0.0)
+        self.v0, self.height = float(scene.tow_speed), float(scene.cone.height)
+        self.entry = e.entry
+        wave = e.strength_wave
+        self.wave = (float(wave.amplitude), 2.0 * math.pi / float(wave.wavelength)) if wave else (0.0, 0.0)
+        self.width = float(e.contact.width) if isinstance(e.contact, po.Smooth) else None
+        self.breakaway = float(e.contact.breakaway) if isinstance(e.contact, po.StickSlip) else None
+        self.first_speed = 0.0 if self.ramp else self.v0
+
+    def strut(self, t):
+        """Return path and speed of the strut."""
+        if t >= self.ramp:
+            return self.v0 * (t - self.ramp / 2.0), self.v0
+        u = t / self.ramp
+        return self.v0 * self.ramp * float(RAMP_PATH(u)), self.v0 * float(RAMP(u))
+
+    def strut_acceleration(self, t):
+        return self.v0 / self.ramp * float(RAMP_RATE(t / self.ramp)) if t < self.ramp else 0.0
+
+    def buried(self, travel):
+        return min(max(travel, 0.0), self.height) / self.height if self.entry else 1.0
+
+    def step(self, speed):
+        if self.width is None:
+            return 1.0
+        u = min(max(speed / self.width, 0.0), 1.0)
+        return 6.0 * u**5 - 15.0 * u**4 + 10.0 * u**3
+
+    def soil(self, travel, speed):
+        """Return the resistance without the added mass."""
+        epsilon, number = self.wave
+        strength = self.static * (1.0 + self.rate * speed**2) * (1.0 + epsilon * math.sin(number * travel))
+        return self.step(speed) * self.buried(travel) ** 2 * (strength + self.drag * speed**2)
+
+    def hold(self, travel):
+        """Return the mount force at which a sticking share moves."""
+        epsilon, number = self.wave
+        static = self.static * (1.0 + epsilon * math.sin(number * travel))
+        return self.breakaway * self.buried(travel) ** 2 * static
+
+    def carried(self, travel):
+        return self.added * self.buried(travel) ** 3
+
+    def pull(self, t, travel, speed):
+        path, tow = self.strut(t)
+        return self.k * (path - travel) + self.c * (tow - speed)
+
+    def start(self, kind):
+        """Return travel and speed at time 0."""
+        if kind != "equilibrium":
+            return 0.0, (0.0 if kind == "rest" else self.first_speed)
+        v = self.first_speed
+        steady = self.step(v) * (self.static * (1.0 + self.rate * v**2) + self.drag * v**2)
+        return -steady / self.k, v
+
+    def first_mode(self, kind, travel, speed):
+        """Return the mode at time 0: a share without speed sticks unless the mount already pulls enough."""
+        if self.breakaway is None or speed > 0.0:
+            return SLIP
+        pull = self.static if kind == "equilibrium" else self.pull(0.0, travel, speed)
+        return STICK if pull < self.hold(travel) else SLIP
+
+    def rates(self, mode, about):
+        """Return the rate of (L, L', sums of P, z, their squares about a mean, P s', damper's and soil's work)."""
+        mean_force, mean_deflection = about
+
+        def rate(t, x):
+            travel, v = x[0], x[1]
+            path, tow = self.strut(t)
+            z, slide = path - travel, tow - v
+            force = self.k * z + self.c * slide
+            if mode == SLIP:
+                a = (force - self.soil(travel, v)) / (self.m + self.carried(travel))
+            elif mode == STICK:
+                v, a = 0.0, 0.0
+            else:
+                a = force / self.m
+            taken = (force - self.m * a) * v
+            squares = (force - mean_force) ** 2, (z - mean_deflection) ** 2
+            return [v, a, force, z, *squares, force * tow, self.c * slide**2, taken]
+
+        return rate
+
+    def ends(self, mode, furthest, entered):
+        """Return what crosses 0 upwards when a mode, or the entry, ends."""
+        found = []
+        if self.breakaway is not None:
+            # An event counts only where the share moves towards it, so that none repeats at its own start.
+            if mode == SLIP:
+                found.append(lambda t, x: -x[1] if self.pull(t, x[0], x[1]) < self.soil(x[0], x[1]) else -1.0)
+            elif mode == STICK:
+                found.append(lambda t, x: self.pull(t, x[0], 0.0) - self.hold(x[0]))
+            else:
+                found.append(lambda _, x: x[0] - furthest if x[1] > 0.0 else -1.0)
+        if self.entry and not entered and mode != STICK:
+            found.append(lambda _, x: x[0] - self.height)
+        return found
+
+
+def follow(scene, duration, outputs=20, tolerance=TIGHT):
+    """Return the `Motion` of a scene of numbers."""
+    share = _Share(scene)
+    times = np.linspace(0.0, duration, outputs + 1)
+    rough = _path(share, scene, (duration, times), (share.static, share.static / share.k), 1e3 * tolerance)
+    about = tuple(rough[0][2:4, -1] / duration)
+    columns, modes, openings, changes, loss = _path(share, scene, (duration, times), about, tolerance)
+    travel, speed = columns[:2]
+    sums = columns[:, -1]
+    means = sums[2:4] / duration
+    spreads = np.maximum(sums[4:6] / duration - (means - np.array(about)) ** 2, 0.0)
+    pull = np.array([share.pull(*point) for point in zip(times, travel, speed, strict=True)])
+    acceleration = [share.rates(mode, about)(t, x)[1] for t, x, mode in zip(times, columns.T, modes, strict=True)]
+    return Motion(
+        time=times,
+        travel=travel,
+        speed=speed,
+        deflection=np.array([share.strut(t)[0] for t in times]) - travel,
+        mount_force=pull,
+        soil_resistance=pull - share.m * np.array(acceleration),
+        mode=np.array(modes),
+        opening=np.array(openings),
+        mean_draft=means[0],
+        force_rms=math.sqrt(spreads[0]),
+        mean_deflection=means[1],
+        displacement_rms=math.sqrt(spreads[1]),
+        tow_power=sums[6] / duration,
+        changes=tuple(changes),
+        damper_work=sums[7],
+        soil_work=sums[8] + loss,
+        capture_loss=loss,
+    )
+
+
+def _path(share, scene, when, about, tolerance):
+    """Return states at the output times, modes, openings, changes of mode and the loss at recapture."""
+    duration, times = when
+    kind = scene.effects.start
+    travel, speed = share.start(kind)
+    mode = share.first_mode(kind, travel, speed)
+    furthest, entered, loss = travel, False, 0.0
+    force = share.static + share.v0 * math.sqrt(share.k * share.m) + 1e-9
+    sizes = np.array([force / share.k, force / math.sqrt(share.k * share.m), *_sums(share, force, duration)])
+    # The travel's own size does not matter: it is its difference from the strut's path that pulls.
+    relative = np.full(9, max(tolerance, 2.3e-14))
+    relative[0] = 2.3e-14
+    settings = {"method": "DOP853", "rtol": relative, "atol": tolerance * sizes}
+    stops = sorted({*times, *([share.ramp] if 0.0 < share.ramp < duration else [])})
+    x, columns, modes, openings, changes = np.array([travel, speed] + [0.0] * 7), [], [], [], []
+
+    def note():
+        columns.append(x)
+        modes.append(mode)
+        openings.append(furthest - x[0] if mode == GAP else 0.0)
+
+    note()
+    for now, end in itertools.pairwise(stops):
+        while now < end:
+            ends = share.ends(mode, furthest, entered)
+            now, x, which = _piece(share.rates(mode, about), (now, end), x, ends, settings)
+            if which is None:
+                break
+            if share.breakaway is None or which == 1:
+                entered = True
+                continue
+            pull, old, before = share.pull(now, x[0], 0.0 if mode == STICK else x[1]), mode, x[1]
+            x = x.copy()
+            if mode == SLIP:
+                x[1], mode = 0.0, (GAP if pull < 0.0 else STICK if pull <= share.hold(x[0]) else SLIP)
+                furthest = x[0]
+            elif mode == STICK:
+                x[1], mode = 0.0, SLIP
+            else:
+                x[0], mode = furthest, SLIP
+                x[1] *= share.m / (share.m + share.carried(x[0]))
+                loss += share.m * (before**2 - x[1] ** 2) / 2.0
+                entered = entered or x[0] >= share.height
+            changes.append(Change(now, old, mode, before, x[1], x[0]))
+            assert len(changes) < 100_000, "events without end"
+        if end in times:
+            note()
+    return np.array(columns).T, modes, openings, changes, loss
+
+
+def _sums(share, force, duration):
+    """Return the sizes of the integrals, for absolute tolerances."""
+    z = force / share.k
+    path = max(share.v0 * duration, z)
+    return [force * duration, z * duration, force**2 * duration, z**2 * duration, *[force * path] * 3]
+
+
+def _piece(rate, span, x, ends, settings):
+    """Integrate to the end of a span or to the first event; return time, state and which event."""
+    found = []
+    for k, function in enumerate(ends):
+
+        def event(t, x, function=function):
+            return function(t, x)
+
+        event.terminal, event.direction = True, 1.0
+        found.append((k, event))
+    done = solve_ivp(rate, span, x, events=[event for _, event in found] or None, **settings)
+    assert done.success, done.message
+    if done.status == 0:
+        return span[1], done.y[:, -1], None
+    ((which, moment),) = [(k, t[0]) for k, t in enumerate(done.t_events) if len(t)][:1]
+    # The last step starts at the last time but one; from there integrate anew to the event, twice corrected.
+    before, base = done.t[-2], done.y[:, -2]
+    at = moment
+    for _ in range(3):
+        state = solve_ivp(rate, (before, at), base, **settings).y[:, -1] if at > before else base
+        value = ends[which](at, state)
+        step = 1e-7 * (at - before) or 1e-12
+        slope = (ends[which](at + step, state + step * np.array(rate(at, state))) - value) / step
+        correction = value / slope if abs(slope) > 0.0 else 0.0
+        if not abs(correction) < 0.1 * (at - before) or abs(correction) <= 4e-16 * at:
+            break
+        at -= correction
+    return at, state, which

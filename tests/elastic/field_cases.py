@@ -104,6 +104,7 @@ def thinned(*ranges, keep):
 
 
 def slow(cases):
+    """Return cases that run with the slow tests only."""
     return [pytest.param(case, marks=pytest.mark.slow) for case in cases]
 
 

@@ -113,6 +113,13 @@ def thrust(body, speed, nu=0.3):
     return float(2 * nodes[-1][0] * (max(map(abs, slopes)) + FRICTION) * MU * (1 + abs(K)) * sum(map(abs, slopes)))
 
 
+def precise_wedge_force(body, speed, ambient_pressure, separation=True):
+    """Return the force on a body to some thirty digits."""
+    with mp.workdps(40):
+        numbers = mp.mpf(FRICTION), mp.mpf(ambient_pressure)
+        return oracle.wedge_force(exact_nodes(body), exact_medium(speed), *numbers, separation)
+
+
 @bodies
 @pytest.mark.parametrize("speed", [1e-6, 0.3, 0.9274, 0.95])
 def test_signed_drag_is_zero(body, speed):
@@ -169,9 +176,7 @@ def test_force_on_any_wedge_against_precise_integration(body, speed, ambient_pre
     nodes = nodes_of(inputs(0, 0, body))
     size = thrust(body, speed)
     for separation in (True, False):
-        wanted = oracle.wedge_force(
-            exact_nodes(body), exact_medium(speed), mp.mpf(FRICTION), mp.mpf(ambient_pressure), separation
-        )
+        wanted = precise_wedge_force(body, speed, ambient_pressure, separation)
         force = po.elastic.wedge_force(nodes, soil, V0, separation=separation)
         assert force == pytest.approx(float(wanted), rel=0, abs=4 * EPS * size)
 
@@ -195,7 +200,7 @@ SHORT = [
 ]
 
 
-@pytest.mark.parametrize("body", SHORT, ids=str)
+@pytest.mark.parametrize("body", [*SHORT[:2], *slow(SHORT[2:])], ids=str)
 def test_contact_that_is_lost_or_kept_on_a_short_part_of_a_piece(body):
     body, speed = body
     nodes = nodes_of(inputs(0, 0, body))
@@ -205,10 +210,10 @@ def test_contact_that_is_lost_or_kept_on_a_short_part_of_a_piece(body):
         pressure = po.elastic.wedge_pressure(np.linspace(a, b, 1001)[1:-1], nodes, soil, V0)
         slopes = np.diff(pressure)
         turning += list(pressure[1:-1][slopes[1:] * slopes[:-1] < 0.0])
-    ambient = [-p * part for p in turning for part in (0.7, 0.9, 0.99, 1.01, 1.1, 1.3) if p < 0.0]
+    ambient = [-p * part for p in turning for part in (0.7, 0.95, 1.05, 1.3) if p < 0.0]
     assert ambient
     for ambient_pressure in ambient:
-        exact = oracle.wedge_force(exact_nodes(body), exact_medium(speed), mp.mpf(FRICTION), mp.mpf(ambient_pressure))
+        exact = precise_wedge_force(body, speed, float(ambient_pressure))
         soil, _ = ground(speed, ambient_pressure=float(ambient_pressure))
         force = po.elastic.wedge_force(nodes, soil, V0)
         assert force == pytest.approx(float(exact), rel=0, abs=4 * EPS * thrust(body, speed)), ambient_pressure
@@ -218,11 +223,12 @@ def test_contact_that_is_lost_or_kept_on_a_short_part_of_a_piece(body):
 def test_ambient_pressure_presses_the_soil_onto_the_face(body):
     """The force falls with it, to that of the soil that clings: for one straight wedge to zero."""
     nodes = nodes_of(inputs(0, 0, body))
-    forces = [po.elastic.wedge_force(nodes, *ground(ambient_pressure=p)) for p in (0.0, 1e5, 1e6, 1e7, 1e9)]
+    forces = [po.elastic.wedge_force(nodes, *ground(ambient_pressure=p)) for p in (0.0, 1e6, 1e7, 1e9)]
     clinging = po.elastic.wedge_force(nodes, *ground(ambient_pressure=0.0), separation=False)
-    assert all(a > b for a, b in itertools.pairwise(forces[:4]))
+    assert all(a > b for a, b in itertools.pairwise(forces[:3]))
     assert forces[-1] == pytest.approx(clinging, rel=0, abs=4 * EPS * thrust(body, 0.3))
-    assert clinging == 0.0 or body != "wedge"
+    if body == "wedge":
+        assert clinging == 0.0
 
 
 # Hundreds of roundings, and fifty times those of the speed: 95 m/s lies 2 % above the Rayleigh wave's.

@@ -78,9 +78,10 @@ def thrust(case):
 
 
 def runs():
-    """Yield every case with every kind of number; the fields of a cone have large graphs of scalar operations."""
+    """Yield every case with every kind of number; forces and cones have large graphs of scalar operations."""
     for case, (name, symbol) in itertools.product(CASES, {"float": None, "SX": ca.SX, "MX": ca.MX}.items()):
-        marks = [pytest.mark.slow] if name == "SX" and case["kind"].startswith("cone") and case["id"] > 31 else []
+        large = case["kind"] in ("wedge_drag", "cone_field", "cone_drag") and case["id"] != 31
+        marks = [pytest.mark.slow] if large and name == "SX" else []
         yield pytest.param(case, symbol, marks=marks, id=f"{case['id']} {case['kind']} {case['tag']} {name}")
 
 

@@ -23,6 +23,11 @@ STIFF_TOLERANCE = 1e-9
 PHASE_PER_STEP = 0.5
 """Phase [rad] of the fastest oscillation in one step of order 8 that leaves a relative error of some 1e-10."""
 
+MOST_RINGING = 2e4
+"""Phase [rad] of the share's own oscillation from a start that is not steady, which is followed unasked."""
+
+# exp(-30) is the rounding of the first swing.
+_DECAYED = 30.0
 _FEWEST_STEPS = 20
 _MOST_STEPS = 4_000_000
 
@@ -49,6 +54,15 @@ def fastest_rate(p: Mapping[str, float]) -> float:
 def phase(p: Mapping[str, float], duration: float) -> float:
     """Return the phase of the fastest oscillation over the run [rad]."""
     return fastest_rate(p) * duration
+
+
+def ringing(p: Mapping[str, float], duration: float) -> float:
+    """Return the phase [rad] of the share's own oscillation from a start that is not steady, until it has died away."""
+    inertia = p["mass"] if "mass" in p else p["inertia"]
+    frequency = math.sqrt(abs(p["stiffness"]) / inertia)
+    decay = (p.get("damping", 0.0) + 2.0 * p.get("drag", 0.0) * p.get("tow_speed", 0.0)) / (2.0 * inertia)
+    lasts = min(duration, _DECAYED / decay) if decay > 0.0 else duration
+    return frequency * lasts
 
 
 def steps_for(total_phase: float, phase_per_step: float = PHASE_PER_STEP) -> int:

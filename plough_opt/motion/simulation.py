@@ -20,12 +20,15 @@ from plough_opt.motion.equation import SLIP
 from plough_opt.motion.integrators import Integration, integration
 from plough_opt.motion.orbit import monodromy
 from plough_opt.motion.plan import (
+    MOST_RINGING,
+    PHASE_PER_STEP,
     STIFF_PHASE,
     TIGHTEST,
     automatic,
     check_of,
     forced_rate,
     phase,
+    ringing,
     steps_for,
     timeline_of,
     with_setting,
@@ -46,6 +49,8 @@ _TIGHTER = 0.03
 _MOST_GROWTH = 700.0
 # Speeds backwards below this fraction of the fastest speed are rounding, not retreat.
 _RETREAT = 1e-9
+# Relative difference of a stand-in from the lasting orbit that a reader must know.
+_TELLING = 1e-2
 # A multiplier above 1 by less is that of an undamped mount, rounded.
 _MARGINAL = 1e-8
 # Speeds backwards of a slipping share above this fraction are no rounding of the time at which it stopped.
@@ -153,6 +158,7 @@ def _verified(scene: Scene, duration: float, accuracy: Accuracy, outputs: int) -
         return _stand_in(scene, duration, wanted, outputs)
     if accuracy.method != "auto":
         return *_twice(scene, duration, with_setting(accuracy, steps_for(total), outputs), outputs), ()
+    _refuse_ringing(scene, duration)
     for tightening in range(_TIGHTENINGS):
         method = automatic(wanted * _TIGHTER**tightening, total, outputs, orbit == "periodic")
         run, error = _twice(scene, duration, method, outputs)
@@ -167,6 +173,20 @@ def _verified(scene: Scene, duration: float, accuracy: Accuracy, outputs: int) -
     )
 
 
+def _refuse_ringing(scene: Scene, duration: float) -> None:
+    """Refuse a start from which a stiff mount rings so often that following it would take minutes."""
+    numbers = _numbers(scene)
+    turns = ringing(numbers, duration)
+    if scene.effects.start == "equilibrium" or scene.effects.printed.repelling_spring or turns <= MOST_RINGING:
+        return
+    steps = turns / PHASE_PER_STEP
+    raise IntegrationError(
+        f"the motion of a {scene.describe()}: from this start it rings {turns / (2.0 * math.pi):.3g} times, which"
+        f" would take some {steps:.1g} steps: damp the mount, start at equilibrium, take a softer mount, a shorter"
+        " duration or the quasi-static scene, or name a method, as Accuracy('erk'), to follow it all the same"
+    )
+
+
 def _stand_in(scene: Scene, duration: float, wanted: float, outputs: int) -> tuple[Run, float, tuple[str, ...]]:
     """Return a stand-in for the lasting orbit, its relative difference from the orbit, and a note if there is none."""
     exact = replace(scene, effects=replace(scene.effects, orbit="periodic"))
@@ -176,7 +196,8 @@ def _stand_in(scene: Scene, duration: float, wanted: float, outputs: int) -> tup
         orbit = _integrate(exact, duration, method, outputs)
     except IntegrationError:
         return run, math.inf, ("the lasting orbit that this run stands for was not found: its error is unknown",)
-    return run, _difference(run, orbit), ()
+    error = _difference(run, orbit)
+    return run, error, (f"a stand-in for the lasting orbit, from which it differs by {error:.1%}",) * (error > _TELLING)
 
 
 def _twice(scene: Scene, duration: float, accuracy: Accuracy, outputs: int) -> tuple[Run, float]:
@@ -188,7 +209,7 @@ def _twice(scene: Scene, duration: float, accuracy: Accuracy, outputs: int) -> t
 
 def _integrate(scene: Scene, duration: Expression, accuracy: Accuracy, outputs: int) -> Run:
     """Integrate once, by a method with its setting."""
-    timeline = timeline_of(scene, duration, outputs, accuracy.steps or outputs)
+    timeline = timeline_of(scene, duration, outputs, accuracy.steps or max(outputs, OUTPUTS))
     solver = integration(Structure.of(scene), accuracy, timeline)
     p = parameters(scene)
     values = [*(p[name] for name in solver.names), duration]

@@ -30,6 +30,7 @@ _REQUIRED = (
     "scene.tow_speed",
     "scene.duration",
 )
+_DURATION = ("scene", "duration")
 _SOIL_REQUIRED = ("density", "density_ratio", "cohesion", "friction_angle", "tool_friction")
 _WAVE = ("effects.strength_wave.amplitude", "effects.strength_wave.wavelength")
 # Values inside every domain, beside which a single value is checked.
@@ -191,7 +192,7 @@ def _check_complete(source: Source, table: ProblemTable, known: set[str]) -> Non
                 raise InputError(f"'{key}' belongs to contact = \"{law}\", which [effects] does not ask for")
     orbit = table.effects.orbit != "transient"
     if orbit and "scene.duration" in known:
-        with source.noting(("scene", "duration")):
+        with source.noting(("variables", "scene.duration") if "scene.duration" in table.variables else _DURATION):
             raise InputError("a lasting orbit has a duration of its own, one wavelength of the soil: leave it out")
     if table.effects.orbit != "harmonic_balance" and "harmonics" in table.effects.model_fields_set:
         with source.noting(("effects", "harmonics")):

@@ -218,6 +218,9 @@ def _path(share, scene, when, about, tolerance):
     relative = np.full(9, max(tolerance, 2.3e-14))
     relative[0] = 2.3e-14
     settings = {"method": "DOP853", "rtol": relative, "atol": tolerance * sizes}
+    if share.breakaway is not None:
+        # A stop of short duration lies between two crossings that a long step would take at once.
+        settings["max_step"] = 0.1 / max(math.sqrt(share.k / share.m), share.wave[1] * share.v0)
     stops = sorted({*times, *([share.ramp] if 0.0 < share.ramp < duration else [])})
     x, columns, modes, openings, changes = np.array([travel, speed] + [0.0] * 7), [], [], [], []
 

@@ -1,0 +1,165 @@
+"""Entry from first contact: the law itself, both sides of its kink, and the motion under every contact law."""
+
+import math
+
+import numpy as np
+import pytest
+import three_modes
+
+import plough_opt as po
+
+SHARE = po.Wedge(po.deg(25.0), po.deg(15.0), 0.25)
+BLUNT = po.Wedge(po.deg(70.0), po.deg(15.0), 0.40)
+WAVE = po.StrengthWave(0.6, 0.2)
+LAWS = {"resisting": "resisting", "smooth": po.Smooth(0.05), "stick_slip": po.StickSlip(1.2)}
+
+
+def scene_of(soil, share=SHARE, stiffness=2e4, mass=24.0, speed=1.0, **effects):
+    return po.Scene(soil, share, stiffness, mass, speed, po.Effects(**({"entry": True, "start": "towed"} | effects)))
+
+
+def largest(values):
+    return float(np.max(np.abs(values)))
+
+
+# --- the law ---
+
+
+@pytest.mark.parametrize("contact", LAWS.values(), ids=LAWS)
+def test_slow_and_stiff_the_force_is_the_square_of_the_travel_and_then_constant(r1_soil, contact):
+    speed = 0.02 if contact == "resisting" else 0.2
+    # Damped, so that what a finite stiffness leaves of an oscillation dies at once.
+    scene = scene_of(r1_soil, stiffness=1e6, speed=speed, contact=contact, damping=4e3, inertial_drag=False)
+    run = po.simulate(scene, 1.6 * scene.cone.height / speed, outputs=64)
+    static = scene.reaction.static
+    expected = static * np.minimum(run.travel / scene.cone.height, 1.0) ** 2
+    # M L'' is M V^2/h, some tens of newtons per metre of 1e6 N/m: below 1e-3 of the force.
+    assert run.mount_force[1:] == pytest.approx(expected[1:], rel=0, abs=2e-3 * static)
+    before, after = run.travel < 0.9 * scene.cone.height, run.travel > 1.1 * scene.cone.height
+    assert np.count_nonzero(before) > 30
+    assert np.count_nonzero(after) > 15
+    # A parabola: its second difference is constant, 2 F0 (V dt/h)^2.
+    bend = 2.0 * static * (speed * (run.time[1] - run.time[0]) / scene.cone.height) ** 2
+    assert np.diff(run.mount_force[before], 2)[3:] == pytest.approx(bend, rel=0.05)
+    assert run.mount_force[after] == pytest.approx(static, rel=2e-3)
+
+
+def test_resistance_has_the_powers_of_the_buried_length(r1_soil):
+    scene = scene_of(r1_soil, share=BLUNT, stiffness=5e5, speed=2.0, rate_term=0.05, strength_wave=WAVE)
+    run = po.simulate(scene, 0.5, outputs=200)
+    reaction, height = scene.reaction, scene.cone.height
+    depth = np.clip(run.travel / height, 0.0, 1.0)
+    wave = 1.0 + 0.6 * np.sin(2.0 * math.pi * run.travel / 0.2)
+    force = depth**2 * (reaction.static * (1.0 + 0.05 * run.speed**2) * wave + reaction.drag * run.speed**2)
+    acceleration = (run.mount_force - force) / (scene.mass + depth**3 * reaction.added_mass)
+    expected = force + depth**3 * reaction.added_mass * acceleration
+    assert np.count_nonzero((depth > 0.0) & (depth < 1.0)) > 30
+    assert np.count_nonzero(depth == 1.0) > 30
+    assert run.soil_resistance == pytest.approx(expected, rel=0, abs=1e-12 * largest(expected))
+
+
+def test_both_sides_of_the_kink_against_an_exact_solution(r1_soil):
+    # At rest under a spring that is so soft that the share follows its momentum: without wave, drag and added mass,
+    # energy gives the speed: m v^2/2 falls by the work F0 L^3/(3 h^2), and beyond h by F0 (L - h) too.
+    scene = scene_of(r1_soil, stiffness=1e-6, mass=100.0, speed=3.0, inertial_drag=False, added_mass=False)
+    static, height = scene.reaction.static, scene.cone.height
+    run = po.simulate(scene, 0.12, outputs=240)
+    depth = np.minimum(run.travel, height)
+    work = static * depth**3 / (3.0 * height**2) + static * np.maximum(run.travel - height, 0.0)
+    assert np.count_nonzero(run.travel < height) > 100
+    assert np.count_nonzero(run.travel > height) > 20
+    assert scene.mass * run.speed**2 / 2.0 == pytest.approx(scene.mass * 9.0 / 2.0 - work, rel=2e-8)
+
+
+@pytest.mark.parametrize("start", ["rest", "towed"])
+def test_both_sides_of_the_kink_with_the_spring_in_closed_form(r1_soil, start):
+    # Wholly in the soil the undamped equation is linear: from the state at any later time a sine follows exactly.
+    scene = scene_of(r1_soil, start=start, stiffness=5e4, speed=2.0, inertial_drag=False)
+    run = po.simulate(scene, 0.8, outputs=400)
+    inside = np.flatnonzero(run.travel > scene.cone.height)
+    assert np.all(np.diff(inside) == 1)
+    assert len(inside) > 100
+    first, z_s = inside[0], scene.reaction.static / scene.stiffness
+    omega = math.sqrt(scene.stiffness / scene.inertia)
+    since = run.time[first:] - run.time[first]
+    w0, rate0 = run.deflection[first] - z_s, scene.tow_speed - run.speed[first]
+    expected = z_s + w0 * np.cos(omega * since) + rate0 / omega * np.sin(omega * since)
+    assert run.deflection[first:] == pytest.approx(expected, rel=0, abs=2e-8 * largest(expected))
+
+
+# --- against a solver of our own ---
+
+OTHERS = {
+    "bare": {},
+    "wave": {"strength_wave": WAVE},
+    "all": {"strength_wave": WAVE, "damping": 150.0, "tow_ramp": 0.3, "rate_term": 0.1},
+    "force alone": {"inertial_drag": False, "added_mass": False, "strength_wave": WAVE},
+}
+
+
+@pytest.mark.parametrize("others", OTHERS.values(), ids=OTHERS)
+@pytest.mark.parametrize("contact", LAWS.values(), ids=LAWS)
+@pytest.mark.parametrize("start", ["rest", "towed"])
+@pytest.mark.parametrize("share", [SHARE, BLUNT], ids=["slender", "blunt"])
+def test_an_independent_solver_agrees(r1_soil, share, start, contact, others):
+    scene = scene_of(r1_soil, share=share, start=start, contact=contact, stiffness=2e4, speed=1.5, **others)
+    run, expected = po.simulate(scene, 0.8, outputs=16), three_modes.follow(scene, 0.8, outputs=16)
+    assert max(expected.travel) > scene.cone.height
+    force, size = largest(expected.mount_force), max(abs(expected.mean_draft), expected.force_rms)
+    assert largest(run.mount_force - expected.mount_force) < 2e-8 * force
+    assert run.mean_draft == pytest.approx(expected.mean_draft, rel=0, abs=2e-8 * size)
+    assert run.force_rms == pytest.approx(expected.force_rms, rel=0, abs=2e-8 * size)
+    far = ~expected.near_a_change(1e-6)
+    assert largest((run.soil_resistance - expected.soil_resistance)[far]) < 2e-8 * force
+
+
+# --- what entry leaves behind ---
+
+
+@pytest.mark.parametrize("contact", LAWS.values(), ids=LAWS)
+def test_once_buried_the_force_is_that_without_entry(r1_soil, contact):
+    damped = {"contact": contact, "damping": 700.0, "strength_wave": WAVE, "start": "towed"}
+    entering, buried = (
+        po.simulate(scene_of(r1_soil, entry=entry, speed=0.5, **damped), 6.0, outputs=600) for entry in (True, False)
+    )
+    late = entering.time > 4.0
+    # Both start differently; exp(-c t/2M) leaves nothing of that after 4 s.
+    assert entering.mount_force[late] == pytest.approx(buried.mount_force[late], rel=1e-6)
+    assert largest(entering.mount_force - buried.mount_force) > 0.2 * scene_of(r1_soil).reaction.static
+
+
+def test_the_undamped_force_of_a_buried_share_keeps_the_mean_and_the_frequency_of_no_entry(r1_soil):
+    scene = scene_of(r1_soil, inertial_drag=False, speed=2.0, stiffness=5e4)
+    start = 0.4
+    period = 2.0 * math.pi / scene.natural_frequency
+    run = po.simulate(scene, start + 20.0 * period, outputs=4000)
+    late = run.time >= start
+    assert np.all(run.travel[late] > scene.cone.height)
+    waves = np.column_stack(
+        [np.ones(np.sum(late)), *(f(scene.natural_frequency * run.time[late]) for f in (np.cos, np.sin))]
+    )
+    found, *_ = np.linalg.lstsq(waves, run.mount_force[late], rcond=None)
+    assert found[0] == pytest.approx(scene.reaction.static, rel=1e-8)
+    assert waves @ found == pytest.approx(run.mount_force[late], rel=0, abs=1e-6 * scene.reaction.static)
+
+
+def test_a_share_that_never_comes_so_far_feels_the_square_alone(r1_soil):
+    scene = scene_of(r1_soil, speed=0.1, start="rest")
+    run = po.simulate(scene, 1.0, outputs=10)
+    taller = po.Wedge(SHARE.angle, SHARE.chisel_angle, 2.0 * SHARE.height)
+    other = scene_of(r1_soil, share=taller, speed=0.1, start="rest", mass=24.0)
+    # F0 goes with h^2 and the added mass with h^3: the buried part of a taller share of the same shape is the same.
+    assert 0.0 < max(run.travel) < scene.cone.height
+    assert po.simulate(other, 1.0, outputs=10).mount_force == pytest.approx(run.mount_force, rel=1e-7)
+
+
+def test_nothing_is_felt_before_the_strut_moves(r1_soil):
+    for contact in LAWS.values():
+        run = po.simulate(scene_of(r1_soil, contact=contact, speed=0.0, start="rest"), 1.0, outputs=5)
+        assert largest(run.mount_force) == largest(run.travel) == largest(run.soil_resistance) == 0.0
+
+
+@pytest.mark.parametrize("effects", [{}, {"contact": po.StickSlip()}, {"contact": po.Smooth(0.1)}])
+def test_entry_from_equilibrium_is_refused(effects):
+    with pytest.raises(po.InputError, match=r"entry begins at first contact.*take start = 'rest' or 'towed'"):
+        po.Effects(entry=True, **effects)

@@ -31,7 +31,7 @@ NAMES = oracle.Cone._fields
 
 # Closed form and, farther off, two dozen quadrature nodes on each straight piece, in units of 2.2e-16 of what rounding
 # of the inputs does.
-VALUES = 16
+VALUES = 8
 DERIVATIVES = 32
 # Second derivatives in a speed that is within a few per cent of the shear wave's go as the gap to the power -3/2.
 DERIVATIVES_BESIDE_THE_SHEAR_WAVE = 512

@@ -1,0 +1,126 @@
+"""The smooth one-sided contact: its limit of no width, an independent solver, and what it warns of."""
+
+import numpy as np
+import pytest
+import three_modes
+
+import plough_opt as po
+
+SHARE = po.Wedge(po.deg(25.0), po.deg(15.0), 0.25)
+WAVE = po.StrengthWave(0.6, 0.2)
+
+
+def scene_of(soil, contact, **effects):
+    stiffness, speed = effects.pop("stiffness", 2e4), effects.pop("speed", 1.0)
+    return po.Scene(soil, SHARE, stiffness, 24.0, speed, po.Effects(contact=contact, **effects))
+
+
+def largest(values):
+    return float(np.max(np.abs(values)))
+
+
+def retreats(run):
+    return [text for text in run.warnings if "retreats" in text]
+
+
+@pytest.mark.parametrize(
+    "effects",
+    [
+        {"start": "rest"},
+        {"start": "rest", "strength_wave": po.StrengthWave(0.3, 0.4), "damping": 150.0},
+        {"start": "rest", "tow_ramp": 0.3, "rate_term": 0.05},
+    ],
+    ids=["rest", "wave", "ramp"],
+)
+def test_the_error_falls_with_the_width_where_no_gap_opens(r1_soil, effects):
+    exact_scene = scene_of(r1_soil, po.StickSlip(), **effects)
+    exact = po.simulate(exact_scene, 1.0, outputs=100)
+    assert three_modes.follow(exact_scene, 1.0).count(0, 2) == 0
+    widths = 0.02 / 2.0 ** np.arange(4)
+    errors = [
+        largest(
+            po.simulate(scene_of(r1_soil, po.Smooth(w), **effects), 1.0, outputs=100).mount_force - exact.mount_force
+        )
+        for w in widths
+    ]
+    # A share that should stick creeps at a fraction of the width: an error of first order.
+    orders = np.log2(np.array(errors[:-1]) / errors[1:])
+    assert errors[-1] < 1e-2 * largest(exact.mount_force)
+    assert orders == pytest.approx(1.0, abs=0.12)
+
+
+@pytest.mark.parametrize("width", [0.5, 0.05, 0.005])
+@pytest.mark.parametrize(
+    "effects",
+    [
+        {"start": "rest"},
+        {"start": "rest", "strength_wave": WAVE, "damping": 100.0},
+        {"start": "towed", "strength_wave": WAVE, "tow_ramp": 0.4, "rate_term": 0.1},
+        {"start": "equilibrium", "strength_wave": po.StrengthWave(1.0, 0.3)},
+        {"start": "equilibrium", "inertial_drag": False, "added_mass": False, "strength_wave": WAVE},
+    ],
+    ids=["rest", "damped", "ramp", "equilibrium", "force"],
+)
+def test_an_independent_solver_agrees(r1_soil, width, effects):
+    scene = scene_of(r1_soil, po.Smooth(width), **effects)
+    run, expected = po.simulate(scene, 1.0, outputs=10), three_modes.follow(scene, 1.0, outputs=10)
+    size = max(abs(expected.mean_draft), expected.force_rms)
+    # The run promises 1e-8; a narrow step makes both equations stiff.
+    assert largest(run.mount_force - expected.mount_force) < 5e-8 * largest(expected.mount_force)
+    assert largest(run.soil_resistance - expected.soil_resistance) < 1e-6 * largest(expected.mount_force)
+    assert run.mean_draft == pytest.approx(expected.mean_draft, rel=0, abs=2e-8 * size)
+    assert run.force_rms == pytest.approx(expected.force_rms, rel=0, abs=2e-8 * size)
+    tow = run.tow_power
+    kinetic = scene.mass * (run.speed[-1] ** 2 - run.speed[0] ** 2) / 2
+    elastic = scene.stiffness * (run.deflection[-1] ** 2 - run.deflection[0] ** 2) / 2
+    work = kinetic + elastic + expected.damper_work + expected.soil_work
+    assert tow == pytest.approx(work, rel=0, abs=1e-7 * (abs(kinetic) + abs(elastic) + abs(tow)))
+
+
+def test_above_the_width_it_is_the_plain_law(r1_soil):
+    effects = {"strength_wave": po.StrengthWave(0.1, 0.6), "speed": 2.0}
+    smooth, plain = (po.simulate(scene_of(r1_soil, law, **effects), 1.0) for law in (po.Smooth(0.5), "resisting"))
+    assert min(plain.speed) > 0.5
+    assert smooth.mount_force == pytest.approx(plain.mount_force, rel=3e-8)
+    assert smooth.force_rms == pytest.approx(plain.force_rms, rel=1e-7)
+
+
+@pytest.mark.parametrize("speed", [0.02, 0.05, 0.2])
+def test_a_steady_start_is_that_of_the_step(r1_soil, speed):
+    scene = scene_of(r1_soil, po.Smooth(0.1), speed=speed)
+    u = min(speed / 0.1, 1.0)
+    share = u**3 * (10.0 - 15.0 * u + 6.0 * u**2)
+    run = po.simulate(scene, 1.0, outputs=10)
+    steady = share * (scene.reaction.static + scene.reaction.drag * speed**2)
+    assert run.mount_force == pytest.approx(steady, rel=1e-12)
+    assert run.force_rms == pytest.approx(0.0, abs=1e-9 * steady)
+
+
+def test_a_share_that_retreats_carries_a_warning(r1_soil):
+    wave = po.StrengthWave(1.0, 0.6)
+    scene = scene_of(r1_soil, po.Smooth(0.05), start="rest", strength_wave=wave, speed=2.0, stiffness=1e4)
+    run = po.simulate(scene, 3.0)
+    (warning,) = retreats(run)
+    assert f"{-min(run.speed):.3g} m/s" in warning
+    assert "the smooth contact forgets the gap that it leaves; StickSlip() does not" in warning
+    back = run.speed < 0.0
+    assert np.any(back)
+    # What a retreating share feels is the added mass alone.
+    force = scene_of(r1_soil, po.Smooth(0.05)).reaction.added_mass / run.scene.inertia * run.mount_force
+    assert run.soil_resistance[back] == pytest.approx(force[back], rel=1e-9, abs=1e-6)
+
+
+def test_a_share_that_never_retreats_carries_none(r1_soil):
+    run = po.simulate(scene_of(r1_soil, po.Smooth(0.1), strength_wave=po.StrengthWave(0.05, 0.6)), 1.0)
+    assert min(run.speed) > 0.0
+    assert not retreats(run)
+
+
+@pytest.mark.parametrize("width", [1e-4, 1e-7])
+def test_a_very_small_width_ends_and_its_error_is_told(r1_soil, width):
+    scene = scene_of(r1_soil, po.Smooth(width), start="rest", speed=0.2)
+    exact = po.simulate(scene_of(r1_soil, po.StickSlip(), start="rest", speed=0.2), 1.0)
+    run = po.simulate(scene, 1.0)
+    assert run.seconds < 60.0
+    assert run.error_estimate <= 1e-8 or any("was not reached" in text for text in run.warnings)
+    assert run.mean_draft == pytest.approx(exact.mean_draft, rel=10.0 * width + 10.0 * run.error_estimate)

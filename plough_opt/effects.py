@@ -182,6 +182,8 @@ class Effects:
 
     def _check_own(self) -> None:
         """Refuse own resistances that are none, or that a contact law would not know what to do with."""
+        if not isinstance(self.own, tuple):
+            raise InputError(f"own = {self.own!r} must be a tuple of effects, as (Shank(150.0, 80.0),)")
         for effect in self.own:
             if isinstance(effect, type) or not (is_dataclass(effect) and isinstance(effect, OwnResistance)):
                 raise InputError(

@@ -130,6 +130,7 @@ def test_a_design_varies_and_rebuilds_it():
     ("effects", "message"),
     [
         ({"own": (3.0,)}, r"own effect 3\.0 must be a frozen dataclass with a method force"),
+        ({"own": Shank(1.0, 0.0)}, "must be a tuple of effects"),
         ({"own": (Shank,)}, "must be a frozen dataclass with a method force"),
         ({"own": (Silent(1.0),)}, "must be a frozen dataclass with a method force"),
         ({"own": (Shank(1.0, 0.0),), "contact": po.StickSlip()}, "at rest or in a gap"),

@@ -51,6 +51,8 @@ _MOST_GROWTH = 700.0
 _RETREAT = 1e-9
 # Relative difference of a stand-in from the lasting orbit that a reader must know.
 _TELLING = 1e-2
+# Part of the fastest speed below which a share all but stops.
+_GRAZES = 5e-3
 # A multiplier above 1 by less is that of an undamped mount, rounded.
 _MARGINAL = 1e-8
 # Speeds backwards of a slipping share above this fraction are no rounding of the time at which it stopped.
@@ -107,7 +109,7 @@ def simulate(
     started = time.perf_counter()
     run, error, notes = _verified(scene, float(duration), accuracy, outputs)
     multipliers, unstable = _stability(run) if scene.effects.orbit == "periodic" else ((), ())
-    notes = (*scene.warnings(), *notes, *_retreat(run), *unstable)
+    notes = (*scene.warnings(), *notes, *_retreat(run), *_grazing(run), *unstable)
     return replace(run, checks=Checks(error, time.perf_counter() - started, notes, multipliers))
 
 
@@ -324,6 +326,22 @@ def _difference(run: Run, check: Run) -> float:
         (np.max(np.abs(run.mount_force - check.mount_force)), np.max(np.abs(run.mount_force))),
     )
     return max((float(difference / scale) for difference, scale in pairs if scale > 0.0), default=0.0)
+
+
+def _grazing(run: Run) -> tuple[str, ...]:
+    """Return a warning where, at an output time, a share under stick and slip all but stops and slips on."""
+    if not isinstance(run.scene.effects.contact, StickSlip):
+        return ()
+    before, here, after = run.speed[:-2], run.speed[1:-1], run.speed[2:]
+    slips = (run.mode[:-2] == SLIP) & (run.mode[1:-1] == SLIP) & (run.mode[2:] == SLIP)
+    low = slips & (here <= before) & (here <= after) & (here < _GRAZES * float(np.max(run.speed)))
+    if not np.any(low):
+        return ()
+    first = int(np.argmax(low)) + 1
+    return (
+        f"the share all but stops at t = {run.time[first]:.4g} s ({run.speed[first]:.2g} m/s) and slips on: where its"
+        " speed just touches zero the motion has no derivative, and derivatives given are those of slipping on",
+    )
 
 
 def _stability(run: Run) -> tuple[tuple[complex, ...], tuple[str, ...]]:

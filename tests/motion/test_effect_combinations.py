@@ -163,7 +163,7 @@ def test_what_is_off_is_not_in_the_equation(r1_soil, effects):
     assert (equation.events is not None) == (stick_slip or effects["entry"])
     operations = [equation.function.instruction_id(k) for k in range(equation.function.n_instructions())]
     assert is_on(effects, "strength_wave") == (ca.OP_SIN in operations)
-    # Another effect that is switched on adds nodes; none is there already. (A ramp may take some away: it starts at rest.)
+    # Another effect that is switched on adds nodes. (A ramp may take some away, for it starts at rest.)
     for name, choices in FACTORS.items():
         others = {**effects, name: choices[-1]}
         if name in ("strength_wave", "damping", "rate_term", "entry") and not is_on(effects, name):

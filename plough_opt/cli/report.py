@@ -160,6 +160,8 @@ def _run_table(problem: Problem, run: Run) -> Table:
             table.add_row(label, shown(problem, name, float(MEASURES[name].of(run)), MEASURES[name].unit.symbol))
     table.add_row("peak mount force", shown(problem, "mount_force", run.peak_force, "N"))
     table.add_row("peak deflection", shown(problem, "deflection", run.peak_deflection, "m"))
+    if run.scene.effects.orbit == "periodic":
+        table.add_row("largest Floquet multiplier", f"{max(map(abs, run.floquet)):.4g}")
     return table
 
 

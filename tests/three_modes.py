@@ -155,19 +155,25 @@ class _Share:
 
         return rate
 
+    def slows(self, t, x):
+        """Return the force that speeds a slipping share up."""
+        return self.pull(t, x[0], x[1]) - self.soil(x[0], x[1])
+
     def ends(self, mode, furthest, entered):
-        """Return what crosses 0 upwards when a mode, or the entry, ends."""
+        """Return, by name, what crosses 0 upwards when a mode, or the entry, ends."""
         found = []
         if self.breakaway is not None:
             # An event counts only where the share moves towards it, so that none repeats at its own start.
             if mode == SLIP:
-                found.append(lambda t, x: -x[1] if self.pull(t, x[0], x[1]) < self.soil(x[0], x[1]) else -1.0)
+                found.append(("stop", lambda t, x: -x[1] if self.slows(t, x) < 0.0 else -1.0))
+                # A stop so short that both its crossings lie in one step shows where the slowing down ends.
+                found.append(("turn", self.slows))
             elif mode == STICK:
-                found.append(lambda t, x: self.pull(t, x[0], 0.0) - self.hold(x[0]))
+                found.append(("move", lambda t, x: self.pull(t, x[0], 0.0) - self.hold(x[0])))
             else:
-                found.append(lambda _, x: x[0] - furthest if x[1] > 0.0 else -1.0)
+                found.append(("capture", lambda _, x: x[0] - furthest if x[1] > 0.0 else -1.0))
         if self.entry and not entered and mode != STICK:
-            found.append(lambda _, x: x[0] - self.height)
+            found.append(("buried", lambda _, x: x[0] - self.height))
         return found
 
 
@@ -221,6 +227,8 @@ def _path(share, scene, when, about, tolerance):
     if share.breakaway is not None:
         # A stop of short duration lies between two crossings that a long step would take at once.
         settings["max_step"] = 0.1 / max(math.sqrt(share.k / share.m), share.wave[1] * share.v0)
+    # After a turn the next is not looked for at once, or rounding would find the same again.
+    turned, rest = -math.inf, 1e-3 * settings.get("max_step", 0.0)
     stops = sorted({*times, *([share.ramp] if 0.0 < share.ramp < duration else [])})
     x, columns, modes, openings, changes = np.array([travel, speed] + [0.0] * 7), [], [], [], []
 
@@ -233,11 +241,20 @@ def _path(share, scene, when, about, tolerance):
     for now, end in itertools.pairwise(stops):
         while now < end:
             ends = share.ends(mode, furthest, entered)
-            now, x, which = _piece(share.rates(mode, about), (now, end), x, ends, settings)
+            until = end
+            if now < turned + rest:
+                ends, until = [one for one in ends if one[0] != "turn"], min(end, turned + rest)
+            before = now, x
+            now, x, which = _piece(share.rates(mode, about), (now, until), x, ends, settings)
+            if which == "turn" and x[1] < 0.0:
+                last = now - 1e-5 * (now - before[0])
+                now, x, which = _piece(share.rates(mode, about), (before[0], last), before[1], ends[:1], settings)
             if which is None:
-                break
-            if share.breakaway is None or which == 1:
-                entered = True
+                continue
+            if which == "turn":
+                turned = now
+            if which in ("turn", "buried"):
+                entered = entered or which == "buried"
                 continue
             pull, old, before = share.pull(now, x[0], 0.0 if mode == STICK else x[1]), mode, x[1]
             x = x.copy()
@@ -268,26 +285,27 @@ def _sums(share, force, duration):
 def _piece(rate, span, x, ends, settings):
     """Integrate to the end of a span or to the first event; return time, state and which event."""
     found = []
-    for k, function in enumerate(ends):
+    for name, function in ends:
 
         def event(t, x, function=function):
             return function(t, x)
 
         event.terminal, event.direction = True, 1.0
-        found.append((k, event))
+        found.append((name, event))
     done = solve_ivp(rate, span, x, events=[event for _, event in found] or None, **settings)
     assert done.success, done.message
     if done.status == 0:
         return span[1], done.y[:, -1], None
-    ((which, moment),) = [(k, t[0]) for k, t in enumerate(done.t_events) if len(t)][:1]
+    moment, which = min((t[0], k) for k, t in enumerate(done.t_events) if len(t))
+    which, function = ends[which]
     # The last step starts at the last time but one; from there integrate anew to the event, twice corrected.
     before, base = done.t[-2], done.y[:, -2]
     at = moment
     for _ in range(3):
         state = solve_ivp(rate, (before, at), base, **settings).y[:, -1] if at > before else base
-        value = ends[which](at, state)
+        value = function(at, state)
         step = 1e-7 * (at - before) or 1e-12
-        slope = (ends[which](at + step, state + step * np.array(rate(at, state))) - value) / step
+        slope = (function(at + step, state + step * np.array(rate(at, state))) - value) / step
         correction = value / slope if abs(slope) > 0.0 else 0.0
         if not abs(correction) < 0.1 * (at - before) or abs(correction) <= 4e-16 * at:
             break

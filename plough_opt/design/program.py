@@ -16,6 +16,7 @@ from plough_opt.design.relaxation import first_slack, relaxed
 from plough_opt.design.split import split
 from plough_opt.design.verify import TightEvaluation
 from plough_opt.errors import DomainError, InputError, PloughError
+from plough_opt.motion.integrators import quiet_events
 from plough_opt.motion.plan import phase, steps_for
 
 # Phase per step inside a design: a relative error of some 3e-9, and finer where the check finds it wanting.
@@ -142,7 +143,8 @@ class Program:
             ca.vertcat(*(r.expression / scale for r, scale in zip(declared.requirements, self.scales, strict=True))),
         ]
         scaled = ca.graph_substitute(scaled, declared.symbols(), replacements)
-        self.nlp = build_nlp(split(scaled, [self._y, self._p]), self._y, self._p, steps)
+        with quiet_events():
+            self.nlp = build_nlp(split(scaled, [self._y, self._p]), self._y, self._p, steps)
         sizes = (len(declared.variables), len(declared.parameters))
         self._solver = Solver(self.nlp, *sizes, self.low, self.high)
 

@@ -1,8 +1,8 @@
 """Equation of motion (27) as CasADi Functions: the right-hand side, and the events that interrupt it.
 
 A share that slips has the states (w, w'). Under `StickSlip` two more follow: how far it is behind its furthest point
-[m], and its mode, whose rate is zero. Of a share that enters the last state is 0 until it is wholly in the soil, and
-then 1.
+[m], and its mode, whose rate is zero. Of a share that enters the last state is 1 while it is wholly in the soil, and
+else 0.
 """
 
 from __future__ import annotations
@@ -31,6 +31,9 @@ from plough_opt.motion.terms import (
 SLIP: Final = 0.0
 STICK: Final = 1.0
 GAP: Final = 2.0
+
+# Part of the height by which a share must come back before it counts as no longer wholly in the soil.
+_HYSTERESIS = 1e-12
 
 
 @dataclass(frozen=True)
@@ -65,9 +68,10 @@ def equation_of_motion(structure: Structure) -> EquationOfMotion:
         rates, zeros, after = ca.vertcat(now.rate, now.slipping()), [], []
     if structure.entry:
         rates = ca.vertcat(rates, 0.0)
-        zeros.append(ca.if_else(now.entered < 0.5, symbols["height"] - now.travel, 1.0))
+        back = now.travel - symbols["height"] * (1.0 - _HYSTERESIS)
+        zeros.append(ca.if_else(now.entered < 0.5, symbols["height"] - now.travel, back))
         after = [ca.vertcat(state, now.entered) for state in (*after, now.state[:-1])]
-        after[-1][-1] = 1.0
+        after[-1][-1] = 1.0 - now.entered
     everything = ca.vertcat(rates, *zeros, *after)
     used = {symbol.name() for symbol in ca.symvar(everything)} & set(structure.names)
     names = tuple(name for name in structure.names if name in used)
@@ -100,13 +104,14 @@ class _Now:
 
     def __init__(self, structure: Structure, p: dict[str, ca.SX]) -> None:
         """Make the symbols of a structure's state."""
-        self.structure, self.p = structure, p
         self.time = ca.SX.sym("time")
         self.w, self.rate = ca.SX.sym("w"), ca.SX.sym("rate")
         self.opening, self.mode = ca.SX.sym("opening"), ca.SX.sym("mode")
         self.entered = ca.SX.sym("entered")
         modes = (self.opening, self.mode) if structure.contact == "stick_slip" else ()
         self.state = ca.vertcat(self.w, self.rate, *modes, *((self.entered,) if structure.entry else ()))
+        self.structure = structure
+        self.p = p | {"entered": self.entered} if structure.entry else p
         self.mount: Strut = strut(structure, p, self.time)
         self.travel = self.mount.path - start_deflection(structure, p) - self.w
 

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from plough_opt.effects import HarmonicBalance, Smooth, StickSlip
-from plough_opt.expressions import Expression, maximum, minimum, sin
+from plough_opt.expressions import Expression, maximum, minimum, sin, where
 from plough_opt.motion.own import OwnTerm, quantities
 from plough_opt.scene import Scene
 
@@ -233,8 +233,15 @@ def static_resistance(structure: Structure, p: dict[str, Expression], travel: Ex
 
 
 def buried(structure: Structure, p: dict[str, Expression], travel: Expression) -> Expression:
-    """Return the part H/h of the share's height that is in the soil [-]."""
-    return minimum(maximum(travel / p["height"], 0.0), 1.0) if structure.entry else 1.0
+    """Return the part H/h of the share's height that is in the soil [-].
+
+    In the differential equation the state ``entered`` decides: rounding of the time at which the share is wholly in
+    the soil would else leave the slope of the wrong side.
+    """
+    if not structure.entry:
+        return 1.0
+    entering = maximum(travel / p["height"], 0.0)
+    return where(p["entered"] > 0.5, 1.0, entering) if "entered" in p else minimum(entering, 1.0)
 
 
 def inertia_at(structure: Structure, p: dict[str, Expression], travel: Expression) -> Expression:

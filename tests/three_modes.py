@@ -301,13 +301,13 @@ def _piece(rate, span, x, ends, settings):
     # The last step starts at the last time but one; from there integrate anew to the event, twice corrected.
     before, base = done.t[-2], done.y[:, -2]
     at = moment
-    for _ in range(3):
+    for correct in (True, True, False):
         state = solve_ivp(rate, (before, at), base, **settings).y[:, -1] if at > before else base
         value = function(at, state)
         step = 1e-7 * (at - before) or 1e-12
         slope = (function(at + step, state + step * np.array(rate(at, state))) - value) / step
         correction = value / slope if abs(slope) > 0.0 else 0.0
-        if not abs(correction) < 0.1 * (at - before) or abs(correction) <= 4e-16 * at:
+        if not correct or not abs(correction) < 0.1 * (at - before) or abs(correction) <= 4e-16 * at:
             break
         at -= correction
     return at, state, which

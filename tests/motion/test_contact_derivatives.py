@@ -107,7 +107,7 @@ def test_a_design_finds_what_brute_force_finds(r1_soil, contact):
     objective, run = cost(k0)
     d.minimise(objective)
     best = d.solve()
-    tried = np.geomspace(lower, upper, 60)
+    tried = np.geomspace(lower, upper, 30)
     least = min(cost(k)[0] for k in tried)
     found = cost(best(k0))[0]
     assert best.status

@@ -1,0 +1,305 @@
+"""The ends of the domain: right against an independent answer, or refused with a sentence."""
+
+import collections
+import dataclasses
+import math
+import signal
+
+import numpy as np
+import pytest
+import three_modes
+
+import plough_opt as po
+
+SHARE = po.Wedge(po.deg(25.0), po.deg(15.0), 0.25)
+WAVE = po.StrengthWave(0.5, 0.3)
+LIMIT = 30
+pytestmark = pytest.mark.usefixtures("clock")
+AVERAGES = ("mean_draft", "force_rms", "mean_deflection", "displacement_rms", "tow_power")
+ARRAYS = ("travel", "speed", "deflection", "mount_force", "soil_resistance", "opening", "mode")
+
+
+def largest(values):
+    return float(np.max(np.abs(values)))
+
+
+def scene_of(soil, *, share=SHARE, stiffness=5e4, mass=24.0, speed=2.0, **effects):
+    return po.Scene(soil, share, stiffness, mass, speed, po.Effects(**effects))
+
+
+def assert_finite(run):
+    for name in (*AVERAGES, *ARRAYS, "error_estimate"):
+        assert np.all(np.isfinite(getattr(run, name))), name
+
+
+def run_or_reason(scene, duration, outputs=20):
+    """Return the run and None, or None and the sentence that refuses it."""
+    try:
+        run = po.simulate(scene, duration, outputs=outputs)
+    except po.PloughError as refusal:
+        return None, str(refusal)
+    assert_finite(run)
+    return run, None
+
+
+@pytest.fixture
+def clock():
+    """End a test that hangs."""
+
+    def late(*_):
+        raise TimeoutError("the scene took too long")
+
+    signal.signal(signal.SIGALRM, late)
+    signal.alarm(LIMIT)
+    yield
+    signal.alarm(0)
+
+
+# --- mounts from nothing to a wall ---
+
+
+@pytest.mark.parametrize("exponent", range(0, 13, 2))
+def test_every_stiffness_from_a_steady_start(r1_soil, exponent):
+    run = po.simulate(scene_of(r1_soil, stiffness=10.0**exponent), 1.0)
+    assert run.mount_force == pytest.approx(run.scene.steady_resistance, rel=1e-12)
+    assert run.force_rms == 0.0
+
+
+@pytest.mark.parametrize("stiffness", [1.0, 1e2, 1e7])
+@pytest.mark.parametrize("contact", ["resisting", po.Smooth(0.5), po.StickSlip()], ids=lambda law: type(law).__name__)
+def test_soft_and_stiff_mounts_under_a_wave(r1_soil, stiffness, contact):
+    duration = 0.02 if stiffness > 1e5 else 1.0
+    scene = scene_of(r1_soil, stiffness=stiffness, contact=contact, strength_wave=WAVE)
+    run, expected = po.simulate(scene, duration, outputs=10), three_modes.follow(scene, duration, outputs=10)
+    assert largest(run.mount_force - expected.mount_force) < 5e-8 * largest(expected.mount_force)
+
+
+def test_the_stiffest_mount_is_rigid(r1_soil):
+    scene = scene_of(r1_soil, stiffness=1e8, damping=2e4, strength_wave=WAVE, tow_ramp=0.2)
+    run = po.simulate(scene, 0.6)
+    rigid = po.simulate(scene_of(r1_soil, stiffness=1e8, motion=False, strength_wave=WAVE, tow_ramp=0.2), 0.6)
+    # What is left is the force M s'' of the ramp, whose mean is M V0/0.6 s.
+    inertial = scene.inertia * scene.tow_speed / 0.6
+    assert run.mean_draft - inertial == pytest.approx(rigid.mean_draft, rel=1e-4)
+
+
+@pytest.mark.parametrize("stiffness", [1e12])
+def test_a_wall_without_damper_ends(r1_soil, stiffness):
+    rigid = po.simulate(scene_of(r1_soil, stiffness=stiffness, motion=False, strength_wave=WAVE), 0.1)
+    run, reason = run_or_reason(scene_of(r1_soil, stiffness=stiffness, strength_wave=WAVE), 0.1)
+    if run is None:
+        assert "quasi-static" in reason
+    else:
+        assert run.mean_draft == pytest.approx(rigid.mean_draft, rel=max(1e-4, run.error_estimate))
+
+
+def test_a_share_of_no_weight(r1_soil):
+    # Only the soil that it carries has mass, until it leaves that behind in a gap.
+    scene = scene_of(r1_soil, mass=1e-6, stiffness=1e3, contact=po.StickSlip(1.2), strength_wave=WAVE)
+    run, expected = po.simulate(scene, 0.03, outputs=10), three_modes.follow(scene, 0.03, outputs=10)
+    assert largest(run.mount_force - expected.mount_force) < 5e-8 * largest(expected.mount_force)
+    damped = scene_of(r1_soil, mass=1e-6, stiffness=1e5, damping=300.0, strength_wave=WAVE)
+    run, expected = po.simulate(damped, 0.3, outputs=10), three_modes.follow(damped, 0.3, outputs=10)
+    assert largest(run.mount_force - expected.mount_force) < 5e-8 * largest(expected.mount_force)
+
+
+def test_soil_that_pushes_a_light_share_away_is_refused(r1_soil):
+    scene = scene_of(r1_soil, mass=1e-6, stiffness=1e3, strength_wave=WAVE)
+    with pytest.raises(po.IntegrationError, match="the resistance drives the share away"):
+        po.simulate(scene, 0.3, outputs=10)
+
+
+# --- soils and shares ---
+
+SOILS = {
+    "loosest": {"density_ratio": 1e-12},
+    "densest": {"density_ratio": 1.0 - 1e-9},
+    "no internal friction": {"friction_angle": 0.0},
+    "steepest friction": {"friction_angle": po.deg(89.9)},
+    "no cohesion": {"cohesion": 0.0},
+    "no pressure": {"ambient_pressure": 0.0},
+    "polished": {"tool_friction": 0.0},
+    "nothing holds it": {"cohesion": 0.0, "ambient_pressure": 0.0, "friction_angle": 0.0, "tool_friction": 0.0},
+}
+
+
+@pytest.mark.parametrize("changes", SOILS.values(), ids=SOILS)
+@pytest.mark.parametrize("contact", ["resisting", po.StickSlip(1.2)], ids=["resisting", "stick_slip"])
+def test_every_soil(r1_soil, changes, contact):
+    soil = dataclasses.replace(r1_soil, **changes)
+    scene = scene_of(soil, contact=contact, strength_wave=WAVE, start="towed")
+    run, reason = run_or_reason(scene, 0.3, outputs=10)
+    if run is None:
+        # Soil of a fixed sign and so much drag pushes a retreating share ever faster.
+        assert contact == "resisting"
+        assert "the resistance drives the share away" in reason
+        return
+    expected = three_modes.follow(scene, 0.3, outputs=10)
+    assert largest(run.mount_force - expected.mount_force) <= 5e-8 * largest(expected.mount_force)
+
+
+@pytest.mark.parametrize("angle", [1e-8, 1e-3, po.deg(89.0), po.deg(89.99)])
+@pytest.mark.parametrize("contact", ["resisting", po.StickSlip(1.2)], ids=["resisting", "stick_slip"])
+def test_every_wedge(r1_soil, angle, contact):
+    share = po.Wedge(angle, po.deg(15.0), 0.25)
+    scene = scene_of(r1_soil, share=share, contact=contact, strength_wave=WAVE, start="towed")
+    run, reason = run_or_reason(scene, 0.3, outputs=10)
+    assert reason is None
+    expected = three_modes.follow(scene, 0.3, outputs=10)
+    # The reference's travel of some 0.6 m is rounded to 1e-16 of it, which the spring turns into force.
+    rounding = 1e-15 * scene.stiffness * largest(expected.travel)
+    allowed = max(5e-8, 5.0 * run.error_estimate) * largest(expected.mount_force) + rounding
+    assert largest(run.mount_force - expected.mount_force) <= allowed
+
+
+# --- speeds ---
+
+
+@pytest.mark.parametrize(
+    "contact", ["resisting", po.Smooth(0.1), po.StickSlip(1.2)], ids=lambda law: type(law).__name__
+)
+@pytest.mark.parametrize("start", ["rest", "towed", "equilibrium"])
+def test_a_strut_at_rest(r1_soil, contact, start):
+    scene = scene_of(r1_soil, speed=0.0, contact=contact, start=start)
+    run, expected = po.simulate(scene, 0.5, outputs=10), three_modes.follow(scene, 0.5, outputs=10)
+    assert_finite(run)
+    assert largest(run.mount_force - expected.mount_force) <= 2e-8 * scene.reaction.static
+
+
+@pytest.mark.parametrize("contact", ["resisting", po.StickSlip()], ids=["resisting", "stick_slip"])
+def test_a_thousand_metres_a_second(r1_soil, contact):
+    scene = scene_of(r1_soil, speed=1e3, contact=contact, strength_wave=po.StrengthWave(0.5, 3.0), start="towed")
+    run, expected = po.simulate(scene, 0.05, outputs=10), three_modes.follow(scene, 0.05, outputs=10)
+    assert largest(run.mount_force - expected.mount_force) < 5e-8 * largest(expected.mount_force)
+
+
+# --- resonance, events by the thousand ---
+
+
+@pytest.mark.parametrize("periods", [10, 300])
+def test_resonance_without_damping_against_the_exact_solution(r1_soil, periods):
+    # To first order in a wave of 1e-9: M w'' + k w = a sin(W t - d) with W the natural frequency grows like t.
+    soil, stiffness, wavelength, tiny = r1_soil, 5e4, 0.6, 1e-9
+    bare = scene_of(soil, stiffness=stiffness, inertial_drag=False)
+    omega = bare.natural_frequency
+    speed = omega * wavelength / (2.0 * math.pi)
+    wave = po.StrengthWave(tiny, wavelength)
+    scene = scene_of(soil, stiffness=stiffness, speed=speed, inertial_drag=False, strength_wave=wave)
+    duration = periods * 2.0 * math.pi / omega
+    run = po.simulate(scene, duration, accuracy=po.Accuracy("dop853", steps=periods * 64), outputs=periods * 8)
+    static = scene.reaction.static
+    phase = 2.0 * math.pi * static / stiffness / wavelength
+    a, t = tiny * static / scene.inertia, run.time
+    # w = a/(2 W) [ (sin(W t) cos(d))/W - t cos(W t - d) ], at rest at first.
+    exact = a / (2.0 * omega) * (math.cos(phase) * np.sin(omega * t) / omega - t * np.cos(omega * t - phase))
+    found = run.deflection - static / stiffness
+    rounding = 4e-16 * static / stiffness
+    # The next order in the wave is 1e-9 of the growth; amplitude and phase together stay within 1e-6.
+    assert found == pytest.approx(exact, rel=0, abs=1e-6 * largest(exact) + rounding)
+    late = t > 0.9 * duration
+    basis = np.column_stack([t[late] * np.cos(omega * t[late]), t[late] * np.sin(omega * t[late])])
+    (c, s), (c0, s0) = (np.linalg.lstsq(basis, values[late], rcond=None)[0] for values in (found, exact))
+    assert math.hypot(c, s) == pytest.approx(math.hypot(c0, s0), rel=1e-6)
+    assert math.atan2(s, c) == pytest.approx(math.atan2(s0, c0), abs=1e-6)
+
+
+@pytest.mark.parametrize("cycles", [250, pytest.param(1500, marks=pytest.mark.slow)])
+def test_thousands_of_stick_slip_events(r1_soil, cycles):
+    effects = {"contact": po.StickSlip(1.5), "start": "rest", "inertial_drag": False, "added_mass": False}
+    scene = scene_of(r1_soil, stiffness=2e5, speed=0.2, **effects)
+    static, omega = scene.reaction.static, scene.natural_frequency
+    excess = 0.5 * static / scene.stiffness
+    cycle = 2.0 * excess / 0.2 + 2.0 / omega * (math.pi - math.atan(excess * omega / 0.2))
+    before_next = 0.5 * excess / 0.2
+    run = po.simulate(scene, 1.5 * static / (scene.stiffness * 0.2) + cycles * cycle - before_next, outputs=10)
+    assert run.travel[-1] == pytest.approx(cycles * 0.2 * cycle, rel=1e-7)
+    assert run.mount_force[-1] == pytest.approx(1.5 * static - scene.stiffness * 0.2 * before_next, rel=1e-5)
+
+
+# --- a sampled sweep over the whole domain and every effect ---
+
+
+def sampled(random):
+    """Return a function that builds a scene, and a duration, from anywhere in the domain."""
+
+    def log(low, high):
+        return float(10.0 ** random.uniform(low, high))
+
+    def maybe(value):
+        return value if random.random() < 0.5 else None
+
+    def pick(*values):
+        return values[int(random.integers(len(values)))]
+
+    soil = {
+        "density": log(2.5, 3.5),
+        "density_ratio": pick(float(random.uniform(0.01, 0.99)), log(-10, -1), 1.0 - log(-8, -1)),
+        "cohesion": pick(0.0, log(0, 6)),
+        "friction_angle": pick(0.0, float(random.uniform(0.0, po.deg(60.0))), po.deg(89.0)),
+        "tool_friction": pick(0.0, float(random.uniform(0.0, 1.5))),
+        "ambient_pressure": pick(0.0, log(2, 6)),
+    }
+    share = {
+        "angle": pick(float(random.uniform(po.deg(1.0), po.deg(85.0))), log(-7, -2)),
+        "chisel_angle": float(random.uniform(0.0, po.deg(60.0))),
+        "height": log(-2, 0.3),
+    }
+    effects = {
+        "motion": random.random() < 0.95,
+        "inertial_drag": random.random() < 0.7,
+        "added_mass": random.random() < 0.7,
+        "ambient_pressure": random.random() < 0.7,
+        "start": pick("equilibrium", "rest", "towed"),
+        "entry": random.random() < 0.3,
+        "strength_wave": maybe(po.StrengthWave(float(random.uniform(0.0, 1.0)), log(-1.5, 0.5))),
+        "tow_ramp": maybe(log(-2, 0)),
+        "damping": maybe(log(-1, 4)),
+        "rate_term": maybe(log(-3, 0)),
+        "formulation": "printed" if random.random() < 0.03 else "derived",
+    }
+    law = pick("resisting", "smooth", "stick_slip")
+    number = log(-2, 0) if law == "smooth" else 1.0 + pick(0.0, float(random.uniform(0.0, 2.0)))
+    mount = pick(log(2, 6), log(2, 6), log(0, 8)), log(-1, 3), pick(0.0, log(-2, 1), log(-1, 0.7))
+
+    def build():
+        contact = {"resisting": "resisting", "smooth": po.Smooth, "stick_slip": po.StickSlip}[law]
+        contact = contact if law == "resisting" else contact(number)
+        return po.Scene(po.Soil(**soil), po.Wedge(**share), *mount, po.Effects(contact=contact, **effects))
+
+    return build, log(-1.5, 0.3)
+
+
+@pytest.mark.parametrize(
+    "seeds", [pytest.param(range(300), id="300"), pytest.param(range(10_000), id="10000", marks=pytest.mark.slow)]
+)
+def test_a_sample_of_the_whole_domain(seeds, capsys):
+    reasons, slowest = collections.Counter(), (0.0, -1)
+
+    def late(*_):
+        raise TimeoutError
+
+    signal.signal(signal.SIGALRM, late)
+    for seed in seeds:
+        build, duration = sampled(np.random.default_rng(seed))
+        signal.alarm(LIMIT)
+        try:
+            scene = build()
+            run, reason = run_or_reason(scene, duration, outputs=5)
+        except po.PloughError as refusal:
+            run, reason = None, str(refusal)
+        finally:
+            signal.alarm(0)
+        if run is None:
+            # A sentence, without the numbers in it.
+            assert len(reason) > 40, seed
+            reasons[reason.split(":")[0][:60] if "could not" not in reason else "could not be integrated"] += 1
+            continue
+        reasons["runs"] += 1
+        slowest = max(slowest, (run.seconds, seed))
+        assert run.force_rms >= 0.0, seed
+        if isinstance(scene.effects.contact, po.StickSlip):
+            assert np.min(run.soil_resistance[run.mode == three_modes.GAP], initial=0.0) == 0.0, seed
+            assert np.all(np.isin(np.round(run.mode), (0, 1, 2))), seed
+    with capsys.disabled():
+        print(f"\n{dict(reasons)}, slowest {slowest[0]:.1f} s (sample {slowest[1]})")
+    assert reasons["runs"] > 0.5 * len(seeds)

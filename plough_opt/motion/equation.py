@@ -158,7 +158,8 @@ class _Now:
 
     def until_contact_changes(self) -> Expression:
         """Return what becomes negative when a mode ends."""
-        return self._by_mode(self.speed, ca.fmin(self.hold - self.pull, self.pull), self.opening)
+        # While the share sticks the strut only stretches the mount: P never falls back to 0.
+        return self._by_mode(self.speed, self.hold - self.pull, self.opening)
 
     def after_contact_changed(self) -> Expression:
         """Return the state after the mode has ended."""

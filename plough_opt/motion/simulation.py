@@ -16,7 +16,7 @@ from plough_opt.effects import StickSlip
 from plough_opt.errors import InputError, IntegrationError
 from plough_opt.expressions import Expression, as_number, holds_casadi, is_casadi, is_symbolic, map_expressions
 from plough_opt.motion.embedding import embed
-from plough_opt.motion.equation import SLIP
+from plough_opt.motion.equation import SLIP, STICK
 from plough_opt.motion.integrators import Integration, integration
 from plough_opt.motion.orbit import monodromy
 from plough_opt.motion.plan import (
@@ -35,7 +35,7 @@ from plough_opt.motion.plan import (
 )
 from plough_opt.motion.quasi_static import GAUSS_POINTS, SYMBOLIC_GAUSS_POINTS, quasi_static
 from plough_opt.motion.run import Checks, Run, assemble
-from plough_opt.motion.terms import Structure, parameters
+from plough_opt.motion.terms import Structure, parameters, static_resistance
 from plough_opt.motion.timeline import Timeline
 from plough_opt.scene import Scene
 
@@ -228,7 +228,16 @@ def _integrate(scene: Scene, duration: Expression, accuracy: Accuracy, outputs: 
 
 
 def _refuse_missed_event(run: Run) -> None:
-    """Refuse a run in which the share retreats without a gap: the end of its slip was missed."""
+    """Refuse a run in which the share retreats without a gap, or is held too long: an event was missed."""
+    structure, p = Structure.of(run.scene), parameters(run.scene)
+    held = p["breakaway"] * static_resistance(structure, p, run.travel)
+    size = float(np.max(np.abs(run.mount_force)))
+    late = (run.mode == STICK) & (run.mount_force > held + _MISSED * size)
+    if np.any(late):
+        raise IntegrationError(
+            f"the motion of a {run.scene.describe()}: '{run.accuracy.method}' missed that the share broke loose before"
+            f" t = {run.time[np.argmax(late)]:.4g} s: take a tighter tolerance"
+        )
     slowest = float(np.min(np.where(run.mode == SLIP, run.speed, 0.0)))
     if slowest < -_MISSED * float(np.max(np.abs(run.speed))):
         first = float(run.time[np.argmax((run.mode == SLIP) & (run.speed == slowest))])

@@ -1,5 +1,6 @@
 """docs/theory.md: every equation has its function and its test, and its formulas survive GitHub's Markdown."""
 
+import inspect
 import re
 from functools import reduce
 from pathlib import Path
@@ -10,7 +11,9 @@ import plough_opt as po
 
 ROOT = Path(__file__).parents[1]
 TEXT = (ROOT / "docs" / "theory.md").read_text(encoding="utf-8")
-EQUATIONS = re.findall(r"^\| \((\d+)\) \| (.+) \| `([\w.]+)` \| `(tests/[\w/.]+)` \|$", TEXT, flags=re.MULTILINE)
+EQUATIONS = re.findall(
+    r"^\| \((\d+)\) \| (.+) \| `([\w.]+)` \| \[.+\]\(\.\./(.+)\) \| `(tests/[\w/.]+)` \|$", TEXT, flags=re.MULTILINE
+)
 LETTER = (ROOT / "tests" / "test_source_equations.py").read_text(encoding="utf-8")
 
 
@@ -18,10 +21,12 @@ def test_the_table_has_every_equation_once():
     assert [int(number) for number, *_ in EQUATIONS] == list(range(1, 28))
 
 
-@pytest.mark.parametrize(("number", "what", "function", "test"), EQUATIONS, ids=[row[0] for row in EQUATIONS])
-def test_an_equation_has_its_function_and_its_test(number, what, function, test):
+@pytest.mark.parametrize(("number", "what", "function", "file", "test"), EQUATIONS, ids=[row[0] for row in EQUATIONS])
+def test_an_equation_has_its_function_and_its_test(number, what, function, file, test):
     assert what.strip()
-    reduce(getattr, function.split("."), po)
+    defined = reduce(getattr, function.split("."), po)
+    source = (ROOT / file).read_text(encoding="utf-8")
+    assert inspect.getsourcefile(getattr(defined, "fget", defined)) == str(ROOT / file) or f"({number})" in source
     assert re.search(rf"def test_equation_{number}(_|\()", LETTER)
     assert (ROOT / test).exists()
 

@@ -107,6 +107,20 @@ def map_expressions(value: Any, function: Callable[[Any], Any], leaf: Callable[[
     return value
 
 
+def template_of(value: Any) -> tuple[Any, list[Any]]:
+    """Return the like of ``value`` with a placeholder for every quantity nested in it, and those quantities in order.
+
+    Placeholders print alike, so that values that differ in numbers only have templates that print alike.
+    """
+    quantities: list[Any] = []
+
+    def placeholder(quantity: Any) -> ca.SX:
+        quantities.append(quantity)
+        return ca.SX.sym("quantity")
+
+    return map_expressions(value, placeholder, is_quantity), quantities
+
+
 def column(values: NDArray[np.float64], symbolic: bool) -> Expression:
     """Return an array as it is, or as a CasADi column that may meet symbols."""
     return ca.DM(values) if symbolic else values

@@ -9,7 +9,7 @@ import casadi as ca
 
 from plough_opt.accuracy import ORDER_8
 from plough_opt.errors import InputError
-from plough_opt.expressions import Expression, is_quantity, map_expressions
+from plough_opt.expressions import Expression, is_quantity, map_expressions, template_of
 from plough_opt.labels import attach
 from plough_opt.motion.integrators import Integration
 from plough_opt.scene import Scene
@@ -57,7 +57,8 @@ def embed(solver: Integration, p: Sequence[Expression], scene: Scene) -> tuple[E
     Raises:
         InputError: SX symbols and a method that exists for MX only.
     """
-    template, carried = _template(scene)
+    template, quantities = template_of(scene)
+    carried = ca.vertcat(*quantities)
     inputs = ca.vertcat(*p)
     if isinstance(inputs, ca.SX) or isinstance(carried, ca.SX):
         if solver.structure.orbit != "transient":
@@ -76,25 +77,14 @@ def embed(solver: Integration, p: Sequence[Expression], scene: Scene) -> tuple[E
 
 def labelled(value: Expression, scene: Scene) -> Expression:
     """Return a value of a scene as it is; of MX symbols, labelled with the scene, as a template and its quantities."""
-    template, carried = _template(scene)
+    template, quantities = template_of(scene)
+    carried = ca.vertcat(*quantities)
     return attach(value, carried, template, _key(template))
 
 
 def embedding_of(function: ca.Function) -> Embedding | None:
     """Return the run that a Function in a graph is, or None for any other Function."""
     return _KNOWN.get(hash(function))
-
-
-def _template(scene: Scene) -> tuple[Scene, Expression]:
-    """Return a scene with placeholders, and the quantities that they stand for as a column."""
-    quantities: list[Expression] = []
-
-    def placeholder(value: Expression) -> ca.SX:
-        quantities.append(value)
-        return ca.SX.sym("quantity")
-
-    template = map_expressions(scene, placeholder, is_quantity)
-    return template, ca.vertcat(*quantities)
 
 
 def _key(template: Scene) -> Hashable:

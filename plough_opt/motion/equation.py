@@ -117,7 +117,7 @@ class _Now:
 
     @property
     def strut_speed(self) -> Expression:
-        """S' [m/s]."""
+        """Speed s' of the strut [m/s]."""
         return start_speed(self.structure, self.p) + self.mount.gain
 
     @property
@@ -164,12 +164,11 @@ class _Now:
     def after_contact_changed(self) -> Expression:
         """Return the state after the mode has ended."""
         stopped = ca.if_else(self.pull < 0.0, GAP, ca.if_else(self.pull <= self.hold, STICK, SLIP))
-        moved = ca.if_else(self.pull < self.hold / 2.0, GAP, SLIP)
         at_rest = self.strut_speed
         mass = self.p["mass"]
         taken_up = self.speed * mass / (mass + carried_mass(self.structure, self.p, self.travel))
         rate = self._by_mode(at_rest, at_rest, self.strut_speed - taken_up)
-        return ca.vertcat(self.w, rate, 0.0, self._by_mode(stopped, moved, SLIP))
+        return ca.vertcat(self.w, rate, 0.0, self._by_mode(stopped, SLIP, SLIP))
 
     def _by_mode(self, slip: Expression, stick: Expression, gap: Expression) -> Expression:
         """Choose by the mode, element by element."""

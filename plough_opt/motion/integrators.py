@@ -16,7 +16,7 @@ from plough_opt.motion.equation import equation_of_motion, start_state
 from plough_opt.motion.orbit import orbit_map
 from plough_opt.motion.runge_kutta import run_map
 from plough_opt.motion.signals import signals
-from plough_opt.motion.terms import Structure, start_resistance
+from plough_opt.motion.terms import Structure, lightest_mass, start_resistance
 from plough_opt.motion.timeline import Timeline
 
 # Lower than any force that matters; keeps the scales of a scene without forces above zero.
@@ -69,7 +69,7 @@ def _by_casadi(structure: Structure, accuracy: Accuracy, timeline: Timeline) -> 
     with quiet_events():
         solver = ca.integrator("motion", accuracy.method, equation, 0.0, times, options)
     p = ca.MX.sym("p", len(observed.parameters) + 1)
-    known = dict(zip(observed.parameters, ca.vertsplit(p[:-1]), strict=True))
+    known = observed.named(p)
     scales = _scales(structure, known)
     unit = _units(structure, scales)
     first = start_state(structure, known)
@@ -103,7 +103,7 @@ def _scales(structure: Structure, p: dict[str, Any]) -> tuple[Any, Any, Any]:
     own = (name for k, term in enumerate(structure.own) for name in term.names(k))
     complete = {**dict.fromkeys(("static", "drag", "rate_term", "tow_speed", *own), 0.0), **p}
     stiffness = ca.fabs(p["stiffness"])  # below zero where a spring repels
-    hardness = ca.sqrt(stiffness * (p["inertia"] if "inertia" in p else p["mass"]))
+    hardness = ca.sqrt(stiffness * lightest_mass(p))
     force = start_resistance(structure, complete) + complete["tow_speed"] * hardness + _LEAST_FORCE
     return force / stiffness, force / hardness, force
 
@@ -138,7 +138,7 @@ def _scaled_equation(structure: Structure) -> tuple[dict[str, ca.SX], ca.Functio
     p = ca.SX.sym("p", len(observed.parameters) + 1)
     scales = ca.SX.sym("scales", 3)
     unit = _units(structure, scales)
-    known = dict(zip(observed.parameters, ca.vertsplit(p[:-1]), strict=True))
+    known = observed.named(p)
     duration = p[-1]
     time, state = fraction * duration, x[:count] * unit
     own = ca.vertcat(*(known[name] for name in motion.names))

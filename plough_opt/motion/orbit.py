@@ -40,15 +40,12 @@ def orbit_map(structure: Structure, timeline: Timeline) -> ca.Function:
     return _from_series(structure, timeline, series)
 
 
+@lru_cache(maxsize=32)
 def monodromy(structure: Structure, timeline: Timeline) -> ca.Function:
     """Return (state at time 0, parameters) -> derivative of the state one period later by that at time 0."""
     first, p = ca.MX.sym("first", 2), ca.MX.sym("p", len(signals(structure).parameters) + 1)
     last = run_from(structure, timeline)(first, p)[0][:, -1]
     return ca.Function("monodromy", [first, p], [ca.jacobian(last, first)])
-
-
-def _named(structure: Structure, p: Expression) -> dict[str, Expression]:
-    return dict(zip(signals(structure).parameters, ca.vertsplit(p[:-1]), strict=True))
 
 
 def _response(structure: Structure, p: dict[str, Expression]) -> tuple[Expression, Expression]:
@@ -78,7 +75,7 @@ def _size(p: dict[str, Expression]) -> Expression:
 def _shooting(structure: Structure, timeline: Timeline) -> ca.Function:
     """Return the orbit to which one period of steps returns."""
     x, p = ca.MX.sym("x", 2), ca.MX.sym("p", len(signals(structure).parameters) + 1)
-    known = _named(structure, p)
+    known = signals(structure).named(p)
     sine, cosine = _response(structure, known)
     omega = 2.0 * math.pi * known["tow_speed"] / known["wavelength"]
     size = _size(known)
@@ -93,7 +90,7 @@ def _shooting(structure: Structure, timeline: Timeline) -> ca.Function:
 def _linear(structure: Structure) -> ca.Function:
     """Return the Fourier coefficients of the linear response: mean, cosines, sines."""
     p = ca.MX.sym("p", len(signals(structure).parameters) + 1)
-    sine, cosine = _response(structure, _named(structure, p))
+    sine, cosine = _response(structure, signals(structure).named(p))
     return ca.Function("linear", [p], [ca.vertcat(0.0, cosine, sine)])
 
 
@@ -105,7 +102,7 @@ def _balanced(structure: Structure) -> ca.Function:
     phases = 2.0 * math.pi * np.arange(samples) / samples
     basis, slope, bend = _basis(count, phases)
     x, p = ca.MX.sym("x", 2 * count + 1), ca.MX.sym("p", len(signals(structure).parameters) + 1)
-    known = _named(structure, p)
+    known = signals(structure).named(p)
     sine, cosine = _response(structure, known)
     omega = 2.0 * math.pi * known["tow_speed"] / known["wavelength"]
     size = _size(known)
@@ -146,7 +143,7 @@ def _basis(count: int, phases: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.n
 def _from_series(structure: Structure, timeline: Timeline, series: ca.Function) -> ca.Function:
     """Return states at the outputs, means and variances of a Fourier series."""
     p = ca.MX.sym("p", len(signals(structure).parameters) + 1)
-    known = _named(structure, p)
+    known = signals(structure).named(p)
     omega = 2.0 * math.pi * known["tow_speed"] / known["wavelength"]
     x = series(p)
     count = (x.numel() - 1) // 2

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-import casadi as ca
-
 from plough_opt.effects import OwnResistance
-from plough_opt.expressions import Expression, is_quantity, map_expressions
+from plough_opt.expressions import Expression, map_expressions, template_of
 
 
 @dataclass(frozen=True)
@@ -30,8 +28,8 @@ class OwnTerm:
     @classmethod
     def of(cls, effect: OwnResistance) -> OwnTerm:
         """Read the term off a user's effect."""
-        template = map_expressions(effect, lambda _: ca.SX.sym("quantity"), is_quantity)
-        return cls(type(effect), repr(template), len(list(quantities(effect))), template)
+        template, quantities = template_of(effect)
+        return cls(type(effect), repr(template), len(quantities), template)
 
     def force(self, number: int, p: Mapping[str, Expression], travel: Expression, speed: Expression) -> Expression:
         """Return the resistance [N] with the parameters of the own effect of that number."""
@@ -42,15 +40,3 @@ class OwnTerm:
     def names(self, number: int) -> list[str]:
         """Return the names of its parameters as the own effect of that number."""
         return [f"own_{number}_{k}" for k in range(self.count)]
-
-
-def quantities(effect: OwnResistance) -> Iterator[Expression]:
-    """Yield the quantities of a user's effect, in the order in which its template has them."""
-    found: list[Expression] = []
-
-    def note(value: Expression) -> Expression:
-        found.append(value)
-        return value
-
-    map_expressions(effect, note, is_quantity)
-    yield from found

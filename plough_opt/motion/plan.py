@@ -8,6 +8,7 @@ from dataclasses import replace
 
 from plough_opt.accuracy import ADAPTIVE, DEFAULT_TOLERANCE, Accuracy
 from plough_opt.expressions import Expression, as_number, is_symbolic
+from plough_opt.motion.terms import lightest_mass, parameters
 from plough_opt.motion.timeline import Timeline
 from plough_opt.scene import Scene
 
@@ -32,6 +33,11 @@ _FEWEST_STEPS = 20
 _MOST_STEPS = 4_000_000
 
 
+def numbers_of(scene: Scene) -> dict[str, float]:
+    """Return the parameters of a scene of numbers, by name."""
+    return {name: float(as_number(value)) for name, value in parameters(scene).items()}
+
+
 def forced_rate(p: Mapping[str, float]) -> float:
     """Return the fastest angular frequency [rad/s] that the strut and the soil impose."""
     # The wave is a sine of the travel, to which the share's own oscillation adds harmonics.
@@ -42,8 +48,7 @@ def forced_rate(p: Mapping[str, float]) -> float:
 
 def fastest_rate(p: Mapping[str, float]) -> float:
     """Return the fastest angular frequency [rad/s] or rate of decay or growth [1/s] of an equation's parameters."""
-    # In a gap, and at first contact, the share moves without the soil.
-    inertia = p["mass"] if "mass" in p else p["inertia"]
+    inertia: float = lightest_mass(p)
     drag = 2.0 * p.get("drag", 0.0) * p.get("tow_speed", 0.0)
     # Steepest slope of the smooth contact's step, at its strongest soil.
     creep = 1.875 * p["static"] * (1.0 + p.get("wave_amplitude", 0.0)) / p["width"] if "width" in p else 0.0
@@ -58,7 +63,7 @@ def phase(p: Mapping[str, float], duration: float) -> float:
 
 def ringing(p: Mapping[str, float], duration: float) -> float:
     """Return the phase [rad] of the share's own oscillation from a start that is not steady, until it has died away."""
-    inertia = p["mass"] if "mass" in p else p["inertia"]
+    inertia: float = lightest_mass(p)
     frequency = math.sqrt(abs(p["stiffness"]) / inertia)
     decay = (p.get("damping", 0.0) + 2.0 * p.get("drag", 0.0) * p.get("tow_speed", 0.0)) / (2.0 * inertia)
     lasts = min(duration, _DECAYED / decay) if decay > 0.0 else duration
@@ -112,19 +117,19 @@ def automatic(wanted: float, total_phase: float, outputs: int, orbit: bool) -> A
     return Accuracy("erk", tolerance=max(0.01 * wanted, TIGHTEST))
 
 
-def check_of(accuracy: Accuracy, total_phase: float, outputs: int, smooth: bool) -> Accuracy:
+def check_of(accuracy: Accuracy, total_phase: float, outputs: int, kinked: bool) -> Accuracy:
     """Return what checks a method with its setting: order 8 with enough steps, or the same method, finer.
 
     Args:
         accuracy: the method.
         total_phase: of the fastest oscillation over the run [rad].
         outputs: output intervals.
-        smooth: whether the motion has neither events nor kinks, between which order 8 is none.
+        kinked: whether the motion has events or kinks, across which order 8 is none.
     """
     if accuracy.method not in ADAPTIVE:
         return replace(accuracy, steps=2 * (accuracy.steps or 1))
     tolerance = accuracy.tolerance or DEFAULT_TOLERANCE
-    if total_phase > STIFF_PHASE or not smooth:
+    if total_phase > STIFF_PHASE or kinked:
         return replace(accuracy, tolerance=max(0.1 * tolerance, 0.1 * TIGHTEST))
     # Order 8: the error falls by 2^8 when the steps double.
     finer = max(1.0, (DEFAULT_TOLERANCE / tolerance) ** 0.125)

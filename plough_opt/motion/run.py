@@ -228,13 +228,13 @@ def assemble(
     if structure.damper:
         force = force + p["damping"] * rate
     soil = start_resistance(structure, p) + resistance_change(structure, p, travel, gain)
-    acceleration = (force - soil) / (inertia_at(structure, p, travel) if structure.events else scene.inertia)
+    acceleration = (force - soil) / inertia_at(structure, p, travel)
     carried = carried_mass(structure, p, travel) if structure.events else scene.reaction.added_mass
     soil = soil + carried * acceleration
-    nothing = 0.0 * w + 0.0
-    opening, mode = (states[:, 2], states[:, 3]) if structure.contact == "stick_slip" else (nothing, nothing)
-    speed = u0 + gain
+    speed, opening = u0 + gain, 0.0 * w + 0.0
+    mode = opening
     if structure.contact == "stick_slip":
+        opening, mode = states[:, 2], states[:, 3]
         speed = where((mode - STICK) ** 2 < (SLIP - STICK) ** 2 / 4.0, 0.0, speed)
         soil = where(mode < (SLIP + STICK) / 2.0, soil, where(mode < (STICK + GAP) / 2.0, force, 0.0))
     return Run(

@@ -64,7 +64,7 @@ def step(structure: Structure) -> ca.Function:
 def run_map(structure: Structure, timeline: Timeline) -> ca.Function:
     """Return the whole run as a Function of the parameters: see `plough_opt.motion.integrators.Integration`."""
     p = ca.MX.sym("p", len(signals(structure).parameters) + 1)
-    known = dict(zip(signals(structure).parameters, ca.vertsplit(p[:-1]), strict=True))
+    known = signals(structure).named(p)
     results = run_from(structure, timeline)(start_state(structure, known), p)
     return ca.Function("run_map", [p], list(results), {"never_inline": True})
 

@@ -7,6 +7,7 @@ from functools import lru_cache
 
 import casadi as ca
 
+from plough_opt.expressions import Expression
 from plough_opt.motion.equation import equation_of_motion
 from plough_opt.motion.terms import Structure, start_deflection, start_rate, start_speed, strut
 
@@ -27,6 +28,10 @@ class Signals:
     parameters: tuple[str, ...]
     count: int
     squared: int
+
+    def named(self, p: Expression) -> dict[str, Expression]:
+        """Return a column of the parameters, with the duration last, by name; without the duration."""
+        return dict(zip(self.parameters, ca.vertsplit(p[:-1]), strict=True))
 
 
 @lru_cache(maxsize=64)

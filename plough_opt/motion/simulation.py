@@ -10,33 +10,37 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from plough_opt.accuracy import DEFAULT_ERROR, FIXED_STEP, LOCATE_EVENTS, ORDER_8, Accuracy
+from plough_opt.accuracy import DEFAULT_ERROR, LOCATE_EVENTS, ORDER_8, Accuracy
 from plough_opt.domain import check_domain
 from plough_opt.effects import StickSlip
 from plough_opt.errors import InputError, IntegrationError
 from plough_opt.expressions import Expression, as_number, holds_casadi, is_casadi, is_symbolic, map_expressions
 from plough_opt.motion.embedding import embed
-from plough_opt.motion.equation import SLIP, STICK
 from plough_opt.motion.integrators import Integration, integration
-from plough_opt.motion.orbit import monodromy
+from plough_opt.motion.judgement import (
+    grazing,
+    likely_cause,
+    refuse_missed_event,
+    refuse_ringing,
+    refuse_runaway,
+    retreat,
+    stability,
+)
 from plough_opt.motion.plan import (
-    MOST_RINGING,
-    PHASE_PER_STEP,
     STIFF_PHASE,
     TIGHTEST,
     automatic,
     check_of,
     forced_rate,
+    numbers_of,
     phase,
-    ringing,
     steps_for,
     timeline_of,
     with_setting,
 )
 from plough_opt.motion.quasi_static import GAUSS_POINTS, SYMBOLIC_GAUSS_POINTS, quasi_static
 from plough_opt.motion.run import Checks, Run, assemble
-from plough_opt.motion.terms import Structure, parameters, static_resistance
-from plough_opt.motion.timeline import Timeline
+from plough_opt.motion.terms import Structure, parameters
 from plough_opt.scene import Scene
 
 OUTPUTS = 400
@@ -45,18 +49,8 @@ OUTPUTS = 400
 # How often, and by what factor, the tolerance is tightened until the wanted error is reached.
 _TIGHTENINGS = 3
 _TIGHTER = 0.03
-# Exponents of growth above this overflow, squared as they are in an RMS sooner than by themselves.
-_MOST_GROWTH = 700.0
-# Speeds backwards below this fraction of the fastest speed are rounding, not retreat.
-_RETREAT = 1e-9
 # Relative difference of a stand-in from the lasting orbit that a reader must know.
 _TELLING = 1e-2
-# Part of the fastest speed below which a share all but stops.
-_GRAZES = 5e-3
-# A multiplier above 1 by less is that of an undamped mount, rounded.
-_MARGINAL = 1e-8
-# Speeds backwards of a slipping share above this fraction are no rounding of the time at which it stopped.
-_MISSED = 1e-5
 
 
 def simulate(
@@ -108,15 +102,14 @@ def simulate(
             raise InputError(f"{name} is an array of {np.size(value)} values: simulate takes one scene at a time")
     started = time.perf_counter()
     run, error, notes = _verified(scene, float(duration), accuracy, outputs)
-    multipliers, unstable = _stability(run) if scene.effects.orbit == "periodic" else ((), ())
-    notes = (*scene.warnings(), *notes, *_retreat(run), *_grazing(run), *unstable)
+    multipliers, unstable = stability(run) if scene.effects.orbit == "periodic" else ((), ())
+    notes = (*scene.warnings(), *notes, *retreat(run), *grazing(run), *unstable)
     return replace(run, checks=Checks(error, time.perf_counter() - started, notes, multipliers))
 
 
-def repeat(scene: Scene, duration: Expression, *, accuracy: Accuracy | None = None, outputs: int = OUTPUTS) -> Run:
+def repeat(scene: Scene, duration: Expression, *, outputs: int = OUTPUTS) -> Run:
     """Simulate a scene for the duration of a run of its like; an orbit has its own."""
-    given = duration if scene.effects.orbit == "transient" else None
-    return simulate(scene, given, accuracy=accuracy, outputs=outputs)
+    return simulate(scene, duration if scene.effects.orbit == "transient" else None, outputs=outputs)
 
 
 def _duration(scene: Scene, duration: Expression | None) -> Expression:
@@ -149,7 +142,7 @@ def _symbolic(scene: Scene, duration: Expression, accuracy: Accuracy, outputs: i
 def _verified(scene: Scene, duration: float, accuracy: Accuracy, outputs: int) -> tuple[Run, float, tuple[str, ...]]:
     """Integrate twice; return the run, its estimated error, and a note where the wanted error was missed."""
     if not scene.effects.motion:
-        timeline = timeline_of(scene, duration, outputs, steps_for(forced_rate(_numbers(scene)) * duration))
+        timeline = timeline_of(scene, duration, outputs, steps_for(forced_rate(numbers_of(scene)) * duration))
         run = quasi_static(scene, duration, timeline, accuracy)
         check = quasi_static(scene, duration, timeline, accuracy, GAUSS_POINTS + 6)
         return run, _difference(run, check), ()
@@ -160,7 +153,7 @@ def _verified(scene: Scene, duration: float, accuracy: Accuracy, outputs: int) -
         return _stand_in(scene, duration, wanted, outputs)
     if accuracy.method != "auto":
         return *_twice(scene, duration, with_setting(accuracy, steps_for(total), outputs), outputs), ()
-    _refuse_ringing(scene, duration)
+    refuse_ringing(scene, duration)
     for tightening in range(_TIGHTENINGS):
         method = automatic(wanted * _TIGHTER**tightening, total, outputs, orbit == "periodic")
         run, error = _twice(scene, duration, method, outputs)
@@ -175,20 +168,6 @@ def _verified(scene: Scene, duration: float, accuracy: Accuracy, outputs: int) -
     )
 
 
-def _refuse_ringing(scene: Scene, duration: float) -> None:
-    """Refuse a start from which a stiff mount rings so often that following it would take minutes."""
-    numbers = _numbers(scene)
-    turns = ringing(numbers, duration)
-    if scene.effects.start == "equilibrium" or scene.effects.printed.repelling_spring or turns <= MOST_RINGING:
-        return
-    steps = turns / PHASE_PER_STEP
-    raise IntegrationError(
-        f"the motion of a {scene.describe()}: from this start it rings {turns / (2.0 * math.pi):.3g} times, which"
-        f" would take some {steps:.1g} steps: damp the mount, start at equilibrium, take a softer mount, a shorter"
-        " duration or the quasi-static scene, or name a method, as Accuracy('erk'), to follow it all the same"
-    )
-
-
 def _stand_in(scene: Scene, duration: float, wanted: float, outputs: int) -> tuple[Run, float, tuple[str, ...]]:
     """Return a stand-in for the lasting orbit, its relative difference from the orbit, and a note if there is none."""
     exact = replace(scene, effects=replace(scene.effects, orbit="periodic"))
@@ -199,13 +178,15 @@ def _stand_in(scene: Scene, duration: float, wanted: float, outputs: int) -> tup
     except IntegrationError:
         return run, math.inf, ("the lasting orbit that this run stands for was not found: its error is unknown",)
     error = _difference(run, orbit)
-    return run, error, (f"a stand-in for the lasting orbit, from which it differs by {error:.1%}",) * (error > _TELLING)
+    if error <= _TELLING:
+        return run, error, ()
+    return run, error, (f"a stand-in for the lasting orbit, from which it differs by {error:.1%}",)
 
 
 def _twice(scene: Scene, duration: float, accuracy: Accuracy, outputs: int) -> tuple[Run, float]:
     """Return the run by a method, and its relative difference from the run that checks it."""
     run = _integrate(scene, duration, accuracy, outputs)
-    check = check_of(accuracy, _phase(scene, duration), outputs, Structure.of(scene).smooth)
+    check = check_of(accuracy, _phase(scene, duration), outputs, Structure.of(scene).kinked)
     return run, _difference(run, _integrate(scene, duration, check, outputs))
 
 
@@ -223,33 +204,13 @@ def _integrate(scene: Scene, duration: Expression, accuracy: Accuracy, outputs: 
         states, means, variances = arrays[0].T, arrays[1].ravel(), arrays[2].ravel()
     run = assemble(scene, duration, timeline.output_fractions, states, means, variances, accuracy)
     if isinstance(scene.effects.contact, StickSlip) and not is_casadi(states):
-        _refuse_missed_event(run)
+        refuse_missed_event(run)
     return run
-
-
-def _refuse_missed_event(run: Run) -> None:
-    """Refuse a run in which the share retreats without a gap, or is held too long: an event was missed."""
-    structure, p = Structure.of(run.scene), parameters(run.scene)
-    held = p["breakaway"] * static_resistance(structure, p, run.travel)
-    size = float(np.max(np.abs(run.mount_force)))
-    late = (run.mode == STICK) & (run.mount_force > held + _MISSED * size)
-    if np.any(late):
-        raise IntegrationError(
-            f"the motion of a {run.scene.describe()}: '{run.accuracy.method}' missed that the share broke loose before"
-            f" t = {run.time[np.argmax(late)]:.4g} s: take a tighter tolerance"
-        )
-    slowest = float(np.min(np.where(run.mode == SLIP, run.speed, 0.0)))
-    if slowest < -_MISSED * float(np.max(np.abs(run.speed))):
-        first = float(run.time[np.argmax((run.mode == SLIP) & (run.speed == slowest))])
-        raise IntegrationError(
-            f"the motion of a {run.scene.describe()}: '{run.accuracy.method}' missed that the share stopped before"
-            f" t = {first:.4g} s: take a tighter tolerance"
-        )
 
 
 def _evaluate(solver: Integration, p: list[float], scene: Scene) -> list[NDArray[np.float64]]:
     """Evaluate the run of numbers (its duration is the last), or say when and why it failed."""
-    _refuse_runaway(scene, p[-1])
+    refuse_runaway(scene, p[-1])
     found = _attempt(solver, p)
     if found is not None:
         return found
@@ -267,27 +228,7 @@ def _evaluate(solver: Integration, p: list[float], scene: Scene) -> list[NDArray
             reached = middle
     raise IntegrationError(
         f"the motion of a {scene.describe()} could not be integrated by '{solver.accuracy.method}' beyond"
-        f" t = {reached:.4g} s of {p[-1]:g} s: {_likely_cause(scene, p[-1], solver)}"
-    )
-
-
-def _refuse_runaway(scene: Scene, duration: float) -> None:
-    """Refuse a repelling spring over a time in which no number holds the travel, and no method ends soon."""
-    if scene.effects.printed.repelling_spring and _growth(scene) * duration > _MOST_GROWTH:
-        raise IntegrationError(f"the motion of a {scene.describe()} has no end in {duration:g} s: {_runaway(scene)}")
-
-
-def _growth(scene: Scene) -> float:
-    """Return the rate [1/s] at which a repelling spring, against the mount's damper, drives the share away."""
-    decay = float(as_number(scene.effects.damping or 0.0)) / (2.0 * float(as_number(scene.inertia)))
-    frequency = float(as_number(scene.natural_frequency))
-    return frequency**2 / (decay + math.hypot(decay, frequency))
-
-
-def _runaway(scene: Scene) -> str:
-    return (
-        f"the print's repelling spring drives the share away like exp({_growth(scene):.3g} t), and drag still faster,"
-        " beyond what the method can follow: take a shorter duration, or formulation = 'derived'"
+        f" t = {reached:.4g} s of {p[-1]:g} s: {likely_cause(scene, p[-1], solver)}"
     )
 
 
@@ -300,30 +241,8 @@ def _attempt(solver: Integration, p: list[float]) -> list[NDArray[np.float64]] |
     return results if all(np.all(np.isfinite(result)) for result in results) else None
 
 
-def _likely_cause(scene: Scene, duration: float, solver: Integration) -> str:
-    """Return what probably made an integration fail, and what to do."""
-    total, outputs, accuracy = _phase(scene, duration), solver.timeline.outputs, solver.accuracy
-    if scene.effects.printed.repelling_spring:
-        return _runaway(scene)
-    turns = total / (2.0 * math.pi)
-    if accuracy.method in FIXED_STEP:
-        enough = with_setting(replace(accuracy, steps=None), steps_for(total), outputs).steps or 0
-        if enough > 2 * (accuracy.steps or 0):
-            return f"{accuracy.steps} steps are too few for {turns:.3g} oscillations: take steps={enough}"
-    if total > STIFF_PHASE:
-        return (
-            f"it oscillates {turns:.3g} times meanwhile: use the quasi-static scene (Effects(motion=False)),"
-            " a softer or a damped mount, or a shorter duration"
-        )
-    return "the tolerance is tighter than rounding allows, or the resistance drives the share away"
-
-
 def _phase(scene: Scene, duration: float) -> float:
-    return phase(_numbers(scene), duration)
-
-
-def _numbers(scene: Scene) -> dict[str, float]:
-    return {name: float(as_number(value)) for name, value in parameters(scene).items()}
+    return phase(numbers_of(scene), duration)
 
 
 def _difference(run: Run, check: Run) -> float:
@@ -335,50 +254,3 @@ def _difference(run: Run, check: Run) -> float:
         (np.max(np.abs(run.mount_force - check.mount_force)), np.max(np.abs(run.mount_force))),
     )
     return max((float(difference / scale) for difference, scale in pairs if scale > 0.0), default=0.0)
-
-
-def _grazing(run: Run) -> tuple[str, ...]:
-    """Return a warning where, at an output time, a share under stick and slip all but stops and slips on."""
-    if not isinstance(run.scene.effects.contact, StickSlip):
-        return ()
-    before, here, after = run.speed[:-2], run.speed[1:-1], run.speed[2:]
-    slips = (run.mode[:-2] == SLIP) & (run.mode[1:-1] == SLIP) & (run.mode[2:] == SLIP)
-    low = slips & (here <= before) & (here <= after) & (here < _GRAZES * float(np.max(run.speed)))
-    if not np.any(low):
-        return ()
-    first = int(np.argmax(low)) + 1
-    return (
-        f"the share all but stops at t = {run.time[first]:.4g} s ({run.speed[first]:.2g} m/s) and slips on: where its"
-        " speed just touches zero the motion has no derivative, and derivatives given are those of slipping on",
-    )
-
-
-def _stability(run: Run) -> tuple[tuple[complex, ...], tuple[str, ...]]:
-    """Return the Floquet multipliers of an orbit, and a warning where it is unstable."""
-    structure, accuracy = Structure.of(run.scene), run.accuracy
-    solver = integration(structure, accuracy, Timeline(1, accuracy.steps or OUTPUTS))
-    numbers = _numbers(run.scene)
-    p = ca.DM([*(numbers[name] for name in solver.names), float(run.duration)])
-    first = solver.function.call([p])[0][:, 0]
-    found = np.linalg.eigvals(monodromy(structure, solver.timeline)(first, p).full())
-    largest = float(np.max(np.abs(found)))
-    multipliers = tuple(complex(value) for value in found)
-    if largest <= 1.0 + _MARGINAL:
-        return multipliers, ()
-    return multipliers, (
-        f"the orbit is unstable: a deviation grows {largest:.4g} times in every wavelength, so no share stays on it",
-    )
-
-
-def _retreat(run: Run) -> tuple[str, ...]:
-    """Return a warning where, at an output time, the share retreats under a contact law that knows no gap."""
-    contact = run.scene.effects.contact
-    slowest = float(np.min(run.speed))
-    if isinstance(contact, StickSlip) or slowest >= -_RETREAT * float(np.max(np.abs(run.speed))):
-        return ()
-    law = (
-        "under contact 'resisting' the soil then pushes it backwards, which real soil does not"
-        if contact == "resisting"
-        else "the smooth contact forgets the gap that it leaves; StickSlip() does not"
-    )
-    return (f"the share retreats (at up to {-slowest:.3g} m/s): {law}",)

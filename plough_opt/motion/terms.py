@@ -12,12 +12,13 @@ is then -k0, the equilibrium lies at z = -F/k0, and a deviation from it grows li
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 from plough_opt.effects import HarmonicBalance, Smooth, StickSlip
-from plough_opt.expressions import Expression, maximum, minimum, sin, where
-from plough_opt.motion.own import OwnTerm, quantities
+from plough_opt.expressions import Expression, maximum, minimum, sin, template_of, where
+from plough_opt.motion.own import OwnTerm
 from plough_opt.scene import Scene
 
 PARAMETERS = (
@@ -88,9 +89,9 @@ class Structure:
         return self.start != "equilibrium"
 
     @property
-    def smooth(self) -> bool:
-        """Whether the equation is smooth wherever a share that keeps its tow speed comes."""
-        return not self.entry and self.contact == "resisting"
+    def kinked(self) -> bool:
+        """Whether the equation is not smooth where a share may come, so that steps of order 8 lose their order."""
+        return self.entry or self.contact != "resisting"
 
     @property
     def events(self) -> bool:
@@ -119,7 +120,7 @@ def parameters(scene: Scene) -> dict[str, Expression]:
     if effects.rate_term is not None:
         values["rate_term"] = effects.rate_term
     for k, effect in enumerate(effects.own):
-        values |= {f"own_{k}_{j}": value for j, value in enumerate(quantities(effect))}
+        values |= {f"own_{k}_{j}": value for j, value in enumerate(template_of(effect)[1])}
     if isinstance(effects.contact, Smooth):
         values["width"] = effects.contact.width
     if isinstance(effects.contact, StickSlip):
@@ -249,6 +250,11 @@ def inertia_at(structure: Structure, p: dict[str, Expression], travel: Expressio
     if not structure.events:
         return p["inertia"]
     return p["mass"] + carried_mass(structure, p, travel)
+
+
+def lightest_mass(p: Mapping[str, Any]) -> Any:
+    """Return the least mass that moves [kg], by an equation's parameters: in a gap and at first contact that alone."""
+    return p["mass"] if "mass" in p else p["inertia"]
 
 
 def carried_mass(structure: Structure, p: dict[str, Expression], travel: Expression) -> Expression:

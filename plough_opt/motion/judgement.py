@@ -1,0 +1,160 @@
+"""What is refused before a motion is followed, why one failed, and what a reader of a finished run must know."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import casadi as ca
+import numpy as np
+
+from plough_opt.accuracy import FIXED_STEP
+from plough_opt.effects import StickSlip
+from plough_opt.errors import IntegrationError
+from plough_opt.expressions import as_number
+from plough_opt.motion.equation import SLIP, STICK
+from plough_opt.motion.integrators import Integration
+from plough_opt.motion.orbit import monodromy
+from plough_opt.motion.plan import (
+    MOST_RINGING,
+    PHASE_PER_STEP,
+    STIFF_PHASE,
+    numbers_of,
+    phase,
+    ringing,
+    steps_for,
+    with_setting,
+)
+from plough_opt.motion.run import Run
+from plough_opt.motion.signals import signals
+from plough_opt.motion.terms import Structure, parameters, start_deflection, static_resistance
+from plough_opt.motion.timeline import Timeline
+from plough_opt.scene import Scene
+
+# Exponents of growth above this overflow, squared as they are in an RMS sooner than by themselves.
+_MOST_GROWTH = 700.0
+# Speeds backwards below this fraction of the fastest speed are rounding, not retreat.
+_RETREAT = 1e-9
+# Part of the fastest speed below which a share all but stops.
+_GRAZES = 5e-3
+# A multiplier above 1 by less is that of an undamped mount, rounded.
+_MARGINAL = 1e-8
+# Speeds backwards of a slipping share above this fraction are no rounding of the time at which it stopped.
+_MISSED = 1e-5
+
+
+def refuse_ringing(scene: Scene, duration: float) -> None:
+    """Refuse a start from which a stiff mount rings so often that following it would take minutes."""
+    turns = ringing(numbers_of(scene), duration)
+    if scene.effects.start == "equilibrium" or scene.effects.printed.repelling_spring or turns <= MOST_RINGING:
+        return
+    steps = turns / PHASE_PER_STEP
+    raise IntegrationError(
+        f"the motion of a {scene.describe()}: from this start it rings {turns / (2.0 * math.pi):.3g} times, which"
+        f" would take some {steps:.1g} steps: damp the mount, start at equilibrium, take a softer mount, a shorter"
+        " duration or the quasi-static scene, or name a method, as Accuracy('erk'), to follow it all the same"
+    )
+
+
+def refuse_runaway(scene: Scene, duration: float) -> None:
+    """Refuse a repelling spring over a time in which no number holds the travel, and no method ends soon."""
+    if scene.effects.printed.repelling_spring and _growth(scene) * duration > _MOST_GROWTH:
+        raise IntegrationError(f"the motion of a {scene.describe()} has no end in {duration:g} s: {_runaway(scene)}")
+
+
+def _growth(scene: Scene) -> float:
+    """Return the rate [1/s] at which a repelling spring, against the mount's damper, drives the share away."""
+    decay = float(as_number(scene.effects.damping or 0.0)) / (2.0 * float(as_number(scene.inertia)))
+    frequency = float(as_number(scene.natural_frequency))
+    return frequency**2 / (decay + math.hypot(decay, frequency))
+
+
+def _runaway(scene: Scene) -> str:
+    return (
+        f"the print's repelling spring drives the share away like exp({_growth(scene):.3g} t), and drag still faster,"
+        " beyond what the method can follow: take a shorter duration, or formulation = 'derived'"
+    )
+
+
+def likely_cause(scene: Scene, duration: float, solver: Integration) -> str:
+    """Return what probably made an integration fail, and what to do."""
+    total, outputs, accuracy = phase(numbers_of(scene), duration), solver.timeline.outputs, solver.accuracy
+    if scene.effects.printed.repelling_spring:
+        return _runaway(scene)
+    turns = total / (2.0 * math.pi)
+    if accuracy.method in FIXED_STEP:
+        enough = with_setting(replace(accuracy, steps=None), steps_for(total), outputs).steps or 0
+        if enough > 2 * (accuracy.steps or 0):
+            return f"{accuracy.steps} steps are too few for {turns:.3g} oscillations: take steps={enough}"
+    if total > STIFF_PHASE:
+        return (
+            f"it oscillates {turns:.3g} times meanwhile: use the quasi-static scene (Effects(motion=False)),"
+            " a softer or a damped mount, or a shorter duration"
+        )
+    return "the tolerance is tighter than rounding allows, or the resistance drives the share away"
+
+
+def refuse_missed_event(run: Run) -> None:
+    """Refuse a run in which the share retreats without a gap, or is held too long: an event was missed."""
+    structure, p = Structure.of(run.scene), parameters(run.scene)
+    held = p["breakaway"] * static_resistance(structure, p, run.travel)
+    size = float(np.max(np.abs(run.mount_force)))
+    late = (run.mode == STICK) & (run.mount_force > held + _MISSED * size)
+    if np.any(late):
+        raise IntegrationError(
+            f"the motion of a {run.scene.describe()}: '{run.accuracy.method}' missed that the share broke loose before"
+            f" t = {run.time[np.argmax(late)]:.4g} s: take a tighter tolerance"
+        )
+    slowest = float(np.min(np.where(run.mode == SLIP, run.speed, 0.0)))
+    if slowest < -_MISSED * float(np.max(np.abs(run.speed))):
+        first = float(run.time[np.argmax((run.mode == SLIP) & (run.speed == slowest))])
+        raise IntegrationError(
+            f"the motion of a {run.scene.describe()}: '{run.accuracy.method}' missed that the share stopped before"
+            f" t = {first:.4g} s: take a tighter tolerance"
+        )
+
+
+def retreat(run: Run) -> tuple[str, ...]:
+    """Return a warning where, at an output time, the share retreats under a contact law that knows no gap."""
+    contact = run.scene.effects.contact
+    slowest = float(np.min(run.speed))
+    if isinstance(contact, StickSlip) or slowest >= -_RETREAT * float(np.max(np.abs(run.speed))):
+        return ()
+    law = (
+        "under contact 'resisting' the soil then pushes it backwards, which real soil does not"
+        if contact == "resisting"
+        else "the smooth contact forgets the gap that it leaves; StickSlip() does not"
+    )
+    return (f"the share retreats (at up to {-slowest:.3g} m/s): {law}",)
+
+
+def grazing(run: Run) -> tuple[str, ...]:
+    """Return a warning where, at an output time, a share under stick and slip all but stops and slips on."""
+    if not isinstance(run.scene.effects.contact, StickSlip):
+        return ()
+    before, here, after = run.speed[:-2], run.speed[1:-1], run.speed[2:]
+    slips = (run.mode[:-2] == SLIP) & (run.mode[1:-1] == SLIP) & (run.mode[2:] == SLIP)
+    low = slips & (here <= before) & (here <= after) & (here < _GRAZES * float(np.max(run.speed)))
+    if not np.any(low):
+        return ()
+    first = int(np.argmax(low)) + 1
+    return (
+        f"the share all but stops at t = {run.time[first]:.4g} s ({run.speed[first]:.2g} m/s) and slips on: where its"
+        " speed just touches zero the motion has no derivative, and derivatives given are those of slipping on",
+    )
+
+
+def stability(run: Run) -> tuple[tuple[complex, ...], tuple[str, ...]]:
+    """Return the Floquet multipliers of an orbit, and a warning where it is unstable."""
+    structure, numbers = Structure.of(run.scene), numbers_of(run.scene)
+    p = ca.DM([*(numbers[name] for name in signals(structure).parameters), float(run.duration)])
+    start = ca.DM([run.deflection[0] - start_deflection(structure, numbers), run.scene.tow_speed - run.speed[0]])
+    once = Timeline(1, run.accuracy.steps or 1)  # an orbit of numbers has a number of steps
+    found = np.linalg.eigvals(monodromy(structure, once)(start, p).full())
+    largest = float(np.max(np.abs(found)))
+    multipliers = tuple(complex(value) for value in found)
+    if largest <= 1.0 + _MARGINAL:
+        return multipliers, ()
+    return multipliers, (
+        f"the orbit is unstable: a deviation grows {largest:.4g} times in every wavelength, so no share stays on it",
+    )

@@ -15,7 +15,6 @@ from plough_opt.expressions import (
     absolute,
     as_number,
     exp,
-    holds_casadi,
     is_symbolic,
     log1p,
     maximum,
@@ -63,7 +62,7 @@ def front(radius: Expression, soil: Soil) -> Expression:
         return radius * exp(-log1p(-soil.density_ratio) / 2.0)
     square = _front_square(radius**2, soil)
     found = sqrt(square)
-    if not holds_casadi((radius, soil)) or not is_symbolic(found):
+    if not is_symbolic(found):
         _check_profile(as_number(found), soil)
     return found
 

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
-import statistics
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
+
+import numpy as np
 
 from plough_opt.effects import Effects, Smooth, StickSlip, StrengthWave
 from plough_opt.errors import InputError, IntegrationError
@@ -63,11 +64,12 @@ def effect_costs(scene: Scene, duration: float | None) -> list[EffectCost]:
 def _cost(
     name: str, scene: Scene, pair: tuple[dict[str, Any], dict[str, Any]], measured: Callable[[Effects], float]
 ) -> EffectCost:
-    with_it, without = pair
-    present = all(getattr(scene.effects, field) == value for field, value in with_it.items())
+    """Return what an effect costs, from the changes that switch it on and off."""
+    present = all(getattr(scene.effects, field) == value for field, value in pair[0].items())
     try:
-        sizes = [_size(replace(scene, effects=replace(scene.effects, **changes))) for changes in (with_it, without)]
-        times = [measured(replace(scene.effects, **changes)) for changes in (with_it, without)]
+        both = [replace(scene.effects, **changes) for changes in pair]
+        sizes = [_size(replace(scene, effects=effects)) for effects in both]
+        times = [measured(effects) for effects in both]
     except (InputError, IntegrationError) as error:
         return EffectCost(name, present, refused=str(error))
     nodes, states, events = (on - off for on, off in zip(*sizes, strict=True))
@@ -124,4 +126,4 @@ def _seconds(scene: Scene, duration: float | None) -> float:
         started = time.perf_counter()
         simulate(scene, duration)
         taken.append(time.perf_counter() - started)
-    return statistics.median(taken[1:])
+    return float(np.median(taken[1:]))

@@ -10,7 +10,8 @@ from plough_opt.errors import InputError
 from plough_opt.expressions import COUNT, Expression, as_number, is_count, is_symbolic
 from plough_opt.printed import Formulation, Printed, errors_of
 
-_MOST_HARMONICS = 64
+MOST_HARMONICS = 64
+"""Largest number of harmonics of a harmonic balance."""
 
 
 @dataclass(frozen=True)
@@ -106,8 +107,8 @@ class HarmonicBalance:
     harmonics: int = field(default=3, metadata=COUNT)
 
     def __post_init__(self) -> None:
-        if not is_count(self.harmonics) or self.harmonics > _MOST_HARMONICS:
-            raise InputError(f"harmonics = {self.harmonics!r} must be a whole number from 1 to {_MOST_HARMONICS}")
+        if not is_count(self.harmonics) or self.harmonics > MOST_HARMONICS:
+            raise InputError(f"harmonics = {self.harmonics!r} must be a whole number from 1 to {MOST_HARMONICS}")
 
 
 @dataclass(frozen=True)

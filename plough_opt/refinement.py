@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import statistics
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -84,7 +83,7 @@ def refine(quantity: Callable[[int], Expression], sizes: Sequence[int]) -> Refin
     errors, seconds = [], []
     for size in tried:
         errors.append(float(np.max(np.abs(_value(quantity, size) - reference))) / (largest or 1.0))
-        seconds.append(statistics.median(_timed(quantity, size) for _ in range(_REPEATS)))
+        seconds.append(float(np.median([_timed(quantity, size) for _ in range(_REPEATS)])))
     return Refinement(tried, np.array(errors), np.array(seconds))
 
 

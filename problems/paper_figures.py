@@ -19,6 +19,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib import colormaps
@@ -69,14 +70,14 @@ class Choice:
 CHOICE = Choice()
 
 
-def scene(density_ratio: float, stiffness: float, **effects: object) -> po.Scene:
+def scene(density_ratio: float, stiffness: float, **effects: Any) -> po.Scene:
     """Return the share of the figures, at rest at the start; effects as in `plough_opt.Effects`."""
     c = CHOICE
     soil = po.Soil(
         c.density, density_ratio, c.cohesion, c.friction_angle, c.tool_friction, c.ambient_pressure, name="loose soil"
     )
     share = po.Wedge(c.wedge_angle, c.chisel_angle, c.height)
-    return po.Scene(soil, share, stiffness, c.mass, c.tow_speed, po.Effects(start="rest", **effects))  # type: ignore[arg-type]
+    return po.Scene(soil, share, stiffness, c.mass, c.tow_speed, po.Effects(start="rest", **effects))
 
 
 @lru_cache(maxsize=64)

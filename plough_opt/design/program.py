@@ -15,6 +15,7 @@ from plough_opt.design.nlp import build_nlp
 from plough_opt.design.relaxation import first_slack, relaxed
 from plough_opt.design.split import split
 from plough_opt.design.verify import TightEvaluation
+from plough_opt.effects import MOST_HARMONICS
 from plough_opt.errors import DomainError, InputError, PloughError
 from plough_opt.motion.integrators import quiet_events
 from plough_opt.motion.plan import phase, steps_for
@@ -24,7 +25,6 @@ _PHASE_PER_STEP = 0.8
 _MOST_STEPS = 50_000
 # Of a periodic orbit, whose harmonics fall off exponentially.
 _HARMONICS = 12
-_MOST_HARMONICS = 64
 _SMALLEST_SCALE = 1e-12
 
 
@@ -207,7 +207,7 @@ class Program:
                 steps.append(None)
                 continue
             if run.integration.structure.orbit == "periodic":
-                steps.append(min(math.ceil(_HARMONICS * refinement), _MOST_HARMONICS))
+                steps.append(min(math.ceil(_HARMONICS * refinement), MOST_HARMONICS))
                 continue
             fastest = 0.0
             for _, values in self._corners():

@@ -101,7 +101,7 @@ def tight_results(own: Integration, inputs: tuple[float, ...]) -> tuple[Vector, 
     outputs = own.timeline.outputs
     method = automatic(TIGHT, total, outputs, own.structure.orbit != "transient")
     results = []
-    for accuracy in (method, check_of(method, total, outputs, own.structure.smooth)):
+    for accuracy in (method, check_of(method, total, outputs, own.structure.kinked)):
         timeline = Timeline(outputs, accuracy.steps or outputs, own.timeline.kink)
         function = integration(own.structure, accuracy, timeline).function
         parts = [np.asarray(part).ravel(order="F") for part in function.call([ca.DM(inputs)])]

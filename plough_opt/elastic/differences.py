@@ -1,8 +1,14 @@
-"""Differences of logarithms and angles over a small number, without cancellation."""
+"""Differences of logarithms and angles over a small number, without cancellation, and where quadrature takes over."""
 
 from __future__ import annotations
 
 from plough_opt.expressions import Expression, absolute, arctan2, arctan_ratio, arctanh_ratio, log, where
+
+FAR = 1.6
+"""Lengths of a piece, summed from both its ends, beyond which a Gauss rule keeps more digits than differences do."""
+
+FAR_NODES = 24
+"""Nodes of that rule."""
 
 _SERIES_BELOW = 0.5
 

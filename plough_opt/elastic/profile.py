@@ -8,12 +8,11 @@ from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any, TypeAlias
 
-import casadi as ca
 import numpy as np
 
 from plough_opt.domain import check_domain
 from plough_opt.errors import DomainError, InputError
-from plough_opt.expressions import Expression, column, holds_casadi, is_count, maximum, minimum
+from plough_opt.expressions import Expression, as_number, column, holds_casadi, is_count, is_symbolic, maximum, minimum
 from plough_opt.geometry import Cone, Wedge
 
 Profile: TypeAlias = Sequence[tuple[Expression, Expression]] | Wedge | Cone
@@ -150,10 +149,9 @@ def refuse_nodes(offsets: Sequence[Expression], distance: Expression) -> None:
         DomainError: a point lies on a node.
     """
     for k, offset in enumerate(offsets):
-        if holds_casadi((offset, distance)) and not isinstance(offset, ca.DM):
+        if is_symbolic(offset) or is_symbolic(distance):
             continue
-        on_node = (np.asarray(offset) == 0.0) & (np.asarray(distance) == 0.0)
-        if np.any(on_node):
+        if np.any((as_number(offset) == 0.0) & (as_number(distance) == 0.0)):
             raise DomainError(
                 f"a point lies on node {k + 1} of the profile, where the stresses are infinite: move it off the node"
             )

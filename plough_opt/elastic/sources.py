@@ -14,15 +14,11 @@ from __future__ import annotations
 from dataclasses import dataclass, fields
 from functools import cached_property
 
+from plough_opt.elastic.differences import FAR, FAR_NODES
 from plough_opt.elastic.medium import Medium
 from plough_opt.elastic.profile import Body, Segment
 from plough_opt.expressions import Expression, arcsinh, arcsinh_ratio, one_node, sqrt, where
 from plough_opt.quadrature import gauss_legendre
-
-# Beyond this many lengths of a piece, summed from both its ends, a Gauss rule keeps more digits than the
-# differences of the closed form.
-_FAR = 1.6
-_FAR_NODES = 24
 
 
 @dataclass(frozen=True)
@@ -109,14 +105,21 @@ class _Point:
         return (1.0 - self.soil.kappa) / self.fast + self.soil.eta**2 * self.inverse_change
 
     @cached_property
+    def beyond_fast(self) -> Expression:
+        """rho_alpha - |X|, of which nothing is left beside the axis if it is computed so."""
+        return (self.soil.alpha * self.r) ** 2 / (self.fast + self.distance)
+
+    @cached_property
+    def beyond_slow(self) -> Expression:
+        """rho_eta - |X|."""
+        return (self.soil.eta * self.r) ** 2 / (self.slow + self.distance)
+
+    @cached_property
     def gap(self) -> Expression:
         """2 (rho_alpha - rho_eta)/(m r^2) - (rho_alpha - |X|)/r^2."""
-        soil, distance = self.soil, self.distance
-        # rho_k - |X|, of which nothing is left beside the axis if it is computed so.
-        beyond_fast = (soil.alpha * self.r) ** 2 / (self.fast + distance)
-        beyond_slow = (soil.eta * self.r) ** 2 / (self.slow + distance)
-        upper = (2.0 * distance + beyond_fast) * _stiffness(soil) - soil.alpha**2 * beyond_slow
-        return upper / ((self.fast + self.slow) * (self.fast + distance))
+        upper = (2.0 * self.distance + self.beyond_fast) * _stiffness(self.soil)
+        upper = upper - self.soil.alpha**2 * self.beyond_slow
+        return upper / ((self.fast + self.slow) * (self.fast + self.distance))
 
 
 def _stiffness(soil: _State) -> Expression:
@@ -156,7 +159,7 @@ def _piece(
     """Return the potentials of one piece, from the distances from its ends and the axis, its source and the medium."""
     soil = _State(*state)
     first, last = _Point(x0, r, soil), _Point(x1, r, soil)
-    far = first.slow + last.slow > _FAR * length
+    far = first.slow + last.slow > FAR * length
     found = _far(first, last, length, (at_first, slope)).where(far, _near(first, last, (at_first, slope)))
     return tuple(getattr(found, f.name) for f in fields(found))
 
@@ -207,7 +210,7 @@ def _far(first: _Point, last: _Point, length: Expression, source: tuple[Expressi
     soil, r = first.soil, first.r
     above = (first.x >= 0.0) * (last.x < 0.0)
     total = Potentials.zero()
-    for node, weight in zip(*gauss_legendre(_FAR_NODES), strict=True):
+    for node, weight in zip(*gauss_legendre(FAR_NODES), strict=True):
         point = _Point(first.x - node * length, r, soil)
         cubed = 1.0 / point.fast**2 + 1.0 / (point.fast * point.slow) + 1.0 / point.slow**2
         cubed_change = point.inverse_change * cubed
@@ -215,8 +218,7 @@ def _far(first: _Point, last: _Point, length: Expression, source: tuple[Expressi
         side = where(point.x < 0.0, -1.0, 1.0)
         # Above the piece the whole u_r, ahead of it and behind what is left of it without S/r.
         radial = (
-            where(point.x < 0.0, (soil.alpha * r) ** 2 / (point.fast + point.distance), point.fast + point.x)
-            / (r * point.fast)
+            where(point.x < 0.0, point.beyond_fast, point.fast + point.x) / (r * point.fast)
             - 2.0 * point.x * point.inverse_change / r
         )
         kernel = Potentials(
@@ -240,12 +242,9 @@ def _passed(x0: Expression, x1: Expression, length: Expression, source: tuple[Ex
 
 def _outward(point: _Point) -> Expression:
     """Return the kernel of u_r - S/r ahead of a source, with the sign it has behind it."""
-    soil, distance = point.soil, point.distance
-    beyond_fast = (soil.alpha * point.r) ** 2 / (point.fast + distance)
-    beyond_slow = (soil.eta * point.r) ** 2 / (point.slow + distance)
-    upper = _stiffness(soil) * distance * (2.0 * distance + beyond_fast) - soil.alpha**2 * beyond_slow * (
-        3.0 * distance + beyond_fast + beyond_slow
-    )
+    distance, fast, slow = point.distance, point.beyond_fast, point.beyond_slow
+    upper = _stiffness(point.soil) * distance * (2.0 * distance + fast)
+    upper = upper - point.soil.alpha**2 * slow * (3.0 * distance + fast + slow)
     return point.r * upper / (point.fast * point.slow * (point.fast + point.slow) * (point.fast + distance))
 
 

@@ -15,17 +15,13 @@ import math
 from dataclasses import dataclass
 
 from plough_opt.domain import check_domain
-from plough_opt.elastic.differences import angle_difference, log_difference
+from plough_opt.elastic.differences import FAR, FAR_NODES, angle_difference, log_difference
 from plough_opt.elastic.medium import Medium, medium
 from plough_opt.elastic.profile import Body, Profile, body, points, refuse_nodes
 from plough_opt.expressions import Expression, arctan2, one_node, sqrt, where
 from plough_opt.quadrature import gauss_legendre
 from plough_opt.soil import Soil
 
-# Beyond this many lengths of a piece, summed from both its ends, a Gauss rule keeps more digits than the
-# differences of the closed form.
-_FAR = 1.6
-_FAR_NODES = 24
 # Keeps y ln(distance from a node) at its limit 0 on the node itself.
 _TINY = 1e-300
 
@@ -84,16 +80,10 @@ def potentials(offsets: list[Expression], y: Expression, wedge: Body, soil: Medi
 
 @one_node
 def _piece(
-    x0: Expression,
-    x1: Expression,
-    y: Expression,
-    length: Expression,
-    m: Expression,
-    kappa: Expression,
-    alpha: Expression,
-    eta: Expression,
+    x0: Expression, x1: Expression, y: Expression, length: Expression, *state: Expression
 ) -> tuple[Expression, ...]:
     """Return 2 pi/g times Q_alpha and its difference, pi/g times P_alpha and its difference, of a piece of slope g."""
+    m, kappa, alpha, eta = state
     product, slowing = alpha * eta * y**2, (1.0 - kappa) / (alpha + eta)
     slow, fast = ((x0**2 + (k * y) ** 2, x1**2 + (k * y) ** 2) for k in (eta, alpha))
     change = length * (x0 + x1)
@@ -244,16 +234,10 @@ def _potentials_at(x: Expression, y: Expression, profile: Profile, soil: Medium)
 
 @one_node
 def _shift(
-    x0: Expression,
-    x1: Expression,
-    y: Expression,
-    length: Expression,
-    m: Expression,
-    kappa: Expression,
-    alpha: Expression,
-    eta: Expression,
+    x0: Expression, x1: Expression, y: Expression, length: Expression, *state: Expression
 ) -> tuple[Expression, ...]:
     """Return uy of a piece of slope pi: the integral of uy_x from far ahead."""
+    m, kappa, alpha, eta = state
     slowing, product, change = (1.0 - kappa) / (alpha + eta), alpha * eta * y**2, length * (x0 + x1)
 
     def turn(x: Expression) -> Expression:
@@ -267,8 +251,8 @@ def _shift(
     near_by = near_by + y * ((slowing - alpha / 2.0) * log_fast + eta * log_change)
 
     from_far: Expression = 0.0
-    for node, weight in zip(*gauss_legendre(_FAR_NODES), strict=True):
+    for node, weight in zip(*gauss_legendre(FAR_NODES), strict=True):
         x = x0 - node * length
         from_far = from_far + weight * length * (arctan2(alpha * y, -x) + 2.0 * turn(x))
-    far = sqrt(slow0) + sqrt(slow1) > _FAR * length
+    far = sqrt(slow0) + sqrt(slow1) > FAR * length
     return (where(far, from_far, near_by),)

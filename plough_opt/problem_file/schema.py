@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, StrictBool, StrictFloat, StrictInt, StrictStr
 
-from plough_opt.effects import Effects, HarmonicBalance
+from plough_opt.effects import MOST_HARMONICS, Effects, HarmonicBalance
 from plough_opt.problem_file.units import Unit
 from plough_opt.scene import Scene
 
@@ -89,7 +89,7 @@ class EffectsTable(Table):
     damping: Damping | None = None
     rate_term: RateTerm | None = None
     orbit: Literal["transient", "periodic", "linearised", "harmonic_balance"] = "transient"
-    harmonics: Annotated[StrictInt, Field(ge=1, le=64)] = HarmonicBalance.harmonics
+    harmonics: Annotated[StrictInt, Field(ge=1, le=MOST_HARMONICS)] = HarmonicBalance.harmonics
     formulation: Literal["derived", "printed"] = "derived"
 
 

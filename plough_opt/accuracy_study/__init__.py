@@ -1,0 +1,1 @@
+"""What accuracy costs: error against time for every method that can do a scene or a design."""

@@ -1,0 +1,83 @@
+"""A contest of methods: what each costs, how far it is from the reference, and which are worth their time."""
+
+from __future__ import annotations
+
+import math
+import statistics
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One method with one setting in a contest.
+
+    Attributes:
+        family: what kind of choice it is: ``"integrator"``, ``"model"``, ``"quadrature"``, ``"transcription"``,
+            ``"derivatives"``.
+        method: its name.
+        setting: its setting as text, such as ``"tolerance 1e-08"`` or ``"40 steps"``.
+        seconds: median time of one use after a warm-up [s]; infinite of a failure.
+        setup: time to build it, once [s].
+        errors: relative errors [-] by what is wrong; empty of a failure.
+        failure: why it has no result, or None.
+    """
+
+    family: str
+    method: str
+    setting: str
+    seconds: float
+    setup: float = 0.0
+    errors: Mapping[str, float] = field(default_factory=dict)
+    failure: str | None = None
+
+    @property
+    def label(self) -> str:
+        """Method and setting."""
+        return f"{self.method}, {self.setting}" if self.setting else self.method
+
+
+def median_time(action: Callable[[], object], *, budget: float = 0.5, most: int = 15) -> float:
+    """Return the median time [s] of an action after one warm-up.
+
+    Args:
+        action: what is timed.
+        budget: time [s] after which no repetition begins; at least one is timed.
+        most: largest number of repetitions.
+    """
+    action()
+    seconds: list[float] = []
+    while len(seconds) < most and sum(seconds) < budget:
+        started = time.perf_counter()
+        action()
+        seconds.append(time.perf_counter() - started)
+    return statistics.median(seconds)
+
+
+def efficient(entries: Sequence[Entry], error: str, floor: float = 0.0) -> list[Entry]:
+    """Return the entries that no other beats in both time and one error, from the fastest to the most exact.
+
+    Args:
+        entries: of one contest; failures are left out.
+        error: the key of `Entry.errors` that counts.
+        floor: error [-] of the reference itself, below which errors cannot be told apart.
+    """
+    ranked = sorted(
+        (entry for entry in entries if entry.failure is None and error in entry.errors),
+        key=lambda entry: (entry.seconds, entry.errors[error]),
+    )
+    front: list[Entry] = []
+    least = math.inf
+    for entry in ranked:
+        found = max(entry.errors[error], floor)
+        if found < least:
+            front.append(entry)
+            least = found
+    return front
+
+
+def cheapest(entries: Sequence[Entry], error: str, wanted: float) -> Entry | None:
+    """Return the fastest entry whose error [-] is at most the wanted one, or None."""
+    good = [entry for entry in entries if entry.failure is None and entry.errors.get(error, math.inf) <= wanted]
+    return min(good, key=lambda entry: entry.seconds, default=None)

@@ -29,8 +29,7 @@ class Accuracy:
         method: ``"auto"`` reaches ``error``; the others are named for whoever wants one:
             ``"dop853"``, fixed steps of order 8, cheapest inside a design and twice differentiable at
             every setting; CasADi's adaptive ``"cvodes"``, ``"idas"``, ``"erk"``, ``"rosenbrock"``; and
-            CasADi's fixed-step ``"collocation"`` and ``"rk"``, which do not align
-            their steps with the end of a tow ramp.
+            CasADi's fixed-step ``"collocation"`` and ``"rk"``, of order 5 and 4.
         error: for ``"auto"``, the wanted relative error of mean draft and RMS force (each relative to the mean
             draft); default 1e-8.
         steps: for a fixed-step method, steps over the whole duration; default: as many as the scene's

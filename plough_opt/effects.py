@@ -41,8 +41,9 @@ class StrengthWave:
 class Smooth:
     """One-sided contact without memory: the resistance is multiplied by a smooth step of the share's speed.
 
-    The step is 0 for L' <= 0 and 1 above the width, 6 u^5 - 15 u^4 + 10 u^3 between. It tends to `StickSlip` for a
-    width that tends to 0, but only where no gap opens.
+    The step is 0 for L' <= 0 and 1 above the width w, u^5 (126 - 420 u + 540 u^2 - 315 u^3 + 70 u^4) with u = L'/w
+    between, smooth enough at both ends that second derivatives of a run keep their digits. It tends to `StickSlip`
+    for a width that tends to 0, but only where no gap opens.
 
     Args:
         width: speed [m/s] above which the soil resists fully, above 0.

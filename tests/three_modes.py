@@ -98,7 +98,7 @@ class _Share:
         if self.width is None:
             return 1.0
         u = min(max(speed / self.width, 0.0), 1.0)
-        return 6.0 * u**5 - 15.0 * u**4 + 10.0 * u**3
+        return 70.0 * u**9 - 315.0 * u**8 + 540.0 * u**7 - 420.0 * u**6 + 126.0 * u**5
 
     def soil(self, travel, speed):
         """Return the resistance without the added mass."""

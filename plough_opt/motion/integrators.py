@@ -10,8 +10,9 @@ from functools import lru_cache
 from typing import Any
 
 import casadi as ca
+import numpy as np
 
-from plough_opt.accuracy import ADAPTIVE, ORDER_8, Accuracy
+from plough_opt.accuracy import ADAPTIVE, FIXED_STEP, ORDER_8, Accuracy
 from plough_opt.motion.equation import equation_of_motion, start_state
 from plough_opt.motion.orbit import orbit_map
 from plough_opt.motion.runge_kutta import run_map
@@ -65,16 +66,18 @@ def _by_casadi(structure: Structure, accuracy: Accuracy, timeline: Timeline) -> 
     options = _options(accuracy, timeline)
     if transition is not None:
         options |= {"transition": transition, "max_events": _MOST_EVENTS, "event_tol": 1e-12, "max_event_iter": 100}
-    times = [float(t) for t in timeline.output_fractions[1:]]
+    # Fixed steps end where the result is asked for: at the kink too, so that they keep their order.
+    times = (timeline.stops if accuracy.method in FIXED_STEP else timeline.output_fractions)[1:]
+    asked = [int(i) for i in np.searchsorted(times, timeline.output_fractions[1:])]
     with quiet_events():
-        solver = ca.integrator("motion", accuracy.method, equation, 0.0, times, options)
+        solver = ca.integrator("motion", accuracy.method, equation, 0.0, times.tolist(), options)
     p = ca.MX.sym("p", len(observed.parameters) + 1)
     known = observed.named(p)
     scales = _scales(structure, known)
     unit = _units(structure, scales)
     first = start_state(structure, known)
     result = solver(x0=ca.vertcat(first / unit, ca.MX.zeros(observed.squared)), p=ca.vertcat(p, *scales))
-    states = result["xf"][:count, :] * ca.repmat(unit, 1, timeline.outputs)
+    states = result["xf"][:count, asked] * ca.repmat(unit, 1, timeline.outputs)
     sizes = _signal_scales(structure, known, scales)
     spreads, others = ca.vertsplit(result["qf"][:, -1], [0, observed.squared, observed.count])
     integrals = ca.vertcat(result["xf"][count:, -1], others)

@@ -51,7 +51,7 @@ def fastest_rate(p: Mapping[str, float]) -> float:
     inertia: float = lightest_mass(p)
     drag = 2.0 * p.get("drag", 0.0) * p.get("tow_speed", 0.0)
     # Steepest slope of the smooth contact's step, at its strongest soil.
-    creep = 1.875 * p["static"] * (1.0 + p.get("wave_amplitude", 0.0)) / p["width"] if "width" in p else 0.0
+    creep = 315.0 / 128.0 * p["static"] * (1.0 + p.get("wave_amplitude", 0.0)) / p["width"] if "width" in p else 0.0
     decay = (p.get("damping", 0.0) + drag + creep) / inertia
     return max(math.sqrt(abs(p["stiffness"]) / inertia), decay, forced_rate(p))
 

@@ -34,6 +34,14 @@ class Timeline:
         """Ends of the steps as fractions of the duration, both ends included."""
         per_interval = max(1, round(self.steps / self.outputs))
         nodes = np.linspace(0.0, 1.0, self.outputs * per_interval + 1)
+        return self._with_kink(nodes)
+
+    @cached_property
+    def stops(self) -> NDArray[np.float64]:
+        """Times at which a fixed step must end: the outputs and the kink, as fractions of the duration."""
+        return self._with_kink(self.output_fractions)
+
+    def _with_kink(self, nodes: NDArray[np.float64]) -> NDArray[np.float64]:
         # A kink at rounding distance from a node would make a step of no length.
         if self.kink is None or np.min(np.abs(nodes - self.kink)) < 1e-9:
             return nodes

@@ -87,9 +87,7 @@ def test_gradients_and_hessians_equal_high_order_differences(r1_soil, case):
         found = ca.Function("hessian", [x], [hessian])(AT).full()
         expected = differences(lambda at, g=gradient: g(at).full(), AT, 1e-3)
         assert gradient(AT).full().ravel() == pytest.approx(slopes[row], rel=0, abs=1e-7 * np.max(np.abs(slopes[row])))
-        # Steps that cross an end of the smooth step, where its third derivative jumps, leave less of the Hessian.
-        allowed = 2e-3 if case == "smooth" else 2e-6
-        assert found == pytest.approx(expected, rel=0, abs=allowed * np.max(np.abs(expected)))
+        assert found == pytest.approx(expected, rel=0, abs=2e-6 * np.max(np.abs(expected)))
         assert found == pytest.approx(found.T, rel=0, abs=1e-6 * np.max(np.abs(found)))
 
 

@@ -89,7 +89,7 @@ def test_above_the_width_it_is_the_plain_law(r1_soil):
 def test_a_steady_start_is_that_of_the_step(r1_soil, speed):
     scene = scene_of(r1_soil, po.Smooth(0.1), speed=speed)
     u = min(speed / 0.1, 1.0)
-    share = u**3 * (10.0 - 15.0 * u + 6.0 * u**2)
+    share = u**5 * (126.0 - 420.0 * u + 540.0 * u**2 - 315.0 * u**3 + 70.0 * u**4)
     run = po.simulate(scene, 1.0, outputs=10)
     steady = share * (scene.reaction.static + scene.reaction.drag * speed**2)
     assert run.mount_force == pytest.approx(steady, rel=1e-12)

@@ -80,6 +80,8 @@ class _Share:
         self.width = float(e.contact.width) if isinstance(e.contact, po.Smooth) else None
         self.breakaway = float(e.contact.breakaway) if isinstance(e.contact, po.StickSlip) else None
         self.first_speed = 0.0 if self.ramp else self.v0
+        # The furthest travel of a share that has turned back, or has been wholly in the soil.
+        self.behind = -math.inf
 
     def strut(self, t):
         """Return path and speed of the strut."""
@@ -92,7 +94,7 @@ class _Share:
         return self.v0 / self.ramp * float(RAMP_RATE(t / self.ramp)) if t < self.ramp else 0.0
 
     def buried(self, travel):
-        return min(max(travel, 0.0), self.height) / self.height if self.entry else 1.0
+        return min(max(travel, self.behind, 0.0), self.height) / self.height if self.entry else 1.0
 
     def step(self, speed):
         if self.width is None:
@@ -174,6 +176,10 @@ class _Share:
                 found.append(("capture", lambda _, x: x[0] - furthest if x[1] > 0.0 else -1.0))
         if self.entry and not entered and mode != STICK:
             found.append(("buried", lambda _, x: x[0] - self.height))
+            if self.breakaway is None and math.isinf(self.behind):
+                found.append(("back", lambda t, x: -x[1] if self.slows(t, x) < 0.0 else -1.0))
+            elif self.breakaway is None:
+                found.append(("forth", lambda _, x: x[0] - self.behind if x[1] > 0.0 else -1.0))
         return found
 
 
@@ -183,13 +189,15 @@ def follow(scene, duration, outputs=20, tolerance=TIGHT):
     times = np.linspace(0.0, duration, outputs + 1)
     rough = _path(share, scene, (duration, times), (share.static, share.static / share.k), 1e3 * tolerance)
     about = tuple(rough[0][2:4, -1] / duration)
-    columns, modes, openings, changes, loss = _path(share, scene, (duration, times), about, tolerance)
+    columns, modes, openings, changes, loss, depths = _path(share, scene, (duration, times), about, tolerance)
     travel, speed = columns[:2]
     sums = columns[:, -1]
     means = sums[2:4] / duration
     spreads = np.maximum(sums[4:6] / duration - (means - np.array(about)) ** 2, 0.0)
     pull = np.array([share.pull(*point) for point in zip(times, travel, speed, strict=True)])
-    acceleration = [share.rates(mode, about)(t, x)[1] for t, x, mode in zip(times, columns.T, modes, strict=True)]
+    acceleration = []
+    for t, x, mode, share.behind in zip(times, columns.T, modes, depths, strict=True):
+        acceleration.append(share.rates(mode, about)(t, x)[1])
     return Motion(
         time=times,
         travel=travel,
@@ -217,7 +225,7 @@ def _path(share, scene, when, about, tolerance):
     kind = scene.effects.start
     travel, speed = share.start(kind)
     mode = share.first_mode(kind, travel, speed)
-    furthest, entered, loss = travel, False, 0.0
+    furthest, entered, loss, share.behind = travel, False, 0.0, -math.inf
     force = share.static + share.v0 * math.sqrt(share.k * share.m) + 1e-9
     sizes = np.array([force / share.k, force / math.sqrt(share.k * share.m), *_sums(share, force, duration)])
     # The travel's own size does not matter: it is its difference from the strut's path that pulls.
@@ -230,12 +238,13 @@ def _path(share, scene, when, about, tolerance):
     # After a turn the next is not looked for at once, or rounding would find the same again.
     turned, rest = -math.inf, 1e-3 * settings.get("max_step", 0.0)
     stops = sorted({*times, *([share.ramp] if 0.0 < share.ramp < duration else [])})
-    x, columns, modes, openings, changes = np.array([travel, speed] + [0.0] * 7), [], [], [], []
+    x, columns, modes, openings, changes, depths = np.array([travel, speed] + [0.0] * 7), [], [], [], [], []
 
     def note():
         columns.append(x)
         modes.append(mode)
         openings.append(furthest - x[0] if mode == GAP else 0.0)
+        depths.append(share.behind)
 
     note()
     for now, end in itertools.pairwise(stops):
@@ -253,6 +262,11 @@ def _path(share, scene, when, about, tolerance):
                 continue
             if which == "turn":
                 turned = now
+            if which in ("back", "forth"):
+                share.behind = x[0] if which == "back" else -math.inf
+                continue
+            if which == "buried":
+                share.behind = x[0]
             if which in ("turn", "buried"):
                 entered = entered or which == "buried"
                 continue
@@ -272,7 +286,7 @@ def _path(share, scene, when, about, tolerance):
             assert len(changes) < 100_000, "events without end"
         if end in times:
             note()
-    return np.array(columns).T, modes, openings, changes, loss
+    return np.array(columns).T, modes, openings, changes, loss, depths
 
 
 def _sums(share, force, duration):

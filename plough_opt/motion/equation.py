@@ -1,8 +1,8 @@
 """Equation of motion (27) as CasADi Functions: the right-hand side, and the events that interrupt it.
 
-A share that slips has the states (w, w'). Under `StickSlip` two more follow: how far it is behind its furthest point
-[m], and its mode, whose rate is zero. Of a share that enters the last state is 1 while it is wholly in the soil, and
-else 0.
+A share that slips has the states (w, w'). Under `StickSlip`, and while a share enters, two more follow: how far it is
+behind its furthest point [m], and its mode, whose rate is zero. Of a share that enters the last state is 1 once it was
+wholly in the soil, and before 0.
 """
 
 from __future__ import annotations
@@ -31,9 +31,6 @@ from plough_opt.motion.terms import (
 SLIP: Final = 0.0
 STICK: Final = 1.0
 GAP: Final = 2.0
-
-# Part of the height by which a share must come back before it counts as no longer wholly in the soil.
-_HYSTERESIS = 1e-12
 
 
 @dataclass(frozen=True)
@@ -64,14 +61,14 @@ def equation_of_motion(structure: Structure) -> EquationOfMotion:
     now = _Now(structure, symbols)
     if structure.contact == "stick_slip":
         rates, zeros, after = now.rates_of_modes(), [now.until_contact_changes()], [now.after_contact_changed()]
+    elif structure.entry:
+        rates, zeros, after = now.rates_of_entry(), [now.until_it_turns()], [now.after_it_turned()]
     else:
         rates, zeros, after = ca.vertcat(now.rate, now.slipping()), [], []
     if structure.entry:
         rates = ca.vertcat(rates, 0.0)
-        back = now.travel - symbols["height"] * (1.0 - _HYSTERESIS)
-        zeros.append(ca.if_else(now.entered < 0.5, symbols["height"] - now.travel, back))
-        after = [ca.vertcat(state, now.entered) for state in (*after, now.state[:-1])]
-        after[-1][-1] = 1.0 - now.entered
+        zeros.append(ca.if_else(now.entered < 0.5, symbols["height"] - now.travel, 1.0))
+        after = [ca.vertcat(after[0], now.entered), ca.vertcat(now.state[:-1], 1.0)]
     everything = ca.vertcat(rates, *zeros, *after)
     used = {symbol.name() for symbol in ca.symvar(everything)} & set(structure.names)
     names = tuple(name for name in structure.names if name in used)
@@ -89,7 +86,7 @@ def start_state(structure: Structure, p: dict[str, Expression]) -> Expression:
     first = ca.vertcat(0.0, start_rate(structure, p))
     entered = (0.0,) if structure.entry else ()
     if structure.contact != "stick_slip":
-        return ca.vertcat(first, *entered)
+        return ca.vertcat(first, 0.0, SLIP, *entered) if structure.entry else first
     # A share without speed sticks, unless the mount already pulls enough.
     speed = 0.0 if structure.start == "rest" else start_speed(structure, p)
     pull = 0.0 if structure.relaxed else start_resistance(structure, p)
@@ -108,10 +105,10 @@ class _Now:
         self.w, self.rate = ca.SX.sym("w"), ca.SX.sym("rate")
         self.opening, self.mode = ca.SX.sym("opening"), ca.SX.sym("mode")
         self.entered = ca.SX.sym("entered")
-        modes = (self.opening, self.mode) if structure.contact == "stick_slip" else ()
+        modes = (self.opening, self.mode) if structure.events else ()
         self.state = ca.vertcat(self.w, self.rate, *modes, *((self.entered,) if structure.entry else ()))
         self.structure = structure
-        self.p = p | {"entered": self.entered} if structure.entry else p
+        self.p = p | {"entered": self.entered, "behind": self.opening} if structure.entry else p
         self.mount: Strut = strut(structure, p, self.time)
         self.travel = self.mount.path - start_deflection(structure, p) - self.w
 
@@ -169,6 +166,20 @@ class _Now:
         taken_up = self.speed * mass / (mass + carried_mass(self.structure, self.p, self.travel))
         rate = self._by_mode(at_rest, at_rest, self.strut_speed - taken_up)
         return ca.vertcat(self.w, rate, 0.0, self._by_mode(stopped, SLIP, SLIP))
+
+    def rates_of_entry(self) -> Expression:
+        """Return the rate of the four states of a share that enters and never leaves contact."""
+        behind = self.mode > STICK
+        return ca.vertcat(self.rate, self.slipping(), ca.if_else(behind, -self.speed, 0.0), 0.0)
+
+    def until_it_turns(self) -> Expression:
+        """Return what becomes negative when a share that enters turns back, or is at its furthest point again."""
+        turning = ca.if_else(self.mode > STICK, self.opening, self.speed)
+        return ca.if_else(self.entered < 0.5, turning, 1.0)
+
+    def after_it_turned(self) -> Expression:
+        """Return the state after that."""
+        return ca.vertcat(self.w, self.rate, 0.0, ca.if_else(self.mode > STICK, SLIP, GAP))
 
     def _by_mode(self, slip: Expression, stick: Expression, gap: Expression) -> Expression:
         """Choose by the mode, element by element."""

@@ -113,7 +113,7 @@ def _scales(structure: Structure, p: dict[str, Any]) -> tuple[Any, Any, Any]:
 
 def _units(structure: Structure, scales: Any) -> Any:
     """Return the units of an equation's states: deflection, rate, a gap's opening; mode and entry count."""
-    modes = (scales[0], 1.0) if structure.contact == "stick_slip" else ()
+    modes = (scales[0], 1.0) if structure.events else ()
     return ca.vertcat(scales[0], scales[1], *modes, *((1.0,) if structure.entry else ()))
 
 

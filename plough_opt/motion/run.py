@@ -217,6 +217,8 @@ def assemble(
         accuracy: method and setting used.
     """
     structure, p = Structure.of(scene), parameters(scene)
+    if structure.entry:
+        p |= {"behind": states[:, 2], "entered": states[:, 4]}
     time = column(fractions, is_casadi(states)) * duration
     w, rate = states[:, 0], states[:, 1]
     mount, u0 = strut(structure, p, time), start_speed(structure, p)

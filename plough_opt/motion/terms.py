@@ -234,14 +234,14 @@ def static_resistance(structure: Structure, p: dict[str, Expression], travel: Ex
 
 
 def buried(structure: Structure, p: dict[str, Expression], travel: Expression) -> Expression:
-    """Return the part H/h of the share's height that is in the soil [-].
+    """Return the part H/h of the share's height that is in the soil [-], which its furthest travel decides.
 
     In the differential equation the state ``entered`` decides: rounding of the time at which the share is wholly in
     the soil would else leave the slope of the wrong side.
     """
     if not structure.entry:
         return 1.0
-    entering = maximum(travel / p["height"], 0.0)
+    entering = maximum((travel + p.get("behind", 0.0)) / p["height"], 0.0)
     return where(p["entered"] > 0.5, 1.0, entering) if "entered" in p else minimum(entering, 1.0)
 
 

@@ -159,7 +159,7 @@ def test_what_is_off_is_not_in_the_equation(r1_soil, effects):
         assert is_on(effects, name) or not (own & names), name
     assert stick_slip or "breakaway" not in names
     assert smooth == ("width" in names)
-    assert equation.states == 2 + 2 * stick_slip + effects["entry"]
+    assert equation.states == 2 + 2 * (stick_slip or effects["entry"]) + effects["entry"]
     assert (equation.events is not None) == (stick_slip or effects["entry"])
     operations = [equation.function.instruction_id(k) for k in range(equation.function.n_instructions())]
     assert is_on(effects, "strength_wave") == (ca.OP_SIN in operations)

@@ -34,31 +34,34 @@ from plough_opt.soil import Soil, named_soil, soil_names
 
 if TYPE_CHECKING:
     from plough_opt import plots
+    from plough_opt.accuracy_study.study import AccuracyStudy, accuracy_study
     from plough_opt.problem_file import Problem, read_problem
     from plough_opt.results import load
 
 # What only files and pictures need is imported when it is first used: pint, pydantic and matplotlib are slow.
 _LATER = {
+    "AccuracyStudy": "plough_opt.accuracy_study.study",
     "Problem": "plough_opt.problem_file",
     "read_problem": "plough_opt.problem_file",
     "load": "plough_opt.results",
-    "plots": "plough_opt",
 }
+_MODULES_LATER = ("accuracy_study", "plots")
 
 
 def __getattr__(name: str) -> Any:
-    """Import a name of ``_LATER`` on first use."""
+    """Import a name of ``_LATER``, or a module, on first use."""
     import importlib
 
+    if name in _MODULES_LATER:
+        return importlib.import_module(f"plough_opt.{name}")
     if name not in _LATER:
         raise AttributeError(f"module 'plough_opt' has no attribute '{name}'")
-    if name == "plots":
-        return importlib.import_module("plough_opt.plots")
     return getattr(importlib.import_module(_LATER[name]), name)
 
 
 __all__ = [
     "Accuracy",
+    "AccuracyStudy",
     "Cone",
     "Design",
     "DomainError",
@@ -82,6 +85,7 @@ __all__ = [
     "StickSlip",
     "StrengthWave",
     "Wedge",
+    "accuracy_study",
     "added_mass",
     "deg",
     "elastic",

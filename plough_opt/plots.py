@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -13,50 +12,31 @@ from matplotlib.ticker import MaxNLocator
 from plough_opt.design import Optimum
 from plough_opt.elastic import wedge_stress
 from plough_opt.elastic.profile import Profile, body
-from plough_opt.errors import InputError
 from plough_opt.geometry import Wedge
 from plough_opt.motion import Run
 from plough_opt.motion.equation import GAP, STICK
 from plough_opt.motion.terms import Structure, parameters, start_speed, strut
+from plough_opt.picture_files import FORMATS, check_format, save
 from plough_opt.scene import Scene
 from plough_opt.soil import Soil
 
-FORMATS = ("png", "svg", "pdf")
+__all__ = [
+    "FORMATS",
+    "check_format",
+    "draw_cone",
+    "draw_deflection",
+    "draw_force",
+    "draw_scan",
+    "draw_speed",
+    "draw_wedge",
+    "plot_optimum",
+    "plot_run",
+    "plot_share",
+    "plot_wedge_field",
+    "save",
+]
+
 _STEEL, _SOIL, _FORCE, _ACCENT, _MUTED = "#4a5a68", "#b98b5e", "#1f5f8b", "#c0392b", "#8a8a8a"
-
-
-def save(figure: Figure, path: str | Path) -> Path:
-    """Write a figure to a file, making its folder; the ending chooses the format.
-
-    Raises:
-        InputError: an ending that is no known format, or a place that cannot be written.
-    """
-    target = Path(path)
-    check_format(target)
-    partial = target.with_name(f".{target.name}.part")
-    try:
-        target.parent.mkdir(parents=True, exist_ok=True)
-        try:
-            figure.savefig(partial, dpi=130, format=target.suffix[1:].lower())
-            partial.replace(target)
-        finally:
-            partial.unlink(missing_ok=True)
-    except OSError as error:
-        raise InputError(f"the plot '{target}' cannot be written: {error}") from None
-    return target
-
-
-def check_format(path: str | Path) -> None:
-    """Refuse a file whose ending is no picture format, or that is a folder.
-
-    Raises:
-        InputError: as said.
-    """
-    if Path(path).suffix[1:].lower() not in FORMATS:
-        endings = ", ".join(f".{ending}" for ending in FORMATS)
-        raise InputError(f"the plot '{path}' has no known picture format: end its name in one of {endings}")
-    if Path(path).is_dir():
-        raise InputError(f"the plot '{path}' is a folder: name a file in it")
 
 
 def plot_share(scene: Scene) -> Figure:

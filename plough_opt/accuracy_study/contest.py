@@ -43,10 +43,15 @@ def median_time(action: Callable[[], object], *, budget: float = 0.5, most: int 
 
     Args:
         action: what is timed.
-        budget: time [s] after which no repetition begins; at least one is timed.
+        budget: time [s] after which no repetition begins; at least one is timed, unless the warm-up alone takes
+            longer, whose time then counts.
         most: largest number of repetitions.
     """
+    started = time.perf_counter()
     action()
+    first = time.perf_counter() - started
+    if first > budget:
+        return first
     seconds: list[float] = []
     while len(seconds) < most and sum(seconds) < budget:
         started = time.perf_counter()

@@ -1,0 +1,47 @@
+"""Pictures as files: known formats, written whole or not at all."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from plough_opt.errors import InputError
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+FORMATS = ("png", "svg", "pdf")
+
+
+def save(figure: Figure, path: str | Path) -> Path:
+    """Write a figure to a file, making its folder; the ending chooses the format.
+
+    Raises:
+        InputError: an ending that is no known format, or a place that cannot be written.
+    """
+    target = Path(path)
+    check_format(target)
+    partial = target.with_name(f".{target.name}.part")
+    try:
+        target.parent.mkdir(parents=True, exist_ok=True)
+        try:
+            figure.savefig(partial, dpi=130, format=target.suffix[1:].lower())
+            partial.replace(target)
+        finally:
+            partial.unlink(missing_ok=True)
+    except OSError as error:
+        raise InputError(f"the plot '{target}' cannot be written: {error}") from None
+    return target
+
+
+def check_format(path: str | Path) -> None:
+    """Refuse a file whose ending is no picture format, or that is a folder.
+
+    Raises:
+        InputError: as said.
+    """
+    if Path(path).suffix[1:].lower() not in FORMATS:
+        endings = ", ".join(f".{ending}" for ending in FORMATS)
+        raise InputError(f"the plot '{path}' has no known picture format: end its name in one of {endings}")
+    if Path(path).is_dir():
+        raise InputError(f"the plot '{path}' is a folder: name a file in it")

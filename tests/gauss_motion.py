@@ -1,4 +1,4 @@
-"""Motion of a share in its spring's deflection z by Gauss collocation of order 16: exact to rounding where it is smooth.
+"""Motion of a share in its spring's deflection z by Gauss collocation of order 16, exact to rounding if smooth.
 
 For scenes without events. The averages are quadratures over the same nodes, and an RMS is a second pass about the mean.
 """
@@ -78,7 +78,7 @@ def _start(scene):
 
 
 def follow(scene, duration, steps=60, kinks=()):
-    """Return the `Motion` of a scene of numbers, with steps that end at the end of the tow ramp and at further kinks."""
+    """Return the `Motion` of a scene of numbers; steps end at the end of the tow ramp and at further kinks."""
     k, c, inertia = scene.stiffness, scene.effects.damping or 0.0, scene.inertia
 
     def rates(t, z, rate):

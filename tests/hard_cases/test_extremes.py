@@ -173,34 +173,7 @@ def test_a_thousand_metres_a_second(r1_soil, contact):
     assert largest(run.mount_force - expected.mount_force) < 5e-8 * largest(expected.mount_force)
 
 
-# --- resonance, events by the thousand ---
-
-
-@pytest.mark.parametrize("periods", [10, 300])
-def test_resonance_without_damping_against_the_exact_solution(r1_soil, periods):
-    # To first order in a wave of 1e-9: M w'' + k w = a sin(W t - d) with W the natural frequency grows like t.
-    soil, stiffness, wavelength, tiny = r1_soil, 5e4, 0.6, 1e-9
-    bare = scene_of(soil, stiffness=stiffness, inertial_drag=False)
-    omega = bare.natural_frequency
-    speed = omega * wavelength / (2.0 * math.pi)
-    wave = po.StrengthWave(tiny, wavelength)
-    scene = scene_of(soil, stiffness=stiffness, speed=speed, inertial_drag=False, strength_wave=wave)
-    duration = periods * 2.0 * math.pi / omega
-    run = po.simulate(scene, duration, accuracy=po.Accuracy("dop853", steps=periods * 64), outputs=periods * 8)
-    static = scene.reaction.static
-    phase = 2.0 * math.pi * static / stiffness / wavelength
-    a, t = tiny * static / scene.inertia, run.time
-    # w = a/(2 W) [ (sin(W t) cos(d))/W - t cos(W t - d) ], at rest at first.
-    exact = a / (2.0 * omega) * (math.cos(phase) * np.sin(omega * t) / omega - t * np.cos(omega * t - phase))
-    found = run.deflection - static / stiffness
-    rounding = 4e-16 * static / stiffness
-    # The next order in the wave is 1e-9 of the growth; amplitude and phase together stay within 1e-6.
-    assert found == pytest.approx(exact, rel=0, abs=1e-6 * largest(exact) + rounding)
-    late = t > 0.9 * duration
-    basis = np.column_stack([t[late] * np.cos(omega * t[late]), t[late] * np.sin(omega * t[late])])
-    (c, s), (c0, s0) = (np.linalg.lstsq(basis, values[late], rcond=None)[0] for values in (found, exact))
-    assert math.hypot(c, s) == pytest.approx(math.hypot(c0, s0), rel=1e-6)
-    assert math.atan2(s, c) == pytest.approx(math.atan2(s0, c0), abs=1e-6)
+# --- events by the thousand ---
 
 
 @pytest.mark.parametrize("cycles", [250, pytest.param(1500, marks=pytest.mark.slow)])

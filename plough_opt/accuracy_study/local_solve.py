@@ -1,0 +1,195 @@
+"""One local solve of a design's program by IPOPT, with a choice of derivatives and of compiled functions."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import tempfile
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Literal
+
+import casadi as ca
+import numpy as np
+
+from plough_opt.accuracy_study.transcription import Question, Transcribed
+from plough_opt.design.ipopt import _FAR, _NEAR, _OPTIONS, REMEDIES, Vector
+from plough_opt.design.nlp import Nlp
+from plough_opt.errors import NotConverged
+
+Derivatives = Literal["exact", "gradient", "central", "forward"]
+"""Exact Hessian; exact gradient with limited-memory BFGS; gradient by differences with limited-memory BFGS."""
+
+COMPILERS = ("cc", "gcc", "clang")
+
+
+@dataclass(frozen=True)
+class Start:
+    """Where and how every contestant begins.
+
+    Attributes:
+        y: scaled variables.
+        near: whether they are nearly optimal already: IPOPT then stays in the basin.
+        limit: time [s] after which IPOPT gives up.
+    """
+
+    y: Vector
+    near: bool
+    limit: float
+
+
+@dataclass(frozen=True)
+class Found:
+    """Where IPOPT stopped: scaled variables, the scaled objective as reported, and the number of iterations."""
+
+    y: Vector
+    f: float
+    iterations: int
+
+
+Solve = Callable[[], Found]
+
+
+def solve_nlp(
+    nlp: Nlp, question: Question, start: Start, derivatives: Derivatives = "exact", tolerance: float = 1e-10
+) -> Solve:
+    """Return the local solve of a program that has its own derivatives.
+
+    Args:
+        nlp: the program; its Functions may be compiled.
+        question: the design's question, for the limits.
+        start: where to begin.
+        derivatives: which of the program's derivatives to use.
+        tolerance: of IPOPT.
+    """
+    y, none = ca.MX.sym("y", len(start.y)), ca.MX.sym("p", 0)
+    problem = {"x": y, "p": none, "f": ca.densify(nlp.f(y, none)), "g": ca.densify(nlp.g(y, none))}
+    options: dict[str, Any] = {"grad_f": nlp.grad_f, "jac_g": nlp.jac_g, "ipopt.tol": tolerance}
+    options |= {"hess_lag": nlp.hess_lag} if derivatives == "exact" else _limited_memory(derivatives)
+    program = question.program
+    bounds = {"lbx": 0.0, "ubx": 1.0, "lbg": program.low, "ubg": program.high}
+    return _ipopt(problem, options, bounds, start, start.y)
+
+
+def solve_transcribed(
+    own: Transcribed, start: Start, derivatives: Derivatives = "exact", tolerance: float = 1e-10, *, scalar: bool
+) -> Solve:
+    """Return the local solve of a transcribed program, differentiated by CasADi.
+
+    Args:
+        own: the program.
+        start: how to begin; the program holds where.
+        derivatives: ``"exact"`` or ``"gradient"``.
+        tolerance: of IPOPT.
+        scalar: whether to expand the graph into scalar operations: slower to build, faster to evaluate.
+    """
+    whole = ca.Function("whole", [own.x], [own.f, *own.g])
+    x: Any = ca.MX.sym("x", own.x.numel())
+    if scalar:
+        whole, x = whole.expand(), ca.SX.sym("x", own.x.numel())
+    f, *blocks = whole.call([x])
+    g = ca.vertcat(*blocks)
+    # Block by block, CasADi takes the cheaper mode for each; together, rows and columns without zeros spoil both.
+    jacobian = ca.vertcat(*(ca.jacobian(block, x) for block in blocks))
+    names = ["x", "p"], ["g", "jac_g_x"]
+    none = x[:0] if scalar else ca.MX.sym("p", 0)
+    problem = {"x": x, "f": f, "g": g}
+    options = {
+        "jac_g": ca.Function("jac_g", [x, none], [ca.densify(g), jacobian], *names),
+        "ipopt.tol": tolerance,
+    } | _limited_memory(derivatives)
+    bounds = {"lbx": own.lower, "ubx": own.upper, "lbg": own.low, "ubg": own.high}
+    return _ipopt(problem, options, bounds, start, own.start)
+
+
+def _limited_memory(derivatives: Derivatives) -> dict[str, Any]:
+    return {} if derivatives == "exact" else {"ipopt.hessian_approximation": "limited-memory"}
+
+
+def _ipopt(problem: dict[str, Any], options: dict[str, Any], bounds: dict[str, Any], start: Start, x0: Vector) -> Solve:
+    """Return a solve with the toolkit's own settings of IPOPT, but for those given."""
+    # CasADi builds a gradient of its own beside the given one, which compiled code cannot serve.
+    plain = _OPTIONS | {"no_nlp_grad": True, "ipopt.max_wall_time": start.limit}
+    own = plain | (_NEAR if start.near else _FAR) | options
+    solver = ca.nlpsol("contestant", "ipopt", problem, own)
+    count = len(start.y)
+
+    def solve() -> Found:
+        result = solver(x0=x0, **bounds)
+        stats = solver.stats()
+        status = stats["return_status"]
+        x = np.asarray(result["x"]).ravel()
+        if status != "Solve_Succeeded" or not np.all(np.isfinite(x)):
+            raise NotConverged(_reason(status, int(stats["iter_count"]), start.limit), status)
+        return Found(np.clip(x[:count], 0.0, 1.0), float(result["f"]), int(stats["iter_count"]))
+
+    return solve
+
+
+def _reason(status: str, iterations: int, limit: float) -> str:
+    if "WallTime" in status:
+        return f"no optimum after {limit:g} s and {iterations} iterations"
+    # The toolkit's remedies follow the reason, behind a colon; here they are no use.
+    return f"{REMEDIES.get(status, status).split(':')[0]}, after {iterations} iterations"
+
+
+def without_derivatives(nlp: Nlp, variables: int, method: Literal["central", "forward"]) -> Nlp:
+    """Return a program whose gradient and Jacobian are differences in the scaled variables.
+
+    Args:
+        nlp: the program.
+        variables: number of scaled variables.
+        method: central differences with the cube root of the rounding as their step, or forward ones with its root.
+    """
+    y, p = ca.MX.sym("y", variables), ca.MX.sym("p", 0)
+    central = method == "central"
+    step = np.finfo(float).eps ** (1.0 / 3.0 if central else 0.5)
+    both = ca.Function("both", [y], [ca.vertcat(nlp.f(y, p), nlp.g(y, p))])
+    here = both(y)
+    moves = ca.vertsplit(step * ca.DM.eye(variables))
+    ahead = [both(y + move.T) for move in moves]
+    behind = [both(y - move.T) if central else here for move in moves]
+    slopes = (ca.horzcat(*ahead) - ca.horzcat(*behind)) / (2.0 * step if central else step)
+    names = ["x", "p"]
+    return replace(
+        nlp,
+        grad_f=ca.Function("grad_f", [y, p], [here[0], slopes[0, :].T], names, ["f", "grad_f_x"]),
+        jac_g=ca.Function("jac_g", [y, p], [here[1:], slopes[1:, :]], names, ["g", "jac_g_x"]),
+    )
+
+
+def compiled(nlp: Nlp, flags: Sequence[str], derivatives: Derivatives) -> Nlp:
+    """Return a program whose Functions are machine code, by the system's C compiler.
+
+    Args:
+        nlp: the program, interpreted by CasADi.
+        flags: of the compiler.
+        derivatives: those that will be used; the Hessian alone takes most of a compiler's time.
+
+    Raises:
+        NotConverged: there is no compiler, or it refuses the code.
+    """
+    compiler = next((found for name in COMPILERS if (found := shutil.which(name))), None)
+    if compiler is None:
+        raise NotConverged(f"no C compiler was found ({', '.join(COMPILERS)})", "No_Compiler")
+    names = ("f", "g", "grad_f", "jac_g", *(("hess_lag",) if derivatives == "exact" else ()))
+    generator = ca.CodeGenerator("program.c")
+    for name in names:
+        generator.add(_renamed(getattr(nlp, name), f"own_{name}"))
+    # The loader keeps the library; its file is needed no longer.
+    with tempfile.TemporaryDirectory() as folder:
+        generator.generate(f"{folder}/")
+        library = Path(folder) / "program.so"
+        command = [compiler, *flags, "-shared", "-fPIC", "-o", str(library), f"{folder}/program.c", "-lm"]
+        done = subprocess.run(command, capture_output=True, text=True, check=False)
+        if done.returncode != 0:
+            first = (done.stderr.strip().splitlines() or ["no message"])[0]
+            raise NotConverged(f"the C compiler refused the program: {first}", "Not_Compiled")
+        return replace(nlp, **{name: ca.external(f"own_{name}", str(library)) for name in names})
+
+
+def _renamed(function: ca.Function, name: str) -> ca.Function:
+    """Return a Function by another name; CasADi takes a library's ``jac_g`` for the Jacobian of its ``g``."""
+    inputs = function.mx_in()
+    return ca.Function(name, inputs, function.call(inputs), function.name_in(), function.name_out())

@@ -35,11 +35,14 @@ from plough_opt.soil import Soil, named_soil, soil_names
 if TYPE_CHECKING:
     from plough_opt import plots
     from plough_opt.accuracy_study.study import AccuracyStudy, accuracy_study
+    from plough_opt.batch import Batch, BatchResult
     from plough_opt.problem_file import Problem, read_problem
     from plough_opt.results import load
 
-# What only files and pictures need is imported when it is first used: pint, pydantic and matplotlib are slow.
+# What only files, pictures and batches need is imported when it is first used: pint, pydantic and matplotlib are slow.
 _LATER = {
+    "Batch": "plough_opt.batch",
+    "BatchResult": "plough_opt.batch",
     "AccuracyStudy": "plough_opt.accuracy_study.study",
     "Problem": "plough_opt.problem_file",
     "read_problem": "plough_opt.problem_file",
@@ -62,6 +65,8 @@ def __getattr__(name: str) -> Any:
 __all__ = [
     "Accuracy",
     "AccuracyStudy",
+    "Batch",
+    "BatchResult",
     "Cone",
     "Design",
     "DomainError",

@@ -1,0 +1,234 @@
+"""`Batch`: simulation of very many designs."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Iterable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from plough_opt.batch.advance import Layout, advance
+from plough_opt.batch.c_source import Kernels
+from plough_opt.batch.domain_check import DomainCheck
+from plough_opt.batch.engine import engine_of
+from plough_opt.batch.equations import RESULTS, Start, of_column, setup
+from plough_opt.batch.program import Array, Program
+from plough_opt.batch.result import BatchResult
+from plough_opt.effects import StickSlip
+from plough_opt.errors import InputError
+from plough_opt.expressions import Expression, as_number, is_symbolic, template_of
+from plough_opt.motion.terms import Structure
+from plough_opt.scene import Scene
+
+# Designs that are in memory at once.
+_CHUNK = 16384
+_MOST_STEPS = 200_000
+# How often, and with what reserve, designs that miss the wanted error are repeated.
+_REPETITIONS = 4
+_RESERVE = 0.3
+_LARGEST_CUT = 1e-6
+_NO_RAMP = "a tow ramp of no duration is no ramp: make a batch of a scene without tow_ramp for such designs"
+
+
+class Batch:
+    """Mean and RMS force of very many designs of one scene, each to a wanted accuracy.
+
+    For example::
+
+        angle, height, k0 = (ca.MX.sym(name) for name in ("angle", "height", "k0"))
+        share = po.Wedge(angle, po.deg(15.0), height)
+        mass = 20.0 + share.equivalent_cone().solid_mass(7850.0)
+        batch = po.Batch(po.Scene(soil, share, k0, mass, 2.0, effects), 2.0, inputs=[angle, height, k0])
+        result = batch(values)  # values: a row for each design
+        result.mean_draft, result.force_rms, result.error_estimate
+
+    The motion is followed by its Taylor series in time, of an order that the wanted error sets, in steps that each
+    design chooses by the series' last terms. The right-hand side's own graph becomes the recurrences of the
+    coefficients, in C that the system's compiler translates for its vector registers, once for every kind of scene.
+
+    Args:
+        scene: with CasADi expressions of the inputs; transient motion under contact ``"resisting"`` or `Smooth`.
+        duration: simulated time [s], above 0; a float or an expression of the inputs.
+        inputs: symbols, in the order of the columns of values.
+        error: wanted error of mean draft and RMS force, relative to the larger of them, from 1e-11 to 1e-2.
+
+    Raises:
+        InputError: a scene of another kind, inputs that are no symbols, or others in the scene.
+    """
+
+    def __init__(
+        self, scene: Scene, duration: Expression, inputs: Sequence[Expression], *, error: float = 1e-6
+    ) -> None:
+        _refuse(scene)
+        if not 1e-11 <= error <= 1e-2:
+            raise InputError(f"error = {error:g} must lie between 1e-11 and 1e-2")
+        symbols = list(inputs)
+        if not symbols or not all(is_symbolic(one) and one.is_valid_input() for one in symbols):
+            raise InputError("the inputs of a batch are the CasADi symbols of which its scene is made")
+        self._error = error
+        self._layout = Layout.of(Structure.of(scene))
+        template, quantities = template_of(scene)
+        self._check = DomainCheck(template, [None if is_symbolic(q) else float(as_number(q)) for q in quantities])
+        varying = [q for q in quantities if is_symbolic(q)]
+        functions = {
+            "quantities": of_column("quantities", symbols, ca.vertcat(*varying, duration)),
+            "setup": setup(self._layout, scene, duration, symbols, error),
+        }
+        self._inputs = functions["setup"].numel_in(0)
+        # Of a wanted error a step may make a small part: an order more for every digit.
+        order = round(9.0 - math.log10(error))
+        ends = self._layout.ends
+        parts = tuple((Program.of(advance(self._layout, order, part)), end) for part, end in enumerate(ends))
+        maps = {name: Program.of(one) for name, one in functions.items() if one.is_a("SXFunction")}
+        self._engine = engine_of(functions, Kernels(maps, parts, self._layout.allowed + 1))
+
+    @property
+    def compiled(self) -> bool:
+        """Whether a C compiler was found; without one NumPy carries out the same operations, some ten times slower."""
+        return self._engine.compiled
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What a reader must know of the batch as a whole."""
+        if self.compiled:
+            return ()
+        return (
+            "no C compiler was found ($CC, cc, gcc, clang): the batch is carried out by NumPy, with the same results"
+            " but some ten times slower",
+        )
+
+    def __call__(self, values: ArrayLike, *, threads: int = 1) -> BatchResult:
+        """Simulate designs.
+
+        Args:
+            values: a row for each design, a column for each input.
+            threads: of this process, each on a part of the designs.
+
+        Raises:
+            InputError: values of another shape.
+        """
+        began = time.perf_counter()
+        rows = self._rows(values)
+        starts = range(0, rows.shape[1], _CHUNK)
+        found = np.full((len(RESULTS) + 2, rows.shape[1]), np.nan)
+        reasons: dict[int, str] = {}
+
+        def simulate(start: int) -> dict[int, str]:
+            part = slice(start, start + _CHUNK)
+            found[:, part], why = self._simulate(np.ascontiguousarray(rows[:, part]))
+            return {start + k: reason for k, reason in why.items()}
+
+        if threads == 1:
+            for start in starts:
+                reasons |= simulate(start)
+        else:
+            with ThreadPoolExecutor(threads) as pool:
+                for why in pool.map(simulate, starts):
+                    reasons |= why
+        seconds = time.perf_counter() - began
+        mean_draft, force_rms, mean_deflection, displacement_rms, tow_power, error_estimate, steps = found
+        return BatchResult(
+            mean_draft=mean_draft,
+            force_rms=force_rms,
+            mean_deflection=mean_deflection,
+            displacement_rms=displacement_rms,
+            tow_power=tow_power,
+            error_estimate=error_estimate,
+            steps=steps,
+            reasons=reasons,
+            wanted=self._error,
+            seconds=seconds,
+            warnings=self.warnings,
+        )
+
+    def stream(self, chunks: Iterable[ArrayLike], *, threads: int = 1) -> Iterator[BatchResult]:
+        """Yield the results of chunks of designs, one after the other: memory then does not grow with their number."""
+        for chunk in chunks:
+            yield self(chunk, threads=threads)
+
+    def _rows(self, values: ArrayLike) -> Array:
+        """Return values with a row for each input."""
+        array = np.asarray(values, dtype=float)
+        if array.ndim != 2 or array.shape[1] != self._inputs:
+            raise InputError(
+                f"the values have the shape {array.shape}: a batch takes a row for each design and a column for each of"
+                f" its {self._inputs} inputs"
+            )
+        return array.T
+
+    def _simulate(self, rows: Array) -> tuple[Array, dict[int, str]]:
+        """Return (results, errors, steps) of some designs, and why some have none."""
+        layout = self._layout
+        found = np.full((len(RESULTS) + 2, rows.shape[1]), np.nan)
+        quantities = self._engine.evaluate("quantities", rows)
+        reasons = self._check.reasons(quantities)
+        prepared = self._engine.evaluate("setup", rows)
+        p, start = np.ascontiguousarray(prepared[: layout.allowed + 1]), Start(*prepared[layout.allowed + 1 :])
+        if layout.structure.ramp:
+            ends = p[layout.parameters.index("ramp_time")]
+            reasons |= {int(k): _NO_RAMP for k in np.flatnonzero(~(ends > 0.0)) if int(k) not in reasons}
+        sound = np.ones(rows.shape[1], dtype=bool)
+        sound[list(reasons)] = False
+        which = np.flatnonzero(sound)
+        for _ in range(1 + _REPETITIONS):
+            results = self._integrate(p, start, which)
+            better = ~(results[-2] >= found[-2, which])
+            found[:, which[better]] = results[:, better]
+            which = which[results[-2] > self._error]
+            if len(which) == 0:
+                break
+            p[layout.allowed, which] *= np.clip(_RESERVE * self._error / found[-2, which], _LARGEST_CUT, _RESERVE)
+        for k in np.flatnonzero(~np.all(np.isfinite(found[:-1]), axis=0)):
+            found[:-1, k] = np.nan
+            if int(k) not in reasons:
+                reasons[int(k)] = self._why(quantities[:, k], found[-1, k])
+        return found, reasons
+
+    def _integrate(self, p: Array, start: Start, which: NDArray[np.int64]) -> Array:
+        """Return (results, errors, steps) of chosen designs; NaN where the steps did not suffice."""
+        # Designs of like phase take like numbers of steps, and so wait little for each other.
+        order = which[np.argsort(start.phase[which])]
+        states = np.zeros((self._layout.state, p.shape[1]))
+        states[2] = start.rate
+        steps = self._engine.run(p, states, order, _MOST_STEPS)
+        results = np.vstack([start.averages(self._layout, states[3:]), steps])
+        results[:-1, ~(states[0] >= p[self._layout.ends[-1]])] = np.nan
+        return results[:, which]
+
+    def _why(self, quantities: Array, steps: float) -> str:
+        """Return why a design within the domain has no results."""
+        scene = self._check.scene(lambda k: float(quantities[k]))
+        if steps >= _MOST_STEPS:
+            return (
+                f"the motion of a {scene.describe()} takes more than {_MOST_STEPS} steps: take the quasi-static scene"
+                " (Effects(motion=False)), a softer or a damped mount, or a shorter duration"
+            )
+        return (
+            f"the motion of a {scene.describe()} has no finite mean: something drives the share away; po.simulate tells"
+            " when"
+        )
+
+
+def _refuse(scene: Scene) -> None:
+    """Refuse scenes whose motion is not followed by steps from a start."""
+    effects = scene.effects
+    if not effects.motion:
+        raise InputError(
+            "a batch follows a motion, and a quasi-static scene has none: its averages are expressions that cost next"
+            " to nothing; take po.simulate(scene, duration) with symbols, and a casadi.Function of its averages"
+        )
+    if effects.orbit != "transient":
+        raise InputError(
+            "a batch follows a motion from its start: take orbit = 'transient' and a long duration, or po.simulate for"
+            " the orbit of each design"
+        )
+    if effects.events:
+        what = "StickSlip" if isinstance(effects.contact, StickSlip) else "the entry of a share"
+        raise InputError(
+            f"a batch finds no events, which {what} has: take Smooth(width) as contact and a share that is buried from"
+            " the start, or po.simulate for each design"
+        )

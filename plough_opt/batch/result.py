@@ -1,0 +1,57 @@
+"""What a batch found, as arrays over its designs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class BatchResult:
+    """Results of a batch, an element for each design in the order in which they were given.
+
+    Attributes:
+        mean_draft: time average of the mount force P [N].
+        force_rms: standard deviation of P about its mean [N].
+        mean_deflection: time average of the spring's deflection [m].
+        displacement_rms: its standard deviation [m].
+        tow_power: mean of P s' [W].
+        error_estimate: of mean draft and RMS force, relative to the larger of them, as in a `Run`: the errors that the
+            steps left out, each with a bound of its growth until the end. Usually some hundred times too large.
+        steps: how many steps each design took.
+        reasons: position of a design that has no results, which are then NaN -> why.
+        wanted: the relative error that was wanted.
+        seconds: time taken.
+        warnings: what a reader must know of the batch as a whole.
+    """
+
+    mean_draft: Array
+    force_rms: Array
+    mean_deflection: Array
+    displacement_rms: Array
+    tow_power: Array
+    error_estimate: Array
+    steps: Array
+    reasons: dict[int, str]
+    wanted: float
+    seconds: float
+    warnings: tuple[str, ...]
+
+    def __len__(self) -> int:
+        return len(self.mean_draft)
+
+    @property
+    def failed(self) -> NDArray[np.bool_]:
+        """Which designs have no results: see `reasons`."""
+        mask = np.zeros(len(self), dtype=bool)
+        mask[list(self.reasons)] = True
+        return mask
+
+    @property
+    def missed(self) -> NDArray[np.bool_]:
+        """Which designs have results whose estimated error is larger than wanted."""
+        return np.asarray(self.error_estimate > self.wanted)

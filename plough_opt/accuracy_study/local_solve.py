@@ -21,6 +21,7 @@ from plough_opt.errors import NotConverged
 Derivatives = Literal["exact", "gradient", "central", "forward"]
 """Exact Hessian; exact gradient with limited-memory BFGS; gradient by differences with limited-memory BFGS."""
 
+_MOST_ITERATIONS = 300
 COMPILERS = ("cc", "gcc", "clang")
 
 
@@ -90,15 +91,13 @@ def solve_transcribed(
         whole, x = whole.expand(), ca.SX.sym("x", own.x.numel())
     f, *blocks = whole.call([x])
     g = ca.vertcat(*blocks)
-    # Block by block, CasADi takes the cheaper mode for each; together, rows and columns without zeros spoil both.
-    jacobian = ca.vertcat(*(ca.jacobian(block, x) for block in blocks))
-    names = ["x", "p"], ["g", "jac_g_x"]
-    none = x[:0] if scalar else ca.MX.sym("p", 0)
     problem = {"x": x, "f": f, "g": g}
-    options = {
-        "jac_g": ca.Function("jac_g", [x, none], [ca.densify(g), jacobian], *names),
-        "ipopt.tol": tolerance,
-    } | _limited_memory(derivatives)
+    options = {"ipopt.tol": tolerance} | _limited_memory(derivatives)
+    if len(blocks) > 1:
+        # Block by block, CasADi takes the cheaper mode for each; together, rows and columns without zeros spoil both.
+        jacobian = ca.vertcat(*(ca.jacobian(block, x) for block in blocks))
+        none: Any = ca.SX.sym("p", 0) if scalar else ca.MX.sym("p", 0)
+        options["jac_g"] = ca.Function("jac_g", [x, none], [ca.densify(g), jacobian], ["x", "p"], ["g", "jac_g_x"])
     bounds = {"lbx": own.lower, "ubx": own.upper, "lbg": own.low, "ubg": own.high}
     return _ipopt(problem, options, bounds, start, own.start)
 
@@ -111,7 +110,7 @@ def _ipopt(problem: dict[str, Any], options: dict[str, Any], bounds: dict[str, A
     """Return a solve with the toolkit's own settings of IPOPT, but for those given."""
     # CasADi builds a gradient of its own beside the given one, which compiled code cannot serve.
     plain = _OPTIONS | {"no_nlp_grad": True, "ipopt.max_wall_time": start.limit}
-    own = plain | (_NEAR if start.near else _FAR) | options
+    own = plain | (_NEAR if start.near else _FAR) | {"ipopt.max_iter": _MOST_ITERATIONS} | options
     solver = ca.nlpsol("contestant", "ipopt", problem, own)
     count = len(start.y)
 

@@ -195,7 +195,7 @@ class _Judge:
         self.optima: list[TightOptimum] = []
 
     def reference(self) -> TightOptimum:
-        """Return the local optimum to which the guess leads, found with the toolkit's steps and then with finer ones."""
+        """Return the local optimum to which the guess leads, by the toolkit's steps and then by finer ones."""
         program = self._tight
         first = minimum_from(program, self._p, first_optimum(program, self._p))
         program.build(self._p, _FINER)
@@ -324,7 +324,7 @@ def _transcriptions(question: Question, start: Start, steps: Callable[[float], i
         each = math.ceil(count / segments)
         forms.append(("multiple shooting", f"{segments} segments of {each} steps", MultipleShooting(segments, each)))
     for points, degree, angles in _MESHES:
-        for intervals in map(steps, angles):
+        for intervals in dict.fromkeys(map(steps, angles)):
             form = Collocation(intervals, degree, points)
             forms.append((f"collocation, {points.title()}", f"{intervals} intervals of degree {degree}", form))
     return [
@@ -337,7 +337,7 @@ def _integrators(question: Question, start: Start, steps: Callable[[float], int]
     """Return single shooting by other integrators, each with an exact gradient and limited-memory BFGS."""
     methods = []
     for method, angles in _FIXED:
-        for count in map(steps, angles):
+        for count in dict.fromkeys(map(steps, angles)):
             form = SingleShooting(Accuracy(method, steps=count))
             build = partial(_by_casadi, question, form, start, "gradient", 1e-10)
             methods.append(_Method("integrator", method, f"{count} steps", build))

@@ -1,0 +1,193 @@
+"""The contest of methods for the optimum of a design: its reference, its errors, its failures."""
+
+import math
+
+import numpy as np
+import pytest
+
+import plough_opt as po
+from plough_opt.accuracy_study import local_solve, optimum
+from plough_opt.accuracy_study.optimum import REPORTED, REQUIREMENTS, TRUE, VARIABLES, design_contest, design_entries
+from plough_opt.errors import InfeasibleDesign, InputError
+
+FAMILIES = ["transcription", "integrator", "derivatives", "compiled"]
+
+
+def short(soil, wave, *, guess=7e4, limits=(6e4, 1.2e5), duration=0.4, objective=None, **effects):
+    """Build a small relative of R1: one stiffness, its optimum between the bounds."""
+    d = po.Design()
+    k0 = d.variable("stiffness", guess=guess, lower=limits[0], upper=limits[1], unit="N/m", log=True)
+    share = po.Wedge(po.deg(30.0), po.deg(15.0), 0.2)
+    scene = po.Scene(soil, share, k0, 25.0, 2.0, po.Effects(strength_wave=wave, **effects))
+    run = po.simulate(scene, duration, outputs=4)
+    d.minimise(objective(run) if objective else run.force_rms / 1e2)
+    return d
+
+
+@pytest.fixture(scope="module")
+def contest(r1_soil, r1_wave):
+    return design_contest(short(r1_soil, r1_wave), budget=0.0, limit=20.0)
+
+
+def entries_of(contest, family, word=""):
+    return [entry for entry in contest.entries if entry.family == family and word in entry.label]
+
+
+def test_the_reference_is_an_interior_optimum_by_two_integrators(contest, r1_soil, r1_wave):
+    best = contest.optima[0]
+    # Residual and objective of two methods that share nothing; 1e-9 leaves a floor well below the finest contestants.
+    assert 0.0 < best.floor < 1e-9
+    assert 0.05 < best.y[0] < 0.95
+
+    def objective(k0):
+        share = po.Wedge(po.deg(30.0), po.deg(15.0), 0.2)
+        scene = po.Scene(r1_soil, share, k0, 25.0, 2.0, po.Effects(strength_wave=r1_wave))
+        return po.simulate(scene, 0.4, accuracy=po.Accuracy(error=1e-11)).force_rms / 1e2
+
+    k0 = best.variables["stiffness"]
+    assert best.objective == pytest.approx(objective(k0), rel=1e-10)
+    assert objective(k0) < min(objective(k0 * 0.99), objective(k0 * 1.01))
+
+
+def test_every_family_has_rows_and_each_row_its_errors_or_its_reason(contest):
+    assert list(dict.fromkeys(entry.family for entry in contest.entries)) == FAMILIES
+    for entry in contest.entries:
+        if entry.failure is None:
+            assert set(entry.errors) == {REPORTED, TRUE, VARIABLES, REQUIREMENTS}
+            assert 0.0 < entry.seconds < math.inf
+            assert entry.setup > 0.0
+        else:
+            assert entry.failure
+            assert entry.seconds == math.inf
+            assert not entry.errors
+
+
+def test_errors_of_order_8_fall_with_the_steps_and_the_variables_follow(contest):
+    rows = [entry for entry in entries_of(contest, "integrator", "dop853") if entry.failure is None]
+    assert len(rows) >= 3
+    reported = [entry.errors[REPORTED] for entry in rows]
+    assert reported == sorted(reported, reverse=True)
+    assert reported[0] > 100.0 * reported[-1]
+    for entry in rows:
+        # At an interior optimum the loss is of second order in the variables: far below the error of the report.
+        assert entry.errors[TRUE] <= 10.0 * entry.errors[VARIABLES] ** 2 + contest.optima[0].floor
+        assert entry.errors[REQUIREMENTS] == 0.0
+
+
+def test_derivatives_change_the_time_and_not_the_answer(contest):
+    rows = entries_of(contest, "derivatives") + entries_of(contest, "compiled")
+    exact = [entry for entry in rows if "differences" not in entry.method and entry.failure is None]
+    assert len(exact) >= 3
+    first = exact[0].errors
+    for entry in exact:
+        # The same steps in another order of operations: rounding, and IPOPT's tolerance of 1e-10.
+        assert entry.errors[REPORTED] == pytest.approx(first[REPORTED], abs=1e-11)
+        assert entry.errors[VARIABLES] == pytest.approx(first[VARIABLES], abs=1e-8)
+
+
+def test_compiled_functions_are_the_interpreted_ones(contest):
+    rows = entries_of(contest, "compiled")
+    if any("no C compiler" in (entry.failure or "") for entry in rows):
+        pytest.skip("no C compiler on this machine")
+    assert [entry.failure for entry in rows] == [None] * len(rows)
+
+
+# --- failures ----------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def bowl():
+    """Build a design without a run: x = 1.25 and y = 1 by the requirement."""
+    d = po.Design()
+    x = d.variable("x", guess=0.5, lower=0.0, upper=2.0)
+    y = d.variable("y", guess=1.5, lower=0.5, upper=2.0)
+    d.minimise(1.0 + (x - 1.25) ** 2 + y)
+    d.require("least y", y, at_least=1.0)
+    return d
+
+
+def test_a_design_without_a_run_has_derivatives_alone(bowl, monkeypatch):
+    monkeypatch.setattr(local_solve, "COMPILERS", ("no-such-compiler",))
+    contest = design_contest(bowl, budget=0.0)
+    best = contest.optima[0]
+    assert best.variables == pytest.approx({"x": 1.25, "y": 1.0}, abs=1e-9)
+    assert best.objective == pytest.approx(2.0, abs=1e-10)
+    assert {entry.family for entry in contest.entries} == {"derivatives", "compiled"}
+    for entry in contest.entries:
+        if entry.family == "compiled":
+            assert entry.failure == "no C compiler was found (no-such-compiler)"
+        else:
+            # Rounding over the step of a forward difference, and a tolerance of 1e-6.
+            limit = 1e-5 if "differences" in entry.method else 1e-9
+            assert entry.failure is None
+            assert max(entry.errors.values()) < limit
+
+
+def test_a_compiler_that_refuses_is_a_row_with_its_reason(bowl, monkeypatch, tmp_path):
+    broken = tmp_path / "broken-cc"
+    broken.write_text("#!/bin/sh\necho 'cannot do that' >&2\nexit 1\n", encoding="utf-8")
+    broken.chmod(0o755)
+    monkeypatch.setattr(local_solve, "COMPILERS", (str(broken),))
+    failures = {entry.failure for entry in design_entries(bowl, budget=0.0) if entry.family == "compiled"}
+    assert failures == {"the C compiler refused the program: cannot do that"}
+
+
+def test_a_solve_that_takes_too_long_is_a_row_with_its_reason(bowl, monkeypatch):
+    monkeypatch.setattr(local_solve, "COMPILERS", ())
+    rows = [entry for entry in design_entries(bowl, budget=0.0, limit=1e-9) if entry.family == "derivatives"]
+    assert all("no optimum after 1e-09 s" in entry.failure for entry in rows)
+
+
+def test_events_are_no_states_of_a_mesh(r1_soil, r1_wave, monkeypatch):
+    monkeypatch.setattr(local_solve, "COMPILERS", ())
+    d = short(r1_soil, r1_wave, duration=0.1, objective=lambda run: run.mean_draft / 1e3, contact=po.StickSlip())
+    contest = design_contest(d, budget=0.0)
+    meshes = [entry for entry in entries_of(contest, "transcription") if entry.method != "single shooting"]
+    assert meshes
+    assert all("events is only shot as a whole" in entry.failure for entry in meshes)
+    assert entries_of(contest, "derivatives", "limited-memory")[0].failure is None
+
+
+def test_an_optimum_elsewhere_is_told_and_measured_by_itself(monkeypatch):
+    monkeypatch.setattr(local_solve, "COMPILERS", ())
+    # The guess lies in the upper of two wells; contestants start in the other one.
+    monkeypatch.setattr(optimum, "_BESIDE", 0.4)
+    d = po.Design()
+    x = d.variable("x", guess=-0.4, lower=-1.0, upper=1.0)
+    d.minimise((x**2 - 0.16) ** 2 - 0.02 * x)
+    contest = design_contest(d, budget=0.0, near=True)
+    # Roots of f' = 4 x^3 - 0.64 x - 0.02.
+    low, _, high = np.sort(np.roots([4.0, 0.0, -0.64, -0.02]).real)
+    # Where f' = 0 a tolerance of 1e-10 leaves some 1e-10 / f'' = 1e-9 of x.
+    assert [o.variables["x"] for o in contest.optima] == pytest.approx([low, high], abs=1e-8)
+    for entry in entries_of(contest, "derivatives"):
+        assert "another optimum" in entry.setting
+        assert entry.errors[TRUE] < 1e-6
+
+
+def test_a_start_beside_the_optimum_leads_back_to_it(bowl, monkeypatch):
+    monkeypatch.setattr(local_solve, "COMPILERS", ())
+    contest = design_contest(bowl, budget=0.0, near=True)
+    rows = entries_of(contest, "derivatives")
+    assert len(contest.optima) == 1
+    assert all(entry.failure is None and entry.errors[VARIABLES] < 1e-4 for entry in rows)
+
+
+def test_progress_names_each_contestant(bowl, monkeypatch):
+    monkeypatch.setattr(local_solve, "COMPILERS", ())
+    told = []
+    contest = design_contest(bowl, budget=0.0, progress=lambda stage, fraction: told.append((stage, fraction)))
+    assert len(told) == len(contest.entries)
+    assert told[0][0].startswith("derivatives: exact")
+    assert np.all(np.diff([fraction for _, fraction in told]) > 0.0)
+
+
+def test_a_design_without_an_objective_or_without_a_solution_is_refused():
+    d = po.Design()
+    with pytest.raises(InputError, match="nothing to minimise or to vary"):
+        design_entries(d)
+    x = d.variable("x", guess=0.5, lower=0.0, upper=1.0)
+    d.minimise(x)
+    d.require("twice", 2.0 * x, at_least=3.0)
+    with pytest.raises(InfeasibleDesign):
+        design_entries(d)

@@ -1,0 +1,222 @@
+"""Transcriptions of a design: their optimum tends to the truth in the order of the method, whatever the form.
+
+Truth of problem R1: 1.9 million simulations on a grid, polished with exact gradients to a residual of 1e-9 and checked
+in long double.
+"""
+
+import casadi as ca
+import numpy as np
+import pytest
+
+import plough_opt as po
+from plough_opt.accuracy_study.local_solve import Start, solve_transcribed
+from plough_opt.accuracy_study.transcription import (
+    Collocation,
+    MultipleShooting,
+    Question,
+    SingleShooting,
+    transcribe,
+)
+from plough_opt.design.program import Declarations, Program
+from plough_opt.errors import InputError
+
+# Wedge angle [deg], height [m], stiffness [N/m], objective.
+L1 = (39.11469851, 0.2002828632, 5000.0, 0.8250057092)
+L2 = (39.11469851, 0.2002828632, 5e5, 0.8383450230)
+L3 = (39.11469851, 0.2002828632, 37505.6423, 0.9164459115)
+
+
+def question_of(d):
+    program = Program(Declarations(tuple(d._variables), tuple(d._parameters), d._objective, tuple(d._requirements)))
+    p = np.array([parameter.value for parameter in d._parameters])
+    program.build(p)
+    return Question.of(program, p)
+
+
+@pytest.fixture(scope="module")
+def r1(r1_soil, r1_wave):
+    """Build problem R1, with expressions of the run added to its requirements."""
+    d = po.Design()
+    angle = d.variable("wedge angle", guess=po.deg(25.0), lower=po.deg(5.0), upper=po.deg(60.0), unit="rad")
+    height = d.variable("height", guess=0.25, lower=0.10, upper=0.50, unit="m")
+    k0 = d.variable("stiffness", guess=5e4, lower=5e3, upper=5e5, unit="N/m", log=True)
+    share = po.Wedge(angle, po.deg(15.0), height)
+    cone = share.equivalent_cone()
+    mass = 20.0 + cone.solid_mass(7850.0)
+    run = po.simulate(po.Scene(r1_soil, share, k0, mass, 2.0, po.Effects(strength_wave=r1_wave)), 2.0)
+    d.minimise(run.mean_draft / 1e3 + run.force_rms / 1e3)
+    d.require("loosened radius", po.loosened_radius(cone, r1_soil), at_least=0.12, unit="m")
+    d.require("mean deflection", run.mean_draft / k0, at_most=0.15, unit="m")
+    d.require("half angle", cone.half_angle, at_most=po.deg(15.0), unit="rad")
+    return question_of(d)
+
+
+def solved(question, form, truth):
+    """Return the objective and the variables of the optimum beside a true one."""
+    given = (po.deg(truth[0]), truth[1], truth[2])
+    y = np.array([v.scaled(x) for v, x in zip(question.program.declared.variables, given, strict=True)])
+    scalar = isinstance(form, Collocation)
+    found = solve_transcribed(transcribe(question, form, y), Start(y, True, 60.0), scalar=scalar)()
+    return found.f * question.program.objective_scale, question.program.values(found.y)
+
+
+def single(steps, method="dop853"):
+    return SingleShooting(po.Accuracy(method, steps=steps))
+
+
+# The finer mesh leaves errors of 1e-8 to 1e-4, far above the truth's last digit, 5e-11.
+@pytest.mark.parametrize(
+    ("form", "order", "mesh"),
+    [
+        pytest.param(lambda n: Collocation(n, 2, "legendre"), 4, 100, id="legendre-2"),
+        pytest.param(lambda n: Collocation(n, 4, "legendre"), 8, 30, id="legendre-4"),
+        pytest.param(lambda n: Collocation(n, 3, "radau"), 5, 60, id="radau-3"),
+        pytest.param(lambda n: Collocation(n, 2, "radau"), 3, 200, id="radau-2", marks=pytest.mark.slow),
+        pytest.param(lambda n: Collocation(n, 4, "radau"), 7, 40, id="radau-4", marks=pytest.mark.slow),
+        pytest.param(lambda n: Collocation(n, 3, "legendre"), 6, 40, id="legendre-3", marks=pytest.mark.slow),
+    ],
+)
+def test_error_of_the_optimum_falls_in_the_order_of_the_collocation(r1, form, order, mesh):
+    errors = []
+    for intervals in (mesh, 2 * mesh):
+        objective, values = solved(r1, form(intervals), L3)
+        errors.append([abs(objective - L3[3]), abs(values[2] - L3[2]) / L3[2]])
+    # A mesh of half a step per radian is not yet asymptotic; the next order is 1 or 2 away.
+    np.testing.assert_allclose(np.log2(np.array(errors[0]) / errors[1]), order, atol=0.3)
+
+
+def test_shooting_by_segments_has_the_optimum_of_shooting_once(r1):
+    coarse, fine = (solved(r1, single(steps), L3) for steps in (48, 96))
+    segments, values = solved(r1, MultipleShooting(8, 12), L3)
+    # The same steps in another form: what is left is IPOPT's tolerance.
+    assert segments == pytest.approx(fine[0], abs=1e-11)
+    np.testing.assert_allclose(values, fine[1], rtol=1e-8)
+    assert np.log2(abs(coarse[0] - L3[3]) / abs(fine[0] - L3[3])) > 7.8
+
+
+@pytest.mark.parametrize(
+    ("truth", "form"),
+    [
+        pytest.param(L1, single(120), id="L1-single"),
+        pytest.param(L1, MultipleShooting(10, 12), id="L1-multiple"),
+        pytest.param(L1, Collocation(80, 5, "legendre"), id="L1-legendre"),
+        pytest.param(L3, Collocation(120, 5, "radau"), id="L3-radau"),
+        pytest.param(L3, MultipleShooting(16, 13), id="L3-multiple", marks=pytest.mark.slow),
+        pytest.param(L2, single(600), id="L2-single", marks=pytest.mark.slow),
+        pytest.param(L2, MultipleShooting(30, 20), id="L2-multiple", marks=pytest.mark.slow),
+        pytest.param(L2, Collocation(400, 5, "legendre"), id="L2-legendre", marks=pytest.mark.slow),
+        pytest.param(L2, Collocation(500, 5, "radau"), id="L2-radau", marks=pytest.mark.slow),
+    ],
+)
+def test_a_fine_mesh_finds_each_true_optimum(r1, truth, form):
+    objective, values = solved(r1, form, truth)
+    # Of the truth ten digits are known; the stiffness of L3 is where the objective is flat.
+    assert objective == pytest.approx(truth[3], abs=2e-10)
+    assert values[0] == pytest.approx(po.deg(truth[0]), rel=1e-9)
+    assert values[1] == pytest.approx(truth[1], rel=1e-9)
+    assert values[2] == pytest.approx(truth[2], rel=3e-7)
+
+
+# --- every size that a run has -----------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def rich(r1_soil, r1_wave):
+    """Build a question of one variable that uses outputs, two signals with an RMS and the tow power."""
+    d = po.Design()
+    k0 = d.variable("stiffness", guess=2e4, lower=1e4, upper=4e4, unit="N/m", log=True)
+    damping = d.parameter("damping", 250.0, unit="N s/m")
+    share = po.Wedge(po.deg(30.0), po.deg(15.0), 0.2)
+    effects = po.Effects(strength_wave=r1_wave, damping=damping, tow_ramp=0.13, start="rest")
+    run = po.simulate(po.Scene(r1_soil, share, k0, 25.0, 2.0, effects), 0.5, outputs=10)
+    d.minimise(run.mean_draft / 1e3 + run.force_rms / 1e3 + run.displacement_rms / 1e-2 + run.tow_power / 1e3)
+    d.require("deflection", run.deflection, at_most=0.5, unit="m")
+    d.require("force", run.mount_force, at_least=-1e4, at_most=1e4, unit="N")
+    return question_of(d)
+
+
+@pytest.mark.parametrize(
+    "form",
+    [
+        single(200),
+        MultipleShooting(20, 10),
+        Collocation(40, 5, "radau"),
+        Collocation(40, 5, "legendre"),
+    ],
+    ids=lambda form: type(form).__name__ + getattr(form, "points", ""),
+)
+def test_every_result_of_a_run_is_that_of_the_tight_integration(rich, form):
+    own = transcribe(rich, form)
+    # The variable held at its guess, IPOPT finds the run alone.
+    held = np.r_[own.start[:1], own.lower[1:]], np.r_[own.start[:1], own.upper[1:]]
+    options = {"print_time": False, "ipopt.print_level": 0, "ipopt.sb": "yes", "ipopt.tol": 1e-10}
+    options |= {"ipopt.fixed_variable_treatment": "make_constraint"}
+    solver = ca.nlpsol("held", "ipopt", {"x": own.x, "f": own.f, "g": ca.vertcat(*own.g)}, options)
+    found = solver(x0=own.start, lbx=held[0], ubx=held[1], lbg=own.low, ubg=own.high)
+    assert solver.stats()["return_status"] == "Solve_Succeeded"
+    (objective, *requirements), _ = rich.program.exact_values(own.start[:1], rich.p)
+    scales = rich.program.scales
+    truth = np.concatenate([(v / s).ravel() for v, s in zip(requirements, scales, strict=True)])
+    # The ramp ends at a node of shooting, and of every mesh; collocation of order 9 or 10 leaves some 1e-9.
+    assert float(found["f"]) * rich.program.objective_scale == pytest.approx(objective.item(), rel=1e-8)
+    np.testing.assert_allclose(np.asarray(found["g"]).ravel()[: len(truth)], truth, rtol=0.0, atol=1e-8)
+
+
+@pytest.mark.parametrize(
+    "form", [MultipleShooting(10, 1), Collocation(10, 2, "radau"), Collocation(10, 3, "legendre")], ids=str
+)
+def test_derivatives_of_a_transcription_are_those_of_its_values(rich, form):
+    own = transcribe(rich, form)
+    g = ca.vertcat(*own.g)
+    values = ca.Function("values", [own.x], [ca.vertcat(own.f, g)])
+    lam = np.random.default_rng(1).normal(size=1 + g.numel())
+    lagrangian = ca.dot(ca.DM(lam), ca.vertcat(own.f, g))
+    slopes = ca.Function("slopes", [own.x], [ca.jacobian(ca.vertcat(own.f, g), own.x), ca.gradient(lagrangian, own.x)])
+    hessian = np.asarray(ca.Function("hessian", [own.x], [ca.hessian(lagrangian, own.x)[0]])(own.start))
+    jacobian = np.asarray(slopes(own.start)[0])
+    step = 6e-6  # cube root of the rounding: differences err by some 1e-10 of derivatives of order one
+    for k in (0, *np.random.default_rng(2).choice(len(own.start), 8, replace=False)):
+        move = np.zeros(len(own.start))
+        move[k] = step
+        ahead, behind = own.start + move, own.start - move
+        column = np.asarray(values(ahead) - values(behind)).ravel() / (2.0 * step)
+        np.testing.assert_allclose(jacobian[:, k], column, rtol=0.0, atol=1e-8 * max(1.0, np.max(np.abs(column))))
+        row = np.asarray(slopes(ahead)[1] - slopes(behind)[1]).ravel() / (2.0 * step)
+        np.testing.assert_allclose(hessian[:, k], row, rtol=0.0, atol=1e-8 * max(1.0, np.max(np.abs(row))))
+
+
+def test_a_run_whose_averages_alone_count_takes_the_mesh_that_is_asked_for(r1, rich):
+    def unknowns(question, form):
+        own = transcribe(question, form)
+        assert len(own.start) == own.x.numel() == len(own.lower) == len(own.upper)
+        return len(own.start) - own.variables
+
+    assert unknowns(r1, single(50)) == 0
+    assert unknowns(r1, MultipleShooting(7, 5)) == 7 * 2 + 2
+    assert unknowns(r1, Collocation(7, 3)) == 7 * (3 + 1) * 2 + 2
+    # Ten outputs and the ramp's end between two of them; three means, two spreads.
+    assert unknowns(rich, MultipleShooting(1, 5)) == 11 * 2 + 5
+
+
+def test_a_run_with_events_is_shot_as_a_whole_only(r1_soil, r1_wave):
+    d = po.Design()
+    k0 = d.variable("stiffness", guess=2e4, lower=1e4, upper=4e4, unit="N/m")
+    share = po.Wedge(po.deg(30.0), po.deg(15.0), 0.2)
+    effects = po.Effects(strength_wave=r1_wave, contact=po.StickSlip())
+    d.minimise(po.simulate(po.Scene(r1_soil, share, k0, 25.0, 2.0, effects), 0.2).mean_draft / 1e3)
+    question = question_of(d)
+    for form in (MultipleShooting(4, 5), Collocation(4, 3)):
+        with pytest.raises(InputError, match="events is only shot as a whole"):
+            transcribe(question, form)
+
+
+def test_a_design_without_a_moving_run_has_nothing_to_transcribe():
+    d = po.Design()
+    x = d.variable("x", guess=0.5, lower=0.0, upper=2.0)
+    d.minimise((x - 1.25) ** 2)
+    question = question_of(d)
+    for form in (single(5), MultipleShooting(3, 2), Collocation(3, 2)):
+        own = transcribe(question, form)
+        found = solve_transcribed(own, Start(own.start, False, 10.0), scalar=True)()
+        # The interior point ends within its tolerance of 1e-10 of a parabola's end.
+        assert question.program.values(found.y) == pytest.approx([1.25], abs=1e-9)

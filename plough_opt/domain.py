@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from plough_opt.errors import DomainError
@@ -35,6 +37,8 @@ def check_domain(
         DomainError: not a number, or one that is not finite or lies outside; the message gives name, value
             and limit.
     """
+    if isinstance(value, float) and math.isfinite(value) and above < value < below and at_least <= value <= at_most:
+        return
     if is_symbolic(value):
         return
     if not is_casadi(value) and np.asarray(value).dtype.kind not in "iuf":

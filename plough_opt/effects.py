@@ -127,7 +127,7 @@ class Effects:
             `StickSlip` only ever resist.
         start: ``"equilibrium"``: at the steady deflection for the strut's initial speed; ``"rest"``: travel and
             speed of the share zero, spring relaxed; ``"towed"``: travel zero, spring relaxed, at the strut's speed.
-        entry: the share enters at travel 0: its resistance is that of the length H = min(max L, h) that is buried, F0 and
+        entry: the share enters at travel 0: its resistance is that of the buried length H = min(max L, h), F0 and
             Fd with H^2 and the added mass with H^3. Starts at ``"rest"`` or ``"towed"``.
         strength_wave: periodic soil strength along the path, or None.
         tow_ramp: time [s] in which the strut's speed rises from 0 by a C2 smoothstep; None or 0: none.

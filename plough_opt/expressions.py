@@ -22,6 +22,8 @@ from plough_opt.errors import InputError
 Expression: TypeAlias = Any
 """A float, a NumPy array, or a CasADi ``SX``, ``MX`` or ``DM``: what every physical function takes."""
 
+_SYMBOLIC = (ca.SX, ca.MX)
+_CASADI = (ca.SX, ca.MX, ca.DM)
 # Terms kept in the two power series: enough for a relative 1e-17 in the value and 1e-14 in the second
 # derivative at the far end of the interval on which each series is used.
 _EXPM1_TERMS = 24
@@ -37,12 +39,12 @@ COUNT = {"quantity": False}
 
 def is_symbolic(value: Expression) -> bool:
     """Return whether ``value`` is a CasADi expression without a number in it yet (``SX`` or ``MX``)."""
-    return isinstance(value, ca.SX | ca.MX) and not value.is_constant()
+    return isinstance(value, _SYMBOLIC) and not value.is_constant()
 
 
 def is_casadi(value: Expression) -> bool:
     """Return whether ``value`` is any CasADi matrix type: ``SX``, ``MX`` or ``DM``."""
-    return isinstance(value, ca.SX | ca.MX | ca.DM)
+    return isinstance(value, _CASADI)
 
 
 def as_number(value: Expression) -> NDArray[np.float64]:
@@ -51,6 +53,8 @@ def as_number(value: Expression) -> NDArray[np.float64]:
     Raises:
         InputError: the expression still holds symbols.
     """
+    if isinstance(value, float):
+        return np.asarray(value)
     if is_symbolic(value):
         text = str(value)
         shown = text if len(text) <= _LONGEST_SHOWN else f"{text[:_LONGEST_SHOWN]}..."
@@ -64,15 +68,15 @@ def as_number(value: Expression) -> NDArray[np.float64]:
 
 def holds_casadi(value: Any) -> bool:
     """Return whether any CasADi expression is nested in dataclasses, lists, tuples or dictionaries."""
-    found = False
-
-    def note(expression: Any) -> Any:
-        nonlocal found
-        found = True
-        return expression
-
-    map_expressions(value, note)
-    return found
+    if isinstance(value, str | float | int) or value is None:
+        return False
+    if is_casadi(value):
+        return True
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        return any(holds_casadi(getattr(value, field.name)) for field in dataclasses.fields(value) if field.init)
+    if isinstance(value, Mapping):
+        return any(map(holds_casadi, value.values()))
+    return isinstance(value, list | tuple) and any(map(holds_casadi, value))
 
 
 def is_quantity(value: Any) -> bool:
@@ -175,7 +179,9 @@ absolute = _unary(ca.fabs, np.abs)
 
 def where(condition: Expression, yes: Expression, no: Expression) -> Expression:
     """Choose ``yes`` where ``condition`` holds, else ``no``; both are evaluated, so both must be finite."""
-    if any(is_casadi(value) for value in (condition, yes, no)):
+    if isinstance(condition, bool) and isinstance(yes, float) and isinstance(no, float):
+        return yes if condition else no
+    if is_casadi(condition) or is_casadi(yes) or is_casadi(no):
         return ca.if_else(condition, yes, no)
     chosen: Any = np.where(condition, yes, no)
     return chosen if chosen.ndim else chosen.item()

@@ -124,7 +124,7 @@ class Scene:
             raise InputError("the elastic medium has no compaction front and loosens nothing: take medium = 'plastic'")
         return loosened_radius(self.cone, self.soil)
 
-    @property
+    @cached_property
     def inertia(self) -> Expression:
         """M = m + m_a [kg]."""
         return self.mass + self.reaction.added_mass

@@ -6,9 +6,9 @@ import math
 from collections.abc import Mapping
 from dataclasses import replace
 
-from plough_opt.accuracy import ADAPTIVE, DEFAULT_TOLERANCE, Accuracy
+from plough_opt.accuracy import ADAPTIVE, DEFAULT_TOLERANCE, Accuracy, Method
 from plough_opt.expressions import Expression, as_number, is_symbolic
-from plough_opt.motion.terms import lightest_mass, parameters
+from plough_opt.motion.terms import Structure, lightest_mass, parameters
 from plough_opt.motion.timeline import Timeline
 from plough_opt.scene import Scene
 
@@ -100,21 +100,45 @@ def with_setting(accuracy: Accuracy, steps: int, outputs: int) -> Accuracy:
     return replace(accuracy, steps=-(-wanted // outputs) * outputs)
 
 
-def automatic(wanted: float, total_phase: float, outputs: int, orbit: bool) -> Accuracy:
-    """Return the method and setting that should reach a relative error over that phase.
+def suited(structure: Structure, total_phase: float) -> tuple[Method, ...]:
+    """Return the methods that suit an equation over that phase [rad], cheapest first."""
+    if structure.orbit != "transient":
+        return ("dop853",)
+    if total_phase > STIFF_PHASE:
+        return ("rosenbrock",)
+    return ("erk",) if structure.kinked else ("dop853", "erk")
+
+
+def automatic(method: Method, wanted: float, total_phase: float, outputs: int) -> Accuracy:
+    """Return the setting with which a method should reach a relative error over a phase.
 
     Args:
-        wanted: the relative error.
+        method: one of `suited`.
+        wanted: the relative error; of order 8 half the steps should reach it.
         total_phase: of the fastest oscillation over the run [rad].
         outputs: output intervals.
-        orbit: whether the run is a lasting orbit, which is found by steps of order 8.
     """
-    if orbit:
-        finer = max(1.0, (DEFAULT_TOLERANCE / wanted) ** 0.125)
-        return with_setting(Accuracy("dop853"), math.ceil(finer * steps_for(total_phase)), outputs)
-    if total_phase > STIFF_PHASE:
-        return Accuracy("rosenbrock", tolerance=max(0.1 * wanted, STIFF_TOLERANCE))
-    return Accuracy("erk", tolerance=max(0.01 * wanted, TIGHTEST))
+    if method == "rosenbrock":
+        return Accuracy(method, tolerance=max(0.1 * wanted, STIFF_TOLERANCE))
+    if method == "erk":
+        return Accuracy(method, tolerance=max(0.01 * wanted, TIGHTEST))
+    # Order 8: the error falls by 2^8 when the steps double.
+    half = steps_for(total_phase, PHASE_PER_STEP * (max(wanted, TIGHTEST) / DEFAULT_TOLERANCE) ** 0.125)
+    return with_setting(Accuracy(method), _rounded(2 * half), outputs)
+
+
+def _rounded(steps: int) -> int:
+    """Return at least so many steps, to three binary digits: scenes much alike then share one loop over steps."""
+    unit = 1 << max(0, steps.bit_length() - 3)
+    return -(-steps // unit) * unit
+
+
+def coarser(accuracy: Accuracy, outputs: int) -> tuple[Accuracy, int]:
+    """Return order 8 with half the steps, and how many output intervals have whole steps then."""
+    steps = (accuracy.steps or 1) // 2
+    if steps < outputs:
+        outputs = outputs // 2 if outputs % 2 == 0 else 1
+    return replace(accuracy, steps=steps), outputs
 
 
 def check_of(accuracy: Accuracy, total_phase: float, outputs: int, kinked: bool) -> Accuracy:
@@ -131,6 +155,4 @@ def check_of(accuracy: Accuracy, total_phase: float, outputs: int, kinked: bool)
     tolerance = accuracy.tolerance or DEFAULT_TOLERANCE
     if total_phase > STIFF_PHASE or kinked:
         return replace(accuracy, tolerance=max(0.1 * tolerance, 0.1 * TIGHTEST))
-    # Order 8: the error falls by 2^8 when the steps double.
-    finer = max(1.0, (DEFAULT_TOLERANCE / tolerance) ** 0.125)
-    return with_setting(Accuracy("dop853"), math.ceil(finer * steps_for(total_phase)), outputs)
+    return automatic("dop853", tolerance, total_phase, outputs)

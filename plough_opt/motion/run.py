@@ -250,14 +250,14 @@ def assemble(
         soil_resistance=soil,
         opening=opening,
         mode=mode,
-        averages=_averages(scene, means, variances),
+        averages=_averages(scene, p, means, variances),
         accuracy=accuracy,
     )
 
 
-def _averages(scene: Scene, means: Expression, variances: Expression) -> Averages:
+def _averages(scene: Scene, p: dict[str, Expression], means: Expression, variances: Expression) -> Averages:
     """Add the values at the start back to the averages of the changes since then."""
-    structure, p = Structure.of(scene), parameters(scene)
+    structure = Structure.of(scene)
     stiffness, first = p["stiffness"], 0.0 if structure.relaxed else start_resistance(structure, p)
     scale = scene.steady_resistance
     displacement_rms = rms(variances[0], scale / scene.stiffness)

@@ -27,14 +27,15 @@ from plough_opt.motion.judgement import (
     stability,
 )
 from plough_opt.motion.plan import (
-    STIFF_PHASE,
     TIGHTEST,
     automatic,
     check_of,
+    coarser,
     forced_rate,
     numbers_of,
     phase,
     steps_for,
+    suited,
     timeline_of,
     with_setting,
 )
@@ -148,30 +149,44 @@ def _verified(scene: Scene, duration: float, accuracy: Accuracy, outputs: int) -
         return run, _difference(run, check), ()
     total = _phase(scene, duration)
     wanted = accuracy.error or DEFAULT_ERROR
-    orbit = scene.effects.orbit
-    if orbit not in ("transient", "periodic"):
+    if scene.effects.orbit not in ("transient", "periodic"):
         return _stand_in(scene, duration, wanted, outputs)
     if accuracy.method != "auto":
-        return *_twice(scene, duration, with_setting(accuracy, steps_for(total), outputs), outputs), ()
+        named = with_setting(accuracy, steps_for(total), outputs)
+        other = check_of(named, total, outputs, Structure.of(scene).kinked)
+        return *_twice(scene, duration, (named, outputs), (other, outputs)), ()
     refuse_ringing(scene, duration)
-    for tightening in range(_TIGHTENINGS):
-        method = automatic(wanted * _TIGHTER**tightening, total, outputs, orbit == "periodic")
-        run, error = _twice(scene, duration, method, outputs)
-        if error <= wanted:
-            return run, error, ()
-        if total > STIFF_PHASE:
-            break
-    return (
-        run,
-        error,
-        (f"the wanted relative error {wanted:.1e} was not reached: the estimate is {error:.1e}",),
-    )
+    return _automatic(scene, duration, wanted, outputs)
+
+
+def _automatic(scene: Scene, duration: float, wanted: float, outputs: int) -> tuple[Run, float, tuple[str, ...]]:
+    """Integrate by the first of the methods that suit a scene which reaches the wanted error."""
+    total, structure = _phase(scene, duration), Structure.of(scene)
+    methods = suited(structure, total)
+    for method in methods:
+        aim = wanted
+        for _ in range(1 if method == "rosenbrock" else _TIGHTENINGS):
+            chosen = automatic(method, aim, total, outputs)
+            check = (check_of(chosen, total, outputs, structure.kinked), outputs)
+            if method == "dop853":
+                check = coarser(chosen, outputs)
+            try:
+                run, error = _twice(scene, duration, (chosen, outputs), check)
+            except IntegrationError:
+                if method == methods[-1]:
+                    raise
+                break
+            if error <= wanted:
+                return run, error, ()
+            aim *= min(_TIGHTER, 0.5 * wanted / error)
+    note = f"the wanted relative error {wanted:.1e} was not reached: the estimate is {error:.1e}"
+    return run, error, (note,)
 
 
 def _stand_in(scene: Scene, duration: float, wanted: float, outputs: int) -> tuple[Run, float, tuple[str, ...]]:
     """Return a stand-in for the lasting orbit, its relative difference from the orbit, and a note if there is none."""
     exact = replace(scene, effects=replace(scene.effects, orbit="periodic"))
-    method = automatic(wanted, _phase(scene, duration), outputs, orbit=True)
+    method = automatic("dop853", wanted, _phase(scene, duration), outputs)
     run = _integrate(scene, duration, method, outputs)
     try:
         orbit = _integrate(exact, duration, method, outputs)
@@ -183,11 +198,12 @@ def _stand_in(scene: Scene, duration: float, wanted: float, outputs: int) -> tup
     return run, error, (f"a stand-in for the lasting orbit, from which it differs by {error:.1%}",)
 
 
-def _twice(scene: Scene, duration: float, accuracy: Accuracy, outputs: int) -> tuple[Run, float]:
-    """Return the run by a method, and its relative difference from the run that checks it."""
-    run = _integrate(scene, duration, accuracy, outputs)
-    check = check_of(accuracy, _phase(scene, duration), outputs, Structure.of(scene).kinked)
-    return run, _difference(run, _integrate(scene, duration, check, outputs))
+def _twice(
+    scene: Scene, duration: float, first: tuple[Accuracy, int], second: tuple[Accuracy, int]
+) -> tuple[Run, float]:
+    """Return the run by a method with its output intervals, and its relative difference from the run by another."""
+    run = _integrate(scene, duration, *first)
+    return run, _difference(run, _integrate(scene, duration, *second))
 
 
 def _integrate(scene: Scene, duration: Expression, accuracy: Accuracy, outputs: int) -> Run:
@@ -246,11 +262,12 @@ def _phase(scene: Scene, duration: float) -> float:
 
 
 def _difference(run: Run, check: Run) -> float:
-    """Return the largest relative difference of two runs: see `simulate`."""
+    """Return the largest relative difference of two runs, at the output times that they share: see `simulate`."""
+    stride = (len(run.time) - 1) // (len(check.time) - 1)
     size = max(abs(run.mean_draft), run.force_rms)
     pairs = (
         (abs(run.mean_draft - check.mean_draft), size),
         (abs(run.force_rms - check.force_rms), size),
-        (np.max(np.abs(run.mount_force - check.mount_force)), np.max(np.abs(run.mount_force))),
+        (np.max(np.abs(run.mount_force[::stride] - check.mount_force)), np.max(np.abs(run.mount_force))),
     )
     return max((float(difference / scale) for difference, scale in pairs if scale > 0.0), default=0.0)

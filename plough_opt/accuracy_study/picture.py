@@ -92,7 +92,7 @@ def _dress(axes: Axes, panel: Panel) -> None:
     low = 10.0 ** math.floor(math.log10(min(panel.floor, *errors)) - 0.7)
     high = 10.0 ** math.ceil(math.log10(max(panel.wanted, *errors)) + 0.3)
     axes.set_ylim(low, high)
-    axes.axhspan(low, panel.floor, facecolor=_FLOOR, edgecolor="#999999", hatch="///", linewidth=0.0, zorder=0)
+    axes.axhspan(_LEAST**2, panel.floor, facecolor=_FLOOR, edgecolor="#999999", hatch="///", linewidth=0.0, zorder=0)
     axes.axhline(panel.wanted, color="black", linestyle=(0, (4, 3)), linewidth=1.0, zorder=2)
     axes.xaxis.set_major_locator(LogLocator(numticks=8))
     axes.xaxis.set_major_formatter(FuncFormatter(lambda seconds, _: _time(seconds)))
@@ -115,7 +115,7 @@ def legend(target: Axes | Figure, lines: dict[str, Line2D], **where: Any) -> Non
         Line2D([], [], color=_FRONT, linewidth=6.0, alpha=0.75, label="efficient front"),
         Line2D([], [], color="black", linestyle=(0, (4, 3)), linewidth=1.0, label="wanted error"),
         Line2D([], [], linestyle="none", marker="o", markersize=13, markerfacecolor="none", markeredgecolor="black",
-               label="what is taken unasked"),
+               label="the default"),
         Line2D([], [], color="#999999", linewidth=8.0, alpha=0.6, label="below the reference's own error"),
     ]  # fmt: skip
     target.legend(handles=handles, **where)

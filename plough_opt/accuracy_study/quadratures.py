@@ -12,7 +12,6 @@ from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import brentq
 
 from plough_opt import elastic
 from plough_opt.accuracy import Accuracy
@@ -191,6 +190,8 @@ def _edges(
     pressure: Callable[[NDArray[np.float64]], NDArray[np.float64]], ambient: float, height: float
 ) -> list[float]:
     """Return the ends of the face, and the places between at which contact is lost or taken up again."""
+    from scipy.optimize import brentq  # slow to import
+
     x = height * (1.0 - np.cos(np.linspace(1e-5, math.pi - 1e-5, 2001))) / 2.0
     total = pressure(x) + ambient
     places = [

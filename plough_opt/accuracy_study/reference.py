@@ -84,7 +84,7 @@ class Reference:
     mean_deflection: Wide
     displacement_rms: Wide
     tow_power: Wide
-    events: tuple[tuple[float, str], ...]
+    events: tuple[tuple[Wide, str], ...]
     error: float = math.nan
     seconds: float = 0.0
 
@@ -185,7 +185,7 @@ class _Course:
         self.noted: list[tuple[Any, ...]] = []
         self.weights: list[Wide] = []
         self.sums: list[tuple[Wide, Wide, Wide]] = []
-        self.events: list[tuple[float, str]] = []
+        self.events: list[tuple[Wide, str]] = []
 
     def note(self, piece: Piece, done: Step, end: Wide) -> None:
         """Note outputs and quadrature nodes of a step up to its end, or to an event."""
@@ -265,7 +265,7 @@ def follow(laws: Laws, duration: Wide, outputs: int, degree: int, first: tuple[W
         (z,), (rate,) = done.at(np.array([end]))
         now = end
         if name:
-            course.events.append((float(now), name))
+            course.events.append((now, name))
             piece, z, rate = laws.after(name, piece, now, z, rate)
         elif now == stop:
             piece = replace(piece, ramping=False)

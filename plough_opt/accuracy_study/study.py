@@ -35,6 +35,9 @@ OUTPUTS = 40
 ALLOWANCE = 1.0
 """Default time [s] that one use of a contestant may take."""
 
+# Ratio of times that says nothing.
+_NOISE = 1.15
+
 
 @dataclass(frozen=True)
 class Question:
@@ -115,7 +118,7 @@ class AccuracyStudy:
             others = [entry for entry in entries if entry.method != best.method]
             second = cheapest(others, key, self.wanted)
             if second is not None:
-                advice += f", {_times(second.seconds / best.seconds)} cheaper than {second.label}"
+                advice += f", {_cheaper(second.seconds / best.seconds)} {second.label}"
             elif others:
                 advice += ", the only method that reaches it"
         return f"{question.title}: {advice}{self._of_default(question, best)}."
@@ -127,7 +130,7 @@ class AccuracyStudy:
             return ""
         if best is default[0]:
             return "; that is the default"
-        ratio = f", {_times(default[0].seconds / best.seconds)} as long" if best is not None else ""
+        ratio = f", {_times(default[0].seconds / best.seconds)}as long" if best is not None else ""
         checked = " and checks itself" if question.reference in (MOTION,) else ""
         return f"; the default, {default[0].label}, takes {_result(default[0], question.error)}{ratio}{checked}"
 
@@ -295,7 +298,14 @@ def _shown(key: str, question: Question) -> bool:
 
 
 def _times(ratio: float) -> str:
-    return f"{ratio:.0f} times" if ratio >= 9.5 else f"{ratio:.1f} times"
+    """Return a ratio in words; times are too noisy for what is near one."""
+    if 1.0 / _NOISE < ratio < _NOISE:
+        return ""
+    return f"{ratio:.0f} times " if ratio >= 9.5 else f"{ratio:.1f} times "
+
+
+def _cheaper(ratio: float) -> str:
+    return f"{_times(ratio)}cheaper than" if _times(ratio) else "about as cheap as"
 
 
 def _result(entry: Entry, key: str) -> str:

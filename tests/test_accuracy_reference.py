@@ -1,0 +1,406 @@
+"""The reference of the accuracy study: closed forms, 28-digit integration, another solver, and an honest estimate."""
+
+import dataclasses
+import math
+from dataclasses import dataclass
+
+import casadi as ca
+import mpmath
+import numpy as np
+import precise_motion
+import pytest
+import three_modes
+
+import plough_opt as po
+from plough_opt.accuracy_study import picard
+from plough_opt.accuracy_study.gradients import QUANTITIES, reference_gradient
+from plough_opt.accuracy_study.laws import Laws
+from plough_opt.accuracy_study.picard import EPS, Basis, first_end, gauss
+from plough_opt.accuracy_study.picard import WIDE as W
+from plough_opt.accuracy_study.reference import errors_of, reference_run
+
+mp = precise_motion.mp
+SOIL = po.named_soil("serozem")
+WAVE = po.StrengthWave(amplitude=0.3, wavelength=0.2)
+STRONG = po.StrengthWave(amplitude=0.9, wavelength=0.1)
+LIGHT = dataclasses.replace(SOIL, ambient_pressure=5e3)
+
+
+def scene(stiffness=5e4, tow_speed=2.0, height=0.25, mass=25.0, soil=SOIL, **effects):
+    return po.Scene(soil, po.Wedge(po.deg(30), po.deg(15), height), stiffness, mass, tow_speed, po.Effects(**effects))
+
+
+def exact(value):
+    return mp.mpf(str(value))
+
+
+def off(found, wanted):
+    """Return the difference of a wide float from a precise number."""
+    return float(abs(exact(found) - wanted))
+
+
+# --- numerics ---
+
+
+@pytest.mark.parametrize("degree", [6, 18, 24])
+def test_the_integral_matrix_is_exact_for_polynomials(degree):
+    basis = Basis.of(degree)
+    for power in range(degree + 1):
+        wanted = (basis.nodes ** (power + 1) - (-W(1)) ** (power + 1)) / (power + 1)
+        # A matrix of order one, a sum over the nodes.
+        assert np.max(np.abs(basis.integral @ basis.nodes**power - wanted)) < 4 * EPS
+
+
+@pytest.mark.parametrize("count", [1, 8, 25])
+def test_gauss_nodes_have_all_their_digits(count):
+    nodes, weights = gauss(count)
+    for power in range(0, 2 * count, 2):
+        assert abs(weights @ nodes**power - W(2) / (power + 1)) < 20 * EPS
+
+
+class TestFirstEnd:
+    """Where a function that is positive at the start of a step becomes negative for the first time."""
+
+    def found(self, function, size=1.0):
+        return first_end(function, W(0), W(size))
+
+    def test_it_has_all_its_digits(self):
+        assert off(self.found(lambda t: 2 * np.cos(t) - 1, 2.0), mp.pi / 3) < 4 * EPS
+
+    def test_the_first_of_several_counts(self):
+        assert abs(self.found(lambda t: (t - W(0.25)) * (t - W(0.5)) * (W(0.75) - t)) - 0.25) < 4 * EPS
+
+    def test_a_zero_at_the_start_is_no_end_where_the_function_rises(self):
+        assert self.found(lambda t: t * (2 - t)) is None
+        assert abs(self.found(lambda t: t**2 * (W(0.5) - t)) - 0.5) < 4 * EPS
+
+    def test_a_zero_at_the_start_is_the_end_where_the_function_falls(self):
+        assert self.found(lambda t: -t) == 0.0
+
+    def test_a_short_dip_between_looks_is_found(self):
+        # 1e-4 below zero over 2 % of the step.
+        assert abs(self.found(lambda t: (t - W(0.4)) ** 2 - W(1e-4)) - W(0.4) + W("0.01")) < 1e3 * EPS
+
+    def test_touching_zero_is_no_end(self):
+        assert self.found(lambda t: (t - W(0.4)) ** 2) is None
+
+    def test_none(self):
+        assert self.found(lambda t: 1 + t) is None
+
+
+def test_a_step_too_long_for_its_degree_is_refused():
+    def fast(_times):
+        return lambda z, _rate: -(W(100) ** 2) * z
+
+    when, state, scales = (W(0), W(1)), (W(1), W(0)), (W(1), W(100))
+    assert picard.step(24, when, state, fast, scales) is None
+    assert picard.step(24, (W(0), W(0.02)), state, fast, scales) is not None
+
+
+# --- closed forms ---
+
+
+def test_a_linear_oscillation_from_rest():
+    plain = scene(start="rest", inertial_drag=False, damping=150.0)
+    duration, outputs = 0.7, 7
+    found = reference_run(plain, duration, outputs=outputs)
+    k, c, F, V = (mp.mpf(float(x)) for x in (5e4, 150.0, plain.reaction.static, 2.0))
+    M = mp.mpf(25.0) + mp.mpf(float(plain.reaction.added_mass))
+    # M z'' + c z' + k z = F, z(0) = 0, z'(0) = V.
+    root = mp.sqrt(mp.mpc((c / (2 * M)) ** 2 - k / M))
+    one, other = -c / (2 * M) + root, -c / (2 * M) - root
+    b = (V + one * F / k) / (other - one)
+    a = -F / k - b
+
+    def z(t):
+        return mp.re(F / k + a * mp.exp(one * t) + b * mp.exp(other * t))
+
+    def pull(t):
+        return mp.re(F + (k + c * one) * a * mp.exp(one * t) + (k + c * other) * b * mp.exp(other * t))
+
+    T = mp.mpf(duration)
+    mean = mp.quad(pull, mp.linspace(0, T, 15)) / T
+    spread = mp.sqrt(mp.quad(lambda t: (pull(t) - mean) ** 2, mp.linspace(0, T, 15)) / T)
+    size = float(abs(z(T / 2)) + F / k)
+    # Thirty radians of phase, of which each is rounded: some tens of units in the last place.
+    for k_output in range(outputs + 1):
+        assert off(found.deflection[k_output], z(T * k_output / outputs)) < 200 * EPS * size
+    assert off(found.mean_draft, mean) < 200 * EPS * float(mean)
+    assert off(found.force_rms, spread) < 200 * EPS * float(mean)
+    assert off(found.tow_power, mean * V) < 200 * EPS * float(mean * V)
+    assert found.error < 200 * EPS
+
+
+def test_the_prints_repelling_spring_runs_away():
+    printed = scene(
+        stiffness=50.0, soil=LIGHT, start="rest", inertial_drag=False, formulation=po.Printed(pi_twice=False)
+    )
+    found = reference_run(printed, 0.5, outputs=1)
+    k, F, V = mp.mpf(50), mp.mpf(float(printed.reaction.static)), mp.mpf(2)
+    M = mp.mpf(25.0) + mp.mpf(float(printed.reaction.added_mass))
+    w, T = mp.sqrt(k / M), mp.mpf(0.5)
+    z = F / k * (mp.cosh(w * T) - 1) + V / w * mp.sinh(w * T)
+    assert off(found.deflection[-1], z) < 100 * EPS * float(z)
+    assert off(found.mount_force[-1], -k * z) < 100 * EPS * float(k * z)
+
+
+@pytest.mark.parametrize("breakaway", [1.2, 3.0])
+def test_events_of_stick_slip_and_gap_in_closed_form(breakaway):
+    # With constant resistance and no damper slip and gap are harmonic: all events are known.
+    sticky = scene(1e4, 0.3, soil=LIGHT, start="rest", inertial_drag=False, contact=po.StickSlip(breakaway))
+    found = reference_run(sticky, 1.5, outputs=30)
+    k, F, V, m = (mp.mpf(float(x)) for x in (1e4, sticky.reaction.static, 0.3, 25.0))
+    r, added = mp.mpf(breakaway), mp.mpf(float(sticky.reaction.added_mass))
+    w = mp.sqrt(k / (m + added))
+    loose = r * F / (k * V)
+    a = (r - 1) * F / k
+    stopped = loose + (2 * mp.pi - 2 * mp.atan(a * w / V)) / w
+    wanted = [(loose, "move"), (stopped, "stop")]
+    if breakaway < 2.0:
+        again = stopped + 2 * a / V
+        wanted += [(again, "move"), (again + stopped - loose, "stop")]
+    else:
+        # Behind the gap m z'' = - k z from z = F/k - a < 0 with z' = V, until s - z is what it was.
+        u, before = mp.sqrt(k / m), F / k - a
+        looks = [j * mp.mpf("0.05") / u for j in range(1, 400)]
+
+        def ahead(t):
+            return V * t + before - before * mp.cos(u * t) - V / u * mp.sin(u * t)
+
+        crossing = next(j for j, t in enumerate(looks) if ahead(t) > 0)
+        gap = mp.findroot(ahead, (looks[crossing - 1], looks[crossing]), solver="anderson")
+        wanted.append((stopped + gap, "recapture"))
+    for (moment, name), (exactly, kind) in zip(found.events, wanted, strict=False):
+        assert name == kind
+        assert off(moment, exactly) < 100 * EPS * float(exactly)
+    assert len(found.events) >= len(wanted)
+
+
+# --- 28 digits ---
+
+PRECISE = {
+    "wave, drag, rate term and damper": (scene(strength_wave=WAVE, damping=400.0, rate_term=0.02), 0.04),
+    "ramp": (scene(tow_ramp=0.03, strength_wave=WAVE, damping=100.0, start="rest"), 0.04),
+    "smooth contact": (scene(tow_speed=0.5, strength_wave=STRONG, damping=200.0, contact=po.Smooth(0.3)), 0.05),
+    "entry": (scene(height=0.05, start="towed", entry=True, strength_wave=STRONG), 0.04),
+    "stick and slip": (scene(soil=LIGHT, tow_speed=0.5, start="rest", damping=50.0, contact=po.StickSlip(1.1)), 0.1),
+}
+SLOWER = {
+    "smooth contact, narrow": (
+        scene(tow_speed=0.5, strength_wave=STRONG, damping=200.0, contact=po.Smooth(0.1)), 0.2
+    ),
+    "stick, slip and gap while it enters": (
+        scene(
+            tow_speed=1.0, start="rest", entry=True, damping=50.0, strength_wave=STRONG, contact=po.StickSlip(1.1)
+        ), 0.5
+    ),
+    "retreat while it enters": (
+        scene(tow_speed=1.0, start="rest", entry=True, damping=50.0, strength_wave=STRONG, contact=po.Smooth(0.05)), 0.3
+    ),
+    "retreat while it enters, resisting": (
+        scene(tow_speed=1.0, start="rest", entry=True, damping=50.0, strength_wave=STRONG), 0.4
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    "name", [*PRECISE, *(pytest.param(name, marks=pytest.mark.slow) for name in SLOWER)]
+)  # fmt: skip
+def test_against_28_digits(name):
+    share, duration = {**PRECISE, **SLOWER}[name]
+    found = reference_run(share, duration, outputs=2)
+    travel, speed, pull, misses = precise_motion.follow(share, found.events, duration)
+    way = share.tow_speed * duration
+    # Rounding of forces and phases over a few oscillations; narrow smooth contacts are stiff and lose a digit more.
+    tolerance = (1000 if "smooth" in name or "retreat" in name else 100) * EPS
+    assert off(found.travel[-1], travel) < tolerance * way
+    assert off(found.speed[-1], speed) < tolerance * share.tow_speed
+    assert off(found.mount_force[-1], pull) < tolerance * float(np.max(np.abs(found.mount_force)))
+    assert all(miss < tolerance for miss in misses)
+    # An estimate is honest that is no more than a few times below the error.
+    true = off(found.mount_force[-1], pull) / float(np.max(np.abs(found.mount_force)))
+    assert true < 10 * found.error
+    assert found.error < tolerance
+
+
+def test_an_own_resistance_takes_part():
+    @dataclass(frozen=True)
+    class Shank:
+        static: float
+        viscous: float
+
+        def force(self, _travel, speed):
+            return self.static + self.viscous * speed
+
+    share = scene(own=(Shank(150.0, 80.0),), start="rest", inertial_drag=False)
+    found = reference_run(share, 0.04, outputs=2)
+    pull = precise_motion.follow(share, found.events, 0.04)[2]
+    assert off(found.mount_force[-1], pull) < 100 * EPS * float(abs(pull))
+
+
+def test_an_own_resistance_of_casadi_alone_has_no_reference():
+    @dataclass(frozen=True)
+    class Odd:
+        size: float
+
+        def force(self, _travel, speed):
+            return ca.sin(speed) * self.size
+
+    with pytest.raises(po.InputError, match="wide"):
+        reference_run(scene(own=(Odd(3.0),)), 0.1)
+
+
+@pytest.mark.skipif(np.finfo(W).eps == np.finfo(float).eps, reason="needs floats wider than a double")
+def test_an_own_resistance_in_doubles_has_no_reference():
+    @dataclass(frozen=True)
+    class Coarse:
+        size: float
+
+        def force(self, _travel, speed):
+            return self.size * np.asarray(speed, dtype=float)
+
+    with pytest.raises(po.InputError, match="float64"):
+        reference_run(scene(own=(Coarse(3.0),)), 0.1)
+
+
+@dataclass(frozen=True)
+class Kinked:
+    """A resistance that is constant up to a travel of 0.01 m, and then grows."""
+
+    slope: float
+
+    def force(self, travel, _speed):
+        return self.slope * np.maximum(travel, W("0.01"))
+
+
+def harmonic(square, forcing, start, rate):
+    """Return the solution of x'' = forcing - square x."""
+    w, rest = mp.sqrt(square), forcing / square
+    return lambda t: rest + (start - rest) * mp.cos(w * t) + rate / w * mp.sin(w * t)
+
+
+def test_a_kink_in_an_own_resistance_is_met_with_short_steps():
+    share = scene(own=(Kinked(1e4),), start="towed", inertial_drag=False)
+    found = reference_run(share, 0.06, outputs=2)
+    # Constant up to L = 0.01 m and then linear: two harmonic pieces.
+    k, F, V, T = (mp.mpf(float(x)) for x in (5e4, share.reaction.static, 2.0, 0.06))
+    M, stiff, edge = mp.mpf(25) + mp.mpf(float(share.reaction.added_mass)), mp.mpf(1e4), mp.mpf("0.01")
+    z = harmonic(k / M, (F + stiff * edge) / M, 0, 0)
+    looks = [mp.mpf(j) / 10000 for j in range(1, 600)]
+    beyond = next(j for j, t in enumerate(looks) if V * t - z(t) > edge)
+    crossing = mp.findroot(lambda t: V * t - z(t) - edge, (looks[beyond - 1], looks[beyond]), solver="anderson")
+
+    def line(t):
+        # What M L'' = k (V t - L) - F - stiff L follows without swinging.
+        return (k * V * t - F) / (k + stiff)
+
+    speed = V - mp.diff(z, crossing)
+    about = harmonic((k + stiff) / M, 0, edge - line(crossing), speed - k * V / (k + stiff))
+    assert off(found.travel[-1], line(T) + about(T - crossing)) < 1e3 * EPS * 0.12
+
+
+# --- another solver ---
+
+OTHERS = {
+    "wave": (scene(strength_wave=WAVE, damping=400.0), 0.3),
+    "ramp": (scene(tow_ramp=0.1, start="rest", strength_wave=WAVE, damping=100.0), 0.3),
+    "smooth": (scene(tow_speed=0.5, strength_wave=STRONG, damping=200.0, contact=po.Smooth(0.2)), 0.3),
+    "gap": (scene(tow_speed=0.5, strength_wave=STRONG, damping=200.0, contact=po.StickSlip(1.2)), 0.6),
+    "entry": (scene(tow_speed=1.0, start="towed", entry=True, damping=50.0, contact=po.StickSlip(1.1)), 0.5),
+}
+
+
+@pytest.mark.parametrize("name", OTHERS)
+def test_against_another_solver_averages_and_all(name):
+    share, duration = OTHERS[name]
+    found = reference_run(share, duration, outputs=20)
+    other = three_modes.follow(share, duration, outputs=20)
+    # What SciPy's order 8 leaves at its tolerance of 1e-12.
+    assert max(errors_of(other, found).values()) < 3e-11
+    assert float(found.mean_deflection) == pytest.approx(other.mean_deflection, rel=1e-10)
+    assert float(found.displacement_rms) == pytest.approx(other.displacement_rms, rel=1e-9)
+    assert float(found.tow_power) == pytest.approx(other.tow_power, rel=1e-10)
+    clear = ~other.near_a_change(1e-9)
+    assert np.array_equal(found.mode[clear].astype(int), other.mode[clear])
+
+
+def test_a_lasting_orbit_returns_to_where_it_began():
+    share = scene(strength_wave=WAVE, damping=400.0, orbit="periodic")
+    found = reference_run(share, outputs=10)
+    peak = float(np.max(np.abs(found.mount_force)))
+    assert abs(found.mount_force[-1] - found.mount_force[0]) < 100 * EPS * peak
+    # Long after its start a damped transient is on the orbit: exp(-8.2/s 4 s) is 1e-14 of its swing.
+    settled = po.simulate(scene(strength_wave=WAVE, damping=400.0), 4.1, accuracy=po.Accuracy(error=1e-12), outputs=410)
+    assert np.allclose(settled.mount_force[-11:], found.mount_force.astype(float), rtol=0, atol=1e-11 * peak)
+    assert found.error < 200 * EPS
+
+
+def test_the_default_run_is_as_close_as_it_says():
+    share, duration = OTHERS["wave"]
+    run = po.simulate(share, duration, outputs=20)
+    errors = errors_of(run, reference_run(share, duration, outputs=20))
+    assert max(errors[name] for name in ("averages", "trajectory")) < 1e-8
+
+
+# --- what has no reference ---
+
+
+@pytest.mark.parametrize(
+    ("effects", "duration", "said"),
+    [
+        ({"motion": False}, 1.0, "quasi-static"),
+        ({"strength_wave": WAVE, "orbit": "linearised"}, None, "stand-in"),
+        ({}, None, "duration"),
+    ],
+)
+def test_what_has_no_reference_says_why(effects, duration, said):
+    with pytest.raises(po.InputError, match=said):
+        reference_run(scene(**effects), duration)
+
+
+def test_a_share_that_runs_away_has_none():
+    printed = scene(stiffness=50.0, start="rest", formulation="printed")
+    with pytest.raises(po.IntegrationError, match="the reference stops"):
+        reference_run(printed, 0.5)
+
+
+# --- gradients ---
+
+
+def test_gradients_of_a_linear_oscillation_in_closed_form():
+    plain = scene(start="rest", inertial_drag=False)
+    found = reference_gradient(plain, 0.3)
+    F, added, T = (mp.mpf(float(x)) for x in (plain.reaction.static, plain.reaction.added_mass, 0.3))
+
+    def mean(k, m, V):
+        w = mp.sqrt(k / (m + added))
+        return F * (1 - mp.sin(w * T) / (w * T)) + V * mp.sqrt(k * (m + added)) * (1 - mp.cos(w * T)) / (w * T)
+
+    at = [mp.mpf(float(getattr(plain, name))) for name in QUANTITIES]
+    for j, value in enumerate(at):
+        order = tuple(int(i == j) for i in range(3))
+        wanted = mp.diff(mean, tuple(at), order) * value
+        assert off(found.values[0, j], wanted) < max(found.error, 1e-15) * float(np.max(np.abs(found.values)))
+    assert found.error < 1e-12
+
+
+def test_a_gradient_through_events_is_that_of_the_run():
+    share = scene(2e4, 0.2, soil=LIGHT, mass=20.0, start="rest", damping=30.0, contact=po.StickSlip(1.2))
+    found = reference_gradient(share, 0.6)
+    x = ca.MX.sym("x", 3)
+    varied = dataclasses.replace(share, **dict(zip(QUANTITIES, ca.vertsplit(x), strict=True)))
+    run = po.simulate(varied, 0.6, accuracy=po.Accuracy("erk", tolerance=1e-12))
+    slopes = ca.Function("slopes", [x], [ca.jacobian(ca.vertcat(run.mean_draft, run.force_rms), x)])
+    at = [float(getattr(share, name)) for name in QUANTITIES]
+    size = float(np.max(np.abs(found.values)))
+    # What the event's location at 1e-12 leaves.
+    assert np.allclose(np.asarray(slopes(at)) * at, found.values.astype(float), rtol=0, atol=1e-8 * size)
+    assert found.error < 1e-10
+
+
+def test_laws_read_every_effect():
+    share = scene(contact=po.Smooth(0.1), tow_ramp=0.2, rate_term=0.01, damping=5.0, strength_wave=WAVE)
+    laws = Laws.of(share)
+    assert float(laws.wavenumber) == pytest.approx(2 * math.pi / 0.2)
+    assert (float(laws.width), float(laws.ramp), float(laws.damping)) == (0.1, 0.2, 5.0)
+    assert mpmath.almosteq(float(laws.rate), 0.01)

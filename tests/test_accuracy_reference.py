@@ -296,7 +296,10 @@ def test_a_kink_in_an_own_resistance_is_met_with_short_steps():
 
     speed = V - mp.diff(z, crossing)
     about = harmonic((k + stiff) / M, 0, edge - line(crossing), speed - k * V / (k + stiff))
-    assert off(found.travel[-1], line(T) + about(T - crossing)) < 1e3 * EPS * 0.12
+    # The kink costs digits, and the estimate knows.
+    peak = float(np.max(np.abs(found.mount_force)))
+    assert 5e4 * off(found.travel[-1], line(T) + about(T - crossing)) < found.error * peak
+    assert found.error < 1e-14 * max(1.0, float(EPS) / 1e-19)
 
 
 # --- another solver ---

@@ -124,7 +124,8 @@ def _solution(
 ) -> tuple[list[ca.SX], list[ca.SX], list[list[ca.SX]]]:
     """Return the coefficients of w, of w' and of what changes its sign where the formula changes."""
     motion, graph = equation_of_motion(layout.structure), Graph()
-    time, w, rate = graph.clock(x[0]), graph.given(x[1]), graph.given(x[2])
+    time, rate = graph.clock(x[0]), graph.given(x[2])
+    w = graph.given(x[1], rate=rate)
     own = [graph.constant(p[layout.parameters.index(name)]) for name in motion.names]
     slopes = series_of(graph, motion.function, [[time], [w, rate], own], late)
     for k in range(order):
@@ -248,7 +249,7 @@ def _averages(layout: Layout, terms: list[list[ca.SX]], x: ca.SX, part: ca.SX) -
     """
     means, variances = [], []
     for k, series in enumerate(terms):
-        legendre = _legendre(series, len(series) // 2 if k < layout.squares else 0)
+        legendre = _legendre(series, 2 * len(series) // 5 if k < layout.squares else 0)
         before = x[3 + k]
         distance = legendre[0] - before
         means.append(before + part * distance)

@@ -13,7 +13,16 @@ import tempfile
 from functools import lru_cache
 from pathlib import Path
 
-_FLAGS = ("-O2", "-ffp-contract=fast", "-fno-math-errno", "-fno-trapping-math", "-shared", "-fPIC")
+_FLAGS = (
+    "-O3",
+    "-ffp-contract=fast",
+    "-fassociative-math",
+    "-fno-signed-zeros",
+    "-fno-trapping-math",
+    "-fno-math-errno",
+    "-shared",
+    "-fPIC",
+)
 # From the fastest on: with the vector functions of the GNU C library, without, and for any processor.
 _VARIANTS = (
     (("-march=native", "-DVECTOR_LIBRARY"), ("-lmvec", "-lm")),

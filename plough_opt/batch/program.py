@@ -136,6 +136,11 @@ class Program:
                 values[operation.value] = MEANING[operation.code](*(values[k] for k in operation.of))
 
 
+def _as_number(condition: Callable[..., Any]) -> Callable[..., Any]:
+    """Return a condition as 0 or 1, with which one can calculate."""
+    return lambda *of: np.multiply(condition(*of), 1.0)
+
+
 def _error_function(x: Array) -> Array:
     from scipy.special import erf  # slow to import, and rarely needed
 
@@ -163,13 +168,13 @@ MEANING: dict[int, Callable[..., Any]] = {
     ca.OP_ASIN: np.arcsin,
     ca.OP_ACOS: np.arccos,
     ca.OP_ATAN: np.arctan,
-    ca.OP_LT: np.less,
-    ca.OP_LE: np.less_equal,
-    ca.OP_EQ: np.equal,
-    ca.OP_NE: np.not_equal,
-    ca.OP_NOT: np.logical_not,
-    ca.OP_AND: np.logical_and,
-    ca.OP_OR: np.logical_or,
+    ca.OP_LT: _as_number(np.less),
+    ca.OP_LE: _as_number(np.less_equal),
+    ca.OP_EQ: _as_number(np.equal),
+    ca.OP_NE: _as_number(np.not_equal),
+    ca.OP_NOT: _as_number(np.logical_not),
+    ca.OP_AND: _as_number(np.logical_and),
+    ca.OP_OR: _as_number(np.logical_or),
     ca.OP_FLOOR: np.floor,
     ca.OP_CEIL: np.ceil,
     ca.OP_FABS: np.abs,

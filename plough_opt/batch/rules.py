@@ -10,6 +10,7 @@ import casadi as ca
 
 from plough_opt.batch.series import Graph, Series
 from plough_opt.errors import InputError
+from plough_opt.expressions import as_number
 
 Rule = Callable[..., Series]
 
@@ -43,11 +44,11 @@ def series_of(graph: Graph, function: ca.Function, inputs: Sequence[Sequence[Ser
 
 
 def _apply(graph: Graph, operation: int, of: list[Series], late: bool) -> Series:
-    if graph.is_fixed(*of):
+    if all(series.fixed for series in of):
         evaluate = ca.SX.unary if len(of) == 1 else ca.SX.binary
         return graph.constant(evaluate(operation, *(series[0] for series in of)))
-    if operation == ca.OP_FMIN and graph.is_clock(*of):
-        time, cap = sorted(of, key=graph.is_fixed)
+    if operation == ca.OP_FMIN and any(x.timed for x in of) and any(x.fixed for x in of):
+        time, cap = sorted(of, key=lambda x: x.fixed)
         return cap if late else time
     if operation not in _RULES:
         name = next(name for name in dir(ca) if name.startswith("OP_") and getattr(ca, name) == operation)
@@ -55,29 +56,26 @@ def _apply(graph: Graph, operation: int, of: list[Series], late: bool) -> Series
             f"a batch does not know the operation '{name[3:].lower()}' of something that moves: write the own"
             " resistance without it, or take po.simulate for each design"
         )
-    result = _RULES[operation](graph, *of)
-    if operation in (ca.OP_MUL, ca.OP_DIV) and graph.is_clock(*of):
-        graph.keep_time(result)
-    return result
+    return _RULES[operation](graph, *of)
 
 
 def _scaled(factor: float) -> Rule:
-    return lambda graph, x: graph.linear(lambda c: factor * c, x)
+    return lambda graph, x: graph.scaled(x, factor)
 
 
 def _smaller(graph: Graph, a: Series, b: Series, sign: float) -> Series:
-    difference = graph.switch(graph.linear(lambda p, q: sign * (p - q), a, b))
+    difference = graph.switch(graph.scaled(graph.total(a, b, -1.0), sign))
     return graph.chosen(lambda: difference[0] <= 0.0, a, b)
 
 
 def _size(graph: Graph, x: Series) -> Series:
-    minus = graph.switch(graph.linear(lambda c: -c, x))
+    minus = graph.switch(graph.scaled(x, -1.0))
     return graph.chosen(lambda: minus[0] <= 0.0, x, minus)
 
 
 def _compared(operation: int) -> Rule:
     def rule(graph: Graph, a: Series, b: Series) -> Series:
-        graph.switch(graph.linear(lambda p, q: p - q, a, b))
+        graph.switch(graph.total(a, b, -1.0))
         return graph.step(partial(ca.SX.binary, operation), a, b)
 
     return rule
@@ -95,16 +93,20 @@ def _sign(graph: Graph, x: Series) -> Series:
 
 
 def _only_if(graph: Graph, condition: Series, x: Series) -> Series:
-    return graph.linear(lambda c: ca.if_else(condition[0], c, 0.0), x)
+    return graph.scaled(x, condition[0]) if condition.fixed else graph.masked(x, condition)
+
+
+def _shifted(graph: Graph, x: Series, by: float) -> Series:
+    return graph.total(x, graph.constant(ca.SX(by)))
 
 
 def _power(graph: Graph, x: Series, exponent: Series) -> Series:
-    if not graph.is_fixed(exponent):
+    if not exponent.fixed:
         return _exponential(graph, graph.product(exponent, _logarithm(graph, x)))
     # x^n is a product for a small whole number: it then holds for x <= 0 too.
     number = exponent[0]
-    if number.is_constant() and float(number) in (3.0, 4.0, 5.0, 6.0, 7.0, 8.0):
-        return _whole_power(graph, x, int(float(number)))
+    if number.is_constant() and float(as_number(number)) in range(3, 9):
+        return _whole_power(graph, x, int(as_number(number)))
     return graph.integral(lambda c: c ** exponent[0], x, lambda y: graph.product(exponent, graph.quotient(y, x)))
 
 
@@ -131,7 +133,7 @@ def _from_square(outer: int, factor: float, added: float, root: bool, own: bool 
     """Return the rule of y = f(x) with y' = g(u) x', u = added + factor v^2, where v is x, or y itself."""
 
     def slope(graph: Graph, x: Series, y: Series) -> Series:
-        inner = graph.shifted(_scaled(factor)(graph, graph.square(y if own else x)), added)
+        inner = _shifted(graph, graph.scaled(graph.square(y if own else x), factor), added)
         if own:
             return graph.root(inner) if root else inner
         return _inverse(graph, graph.root(inner) if root else inner)
@@ -141,14 +143,15 @@ def _from_square(outer: int, factor: float, added: float, root: bool, own: bool 
 
 def _error_function(graph: Graph, x: Series) -> Series:
     def slope(_: Series) -> Series:
-        return _scaled(2.0 / math.sqrt(math.pi))(graph, _exponential(graph, _scaled(-1.0)(graph, graph.square(x))))
+        bell = _exponential(graph, graph.scaled(graph.square(x), -1.0))
+        return graph.scaled(bell, 2.0 / math.sqrt(math.pi))
 
     return graph.integral(ca.erf, x, slope)
 
 
 _RULES: dict[int, Rule] = {
-    ca.OP_ADD: lambda graph, a, b: graph.linear(lambda p, q: p + q, a, b),
-    ca.OP_SUB: lambda graph, a, b: graph.linear(lambda p, q: p - q, a, b),
+    ca.OP_ADD: Graph.total,
+    ca.OP_SUB: partial(Graph.total, sign=-1.0),
     ca.OP_NEG: _scaled(-1.0),
     ca.OP_TWICE: _scaled(2.0),
     ca.OP_ASSIGN: _scaled(1.0),
@@ -157,17 +160,17 @@ _RULES: dict[int, Rule] = {
     ca.OP_DIV: Graph.quotient,
     ca.OP_INV: _inverse,
     ca.OP_SQRT: Graph.root,
-    ca.OP_HYPOT: lambda graph, a, b: graph.root(graph.linear(lambda p, q: p + q, graph.square(a), graph.square(b))),
+    ca.OP_HYPOT: lambda graph, a, b: graph.root(graph.total(graph.square(a), graph.square(b))),
     ca.OP_POW: _power,
     ca.OP_CONSTPOW: _power,
     ca.OP_EXP: _exponential,
-    ca.OP_EXPM1: lambda graph, x: graph.integral(ca.expm1, x, lambda y: graph.shifted(y, 1.0)),
+    ca.OP_EXPM1: lambda graph, x: graph.integral(ca.expm1, x, lambda y: _shifted(graph, y, 1.0)),
     ca.OP_LOG: _logarithm,
-    ca.OP_LOG1P: lambda graph, x: graph.integral(ca.log1p, x, lambda _: _inverse(graph, graph.shifted(x, 1.0))),
+    ca.OP_LOG1P: lambda graph, x: graph.integral(ca.log1p, x, lambda _: _inverse(graph, _shifted(graph, x, 1.0))),
     ca.OP_SIN: Graph.sine,
     ca.OP_COS: Graph.cosine,
-    ca.OP_COSH: lambda graph, x: graph.linear(
-        lambda p, q: 0.5 * (p + q), _exponential(graph, x), _exponential(graph, _scaled(-1.0)(graph, x))
+    ca.OP_COSH: lambda graph, x: graph.scaled(
+        graph.total(_exponential(graph, x), _exponential(graph, graph.scaled(x, -1.0))), 0.5
     ),
     ca.OP_SINH: _from_square(ca.OP_SINH, 1.0, 1.0, True, own=True),
     ca.OP_TAN: _from_square(ca.OP_TAN, 1.0, 1.0, False, own=True),

@@ -23,13 +23,30 @@ class Series:
     Attributes:
         next: returns the coefficient of the next order; None of a series that is given from outside.
         coefficients: what is known, from order 0.
+        fixed: whether it does not depend on time.
+        timed: whether it is a multiple of the time.
+        derivative: returns the coefficient of an order of the time derivative, where that is cheaper than from the
+            coefficients.
+        affine: (another series, factor, summand) of which it is made, the latter two fixed.
     """
 
     next: Callable[[int], ca.SX] | None
     coefficients: list[ca.SX] = field(default_factory=list)
+    fixed: bool = False
+    timed: bool = False
+    derivative: Callable[[int], ca.SX] | None = None
+    affine: tuple[Series, ca.SX, ca.SX] | None = None
 
     def __getitem__(self, order: int) -> ca.SX:
         return self.coefficients[order]
+
+    def slope(self, order: int) -> ca.SX:
+        """Return the coefficient of an order of the time derivative."""
+        return (order + 1) * self[order + 1] if self.derivative is None else self.derivative(order)
+
+    def parts(self) -> tuple[Series, ca.SX, ca.SX]:
+        """Return `affine`, or itself with factor 1 and summand 0."""
+        return self.affine or (self, ca.SX(1), _ZERO)
 
 
 class Graph:
@@ -38,10 +55,8 @@ class Graph:
     def __init__(self) -> None:
         """Begin without any."""
         self._all: list[Series] = []
-        self._slopes: dict[int, list[ca.SX]] = {}
         self._circles: dict[int, tuple[Series, Series]] = {}
-        self._fixed: set[int] = set()
-        self._timed: set[int] = set()
+        self._squares: dict[int, Series] = {}
         self.switches: list[Series] = []
         """Series that change their sign where the right-hand side changes its formula."""
 
@@ -51,57 +66,71 @@ class Graph:
             if series.next is not None and len(series.coefficients) == order:
                 series.coefficients.append(series.next(order))
 
-    def given(self, *coefficients: ca.SX) -> Series:
-        """Return a series whose coefficients come from outside; those of a constant are all there."""
-        return self._add(Series(None, list(coefficients)))
-
-    def constant(self, value: ca.SX) -> Series:
-        """Return the series of what does not depend on time."""
-        series = self._add(Series(lambda _: _ZERO, [value]))
-        self._fixed.add(id(series))
-        return series
-
-    def clock(self, now: ca.SX) -> Series:
-        """Return the series of the time itself."""
-        return self.keep_time(self.polynomial(now, ca.SX(1)))
-
-    def keep_time(self, series: Series) -> Series:
-        """Note a series that is a multiple of the time, and return it."""
-        self._timed.add(id(series))
-        return series
-
-    def polynomial(self, *coefficients: ca.SX) -> Series:
-        """Return the series of a polynomial in time."""
-        return self._add(Series(lambda k: coefficients[k] if k < len(coefficients) else _ZERO))
-
-    def is_clock(self, a: Series, b: Series) -> bool:
-        """Tell whether one of them is a multiple of the time, and the other does not depend on it."""
-        return sorted((id(a) in self._timed) + 2 * (id(b) in self._fixed) for a, b in ((a, a), (b, b))) == [1, 2]
-
-    def is_fixed(self, *series: Series) -> bool:
-        """Tell whether none of them depends on time."""
-        return all(id(one) in self._fixed for one in series)
-
     def _add(self, series: Series) -> Series:
         self._all.append(series)
         return series
 
-    def linear(self, function: Callable[..., ca.SX], *of: Series) -> Series:
-        """Return a linear function of series, coefficient by coefficient."""
-        return self._add(Series(lambda k: function(*(series[k] for series in of))))
+    def given(self, *coefficients: ca.SX, rate: Series | None = None) -> Series:
+        """Return a series whose coefficients come from outside, and of which another may be the time derivative."""
+        derivative = None if rate is None else rate.__getitem__
+        return self._add(Series(None, list(coefficients), derivative=derivative))
+
+    def constant(self, value: ca.SX) -> Series:
+        """Return the series of what does not depend on time."""
+        return self._add(Series(lambda _: _ZERO, [value], fixed=True))
+
+    def clock(self, now: ca.SX) -> Series:
+        """Return the series of the time itself."""
+        series = Series(lambda k: ca.SX(1) if k == 1 else _ZERO, [now], timed=True)
+        series.derivative = lambda k: ca.SX(1) if k == 0 else _ZERO
+        return self._add(series)
+
+    def scaled(self, x: Series, factor: ca.SX | float) -> Series:
+        """Return a fixed multiple of a series."""
+        base, by, plus = x.parts()
+        result = Series(lambda k: factor * x[k], timed=x.timed, affine=(base, factor * by, factor * plus))
+        result.derivative = lambda k: factor * x.slope(k)
+        return self._add(result)
+
+    def total(self, a: Series, b: Series, sign: float = 1.0) -> Series:
+        """Return a + b, or with the sign -1 a - b."""
+
+        def added(x: ca.SX, y: ca.SX) -> ca.SX:
+            return x + y if sign > 0.0 else x - y
+
+        result = Series(lambda k: added(a[k], b[k]), derivative=lambda k: added(a.slope(k), b.slope(k)))
+        if a.fixed:
+            result.derivative = lambda k: sign * b.slope(k)
+            base, by, plus = b.parts()
+            result.affine = base, sign * by, added(a[0], plus)
+        elif b.fixed:
+            result.derivative = a.slope
+            base, by, plus = a.parts()
+            result.affine = base, by, added(plus, b[0])
+        return self._add(result)
 
     def product(self, a: Series, b: Series) -> Series:
-        """Return a b."""
+        """Return a b; of what differs by fixed numbers only, from the square of what they share."""
+        if a.fixed or b.fixed:
+            return self.scaled(b, a[0]) if a.fixed else self.scaled(a, b[0])
         if a is b:
             return self.square(a)
-        return self._add(Series(lambda k: _convolved(a.coefficients, b.coefficients, k, 0, k)))
+        (base, p, q), (other, r, s) = a.parts(), b.parts()
+        if base is not other:
+            return self._add(Series(lambda k: _convolved(a.coefficients, b.coefficients, k, 0, k)))
+        square = self.square(base)
+        return self._add(Series(lambda k: p * r * square[k] + (p * s + q * r) * base[k] if k else a[0] * b[0]))
 
     def square(self, a: Series) -> Series:
         """Return a^2."""
-        return self._add(Series(lambda k: _halves(a.coefficients, k, 0)))
+        if id(a) not in self._squares:
+            self._squares[id(a)] = self._add(Series(lambda k: _halves(a.coefficients, k, 0)))
+        return self._squares[id(a)]
 
     def quotient(self, a: Series, b: Series) -> Series:
         """Return a / b."""
+        if b.fixed:
+            return self.scaled(a, 1.0 / b[0])
         inverse = self._add(Series(lambda k: 1.0 / b[0] if k == 0 else _ZERO))
         result = self._add(Series(None))
         result.next = lambda k: (a[k] - _convolved(b.coefficients, result.coefficients, k, 1, k)) * inverse[0]
@@ -123,10 +152,7 @@ class Graph:
         def following(k: int) -> ca.SX:
             if k == 0:
                 return first(x[0])
-            rates = self._slopes.setdefault(id(x), [_ZERO])
-            while len(rates) <= k:
-                rates.append(len(rates) * x[len(rates)])
-            return _convolved(rates, inner.coefficients, k, 1, k) / k
+            return _convolved([x.slope(j) for j in range(k)], inner.coefficients, k - 1, 0, k - 1) / k
 
         result.next = following
         return result
@@ -144,7 +170,7 @@ class Graph:
 
             def minus_sine(cosine: Series) -> Series:
                 sine.append(self.integral(ca.sin, x, lambda _: cosine))
-                return self.linear(lambda s: -s, sine[0])
+                return self.scaled(sine[0], -1.0)
 
             sine: list[Series] = []
             cosine = self.integral(ca.cos, x, minus_sine)
@@ -155,14 +181,14 @@ class Graph:
         """Return one of two series, by a condition on their coefficients of order 0."""
         return self._add(Series(lambda k: ca.if_else(condition(), yes[k], no[k])))
 
+    def masked(self, x: Series, condition: Series) -> Series:
+        """Return a series where a condition holds, elsewhere zero."""
+        return self._add(Series(lambda k: ca.if_else(condition[0], x[k], 0.0)))
+
     def switch(self, series: Series) -> Series:
         """Note a series whose sign decides on the right-hand side's formula, and return it."""
         self.switches.append(series)
         return series
-
-    def shifted(self, x: Series, by: float) -> Series:
-        """Return x + by."""
-        return self._add(Series(lambda k: x[k] + by if k == 0 else x[k]))
 
     def step(self, function: Callable[..., ca.SX], *of: Series) -> Series:
         """Return what is constant between switches."""

@@ -1,0 +1,338 @@
+"""Batches against single simulations: the same numbers, errors that are told, and failures with their reasons."""
+
+import dataclasses
+import math
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+import pytest
+
+import plough_opt as po
+from plough_opt.expressions import arctan, exp, log1p, maximum, minimum, sin, sqrt, where
+
+NAMES = ("mean_draft", "force_rms", "mean_deflection", "displacement_rms", "tow_power")
+DESIGNS = np.array([[po.deg(25.0), 0.25, 5e4], [po.deg(45.0), 0.15, 8e3], [po.deg(10.0), 0.4, 3e5]])
+
+
+@pytest.fixture(scope="session", autouse=True)
+def cache(tmp_path_factory):
+    """Keep what is compiled in a folder of these tests."""
+    folder = tmp_path_factory.mktemp("cache")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("XDG_CACHE_HOME", str(folder))
+        yield folder
+
+
+@pytest.fixture
+def no_compiler(monkeypatch, tmp_path):
+    monkeypatch.setenv("PATH", str(tmp_path))
+    monkeypatch.delenv("CC", raising=False)
+
+
+@pytest.fixture
+def batch_of(r1_scene):
+    """Build a batch of the wedge angle, the height and the stiffness of a scene of problem R1."""
+
+    def build(duration=1.0, error=1e-9, kind=ca.MX, tow_speed=2.0, **effects):
+        inputs = [kind.sym(name) for name in ("angle", "height", "k0")]
+        angle, height, k0 = inputs
+        scene = r1_scene(angle * (180.0 / math.pi), height, k0, tow_speed=tow_speed, **effects)
+        return po.Batch(scene, duration, inputs, error=error)
+
+    return build
+
+
+def single(r1_scene, design, duration=1.0, **effects):
+    scene = r1_scene(math.degrees(design[0]), design[1], design[2], **effects)
+    return po.simulate(scene, duration, accuracy=po.Accuracy(error=1e-11), outputs=4)
+
+
+def errors(result, runs, stiffness):
+    """Return the largest error of each design, relative to the larger of mean draft and RMS force."""
+    found = []
+    for k, run in enumerate(runs):
+        size = max(abs(run.mean_draft), run.force_rms)
+        units = (1.0, 1.0, stiffness[k], stiffness[k], 1.0 / run.scene.tow_speed)
+        differences = (abs(getattr(result, name)[k] - getattr(run, name)) for name in NAMES)
+        found.append(max(unit * d for unit, d in zip(units, differences, strict=True)) / size)
+    return np.array(found)
+
+
+def same(a, b):
+    return all(
+        np.array_equal(getattr(a, name), getattr(b, name), equal_nan=True) for name in (*NAMES, "error_estimate")
+    )
+
+
+# --- the same numbers as single simulations -----------------------------------------------------------------
+
+
+def test_truth_of_r1(batch_of, r1_wave):
+    values = [[25, 0.25, 5e4], [25, 0.25, 6e3], [25, 0.25, 4e5], [10, 0.40, 1e4], [40, 0.15, 5e3]]
+    result = batch_of(2.0, strength_wave=r1_wave)(np.array(values) * [math.pi / 180.0, 1.0, 1.0])
+    # Known to the digits that are written, some 1e-12 of them.
+    mean = [531.047098354, 525.384371406, 530.442387539, 530.957907066, 405.636319546]
+    rms = [145.439117595, 209.467549465, 113.154184492, 921.978274273, 107.584572626]
+    assert result.mean_draft == pytest.approx(mean, rel=2e-9)
+    assert result.force_rms == pytest.approx(rms, rel=2e-9)
+    assert np.all(result.error_estimate < 1e-9)
+
+
+@pytest.mark.usefixtures("no_compiler")
+def test_combinations_of_effects(batch_of, r1_scene, effects):
+    result = batch_of(0.6, **effects)(DESIGNS)
+    runs = [single(r1_scene, design, 0.6, **effects) for design in DESIGNS]
+    assert not result.failed.any()
+    assert np.all(errors(result, runs, DESIGNS[:, 2]) < 1e-9)
+    assert np.all(result.error_estimate < 1e-9)
+
+
+def are_the_same_compiled_or_not(batch_of, monkeypatch, tmp_path, effects):
+    batch = batch_of(**effects)
+    assert batch.compiled
+    monkeypatch.setenv("PATH", str(tmp_path))
+    interpreted = batch_of(**effects)
+    assert not interpreted.compiled
+    first, second = batch(DESIGNS), interpreted(DESIGNS)
+    # Products and sums are rounded together in C and one by one in NumPy, in some hundred steps at most.
+    for name in NAMES:
+        scale = np.max(np.abs(getattr(first, name)))
+        assert getattr(second, name) == pytest.approx(getattr(first, name), rel=1e-11, abs=1e-13 * scale)
+
+
+def test_compiled_or_not_with_everything(batch_of, monkeypatch, tmp_path):
+    wave = po.StrengthWave(0.3, 0.6)
+    effects = {"strength_wave": wave, "tow_ramp": 0.2, "damping": 250.0, "rate_term": 0.05, "start": "rest"}
+    are_the_same_compiled_or_not(batch_of, monkeypatch, tmp_path, effects)
+
+
+@pytest.mark.slow
+def test_compiled_or_not(batch_of, monkeypatch, tmp_path, effects):
+    are_the_same_compiled_or_not(batch_of, monkeypatch, tmp_path, effects)
+
+
+SMOOTH = [
+    {"start": "rest", "rate_term": 0.05},
+    {"start": "towed", "tow_ramp": 0.2, "damping": 200.0},
+    {"start": "equilibrium", "tow_ramp": 0.2},
+    {"start": "equilibrium", "damping": 200.0},
+    {"start": "rest", "tow_ramp": 1.5},
+]
+
+
+@pytest.mark.parametrize(
+    "more", [pytest.param(one, marks=pytest.mark.slow if k else ()) for k, one in enumerate(SMOOTH)], ids=str
+)
+def test_smooth_contact(batch_of, r1_scene, more):
+    effects = {"contact": po.Smooth(0.2), "strength_wave": po.StrengthWave(0.9, 0.3), **more}
+    batch = batch_of(tow_speed=0.8, **effects)
+    result = batch(DESIGNS)
+    runs = [single(r1_scene, design, tow_speed=0.8, **effects) for design in DESIGNS]
+    # Shares that stop and go: each stop is a place where the formula changes.
+    assert np.all(errors(result, runs, DESIGNS[:, 2]) < 2e-9)
+
+
+@dataclass(frozen=True)
+class Wiggly:
+    """Functions that soils and shanks may need, all of them smooth where the share goes."""
+
+    size: float
+
+    def force(self, travel, speed):
+        waves = sin(7.0 * travel) ** 3 + exp(-0.3 * speed) * arctan(speed) + arctan(2.0 * travel)
+        return self.size * (
+            waves + log1p(speed**2) + sqrt(1.0 + travel**2) + (3.0 + speed**2) ** 0.7 / (2.0 + speed**2)
+        )
+
+
+@dataclass(frozen=True)
+class Kinked:
+    """Forces with corners, and one that jumps."""
+
+    size: float
+
+    def force(self, travel, speed):
+        corners = abs(sin(9.0 * travel)) + maximum(speed - 2.0, 0.0) - minimum(speed, 1.9)
+        return self.size * (corners + where(sin(5.0 * travel) > 0.3, 1.0, 0.5))
+
+
+def test_own_resistances(batch_of, r1_scene, r1_wave):
+    effects = {"strength_wave": r1_wave, "own": (Wiggly(60.0),)}
+    result = batch_of(**effects)(DESIGNS)
+    runs = [single(r1_scene, design, **effects) for design in DESIGNS]
+    assert np.all(errors(result, runs, DESIGNS[:, 2]) < 1e-9)
+
+
+@pytest.mark.usefixtures("no_compiler")
+def test_own_resistances_with_corners(batch_of, r1_scene, r1_wave):
+    effects = {"strength_wave": r1_wave, "own": (Kinked(60.0),)}
+    result = batch_of(error=1e-8, **effects)(DESIGNS[:2])
+    # Single simulations do not look for corners, and pass them by many small steps; these are as fine as they go.
+    scenes = [r1_scene(math.degrees(a), h, k, **effects) for a, h, k in DESIGNS[:2]]
+    runs = [po.simulate(scene, 1.0, accuracy=po.Accuracy("erk", tolerance=1e-13), outputs=4) for scene in scenes]
+    assert np.all(errors(result, runs, DESIGNS[:2, 2]) < 1e-8)
+
+
+def test_repelling_spring_of_the_print(batch_of, r1_scene, r1_wave):
+    effects = {"strength_wave": r1_wave, "formulation": "printed"}
+    result = batch_of(0.1, **effects)(DESIGNS[:2])
+    runs = [single(r1_scene, design, 0.1, **effects) for design in DESIGNS[:2]]
+    assert np.all(errors(result, runs, DESIGNS[:2, 2]) < 1e-9)
+
+
+def test_duration_and_ramp_of_each_design(r1_scene, r1_wave):
+    k0, duration, ramp = (ca.MX.sym(name) for name in ("k0", "duration", "ramp"))
+    batch = po.Batch(r1_scene(25.0, 0.25, k0, strength_wave=r1_wave, tow_ramp=ramp), duration, [k0, duration, ramp])
+    values = np.array([[5e4, 0.5, 0.2], [1e4, 1.0, 0.6], [5e4, 0.3, 0.9], [5e4, 0.5, 0.0], [5e4, -1.0, 0.2]])
+    result = batch(values)
+    for k, (stiffness, time, end) in enumerate(values[:3]):
+        scene = r1_scene(25.0, 0.25, stiffness, strength_wave=r1_wave, tow_ramp=end)
+        run = po.simulate(scene, time, outputs=4)
+        assert result.mean_draft[k] == pytest.approx(run.mean_draft, rel=1e-6)
+        assert result.tow_power[k] == pytest.approx(run.tow_power, rel=1e-6)
+    assert list(result.failed) == [False, False, False, True, True]
+    assert "a tow ramp of no duration is no ramp" in result.reasons[3]
+    assert result.reasons[4] == "duration = -1 s must be above 0 s"
+
+
+def test_symbols_of_either_kind(batch_of, r1_wave):
+    by_mx, by_sx = (batch_of(kind=kind, strength_wave=r1_wave, error=1e-6)(DESIGNS) for kind in (ca.MX, ca.SX))
+    assert by_mx.mean_draft == pytest.approx(by_sx.mean_draft, rel=1e-13)
+
+
+def test_a_column_of_symbols(r1_scene, r1_wave, batch_of):
+    x = ca.MX.sym("x", 3)
+    batch = po.Batch(r1_scene(x[0] * (180.0 / math.pi), x[1], x[2], strength_wave=r1_wave), 1.0, [x], error=1e-9)
+    expected = batch_of(strength_wave=r1_wave)(DESIGNS)
+    assert batch(DESIGNS).mean_draft == pytest.approx(expected.mean_draft, rel=1e-12)
+
+
+# --- errors and failures are told ---------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("error", [pytest.param(1e-3, marks=pytest.mark.slow), 1e-6])
+def test_the_estimate_is_honest(batch_of, r1_wave, error):
+    random = np.random.default_rng(3)
+    values = random.uniform([po.deg(5.0), 0.1, math.log(5e3)], [po.deg(60.0), 0.5, math.log(5e5)], (3000, 3))
+    values[:, 2] = np.exp(values[:, 2])
+    result, finer = (batch_of(2.0, strength_wave=r1_wave, error=e)(values) for e in (error, 1e-10))
+    size = np.maximum(finer.mean_draft, finer.force_rms)
+    made = np.maximum(abs(result.mean_draft - finer.mean_draft), abs(result.force_rms - finer.force_rms)) / size
+    assert not result.missed.any()
+    assert np.all(made < error)
+    assert np.all(made < result.error_estimate)
+    # It is a bound, and no excuse: half of the designs are told no more than some hundred times their error.
+    assert np.median(result.error_estimate / made) < 1000.0
+
+
+def test_designs_outside_the_domain(batch_of, r1_scene, r1_wave):
+    batch = batch_of(strength_wave=r1_wave, error=1e-6)
+    bad = {1: (po.deg(25.0), -0.2, 5e4), 3: (po.deg(95.0), 0.2, 5e4), 4: (0.4, 0.2, 0.0), 6: (0.4, math.nan, 5e4)}
+    values = np.tile(DESIGNS[0], (9, 1))
+    for k, row in bad.items():
+        values[k] = row
+    result = batch(values)
+    assert sorted(result.reasons) == sorted(bad)
+    assert list(np.flatnonzero(result.failed)) == sorted(bad)
+    for k, (angle, height, k0) in bad.items():
+        with pytest.raises(po.DomainError) as caught:
+            r1_scene(math.degrees(angle), height, k0)
+        assert result.reasons[k].split(" = ")[0] == str(caught.value).split(" = ")[0]
+        assert all(math.isnan(getattr(result, name)[k]) for name in NAMES)
+    assert "share height = -0.2 m must be above 0 m" in result.reasons[1]
+    assert np.all(result.mean_draft[~result.failed] == batch(DESIGNS[:1]).mean_draft[0])
+
+
+def test_motions_without_an_end(batch_of, r1_wave):
+    runaway = batch_of(60.0, strength_wave=r1_wave, formulation="printed", error=1e-4)(DESIGNS[:1])
+    assert "has no finite mean" in runaway.reasons[0]
+    ringing = batch_of(strength_wave=r1_wave, start="rest", error=1e-4)([*DESIGNS, [0.4, 0.2, 1e15]])
+    assert list(ringing.failed) == [False, False, False, True]
+    assert "takes more than 200000 steps" in ringing.reasons[3]
+
+
+@dataclass(frozen=True)
+class Stairs:
+    height: float
+
+    def force(self, travel, speed):
+        return self.height * ca.floor(travel) * speed
+
+
+@pytest.mark.parametrize(
+    ("effects", "match"),
+    [
+        ({"motion": False}, "quasi-static scene has none"),
+        ({"contact": po.StickSlip()}, "no events, which StickSlip has"),
+        ({"entry": True, "start": "rest"}, "no events, which the entry of a share has"),
+        ({"orbit": "periodic", "strength_wave": po.StrengthWave(0.3, 0.6)}, "from its start"),
+        ({"own": (Stairs(3.0),)}, "does not know the operation 'floor'"),
+    ],
+    ids=lambda value: value if isinstance(value, str) else next(iter(value)),
+)
+def test_other_scenes_are_refused(batch_of, effects, match):
+    with pytest.raises(po.InputError, match=match):
+        batch_of(**effects)
+
+
+def test_wrong_inputs(batch_of, r1_scene, r1_wave):
+    k0, other = ca.MX.sym("k0"), ca.MX.sym("other")
+    scene = r1_scene(25.0, 0.25, k0, strength_wave=r1_wave)
+    with pytest.raises(po.InputError, match="depends on k0"):
+        po.Batch(scene, 1.0, [other])
+    with pytest.raises(po.InputError, match="are the CasADi symbols"):
+        po.Batch(scene, 1.0, [2.0 * k0])
+    with pytest.raises(po.InputError, match="are the CasADi symbols"):
+        po.Batch(scene, 1.0, [])
+    with pytest.raises(po.InputError, match="must lie between 1e-11 and 1e-2"):
+        po.Batch(scene, 1.0, [k0], error=0.0)
+    batch = batch_of(strength_wave=r1_wave, error=1e-6)
+    with pytest.raises(po.InputError, match=r"shape \(3,\).*each of its 3 inputs"):
+        batch(DESIGNS[0])
+
+
+# --- one call or many ---------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("compiled", [True, False])
+def test_streams_equal_one_call(batch_of, r1_wave, compiled, request):
+    if not compiled:
+        request.getfixturevalue("no_compiler")
+    batch = batch_of(0.5, strength_wave=r1_wave, error=1e-4)
+    assert batch.compiled == compiled
+    values = np.repeat(DESIGNS, 13, axis=0) * np.random.default_rng(0).uniform(0.5, 1.5, (39, 3))
+    values[17, 1] = -1.0
+    whole = batch(values)
+    parts = list(batch.stream([values[:1], values[1:20], values[20:]]))
+    assert [len(part) for part in parts] == [1, 19, 19]
+    for name in (*NAMES, "error_estimate", "steps"):
+        joined = np.concatenate([getattr(part, name) for part in parts])
+        assert np.array_equal(joined, getattr(whole, name), equal_nan=True)
+    assert parts[1].reasons[16] == whole.reasons[17]
+    assert same(batch(values, threads=3), whole)
+    turned = batch(values[::-1])
+    assert np.array_equal(turned.force_rms[::-1], whole.force_rms, equal_nan=True)
+
+
+def test_threads_share_many_designs(batch_of, r1_wave):
+    batch = batch_of(0.1, strength_wave=r1_wave, error=1e-3)
+    values = np.tile(DESIGNS, (12000, 1))
+    values[20000, 1] = -1.0
+    one, two = batch(values), batch(values, threads=2)
+    assert same(one, two)
+    assert one.reasons == two.reasons
+    assert list(one.reasons) == [20000]
+
+
+def test_nothing_to_simulate(batch_of, r1_wave):
+    result = batch_of(0.5, strength_wave=r1_wave, error=1e-4)(np.empty((0, 3)))
+    assert len(result) == 0
+    assert result.reasons == {}
+
+
+def test_result_is_data(batch_of, r1_wave):
+    result = batch_of(0.5, strength_wave=r1_wave, error=1e-4)(DESIGNS)
+    assert {field.name for field in dataclasses.fields(result)} >= {*NAMES, "reasons", "seconds", "warnings"}
+    assert result.seconds > 0.0
+    assert result.warnings == ()

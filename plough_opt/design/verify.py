@@ -14,7 +14,7 @@ from plough_opt.errors import IntegrationError
 from plough_opt.labels import Limit
 from plough_opt.motion.embedding import with_numbers
 from plough_opt.motion.integrators import Integration, integration
-from plough_opt.motion.plan import automatic, check_of, phase, suited
+from plough_opt.motion.plan import automatic, check_of, most_steps, phase, suited
 from plough_opt.motion.timeline import Timeline
 from plough_opt.scene import Scene
 
@@ -102,7 +102,7 @@ def tight_results(own: Integration, inputs: tuple[float, ...]) -> tuple[Vector, 
     method = automatic(suited(own.structure, total)[0], TIGHT, total, outputs)
     results = []
     for accuracy in (method, check_of(method, total, outputs, own.structure.kinked)):
-        timeline = Timeline(outputs, accuracy.steps or outputs, own.timeline.kink)
+        timeline = Timeline(outputs, accuracy.steps or most_steps(total), own.timeline.kink)
         function = integration(own.structure, accuracy, timeline).function
         parts = [np.asarray(part).ravel(order="F") for part in function.call([ca.DM(inputs)])]
         results.append(np.concatenate(parts))

@@ -32,6 +32,9 @@ SLIP: Final = 0.0
 STICK: Final = 1.0
 GAP: Final = 2.0
 
+# Part of the tow speed within which a difference of the strut's and the spring's speed is rounding.
+_STANDSTILL = 1e-12
+
 
 @dataclass(frozen=True)
 class EquationOfMotion:
@@ -123,6 +126,11 @@ class _Now:
         return self.strut_speed - self.rate
 
     @property
+    def _stopping(self) -> Expression:
+        """What becomes negative when the share stops: its speed, but for rounding of a share that barely moves yet."""
+        return self.speed + _STANDSTILL * self.p["tow_speed"]
+
+    @property
     def pull(self) -> Expression:
         """Mount force P [N]."""
         first = 0.0 if self.structure.relaxed else start_resistance(self.structure, self.p)
@@ -156,7 +164,7 @@ class _Now:
     def until_contact_changes(self) -> Expression:
         """Return what becomes negative when a mode ends."""
         # While the share sticks the strut only stretches the mount: P never falls back to 0.
-        return self._by_mode(self.speed, self.hold - self.pull, self.opening)
+        return self._by_mode(self._stopping, self.hold - self.pull, self.opening)
 
     def after_contact_changed(self) -> Expression:
         """Return the state after the mode has ended."""
@@ -174,7 +182,7 @@ class _Now:
 
     def until_it_turns(self) -> Expression:
         """Return what becomes negative when a share that enters turns back, or is at its furthest point again."""
-        turning = ca.if_else(self.mode > STICK, self.opening, self.speed)
+        turning = ca.if_else(self.mode > STICK, self.opening, self._stopping)
         return ca.if_else(self.entered < 0.5, turning, 1.0)
 
     def after_it_turned(self) -> Expression:

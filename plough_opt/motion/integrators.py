@@ -22,7 +22,6 @@ from plough_opt.motion.timeline import Timeline
 
 # Lower than any force that matters; keeps the scales of a scene without forces above zero.
 _LEAST_FORCE = 1e-9
-_MOST_STEPS = 2_000_000
 _MOST_EVENTS = 1_000_000
 # A failure is reported once, as an IntegrationError, and not by CasADi at every attempt.
 _QUIET = {"show_eval_warnings": False}
@@ -180,7 +179,8 @@ def _options(accuracy: Accuracy, timeline: Timeline) -> dict[str, Any]:
         return {"number_of_finite_elements": timeline.steps, **_QUIET}
     tolerance = accuracy.tolerance
     assert tolerance is not None  # `with_setting` or `automatic` has given it one
-    options: dict[str, Any] = {**_QUIET, "reltol": tolerance, "abstol": 0.01 * tolerance, "max_num_steps": _MOST_STEPS}
+    options: dict[str, Any] = {**_QUIET, "reltol": tolerance, "abstol": 0.01 * tolerance}
+    options["max_num_steps"] = timeline.steps
     if accuracy.method in ("cvodes", "idas"):
         # Without the quadratures in the error control, sensitivities of these two can be silently wrong.
         options["quad_err_con"] = True

@@ -31,6 +31,12 @@ MOST_RINGING = 2e4
 _DECAYED = 30.0
 _FEWEST_STEPS = 20
 _MOST_STEPS = 4_000_000
+MOST_ADAPTIVE = 10_000_000
+"""Steps after which an adaptive method of a symbolic scene gives up, whose phase is unknown."""
+
+# Steps of the tightest adaptive method: some 100 for a phase of 1 rad.
+_ADAPTIVE_PER_PHASE = 300.0
+_FEWEST_ADAPTIVE = 1e4
 
 
 def numbers_of(scene: Scene) -> dict[str, float]:
@@ -84,6 +90,11 @@ def timeline_of(scene: Scene, duration: Expression, outputs: int, steps: int) ->
     return Timeline(outputs, steps, kink if kink < 1.0 else None)
 
 
+def most_steps(total_phase: float) -> int:
+    """Return after how many steps an adaptive method gives up, a power of ten: where a motion has no end, none do."""
+    return int(10.0 ** math.ceil(math.log10(_FEWEST_ADAPTIVE + _ADAPTIVE_PER_PHASE * total_phase)))
+
+
 def with_setting(accuracy: Accuracy, steps: int, outputs: int) -> Accuracy:
     """Return a named method with the setting that it will really have.
 
@@ -106,7 +117,7 @@ def suited(structure: Structure, total_phase: float) -> tuple[Method, ...]:
         return ("dop853",)
     if total_phase > STIFF_PHASE:
         return ("rosenbrock",)
-    return ("erk",) if structure.kinked else ("dop853", "erk")
+    return ("erk",) if structure.events else ("dop853", "erk")
 
 
 def automatic(method: Method, wanted: float, total_phase: float, outputs: int) -> Accuracy:

@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from plough_opt.accuracy import DEFAULT_ERROR, LOCATE_EVENTS, ORDER_8, Accuracy
+from plough_opt.accuracy import ADAPTIVE, DEFAULT_ERROR, LOCATE_EVENTS, ORDER_8, Accuracy
 from plough_opt.domain import check_domain
 from plough_opt.effects import StickSlip
 from plough_opt.errors import InputError, IntegrationError
@@ -27,11 +27,13 @@ from plough_opt.motion.judgement import (
     stability,
 )
 from plough_opt.motion.plan import (
+    MOST_ADAPTIVE,
     TIGHTEST,
     automatic,
     check_of,
     coarser,
     forced_rate,
+    most_steps,
     numbers_of,
     phase,
     steps_for,
@@ -50,6 +52,8 @@ OUTPUTS = 400
 # How often, and by what factor, the tolerance is tightened until the wanted error is reached.
 _TIGHTENINGS = 3
 _TIGHTER = 0.03
+# Part of V0 sqrt(k0 M) that forces are at least related to.
+_LEAST_FORCE = 1e-5
 # Relative difference of a stand-in from the lasting orbit that a reader must know.
 _TELLING = 1e-2
 
@@ -68,10 +72,10 @@ def simulate(
 
     Returns:
         A `Run` of numbers or of expressions. A run of numbers is integrated a second time, by another
-        method or finer, and its ``error_estimate`` is the largest difference of the two: of mean draft and
-        RMS force relative to the larger of them, of the mount force at the outputs relative to its
-        peak. Of a stand-in for the lasting orbit it is the difference from that orbit. A symbolic run is an
-        exactly differentiable expression that has no such estimate.
+        method, finer, or by half the steps, and its ``error_estimate`` is the largest difference of the two: of mean
+        draft and RMS force relative to the larger of them, of the mount force at the outputs relative to its
+        peak; of forces below 1e-5 V0 sqrt(k0 M), relative to that. Of a stand-in for the lasting orbit it is the
+        difference from that orbit. A symbolic run is an exactly differentiable expression that has no such estimate.
 
     Raises:
         DomainError: the duration is not positive.
@@ -208,11 +212,15 @@ def _twice(
 
 def _integrate(scene: Scene, duration: Expression, accuracy: Accuracy, outputs: int) -> Run:
     """Integrate once, by a method with its setting."""
-    timeline = timeline_of(scene, duration, outputs, accuracy.steps or max(outputs, OUTPUTS))
-    solver = integration(Structure.of(scene), accuracy, timeline)
     p = parameters(scene)
+    symbolic = any(map(is_symbolic, (*p.values(), duration)))
+    steps = accuracy.steps or max(outputs, OUTPUTS)
+    if accuracy.method in ADAPTIVE:
+        steps = MOST_ADAPTIVE if symbolic else most_steps(_phase(scene, float(as_number(duration))))
+    timeline = timeline_of(scene, duration, outputs, steps)
+    solver = integration(Structure.of(scene), accuracy, timeline)
     values = [*(p[name] for name in solver.names), duration]
-    if any(map(is_symbolic, values)):
+    if symbolic:
         states, means, variances = embed(solver, values, scene)
         states = states.T
     else:
@@ -264,10 +272,13 @@ def _phase(scene: Scene, duration: float) -> float:
 def _difference(run: Run, check: Run) -> float:
     """Return the largest relative difference of two runs, at the output times that they share: see `simulate`."""
     stride = (len(run.time) - 1) // (len(check.time) - 1)
-    size = max(abs(run.mean_draft), run.force_rms)
+    scene = run.scene
+    # Far below the force of a share that swings freely, a force is the rounding of a deflection.
+    least = _LEAST_FORCE * scene.tow_speed * math.sqrt(scene.stiffness * scene.inertia)
+    size = max(abs(run.mean_draft), run.force_rms, least)
     pairs = (
         (abs(run.mean_draft - check.mean_draft), size),
         (abs(run.force_rms - check.force_rms), size),
-        (np.max(np.abs(run.mount_force[::stride] - check.mount_force)), np.max(np.abs(run.mount_force))),
+        (np.max(np.abs(run.mount_force[::stride] - check.mount_force)), max(np.max(np.abs(run.mount_force)), least)),
     )
     return max((float(difference / scale) for difference, scale in pairs if scale > 0.0), default=0.0)

@@ -16,6 +16,7 @@ class Timeline:
     Args:
         outputs: number of equal intervals between output times.
         steps: number of integration steps wanted; each output interval takes the nearest whole number, at least one.
+            Of an adaptive method the most that it takes.
         kink: fraction at which the right-hand side is not smooth (the end of a tow ramp), or None. A
             step ends there, so that the method keeps its order. Between 0 and 1.
     """

@@ -1,10 +1,12 @@
 """Events in the first step of an integrator, and derivatives through the end of entry."""
 
+import dataclasses
 import math
 
 import casadi as ca
 import numpy as np
 import pytest
+import three_modes
 
 import plough_opt as po
 
@@ -47,3 +49,14 @@ def test_the_end_of_entry_has_its_derivatives(contact):
     assert np.max(run.travel) > SHARE.height
     # Sixth-order differences of values that are good to 1e-12 of the tolerance.
     np.testing.assert_allclose(slopes, sixth @ values, rtol=1e-8)
+
+
+def test_a_share_that_barely_moves_yet_has_not_stopped(r1_soil):
+    # In the first milliseconds of a ramp the share's speed is the rounding of a difference: no event may come of it.
+    soil = dataclasses.replace(r1_soil, cohesion=4e4, ambient_pressure=3e5)
+    effects = po.Effects(contact=po.StickSlip(2.5), start="towed", entry=True, tow_ramp=0.07, added_mass=False)
+    scene = po.Scene(soil, po.Wedge(po.deg(4.0), po.deg(15.0), 0.05), 260.0, 13.0, 0.2, effects)
+    for duration in (0.045, 0.06, 0.3, 2.0):
+        run, expected = po.simulate(scene, duration, outputs=10), three_modes.follow(scene, duration, outputs=10)
+        assert np.max(np.abs(run.mount_force - expected.mount_force)) < 2e-8 * np.max(np.abs(expected.mount_force))
+        assert run.error_estimate < 1e-8

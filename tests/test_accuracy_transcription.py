@@ -194,6 +194,7 @@ def test_a_run_whose_averages_alone_count_takes_the_mesh_that_is_asked_for(r1, r
     assert unknowns(r1, single(50)) == 0
     assert unknowns(r1, MultipleShooting(7, 5)) == 7 * 2 + 2
     assert unknowns(r1, Collocation(7, 3)) == 7 * (3 + 1) * 2 + 2
+    assert [r1.intervals(7), rich.intervals(7), rich.intervals(24)] == [7, 10, 20]
     # Ten outputs and the ramp's end between two of them; three means, two spreads.
     assert unknowns(rich, MultipleShooting(1, 5)) == 11 * 2 + 5
 

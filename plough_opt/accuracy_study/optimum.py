@@ -65,6 +65,7 @@ _BESIDE = 0.02
 _NOISY = 1e-6
 # Phase [rad] of the fastest oscillation in a step of order 8, as a design takes it.
 _TOOLKIT = 0.8
+_SEGMENTS = (4, 16)
 # Points, degree, and phases in an interval, coarse to fine.
 _MESHES: tuple[tuple[Points, int, tuple[float, ...]], ...] = (
     ("radau", 3, (1.0, 0.5)),
@@ -98,7 +99,7 @@ class TightOptimum:
     Attributes:
         variables: name -> value, SI units.
         objective: tightly re-integrated.
-        check: relative difference of two tight integrations of the objective, by different methods [-].
+        check: relative difference of two tight integrations of the objective, of which one checks the other [-].
         residual: largest component of the scaled optimality conditions, by the derivatives of another integrator [-].
         y: scaled variables.
     """
@@ -295,7 +296,11 @@ def _methods(question: Question, best: TightOptimum, start: Start) -> list[_Meth
     runs = question.parts.runs
     if not runs:
         return _derivatives(question, start, None)
-    steps = partial(steps_for, max(_phase(question, y) for y in (best.y, start.y)))
+    total = max(_phase(question, y) for y in (best.y, start.y))
+
+    def steps(angle: float) -> int:
+        return question.intervals(steps_for(total, angle))
+
     plain = not any(run.integration.structure.events or run.integration.structure.orbit != "transient" for run in runs)
     return [
         *_transcriptions(question, start, steps),
@@ -320,7 +325,7 @@ def _transcriptions(question: Question, start: Start, steps: Callable[[float], i
     forms: list[tuple[str, str, Transcription]] = [
         ("single shooting", f"{count} steps of order 8", SingleShooting(Accuracy("dop853", steps=count)))
     ]
-    for segments in (4, 16):
+    for segments in dict.fromkeys(map(question.intervals, _SEGMENTS)):
         each = math.ceil(count / segments)
         forms.append(("multiple shooting", f"{segments} segments of {each} steps", MultipleShooting(segments, each)))
     for points, degree, angles in _MESHES:

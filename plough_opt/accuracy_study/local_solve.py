@@ -5,8 +5,8 @@ from __future__ import annotations
 import shutil
 import subprocess
 import tempfile
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
@@ -50,24 +50,31 @@ class Found:
 
 
 Solve = Callable[[], Found]
+Functions = Mapping[str, ca.Function]
+
+
+def functions_of(nlp: Nlp, derivatives: Derivatives) -> Functions:
+    """Return those Functions of a program, by IPOPT's names, that a choice of derivatives takes."""
+    names = ("f", "g", "grad_f", "jac_g", *(("hess_lag",) if derivatives == "exact" else ()))
+    return {name: getattr(nlp, name) for name in names}
 
 
 def solve_nlp(
-    nlp: Nlp, question: Question, start: Start, derivatives: Derivatives = "exact", tolerance: float = 1e-10
+    own: Functions, question: Question, start: Start, derivatives: Derivatives = "exact", tolerance: float = 1e-10
 ) -> Solve:
     """Return the local solve of a program that has its own derivatives.
 
     Args:
-        nlp: the program; its Functions may be compiled.
+        own: the program's Functions; they may be compiled.
         question: the design's question, for the limits.
         start: where to begin.
         derivatives: which of the program's derivatives to use.
         tolerance: of IPOPT.
     """
     y, none = ca.MX.sym("y", len(start.y)), ca.MX.sym("p", 0)
-    problem = {"x": y, "p": none, "f": ca.densify(nlp.f(y, none)), "g": ca.densify(nlp.g(y, none))}
-    options: dict[str, Any] = {"grad_f": nlp.grad_f, "jac_g": nlp.jac_g, "ipopt.tol": tolerance}
-    options |= {"hess_lag": nlp.hess_lag} if derivatives == "exact" else _limited_memory(derivatives)
+    problem = {"x": y, "p": none, "f": ca.densify(own["f"](y, none)), "g": ca.densify(own["g"](y, none))}
+    given = {name: function for name, function in own.items() if name not in problem}
+    options = given | {"ipopt.tol": tolerance} | _limited_memory(derivatives)
     program = question.program
     bounds = {"lbx": 0.0, "ubx": 1.0, "lbg": program.low, "ubg": program.high}
     return _ipopt(problem, options, bounds, start, start.y)
@@ -133,38 +140,38 @@ def _reason(status: str, iterations: int, limit: float) -> str:
     return f"{REMEDIES.get(status, status).split(':')[0]}, after {iterations} iterations"
 
 
-def without_derivatives(nlp: Nlp, variables: int, method: Literal["central", "forward"]) -> Nlp:
+def without_derivatives(own: Functions, variables: int, method: Literal["central", "forward"]) -> Functions:
     """Return a program whose gradient and Jacobian are differences in the scaled variables.
 
     Args:
-        nlp: the program.
+        own: the program's Functions.
         variables: number of scaled variables.
         method: central differences with the cube root of the rounding as their step, or forward ones with its root.
     """
     y, p = ca.MX.sym("y", variables), ca.MX.sym("p", 0)
     central = method == "central"
     step = np.finfo(float).eps ** (1.0 / 3.0 if central else 0.5)
-    both = ca.Function("both", [y], [ca.vertcat(nlp.f(y, p), nlp.g(y, p))])
+    both = ca.Function("both", [y], [ca.vertcat(own["f"](y, p), own["g"](y, p))])
     here = both(y)
     moves = ca.vertsplit(step * ca.DM.eye(variables))
     ahead = [both(y + move.T) for move in moves]
     behind = [both(y - move.T) if central else here for move in moves]
     slopes = (ca.horzcat(*ahead) - ca.horzcat(*behind)) / (2.0 * step if central else step)
     names = ["x", "p"]
-    return replace(
-        nlp,
-        grad_f=ca.Function("grad_f", [y, p], [here[0], slopes[0, :].T], names, ["f", "grad_f_x"]),
-        jac_g=ca.Function("jac_g", [y, p], [here[1:], slopes[1:, :]], names, ["g", "jac_g_x"]),
-    )
+    return {
+        "f": own["f"],
+        "g": own["g"],
+        "grad_f": ca.Function("grad_f", [y, p], [here[0], slopes[0, :].T], names, ["f", "grad_f_x"]),
+        "jac_g": ca.Function("jac_g", [y, p], [here[1:], slopes[1:, :]], names, ["g", "jac_g_x"]),
+    }
 
 
-def compiled(nlp: Nlp, flags: Sequence[str], derivatives: Derivatives) -> Nlp:
+def compiled(own: Functions, flags: Sequence[str]) -> Functions:
     """Return a program whose Functions are machine code, by the system's C compiler.
 
     Args:
-        nlp: the program, interpreted by CasADi.
+        own: the program's Functions, interpreted by CasADi; a Hessian takes most of a compiler's time.
         flags: of the compiler.
-        derivatives: those that will be used; the Hessian alone takes most of a compiler's time.
 
     Raises:
         NotConverged: there is no compiler, or it refuses the code.
@@ -172,10 +179,9 @@ def compiled(nlp: Nlp, flags: Sequence[str], derivatives: Derivatives) -> Nlp:
     compiler = next((found for name in COMPILERS if (found := shutil.which(name))), None)
     if compiler is None:
         raise NotConverged(f"no C compiler was found ({', '.join(COMPILERS)})", "No_Compiler")
-    names = ("f", "g", "grad_f", "jac_g", *(("hess_lag",) if derivatives == "exact" else ()))
     generator = ca.CodeGenerator("program.c")
-    for name in names:
-        generator.add(_renamed(getattr(nlp, name), f"own_{name}"))
+    for name, function in own.items():
+        generator.add(_renamed(function, f"own_{name}"))
     # The loader keeps the library; its file is needed no longer.
     with tempfile.TemporaryDirectory() as folder:
         generator.generate(f"{folder}/")
@@ -185,7 +191,7 @@ def compiled(nlp: Nlp, flags: Sequence[str], derivatives: Derivatives) -> Nlp:
         if done.returncode != 0:
             first = (done.stderr.strip().splitlines() or ["no message"])[0]
             raise NotConverged(f"the C compiler refused the program: {first}", "Not_Compiled")
-        return replace(nlp, **{name: ca.external(f"own_{name}", str(library)) for name in names})
+        return {name: ca.external(f"own_{name}", str(library)) for name in own}
 
 
 def _renamed(function: ca.Function, name: str) -> ca.Function:

@@ -22,9 +22,11 @@ from plough_opt.accuracy_study.contest import Entry, median_time
 from plough_opt.accuracy_study.local_solve import (
     Derivatives,
     Found,
+    Functions,
     Solve,
     Start,
     compiled,
+    functions_of,
     solve_nlp,
     solve_transcribed,
     without_derivatives,
@@ -358,9 +360,9 @@ def _derivatives(question: Question, start: Start, steps: int | None) -> list[_M
     """Return choices of derivatives, interpreted and compiled, of one program: steps of order 8 where it has runs."""
     nlp = partial(_carried, question, steps)
 
-    def built(use: Derivatives, change: Callable[[Nlp], Nlp] | None = None, tolerance: float = 1e-10) -> Solve:
-        own = nlp() if change is None else change(nlp())
-        return solve_nlp(own, question, start, use, tolerance)
+    def built(use: Derivatives, change: Callable[[Functions], Functions] | None = None, tol: float = 1e-10) -> Solve:
+        own = functions_of(nlp(), use)
+        return solve_nlp(own if change is None else change(own), question, start, use, tol)
 
     text = "" if steps is None else f"{steps} steps of order 8"
     rows: list[tuple[str, str, Callable[[], Solve]]] = [
@@ -375,7 +377,7 @@ def _derivatives(question: Question, start: Start, steps: int | None) -> list[_M
         name = f"{differences} differences, limited-memory BFGS"
         rows.append(("derivatives", name, partial(built, differences, blind, _NOISY)))
     for use, name, flag in _COMPILED:
-        code = partial(compiled, flags=[flag], derivatives=use)
+        code = partial(compiled, flags=[flag])
         rows.append(("compiled", f"{name}, cc {flag}", partial(built, use, code)))
     return [_Method(family, name, text, build) for family, name, build in rows]
 

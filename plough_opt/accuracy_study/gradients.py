@@ -40,7 +40,7 @@ class ReferenceGradient:
     error: float
 
 
-def reference_gradient(scene: Scene, duration: float | None, *, tries: int = 3) -> ReferenceGradient:
+def reference_gradient(scene: Scene, duration: float | None, *, tries: int = 2) -> ReferenceGradient:
     """Return the gradient of mean draft and RMS by central differences of order 8 of the reference motion.
 
     Differences over shorter and shorter steps are compared, which tells their error.
@@ -65,7 +65,7 @@ def reference_gradient(scene: Scene, duration: float | None, *, tries: int = 3) 
         return np.array([getattr(found, name) for name in AVERAGES]), tuple(name for _, name in found.events)
 
     sequence = averages(laws)[1]
-    h = WIDE(2.0 ** -(5 + math.ceil(math.log2(1.0 + _phase(laws, duration) / 8.0))))
+    h = WIDE(2.0 ** -(7 + math.ceil(math.log2(1.0 + _phase(laws, duration) / 8.0))))
     before, best = None, None
     for _ in range(tries):
         values = _differences(laws, averages, sequence, h)

@@ -21,7 +21,7 @@ from plough_opt.expressions import Expression, as_number
 from plough_opt.motion import Run, simulate
 from plough_opt.motion.integrators import integration, quiet_events
 from plough_opt.motion.judgement import refuse_missed_event
-from plough_opt.motion.plan import fastest_rate, numbers_of, phase, steps_for, timeline_of, with_setting
+from plough_opt.motion.plan import fastest_rate, most_steps, numbers_of, phase, steps_for, timeline_of, with_setting
 from plough_opt.motion.run import assemble
 from plough_opt.motion.terms import Structure
 from plough_opt.scene import Scene
@@ -45,8 +45,6 @@ _PHASE_OF_A_STEP = 1.5
 _NEXT, _GRADIENT = 3.0, 10.0
 # How many times its allowance the default may take.
 _PATIENCE = 20.0
-# Time [s] in which a use is repeated.
-_TIMING = 0.1
 
 
 _Number = TypeVar("_Number", int, float)
@@ -75,6 +73,11 @@ class Task:
         """The duration as `simulate` takes it."""
         return self.duration if self.scene.effects.orbit == "transient" else None
 
+    @property
+    def timing(self) -> float:
+        """Time [s] in which one use is repeated for its median."""
+        return 0.1 * self.allowance
+
     def some(self, settings: tuple[_Number, ...]) -> tuple[_Number, ...]:
         """Return the settings, or every other one of them."""
         return settings[:: 2 if self.thin else 1]
@@ -82,7 +85,8 @@ class Task:
 
 def prepared(task: Task, accuracy: Accuracy) -> tuple[Callable[[], object], Callable[[], Run]]:
     """Return one integration by a named method, without the check that `simulate` adds, and the run that it gives."""
-    timeline = timeline_of(task.scene, task.duration, task.outputs, accuracy.steps or task.outputs)
+    steps = accuracy.steps or most_steps(phase(numbers_of(task.scene), task.duration))
+    timeline = timeline_of(task.scene, task.duration, task.outputs, steps)
     solver = integration(Structure.of(task.scene), accuracy, timeline)
     known = numbers_of(task.scene)
     p = ca.DM([*(known[name] for name in solver.names), task.duration])
@@ -184,7 +188,7 @@ def _series(
             yield failure("integrator", method, text(accuracy), _first_line(error))
             continue
         first = time.perf_counter() - started
-        seconds = median_time(once, budget=min(_TIMING, task.allowance))
+        seconds = median_time(once, budget=task.timing)
         yield Entry("integrator", method, text(accuracy), seconds, max(0.0, first - seconds),
                     errors_of(found, reference))  # fmt: skip
         expected = _NEXT * seconds
@@ -240,7 +244,7 @@ def _gradient(task: Task, accuracy: Accuracy, reference: ReferenceGradient) -> E
         first = time.perf_counter() - started
         if not np.all(np.isfinite(found)):
             raise IntegrationError("the result is not finite")
-        seconds = median_time(lambda: function(at), budget=min(_TIMING, task.allowance))
+        seconds = median_time(lambda: function(at), budget=task.timing)
     except (PloughError, RuntimeError) as error:
         return failure("derivatives", accuracy.method, text(accuracy), _first_line(error))
     size = np.max(np.abs(reference.values))

@@ -23,9 +23,6 @@ from plough_opt.scene import Scene
 HARMONICS: Final = (1, 3, 8, 16)
 """Numbers of harmonics tried."""
 
-# Time [s] in which a use is repeated.
-_TIMING = 0.1
-
 
 @dataclass(frozen=True)
 class References:
@@ -60,7 +57,7 @@ def period_of(scene: Scene) -> float:
 
 def models(task: Task, references: References) -> Iterator[Entry]:
     """Yield the models; errors called "lasting ..." are those from the averages of the lasting orbit."""
-    yield _entry("quasi-static", "", partial(_quasi_static, task), references)
+    yield _entry("quasi-static", "", partial(_quasi_static, task), references, task.timing)
     orbit = lasting_orbit(task.scene)
     transient = task.scene.effects.orbit == "transient"
     if orbit is None or (transient and references.lasting is None):
@@ -72,11 +69,11 @@ def models(task: Task, references: References) -> Iterator[Entry]:
     steps = settings_of(around, "dop853")[-1]
     for name, setting, kind in kinds:
         scene = replace(orbit, effects=replace(orbit.effects, orbit=kind))
-        yield _entry(name, setting, partial(prepared, replace(around, scene=scene), steps), references)
+        yield _entry(name, setting, partial(prepared, replace(around, scene=scene), steps), references, task.timing)
     if transient:
         for accuracy in settings_of(around, "dop853", FACTORS[2:]):
             one = f"{accuracy.steps} steps"
-            yield _entry("lasting orbit", one, partial(prepared, around, accuracy), references)
+            yield _entry("lasting orbit", one, partial(prepared, around, accuracy), references, task.timing)
 
 
 def _quasi_static(task: Task) -> tuple[Callable[[], object], Callable[[], Run]]:
@@ -99,6 +96,7 @@ def _entry(
     setting: str,
     prepare: Callable[[], tuple[Callable[[], object], Callable[[], Run]]],
     references: References,
+    timing: float,
 ) -> Entry:
     started = time.perf_counter()
     try:
@@ -107,7 +105,7 @@ def _entry(
     except (PloughError, RuntimeError) as error:
         return failure("model", name, setting, str(error).splitlines()[-1])
     first = time.perf_counter() - started
-    seconds = median_time(once, budget=_TIMING)
+    seconds = median_time(once, budget=timing)
     return Entry("model", name, setting, seconds, max(0.0, first - seconds), _errors(found, references))
 
 

@@ -49,14 +49,16 @@ class Quadratures:
     reference: float
 
 
-def _entry(method: str, setting: str, find: Callable[[], Any], errors: Callable[[Any], dict[str, float]]) -> Entry:
+def _entry(
+    task: Task, method: str, setting: str, find: Callable[[], Any], errors: Callable[[Any], dict[str, float]]
+) -> Entry:
     started = time.perf_counter()
     try:
         found = find()
     except PloughError as error:
         return failure("quadrature", method, setting, error)
     first = time.perf_counter() - started
-    seconds = median_time(find, budget=0.1)
+    seconds = median_time(find, budget=task.timing)
     return Entry("quadrature", method, setting, seconds, max(0.0, first - seconds), errors(found))
 
 
@@ -82,7 +84,9 @@ def density_profile(task: Task) -> Quadratures:
         return {"reaction": max(apart.values()), **apart}
 
     orders = dict.fromkeys(sorted((*task.some(ORDERS), profile.order)))
-    entries = tuple(_entry("density profile", f"order {order}", partial(reaction, order), errors) for order in orders)
+    entries = tuple(
+        _entry(task, "density profile", f"order {order}", partial(reaction, order), errors) for order in orders
+    )
     return Quadratures(entries, max(float(errors(check)["reaction"]), float(np.finfo(float).eps)))
 
 
@@ -109,7 +113,7 @@ def quasi_static_course(task: Task) -> Quadratures:
 
     usual = steps_for(forced_rate(numbers_of(scene)) * task.duration)
     entries = [
-        _entry("quasi-static", f"{points} points in each of {panels} panels",
+        _entry(task, "quasi-static", f"{points} points in each of {panels} panels",
                partial(average, points, panels), lambda run: errors_of(run, exact))
         for points in POINTS for panels in dict.fromkeys((task.outputs, max(usual, task.outputs)))
     ]  # fmt: skip
@@ -173,9 +177,9 @@ def elastic_contact(task: Task) -> Quadratures:
     def errors(found: float) -> dict[str, float]:
         return {"contact force": abs(found - exact) / abs(exact)}
 
-    entries = [_entry("whole face", f"{n} points", partial(plain, n), errors)
+    entries = [_entry(task, "whole face", f"{n} points", partial(plain, n), errors)
                for n in task.some(NODES)]  # fmt: skip
-    entries.append(_entry("graded cells", "", graded, errors))
+    entries.append(_entry(task, "graded cells", "", graded, errors))
     return Quadratures(tuple(entries), max(errors(check)["contact force"], float(np.finfo(float).eps)))
 
 

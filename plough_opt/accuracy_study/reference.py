@@ -32,7 +32,9 @@ _MOST_EVENTS = 200_000
 # Events at one time after which the motion is taken to hang there.
 _MOST_AT_ONCE = 12
 _SHORTEST = 1e-16
-_SHOOTINGS = 12
+_SHOOTINGS = 20
+# Part of the last miss above which the slope of a shot is found anew.
+_SLOW = 0.1
 
 
 class Response(Protocol):
@@ -161,17 +163,18 @@ def orbit(laws: Laws, guess: tuple[Wide, Wide], outputs: int, degree: int) -> Re
         found = follow(laws, period, 1, degree, (first[0], first[1]))
         return np.array([found.deflection[-1], laws.tow_speed - found.speed[-1]])
 
-    least = np.inf
+    least, slope = np.inf, None
     for _ in range(_SHOOTINGS):
         miss = after(state) - state
         size = float(np.max(np.abs(miss) / unit))
         if size <= 2 * EPS or (size < 1e4 * EPS and size >= least):
             return follow(laws, period, outputs, degree, (state[0], state[1]))
+        if slope is None or size > _SLOW * least:
+            nudges = np.diag(WIDE(math.sqrt(EPS)) * unit)
+            slope = [(after(state + nudge) - after(state - nudge)) / (2 * np.max(nudge)) for nudge in nudges]
         least = size
-        nudge = WIDE(math.sqrt(EPS)) * unit
-        (a, c), (b, d) = ((after(state + change) - after(state - change)) / (2 * np.max(change))
-                          for change in np.diag(nudge))  # fmt: skip
         # (slope - 1) step = - miss, for two unknowns.
+        (a, c), (b, d) = slope
         a, d = a - 1, d - 1
         state = state - np.array([d * miss[0] - b * miss[1], a * miss[1] - c * miss[0]]) / (a * d - b * c)
     raise IntegrationError("no lasting orbit was found beside that of the run")

@@ -88,6 +88,32 @@ def optimise(options: argparse.Namespace) -> None:
         _wrote(plots.save(plots.plot_optimum(best, run), options.plot))
 
 
+def accuracy(options: argparse.Namespace) -> None:
+    """Show what accuracy costs in time on a file's scene, with every variable at its guess."""
+    problem = _read(options)
+    if options.output is not None and Path(options.output).is_dir():
+        raise InputError(f"the output '{options.output}' is a folder: name a file in it")
+    from plough_opt.accuracy_study.study import accuracy_study
+
+    with _progress() as told:
+        study = accuracy_study(
+            problem.scene(),
+            problem.values().get("scene.duration"),
+            wanted=options.error,
+            allowance=options.seconds,
+            thin=options.thin,
+            title=problem.title,
+            progress=told,
+        )
+    report.print_accuracy(_console(), study)
+    if options.plot is not None:
+        from plough_opt import plots
+
+        _wrote(plots.save(study.plot(), options.plot))
+    if options.output is not None:
+        _wrote(study.save(options.output))
+
+
 def _read(options: argparse.Namespace) -> Problem:
     """Read the problem file; refuse an impossible plot before anything is computed."""
     problem = read_problem(options.file, options.set)

@@ -72,6 +72,7 @@ def _parser() -> argparse.ArgumentParser:
         ("check", commands.check, "check a problem file and say what its scene contains"),
         ("simulate", commands.simulate, "simulate the scene with every variable at its guess"),
         ("optimise", commands.optimise, "find the best share, and say what decided it"),
+        ("accuracy", commands.accuracy, "show what accuracy costs in time, and say which method to take"),
     ):
         verb = verbs.add_parser(name, help=text)
         verb.add_argument("file", metavar="FILE", help="problem file (TOML)")
@@ -86,6 +87,20 @@ def _parser() -> argparse.ArgumentParser:
         if name == "check":
             verb.add_argument("--effects", action="store_true", help="print what each effect costs, on or off")
             continue
+        if name == "accuracy":
+            _add_accuracy(verb)
+            continue
         verb.add_argument("--json", action="store_true", help="print JSON (SI units) instead of a table")
         verb.add_argument("--plot", metavar="FILE", help="write a picture: .png, .svg or .pdf")
     return parser
+
+
+def _add_accuracy(verb: argparse.ArgumentParser) -> None:
+    """Add the options of the accuracy study."""
+    verb.add_argument("--error", type=float, default=1e-6, metavar="E", help="relative error wanted (default: 1e-6)")
+    verb.add_argument(
+        "--seconds", type=float, default=1.0, metavar="S", help="time one use of a method may take (default: 1)"
+    )
+    verb.add_argument("--thin", action="store_true", help="try every other setting only")
+    verb.add_argument("--output", metavar="FILE", help="write every figure as JSON")
+    verb.add_argument("--plot", metavar="FILE", help="write a picture: .png, .svg or .pdf")

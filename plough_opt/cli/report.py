@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 from rich.console import Console
 from rich.markup import escape
@@ -20,6 +21,9 @@ from plough_opt.problem_file.schema import quantities
 from plough_opt.problem_file.units import Display
 from plough_opt.scene import Scene
 from plough_opt.soil import Soil
+
+if TYPE_CHECKING:
+    from plough_opt.accuracy_study.study import AccuracyStudy
 
 _DEGREES = Display("deg", math.pi / 180.0)
 _KILO = {"N": Display("kN", 1e3), "W": Display("kW", 1e3), "Pa": Display("kPa", 1e3), "N/m": Display("kN/m", 1e3)}
@@ -123,6 +127,25 @@ def print_effects(console: Console, costs: Sequence[EffectCost]) -> None:
     for cost in costs:
         if cost.refused:
             console.print(f"{cost.name}: {escape(cost.refused)}.", soft_wrap=True)
+
+
+def print_accuracy(console: Console, study: AccuracyStudy) -> None:
+    """Print a study: a table for each question, what had no result and why, and the advice."""
+    if study.title:
+        console.print(f"[bold]{escape(study.title)}[/]")
+    for question in study.questions:
+        console.print(study.table(question))
+    console.print("* efficient: nothing else is both faster and more exact. Times are medians after a warm-up.")
+    reasons: dict[tuple[str, str], list[str]] = {}
+    for entry in study.failures:
+        reasons.setdefault((entry.family, str(entry.failure)), []).append(entry.label)
+    for (family, reason), labels in reasons.items():
+        console.print(f"{family}, no result of {escape('; '.join(labels))}: {escape(reason)}", soft_wrap=True)
+    for note in study.notes:
+        console.print(f"[yellow]note:[/] {escape(note)}", soft_wrap=True)
+    for question in study.questions:
+        console.print(f"[bold]{escape(study.advise(question))}[/]", soft_wrap=True)
+    console.print(", ".join(f"{name} {value}" for name, value in study.versions.items()), soft_wrap=True)
 
 
 def _scene_table(problem: Problem, scene: Scene) -> Table:

@@ -1,0 +1,92 @@
+"""`plough-opt accuracy`: tables, advice and files; and what is wrong with an input."""
+
+import json
+
+import pytest
+
+from plough_opt.accuracy_study.study import AccuracyStudy
+
+# Short, damped by the file, every other setting.
+BRIEF = ("--set", "scene.duration=0.1 s", "--thin", "--seconds", "0.2")
+
+
+@pytest.fixture(scope="module")
+def done(request, tmp_path_factory):
+    """Return the outcome of a short study of the cotton problem, and the files that it wrote."""
+    folder = tmp_path_factory.mktemp("accuracy")
+    picture, output = folder / "cost.png", folder / "deep" / "cost.json"
+    cli, cotton = request.getfixturevalue("cotton_call"), request.getfixturevalue("cotton")
+    return cli("accuracy", cotton, *BRIEF, "--error", "1e-5", "--plot", picture, "--output", output), picture, output
+
+
+@pytest.fixture(scope="module")
+def cotton_call():
+    """Return the command line as a function."""
+    from conftest import call
+
+    return call
+
+
+def test_tables_and_advice(done):
+    outcome = done[0]
+    assert outcome.status == 0
+    assert "averages of the motion: relative error against time" in outcome.out
+    assert "gradients of the averages: relative error against time" in outcome.out
+    for method in ("auto (default)", "dop853", "cvodes", "quasi-static", "harmonic balance"):
+        assert f" {method} " in outcome.out
+    (advice,) = (line for line in outcome.out.splitlines() if line.startswith("averages of the motion: for 1e-05"))
+    assert "take " in advice
+    assert "the default" in advice
+    assert "casadi " in outcome.out.splitlines()[-1]
+
+
+def test_files(done):
+    outcome, picture, output = done
+    assert picture.read_bytes().startswith(b"\x89PNG")
+    study = AccuracyStudy.load(output)
+    assert study.wanted == 1e-5
+    assert study.title == "Subsoiler for cotton on serozem"
+    assert study.duration == pytest.approx(0.1)
+    assert json.loads(output.read_text(encoding="utf-8"))["advice"].splitlines()[0] in outcome.out
+    assert f"wrote {picture}" in outcome.err.replace("\n", "")
+
+
+def test_a_lasting_orbit_needs_no_duration(cli, cotton, tmp_path):
+    path = tmp_path / "orbit.toml"
+    text = cotton.read_text(encoding="utf-8").replace("[effects]", '[effects]\norbit = "linearised"')
+    path.write_text("\n".join(line for line in text.splitlines() if "duration" not in line), encoding="utf-8")
+    done = cli("accuracy", path, "--thin", "--seconds", "0.1")
+    assert (done.status, done.err) == (0, "")
+    assert " linearised " in done.out
+    assert "finds no lasting orbit" in done.out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (("--error", "2"), "wanted error = 2 must be at most 0.1"),
+        (("--error", "0"), "wanted error = 0 must be at least"),
+        (("--seconds", "0"), "time allowed to a contestant"),
+        (("--plot", "cost.jpg"), "no known picture format"),
+        (("--output", "."), "is a folder"),
+        (("--set", "scene.tow_sped=2 m/s"), "did you mean 'tow_speed'?"),
+        (("--set", "scene.tow_speed=2 kg"), "tow_speed"),
+    ],
+)
+def test_bad_input(cli, cotton, arguments, said):
+    done = cli("accuracy", cotton, *arguments)
+    assert (done.status, done.out) == (2, "")
+    assert said in " ".join(done.err.split())
+    assert "Traceback" not in done.err
+
+
+def test_no_such_file(cli, tmp_path):
+    done = cli("accuracy", tmp_path / "none.toml")
+    assert done.status == 2
+    assert "none.toml" in done.err.replace("\n", "")
+
+
+def test_an_error_that_is_no_number(cli, cotton):
+    with pytest.raises(SystemExit) as stopped:
+        cli("accuracy", cotton, "--error", "tight")
+    assert stopped.value.code == 2

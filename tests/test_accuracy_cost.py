@@ -1,0 +1,61 @@
+"""The script of five scenes: its picture, and what it prints."""
+
+import dataclasses
+import importlib.util
+import sys
+from pathlib import Path
+
+import matplotlib.image
+import pytest
+
+import plough_opt as po
+
+SCRIPT = Path(__file__).parents[1] / "problems" / "accuracy_cost.py"
+NAMES = ["smooth", "stiff", "resonant", "stick and slip", "entry from first contact"]
+
+
+@pytest.fixture
+def cost():
+    spec = importlib.util.spec_from_file_location("accuracy_cost", SCRIPT)
+    module = sys.modules[spec.name] = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    yield module
+    del sys.modules[spec.name]
+
+
+def test_the_scenes_are_what_they_are_called(cost):
+    scenes = cost.scenes()
+    assert [name.split(":")[0] for name in scenes] == NAMES
+    smooth, stiff, resonant, sticks, entry = scenes.values()
+    turns = float(stiff[0].natural_frequency) * stiff[1] / 6.283185307179586
+    assert turns == pytest.approx(1400, rel=0.05)
+    assert float(resonant[0].natural_frequency) == pytest.approx(float(resonant[0].wave_frequency), rel=1e-12)
+    assert set(po.simulate(*sticks, outputs=300).mode) == {0.0, 1.0}
+    run = po.simulate(*entry)
+    assert run.travel[0] == 0.0
+    assert run.travel[-1] > entry[0].cone.height
+    assert float(smooth[0].natural_frequency) * smooth[1] < 100
+
+
+def check(cost, folder, capsys):
+    cost.main(["--thin", "--folder", str(folder)])
+    printed = capsys.readouterr().out
+    assert printed.count("averages of the motion: for 1e-06 take ") == 5
+    assert printed.count("averages of the motion: relative error against time") == 5
+    assert "finds no events" in printed
+    assert "casadi 3" in printed
+    assert matplotlib.image.imread(folder / "accuracy_cost.png").shape[:2] == (1014, 1560)
+
+
+def test_short_versions_of_the_scenes(cost, tmp_path, monkeypatch, capsys):
+    short = {
+        name: (dataclasses.replace(scene, stiffness=min(scene.stiffness, 2e5)), duration / 20.0)
+        for name, (scene, duration) in cost.scenes().items()
+    }
+    monkeypatch.setattr(cost, "scenes", lambda: short)
+    check(cost, tmp_path, capsys)
+
+
+@pytest.mark.slow
+def test_the_scenes_themselves(cost, tmp_path, capsys):
+    check(cost, tmp_path, capsys)

@@ -1,0 +1,366 @@
+"""The accuracy study: errors that are the true ones, the advice, what is left out, files and pictures."""
+
+import dataclasses
+import json
+import math
+
+import casadi as ca
+import matplotlib.image
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+
+import plough_opt as po
+from plough_opt.accuracy_study import methods, models, quadratures, scenes
+from plough_opt.accuracy_study.contest import Entry
+from plough_opt.accuracy_study.methods import Task, prepared
+from plough_opt.accuracy_study.study import AccuracyStudy, duration_text
+from plough_opt.expressions import exp
+
+SOIL = po.named_soil("serozem")
+WAVE = po.StrengthWave(amplitude=0.3, wavelength=0.2)
+
+
+def scene(stiffness=5e4, tow_speed=2.0, soil=SOIL, medium="plastic", **effects):
+    share = po.Wedge(po.deg(30), po.deg(15), 0.25)
+    return po.Scene(soil, share, stiffness, 25.0, tow_speed, po.Effects(**effects), medium=medium)
+
+
+def refuse_constant(text):
+    raise AssertionError(f"{text} is no strict JSON")
+
+
+@pytest.fixture(scope="module")
+def linear():
+    """Return a scene with a closed form, and its study; by a clock that lets nobody be cut off."""
+    plain = scene(start="rest", inertial_drag=False)
+    with pytest.MonkeyPatch.context() as patch:
+        for module in (methods, models):
+            patch.setattr(module, "median_time", lambda once, budget: 1e-3)  # noqa: ARG005
+        study = po.accuracy_study(plain, 0.3, wanted=1e-6, outputs=10, allowance=1e3, title="from rest")
+    return plain, study
+
+
+def closed_form(plain, duration):
+    """Return mean and RMS of the mount force of a share on a spring, from rest without drag."""
+    force, inertia, k, speed = (float(x) for x in (plain.reaction.static, plain.inertia, 5e4, 2.0))
+    w = math.sqrt(k / inertia)
+    a, b, x = -force, speed * math.sqrt(k * inertia), w * duration
+    mean = force + (a * math.sin(x) + b * (1 - math.cos(x))) / x
+    # Mean of (F - mean + a cos + b sin)^2.
+    s, c = math.sin(x) / x, (1 - math.cos(x)) / x
+    half_sine, squared = math.sin(2 * x) / (2 * x), math.sin(x) ** 2 / x
+    d = force - mean
+    spread = d**2 + (a**2 * (1 + half_sine) + b**2 * (1 - half_sine)) / 2 + a * b * squared + 2 * d * (a * s + b * c)
+    return mean, math.sqrt(spread)
+
+
+class TestErrors:
+    """The errors of a study are the true ones."""
+
+    def test_of_a_scene_with_a_closed_form(self, linear):
+        plain, study = linear
+        mean, rms = closed_form(plain, 0.3)
+        size = max(abs(mean), rms)
+        checked = 0
+        for entry in study.entries:
+            if entry.family != "integrator" or entry.method == "auto" or entry.failure:
+                continue
+            kind, value = entry.setting.split()[::-1] if entry.setting.endswith("steps") else entry.setting.split()
+            accuracy = po.Accuracy(entry.method, **{kind: int(value) if kind == "steps" else float(value)})
+            run = prepared(Task(plain, 0.3, 10, 1.0), accuracy)[1]()
+            # The closed form itself is good to some 1e-14.
+            assert entry.errors["mean draft"] == pytest.approx(abs(run.mean_draft - mean) / size, rel=1e-3, abs=3e-14)
+            assert entry.errors["RMS"] == pytest.approx(abs(run.force_rms - rms) / size, rel=1e-3, abs=3e-14)
+            checked += 1
+        assert checked >= 30
+
+    def test_averages_are_the_larger_of_both_and_the_last_force_is_one_of_the_trajectory(self, linear):
+        for entry in linear[1].entries:
+            if "averages" in entry.errors:
+                assert entry.errors["averages"] == max(entry.errors["mean draft"], entry.errors["RMS"])
+                assert entry.errors["last force"] <= entry.errors["trajectory"]
+
+    @pytest.mark.parametrize(("method", "order"), [("rk", 4.0), ("collocation", 5.0)])
+    def test_the_trajectory_has_the_methods_order(self, linear, method, order):
+        # RMS converges more slowly with "rk": its running mean begins with 0/0.
+        found = [e for e in linear[1].entries if (e.family, e.method) == ("integrator", method) and not e.failure]
+        found = [e for e in found if 1e-10 < e.errors["trajectory"] < 1e-4]
+        counts = np.log([int(e.setting.split()[0]) for e in found])
+        rate = np.polyfit(counts, np.log([e.errors["trajectory"] for e in found]), 1)[0]
+        assert len(found) >= 3
+        assert -rate == pytest.approx(order, abs=0.1)
+
+    def test_quasi_static_is_exact_where_nothing_moves(self):
+        still = po.accuracy_study(scene(), 0.2, outputs=4, thin=True, allowance=0.2, derivatives=False)
+        (entry,) = (e for e in still.entries if e.method == "quasi-static")
+        assert entry.errors["trajectory"] < 1e-15
+
+    def test_gradients_of_the_finest_settings_agree_with_the_reference(self, linear):
+        study = linear[1]
+        best = {}
+        for entry in study.entries:
+            if entry.family == "derivatives" and not entry.failure:
+                best[entry.method] = min(best.get(entry.method, 1.0), entry.errors["gradient"])
+        assert set(best) == {"auto", "dop853", "collocation", "rk", "cvodes", "idas", "erk", "rosenbrock"}
+        assert max(best.values()) < 1e-6
+        assert best["dop853"] < 1e-10
+        assert study.floors["gradient"] < 1e-12
+
+
+@pytest.fixture(scope="module")
+def damped():
+    """Return the study of a scene with a lasting orbit, from a start."""
+    return po.accuracy_study(
+        scene(strength_wave=WAVE, damping=400.0), 0.5, outputs=8, thin=True, allowance=0.2, derivatives=False
+    )
+
+
+class TestModels:
+    """What leaves something of the motion out, beside the transient and beside the lasting orbit."""
+
+    def test_harmonics_approach_the_lasting_orbit_and_not_the_transient(self, damped):
+        balance = {e.setting: e.errors for e in damped.entries if e.method == "harmonic balance"}
+        one, more = balance["1 harmonic"], balance["8 harmonics"]
+        assert 1e-4 < one["lasting averages"] < 1e-2
+        assert more["lasting averages"] < 1e-13
+        # Half a second after its start the averages are those of a transient.
+        assert more["averages"] > 1e-4
+
+    def test_both_questions_are_asked_and_the_default_answers_the_first(self, damped):
+        titles = [question.title for question in damped.questions]
+        assert titles == ["averages of the motion", "averages of the lasting orbit"]
+        first = damped.questions[0]
+        assert any((e.method, e.setting) == first.default for e in damped.of(first))
+
+    def test_a_stand_in_scene_is_measured_against_the_orbit(self):
+        study = po.accuracy_study(
+            scene(strength_wave=WAVE, damping=400.0, orbit="linearised"),
+            outputs=8,
+            thin=True,
+            allowance=0.2,
+            derivatives=False,
+        )
+        errors = {e.method: e.errors["averages"] for e in study.entries if e.method == "linearised"}
+        assert 1e-3 < errors["linearised"] < 1e-1
+        refused = {e.method: e.failure for e in study.failures}
+        assert "no lasting orbit" in refused["cvodes"]
+        assert study.duration == pytest.approx(0.1)
+
+
+class TestQuadratures:
+    """Integrals over the density profile, the path and the face."""
+
+    def test_a_constant_profile_has_the_closed_form(self):
+        flat = SOIL.with_density_profile(lambda r: 1350.0 / 0.794 + 0.0 * r, order=8)
+        task = Task(scene(soil=flat), 1.0, 4, 1.0)
+        found = quadratures.density_profile(task)
+        assert all(e.errors["reaction"] < 1e-11 for e in found.entries if int(e.setting.split()[1]) >= 8)
+        assert found.reference < 1e-12
+
+    def test_orders_of_a_profile_converge(self):
+        varied = SOIL.with_density_profile(lambda r, w: 1350 * (1.05 + 0.3 * exp(-((r / w) ** 2))), 0.15, order=12)
+        study = po.accuracy_study(scene(soil=varied, motion=False), 0.1, outputs=4)
+        (question,) = (q for q in study.questions if q.error == "reaction")
+        errors = [e.errors["reaction"] for e in study.of(question)]
+        assert errors[0] > 1e-4
+        assert errors[3] < 1e-13
+        assert question.default == ("density profile", "order 12")
+        assert "that is the default" in study.advise(question) or "the default, density profile, order 12" in (
+            study.advise(question)
+        )
+
+    def test_a_quasi_static_course_in_closed_form(self):
+        # Ten whole waves: the mean is that of the constant part, the RMS eps F0/sqrt(2).
+        waves = scene(motion=False, strength_wave=WAVE)
+        study = po.accuracy_study(waves, 1.0, outputs=5)
+        (question,) = study.questions
+        static = float(waves.reaction.static)
+        mean = static + float(waves.reaction.drag) * 4.0
+        run = po.simulate(waves, 1.0, outputs=5)
+        assert run.mean_draft == pytest.approx(mean, rel=1e-14)
+        assert run.force_rms == pytest.approx(0.3 * static / math.sqrt(2.0), rel=1e-13)
+        default = next(e for e in study.of(question) if (e.method, e.setting) == question.default)
+        assert default.errors["averages"] < 1e-13
+        assert study.of(question)[0].errors["averages"] > 1e-3
+
+    def test_the_elastic_contact_by_two_quadratures(self):
+        study = po.accuracy_study(scene(motion=False, medium="elastic"), 1.0)
+        errors = {e.label: e.errors["contact force"] for e in study.entries}
+        assert errors["graded cells"] < 1e-11
+        assert errors["whole face, 4 points"] > 1e-4 > errors["whole face, 256 points"]
+
+
+class TestWhatIsLeftOut:
+    """Failures are rows with the reason."""
+
+    def test_methods_without_events(self):
+        study = po.accuracy_study(
+            scene(tow_speed=0.5, start="rest", contact=po.StickSlip(1.2), damping=50.0),
+            0.2,
+            outputs=4,
+            thin=True,
+            allowance=0.2,
+        )
+        refused = {e.method: e.failure for e in study.failures}
+        assert {"dop853", "collocation", "rk", "cvodes", "idas"} <= set(refused)
+        assert all("events" in refused[m] for m in ("dop853", "cvodes"))
+        assert {e.method for e in study.of(study.questions[0])} == {"auto", "erk", "rosenbrock", "quasi-static"}
+        assert {e.method for e in study.entries if e.family == "derivatives"} == {"auto", "erk", "rosenbrock"}
+
+    def test_what_takes_too_long_is_cut_off_and_the_default_is_not(self):
+        study = po.accuracy_study(
+            scene(stiffness=5e6, strength_wave=WAVE, damping=400.0), 0.5, outputs=4, allowance=1e-3, derivatives=False
+        )
+        cut = [e for e in study.failures if "cut off" in e.failure]
+        assert {"dop853", "rk"} <= {e.method for e in cut}
+        assert all(math.isinf(e.seconds) and not e.errors for e in cut)
+
+    def test_a_method_that_breaks_down_says_so(self):
+        task = Task(scene(stiffness=5e6, strength_wave=WAVE), 0.5, 4, 1.0)
+        reference = scenes.reference_run(task.scene, 0.5, outputs=4)
+        coarse = methods._series(task, "rk", [po.Accuracy("rk", steps=40)], lambda a: prepared(task, a), reference)
+        (entry,) = coarse
+        assert entry.failure is not None
+
+    def test_without_a_reference_a_note_says_why(self):
+        @dataclasses.dataclass(frozen=True)
+        class Odd:
+            size: float
+
+            def force(self, _travel, speed):
+                return self.size * ca.tanh(speed)
+
+        study = po.accuracy_study(scene(own=(Odd(1.0),)), 0.1, outputs=4)
+        assert study.questions == ()
+        assert any("wide" in note for note in study.notes)
+        assert study.advice == ""
+
+    def test_a_machine_without_wide_floats_says_so(self, monkeypatch):
+        monkeypatch.setattr(scenes, "WIDER", False)
+        study = po.accuracy_study(scene(), 0.05, outputs=2, thin=True, allowance=0.2, derivatives=False)
+        assert any("no floats wider than a double" in note for note in study.notes)
+
+    @pytest.mark.parametrize(
+        ("change", "said"),
+        [
+            ({"duration": None}, "duration is missing"),
+            ({"duration": 0.0}, "duration"),
+            ({"wanted": 0.5}, "wanted error"),
+            ({"outputs": 0}, "outputs = 0"),
+            ({"allowance": 0.0}, "time allowed"),
+            ({"scene": scene(strength_wave=WAVE, orbit="periodic")}, "duration of its own"),
+            ({"scene": scene(stiffness=ca.MX.sym("k"))}, "holds symbols"),
+        ],
+    )
+    def test_wrong_inputs(self, change, said):
+        given = {"scene": scene(), "duration": 0.1} | change
+        with pytest.raises((po.InputError, po.DomainError), match=said):
+            po.accuracy_study(given.pop("scene"), given.pop("duration"), **given)
+
+
+def made(*rows, wanted=1e-6, default=("auto", "error 1e-08")):
+    """Return a study of rows (method, setting, seconds, error)."""
+    entries = tuple(Entry("integrator", m, s, t, 0.1, {"averages": e}) for m, s, t, e in rows)
+    return AccuracyStudy("made", 1.0, wanted, entries, {"motion": 1e-17}, ("a note",), {"motion": default})
+
+
+class TestAdvice:
+    """One sentence: the cheapest that will do, how much cheaper than the next method, and the default."""
+
+    def test_the_next_is_another_method(self):
+        study = made(
+            ("a", "loose", 1e-3, 1e-3), ("a", "tight", 2e-3, 1e-7), ("a", "tighter", 3e-3, 1e-9), ("b", "", 6e-3, 1e-8),
+            ("auto", "error 1e-08", 0.1, 1e-10),
+        )  # fmt: skip
+        assert study.advice == (
+            "averages of the motion: for 1e-06 take a, tight: 2 ms, error 1e-07, 3.0 times cheaper than b; the default,"
+            " auto, error 1e-08, takes 100 ms, error 1e-10, 50 times as long and checks itself."
+        )
+
+    def test_the_default_may_be_the_cheapest(self):
+        study = made(("auto", "error 1e-08", 1e-3, 1e-9), ("b", "", 1.05e-3, 1e-8))
+        assert "about as cheap as b; that is the default." in study.advice
+
+    def test_the_only_method(self):
+        study = made(("a", "", 1e-3, 1e-9), ("b", "", 1e-3, 1e-2))
+        assert study.advice.endswith("error 1e-09, the only method that reaches it.")
+
+    def test_nothing_reaches_it(self):
+        study = made(("a", "", 1e-3, 1e-3), ("b", "", 2.0, 1e-5))
+        assert "nothing tried reaches 1e-06; nearest comes b with 1e-05 in 2 s" in study.advice
+
+    def test_the_front_and_the_table_mark_the_same(self):
+        study = made(("a", "", 1e-3, 1e-3), ("b", "", 2e-3, 1e-5), ("c", "", 3e-3, 1e-4))
+        (question,) = study.questions
+        assert [e.method for e in study.front(question)] == ["a", "b"]
+        table = study.table(question)
+        assert list(table.columns[0].cells) == ["*", "*", ""]
+        assert list(table.columns[1].cells) == ["a", "b", "c"]
+
+    @pytest.mark.parametrize(("seconds", "text"), [(1.5e-5, "15 µs"), (2.5e-2, "25 ms"), (3.0, "3 s")])
+    def test_times_have_units(self, seconds, text):
+        assert duration_text(seconds) == text
+
+
+class TestFiles:
+    """JSON that reads back equal, and pictures."""
+
+    def test_round_trip(self, linear, tmp_path):
+        study = linear[1]
+        path = study.save(tmp_path / "new" / "study.json")
+        text = path.read_text(encoding="utf-8")
+        data = json.loads(text, parse_constant=refuse_constant)
+        assert (data["schema"], data["kind"], data["title"]) == (1, "accuracy study", "from rest")
+        assert data["advice"] == study.advice
+        assert {"casadi", "numpy", "platform", "processors", "machine"} <= set(data["versions"])
+        assert AccuracyStudy.load(path) == study
+
+    def test_a_failure_reads_back(self, tmp_path):
+        study = dataclasses.replace(
+            made(("a", "", 1.0, 1e-3)), entries=(Entry("integrator", "a", "", math.inf, failure="why"),)
+        )
+        assert AccuracyStudy.load(study.save(tmp_path / "s.json")) == study
+        assert json.loads(study.to_json(), parse_constant=refuse_constant)["entries"][0]["seconds"] is None
+
+    @pytest.mark.parametrize("text", ["", "{", '{"schema": 2}', "[]"])
+    def test_what_is_no_study_is_refused(self, tmp_path, text):
+        path = tmp_path / "s.json"
+        path.write_text(text, encoding="utf-8")
+        with pytest.raises(po.InputError, match="not an accuracy study of this version"):
+            AccuracyStudy.load(path)
+
+    def test_no_file(self, tmp_path):
+        with pytest.raises(po.InputError, match="cannot be read"):
+            AccuracyStudy.load(tmp_path / "none.json")
+        with pytest.raises(po.InputError, match="cannot be written"):
+            made(("a", "", 1.0, 1e-3)).save(tmp_path)
+
+    def test_a_picture_has_a_panel_for_each_question(self, linear, tmp_path):
+        study = linear[1]
+        figure = study.plot(tmp_path / "study.png")
+        titles = [axes.get_title() for axes in figure.axes]
+        assert titles[:2] == ["averages of the motion", "gradients of the averages"]
+        assert matplotlib.image.imread(tmp_path / "study.png").shape[1] > 800
+        with pytest.raises(po.InputError, match="picture format"):
+            study.plot(tmp_path / "study.jpg")
+
+    def test_axes_show_every_entry_the_front_the_floor_and_the_wanted_error(self):
+        study = made(("a", "1", 1e-3, 1e-3), ("a", "2", 2e-3, 0.0), ("b", "", 4e-3, 1e-4))
+        axes = Figure().subplots()
+        study.plot(axes)
+        lines = {line.get_label(): line for line in axes.lines}
+        assert list(lines["a"].get_xdata()) == [1e-3, 2e-3]
+        # An error of zero is drawn at the bottom.
+        assert np.all(np.asarray(lines["a"].get_ydata()) > 0.0)
+        assert list(lines["efficient front"].get_xdata()) == [1e-3, 2e-3]
+        assert (axes.get_xscale(), axes.get_yscale()) == ("log", "log")
+        assert any(list(line.get_ydata()) == [1e-6, 1e-6] for line in axes.lines)
+
+
+def test_the_verb_is_the_folder():
+    from plough_opt.accuracy_study.study import accuracy_study
+
+    assert po.accuracy_study.study.accuracy_study is accuracy_study
+    with pytest.raises(po.InputError, match="duration is missing"):
+        po.accuracy_study(scene())

@@ -66,10 +66,8 @@ def studies(console: Console, *, thin: bool) -> dict[str, po.AccuracyStudy]:
         console.rule(name)
         for question in study.questions:
             console.print(study.table(question))
-        for entry in study.failures:
-            console.print(f"no result of {entry.label}: {entry.failure}", markup=False, soft_wrap=True)
-        for note in study.notes:
-            console.print(f"note: {note}", markup=False, soft_wrap=True)
+        for line in (*study.refusals, *(f"note: {note}" for note in study.notes)):
+            console.print(line, markup=False, soft_wrap=True)
         console.print(study.advice, markup=False, soft_wrap=True)
     return found
 

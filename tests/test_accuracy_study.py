@@ -290,6 +290,12 @@ class TestAdvice:
         study = made(("a", "", 1e-3, 1e-3), ("b", "", 2.0, 1e-5))
         assert "nothing tried reaches 1e-06; nearest comes b with 1e-05 in 2 s" in study.advice
 
+    def test_contestants_that_fail_alike_share_a_sentence(self):
+        failed = [Entry("integrator", m, s, math.inf, failure=f) for m, s, f in (
+            ("a", "1", "slow"), ("b", "", "odd"), ("a", "2", "slow"))]  # fmt: skip
+        study = dataclasses.replace(made(("c", "", 1.0, 1e-3)), entries=tuple(failed))
+        assert study.refusals == ("no result of a, 1; a, 2: slow", "no result of b: odd")
+
     def test_the_front_and_the_table_mark_the_same(self):
         study = made(("a", "", 1e-3, 1e-3), ("b", "", 2e-3, 1e-5), ("c", "", 3e-3, 1e-4))
         (question,) = study.questions

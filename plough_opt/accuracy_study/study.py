@@ -99,6 +99,14 @@ class AccuracyStudy:
         """Contestants without a result."""
         return [entry for entry in self.entries if entry.failure is not None]
 
+    @property
+    def refusals(self) -> tuple[str, ...]:
+        """A sentence for each reason for which contestants have no result."""
+        labels: dict[str, list[str]] = {}
+        for entry in self.failures:
+            labels.setdefault(str(entry.failure), []).append(entry.label)
+        return tuple(f"no result of {'; '.join(who)}: {reason}" for reason, who in labels.items())
+
     def front(self, question: Question) -> list[Entry]:
         """Return the entries that no other beats in both time and error, the reference's own error counted as none."""
         return efficient(self.of(question), question.error, self.floors[question.reference])

@@ -136,11 +136,8 @@ def print_accuracy(console: Console, study: AccuracyStudy) -> None:
     for question in study.questions:
         console.print(study.table(question))
     console.print("* efficient: nothing else is both faster and more exact. Times are medians after a warm-up.")
-    reasons: dict[tuple[str, str], list[str]] = {}
-    for entry in study.failures:
-        reasons.setdefault((entry.family, str(entry.failure)), []).append(entry.label)
-    for (family, reason), labels in reasons.items():
-        console.print(f"{family}, no result of {escape('; '.join(labels))}: {escape(reason)}", soft_wrap=True)
+    for refusal in study.refusals:
+        console.print(escape(refusal), soft_wrap=True)
     for note in study.notes:
         console.print(f"[yellow]note:[/] {escape(note)}", soft_wrap=True)
     for question in study.questions:

@@ -59,7 +59,7 @@ def test_a_stiff_mount_forgets_the_mass(left, effects, ramp, power):
     assert np.max(np.abs(found[-1])) < 1e-5
     for differences in (found, found[:, :1] - found[:, 1:]):
         orders = np.log10(np.abs(differences[:-1] / differences[1:]))
-        # The next order is some ten per cent at 1e6 N/m: sqrt(M/k0) against 0.05 s, the time in which the force changes.
+        # The next order is some ten per cent at 1e6 N/m: sqrt(M/k0) against 0.05 s, in which the force changes.
         assert orders[0] == pytest.approx(power, abs=0.08)
         assert orders[1] == pytest.approx(power, abs=0.02)
 

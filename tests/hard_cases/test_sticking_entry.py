@@ -1,0 +1,142 @@
+"""A share that sticks while it enters: against a solver of its own, and what a stick in half-buried soil must be."""
+
+import numpy as np
+import pytest
+import three_modes
+from three_modes import GAP, SLIP, STICK
+
+import plough_opt as po
+
+SLENDER = po.Wedge(po.deg(25.0), po.deg(15.0), 0.25)
+BLUNT = po.Wedge(po.deg(70.0), po.deg(15.0), 0.40)
+
+# share, stiffness [N/m], speed [m/s], duration [s], breakaway, effects; and how often it sticks before it is buried
+SCENES = {
+    "soft": (SLENDER, 5e2, 0.05, 10.0, 1.1, {"start": "rest"}, 9),
+    "soft, rarely": (SLENDER, 5e2, 0.05, 10.0, 2.0, {"start": "rest"}, 3),
+    "blunt": (BLUNT, 2e3, 0.10, 6.0, 1.1, {"start": "rest"}, 11),
+    "blunt, wave": (BLUNT, 2e3, 0.20, 4.0, 1.1, {"start": "rest", "strength_wave": po.StrengthWave(0.8, 0.05)}, 5),
+    "gaps too": (
+        SLENDER, 3e3, 0.10, 4.0, 3.0,
+        {"start": "rest", "strength_wave": po.StrengthWave(1.0, 0.02), "rate_term": 0.5}, 3,
+    ),
+    "ramp and damper": (
+        SLENDER, 1e3, 0.10, 5.0, 2.0,
+        {"start": "rest", "strength_wave": po.StrengthWave(0.8, 0.05), "tow_ramp": 1.0, "damping": 20.0}, 2,
+    ),
+    "towed": (SLENDER, 1e3, 0.10, 6.0, 1.1, {"start": "towed", "inertial_drag": False}, 3),
+    "on beyond the end of entry": (SLENDER, 2e3, 0.10, 9.0, 1.5, {"start": "rest"}, 5),
+}  # fmt: skip
+
+
+def scene_of(soil, name):
+    share, stiffness, speed, duration, breakaway, effects, _ = SCENES[name]
+    effects = po.Effects(entry=True, contact=po.StickSlip(breakaway), **effects)
+    return po.Scene(soil, share, stiffness, 24.0, speed, effects), duration
+
+
+@pytest.fixture(scope="module")
+def solved(r1_soil):
+    """Return scene, run and reference of a name, each solved once."""
+    known = {}
+
+    def solve(name):
+        if name not in known:
+            scene, duration = scene_of(r1_soil, name)
+            run = po.simulate(scene, duration, outputs=200)
+            known[name] = scene, run, three_modes.follow(scene, duration, outputs=200)
+        return known[name]
+
+    return solve
+
+
+def sticks(scene, books):
+    """Return the events by which a share stuck before it was wholly buried."""
+    height = scene.cone.height * (1.0 - 1e-9)
+    return [change for change in books.changes if change.new == STICK and change.travel < height]
+
+
+def largest(values):
+    return float(np.max(np.abs(values)))
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_an_independent_solver_agrees(solved, name):
+    scene, run, expected = solved(name)
+    assert len(sticks(scene, expected)) == SCENES[name][-1]
+    far = ~expected.near_a_change(1e-7 * run.duration)
+    assert list(run.mode[far]) == list(expected.mode[far])
+    # The run promises 1e-8 of both. Of a share that first moves without resistance the spring's rounding counts.
+    size = max(abs(expected.mean_draft), expected.force_rms)
+    assert largest(run.mount_force - expected.mount_force) < 2e-8 * largest(expected.mount_force)
+    assert largest((run.soil_resistance - expected.soil_resistance)[far]) < 2e-8 * largest(expected.mount_force)
+    assert largest(run.travel - expected.travel) < 2e-8 * largest(expected.deflection)
+    for average in ("mean_draft", "force_rms"):
+        assert getattr(run, average) == pytest.approx(getattr(expected, average), rel=0, abs=2e-8 * size), average
+    assert run.tow_power == pytest.approx(expected.tow_power, rel=0, abs=2e-8 * size * scene.tow_speed)
+
+
+def test_the_scenes_reach_every_change_while_the_share_enters(solved):
+    events = [(scene, change) for scene, _, books in map(solved, SCENES) for change in books.changes]
+    entering = [(change.old, change.new) for scene, change in events if change.travel < scene.cone.height]
+    assert {(SLIP, STICK), (STICK, SLIP), (SLIP, GAP), (GAP, SLIP)} <= set(entering)
+    scene, _, books = solved("on beyond the end of entry")
+    assert books.travel[-1] > 1.5 * scene.cone.height
+    assert any(change.new == STICK and change.travel > scene.cone.height for change in books.changes)
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_while_it_sticks_the_strut_stretches_the_mount_up_to_what_the_buried_part_holds(solved, name):
+    scene, run, expected = solved(name)
+    stuck = run.mode == STICK
+    assert np.count_nonzero(stuck) > 10
+    assert np.all(run.speed[stuck] == 0.0)
+    assert np.all(run.soil_resistance[stuck] == run.mount_force[stuck])
+    wave = scene.effects.strength_wave
+    strength = 1.0 + (wave.amplitude * np.sin(2.0 * np.pi * run.travel / wave.wavelength) if wave else 0.0)
+    buried = np.minimum(run.travel / scene.cone.height, 1.0)
+    hold = scene.effects.contact.breakaway * scene.reaction.static * strength * buried**2
+    force = largest(run.mount_force)
+    assert np.all(run.mount_force[stuck] <= hold[stuck] + 1e-8 * force)
+    # Between two outputs of one stick the share stays where it is, and the spring takes up the strut's path.
+    both = stuck[1:] & stuck[:-1]
+    apart = np.array(
+        [any(a < c.time < b for c in expected.changes) for a, b in zip(run.time, run.time[1:], strict=False)]
+    )
+    same = both & ~apart
+    assert np.count_nonzero(same) > 5
+    assert largest(np.diff(run.travel)[same]) < 1e-14
+    assert np.all(np.diff(run.mount_force)[same] > 0.0)
+    if not scene.effects.damping:
+        steady = scene.stiffness * scene.tow_speed * (run.time[1] - run.time[0])
+        assert np.diff(run.mount_force)[same] == pytest.approx(steady, rel=1e-9)
+
+
+@pytest.mark.parametrize("name", ["soft", "blunt", "soft, rarely", "on beyond the end of entry"])
+def test_it_breaks_loose_at_what_the_buried_part_holds(solved, name):
+    # Without a wave the force at which each stick ends grows with the square of the travel, and then no more.
+    scene, _, books = solved(name)
+    loose = [change for change in books.changes if (change.old, change.new) == (STICK, SLIP)]
+    assert len(loose) >= 2
+    near = 1e-6
+    for change in loose:
+        run = po.simulate(scene, change.time - near, outputs=1)
+        assert run.mode[-1] == STICK
+        hold = min(run.travel[-1] / scene.cone.height, 1.0) ** 2 * scene.reaction.static
+        held = scene.effects.contact.breakaway * hold - scene.stiffness * scene.tow_speed * near
+        assert run.mount_force[-1] == pytest.approx(held, rel=1e-8)
+        assert po.simulate(scene, change.time + near, outputs=1).mode[-1] == SLIP
+
+
+@pytest.mark.parametrize("breakaway", [1.0, 1.5, 5.0])
+@pytest.mark.parametrize("start", ["rest", "towed"])
+def test_first_contact_holds_nothing(r1_soil, breakaway, start):
+    # At travel 0 the soil holds nothing, whatever the breakaway ratio: the share moves at once, by the spring alone.
+    effects = po.Effects(entry=True, start=start, contact=po.StickSlip(breakaway))
+    scene = po.Scene(r1_soil, SLENDER, 5e2, 24.0, 0.5, effects)
+    omega, moment = np.sqrt(scene.stiffness / scene.mass), 1e-2
+    run = po.simulate(scene, moment, outputs=10)
+    assert set(run.mode) == {SLIP}
+    free = 0.5 * moment if start == "towed" else 0.5 * (moment - np.sin(omega * moment) / omega)
+    # The soil takes m_a (L/h)^3 and F0 (L/h)^2: of a travel of 5 mm and of 0.02 mm.
+    assert run.travel[-1] == pytest.approx(free, rel=2e-3)

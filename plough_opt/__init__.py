@@ -34,7 +34,8 @@ from plough_opt.soil import Soil, named_soil, soil_names
 
 if TYPE_CHECKING:
     from plough_opt import plots
-    from plough_opt.accuracy_study.study import AccuracyStudy, accuracy_study
+    from plough_opt.accuracy_study.result import AccuracyStudy
+    from plough_opt.accuracy_study.study import accuracy_study
     from plough_opt.batch import Batch, BatchResult
     from plough_opt.problem_file import Problem, read_problem
     from plough_opt.results import load
@@ -43,7 +44,7 @@ if TYPE_CHECKING:
 _LATER = {
     "Batch": "plough_opt.batch",
     "BatchResult": "plough_opt.batch",
-    "AccuracyStudy": "plough_opt.accuracy_study.study",
+    "AccuracyStudy": "plough_opt.accuracy_study.result",
     "Problem": "plough_opt.problem_file",
     "read_problem": "plough_opt.problem_file",
     "load": "plough_opt.results",

@@ -14,7 +14,7 @@ import plough_opt as po
 from plough_opt.accuracy_study import methods, models, quadratures, scenes
 from plough_opt.accuracy_study.contest import Entry
 from plough_opt.accuracy_study.methods import Task, prepared
-from plough_opt.accuracy_study.study import AccuracyStudy, duration_text
+from plough_opt.accuracy_study.result import AccuracyStudy, duration_text
 from plough_opt.expressions import exp
 
 SOIL = po.named_soil("serozem")

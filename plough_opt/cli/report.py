@@ -23,7 +23,7 @@ from plough_opt.scene import Scene
 from plough_opt.soil import Soil
 
 if TYPE_CHECKING:
-    from plough_opt.accuracy_study.study import AccuracyStudy
+    from plough_opt.accuracy_study.result import AccuracyStudy
 
 _DEGREES = Display("deg", math.pi / 180.0)
 _KILO = {"N": Display("kN", 1e3), "W": Display("kW", 1e3), "Pa": Display("kPa", 1e3), "N/m": Display("kN/m", 1e3)}

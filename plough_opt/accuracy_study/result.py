@@ -1,0 +1,312 @@
+"""What a study found: entries, the efficient front, advice in a sentence, tables, pictures and files."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+from plough_opt.accuracy_study.contest import Entry, cheapest, efficient
+from plough_opt.accuracy_study.scenes import CONTACT, COURSE, GRADIENT, LASTING, MOTION, PROFILE
+from plough_opt.errors import InputError
+from plough_opt.results import SCHEMA, Saved
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+    from rich.table import Table
+
+# Ratio of times that says nothing.
+_NOISE = 1.15
+
+
+@dataclass(frozen=True)
+class Question:
+    """One error by which contestants are ranked.
+
+    Attributes:
+        title: what is computed.
+        error: key of `Entry.errors`.
+        families: of the entries that take part.
+        reference: name of the reference, a key of `AccuracyStudy.floors`.
+        default: method and setting that the toolkit takes unasked.
+    """
+
+    title: str
+    error: str
+    families: tuple[str, ...]
+    reference: str
+    default: tuple[str, str] = ("", "")
+
+
+@dataclass(frozen=True)
+class AccuracyStudy:
+    """Error against time of everything that can do a scene.
+
+    Times are those of this machine at this hour: their ratios say more than they do.
+
+    Attributes:
+        title: of the scene.
+        duration: simulated time [s].
+        wanted: relative error that the advice is about [-].
+        entries: every contestant with every setting; failures with the reason.
+        floors: name of a reference -> its own estimated relative error [-].
+        notes: sentences on what has no reference.
+        defaults: what is ranked, in the order of `questions`: method and setting that the toolkit takes unasked.
+        versions: of packages, and the machine.
+    """
+
+    title: str
+    duration: float
+    wanted: float
+    entries: tuple[Entry, ...]
+    floors: Mapping[str, float]
+    notes: tuple[str, ...] = ()
+    defaults: Mapping[str, tuple[str, str]] = field(default_factory=dict)
+    versions: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def questions(self) -> tuple[Question, ...]:
+        """What the scene's contestants are ranked by."""
+        found = (replace(question, default=self.defaults.get(question.reference, ("", ""))) for question in _QUESTIONS)
+        return tuple(question for question in found if question.reference in self.floors and self.of(question))
+
+    def of(self, question: Question) -> list[Entry]:
+        """Return the entries that answer a question."""
+        return [e for e in self.entries if e.family in question.families and question.error in e.errors]
+
+    @property
+    def failures(self) -> list[Entry]:
+        """Contestants without a result."""
+        return [entry for entry in self.entries if entry.failure is not None]
+
+    @property
+    def refusals(self) -> tuple[str, ...]:
+        """A sentence for each reason for which contestants have no result."""
+        labels: dict[str, list[str]] = {}
+        for entry in self.failures:
+            labels.setdefault(str(entry.failure), []).append(entry.label)
+        return tuple(f"no result of {'; '.join(who)}: {reason}" for reason, who in labels.items())
+
+    def front(self, question: Question) -> list[Entry]:
+        """Return the entries that no other beats in both time and error, the reference's own error counted as none."""
+        return efficient(self.of(question), question.error, self.floors[question.reference])
+
+    def advise(self, question: Question) -> str:
+        """Return in a sentence what to take for the wanted error, and what the default does."""
+        entries, key = self.of(question), question.error
+        best = cheapest(entries, key, self.wanted)
+        if best is None:
+            nearest = min(entries, key=lambda entry: entry.errors[key])
+            advice = (
+                f"nothing tried reaches {self.wanted:.0e}; nearest comes {nearest.label} with"
+                f" {nearest.errors[key]:.0e} in {duration_text(nearest.seconds)}"
+            )
+        else:
+            advice = f"for {self.wanted:.0e} take {best.label}: {_result(best, key)}"
+            others = [entry for entry in entries if entry.method != best.method]
+            second = cheapest(others, key, self.wanted)
+            if second is not None:
+                advice += f", {_cheaper(second.seconds / best.seconds)} {second.label}"
+            elif others:
+                advice += ", the only method that reaches it"
+        return f"{question.title}: {advice}{self._of_default(question, best)}."
+
+    def _of_default(self, question: Question, best: Entry | None) -> str:
+        """Return a clause on the default."""
+        default = [e for e in self.of(question) if (e.method, e.setting) == question.default]
+        if not default:
+            return ""
+        if best is default[0]:
+            return "; that is the default"
+        ratio = f", {_times(default[0].seconds / best.seconds)}as long" if best is not None else ""
+        checked = " and checks itself" if question.reference in (MOTION,) else ""
+        return f"; the default, {default[0].label}, takes {_result(default[0], question.error)}{ratio}{checked}"
+
+    @property
+    def advice(self) -> str:
+        """A sentence for each question."""
+        return "\n".join(self.advise(question) for question in self.questions)
+
+    def table(self, question: Question) -> Table:
+        """Return the entries of a question from the fastest to the slowest, the efficient ones marked."""
+        from rich.table import Table
+
+        floor = self.floors[question.reference]
+        table = Table(title=f"{question.title}: relative error against time (reference: {floor:.0e})")
+        entries = sorted(self.of(question), key=lambda entry: entry.seconds)
+        keys = list(dict.fromkeys(key for e in entries for key in e.errors if _shown(key, question)))
+        for heading in ("", "method", "setting", "time", "set-up", *(key.removeprefix("lasting ") for key in keys)):
+            table.add_column(heading, justify="left" if heading in ("", "method", "setting") else "right")
+        front = self.front(question)
+        for entry in entries:
+            errors = (f"{entry.errors[key]:.0e}" if key in entry.errors else "" for key in keys)
+            table.add_row(
+                "*" if entry in front else "",
+                entry.method + (" (default)" if (entry.method, entry.setting) == question.default else ""),
+                entry.setting,
+                duration_text(entry.seconds),
+                duration_text(entry.setup),
+                *errors,
+            )
+        return table
+
+    def plot(self, target: Axes | str | Path | None = None) -> Figure:
+        """Draw error against time: into axes (the first question), into a file, or into a new figure.
+
+        Raises:
+            InputError: a file of no known picture format, or one that cannot be written.
+        """
+        from matplotlib.axes import Axes
+
+        from plough_opt.accuracy_study.picture import draw, figure_of
+        from plough_opt.picture_files import save
+
+        panels = [self.panel(question) for question in self.questions]
+        if isinstance(target, Axes):
+            draw(target, panels[0])
+            return target.get_figure(root=True)  # type: ignore[return-value]  # axes of a picture have a figure
+        figure = figure_of(panels, self.title)
+        if target is not None:
+            save(figure, target)
+        return figure
+
+    def panel(self, question: Question) -> Any:
+        """Return what a picture of a question shows."""
+        from plough_opt.accuracy_study.picture import Panel
+
+        return Panel(
+            title=question.title,
+            error=question.error,
+            entries=self.of(question),
+            front=self.front(question),
+            floor=self.floors[question.reference],
+            wanted=self.wanted,
+            default=question.default,
+        )
+
+    def to_json(self) -> str:
+        """Return the study as JSON text, with versions and a schema number."""
+        return SavedStudy.of(self).to_json()
+
+    def save(self, path: str | Path) -> Path:
+        """Write `to_json` to a file.
+
+        Raises:
+            InputError: a place that cannot be written.
+        """
+        target = Path(path)
+        try:
+            target.parent.mkdir(parents=True, exist_ok=True)
+            target.write_text(self.to_json() + "\n", encoding="utf-8")
+        except OSError as error:
+            raise InputError(f"the study '{target}' cannot be written: {error.strerror}") from None
+        return target
+
+    @staticmethod
+    def load(path: str | Path) -> AccuracyStudy:
+        """Read a study that `save` or the command line wrote.
+
+        Raises:
+            InputError: no such file, or not a study of this layout.
+        """
+        try:
+            return SavedStudy.model_validate_json(Path(path).read_text(encoding="utf-8")).study()
+        except (OSError, UnicodeDecodeError) as error:
+            raise InputError(f"the study '{path}' cannot be read: {error}") from None
+        except ValidationError as error:
+            first = error.errors()[0]
+            place = ".".join(map(str, first["loc"])) or "its beginning"
+            raise InputError(
+                f"'{path}' is not an accuracy study of this version (schema {SCHEMA}): at {place}: {first['msg']}"
+            ) from None
+
+
+class SavedEntry(BaseModel):
+    """An entry as JSON, in which a failure has no time."""
+
+    model_config = ConfigDict(frozen=True)
+
+    family: str
+    method: str
+    setting: str
+    seconds: float | None
+    setup: float
+    errors: dict[str, float]
+    failure: str | None
+
+
+class SavedStudy(Saved):
+    """A study as JSON: SI units."""
+
+    kind: Literal["accuracy study"] = "accuracy study"
+    duration: float
+    wanted: float
+    entries: tuple[SavedEntry, ...]
+    floors: dict[str, float]
+    notes: tuple[str, ...]
+    defaults: dict[str, tuple[str, str]]
+    advice: str
+
+    @classmethod
+    def of(cls, study: AccuracyStudy) -> SavedStudy:
+        """Take a study."""
+        entries = tuple(
+            SavedEntry(**{name: getattr(e, name) for name in ("family", "method", "setting", "setup", "failure")},
+                       errors=dict(e.errors), seconds=None if e.failure else e.seconds)
+            for e in study.entries
+        )  # fmt: skip
+        own = {name: getattr(study, name) for name in ("title", "duration", "wanted", "notes", "advice")}
+        return cls(layout=SCHEMA, versions=dict(study.versions), floors=dict(study.floors),
+                   defaults=dict(study.defaults), entries=entries, **own)  # fmt: skip
+
+    def study(self) -> AccuracyStudy:
+        """Return the study."""
+        entries = tuple(
+            Entry(e.family, e.method, e.setting, float("inf") if e.seconds is None else e.seconds, e.setup, e.errors,
+                  e.failure)
+            for e in self.entries
+        )  # fmt: skip
+        return AccuracyStudy(self.title, self.duration, self.wanted, entries, self.floors, self.notes, self.defaults,
+                             self.versions)  # fmt: skip
+
+
+_QUESTIONS = (
+    Question("averages of the motion", "averages", ("integrator", "model"), MOTION),
+    Question("averages of the lasting orbit", "lasting averages", ("integrator", "model"), LASTING),
+    Question("gradients of the averages", "gradient", ("derivatives",), GRADIENT),
+    Question("quasi-static averages", "averages", ("quadrature",), COURSE),
+    Question("resistance by a density profile", "reaction", ("quadrature",), PROFILE),
+    Question("elastic contact force", "contact force", ("quadrature",), CONTACT),
+)
+
+
+def _shown(key: str, question: Question) -> bool:
+    """Return whether a table of a question has a column of an error."""
+    return key.startswith("lasting") == question.error.startswith("lasting")
+
+
+def _times(ratio: float) -> str:
+    """Return a ratio in words; times are too noisy for what is near one."""
+    if 1.0 / _NOISE < ratio < _NOISE:
+        return ""
+    return f"{ratio:.0f} times " if ratio >= 9.5 else f"{ratio:.1f} times "
+
+
+def _cheaper(ratio: float) -> str:
+    return f"{_times(ratio)}cheaper than" if _times(ratio) else "about as cheap as"
+
+
+def _result(entry: Entry, key: str) -> str:
+    return f"{duration_text(entry.seconds)}, error {entry.errors[key]:.0e}"
+
+
+def duration_text(seconds: float) -> str:
+    """Return a time with its unit."""
+    for limit, factor, unit in ((1e-3, 1e6, "µs"), (1.0, 1e3, "ms")):
+        if seconds < limit:
+            return f"{seconds * factor:.3g} {unit}"
+    return f"{seconds:.3g} s"

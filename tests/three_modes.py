@@ -224,8 +224,8 @@ def _path(share, scene, when, about, tolerance):
     duration, times = when
     kind = scene.effects.start
     travel, speed = share.start(kind)
-    mode = share.first_mode(kind, travel, speed)
     furthest, entered, loss, share.behind = travel, False, 0.0, -math.inf
+    mode = share.first_mode(kind, travel, speed)
     force = share.static + share.v0 * math.sqrt(share.k * share.m) + 1e-9
     sizes = np.array([force / share.k, force / math.sqrt(share.k * share.m), *_sums(share, force, duration)])
     # The travel's own size does not matter: it is its difference from the strut's path that pulls.

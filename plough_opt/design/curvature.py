@@ -48,13 +48,15 @@ def minimum_from(program: Program, p: Vector, at: Point) -> Point:
 def _reduced_curvatures(program: Program, p: Vector, at: Point) -> tuple[Vector, Vector]:
     """Return the curvatures, relative to the largest, in ascending order, and their directions as columns."""
     free = _free_directions(program, p, at)
+    if not free.shape[1]:
+        return np.empty(0), free
     hessian = _hessian(program, p, at)
     curvatures, vectors = np.linalg.eigh(free.T @ hessian @ free)
     return curvatures / max(1.0, float(np.max(np.abs(hessian)))), free @ vectors
 
 
 def _hessian(program: Program, p: Vector, at: Point) -> Vector:
-    upper = np.asarray(program.nlp.hess_lag(at.y, p, 1.0, at.lam_g))
+    upper = np.asarray(program.rough.hess_lag(at.y, p, 1.0, at.lam_g))
     return upper + np.triu(upper, 1).T
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -39,6 +40,9 @@ _OPTIONS: dict[str, Any] = {
     "ipopt.acceptable_iter": 0,
     "ipopt.max_iter": 300,
 }
+# By differences of exact gradients: of few variables it takes fewer iterations than the exact Hessian, which is
+# indefinite over most of a multimodal design, and a fraction of the time of each.
+_QUASI_NEWTON: dict[str, Any] = {"ipopt.hessian_approximation": "limited-memory"}
 # From anywhere: the adaptive barrier takes about half the iterations of the monotone one here.
 _FAR: dict[str, Any] = {"ipopt.mu_strategy": "adaptive"}
 # From a point that is nearly optimal already: stay in its basin instead of first moving to the middle.
@@ -75,16 +79,78 @@ class Point:
     iterations: int
 
 
+class _AtOnce:
+    """A Function whose results IPOPT asks for one by one at the same point: they are computed once."""
+
+    def __init__(self, function: ca.Function) -> None:
+        self._function = function
+        self._at = b""
+        self._found: list[ca.DM] = []
+
+    def __call__(self, at: Sequence[ca.DM]) -> list[ca.DM]:
+        """Return all results at a point."""
+        key = b"".join(part.full().tobytes() for part in at)
+        if key != self._at:
+            self._found = self._function.call(at)
+            self._at = key
+        return self._found
+
+    def part(self, result: int) -> ca.Callback:
+        """Return one of the results as a Function."""
+        return _Part(self, self._function, result)
+
+
+class _Part(ca.Callback):
+    """One result of a shared evaluation."""
+
+    def __init__(self, shared: _AtOnce, function: ca.Function, result: int) -> None:
+        ca.Callback.__init__(self)
+        self._shared, self._function, self._result = shared, function, result
+        self.construct(f"{function.name()}_{result}", {})
+
+    def get_n_in(self) -> int:
+        """Return the number of inputs."""
+        return int(self._function.n_in())
+
+    def get_n_out(self) -> int:
+        """Return the number of results."""
+        return 1
+
+    def get_sparsity_in(self, k: int) -> ca.Sparsity:
+        """Return the shape of an input."""
+        return self._function.sparsity_in(k)
+
+    def get_sparsity_out(self, _: int) -> ca.Sparsity:
+        """Return the shape of the result."""
+        return self._function.sparsity_out(self._result)
+
+    def eval(self, at: Sequence[ca.DM]) -> list[ca.DM]:
+        """Return the result."""
+        return [self._shared(at)[self._result]]
+
+
 class Solver:
     """IPOPT on one program; built once for starts far and near."""
 
     def __init__(self, nlp: Nlp, variables: int, parameters: int, low: Vector, high: Vector) -> None:
         """Take the program, its sizes, and the limits of its requirements."""
+        self._nlp = nlp
         y, p = ca.MX.sym("y", variables), ca.MX.sym("p", parameters)
-        self._problem = {"x": y, "p": p, "f": ca.densify(nlp.f(y, p)), "g": ca.densify(nlp.g(y, p))}
-        self._derivatives = {"grad_f": nlp.grad_f, "jac_g": nlp.jac_g, "hess_lag": nlp.hess_lag}
+        values, slopes = _AtOnce(nlp.values), _AtOnce(nlp.slopes)
+        # CasADi does not keep a Callback alive.
+        self._parts = [values.part(0), values.part(1), *(slopes.part(k) for k in range(4))]
+        f, g, f_again, g_again, gradient, jacobian = (part(y, p) for part in self._parts)
+        names = ["x", "p"]
+        self._problem = {"x": y, "p": p, "f": f, "g": g}
+        self._derivatives = {
+            "grad_f": ca.Function("grad_f", [y, p], [f_again, gradient], names, ["f", "grad_f_x"]),
+            "jac_g": ca.Function("jac_g", [y, p], [g_again, jacobian], names, ["g", "jac_g_x"]),
+            # Multipliers of bounds come from IPOPT itself, and of parameters none are asked for.
+            "no_nlp_grad": True,
+            "calc_lam_p": False,
+        }
         self._low, self._high = low, high
-        self._solvers: dict[bool, ca.Function] = {}
+        self._solvers: dict[tuple[bool, bool], ca.Function] = {}
 
     def solve(
         self,
@@ -94,20 +160,34 @@ class Solver:
         upper: Vector | None = None,
         *,
         near: bool = False,
+        exact: bool = False,
     ) -> Point:
-        """Return the local optimum that IPOPT reaches from a start, ``near`` if it is nearly optimal."""
-        if near not in self._solvers:
+        """Return the local optimum that IPOPT reaches from a start.
+
+        Args:
+            start: scaled variables.
+            p: parameters.
+            lower: lower bounds of the scaled variables; default 0.
+            upper: upper bounds; default 1.
+            near: whether the start is nearly optimal.
+            exact: whether to take exact second derivatives at once, and not only where it fails without them.
+        """
+        limits = (0.0 if lower is None else lower, 1.0 if upper is None else upper)
+        if not exact and (point := self._attempt(start, p, limits, near, exact=False)).solved:
+            return point
+        return self._attempt(start, p, limits, near, exact=True)
+
+    def _solver(self, near: bool, exact: bool) -> ca.Function:
+        if (near, exact) not in self._solvers:
             options = _OPTIONS | self._derivatives | (_NEAR if near else _FAR)
-            self._solvers[near] = ca.nlpsol("design", "ipopt", self._problem, options)
-        solver = self._solvers[near]
-        result = solver(
-            x0=start,
-            p=p,
-            lbx=0.0 if lower is None else lower,
-            ubx=1.0 if upper is None else upper,
-            lbg=self._low,
-            ubg=self._high,
-        )
+            options |= {"hess_lag": self._nlp.hess_lag} if exact else _QUASI_NEWTON
+            self._solvers[near, exact] = ca.nlpsol("design", "ipopt", self._problem, options)
+        return self._solvers[near, exact]
+
+    def _attempt(self, start: Vector, p: Vector, limits: tuple[Any, Any], near: bool, *, exact: bool) -> Point:
+        solver = self._solver(near, exact)
+        lower, upper = limits
+        result = solver(x0=start, p=p, lbx=lower, ubx=upper, lbg=self._low, ubg=self._high)
         stats = solver.stats()
         vectors = {name: np.asarray(result[name]).ravel() for name in ("x", "lam_g", "lam_x")}
         return Point(

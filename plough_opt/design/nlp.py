@@ -11,14 +11,16 @@ where z = (y, o), S = dz/dy, mu = L_o and c = mu' o_theta.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import casadi as ca
 
 from plough_opt.accuracy import ORDER_8
 from plough_opt.design.split import EmbeddedRun, Split
-from plough_opt.motion.integrators import integration
+from plough_opt.motion.integrators import Integration, integration, quiet_events
 from plough_opt.motion.jets import jets_of, pairs, weighted_curvature
 from plough_opt.motion.signals import signals
 from plough_opt.motion.timeline import Timeline
@@ -30,19 +32,26 @@ class Nlp:
 
     Attributes:
         values: (y, p) -> (scaled objective, scaled requirements), from one integration of each run.
+        slopes: (y, p) -> (f, g, gradient, Jacobian), from one integration of each run.
         f: (y, p) -> scaled objective.
         g: (y, p) -> scaled requirements, a column.
         grad_f: (y, p) -> (f, gradient).
         jac_g: (y, p) -> (g, Jacobian).
-        hess_lag: (y, p, lam_f, lam_g) -> upper triangle of the Hessian of lam_f f + lam_g' g.
+        hessian: returns `hess_lag`, which few solves need and which takes longest to build.
     """
 
     values: ca.Function
+    slopes: ca.Function
     f: ca.Function
     g: ca.Function
     grad_f: ca.Function
     jac_g: ca.Function
-    hess_lag: ca.Function
+    hessian: Callable[[], ca.Function]
+
+    @cached_property
+    def hess_lag(self) -> ca.Function:
+        """(y, p, lam_f, lam_g) -> upper triangle of the Hessian of lam_f f + lam_g' g."""
+        return self.hessian()
 
 
 @dataclass(frozen=True)
@@ -50,20 +59,54 @@ class RunInNlp:
     """One run as the program sees it: its results, or just their averages when no more is asked for.
 
     Attributes:
-        value: parameters -> results.
-        slopes: parameters -> results and their first derivatives, as columns.
-        curvatures: the same and the second derivatives; without these where there is ``weighted``.
-        weighted: (parameters, weights) -> second derivatives of the weighted sum of the results, or None.
+        solver: the run.
+        first: number of its first result that is asked for; the others follow.
         varying: positions of the parameters that vary.
-        size: number of results.
     """
 
-    value: ca.Function
-    slopes: ca.Function
-    curvatures: ca.Function
-    weighted: ca.Function | None
+    solver: Integration
+    first: int
     varying: tuple[int, ...]
-    size: int
+
+    @property
+    def size(self) -> int:
+        """Number of results asked for."""
+        function = self.solver.function
+        return sum(function.numel_out(k) for k in range(function.n_out())) - self.first
+
+    @cached_property
+    def value(self) -> ca.Function:
+        """Parameters -> results."""
+        p = self._parameters()
+        stacked = ca.vertcat(*(ca.vec(result) for result in self.solver.function.call([p])))
+        return ca.Function("value", [p], [stacked[self.first :]])
+
+    @cached_property
+    def slopes(self) -> ca.Function:
+        """Parameters -> results and their first derivatives, as columns."""
+        return self._jets(1)
+
+    @cached_property
+    def curvatures(self) -> ca.Function:
+        """Parameters -> the same and the second derivatives; without these where events make them `weighted`."""
+        return self._jets(1 if self.solver.structure.events else 2)
+
+    @cached_property
+    def weighted(self) -> ca.Function | None:
+        """(parameters, weights) -> second derivatives of the weighted sum of the results, or None without events."""
+        if not self.solver.structure.events:
+            return None
+        p, weights = self._parameters(), ca.MX.sym("weights", self.size)
+        every = ca.vertcat(ca.MX.zeros(self.first), weights)
+        return ca.Function("weighted", [p, weights], [weighted_curvature(self.solver, self.varying)(p, every)])
+
+    def _parameters(self) -> ca.MX:
+        return ca.MX.sym("p", self.solver.function.numel_in(0))
+
+    def _jets(self, order: int) -> ca.Function:
+        p = self._parameters()
+        with quiet_events():
+            return ca.Function("jets", [p], [jets_of(self.solver, self.varying, order)(p)[self.first :, :]])
 
 
 def averages_only(run: EmbeddedRun, algebra: ca.Function, result: int) -> bool:
@@ -99,21 +142,7 @@ def run_in_nlp(run: EmbeddedRun, only_averages: bool, varying: tuple[int, ...], 
     solver = integration(structure, accuracy, timeline)
     observed = signals(structure)
     size = sum(solver.function.numel_out(k) for k in range(solver.function.n_out()))
-    first = size - observed.count - observed.squared if only_averages else 0
-    p, weights = ca.MX.sym("p", solver.function.numel_in(0)), ca.MX.sym("weights", size - first)
-    stacked = ca.vertcat(*(ca.vec(result) for result in solver.function.call([p])))
-    weighted = None
-    if events := structure.events:
-        every = ca.vertcat(ca.MX.zeros(first), weights)
-        weighted = ca.Function("weighted", [p, weights], [weighted_curvature(solver, varying)(p, every)])
-    return RunInNlp(
-        value=ca.Function("value", [p], [stacked[first:]]),
-        slopes=ca.Function("slopes", [p], [jets_of(solver, varying, 1)(p)[first:, :]]),
-        curvatures=ca.Function("curvatures", [p], [jets_of(solver, varying, 1 if events else 2)(p)[first:, :]]),
-        weighted=weighted,
-        varying=varying,
-        size=size - first,
-    )
+    return RunInNlp(solver, size - observed.count - observed.squared if only_averages else 0, varying)
 
 
 @dataclass(frozen=True)
@@ -156,22 +185,26 @@ def build_nlp(parts: Split, y: ca.MX, p: ca.MX, steps: list[int | None]) -> Nlp:
 
     results = _column([run.value(function(y, p)) for run, function in zip(runs, inputs, strict=True)])
     f, g = map(ca.densify, algebra.values(y, p, results))
-    lam_f, lam_g = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", g.numel())
-    first = [run.slopes(function(y, p)) for run, function in zip(runs, inputs, strict=True)]
     given = [function(y, p) for function in inputs]
-    second = [run.curvatures(own) for run, own in zip(runs, given, strict=True)]
-    f_again, g_again, gradient, jacobian = _first_derivatives(algebra, runs, first, y, p)
-    hessian = _hessian(algebra, runs, (given, second), (y, p, lam_f, lam_g))
+    both = _first_derivatives(algebra, runs, [run.slopes(own) for run, own in zip(runs, given, strict=True)], y, p)
+    f_again, g_again, gradient, jacobian = both
     names = ["x", "p"]
+
+    def hessian() -> ca.Function:
+        lam_f, lam_g = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", g.numel())
+        second = [run.curvatures(own) for run, own in zip(runs, given, strict=True)]
+        upper = _hessian(algebra, runs, (given, second), (y, p, lam_f, lam_g))
+        inputs, outputs = [*names, "lam_f", "lam_g"], ["triu_hess_gamma_x_x"]
+        return ca.Function("hess_lag", [y, p, lam_f, lam_g], [upper], inputs, outputs)
+
     return Nlp(
         values=ca.Function("values", [y, p], [f, g]),
+        slopes=ca.Function("slopes", [y, p], list(both)),
         f=ca.Function("f", [y, p], [f], names, ["f"]),
         g=ca.Function("g", [y, p], [g], names, ["g"]),
         grad_f=ca.Function("grad_f", [y, p], [f_again, gradient], names, ["f", "grad_f_x"]),
         jac_g=ca.Function("jac_g", [y, p], [g_again, jacobian], names, ["g", "jac_g_x"]),
-        hess_lag=ca.Function(
-            "hess_lag", [y, p, lam_f, lam_g], [hessian], [*names, "lam_f", "lam_g"], ["triu_hess_gamma_x_x"]
-        ),
+        hessian=hessian,
     )
 
 

@@ -23,6 +23,7 @@ from plough_opt.motion.plan import phase, steps_for
 # Phase per step inside a design: a relative error of some 3e-9, and finer where the check finds it wanting.
 _PHASE_PER_STEP = 0.8
 _MOST_STEPS = 50_000
+_FEWEST_STEPS = 20
 # Of a periodic orbit, whose harmonics fall off exponentially.
 _HARMONICS = 12
 _SMALLEST_SCALE = 1e-12
@@ -143,8 +144,11 @@ class Program:
             ca.vertcat(*(r.expression / scale for r, scale in zip(declared.requirements, self.scales, strict=True))),
         ]
         scaled = ca.graph_substitute(scaled, declared.symbols(), replacements)
+        parts = split(scaled, [self._y, self._p])
         with quiet_events():
-            self.nlp = build_nlp(split(scaled, [self._y, self._p]), self._y, self._p, steps)
+            self.nlp = build_nlp(parts, self._y, self._p, steps)
+            # Where basins lie and which way they curve shows at a third of the steps.
+            self.rough = build_nlp(parts, self._y, self._p, [self._fewer(k) for k in range(len(steps))])
         sizes = (len(declared.variables), len(declared.parameters))
         self._solver = Solver(self.nlp, *sizes, self.low, self.high)
 
@@ -206,7 +210,7 @@ class Program:
             if run.integration.accuracy.method != "auto":
                 steps.append(None)
                 continue
-            if run.integration.structure.orbit == "periodic":
+            if self._holds_orbit(k):
                 steps.append(min(math.ceil(_HARMONICS * refinement), MOST_HARMONICS))
                 continue
             fastest = 0.0
@@ -223,6 +227,14 @@ class Program:
             steps.append(count)
         return steps
 
+    def _fewer(self, run: int) -> int | None:
+        """Return the number of steps, or harmonics, with which a run is roughly right."""
+        steps = self._steps[run]
+        return steps if steps is None or self._holds_orbit(run) else max(_FEWEST_STEPS, steps // 3)
+
+    def _holds_orbit(self, run: int) -> bool:
+        return self.exact.runs[run].integration.structure.orbit == "periodic"
+
     @property
     def wanted_error(self) -> float | None:
         """Tightest relative error that an automatic run of this program is to reach; None without such a run."""
@@ -231,9 +243,9 @@ class Program:
 
     # --- solving -----------------------------------------------------------------------------------------
 
-    def solve(self, start: Vector, p: Vector, *, near: bool = False) -> Point:
-        """Return the local optimum that IPOPT reaches from a scaled start."""
-        return self._solver.solve(start, p, near=near)
+    def solve(self, start: Vector, p: Vector, *, near: bool = False, exact: bool = False) -> Point:
+        """Return the local optimum that IPOPT reaches from a scaled start: see `Solver.solve`."""
+        return self._solver.solve(start, p, near=near, exact=exact)
 
     def solve_with_fixed(self, start: Vector, p: Vector, fixed: int) -> Point:
         """Return the local optimum with one variable held at its start."""
@@ -256,11 +268,11 @@ class Program:
         return self._relaxed.solve(np.r_[start, slack], p, np.zeros(len(upper)), upper)
 
     def merit(self, points: Vector, p: Vector) -> tuple[Vector, Vector]:
-        """Return scaled objective and largest violation at scaled points, a row each; NaN becomes infinity."""
+        """Return, roughly, scaled objective and largest violation at points, a row each; NaN becomes infinity."""
         objective, violation = np.empty(len(points)), np.empty(len(points))
         for k, point in enumerate(points):
             try:
-                f, g = (np.asarray(result).ravel() for result in self.nlp.values(point, p))
+                f, g = (np.asarray(result).ravel() for result in self.rough.values(point, p))
             except RuntimeError:  # no orbit, or no end of an integration
                 f, g = np.array([np.inf]), np.zeros(len(self.low))
             objective[k] = f[0]

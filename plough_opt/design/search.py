@@ -22,6 +22,8 @@ Progress = Callable[[str, float], None]
 # A violated requirement must outweigh any gain in the scaled objective, which is of order 1.
 _PENALTY = 100.0
 _ROUNDS = 3
+# Scaled distance within which the bottom of a basin is beside the tried position that found it.
+_BESIDE = 1.5 / (SCAN_POINTS - 1)
 _FEASIBLE = 1e-6
 # Two scaled points nearer than this are one optimum.
 _SAME = 1e-4
@@ -30,7 +32,7 @@ _SAME_GEOMETRY = 1e-2
 
 @dataclass(frozen=True)
 class Scan:
-    """Objective along one variable, the others held at a local optimum.
+    """Objective along one variable, the others held at a local optimum, to some 1e-4 of it.
 
     Attributes:
         variable: its name.
@@ -98,7 +100,10 @@ def global_search(
             scans.append(scan)
             for number, (start, feasible) in enumerate(starts):
                 progress(f"polishing basin {number + 1} of {len(starts)}", number / len(starts))
-                point = program.solve(start, p, near=True)
+                point = program.solve(start, p, near=True, exact=not feasible)
+                if point.solved and feasible and abs(point.y[variable] - start[variable]) > _BESIDE:
+                    # Without curvatures its first steps may be too long for a narrow basin.
+                    point = program.solve(start, p, near=True, exact=True)
                 # A start that breaks a requirement and cannot mend it nearby leads to basins already known.
                 if not point.solved and feasible:
                     point = program.solve(start, p)

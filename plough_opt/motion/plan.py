@@ -27,6 +27,8 @@ PHASE_PER_STEP = 0.5
 MOST_RINGING = 2e4
 """Phase [rad] of the share's own oscillation from a start that is not steady, which is followed unasked."""
 
+# Phase [rad] over a run that steps of order 8 follow within seconds.
+_ORDER_8_PHASE = 4e5
 # exp(-30) is the rounding of the first swing.
 _DECAYED = 30.0
 _FEWEST_STEPS = 20
@@ -115,9 +117,8 @@ def suited(structure: Structure, total_phase: float) -> tuple[Method, ...]:
     """Return the methods that suit an equation over that phase [rad], cheapest first."""
     if structure.orbit != "transient":
         return ("dop853",)
-    if total_phase > STIFF_PHASE:
-        return ("rosenbrock",)
-    return ("erk",) if structure.events else ("dop853", "erk")
+    adaptive: Method = "rosenbrock" if total_phase > STIFF_PHASE else "erk"
+    return (adaptive,) if structure.events or total_phase > _ORDER_8_PHASE else ("dop853", adaptive)
 
 
 def automatic(method: Method, wanted: float, total_phase: float, outputs: int) -> Accuracy:

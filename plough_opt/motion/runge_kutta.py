@@ -1,7 +1,6 @@
 """Fixed-step integration of order 8 as one CasADi Function: the weights of Dormand and Prince's DOP853.
 
-Hairer, Norsett, Wanner: Solving Ordinary Differential Equations I, 2nd ed., 1993, section II.5. The
-coefficients are SciPy's. A step is a small symbolic graph, the run a loop over it (``mapaccum``), so the
+A step is a small symbolic graph, the run a loop over it (``mapaccum``), so the
 size of the graph does not grow with the number of steps and every derivative is that of the numbers.
 """
 
@@ -12,6 +11,7 @@ from functools import lru_cache
 import casadi as ca
 import numpy as np
 
+from plough_opt.motion.dop853 import NODES, STAGES, WEIGHTS
 from plough_opt.motion.equation import equation_of_motion, start_state
 from plough_opt.motion.signals import signals
 from plough_opt.motion.terms import Structure
@@ -26,8 +26,6 @@ def step(structure: Structure) -> ca.Function:
     then, for each signal with an RMS, the mean square about that mean. Both are taken from the deviation
     from the value at the step's start, where they lose at most a factor of four to cancellation.
     """
-    from scipy.integrate import DOP853  # slow to import, and needed only once something moves
-
     motion = equation_of_motion(structure)
     observed = signals(structure)
     state = ca.SX.sym("state", 2)
@@ -42,9 +40,9 @@ def step(structure: Structure) -> ca.Function:
     rates: list[ca.SX] = []
     first = observed.function(start, state, p[:-1])
     mean, square = ca.SX.zeros(observed.count), ca.SX.zeros(observed.squared)
-    for row, node, weight in zip(DOP853.A, DOP853.C, DOP853.B, strict=True):
+    for row, node, weight in zip(STAGES, NODES, WEIGHTS, strict=True):
         stage = state
-        for coefficient, rate in zip(row, rates, strict=False):
+        for coefficient, rate in zip(row, rates, strict=True):
             if coefficient != 0.0:
                 stage = stage + (size * coefficient) * rate
         time = start + node * size
@@ -54,7 +52,7 @@ def step(structure: Structure) -> ca.Function:
             mean += weight * change
             square += weight * change[: observed.squared] ** 2
     following = state
-    for weight, rate in zip(DOP853.B, rates, strict=True):
+    for weight, rate in zip(WEIGHTS, rates, strict=True):
         if weight != 0.0:
             following = following + (size * weight) * rate
     spread = square - mean[: observed.squared] ** 2

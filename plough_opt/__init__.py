@@ -35,7 +35,7 @@ from plough_opt.soil import Soil, named_soil, soil_names
 if TYPE_CHECKING:
     from plough_opt import plots
     from plough_opt.accuracy_study.result import AccuracyStudy
-    from plough_opt.accuracy_study.study import accuracy_study
+    from plough_opt.accuracy_study.study import study_accuracy, study_design
     from plough_opt.batch import Batch, BatchResult
     from plough_opt.problem_file import Problem, read_problem
     from plough_opt.results import load
@@ -45,11 +45,13 @@ _LATER = {
     "Batch": "plough_opt.batch",
     "BatchResult": "plough_opt.batch",
     "AccuracyStudy": "plough_opt.accuracy_study.result",
+    "study_accuracy": "plough_opt.accuracy_study.study",
+    "study_design": "plough_opt.accuracy_study.study",
     "Problem": "plough_opt.problem_file",
     "read_problem": "plough_opt.problem_file",
     "load": "plough_opt.results",
 }
-_MODULES_LATER = ("accuracy_study", "plots")
+_MODULES_LATER = ("plots",)
 
 
 def __getattr__(name: str) -> Any:
@@ -91,7 +93,6 @@ __all__ = [
     "StickSlip",
     "StrengthWave",
     "Wedge",
-    "accuracy_study",
     "added_mass",
     "deg",
     "elastic",
@@ -107,4 +108,6 @@ __all__ = [
     "simulate",
     "soil_names",
     "soil_reaction",
+    "study_accuracy",
+    "study_design",
 ]

@@ -59,7 +59,7 @@ def studies(console: Console, *, thin: bool) -> dict[str, po.AccuracyStudy]:
     """Measure the scenes, and print table, failures and advice of each."""
     found = {}
     for name, (scene, duration) in scenes().items():
-        study = po.accuracy_study(
+        study = po.study_accuracy(
             scene, duration, wanted=WANTED, title=name, derivatives=False, thin=thin, allowance=0.1 if thin else 0.5
         )
         found[name] = study

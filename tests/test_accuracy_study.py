@@ -37,7 +37,7 @@ def linear():
     with pytest.MonkeyPatch.context() as patch:
         for module in (methods, models):
             patch.setattr(module, "median_time", lambda once, budget: 1e-3)  # noqa: ARG005
-        study = po.accuracy_study(plain, 0.3, wanted=1e-6, outputs=10, allowance=1e3, title="from rest")
+        study = po.study_accuracy(plain, 0.3, wanted=1e-6, outputs=10, allowance=1e3, title="from rest")
     return plain, study
 
 
@@ -92,7 +92,7 @@ class TestErrors:
         assert -rate == pytest.approx(order, abs=0.1)
 
     def test_quasi_static_is_exact_where_nothing_moves(self):
-        still = po.accuracy_study(scene(), 0.2, outputs=4, thin=True, allowance=0.2, derivatives=False)
+        still = po.study_accuracy(scene(), 0.2, outputs=4, thin=True, allowance=0.2, derivatives=False)
         (entry,) = (e for e in still.entries if e.method == "quasi-static")
         assert entry.errors["trajectory"] < 1e-15
 
@@ -111,7 +111,7 @@ class TestErrors:
 @pytest.fixture(scope="module")
 def damped():
     """Return the study of a scene with a lasting orbit, from a start."""
-    return po.accuracy_study(
+    return po.study_accuracy(
         scene(strength_wave=WAVE, damping=400.0), 0.5, outputs=8, thin=True, allowance=0.2, derivatives=False
     )
 
@@ -134,7 +134,7 @@ class TestModels:
         assert any((e.method, e.setting) == first.default for e in damped.of(first))
 
     def test_a_stand_in_scene_is_measured_against_the_orbit(self):
-        study = po.accuracy_study(
+        study = po.study_accuracy(
             scene(strength_wave=WAVE, damping=400.0, orbit="linearised"),
             outputs=8,
             thin=True,
@@ -160,7 +160,7 @@ class TestQuadratures:
 
     def test_orders_of_a_profile_converge(self):
         varied = SOIL.with_density_profile(lambda r, w: 1350 * (1.05 + 0.3 * exp(-((r / w) ** 2))), 0.15, order=12)
-        study = po.accuracy_study(scene(soil=varied, motion=False), 0.1, outputs=4)
+        study = po.study_accuracy(scene(soil=varied, motion=False), 0.1, outputs=4)
         (question,) = (q for q in study.questions if q.error == "reaction")
         errors = [e.errors["reaction"] for e in study.of(question)]
         assert errors[0] > 1e-4
@@ -173,7 +173,7 @@ class TestQuadratures:
     def test_a_quasi_static_course_in_closed_form(self):
         # Ten whole waves: the mean is that of the constant part, the RMS eps F0/sqrt(2).
         waves = scene(motion=False, strength_wave=WAVE)
-        study = po.accuracy_study(waves, 1.0, outputs=5)
+        study = po.study_accuracy(waves, 1.0, outputs=5)
         (question,) = study.questions
         static = float(waves.reaction.static)
         mean = static + float(waves.reaction.drag) * 4.0
@@ -185,7 +185,7 @@ class TestQuadratures:
         assert study.of(question)[0].errors["averages"] > 1e-3
 
     def test_the_elastic_contact_by_two_quadratures(self):
-        study = po.accuracy_study(scene(motion=False, medium="elastic"), 1.0)
+        study = po.study_accuracy(scene(motion=False, medium="elastic"), 1.0)
         errors = {e.label: e.errors["contact force"] for e in study.entries}
         assert errors["graded cells"] < 1e-11
         assert errors["whole face, 4 points"] > 1e-4 > errors["whole face, 256 points"]
@@ -195,7 +195,7 @@ class TestWhatIsLeftOut:
     """Failures are rows with the reason."""
 
     def test_methods_without_events(self):
-        study = po.accuracy_study(
+        study = po.study_accuracy(
             scene(tow_speed=0.5, start="rest", contact=po.StickSlip(1.2), damping=50.0),
             0.2,
             outputs=4,
@@ -209,7 +209,7 @@ class TestWhatIsLeftOut:
         assert {e.method for e in study.entries if e.family == "derivatives"} == {"auto", "erk", "rosenbrock"}
 
     def test_what_takes_too_long_is_cut_off_and_the_default_is_not(self):
-        study = po.accuracy_study(
+        study = po.study_accuracy(
             scene(stiffness=5e6, strength_wave=WAVE, damping=400.0), 0.5, outputs=4, allowance=1e-3, derivatives=False
         )
         cut = [e for e in study.failures if "cut off" in e.failure]
@@ -231,14 +231,14 @@ class TestWhatIsLeftOut:
             def force(self, _travel, speed):
                 return self.size * ca.tanh(speed)
 
-        study = po.accuracy_study(scene(own=(Odd(1.0),)), 0.1, outputs=4)
+        study = po.study_accuracy(scene(own=(Odd(1.0),)), 0.1, outputs=4)
         assert study.questions == ()
         assert any("wide" in note for note in study.notes)
         assert study.advice == ""
 
     def test_a_machine_without_wide_floats_says_so(self, monkeypatch):
         monkeypatch.setattr(scenes, "WIDER", False)
-        study = po.accuracy_study(scene(), 0.05, outputs=2, thin=True, allowance=0.2, derivatives=False)
+        study = po.study_accuracy(scene(), 0.05, outputs=2, thin=True, allowance=0.2, derivatives=False)
         assert any("no floats wider than a double" in note for note in study.notes)
 
     @pytest.mark.parametrize(
@@ -256,7 +256,7 @@ class TestWhatIsLeftOut:
     def test_wrong_inputs(self, change, said):
         given = {"scene": scene(), "duration": 0.1} | change
         with pytest.raises((po.InputError, po.DomainError), match=said):
-            po.accuracy_study(given.pop("scene"), given.pop("duration"), **given)
+            po.study_accuracy(given.pop("scene"), given.pop("duration"), **given)
 
 
 def made(*rows, wanted=1e-6, default=("auto", "error 1e-08")):
@@ -369,4 +369,4 @@ def test_the_verb_is_the_folder():
 
     assert po.accuracy_study.study.accuracy_study is accuracy_study
     with pytest.raises(po.InputError, match="duration is missing"):
-        po.accuracy_study(scene())
+        po.study_accuracy(scene())

@@ -14,7 +14,7 @@ import casadi as ca
 import numpy as np
 
 from plough_opt.accuracy_study.transcription import Question, Transcribed
-from plough_opt.design.ipopt import _FAR, _NEAR, _OPTIONS, REMEDIES, Vector
+from plough_opt.design.ipopt import FAR, NEAR, OPTIONS, REMEDIES, Vector
 from plough_opt.design.nlp import Nlp
 from plough_opt.errors import NotConverged
 
@@ -116,8 +116,8 @@ def _limited_memory(derivatives: Derivatives) -> dict[str, Any]:
 def _ipopt(problem: dict[str, Any], options: dict[str, Any], bounds: dict[str, Any], start: Start, x0: Vector) -> Solve:
     """Return a solve with the toolkit's own settings of IPOPT, but for those given."""
     # CasADi builds a gradient of its own beside the given one, which compiled code cannot serve.
-    plain = _OPTIONS | {"no_nlp_grad": True, "ipopt.max_wall_time": start.limit}
-    own = plain | (_NEAR if start.near else _FAR) | {"ipopt.max_iter": _MOST_ITERATIONS} | options
+    plain = OPTIONS | {"no_nlp_grad": True, "ipopt.max_wall_time": start.limit}
+    own = plain | (NEAR if start.near else FAR) | {"ipopt.max_iter": _MOST_ITERATIONS} | options
     solver = ca.nlpsol("contestant", "ipopt", problem, own)
     count = len(start.y)
 

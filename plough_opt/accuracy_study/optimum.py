@@ -44,9 +44,9 @@ from plough_opt.design import Design
 from plough_opt.design.curvature import minimum_from
 from plough_opt.design.ipopt import Point, Vector
 from plough_opt.design.nlp import Nlp, build_nlp
-from plough_opt.design.program import Declarations, Program
+from plough_opt.design.program import Program
 from plough_opt.design.solving import first_optimum
-from plough_opt.errors import InputError, NotConverged, PloughError
+from plough_opt.errors import NotConverged, PloughError
 from plough_opt.motion.integrators import quiet_events
 from plough_opt.motion.plan import phase, steps_for
 
@@ -85,11 +85,11 @@ _ADAPTIVE: tuple[tuple[Method, tuple[float, ...]], ...] = (
     ("cvodes", (1e-6, 1e-9)),
     ("rosenbrock", (1e-6,)),
 )
-_HESSIAN, _GRADIENT = "exact, carried along", "exact gradient, limited-memory BFGS"
+_HESSIAN, GRADIENT = "exact Hessian, carried along", "exact gradient, limited-memory BFGS"
 _COMPILED: tuple[tuple[Derivatives, str, str], ...] = (
     ("exact", _HESSIAN, "-O1"),
-    ("gradient", _GRADIENT, "-O1"),
-    ("gradient", _GRADIENT, "-O3"),
+    ("gradient", GRADIENT, "-O1"),
+    ("gradient", GRADIENT, "-O3"),
 )
 _DIFFERENCES: tuple[Literal["central", "forward"], ...] = ("central", "forward")
 
@@ -187,9 +187,7 @@ class _Judge:
 
     def __init__(self, design: Design) -> None:
         """Build the program, and the question that contestants put in their own form."""
-        declared = Declarations(
-            tuple(design._variables), tuple(design._parameters), _objective(design), tuple(design._requirements)
-        )
+        declared = design.declared
         self._p = np.array([parameter.value for parameter in declared.parameters])
         self._tight = Program(declared)
         self._tight.build(self._p)
@@ -278,12 +276,6 @@ class _Judge:
         return ca.Function("certifying", [own.x], [ca.gradient(own.f, own.x), ca.jacobian(own.g[0], own.x)])
 
 
-def _objective(design: Design) -> ca.MX:
-    if design._objective is None or not design._variables:
-        raise InputError("nothing to minimise or to vary: the accuracy of an optimum needs a design that has one")
-    return design._objective
-
-
 def _in_a_line(error: Exception) -> str:
     """Return a failure's reason; of CasADi's own, which go over many lines, the last."""
     lines = [line.strip() for line in str(error).splitlines() if line.strip()]
@@ -367,7 +359,7 @@ def _derivatives(question: Question, start: Start, steps: int | None) -> list[_M
     text = "" if steps is None else f"{steps} steps of order 8"
     rows: list[tuple[str, str, Callable[[], Solve]]] = [
         ("derivatives", _HESSIAN, partial(built, "exact")),
-        ("derivatives", _GRADIENT, partial(built, "gradient")),
+        ("derivatives", GRADIENT, partial(built, "gradient")),
     ]
     if steps is not None:
         form = SingleShooting(Accuracy("dop853", steps=steps))

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any, Literal
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from plough_opt.accuracy_study.contest import Entry, cheapest, efficient
-from plough_opt.accuracy_study.scenes import CONTACT, COURSE, GRADIENT, LASTING, MOTION, PROFILE
+from plough_opt.accuracy_study.optimum import REPORTED
+from plough_opt.accuracy_study.scenes import CONTACT, COURSE, DERIVATIVES, LASTING, MOTION, PROFILE
 from plough_opt.errors import InputError
 from plough_opt.results import SCHEMA, Saved
 
@@ -18,6 +19,9 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
     from rich.table import Table
+
+OPTIMUM = "optimum"
+"""Name of the reference of a design."""
 
 # Ratio of times that says nothing.
 _NOISE = 1.15
@@ -50,7 +54,7 @@ class AccuracyStudy:
 
     Attributes:
         title: of the scene.
-        duration: simulated time [s].
+        duration: simulated time [s]; None of a design.
         wanted: relative error that the advice is about [-].
         entries: every contestant with every setting; failures with the reason.
         floors: name of a reference -> its own estimated relative error [-].
@@ -60,7 +64,7 @@ class AccuracyStudy:
     """
 
     title: str
-    duration: float
+    duration: float | None
     wanted: float
     entries: tuple[Entry, ...]
     floors: Mapping[str, float]
@@ -243,7 +247,7 @@ class SavedStudy(Saved):
     """A study as JSON: SI units."""
 
     kind: Literal["accuracy study"] = "accuracy study"
-    duration: float
+    duration: float | None
     wanted: float
     entries: tuple[SavedEntry, ...]
     floors: dict[str, float]
@@ -277,10 +281,11 @@ class SavedStudy(Saved):
 _QUESTIONS = (
     Question("averages of the motion", "averages", ("integrator", "model"), MOTION),
     Question("averages of the lasting orbit", "lasting averages", ("integrator", "model"), LASTING),
-    Question("gradients of the averages", "gradient", ("derivatives",), GRADIENT),
+    Question("gradients of the averages", "gradient", ("derivatives",), DERIVATIVES),
     Question("quasi-static averages", "averages", ("quadrature",), COURSE),
     Question("resistance by a density profile", "reaction", ("quadrature",), PROFILE),
     Question("elastic contact force", "contact force", ("quadrature",), CONTACT),
+    Question("optimum of the design", REPORTED, ("transcription", "integrator", "derivatives", "compiled"), OPTIMUM),
 )
 
 

@@ -14,7 +14,7 @@ from plough_opt.accuracy_study.quadratures import Quadratures, density_profile, 
 from plough_opt.accuracy_study.reference import WIDER, Reference, reference_run
 from plough_opt.errors import PloughError
 
-MOTION, LASTING, GRADIENT, PROFILE, COURSE, CONTACT = (
+MOTION, LASTING, DERIVATIVES, PROFILE, COURSE, CONTACT = (
     "motion",
     "lasting orbit",
     "gradient",
@@ -117,7 +117,7 @@ def _derivatives(hall: _Hall, task: Task) -> Iterator[Entry]:
     try:
         reference = reference_gradient(task.scene, task.given)
     except PloughError as error:
-        hall.notes.append(f"no reference of the {GRADIENT}: {error}")
+        hall.notes.append(f"no reference of the {DERIVATIVES}: {error}")
         return
-    hall.floors[GRADIENT] = reference.error
+    hall.floors[DERIVATIVES] = reference.error
     yield from gradients(task, reference)

@@ -1,4 +1,4 @@
-"""`accuracy_study`: what accuracy costs in time on a scene, which methods are worth theirs, and what to take."""
+"""What accuracy costs in time, on a scene or on a design: which methods are worth theirs, and what to take."""
 
 from __future__ import annotations
 
@@ -11,8 +11,10 @@ from importlib.metadata import version
 from plough_opt.accuracy import DEFAULT_ERROR
 from plough_opt.accuracy_study.methods import Task
 from plough_opt.accuracy_study.models import period_of
-from plough_opt.accuracy_study.result import AccuracyStudy
-from plough_opt.accuracy_study.scenes import CONTACT, COURSE, GRADIENT, MOTION, PROFILE, Told, contest
+from plough_opt.accuracy_study.optimum import GRADIENT, design_contest
+from plough_opt.accuracy_study.result import OPTIMUM, AccuracyStudy
+from plough_opt.accuracy_study.scenes import CONTACT, COURSE, DERIVATIVES, MOTION, PROFILE, Told, contest
+from plough_opt.design import Design
 from plough_opt.domain import check_domain
 from plough_opt.errors import InputError
 from plough_opt.expressions import as_number, holds_casadi, is_count, map_expressions
@@ -27,7 +29,7 @@ ALLOWANCE = 1.0
 """Default time [s] that one use of a contestant may take."""
 
 
-def accuracy_study(
+def study_accuracy(
     scene: Scene,
     duration: float | None = None,
     *,
@@ -84,10 +86,52 @@ def accuracy_study(
     )
 
 
+def study_design(
+    design: Design,
+    *,
+    wanted: float = 1e-6,
+    limit: float = 10.0,
+    near: bool = False,
+    title: str = "",
+    progress: Told | None = None,
+) -> AccuracyStudy:
+    """Measure error of the optimum against time of every transcription, integrator and kind of derivative.
+
+    Each solves the design locally from the same start, with the declared values of its parameters.
+
+    Args:
+        design: with something to minimise.
+        wanted: relative error of the objective that the advice is about [-], from 1e-15 to 0.1.
+        limit: time [s] after which a solve is given up; its row says so.
+        near: start beside the optimum, as a solve with slightly changed parameters would, instead of at the guess.
+        title: of the design, for reports.
+        progress: called with what is being done and with the part that is done.
+
+    Raises:
+        InputError: nothing to minimise or to vary.
+        DomainError: a setting outside its range.
+        InfeasibleDesign: no design meets the requirements.
+        NotConverged: the reference was not found.
+    """
+    check_domain("wanted error", wanted, at_least=1e-15, at_most=0.1)
+    check_domain("time allowed to a solve", limit, "s", above=0.0)
+    found = design_contest(design, limit=limit, near=near, progress=progress)
+    ours = [(e.method, e.setting) for e in found.entries if (e.family, e.method) == ("derivatives", GRADIENT)]
+    return AccuracyStudy(
+        title=title,
+        duration=None,
+        wanted=wanted,
+        entries=found.entries,
+        floors={OPTIMUM: found.optima[0].floor},
+        defaults={OPTIMUM: ours[0]},
+        versions=_versions(),
+    )
+
+
 def _defaults(task: Task) -> Iterator[tuple[str, tuple[str, str]]]:
     """Yield, by reference, what the toolkit takes unasked."""
     yield MOTION, ("auto", f"error {DEFAULT_ERROR:.0e}")
-    yield GRADIENT, ("auto", "default")
+    yield DERIVATIVES, ("auto", "default")
     yield CONTACT, ("graded cells", "")
     profile = task.scene.soil.density_profile
     if profile is not None:

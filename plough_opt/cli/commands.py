@@ -89,22 +89,19 @@ def optimise(options: argparse.Namespace) -> None:
 
 
 def accuracy(options: argparse.Namespace) -> None:
-    """Show what accuracy costs in time on a file's scene, with every variable at its guess."""
+    """Show what accuracy costs in time on a file's scene, with every variable at its guess, or on its design."""
     problem = _read(options)
     if options.output is not None and Path(options.output).is_dir():
         raise InputError(f"the output '{options.output}' is a folder: name a file in it")
-    from plough_opt.accuracy_study.study import accuracy_study
+    from plough_opt.accuracy_study.study import study_accuracy, study_design
 
     with _progress() as told:
-        study = accuracy_study(
-            problem.scene(),
-            problem.values().get("scene.duration"),
-            wanted=options.error,
-            allowance=options.seconds,
-            thin=options.thin,
-            title=problem.title,
-            progress=told,
-        )
+        common = {"wanted": options.error, "title": problem.title, "progress": told}
+        if options.design:
+            study = study_design(problem.design()[0], limit=10.0 * options.seconds, **common)
+        else:
+            duration = problem.values().get("scene.duration")
+            study = study_accuracy(problem.scene(), duration, allowance=options.seconds, thin=options.thin, **common)
     report.print_accuracy(_console(), study)
     if options.plot is not None:
         from plough_opt import plots

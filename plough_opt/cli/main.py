@@ -99,8 +99,13 @@ def _add_accuracy(verb: argparse.ArgumentParser) -> None:
     """Add the options of the accuracy study."""
     verb.add_argument("--error", type=float, default=1e-6, metavar="E", help="relative error wanted (default: 1e-6)")
     verb.add_argument(
-        "--seconds", type=float, default=1.0, metavar="S", help="time one use of a method may take (default: 1)"
+        "--seconds",
+        type=float,
+        default=1.0,
+        metavar="S",
+        help="time one use of a method may take, and a tenth of what a solve may take (default: 1)",
     )
+    verb.add_argument("--design", action="store_true", help="study the optimum of the design instead of its scene")
     verb.add_argument("--thin", action="store_true", help="try every other setting only")
     verb.add_argument("--output", metavar="FILE", help="write every figure as JSON")
     verb.add_argument("--plot", metavar="FILE", help="write a picture: .png, .svg or .pdf")

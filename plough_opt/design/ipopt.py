@@ -26,7 +26,7 @@ REMEDIES = {
 }
 
 # Zero keeps bounds exactly: by default IPOPT widens them by 1e-8 and reports an objective below the truth.
-_OPTIONS: dict[str, Any] = {
+OPTIONS: dict[str, Any] = {
     "print_time": False,
     "error_on_fail": False,
     "show_eval_warnings": False,
@@ -44,9 +44,9 @@ _OPTIONS: dict[str, Any] = {
 # indefinite over most of a multimodal design, and a fraction of the time of each.
 _QUASI_NEWTON: dict[str, Any] = {"ipopt.hessian_approximation": "limited-memory"}
 # From anywhere: the adaptive barrier takes about half the iterations of the monotone one here.
-_FAR: dict[str, Any] = {"ipopt.mu_strategy": "adaptive"}
+FAR: dict[str, Any] = {"ipopt.mu_strategy": "adaptive"}
 # From a point that is nearly optimal already: stay in its basin instead of first moving to the middle.
-_NEAR: dict[str, Any] = {
+NEAR: dict[str, Any] = {
     "ipopt.max_iter": 30,
     "ipopt.mu_init": 1e-4,
     "ipopt.bound_push": 1e-6,
@@ -179,7 +179,7 @@ class Solver:
 
     def _solver(self, near: bool, exact: bool) -> ca.Function:
         if (near, exact) not in self._solvers:
-            options = _OPTIONS | self._derivatives | (_NEAR if near else _FAR)
+            options = OPTIONS | self._derivatives | (NEAR if near else FAR)
             options |= {"hess_lag": self._nlp.hess_lag} if exact else _QUASI_NEWTON
             self._solvers[near, exact] = ca.nlpsol("design", "ipopt", self._problem, options)
         return self._solvers[near, exact]

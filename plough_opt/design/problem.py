@@ -137,16 +137,23 @@ class Design:
         """
         started = time.perf_counter()
         values = self._parameter_values(parameters or {})
+        declared = self.declared
+        if self._program is None:
+            self._program = Program(declared)
+        return solve_program(self._program, values, search, progress or _silent, started)
+
+    @property
+    def declared(self) -> Declarations:
+        """All that was declared.
+
+        Raises:
+            InputError: nothing to minimise or to vary.
+        """
         if self._objective is None:
             raise InputError("nothing to minimise: call design.minimise(...) before design.solve()")
         if not self._variables:
             raise InputError("nothing to choose: declare at least one design.variable(...)")
-        if self._program is None:
-            declared = Declarations(
-                tuple(self._variables), tuple(self._parameters), self._objective, tuple(self._requirements)
-            )
-            self._program = Program(declared)
-        return solve_program(self._program, values, search, progress or _silent, started)
+        return Declarations(tuple(self._variables), tuple(self._parameters), self._objective, tuple(self._requirements))
 
     def _refuse_again(self, name: str) -> None:
         if name in [v.name for v in self._variables] + [p.name for p in self._parameters]:

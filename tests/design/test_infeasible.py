@@ -143,7 +143,7 @@ def _rosenbrock():
 
 
 def test_too_few_iterations_give_no_optimum(monkeypatch):
-    monkeypatch.setitem(ipopt._OPTIONS, "ipopt.max_iter", 1)
+    monkeypatch.setitem(ipopt.OPTIONS, "ipopt.max_iter", 1)
     d, _, _ = _rosenbrock()
     with pytest.raises(po.NotConverged, match="ran out of iterations") as caught:
         d.solve()
@@ -152,7 +152,7 @@ def test_too_few_iterations_give_no_optimum(monkeypatch):
 
 
 def test_too_few_iterations_with_requirements_are_not_called_infeasible(monkeypatch):
-    monkeypatch.setitem(ipopt._OPTIONS, "ipopt.max_iter", 1)
+    monkeypatch.setitem(ipopt.OPTIONS, "ipopt.max_iter", 1)
     d, x, y = _rosenbrock()
     d.require("sum", x + y, at_least=1.0)
     with pytest.raises(po.NotConverged) as caught:

@@ -29,7 +29,10 @@ _STYLES: Final[dict[str, tuple[str, str]]] = {
 }
 _MODELS: Final = {"quasi-static": "h", "linearised": "<", "harmonic balance": ">", "lasting orbit": "p"}
 _OTHERS: Final = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00")
+_SHAPES: Final = "D^v<>PXhp"
 _FLOOR, _FRONT = "#DDDDDD", "#F0C808"
+# Characters of a name beyond which a legend has one column.
+_LONG_NAME: Final = 20
 # Errors below this are drawn at it.
 _LEAST: Final = 1e-19
 
@@ -64,7 +67,7 @@ def style_of(method: str, number: int) -> dict[str, Any]:
         return {"color": color, "marker": marker, "markersize": 9 if marker == "*" else 5.5}
     if method in _MODELS:
         return {"color": "#444444", "marker": _MODELS[method], "markersize": 7, "markerfacecolor": "white"}
-    return {"color": _OTHERS[number % len(_OTHERS)], "marker": "osD^v"[number % 5], "markersize": 5.5}
+    return {"color": _OTHERS[number % len(_OTHERS)], "marker": _SHAPES[number % len(_SHAPES)], "markersize": 5.5}
 
 
 def draw(axes: Axes, panel: Panel) -> dict[str, Line2D]:
@@ -123,7 +126,7 @@ def legend(target: Axes | Figure, lines: dict[str, Line2D], **where: Any) -> Non
 
 def figure_of(panels: Sequence[Panel], title: str = "") -> Figure:
     """Return a figure with a panel for each question, and one for the legend."""
-    columns = min(2, len(panels))
+    columns = 2
     rows = math.ceil((len(panels) + 1) / columns)
     figure = Figure(figsize=(5.4 * columns, 4.1 * rows), layout="constrained")
     places = list(figure.subplots(rows, columns, squeeze=False).ravel())
@@ -132,7 +135,9 @@ def figure_of(panels: Sequence[Panel], title: str = "") -> Figure:
         lines |= draw(axes, panel)
     for axes in places[len(panels) :]:
         axes.set_axis_off()
-    legend(places[len(panels)], lines, loc="center", fontsize="small", ncols=2, frameon=False)
+    longest = max(map(len, lines), default=0)
+    ncols = 1 if longest > _LONG_NAME else 2
+    legend(places[len(panels)], lines, loc="center", fontsize="small", ncols=ncols, frameon=False)
     if title:
         figure.suptitle(title)
     return figure

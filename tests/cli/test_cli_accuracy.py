@@ -90,3 +90,51 @@ def test_an_error_that_is_no_number(cli, cotton):
     with pytest.raises(SystemExit) as stopped:
         cli("accuracy", cotton, "--error", "tight")
     assert stopped.value.code == 2
+
+
+SMALL = """
+title = "Quasi-static"
+[soil]
+name = "serozem"
+[share]
+chisel_angle = "15 deg"
+height = "0.25 m"
+[scene]
+tow_speed = "2 m/s"
+frame_mass = "20 kg"
+steel_density = "7850 kg/m^3"
+stiffness = "50 kN/m"
+duration = "0.2 s"
+[effects]
+motion = false
+[variables]
+"share.wedge_angle" = { lower = "5 deg", upper = "60 deg", guess = "25 deg" }
+[minimise]
+mean_draft = { per = "1 kN" }
+[require]
+loosened_radius = { at_least = "0.12 m" }
+"""
+
+
+def test_a_design_instead_of_a_scene(cli, tmp_path):
+    path, output = tmp_path / "small.toml", tmp_path / "cost.json"
+    path.write_text(SMALL, encoding="utf-8")
+    done = cli("accuracy", path, "--design", "--seconds", "0.3", "--output", output)
+    assert done.status == 0
+    assert "optimum of the design: relative error against time" in done.out
+    assert "(default)" in done.out
+    study = AccuracyStudy.load(output)
+    assert study.duration is None
+    assert study.title == "Quasi-static"
+    exact = next(e for e in study.entries if e.method == "exact Hessian, carried along")
+    assert max(exact.errors.values()) < 1e-9
+
+
+def test_a_design_without_variables_is_refused(cli, tmp_path):
+    path = tmp_path / "still.toml"
+    path.write_text(
+        SMALL.split("[variables]")[0].replace("height =", 'wedge_angle = "25 deg"\nheight ='), encoding="utf-8"
+    )
+    done = cli("accuracy", path, "--design")
+    assert done.status == 2
+    assert "nothing to" in done.err

@@ -22,6 +22,9 @@ SLIP: Final = 0
 STICK: Final = 1
 GAP: Final = 2
 
+# Part of the smooth contact's width by which its step's polynomial is left late.
+_LATE = WIDE(1e-4)
+
 
 @dataclass(frozen=True)
 class Piece:
@@ -239,8 +242,11 @@ class Laws:
     def _zone_ends(zone: int, width: Wide, speed: Callable[[Wide], Wide]) -> dict[str, Callable[[Wide], Wide]]:
         if zone == -1:
             return {"resists": lambda t: -speed(t)}
-        full = {"resists fully": lambda t: width - speed(t)}
-        return {"yields": lambda t: speed(t) - width} if zone == 1 else full | {"lets go": speed}
+        if zone == 1:
+            return {"yields": lambda t: speed(t) - width}
+        # The step's polynomial is left a little late, where it is still 0 or 1 to 1e-18: no event repeats at once.
+        late = _LATE * width
+        return {"resists fully": lambda t: width + late - speed(t), "lets go": lambda t: speed(t) + late}
 
     def after(self, name: str, piece: Piece, t: Wide, z: Wide, rate: Wide) -> tuple[Piece, Wide, Wide]:
         """Return piece, z and z' after an event."""

@@ -10,9 +10,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from plough_opt.batch.c_source import Kernels, c_source
-from plough_opt.batch.compiler import load
 from plough_opt.batch.program import Array, Program
+from plough_opt.compiler import Variant, library
 
+_FLAGS = (
+    "-O3",
+    "-ffp-contract=fast",
+    "-fassociative-math",
+    "-fno-signed-zeros",
+    "-fno-trapping-math",
+    "-fno-math-errno",
+)
+# From the fastest on: with the vector functions of the GNU C library, without, and for any processor.
+_VARIANTS: tuple[Variant, ...] = (
+    ((*_FLAGS, "-march=native", "-DVECTOR_LIBRARY"), ("-lmvec", "-lm")),
+    ((*_FLAGS, "-march=native"), ("-lm",)),
+    (_FLAGS, ("-lm",)),
+)
 # Designs that NumPy takes at once: enough to hide its calls, few enough for the processor's cache.
 _BLOCK = 4096
 
@@ -36,8 +50,8 @@ def engine_of(functions: dict[str, ca.Function], kernels: Kernels) -> Engine:
         functions: the maps, of a column each; those of SX are among the kernels too.
         kernels: programs.
     """
-    library = load(c_source(kernels))
-    return _Arrays(functions, kernels) if library is None else _Compiled(functions, kernels, library)
+    path = library(c_source(kernels), _VARIANTS)
+    return _Arrays(functions, kernels) if path is None else _Compiled(functions, kernels, ctypes.CDLL(str(path)))
 
 
 class _Arrays:

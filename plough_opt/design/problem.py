@@ -116,6 +116,7 @@ class Design:
         *,
         parameters: Mapping[str, float] | None = None,
         search: str | Sequence[str] = "auto",
+        compiled: bool = False,
         progress: Progress | None = None,
     ) -> Optimum:
         """Find the best design; the model is built once and kept for further solves.
@@ -125,6 +126,9 @@ class Design:
             search: ``"auto"``: where a strength wave makes the stiffness multimodal, scan it and polish every basin,
                 else start from the guess alone; ``"local"``: from the guess alone; or names of
                 variables to scan.
+            compiled: translate the model into machine code first, by the system's C compiler. That takes seconds, once
+                for a model (it is kept in the user's cache folder), and each solve a fraction of its time: for
+                repeated solves. Without a compiler the model is interpreted, and a warning says so.
             progress: called with what is being done and the fraction done.
 
         Returns:
@@ -138,8 +142,8 @@ class Design:
         started = time.perf_counter()
         values = self._parameter_values(parameters or {})
         declared = self.declared
-        if self._program is None:
-            self._program = Program(declared)
+        if self._program is None or self._program.compiled != compiled:
+            self._program = Program(declared, compiled=compiled)
         return solve_program(self._program, values, search, progress or _silent, started)
 
     @property

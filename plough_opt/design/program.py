@@ -11,6 +11,7 @@ import numpy as np
 from plough_opt.accuracy import DEFAULT_ERROR
 from plough_opt.design.declarations import Parameter, Requirement, Variable, in_words
 from plough_opt.design.ipopt import Point, Solver, Vector
+from plough_opt.design.machine_code import as_machine_code
 from plough_opt.design.nlp import build_nlp
 from plough_opt.design.relaxation import first_slack, relaxed
 from plough_opt.design.split import split
@@ -57,8 +58,12 @@ class Declarations:
 class Program:
     """The scaled program of some declarations: variables between 0 and 1, requirements and objective of order 1."""
 
-    def __init__(self, declared: Declarations) -> None:
+    def __init__(self, declared: Declarations, *, compiled: bool = False) -> None:
         """Split the expressions around their runs, and add the requirements that the theories in them bring.
+
+        Args:
+            declared: what was declared.
+            compiled: whether to translate the program into machine code.
 
         Raises:
             InputError: an expression holds a symbol that was not declared.
@@ -79,6 +84,8 @@ class Program:
         self.objective_scale = 1.0
         self.scales: list[float] = []
         self._built = False
+        self.compiled = compiled
+        self.interpreted = True
         self._steps: list[int | None] = []
         self._relaxed: Solver | None = None
 
@@ -149,6 +156,10 @@ class Program:
             self.nlp = build_nlp(parts, self._y, self._p, steps)
             # Where basins lie and which way they curve shows at a third of the steps.
             self.rough = build_nlp(parts, self._y, self._p, [self._fewer(k) for k in range(len(steps))])
+            translated = as_machine_code(self.nlp, self.rough) if self.compiled else None
+        if translated is not None:
+            self.nlp, self.rough = translated
+        self.interpreted = translated is None
         sizes = (len(declared.variables), len(declared.parameters))
         self._solver = Solver(self.nlp, *sizes, self.low, self.high)
 

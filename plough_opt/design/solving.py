@@ -22,6 +22,7 @@ from plough_opt.errors import InputError, NotConverged
 from plough_opt.motion.simulation import repeat
 from plough_opt.scene import Scene
 
+_NO_COMPILER = "no C compiler was found ($CC, cc, gcc, clang): the model is interpreted, which takes longer"
 _REFINEMENTS = 4
 _FINER = 1.5
 # Above this gap a design by a method with its own setting carries a warning.
@@ -187,7 +188,8 @@ def _warnings(program: Program, point: Point, p: Vector, scenes: Sequence[tuple[
     """Return what a reader of the results at a point must know, each sentence once."""
     moving = [text for scene, duration in scenes for text in repeat(scene, duration).warnings]
     still = program.exact.quasi_static_scenes([*program.values(point.y), *p])
-    return tuple(dict.fromkeys([*moving, *(text for scene in still for text in scene.warnings())]))
+    slow = (_NO_COMPILER,) if program.compiled and program.interpreted else ()
+    return (*slow, *dict.fromkeys([*moving, *(text for scene in still for text in scene.warnings())]))
 
 
 def _names(program: Program, scenes: Sequence[Sequence[Scene]]) -> list[str]:

@@ -13,22 +13,10 @@ import tempfile
 from functools import lru_cache
 from pathlib import Path
 
-_FLAGS = (
-    "-O3",
-    "-ffp-contract=fast",
-    "-fassociative-math",
-    "-fno-signed-zeros",
-    "-fno-trapping-math",
-    "-fno-math-errno",
-    "-shared",
-    "-fPIC",
-)
-# From the fastest on: with the vector functions of the GNU C library, without, and for any processor.
-_VARIANTS = (
-    (("-march=native", "-DVECTOR_LIBRARY"), ("-lmvec", "-lm")),
-    (("-march=native",), ("-lm",)),
-    ((), ("-lm",)),
-)
+Variant = tuple[tuple[str, ...], tuple[str, ...]]
+"""Flags and libraries of an attempt to compile."""
+
+_FLAGS = ("-shared", "-fPIC")
 _LONGEST = 300.0
 _DIGEST = hashlib.sha256().digest_size
 
@@ -42,44 +30,48 @@ def find_compiler() -> tuple[str, ...] | None:
     return None
 
 
-def load(source: str) -> ctypes.CDLL | None:
+def library(source: str, variants: tuple[Variant, ...]) -> Path | None:
     """Return the library of a C source, from the cache if it is there; None if nothing compiles it.
 
     The cache is ``$XDG_CACHE_HOME/plough_opt``, or a folder of this process where that cannot be written. A library
     is moved there whole, so that processes may share it, and is compiled again if its digest does not fit.
+
+    Args:
+        source: the C source.
+        variants: flags and libraries, from the fastest on; the first with which it compiles and loads is taken.
     """
     command = find_compiler()
     if command is None:
         return None
-    name = hashlib.sha256("\0".join((source, *_FLAGS, str(_VARIANTS), _identity(command))).encode()).hexdigest()
+    name = hashlib.sha256("\0".join((source, *_FLAGS, str(variants), _identity(command))).encode()).hexdigest()
     for folder in (_cache(), _private()):
         try:
             folder.mkdir(parents=True, exist_ok=True)
-            return _load_from(folder / f"{name[:32]}.so", source, command)
+            return _library_at(folder / f"{name[:32]}.so", source, command, variants)
         except OSError:
             continue
     return None
 
 
-def _load_from(path: Path, source: str, command: tuple[str, ...]) -> ctypes.CDLL | None:
-    """Return the library at a path, compiled if it is missing or spoilt.
+def _library_at(path: Path, source: str, command: tuple[str, ...], variants: tuple[Variant, ...]) -> Path | None:
+    """Return the path of the library there, compiled if it is missing or spoilt.
 
     Raises:
         OSError: the folder cannot be written, or the system forbids to load from it.
     """
     if _is_whole(path):
-        return ctypes.CDLL(str(path))
+        ctypes.CDLL(str(path))
+        return path
     with tempfile.TemporaryDirectory(dir=path.parent) as scratch:
-        for number, (flags, libraries) in enumerate(_VARIANTS):
+        for number, (flags, libraries) in enumerate(variants):
             made = Path(scratch) / f"{number}.so"
             if _compile(source, (*command, *_FLAGS, *flags), made, libraries):
                 content = made.read_bytes()
                 made.write_bytes(content + hashlib.sha256(content).digest())
                 # Loading finds out what the C library lacks.
-                library = _try(made)
-                if library is not None:
+                if _loads(made):
                     made.replace(path)
-                    return library
+                    return path
     return None
 
 
@@ -102,11 +94,12 @@ def _compile(source: str, command: tuple[str, ...], into: Path, libraries: tuple
     return done.returncode == 0 and into.exists()
 
 
-def _try(path: Path) -> ctypes.CDLL | None:
+def _loads(path: Path) -> bool:
     try:
-        return ctypes.CDLL(str(path))
+        ctypes.CDLL(str(path))
     except OSError:
-        return None
+        return False
+    return True
 
 
 def _cache() -> Path:

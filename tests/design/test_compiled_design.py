@@ -1,0 +1,74 @@
+"""Designs in machine code: the same optimum, the same derivatives, and a word where there is no compiler."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+import plough_opt as po
+from plough_opt.design.program import Program
+
+
+@pytest.fixture
+def small(r1_scene, r1_soil):
+    """A design of stiffness and height under a wave, short enough to solve in a moment."""
+    d = po.Design()
+    height = d.variable("height", guess=0.25, lower=0.2, upper=0.4, unit="m")
+    k0 = d.variable("stiffness", guess=5e4, lower=1e4, upper=2e5, unit="N/m", log=True)
+    cohesion = d.parameter("cohesion", 15e3, unit="Pa")
+    soil = dataclasses.replace(r1_soil, cohesion=cohesion)
+    scene = r1_scene(height=height, stiffness=k0, strength_wave=po.StrengthWave(0.3, 0.6), soil=soil)
+    run = po.simulate(scene, 0.4, outputs=5)
+    d.minimise(run.mean_draft / 1e3 + run.force_rms / 1e3)
+    d.require("mean deflection", run.mean_deflection, at_most=0.02, unit="m")
+    return d
+
+
+@pytest.fixture
+def cache(monkeypatch, tmp_path):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    return tmp_path / "plough_opt"
+
+
+def test_the_optimum_is_the_same(small, cache):
+    plain, fast = small.solve(), small.solve(compiled=True)
+    assert list(cache.glob("*.so"))
+    # IPOPT stops at 1e-10 of the scaled optimality conditions, each time at a point of its own.
+    assert fast.objective == pytest.approx(plain.objective, rel=1e-10)
+    assert [o.objective for o in fast.local_optima] == pytest.approx(
+        [o.objective for o in plain.local_optima], rel=1e-9
+    )
+    assert fast.warnings == plain.warnings
+    # A parameter is none of the code.
+    softer = {"cohesion": 10e3}
+    again, expected = (small.solve(parameters=softer, compiled=how) for how in (True, False))
+    assert again.objective == pytest.approx(expected.objective, rel=1e-10)
+    assert again.objective < fast.objective
+
+
+@pytest.mark.usefixtures("cache")
+def test_values_and_derivatives_are_the_same(small):
+    p = np.array([15e3])
+    plain, fast = (Program(small.declared, compiled=how) for how in (False, True))
+    for program in (plain, fast):
+        program.build(p)
+    assert plain.interpreted
+    assert not fast.interpreted
+    for y in (np.array([0.3, 0.4]), np.array([0.9, 0.1])):
+        for found, expected in (
+            (fast.nlp.values, plain.nlp.values),
+            (fast.nlp.slopes, plain.nlp.slopes),
+            (fast.rough.values, plain.rough.values),
+        ):
+            for one, other in zip(found.call([y, p]), expected.call([y, p]), strict=True):
+                # Compilers fuse products and sums: a rounding of each of some 1e5 operations, which mostly cancel.
+                assert np.asarray(one) == pytest.approx(np.asarray(other), rel=1e-11, abs=1e-11)
+
+
+def test_without_a_compiler_it_is_interpreted(small, cache, monkeypatch):
+    monkeypatch.setenv("CC", "no_such_compiler")
+    monkeypatch.setenv("PATH", str(cache))
+    best = small.solve(compiled=True)
+    assert best.status == "solved"
+    assert any("no C compiler was found" in warning for warning in best.warnings)
+    assert not any("no C compiler" in warning for warning in small.solve().warnings)

@@ -54,12 +54,18 @@ def sampled(seed):
 
 @pytest.mark.parametrize("count", [100, pytest.param(2000, marks=pytest.mark.slow)])
 def test_the_wanted_error_is_met(count, capsys):
-    met, estimated, methods = 0, 0, {}
-    missed = []
+    met, estimated, methods, missed, refused = 0, 0, {}, [], 0
     for seed in range(count):
         scene, duration, wanted = sampled(seed)
+        try:
+            truth = reference_run(scene, duration, outputs=OUTPUTS)
+        except po.IntegrationError:
+            # A share that the soil, of a fixed sign, drives away without end.
+            with pytest.raises(po.IntegrationError):
+                po.simulate(scene, duration, accuracy=po.Accuracy(error=wanted), outputs=OUTPUTS)
+            refused += 1
+            continue
         run = po.simulate(scene, duration, accuracy=po.Accuracy(error=wanted), outputs=OUTPUTS)
-        truth = reference_run(scene, duration, outputs=OUTPUTS)
         assert truth.error < 1e-13, seed
         made = errors_of(run, truth)
         error = max(made["averages"], made["trajectory"])
@@ -70,8 +76,8 @@ def test_the_wanted_error_is_met(count, capsys):
         if error > wanted or run.error_estimate > wanted:
             missed.append((seed, wanted, error, run.error_estimate))
     with capsys.disabled():
-        print(
-            f"\nwanted error met in {met} of {count} scenes, estimate right in {estimated}; {methods}; missed {missed}"
-        )
-    assert met >= 0.99 * count
-    assert estimated >= 0.99 * count
+        print(f"\nwanted error met in {met} of {count - refused} scenes, estimate right in {estimated}; {methods}")
+        print(f"missed: {missed}")
+    assert refused <= 0.01 * count
+    assert met >= 0.99 * (count - refused)
+    assert estimated >= 0.99 * (count - refused)

@@ -9,7 +9,7 @@ import casadi as ca
 
 from plough_opt.accuracy import ORDER_8
 from plough_opt.errors import InputError
-from plough_opt.expressions import Expression, is_quantity, map_expressions, template_of
+from plough_opt.expressions import Expression, is_quantity, is_symbolic, map_expressions, template_of
 from plough_opt.labels import attach
 from plough_opt.motion.integrators import Integration
 from plough_opt.scene import Scene
@@ -76,9 +76,11 @@ def embed(solver: Integration, p: Sequence[Expression], scene: Scene) -> tuple[E
 
 
 def labelled(value: Expression, scene: Scene) -> Expression:
-    """Return a value of a scene as it is; of MX symbols, labelled with the scene, as a template and its quantities."""
+    """Return a value of a scene, labelled, where the scene holds MX symbols, with its template and its quantities."""
     template, quantities = template_of(scene)
     carried = ca.vertcat(*quantities)
+    if isinstance(carried, ca.MX) and is_symbolic(carried):
+        value = ca.MX(value)
     return attach(value, carried, template, _key(template))
 
 

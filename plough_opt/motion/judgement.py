@@ -43,6 +43,10 @@ _MARGINAL = 1e-8
 _MISSED = 1e-5
 
 
+class MissedEvent(IntegrationError):
+    """An integrator went past the moment at which a share stopped or broke loose."""
+
+
 def refuse_ringing(scene: Scene, duration: float) -> None:
     """Refuse a start from which a stiff mount rings so often that following it would take minutes."""
     turns = ringing(numbers_of(scene), duration)
@@ -95,20 +99,24 @@ def likely_cause(scene: Scene, duration: float, solver: Integration) -> str:
 
 
 def refuse_missed_event(run: Run) -> None:
-    """Refuse a run in which the share retreats without a gap, or is held too long: an event was missed."""
+    """Refuse a run in which the share retreats without a gap, or is held too long.
+
+    Raises:
+        MissedEvent: an event was missed.
+    """
     structure, p = Structure.of(run.scene), parameters(run.scene)
     held = p["breakaway"] * static_resistance(structure, p, run.travel)
     size = float(np.max(np.abs(run.mount_force)))
     late = (run.mode == STICK) & (run.mount_force > held + _MISSED * size)
     if np.any(late):
-        raise IntegrationError(
+        raise MissedEvent(
             f"the motion of a {run.scene.describe()}: '{run.accuracy.method}' missed that the share broke loose before"
             f" t = {run.time[np.argmax(late)]:.4g} s: take a tighter tolerance"
         )
     slowest = float(np.min(np.where(run.mode == SLIP, run.speed, 0.0)))
     if slowest < -_MISSED * float(np.max(np.abs(run.speed))):
         first = float(run.time[np.argmax((run.mode == SLIP) & (run.speed == slowest))])
-        raise IntegrationError(
+        raise MissedEvent(
             f"the motion of a {run.scene.describe()}: '{run.accuracy.method}' missed that the share stopped before"
             f" t = {first:.4g} s: take a tighter tolerance"
         )

@@ -21,6 +21,9 @@ TIGHTEST = 1e-13
 STIFF_TOLERANCE = 1e-9
 """Tightest tolerance for an implicit method; below it the steps follow every oscillation of a stiff mount."""
 
+IMPOSED = ("tow_speed", "wavelength", "ramp_time")
+"""Names of the parameters on which `forced_rate` depends."""
+
 PHASE_PER_STEP = 0.5
 """Phase [rad] of the fastest oscillation in one step of order 8 that leaves a relative error of some 1e-10."""
 

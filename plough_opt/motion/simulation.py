@@ -18,6 +18,7 @@ from plough_opt.expressions import Expression, as_number, holds_casadi, is_casad
 from plough_opt.motion.embedding import embed
 from plough_opt.motion.integrators import Integration, integration
 from plough_opt.motion.judgement import (
+    MissedEvent,
     grazing,
     likely_cause,
     refuse_missed_event,
@@ -27,6 +28,7 @@ from plough_opt.motion.judgement import (
     stability,
 )
 from plough_opt.motion.plan import (
+    IMPOSED,
     MOST_ADAPTIVE,
     TIGHTEST,
     automatic,
@@ -135,7 +137,12 @@ def _duration(scene: Scene, duration: Expression | None) -> Expression:
 def _symbolic(scene: Scene, duration: Expression, accuracy: Accuracy, outputs: int) -> Run:
     """Return the run as expressions of the scene's symbols."""
     if not scene.effects.motion:
-        timeline = timeline_of(scene, duration, outputs, outputs)
+        imposed = {name: value for name, value in parameters(scene).items() if name in IMPOSED}
+        panels = max(outputs, OUTPUTS)
+        if not any(map(is_symbolic, (*imposed.values(), duration))):
+            rate = forced_rate({name: float(as_number(value)) for name, value in imposed.items()})
+            panels = max(panels, steps_for(rate * float(as_number(duration))))
+        timeline = timeline_of(scene, duration, outputs, panels)
         return quasi_static(scene, duration, timeline, accuracy, SYMBOLIC_GAUSS_POINTS)
     if accuracy.method != "auto":
         accuracy = with_setting(accuracy, max(outputs, OUTPUTS), outputs)
@@ -176,13 +183,17 @@ def _automatic(scene: Scene, duration: float, wanted: float, outputs: int) -> tu
                 check = coarser(chosen, outputs)
             try:
                 run, error = _twice(scene, duration, (chosen, outputs), check)
+            except MissedEvent as missed:
+                failed, error = missed, math.inf
             except IntegrationError:
                 if method == methods[-1]:
                     raise
                 break
             if error <= wanted:
                 return run, error, ()
-            aim *= min(_TIGHTER, 0.5 * wanted / error)
+            aim *= min(_TIGHTER, 0.5 * wanted / error) if error < math.inf else _TIGHTER
+    if error == math.inf:
+        raise failed
     note = f"the wanted relative error {wanted:.1e} was not reached: the estimate is {error:.1e}"
     return run, error, (note,)
 

@@ -159,3 +159,36 @@ def test_gradient_is_that_of_the_closed_form(quasi_scene):
 def test_a_quasi_static_run_warns_of_what_its_scene_does(quasi_scene):
     scene = quasi_scene(strength_wave=WAVE)
     assert po.simulate(scene, 2.0).warnings == scene.warnings()
+
+
+@pytest.mark.parametrize("kind", [ca.SX, ca.MX])
+@pytest.mark.parametrize("outputs", [1, 4, 37])
+def test_averages_do_not_depend_on_the_outputs(quasi_scene, kind, outputs):
+    static = kind.sym("cohesion")
+    soil = dataclasses.replace(quasi_scene().soil, cohesion=static)
+    scene = quasi_scene(soil=soil, strength_wave=po.StrengthWave(0.5, 0.013), tow_ramp=0.1)
+    run = po.simulate(scene, 2.0, outputs=outputs)
+    found = ca.Function("averages", [static], [run.mean_draft, run.force_rms])(15e3)
+    numbers = po.simulate(quasi_scene(strength_wave=po.StrengthWave(0.5, 0.013), tow_ramp=0.1), 2.0)
+    # Three hundred waves: a panel of 4 Gauss points for half a radian of the fastest leaves some 1e-12.
+    assert [float(x) for x in found] == pytest.approx([numbers.mean_draft, numbers.force_rms], rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("name", "lower", "upper", "said"),
+    [
+        ("amplitude", 0.0, 1.5, "at the upper bound of 'amplitude'"),
+        ("stiffness", -1e4, 1e5, "at the lower bound of 'stiffness'"),
+        ("wavelength", -0.3, 0.5, "at the lower bound of 'wavelength'"),
+    ],
+)
+def test_bounds_outside_the_domain_are_refused_whatever_varies(quasi_scene, name, lower, upper, said):
+    d = po.Design()
+    values = {"amplitude": 0.3, "stiffness": 5e4, "wavelength": 0.5}
+    guess = values[name]
+    values[name] = d.variable(name, guess=guess, lower=lower, upper=upper)
+    wave = po.StrengthWave(values["amplitude"], values["wavelength"])
+    run = po.simulate(quasi_scene(stiffness=values["stiffness"], strength_wave=wave), 1.7)
+    d.minimise(2.0 + run.mean_deflection - run.force_rms / 1e3)
+    with pytest.raises(po.DomainError, match=said):
+        d.solve()

@@ -20,7 +20,7 @@ from plough_opt.scene import Scene
 
 Vector = NDArray[np.float64]
 
-TIGHT = 1e-10
+TIGHT = 1e-12
 """Relative error that the re-integration aims at."""
 
 

@@ -27,6 +27,9 @@ IMPOSED = ("tow_speed", "wavelength", "ramp_time")
 PHASE_PER_STEP = 0.5
 """Phase [rad] of the fastest oscillation in one step of order 8 that leaves a relative error of some 1e-10."""
 
+# The same that usually does; where it does not, the check tells, and steps are repeated finer.
+_USUAL_PHASE = 0.9
+
 MOST_RINGING = 2e4
 """Phase [rad] of the share's own oscillation from a start that is not steady, which is followed unasked."""
 
@@ -138,7 +141,7 @@ def automatic(method: Method, wanted: float, total_phase: float, outputs: int) -
     if method == "erk":
         return Accuracy(method, tolerance=max(0.01 * wanted, TIGHTEST))
     # Order 8: the error falls by 2^8 when the steps double.
-    half = steps_for(total_phase, PHASE_PER_STEP * (max(wanted, TIGHTEST) / DEFAULT_TOLERANCE) ** 0.125)
+    half = steps_for(total_phase, _USUAL_PHASE * (max(wanted, TIGHTEST) / DEFAULT_TOLERANCE) ** 0.125)
     return with_setting(Accuracy(method), _rounded(2 * half), outputs)
 
 

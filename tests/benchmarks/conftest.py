@@ -1,0 +1,59 @@
+"""The contest with other tools: one table for all benchmarks of a run."""
+
+import importlib
+import os
+from pathlib import Path
+
+import pytest
+from contest_table import Contest
+
+CONTEST = pytest.StashKey[Contest]()
+OUT = Path(__file__).resolve().parents[2] / "out" / "bench.json"
+
+
+def pytest_configure(config):
+    config.stash[CONTEST] = Contest()
+
+
+def pytest_terminal_summary(config):
+    contest = config.stash[CONTEST]
+    if contest.rows or contest.growths:
+        contest.show()
+        contest.write(OUT)
+        print(f"written to {OUT}")
+
+
+@pytest.fixture(scope="session")
+def contest(request):
+    """The table of this run."""
+    return request.config.stash[CONTEST]
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _one_core():
+    """Keep this process, and those that it starts, on one core: what a tool does on several is not its speed."""
+    os.environ.setdefault("XLA_FLAGS", "--xla_cpu_multi_thread_eigen=false")
+    os.environ.setdefault("JAX_PLATFORMS", "cpu")
+    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
+        os.environ.setdefault(name, "1")
+    if not hasattr(os, "sched_setaffinity"):
+        yield
+        return
+    before = os.sched_getaffinity(0)
+    os.sched_setaffinity(0, {max(before)})
+    yield
+    os.sched_setaffinity(0, before)
+
+
+@pytest.fixture(scope="session")
+def peer(contest):
+    """Import a module of peers/, or note that what it needs is missing and return None."""
+
+    def find(name):
+        try:
+            return importlib.import_module(f"peers.{name}")
+        except (ImportError, FileNotFoundError) as missing:
+            contest.missing[name] = str(missing)
+            return None
+
+    return find

@@ -1,0 +1,229 @@
+"""The table of a contest: rows of one run on one machine, each beside our own; and the clocks that fill it."""
+
+import json
+import math
+import os
+import platform
+import statistics
+import subprocess
+import sys
+import time
+from dataclasses import asdict, dataclass, field
+from datetime import UTC, datetime
+from pathlib import Path
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+HERE = Path(__file__).resolve().parent
+# A clock's own cost and grain are nothing beside this [s].
+_LEAST = 0.02
+# Longer calls are repeated less often [s].
+_PATIENCE = 1.0
+# Above this power of the size a cost grows faster than what is asked for.
+_LINEAR = 1.1
+
+
+@dataclass(frozen=True)
+class Spent:
+    """Processor time, and time on the wall, which others on the machine lengthen [s]."""
+
+    cpu: float
+    wall: float
+
+    def per(self, count):
+        """Return the share of one of many."""
+        return Spent(self.cpu / count, self.wall / count)
+
+
+@dataclass(frozen=True)
+class Row:
+    """One tool at one task; `first`: the first call of a fresh process, imports left out."""
+
+    task: str
+    tool: str
+    spent: Spent
+    error: float | None = None
+    first: Spent | None = None
+    note: str = ""
+    ours: bool = False
+
+
+@dataclass(frozen=True)
+class Growth:
+    """What something costs at several sizes."""
+
+    what: str
+    sizes: tuple[float, ...]
+    costs: tuple[float, ...]
+    unit: str = "s"
+
+    @property
+    def exponent(self):
+        """Slope of the cost over the size, both by their logarithms."""
+        return float(np.polyfit(np.log(self.sizes), np.log(self.costs), 1)[0])
+
+
+@dataclass
+class Contest:
+    """What a run has measured."""
+
+    rows: list[Row] = field(default_factory=list)
+    growths: list[Growth] = field(default_factory=list)
+    missing: dict[str, str] = field(default_factory=dict)
+
+    def add(self, task, tool, spent, **more):
+        """Keep a row; the first of a task that is ours is what the others are compared with."""
+        self.rows.append(Row(task, tool, spent, **more))
+
+    def ratio(self, row, which="spent"):
+        """Return a row's processor time over our own, or None."""
+        own = next((getattr(r, which) for r in self.rows if r.task == row.task and r.ours), None)
+        mine = getattr(row, which)
+        return None if own is None or mine is None else mine.cpu / own.cpu
+
+    def write(self, path):
+        """Write everything as JSON."""
+        path.parent.mkdir(parents=True, exist_ok=True)
+        rows = [
+            asdict(r) | {"cpu_over_ours": self.ratio(r), "first_over_ours": self.ratio(r, "first")} for r in self.rows
+        ]
+        growths = [asdict(g) | {"exponent": g.exponent} for g in self.growths]
+        content = {"when": _now(), "machine": machine(), "rows": rows, "growth": growths, "missing": self.missing}
+        path.write_text(json.dumps(content, indent=1) + "\n")
+
+    def show(self, console=None):
+        """Print the table."""
+        console = console or Console(width=170)
+        console.print(f"\n{_now()}, {machine()}", highlight=False)
+        if self.rows:
+            console.print(self._rows())
+        if self.growths:
+            console.print(self._growths())
+        for name, why in self.missing.items():
+            console.print(f"left out: {name}: {why}", highlight=False)
+
+    def _rows(self):
+        table = Table(title="processor time of one core beside our own: above 1 is slower than plough_opt")
+        for name, justify in (
+            ("tool", "left"), ("error", "right"), ("CPU", "right"), ("/ ours", "right"), ("wall", "right"),
+            ("first CPU", "right"), ("/ ours", "right"), ("", "left"),
+        ):  # fmt: skip
+            table.add_column(name, justify=justify, overflow="fold")
+        for task in dict.fromkeys(row.task for row in self.rows):
+            table.add_section()
+            table.add_row(f"[bold]{task}")
+            for row in (r for r in self.rows if r.task == task):
+                error = "" if row.error is None else f"{row.error:.1e}"
+                first = "" if row.first is None else seconds(row.first.cpu)
+                ratios = [_short(self.ratio(row, which)) for which in ("spent", "first")]
+                name = f"[green]{row.tool}" if row.ours else row.tool
+                spent = (seconds(row.spent.cpu), ratios[0], seconds(row.spent.wall))
+                table.add_row(f"  {name}", error, *spent, first, ratios[1], row.note)
+        return table
+
+    def _growths(self):
+        table = Table(title="cost against size: the power with which it grows")
+        for name in ("what", "sizes", "costs", "power", ""):
+            table.add_column(name, overflow="fold")
+        for g in self.growths:
+            costs = (seconds(c) if g.unit == "s" else f"{c:.0f} {g.unit}" for c in g.costs)
+            sizes = ", ".join(f"{size:g}" for size in g.sizes)
+            verdict = "more than linear" if g.exponent > _LINEAR else ""
+            table.add_row(g.what, sizes, ", ".join(costs), f"{g.exponent:.2f}", verdict)
+        return table
+
+
+def seconds(value):
+    """Return a time with a unit that suits it."""
+    for unit, size in (("s", 1.0), ("ms", 1e-3), ("µs", 1e-6)):
+        if value >= size:
+            return f"{value / size:.3g} {unit}"
+    return f"{value / 1e-9:.3g} ns"
+
+
+def _short(ratio):
+    return "" if ratio is None else f"{ratio:.2g}" if ratio < 100.0 else f"{ratio:.0f}"
+
+
+def _now():
+    return datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC")
+
+
+def machine():
+    """Return what the figures were measured on."""
+    info = Path("/proc/cpuinfo")
+    lines = info.read_text().splitlines() if info.exists() else []
+    names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
+    load = f", load {os.getloadavg()[0]:.1f}" if hasattr(os, "getloadavg") else ""
+    name = names[0] if names else platform.processor()
+    return f"{name}, {os.cpu_count()} cores, Python {platform.python_version()}{load}"
+
+
+def race(contestants, rounds=7):
+    """Return the median times of functions that are called in turns, after a warm-up, so that noise hits all alike.
+
+    Those that take seconds are called no more than three times.
+    """
+    often, turns = {}, {}
+    for name, function in contestants.items():
+        function()
+        began = time.perf_counter()
+        function()
+        taken = time.perf_counter() - began
+        often[name] = max(1, math.ceil(_LEAST / taken))
+        turns[name] = rounds if taken < _PATIENCE else 3
+    found = {name: [] for name in contestants}
+    for turn in range(rounds):
+        for name, function in contestants.items():
+            if turn < turns[name]:
+                found[name].append(_clocked(function, often[name]))
+    return {name: median(spent) for name, spent in found.items()}
+
+
+def _clocked(function, often):
+    """Return the time of one of several calls."""
+    cpu, wall = time.process_time(), time.perf_counter()
+    for _ in range(often):
+        function()
+    return Spent(time.process_time() - cpu, time.perf_counter() - wall).per(often)
+
+
+def median(spent):
+    """Return the medians of several times."""
+    return Spent(statistics.median(s.cpu for s in spent), statistics.median(s.wall for s in spent))
+
+
+_FRESH = """
+import sys, time
+sys.path.insert(0, {here!r})
+{setup}
+cpu, wall = time.process_time(), time.perf_counter()
+{statement}
+print("spent", time.process_time() - cpu, time.perf_counter() - wall)
+"""
+
+
+def fresh(setup, statement, rounds=3):
+    """Return the median time of a statement's first execution in a process of its own, after a setup of imports."""
+    code = _FRESH.format(here=str(HERE), setup=setup, statement=statement)
+    found = []
+    for _ in range(rounds):
+        done = subprocess.run([sys.executable, "-W", "ignore", "-c", code], check=True, capture_output=True, text=True)
+        found.append(Spent(*map(float, done.stdout.splitlines()[-1].split()[1:])))
+    return median(found)
+
+
+def processes(commands, rounds=5):
+    """Return the median times of whole processes, started in turns after a warm-up."""
+    found = {name: [] for name in commands}
+    for turn in range(rounds + 1):
+        for name, command in commands.items():
+            began, before = time.perf_counter(), os.times()
+            subprocess.run(command, check=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+            after = os.times()
+            cpu = after.children_user + after.children_system - before.children_user - before.children_system
+            if turn > 0:
+                found[name].append(Spent(cpu, time.perf_counter() - began))
+    return {name: median(spent) for name, spent in found.items()}

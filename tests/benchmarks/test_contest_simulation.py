@@ -1,0 +1,215 @@
+"""Simulations of R1 beside other tools, all at the same achieved error. Nothing here asserts a time."""
+
+import math
+
+import casadi as ca
+import numpy as np
+import pytest
+from contest_table import fresh, race
+from peers import r1
+
+import plough_opt as po
+from plough_opt.motion.terms import parameters
+
+pytestmark = [pytest.mark.bench, pytest.mark.filterwarnings("ignore")]
+
+WANTED = 1e-6
+OUTPUTS, TIGHT = 400, 1e-8
+# Designs that need like numbers of steps go together: a fixed step then costs each no more than it needs.
+GROUPS = 8
+
+
+def _batch(soil, wave, error=WANTED):
+    angle, height, k0 = (ca.MX.sym(name) for name in ("angle", "height", "k0"))
+    share = po.Wedge(angle, po.deg(15.0), height)
+    mass = 20.0 + share.equivalent_cone().solid_mass(7850.0)
+    return po.Batch(
+        po.Scene(soil, share, k0, mass, 2.0, po.Effects(strength_wave=wave)), 2.0, [angle, height, k0], error=error
+    )
+
+
+def _domain(count):
+    uniform = np.random.default_rng(0).uniform(0.0, 1.0, (3, count))
+    return np.column_stack(r1.unscaled(uniform))
+
+
+def _near_start(count):
+    return r1.START * np.random.default_rng(1).uniform(0.999, 1.001, (count, 3))
+
+
+def _simulated(r1_scene, wave, x, error=1e-11):
+    scene = r1_scene(math.degrees(x[0]), x[1], x[2], strength_wave=wave)
+    return po.simulate(scene, r1.DURATION, accuracy=po.Accuracy(error=error), outputs=OUTPUTS)
+
+
+def _error(found, truth):
+    """Return the largest error of mean draft and RMS force, relative to the larger of the two."""
+    found, truth = np.asarray(found), np.asarray(truth)
+    return float(np.max(np.abs(found - truth) / np.max(truth, axis=0)))
+
+
+class _FixedSteps:
+    """A tool that takes a given number of steps, on designs in groups."""
+
+    def __init__(self, run, groups, truths):
+        self._run, self._groups, self._truths = run, groups, truths
+
+    def fewest(self):
+        """Return the fewest steps for each group with which all its designs reach the wanted error."""
+        return [
+            next(n for n in (int(50 * 1.1**k) for k in range(80)) if self.error([n], [group], [truth]) < WANTED)
+            for group, truth in zip(self._groups, self._truths, strict=True)
+        ]
+
+    def error(self, steps, groups=None, truths=None):
+        """Return the largest error."""
+        groups, truths = groups or self._groups, truths or self._truths
+        return max(_error(self._forces(p, n), t) for p, n, t in zip(groups, steps, truths, strict=True))
+
+    def all(self, steps):
+        """Simulate all groups."""
+        for p, n in zip(self._groups, steps, strict=True):
+            np.asarray(self._run(p, n))
+
+    def _forces(self, p, steps):
+        mean, spread = np.asarray(self._run(p, steps))
+        return p[3] * (p[4] + mean), p[3] * spread
+
+
+def test_hand_written_r1_is_ours(r1_scene, r1_wave):
+    for x in (r1.START, r1.LOWER, r1.UPPER):
+        known = parameters(r1_scene(math.degrees(x[0]), x[1], x[2], strength_wave=r1_wave))
+        ours = [known[name] for name in ("static", "drag", "inertia", "stiffness")]
+        # Some twenty operations, each rounded.
+        np.testing.assert_allclose(r1.equation(*x)[:4], ours, rtol=2e-14)
+
+
+@pytest.mark.parametrize("where", ["start", "domain"])
+def test_very_many_designs(r1_soil, r1_scene, r1_wave, where, contest, peer, monkeypatch, tmp_path):
+    task = f"mean and RMS force of very many designs {'near the start' if where == 'start' else 'all over the domain'}"
+    designs = {"start": _near_start, "domain": _domain}[where]
+    values, few = designs(16384), designs(16384)[:4096]
+    batch = _batch(r1_soil, r1_wave)
+    with monkeypatch.context() as patch:
+        for name, value in (("PATH", str(tmp_path)), ("CC", "no_such_compiler")):
+            patch.setenv(name, value)
+        plain = _batch(r1_soil, r1_wave)
+    reference = _batch(r1_soil, r1_wave, error=1e-10)(values)
+    truth = np.array([reference.mean_draft, reference.force_rms])
+    for k in range(0, len(values), len(values) // 12):
+        run = _simulated(r1_scene, r1_wave, values[k])
+        # The reference's own error, and that of the simulation.
+        assert _error(truth[:, [k]], [[run.mean_draft], [run.force_rms]]) < 2e-10
+    found = batch(values)
+    error = _error([found.mean_draft, found.force_rms], truth)
+    assert error < WANTED
+    contestants = {"plough_opt Batch, compiled": (lambda: batch(values), len(values), error)}
+    found = plain(few)
+    error = _error([found.mean_draft, found.force_rms], truth[:, :4096])
+    assert error < WANTED
+    contestants["plough_opt Batch, no compiler (NumPy)"] = (lambda: plain(few), len(few), error)
+    contestants |= _fixed_step_peers(few, truth[:, : len(few)], GROUPS if where == "domain" else 1, peer)
+    spent = race({name: function for name, (function, _, _) in contestants.items()}, 5)
+    for name, (_, count, error) in contestants.items():
+        each = spent[name].per(count)
+        note = f"{1.0 / each.cpu:.3g} designs per second"
+        contest.add(task, name, each, error=error, note=note, ours=name.endswith(", compiled"))
+
+
+def _fixed_step_peers(values, truth, groups, peer):
+    """Return the contestants that take classical Runge-Kutta steps, as few as their groups of designs allow."""
+    p = np.array(r1.equation(*values.T))
+    fastest = (p[3] + r1.AMPLITUDE * p[0] * 2.0 * math.pi / r1.WAVELENGTH) / p[2]
+    parts = np.array_split(np.argsort(fastest), groups)
+    arguments = [np.ascontiguousarray(p[:, part]) for part in parts], [truth[:, part] for part in parts]
+    runs = {}
+    if (c := peer("c_rk4")) is not None:
+        runs[f"RK4 in C, {c.WIDTH} designs side by side"] = c.vector()
+        runs["RK4 in C, a design at a time"] = c.scalar()
+    if (numba := peer("numba_rk4")) is not None:
+        runs["RK4 in Numba"] = numba.batch
+    if (jax := peer("jax_rk4")) is not None:
+        runs["RK4 in JAX, vmap and jit"] = jax.batch
+    found, steps = {}, None
+    for name, run in runs.items():
+        tool = _FixedSteps(run, *arguments)
+        steps = steps or tool.fewest()
+        error = tool.error(steps)
+        # The same steps; only rounding tells the tools apart.
+        assert error < WANTED * (1.0 + 1e-3)
+        found[name] = (lambda tool=tool, steps=steps: tool.all(steps), len(values), error)
+    return found
+
+
+def test_one_simulation(r1_scene, r1_wave, contest, peer):
+    truth = _simulated(r1_scene, r1_wave, r1.START)
+    task = f"one simulation of {OUTPUTS} outputs, mount force to {TIGHT:g}"
+    assert _error([[truth.mean_draft], [truth.force_rms]], [[r1.RUNS[0][3]], [r1.RUNS[0][4]]]) < 1e-11
+
+    def error(found):
+        mean, rms, force = found
+        errors = [np.max(np.abs(force - truth.mount_force)) / truth.peak_force]
+        if mean is not None:
+            errors.append(_error([[mean], [rms]], [[truth.mean_draft], [truth.force_rms]]))
+        return float(max(errors))
+
+    scene = r1_scene(strength_wave=r1_wave)
+    run = po.simulate(scene, r1.DURATION)
+    ours = error((run.mean_draft, run.force_rms, run.mount_force))
+    assert ours < TIGHT
+    setup = (
+        f"import plough_opt as po; from peers import r1; problem = po.read_problem({r1.PROBLEM!r}); s = problem.scene()"
+    )
+    rows = {
+        "plough_opt simulate": (
+            lambda: po.simulate(scene, r1.DURATION),
+            ours,
+            setup,
+            "po.simulate(s, 2.0)",
+            "and once more for its error estimate",
+        )
+    }
+    p = [float(x) for x in r1.equation(*r1.START)]
+    rows |= _scipy_rows(p, error, contest)
+    if (numba := peer("numba_rk4")) is not None:
+        steps = next(n for n in range(OUTPUTS, 40 * OUTPUTS, OUTPUTS) if error(numba.forces(*p, n, OUTPUTS)) < TIGHT)
+        setup = "from peers import r1, numba_rk4; p = [float(x) for x in r1.equation(*r1.START)]"
+        call = f"numba_rk4.forces(*p, {steps}, {OUTPUTS})"
+        rows["RK4 in Numba"] = (
+            lambda: numba.forces(*p, steps, OUTPUTS),
+            error(numba.forces(*p, steps, OUTPUTS)),
+            setup,
+            call,
+            f"{steps} steps",
+        )
+    spent = race({name: row[0] for name, row in rows.items()})
+    for name, (_, reached, setup, call, note) in rows.items():
+        ours = name.startswith("plough_opt")
+        contest.add(task, name, spent[name], error=reached, first=fresh(setup, call), note=note, ours=ours)
+
+
+def _scipy_rows(p, error, contest):
+    """Return SciPy's integrators, each at the loosest tolerance that reaches the wanted error."""
+    from peers import scipy_ivp
+
+    rows = {}
+    setup = "from peers import r1, scipy_ivp; p = r1.equation(*r1.START)"
+    for method in ("DOP853", "LSODA", "RK45", "Radau"):
+        for averages in (True, False):
+            name = f"SciPy {method}, {'with' if averages else 'without'} mean and RMS"
+            for tolerance in 10.0 ** -np.arange(6.0, 13.01, 0.25):
+                arguments = (method, float(f"{tolerance:.2g}"), OUTPUTS, averages)
+                reached = error(scipy_ivp.solve(p, *arguments))
+                if reached < TIGHT:
+                    call = f"scipy_ivp.solve(p, *{arguments!r})"
+                    rows[name] = (
+                        lambda a=arguments: scipy_ivp.solve(p, *a),
+                        reached,
+                        setup,
+                        call,
+                        f"rtol {arguments[1]:g}",
+                    )
+                    break
+            else:
+                contest.missing[name] = f"no tolerance reaches {TIGHT:g}"
+    return rows

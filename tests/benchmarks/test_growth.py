@@ -1,0 +1,158 @@
+"""With what power of the size costs grow, by processor time and by memory. Nothing here asserts a time."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import casadi as ca
+import numpy as np
+import pytest
+from contest_table import Growth, race
+from peers import r1
+
+import plough_opt as po
+
+pytestmark = pytest.mark.bench
+
+EFFECTS = {
+    "strength_wave": po.StrengthWave(0.3, 0.6),
+    "inertial_drag": True,
+    "damping": 250.0,
+    "rate_term": 0.05,
+    "tow_ramp": 0.137,
+}
+MEMORY = """
+import casadi as ca, numpy as np, plough_opt as po
+from pathlib import Path
+angle, height, k0 = (ca.MX.sym(name) for name in ("angle", "height", "k0"))
+scene = po.read_problem({problem!r}).scene(
+    {{"share.wedge_angle": angle, "share.height": height, "scene.stiffness": k0}})
+batch = po.Batch(scene, 2.0, [angle, height, k0])
+random = np.random.default_rng(0)
+chunks = (random.uniform((0.2, 0.2, 4e4), (0.8, 0.4, 6e4), (16384, 3)) for _ in range({chunks}))
+assert sum(len(found.mean_draft) for found in batch.stream(chunks)) == 16384 * {chunks}
+print(next(line.split()[1] for line in Path("/proc/self/status").read_text().splitlines() if "VmHWM" in line))
+"""
+
+
+def _add(contest, what, sizes, make, rounds=3):
+    """Measure a function for every size, and keep how its time grows."""
+    spent = race({size: make(size) for size in sizes}, rounds)
+    contest.growths.append(Growth(what, tuple(sizes), tuple(spent[size].cpu for size in sizes)))
+
+
+def test_simulation_over_its_horizon(contest, r1_scene, r1_wave):
+    scene = r1_scene(strength_wave=r1_wave)
+    _add(contest, "simulate, seconds simulated", (4.0, 16.0, 64.0, 256.0), lambda t: lambda: po.simulate(scene, t))
+
+
+def test_simulation_over_its_outputs(contest, r1_scene, r1_wave):
+    scene = r1_scene(strength_wave=r1_wave)
+    sizes = (400, 1600, 6400, 25600, 102400)
+    _add(contest, "simulate, output intervals", sizes, lambda n: lambda: po.simulate(scene, 2.0, outputs=n))
+
+
+def test_simulation_over_its_effects(contest, r1_scene):
+    def make(count):
+        on = {name: EFFECTS[name] for name in list(EFFECTS)[:count]}
+        scene = r1_scene(**{"inertial_drag": False, **on})
+        return lambda: po.simulate(scene, 2.0)
+
+    _add(contest, "simulate, effects that are on", (1, 2, 3, 4, 5), make, 7)
+
+
+def test_design_over_its_effects(contest, r1_scene):
+    def make(count):
+        effects = {"inertial_drag": False, **{name: EFFECTS[name] for name in list(EFFECTS)[:count]}}
+
+        def solve():
+            d = po.Design()
+            angle = d.variable("angle", guess=25.0, lower=5.0, upper=60.0)
+            height = d.variable("height", guess=0.25, lower=0.1, upper=0.5)
+            scene = r1_scene(angle, height, **effects)
+            run = po.simulate(scene, 2.0)
+            d.minimise((run.mean_draft + run.force_rms) / 1e3)
+            d.require("loosened radius", scene.loosened_radius, at_least=0.12)
+            return d.solve(search="local")
+
+        return solve
+
+    _add(contest, "Design built and solved, effects that are on", (1, 2, 3, 4, 5), make)
+
+
+def test_design_over_its_requirements(contest):
+    problem = po.read_problem(r1.PROBLEM)
+
+    def make(count):
+        def solve():
+            design, run = problem.design()
+            for k in range(count):
+                design.require(f"spare {k}", run.mean_draft * (1.0 + 0.01 * k), at_most=1e5)
+            return design.solve(search="local")
+
+        return solve
+
+    _add(contest, "Design built and solved, requirements", (4, 8, 16, 32, 64), make)
+
+
+def test_design_over_its_horizon(contest, r1_scene, r1_wave):
+    def make(duration):
+        def solve():
+            d = po.Design()
+            angle = d.variable("angle", guess=25.0, lower=5.0, upper=60.0)
+            height = d.variable("height", guess=0.25, lower=0.1, upper=0.5)
+            scene = r1_scene(angle, height, strength_wave=r1_wave)
+            run = po.simulate(scene, duration)
+            d.minimise(run.mean_draft / 1e3)
+            d.require("loosened radius", scene.loosened_radius, at_least=0.12)
+            return d.solve(search="local")
+
+        return solve
+
+    _add(contest, "Design built and solved, seconds simulated", (2.0, 4.0, 8.0, 16.0), make)
+
+
+def _batch(soil, wave, duration):
+    angle, height, k0 = (ca.MX.sym(name) for name in ("angle", "height", "k0"))
+    share = po.Wedge(angle, po.deg(15.0), height)
+    mass = 20.0 + share.equivalent_cone().solid_mass(7850.0)
+    return po.Batch(po.Scene(soil, share, k0, mass, 2.0, po.Effects(strength_wave=wave)), duration, [angle, height, k0])
+
+
+def _designs(count):
+    return np.column_stack(r1.unscaled(np.random.default_rng(0).uniform(0.0, 1.0, (3, count))))
+
+
+def test_batch_over_its_designs(contest, r1_soil, r1_wave):
+    batch = _batch(r1_soil, r1_wave, 2.0)
+
+    def make(count):
+        values = _designs(count)
+        return lambda: batch(values)
+
+    _add(contest, "Batch, designs", (4096, 16384, 65536, 262144), make)
+
+
+@pytest.mark.parametrize("where", ["near the start", "all over the domain"])
+def test_batch_over_its_horizon(contest, r1_soil, r1_wave, where):
+    # All over the domain many undamped motions turn chaotic within some seconds, and miss the wanted error.
+    values = _designs(4096) if where != "near the start" else r1.START * np.linspace(0.999, 1.001, 4096)[:, None]
+
+    def make(duration):
+        batch = _batch(r1_soil, r1_wave, duration)
+        return lambda: batch(values)
+
+    _add(contest, f"Batch of 4096 {where}, seconds simulated", (2.0, 4.0, 8.0, 16.0), make)
+
+
+def test_memory_of_a_stream(contest):
+    if not Path("/proc/self/status").exists():
+        contest.missing["memory of Batch.stream"] = "the system does not tell the most memory of a process"
+        return
+    sizes, costs = (4, 16, 64), []
+    for chunks in sizes:
+        code = MEMORY.format(problem=r1.PROBLEM, chunks=chunks)
+        done = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
+        costs.append(int(done.stdout) / 1024.0)
+    designs = tuple(16384 * chunks for chunks in sizes)
+    contest.growths.append(Growth("Batch.stream, most memory, designs", designs, tuple(costs), "MiB"))

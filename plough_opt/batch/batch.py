@@ -31,6 +31,8 @@ _MOST_STEPS = 200_000
 _REPETITIONS = 4
 _RESERVE = 0.3
 _LARGEST_CUT = 1e-6
+# Part of the allowed error from which on a repetition tells of the error before it; with what reserve, and rounding.
+_MUCH_FINER, _CAUTION, _ROUNDING = 1e-2, 10.0, 1e-12
 _NO_RAMP = "a tow ramp of no duration is no ramp: make a batch of a scene without tow_ramp for such designs"
 
 
@@ -174,14 +176,19 @@ class Batch:
         sound = np.ones(rows.shape[1], dtype=bool)
         sound[list(reasons)] = False
         which = np.flatnonzero(sound)
+        cut = np.ones(len(which))
         for _ in range(1 + _REPETITIONS):
             results = self._integrate(p, start, which)
+            # The bound grows with the time; what a much finer repetition changes is an estimate that does not.
+            change = np.where(cut <= _MUCH_FINER, _change(found[:2, which], results[:2]), np.nan)
+            results[-2] = np.fmin(results[-2], change)
             better = ~(results[-2] >= found[-2, which])
             found[:, which[better]] = results[:, better]
             which = which[results[-2] > self._error]
             if len(which) == 0:
                 break
-            p[layout.allowed, which] *= np.clip(_RESERVE * self._error / found[-2, which], _LARGEST_CUT, _RESERVE)
+            cut = np.clip(_RESERVE * self._error / found[-2, which], _LARGEST_CUT, _RESERVE)
+            p[layout.allowed, which] *= cut
         for k in np.flatnonzero(~np.all(np.isfinite(found[:-1]), axis=0)):
             found[:-1, k] = np.nan
             if int(k) not in reasons:
@@ -212,6 +219,13 @@ class Batch:
             f"the motion of a {scene.describe()} has no finite mean: something drives the share away; po.simulate tells"
             " when"
         )
+
+
+def _change(coarse: Array, fine: Array) -> Array:
+    """Return an error by the relative change of mean draft and RMS force, NaN where there was nothing before."""
+    with np.errstate(all="ignore"):
+        change = np.max(np.abs(fine - coarse), axis=0) / np.maximum(np.abs(fine[0]), fine[1])
+    return _CAUTION * change + _ROUNDING
 
 
 def _refuse(scene: Scene) -> None:

@@ -13,7 +13,7 @@ from typing import Any, Final
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.ticker import FuncFormatter, LogLocator
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from plough_opt.accuracy_study.contest import Entry
 
@@ -98,6 +98,7 @@ def _dress(axes: Axes, panel: Panel) -> None:
     axes.axhspan(_LEAST**2, panel.floor, facecolor=_FLOOR, edgecolor="#999999", hatch="///", linewidth=0.0, zorder=0)
     axes.axhline(panel.wanted, color="black", linestyle=(0, (4, 3)), linewidth=1.0, zorder=2)
     axes.xaxis.set_major_locator(LogLocator(numticks=8))
+    axes.xaxis.set_minor_formatter(NullFormatter())
     axes.xaxis.set_major_formatter(FuncFormatter(lambda seconds, _: _time(seconds)))
     axes.yaxis.set_major_locator(LogLocator(numticks=8))
     axes.grid(alpha=0.25)
@@ -126,7 +127,7 @@ def legend(target: Axes | Figure, lines: dict[str, Line2D], **where: Any) -> Non
 
 def figure_of(panels: Sequence[Panel], title: str = "") -> Figure:
     """Return a figure with a panel for each question, and one for the legend."""
-    columns = 2
+    columns = 2 if len(panels) > 2 else len(panels) + 1
     rows = math.ceil((len(panels) + 1) / columns)
     figure = Figure(figsize=(5.4 * columns, 4.1 * rows), layout="constrained")
     places = list(figure.subplots(rows, columns, squeeze=False).ravel())

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from plough_opt.accuracy import Accuracy
 from plough_opt.expressions import Expression, column, holds_casadi, is_casadi
 from plough_opt.motion.embedding import labelled
-from plough_opt.motion.run import Averages, Run, force_scale, rms
+from plough_opt.motion.run import Averages, Run, rms
 from plough_opt.motion.terms import Structure, parameters, resistance_change, start_resistance, start_speed, strut
 from plough_opt.motion.timeline import Timeline
 from plough_opt.scene import Scene
@@ -41,9 +41,12 @@ def quasi_static(
     course = partial(_course, scene, p, duration)
     time, path, speed, force = course(timeline.output_fractions)
     _, _, inner_speed, inner_force = course(inner)
-    mean_draft = _average(inner_force, shares)
-    variance = _average((inner_force - mean_draft) ** 2, shares)
-    force_rms = rms(variance, force_scale(scene))
+    # From the first value on: where nothing varies the rounding of the weights then makes no variance.
+    change = inner_force - inner_force[0]
+    mean_change = _average(change, shares)
+    mean_draft = inner_force[0] + mean_change
+    variance = _average((change - mean_change) ** 2, shares)
+    force_rms = rms(variance, scene.steady_resistance)
     stiffness = scene.stiffness
     return Run(
         scene=scene,

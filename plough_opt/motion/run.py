@@ -29,8 +29,6 @@ from plough_opt.scene import Scene
 # In a symbolic run the RMS is rounded off below this fraction of the steady force, where the square
 # root has no derivative; the RMS is changed by no more than that.
 _LEAST_RMS = 1e-12
-# Force [N] below which none matters; it keeps that fraction above zero in soil that does not resist.
-_SMALL_FORCE = 1.0
 
 
 @dataclass(frozen=True)
@@ -190,16 +188,11 @@ class Run:
         return float(np.max(values))
 
 
-def force_scale(scene: Scene) -> Expression:
-    """Return a force [N] of the size of the draft, above zero."""
-    return scene.steady_resistance + _SMALL_FORCE
-
-
 def rms(variance: Expression, scale: Expression) -> Expression:
     """Return the root of a variance; of an expression, with finite derivatives where nothing oscillates."""
     if not is_casadi(variance):
         return sqrt(np.maximum(variance, 0.0))
-    least = _LEAST_RMS * scale
+    least = _LEAST_RMS * scale + 1e-100
     return sqrt(variance + least**2) - least
 
 
@@ -266,7 +259,7 @@ def _averages(scene: Scene, p: dict[str, Expression], means: Expression, varianc
     """Add the values at the start back to the averages of the changes since then."""
     structure = Structure.of(scene)
     stiffness, first = p["stiffness"], 0.0 if structure.relaxed else start_resistance(structure, p)
-    scale = force_scale(scene)
+    scale = scene.steady_resistance
     displacement_rms = rms(variances[0], scale / scene.stiffness)
     if structure.damper:
         mean_draft = first + p["damping"] * start_rate(structure, p) + means[1]

@@ -15,6 +15,7 @@ def pytest_configure(config):
     config.stash[CONTEST] = Contest()
 
 
+@pytest.hookimpl(trylast=True)
 def pytest_terminal_summary(config):
     contest = config.stash[CONTEST]
     if contest.rows or contest.growths:

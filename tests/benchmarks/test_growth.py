@@ -43,7 +43,12 @@ def _add(contest, what, sizes, make, rounds=3):
 
 def test_simulation_over_its_horizon(contest, r1_scene, r1_wave):
     scene = r1_scene(strength_wave=r1_wave)
-    _add(contest, "simulate, seconds simulated", (4.0, 16.0, 64.0, 256.0), lambda t: lambda: po.simulate(scene, t))
+    _add(
+        contest,
+        "simulate, seconds simulated",
+        tuple(4.0 * 2.0**k for k in range(7)),
+        lambda t: lambda: po.simulate(scene, t),
+    )
 
 
 def test_simulation_over_its_outputs(contest, r1_scene, r1_wave):

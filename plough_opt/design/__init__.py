@@ -3,5 +3,6 @@
 from plough_opt.design.optimum import Limit, LocalOptimum, Optimum
 from plough_opt.design.problem import Design
 from plough_opt.design.search import Progress, Scan
+from plough_opt.design.sensitivity import Sensitivity
 
-__all__ = ["Design", "Limit", "LocalOptimum", "Optimum", "Progress", "Scan"]
+__all__ = ["Design", "Limit", "LocalOptimum", "Optimum", "Progress", "Scan", "Sensitivity"]

@@ -9,10 +9,13 @@ from typing import Any
 import numpy as np
 
 from plough_opt.design.search import Scan
+from plough_opt.design.sensitivity import Sensitivities, Sensitivity
 from plough_opt.errors import InputError
 from plough_opt.expressions import as_number, is_casadi, map_expressions
 from plough_opt.motion.run import Run
 from plough_opt.motion.simulation import repeat
+
+_LEFT_BEHIND = "this optimum was pickled without its design: evaluate expressions before, or solve again"
 
 
 @dataclass(frozen=True)
@@ -96,6 +99,7 @@ class Optimum(LocalOptimum):
     seconds: float = 0.0
     warnings: tuple[str, ...] = ()
     evaluate: Callable[[Any], np.ndarray] = field(repr=False, default=as_number)
+    sensitivities: Sensitivities | None = field(repr=False, default=None)
 
     def __call__(self, item: Any) -> Any:
         """Return an expression, or any object with expressions nested in it, with numbers in their place.
@@ -111,9 +115,43 @@ class Optimum(LocalOptimum):
             return repeat(self(item.scene), self(item.duration), outputs=outputs)
         return map_expressions(item, self._number)
 
+    def sensitivity(self, name: str, *, check: bool = False) -> Sensitivity:
+        """Return how the best objective and the best variables change with a parameter or a limit.
+
+        Derivatives of the optimum itself, the design solved again: of the objective by the multipliers, of the
+        variables by the linearised optimality conditions with the limits that decide, from exact second derivatives.
+
+        Args:
+            name: a parameter, such as "cohesion"; a bound, such as "stiffness lower"; or a requirement's limit, such as
+                "loosened radius at_least", for which the requirement's name will do where it has one limit.
+            check: solve again on both sides of the value and say by how much the derivatives differ.
+
+        Raises:
+            InputError: no such parameter or limit, or an optimum that has no derivative: it is not unique, it does
+                not curve, or its limits decide more than once.
+            NotConverged: the optimum is not determined well enough, or could not be solved again.
+        """
+        return self._asked()(name, check=check)
+
+    def every_sensitivity(self) -> tuple[Sensitivity, ...]:
+        """Return the sensitivities to all parameters that matter and all limits that decide, the largest first.
+
+        Raises:
+            InputError, NotConverged: as `sensitivity`.
+        """
+        return self._asked().every()
+
+    def _asked(self) -> Sensitivities:
+        if self.flat_directions:
+            along = "; ".join(", ".join(name for name, change in d.items() if change) for d in self.flat_directions)
+            raise InputError(f"the optimum is not unique, and has no sensitivity: fix one of {along}")
+        if self.sensitivities is None:
+            raise InputError(_LEFT_BEHIND)
+        return self.sensitivities
+
     def __getstate__(self) -> dict[str, Any]:
         """Leave the design's graph, which cannot be pickled, behind."""
-        return {**self.__dict__, "evaluate": _left_behind}
+        return {**self.__dict__, "evaluate": _left_behind, "sensitivities": None}
 
     def _number(self, expression: Any) -> float | np.ndarray:
         value = self.evaluate(expression)
@@ -122,4 +160,4 @@ class Optimum(LocalOptimum):
 
 def _left_behind(_expression: object) -> np.ndarray:
     """Stand in for the design's graph after pickling."""
-    raise InputError("this optimum was pickled without its design: evaluate expressions before, or solve again")
+    raise InputError(_LEFT_BEHIND)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import casadi as ca
@@ -12,7 +13,7 @@ from plough_opt.accuracy import DEFAULT_ERROR
 from plough_opt.design.declarations import Parameter, Requirement, Variable, in_words
 from plough_opt.design.ipopt import Point, Solver, Vector
 from plough_opt.design.machine_code import as_machine_code
-from plough_opt.design.nlp import build_nlp
+from plough_opt.design.nlp import Nlp, build_nlp
 from plough_opt.design.relaxation import first_slack, relaxed
 from plough_opt.design.split import split
 from plough_opt.design.verify import TightEvaluation
@@ -94,6 +95,11 @@ class Program:
         """Objective and requirements."""
         return [self.declared.objective, *(r.expression for r in self.declared.requirements)]
 
+    @property
+    def own_requirements(self) -> tuple[Requirement, ...]:
+        """The requirements that were declared, without those that theories bring."""
+        return self.declared.requirements[: len(self.declared.requirements) - len(self._implied)]
+
     def _refuse_strangers(self) -> None:
         names = ["objective", *(r.name for r in self.declared.requirements)]
         for name, expression in zip(names, self.expressions, strict=True):
@@ -143,14 +149,7 @@ class Program:
         if self._built and all(enough):
             return
         self._steps, self._built, self._relaxed = steps, True, None
-        declared = self.declared
-        unscaled = [v.unscaled(y) for v, y in zip(declared.variables, ca.vertsplit(self._y), strict=True)]
-        replacements = [*unscaled, *(ca.vertsplit(self._p) if declared.parameters else [])]
-        scaled = [
-            declared.objective / self.objective_scale,
-            ca.vertcat(*(r.expression / scale for r, scale in zip(declared.requirements, self.scales, strict=True))),
-        ]
-        scaled = ca.graph_substitute(scaled, declared.symbols(), replacements)
+        scaled = self._scaled(self._y, self._p)
         parts = split(scaled, [self._y, self._p])
         with quiet_events():
             self.nlp = build_nlp(parts, self._y, self._p, steps)
@@ -160,8 +159,26 @@ class Program:
         if translated is not None:
             self.nlp, self.rough = translated
         self.interpreted = translated is None
-        sizes = (len(declared.variables), len(declared.parameters))
+        sizes = (self._y.numel(), self._p.numel())
         self._solver = Solver(self.nlp, *sizes, self.low, self.high)
+
+    def _scaled(self, y: ca.MX, p: ca.MX) -> list[ca.MX]:
+        """Return scaled objective and requirements of scaled variables and of parameters."""
+        declared = self.declared
+        unscaled = [v.unscaled(x) for v, x in zip(declared.variables, ca.vertsplit(y), strict=True)]
+        replacements = [*unscaled, *(ca.vertsplit(p) if declared.parameters else [])]
+        scaled = [
+            declared.objective / self.objective_scale,
+            ca.vertcat(*(r.expression / scale for r, scale in zip(declared.requirements, self.scales, strict=True))),
+        ]
+        return list(ca.graph_substitute(scaled, declared.symbols(), replacements))
+
+    def with_parameters_varied(self) -> Nlp:
+        """Return the built program in (scaled variables, parameters) as one column, and in no parameters."""
+        n = self._y.numel()
+        both, none = ca.MX.sym("z", n + self._p.numel()), ca.MX.sym("p", 0)
+        with quiet_events():
+            return build_nlp(split(self._scaled(both[:n], both[n:]), [both, none]), both, none, self._steps)
 
     def _set_scales(self, start: list[Vector]) -> None:
         """Scale the objective by its value at the start, each requirement by its limits, or by its own value."""
@@ -258,14 +275,17 @@ class Program:
         """Return the local optimum that IPOPT reaches from a scaled start: see `Solver.solve`."""
         return self._solver.solve(start, p, near=near, exact=exact)
 
-    def solve_with_fixed(self, start: Vector, p: Vector, fixed: int) -> Point:
-        """Return the local optimum with one variable held at its start."""
+    def solve_with_fixed(self, start: Vector, p: Vector, fixed: int | list[int]) -> Point:
+        """Return the local optimum with one variable, or several, held at their start."""
         lower, upper = np.zeros(len(start)), np.ones(len(start))
         lower[fixed] = upper[fixed] = start[fixed]
         return self._solver.solve(start, p, lower, upper, near=True)
 
-    def solve_relaxed(self, start: Vector, p: Vector) -> Point:
-        """Return the design near a start at which the requirements give way least; slacks follow y."""
+    def solve_relaxed(self, start: Vector, p: Vector, fixed: Sequence[int] = ()) -> Point:
+        """Return the design near a start at which the requirements give way least; slacks follow y.
+
+        Variables number ``fixed`` are held at the start.
+        """
         count, n = len(self.declared.requirements), len(start)
         if self._relaxed is None:
             loose = relaxed(self.nlp, n, len(p), self.owner, count)
@@ -275,8 +295,10 @@ class Program:
         # Where a theory ends nothing gives way: beyond it the model has no value.
         gives = np.tile(np.arange(count) < count - len(self._implied), 2)
         slack[~gives] = 0.0
-        upper = np.r_[np.ones(n), np.where(gives, np.inf, 0.0)]
-        return self._relaxed.solve(np.r_[start, slack], p, np.zeros(len(upper)), upper)
+        lower, upper = np.zeros(n + 2 * count), np.r_[np.ones(n), np.where(gives, np.inf, 0.0)]
+        held = list(fixed)
+        lower[held] = upper[held] = start[held]
+        return self._relaxed.solve(np.r_[start, slack], p, lower, upper)
 
     def merit(self, points: Vector, p: Vector) -> tuple[Vector, Vector]:
         """Return, roughly, scaled objective and largest violation at points, a row each; NaN becomes infinity."""

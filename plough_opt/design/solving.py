@@ -17,6 +17,7 @@ from plough_opt.design.ipopt import REMEDIES, Point, Vector
 from plough_opt.design.optimum import Limit, LocalOptimum, Optimum
 from plough_opt.design.program import Program
 from plough_opt.design.search import Progress, global_search, scanned_variables
+from plough_opt.design.sensitivity import Sensitivities
 from plough_opt.design.verify import TightEvaluation
 from plough_opt.errors import InputError, NotConverged
 from plough_opt.motion.simulation import repeat
@@ -57,6 +58,7 @@ def solve_program(
         seconds=time.perf_counter() - started,
         warnings=(*missed, *_warnings(program, points[order[0]], p, scenes[order[0]])),
         evaluate=partial(_evaluated, program, program.values(points[order[0]].y), p),
+        sensitivities=Sensitivities(program, p, points[order[0]]),
     )
 
 

@@ -1,0 +1,314 @@
+"""How an optimum moves with what it depends on: the optimality conditions with the limits that decide, linearised.
+
+With z = (y, q), y the scaled variables and q the parameters, every side of every limit is written c(z) - b >= 0. At an
+optimum f_y = sum mu c_y over the sides that decide, and to first order in q and b::
+
+    H dy - A' dmu = -L_yq dq,    A dy = db - c_q dq
+
+where A holds the deciding sides' gradients and H, L_yq are blocks of the Hessian of L = f - mu'(c - b) (Fiacco 1983,
+"Introduction to sensitivity and stability analysis in nonlinear programming", chapter 3).
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from plough_opt.design.ipopt import Point, Vector
+from plough_opt.design.program import Program
+from plough_opt.errors import InputError, NotConverged
+
+Mask = NDArray[np.bool_]
+
+# Newton's steps from where IPOPT stopped to where the conditions hold to rounding, and how far they may lead.
+_STEPS = 10
+_EXACT = 1e-12
+_NEAR = 1e-3
+# Scaled margins and multipliers below this are none.
+_NONE = 1e-8
+# Scaled multipliers below this pull at nothing.
+_PULLS = 1e-7
+# Relative to the largest. Where Newton's method comes to no end, curvature that vanishes at the optimum is the reason
+# if it is small where IPOPT stopped.
+_FLAT_CURVATURE = 1e-7
+_SLOW_CURVATURE = 1e-4
+_RANK = 1e-9
+_MOST_WEAK = 8
+
+_FLAT = (
+    "the objective does not curve along some direction at this optimum: designs beside it are as good to second order,"
+    " and the optimum has no derivative"
+)
+
+
+@dataclass(frozen=True)
+class Side:
+    """One side of a limit, scaled: sign * (row of (g, y)) - bound >= 0, or == 0.
+
+    Attributes:
+        name: as a user asks for it, like "stiffness lower" or "loosened radius at_least".
+        row: number of its value in the requirements' values followed by the variables.
+        sign: 1 for a lower limit, -1 for an upper one.
+        bound: the limit times the sign.
+        per_unit: change of ``bound`` with the limit, in the limit's unit.
+        equality: whether lower and upper limit are one.
+        log: d ln(slope) / d scaled variable, of a bound of a log-scaled variable; else 0.
+    """
+
+    name: str
+    row: int
+    sign: float
+    bound: float
+    per_unit: float
+    equality: bool
+    log: float = 0.0
+
+
+@dataclass(frozen=True)
+class Change:
+    """What changes: parameters by ``q``, and the limits of the sides by ``b``, scaled."""
+
+    q: Vector
+    b: Vector
+
+
+@dataclass(frozen=True)
+class Move:
+    """How the optimum moves per unit of what changes.
+
+    Attributes:
+        y: of the scaled variables.
+        until: how far the same limits decide; infinity where nothing is in the way.
+        then: which limit begins or ceases to decide there, in words; "" where none does.
+    """
+
+    y: Vector
+    until: float
+    then: str
+
+
+def slope(program: Program, number: int, y: float) -> float:
+    """Return d variable / d scaled variable."""
+    v = program.declared.variables[number]
+    return float(v.unscaled(y)) * math.log(v.upper / v.lower) if v.log else v.upper - v.lower
+
+
+class ActiveSet:
+    """The limits that decide an optimum, and how it moves with parameters and limits."""
+
+    def __init__(self, program: Program, p: Vector, point: Point, fixed: Sequence[int] = ()) -> None:
+        """Find the optimum that IPOPT approximates, exactly.
+
+        Args:
+            program: the design's program, built.
+            p: parameters of the optimum.
+            point: the optimum, as IPOPT left it.
+            fixed: numbers of variables that are held where they are.
+
+        Raises:
+            InputError: the limits that decide do so more than once, or the optimum has no curvature.
+            NotConverged: the optimum is not determined well enough to tell which limits decide.
+        """
+        self._program, self._p = program, p
+        self._nlp = program.with_parameters_varied()
+        self.n = len(point.y)
+        self.sides = _sides(program, point, fixed)
+        self._rows = np.array([side.row for side in self.sides])
+        self._signs = np.array([side.sign for side in self.sides])
+        self._bounds = np.array([side.bound for side in self.sides])
+        self._equal = np.array([side.equality for side in self.sides], dtype=bool)
+        self._logs = np.array([side.log for side in self.sides])
+        self._settle(point)
+        self.deciding = self._equal | (self.mu > _NONE)
+        touching = (np.abs(self.slack) <= _NONE) & np.any(np.abs(self.gradients[:, : self.n]) > 1e-12, axis=1)
+        self.weak = np.flatnonzero(touching & ~self.deciding)
+        self._refuse_degenerate()
+
+    # --- the optimum itself ------------------------------------------------------------------------------
+
+    def _settle(self, point: Point) -> None:
+        """Solve the optimality conditions, by Newton's method from where IPOPT stopped."""
+        both = np.r_[point.lam_g, point.lam_y]
+        mu = np.maximum(0.0, -self._signs * both[self._rows])
+        mu[self._equal] = (-self._signs * both[self._rows])[self._equal]
+        self._evaluate(point.y, mu)
+        active = self._equal | ((mu > _PULLS) & (mu > self.slack))
+        for _ in range(_STEPS):
+            a = self.gradients[active, : self.n]
+            found = np.linalg.lstsq(self._system(a), -np.r_[self.gradient[: self.n], self.slack[active]], rcond=None)[0]
+            mu = np.zeros(len(mu))
+            mu[active] = found[self.n :]
+            y = self.y + found[: self.n]
+            if not np.all(np.abs(y - point.y) < _NEAR):
+                break
+            self._evaluate(y, mu)
+            wrong = ~self._equal & np.where(active, mu < -_NONE, self.slack < -_NONE)
+            if not np.any(wrong) and np.max(np.abs(found[: self.n])) < _EXACT:
+                return
+            active = active ^ wrong
+        if not self._curved(self.gradients[active, : self.n], _SLOW_CURVATURE):
+            raise InputError(_FLAT)
+        raise NotConverged(
+            "the limits that decide this optimum cannot be told from those that just do not", "unsettled"
+        )
+
+    def _system(self, a: Vector) -> Vector:
+        """Return the matrix of the linearised conditions, with the deciding sides' gradients ``a``."""
+        return np.block([[self.hessian[: self.n, : self.n], -a.T], [a, np.zeros((len(a), len(a)))]])
+
+    def _evaluate(self, y: Vector, mu: Vector) -> None:
+        """Keep objective, gradients and the Hessian of the Lagrangian at a place."""
+        program, count = self._program, len(self._program.low)
+        weights = np.zeros(count + self.n)
+        np.add.at(weights, self._rows, -self._signs * mu)
+        z = np.r_[y, self._p]
+        f, g, gradient, jacobian = (np.asarray(result) for result in self._nlp.slopes(z, []))
+        upper = np.asarray(self._nlp.hess_lag(z, [], 1.0, weights[:count]))
+        values = np.r_[g.ravel(), y]
+        rows = np.vstack([jacobian, np.eye(self.n, len(z))])
+        self.y, self.mu, self.f = y, mu, float(f.item())
+        self.gradient = gradient.ravel()
+        self.hessian = upper + np.triu(upper, 1).T
+        self.gradients = self._signs[:, None] * rows[self._rows]
+        self.slack = self._signs * values[self._rows] - self._bounds
+        for k, side in enumerate(self.sides):
+            if side.row >= count and not side.equality:
+                # In the variable's own unit, where a bound that moves meets it.
+                v = program.declared.variables[side.row - count]
+                limit = v.lower if side.sign > 0.0 else v.upper
+                self.slack[k] = (float(v.unscaled(float(y[side.row - count]))) - limit) * side.per_unit
+
+    # --- how it moves ------------------------------------------------------------------------------------
+
+    def objective_slope(self, change: Change) -> float:
+        """Return d objective / d change, scaled, which the multipliers give (the envelope theorem)."""
+        lagrangian = self.gradient - self.gradients.T @ self.mu
+        return float(lagrangian[self.n :] @ change.q + self.mu @ change.b)
+
+    def move(self, change: Change, direction: float) -> Move:
+        """Return how the optimum moves with a change, upwards (1) or downwards (-1), per unit of it.
+
+        Raises:
+            InputError: the optimum does not move along a line.
+        """
+        for size in range(len(self.weak) + 1):
+            for chosen in itertools.combinations(self.weak, size):
+                active = self.deciding.copy()
+                active[list(chosen)] = True
+                if (move := self._along(active, change, direction)) is not None:
+                    return move
+        raise InputError("the optimum has no derivative here: limits that just touch it leave no single direction")
+
+    def _along(self, active: Mask, change: Change, direction: float) -> Move | None:
+        """Return the move with certain sides active, or None where another set takes over at once."""
+        n = self.n
+        a = self.gradients[active, :n]
+        if not self._curved(a):
+            return None
+        mixed = self.hessian[:n, n:] @ change.q
+        right = np.r_[-mixed, change.b[active] - self.gradients[active, n:] @ change.q]
+        found: NDArray[Any] = np.linalg.solve(self._system(a), right)
+        pull = np.zeros(len(self.mu))
+        pull[active] = found[n:]
+        free = ~active
+        opening = self.gradients[:, :n] @ found[:n] + self.gradients[:, n:] @ change.q - change.b
+        # Inequalities that decide lose their multiplier, in their own unit, the others their margin.
+        pull -= self.mu * self._logs * self._signs * (self.gradients[:, :n] @ found[:n])
+        stock = np.where(active, self.mu, np.maximum(self.slack, 0.0))
+        rate = direction * np.where(active, pull, opening)
+        rate[self._equal] = 0.0
+        tiny = 1e-9 * max(1.0, float(np.max(np.abs(rate), initial=0.0)))
+        if np.any(rate[self.weak] < -tiny):
+            return None
+        rate[self.weak] = 0.0
+        with np.errstate(divide="ignore", invalid="ignore"):
+            reach = np.where(rate < -1e-14, stock / -rate, np.inf)
+        first = int(np.argmin(reach)) if len(reach) else 0
+        if not len(reach) or not np.isfinite(reach[first]):
+            return Move(found[:n], math.inf, "")
+        verb = "begins" if free[first] else "ceases"
+        return Move(found[:n], float(reach[first]), f"{self.sides[first].name} {verb} to decide")
+
+    def change(self, parameter: int | None, side: str) -> Change:
+        """Return the change by one unit of a parameter by its number, or of the limit of the sides of a name."""
+        q, b = np.zeros(len(self._p)), np.zeros(len(self.sides))
+        if parameter is not None:
+            q[parameter] = 1.0
+        for k, own in enumerate(self.sides):
+            if own.name == side:
+                b[k] = own.per_unit
+        return Change(q, b)
+
+    @cached_property
+    def deciding_names(self) -> tuple[str, ...]:
+        """Names of the limits that decide, each once."""
+        return self._names(self.deciding)
+
+    @cached_property
+    def touching(self) -> tuple[str, ...]:
+        """Names of the limits that are met and pull at nothing, each once."""
+        return self._names(self.weak)
+
+    def _names(self, which: Mask | NDArray[np.intp]) -> tuple[str, ...]:
+        return tuple(dict.fromkeys(self.sides[k].name for k in np.arange(len(self.sides))[which]))
+
+    # --- what has no derivative --------------------------------------------------------------------------
+
+    def _refuse_degenerate(self) -> None:
+        a = self.gradients[self.deciding, : self.n]
+        if len(a) and np.linalg.matrix_rank(a / np.linalg.norm(a, axis=1, keepdims=True).clip(1e-300), _RANK) < len(a):
+            raise InputError(
+                f"the limits that decide ({', '.join(self.deciding_names)}) are more than the variables can tell"
+                " apart: which of them pulls is open, and so is every derivative; drop or loosen one of them"
+            )
+        if len(self.weak) > _MOST_WEAK:
+            raise InputError(
+                f"too many limits just touch the optimum without deciding it: {', '.join(self.touching)}; loosen them"
+            )
+        if not self._curved(a):
+            raise InputError(_FLAT)
+
+    def _curved(self, a: Vector, least: float = _FLAT_CURVATURE) -> bool:
+        """Return whether the Lagrangian curves upwards wherever the sides with gradients ``a`` stay."""
+        h = self.hessian[: self.n, : self.n]
+        if len(a):
+            _, sizes, right = np.linalg.svd(a)
+            rank = int(np.sum(sizes > _RANK * max(1.0, sizes[0])))
+            if rank < len(a):
+                return False
+            basis = right[rank:].T
+        else:
+            basis = np.eye(self.n)
+        if not basis.shape[1]:
+            return True
+        return float(np.linalg.eigvalsh(basis.T @ h @ basis)[0]) > least * max(1.0, float(np.max(np.abs(h))))
+
+
+def _sides(program: Program, point: Point, fixed: Sequence[int]) -> list[Side]:
+    """Return every side of every limit; a variable that is held is one side that stays."""
+    found = []
+    requirements = program.declared.requirements
+    for row, owner in enumerate(program.owner):
+        r, scale = requirements[owner], program.scales[owner]
+        if r.at_least is not None and r.at_least == r.at_most:
+            found.append(Side(r.name, row, 1.0, r.at_least / scale, 1.0 / scale, True))
+            continue
+        for name, sign, limit in (("at_least", 1.0, r.at_least), ("at_most", -1.0, r.at_most)):
+            if limit is not None:
+                found.append(Side(f"{r.name} {name}", row, sign, sign * limit / scale, sign / scale, False))
+    for k, v in enumerate(program.declared.variables):
+        row, per_unit = len(program.owner) + k, 1.0 / slope(program, k, float(point.y[k]))
+        if k in fixed:
+            found.append(Side(v.name, row, 1.0, float(point.y[k]), per_unit, True))
+            continue
+        log = math.log(v.upper / v.lower) if v.log else 0.0
+        found.append(Side(f"{v.name} lower", row, 1.0, 0.0, per_unit, False, log))
+        found.append(Side(f"{v.name} upper", row, -1.0, -1.0, -per_unit, False, log))
+    return found

@@ -1,0 +1,243 @@
+"""What an optimum owes to a parameter or a limit: derivatives, elasticities, and how far they hold."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import casadi as ca
+import numpy as np
+
+from plough_opt.design.active_set import ActiveSet, Move, slope
+from plough_opt.design.declarations import in_words
+from plough_opt.design.ipopt import Point, Solver, Vector
+from plough_opt.design.program import Program
+from plough_opt.errors import InputError, NotConverged, nearest
+
+# Of the value asked for: differences leave its square, and the optimiser's 1e-10 divided by it.
+_CHECK_STEP = 1e-3
+# An elasticity below this is the rounding of none.
+_ROUNDING = 1e-9
+# Two one-sided derivatives nearer than this are one.
+_SAME = 1e-9
+
+
+@dataclass(frozen=True)
+class Sensitivity:
+    """How the best objective and the best variables change with a parameter or a limit, the design solved again.
+
+    Attributes:
+        name: as asked for.
+        value: of the parameter or limit, in ``unit``.
+        unit: SI unit.
+        objective: d objective / d value.
+        variables: name -> d variable / d value; where ``touching`` is not empty, for a value that grows.
+        elasticity: per cent of the objective per per cent of the value; None where the objective is 0.
+        elasticities: the same of the variables.
+        valid_from: value down to which, to first order, the same limits decide; None: all the way.
+        valid_to: value up to which they do.
+        then: what begins or ceases to decide below ``valid_from`` and above ``valid_to``, in words.
+        touching: limits that just touch the optimum, so that the variables move differently up and down.
+        falling: name -> d variable / d value for a value that falls.
+        difference: with ``check``: largest difference from solving again beside the value, as change of the
+            objective, relative, or of a variable, of its range, per relative change of the value.
+    """
+
+    name: str
+    value: float
+    unit: str
+    objective: float
+    variables: dict[str, float]
+    elasticity: float | None
+    elasticities: dict[str, float | None]
+    valid_from: float | None
+    valid_to: float | None
+    then: tuple[str, str]
+    touching: tuple[str, ...]
+    falling: dict[str, float]
+    difference: float | None = None
+
+    def __str__(self) -> str:
+        """Say it in words."""
+        moves = [_percent("the objective", self.elasticity, self.objective, self.unit)]
+        moves += [_percent(n, self.elasticities[n], self.variables[n], self.unit) for n in self.variables]
+        text = f"{self.name} = {in_words(self.value, self.unit)}; one per cent more changes {', '.join(moves)}"
+        ends = [
+            f"{side} {in_words(end, self.unit)}, where {then}"
+            for side, end, then in (("down to", self.valid_from, self.then[0]), ("up to", self.valid_to, self.then[1]))
+            if end is not None
+        ]
+        text += f". The same limits decide {' and '.join(ends) if ends else 'whatever its value'}, to first order."
+        if self.touching:
+            met = ", ".join(self.touching)
+            text += f" This is for a value that grows: {met} is just met, and decides on one side only."
+        if self.difference is not None:
+            text += f" Solving again beside it differs by {self.difference:.1e}."
+        return text
+
+
+def _percent(name: str, elasticity: float | None, derivative: float, unit: str) -> str:
+    return (
+        f"{name} by {derivative:.4g} per {unit or 'unit'}" if elasticity is None else f"{name} by {elasticity:+.4g} %"
+    )
+
+
+@dataclass(frozen=True)
+class _Target:
+    """What is asked for: a parameter by its number, or a limit by the name of its sides."""
+
+    value: float
+    unit: str
+    parameter: int | None = None
+    side: str = ""
+
+
+class Sensitivities:
+    """Sensitivities of one optimum; what they share is computed when the first is asked for."""
+
+    def __init__(self, program: Program, p: Vector, point: Point, fixed: Sequence[int] = ()) -> None:
+        """Take an optimum of a built program, with some of its variables held."""
+        self._program, self._p, self._point, self._fixed = program, p, point, tuple(fixed)
+
+    @cached_property
+    def _active(self) -> ActiveSet:
+        return ActiveSet(self._program, self._p, self._point, self._fixed)
+
+    def __call__(self, name: str, *, check: bool = False) -> Sensitivity:
+        """Return the sensitivity to a parameter or a limit: see `Optimum.sensitivity`."""
+        target = self._target(name)
+        change = self._active.change(target.parameter, target.side)
+        up, down = self._active.move(change, 1.0), self._active.move(change, -1.0)
+        objective = self._active.objective_slope(change) * self._program.objective_scale
+        best = self._active.f * self._program.objective_scale
+        rising, falling = self._in_units(up.y), self._in_units(down.y)
+        values = dict(zip(rising, self._values(self._active.y), strict=True))
+        differs = bool(np.max(np.abs(up.y - down.y)) > _SAME * np.max(np.abs([up.y, down.y])))
+        return Sensitivity(
+            name=name,
+            value=target.value,
+            unit=target.unit,
+            objective=objective,
+            variables=rising,
+            elasticity=_elasticity(objective, target.value, best),
+            elasticities={v: _elasticity(rising[v], target.value, values[v]) for v in rising},
+            valid_from=target.value - down.until if math.isfinite(down.until) else None,
+            valid_to=target.value + up.until if math.isfinite(up.until) else None,
+            then=(down.then, up.then),
+            touching=self._active.touching if differs else (),
+            falling=falling,
+            difference=self._difference(target, objective, up, down) if check else None,
+        )
+
+    def every(self) -> tuple[Sensitivity, ...]:
+        """Return those to all parameters that matter and all limits that decide, the largest elasticity first."""
+        used = {hash(symbol) for symbol in ca.symvar(ca.veccat(*self._program.expressions))}
+        names = [p.name for p in self._program.declared.parameters if hash(p.symbol) in used]
+        names += [name for name in self._active.deciding_names if name in self._limits]
+        return tuple(sorted(map(self, names), key=lambda found: -abs(found.elasticity or 0.0)))
+
+    # --- what can be asked -------------------------------------------------------------------------------
+
+    def _target(self, name: str) -> _Target:
+        for k, (parameter, value) in enumerate(zip(self._program.declared.parameters, self._p, strict=True)):
+            if parameter.name == name:
+                return _Target(float(value), parameter.unit, parameter=k)
+        if name in self._limits:
+            return self._limits[name]
+        parameters = [parameter.name for parameter in self._program.declared.parameters]
+        own = [limit for limit in self._limits if limit.rpartition(" ")[0] == name]
+        hint = f"did you mean {' or '.join(map(repr, own))}?" if own else nearest(name, [*parameters, *self._limits])
+        raise InputError(
+            f"'{name}' is neither a parameter nor a limit of this design: {hint} Parameters:"
+            f" {', '.join(parameters) or 'none'}; limits: {', '.join(self._limits)}. A quantity that was given as a"
+            " number is no part of the design: declare it with design.parameter"
+        )
+
+    @cached_property
+    def _limits(self) -> dict[str, _Target]:
+        found = {}
+        for r in self._program.own_requirements:
+            given = {
+                f"{r.name} {side}": x for side, x in (("at_least", r.at_least), ("at_most", r.at_most)) if x is not None
+            }
+            if r.at_least == r.at_most:
+                found[r.name] = _Target(r.low, r.unit, side=r.name)
+                continue
+            found |= {name: _Target(limit, r.unit, side=name) for name, limit in given.items()}
+            if len(given) == 1:
+                found[r.name] = next(iter(found[name] for name in given))
+        for k, v in enumerate(self._program.declared.variables):
+            if k not in self._fixed:
+                found |= {
+                    name: _Target(bound, v.unit, side=name)
+                    for name, bound in ((f"{v.name} lower", v.lower), (f"{v.name} upper", v.upper))
+                }
+        return found
+
+    # --- units -------------------------------------------------------------------------------------------
+
+    def _in_units(self, dy: Vector) -> dict[str, float]:
+        """Return derivatives of the scaled variables as derivatives of the variables."""
+        program = self._program
+        return {
+            v.name: float(d) * slope(program, k, float(self._active.y[k]))
+            for k, (v, d) in enumerate(zip(program.declared.variables, dy, strict=True))
+        }
+
+    def _values(self, y: Vector) -> list[float]:
+        """Return the variables, beyond their bounds too where these have moved."""
+        return [float(v.unscaled(float(x))) for v, x in zip(self._program.declared.variables, y, strict=True)]
+
+    # --- solving again -----------------------------------------------------------------------------------
+
+    def _difference(self, target: _Target, objective: float, up: Move, down: Move) -> float:
+        """Return how far differences of optima beside the value are from the derivatives, per relative change."""
+        size = abs(target.value) or 1.0
+        ranges = [v.upper - v.lower for v in self._program.declared.variables]
+        here = np.r_[self._active.f * self._program.objective_scale, self._values(self._active.y)]
+        scales = np.r_[max(abs(here[0]), self._program.objective_scale), ranges]
+        found = []
+        for move, sign in ((up, 1.0), (down, -1.0)):
+            step = min(_CHECK_STEP * size, 0.5 * move.until)
+            expected = np.r_[objective, list(self._in_units(move.y).values())]
+            found.append(
+                (((self._solved_at(target, sign * step) - here) / (sign * step) - expected) * size / scales, step)
+            )
+        (rising, up_step), (falling, down_step) = found
+        # The curvature cancels where both differences belong to the same limits.
+        mean = (rising * down_step + falling * up_step) / (up_step + down_step)
+        same = np.allclose(up.y, down.y, rtol=1e-9, atol=0.0)
+        return float(np.max(np.abs(mean if same else np.r_[rising, falling])))
+
+    def _solved_at(self, target: _Target, step: float) -> Vector:
+        """Return objective and variables of the design solved again with the parameter or limit moved by a step."""
+        program, p = self._program, self._p.copy()
+        low, high = program.low.copy(), program.high.copy()
+        lower, upper = np.zeros(len(self._active.y)), np.ones(len(self._active.y))
+        held = list(self._fixed)
+        lower[held] = upper[held] = self._active.y[held]
+        if target.parameter is not None:
+            p[target.parameter] += step
+        count = len(low)
+        for side in self._active.sides:
+            if side.name != target.side:
+                continue
+            if side.row >= count:
+                v = program.declared.variables[side.row - count]
+                (lower if side.sign > 0.0 else upper)[side.row - count] = v.scaled(target.value + step)
+                continue
+            if side.sign > 0.0:
+                low[side.row] += step * side.per_unit
+            if side.sign < 0.0 or side.equality:
+                high[side.row] += step * abs(side.per_unit)
+        solver = Solver(program.nlp, len(lower), len(p), low, high)
+        point = solver.solve(np.clip(self._active.y, lower, upper), p, lower, upper, near=True)
+        if not point.solved:
+            raise NotConverged(f"beside the value the design cannot be solved: {point.status}", point.status)
+        return np.array([point.f * program.objective_scale, *self._values(point.y)])
+
+
+def _elasticity(derivative: float, value: float, result: float) -> float | None:
+    return None if result == 0.0 else derivative * value / result

@@ -1,0 +1,317 @@
+"""Sensitivities of an optimum: against optima in closed form, and against designs solved again."""
+
+import math
+import pickle
+from types import SimpleNamespace
+
+import casadi as ca
+import pytest
+
+import plough_opt as po
+
+
+def _order_4(at, value, step):
+    """Return the derivative of a function by central differences of order 4."""
+    return (8.0 * (at(value + step) - at(value - step)) - (at(value + 2.0 * step) - at(value - 2.0 * step))) / (
+        12.0 * step
+    )
+
+
+def _cost_against_yield(a=2.0, c=3.0, *, most=10.0, log=False):
+    """Build: minimise a x + y with x y >= c, whose optimum is x = sqrt(c/a), y = sqrt(c a), J = 2 sqrt(a c)."""
+    d = po.Design()
+    weight = d.parameter("weight", a, unit="1/m")
+    x = d.variable("x", guess=1.0, lower=0.1, upper=most, unit="m", log=log)
+    y = d.variable("y", guess=4.0, lower=0.1, upper=10.0, log=log)
+    d.minimise(weight * x + y)
+    d.require("yield", x * y, at_least=c)
+    return d
+
+
+# --- closed forms ---------------------------------------------------------------------------------------------
+
+# The conditions are solved to rounding by Newton's method, so a derivative is good to rounding too: 1e-10 leaves room
+# for the condition of these small matrices.
+EXACT = 1e-10
+
+
+@pytest.mark.parametrize("log", [False, True])
+def test_a_requirement_that_decides_and_free_variables(log):
+    best = _cost_against_yield(log=log).solve()
+    root = math.sqrt(6.0)
+    by_weight, by_yield = best.sensitivity("weight"), best.sensitivity("yield at_least")
+    assert by_weight.objective == pytest.approx(root / 2.0, rel=EXACT)  # sqrt(c/a)
+    assert by_yield.objective == pytest.approx(2.0 / root * 2.0 / 2.0, rel=EXACT)  # sqrt(a/c)
+    assert by_weight.variables == pytest.approx({"x": -root / 8.0, "y": root / 4.0}, rel=EXACT)
+    assert by_weight.elasticity == pytest.approx(0.5, rel=EXACT)
+    assert by_weight.elasticities == pytest.approx({"x": -0.5, "y": 0.5}, rel=EXACT)
+    assert by_yield.elasticity == pytest.approx(0.5, rel=EXACT)
+    assert by_yield.elasticities == pytest.approx({"x": 0.5, "y": 0.5}, rel=EXACT)
+    assert by_yield.touching == ()
+    assert by_yield.falling == by_yield.variables
+
+
+def test_no_limit_that_decides():
+    d = po.Design()
+    a = d.parameter("a", 2.0)
+    x = d.variable("x", guess=0.1, lower=-1.0, upper=3.0)
+    d.minimise(ca.exp(x) - a * x)
+    found = d.solve().sensitivity("a")
+    # x = ln a, J = a - a ln a; bounds are reached, to first order, after (bound - x) a.
+    assert found.objective == pytest.approx(-math.log(2.0), rel=EXACT)
+    assert found.variables["x"] == pytest.approx(0.5, rel=EXACT)
+    assert found.elasticities["x"] == pytest.approx(1.0 / math.log(2.0), rel=EXACT)
+    assert found.valid_to == pytest.approx(2.0 + 2.0 * (3.0 - math.log(2.0)), rel=EXACT)
+    assert found.valid_from == pytest.approx(2.0 + 2.0 * (-1.0 - math.log(2.0)), rel=EXACT)
+    assert found.then == ("x lower begins to decide", "x upper begins to decide")
+
+
+@pytest.mark.parametrize("log", [False, True])
+def test_variables_on_their_limits_follow_them(log):
+    best = _cost_against_yield(most=1.0, log=log).solve()  # x = 1 rather than 1.22, y = c
+    assert best.sensitivity("weight").variables == pytest.approx({"x": 0.0, "y": 0.0}, abs=EXACT)
+    assert best.sensitivity("weight").objective == pytest.approx(1.0, rel=EXACT)
+    by_bound, by_yield = best.sensitivity("x upper"), best.sensitivity("yield")
+    assert by_bound.objective == pytest.approx(2.0 - 3.0, rel=EXACT)  # J = a X + c/X
+    assert by_bound.variables == pytest.approx({"x": 1.0, "y": -3.0}, rel=EXACT)
+    assert by_yield.objective == pytest.approx(1.0, rel=EXACT)
+    assert by_yield.variables == pytest.approx({"x": 0.0, "y": 1.0}, rel=EXACT, abs=EXACT)
+    # The bound's multiplier c/X^2 - a vanishes at X = sqrt(c/a), along X by -2c: the yield's at c = a.
+    assert by_bound.valid_to == pytest.approx(1.0 + 1.0 / 6.0, rel=EXACT)
+    assert by_bound.then[1] == "x upper ceases to decide"
+    assert by_yield.valid_from == pytest.approx(2.0, rel=EXACT)
+    assert by_yield.then[0] == "x upper ceases to decide"
+
+
+@pytest.mark.parametrize("log", [False, True])
+def test_a_limit_that_does_not_decide_changes_nothing_until_it_is_met(log):
+    best = _cost_against_yield(log=log).solve()
+    found = best.sensitivity("x upper")
+    assert (found.objective, found.variables) == (0.0, {"x": 0.0, "y": 0.0})
+    assert found.valid_from == pytest.approx(math.sqrt(1.5), rel=EXACT)  # x itself, whatever its scale
+    assert (found.valid_to, found.then) == (None, ("x upper begins to decide", ""))
+    assert "whatever its value" not in str(found)
+
+
+@pytest.mark.parametrize("centre", [0.0, 2.0])
+def test_an_equality_whichever_way_it_pulls(centre):
+    d = po.Design()
+    x, y = (d.variable(name, guess=0.7, lower=-5.0, upper=5.0) for name in "xy")
+    d.minimise((x - centre) ** 2 + (y - centre) ** 2)
+    d.require("sum", x + y, at_least=1.0, at_most=1.0)
+    found = d.solve().sensitivity("sum", check=True)
+    assert found.objective == pytest.approx(1.0 - 2.0 * centre, rel=EXACT)  # J = 2 (c/2 - centre)^2
+    assert found.variables == pytest.approx({"x": 0.5, "y": 0.5}, rel=EXACT)
+    # A parabola: differences are exact, but for the optimiser's 1e-10 over a step of 1e-3.
+    assert found.difference < 1e-6
+
+
+def test_two_limits_of_one_requirement_are_two_questions():
+    d = po.Design()
+    x = d.variable("x", guess=0.0, lower=-5.0, upper=5.0)
+    d.minimise(ca.exp(-x))
+    d.require("band", 2.0 * x, at_least=-1.0, at_most=3.0)
+    best = d.solve()
+    assert best.sensitivity("band at_most").objective == pytest.approx(-0.5 * math.exp(-1.5), rel=EXACT)
+    assert best.sensitivity("band at_least").objective == 0.0
+    assert best.sensitivity("band at_least").valid_to == pytest.approx(3.0, rel=EXACT)
+    with pytest.raises(po.InputError, match="did you mean 'band at_least' or 'band at_most'"):
+        best.sensitivity("band")
+
+
+def test_a_limit_that_just_touches_makes_the_derivatives_one_sided():
+    d = po.Design()
+    a = d.parameter("a", 1.0)
+    x = d.variable("x", guess=0.3, lower=-1.0, upper=1.0)
+    y = d.variable("y", guess=0.3, lower=-2.0, upper=2.0)
+    d.minimise((x - a) ** 2 + (y - x) ** 2 + 1.0)
+    best = d.solve()
+    by_a, by_bound = best.sensitivity("a", check=True), best.sensitivity("x upper")
+    assert by_a.touching == ("x upper",)
+    assert by_a.objective == pytest.approx(0.0, abs=EXACT)
+    assert by_a.variables == pytest.approx({"x": 0.0, "y": 0.0}, abs=EXACT)
+    assert by_a.falling == pytest.approx({"x": 1.0, "y": 1.0}, rel=EXACT)
+    assert by_bound.variables == pytest.approx({"x": 0.0, "y": 0.0}, abs=EXACT)
+    assert by_bound.falling == pytest.approx({"x": 1.0, "y": 1.0}, rel=EXACT)
+    # One-sided differences of a parabola over a thousandth.
+    assert by_a.difference < 2e-3
+    assert "for a value that grows" in str(by_a)
+
+
+def test_an_objective_of_zero_has_derivatives_and_no_percentages():
+    d = po.Design()
+    a = d.parameter("a", 1.0, unit="kg")
+    x = d.variable("x", guess=0.3, lower=0.0, upper=2.0)
+    d.minimise((x - 0.5) ** 2 + a - 1.0)
+    found = d.solve().sensitivity("a")
+    assert found.objective == pytest.approx(1.0, rel=EXACT)
+    assert found.elasticity is None or abs(found.elasticity) > 1e9  # the best objective is 0 up to rounding
+
+
+# --- solving again --------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["weight", "yield", "x upper", "y lower"])
+@pytest.mark.parametrize("most", [1.0, 10.0])
+def test_check_solves_again(name, most):
+    best = _cost_against_yield(most=most).solve()
+    # A step of 1e-3 leaves some 1e-6 of derivatives of order one, the optimiser's 1e-10 some 1e-7.
+    assert best.sensitivity(name, check=True).difference < 5e-6
+    assert best.sensitivity(name).difference is None
+
+
+def test_check_finds_a_wrong_derivative(monkeypatch):
+    best = _cost_against_yield().solve()
+    right = best.sensitivities._in_units
+    monkeypatch.setattr(best.sensitivities, "_in_units", lambda dy: {k: 1.01 * v for k, v in right(dy).items()})
+    # One per cent of dy/dw = sqrt(c/a)/2, times w = 2, over y's range of 9.9.
+    assert best.sensitivity("weight", check=True).difference == pytest.approx(0.01 * math.sqrt(1.5) / 9.9, rel=0.01)
+
+
+@pytest.fixture(scope="module")
+def r1_parameters(r1_soil):
+    """Build R1 near its best optimum, with soil, speed and mass as parameters."""
+
+    def build(radius=0.12, wavelength=0.6, **options):
+        d = po.Design()
+        angle = d.variable("wedge angle", guess=po.deg(39.0), lower=po.deg(5.0), upper=po.deg(60.0), unit="rad")
+        height = d.variable("height", guess=0.2, lower=0.10, upper=0.50, unit="m")
+        k0 = d.variable("stiffness", guess=5.1e3, lower=5e3, upper=5e5, unit="N/m", log=True)
+        cohesion = d.parameter("cohesion", r1_soil.cohesion, unit="Pa")
+        speed = d.parameter("tow speed", 2.0, unit="m/s")
+        soil = po.Soil(
+            density=r1_soil.density,
+            density_ratio=r1_soil.density_ratio,
+            cohesion=cohesion,
+            friction_angle=r1_soil.friction_angle,
+            tool_friction=r1_soil.tool_friction,
+            ambient_pressure=r1_soil.ambient_pressure,
+        )
+        share = po.Wedge(angle, po.deg(15.0), height)
+        cone = share.equivalent_cone()
+        effects = po.Effects(strength_wave=po.StrengthWave(0.3, wavelength), **options)
+        run = po.simulate(po.Scene(soil, share, k0, 20.0 + cone.solid_mass(7850.0), speed, effects), 2.0)
+        d.minimise(run.mean_draft / 1e3 + run.force_rms / 1e3)
+        d.require("loosened radius", po.loosened_radius(cone, soil), at_least=radius, unit="m")
+        d.require("mean deflection", run.mean_draft / k0, at_most=0.15, unit="m")
+        d.require("half angle", cone.half_angle, at_most=po.deg(15.0), unit="rad")
+        return d
+
+    design = build()
+    return SimpleNamespace(build=build, design=design, best=design.solve(search="local"))
+
+
+@pytest.mark.parametrize(("name", "value", "step"), [("cohesion", 15e3, 75.0), ("tow speed", 2.0, 2e-3)])
+def test_r1_solved_again_with_other_parameters(r1_parameters, name, value, step):
+    found = r1_parameters.best.sensitivity(name)
+    assert found.value == value
+
+    def at(parameter):
+        return r1_parameters.design.solve(parameters={name: parameter}, search="local")
+
+    slope = _order_4(lambda parameter: at(parameter).objective, value, step)
+    # The transcription's own objective differs from the tight one by some 1e-9, smoothly; the differences of values
+    # good to 1e-12 over a relative step of 1e-3 to 5e-3 leave 1e-9 of a part of the slope by speed that nearly cancels.
+    assert found.objective == pytest.approx(slope, rel=2e-7)
+    assert set(r1_parameters.best.active) == {"loosened radius", "half angle", "stiffness"}
+    # Three limits hold three variables, and none of them knows the parameter but through the soil's front.
+    assert at(value + step).variables == pytest.approx(r1_parameters.best.variables, rel=1e-8)
+    assert max(map(abs, found.elasticities.values())) < 1e-12
+
+
+def test_r1_solved_again_with_other_limits(r1_parameters):
+    found = r1_parameters.best.sensitivity("loosened radius at_least")
+
+    def at(radius):
+        return r1_parameters.build(radius).solve(search="local")
+
+    slope = _order_4(lambda radius: at(radius).objective, 0.12, 1e-4)
+    assert found.objective == pytest.approx(slope, rel=5e-9)
+    # Geometry alone: the front's radius is proportional to the height.
+    assert found.elasticities == pytest.approx({"wedge angle": 0.0, "height": 1.0, "stiffness": 0.0}, abs=1e-9)
+
+
+def test_the_range_in_r1_ends_where_the_limits_that_decide_change(r1_parameters):
+    def predicted(radius):
+        return r1_parameters.build(radius).solve(search="local").sensitivity("loosened radius")
+
+    first = predicted(0.12)
+    assert first.then[1] == "mean deflection at_most begins to decide"
+    low, high = 0.12, 0.13
+    while high - low > 1e-6:
+        middle = (low + high) / 2.0
+        active = r1_parameters.build(middle).solve(search="local").active
+        low, high = (low, middle) if "mean deflection" in active else (middle, high)
+    # First order: over half the way the prediction misses by a quarter.
+    second = predicted((0.12 + low) / 2.0)
+    assert second.valid_to == pytest.approx(low, abs=5e-5)
+    assert (first.valid_to - low) / (second.valid_to - low) == pytest.approx(4.0, rel=0.2)
+
+
+def test_sensitivities_are_at_the_parameters_of_the_solve():
+    best = _cost_against_yield().solve(parameters={"weight": 8.0})
+    found = best.sensitivity("weight")
+    assert found.value == 8.0
+    assert found.objective == pytest.approx(math.sqrt(3.0 / 8.0), rel=EXACT)
+
+
+# --- refusals -------------------------------------------------------------------------------------------------
+
+
+def test_what_is_no_parameter_is_refused_with_those_that_are():
+    with pytest.raises(po.InputError) as refusal:
+        _cost_against_yield().solve().sensitivity("wieght")
+    assert "did you mean 'weight'?" in str(refusal.value)
+    assert "declare it with design.parameter" in str(refusal.value)
+
+
+def test_an_optimum_that_is_not_unique_is_refused():
+    d = po.Design()
+    a = d.parameter("a", 1.0)
+    x, y = (d.variable(name, guess=0.5, lower=0.1, upper=2.0) for name in "xy")
+    d.minimise((x + y - a) ** 2 + 1.0)
+    with pytest.raises(po.InputError, match=r"not unique.*fix one of x, y"):
+        d.solve().sensitivity("a")
+
+
+def test_an_optimum_without_curvature_is_refused():
+    d = po.Design()
+    a = d.parameter("a", 0.1)
+    x = d.variable("x", guess=0.5, lower=-1.0, upper=1.0)
+    d.minimise((x - a) ** 4 + 1.0)
+    with pytest.raises(po.InputError, match="does not curve"):
+        d.solve().sensitivity("a")
+
+
+def test_limits_that_decide_twice_are_refused():
+    d = po.Design()
+    x = d.variable("x", guess=1.5, lower=1.0, upper=2.0)
+    d.minimise(x**2)
+    d.require("the same", 2.0 * x, at_least=2.0)
+    with pytest.raises(po.InputError, match=r"the same at_least.*x lower"):
+        d.solve().sensitivity("x lower")
+
+
+def test_a_pickled_optimum_says_that_it_left_its_design_behind():
+    best = pickle.loads(pickle.dumps(_cost_against_yield().solve()))
+    with pytest.raises(po.InputError, match="pickled without its design"):
+        best.sensitivity("weight")
+
+
+def test_every_sensitivity_comes_in_order_of_size_and_only_if_it_matters():
+    d = po.Design()
+    a, b = d.parameter("a", 2.0), d.parameter("b", 0.1)
+    d.parameter("idle", 3.0)
+    x = d.variable("x", guess=0.5, lower=0.2, upper=3.0)
+    d.minimise(a * x + b * x**2)
+    found = d.solve().every_sensitivity()
+    assert [item.name for item in found] == ["x lower", "a", "b"]
+    # J = a x + b x^2 at x = 0.2.
+    expected = [(0.4 + 0.008) / 0.404, 0.4 / 0.404, 0.004 / 0.404]
+    assert [item.elasticity for item in found] == pytest.approx(expected, rel=EXACT)
+
+
+def test_in_words():
+    text = str(_cost_against_yield().solve().sensitivity("yield", check=True))
+    assert text.startswith("yield = 3; one per cent more changes the objective by +0.5 %, x by +0.5 %, y by +0.5 %.")
+    assert "Solving again beside it differs by" in text

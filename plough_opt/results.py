@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import platform
+from collections.abc import Sequence
 from importlib.metadata import version
 from pathlib import Path
 from typing import Annotated, Final, Literal
@@ -11,7 +12,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
 from plough_opt.accuracy import Accuracy
-from plough_opt.design import LocalOptimum, Optimum
+from plough_opt.design import LocalOptimum, Optimum, Sensitivity
 from plough_opt.errors import InputError
 from plough_opt.motion import Averages, Run
 
@@ -91,10 +92,11 @@ class SavedOptimum(Saved):
     best: LocalOptimum
     local_optima: tuple[LocalOptimum, ...]
     run: SavedRun
+    sensitivities: tuple[Sensitivity, ...] = ()
 
     @classmethod
-    def of(cls, best: Optimum, run: Run, title: str) -> SavedOptimum:
-        """Take what is worth keeping of an optimum and its run."""
+    def of(cls, best: Optimum, run: Run, title: str, sensitivities: Sequence[Sensitivity] = ()) -> SavedOptimum:
+        """Take what is worth keeping of an optimum, its run and what it was asked."""
         return cls(
             layout=SCHEMA,
             title=title,
@@ -106,6 +108,7 @@ class SavedOptimum(Saved):
             best=best.local_optima[0],
             local_optima=best.local_optima,
             run=SavedRun.of(run, title),
+            sensitivities=tuple(sensitivities),
         )
 
 

@@ -14,6 +14,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
 from plough_opt import design as designs
 from plough_opt.cli import report
+from plough_opt.cli.sensitivity_table import print_sensitivities, sensitivities_of
 from plough_opt.effect_costs import effect_costs
 from plough_opt.errors import InputError
 from plough_opt.problem_file import TEMPLATE, Problem, read_problem
@@ -75,13 +76,16 @@ def optimise(options: argparse.Namespace) -> None:
     """Find the best share of a file."""
     problem = _read(options)
     with _progress() as told:
-        best, run = problem.optimise(told)
+        best, run = problem.optimise(told, parameters=options.sensitivity)
+        asked = sensitivities_of(best, told) if options.sensitivity else ()
     if options.json:
         from plough_opt.results import SavedOptimum
 
-        print(SavedOptimum.of(best, run, problem.title).to_json())
+        print(SavedOptimum.of(best, run, problem.title, asked).to_json())
     else:
         report.print_optimum(_console(), problem, best, run)
+        if options.sensitivity:
+            print_sensitivities(_console(), problem, asked)
     if options.plot:
         from plough_opt import plots
 

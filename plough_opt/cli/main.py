@@ -90,6 +90,12 @@ def _parser() -> argparse.ArgumentParser:
         if name == "accuracy":
             _add_accuracy(verb)
             continue
+        if name == "optimise":
+            verb.add_argument(
+                "--sensitivity",
+                action="store_true",
+                help="print by how many per cent the optimum changes per per cent of every quantity and limit",
+            )
         verb.add_argument("--json", action="store_true", help="print JSON (SI units) instead of a table")
         verb.add_argument("--plot", metavar="FILE", help="write a picture: .png, .svg or .pdf")
     return parser

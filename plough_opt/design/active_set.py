@@ -247,6 +247,12 @@ class ActiveSet:
         return Change(q, b)
 
     @cached_property
+    def parameters_that_matter(self) -> list[bool]:
+        """For each parameter, whether the objective or a requirement changes with it here, or its slopes do."""
+        columns = np.vstack([self.gradient, self.gradients, self.hessian])[:, self.n :]
+        return [bool(matters) for matters in np.any(columns != 0.0, axis=0)]
+
+    @cached_property
     def deciding_names(self) -> tuple[str, ...]:
         """Names of the limits that decide, each once."""
         return self._names(self.deciding)

@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
-import casadi as ca
 import numpy as np
 
 from plough_opt.design.active_set import ActiveSet, Move, slope
@@ -17,7 +16,7 @@ from plough_opt.design.program import Program
 from plough_opt.errors import InputError, NotConverged, nearest
 
 # Of the value asked for: differences leave its square, and the optimiser's 1e-10 divided by it.
-_CHECK_STEP = 1e-3
+_CHECK_STEP = 2e-4
 # An elasticity below this is the rounding of none.
 _ROUNDING = 1e-9
 # Two one-sided derivatives nearer than this are one.
@@ -133,8 +132,8 @@ class Sensitivities:
 
     def every(self) -> tuple[Sensitivity, ...]:
         """Return those to all parameters that matter and all limits that decide, the largest elasticity first."""
-        used = {hash(symbol) for symbol in ca.symvar(ca.veccat(*self._program.expressions))}
-        names = [p.name for p in self._program.declared.parameters if hash(p.symbol) in used]
+        matters = self._active.parameters_that_matter
+        names = [p.name for p, matter in zip(self._program.declared.parameters, matters, strict=True) if matter]
         names += [name for name in self._active.deciding_names if name in self._limits]
         return tuple(sorted(map(self, names), key=lambda found: -abs(found.elasticity or 0.0)))
 

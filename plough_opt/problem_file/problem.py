@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 from plough_opt.accuracy import Accuracy
@@ -15,7 +15,7 @@ from plough_opt.expressions import Expression
 from plough_opt.geometry import Wedge
 from plough_opt.motion import Run, simulate
 from plough_opt.problem_file.measures import MEASURES
-from plough_opt.problem_file.schema import ProblemTable
+from plough_opt.problem_file.schema import ProblemTable, quantities
 from plough_opt.problem_file.units import Display
 from plough_opt.scene import Scene
 from plough_opt.soil import Soil, named_soil
@@ -131,8 +131,12 @@ class Problem:
             self.scene(changes), values.get("scene.duration"), accuracy=self.accuracy, outputs=self.table.scene.outputs
         )
 
-    def design(self) -> tuple[Design, Run]:
+    def design(self, *, parameters: bool = False) -> tuple[Design, Run]:
         """Return the design and its symbolic run.
+
+        Args:
+            parameters: declare every quantity that is no variable as a parameter of the design under its key, so that
+                the optimum can be asked what it owes to it.
 
         Raises:
             InputError: the file has no variables or nothing to minimise.
@@ -147,10 +151,14 @@ class Problem:
             key: design.variable(key, guess=v.guess, lower=v.lower, upper=v.upper, unit=v.unit, log=v.log)
             for key, v in self.variables.items()
         }
-        values = self.values(symbols)
-        run = simulate(
-            self.scene(symbols), values.get("scene.duration"), accuracy=self.accuracy, outputs=self.table.scene.outputs
-        )
+        scene = self.scene(symbols)
+        if parameters:
+            units = quantities()
+            symbols |= {key: design.parameter(key, x, unit=units[key].symbol) for key, x in self._numbers().items()}
+            soil = replace(self.scene(symbols).soil, name=scene.soil.name, source=scene.soil.source)
+            scene = replace(self.scene(symbols), soil=soil)
+        duration = self.values(symbols).get("scene.duration")
+        run = simulate(scene, duration, accuracy=self.accuracy, outputs=self.table.scene.outputs)
         objective: Expression = 0.0
         for name, term in self.table.minimise.items():
             objective = objective + MEASURES[name].of(run) / MEASURES[name].unit.parse(term.per)
@@ -161,9 +169,16 @@ class Problem:
             design.require(name, measure.of(run), at_least=low, at_most=high, unit=measure.unit.symbol)
         return design, run
 
-    def optimise(self, progress: Progress | None = None) -> tuple[Optimum, Run]:
-        """Return the optimum and its run of numbers."""
-        design, run = self.design()
+    def _numbers(self) -> dict[str, float]:
+        """Return every quantity that is no variable, by key, the properties of a named soil included."""
+        soil = self.scene().soil
+        own = {key: getattr(soil, key.removeprefix("soil.")) for key in quantities() if key.startswith("soil.")}
+        every = {**own, **self.fixed}
+        return {key: float(x) for key, x in every.items() if x is not None and key not in self.variables}
+
+    def optimise(self, progress: Progress | None = None, *, parameters: bool = False) -> tuple[Optimum, Run]:
+        """Return the optimum and its run of numbers; with ``parameters`` as in `design`."""
+        design, run = self.design(parameters=parameters)
         best = design.solve(progress=progress)
         return best, best(run)
 

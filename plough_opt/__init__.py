@@ -33,7 +33,7 @@ from plough_opt.scene import Scene
 from plough_opt.soil import Soil, named_soil, soil_names
 
 if TYPE_CHECKING:
-    from plough_opt import plots
+    from plough_opt import crosscheck, plots
     from plough_opt.accuracy_study.result import AccuracyStudy
     from plough_opt.accuracy_study.study import study_accuracy, study_design
     from plough_opt.batch import Batch, BatchResult
@@ -51,7 +51,7 @@ _LATER = {
     "read_problem": "plough_opt.problem_file",
     "load": "plough_opt.results",
 }
-_MODULES_LATER = ("plots",)
+_MODULES_LATER = ("crosscheck", "plots")
 
 
 def __getattr__(name: str) -> Any:
@@ -94,6 +94,7 @@ __all__ = [
     "StrengthWave",
     "Wedge",
     "added_mass",
+    "crosscheck",
     "deg",
     "elastic",
     "load",

@@ -14,6 +14,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
 from plough_opt import design as designs
 from plough_opt.cli import report
+from plough_opt.cli.against import asked_of
 from plough_opt.cli.sensitivity_table import print_sensitivities, sensitivities_of
 from plough_opt.effect_costs import effect_costs
 from plough_opt.errors import InputError
@@ -45,13 +46,24 @@ def soils(options: argparse.Namespace) -> None:
 
 def check(options: argparse.Namespace) -> None:
     """Say whether a file is right, what its scene contains and what its guess is like."""
+    against = asked_of(options)
     problem = _read(options)
+    comparison = None
+    if options.against:
+        from plough_opt.crosscheck import compare
+
+        comparison = compare(problem.scene(), **against)
     report.print_check(_console(), problem)
     if options.effects:
         with _progress() as told:
             told("measuring the effects", 0.0)
             found = effect_costs(problem.scene(), problem.values().get("scene.duration"))
         report.print_effects(_console(), found)
+    if comparison is not None:
+        report.print_comparison(_console(), comparison)
+        if options.plot is not None:
+            comparison.plot(options.plot)
+            _wrote(Path(options.plot))
 
 
 def simulate(options: argparse.Namespace) -> None:

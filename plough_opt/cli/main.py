@@ -86,6 +86,7 @@ def _parser() -> argparse.ArgumentParser:
         verb.set_defaults(run=run)
         if name == "check":
             verb.add_argument("--effects", action="store_true", help="print what each effect costs, on or off")
+            _add_against(verb)
             continue
         if name == "accuracy":
             _add_accuracy(verb)
@@ -99,6 +100,27 @@ def _parser() -> argparse.ArgumentParser:
         verb.add_argument("--json", action="store_true", help="print JSON (SI units) instead of a table")
         verb.add_argument("--plot", metavar="FILE", help="write a picture: .png, .svg or .pdf")
     return parser
+
+
+def _add_against(verb: argparse.ArgumentParser) -> None:
+    """Add the options of the comparison with other draft models."""
+    verb.add_argument("--against", action="store_true", help="print what other draft models give; next options need it")
+    for name, example, text in (
+        ("depth", "0.4 m", "working depth, repeatable (default: the share's height)"),
+        ("speed", "5 km/h", "speed, repeatable (default: 3, 5, 7, 9 km/h and the tow speed)"),
+    ):
+        verb.add_argument(f"--{name}", action="append", metavar=f'"{example}"', help=text)
+    for name, example, text in (
+        ("width", "0.08 m", "width of the tine (default: base diameter of the equivalent cone)"),
+        ("rake", "45 deg", "rake angle of the tine (default: the share's chisel angle)"),
+        ("adhesion", "2 kPa", "adhesion of soil on the tine (default: none)"),
+        ("surcharge", "1 kPa", "pressure on the soil's surface (default: none)"),
+        ("rupture-ratio", "2.5", "rupture distance over depth (default: of a plane wedge)"),
+    ):
+        verb.add_argument(f"--{name}", metavar=f'"{example}"', help=text)
+    verb.add_argument("--texture", metavar="NAME", help="fine, medium or coarse, for ASABE D497 (default: all)")
+    verb.add_argument("--point", metavar="NAME", help="narrow or winged, for ASABE D497 (default: narrow)")
+    verb.add_argument("--plot", metavar="FILE", help="write a picture of it: .png, .svg or .pdf")
 
 
 def _add_accuracy(verb: argparse.ArgumentParser) -> None:

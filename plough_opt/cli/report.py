@@ -24,6 +24,7 @@ from plough_opt.soil import Soil
 
 if TYPE_CHECKING:
     from plough_opt.accuracy_study.result import AccuracyStudy
+    from plough_opt.crosscheck import Comparison
 
 _DEGREES = Display("deg", math.pi / 180.0)
 _KILO = {"N": Display("kN", 1e3), "W": Display("kW", 1e3), "Pa": Display("kPa", 1e3), "N/m": Display("kN/m", 1e3)}
@@ -127,6 +128,21 @@ def print_effects(console: Console, costs: Sequence[EffectCost]) -> None:
     for cost in costs:
         if cost.refused:
             console.print(f"{cost.name}: {escape(cost.refused)}.", soft_wrap=True)
+
+
+def print_comparison(console: Console, comparison: Comparison) -> None:
+    """Print what other draft models give, what was estimated for them, why they differ and what is not verified."""
+    console.print(comparison.table())
+    for title, sentences in (
+        ("Outside the domain", comparison.refusals),
+        ("Assumed", comparison.estimates),
+        ("Why they differ", comparison.reasons),
+        ("What is not verified, and sources", comparison.standings),
+    ):
+        if sentences:
+            console.print(f"[bold]{title}[/]")
+        for sentence in sentences:
+            console.print(f"* {escape(sentence)}", soft_wrap=True)
 
 
 def print_accuracy(console: Console, study: AccuracyStudy) -> None:

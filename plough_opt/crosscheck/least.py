@@ -1,0 +1,76 @@
+"""The angle of rupture that makes a force least, as a number or as an expression with exact derivatives."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from functools import lru_cache
+
+import casadi as ca
+import numpy as np
+
+from plough_opt.errors import DomainError
+from plough_opt.expressions import Expression, is_casadi, is_symbolic
+
+_GRID = 64
+_HALVINGS = 40
+# The last steps make the derivatives exact: each doubles the order that is right.
+_NEWTON_STEPS = 3
+# Of the interval's end, where a force may be infinite.
+_INSIDE = 1.0 - 1e-9
+
+
+def least_angle(force: Callable[..., Expression], upper: Expression, *parameters: Expression, what: str) -> Expression:
+    """Return the angle [rad] in (0, upper) at which ``force(angle, *parameters)`` is least.
+
+    Args:
+        force: written with `plough_opt.expressions`; smooth and finite inside the interval.
+        upper: end of the interval [rad].
+        parameters: floats, arrays of one shape, or CasADi scalars.
+        what: name of the model, for the refusal.
+
+    Raises:
+        DomainError: the force of numbers is least at the end of the interval, not inside. Of symbols this is unseen.
+    """
+    arguments = (upper, *parameters)
+    search = _search(force, len(parameters))
+    if any(map(is_symbolic, arguments)) or any(map(is_casadi, arguments)):
+        return search(*arguments)
+    values = np.broadcast_arrays(*(np.asarray(argument, dtype=float) for argument in arguments))
+    found = np.array([float(search(*row)) for row in zip(*(v.ravel() for v in values), strict=True)])
+    ends = values[0].ravel() * _INSIDE
+    rest = [v.ravel() for v in values[1:]]
+    inside = (found > 0.0) & (found < ends)
+    if not np.all(inside) or not np.all(force(found, *rest) < force(ends, *rest)):
+        raise DomainError(
+            f"the force of {what} is least for a wedge at the end of the possible angles, where its derivation does not"
+            " hold: take a steeper rake angle or a wider tool"
+        )
+    return float(found[0]) if values[0].ndim == 0 else found.reshape(values[0].shape)
+
+
+@lru_cache(maxsize=8)
+def _search(force: Callable[..., Expression], count: int) -> ca.Function:
+    """Return (upper, parameters) -> angle: a grid, bisection of the slope's sign, Newton's steps."""
+    angle, upper = ca.SX.sym("angle"), ca.SX.sym("upper")
+    p = [ca.SX.sym(f"p{k}") for k in range(count)]
+    value = force(angle, *p)
+    slope = ca.jacobian(value, angle)
+    f = ca.Function("force", [angle, *p], [value])
+    g = ca.Function("slope", [angle, *p], [slope, ca.jacobian(slope, angle)])
+    step = upper / (_GRID + 1)
+    best, least = step, ca.SX(math.inf)
+    for k in range(1, _GRID + 1):
+        here = f(k * step, *p)
+        best = ca.if_else(here < least, k * step, best)
+        least = ca.fmin(here, least)
+    low, high = best - step, best + step
+    for _ in range(_HALVINGS):
+        middle = (low + high) / 2.0
+        falls = g(middle, *p)[0] < 0.0
+        low, high = ca.if_else(falls, middle, low), ca.if_else(falls, high, middle)
+    found = (low + high) / 2.0
+    for _ in range(_NEWTON_STEPS):
+        first, second = g(found, *p)
+        found = found - first / second
+    return ca.Function("least_angle", [upper, *p], [found])

@@ -1,0 +1,226 @@
+"""The comparison: what it takes, estimates and says; its table and its picture."""
+
+import dataclasses
+import io
+import math
+
+import casadi as ca
+import numpy as np
+import pytest
+from rich.console import Console
+
+import plough_opt as po
+from plough_opt.crosscheck import Tine, asabe_draft, compare, godwin_draft, mckyes_ali_draft, spherical_cavity_draft
+
+SOIL = po.named_soil("serozem")
+SHARE = po.Wedge(angle=po.deg(39.1), chisel_angle=po.deg(15.0), height=0.254)
+
+
+def scene(soil=SOIL, share=SHARE, **effects):
+    return po.Scene(soil, share, 5e4, 25.0, 2.0, po.Effects(**effects))
+
+
+@pytest.fixture(scope="module")
+def full():
+    """Return a comparison in which everything is given."""
+    return compare(
+        scene(), depth=[0.25, 0.4], width=0.08, rake_angle=po.deg(45.0), texture="medium", speeds=[1.0, 2.5],
+        rupture_ratio=2.3, surcharge=1e3, adhesion=2e3,
+    )  # fmt: skip
+
+
+def row(comparison, model, depth=None):
+    found = [r for r in comparison.others if r.model == model and (depth is None or r.depth == depth)]
+    assert len(found) == 1, [r.model for r in comparison.others]
+    return found[0]
+
+
+def printed(comparison):
+    stream = io.StringIO()
+    Console(file=stream, width=160).print(comparison.table())
+    return stream.getvalue()
+
+
+def test_every_row_is_its_models_draft(full):
+    assert full.depths == (0.25, 0.4)
+    for depth in full.depths:
+        tine = Tine(0.08, depth, po.deg(45.0), 1e3, 2e3)
+        for model, draft in (
+            ("ASABE D497, narrow, medium", lambda v, d=depth: asabe_draft(d, v, "medium")),
+            ("McKyes-Ali", lambda v, t=tine: mckyes_ali_draft(SOIL, t, v)),
+            ("universal earthmoving equation", lambda v, t=tine: godwin_draft(SOIL, t, v, rupture_ratio=2.3)),
+        ):
+            assert row(full, model, depth).drafts == tuple(draft(v) for v in (1.0, 2.5))
+    cavity = row(full, "spherical cavity (Forrestal-Luk)")
+    assert cavity.depth is None
+    assert cavity.drafts == tuple(spherical_cavity_draft(SHARE.equivalent_cone(), SOIL, v) for v in (1.0, 2.5))
+    assert not full.refusals
+
+
+def test_its_own_row_is_the_quasi_static_mean_draft(full):
+    """Over whole waves of the strength: 2 s at 1 and 2.5 m/s hold 10 and 25 of 0.2 m."""
+    wavy = scene(motion=False, strength_wave=po.StrengthWave(0.3, 0.2))
+    found = compare(wavy, speeds=(1.0, 2.5)).own.drafts
+    runs = [po.simulate(dataclasses.replace(wavy, tow_speed=v), duration=2.0).mean_draft for v in (1.0, 2.5)]
+    assert found == pytest.approx(runs, rel=1e-12)
+    assert full.own.drafts == pytest.approx(found, rel=1e-14)
+
+
+def test_ratios_are_over_this_models_draft(full):
+    for other in full.others:
+        assert full.ratios(other) == pytest.approx(np.array(other.drafts) / full.own.drafts, rel=1e-15)
+
+
+def test_what_is_given_is_not_called_estimated(full):
+    text = " ".join(full.estimates)
+    for word in ("for none was given", "none were given", "in place of charts"):
+        assert word not in text
+    assert "surcharge 1 kPa and adhesion 2 kPa" in text
+
+
+def test_what_is_estimated_is_said_with_its_value():
+    found = compare(scene())
+    base = 2 * SHARE.height * math.tan(SHARE.equivalent_cone().half_angle)
+    text = " ".join(found.estimates)
+    for sentence in (
+        "working depth 0.254 m: the share's height",
+        f"tool width {base:.3g} m: base diameter of the equivalent cone",
+        "rake angle 15 deg: the share's chisel angle",
+        "soil texture: none was given",
+        "one shank with a narrow point",
+        "the plane wedge's, in place of charts",
+        "surcharge 0 kPa and adhesion 0 kPa",
+    ):
+        assert sentence in text
+    assert [round(3.6 * v, 9) for v in found.speeds] == [3.0, 5.0, 7.0, 7.2, 9.0]
+    assert [r.model for r in found.others[:3]] == [f"ASABE D497, narrow, {t}" for t in ("fine", "medium", "coarse")]
+    tine = Tine(base, 0.254, po.deg(15.0))
+    expected = tuple(godwin_draft(SOIL, tine, v) for v in found.speeds)
+    assert row(found, "universal earthmoving equation").drafts == pytest.approx(expected, rel=1e-14)
+
+
+def test_a_model_outside_its_domain_has_no_value_but_a_reason():
+    found = compare(scene(), depth=0.25, width=0.08, rake_angle=po.deg(15.0), speeds=[2.0, 6.0])
+    flat = row(found, "McKyes-Ali")
+    assert all(map(math.isnan, flat.drafts))
+    assert "end of the possible angles" in flat.refusal
+    fast = row(found, "Swick-Perumpral")
+    assert [math.isnan(draft) for draft in fast.drafts] == [False, True]
+    assert any("Swick-Perumpral at 0.25 m: speed = 6" in text for text in found.refusals)
+    assert "-" in printed(found)
+
+
+def test_a_cone_has_no_rake_angle():
+    found = compare(scene(share=po.Cone(po.deg(12.0), 0.25)))
+    assert "give rake_angle" in row(found, "Swick-Perumpral").refusal
+    given = compare(scene(share=po.Cone(po.deg(12.0), 0.25)), rake_angle=po.deg(60.0))
+    assert not row(given, "Swick-Perumpral").refusal
+
+
+def test_reasons_carry_the_scenes_own_figures(full):
+    text = " ".join(full.reasons)
+    own = 100 * (full.own.drafts[1] / full.own.drafts[0] - 1)
+    assert f"this model's draft rises by {own:.2g} %" in text
+    assert "none a measurement" in text
+    assert "no depth, no free surface and no shank" in text
+    share = float(scene().ambient_share)
+    assert f"carries {100 * share:.0f} % of this model's static draft" in text
+    bare = dataclasses.replace(SOIL, ambient_pressure=0.0)
+    rest = po.resistance(SHARE.equivalent_cone(), bare, 0.0, 0.0)
+    assert f"without it {rest / 1e3:.3g} kN would remain" in text
+
+
+def test_ambient_pressure_that_is_off_is_off_in_the_spherical_cavity_too():
+    found = compare(scene(ambient_pressure=False), speeds=[2.0])
+    bare = dataclasses.replace(SOIL, ambient_pressure=0.0)
+    expected = spherical_cavity_draft(SHARE.equivalent_cone(), bare, 2.0)
+    assert row(found, "spherical cavity (Forrestal-Luk)").drafts == (expected,)
+    assert not any("ambient pressure" in text for text in found.reasons)
+
+
+@pytest.mark.parametrize(
+    ("changed", "words"),
+    [
+        ({"soil": po.named_soil("heavy clay")}, "the tool's friction exceeds the soil's"),
+        ({"soil": SOIL.with_density_profile(lambda r: 1700.0 + 0.0 * r)}, "in the place of its density profile"),
+    ],
+)
+def test_what_the_other_models_leave_out_is_said(changed, words):
+    assert any(words in text for text in compare(scene(**changed), speeds=[2.0]).reasons)
+    assert not any(words in text for text in compare(scene(), speeds=[2.0]).reasons)
+
+
+def test_depths_below_the_critical_one_are_doubted():
+    words = "deeper than about six widths"
+    assert any(words in text for text in compare(scene(), depth=0.5, width=0.08, speeds=[2.0]).reasons)
+    assert not any(words in text for text in compare(scene(), depth=0.4, width=0.08, speeds=[2.0]).reasons)
+
+
+def test_an_elastic_medium_is_compared_too():
+    elastic = dataclasses.replace(scene(motion=False), medium="elastic")
+    found = compare(elastic, speeds=[2.0])
+    assert found.own.drafts == pytest.approx((float(elastic.steady_resistance),), rel=1e-14)
+    assert any("elastic, without strength" in text for text in found.reasons)
+
+
+def test_marks_name_what_is_not_verified(full):
+    text = " ".join(full.standings)
+    assert "ASABE D497: coefficients not verified against the standard's text" in text
+    assert len(full.standings) == 5
+    assert "validated" not in printed(full)
+
+
+def test_the_table_has_drafts_in_kilonewtons_and_ratios(full):
+    text = printed(full)
+    assert "calculated, not measured" in text
+    assert "3.6 km/h" in text
+    assert "9 km/h" in text
+    deep = row(full, "McKyes-Ali", 0.4)
+    assert f"{deep.drafts[0] / 1e3:.3g} ({full.ratios(deep)[0]:.2f})" in text
+    # This model, two depths of four models, the cavity.
+    assert len([line for line in text.splitlines() if line.startswith("│")]) == 1 + 2 * 4 + 1
+
+
+def test_the_picture_has_a_panel_for_each_depth(full, tmp_path):
+    figure = full.plot(tmp_path / "drafts.svg")
+    assert (tmp_path / "drafts.svg").stat().st_size > 1000
+    left, right = figure.axes
+    assert [left.get_title(), right.get_title()] == ["working depth 0.25 m", "working depth 0.4 m"]
+    assert (left.get_xlabel(), left.get_ylabel()) == ("speed [km/h]", "mean draft [kN]")
+    for axes, depth in ((left, 0.25), (right, 0.4)):
+        lines = {line.get_label(): line for line in axes.lines}
+        assert set(lines) == {"this model", *(r.model for r in full.others)}
+        shown = lines["McKyes-Ali"]
+        assert shown.get_ydata() == pytest.approx(np.array(row(full, "McKyes-Ali", depth).drafts) / 1e3)
+        assert shown.get_xdata() == pytest.approx([3.6, 9.0])
+
+
+def test_a_model_without_values_is_not_drawn():
+    figure = compare(scene()).plot()
+    assert "McKyes-Ali" not in {line.get_label() for line in figure.axes[0].lines}
+
+
+@pytest.mark.parametrize(
+    ("options", "error", "words"),
+    [
+        ({"texture": "clay"}, po.InputError, "texture = 'clay' is none of D497"),
+        ({"point": "wing"}, po.InputError, "did you mean 'winged'"),
+        ({"depth": 0.0}, po.DomainError, "working depth"),
+        ({"depth": []}, po.InputError, "at least one depth"),
+        ({"width": -0.1}, po.DomainError, "tool width"),
+        ({"rake_angle": po.deg(95.0)}, po.DomainError, "rake angle"),
+        ({"speeds": [1.0, -1.0]}, po.DomainError, "speed"),
+        ({"speeds": []}, po.InputError, "at least one speed"),
+        ({"rupture_ratio": 0.5}, po.DomainError, "rupture distance ratio"),
+        ({"surcharge": -1.0}, po.DomainError, "surcharge"),
+        ({"adhesion": math.inf}, po.DomainError, "adhesion"),
+    ],
+)
+def test_arguments_that_no_model_could_take_are_refused(options, error, words):
+    with pytest.raises(error, match=words):
+        compare(scene(), **options)
+
+
+def test_a_scene_with_symbols_is_refused():
+    with pytest.raises(po.InputError, match="comparison is of numbers"):
+        compare(dataclasses.replace(scene(), tow_speed=ca.SX.sym("speed")))

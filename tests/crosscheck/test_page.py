@@ -1,0 +1,44 @@
+"""docs/crosscheck.md: its example runs, its functions exist, its formulas survive GitHub's Markdown."""
+
+import re
+from functools import reduce
+from pathlib import Path
+
+import pytest
+
+import plough_opt as po
+from plough_opt.crosscheck.asabe import POINTS, TEXTURES
+
+TEXT = (Path(__file__).parents[2] / "docs" / "crosscheck.md").read_text(encoding="utf-8")
+
+
+def test_the_example_runs(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    (code,) = re.findall(r"```python\n(.*?)```", TEXT, flags=re.DOTALL)
+    exec(compile(code, "crosscheck.md", "exec"), {})  # the page's own text
+    assert "McKyes-Ali" in capsys.readouterr().out
+    assert (tmp_path / "out" / "drafts.png").stat().st_size > 10_000
+
+
+@pytest.mark.parametrize("name", sorted(set(re.findall(r"`(crosscheck\.\w+)`", TEXT))))
+def test_a_named_function_exists(name):
+    assert callable(reduce(getattr, name.split("."), po))
+
+
+def test_the_rows_of_the_standard_are_those_of_the_code():
+    rows = re.findall(r"^\| (narrow|winged) point.* \| (\S+) \| (\S+) \| (\S+) \| (.+) \|$", TEXT, flags=re.MULTILINE)
+    assert {name: tuple(map(float, found[:3])) for name, *found in rows} == POINTS
+    for *_, factors in rows:
+        assert tuple(map(float, factors.split(", "))) == tuple(TEXTURES.values())
+
+
+def test_formulas_survive_markdown():
+    """A display formula is a fenced block; in a line a backslash before punctuation needs the backquoted form."""
+    prose = re.sub(r"```.*?```", "", TEXT, flags=re.DOTALL)
+    assert "$$" not in prose
+    for formula in re.findall(r"\$([^$\n]+)\$", re.sub(r"\$`[^`\n]+`\$", "", prose)):
+        assert not re.search(r"\\[^A-Za-z]|\*", formula), formula
+        assert formula.count("{") == formula.count("}"), formula
+    for formula in re.findall(r"```math\n(.*?)```", TEXT, flags=re.DOTALL):
+        assert formula.count(r"\left") == formula.count(r"\right")
+        assert formula.count("{") == formula.count("}")

@@ -1,0 +1,274 @@
+"""McKyes-Ali, Swick-Perumpral and the universal earthmoving equation: factors, limits, worked figures, refusals.
+
+Expected values come from the formulas as printed, with 30 digits of mpmath, or were worked beforehand.
+"""
+
+import dataclasses
+import math
+
+import casadi as ca
+import mpmath as mp
+import numpy as np
+import pytest
+
+import plough_opt as po
+from plough_opt.crosscheck import Tine, godwin_draft, mckyes_ali_draft, swick_perumpral_draft
+from plough_opt.crosscheck.godwin import plane_rupture_ratio
+from plough_opt.crosscheck.mckyes_ali import rupture_angle
+from plough_opt.crosscheck.wedge import GRAVITY, plane_rupture_angle, wedge_angles, wedge_factors
+
+# Unit weight 15 kN/m^3, cohesion 15 kPa, internal friction 32 deg, tool friction 22 deg.
+SOIL = po.Soil(15e3 / GRAVITY, 0.8, 15e3, po.deg(32.0), math.tan(po.deg(22.0)))
+TINE = Tine(width=0.06, depth=0.20, rake_angle=po.deg(45.0))
+LOADED = Tine(width=0.10, depth=0.25, rake_angle=po.deg(50.0), surcharge=2e3, adhesion=3e3)
+DRAFTS = (mckyes_ali_draft, godwin_draft, swick_perumpral_draft)
+
+
+def printed_factors(alpha, delta, phi, beta):
+    """Return McKyes's factors of a plane wedge as they are printed."""
+    q = mp.cos(alpha + delta) + mp.sin(alpha + delta) * mp.cot(beta + phi)
+    return {
+        "weight": (mp.cot(alpha) + mp.cot(beta)) / (2 * q),
+        "cohesion": (1 + mp.cot(beta) * mp.cot(beta + phi)) / q,
+        "surcharge": (mp.cot(alpha) + mp.cot(beta)) / q,
+        "adhesion": (1 - mp.cot(alpha) * mp.cot(beta + phi)) / q,
+        "inertia": (mp.tan(beta) + mp.cot(beta + phi)) / (q * (1 + mp.tan(beta) * mp.cot(alpha))),
+    }
+
+
+def angles_of(soil, tine):
+    return [mp.mpf(x) for x in (tine.rake_angle, math.atan(soil.tool_friction), soil.friction_angle)]
+
+
+def least(function, start):
+    """Return the angle at which an mpmath function is least, by its derivative's root."""
+    return mp.findroot(lambda x: mp.diff(function, x), start)
+
+
+@pytest.fixture(autouse=True)
+def _digits():
+    with mp.workdps(30):
+        yield
+
+
+@pytest.mark.parametrize("tine", [TINE, LOADED])
+@pytest.mark.parametrize("beta", [0.3, 0.8, 1.2])
+def test_factors_are_the_printed_ones(tine, beta):
+    """At most eight rounded functions stand in a factor; near 90 deg of alpha + beta + phi the adhesion's cancels."""
+    n = wedge_factors(wedge_angles(SOIL, tine, 0.0), beta)
+    for name, expected in printed_factors(*angles_of(SOIL, tine), mp.mpf(beta)).items():
+        assert getattr(n, name) == pytest.approx(float(expected), rel=1e-13, abs=1e-14)
+
+
+@pytest.mark.parametrize("rake", [20.0, 45.0, 90.0])
+def test_the_plane_wedge_has_the_least_weight_factor(rake):
+    tine = dataclasses.replace(TINE, rake_angle=po.deg(rake))
+    alpha, delta, phi = angles_of(SOIL, tine)
+    found = plane_rupture_angle(wedge_angles(SOIL, tine, 0.0))
+    expected = least(lambda b: printed_factors(alpha, delta, phi, b)["weight"], 0.3)
+    # The root of a numerical derivative has half of the 30 digits.
+    assert found == pytest.approx(float(expected), rel=1e-12)
+
+
+def test_smooth_upright_wall_is_rankines():
+    """Passive pressure on a smooth vertical wall: tan^2(45 deg + phi/2) gamma d^2/2, at 45 deg - phi/2."""
+    smooth = dataclasses.replace(SOIL, tool_friction=0.0, cohesion=0.0)
+    wall = Tine(width=2.0, depth=0.5, rake_angle=math.pi / 2)
+    angles = wedge_angles(smooth, wall, 0.0)
+    assert plane_rupture_angle(angles) == pytest.approx(math.pi / 4 - angles.friction / 2, rel=1e-14)
+    rankine = math.tan(math.pi / 4 + angles.friction / 2) ** 2 * 15e3 * 0.5**2 / 2 * 2.0
+    assert swick_perumpral_draft(smooth, wall, 0.0) == pytest.approx(rankine, rel=1e-13)
+
+
+def test_rankine_with_cohesion():
+    """Cohesion adds 2 c sqrt(Kp) d w; on a smooth wall the rupture angle is the same for weight and cohesion."""
+    smooth = dataclasses.replace(SOIL, tool_friction=0.0)
+    wall = Tine(width=2.0, depth=0.5, rake_angle=math.pi / 2, surcharge=1e3)
+    root = math.tan(math.pi / 4 + smooth.friction_angle / 2)
+    expected = (root**2 * (15e3 * 0.5 / 2 + 1e3) + 2 * 15e3 * root) * 0.5 * 2.0
+    assert swick_perumpral_draft(smooth, wall, 0.0) == pytest.approx(expected, rel=1e-13)
+
+
+@pytest.mark.parametrize("tine", [TINE, dataclasses.replace(TINE, depth=0.4), LOADED])
+def test_mckyes_ali_is_the_printed_formula_at_its_least_angle(tine):
+    alpha, delta, phi = angles_of(SOIL, tine)
+    w, d = mp.mpf(tine.width), mp.mpf(tine.depth)
+
+    def side(beta):
+        r = d * (mp.cot(alpha) + mp.cot(beta))
+        return mp.sqrt(r**2 - (d * mp.cot(alpha)) ** 2)
+
+    beta = least(lambda b: printed_factors(alpha, delta, phi, b)["weight"] * (1 + 2 * side(b) / (3 * w)), 0.9)
+    angles = wedge_angles(SOIL, tine, 0.0)
+    assert rupture_angle(angles, tine) == pytest.approx(float(beta), rel=1e-12)
+    n, v = printed_factors(alpha, delta, phi, beta), 1.5
+    gamma, s = mp.mpf(SOIL.density) * GRAVITY, side(beta)
+    force = gamma * d**2 * n["weight"] * (1 + 2 * s / (3 * w))
+    force += d * (SOIL.cohesion * n["cohesion"] + tine.surcharge * n["surcharge"]) * (1 + s / w)
+    force += d * (tine.adhesion * n["adhesion"] + SOIL.density * v**2 * n["inertia"])
+    expected = w * force * mp.sin(alpha + delta) + tine.adhesion * w * d * mp.cot(alpha)
+    assert mckyes_ali_draft(SOIL, tine, v) == pytest.approx(float(expected), rel=1e-12)
+
+
+def test_mckyes_ali_worked_figures():
+    """Figures computed beforehand by another script, to the digits that it printed."""
+    angles = wedge_angles(SOIL, TINE, 0.0)
+    assert math.degrees(rupture_angle(angles, TINE)) == pytest.approx(52.1, abs=0.05)
+    assert mckyes_ali_draft(SOIL, TINE, 1.5) == pytest.approx(2480, abs=5)
+    deeper = dataclasses.replace(TINE, depth=0.4)
+    assert math.degrees(rupture_angle(wedge_angles(SOIL, deeper, 0.0), deeper)) == pytest.approx(54.0, abs=0.05)
+    drafts = [mckyes_ali_draft(SOIL, deeper, v) for v in (0.0, 1.5, 3.0)]
+    assert drafts == pytest.approx([9770, 9870, 10180], abs=5)
+
+
+def test_mckyes_ali_of_a_wide_tool_is_the_plane_passive_wedge():
+    """The crescents' share falls with d/w: by ten between these widths, as does what is left of the difference."""
+    cohesionless = dataclasses.replace(SOIL, cohesion=0.0)
+
+    def excess(width):
+        tine = Tine(width=width, depth=0.2, rake_angle=po.deg(45.0))
+        plane = wedge_factors(wedge_angles(SOIL, tine, 0.0), plane_rupture_angle(wedge_angles(SOIL, tine, 0.0)))
+        force = 15e3 * 0.2**2 * plane.weight * width * math.sin(po.deg(67.0))
+        return mckyes_ali_draft(cohesionless, tine, 0.0) / force - 1.0
+
+    assert 0.0 < excess(2e3) < 3e-4
+    assert excess(2e3) / excess(2e4) == pytest.approx(10.0, rel=1e-2)
+
+
+def test_swick_perumpral_is_the_printed_formula_at_its_least_angle():
+    b, delta, f = angles_of(SOIL, LOADED)
+    w, d, v = mp.mpf(LOADED.width), mp.mpf(LOADED.depth), mp.mpf(2)
+    gamma, c, ca_, q = (mp.mpf(x) for x in (SOIL.density * GRAVITY, SOIL.cohesion, LOADED.adhesion, LOADED.surcharge))
+
+    def force(r):
+        weight = (gamma * d / 2 + q) * (mp.cot(b) + mp.cot(r)) * mp.sin(f + r)
+        strength = c * mp.cos(f) / mp.sin(r) - ca_ * mp.cos(b + f + r) / mp.sin(b)
+        inertia = gamma / GRAVITY * v**2 * mp.sin(b) * mp.cos(f) / mp.sin(b + r)
+        return w * d / mp.sin(b + f + r + delta) * (weight + strength + inertia)
+
+    expected = force(least(force, 0.5)) * mp.sin(b + delta) + ca_ * w * d * mp.cot(b)
+    assert swick_perumpral_draft(SOIL, LOADED, 2.0) == pytest.approx(float(expected), rel=1e-13)
+
+
+def test_swick_perumpral_at_rest_is_mckyes_ali_of_a_wide_tool():
+    """Without cohesion both take the same wedge; the crescents of a tool 2 km wide add some 2e-4."""
+    cohesionless = dataclasses.replace(SOIL, cohesion=0.0)
+    wide = Tine(width=2e3, depth=0.2, rake_angle=po.deg(45.0))
+    slow = swick_perumpral_draft(cohesionless, wide, 0.0)
+    assert mckyes_ali_draft(cohesionless, wide, 0.0) == pytest.approx(slow, rel=3e-4)
+    assert swick_perumpral_draft(cohesionless, wide, 1e-6) == pytest.approx(slow, rel=1e-11)
+
+
+def test_godwin_is_the_printed_formula():
+    alpha, delta, phi = angles_of(SOIL, LOADED)
+    beta = least(lambda b: printed_factors(alpha, delta, phi, b)["weight"], 0.5)
+    n = printed_factors(alpha, delta, phi, beta)
+    w, d, v, m = (mp.mpf(x) for x in (LOADED.width, LOADED.depth, 2.0, 2.25))
+    gamma = mp.mpf(SOIL.density) * GRAVITY
+    still = gamma * d**2 * n["weight"] + d * (SOIL.cohesion * n["cohesion"] + LOADED.adhesion * n["adhesion"])
+    still += LOADED.surcharge * d * n["surcharge"]
+    total = still * (w + d * (m - (m - 1) / 3)) + gamma * v**2 / GRAVITY * n["inertia"] * d * (w + d * mp.mpf("0.6"))
+    expected = total * mp.sin(alpha + delta) + LOADED.adhesion * w * d * mp.cot(alpha)
+    assert godwin_draft(SOIL, LOADED, 2.0, rupture_ratio=2.25) == pytest.approx(float(expected), rel=1e-12)
+    ratio = plane_rupture_ratio(SOIL, LOADED)
+    assert ratio == pytest.approx(float(mp.cot(alpha) + mp.cot(beta)), rel=1e-12)
+    assert godwin_draft(SOIL, LOADED, 2.0) == godwin_draft(SOIL, LOADED, 2.0, rupture_ratio=ratio)
+
+
+@pytest.mark.parametrize("draft", DRAFTS)
+def test_draft_grows_with_depth_width_strength_and_speed(draft):
+    base = draft(SOIL, LOADED, 1.0)
+    for field, factor in (("depth", 1.1), ("width", 1.1), ("surcharge", 2.0), ("adhesion", 2.0)):
+        assert draft(SOIL, dataclasses.replace(LOADED, **{field: factor * getattr(LOADED, field)}), 1.0) > base
+    for field in ("density", "cohesion", "friction_angle", "tool_friction"):
+        assert draft(dataclasses.replace(SOIL, **{field: 1.05 * getattr(SOIL, field)}), LOADED, 1.0) > base
+    assert draft(SOIL, LOADED, 1.2) > base
+
+
+@pytest.mark.parametrize("draft", DRAFTS)
+def test_ambient_pressure_does_not_enter(draft):
+    assert draft(dataclasses.replace(SOIL, ambient_pressure=0.0), LOADED, 1.0) == draft(SOIL, LOADED, 1.0)
+
+
+@pytest.mark.parametrize("draft", DRAFTS)
+@pytest.mark.parametrize("kind", [ca.SX, ca.MX])
+def test_symbols_give_numbers_and_exact_derivatives(draft, kind):
+    """Gradient and Hessian against central differences of the numeric path, whose truncation is some 1e-8 and 1e-6."""
+    point = np.array([0.10, 0.25, po.deg(50.0), 15e3, po.deg(32.0), 0.4, 1.5])
+
+    def at(width, depth, rake, cohesion, friction, tool, speed):
+        soil = dataclasses.replace(SOIL, cohesion=cohesion, friction_angle=friction, tool_friction=tool)
+        return draft(soil, Tine(width, depth, rake, 2e3, 3e3), speed)
+
+    x = kind.sym("x", len(point))
+    value = at(*ca.vertsplit(x))
+    found, gradient, hessian = (
+        np.array(y).squeeze()
+        for y in ca.Function("f", [x], [value, ca.gradient(value, x), ca.hessian(value, x)[0]])(point)
+    )
+    assert found == pytest.approx(at(*point), rel=1e-13)
+    steps = np.diag(1e-4 * point)
+    slopes = [(at(*(point + h)) - at(*(point - h))) / (2 * h.sum()) for h in steps]
+    assert gradient * point == pytest.approx(np.array(slopes) * point, rel=1e-6)
+    gradient_at = ca.Function("g", [x], [ca.gradient(value, x)])
+    bends = [np.array(gradient_at(point + h) - gradient_at(point - h)).ravel() / (2 * h.sum()) for h in steps]
+    scale = found / np.outer(point, point)
+    assert np.abs((hessian - np.array(bends)) / scale).max() < 1e-5
+
+
+@pytest.mark.parametrize("draft", DRAFTS)
+def test_arrays_give_what_their_elements_give(draft):
+    depths = np.array([0.1, 0.2, 0.3])
+    found = draft(SOIL, dataclasses.replace(LOADED, depth=depths), 1.0)
+    one_by_one = [draft(SOIL, dataclasses.replace(LOADED, depth=d), 1.0) for d in depths]
+    assert found == pytest.approx(one_by_one, rel=1e-14)
+
+
+def test_a_design_takes_a_wedge_models_draft_for_a_requirement():
+    """The deepest tine that a tractor of 5 kN pulls draws 5 kN."""
+    design = po.Design()
+    depth = design.variable("depth", guess=0.2, lower=0.1, upper=0.4, unit="m")
+    draft = mckyes_ali_draft(SOIL, Tine(0.06, depth, po.deg(45.0)), 1.5)
+    design.minimise(-depth)
+    design.require("draft", draft, at_most=5e3, unit="N")
+    best = design.solve()
+    # IPOPT's tolerance of 1e-8, relative to a draft in N.
+    assert best(draft) == pytest.approx(5e3, rel=1e-6)
+    assert mckyes_ali_draft(SOIL, Tine(0.06, best(depth), po.deg(45.0)), 1.5) == pytest.approx(best(draft), rel=1e-10)
+
+
+@pytest.mark.parametrize(
+    ("change", "word"),
+    [({"width": 0.0}, "tool width"), ({"depth": -0.1}, "working depth"), ({"rake_angle": 0.0}, "rake angle"),
+     ({"rake_angle": po.deg(91.0)}, "rake angle"), ({"surcharge": -1.0}, "surcharge"),
+     ({"adhesion": math.nan}, "adhesion")],
+)  # fmt: skip
+def test_tines_outside_their_domain_are_refused(change, word):
+    with pytest.raises(po.DomainError, match=word):
+        dataclasses.replace(TINE, **change)
+
+
+@pytest.mark.parametrize("draft", DRAFTS)
+@pytest.mark.parametrize(
+    ("soil", "speed", "word"),
+    [({"friction_angle": 0.0}, 1.0, "friction angle"), ({}, -1.0, "speed"), ({}, 5.1, "speed"),
+     ({"friction_angle": po.deg(80.0), "tool_friction": 2.0}, 1.0, "together")],
+)  # fmt: skip
+def test_soils_and_speeds_outside_their_domain_are_refused(draft, soil, speed, word):
+    with pytest.raises(po.DomainError, match=word):
+        draft(dataclasses.replace(SOIL, **soil), TINE, speed)
+
+
+def test_a_flat_narrow_tine_has_no_least_wedge():
+    """At a rake of 30 deg and d/w = 6.7 the weight's factor is least at the bound, beta = 90 deg."""
+    flat = Tine(width=0.06, depth=0.4, rake_angle=po.deg(30.0))
+    with pytest.raises(po.DomainError, match="end of the possible angles"):
+        mckyes_ali_draft(SOIL, flat, 1.0)
+    assert mckyes_ali_draft(SOIL, dataclasses.replace(flat, width=0.4), 1.0) > 0.0
+
+
+def test_godwin_refuses_what_lies_below_the_critical_depth_and_a_short_rupture():
+    with pytest.raises(po.DomainError, match="critical depth"):
+        godwin_draft(SOIL, dataclasses.replace(TINE, depth=0.37), 1.0)
+    with pytest.raises(po.DomainError, match="rupture distance ratio"):
+        godwin_draft(SOIL, TINE, 1.0, rupture_ratio=0.9)

@@ -224,7 +224,7 @@ class Batch:
 def _change(coarse: Array, fine: Array) -> Array:
     """Return an error by the relative change of mean draft and RMS force, NaN where there was nothing before."""
     with np.errstate(all="ignore"):
-        change = np.max(np.abs(fine - coarse), axis=0) / np.maximum(np.abs(fine[0]), fine[1])
+        change: Array = np.max(np.abs(fine - coarse), axis=0) / np.maximum(np.abs(fine[0]), fine[1])
     return _CAUTION * change + _ROUNDING
 
 

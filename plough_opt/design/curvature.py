@@ -62,7 +62,7 @@ def _hessian(program: Program, p: Vector, at: Point) -> Vector:
 
 def _free_directions(program: Program, p: Vector, at: Point) -> Vector:
     """Return an orthonormal basis, as columns, of the directions that leave every active limit in place."""
-    g, jacobian = (np.asarray(result) for result in program.nlp.jac_g(at.y, p))
+    _, g, _, jacobian = (np.asarray(result) for result in program.nlp.slopes(at.y, p))
     values = g.ravel()
     touching = (values - program.low < _ACTIVE) | (program.high - values < _ACTIVE)
     bounds = np.eye(len(at.y))[(at.y < _ACTIVE) | (at.y > 1.0 - _ACTIVE)]

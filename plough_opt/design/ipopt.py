@@ -84,15 +84,15 @@ class _AtOnce:
 
     def __init__(self, function: ca.Function) -> None:
         self._function = function
-        self._at = b""
+        self._at: list[list[float]] = []
         self._found: list[ca.DM] = []
 
     def __call__(self, at: Sequence[ca.DM]) -> list[ca.DM]:
         """Return all results at a point."""
-        key = b"".join(part.full().tobytes() for part in at)
-        if key != self._at:
+        point = [part.nonzeros() for part in at]
+        if point != self._at:
             self._found = self._function.call(at)
-            self._at = key
+            self._at = point
         return self._found
 
     def part(self, result: int) -> ca.Callback:

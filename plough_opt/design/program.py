@@ -85,6 +85,7 @@ class Program:
         self.objective_scale = 1.0
         self.scales: list[float] = []
         self._built = False
+        self._served: set[tuple[bytes, float]] = set()
         self.compiled = compiled
         self.interpreted = True
         self._steps: list[int | None] = []
@@ -140,9 +141,13 @@ class Program:
             InputError: the objective or a requirement is not finite at the start.
             DomainError: bounds that lead out of the model's domain, or a motion too fast to integrate.
         """
+        asked = (p.tobytes(), refinement)
+        if asked in self._served:
+            return
         self._check_bounds(p)
         steps = self._steps_between_bounds(p, refinement)
         found = self._checked_start(p)
+        self._served.add(asked)
         if not self._built:
             self._set_scales(found)
         enough = [have is None or need is None or have >= need for have, need in zip(self._steps, steps, strict=False)]

@@ -10,7 +10,8 @@ import casadi as ca
 import numpy as np
 
 from plough_opt.errors import DomainError
-from plough_opt.expressions import Expression, is_casadi, is_symbolic
+from plough_opt.expressions import Expression, is_casadi
+from plough_opt.labels import Limit, attach
 
 _GRID = 64
 _HALVINGS = 40
@@ -30,12 +31,16 @@ def least_angle(force: Callable[..., Expression], upper: Expression, *parameters
         what: name of the model, for the refusal.
 
     Raises:
-        DomainError: the force of numbers is least at the end of the interval, not inside. Of symbols this is unseen.
+        DomainError: the force of numbers is least at the end of the interval, not inside. Of MX symbols that is a
+            limit that a `Design` keeps by itself; of SX it is unseen.
     """
     arguments = (upper, *parameters)
     search = _search(force, len(parameters))
-    if any(map(is_symbolic, arguments)) or any(map(is_casadi, arguments)):
-        return search(*arguments)
+    if any(map(is_casadi, arguments)):
+        found = search(*arguments)
+        over_end = force(found, *parameters) / force(upper * _INSIDE, *parameters)
+        limit = Limit(f"{what}: least force of a wedge over that at the end of the possible angles", at_most=1.0)
+        return attach(found, over_end, limit, limit)
     values = np.broadcast_arrays(*(np.asarray(argument, dtype=float) for argument in arguments))
     found = np.array([float(search(*row)) for row in zip(*(v.ravel() for v in values), strict=True)])
     ends = values[0].ravel() * _INSIDE
@@ -59,18 +64,20 @@ def _search(force: Callable[..., Expression], count: int) -> ca.Function:
     f = ca.Function("force", [angle, *p], [value])
     g = ca.Function("slope", [angle, *p], [slope, ca.jacobian(slope, angle)])
     step = upper / (_GRID + 1)
-    best, least = step, ca.SX(math.inf)
+    # The first valley from the flat planes on: a force may fall again towards the end, where it means nothing.
+    best, least, falls = step, ca.SX(math.inf), ca.SX(1.0)
     for k in range(1, _GRID + 1):
         here = f(k * step, *p)
-        best = ca.if_else(here < least, k * step, best)
-        least = ca.fmin(here, least)
+        falls = ca.logic_and(falls, here < least)
+        best, least = ca.if_else(falls, k * step, best), here
     low, high = best - step, best + step
     for _ in range(_HALVINGS):
         middle = (low + high) / 2.0
-        falls = g(middle, *p)[0] < 0.0
-        low, high = ca.if_else(falls, middle, low), ca.if_else(falls, high, middle)
+        before = g(middle, *p)[0] < 0.0
+        low, high = ca.if_else(before, middle, low), ca.if_else(before, high, middle)
     found = (low + high) / 2.0
     for _ in range(_NEWTON_STEPS):
         first, second = g(found, *p)
         found = found - first / second
-    return ca.Function("least_angle", [upper, *p], [found])
+    # Without a valley there is no such angle; a solver that meets NaN takes a shorter step.
+    return ca.Function("least_angle", [upper, *p], [ca.if_else(falls, math.nan, found)])

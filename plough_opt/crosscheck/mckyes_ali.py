@@ -36,7 +36,7 @@ def mckyes_ali_draft(soil: Soil, tine: Tine, speed: Expression) -> Expression:
 
     Raises:
         DomainError: outside the domain of a wedge, or a rake angle so flat and a tine so narrow that the weight's
-            factor is least at the end of the possible angles. Of symbols the latter is unseen.
+            factor is least at the end of the possible angles, which of MX symbols is a limit that a `Design` keeps.
     """
     angles = wedge_angles(soil, tine, speed)
     beta = rupture_angle(angles, tine)

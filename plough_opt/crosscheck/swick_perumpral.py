@@ -27,8 +27,8 @@ def swick_perumpral_draft(soil: Soil, tine: Tine, speed: Expression) -> Expressi
         speed: v [m/s], from 0 to 5.
 
     Raises:
-        DomainError: outside the domain of a wedge, or a force that is least at the end of the possible angles. Of
-            symbols the latter is unseen.
+        DomainError: outside the domain of a wedge, or a force that is least at the end of the possible angles, which of
+            MX symbols is a limit that a `Design` keeps.
     """
     angles = wedge_angles(soil, tine, speed)
     upper = minimum(math.pi / 2, math.pi - angles.total)

@@ -237,6 +237,21 @@ def test_a_design_takes_a_wedge_models_draft_for_a_requirement():
     assert mckyes_ali_draft(SOIL, Tine(0.06, best(depth), po.deg(45.0)), 1.5) == pytest.approx(best(draft), rel=1e-10)
 
 
+def test_a_design_stays_where_the_wedge_has_a_least_force():
+    """A flatter rake draws less, until the factor at the end of the angles equals that of the valley."""
+    design = po.Design()
+    rake = design.variable("rake", guess=po.deg(50.0), lower=po.deg(10.0), upper=po.deg(80.0), unit="rad")
+    draft = mckyes_ali_draft(SOIL, Tine(0.08, 0.3, rake), 1.5)
+    design.minimise(draft / 1e3)
+    best = design.solve()
+    (name,) = best.active
+    assert name.startswith("McKyes and Ali: least force of a wedge")
+    tine = Tine(0.08, 0.3, best.variables["rake"])
+    assert mckyes_ali_draft(SOIL, tine, 1.5) == pytest.approx(best(draft), rel=1e-10)
+    with pytest.raises(po.DomainError, match="end of the possible angles"):
+        mckyes_ali_draft(SOIL, dataclasses.replace(tine, rake_angle=tine.rake_angle - po.deg(0.1)), 1.5)
+
+
 @pytest.mark.parametrize(
     ("change", "word"),
     [({"width": 0.0}, "tool width"), ({"depth": -0.1}, "working depth"), ({"rake_angle": 0.0}, "rake angle"),

@@ -39,6 +39,7 @@ if TYPE_CHECKING:
     from plough_opt.batch import Batch, BatchResult
     from plough_opt.problem_file import Problem, read_problem
     from plough_opt.results import load
+    from plough_opt.tradeoff import Goal, TradeOff, trade_off
 
 # What only files, pictures and batches need is imported when it is first used: pint, pydantic and matplotlib are slow.
 _LATER = {
@@ -50,6 +51,9 @@ _LATER = {
     "Problem": "plough_opt.problem_file",
     "read_problem": "plough_opt.problem_file",
     "load": "plough_opt.results",
+    "Goal": "plough_opt.tradeoff",
+    "TradeOff": "plough_opt.tradeoff",
+    "trade_off": "plough_opt.tradeoff",
 }
 _MODULES_LATER = ("crosscheck", "plots")
 
@@ -74,6 +78,7 @@ __all__ = [
     "Design",
     "DomainError",
     "Effects",
+    "Goal",
     "HarmonicBalance",
     "InfeasibleDesign",
     "InputError",
@@ -92,6 +97,7 @@ __all__ = [
     "Soil",
     "StickSlip",
     "StrengthWave",
+    "TradeOff",
     "Wedge",
     "added_mass",
     "crosscheck",
@@ -111,4 +117,5 @@ __all__ = [
     "soil_reaction",
     "study_accuracy",
     "study_design",
+    "trade_off",
 ]

@@ -104,6 +104,28 @@ def optimise(options: argparse.Namespace) -> None:
         _wrote(plots.save(plots.plot_optimum(best, run), options.plot))
 
 
+def tradeoff(options: argparse.Namespace) -> None:
+    """Draw the front of the two results that a file trades."""
+    problem = _read(options)
+    for kind, name in (("table", options.csv), ("output", options.output)):
+        if name is not None and Path(name).is_dir():
+            raise InputError(f"the {kind} '{name}' is a folder: name a file in it")
+    with _progress() as told:
+        front = problem.trade_off(options.points, told)
+    if options.json:
+        print(front.to_json())
+    else:
+        report.print_front(_console(), problem, front)
+    if options.plot is not None:
+        from plough_opt import plots
+
+        _wrote(plots.save(front.plot(), options.plot))
+    if options.csv is not None:
+        _wrote(front.to_csv(options.csv))
+    if options.output is not None:
+        _wrote(front.save(options.output))
+
+
 def accuracy(options: argparse.Namespace) -> None:
     """Show what accuracy costs in time on a file's scene, with every variable at its guess, or on its design."""
     problem = _read(options)

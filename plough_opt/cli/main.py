@@ -72,6 +72,7 @@ def _parser() -> argparse.ArgumentParser:
         ("check", commands.check, "check a problem file and say what its scene contains"),
         ("simulate", commands.simulate, "simulate the scene with every variable at its guess"),
         ("optimise", commands.optimise, "find the best share, and say what decided it"),
+        ("tradeoff", commands.tradeoff, "trade two results against each other, and draw the front of designs"),
         ("accuracy", commands.accuracy, "show what accuracy costs in time, and say which method to take"),
     ):
         verb = verbs.add_parser(name, help=text)
@@ -99,6 +100,10 @@ def _parser() -> argparse.ArgumentParser:
             )
         verb.add_argument("--json", action="store_true", help="print JSON (SI units) instead of a table")
         verb.add_argument("--plot", metavar="FILE", help="write a picture: .png, .svg or .pdf")
+        if name == "tradeoff":
+            verb.add_argument("--points", type=int, metavar="N", help="positions on the front (default: the file's)")
+            verb.add_argument("--csv", metavar="FILE", help="write a table of all points")
+            verb.add_argument("--output", metavar="FILE", help="write everything as JSON")
     return parser
 
 

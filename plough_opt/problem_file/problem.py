@@ -14,11 +14,13 @@ from plough_opt.errors import InputError
 from plough_opt.expressions import Expression
 from plough_opt.geometry import Wedge
 from plough_opt.motion import Run, simulate
+from plough_opt.problem_file.front import EXAMPLE, front_of
 from plough_opt.problem_file.measures import MEASURES
 from plough_opt.problem_file.schema import ProblemTable, quantities
 from plough_opt.problem_file.units import Display
 from plough_opt.scene import Scene
 from plough_opt.soil import Soil, named_soil
+from plough_opt.tradeoff import Goal, TradeOff, trade_off
 
 
 @dataclass(frozen=True)
@@ -141,11 +143,23 @@ class Problem:
         Raises:
             InputError: the file has no variables or nothing to minimise.
         """
+        self._refuse_without_variables()
+        if not self.table.minimise:
+            raise InputError(f"{self.name}: nothing to minimise: a [minimise] table is missing")
+        design, run = self._required(parameters)
+        objective: Expression = 0.0
+        for name, term in self.table.minimise.items():
+            objective = objective + MEASURES[name].of(run) / MEASURES[name].unit.parse(term.per)
+        design.minimise(objective)
+        return design, run
+
+    def _refuse_without_variables(self) -> None:
         if not self.variables:
             why = "every variable is fixed" if self.notes else "a [variables] table is missing"
             raise InputError(f"{self.name}: nothing to choose: {why}")
-        if not self.table.minimise:
-            raise InputError(f"{self.name}: nothing to minimise: a [minimise] table is missing")
+
+    def _required(self, parameters: bool = False) -> tuple[Design, Run]:
+        """Return the design with its requirements and without an objective, and its symbolic run."""
         design = Design()
         symbols = {
             key: design.variable(key, guess=v.guess, lower=v.lower, upper=v.upper, unit=v.unit, log=v.log)
@@ -159,10 +173,6 @@ class Problem:
             scene = replace(self.scene(symbols), soil=soil)
         duration = self.values(symbols).get("scene.duration")
         run = simulate(scene, duration, accuracy=self.accuracy, outputs=self.table.scene.outputs)
-        objective: Expression = 0.0
-        for name, term in self.table.minimise.items():
-            objective = objective + MEASURES[name].of(run) / MEASURES[name].unit.parse(term.per)
-        design.minimise(objective)
         for name, limit in self.table.require.items():
             measure = MEASURES[name]
             low, high = (None if side is None else measure.unit.parse(side) for side in (limit.at_least, limit.at_most))
@@ -181,6 +191,28 @@ class Problem:
         design, run = self.design(parameters=parameters)
         best = design.solve(progress=progress)
         return best, best(run)
+
+    def trade_off(self, points: int | None = None, progress: Progress | None = None) -> TradeOff:
+        """Return the front of the file's [trade_off] table; its [minimise] takes no part.
+
+        Args:
+            points: number of positions, if not the file's.
+            progress: called with what is being done and the fraction done.
+
+        Raises:
+            InputError: the file has no variables or no [trade_off], or a number of points that cannot be.
+        """
+        self._refuse_without_variables()
+        if self.table.trade_off is None:
+            raise InputError(f"{self.name}: nothing to trade: add a table {EXAMPLE}")
+        table = front_of(self.table.trade_off)
+        design, run = self._required()
+        first, second = (
+            Goal(name, MEASURES[name].of(run), MEASURES[name].unit.symbol, maximise)
+            for name, maximise in table.maximise.items()
+        )
+        count = table.points if points is None else points
+        return trade_off(design, first, second, points=count, title=self.title, progress=progress)
 
 
 def _contact(law: str, values: Mapping[str, Expression]) -> Literal["resisting"] | Smooth | StickSlip:

@@ -13,6 +13,7 @@ from pydantic import ValidationError
 from plough_opt.accuracy import Accuracy
 from plough_opt.domain import check_domain
 from plough_opt.errors import InputError, nearest
+from plough_opt.problem_file.front import check_front
 from plough_opt.problem_file.measures import MEASURES
 from plough_opt.problem_file.overrides import apply_override
 from plough_opt.problem_file.problem import FileVariable, Problem
@@ -124,6 +125,8 @@ def _checked(source: Source, table: ProblemTable, notes: tuple[str, ...]) -> Pro
                 displays[key] = display_of(written, unit)
     _check_complete(source, table, {*fixed, *table.variables})
     _check_measures(source, table, displays)
+    if table.trade_off is not None:
+        check_front(source, table.trade_off, table.scene.medium)
     return Problem(source.name, table, fixed, variables, displays, notes)
 
 

@@ -136,6 +136,7 @@ class ProblemTable(Table):
     variables: dict[str, VariableTable] = {}
     minimise: dict[str, TermTable] = {}
     require: dict[str, LimitTable] = {}
+    trade_off: dict[str, Any] | None = None  # read by plough_opt.problem_file.front
 
 
 def unit_of(annotation: Any) -> Unit | None:

@@ -1,0 +1,142 @@
+"""A front as a picture: the objectives, and how each variable moves along them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from plough_opt.tradeoff.certificate import FrontPoint
+from plough_opt.tradeoff.goal import Axis
+
+# Of Okabe and Ito (2008), which the colour-blind can tell apart.
+_PARTS: Final = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
+_MUTED: Final = "#A8A8A8"
+# Of a variable's bounds.
+_LEAST_RANGE: Final = 0.02
+_CUSTOMARY: Final = {"rad": ("deg", math.pi / 180.0), "N": ("kN", 1e3), "N/m": ("kN/m", 1e3), "W": ("kW", 1e3),
+                     "Pa": ("kPa", 1e3)}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Drawing:
+    """What is drawn of a front.
+
+    Attributes:
+        title: above everything.
+        goals: the two objectives.
+        variables: a panel each.
+        points: efficient designs in order.
+        dominated: local optima that are not.
+        parts: numbers of the points of each connected part.
+        knee: a point that stands out, or None.
+    """
+
+    title: str
+    goals: tuple[Axis, Axis]
+    variables: tuple[Axis, ...]
+    points: tuple[FrontPoint, ...]
+    dominated: tuple[FrontPoint, ...]
+    parts: tuple[tuple[int, ...], ...]
+    knee: FrontPoint | None
+
+
+def figure_of(front: Drawing) -> Figure:
+    """Return the front beside a panel for each variable."""
+    count = len(front.variables)
+    columns = 1 if count <= 3 else 2
+    rows = math.ceil(count / columns)
+    figure = Figure(figsize=(7.0 + 3.6 * columns, max(5.2, 1.75 * rows)), layout="constrained")
+    left, right = figure.subfigures(1, 2, squeeze=False, width_ratios=(7.0, 3.6 * columns))[0]
+    draw_front(left.subplots(), front)
+    panels = right.subplots(rows, columns, sharex=True, squeeze=False)
+    for k, axes in enumerate(panels.T.ravel()):
+        if k < count:
+            _draw_variable(axes, front, front.variables[k])
+        else:
+            axes.set_axis_off()
+    for axes in panels[-1]:
+        axes.set_xlabel(_label(front.goals[0]))
+    if front.title:
+        figure.suptitle(front.title)
+    return figure
+
+
+def draw_front(axes: Axes, front: Drawing) -> None:
+    """Draw the parts of a front, its holes, its knee, and the local optima that it dominates."""
+    first, second = front.goals
+    beaten = _places(front.dominated, front)
+    if len(beaten):
+        axes.plot(beaten[:, 0], beaten[:, 1], "x", color=_MUTED, markersize=4.5, zorder=2,
+                  label="local optima, dominated")  # fmt: skip
+    places = _places(front.points, front)
+    for number, part in enumerate(front.parts):
+        own = places[list(part)]
+        label = "front" if len(front.parts) == 1 else f"front, part {number + 1}"
+        axes.plot(own[:, 0], own[:, 1], "o-", color=_PARTS[number % len(_PARTS)], markersize=4, linewidth=1.3, zorder=4,
+                  label=label)  # fmt: skip
+    for number, (before, after) in enumerate(zip(front.parts, front.parts[1:], strict=False)):
+        ends = places[[before[-1], after[0]]]
+        axes.plot(ends[:, 0], ends[:, 1], ":", color="black", linewidth=1.0, zorder=3,
+                  label="hole: no efficient design" if number == 0 else None)  # fmt: skip
+    if front.knee is not None:
+        knee = _places((front.knee,), front)[0]
+        axes.plot(knee[0], knee[1], "*", color="black", markersize=13, zorder=5, label="knee")
+    _limit(axes, places, beaten)
+    axes.set(xlabel=_label(first), ylabel=_label(second))
+    axes.grid(alpha=0.25)
+    axes.legend(fontsize="small")
+
+
+def _limit(axes: Axes, places: np.ndarray, beaten: np.ndarray) -> None:
+    """Show the front with half its range around it, however far dominated optima lie."""
+    low, high = places.min(axis=0), places.max(axis=0)
+    if not len(beaten) or not np.all(high > low):
+        return
+    pad = 0.5 * (high - low)
+    least, most = (f(np.vstack([places, beaten]), axis=0) for f in (np.min, np.max))
+    edge = 0.04 * (high - low)
+    axes.set_xlim(max(low[0] - pad[0], least[0]) - edge[0], min(high[0] + pad[0], most[0]) + edge[0])
+    axes.set_ylim(max(low[1] - pad[1], least[1]) - edge[1], min(high[1] + pad[1], most[1]) + edge[1])
+
+
+def _draw_variable(axes: Axes, front: Drawing, variable: Axis) -> None:
+    """Draw a variable along the first objective, its bounds where it comes near them."""
+    _, factor = _unit(variable)
+    values = np.array([point.variables[variable.name] for point in front.points]) / factor
+    places = _places(front.points, front)[:, 0]
+    for number, part in enumerate(front.parts):
+        own = list(part)
+        axes.plot(places[own], values[own], "o-", color=_PARTS[number % len(_PARTS)], markersize=2.5, linewidth=1.2)
+    if variable.log:
+        axes.set_yscale("log")
+    elif variable.lower is not None and variable.upper is not None:
+        # What hardly moves is drawn as hardly moving.
+        least = _LEAST_RANGE * (variable.upper - variable.lower) / factor
+        middle, half = (values.max() + values.min()) / 2.0, max(0.55 * np.ptp(values), least)
+        axes.set_ylim(middle - half, middle + half)
+    low, high = axes.get_ylim()
+    for bound in (variable.lower, variable.upper):
+        if bound is not None and low < bound / factor < high:
+            axes.axhline(bound / factor, color="black", linestyle="--", linewidth=0.8)
+    axes.set_ylabel(_label(variable), fontsize="small")
+    axes.grid(alpha=0.25)
+
+
+def _places(points: Sequence[FrontPoint], front: Drawing) -> np.ndarray:
+    factors = [_unit(goal)[1] for goal in front.goals]
+    return np.array([point.objectives for point in points]).reshape(-1, 2) / factors
+
+
+def _unit(axis: Axis) -> tuple[str, float]:
+    return _CUSTOMARY.get(axis.unit, (axis.unit, 1.0))
+
+
+def _label(axis: Axis) -> str:
+    unit = _unit(axis)[0]
+    return f"{axis.name} [{unit}]" if unit else axis.name

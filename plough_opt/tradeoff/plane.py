@@ -1,0 +1,94 @@
+"""The plane of two normalised objectives, both minimised: domination, gaps, area, knee.
+
+The objectives are 0 at their own optimum and 1 at the other's. On a connected front the sum of the changes of both
+objectives between neighbours on evenly spread positions is the same everywhere.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+# Normalised differences below are rounding of the solves.
+_EQUAL = 1e-7
+# Steps between neighbours above this many are a gap.
+_GAP = 1.5
+# Neighbours nearer than this many steps are one point twice.
+_NEAR = 0.1
+# A knee stands out from the line between the anchors by at least this.
+_STANDS_OUT = 1e-3
+
+
+def efficient(objectives: Array) -> NDArray[np.intp]:
+    """Return which rows no other row dominates, from the best in the first objective on, equal rows once.
+
+    Args:
+        objectives: normalised, both minimised, shape (n, 2).
+    """
+    kept: list[int] = []
+    for k in np.lexsort((objectives[:, 1], objectives[:, 0])):
+        first, second = objectives[k]
+        if kept and second >= objectives[kept[-1], 1] - _EQUAL:
+            continue
+        # A row that is as good in the first objective to rounding, and better in the second, takes its place.
+        while kept and first <= objectives[kept[-1], 0] + _EQUAL:
+            kept.pop()
+        kept.append(int(k))
+    return np.array(kept, dtype=np.intp)
+
+
+def gaps(front: Array, step: float) -> list[int]:
+    """Return after which rows of a front a gap follows.
+
+    Args:
+        front: normalised objectives of efficient rows in order.
+        step: distance of neighbours, the sum of both changes.
+    """
+    distance = np.sum(np.abs(np.diff(front, axis=0)), axis=1)
+    return [int(k) for k in np.flatnonzero(distance > _GAP * step)]
+
+
+def spread(front: Array, step: float) -> NDArray[np.intp]:
+    """Return the rows of a front without those that crowd beside another; the ends of its parts stay.
+
+    Args:
+        front: normalised objectives of efficient rows in order.
+        step: distance of neighbours, the sum of both changes.
+    """
+    ends = {k + 1 for k in gaps(front, step)}
+    kept: list[int] = []
+    for k in range(len(front)):
+        if kept and np.sum(np.abs(front[k] - front[kept[-1]])) < _NEAR * step:
+            last = k == len(front) - 1 or k + 1 in ends
+            if not last or kept[-1] == 0 or kept[-1] in ends:
+                continue
+            kept.pop()
+        kept.append(k)
+    return np.array(kept, dtype=np.intp)
+
+
+def area(front: Array, reference: Array) -> float:
+    """Return the area that a front dominates up to a reference point, in the product of the objectives' units.
+
+    Args:
+        front: objectives of efficient rows in order, both minimised.
+        reference: a point; rows beyond it count for nothing.
+    """
+    total, height = 0.0, float(reference[1])
+    for first, second in front:
+        if first < reference[0] and second < height:
+            total += (float(reference[0]) - float(first)) * (height - float(second))
+            height = float(second)
+    return total
+
+
+def knee(front: Array) -> int | None:
+    """Return the row farthest below the line between the first row and the last; None where none is below."""
+    if len(front) < 3:
+        return None
+    low, high = front.min(axis=0), front.max(axis=0)
+    below = 1.0 - np.sum((front - low) / (high - low), axis=1)
+    best = int(np.argmax(below))
+    return best if below[best] > _STANDS_OUT else None

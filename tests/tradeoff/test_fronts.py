@@ -1,0 +1,244 @@
+"""Fronts of known shape: designs without runs, whose fronts are closed forms."""
+
+import casadi as ca
+import numpy as np
+import pytest
+
+import plough_opt as po
+from plough_opt.design import program as program_module
+
+# Ends of the five parts of ZDT3, where the next minimum or the next level begins (Zitzler, Deb and Thiele 2000).
+ZDT3 = [(0.0, 0.0830015349), (0.1822287280, 0.2577623634), (0.4093136748, 0.4538821041), (0.6183967944, 0.6525117038),
+        (0.8233317983, 0.8518328654)]  # fmt: skip
+
+
+# --- shapes -------------------------------------------------------------------------------------------------
+
+
+def test_convex_front(convex):
+    first, second = convex.objectives.T
+    # Designs lie on y = 0 to the square root of the optimiser's 1e-10, objectives on the curve to that.
+    assert np.sqrt(first) + np.sqrt(second) == pytest.approx(1.0, abs=1e-10)
+    assert len(convex.points) == 21
+    assert convex.parts == (tuple(range(21)),)
+    assert convex.holes == convex.failures == convex.notes == ()
+
+
+def test_concave_front(concave):
+    # The requirement is met with a slack of 1e-11 over its multiplier, which is 1e-4 of the anchors' weight.
+    assert np.hypot(*concave.objectives.T) == pytest.approx(1.0, abs=2e-7)
+    assert len(concave.points) == 21
+    assert concave.holes == concave.failures == ()
+    assert concave.knee is None
+
+
+def test_broken_front_and_its_hole(broken):
+    x, second = broken.objectives.T
+    assert second == pytest.approx((x - 0.3) ** 2 * (0.8 - x), abs=1e-9)
+    assert len(broken.parts) == 2
+    assert np.all((x <= 0.3 + 1e-6) | (x >= 0.8))
+    (hole,) = broken.holes
+    assert hole.settled
+    # An end is found to 1e-7 of the second objective: to the root of that beside a minimum.
+    assert hole.start == pytest.approx((0.3, 0.0), abs=2e-4)
+    assert hole.end == pytest.approx((0.8, 0.0), abs=1e-5)
+
+
+def test_every_part_of_a_front_that_is_broken_four_times():
+    d = po.Design()
+    x = d.variable("x", guess=0.5, lower=1e-6, upper=1.0)
+    y = d.variable("y", guess=0.5, lower=0.0, upper=1.0)
+    g = 1.0 + 9.0 * y
+    second = g * (1.0 - ca.sqrt(x / g) - x / g * ca.sin(10.0 * ca.pi * x))
+    front = po.trade_off(d, x, second, points=41, search=["x"])
+    ends = [tuple(front.objectives[list(part)][[0, -1], 0]) for part in front.parts]
+    # An end is found to 1e-7 of the second objective, of curvature 1e3 beside its minima.
+    assert np.array(ends) == pytest.approx(np.array(ZDT3), abs=3e-5)
+    assert len(front.dominated) > 10
+
+
+# --- anchors and positions ----------------------------------------------------------------------------------
+
+
+def test_ends_are_the_optima_of_either_objective_alone(convex, broken):
+    # The other objective weighs 1e-4 where the first is indifferent: both lie 1e-8 beside their own optima.
+    assert convex.objectives[0] == pytest.approx([0.0, 1.0], abs=3e-4)
+    assert convex.objectives[0, 0] < 1e-7
+    assert convex.objectives[-1, 1] < 1e-7
+    assert broken.objectives[[0, -1], [0, 1]] == pytest.approx([0.0, -(0.7**2) * 0.2], abs=1e-7)
+
+
+@pytest.mark.parametrize("name", ["convex", "concave"])
+def test_neighbours_are_equally_far_apart(name, request):
+    front = request.getfixturevalue(name).objectives
+    normalised = (front - front.min(axis=0)) / np.ptp(front, axis=0)
+    distance = np.sum(np.abs(np.diff(normalised, axis=0)), axis=1)
+    assert distance == pytest.approx(2.0 / 20.0, rel=1e-5)
+
+
+def test_an_objective_that_one_variable_does_not_touch_leaves_it_to_the_other(plane):
+    d, x, y = plane
+    front = po.trade_off(d, x**2, (x - 1.0) ** 2 + (y - 0.25) ** 2, points=9)
+    assert front.designs[:, 1] == pytest.approx(0.25, abs=1e-5)
+
+
+def test_a_maximised_objective_is_its_negative(plane):
+    d, x, y = plane
+    first, second = x**2 + y**2, (x - 1.0) ** 2 + y**2
+    least = po.trade_off(d, first, second, points=9)
+    most = po.trade_off(d, first, po.Goal("b", -second, maximise=True), points=9)
+    assert most.objectives * [1.0, -1.0] == pytest.approx(least.objectives, abs=1e-9)
+    assert -most.rates == pytest.approx(least.rates, rel=1e-6)
+    assert most.hypervolume() == pytest.approx(least.hypervolume(), rel=1e-9)
+    assert most.hypervolume((2.0, -3.0)) == pytest.approx(least.hypervolume((2.0, 3.0)), rel=1e-9)
+    assert "more b" not in most.in_words(4)
+    assert "less b" in most.in_words(4)
+
+
+def test_the_program_is_built_once(plane, monkeypatch):
+    built = []
+    real = program_module.build_nlp
+    monkeypatch.setattr(program_module, "build_nlp", lambda *a: built.append(1) or real(*a))
+    d, x, y = plane
+    po.trade_off(d, x**2 + y**2, (x - 1.0) ** 2 + y**2, points=9)
+    assert len(built) == 2  # one, and a rough one for scans
+
+
+def test_the_design_stays_as_it_was(plane):
+    d, x, y = plane
+    d.minimise((x - 0.7) ** 2 + y**2)
+    po.trade_off(d, x**2 + y**2, (x - 1.0) ** 2 + y**2, points=5)
+    assert d.solve().variables["x"] == pytest.approx(0.7, abs=1e-6)
+
+
+# --- domination ---------------------------------------------------------------------------------------------
+
+
+def test_dominated_optima_are_kept_apart(broken):
+    assert broken.dominated
+    for point in broken.dominated:
+        better = np.all(broken.objectives <= np.array(point.objectives) + 1e-7, axis=1)
+        assert np.any(better)
+    for point in broken.objectives:
+        others = np.array([other.objectives for other in (*broken.points, *broken.dominated)])
+        assert not np.any(np.all(others < point - 1e-7, axis=1))
+
+
+# --- rates --------------------------------------------------------------------------------------------------
+
+
+def test_rates_are_the_slope_of_the_front(convex, concave):
+    first, second = convex.objectives[1:-1].T
+    assert convex.rates[1:-1] == pytest.approx(-np.sqrt(second / first), rel=1e-7)
+    first, second = concave.objectives[1:-1].T
+    assert concave.rates[1:-1] == pytest.approx(-first / second, rel=1e-6)
+
+
+def test_rate_in_words(convex):
+    cost = np.sqrt(convex.objectives[5, 0] / convex.objectives[5, 1])
+    assert convex.cost(5) == pytest.approx(cost, rel=1e-7)
+    assert convex.in_words(5).endswith(f"1 % less first objective costs {cost:.3g} % more second objective")
+
+
+def test_a_design_that_stands_alone_has_no_rate(plane):
+    d, x, y = plane
+    front = po.trade_off(d, 1.0 + x**2 + y**2, 3.0 + 2.0 * x**2 + y**2, points=21)
+    assert front.points[0].rate is None
+    assert "no finite rate" in front.in_words(0)
+
+
+def test_knee_and_area(convex):
+    # Of sqrt(f1) + sqrt(f2) = 1 the knee is f1 = f2 = 1/4, to half the distance of the positions.
+    assert convex.knee.objectives == pytest.approx((0.25, 0.25), abs=0.051)
+    # Above the curve in the unit square lies 1 - 1/6; the staircase of 20 steps leaves out half a step's square each.
+    assert 1.0 - 1.0 / 6.0 - 0.05 < convex.hypervolume((1.0, 1.0)) < 1.0 - 1.0 / 6.0
+    assert convex.hypervolume((2.0, 1.0)) == pytest.approx(convex.hypervolume((1.0, 1.0)) + 1.0, abs=1e-6)
+
+
+# --- certificates -------------------------------------------------------------------------------------------
+
+
+def test_points_are_certified(convex, concave, broken):
+    for front in (convex, concave, broken):
+        for point in (*front.points, *front.dominated):
+            assert point.residual < 1e-9
+            assert point.violation < 1e-9
+            assert point.doubt == ""
+
+
+def test_limits_of_a_point(concave):
+    middle = concave.points[10]
+    assert middle.active == ("outside",)
+    assert middle.margins["outside"] == pytest.approx(np.sum(np.square(middle.objectives)) - 1.0, abs=1e-15)
+
+
+def test_positions_without_a_design_are_named():
+    d = po.Design()
+    x = d.variable("x", guess=0.9, lower=0.0, upper=1.0)
+    # The logarithm has no value left of 0.2, where the first objective pulls.
+    front = po.trade_off(d, x, -ca.log(x - 0.2), points=9)
+    assert front.failures
+    for failure in front.failures:
+        assert "no finite number" in failure.reason
+        assert len(failure.objectives) == 2
+    assert -np.log(front.objectives[:, 0] - 0.2) == pytest.approx(front.objectives[:, 1], abs=1e-9)
+
+
+# --- no conflict --------------------------------------------------------------------------------------------
+
+
+def test_objectives_that_do_not_conflict_give_one_design_and_say_so(plane):
+    d, x, y = plane
+    front = po.trade_off(d, po.Goal("draft", 1.0 + x**2 + y**2), po.Goal("power", 3.0 + 2.0 * x**2 + y**2), points=21)
+    assert front.objectives == pytest.approx(np.array([[1.0, 3.0]]), abs=1e-9)
+    assert front.notes == ("'draft' and 'power' do not conflict: one design is best in both",)
+    assert front.holes == ()
+    assert front.knee is None
+
+
+def test_objectives_that_hardly_conflict_say_so(plane):
+    d, x, y = plane
+    front = po.trade_off(d, 100.0 + x**2 + y**2, 100.0 + (x - 0.5) ** 2 + y**2, points=9)
+    assert len(front.points) == 9
+    (note,) = front.notes
+    assert note.endswith("hardly conflict: along the whole front they change by 0.25 % and 0.25 %")
+
+
+# --- refusals -----------------------------------------------------------------------------------------------
+
+
+def test_no_design_meets_the_requirements(plane):
+    d, x, y = plane
+    d.require("far", x + y, at_least=4.0)
+    with pytest.raises(po.InfeasibleDesign, match="'far'") as caught:
+        po.trade_off(d, x, y)
+    assert caught.value.conflicts == pytest.approx({"far": 1.0}, abs=1e-6)
+
+
+def test_three_objectives_are_refused(plane):
+    d, x, y = plane
+    with pytest.raises(po.InputError, match="3 objectives were given: a front is drawn of two; put the others into"):
+        po.trade_off(d, x, y, x + y)
+
+
+@pytest.mark.parametrize("points", [4, 1001, 7.5, True, "40"])
+def test_number_of_points(plane, points):
+    d, x, y = plane
+    with pytest.raises(po.InputError, match="must be a whole number from 5 to 1000"):
+        po.trade_off(d, x, y, points=points)
+
+
+def test_objectives_that_cannot_be(plane):
+    d, x, y = plane
+    with pytest.raises(po.InputError, match="must be one number, not 2"):
+        po.trade_off(d, x, ca.vertcat(x, y))
+    with pytest.raises(po.InputError, match="is no expression of a design's variables"):
+        po.trade_off(d, x, 3.0)
+    with pytest.raises(po.InputError, match="'first objective' holds symbols that this design did not declare"):
+        po.trade_off(d, ca.MX.sym("z"), x)
+    with pytest.raises(po.InputError, match="both objectives are named 'a'"):
+        po.trade_off(d, po.Goal("a", x), po.Goal("a", y))
+    with pytest.raises(po.InputError, match="nothing to choose"):
+        po.trade_off(po.Design(), x, y)
+    with pytest.raises(po.InputError, match="search = 'X' is no variable"):
+        po.trade_off(d, x, y, search=["X"])

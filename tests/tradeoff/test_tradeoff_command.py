@@ -1,0 +1,123 @@
+"""`plough-opt tradeoff`, and the [trade_off] table of a problem file."""
+
+import json
+import re
+from pathlib import Path
+
+import pytest
+
+import plough_opt as po
+
+PROBLEMS = Path(__file__).resolve().parents[2] / "problems"
+BRIEF = ("--set", "scene.duration=0.1 s", "--points", "5")
+
+
+@pytest.fixture
+def loosening():
+    """Return the path of the front of draft against loosened radius."""
+    return PROBLEMS / "draft_against_loosening.toml"
+
+
+def test_table_and_files(cli, loosening, tmp_path):
+    picture, table, output = tmp_path / "front.svg", tmp_path / "front.csv", tmp_path / "deep" / "front.json"
+    done = cli("tradeoff", loosening, *BRIEF, "--plot", picture, "--csv", table, "--output", output)
+    assert done.status == 0
+    assert "Front of 5 designs" in done.out
+    assert "Limits that decide every design: half_angle." in done.out
+    assert "1 % costs: what 1 % less mean_draft costs of loosened_radius" in done.out
+    for path in (picture, table, output):
+        assert f"wrote {path}" in done.err.replace("\n", "")
+    assert picture.read_text(encoding="utf-8").lstrip().startswith("<?xml")
+    front = po.TradeOff.load(output)
+    assert front.title == "Draft against loosened radius on serozem"
+    assert front.objectives[0, 1] == pytest.approx(0.08, rel=1e-6)
+    assert len(table.read_text(encoding="utf-8").splitlines()) == 1 + len(front.points) + len(front.dominated)
+
+
+def test_json(cli, loosening):
+    done = cli("tradeoff", loosening, *BRIEF, "--json")
+    assert done.status == 0
+    front = json.loads(done.out)
+    assert front["kind"] == "trade-off"
+    assert [goal["maximise"] for goal in front["goals"]] == [False, True]
+    # Draft goes with the height squared, the radius with the height: 1 % less draft costs half a per cent, but for the
+    # part of a wave that so short a run averages over.
+    point = front["points"][2]
+    cost = point["rate"] * point["objectives"][0] / point["objectives"][1]
+    assert cost == pytest.approx(0.5, rel=0.03)
+
+
+def test_the_shipped_files_are_right(cli):
+    for name in ("draft_against_loosening", "force_against_deflection"):
+        done = cli("check", PROBLEMS / f"{name}.toml")
+        assert done.status == 0
+        assert "plough-opt tradeoff" in done.out.replace("\n", " ")
+
+
+def test_a_file_without_the_table_is_told_what_to_add(cli):
+    done = cli("tradeoff", PROBLEMS / "reference.toml")
+    assert done.status == 2
+    assert "nothing to trade: add a table [trade_off] with two results, such as mean_draft = {}" in done.err
+
+
+def test_a_problem_without_solution(cli, loosening):
+    done = cli("tradeoff", loosening, *BRIEF, "--set", "require.loosened_radius.at_least=2 m")
+    assert done.status == 1
+    assert "'loosened_radius' (at least 2 m) fails by" in done.err
+
+
+WRONG = {
+    "misspelt": ("mean_draft = {}\nlosened_radius = {}", "line 27: 'losened_radius' cannot be traded: did you mean"),
+    "one": ("mean_draft = {}", "line 25: a front is drawn of two results, not of one alone: [trade_off] with two"),
+    "three": ("mean_draft = {}\nforce_rms = {}\ntow_power = {}", "not of 3 results: put the others into [require]"),
+    "none": ("points = 7", "line 25: a front is drawn of two results, not of nothing: [trade_off] with two results"),
+    "no table": ("mean_draft = 3\nforce_rms = {}", "line 26: 'trade_off.mean_draft' must be {} or { maximise = true }"),
+    "key": (
+        "mean_draft = { maximize = true }\nforce_rms = {}",
+        "line 26: 'trade_off.mean_draft.maximize' is not a known key: did you mean 'maximise'?",
+    ),
+    "no truth": (
+        'mean_draft = { maximise = "yes" }\nforce_rms = {}',
+        "line 26: 'trade_off.mean_draft.maximise' = 'yes' must be true or false",
+    ),
+    "few": ("mean_draft = {}\nforce_rms = {}\npoints = 2", "line 28: 'trade_off.points' = 2 must be a whole number"),
+    "point": ("mean_draft = {}\nforce_rms = {}\npoint = 9", "line 28: 'point' cannot be traded: did you mean 'points'"),
+    "everywhere": ("mean_draft = {}\ndeflection = {}", "line 27: 'deflection' cannot be traded: did you mean 'mean_"),
+}
+
+
+@pytest.mark.parametrize("name", WRONG)
+def test_a_wrong_table_is_refused_with_its_line(cli, loosening, tmp_path, name):
+    table, expected = WRONG[name]
+    text = re.sub(
+        r"\[trade_off\].*?\n\n", f"[trade_off]\n{table}\n\n", loosening.read_text(encoding="utf-8"), flags=re.S
+    )
+    file = tmp_path / "wrong.toml"
+    file.write_text(text, encoding="utf-8")
+    done = cli("tradeoff", file)
+    assert done.status == 2
+    assert expected in done.err.replace("\n", " ")
+
+
+def test_two_mistakes_are_both_named(cli, loosening, tmp_path):
+    file = tmp_path / "wrong.toml"
+    text = (
+        loosening.read_text(encoding="utf-8").replace("points = 40", "points = 1").replace("mean_draft ", "mean_drift ")
+    )
+    file.write_text(text, encoding="utf-8")
+    assert len(cli("check", file).err.splitlines()) == 2
+
+
+@pytest.mark.parametrize(
+    ("options", "expected"),
+    [
+        (("--plot", "front.bmp"), "no known picture format"),
+        (("--points", "3"), "must be a whole number from 5 to 1000"),
+        (("--csv", "/"), "the table '/' is a folder"),
+        (("--output", "/"), "the output '/' is a folder"),
+    ],
+)
+def test_wrong_options(cli, loosening, options, expected):
+    done = cli("tradeoff", loosening, *options)
+    assert done.status == 2
+    assert expected in done.err

@@ -1,6 +1,7 @@
 """Optimisation of R1 beside other tools, to a relative gap of 1e-8. Nothing here asserts a time."""
 
 import math
+from functools import partial
 
 import numpy as np
 import pytest
@@ -21,6 +22,7 @@ TOOLS = {
     "SLSQP, SciPy DOP853 1e-9": ("scipy_ivp", "by_scipy('DOP853', 1e-9)", True),
 }
 OURS = "plough_opt Design"
+COMPILED = "plough_opt Design, compiled before"
 TASKS = {
     "local": "R1 from the first start to a local optimum",
     "best": "R1 to the global optimum: ours searches, others from five starts",
@@ -54,17 +56,20 @@ def test_r1(task, contest, peer):
 
     judge = _Judge()
     search = {"local": "local", "best": "auto"}[task]
-    design, _ = po.read_problem(r1.PROBLEM).design()
-    best = design.solve(search=search)
-    reached, note, violation = judge(np.array(list(best.variables.values())), best.objective)
-    assert reached < GAP
-    assert violation < GAP
-    if task == "best":
-        _find_all_optima(best)
-        note += f"; {len(best.local_optima)} optima"
-    setup = f"import plough_opt as po; problem = po.read_problem({r1.PROBLEM!r})"
-    call = f"problem.design()[0].solve(search={search!r})"
-    rows = {OURS: (lambda: design.solve(search=search), reached, note, setup, call)}
+    rows = {}
+    for own, compiled in ((OURS, False), (COMPILED, True)):
+        design, _ = po.read_problem(r1.PROBLEM).design()
+        solve = partial(design.solve, search=search, compiled=compiled)
+        best = solve()
+        reached, note, violation = judge(np.array(list(best.variables.values())), best.objective)
+        assert reached < GAP
+        assert violation < GAP
+        if task == "best":
+            _find_all_optima(best)
+            note += f"; {len(best.local_optima)} optima"
+        setup = f"import plough_opt as po; problem = po.read_problem({r1.PROBLEM!r})"
+        call = f"problem.design()[0].solve(search={search!r}, compiled={compiled})"
+        rows[own] = (solve, reached, note, setup, call)
     for name, (module, built, exact) in TOOLS.items():
         if peer(module) is None:
             continue

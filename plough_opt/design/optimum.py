@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
+from plough_opt.design.declarations import in_words
 from plough_opt.design.search import Scan
 from plough_opt.design.sensitivity import Sensitivities, Sensitivity
 from plough_opt.errors import InputError
@@ -100,6 +102,7 @@ class Optimum(LocalOptimum):
     warnings: tuple[str, ...] = ()
     evaluate: Callable[[Any], np.ndarray] = field(repr=False, default=as_number)
     sensitivities: Sensitivities | None = field(repr=False, default=None)
+    rounder: Callable[[Mapping[str, Any]], Rounded] | None = field(repr=False, default=None)
 
     def __call__(self, item: Any) -> Any:
         """Return an expression, or any object with expressions nested in it, with numbers in their place.
@@ -141,6 +144,28 @@ class Optimum(LocalOptimum):
         """
         return self._asked().every()
 
+    def rounded(
+        self, catalogues: Mapping[str, float | Sequence[float]] | None = None, /, **more: float | Sequence[float]
+    ) -> Rounded:
+        """Return the best design beside this one with some variables in values that can be bought or made.
+
+        Every combination of the values just below and just above this optimum's is fixed in turn and the rest solved
+        again from here; the best that meets all requirements is returned, with what the rounding costs and what was
+        tried. Other local optima are not looked at.
+
+        Args:
+            catalogues: variable's name -> the values it may take, or the step of which it may take multiples:
+                ``best.rounded({"stiffness": [4e4, 5e4, 6.3e4], "wedge angle": po.deg(1)})``.
+            more: the same by keyword, with underscores for spaces: ``wedge_angle=po.deg(1)``.
+
+        Raises:
+            InputError: no such variable, or a catalogue without a value between the variable's bounds.
+            InfeasibleDesign: no combination meets the requirements; it says for each which fail, and by how much.
+        """
+        if self.rounder is None:
+            raise InputError("this optimum is rounded already" if isinstance(self, Rounded) else _LEFT_BEHIND)
+        return self.rounder({**(catalogues or {}), **more})
+
     def _asked(self) -> Sensitivities:
         if self.flat_directions:
             along = "; ".join(", ".join(name for name, change in d.items() if change) for d in self.flat_directions)
@@ -151,11 +176,72 @@ class Optimum(LocalOptimum):
 
     def __getstate__(self) -> dict[str, Any]:
         """Leave the design's graph, which cannot be pickled, behind."""
-        return {**self.__dict__, "evaluate": _left_behind, "sensitivities": None}
+        return {**self.__dict__, "evaluate": _left_behind, "sensitivities": None, "rounder": None}
 
     def _number(self, expression: Any) -> float | np.ndarray:
         value = self.evaluate(expression)
         return float(value) if value.size == 1 else value
+
+
+@dataclass(frozen=True)
+class Choice:
+    """One combination of catalogue values that was tried.
+
+    Attributes:
+        values: name of the variable -> value.
+        objective: best objective with these values, or None where none meets the requirements.
+        conflicts: name of the requirement that fails -> by how much at best, in its unit.
+    """
+
+    values: dict[str, float]
+    objective: float | None
+    conflicts: dict[str, float]
+
+
+@dataclass(frozen=True)
+class Rounded(Optimum):
+    """An optimum some of whose variables are held at catalogue values.
+
+    Attributes:
+        fixed: names of these variables.
+        unrounded: objective of the optimum that was rounded.
+        tried: every combination, the best first, those that fail last.
+    """
+
+    fixed: tuple[str, ...] = ()
+    unrounded: float = 0.0
+    tried: tuple[Choice, ...] = ()
+
+    @property
+    def cost(self) -> float:
+        """What the rounding adds to the objective."""
+        return self.objective - self.unrounded
+
+    @property
+    def cost_percent(self) -> float:
+        """What the rounding adds to the objective, in per cent of it; NaN where it is 0."""
+        return 100.0 * self.cost / abs(self.unrounded) if self.unrounded else math.nan
+
+    @property
+    def infeasible(self) -> tuple[Choice, ...]:
+        """The combinations that meet the requirements with no values of the other variables."""
+        return tuple(choice for choice in self.tried if choice.objective is None)
+
+    def __str__(self) -> str:
+        """Say what was chosen, what it costs and what is infeasible."""
+        units = {limit.name: limit.unit for limit in self.limits}
+        text = (
+            f"{_values_in_words(self.variables, units)}: objective {self.objective:.9g},"
+            f" {self.cost_percent:.3g} % above that of the optimum"
+        )
+        for choice in self.infeasible:
+            fails = ", ".join(f"'{name}' fails by {in_words(x, units[name])}" for name, x in choice.conflicts.items())
+            text += f"; {_values_in_words(choice.values, units)} is infeasible: {fails or 'not solved'}"
+        return text
+
+
+def _values_in_words(values: Mapping[str, float], units: Mapping[str, str]) -> str:
+    return ", ".join(f"{name} = {in_words(value, units[name])}" for name, value in values.items())
 
 
 def _left_behind(_expression: object) -> np.ndarray:

@@ -289,7 +289,7 @@ class Program:
     def solve_relaxed(self, start: Vector, p: Vector, fixed: Sequence[int] = ()) -> Point:
         """Return the design near a start at which the requirements give way least; slacks follow y.
 
-        Variables number ``fixed`` are held at the start.
+        Variables number ``fixed`` are held at the start, which then lies near.
         """
         count, n = len(self.declared.requirements), len(start)
         if self._relaxed is None:
@@ -303,7 +303,7 @@ class Program:
         lower, upper = np.zeros(n + 2 * count), np.r_[np.ones(n), np.where(gives, np.inf, 0.0)]
         held = list(fixed)
         lower[held] = upper[held] = start[held]
-        return self._relaxed.solve(np.r_[start, slack], p, lower, upper)
+        return self._relaxed.solve(np.r_[start, slack], p, lower, upper, near=bool(held))
 
     def merit(self, points: Vector, p: Vector) -> tuple[Vector, Vector]:
         """Return, roughly, scaled objective and largest violation at points, a row each; NaN becomes infinity."""

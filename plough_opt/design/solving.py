@@ -16,6 +16,7 @@ from plough_opt.design.infeasible import infeasible, is_feasible, least_violatio
 from plough_opt.design.ipopt import REMEDIES, Point, Vector
 from plough_opt.design.optimum import Limit, LocalOptimum, Optimum
 from plough_opt.design.program import Program
+from plough_opt.design.rounding import rounded
 from plough_opt.design.search import Progress, global_search, scanned_variables
 from plough_opt.design.sensitivity import Sensitivities
 from plough_opt.design.verify import TightEvaluation
@@ -57,8 +58,11 @@ def solve_program(
         scans=tuple(scans),
         seconds=time.perf_counter() - started,
         warnings=(*missed, *_warnings(program, points[order[0]], p, scenes[order[0]])),
-        evaluate=partial(_evaluated, program, program.values(points[order[0]].y), p),
+        evaluate=partial(_evaluated, program, p, program.values(points[order[0]].y)),
         sensitivities=Sensitivities(program, p, points[order[0]]),
+        rounder=partial(
+            rounded, program, p, points[order[0]], best, partial(_report, program, p), partial(_evaluated, program, p)
+        ),
     )
 
 
@@ -114,6 +118,13 @@ def _refined(
 def _gap(program: Program, p: Vector, point: Point) -> float:
     exact = float(program.exact_values(point.y, p)[0][0].item())
     return abs(point.f * program.objective_scale - exact) / max(abs(exact), program.objective_scale)
+
+
+def _report(program: Program, p: Vector, point: Point) -> tuple[LocalOptimum, tuple[str, ...]]:
+    """Return the report on a point, named as if it were alone, and its warnings."""
+    scenes = _scenes(program, point, p)
+    (name,) = _names(program, [[scene for scene, _ in scenes]])
+    return _local_optimum(program, p, point, name), _warnings(program, point, p, scenes)
 
 
 def _local_optimum(program: Program, p: Vector, point: Point, name: str) -> LocalOptimum:
@@ -216,7 +227,7 @@ def _in_units(program: Program, point: Point, direction: Vector) -> dict[str, fl
     return {v.name: float(x) for v, x in zip(program.declared.variables, change, strict=True)}
 
 
-def _evaluated(program: Program, values: Vector, p: Vector, expression: ca.MX) -> Vector:
+def _evaluated(program: Program, p: Vector, values: Vector, expression: ca.MX) -> Vector:
     """Return an expression of the design's symbols at numbers, its runs integrated tightly."""
     if isinstance(expression, ca.SX):
         raise InputError("an SX expression cannot be of this design, whose variables are MX")

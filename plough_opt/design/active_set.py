@@ -40,6 +40,7 @@ _PULLS = 1e-7
 _FLAT_CURVATURE = 1e-7
 _SLOW_CURVATURE = 1e-4
 _RANK = 1e-9
+_ROUNDING = 1e-13
 _MOST_WEAK = 8
 
 _FLAT = (
@@ -224,12 +225,12 @@ class ActiveSet:
         stock = np.where(active, self.mu, np.maximum(self.slack, 0.0))
         rate = direction * np.where(active, pull, opening)
         rate[self._equal] = 0.0
-        tiny = 1e-9 * max(1.0, float(np.max(np.abs(rate), initial=0.0)))
-        if np.any(rate[self.weak] < -tiny):
+        size = max(float(np.max(np.abs(part), initial=0.0)) for part in (rate, right))
+        if np.any(rate[self.weak] < -_RANK * size):
             return None
         rate[self.weak] = 0.0
         with np.errstate(divide="ignore", invalid="ignore"):
-            reach = np.where(rate < -1e-14, stock / -rate, np.inf)
+            reach = np.where(rate < -_ROUNDING * size, stock / -rate, np.inf)
         first = int(np.argmin(reach)) if len(reach) else 0
         if not len(reach) or not np.isfinite(reach[first]):
             return Move(found[:n], math.inf, "")

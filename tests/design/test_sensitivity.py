@@ -120,18 +120,19 @@ def test_two_limits_of_one_requirement_are_two_questions():
         best.sensitivity("band")
 
 
-def test_a_limit_that_just_touches_makes_the_derivatives_one_sided():
+@pytest.mark.parametrize("unit", [1e-9, 1.0, 1e9])
+def test_a_limit_that_just_touches_makes_the_derivatives_one_sided(unit):
     d = po.Design()
-    a = d.parameter("a", 1.0)
+    a = d.parameter("a", unit) / unit
     x = d.variable("x", guess=0.3, lower=-1.0, upper=1.0)
     y = d.variable("y", guess=0.3, lower=-2.0, upper=2.0)
     d.minimise((x - a) ** 2 + (y - x) ** 2 + 1.0)
     best = d.solve()
     by_a, by_bound = best.sensitivity("a", check=True), best.sensitivity("x upper")
     assert by_a.touching == ("x upper",)
-    assert by_a.objective == pytest.approx(0.0, abs=EXACT)
-    assert by_a.variables == pytest.approx({"x": 0.0, "y": 0.0}, abs=EXACT)
-    assert by_a.falling == pytest.approx({"x": 1.0, "y": 1.0}, rel=EXACT)
+    assert by_a.objective * unit == pytest.approx(0.0, abs=EXACT)
+    assert by_a.elasticities == pytest.approx({"x": 0.0, "y": 0.0}, abs=EXACT)
+    assert by_a.falling == pytest.approx({"x": 1.0 / unit, "y": 1.0 / unit}, rel=EXACT)
     assert by_bound.variables == pytest.approx({"x": 0.0, "y": 0.0}, abs=EXACT)
     assert by_bound.falling == pytest.approx({"x": 1.0, "y": 1.0}, rel=EXACT)
     # One-sided differences of a parabola over a thousandth.
@@ -239,7 +240,7 @@ def test_the_range_in_r1_ends_where_the_limits_that_decide_change(r1_parameters)
     first = predicted(0.12)
     assert first.then[1] == "mean deflection at_most begins to decide"
     low, high = 0.12, 0.13
-    while high - low > 1e-6:
+    while high - low > 3e-6:
         middle = (low + high) / 2.0
         active = r1_parameters.build(middle).solve(search="local").active
         low, high = (low, middle) if "mean deflection" in active else (middle, high)
@@ -264,7 +265,7 @@ def cotton_parameters():
     return SimpleNamespace(design=design, best=design.solve(search="local"))
 
 
-@pytest.mark.parametrize("name", ["effects.damping", "soil.density_ratio"])
+@pytest.mark.parametrize("name", ["effects.damping", pytest.param("soil.density_ratio", marks=pytest.mark.slow)])
 def test_cotton_solved_again_with_other_parameters(cotton_parameters, name):
     best = cotton_parameters.best
     found = best.sensitivity(name)

@@ -5,6 +5,7 @@ TEMPLATE = """\
 #   plough-opt check FILE       is everything right, and what does the scene contain?
 #   plough-opt simulate FILE    the response at the guesses below
 #   plough-opt optimise FILE    the best share, and what decided it
+#   plough-opt tradeoff FILE    two results against each other: a table [trade_off] names them
 title = "Subsoiler for cotton on serozem"
 
 [soil]

@@ -54,7 +54,8 @@ def trade_off(
         others: none; more than two objectives are refused.
         points: number of positions, the anchors included, from 5 to 1000. Parts that end between positions get their
             ends beside these.
-        search: as in `Design.solve`: which variables are scanned for further local optima.
+        search: as in `Design.solve`: which variables are scanned for further local optima. Without a scan the anchors
+            are those that the guess leads to, and parts of the front that lie elsewhere stay unknown.
         compiled: as in `Design.solve`.
         title: of the question, for reports.
         progress: called with what is being done and the fraction done.

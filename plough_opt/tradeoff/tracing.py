@@ -126,7 +126,9 @@ class Tracer:
 
     def _fail(self, near: Sample, point: Point) -> None:
         reason = REMEDIES.get(point.status, "the optimiser stopped without an optimum")
-        self.failures.append(Failure((float(near.at[0]), float(near.at[1])), f"{point.status}: {reason}"))
+        failure = Failure((float(near.at[0]), float(near.at[1])), f"{point.status}: {reason}")
+        if failure not in self.failures:
+            self.failures.append(failure)
 
     def _kept(self, point: Point, p: Vector) -> Sample:
         """Return a point's sample: an earlier one where the same design was found before."""

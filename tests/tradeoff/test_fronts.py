@@ -1,11 +1,15 @@
 """Fronts of known shape: designs without runs, whose fronts are closed forms."""
 
+from dataclasses import replace
+
 import casadi as ca
 import numpy as np
 import pytest
 
 import plough_opt as po
 from plough_opt.design import program as program_module
+from plough_opt.tradeoff.question import _hole
+from plough_opt.tradeoff.tracing import Failure
 
 # Ends of the five parts of ZDT3, where the next minimum or the next level begins (Zitzler, Deb and Thiele 2000).
 ZDT3 = [(0.0, 0.0830015349), (0.1822287280, 0.2577623634), (0.4093136748, 0.4538821041), (0.6183967944, 0.6525117038),
@@ -55,6 +59,44 @@ def test_every_part_of_a_front_that_is_broken_four_times():
     # An end is found to 1e-7 of the second objective, of curvature 1e3 beside its minima.
     assert np.array(ends) == pytest.approx(np.array(ZDT3), abs=3e-5)
     assert len(front.dominated) > 10
+
+
+def test_a_front_that_a_requirement_interrupts():
+    d = po.Design()
+    x = d.variable("x", guess=0.1, lower=0.0, upper=1.0)
+    y = d.variable("y", guess=0.1, lower=-1.0, upper=1.0)
+    d.require("outside", (x - 0.5) ** 2, at_least=0.04)
+    front = po.trade_off(d, x + y**2, 1.0 - x + y**2, points=21, search=["x"])
+    (hole,) = front.holes
+    assert hole.settled
+    assert hole.start == pytest.approx((0.3, 0.7), abs=1e-9)
+    assert hole.end == pytest.approx((0.7, 0.3), abs=1e-9)
+    assert np.sum(front.objectives, axis=1) == pytest.approx(1.0, abs=1e-9)
+    # The positions within are infeasible, which the optimiser says where it was sent there.
+    assert {failure.reason.split(":")[0] for failure in front.failures} <= {"Infeasible_Problem_Detected"}
+
+
+def test_a_front_along_an_equality(plane):
+    d, x, y = plane
+    d.require("line", x + y, at_least=0.5, at_most=0.5)
+    front = po.trade_off(d, x**2 + y**2, (x - 1.0) ** 2 + y**2, points=11)
+    # On y = 1/2 - x the objectives' optima are x = 1/4 and x = 3/4, and the front is what lies between.
+    x = front.designs[:, 0]
+    assert np.all(np.diff(x) > 0.0)
+    # The other objective weighs 1e-4 at the ends, in units of the guess, which moves them by about so much.
+    assert x[[0, -1]] == pytest.approx([0.25, 0.75], abs=3e-4)
+    assert front.objectives[:, 0] == pytest.approx(x**2 + (0.5 - x) ** 2, abs=1e-9)
+    assert front.holes == ()
+
+
+@pytest.mark.parametrize(("status", "settled"), [("Maximum_Iterations_Exceeded", False),
+                                                  ("Infeasible_Problem_Detected", True)])  # fmt: skip
+def test_a_hole_in_which_the_optimiser_failed_is_not_settled(broken, status, settled):
+    before, after = broken.points[broken.parts[0][-1]], broken.points[broken.parts[1][0]]
+    signs = np.ones(2)
+    within = Failure(before.objectives, f"{status}: why")
+    beside = Failure(broken.points[0].objectives, "Maximum_Iterations_Exceeded: why")
+    assert _hole(before, after, [within, beside], signs) == replace(broken.holes[0], settled=settled)
 
 
 # --- anchors and positions ----------------------------------------------------------------------------------

@@ -1,0 +1,348 @@
+"""Value, gradient and Hessian of whole runs at the ends of the domain, against closed forms in 120 digits.
+
+A share that starts steadily stays steady, and without drag its oscillation is that of a linear oscillator: mean draft,
+RMS and last mount force are closed forms of every number of the scene, differentiated in 120 digits. Under a strength
+wave differences of high order judge the derivatives.
+"""
+
+import math
+from functools import cache
+
+import casadi as ca
+import high_precision as hp
+import numpy as np
+import pytest
+
+import plough_opt as po
+
+mp = hp.mp
+ORDINARY = {
+    "wedge_angle": 0.5,
+    "chisel_angle": 0.2,
+    "height": 0.25,
+    "density": 1400.0,
+    "density_ratio": 0.8,
+    "friction_angle": 0.5,
+    "cohesion": 15e3,
+    "tool_friction": 0.45,
+    "ambient_pressure": 1e4,
+    "speed": 2.0,
+    "stiffness": 5e4,
+    "mass": 24.0,
+    "duration": 0.3,
+    "damping": 100.0,
+    "rate_term": 0.05,
+    "amplitude": 0.5,
+    "wavelength": 0.5,
+}
+# What is differentiated by, with the size of a change that matters.
+SIZES = {
+    "wedge_angle": 0.5,
+    "height": 0.25,
+    "density_ratio": 0.2,
+    "friction_angle": 0.5,
+    "cohesion": 1e4,
+    "tool_friction": 0.5,
+    "ambient_pressure": 1e4,
+    "speed": 2.0,
+    "stiffness": 5e4,
+    "mass": 24.0,
+    "damping": 100.0,
+    "rate_term": 0.05,
+    "amplitude": 0.5,
+}
+RIGHT = math.pi / 2.0
+# name: the numbers that differ, and the sizes of changes that differ
+ENDS = {
+    "ordinary": ({}, {}),
+    "1 N/m": ({"stiffness": 1.0, "damping": 0.0}, {"stiffness": 1.0}),
+    "1e12 N/m": ({"stiffness": 1e12, "duration": 1e-4}, {"stiffness": 1e12}),
+    "1e-6 kg": ({"mass": 1e-6, "duration": 0.03}, {"mass": 1e-6}),
+    "ratio 1e-12": ({"density_ratio": 1e-12}, {"density_ratio": 1e-12}),
+    "ratio 1 - 1e-9": (
+        # A power of two, of which changes can be told; softer mounts let the soil drive the share away.
+        {"density_ratio": 1.0 - 2.0**-30, "stiffness": 5e7, "duration": 0.03},
+        {"density_ratio": 2.0**-30},
+    ),
+    "no internal friction": ({"friction_angle": 0.0}, {}),
+    "89.9 deg of friction": ({"friction_angle": po.deg(89.9)}, {"friction_angle": RIGHT - po.deg(89.9)}),
+    "1e-8 rad": ({"wedge_angle": 1e-8}, {"wedge_angle": 1e-8}),
+    "89.99 deg": ({"wedge_angle": po.deg(89.99), "stiffness": 1e10}, {"wedge_angle": RIGHT - po.deg(89.99)}),
+    "no cohesion": ({"cohesion": 0.0}, {}),
+    "no ambient pressure": ({"ambient_pressure": 0.0}, {}),
+    "no tool friction": ({"tool_friction": 0.0}, {}),
+    "no strength": ({"cohesion": 0.0, "ambient_pressure": 0.0, "friction_angle": 0.0, "tool_friction": 0.0}, {}),
+    "a strut at rest": ({"speed": 0.0}, {}),
+    "1000 m/s": ({"speed": 1e3, "wavelength": 300.0, "rate_term": 1e-7}, {"speed": 1e3, "rate_term": 1e-7}),
+    "no damper": ({"damping": 0.0}, {}),
+    "no rate term": ({"rate_term": 0.0}, {}),
+    "no wave": ({"amplitude": 0.0}, {}),
+    "nothing": (
+        dict.fromkeys(("cohesion", "ambient_pressure", "friction_angle", "tool_friction", "speed", "damping"), 0.0)
+        | {"rate_term": 0.0, "amplitude": 0.0},
+        {},
+    ),
+}
+# Where nothing oscillates for one and only one value of a number, the RMS has a kink there.
+KINKS = {
+    "towed": ("no strength", "nothing"),
+    "rest": ("nothing",),
+    "waves": ("no strength", "no wave", "nothing"),
+    "still waves": ("no strength", "a strut at rest", "no wave", "nothing"),
+}
+ALWAYS = ("wedge_angle", "cohesion", "speed", "stiffness", "mass")
+NAMES, STEPS, RMS = tuple(SIZES), 120, 1
+
+
+def in_turn(*kinds, of=2):
+    """Parametrize by every end and kind; by default each end takes every ``of``-th kind in turn, the rest is slow."""
+    cases = []
+    for k, end in enumerate(ENDS):
+        for j, kind in enumerate(kinds):
+            cases.append(pytest.param(end, kind, marks=[pytest.mark.slow] if (k + j) % of else []))
+    return pytest.mark.parametrize(("end", "kind"), cases)
+
+
+def numbers_of(end):
+    """Return the numbers at an end, and the sizes of changes there."""
+    changed, sizes = ENDS[end]
+    return ORDINARY | changed, np.array(list((SIZES | sizes).values()))
+
+
+def scene_of(v, **effects):
+    names = ("density", "density_ratio", "cohesion", "friction_angle", "tool_friction", "ambient_pressure")
+    share = po.Wedge(v["wedge_angle"], v["chisel_angle"], v["height"])
+    if effects.pop("waves", False):
+        effects["strength_wave"] = po.StrengthWave(v["amplitude"], v["wavelength"])
+    own = {name: v[name] for name in ("damping", "rate_term") if effects.pop(name, False)}
+    soil = po.Soil(*(v[name] for name in names))
+    return po.Scene(soil, share, v["stiffness"], v["mass"], v["speed"], po.Effects(**effects, **own))
+
+
+def of_steady(run):
+    return [run.mean_draft, run.mount_force[-1], run.mean_deflection, run.force_rms]
+
+
+def of_oscillation(run):
+    return [run.mean_draft, run.force_rms, run.mount_force[-1]]
+
+
+KINDS = {
+    "moving": ({"rate_term": True, "damping": True}, of_steady),
+    "quasi-static": ({"rate_term": True, "motion": False}, of_steady),
+    "rest": ({"inertial_drag": False, "damping": True, "start": "rest"}, of_oscillation),
+    "towed": ({"inertial_drag": False, "damping": True, "start": "towed"}, of_oscillation),
+    "waves": ({"rate_term": True, "damping": True, "waves": True}, of_oscillation),
+    "still waves": ({"rate_term": True, "motion": False, "waves": True}, of_oscillation),
+}
+
+
+@cache
+def built(kind):
+    """Return numbers -> values and Jacobian, and (numbers, weights) -> Hessian of the weighted sum, by `NAMES`."""
+    effects, results = KINDS[kind]
+    symbols = {name: ca.MX.sym(name) for name in ORDINARY}
+    moving = effects.get("motion", True)
+    accuracy = po.Accuracy("dop853", steps=STEPS) if moving else None
+    run = po.simulate(scene_of(symbols, **effects), symbols["duration"], accuracy=accuracy, outputs=4 if moving else 80)
+    x, values = ca.vertcat(*(symbols[name] for name in NAMES)), ca.vertcat(*results(run))
+    weights = ca.MX.sym("weights", values.numel())
+    total = ca.dot(weights, values)
+    given = list(symbols.values())
+    first = ca.Function("first", given, [values, ca.jacobian(values, x)])
+    return first, ca.Function("second", [*given, weights], [ca.jacobian(ca.gradient(total, x), x)])
+
+
+def first_of(numbers, sizes, kind):
+    """Return values and slopes by the toolkit, in changes of the sizes."""
+    values, slopes = (np.asarray(part) for part in built(kind)[0].call(list(numbers.values())))
+    return values.ravel(), slopes * sizes
+
+
+def second_of(numbers, sizes, kind, weights):
+    """Return the Hessian of the weighted sum by the toolkit, in changes of the sizes."""
+    return np.asarray(built(kind)[1](*numbers.values(), weights)) * np.outer(sizes, sizes)
+
+
+@cache
+def exact(end, function):
+    """Return which names matter at an end, and value, gradient and Hessian of each result of a closed form.
+
+    The derivatives are by those names alone, in changes of the sizes.
+    """
+    numbers, sizes = numbers_of(end)
+    chosen = [k for k, name in enumerate(NAMES) if name in ALWAYS or name in ENDS[end][0]]
+    names, sizes = [NAMES[k] for k in chosen], sizes[chosen]
+    fixed, known, answers = hp.exact(numbers), {}, []
+
+    def of(*point):
+        if point not in known:
+            known[point] = function(fixed | dict(zip(names, point, strict=True)))
+        return known[point]
+
+    point = [numbers[name] for name in names]
+    for k in range(len(of(*hp.exact(point)))):
+        value, slopes, bends = hp.derivatives(lambda *x, k=k: of(*x)[k], point)
+        slopes, bends = np.array([float(s) for s in slopes]), np.array([[float(b) for b in row] for row in bends])
+        answers.append((float(value), slopes * sizes, bends * np.outer(sizes, sizes)))
+    return chosen, *(np.array(parts) for parts in zip(*answers, strict=True))
+
+
+def largest(values):
+    return float(np.max(np.abs(values), initial=0.0))
+
+
+# --- a share that starts steadily ---------------------------------------------------------------------------
+
+
+def steady(v):
+    static, drag, _ = hp.resistance_terms(v | {"speed": mp.mpf(1), "acceleration": mp.mpf(1)})
+    force = static * (1 + v["rate_term"] * v["speed"] ** 2) + drag * v["speed"] ** 2
+    return [force, force, force / v["stiffness"]]
+
+
+@in_turn("moving", "quasi-static")
+def test_a_steady_start(end, kind):
+    numbers, sizes = numbers_of(end)
+    values, slopes = first_of(numbers, sizes, kind)
+    chosen, true_values, true_slopes, true_bends = exact(end, steady)
+    for k in range(3):
+        bends = second_of(numbers, sizes, kind, np.eye(4)[k])
+        # Some tens of roundings; a sum over hundreds of panels takes more, and beside 90 degrees the tangent itself
+        # is known to 1e-14 only.
+        allowed = 1e-13 if end == "89.99 deg" or kind == "quasi-static" else 1e-14
+        assert values[k] == pytest.approx(true_values[k], rel=allowed)
+        assert slopes[k][chosen] == pytest.approx(true_slopes[k], rel=0, abs=allowed * largest(true_slopes[k]))
+        picked = bends[np.ix_(chosen, chosen)]
+        assert picked == pytest.approx(true_bends[k], rel=0, abs=allowed * largest(true_bends[k]))
+        assert np.all(np.isfinite(bends))
+    # Nothing oscillates, whatever the numbers. The weights of a quadrature sum to one but for rounding.
+    size = largest([largest(true_values[0]), largest(true_slopes[0]), largest(true_bends[0])])
+    bends = second_of(numbers, sizes, kind, np.eye(4)[3])
+    assert largest([largest(values[3]), largest(slopes[3]), largest(bends)]) <= 1e-14 * size
+
+
+# --- a linear oscillation -----------------------------------------------------------------------------------
+
+
+def oscillation(v, first):
+    """Return mean, RMS and last value of P = F0 + Re(a exp(x t)) in closed form, and F0."""
+    static, _, carried = hp.resistance_terms(v | {"speed": mp.mpf(1), "acceleration": mp.mpf(1)})
+    inertia, k, c, duration = v["mass"] + carried, v["stiffness"], v["damping"], v["duration"]
+    at, d = static / k, c / (2 * inertia)
+    w = mp.sqrt(k / inertia - d**2)
+    x = mp.mpc(-d, w)
+    a = mp.mpc(-at, -(first - d * at) / w) * (k + c * x)
+
+    def average(exponent):
+        return mp.expm1(exponent * duration) / (exponent * duration) if exponent else mp.mpf(1)
+
+    mean = mp.re(a * average(x))
+    square = mp.re(a * a * average(2 * x)) / 2 + abs(a) ** 2 * mp.re(average(x + mp.conj(x))) / 2
+    return [static + mean, mp.sqrt(square - mean**2), static + mp.re(a * mp.exp(x * duration)), static]
+
+
+def from_rest(v):
+    return oscillation(v, v["speed"])
+
+
+def towed(v):
+    return oscillation(v, mp.mpf(0))
+
+
+@in_turn("rest", "towed", of=3)
+def test_a_linear_oscillation(end, kind):
+    numbers, sizes = numbers_of(end)
+    values, slopes = first_of(numbers, sizes, kind)
+    chosen, true_values, true_slopes, true_bends = exact(end, from_rest if kind == "rest" else towed)
+    for k in range(3):
+        bends = second_of(numbers, sizes, kind, np.eye(3)[k])
+        assert np.all(np.isfinite(bends))
+        pairs = [
+            (values[k], true_values),
+            (slopes[k][chosen], true_slopes),
+            (bends[np.ix_(chosen, chosen)], true_bends),
+        ]
+        for got, true in pairs[: 1 if k == RMS and end in KINKS[kind] else 3]:
+            # Rounding over some twenty radians; the RMS is rounded off within 1e-12 of the steady force.
+            assert got == pytest.approx(true[k], rel=0, abs=2e-11 * max(largest(true[k]), largest(true[3])))
+
+
+# --- under a strength wave ----------------------------------------------------------------------------------
+
+
+@in_turn("waves", "still waves", of=3)
+def test_under_a_wave(end, kind):
+    numbers, sizes = numbers_of(end)
+    values, slopes = first_of(numbers, sizes, kind)
+    scene = scene_of(numbers, motion=False)
+    # What moves the share by a wavelength turns its phase. Steps of powers of two can be told apart beside 1.
+    turn = 2.0 * math.pi * scene.steady_resistance / numbers["stiffness"] / numbers["wavelength"]
+    step = 2.0 ** -(11 + math.ceil(math.log2(1.0 + turn)) * (kind == "waves"))
+    direction = np.array([1.0, -0.75, 0.5, -1.0, 0.75, 1.0, -0.5, 1.0, 0.5, -0.75, 1.0, -1.0, 0.5])
+    beside = []
+    for place in step * np.array((-3, -2, -1, 1, 2, 3)):
+        moved = {name: numbers[name] + place * d * size for name, d, size in zip(NAMES, direction, sizes, strict=True)}
+        beside.append(first_of(numbers | moved, sizes, kind))
+    weights = np.array((-1, 9, -45, 45, -9, 1)) / (60.0 * step)
+    all_bends = [second_of(numbers, sizes, kind, unit) for unit in np.eye(3)]
+    assert all(np.all(np.isfinite(part)) for part in (values, slopes, *all_bends))
+    # Rounding over the step. A soft mount takes steps of 1e-7, and changes beside 90 degrees are rounded themselves.
+    allowed = {"1 N/m": 1e-7, "89.99 deg": 1e-6}.get(end, 3e-11)
+    for k, bends in enumerate(all_bends):
+        if k == RMS and end in KINKS[kind]:
+            assert 0.0 <= values[k] <= 1e-14 * max(1.0, abs(values[0]))
+            continue
+        slope, row = weights @ [value[k] for value, _ in beside], weights @ [gradient[k] for _, gradient in beside]
+        for got, true, size in ((slopes[k] @ direction, slope, slopes), (bends @ direction, row, all_bends)):
+            # The RMS and its derivatives are known to 1e-12 of the force and of its own.
+            least = largest(size[0]) * (0.1 if k == RMS else 0.0)
+            assert got == pytest.approx(true, rel=0, abs=allowed * max(largest(size[k]), least))
+
+
+# --- what is refused ----------------------------------------------------------------------------------------
+
+
+def of_numbers(changes, duration=0.3, **effects):
+    return lambda: po.simulate(scene_of(ORDINARY | changes, **effects), duration, outputs=4)
+
+
+REFUSED = {
+    "a wall, from rest": (of_numbers({"stiffness": 1e12}, 1.0, start="rest"), "times, which would take some"),
+    "soil that pushes ever faster": (
+        of_numbers({"stiffness": 1e3, "rate_term": 1.0}, 0.1, start="rest", rate_term=True), "drives the share away"
+    ),
+    "a spring that repels for long": (of_numbers({"stiffness": 1e8}, 1.0, formulation="printed"), "has no end in 1 s"),
+    "no stiffness": (of_numbers({"stiffness": 0.0}), "stiffness = 0 N/m must be above 0"),
+    "no mass": (of_numbers({"mass": 0.0}), "mass = 0 kg must be above 0"),
+    "no density": (of_numbers({"density": 0.0}), "soil density = 0 kg/m^3 must be above 0"),
+    "ratio 0": (of_numbers({"density_ratio": 0.0}), "density ratio b1 = 0 must be above 0"),
+    "ratio 1": (of_numbers({"density_ratio": 1.0}), "density ratio b1 = 1 must be below 1"),
+    "90 deg of friction": (of_numbers({"friction_angle": RIGHT}), "friction angle = 1.57079632679489"),
+    "0 rad": (of_numbers({"wedge_angle": 0.0}), "wedge angle = 0 rad must be above 0"),
+    "90 deg": (of_numbers({"wedge_angle": RIGHT}), "wedge angle = 1.57079632679489"),
+    "backwards": (of_numbers({"speed": -1.0}), "tow speed = -1 m/s must be at least 0"),
+    "an orbit at rest": (of_numbers({"speed": 0.0}, None, waves=True, orbit="periodic"), "a share that stands still"),
+    "stronger than soil": (of_numbers({"amplitude": 1.1}, waves=True), "strength wave amplitude = 1.1 must be at most"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("simulated", "sentence"), REFUSED.values(), ids=REFUSED)
+def test_what_is_beyond_the_ends_is_refused_in_words(simulated, sentence):
+    with pytest.raises(po.PloughError) as caught:
+        simulated()
+    assert sentence in str(caught.value)
+
+
+def test_a_design_that_reaches_for_a_wall_is_refused_with_the_number_of_oscillations():
+    d = po.Design()
+    stiffness = d.variable("stiffness", guess=1e6, lower=1e4, upper=1e12, unit="N/m", log=True)
+    run = po.simulate(scene_of(ORDINARY | {"stiffness": stiffness}, start="rest"), 1.0, outputs=4)
+    d.minimise(run.mean_draft / 1e3)
+    with pytest.raises(po.DomainError) as caught:
+        d.solve()
+    turns = math.sqrt(1e12 / scene_of(ORDINARY).inertia) / (2.0 * math.pi)
+    assert f"the share oscillates up to {turns:.3g} times in a run" in str(caught.value)
+    assert "tighten the bounds on stiffness and mass, shorten the duration, or take the quasi-static" in str(
+        caught.value
+    )

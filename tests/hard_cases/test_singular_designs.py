@@ -1,0 +1,294 @@
+"""Designs with singular places: roots of a vanishing oscillation, flat objectives, trials beyond the theory's end."""
+
+import math
+
+import casadi as ca
+import numpy as np
+import pytest
+from scipy.optimize import minimize_scalar
+
+import plough_opt as po
+from plough_opt import elastic
+
+SOIL = po.Soil(1400.0, 0.8, 15e3, po.deg(30.0), 0.5, 1e4)
+SHARE = po.Wedge(po.deg(25.0), po.deg(15.0), 0.25)
+# Whole waves for a share that moves with the strut: RMS is amplitude F0/sqrt(2).
+MOTIONS = {"quasi-static": (False, 2.0), "moving": (True, 0.5)}
+motions = pytest.mark.parametrize(("motion", "duration"), MOTIONS.values(), ids=MOTIONS)
+
+
+def scene_of(amplitude=None, share=SHARE, stiffness=5e4, soil=SOIL, mass=24.0, **effects):
+    wave = None if amplitude is None else po.StrengthWave(amplitude, effects.pop("wavelength", 0.5))
+    return po.Scene(soil, share, stiffness, mass, 2.0, po.Effects(strength_wave=wave, **effects))
+
+
+def rms(amplitude, motion, duration):
+    return po.simulate(scene_of(amplitude, motion=motion), duration, outputs=10).force_rms
+
+
+def by_scipy(function, lower, upper):
+    """Return the least value of a function on an interval: a grid with both ends, its best place polished."""
+    grid = np.linspace(lower, upper, 41)
+    values = [function(float(x)) for x in grid]
+    k = int(np.argmin(values))
+    around = grid[max(k - 1, 0)], grid[min(k + 1, 40)]
+    return min(values[k], minimize_scalar(function, bounds=around, method="bounded", options={"xatol": 1e-10}).fun)
+
+
+# --- RMS where nothing oscillates ---------------------------------------------------------------------------
+
+
+@motions
+def test_derivatives_where_the_amplitude_vanishes(motion, duration):
+    x = ca.MX.sym("amplitude")
+    run = po.simulate(scene_of(x, motion=motion), duration, outputs=10 if motion else 400)
+    hessian, gradient = ca.hessian(run.force_rms, x)
+    of = ca.Function("of", [x], [run.force_rms, gradient, hessian])
+    value, slope, bend = map(float, of(0.0))
+    limit = rms(1e-7, motion, duration) / 1e-7
+    if not motion:
+        assert limit == pytest.approx(scene_of().reaction.static / math.sqrt(2.0), rel=1e-9)
+    # The root is rounded off within 1e-12 of the force: there its slope is that of an even function. What a
+    # quadrature's weights lack of one is below that.
+    force = scene_of().steady_resistance
+    assert 0.0 <= value <= 1e-15 * force
+    assert abs(slope) <= 1e-15 * force
+    assert math.isfinite(bend)
+    assert bend > 0.0
+    for amplitude in (1e-10, 1e-8, 1e-6, 1e-4):
+        value, slope, bend = map(float, of(amplitude))
+        # By closed form sqrt((slope x)^2 + r^2) - r with r = 1e-12 of the force, and what the wave's square adds.
+        rounded = 1e-12 * force / (limit * amplitude)
+        allowed = 2.0 * rounded + 10.0 * amplitude + 1e-6
+        assert value == pytest.approx(limit * amplitude, rel=allowed)
+        assert slope == pytest.approx(limit, rel=allowed)
+        assert math.isfinite(bend)
+
+
+DRIVES = [
+    pytest.param(gain, guess, marks=[] if (gain, guess) in ((0.0, 0.3), (0.9, 0.0), (1.1, 1.0)) else [pytest.mark.slow])
+    for gain in (0.0, 0.5, 0.9, 1.1, 2.0)
+    for guess in (0.0, 0.3, 1.0)
+]
+
+
+@pytest.mark.parametrize(("gain", "guess"), DRIVES)
+@motions
+def test_an_amplitude_is_driven_to_zero_or_away_from_it(motion, duration, gain, guess):
+    slope = rms(1e-7, motion, duration) / 1e-7 / 1e3
+    d = po.Design()
+    amplitude = d.variable("amplitude", guess=guess, lower=0.0, upper=1.0)
+    run = po.simulate(scene_of(amplitude, motion=motion), duration)
+    d.minimise(1.0 + run.force_rms / 1e3 - gain * slope * amplitude)
+    best = d.solve(search="local")
+    x = best.variables["amplitude"]
+    (limit,) = best.limits
+    truth = by_scipy(lambda e: 1.0 + rms(e, motion, duration) / 1e3 - gain * slope * e, 0.0, 1.0)
+    assert best.objective == pytest.approx(truth, abs=1e-9)
+    if gain < 1.0:
+        assert x < 1e-9
+        # The barrier stops at some 3e-11, where rounding the root off still takes a thousandth of its slope.
+        assert limit.multiplier == pytest.approx((1.0 - gain) * slope, abs=2e-3 * slope)
+    else:
+        assert x > 0.4
+        assert limit.active == (min(x, 1.0 - x) < 1e-6)
+
+
+def test_a_start_that_stays_steady_leaves_the_rest_of_the_objective_alone():
+    found = []
+    for weight in (0.0, 1.0):
+        d = po.Design()
+        k0 = d.variable("stiffness", guess=4e4, lower=5e3, upper=5e5, unit="N/m", log=True)
+        height = d.variable("height", guess=0.2, lower=0.1, upper=0.5, unit="m")
+        mass = d.variable("mass", guess=30.0, lower=10.0, upper=50.0, unit="kg")
+        share = po.Wedge(po.deg(25.0), po.deg(15.0), height)
+        run = po.simulate(scene_of(share=share, stiffness=k0, mass=mass), 0.5)
+        sway = run.force_rms / 1e3 + 1e2 * run.displacement_rms
+        wanted = (run.mean_draft / 600.0 - 1.0) ** 2 + (run.mean_deflection / 0.02 - 1.0) ** 2
+        d.minimise(1.0 + wanted + (mass / 20.0 - 1.0) ** 2 + weight * sway)
+        x = ca.vertcat(k0, height, mass)
+        hessian, gradient = ca.hessian(sway, x)
+        numbers = ca.Function("numbers", [x], [sway, gradient, hessian])([3e4, 0.25, 20.0])
+        assert all(np.all(np.asarray(part) == 0.0) for part in numbers)
+        found.append(d.solve())
+    # Nothing oscillates: RMS is 0 for every design, and the three wishes come true.
+    for best in found:
+        assert best.objective == pytest.approx(1.0, abs=1e-12)
+        assert best.variables["mass"] == pytest.approx(20.0, rel=1e-7)
+        assert best.variables["stiffness"] == pytest.approx(600.0 / 0.02, rel=1e-7)
+        share = po.Wedge(po.deg(25.0), po.deg(15.0), best.variables["height"])
+        assert scene_of(share=share).steady_resistance == pytest.approx(600.0, rel=1e-7)
+
+
+@pytest.mark.parametrize("most", [1e-3, 1.0])
+def test_an_oscillation_of_next_to_nothing_may_be_required(most):
+    d = po.Design()
+    amplitude = d.variable("amplitude", guess=0.3, lower=0.0, upper=1.0)
+    run = po.simulate(scene_of(amplitude, motion=False), 2.0)
+    d.minimise(1.0 - amplitude)
+    d.require("calm", run.force_rms, at_most=most, unit="N")
+    best = d.solve()
+    allowed = most * math.sqrt(2.0) / scene_of().reaction.static
+    assert best.variables["amplitude"] == pytest.approx(allowed, rel=1e-5)
+    assert best.active[0] == "calm"
+
+
+@pytest.mark.parametrize("most", [0.0, pytest.param(1e-9, marks=pytest.mark.slow)])
+def test_no_oscillation_at_all_is_required_or_refused(most):
+    d = po.Design()
+    amplitude = d.variable("amplitude", guess=0.3, lower=0.0, upper=1.0)
+    run = po.simulate(scene_of(amplitude, motion=False), 2.0)
+    d.minimise(1.0 - amplitude)
+    d.require("calm", run.force_rms, at_most=most, unit="N")
+    # Feasible designs have an amplitude below 3e-12, where the root has hardly a slope, and no inside to speak of.
+    try:
+        best = d.solve()
+    except po.NotConverged as refusal:
+        best, sentence = None, str(refusal)
+    assert best.variables["amplitude"] < 1e-10 if best else "at amplitude = " in sentence
+
+
+# --- flat objectives ----------------------------------------------------------------------------------------
+
+
+def of_angle_and_height(objective):
+    d = po.Design()
+    angle = d.variable("wedge angle", guess=0.5, lower=0.1, upper=1.0, unit="rad")
+    height = d.variable("height", guess=0.25, lower=0.1, upper=0.5, unit="m")
+    run = po.simulate(scene_of(share=po.Wedge(angle, po.deg(15.0), height), motion=False), 1.0)
+    d.minimise(objective(run.mean_draft / 1e3))
+    return d.solve()
+
+
+def draft(variables):
+    share = po.Wedge(variables["wedge angle"], po.deg(15.0), variables["height"])
+    return scene_of(share=share).steady_resistance / 1e3
+
+
+def test_a_plain_has_two_flat_directions():
+    # Below 1 kN nothing is to be gained; the objective has two derivatives at its edge.
+    best = of_angle_and_height(lambda force: 1.0 + ca.fmax(force - 1.0, 0.0) ** 3)
+    assert best.objective == pytest.approx(1.0, abs=1e-9)
+    assert draft(best.variables) < 1.0 + 1e-3
+    assert best.status == "not unique"
+    assert len(best.flat_directions) == 2
+
+
+def test_a_valley_has_one_flat_direction_along_which_the_draft_stays():
+    best = of_angle_and_height(lambda force: 1.0 + (force - 1.0) ** 2)
+    assert best.status == "not unique"
+    assert draft(best.variables) == pytest.approx(1.0, abs=1e-7)
+    (direction,) = best.flat_directions
+    changes = []
+    for part in (1.0, 0.5):
+        moved = {name: best.variables[name] + part * step for name, step in direction.items()}
+        changes.append(abs(draft(moved) - 1.0))
+    # A tangent to the level line: half a step, a quarter of the change.
+    assert changes[1] / changes[0] == pytest.approx(0.25, rel=0.05)
+    across = {"wedge angle": best.variables["wedge angle"] + 0.009, "height": best.variables["height"] + 0.0034}
+    assert changes[0] < 0.05 * abs(draft(across) - 1.0)
+
+
+@pytest.mark.parametrize(("power", "within"), [(4, 1e-2), (6, 3e-2), (8, 6e-2)])
+def test_a_bottom_of_high_order_is_reached_to_rounding_of_the_objective(power, within):
+    d = po.Design()
+    x = d.variable("x", guess=0.9, lower=0.0, upper=1.0)
+    d.minimise(1.0 + (x - 0.4) ** power)
+    best = d.solve()
+    assert best.objective == pytest.approx(1.0, abs=1e-10)
+    assert best.variables["x"] == pytest.approx(0.4, abs=within)
+
+
+# --- trials at and beyond the end of what has a value -------------------------------------------------------
+
+PARTLY = {
+    # the objective, for expressions and numbers: numbers without a value count as infinite
+    "root": lambda h, sqrt, _log: 1.0 - sqrt(h - 0.2) + 2.0 * h,
+    "steep root": lambda h, sqrt, _log: 1.0 - 0.2 * sqrt(h - 0.2) + 2.0 * h,
+    "logarithm": lambda h, _sqrt, log: 3.0 - log(h - 0.2) / 10.0 + 2.0 * h,
+    "inverse": lambda h, sqrt, _log: 1.0 + 1e-3 / sqrt(h - 0.2) + h,
+}
+
+
+@pytest.mark.parametrize("lower", [0.1, 0.2], ids=["beyond", "up to it"])
+@pytest.mark.parametrize("guess", [0.2001, 0.5])
+@pytest.mark.parametrize("objective", PARTLY.values(), ids=PARTLY)
+def test_places_without_a_value_are_no_obstacle(objective, guess, lower):
+    d = po.Design()
+    h = d.variable("h", guess=guess, lower=lower, upper=0.5)
+    d.minimise(objective(h, ca.sqrt, ca.log))
+    best = d.solve()
+    truth = by_scipy(lambda x: objective(x, math.sqrt, math.log), 0.2 + 1e-12, 0.5)
+    assert best.objective == pytest.approx(truth, rel=1e-9)
+
+
+@pytest.mark.slow
+def test_a_least_value_where_the_slope_is_infinite_is_owned_up_to():
+    d = po.Design()
+    h = d.variable("h", guess=0.3, lower=0.2, upper=0.5)
+    d.minimise(1.0 + ca.sqrt(h - 0.2))
+    with pytest.raises(po.NotConverged, match=r"h = 0\.2: the derivatives are too large"):
+        d.solve()
+
+
+@pytest.mark.parametrize("upper", [89.0, 89.99, 90.0 * (1.0 - 1e-12)])
+@pytest.mark.parametrize("guess", [10.0, 88.0])
+def test_a_share_between_bounds_that_reach_the_end_of_the_angles(upper, guess):
+    d = po.Design()
+    angle = d.variable("wedge angle", guess=po.deg(guess), lower=1e-8, upper=po.deg(upper), unit="rad")
+    share = po.Wedge(angle, po.deg(15.0), 0.25)
+    run = po.simulate(scene_of(share=share, motion=False), 1.0)
+    d.minimise(1.0 + (run.mean_draft / 2e3 - 1.0) ** 2)
+    best = d.solve()
+    # The start's objective of up to a thousand scales the tolerance.
+    assert draft({"wedge angle": best.variables["wedge angle"], "height": 0.25}) == pytest.approx(2.0, rel=1e-6)
+    assert best.objective == pytest.approx(1.0, abs=1e-12)
+
+
+NODES = [(0.0, 0.0), (0.3, 0.03), (0.5, 0.0)]
+LOESS = po.named_soil("serozem")
+SHEAR = math.sqrt(LOESS.youngs_modulus / (2.0 * (1.0 + LOESS.poisson_ratio)) / LOESS.density)
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0], ids=["least", "most"])
+@pytest.mark.parametrize("guess", [1.0, 20.0, 52.0])
+def test_a_pressure_between_bounds_far_beyond_the_shear_wave(sign, guess):
+    d = po.Design()
+    speed = d.variable("speed", guess=guess, lower=1.0, upper=300.0, unit="m/s")
+    d.minimise(1.0 + sign * elastic.wedge_pressure(0.1, NODES, LOESS, speed) / 1e6)
+    best = d.solve()
+    truth = by_scipy(lambda v: 1.0 + sign * elastic.wedge_pressure(0.1, NODES, LOESS, v) / 1e6, 1.0, 0.9999 * SHEAR)
+    assert best.objective == pytest.approx(truth, rel=1e-8)
+
+
+DOMAINS = {
+    # the name, a guess, bounds of which one lies outside, and the sentence that says so
+    "amplitude": (0.3, 0.0, 1.5, "at the upper bound of 'amplitude': strength wave amplitude = 1.5 must be at most 1"),
+    "wavelength": (0.3, 0.0, 0.5, "at the lower bound of 'wavelength': strength wavelength = 0 m must be above 0"),
+    "stiffness": (1e4, -1e4, 1e5, "at the lower bound of 'stiffness': stiffness = -10000 N/m must be above 0"),
+    "density_ratio": (0.5, 0.1, 1.0, "at the upper bound of 'density_ratio': density ratio b1 = 1 must be below 1"),
+    "friction_angle": (0.5, 0.0, math.pi / 2, "at the upper bound of 'friction_angle': friction angle = 1.57"),
+    "cohesion": (1e3, -1.0, 1e4, "at the lower bound of 'cohesion': cohesion = -1 Pa must be at least 0"),
+    "angle": (0.5, 0.1, math.pi / 2, "at the upper bound of 'angle': wedge angle = 1.57"),
+    "height": (0.2, 0.0, 0.5, "at the lower bound of 'height': share height = 0 m must be above 0"),
+}
+
+
+@motions
+@pytest.mark.parametrize("name", DOMAINS)
+def test_bounds_outside_the_domain_are_refused_by_name(name, motion, duration):
+    guess, lower, upper, sentence = DOMAINS[name]
+    d = po.Design()
+    x = d.variable(name, guess=guess, lower=lower, upper=upper)
+    values = {"amplitude": 0.3, "wavelength": 0.5, "stiffness": 5e4, "angle": 0.4, "height": 0.25} | {name: x}
+    soil = {"density_ratio": 0.8, "friction_angle": 0.5, "cohesion": 15e3}
+    soil = po.Soil(density=1400.0, tool_friction=0.5, **soil | ({name: x} if name in soil else {}))
+    share = po.Wedge(values["angle"], 0.2, values["height"])
+    scene = scene_of(
+        values["amplitude"], share, values["stiffness"], soil, wavelength=values["wavelength"], motion=motion
+    )
+    run = po.simulate(scene, 0.7 * duration)
+    d.minimise(1.0 + run.mean_draft / 1e3 + run.force_rms / 1e3 + run.mean_deflection)
+    with pytest.raises(po.DomainError) as caught:
+        d.solve()
+    assert sentence in str(caught.value)

@@ -1,0 +1,368 @@
+"""First and second derivatives of every combination of effects, against differences of high order.
+
+All numbers of a scene move together along a random direction, x = x0 (1 + t direction), so that one derivative by t
+judges those by every number. Where an event appears or vanishes a motion has no derivative: the events at both ends
+of the differences tell of that, and another place is taken.
+"""
+
+import itertools
+import zlib
+
+import casadi as ca
+import numpy as np
+import pytest
+from test_effect_combinations import ALL, COVERING, label, refused
+
+import plough_opt as po
+from plough_opt.design.program import Declarations, Program
+from plough_opt.motion.integrators import quiet_events
+
+# What every scene has, in SI units; the wave passes some two times, and the mount swings once and a half.
+NUMBERS = {
+    "density": 1400.0,
+    "density ratio": 0.8,
+    "cohesion": 15e3,
+    "friction angle": po.deg(30.0),
+    "tool friction": 0.5,
+    "ambient pressure": 1e4,
+    "wedge angle": po.deg(45.0),
+    "chisel angle": po.deg(15.0),
+    "height": 0.15,
+    "stiffness": 8e4,
+    "mass": 24.0,
+    "tow speed": 1.2,
+    "duration": 0.2,
+}
+SOIL = ("density", "density ratio", "cohesion", "friction angle", "tool friction", "ambient pressure")
+OUTPUTS, INNER = 4, 2
+STEP = 3e-4
+# Differences of order 6 over three steps on either side.
+PLACES = STEP * np.array((-3, -2, -1, 1, 2, 3))
+WEIGHTS = np.array((-1, 9, -45, 45, -9, 1)) / (60 * STEP)
+# Events are told apart on so many intervals, and must lie that many apart and off the outputs.
+COURSE, NEAR = 400, 8
+# Part of the largest speed that a share must keep where it is slowest and does not stop.
+GRAZES = 0.03
+
+
+def numbers_of(effects):
+    """Return the numbers of a combination around which its scenes are drawn, by name."""
+    found = dict(NUMBERS)
+    if effects.get("strength_wave"):
+        found |= {"amplitude": 0.7, "wavelength": 0.1}
+    if effects.get("damping"):
+        found["damping"] = 120.0
+    if effects.get("rate_term"):
+        found["rate term"] = 0.08
+    if isinstance(effects.get("contact"), po.Smooth):
+        found["width"] = 0.3
+    if isinstance(effects.get("contact"), po.StickSlip):
+        found["breakaway"] = 1.2
+    if effects.get("formulation") == "printed":
+        found |= {"stiffness": 2e4, "mass": 500.0}  # its spring repels: two e-foldings are enough
+    return found
+
+
+def scene_of(effects, x):
+    """Return the scene of a combination with the numbers x, floats or expressions."""
+    own = {}
+    if "amplitude" in x:
+        own["strength_wave"] = po.StrengthWave(x["amplitude"], x["wavelength"])
+    if effects.get("tow_ramp"):
+        # Ending at an output, where every step ends too, unless it has a number of its own.
+        own["tow_ramp"] = x.get("ramp time", x["duration"] / OUTPUTS)
+    if "damping" in x:
+        own["damping"] = x["damping"]
+    if "rate term" in x:
+        own["rate_term"] = x["rate term"]
+    if "width" in x:
+        own["contact"] = po.Smooth(x["width"])
+    if "breakaway" in x:
+        own["contact"] = po.StickSlip(x["breakaway"])
+    soil = po.Soil(*(x[name] for name in SOIL))
+    share = po.Wedge(x["wedge angle"], x["chisel angle"], x["height"])
+    return po.Scene(soil, share, x["stiffness"], x["mass"], x["tow speed"], po.Effects(**(effects | own)))
+
+
+def has_events(effects):
+    return effects.get("entry", False) or isinstance(effects.get("contact"), po.StickSlip)
+
+
+def is_smooth(effects):
+    return isinstance(effects.get("contact"), po.Smooth)
+
+
+def method_of(effects):
+    if effects.get("motion") is False:
+        return None
+    if is_smooth(effects):
+        return po.Accuracy("erk", tolerance=1e-13)
+    return po.Accuracy("erk", tolerance=1e-12) if has_events(effects) else po.Accuracy("dop853", steps=200)
+
+
+def simulated(effects, x, accuracy, outputs=OUTPUTS):
+    duration = None if effects.get("orbit", "transient") != "transient" else x["duration"]
+    return po.simulate(scene_of(effects, x), duration, accuracy=accuracy, outputs=outputs)
+
+
+def results(run):
+    return [run.mean_draft, run.force_rms, run.mount_force[INNER], run.mount_force[-1]]
+
+
+def events(effects, x):
+    """Return the events of a motion in order, between its outputs, or None where two nearly coincide."""
+    run = simulated(effects, x, po.Accuracy("erk", tolerance=1e-9), COURSE)
+    before, here, after = run.speed[:-2], run.speed[1:-1], run.speed[2:]
+    turns = (run.mode[1:-1] == 0) & ((here - before) * (after - here) < 0.0)
+    if np.any(turns & (np.abs(here) < GRAZES * np.max(run.speed))):
+        return None
+    marks = [np.round(run.mode)]
+    if effects.get("entry"):
+        # While it enters, a share that turns back leaves the soil that it has passed.
+        marks += [np.maximum.accumulate(run.travel) >= x["height"], run.speed < 0.0]
+    marks = np.column_stack(marks).astype(int)
+    at = np.flatnonzero(np.any(np.diff(marks, axis=0), axis=1))
+    outputs = [INNER * COURSE // OUTPUTS, COURSE]
+    if np.any(np.diff(np.sort([*at, *outputs])) < NEAR):
+        return None
+    return [(int(k > outputs[0]), *marks[k], *marks[k + 1]) for k in at]
+
+
+def along(at, direction, t):
+    """Return the numbers at a place t along a direction."""
+    return {name: value * (1.0 + t * direction[name]) for name, value in at.items()}
+
+
+def is_clear(effects, at, direction):
+    """Tell whether the events of a motion stay the same, and apart, along the differences in a direction."""
+    if not has_events(effects):
+        return True
+    middle = events(effects, at)
+    ends = (along(at, direction, t) for t in (PLACES[0], PLACES[-1]))
+    return middle is not None and all(events(effects, end) == middle for end in ends)
+
+
+def drawn(effects):
+    """Return a place and a direction along which nothing about the events changes."""
+    for attempt in range(40):
+        base = numbers_of(effects)
+        # Some shares graze at every swing wherever they are: they are judged before their first.
+        base["duration"] *= (1.0, 0.8, 0.65, 0.5)[attempt // 10]
+        random = np.random.default_rng([zlib.crc32(title(effects).encode()), attempt])
+        at = {name: value * random.uniform(0.92, 1.08) for name, value in base.items()}
+        direction = {name: random.choice([-1.0, 1.0]) * random.uniform(0.3, 1.0) for name in base}
+        if is_clear(effects, at, direction):
+            return at, direction
+    pytest.fail("no place without coincidence")
+
+
+def derivatives(effects, at, direction, accuracy):
+    """Return t -> (results, slopes) and (t, weights) -> curvature of the weighted sum, as Functions."""
+    t, weights = ca.MX.sym("t"), ca.MX.sym("weights", 4)
+    found = ca.vertcat(*results(simulated(effects, along(at, direction, t), accuracy)))
+    with quiet_events():
+        first = ca.Function("first", [t], [found, ca.jacobian(found, t)])
+        second = ca.Function("second", [t, weights], [ca.hessian(ca.dot(weights, found), t)[0]])
+    return first, second
+
+
+def title(effects):
+    """Return a combination's name in the tests' list."""
+    if "entry" in effects:
+        return label(effects)
+    return "+".join(f"{name}={effects[name]}" for name in sorted(effects))
+
+
+def choices(effects):
+    return {(name, repr(choice)) for name, choice in effects.items()}
+
+
+def meetings(effects):
+    """Return a combination's choices, and the pairs of those that bring events, kinks and waves."""
+    found = choices(effects)
+    meet = sorted(choice for choice in found if choice[0] in ("contact", "entry", "tow_ramp", "strength_wave"))
+    return found | set(itertools.combinations(meet, 2))
+
+
+def thinned(rows, held=choices):
+    """Return rows that together hold all that any row holds, chosen greedily."""
+    wanted, chosen = set().union(*map(held, rows)), []
+    while wanted:
+        best = max(rows, key=lambda row: len(held(row) & wanted))
+        wanted -= held(best)
+        chosen.append(best)
+    return chosen
+
+
+def products(**choices):
+    return [dict(zip(choices, values, strict=True)) for values in itertools.product(*choices.values())]
+
+
+ON = {"inertial_drag": (True, False), "ambient_pressure": (True, False), "rate_term": (None, 0.08)}
+WAVE, RAMP, DAMPER, MASS = (None, po.StrengthWave(0.7, 0.1)), (None, 0.1), (None, 120.0), (True, False)
+STARTS = ("equilibrium", "rest", "towed")
+MOVING = [row for row in ALL if not refused(row)]
+THIN = thinned([row for row in COVERING if not refused(row)], meetings)
+STILL = products(motion=(False,), strength_wave=WAVE, tow_ramp=RAMP, **ON)
+ORBITS = products(
+    orbit=("periodic", "linearised", po.HarmonicBalance(3)),
+    strength_wave=WAVE[1:],
+    damping=DAMPER,
+    added_mass=MASS,
+    **ON,
+)
+PRINTED = products(
+    formulation=("printed",), start=STARTS, strength_wave=WAVE, tow_ramp=RAMP, damping=DAMPER, added_mass=MASS, **ON
+)
+
+
+def cases():
+    """Yield the thinned combinations, and as slow tests all others."""
+    for rows, first in ((MOVING, THIN), *((rows, thinned(rows)) for rows in (STILL, ORBITS, PRINTED))):
+        yield from (pytest.param(row, id=title(row)) for row in first)
+        yield from (pytest.param(row, id=title(row), marks=pytest.mark.slow) for row in rows if row not in first)
+
+
+def test_the_thinned_combinations_hold_every_choice_and_meeting():
+    assert len(THIN) < len(COVERING)
+    assert set().union(*map(meetings, THIN)) == set().union(*map(meetings, MOVING))
+
+
+def errors(effects, at, direction, accuracy):
+    """Return the results, and the errors of their slopes and of a curvature, relative to the mean draft or to them."""
+    first, second = derivatives(effects, at, direction, accuracy)
+    values, slopes = (np.asarray(result).ravel() for result in first(0.0))
+    size = max(abs(values[0]), values[1])
+    weights = np.cos(np.arange(4)) / size
+    beside = [[np.asarray(result).ravel() for result in first(t)] for t in PLACES]
+    expected = WEIGHTS @ [value for value, _ in beside] / size
+    bend = float(WEIGHTS @ [slope @ weights for _, slope in beside])
+    wrong = np.abs(slopes / size - expected) / np.maximum(1.0, np.abs(expected))
+    return values, np.max(wrong), abs(float(second(0.0, weights)) - bend) / max(1.0, abs(bend))
+
+
+@pytest.mark.parametrize("effects", list(cases()))
+def test_slope_and_curvature_are_those_of_differences(effects):
+    at, direction = drawn(effects)
+    values, slope, bend = errors(effects, at, direction, method_of(effects))
+    run = simulated(effects, at, None)
+    # A run of numbers promises 1e-8.
+    assert values == pytest.approx(results(run), rel=0, abs=2e-8 * np.max(np.abs(run.mount_force)))
+    if is_smooth(effects):
+        # Tolerance 1e-13 over the step. In a step of integration that meets an end of the smooth step its fifth
+        # derivative jumps: a local error of 1e-13 that is differentiated twice by where in the step that is. It leaves
+        # 1e-9 to 1e-7 of the curvature, and of one combination in five hundred 5e-5.
+        allowed = 1e-7, (1e-6 if effects in THIN else 1e-4)
+    elif has_events(effects):
+        # Tolerance 1e-12 over the step is 3e-9, which unstable motion lets grow up to a hundredfold.
+        allowed = 1e-6, 1e-6
+    else:
+        # Rounding, some 1e-14 over the step; a share that the print's spring drives away lets it grow.
+        allowed = (3e-8, 3e-8) if "formulation" in effects else (3e-10, 3e-10)
+    assert slope < allowed[0]
+    assert bend < allowed[1]
+
+
+@pytest.mark.parametrize(
+    "effects",
+    [pytest.param(row, id=title(row), marks=[pytest.mark.slow] if k % 4 else []) for k, row in enumerate(THIN)],
+)
+def test_a_design_sees_the_same_derivatives(effects):
+    at, direction = drawn(effects)
+    width = 1e-2
+    d = po.Design()
+    t = d.variable("t", guess=0.0, lower=-width, upper=width)
+    run = simulated(effects, along(at, direction, t), method_of(effects))
+    d.minimise(run.mean_draft)
+    d.require("results", ca.vertcat(*results(run)[1:]), at_most=1e6)
+    program = Program(Declarations(tuple(d._variables), (), d._objective, tuple(d._requirements)))
+    program.build(np.zeros(0))
+    # In the program t goes from 0 to 1 between its bounds, and each result is divided by a size of its own.
+    scales = np.r_[program.objective_scale, np.repeat(program.scales, 3)]
+    first, second = derivatives(effects, at, direction, method_of(effects))
+    value, slopes = (result.full().ravel() for result in first(0.0))
+    gradient, jacobian = program.nlp.grad_f(0.5, [])[1], program.nlp.jac_g(0.5, [])[1]
+    found = np.r_[gradient.full().ravel(), jacobian.full().ravel()] * scales / (2.0 * width)
+    size = max(abs(value[0]), value[1])
+    assert found == pytest.approx(slopes, rel=1e-9, abs=1e-9 * size)
+    multipliers = np.cos(np.arange(4))
+    bend = float(program.nlp.hess_lag(0.5, [], multipliers[0], multipliers[1:])) / (2.0 * width) ** 2
+    expected = float(second(0.0, multipliers / scales))
+    assert bend == pytest.approx(expected, rel=1e-8, abs=1e-8 * size * np.max(1.0 / scales))
+
+
+RAMPS = {
+    "resisting": {"start": "rest"},
+    "smooth": {"start": "towed", "contact": po.Smooth(0.3)},
+    "stick and slip": {"start": "equilibrium", "contact": po.StickSlip(1.2)},
+}
+
+
+@pytest.mark.parametrize(
+    "effects",
+    [pytest.param(row, id=name, marks=[pytest.mark.slow] if row.get("contact") else []) for name, row in RAMPS.items()],
+)
+def test_slope_and_curvature_by_the_time_of_a_ramp(effects):
+    # Above the ramp ends at an output, and so with a step of integration; here it does not.
+    effects = {**MOVING[0], **effects, "entry": False, "tow_ramp": 0.1, "strength_wave": WAVE[1]}
+    numbers = numbers_of(effects)
+    direction = {name: float(name == "ramp time") for name in (*numbers, "ramp time")}
+    places = ({**numbers, "ramp time": ramp} for ramp in np.linspace(0.097, 0.117, 11))
+    at = next(at for at in places if is_clear(effects, at, direction))
+    _, slope, bend = errors(effects, at, direction, po.Accuracy("erk", tolerance=1e-14))
+    # The strut's fourth derivative jumps where the ramp ends, and the local error of the step there, some 1e-14, is
+    # differentiated by where in the step that is: over 1e-4 of the ramp once, 1e-8 of it twice, and leaves some 1e-5.
+    assert slope < 1e-7
+    assert bend < 3e-4
+
+
+# The whole gradient and Hessian, by every number of a scene.
+WHOLE = {
+    "what a fixed step can": {**MOVING[0], "start": "towed", "damping": 120.0, "rate_term": 0.08, "tow_ramp": 0.1},
+    "smooth": {**MOVING[0], "contact": po.Smooth(0.3), "start": "rest"},
+    "stick and slip": {**MOVING[0], "contact": po.StickSlip(1.2), "start": "rest", "damping": 120.0},
+    "entry": {**MOVING[0], "start": "towed", "entry": True, "rate_term": 0.08},
+    "stick and slip while entering": {**MOVING[0], "contact": po.StickSlip(1.2), "start": "rest", "entry": True},
+}
+
+
+@pytest.mark.parametrize(
+    "case", [pytest.param(name, marks=[pytest.mark.slow] if k else []) for k, name in enumerate(WHOLE)]
+)
+def test_gradient_and_hessian_by_every_number(case):
+    effects = {**WHOLE[case], "strength_wave": WAVE[1]}
+    at, _ = drawn(effects)
+    x = ca.MX.sym("x", len(at))
+    scaled = {name: value * (1.0 + x[k]) for k, (name, value) in enumerate(at.items())}
+    weights = ca.DM([1.0, 0.7, -0.4, 0.3])
+    accuracy = method_of(effects) if is_smooth(effects) or has_events(effects) else po.Accuracy("dop853", steps=60)
+    total = ca.dot(weights, ca.vertcat(*results(simulated(effects, scaled, accuracy))))
+    with quiet_events():
+        hessian, gradient = ca.hessian(total, x)
+        first, second = ca.Function("first", [x], [total, gradient]), ca.Function("second", [x], [hessian])
+    origin = np.zeros(len(at))
+    slopes, curvatures = first(origin)[1].full().ravel(), second(origin).full()
+    allowed = 1e-8, (2e-5 if is_smooth(effects) else 1e-8)
+    for k, name in enumerate(at):
+        unit = np.eye(len(at))[k]
+        assert is_clear(effects, at, dict(zip(at, unit, strict=True)))
+        beside = [[np.asarray(result).ravel() for result in first(t * unit)] for t in PLACES]
+        slope, row = WEIGHTS @ [value[0] for value, _ in beside], WEIGHTS @ [gradient for _, gradient in beside]
+        assert slopes[k] == pytest.approx(slope, rel=0, abs=allowed[0] * np.max(np.abs(slopes))), name
+        assert curvatures[k] == pytest.approx(row, rel=0, abs=allowed[1] * np.max(np.abs(curvatures))), name
+    assert curvatures == pytest.approx(curvatures.T, rel=0, abs=1e-12 * np.max(np.abs(curvatures)))
+
+
+@pytest.mark.parametrize("law", ["resisting", po.StickSlip(1.2)], ids=["resisting", "stick_slip"])
+def test_entry_under_a_ramp_is_smooth_in_its_numbers(law):
+    # The share's speed is 0 at the start, and rounding must not make that an event.
+    effects = {**MOVING[0], "contact": law, "start": "rest", "entry": True, "tow_ramp": 0.1}
+    at = numbers_of(effects)
+    direction = {name: 1.0 - 0.1 * k for k, name in enumerate(at)}
+    places = np.linspace(-1.0, 1.0, 61)
+    t = ca.MX.sym("t")
+    run = simulated(effects, along(at, direction, 2e-3 * t), po.Accuracy("erk", tolerance=1e-10))
+    value = ca.Function("value", [t], [run.mean_draft])
+    values = np.array([float(value(place)) for place in places])
+    smooth = np.polynomial.Chebyshev.fit(places, values, 8)(places)
+    assert values == pytest.approx(smooth, rel=1e-7)

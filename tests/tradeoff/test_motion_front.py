@@ -12,9 +12,9 @@ def grid(soft_or_stiff, r1_soil):
     """Return deflection and force oscillation of all feasible designs of a grid."""
     front = soft_or_stiff.front
     widest, shortest = front.designs[0, 0], front.designs[0, 1]
-    angles = np.linspace(0.4, 1.0, 9) * widest
-    heights = shortest * np.r_[1.0, 1.02, 1.1, 1.3, 1.8, 2.4]
-    stiffness = np.geomspace(3e3, 5e5, 600)
+    angles = np.linspace(0.4, 1.0, 16) * widest
+    heights = shortest * np.r_[1.0, 1.01, 1.03, 1.1, 1.2, 1.3, 1.5, 1.8, 2.1, 2.4]
+    stiffness = np.geomspace(3e3, 5e5, 1000)
     designs = np.stack(np.meshgrid(angles, heights, stiffness, indexing="ij"), axis=-1).reshape(-1, 3)
     cone = po.Wedge(designs[:, 0], po.deg(15.0), designs[:, 1]).equivalent_cone()
     feasible = (po.loosened_radius(cone, r1_soil) >= 0.12 - 1e-9) & (cone.half_angle <= po.deg(15.0) + 1e-9)
@@ -24,7 +24,7 @@ def grid(soft_or_stiff, r1_soil):
 
 
 def test_no_design_of_the_grid_is_better(soft_or_stiff, grid):
-    assert len(grid) > 3_000
+    assert len(grid) > 50_000
     front = soft_or_stiff.front.objectives
     for point in front:
         # The batch is exact to 1e-8, and the optimiser keeps 1e-9 of the requirements.

@@ -120,10 +120,9 @@ def _rate(front: FrontProgram, sample: Sample, signs: Vector) -> float | None:
 
 def _branch(front: FrontProgram, y: Vector) -> str:
     program = front.program
-    numbers = [*program.values(y), *front.parameters((1.0, 0.0, 0.0), (0.0, 0.0), 1.0)]
     for k, run in enumerate(program.exact.runs):
         if run.integration.structure.wave:
-            scene = program.exact.inputs(k, numbers)[1]
+            scene = program.exact.inputs(k, front.numbers(y))[1]
             if float(scene.wave_frequency) > 0.0:
                 return "soft" if float(scene.natural_frequency) < float(scene.wave_frequency) else "stiff"
     return ""

@@ -152,6 +152,10 @@ class FrontProgram:
         found, _ = self.program.exact_values(y, self._both())
         return np.array([found[0].item(), found[1 + self.program.owner[self.row]].item()]), found[1:]
 
+    def numbers(self, y: Vector) -> list[float]:
+        """Return the values of all symbols at a design."""
+        return [*self.program.values(y), *self._plain]
+
     def normalised(self, scaled: Vector) -> Vector:
         """Return scaled objectives in units of the front's range."""
         return np.asarray((scaled - self.low) / self.span)

@@ -13,6 +13,7 @@ from plough_opt.design.ipopt import Point
 from plough_opt.design.search import scanned_variables
 from plough_opt.errors import InputError, NotConverged
 from plough_opt.expressions import Expression, is_count
+from plough_opt.tradeoff.caveats import caveats
 from plough_opt.tradeoff.certificate import FrontPoint, certify
 from plough_opt.tradeoff.goal import Axis, Goal
 from plough_opt.tradeoff.plane import efficient, gaps, spread
@@ -169,7 +170,7 @@ def _report(front: FrontProgram, tracer: Tracer, goals: tuple[Goal, Goal], title
         failures=tuple(failures),
         parts=tuple(tuple(range(i, j)) for i, j in pairwise(bounds)),
         holes=tuple(_hole(points[k], points[k + 1], failures, signs) for k in breaks),
-        notes=_notes(front, goals, points),
+        notes=(*_notes(front, goals, points), *caveats(front, [certified[k][0].point.y for k in kept])),
         seconds=time.perf_counter() - started,
     )  # fmt: skip
 

@@ -364,9 +364,6 @@ class TestFiles:
         assert any(list(line.get_ydata()) == [1e-6, 1e-6] for line in axes.lines)
 
 
-def test_the_verb_is_the_folder():
-    from plough_opt.accuracy_study.study import accuracy_study
-
-    assert po.accuracy_study.study.accuracy_study is accuracy_study
+def test_a_motion_needs_a_duration():
     with pytest.raises(po.InputError, match="duration is missing"):
         po.study_accuracy(scene())

@@ -157,7 +157,8 @@ def stability(run: Run) -> tuple[tuple[complex, ...], tuple[str, ...]]:
     structure, numbers = Structure.of(run.scene), numbers_of(run.scene)
     p = ca.DM([*(numbers[name] for name in signals(structure).parameters), float(run.duration)])
     start = ca.DM([run.deflection[0] - start_deflection(structure, numbers), run.scene.tow_speed - run.speed[0]])
-    once = Timeline(1, run.accuracy.steps or 1)  # an orbit of numbers has a number of steps
+    # An orbit of numbers has a number of steps; derivatives by the start are known less exactly by the same.
+    once = Timeline(1, 2 * (run.accuracy.steps or 1))
     found = np.linalg.eigvals(monodromy(structure, once)(start, p).full())
     largest = float(np.max(np.abs(found)))
     multipliers = tuple(complex(value) for value in found)

@@ -55,7 +55,7 @@ OUTPUTS = 400
 _TIGHTENINGS = 3
 _TIGHTER = 0.03
 # Part of V0 sqrt(k0 M) that forces are at least related to.
-_LEAST_FORCE = 1e-5
+_LEAST_FORCE = 1e-9
 # Relative difference of a stand-in from the lasting orbit that a reader must know.
 _TELLING = 1e-2
 
@@ -76,7 +76,7 @@ def simulate(
         A `Run` of numbers or of expressions. A run of numbers is integrated a second time, by another
         method, finer, or by half the steps, and its ``error_estimate`` is the largest difference of the two: of mean
         draft and RMS force relative to the larger of them, of the mount force at the outputs relative to its
-        peak; of forces below 1e-5 V0 sqrt(k0 M), relative to that. Of a stand-in for the lasting orbit it is the
+        peak; of forces below 1e-9 V0 sqrt(k0 M), relative to that. Of a stand-in for the lasting orbit it is the
         difference from that orbit. A symbolic run is an exactly differentiable expression that has no such estimate.
 
     Raises:

@@ -30,7 +30,7 @@ def call(*arguments):
     return Outcome(status, out.getvalue(), err.getvalue())
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def cli():
     """Run the command line in this process and return its outcome."""
     return call

@@ -11,20 +11,11 @@ BRIEF = ("--set", "scene.duration=0.1 s", "--thin", "--seconds", "0.2")
 
 
 @pytest.fixture(scope="module")
-def done(request, tmp_path_factory):
+def done(cli, cotton, tmp_path_factory):
     """Return the outcome of a short study of the cotton problem, and the files that it wrote."""
     folder = tmp_path_factory.mktemp("accuracy")
     picture, output = folder / "cost.png", folder / "deep" / "cost.json"
-    cli, cotton = request.getfixturevalue("cotton_call"), request.getfixturevalue("cotton")
     return cli("accuracy", cotton, *BRIEF, "--error", "1e-5", "--plot", picture, "--output", output), picture, output
-
-
-@pytest.fixture(scope="module")
-def cotton_call():
-    """Return the command line as a function."""
-    from conftest import call
-
-    return call
 
 
 def test_tables_and_advice(done):

@@ -59,7 +59,8 @@ def numbers_of(effects):
     if isinstance(effects.get("contact"), po.StickSlip):
         found["breakaway"] = 1.2
     if effects.get("formulation") == "printed":
-        found |= {"stiffness": 2e4, "mass": 500.0}  # its spring repels: two e-foldings are enough
+        # Its spring repels: two e-foldings are enough. It starts far ahead, where a short wave turns too fast.
+        found |= {"stiffness": 2e4, "mass": 500.0} | ({"wavelength": 1.0} if "wavelength" in found else {})
     return found
 
 
@@ -257,8 +258,8 @@ def test_slope_and_curvature_are_those_of_differences(effects):
         # Tolerance 1e-12 over the step is 3e-9, which unstable motion lets grow up to a hundredfold.
         allowed = 1e-6, 1e-6
     else:
-        # Rounding, some 1e-14 over the step; a share that the print's spring drives away lets it grow.
-        allowed = (3e-8, 3e-8) if "formulation" in effects else (3e-10, 3e-10)
+        # Rounding, some 1e-14 over the step, and what unstable motion makes of it.
+        allowed = 1e-9, 1e-9
     assert slope < allowed[0]
     assert bend < allowed[1]
 

@@ -29,7 +29,8 @@ class Accuracy:
         method: ``"auto"`` reaches ``error``; the others are named for whoever wants one:
             ``"dop853"``, fixed steps of order 8, cheapest inside a design and twice differentiable at
             every setting; CasADi's adaptive ``"cvodes"``, ``"idas"``, ``"erk"``, ``"rosenbrock"``; and
-            CasADi's fixed-step ``"collocation"`` and ``"rk"``, of order 5 and 4.
+            CasADi's fixed-step ``"collocation"`` and ``"rk"``, of order 5 and 4 (RMS by
+            ``"rk"`` from a start at which the force has a slope: 3).
         error: for ``"auto"``, the wanted relative error of mean draft and RMS force (each relative to the mean
             draft); default 1e-8.
         steps: for a fixed-step method, steps over the whole duration; default: as many as the scene's

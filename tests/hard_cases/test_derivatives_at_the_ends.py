@@ -250,7 +250,7 @@ def towed(v):
     return oscillation(v, mp.mpf(0))
 
 
-@in_turn("rest", "towed", of=3)
+@in_turn("rest", "towed", of=4)
 def test_a_linear_oscillation(end, kind):
     numbers, sizes = numbers_of(end)
     values, slopes = first_of(numbers, sizes, kind)
@@ -271,7 +271,7 @@ def test_a_linear_oscillation(end, kind):
 # --- under a strength wave ----------------------------------------------------------------------------------
 
 
-@in_turn("waves", "still waves", of=3)
+@in_turn("waves", "still waves", of=4)
 def test_under_a_wave(end, kind):
     numbers, sizes = numbers_of(end)
     values, slopes = first_of(numbers, sizes, kind)

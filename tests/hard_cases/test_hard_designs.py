@@ -105,7 +105,7 @@ def test_optima_at_bounds(question, active):
 # --- requirements said twice, hardly to be met, or not at all -----------------------------------------------
 
 
-@pytest.mark.parametrize("times", thinned([2, 5, 10], 2))
+@pytest.mark.parametrize("times", thinned([2, 5, 10], 3))
 def test_a_requirement_said_often_counts_once(times):
     limits = USUAL | {f"loosened radius again {k}": USUAL["loosened radius"] for k in range(times - 1)}
     once, often = Question(), Question(limits=limits)
@@ -161,7 +161,7 @@ def test_a_conflict_however_small_is_named_with_its_size(lack):
     }  # fmt: skip
 
 
-@pytest.mark.parametrize("lack", thinned([1e-8, 1e-10, 1e-9, 1e-7], 2))
+@pytest.mark.parametrize("lack", thinned([1e-8, 1e-10, 1e-9, 1e-7], 4))
 def test_a_conflict_at_the_edge_of_the_tolerance_is_refused_or_within_it(lack):
     try:
         best = up_to(JUST * (1.0 - lack)).design().solve()

@@ -171,10 +171,10 @@ def _verified(scene: Scene, duration: float, accuracy: Accuracy, outputs: int) -
 
 
 def _automatic(scene: Scene, duration: float, wanted: float, outputs: int) -> tuple[Run, float, tuple[str, ...]]:
-    """Integrate by the first of the methods that suit a scene which reaches the wanted error."""
+    """Integrate by the first of the methods that suit a scene which reaches the wanted error, or comes nearest."""
     total, structure = _phase(scene, duration), Structure.of(scene)
-    methods = suited(structure, total)
-    for method in methods:
+    best: tuple[Run, float] | None = None
+    for method in suited(structure, total):
         aim = wanted
         for _ in range(1 if method == "rosenbrock" else _TIGHTENINGS):
             chosen = automatic(method, aim, total, outputs)
@@ -183,19 +183,20 @@ def _automatic(scene: Scene, duration: float, wanted: float, outputs: int) -> tu
                 check = coarser(chosen, outputs)
             try:
                 run, error = _twice(scene, duration, (chosen, outputs), check)
-            except MissedEvent as missed:
-                failed, error = missed, math.inf
-            except IntegrationError:
-                if method == methods[-1]:
-                    raise
-                break
+            except IntegrationError as failed:
+                failure = failed
+                if not isinstance(failed, MissedEvent):
+                    break
+                aim *= _TIGHTER
+                continue
             if error <= wanted:
                 return run, error, ()
-            aim *= min(_TIGHTER, 0.5 * wanted / error) if error < math.inf else _TIGHTER
-    if error == math.inf:
-        raise failed
-    note = f"the wanted relative error {wanted:.1e} was not reached: the estimate is {error:.1e}"
-    return run, error, (note,)
+            if best is None or error < best[1]:
+                best = run, error
+            aim *= min(_TIGHTER, 0.5 * wanted / error)
+    if best is None:
+        raise failure
+    return *best, (f"the wanted relative error {wanted:.1e} was not reached: the estimate is {best[1]:.1e}",)
 
 
 def _stand_in(scene: Scene, duration: float, wanted: float, outputs: int) -> tuple[Run, float, tuple[str, ...]]:

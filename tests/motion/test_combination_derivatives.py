@@ -255,8 +255,8 @@ def test_slope_and_curvature_are_those_of_differences(effects):
         # 1e-9 to 1e-7 of the curvature, and of one combination in five hundred 5e-5.
         allowed = 1e-7, (1e-6 if effects in THIN else 1e-4)
     elif has_events(effects):
-        # Tolerance 1e-12 over the step is 3e-9, which unstable motion lets grow up to a hundredfold.
-        allowed = 1e-6, 1e-6
+        # Tolerance 1e-12 over the step is 3e-9, which unstable motion lets grow some hundredfold.
+        allowed = 2e-6, 2e-6
     else:
         # Rounding, some 1e-14 over the step, and what unstable motion makes of it.
         allowed = 1e-9, 1e-9

@@ -78,6 +78,8 @@ def simulate(
         draft and RMS force relative to the larger of them, of the mount force at the outputs relative to its
         peak; of forces below 1e-9 V0 sqrt(k0 M), relative to that. Of a stand-in for the lasting orbit it is the
         difference from that orbit. A symbolic run is an exactly differentiable expression that has no such estimate.
+        A symbolic quasi-static run in which the tow speed, the wavelength or the ramp's time is a symbol averages over
+        as many panels as it has outputs, at least 400: enough for some hundred waves, and told by nothing beyond.
 
     Raises:
         DomainError: the duration is not positive.

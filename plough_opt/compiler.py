@@ -10,6 +10,7 @@ import shlex
 import shutil
 import subprocess
 import tempfile
+from collections.abc import Sequence
 from functools import lru_cache
 from pathlib import Path
 
@@ -65,7 +66,7 @@ def _library_at(path: Path, source: str, command: tuple[str, ...], variants: tup
     with tempfile.TemporaryDirectory(dir=path.parent) as scratch:
         for number, (flags, libraries) in enumerate(variants):
             made = Path(scratch) / f"{number}.so"
-            if _compile(source, (*command, *_FLAGS, *flags), made, libraries):
+            if compile_library(source, (*command, *flags), made, libraries) is None:
                 content = made.read_bytes()
                 made.write_bytes(content + hashlib.sha256(content).digest())
                 # Loading finds out what the C library lacks.
@@ -84,14 +85,26 @@ def _is_whole(path: Path) -> bool:
     return hashlib.sha256(content[:-_DIGEST]).digest() == content[-_DIGEST:]
 
 
-def _compile(source: str, command: tuple[str, ...], into: Path, libraries: tuple[str, ...]) -> bool:
-    """Compile a source, and tell whether that succeeded."""
-    arguments = [*command, "-x", "c", "-", "-o", str(into), *libraries]
+def compile_library(source: str, command: Sequence[str], into: Path, libraries: Sequence[str]) -> str | None:
+    """Compile a C source into a library.
+
+    Args:
+        source: the C source.
+        command: compiler and flags.
+        into: path of the library.
+        libraries: flags that name what it needs.
+
+    Returns:
+        None, or the first line of what the compiler says against it.
+    """
+    arguments = [*command, *_FLAGS, "-x", "c", "-", "-o", str(into), *libraries]
     try:
         done = subprocess.run(arguments, input=source.encode(), capture_output=True, timeout=_LONGEST, check=False)
-    except subprocess.SubprocessError:
-        return False
-    return done.returncode == 0 and into.exists()
+    except (OSError, subprocess.SubprocessError) as error:
+        return str(error)
+    if done.returncode == 0 and into.exists():
+        return None
+    return next(iter(done.stderr.decode(errors="replace").strip().splitlines()), "no message")
 
 
 def _loads(path: Path) -> bool:

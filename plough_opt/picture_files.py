@@ -1,4 +1,4 @@
-"""Pictures as files: known formats, written whole or not at all."""
+"""Pictures as files: known formats, written whole or not at all; and their colours."""
 
 from __future__ import annotations
 
@@ -11,6 +11,9 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 FORMATS = ("png", "svg", "pdf")
+
+COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#8A8A8A")
+"""Of Okabe and Ito (2008), which the colour-blind can tell apart, and a grey."""
 
 
 def save(figure: Figure, path: str | Path) -> Path:

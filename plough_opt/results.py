@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import platform
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from importlib.metadata import version
 from pathlib import Path
-from typing import Annotated, Final, Literal
+from typing import Annotated, Final, Literal, TypeVar
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
@@ -18,6 +18,8 @@ from plough_opt.motion import Averages, Run
 
 SCHEMA: Final = 1
 """Number of the layout of saved results; it rises when a key changes its meaning."""
+
+_T = TypeVar("_T")
 
 
 def versions() -> dict[str, str]:
@@ -121,16 +123,46 @@ def load(path: str | Path) -> SavedRun | SavedOptimum:
     reader: TypeAdapter[SavedRun | SavedOptimum] = TypeAdapter(
         Annotated[SavedRun | SavedOptimum, Field(discriminator="kind")]
     )
+    return read_saved(path, "result", "a result", reader.validate_json)
+
+
+def read_saved(path: str | Path, name: str, kind: str, validate: Callable[[str], _T]) -> _T:
+    """Return what a JSON file holds.
+
+    Args:
+        path: the file.
+        name: what messages call its content, like "study".
+        kind: what it must be, like "an accuracy study".
+        validate: pydantic's reader of that kind.
+
+    Raises:
+        InputError: no such file, or another kind or layout.
+    """
     try:
-        return reader.validate_json(Path(path).read_text(encoding="utf-8"))
+        return validate(Path(path).read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"the result '{path}' cannot be read: {error}") from None
+        raise InputError(f"the {name} '{path}' cannot be read: {error}") from None
     except ValidationError as error:
         first = error.errors()[0]
         place = ".".join(map(str, first["loc"])) or "its beginning"
         raise InputError(
-            f"'{path}' is not a result of this version (schema {SCHEMA}): at {place}: {first['msg']}"
+            f"'{path}' is not {kind} of this version (schema {SCHEMA}): at {place}: {first['msg']}"
         ) from None
+
+
+def write_text(path: str | Path, name: str, text: str) -> Path:
+    """Write a text file, making its folder, and return its path.
+
+    Raises:
+        InputError: a place that cannot be written; it calls the content by its name.
+    """
+    target = Path(path)
+    try:
+        target.parent.mkdir(parents=True, exist_ok=True)
+        target.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise InputError(f"the {name} '{target}' cannot be written: {error.strerror}") from None
+    return target
 
 
 def _floats(averages: Averages) -> Averages:

@@ -153,6 +153,13 @@ class Scene:
         return 0.0 if wave is None else 2.0 * math.pi * self.tow_speed / wave.wavelength
 
     @property
+    def branch(self) -> str:
+        """Of a scene of numbers "soft" or "stiff", its mount below or above resonance with the wave; else ""."""
+        if not float(as_number(self.wave_frequency)) > 0.0:
+            return ""
+        return "soft" if float(as_number(self.natural_frequency / self.wave_frequency)) < 1.0 else "stiff"
+
+    @property
     def ambient_share(self) -> Expression:
         """Part of the static resistance F0 that the ambient pressure carries [-]; 0 where F0 is 0.
 

@@ -14,6 +14,7 @@ import dataclasses
 import math
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
@@ -38,8 +39,8 @@ def resonant_stiffness(mass: float, speed: float, wavelength: float) -> float:
 def scenes() -> dict[str, tuple[po.Scene, float]]:
     """Return the scenes by name, each with its duration [s]."""
 
-    def scene(soil: po.Soil, stiffness: float, speed: float, **effects: object) -> po.Scene:
-        return po.Scene(soil, SHARE, stiffness, 25.0, speed, po.Effects(**effects))  # type: ignore[arg-type]
+    def scene(soil: po.Soil, stiffness: float, speed: float, **effects: Any) -> po.Scene:
+        return po.Scene(soil, SHARE, stiffness, 25.0, speed, po.Effects(**effects))
 
     tuned = resonant_stiffness(25.0, 2.0, 0.6)
     longer = po.StrengthWave(amplitude=0.3, wavelength=0.6)

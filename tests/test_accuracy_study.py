@@ -36,7 +36,7 @@ def linear():
     plain = scene(start="rest", inertial_drag=False)
     with pytest.MonkeyPatch.context() as patch:
         for module in (methods, models):
-            patch.setattr(module, "median_time", lambda once, budget: 1e-3)  # noqa: ARG005
+            patch.setattr(module, "median_time", lambda _once, **_: 1e-3)
         study = po.study_accuracy(plain, 0.3, wanted=1e-6, outputs=10, allowance=1e3, title="from rest")
     return plain, study
 

@@ -17,7 +17,7 @@ from plough_opt.accuracy_study.transcription import (
     SingleShooting,
     transcribe,
 )
-from plough_opt.design.program import Declarations, Program
+from plough_opt.design.program import Program
 from plough_opt.errors import InputError
 
 # Wedge angle [deg], height [m], stiffness [N/m], objective.
@@ -27,7 +27,7 @@ L3 = (39.11469851, 0.2002828632, 37505.6423, 0.9164459115)
 
 
 def question_of(d):
-    program = Program(Declarations(tuple(d._variables), tuple(d._parameters), d._objective, tuple(d._requirements)))
+    program = Program(d.declared)
     p = np.array([parameter.value for parameter in d._parameters])
     program.build(p)
     return Question.of(program, p)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
-import subprocess
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -14,6 +12,7 @@ import casadi as ca
 import numpy as np
 
 from plough_opt.accuracy_study.transcription import Question, Transcribed
+from plough_opt.compiler import compile_library, find_compiler
 from plough_opt.design.ipopt import FAR, NEAR, OPTIONS, REMEDIES, Vector
 from plough_opt.design.nlp import Nlp
 from plough_opt.errors import NotConverged
@@ -22,7 +21,6 @@ Derivatives = Literal["exact", "gradient", "central", "forward"]
 """Exact Hessian; exact gradient with limited-memory BFGS; gradient by differences with limited-memory BFGS."""
 
 _MOST_ITERATIONS = 300
-COMPILERS = ("cc", "gcc", "clang")
 
 
 @dataclass(frozen=True)
@@ -176,21 +174,18 @@ def compiled(own: Functions, flags: Sequence[str]) -> Functions:
     Raises:
         NotConverged: there is no compiler, or it refuses the code.
     """
-    compiler = next((found for name in COMPILERS if (found := shutil.which(name))), None)
+    compiler = find_compiler()
     if compiler is None:
-        raise NotConverged(f"no C compiler was found ({', '.join(COMPILERS)})", "No_Compiler")
+        raise NotConverged("no C compiler was found ($CC, cc, gcc, clang)", "No_Compiler")
     generator = ca.CodeGenerator("program.c")
     for name, function in own.items():
         generator.add(_renamed(function, f"own_{name}"))
     # The loader keeps the library; its file is needed no longer.
     with tempfile.TemporaryDirectory() as folder:
-        generator.generate(f"{folder}/")
         library = Path(folder) / "program.so"
-        command = [compiler, *flags, "-shared", "-fPIC", "-o", str(library), f"{folder}/program.c", "-lm"]
-        done = subprocess.run(command, capture_output=True, text=True, check=False)
-        if done.returncode != 0:
-            first = (done.stderr.strip().splitlines() or ["no message"])[0]
-            raise NotConverged(f"the C compiler refused the program: {first}", "Not_Compiled")
+        refusal = compile_library(generator.dump(), (*compiler, *flags), library, ("-lm",))
+        if refusal is not None:
+            raise NotConverged(f"the C compiler refused the program: {refusal}", "Not_Compiled")
         return {name: ca.external(f"own_{name}", str(library)) for name in own}
 
 

@@ -16,19 +16,20 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from plough_opt.accuracy_study.contest import Entry
+from plough_opt.picture_files import COLOURS
 
+_BLUE, _RED, _GREEN, _PINK, _ORANGE, _SKY, _GREY = COLOURS
 _STYLES: Final[dict[str, tuple[str, str]]] = {
     "auto": ("#000000", "*"),
-    "dop853": ("#0072B2", "o"),
-    "erk": ("#D55E00", "s"),
-    "rosenbrock": ("#009E73", "^"),
-    "cvodes": ("#CC79A7", "v"),
-    "idas": ("#56B4E9", "D"),
-    "collocation": ("#E69F00", "P"),
-    "rk": ("#8A8A8A", "X"),
+    "dop853": (_BLUE, "o"),
+    "erk": (_RED, "s"),
+    "rosenbrock": (_GREEN, "^"),
+    "cvodes": (_PINK, "v"),
+    "idas": (_SKY, "D"),
+    "collocation": (_ORANGE, "P"),
+    "rk": (_GREY, "X"),
 }
 _MODELS: Final = {"quasi-static": "h", "linearised": "<", "harmonic balance": ">", "lasting orbit": "p"}
-_OTHERS: Final = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00")
 _SHAPES: Final = "D^v<>PXhp"
 _FLOOR, _FRONT = "#DDDDDD", "#F0C808"
 # Characters of a name beyond which a legend has one column.
@@ -67,7 +68,7 @@ def style_of(method: str, number: int) -> dict[str, Any]:
         return {"color": color, "marker": marker, "markersize": 9 if marker == "*" else 5.5}
     if method in _MODELS:
         return {"color": "#444444", "marker": _MODELS[method], "markersize": 7, "markerfacecolor": "white"}
-    return {"color": _OTHERS[number % len(_OTHERS)], "marker": _SHAPES[number % len(_SHAPES)], "markersize": 5.5}
+    return {"color": COLOURS[number % len(COLOURS)], "marker": _SHAPES[number % len(_SHAPES)], "markersize": 5.5}
 
 
 def draw(axes: Axes, panel: Panel) -> dict[str, Line2D]:

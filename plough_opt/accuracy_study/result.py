@@ -7,13 +7,12 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict
 
 from plough_opt.accuracy_study.contest import Entry, cheapest, efficient
 from plough_opt.accuracy_study.optimum import REPORTED
 from plough_opt.accuracy_study.scenes import CONTACT, COURSE, DERIVATIVES, LASTING, MOTION, PROFILE
-from plough_opt.errors import InputError
-from plough_opt.results import SCHEMA, Saved
+from plough_opt.results import SCHEMA, Saved, read_saved, write_text
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -165,6 +164,7 @@ class AccuracyStudy:
             InputError: a file of no known picture format, or one that cannot be written.
         """
         from matplotlib.axes import Axes
+        from matplotlib.figure import Figure
 
         from plough_opt.accuracy_study.picture import draw, figure_of
         from plough_opt.picture_files import save
@@ -172,7 +172,9 @@ class AccuracyStudy:
         panels = [self.panel(question) for question in self.questions]
         if isinstance(target, Axes):
             draw(target, panels[0])
-            return target.get_figure(root=True)  # type: ignore[return-value]  # axes of a picture have a figure
+            whole = target.get_figure(root=True)
+            assert isinstance(whole, Figure)  # axes that were removed from theirs have none
+            return whole
         figure = figure_of(panels, self.title)
         if target is not None:
             save(figure, target)
@@ -202,13 +204,7 @@ class AccuracyStudy:
         Raises:
             InputError: a place that cannot be written.
         """
-        target = Path(path)
-        try:
-            target.parent.mkdir(parents=True, exist_ok=True)
-            target.write_text(self.to_json() + "\n", encoding="utf-8")
-        except OSError as error:
-            raise InputError(f"the study '{target}' cannot be written: {error.strerror}") from None
-        return target
+        return write_text(path, "study", self.to_json() + "\n")
 
     @staticmethod
     def load(path: str | Path) -> AccuracyStudy:
@@ -217,16 +213,7 @@ class AccuracyStudy:
         Raises:
             InputError: no such file, or not a study of this layout.
         """
-        try:
-            return SavedStudy.model_validate_json(Path(path).read_text(encoding="utf-8")).study()
-        except (OSError, UnicodeDecodeError) as error:
-            raise InputError(f"the study '{path}' cannot be read: {error}") from None
-        except ValidationError as error:
-            first = error.errors()[0]
-            place = ".".join(map(str, first["loc"])) or "its beginning"
-            raise InputError(
-                f"'{path}' is not an accuracy study of this version (schema {SCHEMA}): at {place}: {first['msg']}"
-            ) from None
+        return read_saved(path, "study", "an accuracy study", SavedStudy.model_validate_json).study()
 
 
 class SavedEntry(BaseModel):

@@ -10,8 +10,8 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from plough_opt.crosscheck.rows import ModelDraft
+from plough_opt.picture_files import COLOURS
 
-_COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#8A8A8A")
 _MARKERS = "os^vDPX"
 # Spread of drafts beyond which the lower ones could not be told apart on a linear axis.
 _WIDE = 8.0
@@ -48,7 +48,7 @@ def _draw(axes: Axes, own: ModelDraft, rows: Sequence[ModelDraft], speeds: Seque
     for k, row in enumerate(rows):
         if all(map(math.isnan, row.drafts)):
             continue
-        axes.plot(speeds, [draft / 1e3 for draft in row.drafts], color=_COLOURS[k % len(_COLOURS)],
+        axes.plot(speeds, [draft / 1e3 for draft in row.drafts], color=COLOURS[k % len(COLOURS)],
                   marker=_MARKERS[k % len(_MARKERS)], markersize=5, linewidth=1.2, label=row.model)  # fmt: skip
     axes.set_xlabel("speed [km/h]")
     axes.grid(visible=True, alpha=0.3)

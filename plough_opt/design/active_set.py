@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from plough_opt.design.ipopt import Point, Vector
+from plough_opt.design.ipopt import PULLS, Point, Vector
 from plough_opt.design.program import Program
 from plough_opt.errors import InputError, NotConverged
 
@@ -33,8 +33,6 @@ _EXACT = 1e-12
 _NEAR = 1e-3
 # Scaled margins and multipliers below this are none.
 _NONE = 1e-8
-# Scaled multipliers below this pull at nothing.
-_PULLS = 1e-7
 # Relative to the largest. Where Newton's method comes to no end, curvature that vanishes at the optimum is the reason
 # if it is small where IPOPT stopped.
 _FLAT_CURVATURE = 1e-7
@@ -140,7 +138,7 @@ class ActiveSet:
         mu = np.maximum(0.0, -self._signs * both[self._rows])
         mu[self._equal] = (-self._signs * both[self._rows])[self._equal]
         self._evaluate(point.y, mu)
-        active = self._equal | ((mu > _PULLS) & (mu > self.slack))
+        active = self._equal | ((mu > PULLS) & (mu > self.slack))
         for _ in range(_STEPS):
             a = self.gradients[active, : self.n]
             found = np.linalg.lstsq(self._system(a), -np.r_[self.gradient[: self.n], self.slack[active]], rcond=None)[0]

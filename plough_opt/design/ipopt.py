@@ -56,6 +56,15 @@ NEAR: dict[str, Any] = {
 }
 
 
+# Scaled multipliers below this pull at nothing.
+PULLS = 1e-7
+
+
+def decides(margin: float, pull: float) -> bool:
+    """Return whether a limit decides a design, by scaled margin and multiplier: at an optimum one of both vanishes."""
+    return pull > PULLS and pull > margin
+
+
 @dataclass(frozen=True)
 class Point:
     """Where IPOPT stopped, in scaled variables.
@@ -77,6 +86,14 @@ class Point:
     lam_g: Vector
     lam_y: Vector
     iterations: int
+
+    @classmethod
+    def of(cls, result: dict[str, ca.DM], stats: dict[str, Any]) -> Point:
+        """Take what CasADi's interface to IPOPT returned."""
+        y, lam_g, lam_y = (np.asarray(result[name]).ravel() for name in ("x", "lam_g", "lam_x"))
+        status = stats["return_status"]
+        solved = status == "Solve_Succeeded" and bool(np.all(np.isfinite(y)))
+        return cls(solved, status, y, float(result["f"]), lam_g, lam_y, int(stats["iter_count"]))
 
 
 class _AtOnce:
@@ -188,14 +205,4 @@ class Solver:
         solver = self._solver(near, exact)
         lower, upper = limits
         result = solver(x0=start, p=p, lbx=lower, ubx=upper, lbg=self._low, ubg=self._high)
-        stats = solver.stats()
-        vectors = {name: np.asarray(result[name]).ravel() for name in ("x", "lam_g", "lam_x")}
-        return Point(
-            solved=stats["return_status"] == "Solve_Succeeded" and bool(np.all(np.isfinite(vectors["x"]))),
-            status=stats["return_status"],
-            y=vectors["x"],
-            f=float(result["f"]),
-            lam_g=vectors["lam_g"],
-            lam_y=vectors["lam_x"],
-            iterations=int(stats["iter_count"]),
-        )
+        return Point.of(result, solver.stats())

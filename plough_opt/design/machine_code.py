@@ -29,7 +29,7 @@ def as_machine_code(nlp: Nlp, rough: Nlp) -> tuple[Nlp, Nlp] | None:
     if path is None:
         return None
     values, slopes, roughly = (ca.external(name, str(path)) for name in functions)
-    return replace(nlp, values=values, slopes=slopes), replace(rough, values=roughly)
+    return replace(nlp, values=values, first=lambda: slopes), replace(rough, values=roughly)
 
 
 def _named(function: ca.Function, name: str) -> ca.Function:

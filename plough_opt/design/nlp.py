@@ -31,27 +31,51 @@ class Nlp:
     """Functions of scaled variables y and parameters p, as IPOPT wants them.
 
     Attributes:
-        values: (y, p) -> (scaled objective, scaled requirements), from one integration of each run.
-        slopes: (y, p) -> (f, g, gradient, Jacobian), from one integration of each run.
-        f: (y, p) -> scaled objective.
-        g: (y, p) -> scaled requirements, a column.
-        grad_f: (y, p) -> (f, gradient).
-        jac_g: (y, p) -> (g, Jacobian).
-        hessian: returns `hess_lag`, which few solves need and which takes longest to build.
+        values: (y, p) -> (scaled objective f, scaled requirements g), from one integration of each run.
+        first: returns `slopes`; not all programs are asked for derivatives, which take time to build.
+        second: returns `hess_lag`, which takes longest.
     """
 
     values: ca.Function
-    slopes: ca.Function
-    f: ca.Function
-    g: ca.Function
-    grad_f: ca.Function
-    jac_g: ca.Function
-    hessian: Callable[[], ca.Function]
+    first: Callable[[], ca.Function]
+    second: Callable[[], ca.Function]
+
+    @cached_property
+    def slopes(self) -> ca.Function:
+        """(y, p) -> (f, g, gradient, Jacobian), from one integration of each run."""
+        return self.first()
 
     @cached_property
     def hess_lag(self) -> ca.Function:
         """(y, p, lam_f, lam_g) -> upper triangle of the Hessian of lam_f f + lam_g' g."""
-        return self.hessian()
+        return self.second()
+
+    @cached_property
+    def f(self) -> ca.Function:
+        """(y, p) -> f."""
+        return _some("f", self.values, {0: "f"})
+
+    @cached_property
+    def g(self) -> ca.Function:
+        """(y, p) -> g, a column."""
+        return _some("g", self.values, {1: "g"})
+
+    @cached_property
+    def grad_f(self) -> ca.Function:
+        """(y, p) -> (f, gradient)."""
+        return _some("grad_f", self.slopes, {0: "f", 2: "grad_f_x"})
+
+    @cached_property
+    def jac_g(self) -> ca.Function:
+        """(y, p) -> (g, Jacobian)."""
+        return _some("jac_g", self.slopes, {1: "g", 3: "jac_g_x"})
+
+
+def _some(name: str, function: ca.Function, results: dict[int, str]) -> ca.Function:
+    """Return a Function of (y, p) with some of another's results, by the names that IPOPT's interface wants."""
+    y, p = inputs = function.mx_in()
+    found = function.call(inputs)
+    return ca.Function(name, [y, p], [found[k] for k in results], ["x", "p"], list(results.values()))
 
 
 @dataclass(frozen=True)
@@ -186,26 +210,19 @@ def build_nlp(parts: Split, y: ca.MX, p: ca.MX, steps: list[int | None]) -> Nlp:
     results = _column([run.value(function(y, p)) for run, function in zip(runs, inputs, strict=True)])
     f, g = map(ca.densify, algebra.values(y, p, results))
     given = [function(y, p) for function in inputs]
-    both = _first_derivatives(algebra, runs, [run.slopes(own) for run, own in zip(runs, given, strict=True)], y, p)
-    f_again, g_again, gradient, jacobian = both
-    names = ["x", "p"]
 
-    def hessian() -> ca.Function:
+    def first() -> ca.Function:
+        jets = [run.slopes(own) for run, own in zip(runs, given, strict=True)]
+        return ca.Function("slopes", [y, p], list(_first_derivatives(algebra, runs, jets, y, p)))
+
+    def second() -> ca.Function:
         lam_f, lam_g = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", g.numel())
-        second = [run.curvatures(own) for run, own in zip(runs, given, strict=True)]
-        upper = _hessian(algebra, runs, (given, second), (y, p, lam_f, lam_g))
-        inputs, outputs = [*names, "lam_f", "lam_g"], ["triu_hess_gamma_x_x"]
-        return ca.Function("hess_lag", [y, p, lam_f, lam_g], [upper], inputs, outputs)
+        jets = [run.curvatures(own) for run, own in zip(runs, given, strict=True)]
+        upper = _hessian(algebra, runs, (given, jets), (y, p, lam_f, lam_g))
+        names, result = ["x", "p", "lam_f", "lam_g"], ["triu_hess_gamma_x_x"]
+        return ca.Function("hess_lag", [y, p, lam_f, lam_g], [upper], names, result)
 
-    return Nlp(
-        values=ca.Function("values", [y, p], [f, g]),
-        slopes=ca.Function("slopes", [y, p], list(both)),
-        f=ca.Function("f", [y, p], [f], names, ["f"]),
-        g=ca.Function("g", [y, p], [g], names, ["g"]),
-        grad_f=ca.Function("grad_f", [y, p], [f_again, gradient], names, ["f", "grad_f_x"]),
-        jac_g=ca.Function("jac_g", [y, p], [g_again, jacobian], names, ["g", "jac_g_x"]),
-        hessian=hessian,
-    )
+    return Nlp(ca.Function("values", [y, p], [f, g]), first, second)
 
 
 def _algebra(

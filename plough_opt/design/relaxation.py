@@ -31,26 +31,19 @@ def relaxed(nlp: Nlp, variables: int, parameters: int, owner: list[int], count: 
     lam_f, lam_g = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", len(owner))
     y, slack = x[:variables], x[variables:]
     f = ca.sum1(slack)
-    g, jacobian = nlp.jac_g(y, p)
     loose = ca.mtimes(give, slack)
-    gradient = ca.MX(ca.DM(np.r_[np.zeros(variables), np.ones(2 * count)]))
-    names = ["x", "p"]
-    derivatives = [f, g + loose, gradient, ca.horzcat(jacobian, give)]
 
-    def hessian() -> ca.Function:
+    def first() -> ca.Function:
+        _, g, _, jacobian = nlp.slopes(y, p)
+        gradient = ca.MX(ca.DM(np.r_[np.zeros(variables), np.ones(2 * count)]))
+        return ca.Function("slopes", [x, p], [f, g + loose, gradient, ca.horzcat(jacobian, give)])
+
+    def second() -> ca.Function:
         whole = ca.diagcat(nlp.hess_lag(y, p, 0.0, lam_g), ca.MX(2 * count, 2 * count))
-        inputs, outputs = [*names, "lam_f", "lam_g"], ["triu_hess_gamma_x_x"]
-        return ca.Function("hess_lag", [x, p, lam_f, lam_g], [ca.triu(whole)], inputs, outputs)
+        names, result = ["x", "p", "lam_f", "lam_g"], ["triu_hess_gamma_x_x"]
+        return ca.Function("hess_lag", [x, p, lam_f, lam_g], [ca.triu(whole)], names, result)
 
-    return Nlp(
-        values=ca.Function("values", [x, p], [f, nlp.g(y, p) + loose]),
-        slopes=ca.Function("slopes", [x, p], derivatives),
-        f=ca.Function("f", [x, p], [f], names, ["f"]),
-        g=ca.Function("g", [x, p], [nlp.g(y, p) + loose], names, ["g"]),
-        grad_f=ca.Function("grad_f", [x, p], [f, gradient], names, ["f", "grad_f_x"]),
-        jac_g=ca.Function("jac_g", [x, p], [derivatives[1], derivatives[3]], names, ["g", "jac_g_x"]),
-        hessian=hessian,
-    )
+    return Nlp(ca.Function("values", [x, p], [f, nlp.values(y, p)[1] + loose]), first, second)
 
 
 def first_slack(g: Vector, low: Vector, high: Vector, owner: list[int], count: int) -> Vector:

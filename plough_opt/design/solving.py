@@ -13,7 +13,7 @@ import numpy as np
 from plough_opt.design.curvature import flat_directions, minimum_from
 from plough_opt.design.declarations import in_words
 from plough_opt.design.infeasible import infeasible, is_feasible, least_violation
-from plough_opt.design.ipopt import REMEDIES, Point, Vector
+from plough_opt.design.ipopt import REMEDIES, Point, Vector, decides
 from plough_opt.design.optimum import Limit, LocalOptimum, Optimum
 from plough_opt.design.program import Program
 from plough_opt.design.rounding import rounded
@@ -29,8 +29,6 @@ _REFINEMENTS = 4
 _FINER = 1.5
 # Above this gap a design by a method with its own setting carries a warning.
 _COARSE = 1e-6
-# Scaled multipliers below this pull at nothing.
-_PULLS = 1e-7
 
 
 def solve_program(
@@ -159,16 +157,11 @@ def _requirements(program: Program, point: Point, found: Sequence[Vector]) -> li
                 limits=r.limits_text(),
                 margin=margin,
                 multiplier=float(np.sum(np.abs(point.lam_g[own])) * program.objective_scale / program.scales[k]),
-                active=_decides(margin / program.scales[k], pull),
+                active=decides(margin / program.scales[k], pull),
                 unit=r.unit,
             )
         )
     return limits
-
-
-def _decides(scaled_margin: float, pull: float) -> bool:
-    """Return whether a limit decides the design: at an optimum either margin or multiplier vanishes."""
-    return pull > _PULLS and pull > scaled_margin
 
 
 def _bounds(program: Program, point: Point, values: Vector) -> list[Limit]:
@@ -183,7 +176,7 @@ def _bounds(program: Program, point: Point, values: Vector) -> list[Limit]:
                 limits=f"{in_words(v.lower, v.unit)} to {in_words(v.upper, v.unit)}",
                 margin=float(min(value - v.lower, v.upper - value)),
                 multiplier=float(abs(multiplier) * program.objective_scale / slope),
-                active=_decides(float(min(y, 1.0 - y)), float(abs(multiplier))),
+                active=decides(float(min(y, 1.0 - y)), float(abs(multiplier))),
                 unit=v.unit,
             )
         )
@@ -213,10 +206,11 @@ def _names(program: Program, scenes: Sequence[Sequence[Scene]]) -> list[str]:
         scenes: for each optimum, the scenes of its runs.
     """
     for k, run in enumerate(program.exact.runs):
-        if not run.integration.structure.wave or not all(float(own[k].wave_frequency) > 0.0 for own in scenes):
+        if not run.integration.structure.wave or not all(own[k].branch for own in scenes):
             continue
         ratios = [float(own[k].natural_frequency / own[k].wave_frequency) for own in scenes]
-        return [f"{'soft' if r < 1.0 else 'stiff'} branch, {r:.2f} of the wave's frequency" for r in ratios]
+        branches = [own[k].branch for own in scenes]
+        return [f"{b} branch, {r:.2f} of the wave's frequency" for b, r in zip(branches, ratios, strict=True)]
     return ["optimum"] if len(scenes) == 1 else [f"optimum {k + 1}" for k in range(len(scenes))]
 
 

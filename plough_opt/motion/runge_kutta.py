@@ -30,10 +30,9 @@ def step(structure: Structure) -> ca.Function:
     observed = signals(structure)
     state = ca.SX.sym("state", 2)
     span = ca.SX.sym("span", 2)
-    names = observed.parameters
-    p = ca.SX.sym("p", len(names) + 1)
+    p = ca.SX.sym("p", len(observed.parameters) + 1)
     duration = p[-1]
-    known = {name: p[i] for i, name in enumerate(names)}
+    known = observed.named(p)
     own = ca.vertcat(*(known[name] for name in motion.names))
     start, size = span[0] * duration, span[1] * duration
 

@@ -6,15 +6,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from plough_opt.design.ipopt import Point, Vector
+from plough_opt.design.ipopt import PULLS, Point, Vector, decides
 from plough_opt.tradeoff.program import POSITION, FrontProgram
 from plough_opt.tradeoff.tracing import Sample
 
 # Scaled by objective and limits: residuals above are no optimum, violations above no design.
 _RESIDUAL = 1e-6
 _VIOLATED = 1e-6
-# Multipliers below this pull at nothing.
-_PULLS = 1e-7
 
 
 @dataclass(frozen=True)
@@ -72,10 +70,10 @@ def certify(front: FrontProgram, sample: Sample, signs: Vector) -> FrontPoint:
         pull = float(np.max(np.abs(point.lam_g[np.array(program.owner) == k])))
         margins[r.name] = margin
         violation = max(violation, -margin / program.scales[k])
-        if pull > max(_PULLS, margin / program.scales[k]):
+        if decides(margin / program.scales[k], pull):
             active.append(r.name)
     for v, y, multiplier in zip(program.declared.variables, point.y, point.lam_y, strict=True):
-        if abs(multiplier) > max(_PULLS, min(y, 1.0 - y)):
+        if decides(float(min(y, 1.0 - y)), float(abs(multiplier))):
             active.append(v.name)
     own = scaled * np.array(front.scales) * signs
     return FrontPoint(
@@ -112,7 +110,7 @@ def residual(front: FrontProgram, point: Point, p: Vector) -> float:
 def _rate(front: FrontProgram, sample: Sample, signs: Vector) -> float | None:
     point, p = sample.inward or (sample.point, sample.p)
     first, second = front.slopes(point, p)
-    if not front.holds(point) or not (first >= -_PULLS and second > _PULLS):
+    if not front.holds(point) or not (first >= -PULLS and second > PULLS):
         return None
     scales = np.array(front.scales) * signs
     return float(-first / second * scales[1] / scales[0])
@@ -121,8 +119,6 @@ def _rate(front: FrontProgram, sample: Sample, signs: Vector) -> float | None:
 def _branch(front: FrontProgram, y: Vector) -> str:
     program = front.program
     for k, run in enumerate(program.exact.runs):
-        if run.integration.structure.wave:
-            scene = program.exact.inputs(k, front.numbers(y))[1]
-            if float(scene.wave_frequency) > 0.0:
-                return "soft" if float(scene.natural_frequency) < float(scene.wave_frequency) else "stiff"
+        if run.integration.structure.wave and (branch := program.exact.inputs(k, front.numbers(y))[1].branch):
+            return branch
     return ""

@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Any, Final
 
 import casadi as ca
-import numpy as np
 
 from plough_opt.design.ipopt import OPTIONS, Point, Solver, Vector
 
@@ -40,7 +39,4 @@ class Follower(Solver):
         result = self._warm(
             x0=start, p=p, lbx=0.0, ubx=1.0, lbg=self._low, ubg=self._high, lam_x0=at.lam_y, lam_g0=at.lam_g
         )
-        stats = self._warm.stats()
-        y, lam_g, lam_y = (np.asarray(result[name]).ravel() for name in ("x", "lam_g", "lam_x"))
-        solved = stats["return_status"] == "Solve_Succeeded" and bool(np.all(np.isfinite(y)))
-        return Point(solved, stats["return_status"], y, float(result["f"]), lam_g, lam_y, int(stats["iter_count"]))
+        return Point.of(result, self._warm.stats())

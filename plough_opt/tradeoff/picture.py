@@ -11,11 +11,10 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from plough_opt.picture_files import COLOURS
 from plough_opt.tradeoff.certificate import FrontPoint
 from plough_opt.tradeoff.goal import Axis
 
-# Of Okabe and Ito (2008), which the colour-blind can tell apart.
-_PARTS: Final = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
 _MUTED: Final = "#A8A8A8"
 # Of a variable's bounds.
 _LEAST_RANGE: Final = 0.02
@@ -78,7 +77,8 @@ def draw_front(axes: Axes, front: Drawing) -> None:
     for number, part in enumerate(front.parts):
         own = places[list(part)]
         label = "front" if len(front.parts) == 1 else f"front, part {number + 1}"
-        axes.plot(own[:, 0], own[:, 1], "o-", color=_PARTS[number % len(_PARTS)], markersize=4, linewidth=1.3, zorder=4,
+        colour = COLOURS[number % len(COLOURS)]
+        axes.plot(own[:, 0], own[:, 1], "o-", color=colour, markersize=4, linewidth=1.3, zorder=4,
                   label=label)  # fmt: skip
     for number, (before, after) in enumerate(zip(front.parts, front.parts[1:], strict=False)):
         ends = places[[before[-1], after[0]]]
@@ -112,7 +112,7 @@ def _draw_variable(axes: Axes, front: Drawing, variable: Axis) -> None:
     places = _places(front.points, front)[:, 0]
     for number, part in enumerate(front.parts):
         own = list(part)
-        axes.plot(places[own], values[own], "o-", color=_PARTS[number % len(_PARTS)], markersize=2.5, linewidth=1.2)
+        axes.plot(places[own], values[own], "o-", color=COLOURS[number % len(COLOURS)], markersize=2.5, linewidth=1.2)
     if variable.log:
         axes.set_yscale("log")
     elif variable.lower is not None and variable.upper is not None:

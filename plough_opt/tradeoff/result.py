@@ -10,10 +10,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal, overload
 
 import numpy as np
-from pydantic import ValidationError
 
-from plough_opt.errors import InputError
-from plough_opt.results import SCHEMA, Saved, versions
+from plough_opt.results import SCHEMA, Saved, read_saved, versions, write_text
 from plough_opt.tradeoff import plane
 from plough_opt.tradeoff.certificate import FrontPoint
 from plough_opt.tradeoff.goal import Axis
@@ -173,7 +171,7 @@ class TradeOff:
         Raises:
             InputError: the place cannot be written.
         """
-        return _write(path, self.to_json() + "\n")
+        return write_text(path, "front", self.to_json() + "\n")
 
     def to_csv(self, path: str | Path) -> Path:
         """Write a table of all points, SI units, the efficient ones first.
@@ -193,7 +191,7 @@ class TradeOff:
             rate = "" if point.rate is None else repr(point.rate)
             table.writerow([status, part, *map(repr, values), rate, *(repr(point.margins[name]) for name in margins),
                             "; ".join(point.active), point.branch, repr(point.residual), repr(point.gap)])  # fmt: skip
-        return _write(path, text.getvalue())
+        return write_text(path, "table", text.getvalue())
 
     @classmethod
     def load(cls, path: str | Path) -> TradeOff:
@@ -202,16 +200,7 @@ class TradeOff:
         Raises:
             InputError: no such file, or not a front of this layout.
         """
-        try:
-            saved = SavedTradeOff.model_validate_json(Path(path).read_text(encoding="utf-8"))
-        except (OSError, UnicodeDecodeError) as error:
-            raise InputError(f"the front '{path}' cannot be read: {error}") from None
-        except ValidationError as error:
-            first = error.errors()[0]
-            place = ".".join(map(str, first["loc"])) or "its beginning"
-            raise InputError(
-                f"'{path}' is not a front of this version (schema {SCHEMA}): at {place}: {first['msg']}"
-            ) from None
+        saved = read_saved(path, "front", "a front", SavedTradeOff.model_validate_json)
         return cls(**{name: getattr(saved, name) for name in cls.__dataclass_fields__})
 
 
@@ -236,13 +225,3 @@ def _value(value: float, axis: Axis) -> str:
 
 def _heading(axis: Axis) -> str:
     return f"{axis.name} [{axis.unit}]" if axis.unit else axis.name
-
-
-def _write(path: str | Path, text: str) -> Path:
-    target = Path(path)
-    try:
-        target.parent.mkdir(parents=True, exist_ok=True)
-        target.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise InputError(f"'{target}' cannot be written: {error.strerror}") from None
-    return target

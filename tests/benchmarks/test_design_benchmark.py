@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import plough_opt as po
-from plough_opt.design.program import Declarations, Program
+from plough_opt.design.program import Program
 from plough_opt.design.search import scanned_variables
 from plough_opt.design.solving import first_optimum
 from plough_opt.motion import integrators, runge_kutta
@@ -21,7 +21,7 @@ NOTHING = np.empty(0)
 
 
 def _program(d):
-    return Program(Declarations(tuple(d._variables), tuple(d._parameters), d._objective, tuple(d._requirements)))
+    return Program(d.declared)
 
 
 def _forget():

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import pytest
 
 import plough_opt as po
-from plough_opt.design.program import Declarations, Program
+from plough_opt.design.program import Program
 
 PROBLEMS = Path(__file__).resolve().parents[2] / "problems"
 
@@ -75,6 +75,6 @@ def program_of():
     """Return the program of a design, not built yet."""
 
     def program(d):
-        return Program(Declarations(tuple(d._variables), tuple(d._parameters), d._objective, tuple(d._requirements)))
+        return Program(d.declared)
 
     return program

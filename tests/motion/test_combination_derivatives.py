@@ -14,7 +14,7 @@ import pytest
 from test_effect_combinations import ALL, COVERING, label, refused
 
 import plough_opt as po
-from plough_opt.design.program import Declarations, Program
+from plough_opt.design.program import Program
 from plough_opt.motion.integrators import quiet_events
 
 # What every scene has, in SI units; the wave passes some two times, and the mount swings once and a half.
@@ -276,7 +276,7 @@ def test_a_design_sees_the_same_derivatives(effects):
     run = simulated(effects, along(at, direction, t), method_of(effects))
     d.minimise(run.mean_draft)
     d.require("results", ca.vertcat(*results(run)[1:]), at_most=1e6)
-    program = Program(Declarations(tuple(d._variables), (), d._objective, tuple(d._requirements)))
+    program = Program(d.declared)
     program.build(np.zeros(0))
     # In the program t goes from 0 to 1 between its bounds, and each result is divided by a size of its own.
     scales = np.r_[program.objective_scale, np.repeat(program.scales, 3)]

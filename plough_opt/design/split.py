@@ -74,7 +74,8 @@ def split(expressions: list[ca.MX], symbols: list[ca.MX]) -> Split:
         flat = iter(ca.graph_substitute([item for group in groups for item in group], old, new))
         groups = [[next(flat) for _ in group] for group in groups]
     expressions, inputs, quantities, carried = groups
-    if any(ca.depends_on(given, result) for given in (*inputs, *carried) for result in results):
+    taken, given = [ca.vertcat(*(ca.vec(item) for item in items)) for items in (results, [*inputs, *carried])]
+    if found and ca.depends_on(given, taken):
         raise InputError("a run of this design is given results of another run: a design takes runs side by side only")
     independent = (
         replace(run, inputs=given, quantities=scene)

@@ -14,7 +14,7 @@ from plough_opt.errors import IntegrationError
 from plough_opt.labels import Limit
 from plough_opt.motion.embedding import with_numbers
 from plough_opt.motion.integrators import Integration, integration
-from plough_opt.motion.plan import automatic, check_of, most_steps, phase, suited
+from plough_opt.motion.plan import checked, most_steps, phase, suited
 from plough_opt.motion.timeline import Timeline
 from plough_opt.scene import Scene
 
@@ -89,7 +89,7 @@ class TightEvaluation:
         return found, check
 
 
-@lru_cache(maxsize=256)
+@lru_cache(maxsize=2048)
 def tight_results(own: Integration, inputs: tuple[float, ...]) -> tuple[Vector, Vector]:
     """Return a run's stacked results at numbers by a tight adaptive method, and by the one that checks it.
 
@@ -97,12 +97,12 @@ def tight_results(own: Integration, inputs: tuple[float, ...]) -> tuple[Vector, 
         own: how the run was written in the design; only its structure and output times are kept.
         inputs: its parameters, the duration last.
     """
-    total = phase(dict(zip(own.names, inputs[:-1], strict=True)), inputs[-1])
+    p, duration = dict(zip(own.names, inputs[:-1], strict=True)), inputs[-1]
+    total = phase(p, duration)
     outputs = own.timeline.outputs
-    method = automatic(suited(own.structure, total)[0], TIGHT, total, outputs)
     results = []
-    for accuracy in (method, check_of(method, total, outputs, own.structure.kinked)):
-        timeline = Timeline(outputs, accuracy.steps or most_steps(total), own.timeline.kink)
+    for accuracy in checked(suited(own.structure, total)[0], TIGHT, p, duration, own.structure.kinked):
+        timeline = Timeline(outputs, accuracy.steps or most_steps(total), own.timeline.kink, aligned=False)
         function = integration(own.structure, accuracy, timeline).function
         parts = [np.asarray(part).ravel(order="F") for part in function.call([ca.DM(inputs)])]
         results.append(np.concatenate(parts))

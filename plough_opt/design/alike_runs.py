@@ -11,6 +11,7 @@ import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import casadi as ca
 
@@ -96,7 +97,7 @@ class Alike:
         columns = [ca.vec(slopes[:, k :: self.variables]) for k in range(self.variables)]
         return ca.horzcat(*columns)
 
-    def beside(self, slopes: ca.SX | ca.MX) -> ca.SX | ca.MX:
+    def beside(self, slopes: Any) -> Any:
         """Return slopes of all varying parameters by y, run below run, as blocks side by side."""
         count = len(self.varying)
         return ca.horzcat(*(slopes[k * count : (k + 1) * count, :] for k in range(len(self.members))))

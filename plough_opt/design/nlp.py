@@ -182,7 +182,7 @@ def _first_derivatives(
 ) -> tuple[ca.MX, ca.MX, ca.MX, ca.MX]:
     """Return J, g, the gradient of J as a column and the Jacobian of g, from the runs' first-order jets."""
     theta_y = [slopes(y, p) for slopes in algebra.theta_slopes]
-    o, o_y = _joined(alike, [own.slopes(*at) for own, *at in zip(alike, given, theta_y, strict=True)], y)
+    o, o_y = _joined(alike, [own.slopes.call(at) for own, *at in zip(alike, given, theta_y, strict=True)], y)
     f, g, f_y, f_o, g_y, g_o = algebra.slopes(y, p, o)
     return ca.densify(f), ca.densify(g), ca.densify(f_y + ca.mtimes(f_o, o_y)).T, ca.densify(g_y + ca.mtimes(g_o, o_y))
 
@@ -192,7 +192,7 @@ def _hessian(algebra: Algebra, alike: list[Alike], given: list[ca.MX], at: tuple
     y, p, lam_f, lam_g = at
     theta_y = [slopes(y, p) for slopes in algebra.theta_slopes]
     jets = [own.jets(theta) for own, theta in zip(alike, given, strict=True)]
-    o, o_y = _joined(alike, [own.chained(*both) for own, *both in zip(alike, jets, theta_y, strict=True)], y)
+    o, o_y = _joined(alike, [own.chained.call(both) for own, *both in zip(alike, jets, theta_y, strict=True)], y)
     z_y = ca.vertcat(ca.MX.eye(y.numel()), o_y)
     l_zz_z_y, mu = algebra.curvature(y, p, o, z_y, lam_f, lam_g)
     hessian, adjoints, position = ca.mtimes(z_y.T, l_zz_z_y), [], 0
@@ -206,7 +206,7 @@ def _hessian(algebra: Algebra, alike: list[Alike], given: list[ca.MX], at: tuple
     return ca.triu(ca.densify(hessian + algebra.theta_curvature(y, p, _column(adjoints))))
 
 
-def _joined(alike: list[Alike], found: list[tuple[ca.MX, ca.MX]], y: ca.MX) -> tuple[ca.MX, ca.MX]:
+def _joined(alike: list[Alike], found: list[list[ca.MX]], y: ca.MX) -> tuple[ca.MX, ca.MX]:
     """Return all results as a column, and their slopes by y as a matrix, from those of alike runs."""
     if not found:
         return ca.MX(0, 1), ca.MX(0, y.numel())

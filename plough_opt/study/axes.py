@@ -1,0 +1,89 @@
+"""What a quantity of a sweep runs over: a range, or values one by one."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from plough_opt.errors import InputError
+from plough_opt.expressions import is_count
+
+
+@dataclass(frozen=True)
+class Range:
+    """A range of a quantity, for a grid or for a sample.
+
+    Args:
+        lower: first value, SI.
+        upper: last value, above ``lower``.
+        count: values of a grid, ends included, at least 2; None for a sample, which fills the range.
+        log: equal steps of the logarithm in the place of equal steps; both ends above 0.
+
+    Raises:
+        InputError: ends that are no finite numbers or not in order, one value, or a logarithm of what is not above 0.
+    """
+
+    lower: float
+    upper: float
+    count: int | None = None
+    log: bool = False
+
+    def __post_init__(self) -> None:
+        for end in (self.lower, self.upper):
+            if isinstance(end, bool) or not isinstance(end, int | float) or not math.isfinite(end):
+                raise InputError(f"the end {end!r} of a range must be a finite number")
+        if not self.lower < self.upper:
+            raise InputError(f"the range from {self.lower:g} to {self.upper:g} is empty: its first end must be lower")
+        if self.log and not self.lower > 0.0:
+            raise InputError(f"a logarithmic range begins above 0, not at {self.lower:g}")
+        if self.count is not None and (not is_count(self.count) or self.count < 2):
+            raise InputError(f"{self.count!r} values are no range: it takes a whole number from 2 on, for both ends")
+
+    def values(self) -> tuple[float, ...]:
+        """Return the values of a grid, the ends exactly."""
+        if self.count is None:
+            raise InputError(
+                f"the range from {self.lower:g} to {self.upper:g} has no number of values: a grid needs one"
+            )
+        steps = np.geomspace if self.log else np.linspace
+        return tuple(steps(self.lower, self.upper, self.count).tolist())
+
+    def at(self, fraction: float) -> float:
+        """Return the value at a fraction of the range, from 0 to 1."""
+        if self.log:
+            return float(self.lower * (self.upper / self.lower) ** fraction)
+        # In the order in which scipy.stats.qmc.scale computes it.
+        return fraction * (self.upper - self.lower) + self.lower
+
+
+Axis = Range | tuple[float, ...]
+
+
+def axis_of(name: str, given: object) -> Axis:
+    """Return what a quantity runs over, checked.
+
+    Args:
+        name: of the quantity.
+        given: a `Range` or numbers, SI.
+
+    Raises:
+        InputError: neither, fewer than two numbers, the same one twice, or one that is not finite.
+    """
+    if isinstance(given, Range):
+        return given
+    if isinstance(given, str) or not isinstance(given, Iterable):
+        raise InputError(f"'{name}' runs over {given!r}: give a po.Range or a list of numbers")
+    found = list(given)
+    if not all(isinstance(x, int | float | np.number) and not isinstance(x, bool) for x in found):
+        raise InputError(f"'{name}' runs over {found!r}, which are not all numbers")
+    values = tuple(float(x) for x in found)
+    if bad := [x for x in values if not math.isfinite(x)]:
+        raise InputError(f"'{name}' runs over {bad[0]}: every value must be finite")
+    if len(values) < 2:
+        raise InputError(f"'{name}' runs over {len(values)} value(s): a sweep takes two or more; fix it instead")
+    if len(set(values)) < len(values):
+        raise InputError(f"'{name}' runs over the same value twice")
+    return values

@@ -1,0 +1,227 @@
+"""The loop of a sweep: claims points, keeps workers busy, stores what comes back, and goes on where workers die."""
+
+from __future__ import annotations
+
+import time
+import uuid
+from collections import deque
+from collections.abc import Callable
+from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, Executor, Future, wait
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from plough_opt.errors import InputError
+from plough_opt.study.points import Points
+from plough_opt.study.pool import ProcessPool
+from plough_opt.study.store import Store
+from plough_opt.study.work import Array, Done, Evaluation, ManyPoints, work
+
+Told = Callable[[int, int, int], None]
+"""Called with the points that are stored, those of the whole sweep, and those that failed."""
+
+# Seconds of work that a task is to take, and after which a worker gives back what it has.
+_WANTED, _BUDGET = 0.25, 0.5
+# Points of the first task, and at most: of single points, and of many at once.
+_FIRST, _MOST = (1, 64), (4096, 2048)
+_GROWTH: Final = 4
+# How long to wait before looking at the clock, and at what other runs do [s]; how often to renew claims.
+_GLANCE, _RENEWAL = 0.25, 3.0
+# How often a task that was under way when a worker died is tried among others; then its points are tried alone.
+_TRIED_AMONG_OTHERS = 2
+DIED: Final = "the worker process died at this point, whenever it was tried"
+
+
+@dataclass
+class _Task:
+    """Points of one claim.
+
+    Attributes:
+        claim: first point of the claim.
+        numbers: of the points.
+        values: of the quantities, a row for each point.
+        deaths: how often a worker died while it was under way.
+        alone: whether it is tried with no other under way.
+    """
+
+    claim: int
+    numbers: NDArray[np.int64]
+    values: Array
+    deaths: int = 0
+    alone: bool = False
+
+    def part(self, which: slice, alone: bool = False) -> _Task:
+        """Return some of the points."""
+        return _Task(self.claim, self.numbers[which], self.values[which], self.deaths, alone)
+
+
+class Engine:
+    """A sweep under way."""
+
+    def __init__(
+        self, evaluation: Evaluation, points: Points, store: Store, executor: Executor, workers: int, told: Told
+    ) -> None:
+        """Take what to evaluate, where, into what store, by how many workers, and whom to tell."""
+        self._evaluation, self._points, self._store, self._executor = evaluation, points, store, executor
+        self._most_under_way = 2 * workers + 2
+        self._told = told
+        self._key = uuid.uuid4().hex
+        self._kind = int(isinstance(evaluation, ManyPoints))
+        self._size = _FIRST[self._kind]
+        self._under_way: dict[Future[Done], _Task] = {}
+        self._again: deque[_Task] = deque()
+        self._open: dict[int, int] = {}
+        self._stored, self._failed = store.stored()
+        self._renewed = time.monotonic()
+
+    def run(self) -> None:
+        """Evaluate every point that is not stored.
+
+        Raises:
+            InputError: the executor cannot carry out the work, or results have different names.
+        """
+        self._tell()
+        try:
+            while self._fill():
+                if self._under_way:
+                    done = wait(self._under_way, timeout=_GLANCE, return_when=FIRST_COMPLETED).done
+                    self._collect(done)
+                else:
+                    time.sleep(_GLANCE)
+                    self._stored, self._failed = self._store.stored()
+                    self._tell()
+                self._renew()
+        finally:
+            self._leave()
+
+    def _fill(self) -> bool:
+        """Submit tasks; return whether there is anything to wait for."""
+        while len(self._under_way) < self._most_under_way:
+            alone = bool(self._again) and self._again[0].alone
+            if any(task.alone for task in self._under_way.values()) or (alone and self._under_way):
+                break
+            task = self._again.popleft() if self._again else self._claimed()
+            if task is None:
+                break
+            self._submit(task)
+        return bool(self._under_way) or self._store.waiting()
+
+    def _claimed(self) -> _Task | None:
+        """Return a task of points that nobody works on, or None."""
+        while (claim := self._store.claim(self._size)) is not None:
+            numbers = self._store.missing(*claim)
+            if len(numbers) > 0:
+                self._open[claim[0]] = len(numbers)
+                first = int(numbers[0])
+                return _Task(claim[0], numbers, self._points.block(first, int(numbers[-1]) + 1)[numbers - first])
+            self._store.keep(numbers, np.empty((0, 0)), None, {}, finished=claim[0])
+        return None
+
+    def _submit(self, task: _Task) -> None:
+        try:
+            future = self._executor.submit(work, self._key, self._evaluation, self._points.names, task.values, _BUDGET)
+        except BrokenExecutor as error:
+            future = Future()
+            future.set_exception(error)
+        self._under_way[future] = task
+
+    def _collect(self, done: set[Future[Done]]) -> None:
+        """Store what came back."""
+        broken: BaseException | None = None
+        dead: list[_Task] = []
+        for future in sorted(done, key=lambda future: self._under_way[future].claim):
+            task = self._under_way.pop(future)
+            error = CancelledError("cancelled") if future.cancelled() else future.exception()
+            if error is None:
+                self._take(task, future.result())
+            elif isinstance(error, BrokenExecutor):
+                broken = error
+                dead.append(task)
+            elif type(error).__name__ == "KilledWorker":  # dask gives up a task after several workers died of it
+                self._bury(task)
+            elif isinstance(error, InputError):
+                raise error
+            else:
+                raise InputError(
+                    f"the executor could not carry out a task: {type(error).__name__}: {error}; what is stored is"
+                    " stored, and the same sweep goes on from there"
+                ) from error
+        if broken is not None:
+            self._restart(dead, broken)
+
+    def _take(self, task: _Task, done: Done) -> None:
+        """Store what a worker found, and put the rest of its points back."""
+        if done.names and done.names != self._store.results:
+            self._store.name_results(done.names)
+        self._keep(task.part(slice(done.points)), done)
+        if done.points < len(task.numbers):
+            self._again.appendleft(task.part(slice(done.points, None)))
+        each = done.seconds / done.points
+        wanted = int(min(_WANTED / max(each, 1e-9), _GROWTH * self._size))
+        self._size = max(1, min(wanted, _MOST[self._kind]))
+
+    def _keep(self, task: _Task, done: Done) -> None:
+        """Store finished points, and give up their claim where they are the last of it."""
+        notes = [
+            (kind, text, int(task.numbers[place]), points) for kind, (text, place, points) in sorted(done.notes.items())
+        ]
+        self._open[task.claim] -= len(task.numbers)
+        finished = task.claim if self._open[task.claim] == 0 else None
+        new = self._store.keep(task.numbers, task.values, done.results, done.reasons, notes, finished)
+        self._stored += new
+        self._failed += len(done.reasons) if new == len(task.numbers) else 0
+        self._tell()
+
+    def _restart(self, dead: list[_Task], error: BaseException) -> None:
+        """Go on with new processes after one of them died."""
+        if not isinstance(self._executor, ProcessPool):
+            raise InputError(
+                f"the executor is broken: {error}; what is stored is stored, and the same sweep goes on from there with"
+                " a new one"
+            ) from error
+        # Those that came back whole before their process died are among them.
+        for future, task in list(self._under_way.items()):
+            del self._under_way[future]
+            if not future.cancel() and future.exception() is None:
+                self._take(task, future.result())
+            else:
+                dead.append(task)
+        self._executor.restart()
+        for task in dead:
+            task.deaths += 1
+            if task.alone and len(task.numbers) == 1:
+                self._bury(task)
+            elif task.deaths < _TRIED_AMONG_OTHERS:
+                self._again.append(task)
+            else:
+                self._separate(task)
+
+    def _separate(self, task: _Task) -> None:
+        """Try the points of a task one at a time, with nothing else under way."""
+        self._again.extend(task.part(slice(k, k + 1), alone=True) for k in range(len(task.numbers)))
+
+    def _bury(self, task: _Task) -> None:
+        """Enter a point as failed at which workers die; of several, find out at which."""
+        if len(task.numbers) == 1:
+            self._keep(task, Done(1, reasons={0: DIED}))
+        else:
+            self._separate(task)
+
+    def _renew(self) -> None:
+        if time.monotonic() - self._renewed > _RENEWAL:
+            self._store.renew()
+            if self._store.waiting():
+                self._stored, self._failed = self._store.stored()
+            self._renewed = time.monotonic()
+
+    def _tell(self) -> None:
+        self._told(self._stored, self._points.count, self._failed)
+
+    def _leave(self) -> None:
+        """Store what has come back by now, and leave the rest to whoever resumes."""
+        for future, task in self._under_way.items():
+            if not future.cancel() and future.done() and future.exception() is None:
+                self._take(task, future.result())
+        self._store.release()

@@ -1,0 +1,99 @@
+"""Tables of a store as CSV and NPZ, written row by row: no file is too large for the memory."""
+
+from __future__ import annotations
+
+import csv
+import itertools
+import zipfile
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
+from numpy.lib import format as npy
+
+from plough_opt.errors import InputError
+from plough_opt.study.store import Store
+
+_AT_ONCE = 16384
+
+
+def write_csv(store: Store, path: str | Path) -> Path:
+    """Write a row for each point: its number, quantities and results in SI units, and why it failed.
+
+    Raises:
+        InputError: a place that cannot be written.
+    """
+    units = store.units
+
+    def write(target: Path) -> None:
+        with target.open("w", encoding="utf-8", newline="") as file:
+            table = csv.writer(file, lineterminator="\n")
+            headings = (f"{name} [{units[name]}]" if units.get(name) else name for name in store.columns)
+            table.writerow(["point", *headings, "reason"])
+            # A float's repr has all the digits that it needs, and None is empty.
+            table.writerows(store.rows("point", *store.columns, "reason"))
+
+    return _written(path, write)
+
+
+def write_npz(store: Store, path: str | Path) -> Path:
+    """Write an array for each column; ``failed`` has the numbers of the points that failed, ``reasons`` why.
+
+    Raises:
+        InputError: a place that cannot be written.
+    """
+    stored, failed = store.stored()
+
+    def write(target: Path) -> None:
+        with zipfile.ZipFile(target, "w", allowZip64=True) as archive:
+            _write_array(archive, "point", np.dtype("<i8"), stored, (row[0] for row in store.rows("point")))
+            for name in store.columns:
+                numbers = (np.nan if row[0] is None else row[0] for row in store.rows(name))
+                _write_array(archive, name, np.dtype("<f8"), stored, numbers)
+            lost = "reason IS NOT NULL"
+            _write_array(
+                archive, "failed", np.dtype("<i8"), failed, (row[0] for row in store.rows("point", where=lost))
+            )
+            longest = max((len(row[0]) for row in store.rows("reason", where=lost)), default=1)
+            reasons = (row[0] for row in store.rows("reason", where=lost))
+            _write_array(archive, "reasons", np.dtype(f"<U{longest}"), failed, reasons, zipfile.ZIP_DEFLATED)
+
+    return _written(path, write)
+
+
+def _write_array(
+    archive: zipfile.ZipFile,
+    name: str,
+    kind: np.dtype[Any],
+    count: int,
+    values: Iterable[Any],
+    compression: int = zipfile.ZIP_STORED,
+) -> None:
+    """Write one array of an archive."""
+    entry = zipfile.ZipInfo(f"{name}.npy")
+    entry.compress_type = compression
+    with archive.open(entry, "w", force_zip64=True) as file:
+        _write_header(file, kind, count)
+        for part in _parts(values):
+            file.write(np.array(part, dtype=kind).tobytes())
+
+
+def _write_header(file: IO[bytes], kind: np.dtype[Any], count: int) -> None:
+    npy.write_array_header_1_0(file, {"descr": npy.dtype_to_descr(kind), "fortran_order": False, "shape": (count,)})
+
+
+def _parts(values: Iterable[Any]) -> Iterator[list[Any]]:
+    rest = iter(values)
+    while part := list(itertools.islice(rest, _AT_ONCE)):
+        yield part
+
+
+def _written(path: str | Path, write: Any) -> Path:
+    target = Path(path)
+    try:
+        target.parent.mkdir(parents=True, exist_ok=True)
+        write(target)
+    except OSError as error:
+        raise InputError(f"the table '{target}' cannot be written: {error.strerror}") from None
+    return target

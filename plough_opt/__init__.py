@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from plough_opt import elastic, plastic
 from plough_opt.accuracy import Accuracy
+from plough_opt.component import Component, Input, Output, component
 from plough_opt.design import Design, LocalOptimum, Optimum
 from plough_opt.effects import Effects, HarmonicBalance, OwnResistance, Smooth, StickSlip, StrengthWave
 from plough_opt.errors import (
@@ -74,6 +75,7 @@ __all__ = [
     "AccuracyStudy",
     "Batch",
     "BatchResult",
+    "Component",
     "Cone",
     "Design",
     "DomainError",
@@ -81,11 +83,13 @@ __all__ = [
     "Goal",
     "HarmonicBalance",
     "InfeasibleDesign",
+    "Input",
     "InputError",
     "IntegrationError",
     "LocalOptimum",
     "NotConverged",
     "Optimum",
+    "Output",
     "OwnResistance",
     "PloughError",
     "Printed",
@@ -100,6 +104,7 @@ __all__ = [
     "TradeOff",
     "Wedge",
     "added_mass",
+    "component",
     "crosscheck",
     "deg",
     "elastic",

@@ -1,0 +1,130 @@
+"""Quantities and results by the names that problem files give them, such as "share.height" and "mean_draft"."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from plough_opt.errors import InputError, nearest
+from plough_opt.expressions import Expression
+from plough_opt.forces import added_mass
+from plough_opt.motion import Run
+from plough_opt.scene import Scene
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """A number that a scene holds.
+
+    Attributes:
+        unit: SI unit, "" for a pure number.
+        path: attributes that lead to it from the scene.
+        low: end of the model's domain, in that unit.
+        high: its other end.
+    """
+
+    unit: str
+    path: tuple[str, ...]
+    low: float = 0.0
+    high: float = math.inf
+
+
+QUANTITIES: dict[str, Quantity] = {
+    "soil.density": Quantity("kg/m^3", ("soil", "density")),
+    "soil.density_ratio": Quantity("", ("soil", "density_ratio"), high=1.0),
+    "soil.cohesion": Quantity("Pa", ("soil", "cohesion")),
+    "soil.friction_angle": Quantity("rad", ("soil", "friction_angle"), high=math.pi / 2),
+    "soil.tool_friction": Quantity("", ("soil", "tool_friction")),
+    "soil.ambient_pressure": Quantity("Pa", ("soil", "ambient_pressure")),
+    "soil.youngs_modulus": Quantity("Pa", ("soil", "youngs_modulus")),
+    "soil.poisson_ratio": Quantity("", ("soil", "poisson_ratio"), high=0.5),
+    "share.wedge_angle": Quantity("rad", ("share", "angle"), high=math.pi / 2),
+    "share.chisel_angle": Quantity("rad", ("share", "chisel_angle"), high=math.pi / 2),
+    "share.half_angle": Quantity("rad", ("share", "half_angle"), high=math.pi / 2),
+    "share.height": Quantity("m", ("share", "height")),
+    "scene.stiffness": Quantity("N/m", ("stiffness",)),
+    "scene.mass": Quantity("kg", ("mass",)),
+    "scene.tow_speed": Quantity("m/s", ("tow_speed",)),
+    "effects.strength_wave.amplitude": Quantity("", ("effects", "strength_wave", "amplitude"), high=1.0),
+    "effects.strength_wave.wavelength": Quantity("m", ("effects", "strength_wave", "wavelength")),
+    "effects.tow_ramp": Quantity("s", ("effects", "tow_ramp")),
+    "effects.damping": Quantity("N*s/m", ("effects", "damping")),
+    "effects.rate_term": Quantity("s^2/m^2", ("effects", "rate_term")),
+    "effects.contact_width": Quantity("m/s", ("effects", "contact", "width")),
+    "effects.breakaway": Quantity("", ("effects", "contact", "breakaway"), low=1.0),
+}
+"""Quantities of a scene by name; "share.half_angle" of a share that is given as a cone."""
+
+
+def quantity_of(scene: Scene, name: str) -> Expression:
+    """Return a scene's quantity by name.
+
+    Raises:
+        InputError: an unknown name, or a quantity that the scene does not have.
+    """
+    if name not in QUANTITIES:
+        raise InputError(f"no quantity is named '{name}': {nearest(name, QUANTITIES)}")
+    value: Any = scene
+    for attribute in QUANTITIES[name].path:
+        value = getattr(value, attribute, None)
+    if value is None:
+        raise InputError(f"the scene has no '{name}': give it one, or leave the name out")
+    return value
+
+
+def with_quantities(scene: Scene, changes: Mapping[str, Expression]) -> Scene:
+    """Return a scene with other values of some quantities, by name, numbers or expressions.
+
+    Raises:
+        InputError: an unknown name, or a quantity that the scene does not have.
+        DomainError: a number outside the model's domain.
+    """
+    for name, value in changes.items():
+        quantity_of(scene, name)
+        scene = _replaced(scene, QUANTITIES[name].path, value)
+    return scene
+
+
+def _replaced(value: Any, path: tuple[str, ...], new: Expression) -> Any:
+    if not path:
+        return new
+    return dataclasses.replace(value, **{path[0]: _replaced(getattr(value, path[0]), path[1:], new)})
+
+
+@dataclass(frozen=True)
+class Measure:
+    """A result of a run that can be named.
+
+    Attributes:
+        unit: SI unit.
+        of: run -> value, a column where ``everywhere``.
+        everywhere: a value at every output time; it can be limited, and not minimised.
+        plastic: belongs to the plastic gas alone.
+    """
+
+    unit: str
+    of: Callable[[Run], Expression]
+    everywhere: bool = False
+    plastic: bool = False
+
+
+MEASURES: dict[str, Measure] = {
+    "mean_draft": Measure("N", lambda run: run.mean_draft),
+    "force_rms": Measure("N", lambda run: run.force_rms),
+    "mean_deflection": Measure("m", lambda run: run.mean_deflection),
+    "displacement_rms": Measure("m", lambda run: run.displacement_rms),
+    "tow_power": Measure("W", lambda run: run.tow_power),
+    "specific_draft": Measure("Pa", lambda run: run.specific_draft, plastic=True),
+    "loosened_radius": Measure("m", lambda run: run.scene.loosened_radius, plastic=True),
+    "half_angle": Measure("rad", lambda run: run.scene.cone.half_angle),
+    "moving_mass": Measure("kg", lambda run: run.scene.mass),
+    "added_mass": Measure("kg", lambda run: added_mass(run.scene.cone, run.scene.soil), plastic=True),
+    "deflection": Measure("m", lambda run: run.deflection, everywhere=True),
+    "mount_force": Measure("N", lambda run: run.mount_force, everywhere=True),
+    "soil_resistance": Measure("N", lambda run: run.soil_resistance, everywhere=True),
+    "speed": Measure("m/s", lambda run: run.speed, everywhere=True),
+}
+"""Results by name; an angle in rad."""

@@ -1,0 +1,224 @@
+"""A scene as one CasADi Function: its values, derivatives and error, and its life in other people's graphs."""
+
+import pickle
+import subprocess
+import sys
+
+import casadi as ca
+import numpy as np
+import pytest
+
+import plough_opt as po
+from tests.benchmarks.peers.r1 import RUNS
+from tests.high_precision import FIRM, derivatives, mp, resistance_terms
+
+STEEL = 7850.0
+BOUNDS = {"share.wedge_angle": (po.deg(5), po.deg(60)), "share.height": (0.1, 0.5), "scene.stiffness": (5e3, 5e5)}
+INPUTS = [po.Input(name, *bounds) for name, bounds in BOUNDS.items()]
+RESULTS = ["mean_draft", "force_rms", "loosened_radius", "mean_deflection", "half_angle"]
+# Optimum of problem R1 with a mount of medium stiffness: from a grid of 1.9 million simulations, polished.
+START, OPTIMUM, OBJECTIVE = [po.deg(25), 0.25, 5e4], [po.deg(39.11469851), 0.2002828632, 37505.6423], 0.9164459115
+
+
+@pytest.fixture(scope="module")
+def r1(r1_scene, r1_wave):
+    return po.component(
+        r1_scene(strength_wave=r1_wave), 2.0, inputs=INPUTS, outputs=RESULTS, steel_density=STEEL, name="r1"
+    )
+
+
+def test_names_units_and_bounds_are_attached(r1):
+    assert [(p.name, p.unit, p.lower, p.upper) for p in r1.inputs] == [
+        ("share.wedge_angle", "rad", *BOUNDS["share.wedge_angle"]),
+        ("share.height", "m", 0.1, 0.5),
+        ("scene.stiffness", "N/m", 5e3, 5e5),
+    ]
+    assert [(p.name, p.unit) for p in r1.outputs] == list(zip(RESULTS, ["N", "N", "m", "m", "rad"], strict=True))
+    assert r1.function.name() == "r1"
+    assert r1.function.name_in() == ["share_wedge_angle", "share_height", "scene_stiffness"]
+    assert r1.function.name_out() == RESULTS
+    for text in ("scene.stiffness [N/m] 5000 to 500000, value 50000", "force_rms [N]", "551 steps", "plane sections"):
+        assert text in str(r1)
+
+
+@pytest.mark.parametrize("run", RUNS, ids=lambda run: f"{run[0]:g}deg-{run[2]:g}")
+def test_values_are_those_of_long_double_simulations(r1, run):
+    angle, height, stiffness, mean, rms = run
+    found = r1(po.deg(angle), height, stiffness)
+    # The table has twelve digits; the error of the steps grows to the estimated one with the mount's frequency.
+    assert found[0] == pytest.approx(mean, rel=1e-11 if stiffness < 1e5 else r1.error_estimate)
+    assert found[1] == pytest.approx(rms, rel=2e-11 if stiffness < 1e5 else r1.error_estimate)
+
+
+@pytest.mark.parametrize("corner", [(5, 0.1, 5e5), (60, 0.1, 5e5), (33, 0.3, 2e5)])
+def test_the_error_estimate_holds_against_another_integrator(r1, r1_scene, r1_wave, corner):
+    angle, height, stiffness = corner
+    scene = r1_scene(angle, height, stiffness, strength_wave=r1_wave)
+    other = po.simulate(scene, 2.0, accuracy=po.Accuracy("erk", tolerance=1e-12), outputs=1)
+    found = r1(po.deg(angle), height, stiffness)
+    error = max(abs(found[0] - other.mean_draft), abs(found[1] - other.force_rms)) / other.mean_draft
+    assert r1.error_estimate <= 1e-8
+    assert error <= r1.error_estimate + 1e-11  # the other integrator's own
+
+
+def test_tighter_bounds_take_fewer_steps_and_a_named_number_is_kept(r1, r1_scene, r1_wave):
+    scene = r1_scene(strength_wave=r1_wave)
+    soft = po.component(scene, 2.0, inputs=[po.Input("scene.stiffness", 5e3, 6e4)], outputs=["mean_draft"])
+    assert soft.accuracy.steps < r1.accuracy.steps / 2
+    few = po.component(scene, 2.0, inputs=INPUTS, outputs=["mean_draft"], accuracy=po.Accuracy("dop853", steps=200))
+    assert few.accuracy.steps == 200
+    assert few.error_estimate > 1e-6
+    assert any("was not reached" in note for note in few.warnings)
+
+
+def test_all_derivatives_of_a_draft_are_those_of_120_digits():
+    """Quasi-static, every quantity an input: value, gradient and Hessian against the textbook formulas."""
+    names = {
+        "share.wedge_angle": "wedge_angle", "share.chisel_angle": "chisel_angle", "share.height": "height",
+        "soil.density": "density", "soil.density_ratio": "density_ratio", "soil.friction_angle": "friction_angle",
+        "soil.cohesion": "cohesion", "soil.tool_friction": "tool_friction",
+        "soil.ambient_pressure": "ambient_pressure", "scene.tow_speed": "speed",
+    }  # fmt: skip
+    soil = po.Soil(**{key: FIRM[key] for key in list(FIRM)[3:9]})
+    share = po.Wedge(FIRM["wedge_angle"], FIRM["chisel_angle"], FIRM["height"])
+    wave = po.StrengthWave(0.4, 0.7)
+    scene = po.Scene(soil, share, 5e4, 20.0, FIRM["speed"], po.Effects(motion=False, strength_wave=wave))
+    bounds = [po.Input(name, 0.9 * FIRM[own], 1.1 * FIRM[own]) for name, own in names.items()]
+    made = po.component(scene, 1.3, inputs=bounds, outputs=["mean_draft"])
+
+    def mean_draft(*x):
+        values = {**{key: mp.mpf(0) for key in FIRM}, **dict(zip(names.values(), x, strict=True))}
+        static, moving, _ = resistance_terms(values)
+        phase = 2 * mp.pi * values["speed"] * mp.mpf(1.3) / mp.mpf(0.7)
+        return static * (1 + mp.mpf(0.4) * (1 - mp.cos(phase)) / phase) + moving
+
+    at = [FIRM[own] for own in names.values()]
+    value, gradient, hessian = derivatives(mean_draft, [mp.mpf(x) for x in at])
+    x = ca.MX.sym("x", len(at))
+    (draft,) = made.function.call(ca.vertsplit(x))
+    second, first = ca.hessian(draft, x)
+    found = ca.Function("found", [x], [draft, first, second])(at)
+    assert float(found[0]) == pytest.approx(float(value), rel=2e-14)
+    scale = np.abs(at)
+    wanted = np.array([float(g) for g in gradient]) * scale / float(value)
+    assert found[1].full().ravel() * scale / float(value) == pytest.approx(wanted, abs=1e-12)
+    wanted = np.array([[float(h) for h in row] for row in hessian]) * np.outer(scale, scale) / float(value)
+    # Scaled second derivatives are of order one to a thousand, that by the phase's speed largest.
+    assert found[2].full() * np.outer(scale, scale) / float(value) == pytest.approx(wanted, rel=1e-11, abs=1e-11)
+
+
+def _differences(function, x, step):
+    """Return derivatives by central differences of order 8."""
+    weights = (4 / 5, -1 / 5, 4 / 105, -1 / 280)
+    columns = []
+    for k, size in enumerate(np.abs(x) * step):
+        shifted = [
+            [np.array(x) + sign * (j + 1) * size * (np.arange(len(x)) == k) for sign in (1, -1)] for j in range(4)
+        ]
+        columns.append(sum(w * (function(a) - function(b)) for w, (a, b) in zip(weights, shifted, strict=True)) / size)
+    return np.stack(columns, axis=-1)
+
+
+def test_first_and_second_derivatives_of_a_motion_are_those_of_differences(r1):
+    x = ca.MX.sym("x", 3)
+    stacked = ca.vertcat(*r1.function.call(ca.vertsplit(x)))
+    slopes = ca.Function("slopes", [x], [ca.densify(ca.jacobian(stacked, x))])
+    curvatures = ca.Function("curvatures", [x], [ca.densify(ca.jacobian(ca.vec(slopes(x)), x))])
+    at = np.array([0.5, 0.3, 3e4])
+    scale, size = np.abs(at), np.array([r1(*at)]).T
+    first = _differences(lambda y: np.array([r1.function.call(list(y))]).ravel(), at, 2e-3) * scale / size
+    assert r1.jacobian(*at).full() * scale / size == pytest.approx(
+        slopes(at).full() * scale / size, rel=1e-14, abs=1e-15
+    )
+    # Differences of values with a rounding of 1e-14 over steps of 2e-3.
+    assert slopes(at).full() * scale / size == pytest.approx(first, rel=1e-10, abs=1e-11)
+    second = _differences(lambda y: slopes(y).full(), at, 2e-3) * scale / size[:, :, None]
+    found = curvatures(at).full().reshape(3, 5, 3).transpose(1, 0, 2) * scale / size[:, :, None]
+    assert found == pytest.approx(second, rel=1e-9, abs=1e-9 * np.abs(second).max())
+
+
+def test_map_equals_calls(r1):
+    rows = np.random.default_rng(1).uniform(*zip(*BOUNDS.values(), strict=True), (5, 3))
+    found = np.vstack([value.full() for value in r1.map(5).call(list(rows.T[:, None, :]))])
+    assert found.tolist() == [list(column) for column in zip(*(r1(*row) for row in rows), strict=True)]
+
+
+def test_a_pickle_gives_the_same_numbers_in_another_process(r1, tmp_path):
+    path = tmp_path / "r1.pickle"
+    path.write_bytes(pickle.dumps(r1))
+    code = (
+        f"import pickle; c = pickle.load(open({str(path)!r}, 'rb')); x = {START}\n"
+        "print([float(v).hex() for v in c(*x)], c.jacobian(*x).full().tolist(), c.inputs, c.error_estimate)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    here = ([float(v).hex() for v in r1(*START)], r1.jacobian(*START).full().tolist(), r1.inputs, r1.error_estimate)
+    assert done.stdout.strip() == " ".join(map(str, here))
+
+
+def test_inputs_by_name_have_the_scenes_values_where_left_out(r1):
+    found = r1(scene_stiffness=4e4)
+    assert found == r1(**{"scene.stiffness": 4e4})
+    assert tuple(found.values()) == r1(po.deg(25), 0.25, 4e4)
+    assert list(found) == RESULTS
+    assert r1.function(scene_stiffness=4e4)["mean_draft"] == found["mean_draft"]
+
+
+def _objective(outputs):
+    return outputs[0] / 1e3 + outputs[1] / 1e3
+
+
+def _limits(outputs):
+    """Return what must not be negative."""
+    return ca.vertcat(outputs[2] / 0.12 - 1.0, 1.0 - outputs[3] / 0.15, 1.0 - outputs[4] / po.deg(15))
+
+
+IPOPT = {"print_time": False, "ipopt": {"print_level": 0, "sb": "yes", "tol": 1e-10, "bound_relax_factor": 0.0}}
+
+
+def test_ones_own_opti_finds_the_optimum_of_r1(r1_scene, r1_wave):
+    low, high = np.array([po.deg(30), 0.15, 3e4]), np.array([po.deg(50), 0.3, 4.5e4])
+    inputs = [po.Input(name, *bounds) for name, *bounds in zip(BOUNDS, low, high, strict=True)]
+    scene = r1_scene(37.0, 0.22, 4e4, strength_wave=r1_wave)
+    around = po.component(scene, 2.0, inputs=inputs, outputs=RESULTS, steel_density=STEEL)
+    opti = ca.Opti()
+    y = opti.variable(3)
+    outputs = around(*(low[k] + (high - low)[k] * y[k] for k in range(3)))
+    opti.minimize(_objective(outputs))
+    opti.subject_to(_limits(outputs) >= 0)
+    opti.subject_to(opti.bounded(0, y, 1))
+    opti.set_initial(y, 0.5)
+    opti.solver("ipopt", IPOPT)
+    solution = opti.solve()
+    assert solution.value(opti.f) == pytest.approx(OBJECTIVE, rel=1e-9)
+    assert low + (high - low) * solution.value(y) == pytest.approx(OPTIMUM, rel=1e-7)
+
+
+def test_nlpsol_finds_the_optimum_of_r1_in_sx(r1_scene, r1_wave):
+    """One stiffness, in a graph of SX alone: IPOPT with exact second derivatives of unrolled steps."""
+    narrow = po.component(
+        r1_scene(39.11469851, 0.2002828632, 4e4, strength_wave=r1_wave),
+        2.0,
+        inputs=[po.Input("scene.stiffness", 3e4, 4.5e4)],
+        outputs=["mean_draft", "force_rms"],
+    )
+    k = ca.SX.sym("k")
+    draft, rms = narrow(1e4 * k)
+    assert isinstance(draft, ca.SX)
+    solver = ca.nlpsol("solver", "ipopt", {"x": k, "f": draft / 1e3 + rms / 1e3}, IPOPT)
+    found = solver(x0=3.6, lbx=3.0, ubx=4.5)
+    assert float(found["f"]) == pytest.approx(OBJECTIVE, rel=1e-9)
+    assert 1e4 * float(found["x"]) == pytest.approx(OPTIMUM[2], rel=1e-7)
+
+
+def test_shares_soils_scenes_and_runs_are_expressions_of_ones_own_graph(r1, r1_soil, r1_wave):
+    """Without a component: the physics itself in somebody's Opti, and the same values as the component's."""
+    opti = ca.Opti()
+    x = [opti.parameter() for _ in range(3)]
+    share = po.Wedge(x[0], po.deg(15), x[1])
+    cone = share.equivalent_cone()
+    scene = po.Scene(r1_soil, share, x[2], 20.0 + cone.solid_mass(STEEL), 2.0, po.Effects(strength_wave=r1_wave))
+    run = po.simulate(scene, 2.0, accuracy=po.Accuracy("dop853", steps=400), outputs=1)
+    results = [run.mean_draft, run.force_rms, po.loosened_radius(cone, r1_soil), run.mean_deflection, cone.half_angle]
+    for parameter, value in zip(x, START, strict=True):
+        opti.set_value(parameter, value)
+    assert [opti.value(value) for value in results] == pytest.approx(r1(*START), rel=1e-12)

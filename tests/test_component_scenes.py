@@ -1,0 +1,233 @@
+"""Components of every kind of scene that can be one, and what the others are told."""
+
+import itertools
+
+import casadi as ca
+import numpy as np
+import pytest
+
+import plough_opt as po
+from plough_opt.component.ports import Port, corners, inside
+from plough_opt.vocabulary import MEASURES, QUANTITIES
+
+WAVE = po.StrengthWave(0.3, 0.6)
+EVERYTHING = [*MEASURES]
+
+
+def _compared(scene, duration, inputs, outputs, at, **options):
+    """Return a component's outputs, and the same from simulating the scene of numbers ``at(values)``."""
+    made = po.component(scene, duration, inputs=inputs, outputs=outputs, samples=50, **options)
+    values = [0.3 * port.lower + 0.7 * port.upper for port in made.inputs]
+    run = po.simulate(at(*values), duration, outputs=50)
+    return made(*values), [MEASURES[name].of(run) for name in outputs]
+
+
+@pytest.mark.parametrize(
+    "effects",
+    [
+        {"damping": 250.0, "start": "rest", "strength_wave": WAVE},
+        {"tow_ramp": 0.5, "strength_wave": WAVE},
+        {"contact": po.Smooth(0.05), "rate_term": 0.05},
+        {"motion": False, "strength_wave": WAVE, "tow_ramp": 0.5},
+        {"motion": False},
+        {"orbit": "linearised", "strength_wave": WAVE, "damping": 400.0},
+        {"orbit": po.HarmonicBalance(8), "strength_wave": WAVE, "damping": 400.0},
+        {"orbit": "periodic", "strength_wave": WAVE, "damping": 400.0},
+        {"own": (), "inertial_drag": False, "added_mass": False, "ambient_pressure": False},
+    ],
+    ids=lambda effects: "+".join(effects),
+)
+def test_every_result_is_that_of_the_scene_of_numbers(r1_scene, effects):
+    scene = r1_scene(**effects)
+    duration = None if "orbit" in effects else 2.0
+    inputs = [po.Input("share.height", 0.2, 0.3), po.Input("scene.stiffness", 3e4, 6e4)]
+
+    def at(height, stiffness):
+        share = po.Wedge(scene.share.angle, scene.share.chisel_angle, height)
+        return po.Scene(scene.soil, share, stiffness, scene.mass, scene.tow_speed, scene.effects)
+
+    found, wanted = _compared(scene, duration, inputs, EVERYTHING, at)
+    for name, one, other in zip(EVERYTHING, found, wanted, strict=True):
+        # Two integrations, each to 1e-8 of the force; the RMS of nothing is rounding.
+        assert one == pytest.approx(other, rel=3e-8, abs=3e-8 * np.max(np.abs(other)) + 1e-9), name
+
+
+def test_every_quantity_can_be_an_input(r1_soil):
+    """Each in turn, in a scene that has it: the output is that of the scene with the other number."""
+    effects = {
+        "strength_wave": WAVE, "tow_ramp": 0.5, "damping": 250.0, "rate_term": 0.05, "contact": po.Smooth(0.05),
+    }  # fmt: skip
+    scene = po.Scene(r1_soil, po.Wedge(0.5, 0.25, 0.25), 5e4, 25.0, 2.0, po.Effects(**effects))
+    elastic = {"soil.youngs_modulus", "soil.poisson_ratio"}
+    names = [name for name in QUANTITIES if name not in {"share.half_angle", "effects.breakaway"} | elastic]
+    made = po.component(scene, 0.8, inputs=names, outputs=["mean_draft"], accuracy=po.Accuracy("dop853", steps=400))
+    base = made(*(port.value for port in made.inputs))
+    changed = [made(**{port.name: port.upper})["mean_draft"] for port in made.inputs]
+    moved = {port.name for port, draft in zip(made.inputs, changed, strict=True) if draft != base}
+    assert moved == set(names)
+    cone = po.Scene(r1_soil, po.Cone(0.2, 0.25), 5e4, 25.0, 2.0, po.Effects(motion=False))
+    assert po.component(cone, 1.0, inputs=["share.half_angle"], outputs=["half_angle"])(0.3) == 0.3
+
+
+def test_the_elastic_medium_can_be_a_component():
+    soil = po.named_soil("serozem")
+    scene = po.Scene(soil, po.Wedge(0.5, 0.25, 0.25), 5e5, 20.0, 2.0, po.Effects(motion=False), medium="elastic")
+    inputs = ["soil.youngs_modulus", "soil.poisson_ratio"]
+    made = po.component(scene, 1.0, inputs=inputs, outputs=["mean_draft"])
+    assert made(*(port.value for port in made.inputs)) == pytest.approx(scene.steady_resistance, rel=1e-13)
+    with pytest.raises(po.InputError, match="no meaning in the elastic medium"):
+        po.component(scene, 1.0, inputs=inputs, outputs=["loosened_radius"])
+
+
+def test_the_names_and_units_are_those_of_problem_files():
+    from plough_opt.problem_file.schema import quantities
+
+    files = {key: unit.symbol for key, unit in quantities().items()}
+    beside = {"scene.duration": "s", "scene.frame_mass": "kg", "scene.steel_density": "kg/m^3"}
+    own = {"scene.mass": "kg", "share.half_angle": "rad"}
+    assert {key: quantity.unit for key, quantity in QUANTITIES.items()} | beside == files | own
+
+
+def test_duration_and_masses_are_inputs_too(r1_scene):
+    scene = r1_scene(damping=300.0, start="rest")
+    names = ["scene.duration", "scene.frame_mass", "scene.steel_density"]
+    made = po.component(scene, 1.0, inputs=names, outputs=["moving_mass", "mean_draft"], steel_density=7850.0)
+    mass, draft = made(1.7, 30.0, 5000.0)
+    volume = scene.cone.volume
+    assert mass == pytest.approx(30.0 + 5000.0 * volume, rel=1e-14)
+    other = po.Scene(scene.soil, scene.share, scene.stiffness, 30.0 + 5000.0 * volume, 2.0, scene.effects)
+    assert draft == pytest.approx(po.simulate(other, 1.7).mean_draft, rel=3e-8)
+
+
+@pytest.mark.parametrize("kind", [ca.MX, ca.SX])
+def test_a_scene_of_symbols_with_a_density_profile(r1_soil, kind):
+    k, width = kind.sym("k"), kind.sym("width")
+    soil = r1_soil.with_density_profile(lambda r, w: 1400 * (1.05 + 0.3 / (1.0 + (r / w) ** 2)), width, order=8)
+    share = po.Wedge(0.5, 0.25, 0.25)
+
+    def scene(k, soil):
+        return po.Scene(soil, share, k, 25.0, 2.0, po.Effects(strength_wave=WAVE))
+
+    inputs = [po.Input("mount", 3e4, 6e4, unit="N/m", symbol=k), po.Input("width", 0.1, 0.3, unit="m", symbol=width)]
+    draft = po.Output("cost", of=lambda run: run.mean_draft / 1e3 + run.force_rms**2, unit="kN")
+    made = po.component(scene(k, soil), 1.0, inputs=inputs, outputs=[draft, "loosened_radius"])
+    soil = r1_soil.with_density_profile(soil.density_profile.density, 0.2, order=8)
+    run = po.simulate(scene(4e4, soil), 1.0)
+    wanted = (run.mean_draft / 1e3 + run.force_rms**2, run.scene.loosened_radius)
+    assert made(4e4, 0.2) == pytest.approx(wanted, rel=1e-7)
+    assert [port.unit for port in (*made.inputs, *made.outputs)] == ["N/m", "m", "kN", "m"]
+
+
+def test_arrays_over_time_are_columns_with_derivatives(r1_scene, r1_wave):
+    made = po.component(
+        r1_scene(strength_wave=r1_wave), 2.0, inputs=["scene.stiffness"], outputs=["mount_force"], samples=20
+    )
+    assert made(5e4).shape == (21,)
+    assert made.outputs[0].size == 21
+    assert made.outputs[0].value == made(5e4).max()
+    assert made.jacobian(5e4).shape == (21, 1)
+
+
+def _refused(scene, duration=1.0, **asked):
+    asked = {"inputs": ["scene.stiffness"], "outputs": ["mean_draft"]} | asked
+    with pytest.raises((po.InputError, po.DomainError)) as caught:
+        po.component(scene, duration, **asked)
+    return str(caught.value)
+
+
+def test_what_cannot_be_is_refused_with_the_reason(r1_scene):
+    scene = r1_scene()
+    stick = r1_scene(contact=po.StickSlip())
+    assert "stick and slip cannot be a component: its events" in _refused(stick)
+    assert "enters the soil cannot be a component" in _refused(r1_scene(entry=True, start="rest"))
+    assert "did you mean 'scene.stiffness'" in _refused(scene, inputs=["scene.stifness"])
+    assert "did you mean 'mean_draft'" in _refused(scene, outputs=["mean_drft"])
+    assert "take 'mount_force', which is a value at every" in _refused(scene, outputs=["peak_force"])
+    assert "the scene has no 'effects.damping'" in _refused(scene, inputs=["effects.damping"])
+    assert "the scene has no 'effects.strength_wave.amplitude'" in _refused(
+        scene, inputs=["effects.strength_wave.amplitude"]
+    )
+    assert "the duration is missing" in _refused(scene, None)
+    assert "needs a steel_density" in _refused(scene, inputs=["scene.frame_mass"])
+    assert "follows from steel_density" in _refused(scene, inputs=["scene.mass"], steel_density=7850.0)
+    assert "kg heavier than all that moves" in _refused(scene, steel_density=78500.0)
+    assert "is there twice" in _refused(scene, inputs=["scene.stiffness", "scene.stiffness"])
+    assert "name at least one" in _refused(scene, inputs=[])
+    assert "name at least one" in _refused(scene, outputs=[])
+    assert "cannot be that of a CasADi Function" in _refused(scene, name="jac")
+    assert "samples = 0" in _refused(scene, samples=0)
+    assert "'cvodes' cannot be part of a component" in _refused(scene, accuracy=po.Accuracy("cvodes"))
+    orbit = r1_scene(orbit="periodic", strength_wave=WAVE)
+    assert "has a duration of its own" in _refused(orbit, 1.0)
+    free = po.Scene(scene.soil, scene.share, ca.MX.sym("k"), 25.0, 2.0)
+    assert "holds symbols that are no inputs (k)" in _refused(free, inputs=["share.height"])
+    alone = po.Input("k", 1.0, 2.0, symbol=ca.MX.sym("k"))
+    assert "does not hold the symbol of input 'k'" in _refused(scene, inputs=[alone])
+    assert "needs lower and upper" in _refused(free, inputs=[po.Input("k", symbol=free.stiffness)])
+
+
+def test_bounds_that_cannot_be_are_refused_with_the_place(r1_scene):
+    scene = r1_scene()
+    for bounds, text in (
+        ((6e4, 5e4), "lower 60000 is not below upper 50000"),
+        ((6e4, 7e4), "= 50000 lies outside its bounds 60000 to 70000"),
+        ((-1.0, 7e4), "at scene.stiffness = -1 N/m: stiffness = -1 N/m must be above 0"),
+        ((1.0, 1e14), "so fast that the run would take"),
+        ((1.0, np.inf), "upper of 'scene.stiffness' = inf N/m must be finite"),
+    ):
+        assert text in _refused(scene, inputs=[po.Input("scene.stiffness", *bounds)])
+    # Which of several inputs leads out of the domain, and from where.
+    inputs = [po.Input("share.wedge_angle", 0.1, 1.0), po.Input("soil.density_ratio", 0.5, 1.5)]
+    assert "at share.wedge_angle = 0.1 rad, soil.density_ratio = 1.5: density ratio b1" in _refused(
+        scene, inputs=inputs
+    )
+
+
+def test_default_bounds_are_within_the_domain(r1_scene):
+    scene = r1_scene(strength_wave=po.StrengthWave(1.0, 0.6))
+    made = po.component(
+        scene, 1.0, inputs=["soil.density_ratio", "share.wedge_angle", "scene.stiffness"], outputs=["mean_draft"]
+    )
+    assert [(port.lower, port.upper) for port in made.inputs] == [
+        (0.4, 0.9),
+        (po.deg(12.5), pytest.approx(po.deg(50), rel=1e-15)),
+        (2.5e4, 1e5),
+    ]
+    calm = r1_scene(strength_wave=po.StrengthWave(0.0, 0.6))
+    assert "give bounds" in _refused(calm, inputs=["effects.strength_wave.amplitude"])
+
+
+def test_calls_that_cannot_be_are_refused(r1_scene):
+    made = po.component(r1_scene(), 1.0, inputs=["scene.stiffness", "share.height"], outputs=["mean_draft"])
+    with pytest.raises(po.DomainError, match=r"scene.stiffness = 1e\+06 N/m must lie between 25000 and 100000 N/m"):
+        made(1e6, 0.25)
+    with pytest.raises(po.DomainError, match=r"share.height = nan"):
+        made(5e4, float("nan"))
+    for arguments, named, text in (
+        ((5e4,), {}, "takes 2 inputs"),
+        ((5e4, "high"), {}, "must be a number"),
+        ((np.array([4e4, 5e4]), 0.25), {}, "component.map takes many"),
+        ((5e4,), {"share_height": 0.25}, "in order or by name"),
+        ((), {"share_hight": 0.25}, "did you mean 'share.height'"),
+    ):
+        with pytest.raises(po.InputError, match=text):
+            made(*arguments, **named)
+
+
+def test_a_retreating_share_is_told_of(r1_scene):
+    made = po.component(
+        r1_scene(start="rest"), 0.5, inputs=[po.Input("scene.stiffness", 2e3, 1e5)], outputs=["mean_draft"]
+    )
+    assert any("the share retreats, as at scene.stiffness" in note for note in made.warnings)
+
+
+def test_many_inputs_are_sampled_at_each_bound_alone():
+    few = [Port(f"x{k}", "", 1.0, 3.0, 2.0) for k in range(2)]
+    assert {tuple(x) for x in corners(few)} == {(2.0, 2.0), *itertools.product((1.0, 3.0), repeat=2)}
+    many = [Port(f"x{k}", "", 1.0, 3.0, 2.0) for k in range(9)]
+    assert len(corners(many)) == 19
+    points = np.array(inside(many))
+    assert points.shape == (16, 9)
+    assert np.all((points > 1.0) & (points < 3.0))
+    # Evenly spread: every half of every input holds at least a quarter of the points.
+    assert np.all(np.abs((points > 2.0).mean(axis=0) - 0.5) <= 0.25)

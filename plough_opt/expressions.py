@@ -73,10 +73,16 @@ def holds_casadi(value: Any) -> bool:
     if is_casadi(value):
         return True
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
-        return any(holds_casadi(getattr(value, field.name)) for field in dataclasses.fields(value) if field.init)
+        return any(holds_casadi(getattr(value, name)) for name in _own_fields(type(value)))
     if isinstance(value, Mapping):
         return any(map(holds_casadi, value.values()))
     return isinstance(value, list | tuple) and any(map(holds_casadi, value))
+
+
+@lru_cache(maxsize=256)
+def _own_fields(kind: type) -> tuple[str, ...]:
+    """Return the names of a dataclass's fields that its maker is given."""
+    return tuple(field.name for field in dataclasses.fields(kind) if field.init)
 
 
 def is_quantity(value: Any) -> bool:

@@ -49,8 +49,10 @@ class MissedEvent(IntegrationError):
 
 def refuse_ringing(scene: Scene, duration: float) -> None:
     """Refuse a start from which a stiff mount rings so often that following it would take minutes."""
+    if scene.effects.start == "equilibrium" or scene.effects.printed.repelling_spring:
+        return
     turns = ringing(numbers_of(scene), duration)
-    if scene.effects.start == "equilibrium" or scene.effects.printed.repelling_spring or turns <= MOST_RINGING:
+    if turns <= MOST_RINGING:
         return
     steps = turns / PHASE_PER_STEP
     raise IntegrationError(

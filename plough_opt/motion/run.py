@@ -57,13 +57,13 @@ class Checks:
     Attributes:
         error_estimate: estimated relative error [-].
         seconds: time taken [s].
-        warnings: sentences for whoever reads the results.
+        notes: sentences on this run for whoever reads its results.
         floquet: multipliers of a lasting orbit [-].
     """
 
     error_estimate: float
     seconds: float
-    warnings: tuple[str, ...]
+    notes: tuple[str, ...]
     floquet: tuple[complex, ...] = ()
 
 
@@ -161,7 +161,7 @@ class Run:
         """What a reader of the numbers must know: limits of the theory, a retreating share, missed accuracy."""
         if self.checks is None:
             return ("a symbolic run cannot be checked: simulate the scene with numbers, for instance best(run)",)
-        return self.checks.warnings
+        return (*self.scene.warnings(), *self.checks.notes)
 
     @property
     def floquet(self) -> tuple[complex, ...]:

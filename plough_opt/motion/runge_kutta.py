@@ -13,6 +13,7 @@ import numpy as np
 
 from plough_opt.motion.dop853 import NODES, STAGES, WEIGHTS
 from plough_opt.motion.equation import equation_of_motion, start_state
+from plough_opt.motion.readings import at_outputs
 from plough_opt.motion.signals import signals
 from plough_opt.motion.terms import Structure
 from plough_opt.motion.timeline import Timeline
@@ -55,7 +56,7 @@ def step(structure: Structure) -> ca.Function:
         if weight != 0.0:
             following = following + (size * weight) * rate
     spread = square - mean[: observed.squared] ** 2
-    return ca.Function("step", [state, span, p], [following, ca.vertcat(first + mean, spread)])
+    return ca.Function("step", [state, span, p], ca.cse([following, ca.vertcat(first + mean, spread)]))
 
 
 def run_map(structure: Structure, timeline: Timeline) -> ca.Function:
@@ -83,5 +84,5 @@ def run_from(structure: Structure, timeline: Timeline) -> ca.Function:
     # Pooling the steps' own spreads with the spread of their means adds squares only: nothing cancels.
     drift = means[: observed.squared, :] - ca.repmat(mean[: observed.squared], 1, count)
     variance = (spreads + drift**2) @ sizes.T
-    columns = [timeline.output_columns[i] - 1 for i in range(1, timeline.outputs + 1)]
-    return ca.Function("run_from", [first, p], [ca.horzcat(first, states[:, columns]), mean, variance])
+    found = at_outputs(timeline, ca.horzcat(first, states), p[-1])
+    return ca.Function("run_from", [first, p], [found, mean, variance])

@@ -6,7 +6,6 @@ import math
 import time
 from dataclasses import replace
 
-import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
@@ -33,7 +32,7 @@ from plough_opt.motion.plan import (
     TIGHTEST,
     automatic,
     check_of,
-    coarser,
+    checked,
     forced_rate,
     most_steps,
     numbers_of,
@@ -74,9 +73,9 @@ def simulate(
 
     Returns:
         A `Run` of numbers or of expressions. A run of numbers is integrated a second time, by another
-        method, finer, or by half the steps, and its ``error_estimate`` is the largest difference of the two: of mean
-        draft and RMS force relative to the larger of them, of the mount force at the outputs relative to its
-        peak; of forces below 1e-9 V0 sqrt(k0 M), relative to that. Of a stand-in for the lasting orbit it is the
+        method, finer, or by three quarters of the steps, and its ``error_estimate`` is the largest difference of the
+        two: of mean draft and RMS force relative to the larger of them, of the mount force at the outputs relative to
+        its peak; of forces below 1e-9 V0 sqrt(k0 M), relative to that. Of a stand-in for the lasting orbit it is the
         difference from that orbit. A symbolic run is an exactly differentiable expression that has no such estimate.
         A symbolic quasi-static run in which the tow speed, the wavelength or the ramp's time is a symbol averages over
         as many panels as it has outputs, at least 400: enough for some hundred waves, and told by nothing beyond.
@@ -112,7 +111,7 @@ def simulate(
     started = time.perf_counter()
     run, error, notes = _verified(scene, float(duration), accuracy, outputs)
     multipliers, unstable = stability(run) if scene.effects.orbit == "periodic" else ((), ())
-    notes = (*scene.warnings(), *notes, *retreat(run), *grazing(run), *unstable)
+    notes = (*notes, *retreat(run), *grazing(run), *unstable)
     return replace(run, checks=Checks(error, time.perf_counter() - started, notes, multipliers))
 
 
@@ -166,25 +165,21 @@ def _verified(scene: Scene, duration: float, accuracy: Accuracy, outputs: int) -
         return _stand_in(scene, duration, wanted, outputs)
     if accuracy.method != "auto":
         named = with_setting(accuracy, steps_for(total), outputs)
-        other = check_of(named, total, outputs, Structure.of(scene).kinked)
-        return *_twice(scene, duration, (named, outputs), (other, outputs)), ()
+        other = check_of(named, numbers_of(scene), duration, Structure.of(scene).kinked)
+        return *_twice(scene, duration, outputs, named, other), ()
     refuse_ringing(scene, duration)
     return _automatic(scene, duration, wanted, outputs)
 
 
 def _automatic(scene: Scene, duration: float, wanted: float, outputs: int) -> tuple[Run, float, tuple[str, ...]]:
     """Integrate by the first of the methods that suit a scene which reaches the wanted error, or comes nearest."""
-    total, structure = _phase(scene, duration), Structure.of(scene)
+    p, structure = numbers_of(scene), Structure.of(scene)
     best: tuple[Run, float] | None = None
-    for method in suited(structure, total):
+    for method in suited(structure, phase(p, duration)):
         aim = wanted
         for _ in range(1 if method == "rosenbrock" else _TIGHTENINGS):
-            chosen = automatic(method, aim, total, outputs)
-            check = (check_of(chosen, total, outputs, structure.kinked), outputs)
-            if method == "dop853":
-                check = coarser(chosen, outputs)
             try:
-                run, error = _twice(scene, duration, (chosen, outputs), check)
+                run, error = _twice(scene, duration, outputs, *checked(method, aim, p, duration, structure.kinked))
             except IntegrationError as failed:
                 failure = failed
                 if not isinstance(failed, MissedEvent):
@@ -204,7 +199,7 @@ def _automatic(scene: Scene, duration: float, wanted: float, outputs: int) -> tu
 def _stand_in(scene: Scene, duration: float, wanted: float, outputs: int) -> tuple[Run, float, tuple[str, ...]]:
     """Return a stand-in for the lasting orbit, its relative difference from the orbit, and a note if there is none."""
     exact = replace(scene, effects=replace(scene.effects, orbit="periodic"))
-    method = automatic("dop853", wanted, _phase(scene, duration), outputs)
+    method = automatic("dop853", wanted, numbers_of(scene), duration)
     run = _integrate(scene, duration, method, outputs)
     try:
         orbit = _integrate(exact, duration, method, outputs)
@@ -216,12 +211,10 @@ def _stand_in(scene: Scene, duration: float, wanted: float, outputs: int) -> tup
     return run, error, (f"a stand-in for the lasting orbit, from which it differs by {error:.1%}",)
 
 
-def _twice(
-    scene: Scene, duration: float, first: tuple[Accuracy, int], second: tuple[Accuracy, int]
-) -> tuple[Run, float]:
-    """Return the run by a method with its output intervals, and its relative difference from the run by another."""
-    run = _integrate(scene, duration, *first)
-    return run, _difference(run, _integrate(scene, duration, *second))
+def _twice(scene: Scene, duration: float, outputs: int, first: Accuracy, second: Accuracy) -> tuple[Run, float]:
+    """Return the run by a method, and its relative difference from the run by another."""
+    run = _integrate(scene, duration, first, outputs)
+    return run, _difference(run, _integrate(scene, duration, second, outputs))
 
 
 def _integrate(scene: Scene, duration: Expression, accuracy: Accuracy, outputs: int) -> Run:
@@ -231,7 +224,7 @@ def _integrate(scene: Scene, duration: Expression, accuracy: Accuracy, outputs: 
     steps = accuracy.steps or max(outputs, OUTPUTS)
     if accuracy.method in ADAPTIVE:
         steps = MOST_ADAPTIVE if symbolic else most_steps(_phase(scene, float(as_number(duration))))
-    timeline = timeline_of(scene, duration, outputs, steps)
+    timeline = timeline_of(scene, duration, outputs, steps, accuracy.method)
     solver = integration(Structure.of(scene), accuracy, timeline)
     values = [*(p[name] for name in solver.names), duration]
     if symbolic:
@@ -272,11 +265,20 @@ def _evaluate(solver: Integration, p: list[float], scene: Scene) -> list[NDArray
 
 def _attempt(solver: Integration, p: list[float]) -> list[NDArray[np.float64]] | None:
     """Return the results, or None where the method failed or they are not finite."""
+    function, given = solver.function, np.array(p)
+    buffer, evaluate = function.buffer()
+    buffer.set_arg(0, memoryview(given))
+    # A result that is zero by structure stays as it is.
+    results = [np.zeros(function.size_out(k), order="F") for k in range(function.n_out())]
+    for k, result in enumerate(results):
+        if function.nnz_out(k) == result.size:
+            buffer.set_res(k, memoryview(result.ravel(order="K")))
     try:
-        results = [np.asarray(result) for result in solver.function.call([ca.DM(p)])]
+        evaluate()
     except RuntimeError:
         return None
-    return results if all(np.all(np.isfinite(result)) for result in results) else None
+    sound = buffer.ret() == 0 and all(np.isfinite(result).all() for result in results)
+    return results if sound else None
 
 
 def _phase(scene: Scene, duration: float) -> float:
@@ -284,8 +286,7 @@ def _phase(scene: Scene, duration: float) -> float:
 
 
 def _difference(run: Run, check: Run) -> float:
-    """Return the largest relative difference of two runs, at the output times that they share: see `simulate`."""
-    stride = (len(run.time) - 1) // (len(check.time) - 1)
+    """Return the largest relative difference of two runs with the same output times: see `simulate`."""
     scene = run.scene
     # Far below the force of a share that swings freely, a force is the rounding of a deflection.
     least = _LEAST_FORCE * scene.tow_speed * math.sqrt(scene.stiffness * scene.inertia)
@@ -293,6 +294,6 @@ def _difference(run: Run, check: Run) -> float:
     pairs = (
         (abs(run.mean_draft - check.mean_draft), size),
         (abs(run.force_rms - check.force_rms), size),
-        (np.max(np.abs(run.mount_force[::stride] - check.mount_force)), max(np.max(np.abs(run.mount_force)), least)),
+        (np.max(np.abs(run.mount_force - check.mount_force)), max(np.max(np.abs(run.mount_force)), least)),
     )
     return max((float(difference / scale) for difference, scale in pairs if scale > 0.0), default=0.0)

@@ -15,15 +15,17 @@ class Timeline:
 
     Args:
         outputs: number of equal intervals between output times.
-        steps: number of integration steps wanted; each output interval takes the nearest whole number, at least one.
-            Of an adaptive method the most that it takes.
+        steps: number of integration steps. Of an adaptive method the most that it takes.
         kink: fraction at which the right-hand side is not smooth (the end of a tow ramp), or None. A
             step ends there, so that the method keeps its order. Between 0 and 1.
+        aligned: whether a step ends at each output; each output interval then takes the nearest whole number of
+            steps, at least one.
     """
 
     outputs: int
     steps: int
     kink: float | None = None
+    aligned: bool = True
 
     @cached_property
     def output_fractions(self) -> NDArray[np.float64]:
@@ -34,8 +36,8 @@ class Timeline:
     def nodes(self) -> NDArray[np.float64]:
         """Ends of the steps as fractions of the duration, both ends included."""
         per_interval = max(1, round(self.steps / self.outputs))
-        nodes = np.linspace(0.0, 1.0, self.outputs * per_interval + 1)
-        return self._with_kink(nodes)
+        steps = self.outputs * per_interval if self.aligned else self.steps
+        return self._with_kink(np.linspace(0.0, 1.0, steps + 1))
 
     @cached_property
     def stops(self) -> NDArray[np.float64]:
@@ -50,5 +52,5 @@ class Timeline:
 
     @cached_property
     def output_columns(self) -> list[int]:
-        """Index of each output time among the nodes."""
+        """Index of each output time among the nodes of an aligned timeline."""
         return [int(i) for i in np.searchsorted(self.nodes, self.output_fractions - 1e-12)]

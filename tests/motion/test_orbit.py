@@ -59,7 +59,7 @@ def solved(scene_of):
 
     def solve(name):
         if name not in known:
-            run = po.simulate(scene_of(name), outputs=OUTPUTS)
+            run = po.simulate(scene_of(name), accuracy=po.Accuracy(error=1e-11), outputs=OUTPUTS)
             first = run.deflection[0], run.scene.tow_speed - run.speed[0]
             known[name] = run, orbit(run.scene, first, OUTPUTS)
         return known[name]

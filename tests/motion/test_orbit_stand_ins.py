@@ -32,6 +32,7 @@ def simulated(r1_scene):
     @functools.cache
     def simulated(name, choice, amplitude=0.3, wavelength=0.6, accuracy=None):
         wave = po.StrengthWave(amplitude, wavelength)
+        accuracy = accuracy or po.Accuracy(error=1e-11)
         return po.simulate(
             r1_scene(strength_wave=wave, orbit=choice, **(CASES | STIFFEST)[name]), outputs=OUTPUTS, accuracy=accuracy
         )

@@ -71,6 +71,19 @@ def read_problem(path: str | Path, overrides: Iterable[str] = ()) -> Problem:
     return problem
 
 
+def check_changed(problem: Problem) -> None:
+    """Refuse a problem whose quantities were changed after it was read, as a file that has them is refused.
+
+    Raises:
+        InputError: a quantity that belongs to an effect that is off, or one outside the model's domain.
+    """
+    source = Source("", problem.name)
+    _check_complete(source, problem.table, {*problem.fixed, *problem.variables})
+    source.raise_noted()
+    _check_values(source, problem)
+    source.raise_noted()
+
+
 def _join_dotted_variables(data: dict[str, Any]) -> None:
     """Read share.height = {...} under [variables], without quotes, as "share.height" = {...}."""
     variables = data.get("variables")

@@ -37,10 +37,15 @@ class Noted(dict[str, float]):
 class ManyPoints(Protocol):
     """An evaluation that takes many points at once, each with the same numbers as alone."""
 
-    results: tuple[str, ...]
+    @property
+    def results(self) -> tuple[str, ...]:
+        """Names of the results."""
 
-    def many(self, values: Array) -> tuple[Array, dict[int, str], tuple[str, ...]]:
-        """Return the results, a row for each row of values; place -> why it has none; and notes on all of them."""
+    def many(self, values: Array) -> tuple[Array, dict[int, str], Sequence[tuple[int, int, Sequence[str]]]]:
+        """Return the results, a row for each row of values; place -> why it has none; and notes.
+
+        A note is on the first of some points and on how many there are: (place, number, sentences).
+        """
 
 
 Evaluation = Callable[[dict[str, float]], Mapping[str, float]] | ManyPoints
@@ -110,7 +115,8 @@ def _together(evaluation: ManyPoints, values: Array) -> Done:
         if k not in done.reasons:
             column = int(np.flatnonzero(~np.isfinite(done.results[k]))[0])
             done.reasons[k] = _not_finite(done.names[column], float(done.results[k, column]))
-    done.note(0, notes, len(values))
+    for place, points, texts in notes:
+        done.note(place, texts, points)
     return done
 
 

@@ -1,0 +1,185 @@
+"""What a sweep computes at a point of a problem file: a simulation, one of very many, or a whole optimisation."""
+
+from __future__ import annotations
+
+import dataclasses
+import threading
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import TypeVar
+
+import casadi as ca
+import numpy as np
+
+from plough_opt.accuracy import DEFAULT_ERROR
+from plough_opt.batch import Batch
+from plough_opt.errors import IntegrationError, PloughError
+from plough_opt.expressions import Expression
+from plough_opt.forces import added_mass
+from plough_opt.geometry import PLANE_SECTIONS_LIMIT
+from plough_opt.motion import Run
+from plough_opt.problem_file.measures import MEASURES
+from plough_opt.problem_file.problem import Problem
+from plough_opt.scene import Scene
+from plough_opt.study.work import Array, Noted
+
+# CasADi's graphs are built by one thread at a time.
+_building = threading.Lock()
+_T = TypeVar("_T")
+
+
+@dataclass(frozen=True)
+class Simulation:
+    """The response of a problem's scene, as `Problem.simulate` finds it."""
+
+    problem: Problem
+
+    @property
+    def units(self) -> dict[str, str]:
+        """Result -> SI unit."""
+        return _UNITS
+
+    def __call__(self, values: dict[str, float]) -> Noted:
+        """Simulate at a point."""
+        run = _solved(lambda: self.problem.simulate(values))
+        return Noted(_of_run(self.problem, run), run.warnings)
+
+
+@dataclass(frozen=True)
+class Optimisation:
+    """The best share of a problem, from the file's guess at every point; a variable that is swept is fixed there."""
+
+    problem: Problem
+
+    @property
+    def units(self) -> dict[str, str]:
+        """Result -> SI unit."""
+        problem = self.problem
+        variables = {key: variable.unit for key, variable in problem.variables.items()}
+        margins = {f"margin of {name}": MEASURES[name].unit.symbol for name in problem.table.require}
+        return {**variables, **margins, **_UNITS}
+
+    def __call__(self, values: dict[str, float]) -> Noted:
+        """Optimise at a point."""
+        problem = fixed_at(self.problem, values)
+        best, run = _solved(problem.optimise)
+        numbers = {
+            "objective": best.objective,
+            **best.variables,
+            **{f"margin of {name}": margin for name, margin in best.margins.items()},
+            **_of_run(problem, run),
+            "local_optima": len(best.local_optima),
+            "flat_directions": len(best.flat_directions),
+            "objective_gap": best.gap,
+            "objective_error_estimate": best.error_estimate,
+        }
+        return Noted(numbers, (*best.warnings, *run.warnings))
+
+
+@dataclass
+class SimulationOfMany:
+    """The response of very many designs by `Batch`, to the error that the file wants.
+
+    Attributes:
+        problem: whose scene a batch accepts.
+        names: the quantities that are swept.
+    """
+
+    problem: Problem
+    names: tuple[str, ...]
+    _built: tuple[Batch, ca.Function] | None = field(default=None, repr=False, compare=False)
+
+    def __getstate__(self) -> dict[str, object]:
+        """Leave behind what every process builds itself."""
+        return {"problem": self.problem, "names": self.names, "_built": None}
+
+    @property
+    def results(self) -> tuple[str, ...]:
+        """Names of the results: those of `Simulation` without peaks, which a batch does not find."""
+        return (*_AVERAGES, *_OF_SCENE, "specific_draft", "error_estimate")
+
+    @property
+    def units(self) -> dict[str, str]:
+        """Result -> SI unit."""
+        return {name: MEASURES[name].unit.symbol for name in self.results if name in MEASURES}
+
+    @property
+    def error(self) -> float:
+        """Wanted relative error of mean draft and RMS force."""
+        return self.problem.accuracy.error or DEFAULT_ERROR
+
+    def build(self) -> tuple[Batch, ca.Function]:
+        """Return the batch, and the results that need no motion as a function of the quantities.
+
+        Raises:
+            InputError: a scene that a batch does not follow.
+        """
+        with _building:
+            if self._built is None:
+                symbols = {name: ca.MX.sym(name) for name in self.names}
+                scene = self.problem.scene(symbols)
+                duration = self.problem.values(symbols)["scene.duration"]
+                batch = Batch(scene, duration, list(symbols.values()), error=self.error)
+                of_scene = ca.vertcat(*(of(scene) for of in _OF_SCENE.values()), scene.ambient_share)
+                self._built = batch, ca.Function("of_scene", [ca.vertcat(*symbols.values())], [of_scene])
+        return self._built
+
+    def many(self, values: Array) -> tuple[Array, dict[int, str], list[tuple[int, int, tuple[str, ...]]]]:
+        """Simulate at points: see `plough_opt.study.work.ManyPoints`."""
+        batch, of_scene = self.build()
+        found = batch(values)
+        averages = [getattr(found, name) for name in _AVERAGES]
+        *steady, ambient_share = np.asarray(of_scene(values.T))
+        with np.errstate(all="ignore"):
+            specific = found.mean_draft / (np.pi * steady[_RADIUS] ** 2)
+        results = np.column_stack([*averages, *steady, specific, found.error_estimate])
+        sound = ~found.failed
+        kinds = 2 * (steady[_HALF_ANGLE] > PLANE_SECTIONS_LIMIT) + (ambient_share > 0.0)
+        notes = []
+        for kind in np.unique(kinds[sound]):
+            # Scenes of one kind have the same warnings but for their numbers.
+            which = np.flatnonzero(sound & (kinds == kind))
+            scene = self.problem.scene(dict(zip(self.names, values[which[0]].tolist(), strict=True)))
+            notes.append((int(which[0]), len(which), (*batch.warnings, *scene.warnings())))
+        if missed := np.flatnonzero(found.missed).tolist():
+            notes.append((missed[0], len(missed), (f"the wanted relative error {self.error:.1e} was not reached",)))
+        return results, found.reasons, notes
+
+
+def fixed_at(problem: Problem, values: Mapping[str, float]) -> Problem:
+    """Return a problem with some quantities fixed, variables or not."""
+    left = {key: variable for key, variable in problem.variables.items() if key not in values}
+    return dataclasses.replace(problem, fixed={**problem.fixed, **values}, variables=left)
+
+
+def _of_run(problem: Problem, run: Run) -> dict[str, float]:
+    """Return what is worth a column of a run of numbers."""
+    plastic = problem.table.scene.medium == "plastic"
+    chosen = {name: one for name, one in MEASURES.items() if not one.everywhere and (plastic or not one.plastic)}
+    return {
+        **{name: float(one.of(run)) for name, one in chosen.items()},
+        "peak_force": run.peak_force,
+        "peak_deflection": run.peak_deflection,
+        "error_estimate": run.error_estimate,
+    }
+
+
+def _solved(compute: Callable[[], _T]) -> _T:
+    """Return what is computed; what CasADi cannot do is a failure of the point."""
+    try:
+        return compute()
+    except PloughError:
+        raise
+    except RuntimeError as error:
+        raise IntegrationError(f"CasADi stopped: {str(error).strip().splitlines()[-1]}") from None
+
+
+_UNITS = {**{name: one.unit.symbol for name, one in MEASURES.items()}, "peak_force": "N", "peak_deflection": "m"}
+_AVERAGES = ("mean_draft", "force_rms", "mean_deflection", "displacement_rms", "tow_power")
+_OF_SCENE: dict[str, Callable[[Scene], Expression]] = {
+    "loosened_radius": lambda scene: scene.loosened_radius,
+    "half_angle": lambda scene: scene.cone.half_angle,
+    "moving_mass": lambda scene: scene.mass,
+    "added_mass": lambda scene: added_mass(scene.cone, scene.soil),
+}
+_RADIUS, _HALF_ANGLE = (list(_OF_SCENE).index(name) for name in ("loosened_radius", "half_angle"))

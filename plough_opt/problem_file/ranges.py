@@ -1,0 +1,97 @@
+"""Ranges and lists of quantities with units, such as "5..45 kPa:9", "10..1000 kN/m:7 log" or "5 kPa, 10 kPa"."""
+
+from __future__ import annotations
+
+import re
+from fractions import Fraction
+
+from plough_opt.errors import InputError
+from plough_opt.problem_file.units import Display, Unit, display_of
+from plough_opt.study.axes import Axis, Range, axis_of
+
+_RANGE = re.compile(r"(?P<lower>.+?)\.\.(?P<upper>[^:]*)(?::(?P<count>[^:]*?))?(?P<log>\s+log)?\s*")
+_NUMBER = re.compile(r"\s*[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?")
+
+
+def read_axis(text: str, unit: Unit) -> tuple[Axis, Display]:
+    """Return what a text says that a quantity runs over, SI, and the unit in which it says so.
+
+    A unit stands once, at the end, or at every number. A grid is even in the decimal numbers of that unit, so that its
+    values are those that a file would have.
+
+    Args:
+        text: ``lower..upper:count`` for a grid, ``lower..upper`` for a sample, both with `` log`` at the end for equal
+            steps of the logarithm; or values, with commas between.
+        unit: of the quantity.
+
+    Raises:
+        InputError: no such text, no quantity, a wrong unit, ends that are not in order, or fewer than two values.
+    """
+    match = _RANGE.fullmatch(text)
+    if match is None and ".." in text:
+        raise InputError(f'"{text}" is no range: {_how(unit)}')
+    if match is None:
+        return _read_list(text, unit)
+    log = match["log"] is not None
+    written = match["upper"].strip()
+    if match["count"] is None and written.endswith(" log"):
+        written, log = written.removesuffix("log").strip(), True
+    (lower, low), (upper, high) = (_split(part, written, unit) for part in (match["lower"], written))
+    count = None if match["count"] is None else _count(match["count"].strip(), unit)
+    if low != high:  # units differ: in SI, then
+        lower, upper, low = lower * low, upper * high, 1.0
+    try:
+        found = Range(lower, upper, count, log)
+    except InputError as error:
+        raise InputError(f'"{text}": {error}') from None
+    shown = display_of(f"1 {_unit(written)}".strip() if _unit(written) else written, unit)
+    if count is None:
+        return Range(lower * low, upper * low, None, log), shown
+    values = found.values() if log else _even(lower, upper, found.count or 2)
+    return tuple(value * low for value in values), shown
+
+
+def _read_list(text: str, unit: Unit) -> tuple[Axis, Display]:
+    parts = [part.strip() for part in text.split(",")]
+    if len(parts) < 2:
+        raise InputError(f'"{text}" is one value, which --set gives: {_how(unit)}')
+    numbers = [_split(part, parts[-1], unit) for part in parts]
+    axis = axis_of(text, [number * factor for number, factor in numbers])
+    return axis, display_of(parts[-1] if unit.symbol else 1.0, unit)
+
+
+def _split(part: str, last: str, unit: Unit) -> tuple[float, float]:
+    """Return a number and the factor to SI of its unit, or of that of the last quantity where it has none."""
+    part = part.strip()
+    if _NUMBER.fullmatch(part) and _unit(last):
+        part = f"{part} {_unit(last)}"
+    unit.parse(part)  # which refuses what is too large
+    return unit.split(part)
+
+
+def _even(lower: float, upper: float, count: int) -> list[float]:
+    """Return evenly spaced decimal numbers, each as it would be written: 0.3 between 0.1 and 0.5."""
+    first, last = Fraction(repr(lower)), Fraction(repr(upper))
+    return [float(first + (last - first) * Fraction(k, count - 1)) for k in range(count)]
+
+
+def _unit(written: str) -> str:
+    """Return the unit of a written quantity."""
+    match = _NUMBER.match(written)
+    return "" if match is None else written[match.end() :].strip()
+
+
+def _count(written: str, unit: Unit) -> int:
+    try:
+        return int(written)
+    except ValueError:
+        raise InputError(f'":{written}" is no number of values: {_how(unit)}') from None
+
+
+def _how(unit: Unit) -> str:
+    """Return a clause that says how ranges are written."""
+    symbol = f" {unit.symbol}" if unit.symbol else ""
+    return (
+        f'write "1..5{symbol}:9" for nine values, "1..5{symbol}:9 log" for equal factors, "1{symbol}, 3{symbol}" for'
+        f' these, or "1..5{symbol}" with a number of samples'
+    )

@@ -1,0 +1,218 @@
+"""`sweep`: a problem file, or a function, over a grid or a sample."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from concurrent.futures import Executor
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final, Literal
+
+from plough_opt.errors import InputError, nearest
+from plough_opt.problem_file.evaluations import Optimisation, Simulation, SimulationOfMany, fixed_at
+from plough_opt.problem_file.problem import Problem
+from plough_opt.problem_file.ranges import read_axis
+from plough_opt.problem_file.reading import check_changed
+from plough_opt.problem_file.schema import quantities
+from plough_opt.problem_file.units import Display
+from plough_opt.study import sweeping as study
+from plough_opt.study.axes import Axis, Range, axis_of
+from plough_opt.study.engine import Told
+from plough_opt.study.points import points_of
+from plough_opt.study.result import Sweep
+from plough_opt.study.work import Evaluation
+
+What = Literal["simulate", "optimise"]
+Method = Literal["auto", "each", "batch"]
+
+MANY: Final = 10_000
+"""Number of simulated points from which on a sweep takes `Batch` where the scene is one that it accepts."""
+
+
+@dataclass(frozen=True)
+class ProblemSweep:
+    """What a sweep of a problem file will do.
+
+    Attributes:
+        evaluation: what is computed at a point.
+        axes: quantity -> what it runs over, SI.
+        displays: quantity -> the unit in which its range was written.
+        count: number of points.
+        question: what the results depend on.
+        how: a sentence that says by what they are computed.
+        notes: what the sweep changes in the file.
+    """
+
+    evaluation: Simulation | SimulationOfMany | Optimisation
+    axes: Mapping[str, Axis]
+    displays: Mapping[str, Display]
+    count: int
+    question: Mapping[str, str]
+    how: str
+    notes: tuple[str, ...]
+
+    @classmethod
+    def of(
+        cls,
+        problem: Problem,
+        over: Mapping[str, object],
+        what: What = "simulate",
+        method: Method = "auto",
+        samples: int | None = None,
+        seed: int = 0,
+    ) -> ProblemSweep:
+        """Check everything that can be checked before anything is computed; arguments as of `sweep`."""
+        _refuse_unknown(what, method)
+        axes, displays = _axes(over)
+        count = points_of(axes, samples, seed).count
+        for end in (0, -1):
+            corner = fixed_at(problem, {name: _ends(axis)[end] for name, axis in axes.items()})
+            try:
+                check_changed(corner)
+            except InputError as error:
+                raise InputError(f"in the sweep: {error}") from None
+        if what == "optimise":
+            corner.design()
+        evaluation, how = _evaluation(problem, tuple(axes), what, method, count)
+        fixed = [name for name in axes if what == "optimise" and name in problem.variables]
+        notes = tuple(f"'{name}' is a variable of the file: every point fixes it" for name in fixed)
+        units = quantities()
+        shown = {name: displays.get(name, Display(units[name].symbol, 1.0)) for name in axes}
+        return cls(evaluation, axes, shown, count, _question(problem, axes, what, how), how, notes)
+
+    @property
+    def units(self) -> dict[str, str]:
+        """Quantity or result -> SI unit."""
+        return {**self.evaluation.units, **{name: quantities()[name].symbol for name in self.axes}}
+
+
+def sweep(
+    what_to_sweep: Problem | Evaluation,
+    over: Mapping[str, object],
+    *,
+    what: What = "simulate",
+    method: Method = "auto",
+    samples: int | None = None,
+    seed: int = 0,
+    store: str | Path | None = None,
+    executor: Executor | None = None,
+    workers: int | None = None,
+    retry: bool = False,
+    progress: bool | Told = False,
+) -> Sweep:
+    """Evaluate a problem, or a function of named numbers, at every point of a grid or a sample, and store the results.
+
+    For example::
+
+        problem = po.read_problem("problems/cotton_subsoiler.toml")
+        over = {"soil.cohesion": "5..45 kPa:9", "scene.tow_speed": po.Range(1.0, 3.0, 5)}
+        result = po.sweep(problem, over, store="out/sweep.db")
+        result.table["mean_draft"], list(result.failures)
+
+    The numbers are the same, bit for bit on one machine, whatever the executor and the number of workers: a point is
+    computed from its own values alone. Points are stored when they are finished; the same call goes on from there.
+
+    Args:
+        what_to_sweep: a problem, whose quantities are named as in its file and by ``--set``; or a picklable function
+            that takes a dictionary of the quantities at a point and returns named finite numbers. What it raises is the
+            reason of a point that failed.
+        over: name -> what it runs over: `Range`, numbers (SI), or for a problem a text such as "5..45 kPa:9",
+            "10..1000 kN/m:7 log", "5 kPa, 10 kPa", or "5..45 kPa" for a sample. The last one changes fastest.
+        what: of a problem, "simulate" its scene with its variables at their guesses, or "optimise" its design, from the
+            file's guess at every point; a variable that is swept is fixed.
+        method: of simulations, "each" by `simulate`; "batch": by `Batch`, a hundred times as fast, without peaks; or
+            "auto": by `Batch` from 10,000 points on if it follows such a scene.
+        samples: in the place of a grid, a scrambled Sobol sample of so many points of the ranges, best a power of two.
+        seed: of the sample.
+        store: an SQLite file, in which every finished point is at once. If it holds points of the same question these
+            are not repeated; several runs may fill it at the same time. None: a file that goes with the result.
+        executor: any `concurrent.futures.Executor`, such as that of a dask client or of mpi4py; it is left running.
+            Default: processes on all cores of this machine, which end with the sweep.
+        workers: how many the executor has, so that all have work (default: the cores of this machine).
+        retry: try the points again that failed.
+        progress: True: a bar on the error stream, if that is a terminal; or what is called with the points that are
+            stored, all points, and those that failed.
+
+    Raises:
+        InputError: something that cannot be swept, a store of another question, or a broken executor.
+        KeyboardInterrupt: interrupted; the message says what is stored.
+    """
+    rest: dict[str, Any] = {
+        "samples": samples, "seed": seed, "store": store, "executor": executor, "workers": workers, "retry": retry,
+        "progress": progress,
+    }  # fmt: skip
+    if isinstance(what_to_sweep, Problem):
+        asked = ProblemSweep.of(what_to_sweep, over, what, method, samples, seed)
+        return study.sweep(asked.evaluation, asked.axes, question=asked.question, units=asked.units, **rest)
+    if (what, method) != ("simulate", "auto"):
+        raise InputError("what and method are of a problem file: a function says itself what it computes")
+    return study.sweep(what_to_sweep, over, **rest)
+
+
+def _refuse_unknown(what: str, method: str) -> None:
+    for name, given, valid in (("what", what, ("simulate", "optimise")), ("method", method, ("auto", "each", "batch"))):
+        if given not in valid:
+            raise InputError(f"{name} = {given!r} is unknown: {nearest(str(given), valid)}")
+    if what == "optimise" and method == "batch":
+        raise InputError("a batch simulates; it does not optimise: leave one of the two out")
+
+
+def _axes(over: Mapping[str, object]) -> tuple[dict[str, Axis], dict[str, Display]]:
+    """Return what each quantity runs over, and the units of those that are written as texts."""
+    units = quantities()
+    axes: dict[str, Axis] = {}
+    displays: dict[str, Display] = {}
+    for name, given in over.items():
+        if name not in units:
+            raise InputError(f"'{name}' cannot be swept: {nearest(name, units)}")
+        try:
+            if isinstance(given, str):
+                axes[name], displays[name] = read_axis(given, units[name])
+            else:
+                axes[name] = axis_of(name, given)
+        except InputError as error:
+            raise InputError(f"'{name}' {error}") from None
+    return axes, displays
+
+
+def _ends(axis: Axis) -> tuple[float, float]:
+    return (axis.lower, axis.upper) if isinstance(axis, Range) else (min(axis), max(axis))
+
+
+def _evaluation(
+    problem: Problem, names: tuple[str, ...], what: What, method: Method, count: int
+) -> tuple[Simulation | SimulationOfMany | Optimisation, str]:
+    """Return what is computed at a point, and a sentence that says so."""
+    if what == "optimise":
+        return Optimisation(problem), "each point is a whole optimisation, from the file's guess"
+    if method == "batch" or (method == "auto" and count >= MANY):
+        many = SimulationOfMany(problem, names)
+        try:
+            if problem.values().get("scene.duration") is None and "scene.duration" not in names:
+                raise InputError("a batch follows a motion from its start, and a lasting orbit has none")
+            many.build()
+        except InputError:
+            if method == "batch":
+                raise
+        else:
+            return many, f"simulated by po.Batch, to a relative error of {many.error:.0e}"
+    return Simulation(problem), "each point is simulated by po.simulate"
+
+
+def _question(problem: Problem, axes: Mapping[str, Axis], what: What, how: str) -> dict[str, str]:
+    """Return as texts what results of a problem depend on."""
+    table = problem.table.model_dump(exclude={"title", "variables", "minimise", "require", "trade_off"})
+    found: dict[str, Any] = {"what": what, "computed": how, **_flat(table), **problem.values()}
+    if what == "optimise":
+        chosen = problem.table.model_dump(include={"variables", "minimise", "require"})
+        chosen["variables"] = {name: one for name, one in chosen["variables"].items() if name not in axes}
+        found |= _flat(chosen)
+    return {name: str(value) for name, value in found.items() if name not in axes and value is not None}
+
+
+def _flat(table: Mapping[str, Any], before: str = "") -> dict[str, Any]:
+    """Return nested tables as one, with dotted names."""
+    found: dict[str, Any] = {}
+    for name, value in table.items():
+        found |= _flat(value, f"{before}{name}.") if isinstance(value, dict) else {f"{before}{name}": value}
+    return found

@@ -39,7 +39,10 @@ if TYPE_CHECKING:
     from plough_opt.accuracy_study.study import study_accuracy, study_design
     from plough_opt.batch import Batch, BatchResult
     from plough_opt.problem_file import Problem, read_problem
+    from plough_opt.problem_file.sweeping import sweep
     from plough_opt.results import load
+    from plough_opt.study.axes import Range
+    from plough_opt.study.result import Sweep
     from plough_opt.tradeoff import Goal, TradeOff, trade_off
 
 # What only files, pictures and batches need is imported when it is first used: pint, pydantic and matplotlib are slow.
@@ -52,6 +55,9 @@ _LATER = {
     "Problem": "plough_opt.problem_file",
     "read_problem": "plough_opt.problem_file",
     "load": "plough_opt.results",
+    "Range": "plough_opt.study.axes",
+    "Sweep": "plough_opt.study.result",
+    "sweep": "plough_opt.problem_file.sweeping",
     "Goal": "plough_opt.tradeoff",
     "TradeOff": "plough_opt.tradeoff",
     "trade_off": "plough_opt.tradeoff",
@@ -94,6 +100,7 @@ __all__ = [
     "PloughError",
     "Printed",
     "Problem",
+    "Range",
     "Refinement",
     "Run",
     "Scene",
@@ -101,6 +108,7 @@ __all__ = [
     "Soil",
     "StickSlip",
     "StrengthWave",
+    "Sweep",
     "TradeOff",
     "Wedge",
     "added_mass",
@@ -122,5 +130,6 @@ __all__ = [
     "soil_reaction",
     "study_accuracy",
     "study_design",
+    "sweep",
     "trade_off",
 ]

@@ -1,4 +1,4 @@
-"""Command line: plough-opt init, check, simulate, optimise, tradeoff, accuracy, soils."""
+"""Command line: plough-opt init, check, simulate, optimise, tradeoff, sweep, accuracy, soils."""
 
 from plough_opt.cli.main import main
 

@@ -1,6 +1,7 @@
 """The command `plough-opt`: arguments, exit status, and nothing of the physics.
 
-Exit status: 0 solved; 1 the problem has no solution, or none was found; 2 the input is wrong.
+Exit status: 0 solved; 1 the problem has no solution, or none was found; 2 the input is wrong; 130 a sweep was
+interrupted, and goes on when it is asked again.
 """
 
 from __future__ import annotations
@@ -16,9 +17,10 @@ from rich.console import Console
 from rich.markup import escape
 
 from plough_opt.cli import commands
+from plough_opt.cli import sweep as sweeps
 from plough_opt.errors import DomainError, InputError, PloughError
 
-SOLVED, UNSOLVED, BAD_INPUT = 0, 1, 2
+SOLVED, UNSOLVED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -37,9 +39,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except PloughError as error:
         _complain("no solution", error)
         return UNSOLVED
-    except KeyboardInterrupt:
-        _complain("stopped", "nothing was written")
-        return UNSOLVED
+    except KeyboardInterrupt as stop:
+        # A sweep says what is stored.
+        _complain("stopped", stop.args[0] if stop.args else "nothing was written")
+        return INTERRUPTED if stop.args else UNSOLVED
     except BrokenPipeError:  # whoever read the output has seen enough; nothing is left to flush at exit
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     except OSError as error:
@@ -73,6 +76,7 @@ def _parser() -> argparse.ArgumentParser:
         ("simulate", commands.simulate, "simulate the scene with every variable at its guess"),
         ("optimise", commands.optimise, "find the best share, and say what decided it"),
         ("tradeoff", commands.tradeoff, "trade two results against each other, and draw the front of designs"),
+        ("sweep", sweeps.sweep, "simulate or optimise at every point of a grid or a sample; resumable"),
         ("accuracy", commands.accuracy, "show what accuracy costs in time, and say which method to take"),
     ):
         verb = verbs.add_parser(name, help=text)
@@ -91,6 +95,9 @@ def _parser() -> argparse.ArgumentParser:
             continue
         if name == "accuracy":
             _add_accuracy(verb)
+            continue
+        if name == "sweep":
+            sweeps.add_options(verb)
             continue
         if name == "optimise":
             verb.add_argument(

@@ -170,7 +170,7 @@ def _prepared(run: EmbeddedRun, only_averages: bool, steps: int | None) -> tuple
     if only_averages and accuracy.method in ORDER_8:
         timeline = Timeline(1, timeline.steps, timeline.kink)
     if steps is not None:
-        timeline = Timeline(timeline.outputs, steps, timeline.kink)
+        timeline = Timeline(timeline.outputs, steps, timeline.kink, aligned=False)
     solver = integration(structure, accuracy, timeline)
     observed = signals(structure)
     size = sum(solver.function.numel_out(k) for k in range(solver.function.n_out()))

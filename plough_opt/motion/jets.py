@@ -16,6 +16,7 @@ import numpy as np
 from plough_opt.accuracy import ORDER_8
 from plough_opt.motion.equation import start_state
 from plough_opt.motion.integrators import Integration, quiet_events
+from plough_opt.motion.readings import at_outputs
 from plough_opt.motion.runge_kutta import step
 from plough_opt.motion.signals import signals
 from plough_opt.motion.terms import Structure
@@ -92,13 +93,41 @@ def jets(structure: Structure, timeline: Timeline, varying: tuple[int, ...], ord
     width = first.shape[1]
     own = [moments[:, column::width] for column in range(width)]
     means, variances = _pooled(own, ca.DM(sizes), observed.count, observed.squared, len(varying))
-    at_outputs = []
-    for column in range(width):
-        path = states[:, column::width]
-        chosen = path[:, [i - 1 for i in timeline.output_columns[1:]]]
-        at_outputs.append(ca.vec(ca.horzcat(first[:, column], chosen)))
-    result = ca.vertcat(ca.horzcat(*at_outputs), means, variances)
+    paths = [ca.horzcat(first[:, column], states[:, column::width]) for column in range(width)]
+    read = _read(timeline, paths, p[-1], [position == p.numel() - 1 for position in varying])
+    result = ca.vertcat(ca.horzcat(*map(ca.vec, read)), means, variances)
     return ca.Function("jets", [p], [result])
+
+
+def _read(timeline: Timeline, paths: list[ca.MX], duration: ca.MX, own: list[bool]) -> list[ca.MX]:
+    """Return the jets of the states at the outputs from those at the ends of the steps.
+
+    Args:
+        timeline: steps and outputs.
+        paths: value, first and second derivatives of the states, a column for each end.
+        duration: of the run [s].
+        own: of each varying parameter whether it is the duration, by which the weights of the ends change.
+    """
+    read = [at_outputs(timeline, path, duration) for path in paths]
+    if timeline.aligned or not any(own):
+        return read
+    time, one = ca.MX.sym("time"), ca.MX.sym("path", *paths[0].shape)
+    once = ca.jacobian(ca.vec(at_outputs(timeline, one, time)), time)
+    slope, bend = (
+        ca.Function("by_duration", [one, time], [ca.reshape(by, *read[0].shape)])
+        for by in (once, ca.jacobian(once, time))
+    )
+    count = len(own)
+    for a in range(count):
+        if own[a]:
+            read[1 + a] += slope(paths[0], duration)
+    for column, (a, b) in enumerate(pairs(count) if len(paths) > 1 + count else [], start=1 + count):
+        for this, other in ((a, b), (b, a)):
+            if own[this]:
+                read[column] += slope(paths[1 + other], duration)
+        if own[a] and own[b]:
+            read[column] += bend(paths[0], duration)
+    return read
 
 
 def _expand(y: ca.SX, e: ca.SX, order: int) -> ca.SX:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import time
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -266,13 +267,14 @@ def _evaluate(solver: Integration, p: list[float], scene: Scene) -> list[NDArray
 def _attempt(solver: Integration, p: list[float]) -> list[NDArray[np.float64]] | None:
     """Return the results, or None where the method failed or they are not finite."""
     function, given = solver.function, np.array(p)
-    buffer, evaluate = function.buffer()
-    buffer.set_arg(0, memoryview(given))
+    made: Any = function.buffer()  # its stubs know no arrays
+    buffer, evaluate = made
+    buffer.set_arg(0, given.data)
     # A result that is zero by structure stays as it is.
     results = [np.zeros(function.size_out(k), order="F") for k in range(function.n_out())]
     for k, result in enumerate(results):
         if function.nnz_out(k) == result.size:
-            buffer.set_res(k, memoryview(result.ravel(order="K")))
+            buffer.set_res(k, result.ravel(order="K").data)
     try:
         evaluate()
     except RuntimeError:

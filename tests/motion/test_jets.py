@@ -77,9 +77,10 @@ def everything(r1_scene):
     [("wave_amplitude", "wavelength"), ("damping", "rate_term"), ("stiffness", "tow_speed"), ("static", "duration")],
     ids="-".join,
 )
-def test_any_parameters_may_vary(r1_scene, chosen):
+@pytest.mark.parametrize("aligned", [True, False])
+def test_any_parameters_may_vary(r1_scene, chosen, aligned):
     structure, names, values = numbers_of(everything(r1_scene))
-    timeline = Timeline(outputs=3, steps=24)
+    timeline = Timeline(outputs=3, steps=24) if aligned else Timeline(outputs=7, steps=24, aligned=False)
     varying = tuple((*names, "duration").index(name) for name in chosen)
     found = scaled(jets(structure, timeline, varying, 2)(values).full(), values, varying)
     assert_alike(found, differentiated(run_map(structure, timeline), values, varying), timeline.outputs)

@@ -1,0 +1,197 @@
+"""FMUs, exercised by FMPy: valid, and the same motion as `po.simulate` has."""
+
+import dataclasses
+
+import casadi as ca
+import numpy as np
+import pytest
+from fmpy.fmi1 import FMICallException
+from fmpy.fmi3 import FMU3Model
+from fmpy.validation import validate_fmu
+from fmu_tools import ARRAYS, WITHIN, differences, instance_of, simulated
+
+import plough_opt as po
+from plough_opt.export.fmu import write_fmu
+
+DURATION = 1.2
+SHARE = po.Wedge(po.deg(45.0), po.deg(15.0), 0.25)
+WAVE = po.StrengthWave(0.9, 0.25)
+REFERENCE = po.Accuracy(error=1e-10)
+
+
+@dataclasses.dataclass(frozen=True)
+class Shank:
+    """An own resistance."""
+
+    static: float
+    viscous: float
+
+    def force(self, travel, speed):
+        return self.static + self.viscous * speed
+
+
+EFFECTS = {
+    "every smooth effect": po.Effects(
+        strength_wave=po.StrengthWave(0.3, 0.2), damping=400.0, rate_term=0.05, tow_ramp=0.3
+    ),
+    "from rest": po.Effects(start="rest", inertial_drag=False),
+    "smooth contact": po.Effects(contact=po.Smooth(0.1), strength_wave=WAVE, start="towed"),
+    "stick and slip": po.Effects(contact=po.StickSlip(1.3), strength_wave=WAVE, start="rest"),
+    "entry, stick and slip": po.Effects(contact=po.StickSlip(1.2), strength_wave=WAVE, start="rest", entry=True),
+    "own resistance": po.Effects(own=(Shank(150.0, 80.0),), strength_wave=WAVE, added_mass=False),
+}
+MORE_EFFECTS = {
+    "smooth contact on a ramp": po.Effects(contact=po.Smooth(0.1), strength_wave=WAVE, tow_ramp=0.4),
+    "towed, with a damper": po.Effects(start="towed", damping=300.0, ambient_pressure=False),
+    "stick and slip on a ramp": po.Effects(contact=po.StickSlip(1.3), strength_wave=WAVE, tow_ramp=0.4, damping=50.0),
+    "stick and slip at first at rest": po.Effects(contact=po.StickSlip(), strength_wave=WAVE, start="rest"),
+    "entry": po.Effects(entry=True, start="towed", strength_wave=WAVE),
+    "entry with retreat": po.Effects(entry=True, start="rest", strength_wave=WAVE),
+    "one printed error": po.Effects(
+        formulation=po.Printed(repelling_spring=False), strength_wave=po.StrengthWave(0.3, 0.2)
+    ),
+}
+
+
+def scene_with(effects, **changes):
+    given = {"stiffness": 3e5, "mass": 30.0, "tow_speed": 1.5} | changes
+    return po.Scene(po.named_soil("serozem"), SHARE, effects=effects, **given)
+
+
+@pytest.fixture(scope="module")
+def waved():
+    """A scene without events that never retreats."""
+    return scene_with(po.Effects(strength_wave=po.StrengthWave(0.3, 0.2), damping=900.0), stiffness=1e5)
+
+
+@pytest.fixture(scope="module")
+def waved_fmu(waved, tmp_path_factory):
+    return write_fmu(waved, tmp_path_factory.mktemp("fmu") / "waved.fmu", duration=DURATION)
+
+
+@pytest.mark.parametrize(
+    "effects",
+    [
+        *(pytest.param(effects, id=name) for name, effects in EFFECTS.items()),
+        *(pytest.param(effects, id=name, marks=pytest.mark.slow) for name, effects in MORE_EFFECTS.items()),
+    ],
+)
+def test_simulates_to_the_same_motion(effects, tmp_path):
+    scene = scene_with(effects)
+    fmu = write_fmu(scene, tmp_path / "share.fmu")
+    assert validate_fmu(str(fmu)) == []
+    run = po.simulate(scene, DURATION, accuracy=REFERENCE, outputs=200)
+    sticks = isinstance(effects.contact, po.StickSlip)
+    found = simulated(fmu, DURATION, output=[*ARRAYS, *(("mode", "opening") if sticks else ())])
+    assert max(differences(found, run).values()) < WITHIN
+    if sticks:
+        assert np.array_equal(found["mode"], run.mode)
+        assert np.max(np.abs(found["opening"] - run.opening)) < WITHIN * np.max(run.travel)
+        assert len(np.unique(run.mode)) > 1
+
+
+def test_another_scene_by_its_parameters_starts_from_its_own_equilibrium(r1_soil, tmp_path):
+    first = scene_with(po.Effects(strength_wave=po.StrengthWave(0.2, 0.3), damping=500.0, rate_term=0.01))
+    effects = po.Effects(strength_wave=po.StrengthWave(0.4, 0.25), damping=700.0, rate_term=0.03)
+    share = po.Wedge(po.deg(35.0), po.deg(20.0), 0.2)
+    mass = 25.0 + share.equivalent_cone().solid_mass(7800.0)
+    second = po.Scene(r1_soil, share, 8e4, mass, 2.0, effects)
+    values = {
+        **{f"soil.{name}": getattr(r1_soil, name) for name in ("density", "density_ratio", "cohesion")},
+        **{f"soil.{name}": getattr(r1_soil, name) for name in ("tool_friction", "ambient_pressure")},
+        # FMPy takes a value in a display unit too.
+        "soil.friction_angle": (np.degrees(r1_soil.friction_angle), "deg"),
+        "share.wedge_angle": (35.0, "deg"),
+        "share.chisel_angle": (20.0, "deg"),
+        "share.height": 0.2,
+        "scene.stiffness": (80.0, "kN/m"),
+        "scene.frame_mass": 25.0,
+        "scene.steel_density": 7800.0,
+        "effects.strength_wave.amplitude": 0.4,
+        "effects.strength_wave.wavelength": 0.25,
+        "effects.damping": 700.0,
+        "effects.rate_term": 0.03,
+        "strut_speed": (7.2, "km/h"),
+    }
+    fmu = write_fmu(first, tmp_path / "share.fmu", steel_density=7850.0)
+    told = {
+        "share.half_angle": second.cone.half_angle,
+        "share.loosened_radius": second.loosened_radius,
+        "share.static_resistance": second.reaction.static,
+        "share.drag_coefficient": second.reaction.drag,
+        "share.added_mass": second.reaction.added_mass,
+    }
+    run = po.simulate(second, DURATION, accuracy=REFERENCE, outputs=200)
+    found = simulated(fmu, DURATION, start_values=values, output=[*ARRAYS, *told])
+    assert max(differences(found, run).values()) < WITHIN
+    # Angles in degrees and speeds in km/h come back with an error of rounding.
+    for name, value in told.items():
+        assert found[name][0] == pytest.approx(value, rel=1e-13)
+    # The start is no integration: the steady deflection of (27) to rounding.
+    assert found["deflection"][0] == pytest.approx(second.steady_resistance / second.stiffness, rel=1e-13)
+
+
+class Driven(FMU3Model):
+    """An FMU whose input is a function of time whenever rates are asked for: FMPy holds it between outputs."""
+
+    reference, signal = 0, None
+
+    def setTime(self, time):
+        super().setTime(time)
+        self.setFloat64([self.reference], [self.signal(time)])
+
+
+def driven(path, name, signal, **options):
+    fmu, references = instance_of(path, Driven)
+    fmu.reference, fmu.signal = references[name], signal
+    found = simulated(path, DURATION, fmu_instance=fmu, start_values={name: signal(0.0)}, **options)
+    fmu.freeInstance()
+    return found
+
+
+def ramped(time, speed=1.5, ramp=0.4):
+    """Speed of a strut on a ramp: the smoothstep of fifth order."""
+    u = min(time / ramp, 1.0)
+    return speed * u**3 * (10.0 + u * (6.0 * u - 15.0))
+
+
+def test_a_signal_of_speed_is_a_tow_ramp(waved, waved_fmu):
+    scene = dataclasses.replace(waved, effects=dataclasses.replace(waved.effects, tow_ramp=0.4))
+    run = po.simulate(scene, DURATION, accuracy=REFERENCE, outputs=200)
+    found = driven(waved_fmu, "strut_speed", ramped, output=[*ARRAYS, "strut_position"])
+    assert max(differences(found, run).values()) < WITHIN
+    # The path of the ramp is half its time at full speed behind.
+    assert found["strut_position"][-1] == pytest.approx(1.5 * (DURATION - 0.2), rel=WITHIN)
+
+
+@pytest.mark.parametrize("contact", ["resisting", po.StickSlip(1.3)], ids=["resisting", "stick and slip"])
+def test_a_position_that_grows_evenly_is_a_tow_speed(contact, tmp_path):
+    scene = scene_with(po.Effects(strength_wave=WAVE, contact=contact))
+    fmu = write_fmu(scene, tmp_path / "share.fmu", strut="position")
+    assert validate_fmu(str(fmu)) == []
+    run = po.simulate(scene, DURATION, accuracy=REFERENCE, outputs=200)
+    found = driven(fmu, "strut_position", lambda time: 1.5 * time, output=list(ARRAYS))
+    assert max(differences(found, run).values()) < WITHIN
+
+
+def test_a_parameter_may_change_at_an_event(tmp_path):
+    # Without wave, drag and damper the deflection is a cosine about F0/k0, for each stiffness.
+    scene = scene_with(po.Effects(inertial_drag=False, start="towed"))
+    fmu = write_fmu(scene, tmp_path / "share.fmu")
+    load, inertia, half = scene.reaction.static, scene.inertia, DURATION / 2.0
+    first, second = 3e5, 1.2e6
+    signal = np.array(
+        [(0.0, 1.5, first), (half, 1.5, first), (half, 1.5, second), (DURATION, 1.5, second)],
+        dtype=[("time", float), ("strut_speed", float), ("scene.stiffness", float)],
+    )
+    found = simulated(fmu, DURATION, input=signal, output=["deflection", "mount_force"])
+    time = found["time"]
+    slow, fast = np.sqrt(first / inertia), np.sqrt(second / inertia)
+    before = load / first * (1.0 - np.cos(slow * time))
+    apart = load / first * (1.0 - np.cos(slow * half)) - load / second
+    rate = load / first * slow * np.sin(slow * half)
+    after = load / second + apart * np.cos(fast * (time - half)) + rate / fast * np.sin(fast * (time - half))
+    expected = np.where(time < half, before, after)
+    assert np.max(np.abs(found["deflection"] - expected)) < WITHIN * np.max(np.abs(expected))
+    stiffness = np.where(time < half * (1 - 1e-9), first, second)
+    assert np.allclose(found["mount_force"], stiffness * found["deflection"], rtol=1e-13)

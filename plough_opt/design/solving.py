@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 import time
 from collections.abc import Sequence
 from functools import partial
@@ -29,6 +30,7 @@ _REFINEMENTS = 4
 _FINER = 1.5
 # Above this gap a design by a method with its own setting carries a warning.
 _COARSE = 1e-6
+_NUMBER = re.compile(r"\d[\d.e+-]*")
 
 
 def solve_program(
@@ -195,7 +197,18 @@ def _warnings(program: Program, point: Point, p: Vector, scenes: Sequence[tuple[
     moving = [text for scene, duration in scenes for text in repeat(scene, duration).warnings]
     still = program.exact.quasi_static_scenes([*program.values(point.y), *p])
     slow = (_NO_COMPILER,) if program.compiled and program.interpreted else ()
-    return (*slow, *dict.fromkeys([*moving, *(text for scene in still for text in scene.warnings())]))
+    return (*slow, *_alike_once([*moving, *(text for scene in still for text in scene.warnings())]))
+
+
+def _alike_once(sentences: Sequence[str]) -> list[str]:
+    """Return sentences each once; of those that differ in numbers only, the first, which says of how many it speaks."""
+    alike: dict[str, list[str]] = {}
+    for text in dict.fromkeys(sentences):
+        alike.setdefault(_NUMBER.sub("#", text), []).append(text)
+    return [
+        own[0] if len(own) == 1 else f"{own[0]}; and with other numbers in {len(own) - 1} further scenes of this design"
+        for own in alike.values()
+    ]
 
 
 def _names(program: Program, scenes: Sequence[Sequence[Scene]]) -> list[str]:

@@ -19,7 +19,7 @@ from plough_opt.cli.report import shown
 from plough_opt.cli.terminal import console, read, wrote
 from plough_opt.errors import InputError
 from plough_opt.problem_file import Problem
-from plough_opt.problem_file.sweeping import ProblemSweep
+from plough_opt.problem_file.sweeping import ProblemSweep, What
 from plough_opt.study.result import Sweep
 from plough_opt.study.sweeping import sweep as run_sweep
 
@@ -63,7 +63,7 @@ def sweep(options: argparse.Namespace) -> None:
         raise InputError("--workers are processes of this machine, --scheduler has its own: leave one of the two out")
     over = _over(options)
     problem = read(options)
-    what = "optimise" if options.optimise else "simulate"
+    what: What = "optimise" if options.optimise else "simulate"
     asked = ProblemSweep.of(problem, over, what, options.method, options.samples, options.seed)
     store = options.store or _store_of(options.file, asked)
     notes = list(asked.notes)
@@ -142,7 +142,7 @@ def _executor(address: str | None) -> Iterator[tuple[Executor | None, int | None
     except (OSError, ValueError) as error:
         raise InputError(f"--scheduler {address}: no dask scheduler answers there ({error})") from None
     with client:
-        threads = sum(client.ncores().values())
+        threads = sum(client.ncores().values())  # type: ignore[no-untyped-call]
         if threads == 0:
             raise InputError(f"--scheduler {address}: it has no workers; start some: dask worker {address}")
         yield client.get_executor(pure=False), threads  # type: ignore[no-untyped-call]

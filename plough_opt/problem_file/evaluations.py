@@ -149,7 +149,9 @@ class SimulationOfMany:
 def fixed_at(problem: Problem, values: Mapping[str, float]) -> Problem:
     """Return a problem with some quantities fixed, variables or not."""
     left = {key: variable for key, variable in problem.variables.items() if key not in values}
-    return dataclasses.replace(problem, fixed={**problem.fixed, **values}, variables=left)
+    notes = (f"'{key}' is a variable of the file: it is fixed" for key in problem.variables if key in values)
+    fixed = {**problem.fixed, **values}
+    return dataclasses.replace(problem, fixed=fixed, variables=left, notes=(*problem.notes, *notes))
 
 
 def _of_run(problem: Problem, run: Run) -> dict[str, float]:

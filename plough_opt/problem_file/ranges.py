@@ -13,7 +13,7 @@ _RANGE = re.compile(r"(?P<lower>.+?)\.\.(?P<upper>[^:]*)(?::(?P<count>[^:]*?))?(
 _NUMBER = re.compile(r"\s*[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?")
 
 
-def read_axis(text: str, unit: Unit) -> tuple[Axis, Display]:
+def read_axis(text: str, unit: Unit, *, sampled: bool = False) -> tuple[Axis, Display]:
     """Return what a text says that a quantity runs over, SI, and the unit in which it says so.
 
     A unit stands once, at the end, or at every number. A grid is even in the decimal numbers of that unit, so that its
@@ -23,6 +23,7 @@ def read_axis(text: str, unit: Unit) -> tuple[Axis, Display]:
         text: ``lower..upper:count`` for a grid, ``lower..upper`` for a sample, both with `` log`` at the end for equal
             steps of the logarithm; or values, with commas between.
         unit: of the quantity.
+        sampled: it is for a sample.
 
     Raises:
         InputError: no such text, no quantity, a wrong unit, ends that are not in order, or fewer than two values.
@@ -30,8 +31,12 @@ def read_axis(text: str, unit: Unit) -> tuple[Axis, Display]:
     match = _RANGE.fullmatch(text)
     if match is None and ".." in text:
         raise InputError(f'"{text}" is no range: {_how(unit)}')
+    if match is None and sampled:
+        raise InputError(f'"{text}" has no two ends for a sample to fill: {_how(unit)}')
     if match is None:
         return _read_list(text, unit)
+    if sampled and match["count"] is not None:
+        raise InputError(f'"{text}" has a number of values: a sample fills the range; leave it out')
     log = match["log"] is not None
     written = match["upper"].strip()
     if match["count"] is None and written.endswith(" log"):
@@ -45,6 +50,8 @@ def read_axis(text: str, unit: Unit) -> tuple[Axis, Display]:
     except InputError as error:
         raise InputError(f'"{text}": {error}') from None
     shown = display_of(f"1 {_unit(written)}".strip() if _unit(written) else written, unit)
+    if count is None and not sampled:
+        raise InputError(f'"{text}" has no number of values: {_how(unit)}')
     if count is None:
         return Range(lower * low, upper * low, None, log), shown
     values = found.values() if log else _even(lower, upper, found.count or 2)

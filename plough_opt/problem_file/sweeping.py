@@ -63,7 +63,7 @@ class ProblemSweep:
     ) -> ProblemSweep:
         """Check everything that can be checked before anything is computed; arguments as of `sweep`."""
         _refuse_unknown(what, method)
-        axes, displays = _axes(over)
+        axes, displays = _axes(over, samples is not None)
         count = points_of(axes, samples, seed).count
         for end in (0, -1):
             corner = fixed_at(problem, {name: _ends(axis)[end] for name, axis in axes.items()})
@@ -157,7 +157,7 @@ def _refuse_unknown(what: str, method: str) -> None:
         raise InputError("a batch simulates; it does not optimise: leave one of the two out")
 
 
-def _axes(over: Mapping[str, object]) -> tuple[dict[str, Axis], dict[str, Display]]:
+def _axes(over: Mapping[str, object], sampled: bool) -> tuple[dict[str, Axis], dict[str, Display]]:
     """Return what each quantity runs over, and the units of those that are written as texts."""
     units = quantities()
     axes: dict[str, Axis] = {}
@@ -167,7 +167,7 @@ def _axes(over: Mapping[str, object]) -> tuple[dict[str, Axis], dict[str, Displa
             raise InputError(f"'{name}' cannot be swept: {nearest(name, units)}")
         try:
             if isinstance(given, str):
-                axes[name], displays[name] = read_axis(given, units[name])
+                axes[name], displays[name] = read_axis(given, units[name], sampled=sampled)
             else:
                 axes[name] = axis_of(name, given)
         except InputError as error:

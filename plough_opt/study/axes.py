@@ -40,7 +40,7 @@ class Range:
         if self.log and not self.lower > 0.0:
             raise InputError(f"a logarithmic range begins above 0, not at {self.lower:g}")
         if self.count is not None and (not is_count(self.count) or self.count < 2):
-            raise InputError(f"{self.count!r} values are no range: it takes a whole number from 2 on, for both ends")
+            raise InputError(f"the number of values is {self.count!r}: it must be a whole number from 2 on")
 
     def values(self) -> tuple[float, ...]:
         """Return the values of a grid, the ends exactly."""

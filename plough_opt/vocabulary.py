@@ -58,6 +58,13 @@ QUANTITIES: dict[str, Quantity] = {
 }
 """Quantities of a scene by name; "share.half_angle" of a share that is given as a cone."""
 
+BESIDE: dict[str, Quantity] = {
+    "scene.duration": Quantity("s", ()),
+    "scene.frame_mass": Quantity("kg", ()),
+    "scene.steel_density": Quantity("kg/m^3", ()),
+}
+"""Quantities beside a scene: its duration, and what its mass is made of."""
+
 
 def quantity_of(scene: Scene, name: str) -> Expression:
     """Return a scene's quantity by name.

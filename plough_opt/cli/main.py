@@ -17,6 +17,7 @@ from rich.console import Console
 from rich.markup import escape
 
 from plough_opt.cli import commands
+from plough_opt.cli import export as exports
 from plough_opt.cli import sweep as sweeps
 from plough_opt.errors import DomainError, InputError, PloughError
 
@@ -77,6 +78,7 @@ def _parser() -> argparse.ArgumentParser:
         ("optimise", commands.optimise, "find the best share, and say what decided it"),
         ("tradeoff", commands.tradeoff, "trade two results against each other, and draw the front of designs"),
         ("sweep", sweeps.sweep, "simulate or optimise at every point of a grid or a sample; resumable"),
+        ("export", exports.export, "write the scene for other tools: C, CasADi, OpenMDAO, FMU"),
         ("accuracy", commands.accuracy, "show what accuracy costs in time, and say which method to take"),
     ):
         verb = verbs.add_parser(name, help=text)
@@ -95,6 +97,9 @@ def _parser() -> argparse.ArgumentParser:
             continue
         if name == "accuracy":
             _add_accuracy(verb)
+            continue
+        if name == "export":
+            exports.add_options(verb)
             continue
         if name == "sweep":
             sweeps.add_options(verb)

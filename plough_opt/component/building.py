@@ -12,18 +12,17 @@ from plough_opt.accuracy import ORDER_8, Accuracy
 from plough_opt.component.box import Box, Make
 from plough_opt.component.function import Component
 from plough_opt.component.graph import graph
-from plough_opt.component.ports import Input, Output, Port, check_names, measure_of
+from plough_opt.component.ports import Input, Output, Port, check_names, measure_of, port_of
 from plough_opt.domain import check_domain
 from plough_opt.errors import InputError, nearest
 from plough_opt.expressions import Expression, as_number, holds_casadi, is_symbolic, map_expressions
 from plough_opt.scene import Scene
-from plough_opt.vocabulary import QUANTITIES, Quantity, quantity_of, with_quantities
+from plough_opt.vocabulary import BESIDE, QUANTITIES, Quantity, quantity_of, with_quantities
 
 SAMPLES = 400
 """Default number of intervals between the output times of results at every output time."""
 
-_DURATION, _FRAME, _STEEL = "scene.duration", "scene.frame_mass", "scene.steel_density"
-_OTHERS = {_DURATION: Quantity("s", ()), _FRAME: Quantity("kg", ()), _STEEL: Quantity("kg/m^3", ())}
+_DURATION, _FRAME, _STEEL = BESIDE
 
 
 def component(
@@ -146,19 +145,19 @@ class _Base:
             raise InputError(f"'{name}' needs a steel_density, for the frame is what is not share: give that too")
         if self.steel is not None and name == "scene.mass":
             raise InputError(f"'scene.mass' follows from steel_density and '{_FRAME}': take that one")
-        if name not in _OTHERS:
-            valid = [*QUANTITIES, *_OTHERS]
+        if name not in BESIDE:
+            valid = [*QUANTITIES, *BESIDE]
             if name not in QUANTITIES:
                 raise InputError(f"no quantity is named '{name}': {nearest(name, valid)}")
             return QUANTITIES[name], quantity_of(self.scene, name)
         value = {_DURATION: self.duration, _FRAME: self.frame if self.steel is not None else None, _STEEL: self.steel}
         if value[name] is None:
             raise InputError(f"'{name}' cannot be an input: the duration is missing")
-        return _OTHERS[name], value[name]
+        return BESIDE[name], value[name]
 
     def changed(self, changes: Mapping[str, Expression]) -> tuple[Scene, Expression | None]:
         """Return scene and duration with other values."""
-        scene = with_quantities(self.scene, {key: value for key, value in changes.items() if key not in _OTHERS})
+        scene = with_quantities(self.scene, {key: value for key, value in changes.items() if key not in BESIDE})
         if self.steel is not None:
             steel = scene.cone.solid_mass(changes.get(_STEEL, self.steel))
             scene = replace(scene, mass=changes.get(_FRAME, self.frame) + steel)
@@ -170,12 +169,7 @@ def _port(one: Input, base: _Base) -> Port:
     quantity, found = base.value(one.name)
     if is_symbolic(found) and one.value is None:
         raise InputError(f"'{one.name}' is an expression of the scene: make its symbol the input, or give it a value")
-    value = one.value if one.value is not None else float(as_number(found))
-    lower = quantity.low + (value - quantity.low) / 2.0 if one.lower is None else one.lower
-    upper = min(2.0 * value, (value + quantity.high) / 2.0) if one.upper is None else one.upper
-    if one.unit is not None and one.unit != quantity.unit:
-        raise InputError(f"'{one.name}' is in {quantity.unit or 'no unit'}, not in {one.unit}")
-    return _checked(Port(one.name, quantity.unit, lower, upper, value))
+    return port_of(one, quantity, float(as_number(found)) if one.value is None else one.value)
 
 
 def _own_port(one: Input) -> Port:
@@ -187,20 +181,8 @@ def _own_port(one: Input) -> Port:
         raise InputError(
             f"input '{one.name}' needs lower and upper: a symbol has no value from which they could follow"
         )
-    value = (one.lower + one.upper) / 2.0 if one.value is None else one.value
-    return _checked(Port(one.name, one.unit or "", one.lower, one.upper, value))
-
-
-def _checked(port: Port) -> Port:
-    for side, bound in (("lower", port.lower), ("upper", port.upper), ("value", port.value)):
-        check_domain(f"{side} of '{port.name}'", bound, port.unit)
-    if not port.lower < port.upper:
-        raise InputError(
-            f"'{port.name}': lower {port.lower:g} is not below upper {port.upper:g} {port.unit}: give bounds"
-        )
-    if not port.lower <= port.value <= port.upper:
-        raise InputError(f"'{port.name}' = {port.value:g} lies outside its bounds {port.lower:g} to {port.upper:g}")
-    return port
+    middle = (one.lower + one.upper) / 2.0
+    return port_of(one, Quantity(one.unit or "", ()), middle)
 
 
 def _maker(base: _Base, asked: Sequence[Input]) -> Make:

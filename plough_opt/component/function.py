@@ -140,11 +140,19 @@ class Component:
         for kind, ports in (("in ", self.inputs), ("out", self.outputs)):
             for port in ports:
                 shape = f"[{port.size}]" if port.size > 1 else ""
-                limits = f"{port.lower:g} to {port.upper:g}" if np.isfinite([port.lower, port.upper]).any() else ""
-                lines.append(f"{kind} {port.name}{shape} [{port.unit or '1'}] {limits}, value {port.value:g}")
+                lines.append(f"{kind} {port.name}{shape} [{port.unit or '1'}]{_limits(port)}, value {port.value:g}")
         steps = f", {self.accuracy.steps} steps" if self.accuracy.steps else ""
         lines.append(f"{self.accuracy.method}{steps}, relative error at most {self.error_estimate:.1e} where tried")
         return "\n".join([*lines, *self.warnings])
+
+
+def _limits(port: Port) -> str:
+    """Return the bounds of a port in words."""
+    if np.isfinite(port.lower) and np.isfinite(port.upper):
+        return f" {port.lower:g} to {port.upper:g}"
+    if np.isfinite(port.lower):
+        return f" at least {port.lower:g}"
+    return f" at most {port.upper:g}" if np.isfinite(port.upper) else ""
 
 
 def _plain(value: Any) -> float | NDArray[np.float64]:

@@ -11,10 +11,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from plough_opt.domain import check_domain
 from plough_opt.errors import InputError, nearest
 from plough_opt.expressions import Expression
 from plough_opt.motion import Run
-from plough_opt.vocabulary import MEASURES
+from plough_opt.vocabulary import MEASURES, Quantity
 
 # From this ratio of its bounds on an input is sampled by its logarithm.
 _WIDE = 10.0
@@ -89,6 +90,32 @@ class Port:
     def argument(self) -> str:
         """The name as an identifier, as "share_height"."""
         return identifier(self.name)
+
+
+def port_of(one: Input, quantity: Quantity, value: float) -> Port:
+    """Return an input's port.
+
+    Args:
+        one: what is asked for; its own value goes before the scene's.
+        quantity: unit and domain.
+        value: the scene's value.
+
+    Raises:
+        InputError: bounds that contradict each other or the value, or another unit.
+        DomainError: a number that is not finite.
+    """
+    value = value if one.value is None else one.value
+    lower = quantity.low + (value - quantity.low) / 2.0 if one.lower is None else one.lower
+    upper = min(2.0 * value, (value + quantity.high) / 2.0) if one.upper is None else one.upper
+    if one.unit is not None and one.unit != quantity.unit:
+        raise InputError(f"'{one.name}' is in {quantity.unit or 'no unit'}, not in {one.unit}")
+    for side, bound in (("lower", lower), ("upper", upper), ("value", value)):
+        check_domain(f"{side} of '{one.name}'", bound, quantity.unit)
+    if not lower < upper:
+        raise InputError(f"'{one.name}': lower {lower:g} is not below upper {upper:g} {quantity.unit}: give bounds")
+    if not lower <= value <= upper:
+        raise InputError(f"'{one.name}' = {value:g} lies outside its bounds {lower:g} to {upper:g}")
+    return Port(one.name, quantity.unit, float(lower), float(upper), float(value))
 
 
 def identifier(name: str) -> str:

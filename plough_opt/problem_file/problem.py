@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
 from plough_opt.accuracy import Accuracy
+from plough_opt.component import Component, Input, build
 from plough_opt.design import Design, Optimum, Progress
 from plough_opt.domain import check_domain
 from plough_opt.effects import Effects, HarmonicBalance, Smooth, StickSlip, StrengthWave
@@ -15,6 +16,7 @@ from plough_opt.expressions import Expression
 from plough_opt.geometry import Wedge
 from plough_opt.motion import Run, simulate
 from plough_opt.problem_file.front import EXAMPLE, front_of
+from plough_opt.problem_file.interface import input_ports, wanted_outputs
 from plough_opt.problem_file.measures import MEASURES
 from plough_opt.problem_file.schema import ProblemTable, quantities
 from plough_opt.problem_file.units import Display
@@ -147,11 +149,15 @@ class Problem:
         if not self.table.minimise:
             raise InputError(f"{self.name}: nothing to minimise: a [minimise] table is missing")
         design, run = self._required(parameters)
+        design.minimise(self._objective(run))
+        return design, run
+
+    def _objective(self, run: Run) -> Expression:
+        """Return the sum of the [minimise] table."""
         objective: Expression = 0.0
         for name, term in self.table.minimise.items():
             objective = objective + MEASURES[name].of(run) / MEASURES[name].unit.parse(term.per)
-        design.minimise(objective)
-        return design, run
+        return objective
 
     def _refuse_without_variables(self) -> None:
         if not self.variables:
@@ -178,6 +184,43 @@ class Problem:
             low, high = (None if side is None else measure.unit.parse(side) for side in (limit.at_least, limit.at_most))
             design.require(name, measure.of(run), at_least=low, at_most=high, unit=measure.unit.symbol)
         return design, run
+
+    def component(
+        self,
+        inputs: Sequence[str] = (),
+        outputs: Sequence[str] = (),
+        *,
+        name: str = "share",
+        samples: int | None = None,
+    ) -> Component:
+        """Return the file's scene as one CasADi Function: see `plough_opt.component`.
+
+        Args:
+            inputs: keys of quantities; default: the file's variables. These have their bounds, others half to twice the
+                file's value.
+            outputs: names of results, or "objective" for the sum of [minimise]; default: all that the file minimises,
+                trades and requires. Requirements are the limits of outputs.
+            name: the Function's name.
+            samples: intervals between output times of results at every output time, if not the file's outputs.
+
+        Raises:
+            InputError: nothing to vary or to give, an unknown name, or a scene that no such Function can hold.
+            DomainError: bounds outside the model's domain.
+        """
+        values = {**self._numbers(), **{key: v.guess for key, v in self.variables.items()}}
+        bounds = {key: Input(key, v.lower, v.upper) for key, v in self.variables.items()}
+
+        def make(changes: Mapping[str, Expression]) -> tuple[Scene, Expression | None]:
+            return self.scene(changes), self.values(changes).get("scene.duration")
+
+        return build(
+            make,
+            input_ports(self.name, inputs, bounds, values),
+            wanted_outputs(self.name, self.table, outputs, self._objective),
+            accuracy=self.accuracy,
+            samples=self.table.scene.outputs if samples is None else samples,
+            name=name,
+        )
 
     def _numbers(self) -> dict[str, float]:
         """Return every quantity that is no variable, by key, the properties of a named soil included."""

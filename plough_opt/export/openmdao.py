@@ -1,0 +1,102 @@
+"""A component for OpenMDAO: in this process, or as a module of its own that needs casadi and openmdao only."""
+
+from __future__ import annotations
+
+import inspect
+import keyword
+import pprint
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+from plough_opt.component import Component
+from plough_opt.errors import InputError
+from plough_opt.export.serialised import described, serialised
+from plough_opt.export.whole import check_folder, write_folder
+
+try:
+    from plough_opt.export import openmdao_client
+except ModuleNotFoundError as missing:
+    if missing.name is None or missing.name.partition(".")[0] != "openmdao":
+        raise
+    raise InputError("OpenMDAO is not installed: pip install 'plough_opt[openmdao]'") from None
+
+
+_TAKEN = ("casadi", "numpy", "openmdao", "pathlib", "typing")
+
+
+class PloughComponent(openmdao_client.FunctionComponent):
+    """A component as an ``openmdao.api.ExplicitComponent``: names with underscores, as "share_height"; SI units.
+
+    Its partials are CasADi's exact Jacobian. `add_design` declares design variables, constraints and objective.
+
+    Args:
+        component: what `plough_opt.component` or `Problem.component` returns.
+        options: OpenMDAO's own.
+    """
+
+    def __init__(self, component: Component, **options: Any) -> None:
+        told = described(component)
+        super().__init__(component.function, told["inputs"], told["outputs"], **options)
+
+
+def write_openmdao(component: Component, path: str | Path) -> Path:
+    """Write a component as a Python module and a serialised Function, into a new folder.
+
+    Of a component named ``share`` the folder holds ``share.py``, with a class ``Share`` that is an
+    ``openmdao.api.ExplicitComponent`` and takes no arguments, and ``share.casadi``, which it loads. They need
+    casadi and openmdao, and not plough_opt.
+
+    Args:
+        component: what to write; its name is the module's.
+        path: of the folder, which must not exist.
+
+    Returns:
+        The path.
+
+    Raises:
+        InputError: the folder exists or cannot be written, or a name that no module can have.
+    """
+    target = check_folder(path, "OpenMDAO component")
+    name = component.name
+    if keyword.iskeyword(name) or name in _TAKEN:
+        raise InputError(f"a module cannot be named '{name}': name the component otherwise")
+    return write_folder(target, {f"{name}.py": _module(component).encode(), f"{name}.casadi": serialised(component)})
+
+
+def _module(component: Component) -> str:
+    """Return the module's text: the class of any Function, and the data of this one."""
+    name, told = component.name, described(component)
+    _, _, client = inspect.getsource(openmdao_client).partition('"""\n')
+    imports, _, classes = client.strip().partition("\n\n\n")
+    return f'''"""Written by plough_opt {version("plough_opt")}.
+
+{_quoted(str(component))}
+"""
+
+from pathlib import Path
+{imports}
+
+INPUTS = {pprint.pformat(told["inputs"], width=110, sort_dicts=False)}
+
+OUTPUTS = {pprint.pformat(told["outputs"], width=110, sort_dicts=False)}
+
+
+{classes}
+
+
+class {_class_name(name)}(FunctionComponent):
+    """The component of {name}.casadi, which lies beside this file."""
+
+    def __init__(self, **options):
+        function = ca.Function.load(str(Path(__file__).with_name("{name}.casadi")))
+        super().__init__(function, INPUTS, OUTPUTS, **options)
+'''
+
+
+def _class_name(name: str) -> str:
+    return "".join(part[:1].upper() + part[1:] for part in name.split("_"))
+
+
+def _quoted(text: str) -> str:
+    return text.replace("\\", "\\\\").replace('"""', "'''")

@@ -1,0 +1,72 @@
+"""A component as a file that CasADi alone can load."""
+
+from __future__ import annotations
+
+import json
+import tempfile
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from plough_opt.component import Component, Port
+from plough_opt.export.whole import check_file, write_files
+
+
+def write_casadi(component: Component, path: str | Path) -> Path:
+    """Write a component as a serialised CasADi Function, and names, units and bounds as JSON beside it.
+
+    A process with CasADi and without plough_opt loads it by ``casadi.Function.load(path)`` in Python, and by
+    ``casadi::Function::load`` or ``casadi.Function.load`` in C++, MATLAB and Octave.
+
+    Args:
+        component: what to write.
+        path: of the Function, ending in .casadi; the JSON file has the same name ending in .json. Files are replaced.
+
+    Returns:
+        The path.
+
+    Raises:
+        InputError: another ending, or a place that cannot be written.
+    """
+    target = check_file(path, ".casadi", "serialised Function")
+    told = target.with_suffix(".json")
+    text = json.dumps(described(component), indent=2) + "\n"
+    write_files({target: serialised(component), check_file(told, ".json", "description"): text.encode()})
+    return target
+
+
+def serialised(component: Component) -> bytes:
+    """Return the component's Function as CasADi writes it to a file."""
+    with tempfile.TemporaryDirectory() as folder:
+        written = Path(folder) / "function.casadi"
+        component.function.save(str(written))
+        return written.read_bytes()
+
+
+def described(component: Component) -> dict[str, Any]:
+    """Return names, units, bounds and accuracy as plain data."""
+    return {
+        "name": component.name,
+        "inputs": [_plain(port) for port in component.inputs],
+        "outputs": [_plain(port) for port in component.outputs],
+        "method": component.accuracy.method,
+        "steps": component.accuracy.steps,
+        "error_estimate": component.error_estimate,
+        "warnings": list(component.warnings),
+        "versions": {package: version(package) for package in ("plough_opt", "casadi")},
+    }
+
+
+def _plain(port: Port) -> dict[str, Any]:
+    """Return a port; a limit that it does not have is null."""
+    return {
+        "name": port.name,
+        "argument": port.argument,
+        "unit": port.unit,
+        "lower": port.lower if np.isfinite(port.lower) else None,
+        "upper": port.upper if np.isfinite(port.upper) else None,
+        "value": port.value,
+        "size": port.size,
+    }

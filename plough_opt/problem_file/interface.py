@@ -1,0 +1,79 @@
+"""What of a problem file becomes an input or output of a component."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+
+from plough_opt.component import Input, Output, Port
+from plough_opt.component.ports import port_of
+from plough_opt.errors import InputError, nearest
+from plough_opt.expressions import Expression
+from plough_opt.motion import Run
+from plough_opt.problem_file.front import front_of
+from plough_opt.problem_file.measures import MEASURES
+from plough_opt.problem_file.schema import ProblemTable
+from plough_opt.vocabulary import BESIDE, QUANTITIES
+
+OBJECTIVE = "objective"
+"""Name of the sum of the [minimise] table."""
+
+
+def input_ports(
+    name: str, asked: Sequence[str], bounds: Mapping[str, Input], values: Mapping[str, float]
+) -> list[Port]:
+    """Return the inputs of a file.
+
+    Args:
+        name: the file's name.
+        asked: keys of quantities; none: the variables.
+        bounds: key of each variable -> its bounds.
+        values: key of every quantity that has a value -> it, of variables the guess.
+
+    Raises:
+        InputError: nothing to vary, or a key that is unknown or has no value.
+    """
+    keys = asked or tuple(bounds)
+    if not keys:
+        raise InputError(f"{name}: nothing to vary: name inputs, or give the file a [variables] table")
+    quantities = {**QUANTITIES, **BESIDE}
+    for key in keys:
+        if key not in values:
+            if key in quantities:
+                raise InputError(f"{name} gives '{key}' no value, so it cannot be an input")
+            raise InputError(f"no quantity is named '{key}': {nearest(key, values)}")
+    return [port_of(bounds.get(key, Input(key)), quantities[key], values[key]) for key in keys]
+
+
+def wanted_outputs(
+    name: str, table: ProblemTable, asked: Sequence[str], objective: Callable[[Run], Expression]
+) -> list[Output]:
+    """Return the outputs of a file, its requirements as their limits.
+
+    Args:
+        name: the file's name.
+        table: what it says.
+        asked: names of results, or "objective"; none: all that the file minimises, trades and requires.
+        objective: run -> sum of what the file minimises.
+
+    Raises:
+        InputError: nothing to give.
+    """
+    traded = front_of(table.trade_off).maximise if table.trade_off is not None else {}
+    everything = dict.fromkeys([*table.minimise, *traded, *table.require])
+    names = asked or [*([OBJECTIVE] if table.minimise else []), *everything]
+    if not names:
+        raise InputError(f"{name} minimises and requires nothing: name outputs")
+    return [_output(one, table, objective) for one in names]
+
+
+def _output(name: str, table: ProblemTable, objective: Callable[[Run], Expression]) -> Output:
+    if name == OBJECTIVE and table.minimise:
+        return Output(name, of=objective)
+    limit = table.require.get(name)
+    low, high = (None, None) if limit is None else (limit.at_least, limit.at_most)
+    return Output(
+        name,
+        lower=-math.inf if low is None else MEASURES[name].unit.parse(low),
+        upper=math.inf if high is None else MEASURES[name].unit.parse(high),
+    )

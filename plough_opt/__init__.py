@@ -38,6 +38,14 @@ if TYPE_CHECKING:
     from plough_opt.accuracy_study.result import AccuracyStudy
     from plough_opt.accuracy_study.study import study_accuracy, study_design
     from plough_opt.batch import Batch, BatchResult
+    from plough_opt.calibration import (
+        Calibration,
+        Candidate,
+        Fit,
+        Measurements,
+        calibrate,
+        read_measurements,
+    )
     from plough_opt.problem_file import Problem, read_problem
     from plough_opt.problem_file.sweeping import sweep
     from plough_opt.results import load
@@ -52,6 +60,12 @@ _LATER = {
     "AccuracyStudy": "plough_opt.accuracy_study.result",
     "study_accuracy": "plough_opt.accuracy_study.study",
     "study_design": "plough_opt.accuracy_study.study",
+    "Calibration": "plough_opt.calibration",
+    "Candidate": "plough_opt.calibration",
+    "Fit": "plough_opt.calibration",
+    "Measurements": "plough_opt.calibration",
+    "calibrate": "plough_opt.calibration",
+    "read_measurements": "plough_opt.calibration",
     "Problem": "plough_opt.problem_file",
     "read_problem": "plough_opt.problem_file",
     "load": "plough_opt.results",
@@ -81,11 +95,14 @@ __all__ = [
     "AccuracyStudy",
     "Batch",
     "BatchResult",
+    "Calibration",
+    "Candidate",
     "Component",
     "Cone",
     "Design",
     "DomainError",
     "Effects",
+    "Fit",
     "Goal",
     "HarmonicBalance",
     "InfeasibleDesign",
@@ -93,6 +110,7 @@ __all__ = [
     "InputError",
     "IntegrationError",
     "LocalOptimum",
+    "Measurements",
     "NotConverged",
     "Optimum",
     "Output",
@@ -112,6 +130,7 @@ __all__ = [
     "TradeOff",
     "Wedge",
     "added_mass",
+    "calibrate",
     "component",
     "crosscheck",
     "deg",
@@ -121,6 +140,7 @@ __all__ = [
     "named_soil",
     "plastic",
     "plots",
+    "read_measurements",
     "read_problem",
     "refine",
     "resistance",

@@ -1,0 +1,77 @@
+"""Cross-validation: each row predicted by a fit that has not seen it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from plough_opt.calibration.estimate import Data, estimate
+from plough_opt.calibration.program import Program
+from plough_opt.errors import InputError
+from plough_opt.expressions import is_count
+
+Vector = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class CrossValidation:
+    """How well rows are predicted that took no part in the fit.
+
+    Attributes:
+        folds: number of parts that were left out in turn; as many as rows: each row by itself.
+        errors: predicted less observed in every row, by the fit without it, SI.
+        standardised: the same over the standard deviation of a measurement.
+        rms: result -> root mean square of its errors, SI.
+        rms_fitted: the same of the residuals of the fit to all rows, which is smaller.
+    """
+
+    folds: int
+    errors: Vector
+    standardised: Vector
+    rms: Mapping[str, float]
+    rms_fitted: Mapping[str, float]
+
+
+def cross_validate(
+    program: Program, data: Data, y: Vector, deviation: Vector, results: list[str], folds: int | None, seed: int
+) -> CrossValidation:
+    """Leave parts out in turn.
+
+    Args:
+        program: the fit.
+        data: all rows.
+        y: scaled unknowns of the fit to all rows.
+        deviation: standard deviation of each measurement, SI.
+        results: what each row measured.
+        folds: number of parts, from 2 to the number of rows; None: each row by itself, of more than 60 rows 20 parts.
+        seed: of the shuffling; rows of a record stay together, as neighbours tell each other's values.
+    """
+    count = len(data.observed)
+    folds = (count if count <= 60 else 20) if folds is None else folds
+    if not is_count(folds) or not 2 <= folds <= count:
+        raise InputError(f"folds = {folds!r} must be a whole number from 2 to {count}, the number of rows")
+    order = np.arange(count)
+    if "mount_force" not in results and folds < count:
+        np.random.default_rng(seed).shuffle(order)
+    errors = np.empty(count)
+    for part in np.array_split(order, folds):
+        kept = data.weights.copy()
+        kept[part] = 0.0
+        if np.sum(kept > 0.0) < program.unknowns:
+            raise InputError(f"{folds} folds leave fewer rows than unknowns: take more folds")
+        without = Data(data.observed, kept, data.stated)
+        found = estimate(program, without, y, starts=1)
+        errors[part] = (program.predict(found.y) - data.observed)[part]
+    fitted = program.predict(y) - data.observed
+    names = np.array(results)
+    every = dict.fromkeys(results)
+    return CrossValidation(
+        folds,
+        errors,
+        errors / deviation,
+        {name: float(np.sqrt(np.mean(errors[names == name] ** 2))) for name in every},
+        {name: float(np.sqrt(np.mean(fitted[names == name] ** 2))) for name in every},
+    )

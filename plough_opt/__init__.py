@@ -34,7 +34,7 @@ from plough_opt.scene import Scene
 from plough_opt.soil import Soil, named_soil, soil_names
 
 if TYPE_CHECKING:
-    from plough_opt import crosscheck, plots
+    from plough_opt import crosscheck, plots, uncertainty
     from plough_opt.accuracy_study.result import AccuracyStudy
     from plough_opt.accuracy_study.study import study_accuracy, study_design
     from plough_opt.batch import Batch, BatchResult
@@ -52,6 +52,7 @@ if TYPE_CHECKING:
     from plough_opt.study.axes import Range
     from plough_opt.study.result import Sweep
     from plough_opt.tradeoff import Goal, TradeOff, trade_off
+    from plough_opt.uncertainty import Robust, SoilDistribution
 
 # What only files, pictures and batches need is imported when it is first used: pint, pydantic and matplotlib are slow.
 _LATER = {
@@ -75,8 +76,10 @@ _LATER = {
     "Goal": "plough_opt.tradeoff",
     "TradeOff": "plough_opt.tradeoff",
     "trade_off": "plough_opt.tradeoff",
+    "Robust": "plough_opt.uncertainty",
+    "SoilDistribution": "plough_opt.uncertainty",
 }
-_MODULES_LATER = ("crosscheck", "plots")
+_MODULES_LATER = ("crosscheck", "plots", "uncertainty")
 
 
 def __getattr__(name: str) -> Any:
@@ -120,10 +123,12 @@ __all__ = [
     "Problem",
     "Range",
     "Refinement",
+    "Robust",
     "Run",
     "Scene",
     "Smooth",
     "Soil",
+    "SoilDistribution",
     "StickSlip",
     "StrengthWave",
     "Sweep",
@@ -152,4 +157,5 @@ __all__ = [
     "study_design",
     "sweep",
     "trade_off",
+    "uncertainty",
 ]

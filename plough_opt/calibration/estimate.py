@@ -20,7 +20,8 @@ Vector = NDArray[np.float64]
 NOMINAL: Final = 0.01
 """Where no sigma is stated, weights are those of this part of the mean measured value."""
 
-_SCANNED, _SEED = 64, 7
+# Points between the bounds at which the loss is looked at before a start; of runs, which take longer, fewer.
+_SCANNED, _RUNS_SCANNED, _SEED = 64, 16, 7
 # Median absolute deviation of normal errors over their standard deviation, inverted.
 _MAD: Final = 1.4826
 _RESCALINGS, _SETTLED = 20, 1e-4
@@ -140,7 +141,7 @@ def _starts(program: Program, data: Data, weights: Vector, count: int) -> list[V
     """Return the best of many points between the bounds."""
     if count < 1:
         return []
-    points = qmc.Sobol(program.unknowns, seed=_SEED).random(_SCANNED)
+    points = qmc.Sobol(program.unknowns, seed=_SEED).random(_SCANNED if program.predictor.closed else _RUNS_SCANNED)
     losses = np.array([program.total(point, data.observed, weights) for point in points])
     order = np.argsort(np.where(np.isfinite(losses), losses, np.inf))
     return [points[k] for k in order[:count]]

@@ -42,12 +42,12 @@ class Predictor:
 
     Attributes:
         value: scaled unknowns (p) -> predictions (n), SI.
-        slope: scaled unknowns -> their Jacobian (n, p).
+        both: scaled unknowns -> (predictions, their Jacobian (n, p)), from one evaluation.
         closed: whether they hold no run, but scalar operations alone.
     """
 
     value: ca.Function
-    slope: ca.Function
+    both: ca.Function
     closed: bool
 
 
@@ -127,19 +127,18 @@ class Rows:
         y = ca.MX.sym("y", len(self.unknowns))
         k = [unknown.name for unknown in self.unknowns].index(self.measured.result)
         value = ca.MX.ones(self.measured.rows) * self.unknowns[k].value(y[k])
-        return _predictor(y, value, ca.jacobian(value, y), closed=True)
+        return _predictor(y, value, ca.jacobian(value, y), value, closed=True)
 
     def _mapped(self) -> Predictor:
         """Return the predictions for results of which every distinct condition has one."""
         distinct, which = self._distinct
-        function = row_function(self.model, self.unknowns, self.measured.at(0), self.measured.result)
+        alone, both = row_functions(self.model, self.unknowns, self.measured.at(0), self.measured.result)
         y = ca.MX.sym("y", len(self.unknowns))
-        count = len(distinct)
-        every = function.map(count)
-        at = ca.repmat(y, 1, count)
-        values, slopes = every(at, ca.DM(distinct.T))
-        rows = which.tolist()
-        return _predictor(y, values.T[rows], slopes.T[rows, :], closed=function.is_a("SXFunction"))
+        at, conditions, rows = ca.repmat(y, 1, len(distinct)), ca.DM(distinct.T), which.tolist()
+        value = alone.map(len(distinct))(at, conditions)
+        again, slope = both.map(len(distinct))(at, conditions)
+        closed = alone.is_a("SXFunction")
+        return _predictor(y, value.T[rows], slope.T[rows, :], again.T[rows], closed)
 
     def _record(self) -> Predictor:
         """Return the predictions for the mount force at the times of a run for each distinct condition."""
@@ -158,30 +157,32 @@ class Rows:
             parts.append(ca.DM(reading(times / duration, outputs)) @ run.mount_force)
             order.extend(rows.tolist())
         stacked = ca.vertcat(*parts)[np.argsort(order).tolist()]
-        return _predictor(y, stacked, ca.jacobian(stacked, y), closed=False)
+        return _predictor(y, stacked, ca.jacobian(stacked, y), stacked, closed=False)
 
 
-def _predictor(y: ca.MX, value: ca.MX, slope: ca.MX, closed: bool) -> Predictor:
-    own, by = ca.Function("value", [y], [ca.densify(value)]), ca.Function("slope", [y], [ca.densify(slope)])
+def _predictor(y: ca.MX, value: ca.MX, slope: ca.MX, again: ca.MX, closed: bool) -> Predictor:
+    """Return a predictor from expressions, the second of the value beside its slope."""
+    own = ca.Function("value", [y], [ca.densify(value)])
+    both = ca.Function("both", [y], [ca.densify(again), ca.densify(slope)])
     # Of many rows the operations would fill the memory; they are then mapped.
-    return (
-        Predictor(own.expand(), by.expand(), True)
-        if closed and own.numel_out() <= _MOST_EXPANDED
-        else Predictor(own, by, False)
-    )
+    if closed and own.numel_out() <= _MOST_EXPANDED:
+        return Predictor(own.expand(), both.expand(), True)
+    return Predictor(own, both, False)
 
 
 def joined(predictors: Sequence[Predictor], count: int) -> Predictor:
     """Return the predictions of several sets, one below the other, for so many unknowns."""
     y = ca.MX.sym("y", count)
-    values, slopes = ca.vertcat(*(p.value(y) for p in predictors)), ca.vertcat(*(p.slope(y) for p in predictors))
-    return _predictor(y, values, slopes, closed=all(p.closed for p in predictors))
+    value = ca.vertcat(*(p.value(y) for p in predictors))
+    found = [p.both(y) for p in predictors]
+    again, slope = (ca.vertcat(*(pair[k] for pair in found)) for k in (0, 1))
+    return _predictor(y, value, slope, again, closed=all(p.closed for p in predictors))
 
 
-def row_function(
+def row_functions(
     model: Model, unknowns: Sequence[Unknown], conditions: Mapping[str, float], result: str
-) -> ca.Function:
-    """Return (scaled unknowns, conditions) -> (a result, its derivatives by the scaled unknowns as a column).
+) -> tuple[ca.Function, ca.Function]:
+    """Return two Functions of scaled unknowns and conditions: a result; the same and its derivatives as a column.
 
     Args:
         model: what is calibrated.
@@ -203,7 +204,12 @@ def row_function(
         run = simulate(scene, model.duration_of(values), accuracy=model.accuracy)
         found = MEASURES[result].of(run)
     found = kind(found)
-    return ca.Function("row", [y, c], [found, ca.densify(ca.jacobian(found, y)).T])
+    if closed:
+        slope = ca.densify(ca.jacobian(found, y))
+    else:
+        # Forward through the integration: backwards it costs far more to build.
+        slope = ca.horzcat(*(ca.jtimes(found, y, ca.DM.eye(len(unknowns))[:, k]) for k in range(len(unknowns))))
+    return ca.Function("alone", [y, c], [found]), ca.Function("both", [y, c], [found, ca.densify(slope).T])
 
 
 def is_closed(scene: Scene, result: str) -> bool:

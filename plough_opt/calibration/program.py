@@ -63,24 +63,26 @@ class Program:
     def __init__(self, predictor: Predictor, loss: Loss) -> None:
         """Take the predictions and the loss of a weighted residual."""
         self.predictor, self.loss = predictor, loss
-        self.rows, self.unknowns = predictor.slope.size_out(0)
+        self.rows, self.unknowns = predictor.both.size_out(1)
         y = ca.MX.sym("y", self.unknowns)
         observed, weights = ca.MX.sym("observed", self.rows), ca.MX.sym("weights", self.rows)
         ridge, centre = ca.MX.sym("ridge"), ca.MX.sym("centre", self.unknowns)
         q = ca.vertcat(observed, weights, ridge, centre)
-        r = weights * (predictor.value(y) - observed)
-        slope = ca.repmat(weights, 1, self.unknowns) * predictor.slope(y)
+        predicted, slope = predictor.both(y)
+        r = weights * (predicted - observed)
+        slope = ca.repmat(weights, 1, self.unknowns) * slope
         pull = loss.weight(r)
         # The loss's own second derivative, where it is positive: with the weights alone steps would be too short.
         bend = ca.fmax(loss.curvature(r), _LEAST_BEND * pull)
         away = y - centre
-        total = ca.sum1(loss.value(r)) + 0.5 * ridge * ca.sumsqr(away)
+        alone = ca.sum1(loss.value(weights * (predictor.value(y) - observed))) + 0.5 * ridge * ca.sumsqr(away)
+        again = ca.sum1(loss.value(r)) + 0.5 * ridge * ca.sumsqr(away)
         gradient = slope.T @ (pull * r) + ridge * away
         curvature = slope.T @ (ca.repmat(bend, 1, self.unknowns) * slope) + ridge * ca.DM.eye(self.unknowns)
         parts = [y, observed, weights, ridge, centre]
         value, first, second = (
             ca.Function(name, parts, results)
-            for name, results in (("value", [total]), ("first", [total, gradient]), ("second", [curvature]))
+            for name, results in (("value", [alone]), ("first", [again, gradient]), ("second", [curvature]))
         )
         if predictor.closed:
             value, first, second = (function.expand() for function in (value, first, second))
@@ -141,7 +143,7 @@ class Program:
 
     def slope(self, y: Vector) -> Vector:
         """Return the Jacobian of the predictions (n, p)."""
-        return np.asarray(self.predictor.slope(y), dtype=float).reshape(self.rows, self.unknowns)
+        return np.asarray(self.predictor.both(y)[1], dtype=float).reshape(self.rows, self.unknowns)
 
     def extreme(
         self,

@@ -18,7 +18,7 @@ from plough_opt.calibration.intervals import Interval, Kind, interval
 from plough_opt.calibration.loss import loss_of
 from plough_opt.calibration.measurements import RESULTS, Measurements
 from plough_opt.calibration.model import Model, SceneOf, model_of
-from plough_opt.calibration.prediction import Rows, joined, row_function
+from plough_opt.calibration.prediction import Rows, joined, row_functions
 from plough_opt.calibration.program import Program
 from plough_opt.calibration.unknown import Unknown, unknowns_of
 from plough_opt.errors import InputError
@@ -55,7 +55,7 @@ def calibrate(
             variables of the problem file that are no column of the data.
         loss: "squares", or one in which outliers pull less: "huber", "soft_l1", "cauchy".
         duration: simulated time [s] of runs whose averages were measured, if not the problem's.
-        starts: number of starts, the guess and the best of 64 points between the bounds.
+        starts: number of starts, the guess and the best of 64 points between the bounds (of runs 16).
         title: for reports.
 
     Raises:
@@ -83,8 +83,8 @@ class Calibration:
         self.measured = (data,) if isinstance(data, Measurements) else tuple(data)
         if not self.measured or not all(isinstance(m, Measurements) for m in self.measured):
             raise InputError("the data must be Measurements, one set or several: po.read_measurements reads a file")
-        if not is_count(starts) or starts > 64:
-            raise InputError(f"starts = {starts!r} must be a whole number from 1 to 64")
+        if not is_count(starts) or starts > 16:
+            raise InputError(f"starts = {starts!r} must be a whole number from 1 to 16")
         self.loss, self.starts = loss_of(loss), starts
         self.model: Model = model_of(given, duration)
         self.title = title or self.model.title
@@ -166,8 +166,8 @@ class Calibration:
         for m in self.measured:
             conditions |= {key: float(np.median(column)) for key, column in m.conditions.items()}
         conditions |= candidate.conditions
-        function = row_function(self.model, self.unknowns, conditions, candidate.result)
-        value, slope = function(y, np.array(list(conditions.values())))
+        _, both = row_functions(self.model, self.unknowns, conditions, candidate.result)
+        value, slope = both(y, np.array(list(conditions.values())))
         return float(value), np.asarray(slope, dtype=float).ravel()
 
     def _refuse_twice(self) -> None:

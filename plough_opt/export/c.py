@@ -138,16 +138,15 @@ def _graph(name: str, functions: Sequence[ca.Function]) -> str:
     Raises:
         InputError: a part of which there is no C.
     """
-    generator = ca.CodeGenerator(f"{name}_graph.c")
-    try:
-        for function in functions:
-            generator.add(function)
-        return str(generator.dump())
-    except RuntimeError:
+    if any(inner.class_name() == "Newton" for function in functions for inner in function.find_functions()):
         raise InputError(
             "CasADi has no C for the root of an equation, which a lasting orbit is: export it to casadi instead, take"
             " orbit = 'linearised', or simulate from a start"
-        ) from None
+        )
+    generator = ca.CodeGenerator(f"{name}_graph.c")
+    for function in functions:
+        generator.add(function)
+    return str(generator.dump())
 
 
 def _call(public: str, function: ca.Function) -> str:

@@ -34,7 +34,7 @@ class FunctionComponent(om.ExplicitComponent):  # type: ignore[misc]
                 if self._graph.jac_sparsity(k, j).nnz():
                     self.declare_partials(port["argument"], source["argument"])
         # What check_partials takes: central differences whose step suits 0.1 rad as well as 1e6 N/m.
-        self.set_check_partial_options("*", method="fd", form="central", step=3e-6, step_calc="rel_element")
+        self.set_check_partial_options("*", method="fd", form="central", step=5e-6, step_calc="rel_element")
 
     def compute(self, inputs: Any, outputs: Any) -> None:
         """Evaluate the Function."""

@@ -1,0 +1,169 @@
+"""OpenMDAO as the client: partials, check_partials, and its driver at our optimum."""
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+import plough_opt as po
+from plough_opt.export import PloughComponent, write_openmdao
+
+om = pytest.importorskip("openmdao.api")
+
+# Optimum of problem R1 with a mount of medium stiffness: from a grid of 1.9 million simulations, polished.
+OPTIMUM, OBJECTIVE = (
+    {"share_wedge_angle": po.deg(39.11469851), "share_height": 0.2002828632, "scene_stiffness": 37505.6423},
+    0.9164459115,
+)
+
+
+@pytest.fixture(autouse=True)
+def in_a_folder_of_its_own(tmp_path, monkeypatch):
+    monkeypatch.setenv("OPENMDAO_REPORTS", "0")
+    monkeypatch.chdir(tmp_path)
+
+
+def _problem(component):
+    problem = om.Problem(reports=None)
+    share = problem.model.add_subsystem("share", PloughComponent(component), promotes=["*"])
+    return problem, share
+
+
+def _worst(checked):
+    """Return the largest relative error of any partial, by the differences' size; zeros must be zeros."""
+    worst = 0.0
+    for found in checked["share"].values():
+        exact, differences = found["J_fwd"], found["J_fd"]
+        size = np.abs(differences).max()
+        if size == 0.0:
+            assert not np.any(exact)
+            continue
+        worst = max(worst, float(np.abs(exact - differences).max() / size))
+    return worst
+
+
+def test_partials_are_casadis_jacobian_and_pass_check_partials(around_r1):
+    problem, _ = _problem(around_r1)
+    problem.setup()
+    for x in ([0.6, 0.2, 4.2e4], [0.85, 0.28, 4.4e4], [0.55, 0.16, 3.1e4]):
+        for port, value in zip(around_r1.inputs, x, strict=True):
+            problem[port.argument] = value
+        problem.run_model()
+        assert [float(problem[port.argument][0]) for port in around_r1.outputs] == list(around_r1(*x))
+        problem.model.run_linearize()
+        totals = [port.argument for port in around_r1.outputs], [port.argument for port in around_r1.inputs]
+        found = problem.compute_totals(*totals, return_format="array")
+        assert found == pytest.approx(around_r1.jacobian(*x).full(), rel=1e-14, abs=1e-300)
+        # Central differences with a step of 5e-6 have an error of some 1e-8 where no slope is all but zero.
+        assert _worst(problem.check_partials(out_stream=None)) < 1e-7
+
+
+def test_columns_pass_check_partials_too(with_columns):
+    problem, _ = _problem(with_columns)
+    problem.setup()
+    problem.run_model()
+    assert problem["mount_force"].shape == (11,)
+    assert _worst(problem.check_partials(out_stream=None)) < 1e-7
+
+
+def test_units_are_openmdaos(around_r1):
+    problem, _ = _problem(around_r1)
+    problem.setup()
+    problem.set_val("scene_stiffness", 35.0, units="kN/m")
+    problem.set_val("share_wedge_angle", 35.0, units="deg")
+    problem.run_model()
+    assert problem.get_val("mean_draft", units="kN")[0] == around_r1(po.deg(35.0), 0.22, 3.5e4)[1] / 1e3
+
+
+def test_every_unit_of_every_quantity_is_known_to_openmdao():
+    from openmdao.utils.units import valid_units
+
+    from plough_opt.export.openmdao_client import units_of
+    from plough_opt.vocabulary import BESIDE, MEASURES, QUANTITIES
+
+    for unit in {one.unit for one in (*QUANTITIES.values(), *BESIDE.values(), *MEASURES.values())}:
+        assert units_of(unit) is None or valid_units(units_of(unit)), unit
+    assert units_of("") is None
+
+
+def test_its_driver_finds_our_optimum(around_r1):
+    problem, share = _problem(around_r1)
+    problem.driver = om.ScipyOptimizeDriver(optimizer="SLSQP", tol=1e-12, disp=False)
+    share.add_design(problem.model, "objective")
+    problem.setup()
+    assert problem.run_driver().success
+    assert float(problem["objective"][0]) == pytest.approx(OBJECTIVE, rel=1e-9)
+    for name, value in OPTIMUM.items():
+        # SLSQP stops at a change of 1e-12 of the objective, whose square root the stiffness feels.
+        assert float(problem[name][0]) == pytest.approx(value, rel=1e-5), name
+
+
+def test_its_driver_finds_what_design_solve_finds(r1_scene, r1_soil):
+    """A quasi-static question: least draft for a loosened radius, with the half angle limited."""
+    d = po.Design()
+    angle = d.variable("angle", guess=0.5, lower=0.2, upper=0.9, unit="rad")
+    height = d.variable("height", guess=0.25, lower=0.1, upper=0.4, unit="m")
+    share = po.Wedge(angle, po.deg(15), height)
+    scene = po.Scene(r1_soil, share, 5e4, 25.0, 2.0, po.Effects(motion=False))
+    d.minimise(po.simulate(scene, 1.0).mean_draft)
+    d.require("radius", scene.loosened_radius, at_least=0.1, unit="m")
+    d.require("half angle", scene.cone.half_angle, at_most=po.deg(15), unit="rad")
+    best = d.solve()
+
+    bounds = [po.Input("share.wedge_angle", 0.2, 0.9, 0.5), po.Input("share.height", 0.1, 0.4, 0.25)]
+    limits = [po.Output("loosened_radius", lower=0.1), po.Output("half_angle", upper=po.deg(15))]
+    made = po.component(r1_scene(motion=False), 1.0, inputs=bounds, outputs=["mean_draft", *limits])
+    problem, component = _problem(made)
+    problem.driver = om.ScipyOptimizeDriver(optimizer="SLSQP", tol=1e-12, disp=False)
+    component.add_design(problem.model, "mean_draft")
+    problem.setup()
+    assert problem.run_driver().success
+    assert float(problem["mean_draft"][0]) == pytest.approx(best.objective, rel=1e-9)
+    assert float(problem["share_wedge_angle"][0]) == pytest.approx(best.variables["angle"], rel=1e-8)
+    assert float(problem["share_height"][0]) == pytest.approx(best.variables["height"], rel=1e-8)
+
+
+def test_the_written_module_needs_no_plough_opt(around_r1, tmp_path):
+    folder = write_openmdao(around_r1, tmp_path / "share_for_openmdao")
+    code = f"""
+import sys
+sys.modules["plough_opt"] = None
+sys.path.insert(0, {str(folder)!r})
+import openmdao.api as om
+from share import Share
+problem = om.Problem(reports=None)
+problem.model.add_subsystem("share", Share(), promotes=["*"])
+problem.setup()
+problem.set_val("share_height", 20.0, units="cm")
+problem.run_model()
+worst = max(abs(e["J_fwd"] - e["J_fd"]).max() for e in problem.check_partials(out_stream=None)["share"].values())
+assert not [name for name in sys.modules if name.startswith("plough_opt.")]
+print(float(problem["objective"][0]), worst)
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    objective, worst = map(float, done.stdout.split())
+    assert objective == around_r1(share_height=0.2)["objective"]
+    assert worst < 1e-3  # of slopes of thousands of N/m
+    text = (folder / "share.py").read_text()
+    assert "import plough_opt" not in text
+    assert "out half_angle [rad] at most 0.261799" in text
+    with pytest.raises(po.InputError, match="exists already and is left as it is"):
+        write_openmdao(around_r1, folder)
+
+
+def test_a_share_without_a_finite_draft_is_an_analysis_error(r1_scene):
+    made = po.component(r1_scene(motion=False), 1.0, inputs=["soil.density_ratio"], outputs=["mean_draft"])
+    problem, _ = _problem(made)
+    problem.setup()
+    problem["soil_density_ratio"] = 1.5
+    with pytest.raises(om.AnalysisError, match="'mean_draft' has no finite value"):
+        problem.run_model()
+
+
+def test_a_name_that_no_module_can_have_is_refused(r1_scene, tmp_path):
+    made = po.component(r1_scene(motion=False), 1.0, inputs=["share.height"], outputs=["mean_draft"], name="openmdao")
+    with pytest.raises(po.InputError, match="a module cannot be named 'openmdao'"):
+        write_openmdao(made, tmp_path / "new")
+    assert not (tmp_path / "new").exists()

@@ -1,0 +1,76 @@
+"""The serialised Function in a process without plough_opt."""
+
+import json
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+import plough_opt as po
+from plough_opt.export import write_casadi
+
+READER = """
+import sys
+sys.modules["plough_opt"] = None
+import json, casadi as ca
+f = ca.Function.load(sys.argv[1])
+x = ca.MX.sym("x", f.n_in())
+stacked = ca.vertcat(*f.call(ca.vertsplit(x)))
+weights = ca.DM.ones(stacked.numel())
+jacobian = ca.Function("slopes", [x], [ca.densify(ca.jacobian(stacked, x))])
+hessian = ca.Function("bends", [x], [ca.densify(ca.hessian(ca.dot(weights, stacked), x)[0])])
+at = json.loads(sys.argv[2])
+values = [value.full().ravel().tolist() for value in f.call(at)]
+assert not [name for name in sys.modules if name.startswith("plough_opt.")]
+slopes, bends = jacobian(at).full().tolist(), hessian(at).full().tolist()
+print(json.dumps([f.name(), f.name_in(), f.name_out(), values, slopes, bends]))
+"""
+
+
+def test_another_process_without_plough_opt_evaluates_and_differentiates(around_r1, tmp_path):
+    path = write_casadi(around_r1, tmp_path / "new" / "r1.casadi")
+    at = [0.6, 0.2, 3.5e4]
+    done = subprocess.run(
+        [sys.executable, "-c", READER, str(path), json.dumps(at)], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    name, inputs, outputs, values, jacobian, hessian = json.loads(done.stdout)
+    assert (name, inputs) == ("share", [port.argument for port in around_r1.inputs])
+    assert outputs == [port.argument for port in around_r1.outputs]
+    assert [value for (value,) in values] == list(around_r1(*at))
+    assert jacobian == around_r1.jacobian(*at).full().tolist()
+    # Second derivatives against differences of the first, here.
+    for k, size in enumerate(at):
+        step = 1e-4 * size * (np.arange(3) == k)
+        beside = [around_r1.jacobian(*(np.array(at) + sign * step)).full().sum(axis=0) for sign in (1, -1)]
+        assert (beside[0] - beside[1]) / (2e-4 * size) == pytest.approx(np.array(hessian)[k], rel=1e-5)
+
+
+def test_names_units_and_bounds_lie_beside_it(around_r1, tmp_path):
+    path = write_casadi(around_r1, tmp_path / "r1.casadi")
+    told = json.loads(path.with_suffix(".json").read_text())
+    assert [(p["name"], p["argument"], p["unit"], p["lower"], p["upper"], p["value"]) for p in told["inputs"]] == [
+        (p.name, p.argument, p.unit, p.lower, p.upper, p.value) for p in around_r1.inputs
+    ]
+    assert told["outputs"][3] == {
+        "name": "loosened_radius", "argument": "loosened_radius", "unit": "m", "lower": 0.12, "upper": None,
+        "value": around_r1.outputs[3].value, "size": 1,
+    }  # fmt: skip
+    assert told["error_estimate"] == around_r1.error_estimate
+    assert told["steps"] == around_r1.accuracy.steps
+
+
+def test_a_file_is_replaced_whole_and_a_folder_never(around_r1, tmp_path):
+    path = tmp_path / "r1.casadi"
+    path.write_text("old")
+    write_casadi(around_r1, path)
+    assert path.stat().st_size > 10_000
+    for name, text in (("r1.txt", "end it in .casadi"), ("folder.casadi", "is a folder")):
+        (tmp_path / "folder.casadi").mkdir(exist_ok=True)
+        with pytest.raises(po.InputError, match=text):
+            write_casadi(around_r1, tmp_path / name)
+    (tmp_path / "other.json").mkdir()
+    with pytest.raises(po.InputError, match=r"other.json' is a folder"):
+        write_casadi(around_r1, tmp_path / "other.casadi")
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["folder.casadi", "other.json", "r1.casadi", "r1.json"]

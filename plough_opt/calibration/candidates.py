@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from plough_opt.calibration.identifiability import UNIFORM
 from plough_opt.calibration.measurements import RECORD, RESULTS, Measurements, result_unit
 from plough_opt.calibration.model import Model
-from plough_opt.calibration.unknown import Unknown
+from plough_opt.calibration.unknown import Unknown, amount
 from plough_opt.errors import DomainError, InputError
 
 Vector = NDArray[np.float64]
@@ -21,7 +21,7 @@ Vector = NDArray[np.float64]
 # A candidate that measures an unknown by itself does so within this part of its bounds.
 _DIRECT: Final = 0.05
 # Where the measured conditions vary by less than this, relative, others are proposed.
-_FACTORS: Final = {"share.wedge_angle": (0.6, 1.5), "share.height": (0.7, 1.4), "scene.tow_speed": (0.4, 2.5)}
+_FACTORS: Final = {"share.wedge_angle": (0.6, 1.5), "share.height": (0.7, 1.4), "scene.tow_speed": (0.5, 1.7)}
 _STEEPEST: Final = math.radians(70.0)
 # A tool of known friction: steel with a coating of polyethylene.
 _COATED: Final = 0.2
@@ -130,7 +130,7 @@ def proposals(model: Model, measured: Sequence[Measurements], unknowns: Sequence
     if "loosened_radius" not in results:
         found.append(Candidate("loosened_radius", why="loosened_radius"))
     direct = [Candidate(u.name, sigma=_DIRECT * (u.upper - u.lower),
-                        why=f"{u.name} by itself, to ±{_DIRECT * (u.upper - u.lower):.3g} {u.unit}".rstrip())
+                        why=f"{u.name} by itself, to ±{amount(_DIRECT * (u.upper - u.lower), u.unit)}")
               for u in unknowns]  # fmt: skip
     return [*found, *direct]
 
@@ -175,7 +175,4 @@ def _middle(key: str, model: Model, measured: Sequence[Measurements]) -> float |
 
 
 def _condition(key: str, value: float) -> str:
-    unit = result_unit(key).symbol
-    if unit == "rad":
-        return f"{key} = {math.degrees(value):.3g} deg"
-    return f"{key} = {value:.4g} {unit}".rstrip()
+    return f"{key} = {amount(value, result_unit(key).symbol)}"

@@ -15,6 +15,8 @@ from plough_opt.expressions import is_count
 
 Vector = NDArray[np.float64]
 
+_MOST_LEFT_OUT = 60
+
 
 @dataclass(frozen=True)
 class CrossValidation:
@@ -46,11 +48,12 @@ def cross_validate(
         y: scaled unknowns of the fit to all rows.
         deviation: standard deviation of each measurement, SI.
         results: what each row measured.
-        folds: number of parts, from 2 to the number of rows; None: each row by itself, of more than 60 rows 20 parts.
+        folds: number of parts, from 2 to the number of rows; None: each row by itself, of over 60 rows 20; of runs 5.
         seed: of the shuffling; rows of a record stay together, as neighbours tell each other's values.
     """
     count = len(data.observed)
-    folds = (count if count <= 60 else 20) if folds is None else folds
+    if folds is None:
+        folds = (count if count <= _MOST_LEFT_OUT else 20) if program.predictor.closed else min(5, count)
     if not is_count(folds) or not 2 <= folds <= count:
         raise InputError(f"folds = {folds!r} must be a whole number from 2 to {count}, the number of rows")
     order = np.arange(count)

@@ -202,7 +202,7 @@ class Fit:
         """Return how well the model predicts rows that took no part in its fit.
 
         Args:
-            folds: number of parts, each left out in turn; default: each row by itself, of more than 60 rows 20.
+            folds: number of parts, each left out in turn; default: each row by itself, of over 60 rows 20; of runs 5.
             seed: of the shuffling.
 
         Raises:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
-from plough_opt.calibration.unknown import Unknown
+from plough_opt.calibration.unknown import Unknown, amount
 
 Vector = NDArray[np.float64]
 
@@ -147,7 +147,7 @@ def _words(members: Sequence[Unknown], changes: Mapping[str, float], structural:
 
 
 def _amount(unknown: Unknown, change: float) -> str:
-    return f"{abs(change):.3g} {unknown.unit}".rstrip()
+    return amount(abs(change), unknown.unit)
 
 
 def _list(names: Sequence[str]) -> str:

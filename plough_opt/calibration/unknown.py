@@ -5,13 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Final
 
 from plough_opt.domain import check_domain
 from plough_opt.errors import InputError, nearest
 from plough_opt.expressions import Expression, exp
 from plough_opt.problem_file.schema import quantities
 
+_CUSTOMARY: Final = {"rad": ("deg", math.pi / 180.0), "Pa": ("kPa", 1e3), "N": ("kN", 1e3), "N/m": ("kN/m", 1e3)}
 # Bounds further apart than by this factor are scaled logarithmically.
 _WIDE = 10.0
 
@@ -53,6 +54,12 @@ class Unknown:
         if self.log:
             return math.log(value / self.lower) / math.log(self.upper / self.lower)
         return (value - self.lower) / (self.upper - self.lower)
+
+
+def amount(value: float, unit: str) -> str:
+    """Return an SI value in a customary unit as text of three digits."""
+    symbol, factor = _CUSTOMARY.get(unit, (unit, 1.0))
+    return f"{value / factor:.3g} {symbol}".rstrip()
 
 
 def unknowns_of(given: Mapping[str, Any], current: Mapping[str, float]) -> tuple[Unknown, ...]:

@@ -16,6 +16,7 @@ from importlib.metadata import version
 from rich.console import Console
 from rich.markup import escape
 
+from plough_opt.cli import calibrate as calibrations
 from plough_opt.cli import commands
 from plough_opt.cli import export as exports
 from plough_opt.cli import sweep as sweeps
@@ -78,6 +79,11 @@ def _parser() -> argparse.ArgumentParser:
         ("optimise", commands.optimise, "find the best share, and say what decided it"),
         ("tradeoff", commands.tradeoff, "trade two results against each other, and draw the front of designs"),
         ("sweep", sweeps.sweep, "simulate or optimise at every point of a grid or a sample; resumable"),
+        (
+            "calibrate",
+            calibrations.calibrate,
+            "find soil and model parameters from measured draft, with their uncertainty",
+        ),
         ("export", exports.export, "write the scene for other tools: C, CasADi, OpenMDAO, FMU"),
         ("accuracy", commands.accuracy, "show what accuracy costs in time, and say which method to take"),
     ):
@@ -97,6 +103,9 @@ def _parser() -> argparse.ArgumentParser:
             continue
         if name == "accuracy":
             _add_accuracy(verb)
+            continue
+        if name == "calibrate":
+            calibrations.add_options(verb)
             continue
         if name == "export":
             exports.add_options(verb)

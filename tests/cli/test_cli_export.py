@@ -1,0 +1,119 @@
+"""plough-opt export: each format from a problem file, and what wrong options are told."""
+
+import json
+import subprocess
+import zipfile
+
+import casadi as ca
+import pytest
+
+import plough_opt as po
+from plough_opt.compiler import find_compiler
+
+
+def _component(out):
+    """Return the names of inputs and outputs that the command printed."""
+    rows = [line.split() for line in out.splitlines() if line.startswith(("in ", "out "))]
+    return [row[1] for row in rows if row[0] == "in"], [row[1] for row in rows if row[0] == "out"]
+
+
+def test_casadi_has_the_files_variables_and_all_that_it_minimises_and_requires(cli, reference, tmp_path):
+    done = cli("export", reference, "--to", "casadi", "--output", tmp_path / "r1.casadi")
+    assert (done.status, done.err) == (0, f"wrote {tmp_path / 'r1.casadi'}\n")
+    inputs, outputs = _component(done.out)
+    assert inputs == ["share.wedge_angle", "share.height", "scene.stiffness"]
+    wanted = ["objective", "mean_draft", "force_rms", "loosened_radius", "mean_deflection", "half_angle"]
+    assert outputs == wanted
+    function = ca.Function.load(str(tmp_path / "r1.casadi"))
+    run = po.read_problem(reference).simulate({"share.height": 0.3})
+    found = function(share_height=0.3)
+    assert float(found["force_rms"]) == pytest.approx(run.force_rms, rel=1e-7)
+    assert float(found["objective"]) == pytest.approx((run.mean_draft + run.force_rms) / 1e3, rel=1e-7)
+    told = json.loads((tmp_path / "r1.json").read_text())
+    assert {port["name"]: (port["lower"], port["upper"]) for port in told["outputs"]}["mean_deflection"] == (None, 0.15)
+
+
+def test_c_with_inputs_and_outputs_of_ones_own_passes_its_test(cli, cotton, tmp_path):
+    names = ["--inputs", "soil.cohesion, scene.tow_speed", "--outputs", "mean_draft,moving_mass", "--name", "cotton"]
+    done = cli("export", cotton, "--to", "c", "--output", tmp_path / "c", *names)
+    assert done.status == 0, done.err
+    assert _component(done.out) == (["soil.cohesion", "scene.tow_speed"], ["mean_draft", "moving_mass"])
+    assert "soil.cohesion [Pa] 10000 to 40000, value 20000" in done.out
+    assert sorted(path.name for path in (tmp_path / "c").iterdir()) == [
+        "Makefile", "cotton.c", "cotton.h", "cotton_test.c",
+    ]  # fmt: skip
+    if find_compiler() is not None:
+        command = [*find_compiler(), "-O1", "-ffp-contract=off", "cotton.c", "cotton_test.c", "-o", "t", "-lm"]
+        subprocess.run(command, cwd=tmp_path / "c", check=True)
+        told = subprocess.run(["./t"], cwd=tmp_path / "c", check=True, capture_output=True, text=True).stdout
+        assert "from Python" in told
+
+
+def test_openmdao_and_fmu_are_written_too(cli, cotton, tmp_path):
+    done = cli("export", cotton, "--to", "openmdao", "--output", tmp_path / "om", "--outputs", "mean_draft")
+    assert done.status == 0, done.err
+    assert sorted(path.name for path in (tmp_path / "om").iterdir()) == ["share.casadi", "share.py"]
+    done = cli("export", cotton, "--to", "fmu", "--output", tmp_path / "cotton.fmu", "--sources", "--strut", "speed")
+    assert done.status == 0, done.err
+    assert "modelDescription.xml" in zipfile.ZipFile(tmp_path / "cotton.fmu").namelist()
+
+
+def test_overrides_count(cli, reference, tmp_path):
+    changes = ["--set", "scene.tow_speed=1 m/s", "--set", "share.height=0.3 m"]
+    done = cli("export", reference, "--to", "casadi", "--output", tmp_path / "a.casadi", *changes)
+    assert _component(done.out)[0] == ["share.wedge_angle", "scene.stiffness"]
+    found = ca.Function.load(str(tmp_path / "a.casadi"))()
+    run = po.read_problem(reference, ["scene.tow_speed=1 m/s", "share.height=0.3 m"]).simulate()
+    assert float(found["mean_draft"]) == pytest.approx(run.mean_draft, rel=1e-7)
+
+
+@pytest.mark.parametrize(
+    ("changes", "text"),
+    [
+        (["--output", "a.txt"], "end it in .casadi"),
+        (["--output", "folder.casadi"], "is a folder"),
+        (["--to", "c", "--output", "folder.casadi"], "exists already and is left as it is"),
+        (["--to", "openmdao", "--output", "folder.casadi"], "exists already and is left as it is"),
+        (["--to", "fmu", "--output", "a.casadi"], "end it in .fmu"),
+        (["--to", "fmu", "--output", "a.fmu", "--inputs", "share.height"], "--inputs does not go with --to fmu"),
+        (["--strut", "speed"], "--strut does not go with --to casadi"),
+        (["--inputs", "share.hight"], "no quantity is named 'share.hight': did you mean 'share.height'"),
+        (["--inputs", "effects.damping"], "gives 'effects.damping' no value"),
+        (["--outputs", "mean_drft"], "no result is named 'mean_drft': did you mean 'mean_draft'"),
+        (["--outputs", "peak_force"], "take 'mount_force'"),
+        (["--name", "2nd"], "name = '2nd' cannot be that of a CasADi Function"),
+        (["--set", "accuracy.method=cvodes"], "method 'cvodes' cannot be part of a component"),
+        (["--set", "effects.contact=stick_slip"], "stick and slip cannot be a component"),
+        (["--set", "variables.share.height.upper=0.6 mm"], "lower"),
+    ],
+    ids=lambda value: " ".join(value) if isinstance(value, list) else "",
+)
+def test_bad_input_is_told_and_leaves_nothing(cli, reference, tmp_path, monkeypatch, changes, text):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "folder.casadi").mkdir()
+    options = {"--to": "casadi", "--output": "a.casadi"} | dict(zip(changes[::2], changes[1::2], strict=True))
+    done = cli("export", reference, *(word for pair in options.items() for word in pair))
+    assert (done.status, done.out) == (2, "")
+    assert text in done.err
+    assert [path.name for path in tmp_path.iterdir()] == ["folder.casadi"]
+    assert not list((tmp_path / "folder.casadi").iterdir())
+
+
+def test_a_file_without_variables_or_results_is_told_what_to_name(cli, reference, tmp_path):
+    text = reference.read_text()
+    for part, fixes, told in (
+        ("[variables]", ["--set", "share.wedge_angle=25 deg", "--set", "share.height=0.2 m"], "nothing to vary"),
+        ("[minimise]", [], "minimises and requires nothing"),
+    ):
+        (tmp_path / "p.toml").write_text(text[: text.index(part)])
+        more = ["--set", "scene.stiffness=50 kN/m"] if fixes else []
+        done = cli("export", tmp_path / "p.toml", "--to", "casadi", "--output", tmp_path / "a.casadi", *fixes, *more)
+        assert (done.status, told in done.err) == (2, True), done.err
+    assert [path.name for path in tmp_path.iterdir()] == ["p.toml"]
+
+
+def test_components_of_files_in_python(reference):
+    made = po.read_problem(reference).component(outputs=["deflection"], samples=5)
+    assert made.outputs[0].size == 6
+    assert [port.name for port in made.inputs] == ["share.wedge_angle", "share.height", "scene.stiffness"]
+    assert [(port.lower, port.upper, port.value) for port in made.inputs][2] == (5e3, 5e5, 5e4)

@@ -99,6 +99,7 @@ def sweep(
     workers: int | None = None,
     retry: bool = False,
     progress: bool | Told = False,
+    units: Mapping[str, str] | None = None,
 ) -> Sweep:
     """Evaluate a problem, or a function of named numbers, at every point of a grid or a sample, and store the results.
 
@@ -132,6 +133,7 @@ def sweep(
         retry: try the points again that failed.
         progress: True: a bar on the error stream, if that is a terminal; or what is called with the points that are
             stored, all points, and those that failed.
+        units: of a function, name -> unit, for the headings of tables.
 
     Raises:
         InputError: something that cannot be swept, a store of another question, or a broken executor.
@@ -142,11 +144,13 @@ def sweep(
         "progress": progress,
     }  # fmt: skip
     if isinstance(what_to_sweep, Problem):
+        if units is not None:
+            raise InputError("units are of a function: a problem file has its own")
         asked = ProblemSweep.of(what_to_sweep, over, what, method, samples, seed)
         return study.sweep(asked.evaluation, asked.axes, question=asked.question, units=asked.units, **rest)
     if (what, method) != ("simulate", "auto"):
         raise InputError("what and method are of a problem file: a function says itself what it computes")
-    return study.sweep(what_to_sweep, over, **rest)
+    return study.sweep(what_to_sweep, over, units=units, **rest)
 
 
 def _refuse_unknown(what: str, method: str) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import weakref
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -55,6 +56,7 @@ class Sweep:
     def __init__(self, store: Store, already: int = 0) -> None:
         self._store = store
         self.already = already
+        weakref.finalize(self, store.close)
 
     @classmethod
     def load(cls, path: str | Path) -> Sweep:
@@ -66,12 +68,22 @@ class Sweep:
         if not Path(path).is_file():
             raise InputError(f"there is no store '{path}'")
         store = Store(path)
-        store.read()
-        return cls(store, store.stored()[0])
+        try:
+            store.read()
+            return cls(store, store.stored()[0])
+        except BaseException:
+            store.close()
+            raise
 
     def close(self) -> None:
         """Close the store; without a file of its own its results are gone."""
         self._store.close()
+
+    def __enter__(self) -> Sweep:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
 
     def __len__(self) -> int:
         return self._store.stored()[0]

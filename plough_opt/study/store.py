@@ -66,7 +66,10 @@ class Store:
             if self.path is not None:
                 self.path.parent.mkdir(parents=True, exist_ok=True)
             # An empty name is SQLite's for a file that nobody else sees and that goes with the connection.
-            self._connection = sqlite3.connect(self.path or "", timeout=_BUSY, isolation_level=None)
+            # Whichever thread lets go of a result closes its store.
+            self._connection = sqlite3.connect(
+                self.path or "", timeout=_BUSY, isolation_level=None, check_same_thread=False
+            )
             try:
                 if self.path is not None:
                     self._to_write_ahead()
@@ -114,7 +117,7 @@ class Store:
             InputError: the file is no store of this layout.
         """
         with self._telling():
-            if self._is_new() or self._meta("layout") != str(LAYOUT):
+            if not self._has_meta() or self._meta("layout") != str(LAYOUT):
                 raise InputError(f"'{self.path}' is no store of a sweep of this version")
             self.names = tuple(json.loads(self._meta("names")))
             self.results = tuple(json.loads(self._meta("results")))
@@ -301,10 +304,14 @@ class Store:
             )
 
     def _is_new(self) -> bool:
-        return self._run("SELECT 1 FROM sqlite_master WHERE name = 'meta'").fetchone() is None
+        return self._run("SELECT 1 FROM sqlite_master").fetchone() is None
+
+    def _has_meta(self) -> bool:
+        return self._run("SELECT 1 FROM sqlite_master WHERE name = 'points'").fetchone() is not None
 
     def _meta(self, key: str) -> str:
-        return str(self._run("SELECT value FROM meta WHERE key = ?", key).fetchone()[0])
+        found = self._run("SELECT value FROM meta WHERE key = ?", key).fetchone()
+        return "" if found is None else str(found[0])
 
     def _run(self, statement: str, *values: object) -> sqlite3.Cursor:
         return self._connection.execute(statement, values)

@@ -1,0 +1,56 @@
+import json
+import os
+import subprocess
+import sys
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import pytest
+
+HERE = Path(__file__).parent
+
+
+@pytest.fixture(scope="session")
+def inline():
+    """Return an executor in this process."""
+    with ThreadPoolExecutor(1) as executor:
+        yield executor
+
+
+@pytest.fixture
+def script(tmp_path):
+    """Start a Python text as a process of its own, with this folder's modules; it is killed at the end."""
+    started = []
+
+    def start(text, *command, **options):
+        path = tmp_path / f"script{len(started)}.py"
+        path.write_text(text, encoding="utf-8")
+        environment = os.environ | {"PYTHONPATH": str(HERE)}
+        line = [*command, str(path)] if command else [sys.executable, str(path)]
+        pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+        started.append(subprocess.Popen(line, env=environment, **(pipes | options)))
+        return started[-1]
+
+    yield start
+    for process in started:
+        process.kill()
+        process.communicate()
+
+
+@pytest.fixture
+def counted_text():
+    """Return a script that sweeps `swept.Counted` into a store."""
+
+    def text(store, file, pause, values, executor="None"):
+        return (
+            "import plough_opt as po\n"
+            "from concurrent.futures import ThreadPoolExecutor\n"
+            "from pathlib import Path\n"
+            "from swept import Counted\n"
+            "if __name__ == '__main__':\n"
+            f"    counted = Counted(Path({json.dumps(str(file))}), {pause})\n"
+            f"    over = {{'a': po.Range(0.0, 1.0, {values}), 'b': [1.0, 2.0]}}\n"
+            f"    po.sweep(counted, over, store={json.dumps(str(store))}, workers=2, executor={executor})\n"
+        )
+
+    return text

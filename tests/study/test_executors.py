@@ -1,0 +1,95 @@
+"""The same sweep on a cluster of dask, one of whose workers is killed, and on MPI."""
+
+import os
+import shutil
+import signal
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+import swept
+
+import plough_opt as po
+from plough_opt.cli import main
+
+OVER = {"a": po.Range(0.0, 1.0, 30), "b": [1.0, 2.0]}
+
+
+@pytest.fixture(scope="module")
+def cluster():
+    """Return a client of two worker processes on this machine."""
+    distributed = pytest.importorskip("distributed", reason="dask.distributed is not installed")
+    arguments = {"n_workers": 2, "threads_per_worker": 1, "processes": True, "dashboard_address": None}
+    with distributed.LocalCluster(**arguments) as running, distributed.Client(running) as client:
+        yield client
+
+
+def test_a_cluster_that_loses_a_worker_midway_gives_the_same_bits(cluster, inline, tmp_path):
+    workers = list(cluster.run(os.getpid).values())
+    assert len(set(workers)) == 2
+    assert os.getpid() not in workers
+    counted, store = swept.Counted(tmp_path / "calls", 0.02), tmp_path / "sweep.db"
+    killed = []
+
+    def kill_one(stored, count, failed):
+        if stored >= 15 and not killed:
+            os.kill(workers[0], signal.SIGKILL)
+            killed.append((stored, failed))
+        assert count == 60
+
+    with po.sweep(
+        counted, OVER, store=store, executor=cluster.get_executor(pure=False), workers=2, progress=kill_one
+    ) as found:
+        table = found.table
+        assert (found.complete, found.failed) == (True, 0)
+    assert killed
+    assert killed[0][0] < 60
+    end = time.monotonic() + 30.0
+    while workers[0] in cluster.run(os.getpid).values():
+        assert time.monotonic() < end
+    np.testing.assert_array_equal(table, po.sweep(swept.waves, OVER, executor=inline).table)
+
+
+def test_a_cluster_evaluates_a_function_that_no_other_process_can_import(cluster, inline):
+    found = po.sweep(lambda values: swept.waves(values), OVER, executor=cluster.get_executor(pure=False), workers=2)
+    np.testing.assert_array_equal(found.table, po.sweep(swept.waves, OVER, executor=inline).table)
+
+
+REFERENCE = str(Path(__file__).resolve().parents[2] / "problems" / "reference.toml")
+
+
+def test_the_command_finds_the_cluster(cluster, capsys, tmp_path):
+    arguments = ["sweep", REFERENCE, "--over", "soil.cohesion=10 kPa, 20 kPa", "--set", "effects.motion=false"]
+    status = main([*arguments, "--scheduler", cluster.scheduler.address, "--store", str(tmp_path / "sweep.db")])
+    shown = capsys.readouterr()
+    assert status == 0, shown.err
+    assert "2 points, 0 failed" in shown.out
+
+
+def test_the_command_says_that_no_scheduler_answers(monkeypatch, capsys, tmp_path):
+    distributed = pytest.importorskip("distributed")
+
+    def silent(address, timeout):
+        raise OSError(f"Timed out trying to connect to {address} after {timeout}")
+
+    monkeypatch.setattr(distributed, "Client", silent)
+    arguments = ["sweep", REFERENCE, "--over", "soil.cohesion=10 kPa, 20 kPa", "--store", str(tmp_path / "sweep.db")]
+    assert main([*arguments, "--scheduler", "tcp://nowhere:1"]) == 2
+    assert "no dask scheduler answers there" in capsys.readouterr().err
+
+
+def test_mpi_gives_the_same_bits(script, counted_text, inline, tmp_path):
+    pytest.importorskip("mpi4py.futures", reason="mpi4py is not installed")
+    launcher = shutil.which("mpiexec")
+    if launcher is None:
+        pytest.skip("there is no mpiexec")
+    store, file = tmp_path / "sweep.db", tmp_path / "calls"
+    text = counted_text(store, file, 0.0, 30, "MPIPoolExecutor()")
+    text = "from mpi4py.futures import MPIPoolExecutor\n" + text
+    process = script(text, launcher, "-n", "3", sys.executable, "-m", "mpi4py.futures")
+    _, error = process.communicate(timeout=60)
+    assert process.returncode == 0, error
+    with po.Sweep.load(store) as found:
+        np.testing.assert_array_equal(found.table, po.sweep(swept.waves, OVER, executor=inline).table)

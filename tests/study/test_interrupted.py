@@ -1,0 +1,182 @@
+"""Sweeps that are killed or interrupted, and two at once: real processes on one store."""
+
+import collections
+import signal
+import sqlite3
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+import swept
+
+import plough_opt as po
+from plough_opt.study import store as stores
+from plough_opt.study.store import Store
+
+PROCESSES = Path("/proc")
+VALUES = 60
+OVER = {"a": po.Range(0.0, 1.0, VALUES), "b": [1.0, 2.0]}
+
+
+def stored(path):
+    """Return the points that a store holds, also while others write to it."""
+    if not path.exists():
+        return []
+    connection = sqlite3.connect(path, timeout=60.0)
+    try:
+        return connection.execute("SELECT point, a, b, sine, root FROM points ORDER BY point").fetchall()
+    except sqlite3.OperationalError:  # there is no such table yet
+        return []
+    finally:
+        connection.close()
+
+
+def until(enough, process, seconds=60.0):
+    """Wait until something holds while a process runs."""
+    end = time.monotonic() + seconds
+    while not enough():
+        assert process.poll() is None, process.communicate()
+        assert time.monotonic() < end
+        time.sleep(0.01)
+
+
+def calls(path):
+    """Return how often each point was evaluated."""
+    lines = path.read_text().splitlines()
+    return collections.Counter(tuple(map(float, line.split())) for line in lines)
+
+
+def state_of(process):
+    """Return the state and the parent of a process, from the fields of /proc that follow its name."""
+    try:
+        fields = (PROCESSES / str(process) / "stat").read_text(encoding="utf-8").rpartition(")")[2].split()
+    except OSError:
+        return "X", 0
+    return fields[0], int(fields[1])
+
+
+def children_of(parent):
+    return [
+        int(entry.name) for entry in PROCESSES.iterdir() if entry.name.isdigit() and state_of(entry.name)[1] == parent
+    ]
+
+
+@pytest.mark.skipif(not PROCESSES.is_dir(), reason="looks for the workers in /proc")
+def test_a_killed_sweep_resumes_and_repeats_nothing_that_was_stored(script, counted_text, inline, tmp_path):
+    store, file = tmp_path / "sweep.db", tmp_path / "calls"
+    process = script(counted_text(store, file, 0.02, VALUES))
+    until(lambda: len(stored(store)) >= 10, process)
+    workers = children_of(process.pid)
+    process.kill()
+    process.wait()
+    kept = stored(store)
+    assert workers
+    assert 10 <= len(kept) < 2 * VALUES
+    # Workers end with their parent, so that nothing else evaluates.
+    end = time.monotonic() + 30.0
+    while any(state_of(worker)[0] not in "XZ" for worker in workers):
+        assert time.monotonic() < end
+        time.sleep(0.01)
+
+    with po.sweep(swept.Counted(file, 0.02), OVER, store=store, executor=inline, workers=1) as resumed:
+        assert resumed.already == len(kept)
+        assert resumed.complete
+        found = resumed.table
+    evaluated = calls(file)
+    assert len(evaluated) == 2 * VALUES
+    assert all(evaluated[row[1], row[2]] == 1 for row in kept)
+    # What was not stored was under way: no more than the tasks of two workers.
+    assert sum(evaluated.values()) - 2 * VALUES <= 60
+    np.testing.assert_array_equal(found, po.sweep(swept.waves, OVER, executor=inline).table)
+
+
+def test_an_interrupted_sweep_says_what_is_stored_and_resumes(script, counted_text, inline, tmp_path):
+    store, file = tmp_path / "sweep.db", tmp_path / "calls"
+    process = script(counted_text(store, file, 0.02, VALUES, "ThreadPoolExecutor(1)"))
+    until(lambda: len(stored(store)) >= 10, process)
+    process.send_signal(signal.SIGINT)
+    error = process.communicate(timeout=60)[1]
+    kept = stored(store)
+    assert f"KeyboardInterrupt: {len(kept)} of {2 * VALUES} points are in '{store}': the same sweep goes on" in error
+    with po.sweep(swept.Counted(file, 0.02), OVER, store=store, executor=inline, workers=1) as resumed:
+        np.testing.assert_array_equal(resumed.table, po.sweep(swept.waves, OVER, executor=inline).table)
+    evaluated = calls(file)
+    assert all(evaluated[row[1], row[2]] == 1 for row in kept)
+
+
+def test_two_runs_at_once_share_the_points_and_both_have_all(script, counted_text, inline, tmp_path):
+    store, file = tmp_path / "sweep.db", tmp_path / "calls"
+    both = [script(counted_text(store, file, 0.01, VALUES, "ThreadPoolExecutor(1)")) for _ in range(2)]
+    for process in both:
+        _, error = process.communicate(timeout=60)
+        assert process.returncode == 0, error
+    evaluated = calls(file)
+    assert sorted(evaluated.values()) == [1] * (2 * VALUES)
+    with po.Sweep.load(store) as found:
+        np.testing.assert_array_equal(found.table, po.sweep(swept.waves, OVER, executor=inline).table)
+
+
+class TestClaims:
+    """Ranges of points that one run works on, and what becomes of them when it dies."""
+
+    @pytest.fixture
+    def open_store(self, tmp_path):
+        opened = []
+
+        def open_one():
+            opened.append(Store(tmp_path / "sweep.db"))
+            opened[-1].prepare({"q": "1"}, ("a",), {}, 10)
+            return opened[-1]
+
+        yield open_one
+        for one in opened:
+            one.close()
+
+    @staticmethod
+    def keep(store, first, last, finished):
+        numbers = np.arange(first, last)
+        return store.keep(numbers, numbers[:, None] * 1.0, None, dict.fromkeys(range(len(numbers)), "no"), (), finished)
+
+    def test_runs_that_live_never_claim_the_same(self, open_store):
+        one, two = open_store(), open_store()
+        assert [one.claim(4), two.claim(4), one.claim(4), two.claim(4)] == [(0, 4), (4, 8), (8, 10), None]
+        assert one.waiting()
+        assert two.waiting()
+
+    def test_what_is_stored_twice_is_one_row(self, open_store):
+        one, two = open_store(), open_store()
+        assert self.keep(one, 0, 4, None) == 4
+        assert self.keep(two, 2, 6, None) == 2
+        assert two.stored() == (6, 6)
+
+    def test_what_a_run_released_is_taken_over_without_what_it_stored(self, open_store):
+        one, two = open_store(), open_store()
+        one.claim(10)
+        self.keep(one, 2, 5, None)
+        assert two.claim(4) is None
+        one.release()
+        assert two.claim(4) == (0, 10)
+        assert two.missing(0, 10).tolist() == [0, 1, 5, 6, 7, 8, 9]
+        self.keep(two, 0, 10, 0)
+        assert two.claim(4) is None
+        assert not one.waiting()
+
+    def test_a_run_that_is_silent_for_long_is_dead_and_one_that_renews_is_not(self, open_store, monkeypatch):
+        one, two = open_store(), open_store()
+        monkeypatch.setattr(stores, "_LEASE", -1.0)
+        one.claim(10)
+        monkeypatch.setattr(stores, "_LEASE", 30.0)
+        one.renew()
+        assert two.claim(4) is None
+        monkeypatch.setattr(stores, "_LEASE", -1.0)
+        one.renew()
+        assert two.claim(4) == (0, 10)
+
+    def test_numbers_are_stored_to_the_last_bit(self, open_store):
+        store = open_store()
+        store.name_results(("x",))
+        numbers = np.array([[5e-324], [1.7976931348623157e308], [0.1 + 0.2], [-1.0 / 3.0], [2.0**53 + 2.0]])
+        store.keep(np.arange(5), numbers, numbers, {})
+        assert list(store.rows("a", "x")) == [(x, x) for x in numbers.ravel().tolist()]
+        assert all(isinstance(row[0], float) for row in store.rows("x"))

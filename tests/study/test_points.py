@@ -1,0 +1,99 @@
+"""Points of grids and samples, against itertools, NumPy and SciPy; what cannot be swept is refused."""
+
+import itertools
+
+import numpy as np
+import pytest
+from scipy.stats import qmc
+
+import plough_opt as po
+from plough_opt.study.points import Grid, Sample, points_of
+
+
+def test_a_grid_has_all_combinations_and_the_last_quantity_changes_fastest():
+    grid = Grid({"a": (1.0, 2.5, 7.0), "b": po.Range(-1.0, 1.0, 4), "c": po.Range(1.0, 1000.0, 3, log=True)})
+    expected = list(itertools.product((1.0, 2.5, 7.0), np.linspace(-1, 1, 4), np.geomspace(1, 1000, 3)))
+    assert grid.count == len(expected)
+    np.testing.assert_array_equal(grid.block(0, grid.count), expected)
+    np.testing.assert_array_equal(grid.block(5, 17), expected[5:17])
+
+
+def test_a_grid_of_a_trillion_points_needs_no_memory():
+    grid = Grid({"a": po.Range(0.0, 1.0, 10**6), "b": po.Range(0.0, 1.0, 10**6)})
+    np.testing.assert_array_equal(grid.block(10**12 - 1, 10**12), [[1.0, 1.0]])
+
+
+# In the order in which sweeps ask: forwards, with holes, and back for what another run left.
+BLOCKS = ([(0, 64)], [(0, 1), (1, 4), (4, 64)], [(0, 3), (10, 20), (3, 10), (20, 64)])
+
+
+@pytest.mark.parametrize("blocks", BLOCKS, ids=("whole", "pieces", "holes"))
+def test_a_sample_is_that_of_scipy(blocks):
+    ranges = {"a": po.Range(2.0, 3.0), "b": po.Range(-7.0, 9.0), "c": po.Range(1e-3, 1e3, log=True)}
+    sample = Sample(ranges, 64, seed=5)
+    found = np.empty((64, 3))
+    for first, last in blocks:
+        found[first:last] = sample.block(first, last)
+    unit = qmc.Sobol(3, scramble=True, seed=5).random(64)
+    np.testing.assert_array_equal(found[:, :2], qmc.scale(unit[:, :2], [2.0, -7.0], [3.0, 9.0]))
+    # Powers are rounded otherwise than SciPy's users would: exp(log) of numbers up to e^7 loses that many bits.
+    np.testing.assert_allclose(found[:, 2], np.exp(qmc.scale(unit[:, 2:], np.log(1e-3), np.log(1e3))[:, 0]), rtol=1e-14)
+
+
+def test_a_sample_of_any_number_of_points_does_not_warn():
+    # The tests turn warnings into errors, and SciPy warns of a first draw that is no power of two.
+    assert Sample({"a": po.Range(0.0, 1.0)}, 100, seed=0).block(0, 100).shape == (100, 1)
+
+
+@pytest.mark.parametrize(
+    ("over", "samples", "expected"),
+    [
+        ({}, None, "over is empty"),
+        ({"a": po.Range(0.0, 1.0)}, None, "without a number of values"),
+        ({"a": po.Range(0.0, 1.0, 3)}, 8, "a sample fills the range"),
+        ({"a": (0.0, 1.0)}, 8, "takes a range with two ends"),
+        ({"a": po.Range(0.0, 1.0)}, 1, "1 samples: give a whole number from 2"),
+        ({"a": po.Range(0.0, 1.0)}, 2.5, "2.5 samples"),
+    ],
+)
+def test_what_is_no_grid_and_no_sample_is_refused(over, samples, expected):
+    with pytest.raises(po.InputError, match=expected):
+        points_of(over, samples, 0)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "expected"),
+    [
+        ((2.0, 1.0), "from 2 to 1 is empty"),
+        ((1.0, 1.0, 3), "is empty"),
+        ((0.0, 1.0, 1), "number of values is 1"),
+        ((0.0, 1.0, 2.5), "number of values is 2.5"),
+        ((0.0, 1.0, 3, True), "begins above 0"),
+        ((0.0, float("inf")), "must be a finite number"),
+        ((0.0, "1"), "must be a finite number"),
+    ],
+)
+def test_wrong_ranges_are_refused(arguments, expected):
+    with pytest.raises(po.InputError, match=expected):
+        po.Range(*arguments)
+
+
+@pytest.mark.parametrize(
+    ("values", "expected"),
+    [
+        ([1.0], "1 value"),
+        ([1.0, 2.0, 1.0], "same value twice"),
+        ([1.0, float("nan")], "must be finite"),
+        (["1", "2"], "not all numbers"),
+        ("5..45:9", "give a po.Range or a list"),
+        (3.0, "give a po.Range or a list"),
+    ],
+)
+def test_wrong_values_are_refused(inline, values, expected):
+    with pytest.raises(po.InputError, match=expected):
+        po.sweep(len, {"a": values}, executor=inline)
+
+
+def test_wrong_seed():
+    with pytest.raises(po.InputError, match="seed -1"):
+        points_of({"a": po.Range(0.0, 1.0)}, 8, -1)

@@ -1,0 +1,240 @@
+"""Sweeps of problem files: the numbers of single simulations and optimisations, whatever their company."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import plough_opt as po
+from plough_opt.problem_file.evaluations import Optimisation, SimulationOfMany
+from plough_opt.problem_file.ranges import read_axis
+from plough_opt.problem_file.sweeping import ProblemSweep
+from plough_opt.problem_file.units import Unit
+
+PROBLEMS = Path(__file__).resolve().parents[2] / "problems"
+COTTON = PROBLEMS / "cotton_subsoiler.toml"
+BRIEF = ("scene.duration=0.2 s", "scene.outputs=40")
+OVER = {"soil.cohesion": "5..45 kPa:3", "scene.tow_speed": po.Range(1.0, 3.0, 3)}
+
+
+@pytest.fixture(scope="module")
+def problem():
+    return po.read_problem(COTTON, BRIEF)
+
+
+def test_the_numbers_are_those_of_the_command_at_every_point(problem, inline):
+    with po.sweep(problem, OVER, executor=inline) as found:
+        table = found.table
+    assert len(table) == 9
+    for row in table:
+        changes = (f"soil.cohesion={row['soil.cohesion'] / 1e3} kPa", f"scene.tow_speed={row['scene.tow_speed']} m/s")
+        run = po.read_problem(COTTON, (*BRIEF, *changes)).simulate()
+        for name in ("mean_draft", "force_rms", "mean_deflection", "tow_power", "peak_force", "error_estimate"):
+            assert row[name] == getattr(run, name)
+        assert row["loosened_radius"] == run.scene.loosened_radius
+        assert row["moving_mass"] == run.scene.mass
+
+
+def test_the_same_bits_in_other_processes(problem, inline):
+    with po.sweep(problem, OVER, executor=inline) as one, po.sweep(problem, OVER, workers=2) as other:
+        np.testing.assert_array_equal(one.table, other.table)
+
+
+def test_warnings_are_kept_once_with_the_number_of_their_points(problem, inline):
+    with po.sweep(problem, {"share.wedge_angle": "30, 55 deg", "share.height": "0.2, 0.3 m"}, executor=inline) as found:
+        notes = found.notes
+    assert [note.partition(":")[0] for note in notes] == ["at 4 of 4 points", "at 2 of 4 points"]
+    assert "ambient pressure (101.3 kPa) carries" in notes[0]
+    assert "above 20 deg the hypothesis of plane sections does not hold" in notes[1]
+
+
+def test_no_warm_start_crosses_points(inline):
+    # Optima in the order of the sweep, in the other order, and each alone.
+    problem = po.read_problem(PROBLEMS / "reference.toml", ("effects.motion=false", "scene.duration=0.5 s"))
+    with po.sweep(problem, {"soil.cohesion": [10e3, 20e3]}, what="optimise", executor=inline) as found:
+        forwards = found.table
+    with po.sweep(problem, {"soil.cohesion": [20e3, 10e3]}, what="optimise", executor=inline) as found:
+        backwards = found.table
+    names = [name for name in forwards.dtype.names if name != "point"]
+    np.testing.assert_array_equal(forwards[names], backwards[::-1][names])
+    changed = po.read_problem(
+        PROBLEMS / "reference.toml", ("effects.motion=false", "scene.duration=0.5 s", "soil.cohesion=20 kPa")
+    )
+    best, run = changed.optimise()
+    assert forwards["objective"][1] == best.objective
+    assert forwards["share.height"][1] == best.variables["share.height"]
+    assert forwards["mean_draft"][1] == run.mean_draft
+    assert forwards["margin of loosened_radius"][1] == best.margins["loosened_radius"]
+
+
+def test_a_point_without_a_solution_is_a_row(inline):
+    problem = po.read_problem(PROBLEMS / "reference.toml", ("effects.motion=false", "scene.duration=0.5 s"))
+    over = {"share.height": [0.12, 0.3], "scene.stiffness": [5e4, 6e4]}
+    with po.sweep(problem, over, what="optimise", executor=inline) as found:
+        assert found.results[:2] == ("objective", "share.wedge_angle")
+        assert [failure.point for failure in found.failures] == [0, 1]
+        assert all("'loosened_radius'" in failure.reason for failure in found.failures)
+
+
+BOX = {"share.wedge_angle": "25..39 deg", "share.height": "0.18..0.28 m", "scene.stiffness": "40..1000 kN/m log"}
+
+
+class TestMany:
+    """Very many designs by `po.Batch`."""
+
+    @pytest.fixture
+    def many(self, engine, problem, monkeypatch, tmp_path):
+        if engine == "numpy":
+            monkeypatch.setenv("PATH", str(tmp_path))
+            monkeypatch.delenv("CC", raising=False)
+        many = SimulationOfMany(problem, tuple(BOX))
+        if many.build()[0].compiled != (engine == "compiled"):
+            pytest.skip("there is no C compiler")
+        return many
+
+    @pytest.mark.parametrize(
+        ("engine", "count", "sizes"),
+        [
+            ("compiled", 101, (1, 2, 3, 13, 64)),
+            # NumPy takes a hundred times as long.
+            ("numpy", 11, (1, 4)),
+            pytest.param("numpy", 101, (1, 2, 3, 13, 64), marks=pytest.mark.slow),
+        ],
+    )
+    def test_a_design_has_the_same_bits_in_any_company(self, many, count, sizes):
+        rng = np.random.default_rng(3)
+        values = rng.uniform((po.deg(25), 0.18, 4e4), (po.deg(39), 0.28, 1e6), (count, 3))
+        wrong = [2, 5, 6, count - 2]
+        values[wrong] *= -1.0  # outside the domain, beside designs that are not
+        whole, reasons, _ = many.many(values)
+        assert sorted(reasons) == wrong
+        for size in sizes:
+            parts = [many.many(values[k : k + size]) for k in range(0, len(values), size)]
+            np.testing.assert_array_equal(np.concatenate([part[0] for part in parts]), whole)
+            assert {k * size + j: why for k, part in enumerate(parts) for j, why in part[1].items()} == reasons
+
+    def test_they_are_those_of_single_simulations_to_the_wanted_error(self, problem, inline):
+        with po.sweep(problem, BOX, samples=16, method="batch", executor=inline) as found:
+            table = found.table
+            assert found.results == SimulationOfMany(problem, ()).results
+        with po.sweep(problem, BOX, samples=16, method="each", executor=inline) as found:
+            single = found.table
+        for name in ("mean_draft", "force_rms"):
+            # Both to 1e-8 of the larger of mean draft and RMS force.
+            assert np.max(np.abs(table[name] - single[name]) / single["mean_draft"]) < 2e-8
+        for name in ("loosened_radius", "half_angle", "moving_mass", "added_mass", "specific_draft"):
+            np.testing.assert_allclose(table[name], single[name], rtol=3e-8)
+        assert np.max(table["error_estimate"]) < 1e-8
+
+    def test_they_carry_the_warnings_of_single_simulations(self, problem, inline):
+        over = {"share.wedge_angle": "30, 55 deg", "share.height": "0.2, 0.3 m"}
+        with po.sweep(problem, over, method="batch", executor=inline) as found:
+            many = found.notes
+        with po.sweep(problem, over, executor=inline) as found:
+            assert many == found.notes
+
+    def test_the_number_of_points_decides_and_what_a_batch_cannot_do_is_simulated_singly(self, problem):
+        axes = {"soil.cohesion": po.Range(1e4, 2e4, 100), "scene.tow_speed": po.Range(1.0, 2.0, 100)}
+        assert "po.Batch" in ProblemSweep.of(problem, axes).how
+        assert "po.simulate" in ProblemSweep.of(problem, {**axes, "scene.tow_speed": po.Range(1.0, 2.0, 99)}).how
+        assert "po.simulate" in ProblemSweep.of(problem, axes, method="each").how
+        sticky = po.read_problem(PROBLEMS / "stick_slip.toml")
+        assert "po.simulate" in ProblemSweep.of(sticky, axes).how
+        with pytest.raises(po.InputError, match="finds no events"):
+            ProblemSweep.of(sticky, axes, method="batch")
+
+
+class TestAxes:
+    """What texts say that a quantity runs over."""
+
+    @pytest.mark.parametrize(
+        ("text", "unit", "expected"),
+        [
+            ("5..45 kPa:3", "Pa", (5e3, 25e3, 45e3)),
+            ("5 kPa .. 45 kPa : 3", "Pa", (5e3, 25e3, 45e3)),
+            ("10..1000 kN/m:3 log", "N/m", (1e4, 1e5, 1e6)),
+            ("5 kPa, 10 kPa", "Pa", (5e3, 1e4)),
+            ("5, 10, 2 kPa", "Pa", (5e3, 1e4, 2e3)),
+            ("500 g..2 kg:3", "kg", (0.5, 1.25, 2.0)),
+            ("0.1..0.5:5", "", (0.1, 0.2, 0.3, 0.4, 0.5)),
+            ("-1..1:3", "", (-1.0, 0.0, 1.0)),
+            ("20..40 deg:2", "rad", (20 * math.pi / 180, 40 * math.pi / 180)),
+        ],
+    )
+    def test_grids_and_lists(self, text, unit, expected):
+        # To the last bit: these are the numbers that a file would have.
+        assert read_axis(text, Unit(unit))[0] == expected
+        assert read_axis(text, Unit(unit))[0] == expected
+
+    def test_the_numbers_are_those_of_a_file(self):
+        found = read_axis("1..7 km/h:61", Unit("m/s"))[0]
+        assert found == tuple(Unit("m/s").parse(f"{1 + k / 10:.1f} km/h") for k in range(61))
+
+    def test_samples(self):
+        assert read_axis("5..45 kPa", Unit("Pa"), sampled=True)[0] == po.Range(5e3, 45e3)
+        assert read_axis("5..45 kPa log", Unit("Pa"), sampled=True)[0] == po.Range(5e3, 45e3, log=True)
+
+    @pytest.mark.parametrize(
+        ("text", "sampled", "expected"),
+        [
+            ("45..5 kPa:9", False, "from 45 to 5 is empty"),
+            ("5..45:9", False, '"5" has no unit'),
+            ("5..45 kg:9", False, "wrong unit"),
+            ("5..45 kpa:9", False, "unknown unit 'kpa'"),
+            ("5..45 kPa:1", False, "number of values is 1"),
+            ("5..45 kPa:0", False, "number of values is 0"),
+            ("5..45 kPa:few", False, '":few" is no number of values'),
+            ("5..45 kPa", False, "has no number of values"),
+            ("5..45 kPa:9", True, "leave it out"),
+            ("5, 45 kPa", True, "has no two ends"),
+            ("5 kPa", False, "is one value, which --set gives"),
+            ("5-45 kPa:9", False, "is one value"),
+            ("0..5 kPa:3 log", False, "begins above 0"),
+            ("..5 kPa:3", False, "is no range"),
+            ("5, 5 kPa", False, "same value twice"),
+            ("5..1e999 kPa:3", False, "must be finite"),
+        ],
+    )
+    def test_wrong_ones_are_refused(self, text, sampled, expected):
+        with pytest.raises(po.InputError, match=expected):
+            read_axis(text, Unit("Pa"), sampled=sampled)
+
+
+@pytest.mark.parametrize(
+    ("over", "more", "expected"),
+    [
+        ({"soil.cohesoin": [1e4, 2e4]}, {}, "'soil.cohesoin' cannot be swept: did you mean 'soil.cohesion'"),
+        ({"soil.density_ratio": [0.5, 1.5]}, {}, r"'soil.density_ratio': density ratio b1 = 1.5 must be below 1"),
+        ({"soil.cohesion": [-1e4, 2e4]}, {}, "cohesion = -10000 Pa"),
+        ({"effects.breakaway": [1.0, 2.0]}, {}, 'belongs to contact = "stick_slip"'),
+        ({"soil.cohesion": [1e4, 2e4]}, {"what": "optimize"}, "did you mean 'optimise'"),
+        ({"soil.cohesion": [1e4, 2e4]}, {"method": "many"}, "method = 'many' is unknown"),
+        ({"soil.cohesion": [1e4, 2e4]}, {"what": "optimise", "method": "batch"}, "it does not optimise"),
+        ({"soil.cohesion": [1e4, 2e4]}, {"units": {}}, "a problem file has its own"),
+        ({"soil.cohesion": [1e4, 2e4]}, {"workers": 0}, "workers = 0 must be 1 or more"),
+        ({}, {}, "over is empty"),
+    ],
+)
+def test_what_cannot_be_swept_is_refused_before_anything_is_computed(problem, inline, over, more, expected):
+    with pytest.raises(po.InputError, match=expected):
+        po.sweep(problem, over, executor=inline, **more)
+
+
+def test_a_design_whose_variables_are_all_swept_has_nothing_to_choose(problem):
+    over = {"share.wedge_angle": [0.4, 0.5], "share.height": [0.2, 0.3], "scene.stiffness": [5e4, 6e4]}
+    with pytest.raises(po.InputError, match="nothing to choose: every variable is fixed"):
+        po.sweep(problem, over, what="optimise")
+
+
+def test_a_store_of_another_file_is_refused_by_the_quantity_that_differs(problem, inline, tmp_path):
+    store = tmp_path / "sweep.db"
+    po.sweep(problem, OVER, executor=inline, store=store).close()
+    other = po.read_problem(COTTON, (*BRIEF, "scene.frame_mass=25 kg"))
+    with pytest.raises(po.InputError, match=r"\(scene.frame_mass: 20.0 there, 25.0 here\)"):
+        po.sweep(other, OVER, executor=inline, store=store)
+
+
+def test_units_of_an_optimisation_cover_its_results(problem):
+    assert Optimisation(problem).units["margin of loosened_radius"] == "m"
+    assert Optimisation(problem).units["scene.stiffness"] == "N/m"

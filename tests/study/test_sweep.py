@@ -1,0 +1,212 @@
+"""Sweeps of functions: numbers, failures, tables, and what is stored."""
+
+import csv
+import math
+import re
+import sqlite3
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
+
+import numpy as np
+import pytest
+import swept
+
+import plough_opt as po
+from plough_opt.study import engine
+from plough_opt.study.work import work
+
+OVER = {"a": po.Range(0.0, 3.0, 40), "b": [1.0, 2.0, 5.0]}
+
+
+def expected_waves():
+    return [
+        tuple(swept.waves({"a": a, "b": b}).values()) for a in np.linspace(0.0, 3.0, 40).tolist() for b in OVER["b"]
+    ]
+
+
+def test_the_numbers_are_those_of_the_function(inline):
+    result = po.sweep(swept.waves, OVER, executor=inline)
+    assert result.names == ("a", "b")
+    assert result.results == ("sine", "root")
+    assert result.complete
+    assert (len(result), result.failed, result.already) == (120, 0, 0)
+    assert result.table[["sine", "root"]].tolist() == expected_waves()
+    assert result.table["point"].tolist() == list(range(120))
+    np.testing.assert_array_equal(result.column("root"), result.table["root"])
+    best = result.extreme("sine", largest=True)
+    rows = [row[0] for row in expected_waves()]
+    assert (best.value, best.point) == (max(rows), rows.index(max(rows)))
+    assert best.values == {"a": result.table["a"][best.point], "b": 5.0}
+
+
+def test_the_same_bits_whatever_the_executor_the_workers_and_the_size_of_tasks(inline, monkeypatch):
+    first = po.sweep(swept.waves, OVER, executor=inline).table
+    with ThreadPoolExecutor(3) as threads:
+        np.testing.assert_array_equal(po.sweep(swept.waves, OVER, executor=threads, workers=3).table, first)
+    np.testing.assert_array_equal(po.sweep(swept.waves, OVER, workers=2).table, first)
+    monkeypatch.setattr(engine, "_WANTED", 0.0)
+    np.testing.assert_array_equal(po.sweep(swept.waves, OVER, executor=inline).table, first)
+    assert first[["sine", "root"]].tolist() == expected_waves()
+
+
+def test_failures_are_rows_with_a_reason(inline):
+    result = po.sweep(swept.failing, {"a": [0.0, 1.0, 2.0, 3.0]}, executor=inline)
+    assert [(failure.point, failure.values, failure.reason) for failure in result.failures] == [
+        (0, {"a": 0.0}, "ZeroDivisionError: float division by zero"),
+        (1, {"a": 1.0}, "ValueError: one is not allowed"),
+        (3, {"a": 3.0}, "half = inf is not finite"),
+    ]
+    assert result.complete
+    assert result.failed == 3
+    assert result.column("inverse").tolist()[2] == 0.5
+    assert np.isnan(result.table["inverse"]).tolist() == [True, True, False, True]
+    # SQLite knows no negative zero.
+    assert math.copysign(1.0, result.column("half")[2]) == 1.0
+
+
+def test_a_sweep_in_which_everything_fails_has_no_results(inline, tmp_path):
+    result = po.sweep(swept.all_fail, {"a": [1.0, 2.0]}, executor=inline)
+    assert result.results == ()
+    assert [failure.reason for failure in result.failures] == ["KeyError: 1.0", "KeyError: 2.0"]
+    assert result.to_csv(tmp_path / "t.csv").read_text().splitlines()[1] == "0,1.0,KeyError: 1.0"
+    assert result.table.dtype.names == ("point", "a")
+
+
+def test_other_names_at_another_point_stop_the_sweep(inline):
+    with pytest.raises(po.InputError, match=r"results of one point are .*: return the same names"):
+        po.sweep(swept.two_names, {"a": [1.0, 2.0]}, executor=inline)
+
+
+def test_tables(inline, tmp_path):
+    result = po.sweep(swept.failing, {"a": [0.0, 1.0, 2.0, 7.0]}, executor=inline)
+    rows = list(csv.reader(result.to_csv(tmp_path / "deep" / "t.csv").read_text(encoding="utf-8").splitlines()))
+    assert rows[0] == ["point", "a", "inverse", "half", "reason"]
+    assert rows[1] == ["0", "0.0", "", "", "ZeroDivisionError: float division by zero"]
+    assert [float(row[2]) for row in rows[3:]] == [0.5, 1.0 / 7.0]
+    with np.load(result.to_npz(tmp_path / "t.npz")) as arrays:
+        assert set(arrays) == {"point", "a", "inverse", "half", "failed", "reasons"}
+        np.testing.assert_array_equal(arrays["inverse"], [np.nan, np.nan, 0.5, 1.0 / 7.0])
+        assert arrays["failed"].tolist() == [0, 1]
+        assert arrays["reasons"][1] == "ValueError: one is not allowed"
+    with pytest.raises(po.InputError, match="cannot be written"):
+        result.to_csv("/proc/t.csv")
+
+
+def test_a_store_is_read_back_and_is_plain_sqlite(inline, tmp_path):
+    store = tmp_path / "deep" / "sweep.db"
+    po.sweep(swept.waves, OVER, executor=inline, store=store, units={"a": "rad"}).close()
+    with po.Sweep.load(store) as again:
+        assert again.complete
+        assert again.units == {"a": "rad"}
+        assert again.table[["sine", "root"]].tolist() == expected_waves()
+        assert again.to_csv(tmp_path / "t.csv").read_text().startswith("point,a [rad],b,sine,root,reason\n")
+    connection = sqlite3.connect(store)
+    assert connection.execute("SELECT sine FROM points WHERE point = 7").fetchone()[0] == expected_waves()[7][0]
+    connection.close()
+
+
+def test_what_is_stored_is_not_repeated(inline, tmp_path):
+    counted, store = swept.Counted(tmp_path / "calls"), tmp_path / "sweep.db"
+    po.sweep(counted, OVER, executor=inline, store=store).close()
+    again = po.sweep(counted, OVER, executor=inline, store=store)
+    assert again.already == 120
+    assert len((tmp_path / "calls").read_text().splitlines()) == 120
+    assert again.table[["sine", "root"]].tolist() == expected_waves()
+
+
+def test_failures_are_tried_again_where_that_is_asked(inline, tmp_path):
+    store = tmp_path / "sweep.db"
+    with po.sweep(swept.failing, {"a": [0.0, 1.0, 2.0]}, executor=inline, store=store) as first:
+        before = first.table
+    told = []
+    arguments = {"executor": inline, "store": store, "progress": lambda *numbers: told.append(numbers)}
+    with po.sweep(swept.failing, {"a": [0.0, 1.0, 2.0]}, **arguments) as again:
+        assert (again.already, told) == (3, [])
+    with po.sweep(swept.failing, {"a": [0.0, 1.0, 2.0]}, retry=True, **arguments) as again:
+        assert again.already == 1
+        assert again.table.tobytes() == before.tobytes()
+    assert told[0] == (1, 3, 0)
+    assert told[-1] == (3, 3, 2)
+
+
+def test_a_store_of_another_question_is_refused_and_the_difference_named(inline, tmp_path):
+    store = tmp_path / "sweep.db"
+    po.sweep(swept.waves, {"a": [1.0, 2.0], "b": [1.0, 2.0]}, executor=inline, store=store).close()
+    for function, over, more, expected in (
+        (swept.waves, {"a": [1.0, 3.0], "b": [1.0, 2.0]}, {}, r"over a: 1\.0, 2\.0 there, 1\.0, 3\.0 here"),
+        (swept.failing, {"a": [1.0, 2.0], "b": [1.0, 2.0]}, {}, "function: waves there, failing here"),
+        (swept.waves, {"a": po.Range(1.0, 2.0), "b": po.Range(1.0, 2.0)}, {"samples": 4}, "samples: absent there, 4"),
+    ):
+        with pytest.raises(po.InputError, match="belongs to another question") as refused:
+            po.sweep(function, over, executor=inline, store=store, **more)
+        assert re.search(expected, str(refused.value))
+
+
+def test_a_file_that_is_no_store_is_refused(inline, tmp_path):
+    text = tmp_path / "text.db"
+    text.write_text("this is no database, however long it may be" * 40)
+    with pytest.raises(po.InputError, match="file is not a database"):
+        po.sweep(swept.waves, OVER, executor=inline, store=text)
+    connection = sqlite3.connect(tmp_path / "other.db")
+    connection.execute("CREATE TABLE meta (key, value)")
+    connection.close()
+    with pytest.raises(po.InputError, match="no store of a sweep"):
+        po.Sweep.load(tmp_path / "other.db")
+    with pytest.raises(po.InputError, match="there is no store"):
+        po.Sweep.load(tmp_path / "none.db")
+    with pytest.raises(po.InputError, match="cannot be"):
+        po.sweep(swept.waves, OVER, executor=inline, store="/proc/sweep.db")
+
+
+def test_names_that_no_table_can_have_are_refused(inline):
+    for over in ({"a": [1.0, 2.0], "A": [1.0, 2.0]}, {"reason": [1.0, 2.0]}, {"": [1.0, 2.0]}):
+        with pytest.raises(po.InputError, match="cannot name"):
+            po.sweep(swept.waves, over, executor=inline)
+
+
+def test_what_cannot_be_sent_to_processes_is_refused_before_any_starts():
+    with pytest.raises(po.InputError, match="cannot be sent to other processes"):
+        po.sweep(lambda values: values, OVER)
+
+
+def test_a_point_at_which_the_worker_dies_is_a_failure_and_nothing_else_is_lost():
+    result = po.sweep(swept.deadly, {"a": np.arange(8.0)}, workers=1)
+    assert [(failure.values, failure.reason) for failure in result.failures] == [({"a": 5.0}, engine.DIED)]
+    assert result.column("sine").tolist()[:5] == [2.0 * math.sin(a) for a in range(5)]
+    assert result.column("sine").tolist()[6:] == [2.0 * math.sin(a) for a in (6.0, 7.0)]
+
+
+def test_a_broken_executor_of_somebody_else_is_told_and_what_is_stored_stays(tmp_path):
+    store = tmp_path / "sweep.db"
+    expected = r"the executor is broken: .*goes on from there with a new one"
+    with ProcessPoolExecutor(1) as pool, pytest.raises(po.InputError, match=expected):
+        po.sweep(swept.deadly, {"a": np.arange(8.0)}, executor=pool, workers=1, store=store)
+    with po.Sweep.load(store) as found:
+        assert not found.complete
+
+
+class Watched(ThreadPoolExecutor):
+    """Threads that remember how many tasks were under way at once."""
+
+    def __init__(self, workers):
+        super().__init__(workers)
+        self.futures, self.most = [], 0
+
+    def submit(self, *arguments):
+        self.futures = [*(future for future in self.futures if not future.done()), super().submit(*arguments)]
+        self.most = max(self.most, len(self.futures))
+        return self.futures[-1]
+
+
+def test_the_tasks_under_way_are_bounded_by_the_workers_and_not_by_the_points():
+    with Watched(2) as executor:
+        over = {"a": po.Range(0.0, 1.0, 300), "b": po.Range(1.0, 2.0, 100)}
+        assert po.sweep(swept.waves, over, executor=executor, workers=2).complete
+    assert 2 <= executor.most <= 2 * 2 + 2
+
+
+def test_a_worker_gives_back_what_it_has_when_its_time_is_up():
+    values = np.array([[0.5, 1.0], [0.6, 1.0], [0.7, 1.0]])
+    assert work("any", swept.waves, ("a", "b"), values, 0.0).points == 1
+    assert work("any", swept.waves, ("a", "b"), values, math.inf).points == 3
+    # So a finished point is never unstored for a second.
+    assert engine._BUDGET + engine._GLANCE < 1.0

@@ -227,7 +227,7 @@ def test_many_inputs_are_sampled_at_each_bound_alone():
     many = [Port(f"x{k}", "", 1.0, 3.0, 2.0) for k in range(9)]
     assert len(corners(many)) == 19
     points = np.array(inside(many))
-    assert points.shape == (16, 9)
+    assert points.shape == (32, 9)
     assert np.all((points > 1.0) & (points < 3.0))
     # Evenly spread: every half of every input holds at least a quarter of the points.
     assert np.all(np.abs((points > 2.0).mean(axis=0) - 0.5) <= 0.25)

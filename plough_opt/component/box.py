@@ -120,7 +120,7 @@ class Box:
         motion = self.scene.effects.motion
         steps = accuracy.steps or self._steps(corners(self.inputs))
         for _ in range(_ROUNDS):
-            resolution = Resolution(-(-steps // outputs) * outputs if motion else steps, outputs)
+            resolution = Resolution(steps, outputs)
             coarse, fine = (self._evaluated(points, one, motion) for one in (resolution, resolution.finer(motion)))
             error = max(_difference(*pair) for pair in zip(coarse, fine, strict=True))
             if error <= wanted or accuracy.steps is not None or 2 * steps > _MOST_STEPS:

@@ -8,7 +8,7 @@ from typing import Any
 
 import casadi as ca
 
-from plough_opt.accuracy import Accuracy
+from plough_opt.accuracy import Accuracy, Method
 from plough_opt.expressions import Expression
 from plough_opt.motion import Run
 from plough_opt.motion.integrators import integration
@@ -61,7 +61,9 @@ def graph(name: str, arguments: Sequence[str], make: OfColumn, results: Results,
     kind: Any = ca.MX if scene.medium == "elastic" else ca.SX
     x = [kind.sym(argument) for argument in arguments]
     scene, duration = make(x)
-    timeline = timeline_of(scene, duration, resolution.outputs, resolution.steps)
+    # Of the two ends of a run no output needs to be read between steps.
+    method: Method | None = "dop853" if scene.effects.motion and resolution.outputs > 1 else None
+    timeline = timeline_of(scene, duration, resolution.outputs, resolution.steps, method)
     if not scene.effects.motion:
         run = quasi_static(scene, duration, timeline, Accuracy(), resolution.points)
         return ca.Function(name, x, _columns(run, results, kind))

@@ -21,7 +21,7 @@ from plough_opt.vocabulary import MEASURES, Quantity
 _WIDE = 10.0
 # Inputs up to which every corner of the box is sampled; of more, each input at its bounds, the others at their values.
 _ALL_CORNERS = 6
-_INSIDE = 16
+_INSIDE = 32
 _PEAKS = {"peak_force": "mount_force", "peak_deflection": "deflection"}
 
 

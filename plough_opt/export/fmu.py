@@ -19,7 +19,7 @@ from plough_opt.export.fmu_description import build_description, documentation, 
 from plough_opt.export.fmu_equations import model_of
 from plough_opt.export.fmu_share import StrutInput
 from plough_opt.export.fmu_source import c_source
-from plough_opt.expressions import as_number, is_casadi, map_expressions
+from plough_opt.expressions import as_number, is_casadi, is_symbolic, map_expressions
 from plough_opt.scene import Scene
 
 _NAME: Final = re.compile(r"[A-Za-z_]\w{0,62}", re.ASCII)
@@ -108,8 +108,8 @@ def _numbers(scene: Scene) -> Scene:
     """Return the scene with plain numbers in it."""
 
     def number(value: Any) -> float:
-        if np.size(value) != 1:
-            raise InputError(f"the scene holds an array of {np.size(value)} values, and an FMU is of one scene")
+        if not is_symbolic(value) and as_number(value).size != 1:
+            raise InputError(f"the scene holds an array of {as_number(value).size} values: an FMU is of one scene")
         return float(as_number(value))
 
     plain: Scene = map_expressions(scene, number, lambda value: is_casadi(value) or isinstance(value, np.ndarray))

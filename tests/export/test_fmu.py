@@ -2,13 +2,11 @@
 
 import dataclasses
 
-import casadi as ca
 import numpy as np
 import pytest
-from fmpy.fmi1 import FMICallException
 from fmpy.fmi3 import FMU3Model
 from fmpy.validation import validate_fmu
-from fmu_tools import ARRAYS, WITHIN, differences, instance_of, simulated
+from fmu_tools import ARRAYS, CLOSELY, WITHIN, Stepped, differences, instance_of, simulated
 
 import plough_opt as po
 from plough_opt.export.fmu import write_fmu
@@ -27,7 +25,7 @@ class Shank:
     viscous: float
 
     def force(self, travel, speed):
-        return self.static + self.viscous * speed
+        return self.static * (1.0 + 0.1 * travel) + self.viscous * speed
 
 
 EFFECTS = {
@@ -88,6 +86,19 @@ def test_simulates_to_the_same_motion(effects, tmp_path):
         assert np.array_equal(found["mode"], run.mode)
         assert np.max(np.abs(found["opening"] - run.opening)) < WITHIN * np.max(run.travel)
         assert len(np.unique(run.mode)) > 1
+    stepped, _ = Stepped(fmu).run(run.time, ARRAYS)
+    assert max(differences(stepped, run).values()) < CLOSELY
+
+
+def test_events_are_handled_on_either_side_of_them(tmp_path):
+    scene = scene_with(EFFECTS["entry, stick and slip"])
+    fmu = write_fmu(scene, tmp_path / "share.fmu")
+    run = po.simulate(scene, DURATION, accuracy=REFERENCE, outputs=200)
+    for beside in (-1e-12, 1e-12):
+        found, events = Stepped(fmu).run(run.time, ARRAYS, beside=beside)
+        # Breaking away, wholly buried, and then once at least for each wavelength: stop, gap or recapture.
+        assert events > 8
+        assert max(differences(found, run).values()) < CLOSELY
 
 
 def test_another_scene_by_its_parameters_starts_from_its_own_equilibrium(r1_soil, tmp_path):

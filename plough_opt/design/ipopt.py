@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from plough_opt.design.nlp import Nlp
+from plough_opt.design.nlp import PARTS, Nlp
 
 Vector = NDArray[np.float64]
 
@@ -39,6 +39,9 @@ OPTIONS: dict[str, Any] = {
     "ipopt.compl_inf_tol": 1e-10,
     "ipopt.acceptable_iter": 0,
     "ipopt.max_iter": 300,
+    # A design's linear systems are small, dense and of order 1.
+    "ipopt.mumps_permuting_scaling": 0,
+    "ipopt.mumps_scaling": 0,
 }
 # By differences of exact gradients: of few variables it takes fewer iterations than the exact Hessian, which is
 # indefinite over most of a multimodal design, and a fraction of the time of each.
@@ -153,21 +156,29 @@ class Solver:
         """Take the program, its sizes, and the limits of its requirements."""
         self._nlp = nlp
         y, p = ca.MX.sym("y", variables), ca.MX.sym("p", parameters)
-        values, slopes = _AtOnce(nlp.values), _AtOnce(nlp.slopes)
-        # CasADi does not keep a Callback alive.
-        self._parts = [values.part(0), values.part(1), *(slopes.part(k) for k in range(4))]
-        f, g, f_again, g_again, gradient, jacobian = (part(y, p) for part in self._parts)
-        names = ["x", "p"]
-        self._problem = {"x": y, "p": p, "f": f, "g": g}
+        parts = nlp.parts or self._interpreted(nlp, y, p)
+        self._problem = {"x": y, "p": p, "f": parts["f"](y, p), "g": parts["g"](y, p)}
         self._derivatives = {
-            "grad_f": ca.Function("grad_f", [y, p], [f_again, gradient], names, ["f", "grad_f_x"]),
-            "jac_g": ca.Function("jac_g", [y, p], [g_again, jacobian], names, ["g", "jac_g_x"]),
+            "grad_f": parts["grad_f"],
+            "jac_g": parts["jac_g"],
             # Multipliers of bounds come from IPOPT itself, and of parameters none are asked for.
             "no_nlp_grad": True,
             "calc_lam_p": False,
         }
         self._low, self._high = low, high
         self._solvers: dict[tuple[bool, bool], ca.Function] = {}
+
+    def _interpreted(self, nlp: Nlp, y: ca.MX, p: ca.MX) -> dict[str, ca.Function]:
+        """Return what IPOPT asks for of a program that does not remember its last point."""
+        values, slopes = _AtOnce(nlp.values), _AtOnce(nlp.slopes)
+        # CasADi does not keep a Callback alive.
+        self._callbacks = [values.part(0), values.part(1), *(slopes.part(k) for k in range(4))]
+        f, g, *both = (part(y, p) for part in self._callbacks)
+        sources = {"f": [f], "g": [f, g], "grad_f": both, "jac_g": both}
+        return {
+            name: ca.Function(name, [y, p], [sources[name][k] for k in results.values()], ["x", "p"], list(results))
+            for name, results in PARTS.items()
+        }
 
     def solve(
         self,

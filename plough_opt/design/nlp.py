@@ -11,16 +11,24 @@ where z = (y, o), S = dz/dy, mu = L_o and c = mu' o_theta.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, Final
 
 import casadi as ca
 
 from plough_opt.design.alike_runs import Alike, alike_runs
 from plough_opt.design.split import EmbeddedRun, Split
 from plough_opt.motion.signals import signals
+
+PARTS: Final = {
+    "f": {"f": 0},
+    "g": {"g": 1},
+    "grad_f": {"f": 0, "grad_f_x": 2},
+    "jac_g": {"g": 1, "jac_g_x": 3},
+}
+"""What IPOPT asks for: names of results, and which they are of the values or of the slopes."""
 
 
 @dataclass(frozen=True)
@@ -31,11 +39,13 @@ class Nlp:
         values: (y, p) -> (scaled objective f, scaled requirements g), from one integration of each run.
         first: returns `slopes`; not all programs are asked for derivatives, which take time to build.
         second: returns `hess_lag`, which takes longest.
+        parts: `PARTS` that remember their last point, by name; without them a caller has to.
     """
 
     values: ca.Function
     first: Callable[[], ca.Function]
     second: Callable[[], ca.Function]
+    parts: Mapping[str, ca.Function] | None = None
 
     @cached_property
     def slopes(self) -> ca.Function:
@@ -50,29 +60,31 @@ class Nlp:
     @cached_property
     def f(self) -> ca.Function:
         """(y, p) -> f."""
-        return _some("f", self.values, {0: "f"})
+        return self._part("f", self.values)
 
     @cached_property
     def g(self) -> ca.Function:
         """(y, p) -> g, a column."""
-        return _some("g", self.values, {1: "g"})
+        return self._part("g", self.values)
 
     @cached_property
     def grad_f(self) -> ca.Function:
         """(y, p) -> (f, gradient)."""
-        return _some("grad_f", self.slopes, {0: "f", 2: "grad_f_x"})
+        return self._part("grad_f", self.slopes)
 
     @cached_property
     def jac_g(self) -> ca.Function:
         """(y, p) -> (g, Jacobian)."""
-        return _some("jac_g", self.slopes, {1: "g", 3: "jac_g_x"})
+        return self._part("jac_g", self.slopes)
 
-
-def _some(name: str, function: ca.Function, results: dict[int, str]) -> ca.Function:
-    """Return a Function of (y, p) with some of another's results, by the names that IPOPT's interface wants."""
-    y, p = inputs = function.mx_in()
-    found = function.call(inputs)
-    return ca.Function(name, [y, p], [found[k] for k in results], ["x", "p"], list(results.values()))
+    def _part(self, name: str, function: ca.Function) -> ca.Function:
+        """Return a Function of (y, p) with some of another's results."""
+        if self.parts is not None:
+            return self.parts[name]
+        y, p = inputs = function.mx_in()
+        found = function.call(inputs)
+        results = PARTS[name]
+        return ca.Function(name, [y, p], [found[k] for k in results.values()], ["x", "p"], list(results))
 
 
 def averages_only(run: EmbeddedRun, algebra: ca.Function, result: int) -> bool:

@@ -124,8 +124,8 @@ class Design:
         Args:
             parameters: values of parameters that differ from the declared ones, by name.
             search: ``"auto"``: where a strength wave makes the stiffness multimodal, scan it and polish every basin,
-                else start from the guess alone; ``"local"``: from the guess alone; or names of
-                variables to scan.
+                else start from the guess alone; ``"local"``: from the guess alone; ``"near"``: from the guess, which
+                lies in the basin of the optimum wanted; or names of variables to scan.
             compiled: translate the model into machine code first, by the system's C compiler. That takes seconds, once
                 for a model (it is kept in the user's cache folder), and each solve a fraction of its time: for
                 repeated solves. Without a compiler the model is interpreted, and a warning says so.

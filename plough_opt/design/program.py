@@ -20,10 +20,10 @@ from plough_opt.design.verify import TightEvaluation
 from plough_opt.effects import MOST_HARMONICS
 from plough_opt.errors import DomainError, InputError, PloughError
 from plough_opt.motion.integrators import quiet_events
-from plough_opt.motion.plan import phase, steps_for
+from plough_opt.motion.plan import steps_for, summed_rate
 
-# Phase per step inside a design: a relative error of some 3e-9, and finer where the check finds it wanting.
-_PHASE_PER_STEP = 0.8
+# By `summed_rate`: a relative error of averages of some 3e-9, and finer steps where the check finds it wanting.
+_PHASE_PER_STEP = 1.15
 _MOST_STEPS = 50_000
 _FEWEST_STEPS = 20
 # Of a periodic orbit, whose harmonics fall off exponentially.
@@ -90,6 +90,8 @@ class Program:
         self.interpreted = True
         self._steps: list[int | None] = []
         self._relaxed: Solver | None = None
+        # A report asks several times for the values at its point.
+        self._exact_at: dict[tuple[bytes, bytes], tuple[list[Vector], list[Vector]]] = {}
 
     @property
     def expressions(self) -> list[ca.MX]:
@@ -128,7 +130,10 @@ class Program:
 
     def exact_values(self, y: Vector, p: Vector) -> tuple[list[Vector], list[Vector]]:
         """Return objective and requirements, tightly integrated, and the same by the checking method."""
-        return self.exact([*self.values(y), *p])
+        at = y.tobytes(), p.tobytes()
+        if at not in self._exact_at:
+            self._exact_at = {at: self.exact([*self.values(y), *p])}
+        return self._exact_at[at]
 
     # --- building ----------------------------------------------------------------------------------------
 
@@ -158,7 +163,7 @@ class Program:
         parts = split(scaled, [self._y, self._p])
         with quiet_events():
             self.nlp = build_nlp(parts, self._y, self._p, steps)
-            # Where basins lie and which way they curve shows at a third of the steps.
+            # Where basins lie and which way they curve shows at two fifths of the steps.
             self.rough = build_nlp(parts, self._y, self._p, [self._fewer(k) for k in range(len(steps))])
             translated = as_machine_code(self.nlp, self.rough) if self.compiled else None
         if translated is not None:
@@ -249,7 +254,8 @@ class Program:
             fastest = 0.0
             for _, values in self._corners():
                 numbers, _ = self.exact.inputs(k, [*values, *p])
-                fastest = max(fastest, phase(dict(zip(run.integration.names, numbers, strict=False)), numbers[-1]))
+                rate = summed_rate(dict(zip(run.integration.names, numbers, strict=False)))
+                fastest = max(fastest, rate * float(numbers[-1]))
             count = math.ceil(refinement * steps_for(fastest, _PHASE_PER_STEP))
             if count > _MOST_STEPS:
                 raise DomainError(
@@ -263,7 +269,7 @@ class Program:
     def _fewer(self, run: int) -> int | None:
         """Return the number of steps, or harmonics, with which a run is roughly right."""
         steps = self._steps[run]
-        return steps if steps is None or self._holds_orbit(run) else max(_FEWEST_STEPS, steps // 3)
+        return steps if steps is None or self._holds_orbit(run) else max(_FEWEST_STEPS, 2 * steps // 5)
 
     def _holds_orbit(self, run: int) -> bool:
         return self.exact.runs[run].integration.structure.orbit == "periodic"

@@ -16,6 +16,9 @@ from plough_opt.errors import InputError, nearest
 SCAN_POINTS = 200
 """Positions between the bounds at which a scanned variable is tried."""
 
+NEAR_GUESS = "near"
+"""Asks for no scan, and for the optimum of the basin in which the guess lies."""
+
 Progress = Callable[[str, float], None]
 """Called with what is being done and the fraction done of it."""
 
@@ -51,20 +54,20 @@ def scanned_variables(program: Program, search: str | Sequence[str]) -> list[int
     Args:
         program: the design's program.
         search: ``"auto"``: those on which the stiffness of a run with a strength wave depends;
-            ``"local"``: none; or names of variables.
+            ``"local"`` or ``"near"``: none; or names of variables.
 
     Raises:
         InputError: a name that is no variable.
     """
     names = [v.name for v in program.declared.variables]
-    if search == "local":
+    if search in ("local", NEAR_GUESS):
         return []
     if search != "auto":
         wanted = [search] if isinstance(search, str) else list(search)
         for name in wanted:
             if name not in names:
                 raise InputError(
-                    f"search = '{name}' is no variable of this design: {nearest(name, ['auto', 'local', *names])}"
+                    f"search = '{name}' is no variable of this design: {nearest(name, ['auto', 'local', NEAR_GUESS, *names])}"
                 )
         return [names.index(name) for name in dict.fromkeys(wanted)]
     found: set[int] = set()

@@ -18,10 +18,11 @@ from plough_opt.design.ipopt import REMEDIES, Point, Vector, decides
 from plough_opt.design.optimum import Limit, LocalOptimum, Optimum
 from plough_opt.design.program import Program
 from plough_opt.design.rounding import rounded
-from plough_opt.design.search import Progress, global_search, scanned_variables
+from plough_opt.design.search import NEAR_GUESS, Progress, global_search, scanned_variables
 from plough_opt.design.sensitivity import Sensitivities
 from plough_opt.design.verify import TightEvaluation
 from plough_opt.errors import InputError, NotConverged
+from plough_opt.motion.judgement import remarks
 from plough_opt.motion.simulation import repeat
 from plough_opt.scene import Scene
 
@@ -41,7 +42,7 @@ def solve_program(
     program.build(p)
     scanned = scanned_variables(program, search)
     progress("solving from the guess", 0.0)
-    points, scans = global_search(program, p, minimum_from(program, p, first_optimum(program, p)), scanned, progress)
+    points, scans = global_search(program, p, minimum_from(program, p, first_optimum(program, p, near=search == NEAR_GUESS)), scanned, progress)
     points, missed = _refined(program, p, points, progress)
     progress("checking", 0.0)
     scenes = [_scenes(program, point, p) for point in points]
@@ -66,13 +67,19 @@ def solve_program(
     )
 
 
-def first_optimum(program: Program, p: Vector) -> Point:
+def first_optimum(program: Program, p: Vector, *, near: bool = False) -> Point:
     """Return a local optimum near the guess; failing that, from the nearest feasible design.
+
+    With ``near`` the guess lies in the basin wanted: what makes a design multimodal is held there at first.
 
     Raises:
         InfeasibleDesign: no design meets the requirements.
         NotConverged: IPOPT found no optimum although feasible designs exist.
     """
+    if near:
+        held = program.solve_with_fixed(program.start(), p, scanned_variables(program, "auto"))
+        if (point := program.solve(held.y if held.solved else program.start(), p, near=True)).solved:
+            return point
     point = program.solve(program.start(), p)
     if point.solved:
         return point
@@ -194,8 +201,14 @@ def _scenes(program: Program, point: Point, p: Vector) -> list[tuple[Scene, floa
 
 def _warnings(program: Program, point: Point, p: Vector, scenes: Sequence[tuple[Scene, float]]) -> tuple[str, ...]:
     """Return what a reader of the results at a point must know, each sentence once."""
-    moving = [text for scene, duration in scenes for text in repeat(scene, duration).warnings]
-    still = program.exact.quasi_static_scenes([*program.values(point.y), *p])
+    numbers = [*program.values(point.y), *p]
+    moving: list[str] = []
+    for k, (scene, duration) in enumerate(scenes):
+        if scene.effects.orbit == "transient":
+            moving += (*scene.warnings(), *remarks(program.exact.followed(k, numbers)))
+        else:
+            moving += repeat(scene, duration).warnings
+    still = program.exact.quasi_static_scenes(numbers)
     slow = (_NO_COMPILER,) if program.compiled and program.interpreted else ()
     return (*slow, *_alike_once([*moving, *(text for scene in still for text in scene.warnings())]))
 

@@ -9,12 +9,15 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from plough_opt.accuracy import Accuracy
 from plough_opt.design.split import split
 from plough_opt.errors import IntegrationError
 from plough_opt.labels import Limit
 from plough_opt.motion.embedding import with_numbers
 from plough_opt.motion.integrators import Integration, integration
 from plough_opt.motion.plan import checked, most_steps, phase, suited
+from plough_opt.motion.run import Run, assemble
+from plough_opt.motion.signals import signals
 from plough_opt.motion.timeline import Timeline
 from plough_opt.scene import Scene
 
@@ -68,6 +71,21 @@ class TightEvaluation:
             with_numbers(template, np.asarray(quantities(*numbers)).ravel().tolist())
             for template, quantities in self._scenes
         ]
+
+    def followed(self, run: int, numbers: Sequence[float]) -> Run:
+        """Return a run from a start at numbers, as it was re-integrated.
+
+        Raises:
+            DomainError: its scene lies outside the model's domain.
+        """
+        parameters, scene = self.inputs(run, numbers)
+        own = self.runs[run].integration
+        stacked, _ = tight_results(own, tuple(parameters.tolist()))
+        outputs, observed = own.timeline.outputs + 1, signals(own.structure)
+        states, means, variances = np.split(stacked, [-observed.count - observed.squared, -observed.squared])
+        states = states.reshape(outputs, -1)
+        fractions = own.timeline.output_fractions
+        return assemble(scene, float(parameters[-1]), fractions, states, means, variances, Accuracy(error=TIGHT))
 
     def __call__(self, numbers: Sequence[float]) -> tuple[list[Vector], list[Vector]]:
         """Return the expressions' values, and the same by the method that checks the integration.

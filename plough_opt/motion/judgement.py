@@ -124,6 +124,11 @@ def refuse_missed_event(run: Run) -> None:
         )
 
 
+def remarks(run: Run) -> tuple[str, ...]:
+    """Return what a reader must know of a motion, by its outputs."""
+    return (*retreat(run), *grazing(run))
+
+
 def retreat(run: Run) -> tuple[str, ...]:
     """Return a warning where, at an output time, the share retreats under a contact law that knows no gap."""
     contact = run.scene.effects.contact

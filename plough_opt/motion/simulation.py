@@ -19,12 +19,11 @@ from plough_opt.motion.embedding import embed
 from plough_opt.motion.integrators import Integration, integration
 from plough_opt.motion.judgement import (
     MissedEvent,
-    grazing,
     likely_cause,
     refuse_missed_event,
     refuse_ringing,
     refuse_runaway,
-    retreat,
+    remarks,
     stability,
 )
 from plough_opt.motion.plan import (
@@ -112,7 +111,7 @@ def simulate(
     started = time.perf_counter()
     run, error, notes = _verified(scene, float(duration), accuracy, outputs)
     multipliers, unstable = stability(run) if scene.effects.orbit == "periodic" else ((), ())
-    notes = (*notes, *retreat(run), *grazing(run), *unstable)
+    notes = (*notes, *remarks(run), *unstable)
     return replace(run, checks=Checks(error, time.perf_counter() - started, notes, multipliers))
 
 

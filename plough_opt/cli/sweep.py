@@ -17,7 +17,7 @@ from rich.table import Table
 
 from plough_opt.cli.report import shown
 from plough_opt.cli.terminal import console, read, wrote
-from plough_opt.errors import InputError
+from plough_opt.errors import InputError, NotConverged
 from plough_opt.problem_file import Problem
 from plough_opt.problem_file.sweeping import ProblemSweep, What
 from plough_opt.study.result import Sweep
@@ -90,6 +90,8 @@ def sweep(options: argparse.Namespace) -> None:
         for name, write in (("csv", found.to_csv), ("npz", found.to_npz)):
             if getattr(options, name) is not None:
                 wrote(write(getattr(options, name)))
+        if found.failed == len(found):
+            raise NotConverged("every point failed; the reasons stand above and in the tables", "failed")
     finally:
         found.close()
 
@@ -167,6 +169,8 @@ def _report(out: Console, problem: Problem, asked: ProblemSweep, found: Sweep) -
         table.add_row(name, *cells)
     if found.results:
         out.print(table)
+    else:
+        out.print(table.title)
     for failure in itertools.islice(found.failures, _SHOWN_FAILURES):
         values = ", ".join(f"{key} = {asked.displays[key].text(value)}" for key, value in failure.values.items())
         out.print(f"failed at {escape(values)}: {escape(failure.reason)}")

@@ -8,7 +8,6 @@ from collections.abc import Mapping
 from typing import Final, Protocol
 
 import numpy as np
-from scipy.stats import qmc
 
 from plough_opt.errors import InputError
 from plough_opt.expressions import is_count
@@ -119,6 +118,8 @@ class Sample:
         return {**ranges, "samples": str(self.count), "seed": str(self._seed)}
 
     def _restart(self) -> None:
+        from scipy.stats import qmc  # slow to import, and of no use to a grid
+
         self._engine = qmc.Sobol(len(self._ranges), scramble=True, seed=self._seed)
         self._position = 0
 

@@ -28,11 +28,19 @@ def two_names(values):
     return {"x": 1.0} if values["a"] < 2.0 else {"y": 1.0}
 
 
-def deadly(values):
-    """Kill the process at one point."""
-    if values["a"] == 5.0:
-        os.kill(os.getpid(), signal.SIGKILL)
-    return waves({"a": values["a"], "b": 2.0})
+@dataclass(frozen=True)
+class Deadly:
+    """Kill the process at one point always, and at another the first time."""
+
+    file: Path
+
+    def __call__(self, values):
+        if values["a"] == 5.0:
+            os.kill(os.getpid(), signal.SIGKILL)
+        if values["a"] == 2.0 and not self.file.exists():
+            self.file.touch()
+            os.kill(os.getpid(), signal.SIGKILL)
+        return waves({"a": values["a"], "b": 2.0})
 
 
 @dataclass(frozen=True)

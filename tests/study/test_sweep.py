@@ -168,8 +168,9 @@ def test_what_cannot_be_sent_to_processes_is_refused_before_any_starts():
         po.sweep(lambda values: values, OVER)
 
 
-def test_a_point_at_which_the_worker_dies_is_a_failure_and_nothing_else_is_lost():
-    result = po.sweep(swept.deadly, {"a": np.arange(8.0)}, workers=1)
+def test_a_point_at_which_workers_always_die_is_a_failure_and_nothing_else_is_lost(tmp_path):
+    result = po.sweep(swept.Deadly(tmp_path / "died"), {"a": np.arange(8.0)}, workers=1)
+    assert (tmp_path / "died").exists()
     assert [(failure.values, failure.reason) for failure in result.failures] == [({"a": 5.0}, engine.DIED)]
     assert result.column("sine").tolist()[:5] == [2.0 * math.sin(a) for a in range(5)]
     assert result.column("sine").tolist()[6:] == [2.0 * math.sin(a) for a in (6.0, 7.0)]
@@ -179,7 +180,7 @@ def test_a_broken_executor_of_somebody_else_is_told_and_what_is_stored_stays(tmp
     store = tmp_path / "sweep.db"
     expected = r"the executor is broken: .*goes on from there with a new one"
     with ProcessPoolExecutor(1) as pool, pytest.raises(po.InputError, match=expected):
-        po.sweep(swept.deadly, {"a": np.arange(8.0)}, executor=pool, workers=1, store=store)
+        po.sweep(swept.Deadly(tmp_path / "died"), {"a": np.arange(8.0)}, executor=pool, workers=1, store=store)
     with po.Sweep.load(store) as found:
         assert not found.complete
 

@@ -1,0 +1,140 @@
+"""`plough-opt sweep`: tables, resumption, Ctrl-C, and what it refuses before anything is computed."""
+
+import csv
+import os
+import re
+import signal
+import sqlite3
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+
+import plough_opt as po
+
+BRIEF = ("--set", "scene.duration=0.2 s", "--set", "scene.outputs=40")
+COHESION = ("--over", 'soil.cohesion="5..45 kPa:3"')
+SPEED = ("--over", "scene.tow_speed=1 m/s, 3 m/s")
+
+
+def test_a_sweep_is_reported_written_and_resumed(cli, cotton, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    command = ("sweep", cotton, *BRIEF, *COHESION, *SPEED, "--workers", "1")
+    done = cli(*command, "--csv", "deep/table.csv", "--npz", "table.npz")
+    assert done.status == 0, done.err
+    assert "Subsoiler for cotton on serozem: 6 points, 0 failed" in done.out
+    assert re.search(
+        r"│ mean_draft +│ +[0-9.]+ kN │ soil.cohesion 5 kPa +│ +[0-9.]+ kN │ soil.cohesion 45 kPa", done.out
+    )
+    assert "Each point is simulated by po.simulate; stored in cotton_subsoiler-" in done.out
+    assert "Note: at 6 of 6 points: ambient pressure (101.3 kPa) carries" in done.out
+    assert "wrote deep/table.csv" in done.err
+    rows = list(csv.reader((tmp_path / "deep" / "table.csv").read_text().splitlines()))
+    assert rows[0][:4] == ["point", "soil.cohesion [Pa]", "scene.tow_speed [m/s]", "mean_draft [N]"]
+    run = po.read_problem(cotton, ("scene.duration=0.2 s", "scene.outputs=40")).simulate(
+        {"soil.cohesion": 25e3, "scene.tow_speed": 3.0}
+    )
+    assert float(rows[4][3]) == run.mean_draft
+    with np.load(tmp_path / "table.npz") as arrays:
+        assert arrays["mean_draft"][3] == run.mean_draft
+
+    # Nothing is computed any more, and so no process begins.
+    again = cli(*command, "--csv", "again.csv")
+    assert again.status == 0
+    assert "6 points were there already" in again.out
+    assert (tmp_path / "again.csv").read_bytes() == (tmp_path / "deep" / "table.csv").read_bytes()
+    assert len(list(tmp_path.glob("*.sweep.db"))) == 1
+
+
+def test_ctrl_c_leaves_a_store_that_goes_on(cli, tmp_path):
+    file = str(tmp_path / "stick.toml")
+    cli("init", file)
+    store, table = tmp_path / "sweep.db", tmp_path / "table.csv"
+    over = ("--over", "soil.cohesion=5..45 kPa:100", "--over", "scene.tow_speed=1..3 m/s:100", "--method", "each")
+    line = "import sys; from plough_opt.cli import main; sys.exit(main())"
+    command = ("sweep", file, *over, "--workers", "1", "--store", str(store))
+    process = subprocess.Popen(
+        [sys.executable, "-c", line, *command], stderr=subprocess.PIPE, text=True, env=os.environ
+    )
+    try:
+        end = time.monotonic() + 60.0
+        while stored(store) == 0:
+            assert process.poll() is None
+            assert time.monotonic() < end
+            time.sleep(0.02)
+        process.send_signal(signal.SIGINT)
+        error = process.communicate(timeout=60)[1]
+    finally:
+        process.kill()
+    kept = stored(store)
+    assert 0 < kept < 10_000
+    assert process.returncode == 130
+    assert error == f"stopped: {kept} of 10000 points are in '{store}': the same sweep goes on from there\n"
+    # Another question is refused with what differs; the same one goes on (that it repeats nothing is tested elsewhere).
+    other = cli(*command, "--set", "scene.frame_mass=25 kg", "--csv", table)
+    assert other.status == 2
+    assert "scene.frame_mass: 20.0 there, 25.0 here" in other.err.replace("\n", " ")
+    assert not table.exists()
+
+
+def stored(path):
+    """Return the number of points in a store that another process writes."""
+    if not path.exists():
+        return 0
+    connection = sqlite3.connect(path, timeout=60.0)
+    try:
+        return connection.execute("SELECT count(*) FROM points").fetchone()[0]
+    except sqlite3.OperationalError:
+        return 0
+    finally:
+        connection.close()
+
+
+def test_failures_are_told(cli, reference, tmp_path):
+    over = ("--over", "share.height=0.12..0.13 m", "--samples", "5", "--set", "effects.motion=false", "--optimise")
+    store, table = tmp_path / "sweep.db", tmp_path / "table.csv"
+    done = cli("sweep", reference, *over, "--workers", "1", "--store", store, "--csv", table)
+    assert done.status == 1
+    assert "5 points, 5 failed" in done.out
+    assert len(re.findall(r"failed at share.height = 0.12[0-9]* m: .*'loosened_radius'", done.out)) == 3
+    assert "and 2 more failed" in done.out
+    assert table.read_text().count("'loosened_radius'") == 5
+    assert "note: 'share.height' is a variable of the file: every point fixes it" in done.err
+    assert "note: 5 samples are no power of two" in done.err
+    assert "no solution: every point failed" in done.err
+
+
+WRONG = {
+    "name": (("--over", "soil.cohesoin=5..45 kPa:9"), "'soil.cohesoin' cannot be swept: did you mean 'soil.cohesion'"),
+    "no range": (("--over", "soil.cohesion"), "expected KEY=RANGE, like soil.cohesion"),
+    "unit": (("--over", "soil.cohesion=5..45 kg:9"), "'soil.cohesion' = \"5 kg\" has the wrong unit"),
+    "no unit": (("--over", "soil.cohesion=5..45:9"), "'soil.cohesion' = \"5\" has no unit"),
+    "reversed": (("--over", "soil.cohesion=45..5 kPa:9"), "the range from 45 to 5 is empty"),
+    "one": (("--over", "soil.cohesion=5..45 kPa:1"), "must be a whole number from 2 on"),
+    "no count": (("--over", "soil.cohesion=5..45 kPa"), "has no number of values"),
+    "count of a sample": ((*COHESION, "--samples", "8"), "a sample fills the range; leave it out"),
+    "samples": (("--over", "soil.cohesion=5..45 kPa", "--samples", "0"), "0 samples: give a whole number from 2"),
+    "twice": ((*COHESION, *COHESION), "'soil.cohesion' is swept twice"),
+    "fixed": ((*COHESION, "--set", "soil.cohesion=5 kPa"), "'soil.cohesion' is fixed by --set too"),
+    "domain": (("--over", "soil.density_ratio=0.5..1.5:3"), "density ratio b1 = 1.5 must be below 1"),
+    "folder": ((*COHESION, "--csv", "/"), "--csv '/' is a folder"),
+    "same file": ((*COHESION, "--csv", "x", "--npz", "x"), "are the same file 'x'"),
+    "workers": ((*COHESION, "--workers", "0"), "--workers 0: a sweep takes one or more"),
+    "both": ((*COHESION, "--workers", "2", "--scheduler", "tcp://x:1"), "leave one of the two out"),
+    "batch": ((*COHESION, "--optimise", "--method", "batch"), "it does not optimise"),
+    "no store": ((*COHESION, "--store", __file__), "file is not a database"),
+}
+
+
+@pytest.mark.parametrize("name", WRONG)
+def test_what_is_wrong_is_refused_before_anything_is_computed(cli, cotton, tmp_path, monkeypatch, name):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("plough_opt.study.engine.Engine.run", None)
+    options, expected = WRONG[name]
+    done = cli("sweep", cotton, *options)
+    assert done.status == 2
+    assert expected in done.err.replace("\n", " ")
+    assert done.out == ""
+    assert list(tmp_path.iterdir()) == []

@@ -57,7 +57,7 @@ def model_description(model: Model, name: str, token: str, description: str, dur
         generationTool=f"plough_opt {version('plough_opt')}",
         variableNamingConvention="structured",
     )
-    has_derivatives = str("forward" in model.functions).lower()
+    has_derivatives = str("forward_derive" in model.functions).lower()
     ElementTree.SubElement(
         root,
         "ModelExchange",

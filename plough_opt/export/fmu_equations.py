@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import casadi as ca
+import numpy as np
 
 from plough_opt.errors import InputError
 from plough_opt.export.fmu_names import Names, calculated, names_of
@@ -24,10 +25,10 @@ class Model:
         parameters: those that anything depends on.
         functions: by name, every argument and result a column. ``derive`` (p) -> (q, calculated): q are the numbers
             that the equation of motion needs; ``begin`` (u, q) -> (x, d); ``evaluate`` (t, x, u, d, q) -> (rates,
-            outputs, indicators); ``happen`` (t, x, u, d, q) -> (x, d) after what has happened by now; ``forward`` and
-            ``reverse`` (t, k, d, seed) -> sensitivities of (x, rates, outputs, indicators, calculated) to k =
-            (x, u, p), or the transpose; ``forward_at_start`` and ``reverse_at_start``: the same, where the states
-            follow from inputs and parameters. A soil with a density profile has none of these four.
+            outputs, indicators); ``happen`` (t, x, u, d, q) -> (x, d) after what has happened by now. Of the first
+            three, ``forward_...`` takes the same arguments, and a seed for each of x, u, p and q that is one of them,
+            to the change of all continuous results as one column; ``reverse_...`` takes the same arguments, and a
+            seed for that column, to its sensitivities to each. A soil with a density profile has none of these.
         depends: name of a rate, output or indicator -> names of states, inputs and time that it depends on.
     """
 
@@ -97,13 +98,18 @@ def _functions(
         "happen": ([time, x, u, d, q], list(happened)),
     }
     if differentiable:
-        known, at_start = ca.vertcat(x, u, p), [ca.substitute(part, q, from_p) for part in begun]
-        everything = ca.vertcat(x, ca.substitute(ca.vertcat(*now), q, from_p), told)
-        first = ca.substitute(everything, ca.vertcat(x, d), ca.vertcat(*at_start))
-        for name, unknown in (("", everything), ("_at_start", first)):
-            seed, seeds = ca.SX.sym("seed", known.numel()), ca.SX.sym("seeds", unknown.numel())
-            written[f"forward{name}"] = ([time, known, d, seed], [ca.jtimes(unknown, known, seed)])
-            written[f"reverse{name}"] = ([time, known, d, seeds], [ca.jtimes(unknown, known, seeds, True)])
+        for name, to, by in (
+            ("derive", [from_p, told], [p]),
+            ("begin", [begun[0]], [u, q]),
+            ("evaluate", now, [x, u, q]),
+        ):
+            arguments, unknown, known = written[name][0], ca.vertcat(*to), ca.vertcat(*by)
+            seeds, seed = [ca.SX.sym("seed", part.numel()) for part in by], ca.SX.sym("seed", unknown.numel())
+            change = ca.jtimes(unknown, known, ca.vertcat(*seeds))
+            written[f"forward_{name}"] = ([*arguments, *seeds], [change])
+            ends = np.cumsum([0, *(part.numel() for part in by)])
+            backwards = ca.vertsplit(ca.jtimes(unknown, known, seed, True), ends.tolist())
+            written[f"reverse_{name}"] = ([*arguments, seed], backwards)
     functions = {
         name: ca.Function(name, arguments, [ca.densify(ca.SX(result)) for result in results], {"cse": True})
         for name, (arguments, results) in written.items()

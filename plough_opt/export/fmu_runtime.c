@@ -337,37 +337,62 @@ static int place(const Instance *self, Reference which, bool unknown) {
   return which >= INPUTS && which < DISCRETE ? (int)which - INPUTS + NX : -1;
 }
 
-static Status sensitive(Instance *self, bool forwards, const Reference unknowns[], size_t n_unknowns,
+/* Changes of all unknowns that belong to changes of states, inputs and parameters; at the start the states follow. */
+static void forwards(Instance *self, bool starting, const double known[], double unknown[]) {
+  const double *v = self->core.value, *q = self->core.q, *t = &self->core.time, *du = known + NX, *dp = du + NU;
+  double dq[NQ + NC + 1];
+  forward_derive((const double *[]){v + PARAMETERS, dp}, (double *[]){dq}, NULL, self->work, 0);
+  if (starting) forward_begin((const double *[]){v + INPUTS, q, du, dq}, (double *[]){unknown}, NULL, self->work, 0);
+  else memcpy(unknown, known, NX * sizeof(double));
+  forward_evaluate((const double *[]){t, v + STATES, v + INPUTS, v + DISCRETE, q, unknown, du, dq},
+                   (double *[]){unknown + NX}, NULL, self->work, 0);
+  memcpy(unknown + CALCULATED - STATES, dq + NQ, NC * sizeof(double));
+}
+
+/* The transpose. */
+static void backwards(Instance *self, bool starting, const double unknown[], double known[]) {
+  const double *v = self->core.value, *q = self->core.q, *t = &self->core.time;
+  double *dx = known, *du = known + NX, *dp = du + NU, dq[NQ + NC + 1], more_u[NU], more_q[NQ + 1];
+  reverse_evaluate((const double *[]){t, v + STATES, v + INPUTS, v + DISCRETE, q, unknown + NX},
+                   (double *[]){dx, du, dq}, NULL, self->work, 0);
+  for (size_t k = 0; k < NX; k++) dx[k] += unknown[k];
+  if (starting) {
+    reverse_begin((const double *[]){v + INPUTS, q, dx}, (double *[]){more_u, more_q}, NULL, self->work, 0);
+    for (size_t k = 0; k < NU; k++) du[k] += more_u[k];
+    for (size_t k = 0; k < NQ; k++) dq[k] += more_q[k];
+  }
+  memcpy(dq + NQ, unknown + CALCULATED - STATES, NC * sizeof(double));
+  reverse_derive((const double *[]){v + PARAMETERS, dq}, (double *[]){dp}, NULL, self->work, 0);
+}
+
+static Status sensitive(Instance *self, bool ahead, const Reference unknowns[], size_t n_unknowns,
                         const Reference knowns[], size_t n_knowns, const double seed[], size_t n_seed,
                         double sensitivity[], size_t n_sensitivity) {
-  Core *c = &self->core;
-  const bool starting = c->phase <= INITIALIZATION;
-  const Reference *from = forwards ? knowns : unknowns, *to = forwards ? unknowns : knowns;
-  const size_t n_from = forwards ? n_knowns : n_unknowns, n_to = forwards ? n_unknowns : n_knowns;
-  double known[KNOWNS], seeds[UNKNOWNS + KNOWNS] = {0.0}, found[UNKNOWNS + KNOWNS];
-  if (n_seed != n_from || n_sensitivity != n_to) return report(self, ERROR, "seeds and sensitivities are too many");
+  const bool starting = self->core.phase <= INITIALIZATION;
+  const Reference *from = ahead ? knowns : unknowns, *to = ahead ? unknowns : knowns;
+  const size_t n_from = ahead ? n_knowns : n_unknowns, n_to = ahead ? n_unknowns : n_knowns;
+  double seeds[UNKNOWNS + KNOWNS] = {0.0}, found[UNKNOWNS + KNOWNS];
+  if (n_seed != n_from || n_sensitivity != n_to)
+    return report(self, ERROR, "%zu seeds and %zu sensitivities were expected", n_from, n_to);
   for (size_t k = 0; k < n_from + n_to; k++) {
     const Reference which = k < n_from ? from[k] : to[k - n_from];
-    const int at = place(self, which, (k < n_from) != forwards);
+    const int at = place(self, which, (k < n_from) != ahead);
     if (at < 0) return report(self, ERROR, "there is no derivative for value reference %u now", which);
     if (k < n_from) seeds[at] += seed[k];
   }
   if (evaluated(self) != OK) return ERROR;
-  memcpy(known, c->value + STATES, NX * sizeof(double));
-  memcpy(known + NX, c->value + INPUTS, (NU + NP) * sizeof(double));
-  const double *given[] = {&c->time, known, c->value + DISCRETE, seeds};
-  double *into[] = {found};
-  if (starting) (forwards ? forward_at_start : reverse_at_start)(given, into, NULL, self->work, 0);
-  else (forwards ? forward : reverse)(given, into, NULL, self->work, 0);
-  for (size_t k = 0; k < n_to; k++) sensitivity[k] = found[place(self, to[k], forwards)];
-  return finite_all(sensitivity, n_to) ? OK : report(self, DISCARD, "a derivative is not finite at %.6g s", c->time);
+  (ahead ? forwards : backwards)(self, starting, seeds, found);
+  for (size_t k = 0; k < n_to; k++) sensitivity[k] = found[place(self, to[k], ahead)];
+  return finite_all(sensitivity, n_to)
+             ? OK
+             : report(self, DISCARD, "a derivative is not finite at %.6g s", self->core.time);
 }
 
-#define DERIVATIVE(FUNCTION, FORWARDS) \
+#define DERIVATIVE(FUNCTION, AHEAD) \
   FMI3_Export Status NAME(FUNCTION)(void *instance, const Reference unknowns[], size_t n_unknowns, \
                                     const Reference knowns[], size_t n_knowns, const double seed[], size_t n_seed, \
                                     double sensitivity[], size_t n_sensitivity) { \
-    return sensitive(instance, FORWARDS, unknowns, n_unknowns, knowns, n_knowns, seed, n_seed, sensitivity, \
+    return sensitive(instance, AHEAD, unknowns, n_unknowns, knowns, n_knowns, seed, n_seed, sensitivity, \
                      n_sensitivity); \
   }
 DERIVATIVE(fmi3GetDirectionalDerivative, true)
@@ -423,7 +448,8 @@ FMI3_Export Status NAME(fmi3DeserializeFMUState)(void *instance, const uint8_t b
     return report(instance, ERROR, #FUNCTION " is not supported"); \
   }
 #define NO_VARIABLES(TYPE, C) \
-  FMI3_Export Status NAME(fmi3Get##TYPE)(void *instance, const Reference which[], size_t n, C values[], size_t count) { \
+  FMI3_Export Status NAME(fmi3Get##TYPE)(void *instance, const Reference which[], size_t n, C values[], \
+                                         size_t count) { \
     (void)which, (void)values, (void)count; \
     return n ? report(instance, ERROR, "this FMU has no variables of type " #TYPE) : OK; \
   } \

@@ -43,7 +43,7 @@ def _numbers(model: Model, pushes: bool, by_speed: bool) -> str:
         "NW": max(function.sz_w() for function in model.functions.values()),
         "PUSHES": int(pushes),
         "NEEDS_SPEED": int(by_speed),
-        "HAS_DERIVATIVES": int("forward" in model.functions),
+        "HAS_DERIVATIVES": int("forward_derive" in model.functions),
     }
     given = (*names.inputs, *model.parameters)
     limits = ",\n".join(f"  {_limits(variable)}" for variable in model.parameters)

@@ -32,13 +32,13 @@ EFFECTS = {
     "every smooth effect": po.Effects(
         strength_wave=po.StrengthWave(0.3, 0.2), damping=400.0, rate_term=0.05, tow_ramp=0.3
     ),
-    "from rest": po.Effects(start="rest", inertial_drag=False),
     "smooth contact": po.Effects(contact=po.Smooth(0.1), strength_wave=WAVE, start="towed"),
     "stick and slip": po.Effects(contact=po.StickSlip(1.3), strength_wave=WAVE, start="rest"),
     "entry, stick and slip": po.Effects(contact=po.StickSlip(1.2), strength_wave=WAVE, start="rest", entry=True),
     "own resistance": po.Effects(own=(Shank(150.0, 80.0),), strength_wave=WAVE, added_mass=False),
 }
 MORE_EFFECTS = {
+    "from rest": po.Effects(start="rest", inertial_drag=False),
     "smooth contact on a ramp": po.Effects(contact=po.Smooth(0.1), strength_wave=WAVE, tow_ramp=0.4),
     "towed, with a damper": po.Effects(start="towed", damping=300.0, ambient_pressure=False),
     "stick and slip on a ramp": po.Effects(contact=po.StickSlip(1.3), strength_wave=WAVE, tow_ramp=0.4, damping=50.0),
@@ -175,7 +175,13 @@ def test_a_signal_of_speed_is_a_tow_ramp(waved, waved_fmu):
     assert found["strut_position"][-1] == pytest.approx(1.5 * (DURATION - 0.2), rel=WITHIN)
 
 
-@pytest.mark.parametrize("contact", ["resisting", po.StickSlip(1.3)], ids=["resisting", "stick and slip"])
+@pytest.mark.parametrize(
+    "contact",
+    [
+        pytest.param(po.StickSlip(1.3), id="stick and slip"),
+        pytest.param("resisting", id="resisting", marks=pytest.mark.slow),
+    ],
+)
 def test_a_position_that_grows_evenly_is_a_tow_speed(contact, tmp_path):
     scene = scene_with(po.Effects(strength_wave=WAVE, contact=contact))
     fmu = write_fmu(scene, tmp_path / "share.fmu", strut="position")

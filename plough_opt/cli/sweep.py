@@ -150,6 +150,11 @@ def _executor(address: str | None) -> Iterator[tuple[Executor | None, int | None
         yield client.get_executor(pure=False), threads  # type: ignore[no-untyped-call]
 
 
+def _name(key: str) -> str:
+    """Return a key without its table, so that it is narrow."""
+    return key.rpartition(".")[2]
+
+
 def _report(out: Console, problem: Problem, asked: ProblemSweep, found: Sweep) -> None:
     """Print what the sweep found: the range of every result, where it lies, and what failed."""
     failed = found.failed
@@ -162,11 +167,11 @@ def _report(out: Console, problem: Problem, asked: ProblemSweep, found: Sweep) -
             extreme = found.extreme(name, largest=largest)
             if extreme is None:
                 continue
-            place = (f"{key} {asked.displays[key].text(value)}" for key, value in extreme.values.items())
+            place = (f"{_name(key)} {asked.displays[key].text(value)}" for key, value in extreme.values.items())
             cells += [shown(problem, name, extreme.value, found.units.get(name, "")), "\n".join(place)]
         if cells and cells[0] == cells[2]:
             cells = [cells[0], "everywhere", cells[2], ""]
-        table.add_row(name, *cells)
+        table.add_row(_name(name), *cells)
     if found.results:
         out.print(table)
     else:

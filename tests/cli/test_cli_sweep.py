@@ -26,7 +26,7 @@ def test_a_sweep_is_reported_written_and_resumed(cli, cotton, tmp_path, monkeypa
     assert done.status == 0, done.err
     assert "Subsoiler for cotton on serozem: 6 points, 0 failed" in done.out
     assert re.search(
-        r"│ mean_draft +│ +[0-9.]+ kN │ soil.cohesion 5 kPa +│ +[0-9.]+ kN │ soil.cohesion 45 kPa", done.out
+        r"│ mean_draft +│ +[0-9.]+ kN │ cohesion 5 kPa +│ +[0-9.]+ kN │ cohesion 45 kPa", done.out
     )
     assert "Each point is simulated by po.simulate; stored in cotton_subsoiler-" in done.out
     assert "Note: at 6 of 6 points: ambient pressure (101.3 kPa) carries" in done.out

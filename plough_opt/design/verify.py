@@ -58,8 +58,13 @@ class TightEvaluation:
         Raises:
             DomainError: the scene lies outside the model's domain.
         """
-        parameters, quantities = (np.asarray(result).ravel() for result in self._inputs[run](*numbers))
+        parameters, quantities = self._numbers(run, numbers)
         return parameters, with_numbers(self.runs[run].embedding.template, quantities.tolist())
+
+    def _numbers(self, run: int, numbers: Sequence[float]) -> tuple[Vector, Vector]:
+        """Return a run's parameters and its scene's quantities at numbers."""
+        parameters, quantities = (np.asarray(result).ravel() for result in self._inputs[run](*numbers))
+        return parameters, quantities
 
     def quasi_static_scenes(self, numbers: Sequence[float]) -> list[Scene]:
         """Return the scenes at numbers that the expressions hold and that are not integrated.
@@ -91,14 +96,15 @@ class TightEvaluation:
         """Return the expressions' values, and the same by the method that checks the integration.
 
         Raises:
-            DomainError: a scene lies outside the model's domain at these numbers.
-            IntegrationError: a run has no finite result at these numbers.
+            DomainError: a run has no finite result at these numbers, which lie outside the model's domain.
+            IntegrationError: the same, within it.
         """
         pairs = []
         for k, run in enumerate(self.runs):
-            parameters, scene = self.inputs(k, numbers)
+            parameters, _ = self._numbers(k, numbers)
             pairs.append(tight_results(run.integration, tuple(parameters.tolist())))
             if not all(np.all(np.isfinite(results)) for results in pairs[-1]):
+                _, scene = self.inputs(k, numbers)
                 raise IntegrationError(f"the motion of a {scene.describe()} has no finite result")
         found, check = (
             [np.asarray(result) for result in self._algebra.call([*map(ca.DM, numbers), *results])]

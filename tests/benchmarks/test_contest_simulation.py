@@ -207,7 +207,7 @@ def _scipy_rows(p, error, contest):
 
     rows = {}
     setup = "from peers import r1, scipy_ivp; p = r1.equation(*r1.START)"
-    for method in ("DOP853", "LSODA", "RK45", "Radau"):
+    for method in ("DOP853", "LSODA", "RK45", "Radau", "odeint"):
         for averages in (True, False):
             name = f"SciPy {method}, {'with' if averages else 'without'} mean and RMS"
             for tolerance in 10.0 ** -np.arange(6.0, 13.01, 0.25):

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 from peers import r1
-from scipy.integrate import solve_ivp
+from scipy.integrate import odeint, solve_ivp
 
 _TURN = 2.0 * math.pi / r1.WAVELENGTH
 
@@ -22,9 +22,12 @@ def solve(p, method, tolerance, outputs=None, averages=True):
     times = None if outputs is None else np.linspace(0.0, r1.DURATION, outputs + 1)
     start = np.zeros(4 if averages else 2)
     absolute = tolerance * np.array([z0, r1.SPEED, z0, z0**2])[: len(start)]
-    found = solve_ivp(rates, (0.0, r1.DURATION), start, method, t_eval=times, rtol=tolerance, atol=absolute)
-    force = stiffness * (z0 + found.y[0])
+    if method == "odeint":
+        y = odeint(rates, start, times, rtol=tolerance, atol=absolute, tfirst=True).T
+    else:
+        y = solve_ivp(rates, (0.0, r1.DURATION), start, method, t_eval=times, rtol=tolerance, atol=absolute).y
+    force = stiffness * (z0 + y[0])
     if not averages:
         return None, None, force
-    mean, square = found.y[2:, -1] / r1.DURATION
+    mean, square = y[2:, -1] / r1.DURATION
     return stiffness * (z0 + mean), stiffness * math.sqrt(square - mean**2), force

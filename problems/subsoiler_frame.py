@@ -139,7 +139,7 @@ def design(n: int = 5) -> tuple[po.Design, SimpleNamespace, SimpleNamespace]:
 def main(arguments: Sequence[str] | None = None) -> None:
     """Solve and print; on request certify and draw."""
     parser = argparse.ArgumentParser(description="The subsoiler of least fuel per hectare.")
-    parser.add_argument("--shares", type=int, default=5, help="how many, from 2 on (default: 5)")
+    parser.add_argument("--shares", type=int, default=5, choices=range(2, 10), help="how many (default: 5)")
     parser.add_argument("--check", action="store_true", help="certify the optimum and set it beside brute force")
     parser.add_argument("--plot", help="draw the machine and its optimum to this file")
     options = parser.parse_args(arguments)

@@ -11,6 +11,7 @@ from plough_opt.cli import report
 from plough_opt.cli.against import asked_of
 from plough_opt.cli.sensitivity_table import print_sensitivities, sensitivities_of
 from plough_opt.cli.terminal import console, progress, read, wrote
+from plough_opt.cli.uncertain import optimise_uncertain
 from plough_opt.effect_costs import effect_costs
 from plough_opt.errors import InputError
 from plough_opt.problem_file import TEMPLATE
@@ -82,6 +83,9 @@ def simulate(options: argparse.Namespace) -> None:
 def optimise(options: argparse.Namespace) -> None:
     """Find the best share of a file."""
     problem = read(options)
+    if problem.table.uncertain is not None:
+        optimise_uncertain(problem, options)
+        return
     with progress() as told:
         best, run = problem.optimise(told, parameters=options.sensitivity)
         asked = sensitivities_of(best, told) if options.sensitivity else ()

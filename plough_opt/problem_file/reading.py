@@ -17,8 +17,16 @@ from plough_opt.problem_file.front import check_front
 from plough_opt.problem_file.measures import MEASURES
 from plough_opt.problem_file.overrides import apply_override
 from plough_opt.problem_file.problem import FileVariable, Problem
-from plough_opt.problem_file.schema import EffectsTable, ProblemTable, VariableTable, quantities
+from plough_opt.problem_file.schema import (
+    EffectsTable,
+    LimitTable,
+    ProblemTable,
+    TermTable,
+    VariableTable,
+    quantities,
+)
 from plough_opt.problem_file.source import Keys, Source
+from plough_opt.problem_file.uncertain import check_joint, check_uncertain, join_dotted
 from plough_opt.problem_file.units import Display, display_of
 from plough_opt.soil import named_soil
 
@@ -59,6 +67,7 @@ def read_problem(path: str | Path, overrides: Iterable[str] = ()) -> Problem:
     source = Source.read(Path(path))
     notes = tuple(note for text in overrides if (note := apply_override(source, text)))
     _join_dotted_variables(source.data)
+    join_dotted(source.data)
     try:
         table = ProblemTable.model_validate(source.data)
     except ValidationError as error:
@@ -108,9 +117,8 @@ def _valid_keys() -> dict[str, list[str]]:
         if isinstance(model, type) and hasattr(model, "model_fields"):
             valid[name] = list(model.model_fields)
     valid["effects.strength_wave"] = ["amplitude", "wavelength"]
-    for table, keys in (("variables", ["lower", "upper", "guess", "log"]), ("minimise", ["per"]),
-                        ("require", ["at_least", "at_most"])):  # fmt: skip
-        valid[table] = keys
+    for table, model in (("variables", VariableTable), ("minimise", TermTable), ("require", LimitTable)):
+        valid[table] = list(model.model_fields)
     return valid
 
 
@@ -138,6 +146,7 @@ def _checked(source: Source, table: ProblemTable, notes: tuple[str, ...]) -> Pro
                 displays[key] = display_of(written, unit)
     _check_complete(source, table, {*fixed, *table.variables})
     _check_measures(source, table, displays)
+    check_uncertain(source, table)
     if table.trade_off is not None:
         check_front(source, table.trade_off, table.scene.medium)
     return Problem(source.name, table, fixed, variables, displays, notes)
@@ -223,13 +232,13 @@ def _check_complete(source: Source, table: ProblemTable, known: set[str]) -> Non
 
 def _check_measures(source: Source, table: ProblemTable, displays: dict[str, Display]) -> None:
     """Check objective and requirements, and note the units they are written in."""
-    kinds: tuple[tuple[str, dict[str, Any]], ...] = (("minimise", table.minimise), ("require", table.require))
-    for kind, entries in kinds:
-        for name, entry in entries.items():
-            with source.noting((kind, name)):
-                _check_measure(source, (kind, name), table.scene.medium, entry.model_dump(exclude_none=True))
-                for written in entry.model_dump(exclude_none=True).values():
-                    displays[name] = display_of(written, MEASURES[name].unit)
+    terms = [(("minimise", name), {"per": term.per}) for name, term in table.minimise.items()]
+    limits = [(("require", name), limit.sides) for name, limit in table.require.items()]
+    for place, sides in (*terms, *limits):
+        with source.noting(place):
+            _check_measure(source, place, table.scene.medium, sides)
+            for written in sides.values():
+                displays[place[1]] = display_of(written, MEASURES[place[1]].unit)
 
 
 def _check_measure(source: Source, place: Keys, medium: str, sides: Mapping[str, Any]) -> None:
@@ -276,6 +285,8 @@ def _check_values(source: Source, problem: Problem) -> None:
     # What is left are effects that exclude each other.
     with source.noting(("effects", "motion")):
         problem.scene()
+    source.raise_noted()
+    check_joint(source, problem.table, lambda: problem.scene().soil)
 
 
 def _check_value(problem: Problem, key: str, value: float) -> None:

@@ -103,16 +103,27 @@ class VariableTable(Table):
 
 
 class TermTable(Table):
-    """A term of the objective: the measure divided by ``per``."""
+    """A term of the objective: the result divided by ``per``, in an uncertain soil a measure of it."""
 
     per: Written
+    measure: StrictStr | None = None
+    width: Written | None = None
 
 
 class LimitTable(Table):
-    """Limits of a measure as they are written."""
+    """Limits of a result as they are written, in an uncertain soil of a measure of it or with a probability."""
 
     at_least: Written | None = None
     at_most: Written | None = None
+    measure: StrictStr | None = None
+    probability: StrictFloat | None = None
+    width: Written | None = None
+
+    @property
+    def sides(self) -> dict[str, str | float]:
+        """The limits that are given, by "at_least" and "at_most"."""
+        both = {"at_least": self.at_least, "at_most": self.at_most}
+        return {side: written for side, written in both.items() if written is not None}
 
 
 class AccuracyTable(Table):
@@ -137,6 +148,7 @@ class ProblemTable(Table):
     minimise: dict[str, TermTable] = {}
     require: dict[str, LimitTable] = {}
     trade_off: dict[str, Any] | None = None  # read by plough_opt.problem_file.front
+    uncertain: dict[str, Any] | None = None  # read by plough_opt.problem_file.uncertain
 
 
 def unit_of(annotation: Any) -> Unit | None:

@@ -207,8 +207,7 @@ class SoilDistribution:
                 f"these correlations cannot hold together ({pairs}): their matrix is not positive definite, its"
                 f" smallest eigenvalue is {least:.3g}; weaken one of them"
             )
-        factor: Vector = np.linalg.cholesky(self.matrix)
-        return factor
+        return np.asarray(np.linalg.cholesky(self.matrix), dtype=np.float64)
 
     def sample(self, count: int, *, seed: int = 0) -> SoilSamples:
         """Return samples that cover the distribution evenly: of a scrambled Sobol sequence (scipy.stats.qmc).

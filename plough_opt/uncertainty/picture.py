@@ -43,8 +43,13 @@ def plot_spread(designs: Mapping[str, Mapping[str, Vector]], panels: Sequence[Pa
         designs: name of a design -> result -> its values over the same fresh samples.
         panels: the results to draw.
     """
-    figure = Figure(figsize=(5.4 * len(panels), 4.2), layout="constrained")
-    for axes, panel in zip(np.atleast_1d(figure.subplots(1, len(panels))), panels, strict=True):
+    columns = min(2, len(panels))
+    rows = -(-len(panels) // columns)
+    figure = Figure(figsize=(6.2 * columns, 4.0 * rows), layout="constrained")
+    every = figure.subplots(rows, columns, squeeze=False).ravel()
+    for axes in every[len(panels) :]:
+        axes.set_visible(False)
+    for axes, panel in zip(every, panels, strict=False):
         _draw(axes, {name: values[panel.result] / panel.factor for name, values in designs.items()}, panel)
     return figure
 
@@ -66,7 +71,7 @@ def _draw(axes: Axes, values: Mapping[str, Vector], panel: Panel) -> None:
     axes.set_ylabel("samples [%]")
     # Room for the legend above the bars.
     axes.set_ylim(0.0, axes.get_ylim()[1] * (1.1 + 0.12 * len(values)))
-    axes.legend(loc="upper left", frameon=False, fontsize=9)
+    axes.legend(loc="upper left", frameon=True, framealpha=1.0, edgecolor="none", fontsize=9)
 
 
 def _named(name: str, own: Vector, panel: Panel) -> str:

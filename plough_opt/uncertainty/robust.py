@@ -19,7 +19,10 @@ from plough_opt.uncertainty.responses import Response, Responses
 from plough_opt.uncertainty.samples import SoilSamples
 
 Vector = NDArray[np.float64]
-Kind = Literal["mean", "worst", "probability"]
+Kind = Literal["mean", "largest", "smallest", "probability"]
+Tail = Literal["upper", "lower"]
+
+_WORST = {"upper": "largest", "lower": "smallest"}
 
 
 @dataclass(frozen=True)
@@ -56,7 +59,7 @@ class Robust:
         d.minimise(robust.cvar("draft", 0.9, width=200.0) / 1e3)
         d.require("radius", robust.probability("radius", at_least=0.15, width=0.004), at_least=0.95)
         best = d.solve()
-        print(robust.verify(best))
+        print(po.uncertainty.verify(robust, best))
 
     All samples are in one program: their runs share one integrator, that maps over them. Each measure is a function of
     the result's values, an expression that the design may use as any other; it is remembered for `verify`.
@@ -99,23 +102,33 @@ class Robust:
         text = f"mean {sign} {abs(kappa):g} standard deviations"
         return self._ask(name, text, "mean", partial(measures.mean_plus, kappa=kappa))
 
-    def cvar(self, name: str, level: float, *, width: float) -> Expression:
-        """Return the mean of a result over the worst part 1 - level of the samples: see `measures.cvar`."""
-        text = f"mean of the worst {100.0 * (1.0 - level):.4g} %"
-        return self._ask(name, text, "mean", partial(measures.cvar, level=level), width)
+    def cvar(self, name: str, level: float, *, width: float, tail: Tail = "upper") -> Expression:
+        """Return the mean of a result over the worst part 1 - level of the samples: see `measures.cvar`.
 
-    def worst(self, name: str, *, width: float) -> Expression:
-        """Return the largest value of a result over the samples: see `measures.worst`."""
-        return self._ask(name, "worst of the samples", "worst", measures.worst, width)
+        The worst are the largest, or with ``tail="lower"`` the smallest.
+        """
+        text = f"mean of the {_WORST[tail]} {100.0 * (1.0 - level):.4g} %"
+        return self._ask(name, text, "mean", _in_tail(partial(measures.cvar, level=level), tail), width)
+
+    def worst(self, name: str, *, width: float, tail: Tail = "upper") -> Expression:
+        """Return the largest value of a result over the samples, or the smallest: see `measures.worst`."""
+        kind: Kind = "largest" if tail == "upper" else "smallest"
+        return self._ask(name, f"{kind} of the samples", kind, _in_tail(measures.worst, tail), width)
+
+    def every(self, name: str, *, at_least: float | None = None, at_most: float | None = None) -> Expression:
+        """Return a result's values, a column to be required to keep limits: `verify` then says how probably it does."""
+        values = self[name]
+        self.asked.append(_keeping(name, at_least, at_most, 0.0))
+        return values
 
     def probability(
         self, name: str, *, at_least: float | None = None, at_most: float | None = None, width: float
     ) -> Expression:
         """Return the probability that a result keeps limits: see `measures.probability`."""
-        sides = [f"at least {at_least:.6g}"] if at_least is not None else []
-        sides += [f"at most {at_most:.6g}"] if at_most is not None else []
-        keeps = partial(measures.probability, at_least=at_least, at_most=at_most)
-        return self._ask(name, f"probability of {' and '.join(sides)}", "probability", keeps, width)
+        values, asked = self[name], _keeping(name, at_least, at_most, width)
+        keeps = measures.probability(values, at_least=at_least, at_most=at_most, width=width)
+        self.asked.append(asked)
+        return keeps
 
     def require_probability(
         self,
@@ -171,7 +184,7 @@ class Robust:
         values, start = self[name], upper if guess is None else guess
         bound = design.variable(f"worst {name}", guess=start, lower=lower, upper=upper, unit=unit)
         design.require(f"{name} below its worst", values - bound, at_most=0.0, unit=unit)
-        self.asked.append(Asked(name, "worst of the samples", "worst", measures.worst, measures.worst))
+        self.asked.append(Asked(name, "largest of the samples", "largest", measures.worst, measures.worst))
         return bound
 
     @cached_property
@@ -197,3 +210,24 @@ class Robust:
         value = rounded(self[name])
         self.asked.append(Asked(name, text, kind, measure, rounded, width))
         return value
+
+
+def _keeping(name: str, at_least: float | None, at_most: float | None, width: float) -> Asked:
+    """Return the probability that a result keeps limits, as a measure."""
+    sides = [f"{word} {limit:.6g}" for word, limit in (("at least", at_least), ("at most", at_most))
+             if limit is not None]  # fmt: skip
+    keeps = partial(measures.probability, at_least=at_least, at_most=at_most)
+    return Asked(
+        name, f"probability of {' and '.join(sides)}", "probability", keeps, partial(keeps, width=width), width
+    )
+
+
+def _in_tail(measure: Callable[..., Expression], tail: Tail) -> Callable[..., Expression]:
+    """Return a measure of the largest values, or the like of the smallest."""
+    if tail == "upper":
+        return measure
+
+    def lower(values: Expression, **keywords: float) -> Expression:
+        return -measure(-values, **keywords)
+
+    return lower

@@ -45,6 +45,7 @@ class Check:
         width: over which the optimiser's measure is rounded off; 0 where it is not.
         rounding: what the rounding-off changes, over the fresh samples.
         note: how the interval was found, or what stands in its place.
+        worse: of a worst case, how many fresh samples are worse; else None.
     """
 
     result: str
@@ -57,6 +58,7 @@ class Check:
     width: float
     rounding: float
     note: str
+    worse: int | None = None
 
     @property
     def optimism(self) -> float:
@@ -67,7 +69,7 @@ class Check:
     def confirmed(self) -> bool:
         """Whether what the optimiser saw lies within the interval; of a worst case, whether none is worse."""
         if self.low is None or self.high is None:
-            return self.fresh <= self.seen
+            return self.worse == 0
         return self.low <= self.seen <= self.high
 
     @property
@@ -166,11 +168,12 @@ def _checked(asked: Asked, own: Vector, fresh: Vector, seed: int) -> Check:
     rounding = float(asked.rounded(fresh)) - found if asked.width else 0.0
     low: float | None
     high: float | None
+    worse: int | None = None
     if asked.kind == "probability":
         low, high = _binomial(round(found * len(fresh)), len(fresh))
         note = "Clopper and Pearson"
-    elif asked.kind == "worst":
-        worse = int(np.sum(fresh > seen))
+    elif asked.kind in ("largest", "smallest"):
+        worse = int(np.sum(fresh > seen if asked.kind == "largest" else fresh < seen))
         share_low, share_high = _binomial(worse, len(fresh))
         low = high = None
         note = (
@@ -180,7 +183,7 @@ def _checked(asked: Asked, own: Vector, fresh: Vector, seed: int) -> Check:
     else:
         low, high = _bootstrap(asked, fresh, seed)
         note = "bootstrap"
-    return Check(asked.result, asked.text, seen, sharp, found, low, high, asked.width, rounding, note)
+    return Check(asked.result, asked.text, seen, sharp, found, low, high, asked.width, rounding, note, worse)
 
 
 def _binomial(count: int, total: int) -> tuple[float, float]:

@@ -1,0 +1,152 @@
+"""A problem file with an uncertain soil as a robust design: solved, set beside the nominal one, verified."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from plough_opt.design import Design, Progress
+from plough_opt.errors import InputError
+from plough_opt.expressions import Expression
+from plough_opt.motion import Run, simulate
+from plough_opt.problem_file.measures import MEASURES
+from plough_opt.problem_file.problem import Problem
+from plough_opt.problem_file.schema import LimitTable, TermTable
+from plough_opt.problem_file.uncertain import Asked, UncertainTable, asked_of, distribution_of, uncertain_of
+from plough_opt.soil import Soil
+from plough_opt.uncertainty import Robust, SoilDistribution, sobol_indices, verify
+from plough_opt.uncertainty.result import RobustOptimum
+from plough_opt.uncertainty.search import best_from
+
+# Of a result's standard deviation over the samples: the width over which its measures are rounded off.
+_WIDTH = 0.5
+# Relative spread of a result that the soil does not change.
+_NONE = 1e-9
+_INDEX_SAMPLES = 1024
+
+
+def optimise_robust(problem: Problem, progress: Progress) -> RobustOptimum:
+    """Solve a file's nominal and robust design questions, and verify both optima on fresh samples.
+
+    Args:
+        problem: a file with a table [uncertain].
+        progress: told what is being done.
+
+    Raises:
+        InputError: nothing to choose or to minimise, or soils without result.
+        InfeasibleDesign: no design meets the requirements.
+        NotConverged: no optimum was found.
+    """
+    assert problem.table.uncertain is not None  # the caller has looked
+    table = uncertain_of(problem.table.uncertain)
+    field = distribution_of(table, problem.scene().soil)
+    design, _ = problem.design()
+    nominal = design.solve(progress=progress)
+    question = _Question(problem, table, field)
+    progress("sampling the soil", 0.0)
+    question.set_widths(nominal.variables)
+    scanned = tuple(dict.fromkeys(scan.variable for scan in nominal.scans))
+    best, robust, failures = best_from(nominal.variables, question.build, scanned, progress)
+    progress("verifying on fresh samples", 0.0)
+    seed = 20_000 + table.seed
+    fresh, nominal_fresh = (verify(robust, at, samples=table.fresh, seed=seed) for at in (best, nominal.variables))
+    indices = sobol_indices(robust, best, samples=_INDEX_SAMPLES, seed=table.seed, correlated=True)
+    run = problem.simulate(best.variables)
+    return RobustOptimum(best, run, nominal, robust, fresh, nominal_fresh, indices, failures)
+
+
+class _Question:
+    """The file's design over samples of its soil, built again for every start."""
+
+    def __init__(self, problem: Problem, table: UncertainTable, field: SoilDistribution) -> None:
+        self._problem, self._table, self._field = problem, table, field
+        self._samples = field.sample(table.samples, seed=table.seed)
+        self._names = tuple({**problem.table.minimise, **problem.table.require})
+        self._averages = tuple(name for name in self._names if not MEASURES[name].everywhere)
+        self._spreads: dict[str, float] = {}
+
+    def set_widths(self, at: Mapping[str, float]) -> None:
+        """Take the spread of every result at a design, for the widths that the file leaves open."""
+        _, robust, _ = self._declared(at)
+        values = robust.values(at)
+        self._spreads = {
+            name: float(np.std(own)) if np.ptp(own) > _NONE * np.max(np.abs(own)) else 0.0
+            for name, own in values.items()
+        }
+
+    def build(self, start: Mapping[str, float]) -> tuple[Design, Robust]:
+        """Return the design with its guesses at a start."""
+        design, robust, run = self._declared(start)
+        tables = self._problem.table
+        parts = [self._term(robust, run, name, term) for name, term in tables.minimise.items()]
+        design.minimise(sum(parts[1:], parts[0]))
+        for name, limit in tables.require.items():
+            self._require(design, robust, run, name, limit)
+        return design, robust
+
+    def _declared(self, start: Mapping[str, float]) -> tuple[Design, Robust, Run]:
+        """Return a design with its variables, the results over the samples, and the run in the nominal soil."""
+        problem, design = self._problem, Design()
+        symbols: dict[str, Expression] = {
+            key: design.variable(
+                key, guess=min(max(start[key], v.lower), v.upper), lower=v.lower, upper=v.upper, unit=v.unit, log=v.log
+            )
+            for key, v in problem.variables.items()
+        }
+
+        def run_in(soil: Soil | None) -> Run:
+            changes = symbols if soil is None else {**symbols, **self._changes(soil)}
+            duration = problem.values(symbols).get("scene.duration")
+            outputs = problem.table.scene.outputs
+            return simulate(problem.scene(changes), duration, accuracy=problem.accuracy, outputs=outputs)
+
+        def response(soil: Soil) -> dict[str, Expression]:
+            run = run_in(soil)
+            return {name: MEASURES[name].of(run) for name in self._averages}
+
+        return design, Robust(self._field, response, samples=self._samples, seed=self._table.seed), run_in(None)
+
+    def _changes(self, soil: Soil) -> dict[str, Expression]:
+        return {f"soil.{name}": getattr(soil, name) for name in self._field.names}
+
+    def _term(self, robust: Robust, run: Run, name: str, term: TermTable) -> Expression:
+        per = MEASURES[name].unit.parse(term.per)
+        return self._measure(robust, run, name, asked_of(term.measure or "expected"), term.width) / per
+
+    def _measure(
+        self, robust: Robust, run: Run, name: str, asked: Asked, written: object, low_is_bad: bool = False
+    ) -> Expression:
+        """Return a measure of a result; where small values are bad, of its lower tail."""
+        if asked.kind == "nominal" or not self._spreads.get(name):
+            return MEASURES[name].of(run)
+        if asked.kind == "expected":
+            return robust.expected(name)
+        if asked.kind == "mean_plus":
+            return robust.mean_plus(name, asked.number)
+        width = self._width(name, written)
+        if asked.kind == "cvar":
+            return robust.cvar(name, asked.number, width=width, tail="lower" if low_is_bad else "upper")
+        return robust.worst(name, width=width, tail="lower" if low_is_bad else "upper")
+
+    def _width(self, name: str, written: object) -> float:
+        return _WIDTH * self._spreads[name] if written is None else MEASURES[name].unit.parse(written)
+
+    def _require(self, design: Design, robust: Robust, run: Run, name: str, limit: LimitTable) -> None:
+        measure = MEASURES[name]
+        low, high = (None if side is None else measure.unit.parse(side) for side in (limit.at_least, limit.at_most))
+        unit = measure.unit.symbol
+        if limit.probability is not None and self._spreads.get(name):
+            robust.require_probability(
+                design, name, name, limit.probability, at_least=low, at_most=high,
+                width=self._width(name, limit.width), unit=unit,
+            )  # fmt: skip
+            return
+        if limit.measure is None and self._spreads.get(name):
+            design.require(name, robust.every(name, at_least=low, at_most=high), at_least=low, at_most=high, unit=unit)
+            return
+        asked = asked_of(limit.measure or "nominal")
+        if asked.kind in ("cvar", "worst") and low is not None and high is not None:
+            raise InputError(f"{self._problem.name}: '{name}': a {asked.kind} is limited from one side: give one limit")
+        value = self._measure(robust, run, name, asked, limit.width, low is not None)
+        design.require(name, value, at_least=low, at_most=high, unit=unit)

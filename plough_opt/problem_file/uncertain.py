@@ -1,0 +1,296 @@
+"""The [uncertain] table: distributions of soil properties, and what a file asks of results that vary with them."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, Literal
+
+from plough_opt.errors import InputError, nearest
+from plough_opt.problem_file.measures import MEASURES
+from plough_opt.problem_file.schema import LimitTable, ProblemTable, quantities
+from plough_opt.problem_file.source import Keys, Source
+from plough_opt.soil import Soil
+
+if TYPE_CHECKING:
+    from plough_opt.uncertainty import SoilDistribution
+
+TABLE = "uncertain"
+SAMPLES, FEWEST, MOST = 64, 8, 1024
+FRESH, FEWEST_FRESH, MOST_FRESH = 4096, 100, 100_000
+_COUNTS = {"samples": (FEWEST, MOST), "fresh": (FEWEST_FRESH, MOST_FRESH), "seed": (0, 2**31 - 1)}
+_KINDS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {  # what each needs, and what else it may have
+    "normal": (("mean", "std"), ("lower", "upper")),
+    "lognormal": (("mean", "std"), ("lower", "upper")),
+    "uniform": (("lower", "upper"), ()),
+    "triangular": (("lower", "mode", "upper"), ()),
+    "beta": (("mean", "std", "lower", "upper"), ()),
+}
+_ASKED = re.compile(r"(nominal|expected|worst)|cvar\s+([\d.]+)|mean\s*([+-])\s*([\d.]+)\s*std")
+_ASKED_EXAMPLES = '"expected", "mean + 2 std", "cvar 0.9", "worst" or "nominal"'
+
+
+@dataclass(frozen=True)
+class UncertainTable:
+    """What a file says of its soil.
+
+    Attributes:
+        distributions: property of the soil -> kind and SI values.
+        correlation: pair of properties -> correlation of their normal scores.
+        samples: that the optimiser sees.
+        fresh: that verify the optimum.
+        seed: of the samples; fresh ones follow from it too.
+    """
+
+    distributions: Mapping[str, Mapping[str, Any]]
+    correlation: Mapping[tuple[str, str], float] = field(default_factory=dict)
+    samples: int = SAMPLES
+    fresh: int = FRESH
+    seed: int = 1
+
+
+@dataclass(frozen=True)
+class Asked:
+    """A measure that a file asks for: its kind, and the level or the factor that belongs to it."""
+
+    kind: Literal["nominal", "expected", "worst", "cvar", "mean_plus"]
+    number: float = 0.0
+
+
+def asked_of(text: str) -> Asked:
+    """Read a measure.
+
+    Raises:
+        InputError: none that is known.
+    """
+    match = _ASKED.fullmatch(text.strip())
+    if match is None:
+        raise InputError(f'"{text}" is no measure: take {_ASKED_EXAMPLES}')
+    if match[1]:
+        return Asked("nominal" if match[1] == "nominal" else "expected" if match[1] == "expected" else "worst")
+    try:
+        if match[2]:
+            level = float(match[2])
+            if not 0.0 < level < 1.0:
+                raise InputError(f'"{text}": the level of a cvar lies between 0 and 1, 0.9 being the worst tenth')
+            return Asked("cvar", level)
+        return Asked("mean_plus", float(match[3] + match[4]))
+    except ValueError as error:
+        if isinstance(error, InputError):
+            raise
+        raise InputError(f'"{text}" is no measure: take {_ASKED_EXAMPLES}') from None
+
+
+def uncertain_of(table: Mapping[str, Any]) -> UncertainTable:
+    """Return a checked table."""
+    own = {key: value for key, value in table.items() if key not in {*_COUNTS, "correlation"}}
+    counts = {key: table[key] for key in _COUNTS if key in table}
+    return UncertainTable(
+        {key.removeprefix("soil."): _parsed(key, entry) for key, entry in own.items()},
+        {(a.removeprefix("soil."), b.removeprefix("soil.")): float(c) for a, b, c in table.get("correlation", [])},
+        **counts,
+    )
+
+
+def distribution_of(table: UncertainTable, soil: Soil) -> SoilDistribution:
+    """Return the distribution around a soil.
+
+    Raises:
+        InputError: values that no distribution of the kind has, or correlations that cannot hold together.
+        DomainError: a distribution that reaches out of the model's domain.
+    """
+    from plough_opt.uncertainty import SoilDistribution  # scipy.stats is slow to import, and rarely needed
+
+    made = {name: _made(name, values) for name, values in table.distributions.items()}
+    within = {
+        name: (values.get("lower", -math.inf), values.get("upper", math.inf))
+        for name, values in table.distributions.items()
+        if "lower" in values or "upper" in values
+    }
+    return SoilDistribution(soil, within=within, correlation=table.correlation, **made)
+
+
+def join_dotted(data: dict[str, Any]) -> None:
+    """Read soil.cohesion = {...} under [uncertain], without quotes, as "soil.cohesion" = {...}."""
+    table = data.get(TABLE)
+    if isinstance(table, dict) and isinstance(table.get("soil"), dict):
+        for name, entry in table.pop("soil").items():
+            table[f"soil.{name}"] = entry
+
+
+def check_uncertain(source: Source, table: ProblemTable) -> None:
+    """Note everything that is wrong in the table, and in what the file asks of results that vary."""
+    if table.uncertain is None:
+        _refuse_measures(source, table)
+        return
+    properties = [key for key in quantities() if key.startswith("soil.")]
+    for key, entry in table.uncertain.items():
+        with source.noting((TABLE, key)):
+            if key in _COUNTS:
+                _check_count(key, entry)
+            elif key == "correlation":
+                _check_correlation(entry, [name for name in table.uncertain if name.startswith("soil.")])
+            elif key not in properties:
+                raise InputError(f"'{key}' cannot be uncertain: {nearest(key, [*properties, *_COUNTS, 'correlation'])}")
+            elif key in table.variables:
+                raise InputError(f"'{key}' is a variable and cannot be uncertain too: remove one")
+            else:
+                _check_distribution(source, key, entry)
+    with source.noting((TABLE,)):
+        if not any(key in properties for key in table.uncertain):
+            raise InputError(
+                "nothing is uncertain: give a property of the soil a distribution, like"
+                ' "soil.cohesion" = { distribution = "lognormal", mean = "20 kPa", std = "6 kPa" }'
+            )
+        if table.scene.medium == "elastic":
+            raise InputError('uncertain soil belongs to the plastic gas: take medium = "plastic"')
+    _check_asked(source, table)
+
+
+def check_joint(source: Source, table: ProblemTable, soil: Callable[[], Soil]) -> None:
+    """Note a distribution that the model cannot take, with its line; the rest of the file is right."""
+    if table.uncertain is None:
+        return
+    own = uncertain_of(table.uncertain)
+    for name, values in own.distributions.items():
+        with source.noting((TABLE, f"soil.{name}")):
+            distribution_of(UncertainTable({name: values}), soil())
+    source.raise_noted()
+    with source.noting((TABLE, "correlation")):
+        distribution_of(own, soil())
+
+
+def _check_count(key: str, value: Any) -> None:
+    low, high = _COUNTS[key]
+    if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
+        raise InputError(f"'{TABLE}.{key}' = {value!r} must be a whole number from {low} to {high}")
+
+
+def _check_correlation(entry: Any, names: Sequence[str]) -> None:
+    example = '[["soil.cohesion", "soil.friction_angle", -0.4]]'
+    if not isinstance(entry, list):
+        raise InputError(f"'{TABLE}.correlation' must be a list of pairs with a number, like {example}")
+    for item in entry:
+        if not isinstance(item, list) or len(item) != 3 or not isinstance(item[2], int | float):
+            raise InputError(f"'{TABLE}.correlation': {item!r} must be two names and a number, like {example[1:-1]}")
+        for name in item[:2]:
+            if name not in names:
+                raise InputError(f"'{TABLE}.correlation' names '{name}', which has no distribution: "
+                                 f"{nearest(str(name), names)}")  # fmt: skip
+
+
+def _check_distribution(source: Source, key: str, entry: Any) -> None:
+    if not isinstance(entry, dict):
+        raise InputError(f"'{key}' must be a table like {{ distribution = \"normal\", mean = ..., std = ... }}")
+    kind = entry.get("distribution")
+    if kind not in _KINDS:
+        known = nearest(str(kind), _KINDS) if "distribution" in entry else f"one of {', '.join(_KINDS)}"
+        raise source.error((TABLE, key, "distribution"), f"'{key}' needs a known distribution: {known}")
+    needed, more = _KINDS[kind]
+    for name in entry:
+        if name not in ("distribution", *needed, *more):
+            allowed = ["distribution", *needed, *more]
+            raise source.error((TABLE, key, name), f"'{key}.{name}' is no key of a {kind} distribution:"
+                               f" {nearest(name, allowed)}")  # fmt: skip
+        if name != "distribution":
+            try:
+                quantities()[key].parse(entry[name])
+            except InputError as error:
+                raise source.error((TABLE, key, name), f"'{key}' {name} {error}") from None
+    if missing := [name for name in needed if name not in entry]:
+        raise InputError(f"'{key}': a {kind} distribution needs {' and '.join(missing)}")
+    _made(key, _parsed(key, entry))
+
+
+def _parsed(key: str, entry: Mapping[str, Any]) -> dict[str, Any]:
+    unit = quantities()[key]
+    return {name: value if name == "distribution" else unit.parse(value) for name, value in entry.items()}
+
+
+def _made(name: str, values: Mapping[str, Any]) -> Any:
+    """Return the frozen distribution of scipy.stats.
+
+    Raises:
+        InputError: values that no distribution of the kind has.
+    """
+    from scipy import stats  # as in `distribution_of`
+
+    kind = values["distribution"]
+    mean, std, lower, upper = (values.get(key, math.nan) for key in ("mean", "std", "lower", "upper"))
+    if std <= 0.0:
+        raise InputError(f"'{name}': std must be above 0: what is certain belongs into [soil]")
+    if lower >= upper:
+        raise InputError(f"'{name}': lower must be below upper")
+    if kind == "normal":
+        return stats.norm(mean, std)
+    if kind == "lognormal":
+        if mean <= 0.0:
+            raise InputError(f"'{name}': the mean of a lognormal distribution must be above 0")
+        spread = math.sqrt(math.log1p((std / mean) ** 2))
+        return stats.lognorm(spread, scale=mean * math.exp(-0.5 * spread**2))
+    if kind == "uniform":
+        return stats.uniform(lower, upper - lower)
+    if kind == "triangular":
+        if not lower <= values["mode"] <= upper:
+            raise InputError(f"'{name}': mode must lie between lower and upper")
+        return stats.triang((values["mode"] - lower) / (upper - lower), lower, upper - lower)
+    middle, relative = (mean - lower) / (upper - lower), (std / (upper - lower)) ** 2
+    size = middle * (1.0 - middle) / relative - 1.0
+    if not (0.0 < middle < 1.0 and size > 0.0):
+        raise InputError(f"'{name}': no beta distribution between these bounds has this mean and std: lower the std")
+    return stats.beta(middle * size, (1.0 - middle) * size, lower, upper - lower)
+
+
+def _check_asked(source: Source, table: ProblemTable) -> None:
+    """Note measures that cannot be asked for."""
+    for name, term in table.minimise.items():
+        with source.noting(("minimise", name)):
+            if term.measure is not None:
+                asked_of(term.measure)
+            _check_width(source, ("minimise", name), name, term.width)
+    for name, limit in table.require.items():
+        with source.noting(("require", name)):
+            if name in MEASURES and MEASURES[name].everywhere and limit.measure != "nominal":
+                raise InputError(
+                    f"'{name}' has a value at every output time: over samples of the soil limit its mean, or say"
+                    ' measure = "nominal"'
+                )
+            if limit.measure is not None:
+                asked_of(limit.measure)
+            _check_probability(limit, name)
+            _check_width(source, ("require", name), name, limit.width)
+
+
+def _check_probability(limit: LimitTable, name: str) -> None:
+    if limit.probability is None:
+        return
+    if limit.measure is not None:
+        raise InputError(f"'{name}' has a measure and a probability: give one")
+    if not 0.0 < limit.probability < 1.0:
+        raise InputError(f"'{name}': the probability {limit.probability:g} must lie between 0 and 1; leave it out for"
+                         " every sample")  # fmt: skip
+    if limit.at_least is not None and limit.at_most is not None:
+        raise InputError(f"'{name}': a probability is of one limit: give at_least or at_most")
+
+
+def _check_width(source: Source, place: Keys, name: str, written: Any) -> None:
+    if written is None or name not in MEASURES:
+        return
+    try:
+        width = MEASURES[name].unit.parse(written)
+    except InputError as error:
+        raise source.error((*place, "width"), f"'{name}' width {error}") from None
+    if width <= 0.0:
+        raise source.error((*place, "width"), f"'{name}' width = {written} must be above 0")
+
+
+def _refuse_measures(source: Source, table: ProblemTable) -> None:
+    """Note what belongs to an uncertain soil in a file that has none."""
+    for kind, entries in (("minimise", table.minimise), ("require", table.require)):
+        for name, entry in entries.items():
+            for key in ("measure", "probability", "width"):
+                with source.noting((kind, name, key)):
+                    if getattr(entry, key, None) is not None:
+                        raise InputError(f"'{kind}.{name}.{key}' belongs to an uncertain soil: add a table [{TABLE}]")

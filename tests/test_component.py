@@ -1,5 +1,6 @@
 """A scene as one CasADi Function: its values, derivatives and error, and its life in other people's graphs."""
 
+import copy
 import pickle
 import subprocess
 import sys
@@ -34,9 +35,9 @@ def test_names_units_and_bounds_are_attached(r1):
         ("scene.stiffness", "N/m", 5e3, 5e5),
     ]
     assert [(p.name, p.unit) for p in r1.outputs] == list(zip(RESULTS, ["N", "N", "m", "m", "rad"], strict=True))
-    assert r1.function.name() == "r1"
-    assert r1.function.name_in() == ["share_wedge_angle", "share_height", "scene_stiffness"]
-    assert r1.function.name_out() == RESULTS
+    assert r1.name() == "r1"
+    assert r1.name_in() == ["share_wedge_angle", "share_height", "scene_stiffness"]
+    assert r1.name_out() == RESULTS
     for text in ("scene.stiffness [N/m] 5000 to 500000, value 50000", "force_rms [N]", "551 steps", "plane sections"):
         assert text in str(r1)
 
@@ -95,7 +96,7 @@ def test_all_derivatives_of_a_draft_are_those_of_120_digits():
     at = [FIRM[own] for own in names.values()]
     value, gradient, hessian = derivatives(mean_draft, [mp.mpf(x) for x in at])
     x = ca.MX.sym("x", len(at))
-    (draft,) = made.function.call(ca.vertsplit(x))
+    (draft,) = made.call(ca.vertsplit(x))
     second, first = ca.hessian(draft, x)
     found = ca.Function("found", [x], [draft, first, second])(at)
     assert float(found[0]) == pytest.approx(float(value), rel=2e-14)
@@ -121,20 +122,31 @@ def _differences(function, x, step):
 
 def test_first_and_second_derivatives_of_a_motion_are_those_of_differences(r1):
     x = ca.MX.sym("x", 3)
-    stacked = ca.vertcat(*r1.function.call(ca.vertsplit(x)))
+    stacked = ca.vertcat(*r1.call(ca.vertsplit(x)))
     slopes = ca.Function("slopes", [x], [ca.densify(ca.jacobian(stacked, x))])
     curvatures = ca.Function("curvatures", [x], [ca.densify(ca.jacobian(ca.vec(slopes(x)), x))])
     at = np.array([0.5, 0.3, 3e4])
     scale, size = np.abs(at), np.array([r1(*at)]).T
-    first = _differences(lambda y: np.array([r1.function.call(list(y))]).ravel(), at, 2e-3) * scale / size
-    assert r1.jacobian(*at).full() * scale / size == pytest.approx(
-        slopes(at).full() * scale / size, rel=1e-14, abs=1e-15
-    )
+    first = _differences(lambda y: np.array([r1.call(list(y))]).ravel(), at, 2e-3) * scale / size
+    assert r1.slopes(*at).full() * scale / size == pytest.approx(slopes(at).full() * scale / size, rel=1e-14, abs=1e-15)
     # Differences of values with a rounding of 1e-14 over steps of 2e-3.
     assert slopes(at).full() * scale / size == pytest.approx(first, rel=1e-10, abs=1e-11)
     second = _differences(lambda y: slopes(y).full(), at, 2e-3) * scale / size[:, :, None]
     found = curvatures(at).full().reshape(3, 5, 3).transpose(1, 0, 2) * scale / size[:, :, None]
     assert found == pytest.approx(second, rel=1e-9, abs=1e-9 * np.abs(second).max())
+
+
+def test_it_is_a_function_and_goes_wherever_one_does(r1, tmp_path):
+    assert isinstance(r1, ca.Function)
+    plain = ca.Function(r1)
+    assert plain.call(START) == r1.call(START)
+    generator = ca.CodeGenerator("given.c")
+    generator.add(r1)
+    assert "r1(const casadi_real** arg" in generator.dump()
+    r1.save(str(tmp_path / "r1.casadi"))
+    assert ca.Function.load(str(tmp_path / "r1.casadi")).call(START) == r1.call(START)
+    copied = copy.deepcopy([r1, copy.copy(r1)])[1]
+    assert (copied(*START), copied.inputs, copied.warnings) == (r1(*START), r1.inputs, r1.warnings)
 
 
 def test_map_equals_calls(r1):
@@ -148,10 +160,10 @@ def test_a_pickle_gives_the_same_numbers_in_another_process(r1, tmp_path):
     path.write_bytes(pickle.dumps(r1))
     code = (
         f"import pickle; c = pickle.load(open({str(path)!r}, 'rb')); x = {START}\n"
-        "print([float(v).hex() for v in c(*x)], c.jacobian(*x).full().tolist(), c.inputs, c.error_estimate)"
+        "print([float(v).hex() for v in c(*x)], c.slopes(*x).full().tolist(), c.inputs, c.error_estimate)"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    here = ([float(v).hex() for v in r1(*START)], r1.jacobian(*START).full().tolist(), r1.inputs, r1.error_estimate)
+    here = ([float(v).hex() for v in r1(*START)], r1.slopes(*START).full().tolist(), r1.inputs, r1.error_estimate)
     assert done.stdout.strip() == " ".join(map(str, here))
 
 
@@ -160,7 +172,7 @@ def test_inputs_by_name_have_the_scenes_values_where_left_out(r1):
     assert found == r1(**{"scene.stiffness": 4e4})
     assert tuple(found.values()) == r1(po.deg(25), 0.25, 4e4)
     assert list(found) == RESULTS
-    assert r1.function(scene_stiffness=4e4)["mean_draft"] == found["mean_draft"]
+    assert r1.call({"scene_stiffness": 4e4})["mean_draft"] == found["mean_draft"]
 
 
 def _objective(outputs):

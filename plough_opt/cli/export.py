@@ -53,7 +53,7 @@ def export(options: argparse.Namespace) -> None:
     path: Path = getattr(formats, f"write_{options.to}")(component, options.output)
     console().print(str(component), markup=False)
     wrote(path)
-    console().print(f"next: {_next(options.to, path, component.name)}", markup=False)
+    console().print(f"next: {_next(options.to, path, component.name())}", markup=False)
 
 
 def _check_options(options: argparse.Namespace) -> None:

@@ -116,8 +116,11 @@ class Box:
     def resolved(self, accuracy: Accuracy, outputs: int) -> Found:
         """Return the steps that reach an error between the bounds, or the named ones, and the error that they leave."""
         wanted = accuracy.error or DEFAULT_ERROR
-        points = [*corners(self.inputs), *inside(self.inputs)]
-        motion = self.scene.effects.motion
+        effects = self.scene.effects
+        motion = effects.motion
+        # A draft that does not vary in time has no error of steps or panels.
+        varies = motion or effects.strength_wave is not None or effects.tow_ramp is not None or effects.own
+        points = [*corners(self.inputs), *(inside(self.inputs) if varies else ())]
         steps = accuracy.steps or self._steps(corners(self.inputs))
         for _ in range(_ROUNDS):
             resolution = Resolution(steps, outputs)

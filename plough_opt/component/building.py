@@ -111,7 +111,7 @@ def build(
     function = ca.Function(name, symbols, function.call(symbols), arguments, names, {"default_in": values})
     ends = [replace(port, value=float(ca.mmax(value))) for port, value in zip(ends, function.call(values), strict=True)]
     own = Accuracy("dop853", steps=found.resolution.steps) if box.scene.effects.motion else Accuracy()
-    return Component(name, function, tuple(inputs), tuple(ends), own, found.error, found.warnings)
+    return Component(function, tuple(inputs), tuple(ends), own, found.error, found.warnings)
 
 
 @dataclass(frozen=True)

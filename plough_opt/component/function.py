@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
@@ -20,18 +19,18 @@ from plough_opt.expressions import Expression, as_number, is_casadi, is_symbolic
 _SLACK = 1e-9
 
 
-@dataclass(frozen=True)
-class Component:
-    """A scene as a CasADi Function. It stands where a Function stands, and pickles.
+class Component(ca.Function):
+    """A scene as a CasADi Function that knows what goes in and comes out, and takes numbers only between its bounds.
 
     Called with numbers it gives floats and arrays, with SX or MX symbols expressions with exact derivatives::
 
         draft, rms = component(0.4, 0.25, 5e4)          # in the order of the inputs
         component(scene_stiffness=4e4)["mean_draft"]    # by name, the others at their values
 
+    Everything else is as of any Function: ``map``, ``jacobian``, ``save``, and ``call``, which does not look at bounds.
+    Its inputs and outputs are scalars and columns, named by `Port.argument`. It pickles.
+
     Attributes:
-        name: its name, and the Function's.
-        function: the Function. Its inputs and outputs are scalars and columns, named by `Port.argument`.
         inputs: names, units, bounds and values.
         outputs: names, units, limits, and values where the inputs have theirs.
         accuracy: method and steps.
@@ -40,13 +39,24 @@ class Component:
         warnings: what a reader of its results must know.
     """
 
-    name: str
-    function: ca.Function
     inputs: tuple[Port, ...]
     outputs: tuple[Port, ...]
     accuracy: Accuracy
     error_estimate: float
     warnings: tuple[str, ...]
+
+    def __init__(
+        self,
+        function: ca.Function,
+        inputs: tuple[Port, ...],
+        outputs: tuple[Port, ...],
+        accuracy: Accuracy,
+        error_estimate: float,
+        warnings: tuple[str, ...],
+    ) -> None:
+        super().__init__(function)
+        self.inputs, self.outputs, self.accuracy = inputs, outputs, accuracy
+        self.error_estimate, self.warnings = error_estimate, warnings
 
     def __call__(self, *values: Expression, **named: Expression) -> Any:
         """Return the outputs of inputs in order, as a tuple or alone; or of inputs by name, as a dictionary.
@@ -56,19 +66,19 @@ class Component:
             named: inputs by name, with dots or underscores; those left out have their values.
 
         Raises:
-            InputError: too many or too few inputs, an unknown name, an array (`map` takes many values).
-            DomainError: a number outside the bounds, for which steps and checks were not chosen; ``function`` takes it.
+            InputError: too many or too few inputs, an unknown name, an array (``map`` takes many values).
+            DomainError: a number outside the bounds, for which steps and checks were not chosen; ``call`` takes it.
         """
         if named and values:
             raise InputError("give the inputs in order or by name, not both")
         if not named and len(values) != len(self.inputs):
             names = ", ".join(port.name for port in self.inputs)
-            raise InputError(f"'{self.name}' takes {len(self.inputs)} inputs ({names}), not {len(values)}")
+            raise InputError(f"'{self.name()}' takes {len(self.inputs)} inputs ({names}), not {len(values)}")
         given = self._complete(named) if named else list(values)
         numbers = not any(map(is_symbolic, given))
         if numbers:
             given = [self._number(port, value) for port, value in zip(self.inputs, given, strict=True)]
-        found: list[Any] = self.function.call(given)
+        found: list[Any] = self.call(given)
         if numbers:
             found = [_plain(value) for value in found]
             self._refuse_nothing(found, given)
@@ -80,7 +90,9 @@ class Component:
         known = {name for port in self.inputs for name in (port.name, port.argument)}
         for name in named:
             if name not in known:
-                raise InputError(f"'{self.name}' has no input '{name}': {nearest(name, [p.name for p in self.inputs])}")
+                raise InputError(
+                    f"'{self.name()}' has no input '{name}': {nearest(name, [p.name for p in self.inputs])}"
+                )
         return [named.get(p.name, named.get(p.argument, p.value)) for p in self.inputs]
 
     def _number(self, port: Port, value: Expression) -> float:
@@ -106,37 +118,37 @@ class Component:
                 )
                 raise DomainError(f"'{port.name}' has no finite value at {place}: narrow the component's bounds")
 
-    def map(self, count: int, parallelization: str = "serial") -> ca.Function:
-        """Return the Function of many inputs at once, side by side: a row for each input, outputs in columns.
-
-        Args:
-            count: number of evaluations.
-            parallelization: ``"serial"``, ``"thread"`` or ``"openmp"``, as CasADi has it.
-        """
-        return self.function.map(count, parallelization)
-
     @cached_property
-    def jacobian(self) -> ca.Function:
-        """Function of the same inputs: all outputs, stacked, by all inputs, a dense matrix."""
+    def slopes(self) -> ca.Function:
+        """Function of the same inputs: derivatives of all outputs, stacked, by all inputs, a dense matrix."""
         x = [ca.MX.sym(port.argument) for port in self.inputs]
         column = ca.MX.sym("inputs", len(x))
-        stacked = ca.vertcat(*self.function.call(ca.vertsplit(column)))
-        slopes = ca.Function("slopes", [column], [ca.densify(ca.jacobian(stacked, column))])
+        stacked = ca.vertcat(*self.call(ca.vertsplit(column)))
+        jacobian = ca.Function("jacobian", [column], [ca.densify(ca.jacobian(stacked, column))])
+        options = {"default_in": [port.value for port in self.inputs]}
         names = [port.argument for port in self.inputs]
-        return ca.Function(f"{self.name}_jacobian", x, [slopes(ca.vertcat(*x))], names, ["jacobian"], self.defaults)
-
-    @property
-    def defaults(self) -> dict[str, list[float]]:
-        """CasADi's option that lets inputs which are left out have their values."""
-        return {"default_in": [port.value for port in self.inputs]}
+        return ca.Function(f"{self.name()}_slopes", x, [jacobian(ca.vertcat(*x))], names, ["slopes"], options)
 
     def __getstate__(self) -> dict[str, Any]:
-        """Return what is pickled; the Jacobian is built again when it is asked for."""
-        return {key: value for key, value in self.__dict__.items() if key != "jacobian"}
+        """Return what is pickled; the slopes are built again when they are asked for."""
+        told = {key: value for key, value in self.__dict__.items() if key not in ("this", "slopes")}
+        return {**super().__getstate__(), "told": told}
+
+    def __setstate__(self, state: Mapping[str, Any]) -> None:
+        """Take what was pickled."""
+        self.__init__(ca.Function.deserialize(state["serialization"]), **state["told"])  # type: ignore[misc]
+
+    def __copy__(self) -> Component:
+        """Return itself: nothing in it can change."""
+        return self
+
+    def __deepcopy__(self, memo: Any = None) -> Component:
+        """Return itself."""
+        return self
 
     def __str__(self) -> str:
         """Return names, units, bounds and accuracy as text."""
-        lines = [f"{self.name}: {len(self.inputs)} inputs, {len(self.outputs)} outputs, SI units"]
+        lines = [f"{self.name()}: {len(self.inputs)} inputs, {len(self.outputs)} outputs, SI units"]
         for kind, ports in (("in ", self.inputs), ("out", self.outputs)):
             for port in ports:
                 shape = f"[{port.size}]" if port.size > 1 else ""

@@ -44,7 +44,7 @@ def write_c(component: Component, path: str | Path) -> Path:
         InputError: the folder exists or cannot be written, a name that C keeps to itself, or a component that has no C.
     """
     target = check_folder(path, "C source")
-    name = component.name
+    name = component.name()
     if name in _KEYWORDS:
         raise InputError(f"'{name}' is a word of the C language: name the component otherwise")
     files = {
@@ -58,7 +58,7 @@ def write_c(component: Component, path: str | Path) -> Path:
 
 def _header(component: Component) -> str:
     """Return the header: what goes in, what comes out, and two functions."""
-    name, upper = component.name, component.name.upper()
+    name, upper = component.name(), component.name().upper()
     told = "\n".join(f" * {line}".rstrip() for line in _commented(str(component)).splitlines())
     values = sum(port.size for port in component.outputs)
     return f"""/* Written by plough_opt {version("plough_opt")}.
@@ -100,7 +100,7 @@ int {name}_jacobian(const double *inputs, double *jacobian);
 
 def _source(component: Component) -> str:
     """Return what CasADi writes of the Functions, and around it the header's two and its tables."""
-    name = component.name
+    name = component.name()
     functions = {"values": _values(component), "slopes": _slopes(component)}
     outputs = [(port, k) for port in component.outputs for k in range(port.size)]
     parts = [
@@ -122,14 +122,14 @@ def _source(component: Component) -> str:
 def _values(component: Component) -> ca.Function:
     """Return the Function of all inputs, a column, to all outputs, a column."""
     x = ca.MX.sym("x", len(component.inputs))
-    stacked = ca.vertcat(*component.function.call(ca.vertsplit(x)))
-    return ca.Function(f"{component.name}_values", [x], [stacked])
+    stacked = ca.vertcat(*component.call(ca.vertsplit(x)))
+    return ca.Function(f"{component.name()}_values", [x], [stacked])
 
 
 def _slopes(component: Component) -> ca.Function:
     """Return the Function of all inputs to the Jacobian, transposed, for CasADi's matrices run column by column."""
     x = ca.MX.sym("x", len(component.inputs))
-    return ca.Function(f"{component.name}_slopes", [x], [component.jacobian(*ca.vertsplit(x)).T])
+    return ca.Function(f"{component.name()}_slopes", [x], [component.slopes(*ca.vertsplit(x)).T])
 
 
 def _graph(name: str, functions: Sequence[ca.Function]) -> str:
@@ -171,7 +171,7 @@ def _call(public: str, function: ca.Function) -> str:
 
 def _test(component: Component) -> str:
     """Return a program that compares values and derivatives with those that Python finds now."""
-    name, upper = component.name, component.name.upper()
+    name, upper = component.name(), component.name().upper()
     points = [*inside(component.inputs)[:_POINTS], *corners(component.inputs)[: _POINTS + 3]]
     values, slopes = _values(component), _slopes(component)
     wanted = [values(x).full().ravel() for x in points]

@@ -37,7 +37,7 @@ class PloughComponent(openmdao_client.FunctionComponent):
 
     def __init__(self, component: Component, **options: Any) -> None:
         told = described(component)
-        super().__init__(component.function, told["inputs"], told["outputs"], **options)
+        super().__init__(component, told["inputs"], told["outputs"], **options)
 
 
 def write_openmdao(component: Component, path: str | Path) -> Path:
@@ -58,7 +58,7 @@ def write_openmdao(component: Component, path: str | Path) -> Path:
         InputError: the folder exists or cannot be written, or a name that no module can have.
     """
     target = check_folder(path, "OpenMDAO component")
-    name = component.name
+    name = component.name()
     if keyword.iskeyword(name) or name in _TAKEN:
         raise InputError(f"a module cannot be named '{name}': name the component otherwise")
     return write_folder(target, {f"{name}.py": _module(component).encode(), f"{name}.casadi": serialised(component)})
@@ -66,7 +66,7 @@ def write_openmdao(component: Component, path: str | Path) -> Path:
 
 def _module(component: Component) -> str:
     """Return the module's text: the class of any Function, and the data of this one."""
-    name, told = component.name, described(component)
+    name, told = component.name(), described(component)
     _, _, client = inspect.getsource(openmdao_client).partition('"""\n')
     imports, _, classes = client.strip().partition("\n\n\n")
     return f'''"""Written by plough_opt {version("plough_opt")}.

@@ -41,14 +41,14 @@ def serialised(component: Component) -> bytes:
     """Return the component's Function as CasADi writes it to a file."""
     with tempfile.TemporaryDirectory() as folder:
         written = Path(folder) / "function.casadi"
-        component.function.save(str(written))
+        component.save(str(written))
         return written.read_bytes()
 
 
 def described(component: Component) -> dict[str, Any]:
     """Return names, units, bounds and accuracy as plain data."""
     return {
-        "name": component.name,
+        "name": component.name(),
         "inputs": [_plain(port) for port in component.inputs],
         "outputs": [_plain(port) for port in component.outputs],
         "method": component.accuracy.method,

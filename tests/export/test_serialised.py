@@ -39,11 +39,11 @@ def test_another_process_without_plough_opt_evaluates_and_differentiates(around_
     assert (name, inputs) == ("share", [port.argument for port in around_r1.inputs])
     assert outputs == [port.argument for port in around_r1.outputs]
     assert [value for (value,) in values] == list(around_r1(*at))
-    assert jacobian == around_r1.jacobian(*at).full().tolist()
+    assert jacobian == around_r1.slopes(*at).full().tolist()
     # Second derivatives against differences of the first, here.
     for k, size in enumerate(at):
         step = 1e-4 * size * (np.arange(3) == k)
-        beside = [around_r1.jacobian(*(np.array(at) + sign * step)).full().sum(axis=0) for sign in (1, -1)]
+        beside = [around_r1.slopes(*(np.array(at) + sign * step)).full().sum(axis=0) for sign in (1, -1)]
         assert (beside[0] - beside[1]) / (2e-4 * size) == pytest.approx(np.array(hessian)[k], rel=1e-5)
 
 

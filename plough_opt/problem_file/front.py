@@ -1,4 +1,4 @@
-"""The [trade_off] table: two measures, each minimised or maximised, and a number of points."""
+"""The [trade_off] table: two or three measures, each minimised or maximised, and a number of points."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from plough_opt.problem_file.measures import MEASURES
 from plough_opt.problem_file.source import Source
 
 TABLE = "trade_off"
-EXAMPLE = "[trade_off] with two results, such as mean_draft = {} and loosened_radius = { maximise = true }"
+EXAMPLE = "[trade_off] with two or three results, such as mean_draft = {} and loosened_radius = { maximise = true }"
 POINTS, FEWEST, MOST = 40, 5, 1000
 
 
@@ -21,7 +21,7 @@ class FrontTable:
     """What a file trades against what.
 
     Attributes:
-        maximise: name of each of the two measures -> whether more of it is better.
+        maximise: name of each of the measures -> whether more of it is better.
         points: number of positions on the front.
     """
 
@@ -41,11 +41,11 @@ def check_front(source: Source, table: Mapping[str, Any], medium: str) -> None:
         with source.noting((TABLE, name)):
             _check_entry(source, name, entry, medium)
     count = sum(name != "points" for name in table)
-    if count != 2 and all(name in {*MEASURES, "points"} for name in table):
+    if count not in (2, 3) and all(name in {*MEASURES, "points"} for name in table):
         with source.noting((TABLE,)):
             how = {0: "of nothing", 1: "of one alone"}.get(count, f"of {count} results")
-            more = ": put the others into [require]" if count > 2 else f": {EXAMPLE}"
-            raise InputError(f"a front is drawn of two results, not {how}{more}")
+            more = ": put the others into [require]" if count > 3 else f": {EXAMPLE}"
+            raise InputError(f"a front is drawn of two or three results, not {how}{more}")
 
 
 def _check_entry(source: Source, name: str, entry: Any, medium: str) -> None:

@@ -250,12 +250,12 @@ class Problem:
             raise InputError(f"{self.name}: nothing to trade: add a table {EXAMPLE}")
         table = front_of(self.table.trade_off)
         design, run = self._required()
-        first, second = (
+        goals = [
             Goal(name, MEASURES[name].of(run), MEASURES[name].unit.symbol, maximise)
             for name, maximise in table.maximise.items()
-        )
+        ]
         count = table.points if points is None else points
-        return trade_off(design, first, second, points=count, title=self.title, progress=progress)
+        return trade_off(design, *goals, points=count, title=self.title, progress=progress)
 
 
 def _contact(law: str, values: Mapping[str, Expression]) -> Literal["resisting"] | Smooth | StickSlip:

@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from plough_opt.design.ipopt import PULLS, Point, Vector, decides
+from plough_opt.design.ipopt import PULLS, Vector, decides
+from plough_opt.scene import Scene
 from plough_opt.tradeoff.program import POSITION, FrontProgram
-from plough_opt.tradeoff.tracing import Sample
+from plough_opt.tradeoff.samples import Sample
 
 # Scaled by objective and limits: residuals above are no optimum, violations above no design.
 _RESIDUAL = 1e-6
 _VIOLATED = 1e-6
+# Of three objectives: relative to the largest, weights below are those that the edge of a front has by choice.
+_WEIGHS = 1e-3
 
 
 @dataclass(frozen=True)
@@ -20,19 +24,21 @@ class FrontPoint:
     """A design on the front, or one that others dominate: a local optimum of the one objective beside the other.
 
     Attributes:
-        objectives: both, by the tightly integrated model, in their units.
+        objectives: all, by the tightly integrated model, in their units.
         variables: name -> value, SI units.
         margins: name of each requirement -> distance of its worst value from its limit, positive inside, in its unit.
         active: names of the requirements and variables whose limits decide the design.
-        rate: change of the second objective per change of the first along the front, in their units; None of a design
-            that stands alone or is not on the front.
+        rate: of two objectives, change of the second per change of the first along the front, in their units; None of
+            a design that stands alone or is not on the front.
         branch: under a strength wave "soft" or "stiff", by the natural frequency beside the wave's; else "".
         residual: of the first-order conditions, scaled.
         violation: largest violation of a requirement by the tightly integrated model, relative to its limit.
         gap: largest relative difference of the optimiser's objectives from the tightly integrated ones.
+        weights: of the objectives per their units, by the multipliers: along the front changes so weighted add up to
+            nothing. None of a design that stands alone.
     """
 
-    objectives: tuple[float, float]
+    objectives: tuple[float, ...]
     variables: dict[str, float]
     margins: dict[str, float]
     active: tuple[str, ...]
@@ -41,6 +47,7 @@ class FrontPoint:
     residual: float
     violation: float
     gap: float
+    weights: tuple[float, ...] | None = None
 
     @property
     def doubt(self) -> str:
@@ -76,49 +83,35 @@ def certify(front: FrontProgram, sample: Sample, signs: Vector) -> FrontPoint:
         if decides(float(min(y, 1.0 - y)), float(abs(multiplier))):
             active.append(v.name)
     own = scaled * np.array(front.scales) * signs
+    weights = _weights(front, sample, signs)
     return FrontPoint(
-        objectives=(float(own[0]), float(own[1])),
+        objectives=tuple(own.tolist()),
         variables={v.name: float(x) for v, x in zip(program.declared.variables, program.values(point.y), strict=True)},
         margins=margins,
         active=tuple(active),
-        rate=_rate(front, sample, signs),
-        branch=_branch(front, point.y),
-        residual=residual(front, point, sample.p),
+        rate=-weights[0] / weights[1] if weights is not None and front.count == 2 else None,
+        branch=_branch(front, sample.scenes),
+        residual=front.levels[sample.level].residual(point, sample.p),
         violation=violation,
-        gap=front.gap(point.y),
+        gap=front.gap(point.y, sample.level),
+        weights=weights,
     )
 
 
-def residual(front: FrontProgram, point: Point, p: Vector) -> float:
-    """Return by how much an optimum misses the first-order conditions: slopes, limits, and one of the two at each."""
-    program = front.program
-    _, g, gradient, jacobian = (np.asarray(result) for result in program.nlp.slopes(point.y, p))
-    g = g.ravel()
-    size = max(1.0, float(np.max(np.abs(point.lam_g))), float(np.max(np.abs(point.lam_y))))
-    slope = gradient.ravel() + jacobian.T @ point.lam_g + point.lam_y
-    beyond = np.maximum(0.0, np.maximum(program.low - g, g - program.high))
-    rooms = np.r_[
-        np.where(point.lam_g > 0.0, program.high - g, g - program.low),
-        np.where(point.lam_y > 0.0, 1.0 - point.y, point.y),
-    ]
-    pulls = np.abs(np.r_[point.lam_g, point.lam_y])
-    # A limit that is not there, at infinity, must have no multiplier.
-    both = np.max(pulls * np.where(np.isfinite(rooms), np.abs(rooms), 1.0))
-    return float(max(np.max(np.abs(slope)), both) / size + np.max(beyond))
-
-
-def _rate(front: FrontProgram, sample: Sample, signs: Vector) -> float | None:
+def _weights(front: FrontProgram, sample: Sample, signs: Vector) -> tuple[float, ...] | None:
+    """Return how much each objective weighs per its unit, those on a range of the front together 1."""
     point, p = sample.inward or (sample.point, sample.p)
-    first, second = front.slopes(point, p)
-    if not front.holds(point) or not (first >= -PULLS and second > PULLS):
+    own = front.slopes(point, p) * front.span
+    if front.count == 2 and (not front.holds(point) or not (own[0] >= -PULLS and own[1] > PULLS)):
         return None
-    scales = np.array(front.scales) * signs
-    return float(-first / second * scales[1] / scales[0])
+    if np.sum(own > _WEIGHS * np.max(own)) < 2 or np.any(own < -PULLS):
+        return None
+    own = np.where(own > _WEIGHS * np.max(own), own, 0.0) if front.count > 2 else own
+    return tuple((own / np.sum(own) / (front.span * front.scales * signs)).tolist())
 
 
-def _branch(front: FrontProgram, y: Vector) -> str:
-    program = front.program
-    for k, run in enumerate(program.exact.runs):
-        if run.integration.structure.wave and (branch := program.exact.inputs(k, front.numbers(y))[1].branch):
-            return branch
+def _branch(front: FrontProgram, scenes: Sequence[tuple[Scene, float]]) -> str:
+    for run, (scene, _) in zip(front.program.exact.runs, scenes, strict=True):
+        if run.integration.structure.wave and scene.branch:
+            return scene.branch
     return ""

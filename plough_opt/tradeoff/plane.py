@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 # Normalised differences below are rounding of the solves.
-_EQUAL = 1e-7
+EQUAL = 1e-7
 # Steps between neighbours above this many are a gap.
 _GAP = 1.5
 # Neighbours nearer than this many steps are one point twice.
@@ -21,19 +21,20 @@ _NEAR = 0.1
 _STANDS_OUT = 1e-3
 
 
-def efficient(objectives: Array) -> NDArray[np.intp]:
+def efficient(objectives: Array, equal: float = EQUAL) -> NDArray[np.intp]:
     """Return which rows no other row dominates, from the best in the first objective on, equal rows once.
 
     Args:
         objectives: normalised, both minimised, shape (n, 2).
+        equal: differences below are none.
     """
     kept: list[int] = []
     for k in np.lexsort((objectives[:, 1], objectives[:, 0])):
         first, second = objectives[k]
-        if kept and second >= objectives[kept[-1], 1] - _EQUAL:
+        if kept and second >= objectives[kept[-1], 1] - equal:
             continue
         # A row that is as good in the first objective to rounding, and better in the second, takes its place.
-        while kept and first <= objectives[kept[-1], 0] + _EQUAL:
+        while kept and first <= objectives[kept[-1], 0] + equal:
             kept.pop()
         kept.append(int(k))
     return np.array(kept, dtype=np.intp)
@@ -85,10 +86,18 @@ def area(front: Array, reference: Array) -> float:
 
 
 def knee(front: Array) -> int | None:
-    """Return the row farthest below the line between the first row and the last; None where none is below."""
+    """Return the row farthest below the plane on which the best rows of each objective lie, or the nearest of them.
+
+    Args:
+        front: objectives of efficient rows, all minimised.
+
+    Returns:
+        The row, or None where none is below: of two objectives the farthest below the line between both ends.
+    """
     if len(front) < 3:
         return None
     low, high = front.min(axis=0), front.max(axis=0)
-    below = 1.0 - np.sum((front - low) / (high - low), axis=1)
+    sums = np.sum((front - low) / np.where(high > low, high - low, 1.0), axis=1)
+    below = min(sums[k] for k in np.argmin(front, axis=0)) - sums
     best = int(np.argmax(below))
     return best if below[best] > _STANDS_OUT else None

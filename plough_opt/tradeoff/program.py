@@ -1,16 +1,17 @@
-"""The one program of a trade-off: its parameters say which objective is minimised and where the other must stay.
+"""The one program of a trade-off: its parameters say which objective is minimised and where the others must stay.
 
-With weights w, a normal n and a position c as parameters it is
+With weights w, and for each further objective a normal n and a position c, all of them parameters, it is
 
-    minimise  w0 + w1 f1/s1 + w2 f2/s2   subject to   n1 f1/s1 + n2 f2/s2 - c <= 0   and the requirements,
+    minimise  w0 + sum_i w_i f_i/s_i   subject to   sum_i n_ki f_i/s_i - c_k <= 0   and the requirements,
 
-which is an objective alone (n = 0), the normalised normal constraint (Messac, Ismail-Yahaya and Mattson 2003) with
-w and n in units of the objectives' ranges, or the limit of one objective beside the other.
+which is an objective alone (n = 0), the normalised normal constraint (Messac, Ismail-Yahaya and Mattson 2003; of three
+objectives Messac and Mattson 2004) with w and n in units of the objectives' ranges, or limits of the others beside one.
 """
 
 from __future__ import annotations
 
 import copy
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import casadi as ca
@@ -19,70 +20,98 @@ import numpy as np
 from plough_opt.design import Design
 from plough_opt.design.declarations import Parameter, Requirement
 from plough_opt.design.ipopt import Point, Vector
-from plough_opt.design.program import Program
+from plough_opt.design.program import Declarations, Program
 from plough_opt.design.verify import TightEvaluation
 from plough_opt.errors import InputError, PloughError
-from plough_opt.tradeoff.follower import Follower
+from plough_opt.scene import Scene
 from plough_opt.tradeoff.goal import Goal
+from plough_opt.tradeoff.level import Level
 
 POSITION = "position on the front"
 _FINER = 1.5
 # Multipliers below this pull at nothing.
 _PULLS = 1e-6
-_EXTRA = ("w0", "w1", "w2", "n1", "n2", "c")
+# Of the wanted error: around a design that reaches it with so much less, neighbours do too.
+_ROOM = 0.5
 
 
 class FrontProgram:
-    """A design's program with two objectives.
+    """A design's program with several objectives.
 
     Attributes:
         program: the program.
-        row: number of the constraint that sets the position.
+        count: number of objectives.
+        own_parameters: the design's.
+        scales: sizes of the objectives, in their units.
+        rows: numbers of the constraints that set the position.
+        levels: ways to solve it, the finest first: with all integration steps, and with a third of them.
         low: normalised objectives' zero, in scaled units.
         span: their range.
     """
 
-    def __init__(self, design: Design, goals: tuple[Goal, Goal], *, compiled: bool = False) -> None:
-        """Declare the program and build it.
+    def __init__(self, declared: Declarations, goals: Sequence[Goal], *, compiled: bool = False) -> None:
+        """Declare the program of a design's `declarations`.
 
         Raises:
-            InputError: nothing to vary, a symbol of another design, or a model without a value at the guess.
-            DomainError: bounds that lead out of the model's domain.
+            InputError: a symbol of another design.
         """
-        own = copy.copy(design)
-        own.minimise(goals[0].expression)
-        declared = own.declared
         for goal in goals:
             if strangers := declared.strangers(ca.MX(goal.expression)):
                 raise InputError(
                     f"the objective '{goal.name}' holds symbols that this design did not declare"
                     f" ({', '.join(strangers)}): make them with design.variable or design.parameter of this design"
                 )
-        self._values = [parameter.value for parameter in declared.parameters]
+        self.count = len(goals)
+        self.own_parameters = tuple(declared.parameters)
+        self._values = [parameter.value for parameter in self.own_parameters]
         self.scales = _sizes([goal.sign * ca.MX(goal.expression) for goal in goals], declared.symbols(),
                              [*(v.guess for v in declared.variables), *self._values])  # fmt: skip
-        scaled = [goal.sign * ca.MX(goal.expression) / s for goal, s in zip(goals, self.scales, strict=True)]
-        w0, w1, w2, n1, n2, c = symbols = [ca.MX.sym(name) for name in _EXTRA]
-        extra = tuple(Parameter(symbol.name(), symbol, 0.0, "") for symbol in symbols)
-        position = Requirement(POSITION, n1 * scaled[0] + n2 * scaled[1] - c, None, 0.0, "")
+        scaled = ca.vertcat(
+            *(goal.sign * ca.MX(goal.expression) / s for goal, s in zip(goals, self.scales, strict=True))
+        )
+        weights = [ca.MX.sym(f"w{k}") for k in range(self.count + 1)]
+        normals = [[ca.MX.sym(f"n{k}{i}") for i in range(self.count)] for k in range(1, self.count)]
+        limits = [ca.MX.sym(f"c{k}") for k in range(1, self.count)]
+        extra = [*weights, *(symbol for normal in normals for symbol in normal), *limits]
+        rows = [ca.dot(ca.vertcat(*n), scaled) - c for n, c in zip(normals, limits, strict=True)]
         self.program = Program(
             replace(
                 declared,
-                parameters=(*declared.parameters, *extra),
-                objective=w0 + w1 * scaled[0] + w2 * scaled[1],
-                requirements=(*declared.requirements, position),
+                parameters=(*self.own_parameters, *(Parameter(symbol.name(), symbol, 0.0, "") for symbol in extra)),
+                objective=weights[0] + ca.dot(ca.vertcat(*weights[1:]), scaled),
+                requirements=(*declared.requirements, Requirement(POSITION, ca.vertcat(*rows), None, 0.0, "")),
             ),
             compiled=compiled,
         )
-        self._plain = self.parameters((1.0, 0.0, 0.0), (0.0, 0.0), 1.0)
-        self.row = self.program.owner.index(len(declared.requirements))
-        self.low, self.span = np.zeros(2), np.ones(2)
+        first = self.program.owner.index(len(declared.requirements))
+        self.rows = np.arange(first, first + self.count - 1)
+        self._exact: dict[bytes, tuple[Vector, list[Vector]]] = {}
+        self.levels: list[Level] = []
         self._refinement = 1.0
+
+    def prepare(self, changed: Mapping[str, float]) -> None:
+        """Build the program, or keep what is built, for values of the design's parameters.
+
+        Args:
+            changed: values that differ from the declared ones, by name.
+
+        Raises:
+            InputError: a model without a value at the guess.
+            DomainError: bounds that lead out of the model's domain.
+        """
+        self._values = [changed.get(parameter.name, parameter.value) for parameter in self.own_parameters]
+        self._exact.clear()
+        for level in self.levels:
+            level.forget()
+        self.normalise(np.zeros(self.count), np.ones(self.count))
+        # With these parameters objective and positions are the scaled objectives.
+        count = self.count
+        self._all = self.parameters((0.0, 1.0, *np.zeros(count - 1)), np.eye(count)[1:], np.zeros(count - 1).tolist())
         self._build()
 
-    def parameters(self, weights: tuple[float, ...], normal: tuple[float, ...], position: float) -> Vector:
-        """Return the program's parameters for (w0, w1, w2), (n1, n2) and c, in scaled units."""
-        return np.array([*self._values, *weights, *normal, position])
+    def parameters(self, weights: Sequence[float], normals: Vector, positions: Sequence[float]) -> Vector:
+        """Return the program's parameters for w, n (a row for each position) and c, in scaled units."""
+        return np.array([*self._values, *weights, *np.ravel(normals), *positions])
 
     def refine(self) -> None:
         """Take more integration steps."""
@@ -90,95 +119,170 @@ class FrontProgram:
         self._build()
 
     def _build(self) -> None:
-        self.program.build(self._plain, self._refinement)
         program = self.program
+        program.build(self._nowhere(), self._refinement)
+        if self.levels and self.levels[0].nlp is program.nlp:
+            return
+        # A third of the steps of machine code saves less than its derivatives cost, which are interpreted.
         sizes = (len(program.declared.variables), len(program.declared.parameters))
-        self._follower = Follower(program.nlp, *sizes, program.low, program.high)
+        fine, self._rough = (
+            Level(nlp, program.rough, sizes, program.low, program.high) for nlp in (program.nlp, program.rough)
+        )
+        self.levels = [fine, self._rough] if program.interpreted and self.wanted_error else [fine]
 
-    def normalise(self, first: Vector, second: Vector) -> None:
-        """Make the scaled objectives of the two anchors (0, 1) and (1, 0)."""
-        self.low = np.array([first[0], second[1]])
-        self.span = np.array([second[0], first[1]]) - self.low
+    def _nowhere(self) -> Vector:
+        """Return parameters without objective or position."""
+        nothing = self.weighted(np.zeros(self.count))
+        nothing[len(self._values)] = 1.0
+        return nothing
+
+    @property
+    def wanted_error(self) -> float | None:
+        """Largest gap that is wanted; None where no run chooses its own steps."""
+        return self.program.wanted_error
+
+    def normalise(self, low: Vector, span: Vector) -> None:
+        """Set the scaled objectives that are 0, and the range that is 1."""
+        self.low, self.span = low, span
 
     # --- questions ---------------------------------------------------------------------------------------
 
     def alone(self, objective: int, other: float) -> Vector:
-        """Return the parameters for one objective, and a little of the other where the first does not care."""
-        weights = (1.0, other) if objective == 0 else (other, 1.0)
-        return self.parameters((0.0, *weights), (0.0, 0.0), 1.0)
+        """Return the parameters for one objective, and a little of the others where the first does not care."""
+        weights = np.full(self.count, other)
+        weights[objective] = 1.0
+        return self.weighted(weights)
 
-    def beside(self, objective: int, difference: float) -> Vector:
-        """Return the parameters for one normalised objective where the other exceeds it by at most so much.
+    def weighted(self, weights: Vector) -> Vector:
+        """Return the parameters for a weighted sum of the scaled objectives."""
+        count = self.count
+        return self.parameters((0.0, *weights), np.zeros((count - 1, count)), np.ones(count - 1).tolist())
+
+    def beside(self, objective: int, differences: Mapping[int, float], others: float = 0.0) -> Vector:
+        """Return the parameters for one normalised objective where others exceed it by at most so much.
 
         Args:
-            objective: which is minimised, 0 or 1.
-            difference: largest value of the other one minus this one, normalised.
+            objective: which is minimised.
+            differences: largest value of each other one minus this one, normalised.
+            others: weight of the others, which decides what the limits leave open.
         """
-        other = 1 - objective
-        return self._question(objective, {other: 1.0, objective: -1.0}, difference)
+        normals = [{k: 1.0, objective: -1.0} for k in differences]
+        return self._question(objective, normals, list(differences.values()), others)
 
-    def below(self, objective: int, limit: float) -> Vector:
-        """Return the parameters for one normalised objective with the other one at most at a limit."""
-        return self._question(objective, {1 - objective: 1.0}, limit)
+    def below(self, objective: int, limits: Mapping[int, float], others: float = 0.0) -> Vector:
+        """Return the parameters for one normalised objective with the others at most at limits."""
+        return self._question(objective, [{k: 1.0} for k in limits], list(limits.values()), others)
 
-    def _question(self, objective: int, normal: dict[int, float], position: float) -> Vector:
-        weights, along = np.zeros(2), np.zeros(2)
+    def _question(
+        self, objective: int, normals: list[dict[int, float]], positions: list[float], others: float
+    ) -> Vector:
+        weights, along = np.full(self.count, others), np.zeros((self.count - 1, self.count))
         weights[objective] = 1.0
-        for k, value in normal.items():
-            along[k] = value
+        for row, normal in enumerate(normals):
+            for k, value in normal.items():
+                along[row, k] = value
         offset = -float(np.sum(weights * self.low / self.span))
-        shift = float(np.sum(along * self.low / self.span))
-        return self.parameters((offset, *(weights / self.span)), tuple(along / self.span), position + shift)
+        shifts = along @ (self.low / self.span)
+        return self.parameters((offset, *(weights / self.span)), along / self.span, (positions + shifts).tolist())
+
+    def asked(self, p: Vector) -> tuple[Vector, Vector, Vector]:
+        """Return w, n and c of parameters."""
+        count, own = self.count, p[len(self._values) :]
+        return own[: 1 + count], own[1 + count : 1 - count].reshape(count - 1, count), own[1 - count :]
 
     # --- answers -----------------------------------------------------------------------------------------
 
-    def solve(self, at: Point, start: Vector, p: Vector) -> Point:
+    def solve(self, at: Point, start: Vector, p: Vector, level: int = 0) -> Point:
         """Return the optimum near a start: from a neighbour's multipliers, without these, or from afar."""
-        point = self._follower.follow(at, start, p)
+        point = self.levels[level].correct(at, start, p)
+        if not point.solved:
+            point = self.levels[level].follow(at, start, p)
         if not point.solved:
             point = self.program.solve(start, p, near=True)
         return point if point.solved else self.program.solve(start, p)
 
-    def _both(self) -> Vector:
-        return self.parameters((0.0, 1.0, 0.0), (0.0, 1.0), 0.0)
+    def objectives(self, y: Vector, level: int = 0) -> Vector:
+        """Return the scaled objectives as the optimiser has them."""
+        return self._evaluated(self.levels[level], y)[0]
 
-    def objectives(self, y: Vector) -> Vector:
-        """Return both scaled objectives as the optimiser has them."""
-        f, g = (np.asarray(result).ravel() for result in self.program.nlp.values(y, self._both()))
-        return np.array([f[0] * self.program.objective_scale, g[self.row] * self._row_scale])
+    def _evaluated(self, level: Level, y: Vector) -> tuple[Vector, Vector]:
+        f, g = level.values(y, self._all)
+        return np.r_[f[0] * self.program.objective_scale, g[self.rows] * self._row_scale], g
+
+    def roughly(self, y: Vector) -> tuple[Vector, Vector]:
+        """Return, roughly, scaled objectives and scaled requirements; NaN without a value."""
+        try:
+            return self._evaluated(self._rough, y)
+        except RuntimeError:  # no orbit, or no end of an integration
+            return np.full(self.count, np.nan), np.full(len(self.program.low), np.nan)
 
     def exact(self, y: Vector) -> tuple[Vector, list[Vector]]:
-        """Return both scaled objectives and all requirements, integrated tightly."""
-        found, _ = self.program.exact_values(y, self._both())
-        return np.array([found[0].item(), found[1 + self.program.owner[self.row]].item()]), found[1:]
+        """Return the scaled objectives and all requirements, integrated tightly."""
+        key = y.tobytes()
+        if key not in self._exact:
+            found, _ = self.program.exact_values(y, self._all)
+            row = 1 + self.program.owner[self.rows[0]]
+            self._exact[key] = np.r_[found[0].ravel(), found[row].ravel()], found[1:]
+        return self._exact[key]
 
-    def numbers(self, y: Vector) -> list[float]:
+    def scenes(self, y: Vector) -> list[tuple[Scene, float]]:
+        """Return the scenes of the runs at a design, with numbers, and how long each runs [s]."""
+        exact, numbers = self.program.exact, self._numbers(y)
+        found = [exact.inputs(k, numbers) for k in range(len(exact.runs))]
+        return [(scene, float(parameters[-1])) for parameters, scene in found]
+
+    def still_scenes(self, y: Vector) -> list[Scene]:
+        """Return the scenes at a design, with numbers, that are not integrated."""
+        return self.program.exact.quasi_static_scenes(self._numbers(y))
+
+    def _numbers(self, y: Vector) -> list[float]:
         """Return the values of all symbols at a design."""
-        return [*self.program.values(y), *self._plain]
+        return [*self.program.values(y), *self._nowhere()]
 
     def normalised(self, scaled: Vector) -> Vector:
         """Return scaled objectives in units of the front's range."""
         return np.asarray((scaled - self.low) / self.span)
 
-    def gap(self, y: Vector) -> float:
+    def gap(self, y: Vector, level: int = 0) -> float:
         """Return the largest relative difference of the optimiser's objectives from the tightly integrated ones."""
         exact = self.exact(y)[0]
-        return float(np.max(np.abs(self.objectives(y) - exact) / np.maximum(np.abs(exact), 1e-3)))
+        return float(np.max(np.abs(self.objectives(y, level) - exact) / np.maximum(np.abs(exact), 1e-3)))
+
+    def accurate(self, y: Vector, level: int = 0) -> bool:
+        """Return whether a level has enough integration steps at a design."""
+        wanted = self.wanted_error
+        return wanted is None or self.gap(y, level) <= wanted
+
+    def level_for(self, y: Vector) -> int:
+        """Return the coarsest level that is accurate around a design."""
+        wanted = self.wanted_error
+        levels = range(len(self.levels) - 1, 0, -1) if wanted is not None else ()
+        return next((k for k in levels if self.gap(y, k) <= _ROOM * (wanted or 0.0)), 0)
 
     def holds(self, point: Point) -> bool:
         """Return whether it is the position that decides where on the front an optimum lies."""
-        return bool(point.lam_g[self.row] > _PULLS)
+        return bool(np.all(point.lam_g[self.rows] > _PULLS))
 
     @property
     def _row_scale(self) -> float:
-        return float(self.program.scales[self.program.owner[self.row]])
+        return float(self.program.scales[self.program.owner[self.rows[0]]])
 
     def slopes(self, point: Point, p: Vector) -> Vector:
         """Return how strongly an optimum weighs each scaled objective: their gradients so weighted balance."""
-        _, w1, w2, n1, n2, _ = p[len(self._values) :]
-        pull = point.lam_g[self.row] / self._row_scale
-        weights = np.array([w1, w2]) / self.program.objective_scale
-        return np.asarray(weights + pull * np.array([n1, n2]))
+        weights, normals, _ = self.asked(p)
+        pulls = point.lam_g[self.rows] / self._row_scale
+        return np.asarray(weights[1:] / self.program.objective_scale + pulls @ normals)
+
+
+def declarations(design: Design, goals: Sequence[Goal]) -> Declarations:
+    """Return what a design declares, with an objective in the place of its own.
+
+    Raises:
+        InputError: nothing to vary.
+    """
+    own = copy.copy(design)
+    own.minimise(goals[0].expression)
+    return own.declared
 
 
 def _sizes(expressions: list[ca.MX], symbols: list[ca.MX], numbers: list[float]) -> list[float]:

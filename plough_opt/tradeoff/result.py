@@ -11,11 +11,12 @@ from typing import TYPE_CHECKING, Literal, overload
 
 import numpy as np
 
+from plough_opt.errors import InputError
 from plough_opt.results import SCHEMA, Saved, read_saved, versions, write_text
-from plough_opt.tradeoff import plane
+from plough_opt.tradeoff import plane, space
 from plough_opt.tradeoff.certificate import FrontPoint
 from plough_opt.tradeoff.goal import Axis
-from plough_opt.tradeoff.tracing import Failure
+from plough_opt.tradeoff.samples import Failure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -34,31 +35,32 @@ class Hole:
         settled: False where the optimiser failed within, so that designs may be missing.
     """
 
-    start: tuple[float, float]
-    end: tuple[float, float]
+    start: tuple[float, ...]
+    end: tuple[float, ...]
     settled: bool = True
 
 
 @dataclass(frozen=True)
 class TradeOff:
-    """A front of designs, from the best in the first objective to the best in the second.
+    """A front of designs, from the best in the first objective on: a curve between two, a surface between three.
 
     Attributes:
         title: of the question.
-        goals: the two objectives.
+        goals: the objectives.
         variables: the design's variables.
         points: certified efficient designs.
-        dominated: certified local optima that some design beats in both objectives.
+        dominated: certified local optima that some design beats in all objectives.
         failures: positions without a certified design, and why.
         parts: numbers of the points of each connected part.
         holes: between the parts.
         notes: what a reader of the numbers must know.
         seconds: time taken.
+        building: part of it that building the program took; nothing for one that was built before.
         versions: of packages, and the machine.
     """
 
     title: str
-    goals: tuple[Axis, Axis]
+    goals: tuple[Axis, ...]
     variables: tuple[Axis, ...]
     points: tuple[FrontPoint, ...]
     dominated: tuple[FrontPoint, ...]
@@ -67,11 +69,12 @@ class TradeOff:
     holes: tuple[Hole, ...]
     notes: tuple[str, ...] = ()
     seconds: float = 0.0
+    building: float = 0.0
     versions: Mapping[str, str] = field(default_factory=versions)
 
     @property
     def objectives(self) -> Array:
-        """Both objectives of every point, shape (n, 2), in their units."""
+        """The objectives of every point, shape (n, 2) or (n, 3), in their units."""
         return np.array([point.objectives for point in self.points])
 
     @property
@@ -81,49 +84,79 @@ class TradeOff:
 
     @property
     def rates(self) -> Array:
-        """Change of the second objective per change of the first along the front at every point; NaN without one."""
-        return np.array([np.nan if point.rate is None else point.rate for point in self.points])
+        """Change of the second objective per change of the first along the front at every point; NaN without one.
+
+        Of three objectives the third is kept; `rate` has the other pairs.
+        """
+        return np.array([np.nan if (rate := self.rate(k)) is None else rate for k in range(len(self.points))])
+
+    def rate(self, number: int, of: int = 1, by: int = 0) -> float | None:
+        """Return the change of an objective per change of another along the front, a third one kept; None without.
+
+        Args:
+            number: of the point.
+            of: number of the objective that gives way.
+            by: number of the objective that changes.
+
+        Raises:
+            InputError: an objective that there is not, or one by itself.
+        """
+        if of == by or not {of, by} <= set(range(len(self.goals))):
+            raise InputError(
+                f"of = {of} and by = {by} must be two different objectives, from 0 to {len(self.goals) - 1}"
+            )
+        return _rate(self.points[number], of, by)
 
     @property
     def knee(self) -> FrontPoint | None:
-        """The point farthest on the good side of the line between the front's ends; None where none is."""
+        """The point farthest on the good side of the line, or the plane, of the front's ends; None where none is."""
         found = plane.knee(self._minimised())
         return None if found is None else self.points[found]
 
     def hypervolume(self, reference: Sequence[float] | None = None) -> float:
-        """Return the area that the front dominates, in the product of both units.
+        """Return the area, or the volume, that the front dominates, in the product of the objectives' units.
 
         Args:
-            reference: both objectives at the far corner; default the worst of each on the front.
+            reference: the objectives at the far corner; default the worst of each on the front.
+
+        Raises:
+            InputError: another number of objectives.
         """
         front = self._minimised()
+        if reference is not None and len(reference) != len(self.goals):
+            raise InputError(f"reference = {reference} must have {len(self.goals)} objectives")
         corner = front.max(axis=0) if reference is None else np.asarray(reference, dtype=float) * self._signs()
-        return plane.area(front, corner)
+        return plane.area(front, corner) if len(self.goals) == 2 else space.volume(front, corner)
 
-    def cost(self, number: int) -> float | None:
-        """Return by how many per cent the second objective gets worse for 1 % of the first at a point; None without.
+    def cost(self, number: int, of: int = 1, by: int = 0) -> float | None:
+        """Return by how many per cent an objective gets worse for 1 % of another at a point; None without.
 
         Args:
             number: of the point.
+            of: number of the objective that gives way; default the second.
+            by: number of the objective that gains; default the first.
         """
-        point = self.points[number]
-        if point.rate is None or not all(point.objectives):
+        rate, objectives = self.rate(number, of, by), self.points[number].objectives
+        if rate is None or not (objectives[of] and objectives[by]):
             return None
-        return abs(point.rate * point.objectives[0] / point.objectives[1])
+        return abs(rate * objectives[by] / objectives[of])
 
-    def in_words(self, number: int) -> str:
-        """Return what a little more of the first objective costs of the second at a point.
+    def in_words(self, number: int, of: int = 1, by: int = 0) -> str:
+        """Return what a little more of one objective costs of another at a point.
 
         Args:
             number: of the point.
+            of: number of the objective that gives way; default the second.
+            by: number of the objective that gains; default the first.
         """
-        first, second = self.goals
-        at, cost = self.points[number].objectives, self.cost(number)
-        place = f"at {_value(at[0], first)} and {_value(at[1], second)}"
+        gains, gives = self.goals[by], self.goals[of]
+        at, cost = self.points[number].objectives, self.cost(number, of, by)
+        values = [_value(x, goal) for x, goal in zip(at, self.goals, strict=True)]
+        place = f"at {', '.join(values[:-1])} and {values[-1]}"
         if cost is None:
             return f"{place}: no finite rate"
-        more, costs = ("more" if first.maximise else "less"), ("less" if second.maximise else "more")
-        return f"{place}: 1 % {more} {first.name} costs {cost:.3g} % {costs} {second.name}"
+        more, costs = ("more" if gains.maximise else "less"), ("less" if gives.maximise else "more")
+        return f"{place}: 1 % {more} {gains.name} costs {cost:.3g} % {costs} {gives.name}"
 
     def _signs(self) -> Array:
         return np.array([goal.sign for goal in self.goals])
@@ -182,14 +215,19 @@ class TradeOff:
         text = StringIO()
         table = csv.writer(text, lineterminator="\n")
         margins = list(self.points[0].margins)
-        table.writerow(["status", "part", *(_heading(axis) for axis in (*self.goals, *self.variables)), "rate",
+        pairs = [(of, by) for by in range(len(self.goals)) for of in range(by + 1, len(self.goals))]
+        rates = (
+            ["rate"] if len(pairs) == 1 else [f"{self.goals[of].name} per {self.goals[by].name}" for of, by in pairs]
+        )
+        table.writerow(["status", "part", *(_heading(axis) for axis in (*self.goals, *self.variables)), *rates,
                         *(f"margin of {name}" for name in margins), "active", "branch", "residual", "gap"])  # fmt: skip
         part_of = {k: number for number, part in enumerate(self.parts, start=1) for k in part}
         rows = [("front", part_of[k], point) for k, point in enumerate(self.points)]
         for status, part, point in (*rows, *(("dominated", "", point) for point in self.dominated)):
             values = [*point.objectives, *(point.variables[v.name] for v in self.variables)]
-            rate = "" if point.rate is None else repr(point.rate)
-            table.writerow([status, part, *map(repr, values), rate, *(repr(point.margins[name]) for name in margins),
+            found = [_rate(point, of, by) for of, by in pairs]
+            rates = ["" if rate is None else repr(rate) for rate in found]
+            table.writerow([status, part, *map(repr, values), *rates, *(repr(point.margins[name]) for name in margins),
                             "; ".join(point.active), point.branch, repr(point.residual), repr(point.gap)])  # fmt: skip
         return write_text(path, "table", text.getvalue())
 
@@ -208,7 +246,7 @@ class SavedTradeOff(Saved):
     """A front as JSON: SI units."""
 
     kind: Literal["trade-off"] = "trade-off"
-    goals: tuple[Axis, Axis]
+    goals: tuple[Axis, ...]
     variables: tuple[Axis, ...]
     points: tuple[FrontPoint, ...]
     dominated: tuple[FrontPoint, ...]
@@ -217,6 +255,13 @@ class SavedTradeOff(Saved):
     holes: tuple[Hole, ...]
     notes: tuple[str, ...]
     seconds: float
+    building: float = 0.0
+
+
+def _rate(point: FrontPoint, of: int, by: int) -> float | None:
+    if point.weights is None or not (point.weights[of] and point.weights[by]):
+        return None
+    return -point.weights[by] / point.weights[of]
 
 
 def _value(value: float, axis: Axis) -> str:

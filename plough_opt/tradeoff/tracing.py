@@ -1,99 +1,58 @@
-"""Following a front: from every optimum of either objective alone, position by position, in both directions."""
+"""Following a front of two objectives: from every optimum of either alone, position by position, both ways."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
 
 import numpy as np
 
-from plough_opt.design.curvature import minimum_from
-from plough_opt.design.ipopt import REMEDIES, Point, Vector
-from plough_opt.design.search import Progress, global_search
-from plough_opt.design.solving import first_optimum
+from plough_opt.design.ipopt import Point, Vector
+from plough_opt.design.search import Progress
 from plough_opt.tradeoff.plane import efficient, gaps
 from plough_opt.tradeoff.program import FrontProgram
+from plough_opt.tradeoff.samples import OTHERS, Sample, Samples
 
-# Weight of the other objective in an anchor: what is indifferent to one objective is decided by the other.
-_OTHER = 1e-4
-# Two optima nearer than this, in normalised objectives and in scaled variables, are one.
-_SAME_OBJECTIVES = 1e-6
-_SAME_DESIGN = 1e-4
 # A position farther from its limit is held by none: the branch has ended.
 _ENDED = 1e-6
 # Beside an efficient point by so much, so that it does not dominate the end of the other part.
 _BESIDE = 1e-6
 # Steps from an end, where more limits meet than decide the design, to where its rate is taken.
 _INWARD = 0.01
+# A branch that ends at a position farther in a scaled variable than this from where it led has become another one.
+_SMOOTH = 0.1
 _GIVE_UP = 2
 _ROUNDS = 6
+# Decimals of the normalised objectives by which gaps are told apart.
+_PLACES = 4
 # Differences of the normalised objectives at which all local optima are searched.
 _SEARCHED = (-0.5, 0.0, 0.5)
 
 
-@dataclass
-class Sample:
-    """A local optimum on some branch.
-
-    Attributes:
-        point: as IPOPT left it.
-        p: parameters of the program that it is an optimum of.
-        at: normalised objectives.
-        swept: objectives in whose direction its branch has been followed from here.
-        inward: at an end, an optimum and its parameters a little along the front, where the multipliers are unique.
-    """
-
-    point: Point
-    p: Vector
-    at: Vector
-    swept: set[int] = field(default_factory=set)
-    inward: tuple[Point, Vector] | None = None
-
-
-@dataclass(frozen=True)
-class Failure:
-    """A position without a certified design.
-
-    Attributes:
-        objectives: normalised objectives of the neighbour from which it was sought.
-        reason: why it failed.
-    """
-
-    objectives: tuple[float, float]
-    reason: str
-
-
-class Tracer:
-    """All local optima found, and how to find more."""
+class Tracer(Samples):
+    """The local optima of a front of two objectives."""
 
     def __init__(self, front: FrontProgram, scanned: Sequence[int], positions: int, progress: Progress) -> None:
         """Take the program, the variables to scan, and the number of positions."""
-        self._front = front
-        self._program = front.program
-        self._scanned = scanned
-        self._told = progress
+        super().__init__(front, scanned, progress)
         self._grid = np.linspace(-1.0, 1.0, positions)
         self.step = 2.0 / (positions - 1)
-        self.samples: list[Sample] = []
-        self.failures: list[Failure] = []
 
-    # --- anchors -----------------------------------------------------------------------------------------
+    def trace(self, anchors: Sequence[Sequence[Point]]) -> None:
+        """Follow every branch from every optimum both ways, and look into what gaps are left.
 
-    def anchors(self, objective: int) -> list[Point]:
-        """Return all local optima of an objective alone, best first.
-
-        Raises:
-            InfeasibleDesign: no design meets the requirements.
-            NotConverged: no optimum was found.
+        Args:
+            anchors: all local optima of either objective alone.
         """
-        p = self._front.alone(objective, _OTHER)
-        first = minimum_from(self._program, p, first_optimum(self._program, p))
-        return global_search(self._program, p, first, self._scanned, self._told)[0]
+        starts = [(self.kept(point, p), 1 - k) for k, p in enumerate(self.orders()) for point in anchors[k]]
+        for number, (sample, objective) in enumerate(starts):
+            self.told(f"following branch {number + 1} of {len(starts)}", number / len(starts))
+            self.follow(sample, objective)
+        self._search_inside()
+        self._fill_gaps()
 
-    def keep_anchors(self, objective: int, points: Sequence[Point]) -> list[Sample]:
-        """Add the optima of an objective alone."""
-        p = self._front.alone(objective, _OTHER)
-        return [self._kept(point, p) for point in points]
+    def orders(self) -> list[Vector]:
+        """Return the parameters for either objective alone."""
+        return [self.front.alone(k, OTHERS) for k in (0, 1)]
 
     # --- following ---------------------------------------------------------------------------------------
 
@@ -102,84 +61,76 @@ class Tracer:
 
         The limit on the other objective loosens on the way, so that each optimum is a feasible start for the next.
         """
-        before: Vector | None = None
+        passed: list[Vector] = []
         failed, first = 0, sample
         sample.swept.add(objective)
-        difference = float(sample.at[1 - objective] - sample.at[objective])
-        for position in self._grid[self._grid > difference - _ENDED]:
-            start = sample.point.y if before is None else np.clip(2.0 * sample.point.y - before, 0.0, 1.0)
-            p = self._front.beside(objective, float(position))
-            point = self._front.solve(sample.point, start, p)
-            if not point.solved:
-                self._fail(sample, point)
-                failed, before = failed + 1, None
+        for position in self._grid[self._grid > self._difference(sample, objective) - _ENDED]:
+            start = extrapolated([*passed, sample.point.y])
+            found = self.solve(sample, start, self._beside(objective, float(position)))
+            if isinstance(found, Point):
+                failed, passed = failed + 1, []
                 if failed == _GIVE_UP:
                     return
                 continue
-            failed, before = 0, sample.point.y
-            sample = self._kept(point, p)
+            failed, passed = 0, [*passed[-1:], sample.point.y]
+            sample = found
             if objective in sample.swept and sample is not first:
                 return
             sample.swept.add(objective)
-            if position - (sample.at[1 - objective] - sample.at[objective]) > _ENDED:
+            if np.max(np.abs(found.point.y - start)) < _SMOOTH:
+                # Back from here it leads to where it came from.
+                sample.swept.add(1 - objective)
+            if position - self._difference(sample, objective) > _ENDED:
                 return
 
-    def _fail(self, near: Sample, point: Point) -> None:
-        reason = REMEDIES.get(point.status, "the optimiser stopped without an optimum")
-        failure = Failure((float(near.at[0]), float(near.at[1])), f"{point.status}: {reason}")
-        if failure not in self.failures:
-            self.failures.append(failure)
+    def _beside(self, objective: int, difference: float) -> Vector:
+        return self.front.beside(objective, {1 - objective: difference})
 
-    def _kept(self, point: Point, p: Vector) -> Sample:
-        """Return a point's sample: an earlier one where the same design was found before."""
-        at = self._front.normalised(self._front.objectives(point.y))
-        for other in self.samples:
-            close = np.max(np.abs(other.at - at)) < _SAME_OBJECTIVES
-            if close and np.max(np.abs(other.point.y - point.y)) < _SAME_DESIGN:
-                return other
-        self.samples.append(Sample(point, p, at))
-        return self.samples[-1]
+    @staticmethod
+    def _difference(sample: Sample, objective: int) -> float:
+        return float(sample.at[1 - objective] - sample.at[objective])
 
     # --- searching ---------------------------------------------------------------------------------------
 
-    def search_inside(self) -> None:
+    def _search_inside(self) -> None:
         """Search all local optima at some positions, and follow what is new from there both ways."""
-        for number, difference in enumerate(_SEARCHED if self._scanned else ()):
-            self._told(f"searching between the anchors, {number + 1} of {len(_SEARCHED)}", number / len(_SEARCHED))
+        for number, difference in enumerate(_SEARCHED if self.scanned else ()):
+            self.told(f"searching between the anchors, {number + 1} of {len(_SEARCHED)}", number / len(_SEARCHED))
             self._search_at(difference)
 
     def _search_at(self, difference: float) -> None:
         difference = float(self._grid[np.argmin(np.abs(self._grid - difference))])
-        near = min(self.samples, key=lambda sample: abs(sample.at[0] - sample.at[1] - difference))
-        p = self._front.beside(1, difference)
-        first = self._front.solve(near.point, near.point.y, p)
-        if not first.solved:
-            self._fail(near, first)
+        p = self._beside(1, difference)
+        near = min(self.found, key=lambda sample: abs(self._difference(sample, 1) - difference))
+        first = self.solve(near, near.point.y, p)
+        if isinstance(first, Point):
             return
-        for point in global_search(self._program, p, first, self._scanned, _silent)[0]:
-            sample = self._kept(point, p)
+        here = [s.point for s in self.found if abs(self._difference(s, 1) - difference) < _ENDED and s is not first]
+        for point in self.all_optima(p, [first.point, *here]):
+            sample = self.kept(point, p)
             for objective in (1, 0):
                 if objective not in sample.swept:
                     self.follow(sample, objective)
 
     # --- gaps --------------------------------------------------------------------------------------------
 
-    def front(self) -> list[Sample]:
+    def ordered(self) -> list[Sample]:
         """Return the samples that no other dominates, in order."""
-        return [self.samples[k] for k in efficient(np.array([sample.at for sample in self.samples]))]
+        return [self.found[k] for k in efficient(np.array([sample.at for sample in self.found]))]
 
-    def fill_gaps(self) -> None:
+    def _fill_gaps(self) -> None:
         """Look for efficient designs in every gap, and find where the parts beside it end."""
-        tried: set[tuple[int, int]] = set()
+        tried: set[bytes] = set()
         for number in range(_ROUNDS):
-            front = self.front()
+            front = self.ordered()
             found = gaps(np.array([sample.at for sample in front]), self.step)
-            fresh = [k for k in found if (id(front[k]), id(front[k + 1])) not in tried]
+            places = {k: np.round([front[k].at, front[k + 1].at], _PLACES).tobytes() for k in found}
+            fresh = [k for k in found if places[k] not in tried]
             if not fresh:
                 return
-            self._told("looking into gaps", number / _ROUNDS)
+            self.told("looking into gaps", number / _ROUNDS)
             for k in fresh:
-                tried.add((id(front[k]), id(front[k + 1])))
+                tried.add(places[k])
                 self._look_between(front[k], front[k + 1])
 
     def _look_between(self, left: Sample, right: Sample) -> None:
@@ -187,41 +138,38 @@ class Tracer:
         for sample, objective in ((left, 1), (right, 0)):
             if objective not in sample.swept:
                 self.follow(sample, objective)
-        if self._scanned:
-            self._search_at(float(np.mean([s.at[0] - s.at[1] for s in (left, right)])))
+        if self.scanned:
+            self._search_at(float(np.mean([self._difference(sample, 1) for sample in (left, right)])))
         end = self._end(left, 1, float(right.at[0]) - _BESIDE)
         self._end(right, 0, float((end or left).at[1]) - _BESIDE)
 
     def _end(self, sample: Sample, objective: int, limit: float) -> Sample | None:
         """Return the design of a branch with least of an objective, the other one limited."""
-        p = self._front.below(objective, limit)
-        point = self._front.solve(sample.point, sample.point.y, p)
-        return self._kept(point, p) if point.solved else None
+        p = self.front.below(objective, {1 - objective: limit})
+        found = self.solve(sample, sample.point.y, p, told=False)
+        return None if isinstance(found, Point) else found
 
     # --- finishing ---------------------------------------------------------------------------------------
 
-    def solve_again(self) -> None:
-        """Solve every sample anew, from where it is: the program has become finer."""
-        for sample in self.samples:
-            again = self._front.solve(sample.point, sample.point.y, sample.p)
-            if again.solved:
-                sample.point, sample.at = again, self._front.normalised(self._front.objectives(again.y))
-
     def look_inward(self) -> None:
         """Give the ends of a front a neighbour on it: at an end its own multipliers are not unique."""
-        front = self.front()
+        front = self.ordered()
         for number, sample in enumerate(front):
-            if self._front.holds(sample.point):
+            if self.front.holds(sample.point):
                 continue
             objective = 0 if number == len(front) - 1 else 1
-            difference = float(sample.at[1 - objective] - sample.at[objective])
-            p = self._front.beside(objective, difference + _INWARD * self.step)
-            point = self._front.solve(sample.point, sample.point.y, p)
-            at = self._front.normalised(self._front.objectives(point.y))
+            p = self._beside(objective, self._difference(sample, objective) + _INWARD * self.step)
+            point = self.front.solve(sample.point, sample.point.y, p, sample.level)
+            at = self.front.normalised(self.front.objectives(point.y, sample.level))
             near = np.sum(np.abs(at - sample.at)) < self.step
-            if point.solved and near and self._front.holds(point):
+            if point.solved and near and self.front.holds(point):
                 sample.inward = (point, p)
 
 
-def _silent(_stage: str, _fraction: float) -> None:
-    """Report nothing."""
+def extrapolated(points: Sequence[Vector]) -> Vector:
+    """Return where up to three equally spaced designs lead, between the bounds."""
+    if len(points) == 1:
+        return points[0]
+    if len(points) == 2:
+        return np.clip(2.0 * points[1] - points[0], 0.0, 1.0)
+    return np.clip(3.0 * (points[2] - points[1]) + points[0], 0.0, 1.0)

@@ -8,8 +8,8 @@ import pytest
 
 import plough_opt as po
 from plough_opt.design import program as program_module
-from plough_opt.tradeoff.question import _hole
-from plough_opt.tradeoff.tracing import Failure
+from plough_opt.tradeoff.assembly import hole
+from plough_opt.tradeoff.samples import Failure
 
 # Ends of the five parts of ZDT3, where the next minimum or the next level begins (Zitzler, Deb and Thiele 2000).
 ZDT3 = [(0.0, 0.0830015349), (0.1822287280, 0.2577623634), (0.4093136748, 0.4538821041), (0.6183967944, 0.6525117038),
@@ -96,7 +96,7 @@ def test_a_hole_in_which_the_optimiser_failed_is_not_settled(broken, status, set
     signs = np.ones(2)
     within = Failure(before.objectives, f"{status}: why")
     beside = Failure(broken.points[0].objectives, "Maximum_Iterations_Exceeded: why")
-    assert _hole(before, after, [within, beside], signs) == replace(broken.holes[0], settled=settled)
+    assert hole(before, after, [within, beside], signs) == replace(broken.holes[0], settled=settled)
 
 
 # --- anchors and positions ----------------------------------------------------------------------------------
@@ -217,13 +217,15 @@ def test_limits_of_a_point(concave):
 def test_positions_without_a_design_are_named():
     d = po.Design()
     x = d.variable("x", guess=0.9, lower=0.0, upper=1.0)
-    # The logarithm has no value left of 0.2, where the first objective pulls.
-    front = po.trade_off(d, x, -ca.log(x - 0.2), points=9)
-    assert front.failures
-    for failure in front.failures:
-        assert "no finite number" in failure.reason
-        assert len(failure.objectives) == 2
-    assert -np.log(front.objectives[:, 0] - 0.2) == pytest.approx(front.objectives[:, 1], abs=1e-9)
+    # The root has no value between 0.4 and 0.6, into which both objectives pull from either side.
+    second = 1.0 - x + 1e-3 * ca.sqrt((x - 0.5) ** 2 - 0.01)
+    front = po.trade_off(d, x, second, points=21)
+    assert any("no finite number" in failure.reason for failure in front.failures)
+    (hole,) = front.holes
+    assert not hole.settled
+    first, found = front.objectives.T
+    assert np.all((first < 0.4) | (first > 0.6))
+    assert found == pytest.approx(1.0 - first + 1e-3 * np.sqrt((first - 0.5) ** 2 - 0.01), abs=1e-9)
 
 
 # --- no conflict --------------------------------------------------------------------------------------------
@@ -257,10 +259,10 @@ def test_no_design_meets_the_requirements(plane):
     assert caught.value.conflicts == pytest.approx({"far": 1.0}, abs=1e-6)
 
 
-def test_three_objectives_are_refused(plane):
+def test_four_objectives_are_refused(plane):
     d, x, y = plane
-    with pytest.raises(po.InputError, match="3 objectives were given: a front is drawn of two; put the others into"):
-        po.trade_off(d, x, y, x + y)
+    with pytest.raises(po.InputError, match="4 objectives were given: a front is drawn of two or three; put the"):
+        po.trade_off(d, x, y, x + y, x - y)
 
 
 @pytest.mark.parametrize("points", [4, 1001, 7.5, True, "40"])
@@ -278,7 +280,7 @@ def test_objectives_that_cannot_be(plane):
         po.trade_off(d, x, 3.0)
     with pytest.raises(po.InputError, match="'first objective' holds symbols that this design did not declare"):
         po.trade_off(d, ca.MX.sym("z"), x)
-    with pytest.raises(po.InputError, match="both objectives are named 'a'"):
+    with pytest.raises(po.InputError, match="two objectives are named 'a'"):
         po.trade_off(d, po.Goal("a", x), po.Goal("a", y))
     with pytest.raises(po.InputError, match="nothing to choose"):
         po.trade_off(po.Design(), x, y)

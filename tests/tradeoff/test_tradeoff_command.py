@@ -61,7 +61,7 @@ def test_the_shipped_files_are_right(cli):
 def test_a_file_without_the_table_is_told_what_to_add(cli):
     done = cli("tradeoff", PROBLEMS / "reference.toml")
     assert done.status == 2
-    assert "nothing to trade: add a table [trade_off] with two results, such as mean_draft = {}" in done.err
+    assert "nothing to trade: add a table [trade_off] with two or three results, such as mean_draft = {}" in done.err
 
 
 def test_a_problem_without_solution(cli, loosening):
@@ -72,9 +72,12 @@ def test_a_problem_without_solution(cli, loosening):
 
 WRONG = {
     "misspelt": ("mean_draft = {}\nlosened_radius = {}", "line 27: 'losened_radius' cannot be traded: did you mean"),
-    "one": ("mean_draft = {}", "line 25: a front is drawn of two results, not of one alone: [trade_off] with two"),
-    "three": ("mean_draft = {}\nforce_rms = {}\ntow_power = {}", "not of 3 results: put the others into [require]"),
-    "none": ("points = 7", "line 25: a front is drawn of two results, not of nothing: [trade_off] with two results"),
+    "one": ("mean_draft = {}", "line 25: a front is drawn of two or three results, not of one alone: [trade_off]"),
+    "four": (
+        "mean_draft = {}\nforce_rms = {}\ntow_power = {}\nmean_deflection = {}",
+        "not of 4 results: put the others into [require]",
+    ),
+    "none": ("points = 7", "line 25: a front is drawn of two or three results, not of nothing: [trade_off] with two"),
     "no table": ("mean_draft = 3\nforce_rms = {}", "line 26: 'trade_off.mean_draft' must be {} or { maximise = true }"),
     "key": (
         "mean_draft = { maximize = true }\nforce_rms = {}",

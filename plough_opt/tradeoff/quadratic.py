@@ -1,0 +1,55 @@
+"""Small convex quadratic programs, by least distances (Lawson and Hanson 1974, chapter 23)."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.optimize import nnls
+
+from plough_opt.design.ipopt import Vector
+
+# Of a program whose limits contradict each other, the distance that is left.
+_INFEASIBLE = 1e-13
+
+
+def least(
+    curvature: Vector, gradient: Vector, rows: Vector, limits: tuple[Vector, Vector]
+) -> tuple[Vector, Vector] | None:
+    """Return the step d that minimises d' H d / 2 + g' d with limits on A d, and the limits' multipliers.
+
+    Args:
+        curvature: H, positive definite.
+        gradient: g.
+        rows: A.
+        limits: lower and upper limit of each row; infinite where there is none.
+
+    Returns:
+        The step, and multipliers, positive at an upper limit and negative at a lower one; None without a feasible step.
+    """
+    low, high = limits
+    below, above = np.flatnonzero(np.isfinite(low)), np.flatnonzero(np.isfinite(high))
+    own = np.concatenate([below, above])
+    signs = np.concatenate([np.ones(len(below)), -np.ones(len(above))])
+    # Written as B d >= b, in the measure in which H is the identity, the step is the point nearest to the free one.
+    b = np.concatenate([low[below], -high[above]])
+    wanted = signs[:, None] * rows[own]
+    root = np.linalg.cholesky(curvature)
+    turned = np.linalg.solve(root, np.column_stack([wanted.T, gradient]))
+    system = np.vstack([turned[:, :-1], b + turned[:, :-1].T @ turned[:, -1]])
+    target = np.zeros(len(system))
+    target[-1] = 1.0
+    pulls, distance = nnls(system, target)
+    if distance < _INFEASIBLE:
+        return None
+    active = np.flatnonzero(pulls)
+    step, exact = _with_equal(curvature, gradient, wanted[active], b[active])
+    multipliers = np.zeros(len(low))
+    np.add.at(multipliers, own[active], -signs[active] * exact)
+    return step, multipliers
+
+
+def _with_equal(curvature: Vector, gradient: Vector, rows: Vector, b: Vector) -> tuple[Vector, Vector]:
+    """Return step and multipliers with rows that are met exactly."""
+    n = len(gradient)
+    system = np.block([[curvature, -rows.T], [rows, np.zeros((len(b), len(b)))]])
+    found = np.linalg.lstsq(system, np.concatenate([-gradient, b]), rcond=None)[0]
+    return found[:n], found[n:]

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from plough_opt.calibration.estimate import Data, estimate
+from plough_opt.calibration.measurements import RECORD, RESULTS
 from plough_opt.calibration.program import Program
 from plough_opt.errors import InputError
 from plough_opt.expressions import is_count
@@ -24,13 +25,15 @@ class CrossValidation:
 
     Attributes:
         folds: number of parts that were left out in turn; as many as rows: each row by itself.
-        errors: predicted less observed in every row, by the fit without it, SI.
+        rows: numbers of the rows that were left out; unknowns that were measured themselves stay in.
+        errors: predicted less observed in these, by the fit without them, SI.
         standardised: the same over the standard deviation of a measurement.
         rms: result -> root mean square of its errors, SI.
         rms_fitted: the same of the residuals of the fit to all rows, which is smaller.
     """
 
     folds: int
+    rows: NDArray[np.intp]
     errors: Vector
     standardised: Vector
     rms: Mapping[str, float]
@@ -51,15 +54,15 @@ def cross_validate(
         folds: number of parts, from 2 to the number of rows; None: each row by itself, of over 60 rows 20; of runs 5.
         seed: of the shuffling; rows of a record stay together, as neighbours tell each other's values.
     """
-    count = len(data.observed)
+    order = np.array([k for k, result in enumerate(results) if result in RESULTS], dtype=np.intp)
+    count = len(order)
     if folds is None:
         folds = (count if count <= _MOST_LEFT_OUT else 20) if program.predictor.closed else min(5, count)
     if not is_count(folds) or not 2 <= folds <= count:
         raise InputError(f"folds = {folds!r} must be a whole number from 2 to {count}, the number of rows")
-    order = np.arange(count)
-    if "mount_force" not in results and folds < count:
+    if RECORD not in results and folds < count:
         np.random.default_rng(seed).shuffle(order)
-    errors = np.empty(count)
+    errors = np.zeros(len(data.observed))
     for part in np.array_split(order, folds):
         kept = data.weights.copy()
         kept[part] = 0.0
@@ -70,11 +73,13 @@ def cross_validate(
         errors[part] = (program.predict(found.y) - data.observed)[part]
     fitted = program.predict(y) - data.observed
     names = np.array(results)
-    every = dict.fromkeys(results)
+    every = [result for result in dict.fromkeys(results) if result in RESULTS]
+    rows = np.sort(order)
     return CrossValidation(
         folds,
-        errors,
-        errors / deviation,
+        rows,
+        errors[rows],
+        errors[rows] / deviation[rows],
         {name: float(np.sqrt(np.mean(errors[names == name] ** 2))) for name in every},
         {name: float(np.sqrt(np.mean(fitted[names == name] ** 2))) for name in every},
     )

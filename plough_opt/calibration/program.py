@@ -9,6 +9,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from plough_opt.calibration.identifiability import UNIFORM
 from plough_opt.calibration.loss import Loss
 from plough_opt.calibration.prediction import Predictor
 from plough_opt.design.ipopt import NEAR, OPTIONS
@@ -25,9 +26,12 @@ _TIGHT: dict[str, Any] = OPTIONS | {
     "no_nlp_grad": True,
 }
 _PATIENT: dict[str, Any] = {"ipopt.max_iter": 200, "ipopt.mu_init": 1e-7}
-RIDGE = 1e-3
-"""Pull towards a centre, in squared standard deviations per squared range between the bounds: it decides nothing but
-where along an undetermined direction the unknowns are."""
+RIDGE = 0.01 / UNIFORM**2
+"""Pull towards a centre where the data leave a direction open: a hundredth of what the bounds themselves tell.
+
+It decides where along such a direction the unknowns are, and moves what the data determine by less than a hundredth
+of its standard error.
+"""
 
 # Part of its weight with which a residual counts for the curvature at least, where the loss bends the other way.
 _LEAST_BEND = 0.1

@@ -177,7 +177,9 @@ def _print(
 def _unknown_table(problem: Problem, fit: Fit, intervals: Mapping[str, Interval], level: float) -> Table:
     table = Table(title="Calibrated")
     for heading in ("unknown", "value", "standard error", f"{100 * level:g} % interval", "bounds", ""):
-        table.add_column(heading, justify="left" if heading in ("unknown", "") else "right", overflow="fold")
+        table.add_column(
+            heading, justify="left" if heading in ("unknown", "") else "right", no_wrap=heading == "unknown"
+        )
     for found in fit.unknowns:
         interval = intervals[found.name]
         value, error, told = "not determined", "infinite", "infinite"

@@ -1,0 +1,137 @@
+"""Print how often the intervals of a calibration hold the truth, in synthetic trials, as a table in Markdown.
+
+python problems/calibration_coverage.py [TRIALS]
+"""
+
+import sys
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+import plough_opt as po
+from plough_opt.calibration.coverage import Coverage, coverage
+
+BOUNDS = {
+    "soil.cohesion": (1e3, 80e3),
+    "soil.friction_angle": (po.deg(10.0), po.deg(45.0)),
+    "soil.density_ratio": (0.6, 0.95),
+    "soil.tool_friction": (0.05, 1.5),
+    "soil.ambient_pressure": (1e3, 200e3),
+    "effects.rate_term": (0.0, 0.2),
+}
+TRUTH = {
+    "soil.cohesion": 20e3,
+    "soil.friction_angle": po.deg(28.0),
+    "soil.density_ratio": 0.794,
+    "soil.tool_friction": 0.5,
+    "soil.ambient_pressure": 60e3,
+    "effects.rate_term": 0.02,
+}
+SPEEDS = np.linspace(0.8, 3.0, 6)
+ANGLES = np.radians([25.0, 35.0, 45.0, 55.0])
+TRIALS, SEED = 500, 1
+
+
+@dataclass(frozen=True)
+class Trial:
+    """A set of conditions that is measured again and again.
+
+    Attributes:
+        name: of the row in the table.
+        unknown: what is to be found.
+        conditions: measured result -> conditions.
+        error: standard deviation of the errors, relative to each value, or to the mean where sigma is not stated.
+        stated: whether the calibration is told sigma.
+        loss: name of the loss.
+    """
+
+    name: str
+    unknown: tuple[str, ...]
+    conditions: Mapping[str, Mapping[str, np.ndarray]]
+    error: float = 0.03
+    stated: bool = True
+    loss: str = "squares"
+
+    def run(self, trials: int, seed: int = SEED) -> Coverage:
+        """Return the coverage."""
+        calibration = self.calibration(dict.fromkeys(self.conditions))
+        truth = {name: TRUTH[name] for name in self.unknown}
+        sizes = np.abs(calibration.predict(truth))
+        if not self.stated:
+            return coverage(calibration, truth, sigma=np.full(len(sizes), self.error * sizes.mean()), trials=trials,
+                            seed=seed)  # fmt: skip
+        ends = np.cumsum([m.rows for m in calibration.measured])[:-1]
+        sigmas = dict(zip(self.conditions, np.split(self.error * sizes, ends), strict=True))
+        return coverage(self.calibration(sigmas), truth, trials=trials, seed=seed)
+
+    def calibration(self, sigmas: Mapping[str, np.ndarray | None]) -> po.Calibration:
+        """Return the calibration, its measured values to be replaced in every trial."""
+        data = [
+            po.Measurements(result, np.ones(len(next(iter(own.values())))), own, sigma=sigmas[result])
+            for result, own in self.conditions.items()
+        ]
+        unknown = {name: (*BOUNDS[name], TRUTH[name]) for name in self.unknown}
+        return po.Calibration(scene(), data, unknown, loss=self.loss, starts=1)
+
+
+def scene() -> po.Scene:
+    """Return the share whose draft is measured, in a serozem with the true values."""
+    soil = po.Soil(
+        density=1350.0,
+        density_ratio=TRUTH["soil.density_ratio"],
+        cohesion=TRUTH["soil.cohesion"],
+        friction_angle=TRUTH["soil.friction_angle"],
+        tool_friction=TRUTH["soil.tool_friction"],
+        ambient_pressure=TRUTH["soil.ambient_pressure"],
+    )
+    effects = po.Effects(motion=False, rate_term=TRUTH["effects.rate_term"])
+    return po.Scene(soil, po.Wedge(po.deg(40.0), po.deg(15.0), 0.25), 5e4, 25.0, 2.0, effects)
+
+
+def grid(**axes: np.ndarray) -> dict[str, np.ndarray]:
+    """Return all combinations of conditions, one column each; a name's two underscores stand for a point."""
+    columns = np.meshgrid(*axes.values(), indexing="ij")
+    return {name.replace("__", "."): column.ravel() for name, column in zip(axes, columns, strict=True)}
+
+
+PLANE = {"mean_draft": grid(scene__tow_speed=SPEEDS, share__wedge_angle=ANGLES)}
+DEPTHS = {
+    "mean_draft": grid(
+        scene__tow_speed=SPEEDS[::2], share__wedge_angle=ANGLES[::1], soil__ambient_pressure=np.array([2e3, 2e4, 6e4])
+    ),
+    "loosened_radius": grid(share__wedge_angle=np.repeat(ANGLES, 2)),
+}
+STRENGTH = ("soil.cohesion", "soil.tool_friction", "effects.rate_term")
+CASES = (
+    Trial("24 drafts over speed and wedge angle", STRENGTH, PLANE),
+    Trial("the same, sigma estimated", ("soil.ambient_pressure", *STRENGTH[1:]), PLANE, stated=False),
+    Trial("the same, Huber's loss", STRENGTH, PLANE, stated=False, loss="huber"),
+    Trial("36 drafts over speed, angle and ambient pressure, 8 loosened radii",
+          tuple(name for name in BOUNDS if name != "soil.ambient_pressure"), DEPTHS),
+    Trial("24 drafts over speed and wedge angle", ("soil.ambient_pressure", *STRENGTH), PLANE),
+)  # fmt: skip
+
+
+def table(cases: tuple[Trial, ...], trials: int) -> str:
+    """Return the table."""
+    lines = [
+        f"| measured ({trials} trials each) | unknown | identifiable | profile | linearised | error of one fit |",
+        "|---|---|---|---|---|---|",
+    ]
+    for case in cases:
+        found = case.run(trials)
+        for number, own in enumerate(found.unknowns):
+            name = case.name if number == 0 else ""
+            if 2 * own.identifiable < found.trials:
+                lines.append(f"| {name} | `{own.name}` | in {own.identifiable} | not identifiable | | |")
+                continue
+            rates = " | ".join(f"{100 * own.rate(kind):.1f} %" for kind in ("profile", "linearised"))
+            lines.append(
+                f"| {name} | `{own.name}` | in {own.identifiable} | {rates} | {100 * own.relative_error:.2g} % |"
+            )
+    return "\n".join(lines)
+
+
+if __name__ == "__main__":
+    print(table(CASES, int(sys.argv[1]) if len(sys.argv) > 1 else TRIALS))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import os
+import io
 import platform
 import re
 import tempfile
@@ -19,6 +19,7 @@ from plough_opt.export.fmu_description import build_description, documentation, 
 from plough_opt.export.fmu_equations import model_of
 from plough_opt.export.fmu_share import StrutInput
 from plough_opt.export.fmu_source import c_source
+from plough_opt.export.whole import check_file, write_files
 from plough_opt.expressions import as_number, is_casadi, is_symbolic, map_expressions
 from plough_opt.scene import Scene
 
@@ -50,7 +51,7 @@ def write_fmu(
 
     Args:
         scene: of numbers, with motion from a start. Its tow speed is the input's value unless another is given.
-        path: of the FMU; an existing file is replaced, and nothing is written if anything fails.
+        path: of the FMU, ending in .fmu; an existing file is replaced, and nothing is written if anything fails.
         strut: whether the input is the strut's ``"speed"`` [m/s] or ``"position"`` [m].
         steel_density: of the share's material [kg/m^3]; the share's own mass is then taken to be part of the scene's,
             and follows the parameters of its shape. None: the mass is a parameter of its own.
@@ -66,7 +67,7 @@ def write_fmu(
         InputError: a scene that is no initial value problem, symbols or arrays in it, a strut's position where its
             speed is needed, a name that is none, no compiler, or a path that cannot be written.
     """
-    target, scene = Path(path), _numbers(scene)
+    target, scene = check_file(path, ".fmu", "FMU"), _numbers(scene)
     _check(scene, strut, steel_density, duration, name)
     model = model_of(scene, strut, steel_density)
     pushes = scene.effects.contact == "resisting"
@@ -81,7 +82,7 @@ def write_fmu(
     if binary:
         folder, suffix = _platform()
         content[f"binaries/{folder}/{name}{suffix}"] = _compiled(source)
-    _pack(content, target)
+    write_files({target: _archive(content)})
     return target
 
 
@@ -147,17 +148,10 @@ def _compiled(source: str) -> bytes:
         return made.read_bytes()
 
 
-def _pack(content: dict[str, bytes], target: Path) -> None:
-    """Write the archive beside its place, and move it there whole."""
-    if target.is_dir():
-        raise InputError(f"'{target}' is a folder: name a file in it")
-    temporary = target.with_name(f".{target.name}.{os.getpid()}")
-    try:
-        with zipfile.ZipFile(temporary, "x", zipfile.ZIP_DEFLATED) as archive:
-            for name, data in content.items():
-                archive.writestr(zipfile.ZipInfo(name, _DATE), data, zipfile.ZIP_DEFLATED)
-        temporary.replace(target)
-    except OSError as error:
-        raise InputError(f"'{target}' cannot be written: {error.strerror}") from None
-    finally:
-        temporary.unlink(missing_ok=True)
+def _archive(content: dict[str, bytes]) -> bytes:
+    """Return files as one zip archive."""
+    packed = io.BytesIO()
+    with zipfile.ZipFile(packed, "w") as archive:
+        for name, data in content.items():
+            archive.writestr(zipfile.ZipInfo(name, _DATE), data, zipfile.ZIP_DEFLATED)
+    return packed.getvalue()

@@ -173,7 +173,7 @@ def _variables(parent: ElementTree.Element, model: Model) -> None:
                 attributes["start"] = repr(variable.start)
             if variable.derivative:
                 attributes["derivative"] = reference[variable.derivative]
-            if variable in names.states and names.discrete:
+            if variable.name == "speed" and names.discrete:
                 attributes["reinit"] = "true"
             ElementTree.SubElement(parent, "Float64", attributes)
 

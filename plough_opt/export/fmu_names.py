@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
 
 import casadi as ca
 
 from plough_opt.export.fmu_share import Share
 from plough_opt.export.fmu_variables import Variable
+from plough_opt.expressions import Expression
 from plough_opt.geometry import Wedge
 from plough_opt.scene import Scene
 
@@ -56,11 +57,12 @@ def names_of(scene: Scene, share: Share) -> Names:
     )
     ramp = ", to which it rises in the time effects.tow_ramp" if structure.ramp else ""
     driven = Variable("strut_speed", "m/s", f"speed s' of the strut{ramp}", float(scene.tow_speed), shown="km/h")
+    opening = Variable("opening", "m", "how far the share is behind its furthest travel", nominal=length)
     outputs = (
         Variable("mount_force", "N", "mount force P of spring and damper on the share", nominal=force, shown="kN"),
         Variable("soil_resistance", "N", "resistance F of the soil with its added mass", nominal=force, shown="kN"),
         place if by_speed else deflection,
-        *((Variable("opening", "m", "how far the share is behind its furthest travel"),) if structure.events else ()),
+        *((opening,) if structure.events else ()),
     )
     told = "negative once an event has happened"
     discrete = (
@@ -88,14 +90,18 @@ def _magnitudes(scene: Scene) -> tuple[float, float, float]:
 
 def calculated(scene: Scene, symbolic: Scene) -> Iterator[tuple[Variable, ca.SX]]:
     """Yield what follows from the parameters alone."""
-    reaction, effects = symbolic.reaction, scene.effects
-    if isinstance(scene.share, Wedge):
-        angle = Variable("share.half_angle", "rad", "half angle beta of the equivalent cone", shown="deg")
-        yield angle, symbolic.cone.half_angle
+    half_angle = Variable("share.half_angle", "rad", "half angle beta of the equivalent cone", shown="deg")
     radius = Variable("share.loosened_radius", "m", "radius r* of the compaction front at the share's base")
-    yield radius, symbolic.loosened_radius
-    yield Variable("share.static_resistance", "N", "static resistance F0", shown="kN"), reaction.static
-    if effects.inertial_drag:
-        yield Variable("share.drag_coefficient", "N.s2/m2", "resistance Fd per squared speed"), reaction.drag
-    if effects.added_mass:
-        yield Variable("share.added_mass", "kg", "mass m_a of soil that the share carries along"), reaction.added_mass
+    static = Variable("share.static_resistance", "N", "static resistance F0", shown="kN")
+    drag = Variable("share.drag_coefficient", "N.s2/m2", "resistance Fd per squared speed")
+    carried = Variable("share.added_mass", "kg", "mass m_a of soil that the share carries along")
+    told: tuple[tuple[bool, Variable, Callable[[Scene], Expression]], ...] = (
+        (isinstance(scene.share, Wedge), half_angle, lambda s: s.cone.half_angle),
+        (True, radius, lambda s: s.loosened_radius),
+        (True, static, lambda s: s.reaction.static),
+        (scene.effects.inertial_drag, drag, lambda s: s.reaction.drag),
+        (scene.effects.added_mass, carried, lambda s: s.reaction.added_mass),
+    )
+    for there, variable, value in told:
+        if there:
+            yield replace(variable, nominal=abs(float(value(scene)))), value(symbolic)

@@ -333,10 +333,13 @@ def test_bad_exports_are_refused_and_change_no_file(changes, options, told, tmp_
 
 
 def test_without_a_compiler_or_a_place_nothing_is_written(scene, tmp_path, monkeypatch):
+    tmp_path.with_suffix(".fmu").mkdir()
     with pytest.raises(po.InputError, match="is a folder: name a file in it"):
-        write_fmu(scene, tmp_path, binary=False)
-    with pytest.raises(po.InputError, match="cannot be written: No such file or directory"):
-        write_fmu(scene, tmp_path / "absent" / "share.fmu", binary=False)
+        write_fmu(scene, tmp_path.with_suffix(".fmu"), binary=False)
+    with pytest.raises(po.InputError, match=r"end it in \.fmu"):
+        write_fmu(scene, tmp_path / "share.zip", binary=False)
+    with pytest.raises(po.InputError, match="cannot be written: Not a directory"):
+        write_fmu(scene, Path(__file__) / "share.fmu", binary=False)
     monkeypatch.setenv("CC", "false")
     with pytest.raises(po.InputError, match="did not compile the FMU"):
         write_fmu(scene, tmp_path / "share.fmu")

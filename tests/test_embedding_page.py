@@ -8,15 +8,23 @@ from pathlib import Path
 import pytest
 
 from plough_opt.cli import main
+from plough_opt.vocabulary import BESIDE, MEASURES, QUANTITIES
 
 ROOT = Path(__file__).parents[1]
-BLOCKS = re.findall(
-    r"```(\w+)\n(.*?)```", (ROOT / "docs" / "embedding.md").read_text(encoding="utf-8"), flags=re.DOTALL
-)
+TEXT = (ROOT / "docs" / "embedding.md").read_text(encoding="utf-8")
+BLOCKS = re.findall(r"```(\w+)\n(.*?)```", TEXT, flags=re.DOTALL)
 
 
 def test_there_are_commands_and_examples():
     assert [language for language, _ in BLOCKS] == ["python", "python", "sh", "python", "python"]
+
+
+def test_the_tables_hold_every_name_and_no_other():
+    rows = re.findall(r"^\| ([^|]*`[^|]*) \| ([^|]*) \|$", TEXT, flags=re.MULTILINE)
+    named = {name for names, _ in rows for name in re.findall(r"`([\w.]+)`", names)} - {"steel_density"}
+    assert named == {*QUANTITIES, *BESIDE, *MEASURES}
+    units = {unit.strip() for _, column in rows for unit in column.split(";")}
+    assert {one.unit or "1" for one in (*QUANTITIES.values(), *BESIDE.values(), *MEASURES.values())} == units
 
 
 def test_commands_and_examples_run_in_order(tmp_path, monkeypatch, capsys):

@@ -14,6 +14,7 @@ from plough_opt.export.fmu import write_fmu
 DURATION = 1.2
 SHARE = po.Wedge(po.deg(45.0), po.deg(15.0), 0.25)
 WAVE = po.StrengthWave(0.9, 0.25)
+STRENGTHLESS = dataclasses.replace(po.named_soil("serozem"), cohesion=0.0, ambient_pressure=0.0, friction_angle=0.0)
 REFERENCE = po.Accuracy(error=1e-10)
 
 
@@ -88,6 +89,30 @@ def test_simulates_to_the_same_motion(effects, tmp_path):
         assert len(np.unique(run.mode)) > 1
     stepped, _ = Stepped(fmu).run(run.time, ARRAYS)
     assert max(differences(stepped, run).values()) < CLOSELY
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "changes",
+    [
+        pytest.param({"tow_speed": 0.0}, id="a strut that stands still"),
+        pytest.param({"share": po.Cone(po.deg(12.0), 0.3), "effects": po.Effects(start="towed")}, id="a cone"),
+        pytest.param({"soil": STRENGTHLESS}, id="no strength"),
+        pytest.param(
+            {"soil": STRENGTHLESS, "effects": po.Effects(start="rest", contact=po.StickSlip())},
+            id="no strength, stick and slip",
+        ),
+    ],
+)
+def test_scenes_at_the_edge(changes, tmp_path):
+    scene = dataclasses.replace(scene_with(po.Effects()), **changes)
+    fmu = write_fmu(scene, tmp_path / "share.fmu")
+    assert validate_fmu(str(fmu)) == []
+    run = po.simulate(scene, DURATION, accuracy=REFERENCE, outputs=200)
+    found = simulated(fmu, DURATION)
+    for name in ARRAYS:
+        values = getattr(run, name)
+        assert np.max(np.abs(found[name] - values)) <= WITHIN * np.max(np.abs(values)), name
 
 
 def test_events_are_handled_on_either_side_of_them(tmp_path):

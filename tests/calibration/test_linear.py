@@ -1,0 +1,129 @@
+"""Where the model is linear in its unknowns: linear regression in closed form."""
+
+import numpy as np
+import pytest
+from conftest import steady_scene
+from scipy import stats
+
+import plough_opt as po
+
+# The draft is linear in the cohesion (through F0) and, without rate term, in the density (through the drag).
+UNKNOWN = {"soil.cohesion": (0.0, 60e3, 10e3), "soil.density": (100.0, 4000.0, 1000.0)}
+
+
+def linear_scene(cohesion, density, speed):
+    soil = po.Soil(density, 0.794, cohesion, po.deg(28.0), 0.5, 5e3)
+    return po.Scene(soil, po.Wedge(po.deg(60.0), po.deg(15.0), 0.25), 5e4, 25.0, speed, po.Effects(motion=False))
+
+
+@pytest.fixture(scope="module")
+def regression():
+    """Speeds, measured drafts, the design matrix and the closed-form solution of the weighted least squares."""
+    speeds = np.linspace(0.5, 6.0, 14)
+    at = np.array([[float(linear_scene(k, rho, v).steady_resistance) for k, rho in ((0, 1), (1e4, 1), (0, 1001))]
+                   for v in speeds])  # fmt: skip
+    offset = at[:, 0] - (at[:, 2] - at[:, 0]) / 1000.0
+    matrix = np.column_stack([(at[:, 1] - at[:, 0]) / 1e4, (at[:, 2] - at[:, 0]) / 1000.0])
+    exact = offset + matrix @ [20e3, 1400.0]
+    sigma = 0.01 * exact
+    values = exact + sigma * np.random.default_rng(5).standard_normal(len(exact))
+    return speeds, values, sigma, offset, matrix
+
+
+@pytest.fixture(scope="module", params=["stated", "estimated"])
+def both(request, regression):
+    """The fit, and the closed form, with sigma stated or estimated."""
+    speeds, values, sigma, offset, matrix = regression
+    stated = request.param == "stated"
+    weights = 1.0 / sigma if stated else np.ones(len(values))
+    data = po.Measurements("mean_draft", values, {"scene.tow_speed": speeds}, sigma=sigma if stated else None)
+    fit = po.calibrate(linear_scene(20e3, 1400.0, 2.0), data, UNKNOWN)
+    weighted = matrix * weights[:, None]
+    target = (values - offset) * weights
+    found = np.linalg.lstsq(weighted, target)[0]
+    rest = target - weighted @ found
+    freedom = len(values) - 2
+    variance = 1.0 if stated else float(rest @ rest) / freedom
+    covariance = variance * np.linalg.inv(weighted.T @ weighted)
+    quantile = stats.norm.ppf(0.975) if stated else stats.t.ppf(0.975, freedom)
+    return fit, found, covariance, quantile, weighted, weights
+
+
+def test_values_errors_and_correlation(both):
+    fit, found, covariance, _, _, _ = both
+    # IPOPT stops within 1e-4 of a standard error, and here far closer.
+    np.testing.assert_allclose(list(fit.values.values()), found, rtol=1e-7)
+    errors = np.sqrt(np.diag(covariance))
+    np.testing.assert_allclose(list(fit.standard_errors.values()), errors, rtol=1e-7)
+    correlation = covariance[0, 1] / errors.prod()
+    assert fit.correlations["soil.cohesion", "soil.density"] == pytest.approx(correlation, rel=1e-6)
+    assert fit.correlations["soil.density", "soil.cohesion"] == fit.correlations["soil.cohesion", "soil.density"]
+
+
+@pytest.mark.parametrize("kind", ["profile", "linearised"])
+def test_intervals(both, kind):
+    fit, found, covariance, quantile, _, _ = both
+    errors = np.sqrt(np.diag(covariance))
+    for k, interval in enumerate(fit.intervals(0.95, kind).values()):
+        # The density is scaled logarithmically: its linearised interval is not symmetric, the profile's is.
+        if kind == "linearised" and k == 1:
+            factor = np.exp(quantile * errors[k] / found[k])
+            expected = (found[k] / factor, found[k] * factor)
+        else:
+            expected = (found[k] - quantile * errors[k], found[k] + quantile * errors[k])
+        assert interval.kind == kind
+        # The profile's limit is met to 1e-9 of a loss, of which the interval is the root.
+        np.testing.assert_allclose(tuple(interval), expected, rtol=1e-6)
+
+
+def test_leaving_one_out_is_the_hat_matrix(both):
+    fit, _, _, _, weighted, weights = both
+    hat = weighted @ np.linalg.inv(weighted.T @ weighted) @ weighted.T
+    residuals = fit.residuals * weights
+    expected = residuals / (1.0 - np.diag(hat)) / weights
+    found = fit.cross_validation()
+    assert found.folds == len(fit.rows)
+    np.testing.assert_allclose(found.errors, expected, rtol=1e-5, atol=1e-6 * np.max(np.abs(expected)))
+    assert found.rms["mean_draft"] == pytest.approx(np.sqrt(np.mean(expected**2)), rel=1e-6)
+    assert found.rms["mean_draft"] > found.rms_fitted["mean_draft"]
+
+
+def test_a_next_measurement_does_what_it_promises(regression):
+    speeds, values, sigma, _, _ = regression
+    scene = linear_scene(20e3, 1400.0, 2.0)
+    data = po.Measurements("mean_draft", values, {"scene.tow_speed": speeds}, sigma=sigma)
+    # Bounds so wide that they tell nothing beside the data.
+    wide = {"soil.cohesion": (0.0, 4e7, 1e4), "soil.density": (0.0, 2e6, 1e3)}
+    candidate = po.Candidate("mean_draft", {"scene.tow_speed": 9.0}, sigma=50.0)
+    fit = po.calibrate(scene, data, wide)
+    (promise,) = fit.next_measurements([candidate])
+    added = po.Measurements("mean_draft", [9e3], {"scene.tow_speed": [9.0]}, sigma=50.0)
+    then = po.calibrate(scene, [data, added], wide)
+    for name, (now, after) in promise.errors.items():
+        assert now == pytest.approx(fit.standard_errors[name], rel=1e-5)
+        assert after == pytest.approx(then.standard_errors[name], rel=1e-5)
+
+
+def test_a_row_of_weight_zero_is_as_if_left_out(regression):
+    speeds, values, _, _, _ = regression
+    weights = np.ones(len(values))
+    weights[3] = 0.0
+    scene, spoilt = linear_scene(20e3, 1400.0, 2.0), values.copy()
+    spoilt[3] *= 3.0
+    mean = np.mean(np.abs(spoilt))
+    assert mean > 0.0
+    fit = po.calibrate(
+        scene, po.Measurements("mean_draft", spoilt, {"scene.tow_speed": speeds}, weights=weights), UNKNOWN
+    )
+    kept = weights > 0.0
+    without = po.calibrate(
+        scene, po.Measurements("mean_draft", values[kept], {"scene.tow_speed": speeds[kept]}), UNKNOWN
+    )
+    assert fit.freedom == without.freedom
+    for name in UNKNOWN:
+        assert fit.values[name] == pytest.approx(without.values[name], rel=1e-7)
+        assert fit.standard_errors[name] == pytest.approx(without.standard_errors[name], rel=1e-6)
+
+
+def test_steady_scene_is_what_the_fixtures_say():
+    assert float(steady_scene().steady_resistance) == pytest.approx(float(po.simulate(steady_scene(), 1.0).mean_draft))

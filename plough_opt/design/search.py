@@ -66,9 +66,8 @@ def scanned_variables(program: Program, search: str | Sequence[str]) -> list[int
         wanted = [search] if isinstance(search, str) else list(search)
         for name in wanted:
             if name not in names:
-                raise InputError(
-                    f"search = '{name}' is no variable of this design: {nearest(name, ['auto', 'local', NEAR_GUESS, *names])}"
-                )
+                known = nearest(name, ["auto", "local", NEAR_GUESS, *names])
+                raise InputError(f"search = '{name}' is no variable of this design: {known}")
         return [names.index(name) for name in dict.fromkeys(wanted)]
     found: set[int] = set()
     for run in program.exact.runs:

@@ -42,7 +42,8 @@ def solve_program(
     program.build(p)
     scanned = scanned_variables(program, search)
     progress("solving from the guess", 0.0)
-    points, scans = global_search(program, p, minimum_from(program, p, first_optimum(program, p, near=search == NEAR_GUESS)), scanned, progress)
+    first = minimum_from(program, p, first_optimum(program, p, near=search == NEAR_GUESS))
+    points, scans = global_search(program, p, first, scanned, progress)
     points, missed = _refined(program, p, points, progress)
     progress("checking", 0.0)
     scenes = [_scenes(program, point, p) for point in points]

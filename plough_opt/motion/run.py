@@ -67,7 +67,7 @@ class Checks:
     floquet: tuple[complex, ...] = ()
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Run:
     """A simulated run: arrays over the output times, averages, and how far they can be trusted.
 
@@ -105,6 +105,15 @@ class Run:
     averages: Averages
     accuracy: Accuracy
     checks: Checks | None = None
+
+    def __repr__(self) -> str:
+        """Return in a line what was found; the arrays would fill pages."""
+        if self.checks is None:
+            return "<Run: expressions of a scene's symbols>"
+        return (
+            f"<Run: {self.duration:g} s in {len(self.time) - 1} intervals by {self.accuracy.method}, mean draft"
+            f" {self.mean_draft:.6g} N, RMS {self.force_rms:.6g} N, error estimate {self.error_estimate:.1e}>"
+        )
 
     @property
     def mean_draft(self) -> Expression:

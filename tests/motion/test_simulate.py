@@ -541,3 +541,15 @@ def test_a_duration_must_be_positive(r1_scene, duration):
 def test_outputs_must_be_at_least_one(r1_scene, outputs):
     with pytest.raises(po.InputError, match=f"outputs = {outputs} must be at least 1"):
         po.simulate(r1_scene(), 1.0, outputs=outputs)
+
+
+def test_a_run_prints_as_a_line(r1_scene):
+    run = po.simulate(r1_scene(strength_wave=WAVE), 2.0)
+    # Mean and RMS of R1 at its start.
+    text = "<Run: 2 s in 400 intervals by dop853, mean draft 531.047 N, RMS 145.439 N, error estimate "
+    assert repr(run).startswith(text)
+    assert float(repr(run)[len(text) : -1]) == pytest.approx(run.error_estimate, rel=0.05)
+
+
+def test_a_symbolic_run_prints_as_a_line(r1_scene):
+    assert repr(po.simulate(r1_scene(stiffness=ca.MX.sym("k0")), 2.0)) == "<Run: expressions of a scene's symbols>"

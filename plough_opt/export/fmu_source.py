@@ -21,8 +21,9 @@ def c_source(model: Model, *, pushes: bool, by_speed: bool) -> tuple[str, str]:
         pushes: whether the soil would push a share that retreats, of which the FMU then warns.
         by_speed: whether the strut's speed is the input.
     """
-    runtime = files("plough_opt.export").joinpath("fmu_runtime.c").read_text(encoding="utf-8")
-    parts = (_numbers(model, pushes, by_speed), _equations(model.functions), runtime)
+    folder = files("plough_opt.export")
+    functions = (folder.joinpath(name).read_text(encoding="utf-8") for name in ("fmu_runtime.c", "fmu_optional.c"))
+    parts = (_numbers(model, pushes, by_speed), _equations(model.functions), *functions)
     # Names and units are the description's, but two FMUs that compute alike may well share a token.
     token = hashlib.sha256("".join(parts).encode()).hexdigest()[:32]
     return "\n".join((f'#define TOKEN "{token}"', *parts)), token

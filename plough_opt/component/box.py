@@ -32,6 +32,8 @@ _ROUNDS = 6
 # Part of V0 sqrt(k0 M) that forces are at least related to.
 _LEAST_FORCE = 1e-9
 _RETREAT = 1e-6
+# What is looked at, at points of the box.
+_DRAFT, _RMS, _FORCE, _SPEED, _HARDNESS, _HALF_ANGLE = range(6)
 _CHECKED: Results = (
     lambda run: run.mean_draft,
     lambda run: run.force_rms,
@@ -172,14 +174,14 @@ class Box:
     ) -> tuple[str, ...]:
         """Return what a reader must know: of the scene at the inputs' values, and of those between the bounds."""
         notes = list(self.scene.warnings())
-        blunt = max(range(len(points)), key=lambda k: float(found[k][5][0]))
-        if float(found[blunt][5][0]) > PLANE_SECTIONS_LIMIT and not any("plane sections" in note for note in notes):
+        bluntest = max(float(values[_HALF_ANGLE][0]) for values in found)
+        if bluntest > PLANE_SECTIONS_LIMIT and not any("plane sections" in note for note in notes):
             notes.append(
-                f"within the bounds the half angle reaches {math.degrees(float(found[blunt][5][0])):.1f} deg: above"
+                f"within the bounds the half angle reaches {math.degrees(bluntest):.1f} deg: above"
                 f" {math.degrees(PLANE_SECTIONS_LIMIT):.0f} deg the hypothesis of plane sections does not hold"
             )
-        slowest = min(range(len(points)), key=lambda k: float(np.min(found[k][3])))
-        speed = found[slowest][3]
+        slowest = min(range(len(points)), key=lambda k: float(np.min(found[k][_SPEED])))
+        speed = found[slowest][_SPEED]
         if float(np.min(speed)) < -_RETREAT * float(np.max(np.abs(speed))):
             notes.append(
                 f"within the bounds the share retreats, as at {self._place(points[slowest])} at up to"
@@ -198,8 +200,9 @@ def _missed(error: float, wanted: float) -> tuple[str, ...]:
 
 def _difference(coarse: Sequence[NDArray[np.float64]], fine: Sequence[NDArray[np.float64]]) -> float:
     """Return the largest relative difference of mean draft and RMS, and of the mount force at the outputs."""
-    least = _LEAST_FORCE * float(fine[4][0])
-    size = max(abs(float(fine[0][0])), float(fine[1][0]), least)
-    peak = max(float(np.max(np.abs(fine[2]))), least)
-    pairs = ((0, size), (1, size), (2, peak))
-    return max(float(np.max(np.abs(coarse[k] - fine[k]))) / scale for k, scale in pairs if scale > 0.0)
+    least = _LEAST_FORCE * float(fine[_HARDNESS][0])
+    size = max(abs(float(fine[_DRAFT][0])), float(fine[_RMS][0]), least)
+    peak = max(float(np.max(np.abs(fine[_FORCE]))), least)
+    pairs = ((_DRAFT, size), (_RMS, size), (_FORCE, peak))
+    differences = (float(np.max(np.abs(coarse[k] - fine[k]))) / scale for k, scale in pairs if scale > 0.0)
+    return max(differences, default=0.0)

@@ -56,7 +56,7 @@ def component(
         DomainError: bounds outside the model's domain.
     """
     base = _Base(scene, duration, steel_density)
-    asked = [Input(one) if isinstance(one, str) else one for one in inputs]
+    asked = [Input(one) if isinstance(one, str) else one for one in _several(inputs)]
     check_names("input", [one.name for one in asked])
     ports = [_own_port(one) if one.symbol is not None else _port(one, base) for one in asked]
     return build(_maker(base, asked), ports, outputs, accuracy=accuracy, samples=samples, name=name)
@@ -83,8 +83,9 @@ def build(
     """
     if not ca.Function.check_name(name):
         raise InputError(f"name = {name!r} cannot be that of a CasADi Function: take letters, digits and underscores")
-    wanted = [Output(one) if isinstance(one, str) else one for one in outputs]
+    wanted = [Output(one) if isinstance(one, str) else one for one in _several(outputs)]
     check_names("output", [one.name for one in wanted])
+    check_names("input or output", [*(port.name for port in inputs), *(one.name for one in wanted)])
     accuracy = accuracy or Accuracy()
     if accuracy.method not in ORDER_8:
         raise InputError(
@@ -112,6 +113,11 @@ def build(
     ends = [replace(port, value=float(ca.mmax(value))) for port, value in zip(ends, function.call(values), strict=True)]
     own = Accuracy("dop853", steps=found.resolution.steps) if box.scene.effects.motion else Accuracy()
     return Component(function, tuple(inputs), tuple(ends), own, found.error, found.warnings)
+
+
+def _several(asked: Any) -> Any:
+    """Return what is asked for; a name alone is one, and not its letters."""
+    return [asked] if isinstance(asked, str) else asked
 
 
 @dataclass(frozen=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterable, Sequence
 from importlib.metadata import version
 from pathlib import Path
@@ -196,7 +197,7 @@ def _element(port: Port, k: int) -> str:
 
 
 def _strings(name: str, values: Iterable[str]) -> str:
-    quoted = ",\n  ".join(f'"{value}"' for value in values)
+    quoted = ",\n  ".join(json.dumps(value, ensure_ascii=False) for value in values)
     return f"const char *const {name}[] = {{\n  {quoted}\n}};"
 
 

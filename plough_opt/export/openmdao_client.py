@@ -66,6 +66,9 @@ class FunctionComponent(om.ExplicitComponent):  # type: ignore[misc]
             objective: name of the output to minimise.
             prefix: path of this component in the model, with a dot at its end; "" where its names are promoted.
         """
+        names = [port["argument"] for port in self._results]
+        if objective not in names:
+            raise ValueError(f"no output is named '{objective}': one of {', '.join(names)} can be the objective")
         for port in self._sources:
             lower, upper = port["lower"], port["upper"]
             model.add_design_var(prefix + port["argument"], lower=lower, upper=upper, ref0=lower, ref=upper)
@@ -73,7 +76,7 @@ class FunctionComponent(om.ExplicitComponent):  # type: ignore[misc]
             limits = {side: port[side] for side in ("lower", "upper") if port[side] is not None}
             if limits and port["argument"] != objective:
                 model.add_constraint(prefix + port["argument"], ref=max(map(abs, limits.values())) or 1.0, **limits)
-        size = next(port["value"] for port in self._results if port["argument"] == objective)
+        size = self._results[names.index(objective)]["value"]
         model.add_objective(prefix + objective, ref=abs(size) or 1.0)
 
 

@@ -1,5 +1,6 @@
 """OpenMDAO as the client: partials, check_partials, and its driver at our optimum."""
 
+import importlib
 import subprocess
 import sys
 
@@ -7,6 +8,7 @@ import numpy as np
 import pytest
 
 import plough_opt as po
+import plough_opt.export
 from plough_opt.export import PloughComponent, write_openmdao
 
 om = pytest.importorskip("openmdao.api")
@@ -160,6 +162,22 @@ def test_a_share_without_a_finite_draft_is_an_analysis_error(r1_scene):
     problem["soil_density_ratio"] = 1.5
     with pytest.raises(om.AnalysisError, match="'mean_draft' has no finite value"):
         problem.run_model()
+
+
+def test_an_objective_that_is_no_output_is_refused(around_r1):
+    problem, share = _problem(around_r1)
+    with pytest.raises(ValueError, match="no output is named 'cost': one of objective, mean_draft"):
+        share.add_design(problem.model, "cost")
+
+
+def test_without_openmdao_the_extra_is_named(monkeypatch):
+    for name in [*sys.modules]:
+        if name.startswith(("openmdao", "plough_opt.export.openmdao")):
+            monkeypatch.delitem(sys.modules, name)
+    monkeypatch.delattr(plough_opt.export, "openmdao_client")
+    monkeypatch.setitem(sys.modules, "openmdao", None)
+    with pytest.raises(po.InputError, match=r"pip install 'plough_opt\[openmdao\]'"):
+        importlib.import_module("plough_opt.export.openmdao")
 
 
 def test_a_name_that_no_module_can_have_is_refused(r1_scene, tmp_path):

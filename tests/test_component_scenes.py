@@ -99,6 +99,19 @@ def test_duration_and_masses_are_inputs_too(r1_scene):
     assert draft == pytest.approx(po.simulate(other, 1.7).mean_draft, rel=3e-8)
 
 
+def test_a_mass_that_does_not_follow_the_share_is_told_of(r1_scene):
+    told = [
+        any("the moving mass stays" in note for note in made.warnings)
+        for made in (
+            po.component(r1_scene(), 0.5, inputs=["share.height"], outputs=["mean_draft"]),
+            po.component(r1_scene(), 0.5, inputs=["share.height"], outputs=["mean_draft"], steel_density=7850.0),
+            po.component(r1_scene(), 0.5, inputs=["scene.stiffness"], outputs=["mean_draft"]),
+            po.component(r1_scene(motion=False), 0.5, inputs=["share.height"], outputs=["mean_draft"]),
+        )
+    ]
+    assert told == [True, False, False, False]
+
+
 @pytest.mark.parametrize("kind", [ca.MX, ca.SX])
 def test_a_scene_of_symbols_with_a_density_profile(r1_soil, kind):
     k, width = kind.sym("k"), kind.sym("width")
@@ -154,6 +167,8 @@ def test_what_cannot_be_is_refused_with_the_reason(r1_scene):
     assert "is there twice" in _refused(scene, inputs=["scene.stiffness", "scene.stiffness"])
     own = po.Output("scene_stiffness", of=lambda run: run.scene.stiffness)
     assert "'scene.stiffness' and 'scene_stiffness' clash" in _refused(scene, outputs=[own])
+    nothing = po.Output("nothing", of=lambda run: run.mean_draft / (0.0 * run.mean_draft))
+    assert "'nothing' has no finite value" in _refused(scene, outputs=[nothing])
     assert "no quantity is named 'stiffness'" in _refused(scene, inputs="stiffness")
     assert "name at least one" in _refused(scene, inputs=[])
     assert "name at least one" in _refused(scene, outputs=[])

@@ -14,7 +14,7 @@ from plough_opt.component.function import Component
 from plough_opt.component.graph import graph
 from plough_opt.component.ports import Input, Output, Port, check_names, measure_of, port_of
 from plough_opt.domain import check_domain
-from plough_opt.errors import InputError, nearest
+from plough_opt.errors import DomainError, InputError, nearest
 from plough_opt.expressions import Expression, as_number, holds_casadi, is_symbolic, map_expressions
 from plough_opt.scene import Scene
 from plough_opt.vocabulary import BESIDE, QUANTITIES, Quantity, quantity_of, with_quantities
@@ -59,7 +59,8 @@ def component(
     asked = [Input(one) if isinstance(one, str) else one for one in _several(inputs)]
     check_names("input", [one.name for one in asked])
     ports = [_own_port(one) if one.symbol is not None else _port(one, base) for one in asked]
-    return build(_maker(base, asked), ports, outputs, accuracy=accuracy, samples=samples, name=name)
+    make, notes = _maker(base, asked), base.notes(ports)
+    return build(make, ports, outputs, accuracy=accuracy, samples=samples, name=name, notes=notes)
 
 
 def build(
@@ -70,6 +71,7 @@ def build(
     accuracy: Accuracy | None = None,
     samples: int = SAMPLES,
     name: str = "share",
+    notes: Sequence[str] = (),
 ) -> Component:
     """Return the component of whatever makes scenes of its inputs; the rest as `component`.
 
@@ -80,6 +82,7 @@ def build(
         accuracy: error to reach, or steps.
         samples: number of equal intervals between output times.
         name: the Function's name.
+        notes: warnings beside those of the scenes.
     """
     if not ca.Function.check_name(name):
         raise InputError(f"name = {name!r} cannot be that of a CasADi Function: take letters, digits and underscores")
@@ -110,9 +113,16 @@ def build(
     values = [port.value for port in inputs]
     symbols = function.mx_in()
     function = ca.Function(name, symbols, function.call(symbols), arguments, names, {"default_in": values})
-    ends = [replace(port, value=float(ca.mmax(value))) for port, value in zip(ends, function.call(values), strict=True)]
+    ends = [replace(port, value=_largest(port, value)) for port, value in zip(ends, function.call(values), strict=True)]
     own = Accuracy("dop853", steps=found.resolution.steps) if box.scene.effects.motion else Accuracy()
-    return Component(function, tuple(inputs), tuple(ends), own, found.error, found.warnings)
+    return Component(function, tuple(inputs), tuple(ends), own, found.error, (*found.warnings, *notes))
+
+
+def _largest(port: Port, values: ca.DM) -> float:
+    """Return the largest value of an output."""
+    if not values.is_regular():
+        raise DomainError(f"'{port.name}' has no finite value at the inputs' values: check what it computes")
+    return float(ca.mmax(values))
 
 
 def _several(asked: Any) -> Any:
@@ -160,6 +170,16 @@ class _Base:
         if value[name] is None:
             raise InputError(f"'{name}' cannot be an input: the duration is missing")
         return BESIDE[name], value[name]
+
+    def notes(self, ports: Sequence[Port]) -> tuple[str, ...]:
+        """Return what a reader must know of the mass."""
+        names = {port.name for port in ports}
+        follows = self.steel is not None or holds_casadi(self.scene.mass) or "scene.mass" in names
+        if follows or not self.scene.effects.motion or not any(name.startswith("share.") for name in names):
+            return ()
+        return (
+            f"the moving mass stays {self.scene.mass:.4g} kg whatever the share's size; with a steel_density it follows",
+        )
 
     def changed(self, changes: Mapping[str, Expression]) -> tuple[Scene, Expression | None]:
         """Return scene and duration with other values."""

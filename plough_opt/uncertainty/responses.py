@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from plough_opt.batch import Batch
+from plough_opt.batch.domain_check import DomainCheck
 from plough_opt.design import Optimum
 from plough_opt.design.nlp import averages_only
 from plough_opt.design.split import EmbeddedRun, split
@@ -90,11 +91,11 @@ class Responses:
 
     def _found(self, rows: Vector) -> Found:
         """Return the results for rows of numbers, the design's first."""
-        results, failures = [], dict[int, str]()
+        results, failures = [], self._outside(rows)
         for k in range(len(self._parts.runs)):
             columns, reasons = self._run(k, rows)
             results.append(columns)
-            failures |= reasons
+            failures = reasons | failures
         arguments = [ca.DM(column).T for column in rows.T]
         found = [np.asarray(value).ravel() for value in self._algebra.call([*arguments, *map(ca.DM, results)])]
         values = [value if value.size == len(rows) else np.full(len(rows), value.item()) for value in found]
@@ -112,6 +113,30 @@ class Responses:
         if only_averages and method == "auto" and structure.orbit == "transient" and not structure.events:
             return self._batched(number, rows)
         return self._mapped(run, self._given[number], rows, only_averages)
+
+    @cached_property
+    def _scenes(self) -> list[tuple[DomainCheck, ca.Function]]:
+        """Every scene in the results, with its quantities and a duration."""
+        held = [(run.embedding.template, run.quantities, run.inputs[-1]) for run in self._parts.runs]
+        held += [
+            (lab.meaning, carried, ca.MX(1.0)) for lab, carried in self._parts.labels if isinstance(lab.meaning, Scene)
+        ]
+        return [
+            (
+                DomainCheck(template, [None] * quantities.numel()),
+                ca.Function("quantities", self._symbols, [ca.densify(ca.vertcat(quantities, duration))]),
+            )
+            for template, quantities, duration in held
+        ]
+
+    def _outside(self, rows: Vector) -> dict[int, str]:
+        """Return which rows lie outside the model's domain, and why."""
+        found: dict[int, str] = {}
+        arguments = [ca.DM(column).T for column in rows.T]
+        for check, quantities in self._scenes:
+            values = np.asarray(quantities.call(arguments)[0])
+            found |= check.reasons(np.tile(values, (1, len(rows))) if values.shape[1] == 1 < len(rows) else values)
+        return found
 
     @cached_property
     def _given(self) -> list[ca.Function]:

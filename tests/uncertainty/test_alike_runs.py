@@ -1,0 +1,103 @@
+"""Runs of one structure in one program: mapped by one Function, with exact derivatives, and built in no time."""
+
+from dataclasses import replace
+
+import casadi as ca
+import numpy as np
+import pytest
+from scipy import stats
+
+import plough_opt as po
+from plough_opt.design.alike_runs import alike_runs
+from plough_opt.design.program import Program
+from plough_opt.design.split import split
+
+_WEIGHTS = np.array([4 / 5, -1 / 5, 4 / 105, -1 / 280])
+_STEP = 2e-4
+POINT = np.array([0.61, 0.43, 0.37])
+FIELD = po.SoilDistribution(
+    po.named_soil("serozem"), cohesion=stats.lognorm(0.3, scale=20e3), density_ratio=stats.beta(8, 4, 0.7, 0.14)
+)
+
+
+def _program(count, other=False, path=False):
+    d = po.Design()
+    angle = d.variable("wedge angle", guess=0.5, lower=0.2, upper=0.9)
+    height = d.variable("height", guess=0.25, lower=0.10, upper=0.40)
+    k0 = d.variable("stiffness", guess=2e4, lower=5e3, upper=1e5, log=True)
+    share = po.Wedge(angle, po.deg(15.0), height)
+    effects = po.Effects(strength_wave=po.StrengthWave(0.3, 0.6))
+    runs = []
+
+    def response(soil):
+        scene = po.Scene(soil, share, k0, 20.0 + share.equivalent_cone().solid_mass(7850.0), 2.0, effects)
+        runs.append(po.simulate(scene, 0.8, accuracy=po.Accuracy("dop853", steps=60), outputs=5))
+        return {"draft": runs[-1].mean_draft / 1e3, "rms": runs[-1].force_rms / 1e3, "radius": scene.loosened_radius}
+
+    robust = po.Robust(FIELD, response, samples=count, seed=1)
+    objective = robust.cvar("draft", 0.7, width=0.3) + robust.mean_plus("rms", 2.0)
+    if other:
+        scene = replace(runs[0].scene, effects=po.Effects(damping=300.0))
+        objective = objective + po.simulate(scene, 0.5, accuracy=po.Accuracy("dop853", steps=40)).mean_draft / 1e3
+    d.minimise(objective)
+    robust.require_probability(d, "radius", "radius", 0.9, at_least=0.1, width=0.01)
+    if path:
+        d.require("deflection", runs[1].deflection, at_most=0.3)
+    program = Program(d.declared)
+    program.build(np.zeros(0))
+    return program
+
+
+def _differences(function, y):
+    columns = []
+    for k in range(len(y)):
+        unit = np.zeros(len(y))
+        unit[k] = _STEP
+        pairs = [np.ravel(function(y + m * unit) - function(y - m * unit)) for m in range(1, 5)]
+        columns.append(sum(w * pair for w, pair in zip(_WEIGHTS, pairs, strict=True)) / _STEP)
+    return np.column_stack(columns)
+
+
+@pytest.mark.parametrize(("other", "path"), [(False, False), (True, True)])
+def test_derivatives_against_differences(other, path):
+    program = _program(6, other, path)
+    nlp, p = program.nlp, np.zeros(0)
+    f, g, gradient, jacobian = (np.asarray(result) for result in nlp.slopes(POINT, p))
+    again = [np.asarray(result) for result in nlp.values(POINT, p)]
+    assert f == pytest.approx(again[0], rel=1e-12)
+    assert g == pytest.approx(again[1], rel=1e-12)
+    wanted = _differences(lambda y: np.asarray(nlp.values(y, p)[0]), POINT)
+    assert gradient.ravel() == pytest.approx(wanted.ravel(), rel=1e-8, abs=1e-8)
+    assert jacobian == pytest.approx(_differences(lambda y: np.asarray(nlp.values(y, p)[1]), POINT), rel=1e-7, abs=1e-8)
+    weights = np.cos(1.0 + np.arange(len(program.owner)))
+    upper = np.asarray(nlp.hess_lag(POINT, p, 0.7, weights))
+
+    def slope(y):
+        _, _, gradient, jacobian = (np.asarray(result) for result in nlp.slopes(y, p))
+        return 0.7 * gradient.ravel() + jacobian.T @ weights
+
+    hessian = _differences(slope, POINT)
+    # The measures' third derivatives jump where a sample enters a width: differences lose digits there.
+    assert upper + np.triu(upper, 1).T == pytest.approx(hessian, rel=1e-6, abs=1e-6 * np.max(np.abs(hessian)))
+
+
+def test_runs_of_one_structure_are_one_map():
+    program = _program(6, other=True, path=True)
+    y, p = ca.MX.sym("y", 3), ca.MX.sym("p", 0)
+    parts = split(program._scaled(y, p), [y, p])
+    averages = [k != 1 for k in range(7)]
+    alike = alike_runs(parts.runs, averages, y, p, [None] * 7)
+    assert sorted(len(own.members) for own in alike) == [1, 1, 5]
+    assert sorted(k for own in alike for k in own.members) == list(range(7))
+
+
+def test_the_graph_of_the_derivatives_does_not_grow_with_the_samples():
+    sizes = [_program(count).nlp.slopes.n_instructions() for count in (8, 32)]
+    assert sizes[0] == sizes[1]
+
+
+def test_many_runs_are_those_of_each_alone():
+    whole = _program(4)
+    found = whole.exact.runs
+    assert len(found) == 4
+    assert len({id(run.integration) for run in found}) == 1

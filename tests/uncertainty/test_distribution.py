@@ -1,0 +1,139 @@
+"""Distributions of a soil: moments, truncation, correlation, samples that repeat, refusals with reasons."""
+
+import math
+
+import numpy as np
+import pytest
+from scipy import stats
+
+import plough_opt as po
+from plough_opt.uncertainty import Marginal
+
+SEROZEM = po.named_soil("serozem")
+
+
+def _field(**changes):
+    given = {
+        "cohesion": stats.lognorm(0.3, scale=20e3),
+        "friction_angle": stats.norm(po.deg(28), po.deg(3)),
+        "within": {"friction_angle": (po.deg(20), po.deg(34))},
+        "correlation": {("cohesion", "friction_angle"): -0.4},
+    }
+    return po.SoilDistribution(SEROZEM, **(given | changes))
+
+
+@pytest.mark.parametrize(
+    ("marginal", "wanted"),
+    [
+        (Marginal(stats.norm(3.0, 2.0), 1.0, 4.5), stats.truncnorm(-1.0, 0.75, 3.0, 2.0)),
+        (Marginal(stats.uniform(2.0, 5.0)), stats.uniform(2.0, 5.0)),
+        (Marginal(stats.uniform(2.0, 5.0), 3.0, 6.0), stats.uniform(3.0, 3.0)),
+        (Marginal(stats.lognorm(0.3, scale=20.0)), stats.lognorm(0.3, scale=20.0)),
+        (Marginal(stats.beta(2.0, 3.0, 1.0, 4.0)), stats.beta(2.0, 3.0, 1.0, 4.0)),
+    ],
+    ids=["truncated normal", "uniform", "cut uniform", "lognormal", "beta"],
+)
+def test_marginals(marginal, wanted):
+    p = np.linspace(0.01, 0.99, 23)
+    assert marginal.quantile(p) == pytest.approx(wanted.ppf(p), rel=1e-12)
+    assert marginal.cdf(wanted.ppf(p)) == pytest.approx(p, rel=1e-12)
+    mean, spread = marginal.moments
+    # The rule's panels end at 2^-40 of the probability, and quantiles of the lognormal go on beyond.
+    assert mean == pytest.approx(wanted.mean(), rel=1e-9)
+    assert spread == pytest.approx(wanted.std(), rel=1e-7)
+
+
+def test_new_distributions_of_scipy_serve_too():
+    new = stats.Normal(mu=po.deg(28), sigma=po.deg(3))
+    assert Marginal(new, po.deg(22), po.deg(34)).quantile(0.3) == pytest.approx(
+        Marginal(stats.norm(po.deg(28), po.deg(3)), po.deg(22), po.deg(34)).quantile(0.3), rel=1e-12
+    )
+
+
+def test_samples_have_the_moments_and_rank_correlations_of_the_distribution():
+    field = _field()
+    samples = field.sample(4096, seed=1)
+    for name, (mean, spread) in field.moments.items():
+        own = samples.property(name)
+        # A scrambled Sobol sequence of n points: errors of the order of 1/n, times a few standard deviations.
+        assert np.mean(own) == pytest.approx(mean, abs=4 * spread / 4096)
+        assert np.std(own) == pytest.approx(spread, rel=5e-3)
+    found = stats.spearmanr(samples.values).statistic
+    assert found == pytest.approx(6 / math.pi * math.asin(-0.4 / 2), abs=2e-3)
+    found = stats.kendalltau(*samples.values.T).statistic
+    assert found == pytest.approx(2 / math.pi * math.asin(-0.4), abs=2e-3)
+
+
+def test_independent_draws_have_them_too():
+    field = _field()
+    samples = field.draw(20_000, seed=7)
+    mean, spread = field.moments["cohesion"]
+    # Four standard errors.
+    assert np.mean(samples.property("cohesion")) == pytest.approx(mean, abs=4 * spread / math.sqrt(20_000))
+    assert stats.kstest(samples.property("friction_angle"), field.marginals["friction_angle"].cdf).pvalue > 1e-3
+
+
+def test_truncation_keeps_every_sample_within():
+    own = _field().sample(1024, seed=2).property("friction_angle")
+    assert po.deg(20) < own.min() < po.deg(21)
+    assert po.deg(33) < own.max() < po.deg(34)
+
+
+def test_samples_repeat_and_grow():
+    field = _field()
+    first, more = field.sample(32, seed=5), field.sample(64, seed=5)
+    assert np.array_equal(first.values, more.values[:32])
+    assert not np.array_equal(first.values, field.sample(32, seed=6).values)
+    assert len(field.sample(20, seed=5)) == 20
+    assert [soil.cohesion for soil in first] == first.property("cohesion").tolist()
+    assert first.soils[3].density == SEROZEM.density
+
+
+def test_corners_are_the_ends_of_each_marginal():
+    field = _field()
+    corners = field.corners(0.9)
+    assert len(corners) == 4
+    assert sorted(set(corners.property("cohesion"))) == pytest.approx(
+        stats.lognorm(0.3, scale=20e3).ppf([0.05, 0.95]), rel=1e-12
+    )
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"cohesoin": stats.norm(1, 1)}, "'cohesion'"),
+        ({"within": {"tool_friction": (0.1, 0.9)}}, "tool_friction"),
+        ({"cohesion": 20e3}, "no distribution"),
+        ({"cohesion": stats.norm}, "no distribution|reaches"),
+        ({"cohesion": stats.norm(20e3, 6e3)}, "truncate it"),
+        ({"cohesion": stats.norm(20e3, np.nan)}, "cohesion"),
+        ({"within": {"friction_angle": (po.deg(34), po.deg(20))}}, "contradict"),
+        ({"within": {"friction_angle": (po.deg(80), po.deg(85))}}, "between its bounds"),
+        ({"within": {"friction_angle": (math.nan, po.deg(85))}}, "contradict"),
+        ({"correlation": {("cohesion", "friction_angle"): -1.0}}, "between -1 and 1"),
+        ({"correlation": {("cohesion", "friction_angle"): math.nan}}, "between -1 and 1"),
+        ({"correlation": {("cohesion", "density"): 0.1}}, "no distribution"),
+        ({"correlation": {("cohesion", "cohesion"): 0.1}}, "pair of two"),
+        ({"correlation": {("cohesion", "friction_angle"): 0.1, ("friction_angle", "cohesion"): 0.2}}, "given twice"),
+    ],
+)
+def test_refusals(changes, words):
+    with pytest.raises((po.InputError, po.DomainError), match=words):
+        _field(**changes)
+
+
+def test_correlations_that_cannot_hold_together_are_refused():
+    pairs = {("cohesion", "friction_angle"): 0.9, ("cohesion", "density"): 0.9, ("friction_angle", "density"): -0.9}
+    with pytest.raises(po.InputError, match=r"not positive definite.*eigenvalue"):
+        _field(density=stats.uniform(1300, 100), correlation=pairs)
+
+
+def test_nothing_uncertain_is_refused():
+    with pytest.raises(po.InputError, match="nothing is uncertain"):
+        po.SoilDistribution(SEROZEM)
+
+
+@pytest.mark.parametrize("count", [0, -3, 2.5, True, 1 << 21])
+def test_counts_that_cannot_be_are_refused(count):
+    with pytest.raises(po.InputError, match="whole number"):
+        _field().sample(count, seed=1)

@@ -1,0 +1,157 @@
+"""What fresh samples say: values of a design for many soils, intervals, claims that do not hold."""
+
+import numpy as np
+import pytest
+from scipy import stats
+
+import plough_opt as po
+from plough_opt.uncertainty import verify
+
+FIELD = po.SoilDistribution(
+    po.named_soil("serozem"),
+    cohesion=stats.lognorm(0.3, scale=20e3),
+    friction_angle=stats.uniform(po.deg(22), po.deg(12)),
+    correlation={("cohesion", "friction_angle"): -0.5},
+)
+AT = {"height": 0.25, "stiffness": 4e4}
+LIMIT = 3700.0  # N, of the draft that AT has
+EFFECTS = {
+    "damper, wave": {"strength_wave": po.StrengthWave(0.3, 0.2), "damping": 400.0},
+    "rest": {"start": "rest", "damping": 900.0},
+    "ramp": {"start": "rest", "tow_ramp": 0.3},
+    "no motion": {"motion": False, "strength_wave": po.StrengthWave(0.3, 0.2)},
+    "smooth": {"contact": po.Smooth(0.3), "damping": 300.0},
+}
+
+
+def _robust(count=8, accuracy=None, path=False, **effects):
+    d = po.Design()
+    height = d.variable("height", guess=0.25, lower=0.1, upper=0.4)
+    k0 = d.variable("stiffness", guess=4e4, lower=1e4, upper=1e6, log=True)
+    share = po.Wedge(po.deg(35), po.deg(15), height)
+    mass = 20.0 + share.equivalent_cone().solid_mass(7850.0)
+
+    def response(soil):
+        scene = po.Scene(soil, share, k0, mass, 2.0, po.Effects(**effects))
+        run = po.simulate(scene, 0.5, accuracy=accuracy, outputs=10)
+        found = {"draft": run.mean_draft, "rms": run.force_rms, "deflection": run.mean_deflection}
+        return found | {"power": run.tow_power, "last": run.deflection[10] if path else 0.0 * k0}
+
+    return d, po.Robust(FIELD, response, samples=count, seed=1)
+
+
+def _alone(soil, **effects):
+    share = po.Wedge(po.deg(35), po.deg(15), AT["height"])
+    mass = 20.0 + share.equivalent_cone().solid_mass(7850.0)
+    return po.simulate(po.Scene(soil, share, AT["stiffness"], mass, 2.0, po.Effects(**effects)), 0.5, outputs=10)
+
+
+# Each further structure is translated by the C compiler once.
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=pytest.mark.slow if name in ("rest", "smooth") else ()) for name in EFFECTS]
+)
+def test_values_over_samples_are_those_of_single_simulations(name):
+    _, robust = _robust(3, **EFFECTS[name])
+    values = robust.values(AT)
+    for k, soil in enumerate(robust.samples):
+        run = _alone(soil, **EFFECTS[name])
+        # Batches are asked for 1e-7 of the larger of mean and RMS.
+        assert values["draft"][k] == pytest.approx(run.mean_draft, rel=1e-7)
+        assert values["rms"][k] == pytest.approx(run.force_rms, abs=1e-7 * run.mean_draft)
+        assert values["deflection"][k] == pytest.approx(run.mean_deflection, rel=1e-7)
+        assert values["power"][k] == pytest.approx(run.tow_power, rel=1e-7)
+
+
+def test_values_along_the_path_and_by_a_named_method():
+    _, robust = _robust(3, path=True, **EFFECTS["damper, wave"])
+    _, named = _robust(3, accuracy=po.Accuracy("dop853", steps=200), **EFFECTS["damper, wave"])
+    values, by_name = robust.values(AT), named.values(AT)
+    for k, soil in enumerate(robust.samples):
+        run = _alone(soil, **EFFECTS["damper, wave"])
+        assert values["last"][k] == pytest.approx(run.deflection[10], rel=1e-8)
+        assert by_name["draft"][k] == pytest.approx(run.mean_draft, rel=1e-8)
+
+
+def test_values_of_several_designs_at_once():
+    _, robust = _robust(3, **EFFECTS["damper, wave"])
+    other = {"height": 0.2, "stiffness": 9e4}
+    both = robust.responses.of_designs([AT, other], robust.samples)
+    for row, at in enumerate((AT, other)):
+        assert both["rms"][row] == pytest.approx(robust.values(at)["rms"], rel=1e-12)
+
+
+@pytest.fixture(scope="module")
+def quasi_static():
+    d, robust = _robust(32, motion=False)
+    for kappa in (0.0, 2.0):
+        robust.mean_plus("draft", kappa)
+    robust.cvar("draft", 0.9, width=300.0)
+    robust.worst("draft", width=100.0)
+    robust.probability("draft", at_most=LIMIT, width=200.0)
+    return d, robust, verify(robust, AT, samples=2000, seed=4)
+
+
+def test_intervals_hold_what_very_many_samples_give(quasi_static):
+    _, robust, found = quasi_static
+    draft = robust.values(AT, FIELD.sample(1 << 16, seed=11))["draft"]
+    wanted = {
+        "mean + 0": draft.mean(),
+        "mean + 2": draft.mean() + 2 * draft.std(),
+        "mean of": np.mean(np.sort(draft)[-len(draft) // 10 :]),
+        "probability": np.mean(draft <= LIMIT),
+    }
+    for text, value in wanted.items():
+        check = found["draft", text]
+        assert check.low <= value <= check.high, text
+        assert check.low < check.fresh < check.high
+        # Intervals of 2000 samples are a few per cent wide.
+        assert check.high - check.low < 0.1 * abs(check.fresh)
+
+
+def test_what_the_optimiser_saw_and_the_bias_are_reported(quasi_static):
+    _, robust, found = quasi_static
+    check = found["draft", "mean of"]
+    own, fresh = robust.values(AT)["draft"], found.values["draft"]
+    assert check.seen == pytest.approx(po.uncertainty.cvar(own, 0.9, width=300.0), rel=1e-12)
+    assert check.sharp == pytest.approx(po.uncertainty.cvar(own, 0.9), rel=1e-12)
+    assert check.rounding == pytest.approx(
+        po.uncertainty.cvar(fresh, 0.9, width=300.0) - po.uncertainty.cvar(fresh, 0.9), abs=1e-9
+    )
+    assert 0.0 < check.rounding < 35 / 256 * 300.0 / 0.1
+    assert check.optimism == check.fresh - check.seen
+    worst = found["draft", "largest"]
+    assert worst.worse == np.sum(fresh > worst.seen)
+    assert worst.low is None
+    assert "are worse" in str(worst)
+
+
+def test_a_claim_that_does_not_hold_is_not_confirmed():
+    """The least height for which eight samples keep a limit does not keep it in the field."""
+    d, robust = _robust(8, motion=False)
+    d.minimise(-d._variables[0].symbol)
+    d.require("draft", robust.every("draft", at_most=LIMIT), at_most=LIMIT, unit="N")
+    best = d.solve()
+    found = verify(robust, best, samples=1000, seed=3)
+    (check,) = found.checks
+    assert check.seen == 1.0
+    assert check.high < 0.99
+    assert not found.confirmed
+    assert "not confirmed" in str(found)
+
+
+def test_refusals():
+    _, robust = _robust(4, motion=False)
+    with pytest.raises(po.InputError, match="at least 100"):
+        verify(robust, AT, samples=50)
+    with pytest.raises(po.InputError, match="'stiffness'"):
+        robust.values({"height": 0.25, "stifness": 4e4})
+    with pytest.raises(po.InputError, match="'draft'"):
+        robust.expected("drafts")
+    with pytest.raises(po.InputError, match="results by name"):
+        po.Robust(FIELD, lambda soil: soil.cohesion, samples=4)
+    with pytest.raises(po.InputError, match="one number"):
+        po.Robust(FIELD, lambda _: {"a": np.ones(3)}, samples=4)
+    with pytest.raises(po.InputError, match="one limit"):
+        robust.require_probability(po.Design(), "x", "draft", 0.9, width=1.0)
+    with pytest.raises(po.InputError, match="has no result"):
+        robust.values({"height": 0.25, "stiffness": -1.0})

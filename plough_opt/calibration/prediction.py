@@ -138,7 +138,7 @@ class Rows:
         value = alone.map(len(distinct))(at, conditions)
         again, slope = both.map(len(distinct))(at, conditions)
         closed = alone.is_a("SXFunction")
-        return _predictor(y, value.T[rows], slope.T[rows, :], again.T[rows], closed)
+        return _predictor(y, value.T[rows, :], slope.T[rows, :], again.T[rows, :], closed)
 
     def _record(self) -> Predictor:
         """Return the predictions for the mount force at the times of a run for each distinct condition."""

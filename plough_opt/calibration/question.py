@@ -21,7 +21,7 @@ from plough_opt.calibration.model import Model, SceneOf, model_of
 from plough_opt.calibration.prediction import Rows, joined, row_functions
 from plough_opt.calibration.program import Program
 from plough_opt.calibration.unknown import Unknown, unknowns_of
-from plough_opt.errors import InputError
+from plough_opt.errors import DomainError, InputError
 from plough_opt.expressions import is_count
 from plough_opt.problem_file import Problem
 from plough_opt.scene import Scene
@@ -90,6 +90,7 @@ class Calibration:
         self.title = title or self.model.title
         self.unknowns = unknowns_of(_declared(given, unknown, self.measured), self.model.current)
         self._refuse_twice()
+        self._refuse_beyond()
         self.rows = tuple(Rows(m, self.model, self.unknowns) for m in self.measured)
         self.program = Program(joined([rows.predictor() for rows in self.rows], len(self.unknowns)), self.loss)
         self.data = self._data()
@@ -178,6 +179,17 @@ class Calibration:
                 raise InputError(f"{m.name}: '{min(both)}' is a column of the data, and so is no unknown")
             if m.result not in RESULTS and m.result not in names:
                 raise InputError(f"{m.name}: '{m.result}' was measured, and is none of the unknowns: {sorted(names)}")
+
+    def _refuse_beyond(self) -> None:
+        """Refuse bounds at which there is no scene."""
+        first = next((m for m in self.measured if m.result in RESULTS), self.measured[0])
+        guess = {unknown.name: unknown.guess for unknown in self.unknowns} | first.at(0)
+        for unknown in self.unknowns:
+            for side, bound in (("lower", unknown.lower), ("upper", unknown.upper)):
+                try:
+                    self.model.scene(guess | {unknown.name: bound})
+                except DomainError as error:
+                    raise InputError(f"{side} bound of '{unknown.name}': {error}") from None
 
     def _data(self) -> Data:
         stated = {m.sigma is not None for m in self.measured}

@@ -23,7 +23,7 @@ BOUNDS = {
 }
 
 
-def steady_scene(tow_speed=2.0, wedge_angle=po.deg(40.0), **soil):
+def steady_scene(tow_speed=2.0, wedge_angle=0.7, **soil):
     """Return a quasi-static scene with the true values, or others."""
     own = {key.removeprefix("soil."): value for key, value in TRUTH.items() if key.startswith("soil.")} | soil
     effects = po.Effects(motion=False, rate_term=TRUTH["effects.rate_term"])

@@ -30,8 +30,8 @@ def test_optimum_is_that_of_scipy(measured, three, loss):
     fit = po.calibrate(steady_scene(), measured, three, loss=loss)
     name = "linear" if loss == "squares" else loss
     found = optimize.least_squares(
-        residuals(measured), [25.0, 0.6, 3.0], loss=name, f_scale=SCALES[loss], bounds=([1.0, 0.05, 0.0], [80.0, 1.5, 20.0]),
-        jac="3-point", xtol=1e-15, ftol=1e-15, gtol=1e-12,
+        residuals(measured), [25.0, 0.6, 3.0], loss=name, f_scale=SCALES[loss], jac="3-point",
+        bounds=([1.0, 0.05, 0.0], [80.0, 1.5, 20.0]), xtol=1e-15, ftol=1e-15, gtol=1e-12,
     )  # fmt: skip
     values = np.array(list(fit.values.values())) * np.array([1e-3, 1.0, 100.0])
     # SciPy's differences leave a gradient of 1e-10 of its scale, in a problem whose condition is some 1e4.

@@ -1,0 +1,114 @@
+"""How often stated intervals hold the truth: the benchmark behind the table of docs/calibration.md."""
+
+import importlib.util
+import re
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy import stats
+
+import plough_opt as po
+from plough_opt.calibration.coverage import coverage
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+@pytest.fixture(scope="session")
+def script():
+    """Return problems/calibration_coverage.py as a module."""
+    spec = importlib.util.spec_from_file_location("calibration_coverage", ROOT / "problems" / "calibration_coverage.py")
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+def identifiable(found):
+    """Return the unknowns that the data determined in every trial, and check that the others never were."""
+    determined = [own for own in found.unknowns if own.identifiable]
+    assert all(own.identifiable == found.trials for own in determined)
+    assert determined
+    return determined
+
+
+@pytest.mark.parametrize("number", [0, 1])
+def test_intervals_hold_the_truth_as_often_as_they_say(script, number):
+    """A thin version: sixty trials tell a coverage of 95 % from one below some 82 %."""
+    found = script.CASES[number].run(60)
+    assert found.failed == 0
+    # Of right intervals, this many or fewer of sixty cover once in two thousand; all sixty is no rare event (5 %).
+    least = stats.binom.ppf(5e-4, 60, 0.95) / 60
+    for own in identifiable(found):
+        assert own.rate("profile") >= least
+        assert own.rate("linearised") >= least
+        # The mean of sixty fits lies within half a standard deviation of the truth.
+        assert abs(own.bias) < 0.5
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("number", range(5))
+def test_coverage_of_500_trials_is_95_per_cent_within_3(script, number):
+    found = script.CASES[number].run(500)
+    assert found.failed == 0
+    for own in identifiable(found):
+        assert abs(own.rate("profile") - 0.95) <= 0.03, own
+
+
+def test_every_parameter_is_identifiable_in_some_case(script):
+    """Cohesion, friction angle, density ratio, tool friction, ambient pressure and rate term."""
+    found = [case.run(1) for case in script.CASES]
+    assert {own.name for case in found for own in case.unknowns if own.identifiable} == set(script.BOUNDS)
+
+
+def test_intervals_that_are_too_narrow_are_found_out(script):
+    """The benchmark can fail: with errors twice those that are stated, coverage falls to what theory says."""
+    case = script.CASES[0]
+    truth = {name: script.TRUTH[name] for name in case.unknown}
+    sizes = case.calibration({"mean_draft": None}).predict(truth)
+    calibration = case.calibration({"mean_draft": 0.03 * sizes})
+    found = coverage(calibration, truth, sigma=0.06 * sizes, trials=40)
+    expected = 2.0 * stats.norm.cdf(stats.norm.ppf(0.975) / 2.0) - 1.0  # 67 %
+    low, high = stats.binom.interval(0.999, 40, expected)
+    for own in found.unknowns:
+        assert low / 40 <= own.rate("linearised") <= high / 40
+    assert high / 40 < stats.binom.ppf(5e-4, 40, 0.95) / 40 + 0.1
+
+
+def test_the_same_seed_gives_the_same_trials(script):
+    first, again = (script.CASES[0].run(3, seed=4) for _ in range(2))
+    assert first == again
+    assert first.binomial() == (pytest.approx(1 / 3), 1.0)
+
+
+def test_the_table_of_the_page_is_the_script_s(script):
+    """The page's table has the rows of the cases, and says of every rate that it is 95 % within 3."""
+    page = (ROOT / "docs" / "calibration.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\|(.*)\| `([\w.]+)` \| in (\d+) \| (.*) \|$", page, flags=re.MULTILINE)
+    assert [name for _, name, _, _ in rows] == [name for case in script.CASES for name in case.unknown]
+    for _, _, count, rest in rows:
+        if count == "0":
+            assert "not identifiable" in rest
+            continue
+        assert count == "500"
+        profile, linearised = (float(text) for text in re.findall(r"([\d.]+) %", rest)[:2])
+        assert abs(profile - 95.0) <= 3.0
+        assert abs(linearised - 95.0) <= 3.0
+
+
+@pytest.mark.parametrize(
+    ("keywords", "words"),
+    [
+        ({"trials": 0}, "trials = 0 must be a whole number"),
+        ({"level": 1.5}, "level = 1.5 must lie between"),
+        ({}, "the data state no sigma"),
+    ],
+)
+def test_wrong_arguments(script, keywords, words):
+    case = script.CASES[0]
+    calibration = case.calibration({"mean_draft": None})
+    with pytest.raises(po.InputError, match=words):
+        coverage(calibration, {name: script.TRUTH[name] for name in case.unknown}, **keywords)
+    with pytest.raises(po.InputError, match="the true value of 'soil.cohesion' is missing"):
+        coverage(calibration, {}, sigma=np.ones(24))

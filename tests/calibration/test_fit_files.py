@@ -1,0 +1,74 @@
+"""Fits as files and pictures."""
+
+import json
+import math
+
+import pytest
+from conftest import BOUNDS, steady_scene
+
+import plough_opt as po
+
+
+def test_a_fit_survives_its_file(fitted, tmp_path):
+    path = fitted.save(tmp_path / "deep" / "fit.json")
+    again = po.Fit.load(path)
+    assert again.values == fitted.values
+    assert again.standard_errors == fitted.standard_errors
+    assert again.correlations == fitted.correlations
+    assert again.rows == fitted.rows
+    assert again.warnings == fitted.warnings
+    for kind in ("profile", "linearised"):
+        assert again.intervals(0.95, kind) == fitted.intervals(0.95, kind)
+    assert again.next_measurements() == fitted.next_measurements()
+    assert again.next_measurement.words() == fitted.next_measurement.words()
+    content = json.loads(path.read_text(encoding="utf-8"))
+    assert (content["kind"], content["schema"]) == ("calibration", 1)
+    assert again.plot() is not None
+
+
+def test_what_a_file_cannot_say_is_refused(fitted, tmp_path):
+    again = po.Fit.load(fitted.save(tmp_path / "fit.json"))
+    with pytest.raises(po.InputError, match=r"holds no profile intervals of level 0\.9"):
+        again.intervals(0.9)
+    for ask in (again.cross_validation, lambda: again.scene, lambda: again.next_measurements([])):
+        with pytest.raises(po.InputError, match="this fit comes from a file"):
+            ask()
+    (tmp_path / "other.json").write_text("{}", encoding="utf-8")
+    with pytest.raises(po.InputError, match="is not a calibration of this version"):
+        po.Fit.load(tmp_path / "other.json")
+
+
+def test_infinite_intervals_are_valid_json(measured, tmp_path):
+    names = ("soil.cohesion", "soil.ambient_pressure")
+    fit = po.calibrate(steady_scene(), measured, {name: BOUNDS[name] for name in names})
+    text = fit.to_json()
+
+    def refuse(constant):
+        raise AssertionError(constant)
+
+    json.loads(text, parse_constant=refuse)
+    again = po.Fit.load(fit.save(tmp_path / "open.json"))
+    assert again.standard_errors["soil.cohesion"] == math.inf
+    assert tuple(again.intervals()["soil.cohesion"]) == (-math.inf, math.inf)
+    assert again.unidentifiable == fit.unidentifiable
+
+
+def test_pictures(fitted, tmp_path):
+    fitted.plot(tmp_path / "fit.png")
+    assert (tmp_path / "fit.png").stat().st_size > 10_000
+    figure = fitted.plot()
+    panels = figure.axes
+    assert len(panels) == 4
+    assert panels[0].get_xlabel() == "predicted mean_draft [kN]"
+    assert panels[2].get_xlabel() == "scene.tow_speed [m/s]"
+    # Every row is a point of every panel.
+    assert all(len(axes.lines[0].get_xdata()) == len(fitted.rows) for axes in (panels[1], panels[2], panels[3]))
+    with pytest.raises(po.InputError, match="no known picture format"):
+        fitted.plot(tmp_path / "fit.txt")
+
+
+def test_a_picture_of_several_results(measured, three):
+    radius = po.Measurements("loosened_radius", [0.2, 0.21], sigma=0.01, name="radius")
+    figure = po.calibrate(steady_scene(), [measured, radius], three).plot()
+    assert figure.axes[0].get_xlabel() == "predicted, over the largest of its kind"
+    assert len(figure.axes[0].containers) == 2

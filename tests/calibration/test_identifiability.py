@@ -1,0 +1,131 @@
+"""What data cannot tell: against closed forms of the model's own degeneracies."""
+
+import math
+
+import numpy as np
+import pytest
+from conftest import BOUNDS, TRUTH, drafts, steady_scene
+from scipy import optimize, stats
+
+import plough_opt as po
+
+STRENGTH = {name: BOUNDS[name] for name in ("soil.cohesion", "soil.ambient_pressure", "soil.tool_friction")}
+
+
+@pytest.fixture(scope="module")
+def confounded(measured):
+    """Cohesion and ambient pressure, which enter the draft together, beside a tool friction that does not."""
+    return po.calibrate(steady_scene(), measured, STRENGTH)
+
+
+def test_cohesion_and_ambient_pressure_are_told_apart_by_no_draft(confounded):
+    (found,) = confounded.unidentifiable
+    assert found.structural
+    # F0 goes with nu p_a + 2 k cos(theta)/(1 + sin(theta)): p_a is made good by tan(theta) of itself in cohesion.
+    ratio = found.changes["soil.cohesion"] / found.changes["soil.ambient_pressure"]
+    assert ratio == pytest.approx(-math.tan(TRUTH["soil.friction_angle"]), rel=1e-9)
+    assert "cannot be told apart" in found.words
+    assert "the data hold" in found.words
+    assert set(found.changes) == {"soil.cohesion", "soil.ambient_pressure"}
+
+
+def test_what_is_not_determined_has_no_finite_interval(confounded):
+    determined = {found.name: found.determined for found in confounded.unknowns}
+    assert determined == {"soil.cohesion": False, "soil.ambient_pressure": False, "soil.tool_friction": True}
+    for kind in ("profile", "linearised"):
+        for name, interval in confounded.intervals(kind=kind).items():
+            assert math.isfinite(interval.lower) == determined[name]
+            assert math.isfinite(interval.upper) == determined[name]
+    assert confounded.standard_errors["soil.cohesion"] == math.inf
+    assert confounded.correlations == {}
+    assert np.all(np.isfinite([row.standard_error for row in confounded.rows]))
+
+
+def test_what_is_determined_is_as_if_the_other_were_known(confounded, measured):
+    """Along the undetermined direction nothing changes, so that fixing one of the two changes no other result."""
+    fixed = {name: STRENGTH[name] for name in ("soil.cohesion", "soil.tool_friction")}
+    fit = po.calibrate(steady_scene(), measured, fixed)
+    name = "soil.tool_friction"
+    # The pull along the open direction moves the others by less than a hundredth of their error, squared here.
+    assert confounded.total == pytest.approx(fit.total, rel=1e-3)
+    assert abs(confounded.values[name] - fit.values[name]) < 0.02 * fit.standard_errors[name]
+    assert confounded.standard_errors[name] == pytest.approx(fit.standard_errors[name], rel=0.02)
+    (low, high), (own_low, own_high) = fit.intervals()[name], confounded.intervals()[name]
+    assert own_low == pytest.approx(low, abs=0.03 * (high - low))
+    assert own_high == pytest.approx(high, abs=0.03 * (high - low))
+
+
+def test_at_one_wedge_angle_another_one_tells_most():
+    """Cohesion and tool friction are one factor of the draft at one wedge angle; a coated share tells, and others."""
+    conditions, exact = drafts(np.linspace(0.8, 3.0, 8), [po.deg(40.0)])
+    unknown = {name: BOUNDS[name] for name in ("soil.cohesion", "soil.tool_friction")}
+    data = po.Measurements("mean_draft", exact, conditions, sigma=0.03 * exact)
+    fit = po.calibrate(steady_scene(), data, unknown)
+    # Between the bounds of the cohesion the tool friction is not quite open.
+    assert not fit.unknowns[0].determined
+    assert "told apart" in fit.unidentifiable[0].words
+    ranking = fit.next_measurements()
+    described = [item.candidate.describe() for item in ranking]
+    assert "tool friction 0.2" in ranking[0].candidate.describe() or "by itself" in described[0]
+    gain = {item.candidate.describe(): item.information for item in ranking}
+    other_angle = max(value for name, value in gain.items() if "wedge_angle" in name)
+    # Speed tells the two apart by the drag alone, some 1 % of the draft; height not at all.
+    assert other_angle > 2.0 * max(value for name, value in gain.items() if "tow_speed" in name)
+    assert other_angle > 2.0 * max(value for name, value in gain.items() if "height" in name)
+    # Then it is measured, and both are determined.
+    wide, wide_exact = drafts([2.0], np.radians([25.0, 60.0]))
+    more = po.Measurements("mean_draft", wide_exact, wide, sigma=0.03 * wide_exact)
+    assert all(found.determined for found in po.calibrate(steady_scene(), [data, more], unknown).unknowns)
+
+
+def test_an_unknown_without_effect_is_named(measured):
+    unknown = {"soil.cohesion": BOUNDS["soil.cohesion"], "scene.stiffness": (1e4, 1e6)}
+    fit = po.calibrate(steady_scene(), measured, unknown)
+    (found,) = fit.unidentifiable
+    assert found.words.startswith("scene.stiffness has no effect on what was measured")
+    # It stays at its guess, the scene's own.
+    assert fit.values["scene.stiffness"] == pytest.approx(5e4, rel=1e-3)
+
+
+def test_all_six_at_once_are_sorted(measured):
+    fit = po.calibrate(steady_scene(), measured, BOUNDS)
+    # Of F0's strength, the drag beside it, tool friction and rate term the data hold four combinations of six.
+    assert sum(found.structural for found in fit.unidentifiable) == 2
+    named = {name for found in fit.unidentifiable for name in found.changes}
+    assert {"soil.cohesion", "soil.ambient_pressure", "soil.friction_angle", "soil.density_ratio"} <= named
+    determined = {found.name for found in fit.unknowns if found.determined}
+    assert determined == {"soil.tool_friction", "effects.rate_term"}
+    best = fit.next_measurement
+    assert best.information == max(item.information for item in fit.next_measurements())
+    assert best.words().startswith(best.candidate.describe())
+
+
+def test_an_unknown_that_was_measured_itself_settles_it(measured):
+    shear = po.Measurements("soil.ambient_pressure", [60e3], sigma=2e3, name="shear test")
+    fit = po.calibrate(steady_scene(), [measured, shear], STRENGTH)
+    assert fit.unidentifiable == ()
+    assert fit.standard_errors["soil.ambient_pressure"] == pytest.approx(2e3, rel=1e-3)
+    assert fit.cross_validation().rows.tolist() == list(range(len(measured.values)))
+
+
+def test_profile_ends_are_where_the_loss_has_risen(fitted, measured):
+    """Against a profile by SciPy: the other unknowns fitted at each value of the first."""
+    program, y = fitted.source.calibration.program, fitted.source.found.y
+    weights = 1.0 / measured.sigma
+    limit = fitted.total + 0.5 * stats.norm.ppf(0.975) ** 2
+
+    def rise(own):
+        def loss(rest):
+            return program.total(np.array([own, *rest]), measured.values, weights)
+
+        return optimize.minimize(loss, y[1:], method="Nelder-Mead", options={"xatol": 1e-9, "fatol": 1e-11}).fun - limit
+
+    cohesion = fitted.source.calibration.unknowns[0]
+    for end in fitted.intervals()["soil.cohesion"]:
+        assert abs(rise(cohesion.scaled(end))) < 1e-6
+
+
+def test_several_optima_that_fit_are_told(measured, three):
+    fit = po.calibrate(steady_scene(), measured, three)
+    assert len(fit.optima) == 1
+    assert not any("local optima" in warning for warning in fit.warnings)

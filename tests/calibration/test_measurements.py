@@ -1,0 +1,137 @@
+"""Measurements from Python and from CSV files: right ones, and what is wrong with others."""
+
+import math
+
+import numpy as np
+import pytest
+
+import plough_opt as po
+
+HEADER = "scene.tow_speed [km/h], share.wedge_angle [deg], mean_draft [kN], sigma [kN]\n"
+ROWS = "3.6, 40, 3.9, 0.1\n7.2, 40, 4.1, 0.1\n"
+
+
+@pytest.fixture
+def written(tmp_path):
+    """Write a CSV file and return its path."""
+
+    def write(text, name="draft.csv"):
+        path = tmp_path / name
+        path.write_text(text, encoding="utf-8")
+        return path
+
+    return write
+
+
+def test_columns_are_kept_in_si_with_their_lines(written):
+    data = po.read_measurements(written(f"# field 3\n\n{HEADER}{ROWS}"))
+    assert data.result == "mean_draft"
+    np.testing.assert_allclose(data.values, [3900.0, 4100.0], rtol=1e-15)
+    np.testing.assert_allclose(data.conditions["scene.tow_speed"], [1.0, 2.0], rtol=1e-15)
+    np.testing.assert_allclose(data.conditions["share.wedge_angle"], math.radians(40.0), rtol=1e-15)
+    np.testing.assert_allclose(data.sigma, 100.0, rtol=1e-15)
+    assert data.lines == (4, 5)
+    assert data.row(1).endswith("draft.csv, line 5")
+
+
+def test_sigma_in_per_cent_semicolons_weights_and_time(written):
+    data = po.read_measurements(written("mean_draft [kN]; sigma [%]\n4.0; 5\n2.0; 10\n"))
+    np.testing.assert_allclose(data.sigma, 200.0, rtol=1e-15)
+    data = po.read_measurements(written("\ufefftime [ms],mount_force [N],weight\n0,1,1\n5,2,0\n"))
+    assert data.time.tolist() == [0.0, 0.005]
+    assert data.weights.tolist() == [1.0, 0.0]
+    data = po.read_measurements(written("soil.tool_friction, mean_draft [N]\n0.5, 1e3\n0.6, 2E3\n"))
+    assert data.conditions["soil.tool_friction"].tolist() == [0.5, 0.6]
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        # a wrong column
+        (HEADER.replace("tow_speed", "two_speed") + ROWS, "line 1, column 'scene.two_speed [km/h]': no such column is"
+         " known: did you mean 'scene.tow_speed'"),
+        (HEADER.replace("mean_draft", "draft") + ROWS, "did you mean 'mean_draft'?"),
+        (HEADER.replace("mean_draft [kN]", "soil.cohesion [kPa]") + ROWS, "no column holds a measured result"),
+        ("mean_draft [kN], force_rms [N]\n1, 2\n", "mean_draft and force_rms are measured: write a file for each"),
+        ("mean_draft [kN], mean_draft [N]\n1, 2\n", "column 'mean_draft': it stands there twice"),
+        ("mean_draft [kN], time [s]\n1, 2\n", "mean_draft is one value for a run; a time goes with mount_force"),
+        ("mount_force [kN]\n1\n", "a column 'time [s]' is missing"),
+        ("mean_draft [kN], sigma [N], weight\n1, 2, 1\n", "sigma and weight exclude each other"),
+        ("mean draft kN\n1\n", "a name and its unit are expected"),
+        # a unit
+        (HEADER.replace(" [kN], sigma", ", sigma") + ROWS, "line 1, column 'mean_draft': the unit is missing: write it"
+         " like 'mean_draft [kN]'"),
+        (HEADER.replace("[deg]", "[kg]") + ROWS, "'kg' is not a unit of rad: write it like 'share.wedge_angle [deg]'"),
+        (HEADER.replace("[deg]", "[degg]") + ROWS, "'degg' is not a unit of rad"),
+        (HEADER.replace("sigma [kN]", "sigma") + ROWS, "column 'sigma': the unit is missing"),
+        ("soil.tool_friction [m], mean_draft [N]\n1, 2\n", "'m' is not no unit"),
+        # a gap, and other cells
+        (HEADER + "3.6, 40, , 0.1\n" + ROWS, "line 2, column 'mean_draft [kN]': the cell is empty"),
+        (HEADER + ROWS + "3.6, 40, 4.0\n", "line 4: 3 cells, and the header names 4 columns"),
+        (HEADER + "3.6, 40, n/a, 0.1\n", "line 2, column 'mean_draft [kN]': 'n/a' is not a number"),
+        (HEADER + "3.6, 40, 4 kN, 0.1\n", "'4 kN' is not a number, without its unit"),
+        (HEADER + "3.6, 40, nan, 0.1\n", "'nan' is not a finite number"),
+        (HEADER + "3.6, 40, 4.0, -0.1\n", "line 2, column 'sigma [kN]': -0.1 must be above 0"),
+        (HEADER + "3.6, 40, 4.0, 0\n", "0 must be above 0"),
+        ("mount_force [N], time [s]\n1, -1\n", "column 'time [s]': -1 must be at least 0"),
+        ("mean_draft [kN]; sigma [kN]\n4,1; 0,1\n", "'4,1' is not a number: write a decimal point"),
+        # nothing
+        ("", "the file is empty"),
+        ("# nothing\n", "the file is empty"),
+        (HEADER, "line 1: there is no row below the header"),
+    ],
+)  # fmt: skip
+def test_a_wrong_file_is_refused_with_its_row(written, text, words):
+    path = written(text)
+    with pytest.raises(po.InputError) as refusal:
+        po.read_measurements(path)
+    message = str(refusal.value)
+    # In the place of "no unit" for a pure number the message says so in plain words.
+    assert words.replace("is not no unit", "is not") in message
+    assert str(path) in message
+
+
+def test_every_mistake_is_listed(written):
+    rows = "".join(f"3.6, 40, {'' if k % 2 else 'x'}, 0.1\n" for k in range(10))
+    with pytest.raises(po.InputError) as refusal:
+        po.read_measurements(written(HEADER + rows))
+    lines = str(refusal.value).splitlines()
+    assert len(lines) == 9
+    assert lines[-1] == "... and 2 more"
+    assert [f"line {k}," in line for k, line in enumerate(lines[:8], start=2)] == [True] * 8
+
+
+def test_files_that_are_none(tmp_path, written):
+    written(HEADER + ROWS)
+    with pytest.raises(po.InputError, match=r"there is no file .*did you mean 'draft.csv'"):
+        po.read_measurements(tmp_path / "drafts.csv")
+    with pytest.raises(po.InputError, match="is a folder"):
+        po.read_measurements(tmp_path)
+    (tmp_path / "binary.csv").write_bytes(b"\xff\xfe\x00\x81")
+    with pytest.raises(po.InputError, match="it is not UTF-8"):
+        po.read_measurements(tmp_path / "binary.csv")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "keywords", "words"),
+    [
+        (("draft", [1.0]), {}, "'draft' is no measured result: did you mean 'mean_draft'?"),
+        (("mean_draft", []), {}, "there are no measurements"),
+        (("mean_draft", [1.0, math.nan]), {}, "row 2: mean_draft = nan must be a finite number"),
+        (("mean_draft", ["a"]), {}, "'mean_draft' must be a column of numbers"),
+        (("mean_draft", [1.0], {"scene.speed": [1.0]}), {}, "did you mean 'scene.tow_speed'"),
+        (("mean_draft", [1.0], {"scene.tow_speed": [1.0, 2.0]}), {}, "must have 1 rows, as 'mean_draft' has"),
+        (("soil.cohesion", [1.0], {"soil.cohesion": [1.0]}), {}, "both measured and a condition"),
+        (("mean_draft", [1.0]), {"sigma": 0.0}, "row 1: sigma = 0 must be above 0"),
+        (("mean_draft", [1.0]), {"weights": [-1.0]}, "weights = -1 must be at least 0"),
+        (("mean_draft", [1.0]), {"weights": [0.0]}, "every weight is 0"),
+        (("mean_draft", [1.0]), {"weights": [1.0], "sigma": 1.0}, "exclude each other"),
+        (("mean_draft", [1.0]), {"time": [1.0]}, "a column 'time' goes with mount_force"),
+        (("mount_force", [1.0]), {}, "a column 'time' is missing"),
+        (("mount_force", [1.0]), {"time": [-1.0]}, "time = -1 must be at least 0"),
+    ],
+)
+def test_measurements_that_cannot_be(arguments, keywords, words):
+    with pytest.raises(po.InputError) as refusal:
+        po.Measurements(*arguments, **keywords)
+    assert words in str(refusal.value)

@@ -1,0 +1,120 @@
+"""What `calibrate` refuses, and the three ways to say what is calibrated."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conftest import steady_scene
+
+import plough_opt as po
+
+PROBLEMS = Path(__file__).resolve().parents[2] / "problems"
+
+
+def test_scene_problem_and_function_give_the_same(measured, three, fitted):
+    from_function = po.calibrate(
+        lambda values: steady_scene(
+            values["scene.tow_speed"], values["share.wedge_angle"], cohesion=values["soil.cohesion"],
+            tool_friction=values["soil.tool_friction"],
+        ),
+        measured, {name: three[name] for name in ("soil.cohesion", "soil.tool_friction")},
+    )  # fmt: skip
+    from_scene = po.calibrate(
+        steady_scene(), measured, {name: three[name] for name in ("soil.cohesion", "soil.tool_friction")}
+    )
+    for name, value in from_function.values.items():
+        assert value == pytest.approx(from_scene.values[name], rel=1e-7)
+    problem = po.read_problem(
+        PROBLEMS / "calibration.toml", ["soil.ambient_pressure=60 kPa", "variables.soil.cohesion.guess=40 kPa"]
+    )
+    from_file = po.calibrate(problem, measured)
+    for name, value in from_file.values.items():
+        # Bounds and guesses differ, the optimum does not: IPOPT stops within 1e-4 of a standard error.
+        assert abs(value - fitted.values[name]) < 1e-3 * fitted.standard_errors[name]
+
+
+def test_text_with_units_bounds_an_unknown(measured):
+    fit = po.calibrate(steady_scene(), measured, {"soil.cohesion": ("1 kPa", "80 kPa", "12 kPa")})
+    assert (fit.unknowns[0].lower, fit.unknowns[0].upper) == (1e3, 80e3)
+
+
+@pytest.mark.parametrize(
+    ("unknown", "keywords", "words"),
+    [
+        ({"soil.cohesian": (1e3, 2e3)}, {}, "'soil.cohesian' cannot be an unknown: did you mean 'soil.cohesion'"),
+        ({"soil.cohesion": (2e3, 1e3)}, {}, "the lower bound 2000 must be below the upper bound 1000"),
+        ({"soil.cohesion": 5.0}, {}, "must be (lower, upper) or (lower, upper, guess)"),
+        ({"soil.cohesion": (1e3, 2e3, 3e3)}, {}, "the guess 3000 must lie between"),
+        ({"soil.cohesion": ("1 kg", "2 kPa")}, {}, "lower bound of 'soil.cohesion' = \"1 kg\" has the wrong unit"),
+        ({"soil.cohesion": (1e3, float("inf"))}, {}, "upper bound of 'soil.cohesion' = inf Pa must be finite"),
+        ({"scene.tow_speed": (1.0, 2.0)}, {}, "plane: 'scene.tow_speed' is a column of the data, and so is no unknown"),
+        ({"scene.frame_mass": (1.0, 2.0)}, {}, "a Scene has no 'scene.frame_mass'"),
+        ({"effects.strength_wave.amplitude": (0.0, 0.5)}, {}, "the scene has no strength wave"),
+        ({}, {}, "nothing is unknown"),
+        ({"soil.cohesion": (1e3, 80e3)}, {"loss": "huberr"}, "no loss is named 'huberr': did you mean 'huber'?"),
+        ({"soil.cohesion": (1e3, 80e3)}, {"starts": 0}, "starts = 0 must be a whole number from 1 to 16"),
+        ({"soil.density_ratio": (0.5, 1.5)}, {}, "density ratio b1"),
+        ({"soil.cohesion": (-5e3, 80e3)}, {}, "cohesion"),
+    ],
+)
+def test_wrong_questions_are_refused(measured, unknown, keywords, words):
+    with pytest.raises((po.InputError, po.DomainError)) as refusal:
+        po.calibrate(steady_scene(), measured, unknown, **keywords)
+    assert words in str(refusal.value)
+
+
+def test_data_that_do_not_fit_are_refused():
+    unknown = {"soil.cohesion": (1e3, 80e3), "soil.tool_friction": (0.1, 1.0)}
+    scene = steady_scene()
+    few = po.Measurements("mean_draft", [1e3, 2e3], {"scene.tow_speed": [1.0, 2.0]}, name="few")
+    with pytest.raises(po.InputError, match=r"few: 2 rows are too few for 2 unknowns .* at least 3 are needed"):
+        po.calibrate(scene, few, unknown)
+    stated = po.Measurements("mean_draft", [1e3, 2e3], {"scene.tow_speed": [1.0, 2.0]}, sigma=10.0)
+    with pytest.raises(po.InputError, match="few: no sigma is stated, but other sets state theirs"):
+        po.calibrate(scene, [stated, few], unknown)
+    beyond = po.Measurements("mean_draft", [1e3] * 3, {"share.wedge_angle": [0.5, 2.0, 0.6]}, name="beyond")
+    with pytest.raises(po.InputError, match="beyond, row 2: wedge angle = 2 rad must be below"):
+        po.calibrate(scene, beyond, unknown)
+    alone = po.Measurements("soil.density_ratio", [0.8] * 3, name="alone")
+    with pytest.raises(po.InputError, match=r"alone: 'soil.density_ratio' was measured, and is none of the unknowns"):
+        po.calibrate(scene, alone, unknown)
+    with pytest.raises(po.InputError, match="the data must be Measurements"):
+        po.calibrate(scene, [[1.0, 2.0]], unknown)
+    with pytest.raises(po.InputError, match="must be a Problem, a Scene, or a function"):
+        po.calibrate(3.0, few, unknown)
+    cone = po.Scene(scene.soil, po.Cone(0.3, 0.25), 5e4, 25.0, 2.0, po.Effects(motion=False))
+    with pytest.raises(po.InputError, match="a cone has no 'angle'"):
+        po.calibrate(cone, po.Measurements("mean_draft", [1e3] * 3, {"share.wedge_angle": [0.5, 0.6, 0.7]}), unknown)
+
+
+def test_a_fit_refuses_what_it_cannot_say(fitted):
+    with pytest.raises(po.InputError, match="level = 95 must lie between 0 and 1"):
+        fitted.intervals(95)
+    with pytest.raises(po.InputError, match="must be 'profile' or 'linearised'"):
+        fitted.intervals(kind="bootstrap")
+    with pytest.raises(po.InputError, match="folds = 1 must be a whole number from 2 to 24"):
+        fitted.cross_validation(1)
+    with pytest.raises(po.InputError, match="none of the candidates"):
+        fitted.next_measurements([po.Candidate("mount_force")])
+
+
+def test_no_start_that_converges_is_said(measured, three, monkeypatch):
+    from plough_opt.calibration import program
+
+    calibration = po.Calibration(steady_scene(), measured, three)
+    monkeypatch.setattr(program, "_DECREMENT", -1.0)
+    with pytest.raises(po.NotConverged, match="did not converge from any of 4 starts") as failure:
+        calibration.fit()
+    assert failure.value.status
+
+
+def test_folds_and_weights_of_repeated_rows(measured, three, fitted):
+    found = fitted.cross_validation(6)
+    assert found.folds == 6
+    assert found.errors.shape == (24,)
+    assert np.array_equal(found.errors, fitted.cross_validation(6).errors)
+    twice = po.calibrate(steady_scene(), [measured, measured], three)
+    for name, error in fitted.standard_errors.items():
+        # The same rows twice: the same optimum, and errors smaller by the root of two.
+        assert twice.values[name] == pytest.approx(fitted.values[name], rel=1e-6)
+        assert twice.standard_errors[name] == pytest.approx(error / 2**0.5, rel=1e-5)

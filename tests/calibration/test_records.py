@@ -1,0 +1,105 @@
+"""Forces over time, and averages of runs with motion."""
+
+import numpy as np
+import pytest
+from scipy import interpolate
+
+import plough_opt as po
+from plough_opt.calibration.prediction import reading
+
+WAVE = po.StrengthWave(0.3, 0.2)
+
+
+def moving_scene(cohesion=20e3, damping=400.0, tow_speed=2.0, **effects):
+    soil = po.Soil(1350.0, 0.794, cohesion, po.deg(28.0), 0.5, 1e4)
+    share = po.Wedge(po.deg(39.0), po.deg(15.0), 0.25)
+    own = po.Effects(strength_wave=WAVE, damping=damping, **effects)
+    return po.Scene(soil, share, 5e4, 25.0, tow_speed, own)
+
+
+@pytest.fixture(scope="module")
+def record():
+    """A force at uneven times of one run, with errors of 30 N."""
+    run = po.simulate(moving_scene(start="rest"), 0.4)
+    times = np.sort(np.random.default_rng(3).uniform(0.0, 0.4, 40))
+    exact = interpolate.CubicSpline(run.time, run.mount_force)(times)
+    noisy = exact + 30.0 * np.random.default_rng(4).standard_normal(len(times))
+    return times, exact, noisy
+
+
+@pytest.fixture(scope="module")
+def from_record(record):
+    """Cohesion and damping from that record."""
+    times, _, noisy = record
+    data = po.Measurements("mount_force", noisy, time=times, sigma=30.0, name="record")
+    unknown = {"soil.cohesion": (1e3, 80e3, 10e3), "effects.damping": (50.0, 2000.0, 200.0)}
+    return po.calibrate(moving_scene(start="rest"), data, unknown, starts=1)
+
+
+def test_a_record_gives_strength_and_damping(from_record):
+    truth = {"soil.cohesion": 20e3, "effects.damping": 400.0}
+    for name, value in truth.items():
+        # Of normal errors 3.5 standard errors in one of two thousand; the seed is fixed.
+        assert abs(from_record.values[name] - value) < 3.5 * from_record.standard_errors[name]
+        assert value in from_record.intervals(0.999)[name]
+    assert from_record.values["effects.damping"] == pytest.approx(400.0, rel=0.1)
+    assert not any("differ from the fitted" in warning for warning in from_record.warnings)
+    assert not any("correlated" in warning for warning in from_record.warnings)
+
+
+def test_the_calibrated_scene_predicts_the_record(from_record, record):
+    """The run of numbers, with its own check, is what was fitted."""
+    run = po.simulate(from_record.scene, 0.4)
+    spline = interpolate.CubicSpline(run.time, run.mount_force)
+    # A cubic spline through 400 intervals of some 60 oscillations' phase errs by 1e-5 of the peak.
+    np.testing.assert_allclose(from_record.predicted, spline(record[0]), atol=2e-4 * run.peak_force)
+    assert from_record.soil.cohesion == from_record.values["soil.cohesion"]
+    assert "calibrated" in from_record.soil.name
+    assert "record" in from_record.soil.source
+
+
+def test_slopes_of_a_record_are_those_of_differences(from_record):
+    program, y, step = from_record.source.calibration.program, np.array([0.3, 0.4]), 1e-5
+    slope = program.slope(y)
+    for k in range(2):
+        by = np.zeros(2)
+        by[k] = step
+        difference = (program.predict(y + by) - program.predict(y - by)) / (2.0 * step)
+        # step^2 = 1e-10 times third derivatives of some hundred times the slope.
+        np.testing.assert_allclose(slope[:, k], difference, rtol=1e-5, atol=1e-7 * np.max(np.abs(difference)))
+
+
+def test_neighbours_that_depend_on_each_other_are_told(record):
+    times, exact, _ = record
+    drift = 60.0 * np.sin(2.0 * np.pi * times / 0.17)
+    data = po.Measurements("mount_force", exact + drift, time=times, name="drifting")
+    fit = po.calibrate(moving_scene(start="rest"), data, {"soil.cohesion": (1e3, 80e3)}, starts=1)
+    assert any("residuals of neighbouring times are correlated" in warning for warning in fit.warnings)
+
+
+@pytest.mark.parametrize("motion", [False, True])
+def test_mean_drafts_of_runs_under_a_strength_wave(motion):
+    effects = {"motion": motion, "damping": 400.0 if motion else None}
+    speeds = np.array([1.0, 2.0])
+    exact = np.array([float(po.simulate(moving_scene(tow_speed=v, **effects), 0.3).mean_draft) for v in speeds])
+    data = po.Measurements("mean_draft", exact, {"scene.tow_speed": speeds}, sigma=0.01 * exact)
+    guess = moving_scene(cohesion=35e3, **effects)
+    fit = po.calibrate(guess, data, {"soil.cohesion": (1e3, 80e3)}, duration=0.3, starts=1)
+    # The symbolic run's steps err by 1e-8, IPOPT by 1e-4 of the standard error, some 2 % here.
+    assert fit.values["soil.cohesion"] == pytest.approx(20e3, rel=1e-5)
+
+
+def test_reading_between_outputs_is_exact_for_polynomials():
+    places = np.array([0.0, 0.013, 0.5, 0.777, 0.999, 1.0])
+    matrix = reading(places, 20)
+    grid = np.linspace(0.0, 1.0, 21)
+    for degree in range(8):
+        # Eight nodes carry a polynomial of degree seven; weights of order ten at the ends.
+        np.testing.assert_allclose(matrix @ grid**degree, places**degree, atol=1e-12)
+    assert np.count_nonzero(matrix[0]) == np.count_nonzero(matrix[2]) == 1
+
+
+def test_a_run_needs_a_duration():
+    data = po.Measurements("mean_draft", [3e3, 3.1e3], {"scene.tow_speed": [1.0, 2.0]}, sigma=10.0, name="drafts")
+    with pytest.raises(po.InputError, match="drafts: mean_draft of this scene is a run's: give the duration"):
+        po.calibrate(moving_scene(), data, {"soil.cohesion": (1e3, 80e3)})

@@ -167,6 +167,8 @@ def test_what_cannot_be_is_refused_with_the_reason(r1_scene):
     assert "is there twice" in _refused(scene, inputs=["scene.stiffness", "scene.stiffness"])
     own = po.Output("scene_stiffness", of=lambda run: run.scene.stiffness)
     assert "'scene.stiffness' and 'scene_stiffness' clash" in _refused(scene, outputs=[own])
+    assert "input MX(k) must be a name, or po.Input(name, ...)" in _refused(scene, inputs=[ca.MX.sym("k")])
+    assert "output 3 must be a name, or po.Output(name, ...)" in _refused(scene, outputs=[3])
     nothing = po.Output("nothing", of=lambda run: run.mean_draft / (0.0 * run.mean_draft))
     assert "'nothing' has no finite value" in _refused(scene, outputs=[nothing])
     assert "no quantity is named 'stiffness'" in _refused(scene, inputs="stiffness")

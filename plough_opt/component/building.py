@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, TypeVar
 
 import casadi as ca
 
@@ -23,6 +23,7 @@ SAMPLES = 400
 """Default number of intervals between the output times of results at every output time."""
 
 _DURATION, _FRAME, _STEEL = BESIDE
+_T = TypeVar("_T", Input, Output)
 
 
 def component(
@@ -56,7 +57,7 @@ def component(
         DomainError: bounds outside the model's domain.
     """
     base = _Base(scene, duration, steel_density)
-    asked = [Input(one) if isinstance(one, str) else one for one in _several(inputs)]
+    asked = _several(inputs, Input)
     check_names("input", [one.name for one in asked])
     ports = [_own_port(one) if one.symbol is not None else _port(one, base) for one in asked]
     make, notes = _maker(base, asked), base.notes(ports)
@@ -86,7 +87,7 @@ def build(
     """
     if not ca.Function.check_name(name):
         raise InputError(f"name = {name!r} cannot be that of a CasADi Function: take letters, digits and underscores")
-    wanted = [Output(one) if isinstance(one, str) else one for one in _several(outputs)]
+    wanted = _several(outputs, Output)
     check_names("output", [one.name for one in wanted])
     check_names("input or output", [*(port.name for port in inputs), *(one.name for one in wanted)])
     accuracy = accuracy or Accuracy()
@@ -125,9 +126,14 @@ def _largest(port: Port, values: ca.DM) -> float:
     return float(ca.mmax(values))
 
 
-def _several(asked: Any) -> Any:
+def _several(asked: Any, kind: type[_T]) -> list[_T]:
     """Return what is asked for; a name alone is one, and not its letters."""
-    return [asked] if isinstance(asked, str) else asked
+    found = [kind(one) if isinstance(one, str) else one for one in ([asked] if isinstance(asked, str) else asked)]
+    for one in found:
+        if not isinstance(one, kind):
+            word = kind.__name__
+            raise InputError(f"{word.lower()} {one!r} must be a name, or po.{word}(name, ...) with more about it")
+    return found
 
 
 @dataclass(frozen=True)
@@ -178,7 +184,7 @@ class _Base:
         if follows or not self.scene.effects.motion or not any(name.startswith("share.") for name in names):
             return ()
         return (
-            f"the moving mass stays {self.scene.mass:.4g} kg whatever the share's size; with a steel_density it follows",
+            f"the moving mass stays {self.scene.mass:.4g} kg whatever the share's size; a steel_density lets it follow",
         )
 
     def changed(self, changes: Mapping[str, Expression]) -> tuple[Scene, Expression | None]:

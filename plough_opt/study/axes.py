@@ -33,8 +33,11 @@ class Range:
 
     def __post_init__(self) -> None:
         for end in (self.lower, self.upper):
-            if isinstance(end, bool) or not isinstance(end, int | float) or not math.isfinite(end):
+            if isinstance(end, bool) or not isinstance(end, int | float | np.number) or not math.isfinite(end):
                 raise InputError(f"the end {end!r} of a range must be a finite number")
+        for side in ("lower", "upper"):
+            # 1, 1.0 and NumPy's 1.0 are the same question.
+            object.__setattr__(self, side, float(getattr(self, side)))
         if not self.lower < self.upper:
             raise InputError(f"the range from {self.lower:g} to {self.upper:g} is empty: its first end must be lower")
         if self.log and not self.lower > 0.0:

@@ -167,9 +167,11 @@ class Engine:
         notes = [
             (kind, text, int(task.numbers[place]), points) for kind, (text, place, points) in sorted(done.notes.items())
         ]
-        self._open[task.claim] -= len(task.numbers)
-        finished = task.claim if self._open[task.claim] == 0 else None
+        left = self._open[task.claim] - len(task.numbers)
+        finished = task.claim if left == 0 else None
         new = self._store.keep(task.numbers, task.values, done.results, done.reasons, notes, finished)
+        # An interruption before this line leaves the claim to whoever resumes.
+        self._open[task.claim] = left
         self._stored += new
         self._failed += len(done.reasons) if new == len(task.numbers) else 0
         self._tell()
@@ -221,7 +223,9 @@ class Engine:
 
     def _leave(self) -> None:
         """Store what has come back by now, and leave the rest to whoever resumes."""
-        for future, task in self._under_way.items():
-            if not future.cancel() and future.done() and future.exception() is None:
-                self._take(task, future.result())
-        self._store.release()
+        try:
+            for future, task in self._under_way.items():
+                if not future.cancel() and future.done() and future.exception() is None:
+                    self._take(task, future.result())
+        finally:
+            self._store.release()

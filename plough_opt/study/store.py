@@ -191,8 +191,16 @@ class Store:
             self._run("UPDATE claims SET expires = 0 WHERE owner = ?", self._owner)
 
     def reopen_failures(self) -> int:
-        """Forget the points that failed, so that they are tried again; return how many they were."""
+        """Forget the points that failed, so that they are tried again; return how many they were.
+
+        Raises:
+            InputError: another run fills the store, and may have them under way.
+        """
+        now = time.time()
         with self._transaction():
+            owners = self._run("SELECT owner, max(expires) FROM claims GROUP BY owner").fetchall()
+            if not all(_dead(owner, expires, now) for owner, expires in owners):
+                raise InputError(f"another run fills the store '{self.path}': wait for its end to try failures again")
             self._run(
                 "INSERT OR IGNORE INTO claims SELECT point, point + 1, '', 0 FROM points WHERE reason IS NOT NULL"
             )

@@ -85,6 +85,7 @@ def sweep(
                     told = stack.enter_context(bar(Console(stderr=True)))
                 used = executor or stack.enter_context(ProcessPool(count, evaluation))
                 Engine(evaluation, points, kept, used, count, told).run()
+            kept.read()  # what another run entered meanwhile
     except KeyboardInterrupt:
         done = kept.stored()[0]
         kept.close()

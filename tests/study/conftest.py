@@ -43,14 +43,15 @@ def counted_text():
 
     def text(store, file, pause, values, executor="None"):
         return (
-            "import plough_opt as po\n"
+            "from plough_opt.study.axes import Range\n"
+            "from plough_opt.study.sweeping import sweep\n"  # what files need is not imported
             "from concurrent.futures import ThreadPoolExecutor\n"
             "from pathlib import Path\n"
             "from swept import Counted\n"
             "if __name__ == '__main__':\n"
             f"    counted = Counted(Path({json.dumps(str(file))}), {pause})\n"
-            f"    over = {{'a': po.Range(0.0, 1.0, {values}), 'b': [1.0, 2.0]}}\n"
-            f"    po.sweep(counted, over, store={json.dumps(str(store))}, workers=2, executor={executor})\n"
+            f"    over = {{'a': Range(0.0, 1.0, {values}), 'b': [1.0, 2.0]}}\n"
+            f"    sweep(counted, over, store={json.dumps(str(store))}, workers=2, executor={executor})\n"
         )
 
     return text

@@ -91,6 +91,7 @@ def test_a_killed_sweep_resumes_and_repeats_nothing_that_was_stored(script, coun
     np.testing.assert_array_equal(found, po.sweep(swept.waves, OVER, executor=inline).table)
 
 
+@pytest.mark.slow  # by default the command's Ctrl-C and a killed sweep stand for it
 def test_an_interrupted_sweep_says_what_is_stored_and_resumes(script, counted_text, inline, tmp_path):
     store, file = tmp_path / "sweep.db", tmp_path / "calls"
     process = script(counted_text(store, file, 0.02, VALUES, "ThreadPoolExecutor(1)"))
@@ -172,6 +173,19 @@ class TestClaims:
         monkeypatch.setattr(stores, "_LEASE", -1.0)
         one.renew()
         assert two.claim(4) == (0, 10)
+
+    def test_failures_are_not_tried_again_while_another_run_lives(self, open_store):
+        one, two = open_store(), open_store()
+        one.claim(10)
+        self.keep(one, 0, 4, None)
+        with pytest.raises(po.InputError, match="another run fills the store"):
+            two.reopen_failures()
+        one.release()
+        assert two.reopen_failures() == 4
+        found = set()
+        while (claim := two.claim(10)) is not None:
+            found |= set(range(*claim))
+        assert found == set(range(10))
 
     def test_numbers_are_stored_to_the_last_bit(self, open_store):
         store = open_store()

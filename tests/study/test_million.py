@@ -15,7 +15,7 @@ OVER = {"share.wedge_angle": "25..39 deg", "share.height": "0.18..0.28 m", "scen
 @pytest.mark.parametrize(
     ("count", "brief"),
     [
-        (2**13, ("scene.duration=0.1 s",)),
+        (2**12, ("scene.duration=0.1 s",)),
         pytest.param(2**20, (), marks=pytest.mark.slow),
     ],
     ids=("thinned", "in full"),

@@ -14,6 +14,8 @@ from plough_opt.problem_file.units import Unit
 
 PROBLEMS = Path(__file__).resolve().parents[2] / "problems"
 COTTON = PROBLEMS / "cotton_subsoiler.toml"
+# A design of the wedge angle and the height, without motion: quick to solve.
+STEADY = ("effects.motion=false", "scene.duration=0.5 s", "scene.stiffness=50 kN/m")
 BRIEF = ("scene.duration=0.2 s", "scene.outputs=40")
 OVER = {"soil.cohesion": "5..45 kPa:3", "scene.tow_speed": po.Range(1.0, 3.0, 3)}
 
@@ -36,8 +38,8 @@ def test_the_numbers_are_those_of_the_command_at_every_point(problem, inline):
         assert row["moving_mass"] == run.scene.mass
 
 
-def test_the_same_bits_in_other_processes(problem, inline):
-    with po.sweep(problem, OVER, executor=inline) as one, po.sweep(problem, OVER, workers=2) as other:
+def test_the_same_bits_in_another_process(problem, inline):
+    with po.sweep(problem, OVER, executor=inline) as one, po.sweep(problem, OVER, workers=1) as other:
         np.testing.assert_array_equal(one.table, other.table)
 
 
@@ -51,16 +53,14 @@ def test_warnings_are_kept_once_with_the_number_of_their_points(problem, inline)
 
 def test_no_warm_start_crosses_points(inline):
     # Optima in the order of the sweep, in the other order, and each alone.
-    problem = po.read_problem(PROBLEMS / "reference.toml", ("effects.motion=false", "scene.duration=0.5 s"))
+    problem = po.read_problem(PROBLEMS / "reference.toml", STEADY)
     with po.sweep(problem, {"soil.cohesion": [10e3, 20e3]}, what="optimise", executor=inline) as found:
         forwards = found.table
     with po.sweep(problem, {"soil.cohesion": [20e3, 10e3]}, what="optimise", executor=inline) as found:
         backwards = found.table
     names = [name for name in forwards.dtype.names if name != "point"]
     np.testing.assert_array_equal(forwards[names], backwards[::-1][names])
-    changed = po.read_problem(
-        PROBLEMS / "reference.toml", ("effects.motion=false", "scene.duration=0.5 s", "soil.cohesion=20 kPa")
-    )
+    changed = po.read_problem(PROBLEMS / "reference.toml", (*STEADY, "soil.cohesion=20 kPa"))
     best, run = changed.optimise()
     assert forwards["objective"][1] == best.objective
     assert forwards["share.height"][1] == best.variables["share.height"]
@@ -69,11 +69,10 @@ def test_no_warm_start_crosses_points(inline):
 
 
 def test_a_point_without_a_solution_is_a_row(inline):
-    problem = po.read_problem(PROBLEMS / "reference.toml", ("effects.motion=false", "scene.duration=0.5 s"))
-    over = {"share.height": [0.12, 0.3], "scene.stiffness": [5e4, 6e4]}
-    with po.sweep(problem, over, what="optimise", executor=inline) as found:
+    problem = po.read_problem(PROBLEMS / "reference.toml", STEADY)
+    with po.sweep(problem, {"share.height": [0.12, 0.3]}, what="optimise", executor=inline) as found:
         assert found.results[:2] == ("objective", "share.wedge_angle")
-        assert [failure.point for failure in found.failures] == [0, 1]
+        assert [failure.point for failure in found.failures] == [0]
         assert all("'loosened_radius'" in failure.reason for failure in found.failures)
 
 

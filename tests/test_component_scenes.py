@@ -112,7 +112,7 @@ def test_a_mass_that_does_not_follow_the_share_is_told_of(r1_scene):
     assert told == [True, False, False, False]
 
 
-@pytest.mark.parametrize("kind", [ca.MX, ca.SX])
+@pytest.mark.parametrize("kind", [ca.MX, pytest.param(ca.SX, marks=pytest.mark.slow)])
 def test_a_scene_of_symbols_with_a_density_profile(r1_soil, kind):
     k, width = kind.sym("k"), kind.sym("width")
     soil = r1_soil.with_density_profile(lambda r, w: 1400 * (1.05 + 0.3 / (1.0 + (r / w) ** 2)), width, order=5)

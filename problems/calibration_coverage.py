@@ -55,24 +55,26 @@ class Trial:
 
     def run(self, trials: int, seed: int = SEED) -> Coverage:
         """Return the coverage."""
-        calibration = self.calibration(dict.fromkeys(self.conditions))
+        calibration, sigma = self.calibration()
         truth = {name: TRUTH[name] for name in self.unknown}
-        sizes = np.abs(calibration.predict(truth))
-        if not self.stated:
-            return coverage(calibration, truth, sigma=np.full(len(sizes), self.error * sizes.mean()), trials=trials,
-                            seed=seed)  # fmt: skip
-        ends = np.cumsum([m.rows for m in calibration.measured])[:-1]
-        sigmas = dict(zip(self.conditions, np.split(self.error * sizes, ends), strict=True))
-        return coverage(self.calibration(sigmas), truth, trials=trials, seed=seed)
+        return coverage(calibration, truth, sigma=sigma, trials=trials, seed=seed)
 
-    def calibration(self, sigmas: Mapping[str, np.ndarray | None]) -> po.Calibration:
-        """Return the calibration, its measured values to be replaced in every trial."""
+    def calibration(self) -> tuple[po.Calibration, np.ndarray]:
+        """Return the calibration to exact values, which each trial replaces, and the errors' standard deviations."""
+        truth = {name: TRUTH[name] for name in self.unknown}
+        blank = [po.Measurements(result, np.ones(len(next(iter(own.values())))), own)
+                 for result, own in self.conditions.items()]  # fmt: skip
+        exact = po.Calibration(scene(), blank, self._unknown()).predict(truth)
+        sigma = self.error * (exact if self.stated else np.full(len(exact), exact.mean()))
+        ends = np.cumsum([m.rows for m in blank])[:-1]
         data = [
-            po.Measurements(result, np.ones(len(next(iter(own.values())))), own, sigma=sigmas[result])
-            for result, own in self.conditions.items()
+            po.Measurements(m.result, values, m.conditions, sigma=own if self.stated else None)
+            for m, values, own in zip(blank, np.split(exact, ends), np.split(sigma, ends), strict=True)
         ]
-        unknown = {name: (*BOUNDS[name], TRUTH[name]) for name in self.unknown}
-        return po.Calibration(scene(), data, unknown, loss=self.loss, starts=1)
+        return po.Calibration(scene(), data, self._unknown(), loss=self.loss, starts=1), sigma
+
+    def _unknown(self) -> dict[str, tuple[float, float, float]]:
+        return {name: (*BOUNDS[name], TRUTH[name]) for name in self.unknown}
 
 
 def scene() -> po.Scene:

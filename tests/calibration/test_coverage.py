@@ -33,7 +33,7 @@ def identifiable(found):
     return determined
 
 
-@pytest.mark.parametrize("number", [0, 1])
+@pytest.mark.parametrize("number", [0, pytest.param(1, marks=pytest.mark.slow)])
 def test_intervals_hold_the_truth_as_often_as_they_say(script, number):
     """A thin version: sixty trials tell a coverage of 95 % from one below some 82 %."""
     found = script.CASES[number].run(60)
@@ -66,14 +66,14 @@ def test_intervals_that_are_too_narrow_are_found_out(script):
     """The benchmark can fail: with errors twice those that are stated, coverage falls to what theory says."""
     case = script.CASES[0]
     truth = {name: script.TRUTH[name] for name in case.unknown}
-    sizes = case.calibration({"mean_draft": None}).predict(truth)
-    calibration = case.calibration({"mean_draft": 0.03 * sizes})
-    found = coverage(calibration, truth, sigma=0.06 * sizes, trials=40)
-    expected = 2.0 * stats.norm.cdf(stats.norm.ppf(0.975) / 2.0) - 1.0  # 67 %
+    calibration, sigma = case.calibration()
+    found = coverage(calibration, truth, sigma=2.0 * sigma, trials=40)
+    # Bounds clip some of the wider estimates, and change the 67 % of theory by little.
+    expected = 2.0 * stats.norm.cdf(stats.norm.ppf(0.975) / 2.0) - 1.0
     low, high = stats.binom.interval(0.999, 40, expected)
     for own in found.unknowns:
-        assert low / 40 <= own.rate("linearised") <= high / 40
-    assert high / 40 < stats.binom.ppf(5e-4, 40, 0.95) / 40 + 0.1
+        assert low <= round(own.rate("linearised") * own.identifiable) <= high
+        assert own.rate("linearised") < stats.binom.ppf(5e-4, 40, 0.95) / 40
 
 
 def test_the_same_seed_gives_the_same_trials(script):
@@ -106,9 +106,9 @@ def test_the_table_of_the_page_is_the_script_s(script):
     ],
 )
 def test_wrong_arguments(script, keywords, words):
-    case = script.CASES[0]
-    calibration = case.calibration({"mean_draft": None})
+    case = script.CASES[1]
+    calibration, _ = case.calibration()
     with pytest.raises(po.InputError, match=words):
         coverage(calibration, {name: script.TRUTH[name] for name in case.unknown}, **keywords)
-    with pytest.raises(po.InputError, match="the true value of 'soil.cohesion' is missing"):
+    with pytest.raises(po.InputError, match=r"the true value of 'soil.ambient_pressure' is missing"):
         coverage(calibration, {}, sigma=np.ones(24))

@@ -26,6 +26,8 @@ if TYPE_CHECKING:
 _MOST_PANELS = 4
 # Parts of a variance that are none.
 _NONE = 5e-4
+# Margins below this are the optimiser's last rounding.
+_ROUNDING = 1e-9
 
 
 def optimise_uncertain(problem: Problem, options: argparse.Namespace) -> None:
@@ -58,6 +60,8 @@ def _print(to: Console, problem: Problem, found: RobustOptimum) -> None:
     to.print(_soil_table(problem, found))
     to.print(_design_table(problem, found))
     to.print(_limits_table(problem, found))
+    if len(found.best.local_optima) > 1:
+        to.print(_optima_table(problem, found))
     to.print(_checks_table(problem, found))
     for check in found.fresh.checks:
         if check.worse is not None:
@@ -123,8 +127,20 @@ def _limits_table(problem: Problem, found: RobustOptimum) -> Table:
         how = f"{100 * own.probability:g} % of the soils" if own.probability is not None else own.measure
         if limit.name not in varying:
             how = "the nominal soil" if own.measure == "nominal" else "every soil alike"
-        numbers = [shown(problem, limit.name, x, limit.unit) for x in (limit.value, limit.margin)]
+        margin = 0.0 if abs(limit.margin) < _ROUNDING else limit.margin
+        numbers = [shown(problem, limit.name, x, limit.unit) for x in (limit.value, margin)]
         table.add_row(limit.name, limits, how or "every sample", *numbers, "[yellow]decides[/]" if limit.active else "")
+    return table
+
+
+def _optima_table(problem: Problem, found: RobustOptimum) -> Table:
+    table = Table(title="All robust optima found")
+    table.add_column("")
+    for heading in ("objective", *problem.variables):
+        table.add_column(heading, justify="right")
+    for optimum in found.best.local_optima:
+        cells = [v.display.text(optimum.variables[key], 6) for key, v in problem.variables.items()]
+        table.add_row(optimum.name, f"{optimum.objective:.9g}", *cells)
     return table
 
 

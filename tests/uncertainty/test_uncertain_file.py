@@ -1,0 +1,223 @@
+"""Problem files with an uncertain soil, from the command line: solved, verified, refused with line and reason."""
+
+import json
+from pathlib import Path
+
+import matplotlib
+import numpy as np
+import pytest
+
+import plough_opt as po
+from plough_opt.cli import main
+from plough_opt.problem_file.robust_design import optimise_robust
+from plough_opt.problem_file.uncertain import Asked, asked_of
+from plough_opt.uncertainty import measures
+from plough_opt.uncertainty.picture import Panel, plot_spread
+
+matplotlib.use("Agg")
+FIELD = Path(__file__).parents[2] / "problems" / "uncertain_field.toml"
+
+TEXT = """\
+title = "Quasi-static share in an uncertain soil"
+[soil]
+name = "serozem"
+[uncertain]
+samples = 16
+fresh = 400
+"soil.cohesion" = { distribution = "lognormal", mean = "20 kPa", std = "6 kPa", upper = "60 kPa" }
+"soil.density_ratio" = { distribution = "beta", mean = 0.794, std = 0.02, lower = 0.70, upper = 0.88 }
+correlation = [["soil.cohesion", "soil.density_ratio", 0.3]]
+[share]
+chisel_angle = "15 deg"
+wedge_angle = "39 deg"
+[scene]
+tow_speed = "7.2 km/h"
+frame_mass = "20 kg"
+stiffness = "50 kN/m"
+duration = "2 s"
+[effects]
+motion = false
+[variables]
+"share.height" = { lower = "0.1 m", upper = "0.5 m", guess = "0.25 m" }
+[minimise]
+mean_draft = { per = "1 kN", measure = "cvar 0.9", width = "100 N" }
+[require]
+loosened_radius = { at_least = "0.15 m", probability = 0.9 }
+"""
+
+
+@pytest.fixture
+def written(tmp_path):
+    def write(*changes):
+        text = TEXT
+        for old, new in changes:
+            assert old in text
+            text = text.replace(old, new)
+        path = tmp_path / "field.toml"
+        path.write_text(text, encoding="utf-8")
+        return str(path)
+
+    return write
+
+
+def test_file_is_solved_beside_the_nominal_design_and_verified(written, capsys, tmp_path):
+    picture = tmp_path / "field.png"
+    assert main(["optimise", written(), "--plot", str(picture)]) == 0
+    out = capsys.readouterr().out
+    for words in ("Uncertain soil: serozem", "robust", "nominal", "95 % interval", "Sobol indices", "16 samples"):
+        assert words in out
+    assert picture.read_bytes().startswith(b"\x89PNG")
+
+
+def test_json_holds_both_optima_and_every_check(written, capsys):
+    assert main(["optimise", written(), "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["kind"] == "robust optimum"
+    assert found["best"]["variables"]["share.height"] > found["nominal"]["variables"]["share.height"]
+    names = [(check["result"], check["text"]) for check in found["checks"]]
+    assert names == [("mean_draft", "mean of the largest 10 %"), ("loosened_radius", "probability of at least 0.15")]
+    assert found["indices"]["loosened_radius"]["names"] == ["cohesion", "density_ratio given cohesion"]
+
+
+def test_the_optimum_is_the_one_that_the_samples_demand(written):
+    """The radius goes with the height alone, so the robust height follows from the samples' quantile."""
+    problem = po.read_problem(written())
+    found = optimise_robust(problem, lambda *_: None)
+    height = found.best.variables["share.height"]
+    radii = found.robust.values({"share.height": 1.0})["loosened_radius"]
+    width = 0.5 * np.std(radii) * found.nominal.variables["share.height"]
+    assert -measures.quantile(-radii * height, 0.9, width=width) == pytest.approx(0.15, abs=1e-9)
+    nominal, robust = (own["loosened_radius", "probability"].fresh for own in (found.nominal_fresh, found.fresh))
+    assert nominal < 0.6
+    assert robust == pytest.approx(0.9, abs=0.04)
+    draft = found.fresh["mean_draft", "mean of"]
+    assert draft.low < draft.fresh < draft.high
+
+
+def test_every_kind_of_measure_is_read(written):
+    problem = po.read_problem(
+        written(
+            ('{ per = "1 kN", measure = "cvar 0.9", width = "100 N" }', '{ per = "1 kN", measure = "worst" }'),
+            ('probability = 0.9 }', 'measure = "mean - 1.5 std" }\nhalf_angle = { at_most = "16 deg" }\n'
+             'mean_deflection = { at_most = "0.4 m" }\ntow_power = { at_most = "40 kW", measure = "cvar 0.8" }'),
+        )
+    )  # fmt: skip
+    found = optimise_robust(problem, lambda *_: None)
+    texts = {check.result: check.text for check in found.fresh.checks}
+    assert texts["mean_draft"] == "largest of the samples"
+    assert texts["loosened_radius"] == "mean - 1.5 standard deviations"
+    assert texts["mean_deflection"] == "probability of at most 0.4"
+    assert texts["tow_power"] == "mean of the largest 20 %"
+    assert "half_angle" not in texts
+    radii = found.robust.values(found.best)["loosened_radius"]
+    assert radii.mean() - 1.5 * radii.std() == pytest.approx(0.15, abs=1e-9)
+
+
+def test_nominal_commands_take_the_file_as_it_is(written, capsys):
+    assert main(["check", written()]) == 0
+    assert main(["simulate", written()]) == 0
+    capsys.readouterr()
+
+
+@pytest.mark.parametrize(
+    ("text", "wanted"),
+    [
+        ("expected", Asked("expected")),
+        ("cvar 0.9", Asked("cvar", 0.9)),
+        ("mean + 2 std", Asked("mean_plus", 2.0)),
+        ("mean - 1.5 std", Asked("mean_plus", -1.5)),
+        ("worst", Asked("worst")),
+        ("nominal", Asked("nominal")),
+    ],
+)
+def test_measures_in_words(text, wanted):
+    assert asked_of(text) == wanted
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "line", "words"),
+    [
+        ('"soil.cohesion" = {', '"soil.cohesoin" = {', 7, "'soil.cohesion'"),
+        ('"lognormal"', '"lognorml"', 7, "lognormal"),
+        ('std = "6 kPa"', 'std = "6 deg"', 7, "wrong unit"),
+        ('std = "6 kPa"', 'std = "0 kPa"', 7, "std must be above 0"),
+        ('std = "6 kPa"', 'sdt = "6 kPa"', 7, "'std'"),
+        ('mean = "20 kPa", ', "", 7, "distribution needs mean"),
+        ('"lognormal", mean', '"normal", mean', 7, "truncate it"),
+        ('upper = "60 kPa"', 'upper = "1 kPa"', 7, "between its bounds"),
+        ("std = 0.02,", "std = 0.2,", 8, "no beta distribution"),
+        ('"soil.density_ratio", 0.3', '"soil.density", 0.3', 9, "soil.density_ratio"),
+        ('"soil.density_ratio", 0.3', '"soil.density_ratio", 1.3', 9, "between -1 and 1"),
+        ("samples = 16", "samples = 3", 5, "whole number from 8"),
+        ("samples = 16", "sample = 16", 5, "'samples'"),
+        ('"cvar 0.9"', '"cvar 90"', 23, "between 0 and 1"),
+        ('"cvar 0.9"', '"median"', 23, "no measure"),
+        ('width = "100 N"', 'width = "100 m"', 23, "wrong unit"),
+        ('width = "100 N"', 'width = "0 N"', 23, "above 0"),
+        ("probability = 0.9", "probability = 1.0", 25, "between 0 and 1"),
+        ("probability = 0.9", 'probability = 0.9, measure = "worst"', 25, "give one"),
+        ("probability = 0.9", 'probability = 0.9, at_most = "0.3 m"', 25, "one limit"),
+        ("loosened_radius = {", 'deflection = { at_most = "0.1 m" }\nloosened_radius = {', 25, "every output time"),
+    ],
+)
+def test_mistakes_are_told_with_their_line(written, capsys, old, new, line, words):
+    assert main(["optimise", written((old, new))]) == 2
+    error = capsys.readouterr().err
+    assert f"line {line}:" in error
+    assert words in error
+
+
+def test_a_variable_cannot_be_uncertain(written, capsys):
+    path = written(("[minimise]", '"soil.cohesion" = { lower = "10 kPa", upper = "30 kPa" }\n[minimise]'))
+    assert main(["optimise", path]) == 2
+    assert "cannot be uncertain too" in capsys.readouterr().err
+
+
+def test_measures_need_an_uncertain_soil(written, capsys):
+    text = Path(written()).read_text(encoding="utf-8")
+    start, end = text.index("[uncertain]"), text.index("[share]")
+    path = Path(written())
+    path.write_text(text[:start] + text[end:], encoding="utf-8")
+    assert main(["optimise", str(path)]) == 2
+    error = capsys.readouterr().err
+    assert "belongs to an uncertain soil" in error
+    assert "probability" in error
+
+
+def test_sensitivity_is_refused(written, capsys):
+    assert main(["optimise", written(), "--sensitivity"]) == 2
+    assert "--sensitivity" in capsys.readouterr().err
+
+
+def test_requirements_that_no_soil_can_meet_have_no_solution(written, capsys):
+    path = written(('at_least = "0.15 m"', 'at_least = "0.27 m"'))
+    assert main(["optimise", path, "--set", 'share.wedge_angle="38 deg"']) == 1
+    assert "loosened_radius" in capsys.readouterr().err
+
+
+def test_picture_shows_every_design_and_limit():
+    values = {name: {"radius": np.linspace(low, low + 0.02, 50)} for name, low in (("nominal", 0.14), ("robust", 0.15))}
+    figure = plot_spread(values, [Panel("radius", "radius [cm]", 0.01, at_least=0.15)])
+    (axes,) = figure.axes
+    texts = [text.get_text() for text in axes.get_legend().get_texts()]
+    assert texts == ["nominal: mean 15, 50.0 % within the limit", "robust: mean 16, 100.0 % within the limit"]
+    assert axes.get_xlabel() == "radius [cm]"
+
+
+@pytest.mark.parametrize("samples", [8, pytest.param(64, marks=pytest.mark.slow)])
+def test_uncertain_field(samples):
+    """The problem file itself: both branches beside the resonance, and more soils loosened widely enough."""
+    changes = [f"uncertain.samples={samples}", "uncertain.fresh=1000"]
+    changes += ['scene.duration="0.4 s"', "scene.outputs=40"] if samples == 8 else []
+    problem = po.read_problem(FIELD, changes)
+    found = optimise_robust(problem, lambda *_: None)
+    assert found.failures == ()
+    assert found.best.gap < 1e-8
+    assert found.best.variables["share.height"] > found.nominal.variables["share.height"]
+    nominal, robust = (own["loosened_radius", "probability"] for own in (found.nominal_fresh, found.fresh))
+    assert nominal.fresh < 0.6
+    assert robust.fresh > 0.9
+    assert "loosened_radius" in found.best.active
+    objectives = [optimum.objective for optimum in found.best.local_optima]
+    assert objectives == sorted(objectives)
+    assert found.best.objective == objectives[0]

@@ -196,6 +196,10 @@ def test_bounds_that_cannot_be_are_refused_with_the_place(r1_scene):
         ((1.0, np.inf), "upper of 'scene.stiffness' = inf N/m must be finite"),
     ):
         assert text in _refused(scene, inputs=[po.Input("scene.stiffness", *bounds)])
+    named = po.Accuracy("dop853", steps=100)
+    assert "stiffness = -1 N/m must be above 0" in _refused(
+        scene, inputs=[po.Input("scene.stiffness", -1.0, 7e4)], accuracy=named
+    )
     # Which of several inputs leads out of the domain, and from where.
     inputs = [po.Input("share.wedge_angle", 0.1, 1.0), po.Input("soil.density_ratio", 0.5, 1.5)]
     assert "at share.wedge_angle = 0.1 rad, soil.density_ratio = 1.5: density ratio b1" in _refused(

@@ -123,7 +123,8 @@ class Box:
         # A draft that does not vary in time has no error of steps or panels.
         varies = motion or effects.strength_wave is not None or effects.tow_ramp is not None or effects.own
         points = [*corners(self.inputs), *(inside(self.inputs) if varies else ())]
-        steps = accuracy.steps or self._steps(corners(self.inputs))
+        needed = self._steps(corners(self.inputs), _MOST_STEPS if accuracy.steps is None else math.inf)
+        steps = accuracy.steps or needed
         for _ in range(_ROUNDS):
             resolution = Resolution(steps, outputs)
             coarse, fine = (self._evaluated(points, one, motion) for one in (resolution, resolution.finer(motion)))
@@ -133,8 +134,8 @@ class Box:
             steps = math.ceil(steps * min(2.0, 1.1 * (error / wanted) ** 0.125))
         return Found(resolution, error, (*self._warnings(points, fine), *_missed(error, wanted)))
 
-    def _steps(self, points: Sequence[NDArray[np.float64]]) -> int:
-        """Return how many steps, or panels, the fastest of some scenes needs."""
+    def _steps(self, points: Sequence[NDArray[np.float64]], limit: float) -> int:
+        """Return how many steps, or panels, the fastest of some scenes needs; refuse scenes that cannot be."""
         most = 0
         for x in points:
             try:
@@ -148,7 +149,7 @@ class Box:
                 most = max(most, steps_for(phase(p, duration), _PHASE_PER_STEP))
             else:
                 most = max(most, steps_for(forced_rate(p) * duration, _PHASE_PER_PANEL))
-            if most > _MOST_STEPS:
+            if most > limit:
                 raise DomainError(
                     f"at {self._place(x)} the share oscillates so fast that the run would take {most} steps: narrow the"
                     " bounds on stiffness and mass, shorten the duration, or take the quasi-static scene"

@@ -8,6 +8,7 @@ loosens the whole width, the tube that just bears its load, the slip that just p
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from itertools import pairwise
 from types import SimpleNamespace
 from typing import Any
@@ -26,8 +27,8 @@ FREE = ("wedge angle", "spacing", "stiffness", "speed", "bracket", "ballast")
 _ROUNDING, _ACTIVE = 1e-9, 1e-7
 
 
-def check(c: SimpleNamespace, m: SimpleNamespace, best: po.Optimum) -> SimpleNamespace:
-    """Print and return how well the optimum is certified and how near brute force comes to it."""
+def check(c: SimpleNamespace, m: SimpleNamespace, best: po.Optimum) -> None:
+    """Print how well the optimum is certified and how near brute force comes to it."""
     n, fuel = len(m.scenes), best(m.fuel)
     stationary = kkt_residual(c, m, best)
     at_best = evaluate(np.array([[best.variables[name]] for name in FREE]), n)
@@ -39,10 +40,10 @@ def check(c: SimpleNamespace, m: SimpleNamespace, best: po.Optimum) -> SimpleNam
     )
     print(f"  the same design in NumPy alone: fuel differs by {at_best.fuel[0] / fuel - 1.0:.1e}")
     found, designs = brute_force(n)
-    print(f"brute force: {designs} designs, the best that meets all limits takes {found.fuel / fuel - 1.0:+.1e} more")
+    more = 100.0 * (found.fuel / fuel - 1.0)
+    print(f"brute force: of {designs} designs the best that meets all limits takes {more:+.4f} % more fuel")
     for name in VARIABLES:
         print(f"  {name:12s} {best.variables[name]:11.5g} {found.variables[name]:11.5g} {VARIABLES[name][3]}")
-    return SimpleNamespace(residual=stationary, at_best=at_best, found=found, excess=found.fuel / fuel - 1.0)
 
 
 def least_margin(m: SimpleNamespace, best: po.Optimum) -> float:
@@ -58,16 +59,21 @@ def kkt_residual(c: SimpleNamespace, m: SimpleNamespace, best: po.Optimum) -> fl
     parts of their ranges.
     """
     symbols, at = ca.vertcat(*vars(c).values()), list(best.variables.values())
-    rows = [sign * (value - limit) / (abs(limit) or 1.0)
-            for values, least, most, _ in m.limits.values() for value in values
-            for sign, limit in ((-1.0, least), (1.0, most)) if limit is not None]  # fmt: skip
-    passed = ca.vertcat(*rows)
+    bounds = [([symbol], *VARIABLES[name][1:]) for name, symbol in zip(best.variables, vars(c).values(), strict=True)]
+    passed = ca.vertcat(*beyond_limits([*m.limits.values(), *bounds]))
     function = ca.Function("slopes", [symbols], [passed, ca.jacobian(m.fuel, symbols), ca.jacobian(passed, symbols)])
     beyond, slope, slopes = (np.asarray(result) for result in function(at))
     ranges = np.array([upper - lower for _, lower, upper, _ in VARIABLES.values()])
-    decide = np.abs(beyond.ravel()) < _ACTIVE * np.maximum(1.0, np.abs(slopes @ ranges))
+    decide = np.abs(beyond.ravel()) < _ACTIVE * np.maximum(1.0, np.linalg.norm(slopes * ranges, axis=1))
     target = -(slope.ravel() * ranges)
     return float(nnls((slopes[decide] * ranges).T, target)[1] / np.linalg.norm(target))
+
+
+def beyond_limits(limits: Iterable[tuple[list[Any], float | None, float | None, str]]) -> list[Any]:
+    """Return by how much every value lies beyond its least and its most, over the limit; negative inside."""
+    return [sign * (value - limit) / (abs(limit) or 1.0)
+            for values, least, most, _ in limits for value in values
+            for sign, limit in ((-1.0, least), (1.0, most)) if limit is not None]  # fmt: skip
 
 
 def lasting(scene: po.Scene, waves: int = 7, steps: int = 64) -> SimpleNamespace:
@@ -106,7 +112,7 @@ def evaluate(rows: Array, n: int) -> SimpleNamespace:
     c.height = c.spacing / np.min([a + b for a, b in pairwise(radii)], axis=0)
     first = machine(c, n, lasting)
 
-    def again(**_: Any) -> SimpleNamespace:
+    def again() -> SimpleNamespace:
         runs = iter(first.runs)
         return machine(c, n, lambda _: next(runs))
 
@@ -120,13 +126,8 @@ def evaluate(rows: Array, n: int) -> SimpleNamespace:
         low, high = np.where(pulls, low, c.slip), np.where(pulls, c.slip, high)
     c.slip = high
     done = again()
-    worst = np.zeros_like(pull)
-    bounds = [([getattr(c, name.replace(" ", "_"))], *bound[1:3], "") for name, bound in VARIABLES.items()]
-    for values, least, most, _ in (*done.limits.values(), *bounds):
-        for value in values:
-            for sign, limit in ((-1.0, least), (1.0, most)):
-                if limit is not None:
-                    worst = np.maximum(worst, sign * (value - limit) / (abs(limit) or 1.0))
+    bounds = [([getattr(c, name.replace(" ", "_"))], *rest) for name, (_, *rest) in VARIABLES.items()]
+    worst = np.max(beyond_limits([*done.limits.values(), *bounds]), axis=0)
     return SimpleNamespace(fuel=done.fuel, worst=worst, variables=c)
 
 

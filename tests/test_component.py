@@ -187,14 +187,21 @@ def _limits(outputs):
 IPOPT = {"print_time": False, "ipopt": {"print_level": 0, "sb": "yes", "tol": 1e-10, "bound_relax_factor": 0.0}}
 
 
-def test_ones_own_opti_finds_the_optimum_of_r1(r1_scene, r1_wave):
-    low, high = np.array([po.deg(30), 0.15, 3e4]), np.array([po.deg(50), 0.3, 4.5e4])
-    inputs = [po.Input(name, *bounds) for name, *bounds in zip(BOUNDS, low, high, strict=True)]
+LOW, HIGH = np.array([po.deg(30), 0.15, 3e4]), np.array([po.deg(50), 0.3, 4.5e4])
+
+
+@pytest.fixture(scope="module")
+def around(r1_scene, r1_wave):
+    """R1 around its optimum with a mount of medium stiffness."""
+    inputs = [po.Input(name, *bounds) for name, *bounds in zip(BOUNDS, LOW, HIGH, strict=True)]
     scene = r1_scene(37.0, 0.22, 4e4, strength_wave=r1_wave)
-    around = po.component(scene, 2.0, inputs=inputs, outputs=RESULTS, steel_density=STEEL)
+    return po.component(scene, 2.0, inputs=inputs, outputs=RESULTS, steel_density=STEEL)
+
+
+def test_ones_own_opti_finds_the_optimum_of_r1(around):
     opti = ca.Opti()
     y = opti.variable(3)
-    outputs = around(*(low[k] + (high - low)[k] * y[k] for k in range(3)))
+    outputs = around(*(LOW[k] + (HIGH - LOW)[k] * y[k] for k in range(3)))
     opti.minimize(_objective(outputs))
     opti.subject_to(_limits(outputs) >= 0)
     opti.subject_to(opti.bounded(0, y, 1))
@@ -202,7 +209,18 @@ def test_ones_own_opti_finds_the_optimum_of_r1(r1_scene, r1_wave):
     opti.solver("ipopt", IPOPT)
     solution = opti.solve()
     assert solution.value(opti.f) == pytest.approx(OBJECTIVE, rel=1e-9)
-    assert low + (high - low) * solution.value(y) == pytest.approx(OPTIMUM, rel=1e-7)
+    assert LOW + (HIGH - LOW) * solution.value(y) == pytest.approx(OPTIMUM, rel=1e-7)
+
+
+def test_a_design_takes_a_component_too(around):
+    d = po.Design()
+    variables = [d.variable(p.name, guess=p.value, lower=p.lower, upper=p.upper, unit=p.unit) for p in around.inputs]
+    outputs = around(*variables)
+    d.minimise(_objective(outputs))
+    d.require("limits", _limits(outputs), at_least=0.0)
+    best = d.solve()
+    assert best.objective == pytest.approx(OBJECTIVE, rel=1e-9)
+    assert [*best.variables.values()] == pytest.approx(OPTIMUM, rel=1e-7)
 
 
 def test_nlpsol_finds_the_optimum_of_r1_in_sx(r1_scene, r1_wave):

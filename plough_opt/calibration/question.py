@@ -118,10 +118,17 @@ class Calibration:
         return reported(self, data, found, time.perf_counter() - started)
 
     def data_of(self, observed: Vector | None = None) -> Data:
-        """Return the measured values with their weights, or others in their place."""
+        """Return the measured values with their weights, or others in their place.
+
+        Raises:
+            InputError: others that are not as many finite numbers.
+        """
         if observed is None:
             return self.data
-        return replace(self.data, observed=np.asarray(observed, dtype=float))
+        values = np.asarray(observed, dtype=float)
+        if values.shape != self.data.observed.shape or not np.all(np.isfinite(values)):
+            raise InputError(f"observed must be {len(self.data.observed)} finite numbers, one for each row")
+        return replace(self.data, observed=values)
 
     def estimate(self, data: Data) -> Estimate:
         """Return the best fit in scaled unknowns.

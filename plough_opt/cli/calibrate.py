@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -85,6 +85,7 @@ def calibrate(options: argparse.Namespace) -> None:
     check_level(options.level)
     data = [read_measurements(path) for path in options.data]
     unknown = _unknowns(options.unknown)
+    _note_guesses(problem, unknown, data)
     data += [_known(text, [m.sigma is not None for m in data]) for text in options.known]
     with progress() as told:
         told("calibrating", 0.0)
@@ -116,6 +117,14 @@ def _unknowns(written: list[str]) -> dict[str, tuple[str, str]] | None:
         key, match = _matched("--unknown", text, _RANGE, 'soil.cohesion="1..80 kPa"')
         found[key] = _both(match)
     return found or None
+
+
+def _note_guesses(problem: Problem, unknown: Mapping[str, object] | None, data: Sequence[Measurements]) -> None:
+    """Say which variables of the file are neither sought nor measured, and so stand at their guesses."""
+    columns = {key for m in data for key in m.conditions}
+    left = [] if unknown is None else [key for key in problem.variables if key not in unknown and key not in columns]
+    if left:
+        Console(stderr=True).print(f"note: variables of the file at their guesses: {', '.join(left)}", markup=False)
 
 
 def _known(text: str, stated: list[bool]) -> Measurements:

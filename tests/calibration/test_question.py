@@ -87,6 +87,14 @@ def test_data_that_do_not_fit_are_refused():
         po.calibrate(cone, po.Measurements("mean_draft", [1e3] * 3, {"share.wedge_angle": [0.5, 0.6, 0.7]}), unknown)
 
 
+def test_other_values_in_the_place_of_the_measured_ones(measured, three, fitted):
+    calibration = po.Calibration(steady_scene(), measured, three)
+    assert calibration.fit(measured.values).values == fitted.values
+    for wrong in ([1.0, 2.0], [np.nan] * 24):
+        with pytest.raises(po.InputError, match="observed must be 24 finite numbers"):
+            calibration.fit(wrong)
+
+
 def test_a_fit_refuses_what_it_cannot_say(fitted):
     with pytest.raises(po.InputError, match="level = 95 must lie between 0 and 1"):
         fitted.intervals(95)

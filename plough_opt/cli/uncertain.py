@@ -71,6 +71,7 @@ def _print(to: Console, problem: Problem, found: RobustOptimum) -> None:
             text = f"rounded off over {width}, which changes it by {rounding}"
             to.print(f"* {escape(check.result)}, {check.text}: {text}.", soft_wrap=True)
     if found.indices:
+        to.print("Sobol indices of the robust design: part of each result's variance, alone / with others")
         to.print(_indices_table(found))
     if note := next((own.note for own in found.indices.values() if own.note), ""):
         to.print(f"In that table {note}.", soft_wrap=True)

@@ -46,6 +46,8 @@ OPTIONS: dict[str, Any] = {
 # By differences of exact gradients: of few variables it takes fewer iterations than the exact Hessian, which is
 # indefinite over most of a multimodal design, and a fraction of the time of each.
 _QUASI_NEWTON: dict[str, Any] = {"ipopt.hessian_approximation": "limited-memory"}
+# Iterations after which it no longer converges, but wanders.
+_MOST_WITHOUT_CURVATURE = 100
 # From anywhere: the adaptive barrier takes about half the iterations of the monotone one here.
 FAR: dict[str, Any] = {"ipopt.mu_strategy": "adaptive"}
 # From a point that is nearly optimal already: stay in its basin instead of first moving to the middle.
@@ -208,7 +210,11 @@ class Solver:
     def _solver(self, near: bool, exact: bool) -> ca.Function:
         if (near, exact) not in self._solvers:
             options = OPTIONS | self._derivatives | (NEAR if near else FAR)
-            options |= {"hess_lag": self._nlp.hess_lag} if exact else _QUASI_NEWTON
+            if exact:
+                options["hess_lag"] = self._nlp.hess_lag
+            else:
+                options |= _QUASI_NEWTON
+                options["ipopt.max_iter"] = min(options["ipopt.max_iter"], _MOST_WITHOUT_CURVATURE)
             self._solvers[near, exact] = ca.nlpsol("design", "ipopt", self._problem, options)
         return self._solvers[near, exact]
 

@@ -111,7 +111,7 @@ CASES = (
     Trial("the same, Huber's loss", STRENGTH, PLANE, stated=False, loss="huber"),
     Trial("36 drafts over speed, angle and ambient pressure, 8 loosened radii",
           tuple(name for name in BOUNDS if name != "soil.ambient_pressure"), DEPTHS),
-    Trial("24 drafts over speed and wedge angle", ("soil.ambient_pressure", *STRENGTH), PLANE),
+    Trial("as in the first row, ambient pressure unknown too", ("soil.ambient_pressure", *STRENGTH), PLANE),
 )  # fmt: skip
 
 

@@ -43,6 +43,9 @@ def best_from(
     """
     progress("robust design from the nominal optimum", 0.0)
     design, robust = build(start)
+    for variable in scanned:
+        # What the nominal soil allows there, the samples may not: begin where they come nearest to what is required.
+        design, robust = build(next(iter(_bottoms(design, robust, start, variable)), start))
     found = [(design.solve(search="near"), robust)]
     failures = []
     for variable in scanned:

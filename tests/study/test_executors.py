@@ -57,15 +57,19 @@ def test_a_cluster_evaluates_a_function_that_no_other_process_can_import(cluster
     np.testing.assert_array_equal(found.table, po.sweep(swept.waves, OVER, executor=inline).table)
 
 
+COHESION = {"soil.cohesion": "10 kPa, 20 kPa"}
 REFERENCE = str(Path(__file__).resolve().parents[2] / "problems" / "reference.toml")
 
 
-def test_the_command_finds_the_cluster(cluster, capsys, tmp_path):
+def test_the_command_finds_the_cluster_and_its_numbers_are_the_same(cluster, inline, capsys, tmp_path):
     arguments = ["sweep", REFERENCE, "--over", "soil.cohesion=10 kPa, 20 kPa", "--set", "effects.motion=false"]
     status = main([*arguments, "--scheduler", cluster.scheduler.address, "--store", str(tmp_path / "sweep.db")])
     shown = capsys.readouterr()
     assert status == 0, shown.err
     assert "2 points, 0 failed" in shown.out
+    problem = po.read_problem(REFERENCE, ["effects.motion=false"])
+    with po.Sweep.load(tmp_path / "sweep.db") as found, po.sweep(problem, COHESION, executor=inline) as expected:
+        np.testing.assert_array_equal(found.table, expected.table)
 
 
 def test_the_command_says_that_no_scheduler_answers(monkeypatch, capsys, tmp_path):

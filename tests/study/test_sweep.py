@@ -4,6 +4,8 @@ import csv
 import math
 import re
 import sqlite3
+import subprocess
+import sys
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 
 import numpy as np
@@ -211,3 +213,26 @@ def test_a_worker_gives_back_what_it_has_when_its_time_is_up():
     assert work("any", swept.waves, ("a", "b"), values, math.inf).points == 3
     # So a finished point is never unstored for a second.
     assert engine._BUDGET + engine._GLANCE < 1.0
+
+
+UNGUARDED = """
+from plough_opt.study.sweeping import sweep
+def own(values):
+    return {"x": values["a"]}
+sweep(own, {"a": [1.0, 2.0]}, workers=1)
+"""
+
+
+@pytest.mark.slow
+def test_a_script_without_a_guard_is_told_so(script):
+    process = script(UNGUARDED)
+    error = process.communicate(timeout=60)[1]
+    assert process.returncode == 1
+    assert "A script that sweeps does so under if __name__ == '__main__':" in error.splitlines()[-1]
+
+
+@pytest.mark.slow
+def test_a_function_typed_at_a_prompt_is_refused_before_any_process_begins():
+    done = subprocess.run([sys.executable, "-c", UNGUARDED], capture_output=True, text=True, timeout=60, check=False)
+    assert done.returncode == 1
+    assert "was typed at a prompt" in done.stderr.splitlines()[-1]

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import platform
 from collections.abc import Callable, Sequence
+from importlib import import_module
 from importlib.metadata import version
 from pathlib import Path
-from typing import Annotated, Final, Literal, TypeVar
+from typing import Annotated, Any, Final, Literal, TypeVar
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
@@ -114,16 +115,41 @@ class SavedOptimum(Saved):
         )
 
 
-def load(path: str | Path) -> SavedRun | SavedOptimum:
-    """Read a result that the command line or ``to_json`` wrote.
+# Kinds of results that are built upon this module -> where what reads them is, imported when such a file is read.
+_LATER: Final = {
+    "trade-off": ("plough_opt.tradeoff.result", "TradeOff"),
+    "accuracy study": ("plough_opt.accuracy_study.result", "AccuracyStudy"),
+    "calibration": ("plough_opt.calibration.fit", "Fit"),
+    "robust optimum": ("plough_opt.uncertainty.result", "SavedRobust"),
+}
+
+
+def load(path: str | Path) -> Any:
+    """Read a result that the command line or ``to_json`` wrote, of whatever kind.
+
+    Returns:
+        A `SavedRun`, a `SavedOptimum`, a `TradeOff`, an `AccuracyStudy`, a `Fit` of a calibration, or a `SavedRobust`.
 
     Raises:
         InputError: no such file, or not a result of this layout.
     """
-    reader: TypeAdapter[SavedRun | SavedOptimum] = TypeAdapter(
+    kind = read_saved(path, "result", "a result", _Kind.model_validate_json).kind
+    if kind in _LATER:
+        module, name = _LATER[kind]
+        found = getattr(import_module(module), name)
+        if hasattr(found, "load"):
+            return found.load(path)
+        return read_saved(path, "result", "a result", found.model_validate_json)
+    either: TypeAdapter[SavedRun | SavedOptimum] = TypeAdapter(
         Annotated[SavedRun | SavedOptimum, Field(discriminator="kind")]
     )
-    return read_saved(path, "result", "a result", reader.validate_json)
+    return read_saved(path, "result", "a result", either.validate_json)
+
+
+class _Kind(BaseModel):
+    """What every result says first."""
+
+    kind: str
 
 
 def read_saved(path: str | Path, name: str, kind: str, validate: Callable[[str], _T]) -> _T:

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from plough_opt.cli import report
 from plough_opt.cli.against import asked_of
+from plough_opt.cli.front_table import print_front
 from plough_opt.cli.sensitivity_table import print_sensitivities, sensitivities_of
 from plough_opt.cli.terminal import console, progress, read, wrote
 from plough_opt.cli.uncertain import optimise_uncertain
@@ -104,7 +105,7 @@ def optimise(options: argparse.Namespace) -> None:
 
 
 def tradeoff(options: argparse.Namespace) -> None:
-    """Draw the front of the two results that a file trades."""
+    """Draw the front of the two or three results that a file trades."""
     problem = read(options)
     for kind, name in (("table", options.csv), ("output", options.output)):
         if name is not None and Path(name).is_dir():
@@ -114,7 +115,7 @@ def tradeoff(options: argparse.Namespace) -> None:
     if options.json:
         print(front.to_json())
     else:
-        report.print_front(console(), problem, front)
+        print_front(console(), problem, front)
     if options.plot is not None:
         from plough_opt import plots
 

@@ -77,7 +77,7 @@ def _parser() -> argparse.ArgumentParser:
         ("check", commands.check, "check a problem file and say what its scene contains"),
         ("simulate", commands.simulate, "simulate the scene with every variable at its guess"),
         ("optimise", commands.optimise, "find the best share, and say what decided it"),
-        ("tradeoff", commands.tradeoff, "trade two results against each other, and draw the front of designs"),
+        ("tradeoff", commands.tradeoff, "trade two or three results against each other, and draw the front"),
         ("sweep", sweeps.sweep, "simulate or optimise at every point of a grid or a sample; resumable"),
         (
             "calibrate",

@@ -25,7 +25,6 @@ from plough_opt.soil import Soil
 if TYPE_CHECKING:
     from plough_opt.accuracy_study.result import AccuracyStudy
     from plough_opt.crosscheck import Comparison
-    from plough_opt.tradeoff import TradeOff
 
 _DEGREES = Display("deg", math.pi / 180.0)
 _KILO = {"N": Display("kN", 1e3), "W": Display("kW", 1e3), "Pa": Display("kPa", 1e3), "N/m": Display("kN/m", 1e3)}
@@ -161,50 +160,6 @@ def print_accuracy(console: Console, study: AccuracyStudy) -> None:
     for question in study.questions:
         console.print(f"[bold]{escape(study.advise(question))}[/]", soft_wrap=True)
     console.print(", ".join(f"{name} {value}" for name, value in study.versions.items()), soft_wrap=True)
-
-
-def print_front(console: Console, problem: Problem, front: TradeOff) -> None:
-    """Print a front: its points by parts, its holes, what a little more costs, and what has no result."""
-    console.print(f"[bold]{escape(front.title)}[/]")
-    first, second = front.goals
-    cost_of = f"1 % costs: what 1 % {'more' if first.maximise else 'less'} {first.name} costs of {second.name}"
-    table = Table(title=f"Front of {len(front.points)} designs", caption=cost_of)
-    branches = any(point.branch for point in front.points)
-    for heading in (*(axis.name for axis in (*front.goals, *front.variables)), "1 % costs"):
-        table.add_column(heading, justify="right", overflow="fold")
-    if branches:
-        table.add_column("branch")
-    for part in front.parts:
-        for k in part:
-            point, cost = front.points[k], front.cost(k)
-            values = _goal_cells(problem, front, point.objectives)
-            values += [shown(problem, v.name, point.variables[v.name], v.unit) for v in front.variables]
-            values += ["" if cost is None else f"{cost:.3g} %", *([point.branch] if branches else [])]
-            table.add_row(*values, style="bold" if point is front.knee else None, end_section=k == part[-1])
-    console.print(table)
-    for hole in front.holes:
-        start, end = (" and ".join(_goal_cells(problem, front, place)) for place in (hole.start, hole.end))
-        doubt = "" if hole.settled else "; the optimiser failed within, so that some may be missing"
-        console.print(f"Hole: no efficient design between {start}, and {end}{doubt}.", soft_wrap=True)
-    if front.knee is not None:
-        console.print(f"Knee (bold): {escape(front.in_words(front.points.index(front.knee)))}.", soft_wrap=True)
-    everywhere = [name for name in front.points[0].active if all(name in point.active for point in front.points)]
-    if everywhere:
-        console.print(f"Limits that decide every design: {', '.join(everywhere)}.", soft_wrap=True)
-    for note in front.notes:
-        console.print(f"[yellow]Note:[/] {escape(note)}.", soft_wrap=True)
-    for failure in front.failures:
-        place = " and ".join(_goal_cells(problem, front, failure.objectives))
-        console.print(f"[yellow]No certified design[/] near {place}: {escape(failure.reason)}.", soft_wrap=True)
-    gap, residual = (max(getattr(point, name) for point in front.points) for name in ("gap", "residual"))
-    console.print(
-        f"{len(front.dominated)} further local optima are dominated; first-order conditions met to {residual:.0e},"
-        f" re-integrated tightly: gap {gap:.0e}; {front.seconds:.1f} s"
-    )
-
-
-def _goal_cells(problem: Problem, front: TradeOff, values: Sequence[float]) -> list[str]:
-    return [shown(problem, goal.name, x, goal.unit) for goal, x in zip(front.goals, values, strict=True)]
 
 
 def _scene_table(problem: Problem, scene: Scene) -> Table:

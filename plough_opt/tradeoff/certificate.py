@@ -15,8 +15,6 @@ from plough_opt.tradeoff.samples import Sample
 # Scaled by objective and limits: residuals above are no optimum, violations above no design.
 _RESIDUAL = 1e-6
 _VIOLATED = 1e-6
-# Of three objectives: relative to the largest, weights below are those that the edge of a front has by choice.
-_WEIGHS = 1e-3
 
 
 @dataclass(frozen=True)
@@ -102,11 +100,9 @@ def _weights(front: FrontProgram, sample: Sample, signs: Vector) -> tuple[float,
     """Return how much each objective weighs per its unit, those on a range of the front together 1."""
     point, p = sample.inward or (sample.point, sample.p)
     own = front.slopes(point, p) * front.span
-    if front.count == 2 and (not front.holds(point) or not (own[0] >= -PULLS and own[1] > PULLS)):
+    # Where positions do not decide, the weights are those of the question.
+    if not front.holds(point) or np.any(own < -PULLS) or not own[-1] > PULLS:
         return None
-    if np.sum(own > _WEIGHS * np.max(own)) < 2 or np.any(own < -PULLS):
-        return None
-    own = np.where(own > _WEIGHS * np.max(own), own, 0.0) if front.count > 2 else own
     return tuple((own / np.sum(own) / (front.span * front.scales * signs)).tolist())
 
 

@@ -15,7 +15,7 @@ from plough_opt.picture_files import COLOURS
 from plough_opt.tradeoff.certificate import FrontPoint
 from plough_opt.tradeoff.goal import Axis
 
-_MUTED: Final = "#A8A8A8"
+MUTED: Final = "#A8A8A8"
 # Of a variable's bounds.
 _LEAST_RANGE: Final = 0.02
 _CUSTOMARY: Final = {"rad": ("deg", math.pi / 180.0), "N": ("kN", 1e3), "N/m": ("kN/m", 1e3), "W": ("kW", 1e3),
@@ -28,7 +28,7 @@ class Drawing:
 
     Attributes:
         title: above everything.
-        goals: the two objectives.
+        goals: the objectives.
         variables: a panel each.
         points: efficient designs in order.
         dominated: local optima that are not.
@@ -37,7 +37,7 @@ class Drawing:
     """
 
     title: str
-    goals: tuple[Axis, Axis]
+    goals: tuple[Axis, ...]
     variables: tuple[Axis, ...]
     points: tuple[FrontPoint, ...]
     dominated: tuple[FrontPoint, ...]
@@ -60,7 +60,7 @@ def figure_of(front: Drawing) -> Figure:
         else:
             axes.set_axis_off()
     for axes in panels[-1]:
-        axes.set_xlabel(_label(front.goals[0]))
+        axes.set_xlabel(label_of(front.goals[0]))
     if front.title:
         figure.suptitle(front.title)
     return figure
@@ -69,11 +69,11 @@ def figure_of(front: Drawing) -> Figure:
 def draw_front(axes: Axes, front: Drawing) -> None:
     """Draw the parts of a front, its holes, its knee, and the local optima that it dominates."""
     first, second = front.goals
-    beaten = _places(front.dominated, front)
+    beaten = places_of(front.dominated, front)
     if len(beaten):
-        axes.plot(beaten[:, 0], beaten[:, 1], "x", color=_MUTED, markersize=4.5, zorder=2,
+        axes.plot(beaten[:, 0], beaten[:, 1], "x", color=MUTED, markersize=4.5, zorder=2,
                   label="local optima, dominated")  # fmt: skip
-    places = _places(front.points, front)
+    places = places_of(front.points, front)
     for number, part in enumerate(front.parts):
         own = places[list(part)]
         label = "front" if len(front.parts) == 1 else f"front, part {number + 1}"
@@ -85,10 +85,10 @@ def draw_front(axes: Axes, front: Drawing) -> None:
         axes.plot(ends[:, 0], ends[:, 1], ":", color="black", linewidth=1.0, zorder=3,
                   label="hole: no efficient design" if number == 0 else None)  # fmt: skip
     if front.knee is not None:
-        knee = _places((front.knee,), front)[0]
+        knee = places_of((front.knee,), front)[0]
         axes.plot(knee[0], knee[1], "*", color="black", markersize=13, zorder=5, label="knee")
     _limit(axes, places, beaten)
-    axes.set(xlabel=_label(first), ylabel=_label(second))
+    axes.set(xlabel=label_of(first), ylabel=label_of(second))
     axes.grid(alpha=0.25)
     axes.legend(fontsize="small")
 
@@ -107,36 +107,55 @@ def _limit(axes: Axes, places: np.ndarray, beaten: np.ndarray) -> None:
 
 def _draw_variable(axes: Axes, front: Drawing, variable: Axis) -> None:
     """Draw a variable along the first objective, its bounds where it comes near them."""
-    _, factor = _unit(variable)
+    _, factor = unit_of(variable)
     values = np.array([point.variables[variable.name] for point in front.points]) / factor
-    places = _places(front.points, front)[:, 0]
+    places = places_of(front.points, front)[:, 0]
     for number, part in enumerate(front.parts):
         own = list(part)
         axes.plot(places[own], values[own], "o-", color=COLOURS[number % len(COLOURS)], markersize=2.5, linewidth=1.2)
     if variable.log:
         axes.set_yscale("log")
     elif variable.lower is not None and variable.upper is not None:
-        # What hardly moves is drawn as hardly moving.
-        least = _LEAST_RANGE * (variable.upper - variable.lower) / factor
-        middle, half = (values.max() + values.min()) / 2.0, max(0.55 * np.ptp(values), least)
-        axes.set_ylim(middle - half, middle + half)
+        axes.set_ylim(*range_of(variable, values, factor, margin=0.1))
     low, high = axes.get_ylim()
     for bound in (variable.lower, variable.upper):
         if bound is not None and low < bound / factor < high:
             axes.axhline(bound / factor, color="black", linestyle="--", linewidth=0.8)
-    axes.set_ylabel(_label(variable), fontsize="small")
+    axes.set_ylabel(label_of(variable), fontsize="small")
     axes.grid(alpha=0.25)
 
 
-def _places(points: Sequence[FrontPoint], front: Drawing) -> np.ndarray:
-    factors = [_unit(goal)[1] for goal in front.goals]
-    return np.array([point.objectives for point in points]).reshape(-1, 2) / factors
+def range_of(variable: Axis, values: np.ndarray, factor: float, margin: float = 0.0) -> tuple[float, float]:
+    """Return the range in which a variable is drawn: what hardly moves is drawn as hardly moving.
+
+    Args:
+        variable: with its bounds.
+        values: along the front, in the unit in which they are drawn.
+        factor: that unit's size.
+        margin: part of the range that is left free.
+    """
+    low, high = float(values.min()), float(values.max())
+    if variable.log:
+        return (low, high) if high > (1.0 + _LEAST_RANGE) * low else (low / 1.1, high * 1.1)
+    least = 0.0
+    if variable.lower is not None and variable.upper is not None:
+        least = _LEAST_RANGE * (variable.upper - variable.lower) / factor
+    middle, half = (high + low) / 2.0, max((0.5 + 0.5 * margin) * (high - low), least)
+    return middle - half, middle + half
 
 
-def _unit(axis: Axis) -> tuple[str, float]:
+def places_of(points: Sequence[FrontPoint], front: Drawing) -> np.ndarray:
+    """Return the objectives of points in the units in which they are drawn, a row each."""
+    factors = [unit_of(goal)[1] for goal in front.goals]
+    return np.array([point.objectives for point in points]).reshape(-1, len(factors)) / factors
+
+
+def unit_of(axis: Axis) -> tuple[str, float]:
+    """Return the unit in which an axis is drawn, and its size in SI."""
     return _CUSTOMARY.get(axis.unit, (axis.unit, 1.0))
 
 
-def _label(axis: Axis) -> str:
-    unit = _unit(axis)[0]
+def label_of(axis: Axis) -> str:
+    """Return an axis's name and unit."""
+    unit = unit_of(axis)[0]
     return f"{axis.name} [{unit}]" if unit else axis.name

@@ -192,14 +192,22 @@ class FrontProgram:
 
     # --- answers -----------------------------------------------------------------------------------------
 
-    def solve(self, at: Point, start: Vector, p: Vector, level: int = 0) -> Point:
-        """Return the optimum near a start: from a neighbour's multipliers, without these, or from afar."""
+    def solve(self, at: Point, start: Vector, p: Vector, level: int = 0, *, patient: bool = True) -> Point:
+        """Return the optimum near a start: from a neighbour's multipliers, without these, or from afar.
+
+        Args:
+            at: the neighbour.
+            start: scaled variables.
+            p: parameters.
+            level: number of the level.
+            patient: whether to look from afar, which takes long where there is no design.
+        """
         point = self.levels[level].correct(at, start, p)
         if not point.solved:
             point = self.levels[level].follow(at, start, p)
-        if not point.solved:
+        if not point.solved and patient:
             point = self.program.solve(start, p, near=True)
-        return point if point.solved else self.program.solve(start, p)
+        return point if point.solved or not patient else self.program.solve(start, p)
 
     def objectives(self, y: Vector, level: int = 0) -> Vector:
         """Return the scaled objectives as the optimiser has them."""

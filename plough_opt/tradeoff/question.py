@@ -125,7 +125,7 @@ def _built(design: Design, goals: Sequence[Goal], compiled: bool) -> FrontProgra
 def _anchors(front: FrontProgram, tracer: Tracer | SurfaceTracer) -> list[list[Point]]:
     """Return all local optima of each objective alone, with enough integration steps for the wanted error."""
     for _ in range(_REFINEMENTS):
-        found = [tracer.anchors(p) for p in tracer.orders()]
+        found = tracer.all_anchors()
         if all(front.accurate(point.y) for points in found for point in points):
             break
         front.refine()

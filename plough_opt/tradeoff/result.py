@@ -176,19 +176,21 @@ class TradeOff:
         """Draw the front beside how each variable moves along it; on given axes the front alone.
 
         Args:
-            target: file to write (.png, .svg, .pdf), axes to draw on, or None.
+            target: file to write (.png, .svg, .pdf), axes to draw on (of three objectives in space), or None.
 
         Raises:
             InputError: a file name without a known ending, or a place that cannot be written.
         """
         from plough_opt.picture_files import save
         from plough_opt.tradeoff.picture import Drawing, draw_front, figure_of
+        from plough_opt.tradeoff.surface_picture import draw_surface, surface_figure
 
-        own = {name: getattr(self, name) for name in Drawing.__dataclass_fields__}
+        drawing = Drawing(**{name: getattr(self, name) for name in Drawing.__dataclass_fields__})
+        flat = len(self.goals) == 2
         if target is not None and not isinstance(target, str | Path):
-            draw_front(target, Drawing(**own))
+            (draw_front if flat else draw_surface)(target, drawing)
             return target
-        figure = figure_of(Drawing(**own))
+        figure = (figure_of if flat else surface_figure)(drawing)
         if target is not None:
             save(figure, target)
         return figure
@@ -259,7 +261,7 @@ class SavedTradeOff(Saved):
 
 
 def _rate(point: FrontPoint, of: int, by: int) -> float | None:
-    if point.weights is None or not (point.weights[of] and point.weights[by]):
+    if point.weights is None or not point.weights[of]:
         return None
     return -point.weights[by] / point.weights[of]
 

@@ -24,6 +24,7 @@ _SAME_GEOMETRY = 1e-3
 # A violated requirement must outweigh any gain in the scaled objective, which is of order 1.
 _PENALTY = 100.0
 _ROUNDS = 3
+_FEASIBLE = 1e-6
 # A basin within so many tried positions of a known optimum is that optimum's.
 _KNOWN = 2.0 / (SCAN_POINTS - 1)
 # Roughly integrated optima nearer than this are one.
@@ -88,6 +89,15 @@ class Samples:
             InfeasibleDesign: no design meets the requirements.
             NotConverged: no optimum was found.
         """
+        return self.all_optima(p, [self.from_guess(p)])
+
+    def from_guess(self, p: Vector) -> Point:
+        """Return the local optimum to which the guess leads at parameters that set no position.
+
+        Raises:
+            InfeasibleDesign: no design meets the requirements.
+            NotConverged: no optimum was found.
+        """
         program = self.front.program
         self.told("solving from the guess", 0.0)
         first = self.front.levels[-1].solve(program.start(), p)
@@ -95,7 +105,7 @@ class Samples:
             first = self.front.solve(first, first.y, p)
         if not first.solved:
             first = first_optimum(program, p)
-        return self.all_optima(p, [minimum_from(program, p, first)])
+        return minimum_from(program, p, first)
 
     # --- solving -----------------------------------------------------------------------------------------
 
@@ -115,7 +125,7 @@ class Samples:
             self.fail(near, point)
         return point
 
-    def optimum(self, at: Point, start: Vector, p: Vector, level: int) -> tuple[Point, int]:
+    def optimum(self, at: Point, start: Vector, p: Vector, level: int, *, patient: bool = True) -> tuple[Point, int]:
         """Return the optimum near a start, integrated as finely as it needs, and the level that does so.
 
         Args:
@@ -123,8 +133,9 @@ class Samples:
             start: scaled variables.
             p: parameters.
             level: to begin with.
+            patient: as in `FrontProgram.solve`.
         """
-        point = self.front.solve(at, start, p, level)
+        point = self.front.solve(at, start, p, level, patient=patient)
         while point.solved and level > 0 and not self.front.accurate(point.y, level):
             level -= 1
             point = self.front.solve(point, point.y, p, level)
@@ -181,11 +192,11 @@ class Samples:
         """Add the optima in the basins along a variable that are not among the known ones."""
         program, front = self.front.program, self.front
         rough = front.levels[-1]
-        for start in self._basins(p, variable, y):
+        for start, feasible in self._basins(p, variable, y):
             if any(abs(point.y[variable] - start[variable]) < _KNOWN for point in optima):
                 continue
             point = rough.solve(start, p, near=True)
-            if not point.solved or abs(point.y[variable] - start[variable]) > _KNOWN:
+            if feasible and not (point.solved and abs(point.y[variable] - start[variable]) < _KNOWN):
                 # Without curvatures its first steps may be too long for a narrow basin.
                 point = rough.solve(start, p, near=True, exact=True)
             if not point.solved or any(np.max(np.abs(point.y - other.y)) < _ROUGHLY for other in optima):
@@ -194,19 +205,21 @@ class Samples:
             if point.solved and not any(np.max(np.abs(point.y - other.y)) < _SAME_DESIGN for other in optima):
                 optima.append(point)
 
-    def _basins(self, p: Vector, variable: int, y: Vector) -> list[Vector]:
-        """Return a start in each basin along a variable, the most promising first."""
+    def _basins(self, p: Vector, variable: int, y: Vector) -> list[tuple[Vector, bool]]:
+        """Return a start in each basin along a variable, the most promising first, and whether it is feasible."""
         objectives, rows = self._scan(variable, y)
         program, (weights, normals, limits) = self.front.program, self.front.asked(p)
         beyond = np.maximum(program.low - rows, rows - program.high)
         beyond[:, self.front.rows] = objectives @ normals.T - limits
-        merit = weights[0] + objectives @ weights[1:] + _PENALTY * np.max(beyond, axis=1, initial=0.0)
+        violation = np.max(beyond, axis=1, initial=0.0)
+        merit = weights[0] + objectives @ weights[1:] + _PENALTY * violation
         merit[~np.isfinite(merit)] = np.inf
         left, right = np.r_[np.inf, merit[:-1]], np.r_[merit[1:], np.inf]
         basins = np.flatnonzero((merit < left) & (merit <= right) & np.isfinite(merit))
         starts = np.repeat(y[None, :], len(basins), axis=0)
         starts[:, variable] = _PLACES[basins]
-        return list(starts[np.argsort(merit[basins])])
+        order = np.argsort(merit[basins])
+        return [(starts[k], bool(violation[basins[k]] <= _FEASIBLE)) for k in order]
 
     def _scan(self, variable: int, y: Vector) -> tuple[Vector, Vector]:
         """Return, roughly, scaled objectives and requirements along a variable, a row for each position."""

@@ -95,6 +95,15 @@ class SurfaceTracer(Samples):
         """
         return [self.front.weighted(weights) for weights in IN_TURN]
 
+    def all_anchors(self) -> list[list[Point]]:
+        """Return local optima for each of `orders`: of every other one those near the ones before, and the guess."""
+        orders, found = self.orders(), list[list[Point]]()
+        for searched, beside in zip(orders[::2], orders[1::2], strict=True):
+            points = self.anchors(searched)
+            others = [self.from_guess(beside), *(self.front.solve(point, point.y, beside) for point in points)]
+            found += [points, sorted((point for point in others if point.solved), key=lambda point: point.f)]
+        return found
+
     # --- following ---------------------------------------------------------------------------------------
 
     def _question(self, node: Node) -> Vector:
@@ -136,7 +145,7 @@ class SurfaceTracer(Samples):
     def _sample_at(self, place: Vector, near: Sample, start: Vector, *, told: bool = True) -> Sample | None:
         """Return a local optimum at a place, or at the edge of the front that the place lies beyond."""
         p = self._question_at(place)
-        point, level = self.optimum(near.point, start, p, near.coarsest)
+        point, level = self.optimum(near.point, start, p, near.coarsest, patient=False)
         if not point.solved:
             if told:
                 self.fail(near, point)
@@ -153,7 +162,7 @@ class SurfaceTracer(Samples):
         at = self.front.normalised(self.front.objectives(point.y, level))
         limits = {k: float(at[k]) for k in range(3) if k != objective}
         better = self.front.below(objective, limits, _OTHERS)
-        found, found_level = self.optimum(point, point.y, better, level)
+        found, found_level = self.optimum(point, point.y, better, level, patient=False)
         return (better, found, found_level) if found.solved else (p, point, level)
 
     def _is_at(self, sample: Sample, node: Node) -> bool:

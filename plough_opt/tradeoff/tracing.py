@@ -54,6 +54,10 @@ class Tracer(Samples):
         """Return the parameters for either objective alone."""
         return [self.front.alone(k, OTHERS) for k in (0, 1)]
 
+    def all_anchors(self) -> list[list[Point]]:
+        """Return all local optima for each of `orders`."""
+        return [self.anchors(p) for p in self.orders()]
+
     # --- following ---------------------------------------------------------------------------------------
 
     def follow(self, sample: Sample, objective: int) -> None:

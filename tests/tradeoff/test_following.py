@@ -1,0 +1,144 @@
+"""Parts of following a front: quadratic programs, warm starts, builds that are kept, lattices and volumes."""
+
+import numpy as np
+import pytest
+
+import plough_opt as po
+from plough_opt.design import program as program_module
+from plough_opt.tradeoff import level as level_module
+from plough_opt.tradeoff.quadratic import least
+from plough_opt.tradeoff.space import between, nearest, neighbours, off, parts_of, triangle, uncrowded, volume
+
+# --- quadratic programs -------------------------------------------------------------------------------------
+
+
+def test_quadratic_programs_meet_their_first_order_conditions():
+    rng = np.random.default_rng(0)
+    for _ in range(200):
+        n, m = 3, rng.integers(1, 7)
+        root = rng.normal(size=(n, n))
+        curvature, gradient = root @ root.T + 0.01 * np.eye(n), rng.normal(size=n)
+        rows = np.vstack([rng.normal(size=(m, n)), np.eye(n)])
+        # Zero is feasible; some limits are not there.
+        low = np.where(rng.random(m + n) < 0.3, -np.inf, -rng.random(m + n))
+        high = np.where(rng.random(m + n) < 0.3, np.inf, rng.random(m + n))
+        step, multipliers = least(curvature, gradient, rows, (low, high))
+        assert curvature @ step + gradient + rows.T @ multipliers == pytest.approx(np.zeros(n), abs=1e-11)
+        values = rows @ step
+        assert np.all((values > low - 1e-12) & (values < high + 1e-12))
+        met = np.where(multipliers > 0.0, high, low)
+        pulled = np.abs(multipliers) > 1e-12
+        assert values[pulled] == pytest.approx(met[pulled], abs=1e-12)
+
+
+def test_an_equality_and_a_contradiction():
+    row = np.ones((1, 2))
+    step, multipliers = least(np.eye(2), np.zeros(2), row, (np.array([3.0]), np.array([3.0])))
+    assert step == pytest.approx([1.5, 1.5], rel=1e-14)
+    assert multipliers == pytest.approx([-1.5], rel=1e-14)
+    both = np.ones((2, 2))
+    assert least(np.eye(2), np.zeros(2), both, (np.array([1.0, -np.inf]), np.array([np.inf, 0.5]))) is None
+
+
+# --- warm starts --------------------------------------------------------------------------------------------
+
+
+def test_a_front_is_followed_from_point_to_point_in_few_steps(plane, monkeypatch):
+    steps = []
+    real = level_module.Level.correct
+
+    def correct(self, at, start, p):
+        point = real(self, at, start, p)
+        steps.append(point.iterations if point.solved else np.inf)
+        return point
+
+    monkeypatch.setattr(level_module.Level, "correct", correct)
+    d, x, y = plane
+    front = po.trade_off(d, (x**2 + y**2) ** 2, ((x - 1.0) ** 2 + y**2) ** 2, points=41)
+    assert len(front.points) == 41
+    assert np.median(steps) <= 3
+    # Where it leads nowhere IPOPT takes over.
+    assert np.mean(np.isinf(steps)) < 0.1
+
+
+# --- parameters and builds ----------------------------------------------------------------------------------
+
+
+def shifted():
+    """Return a design whose second objective's optimum is a parameter, and both objectives."""
+    d = po.Design()
+    x, y = (d.variable(name, guess=0.4, lower=-4.0, upper=4.0) for name in "xy")
+    c = d.parameter("c", 1.0)
+    return d, (x**2 + y**2, (x - c) ** 2 + y**2)
+
+
+def test_fronts_of_several_parameters_share_a_build(monkeypatch):
+    built = []
+    real = program_module.build_nlp
+    monkeypatch.setattr(program_module, "build_nlp", lambda *a: built.append(1) or real(*a))
+    d, goals = shifted()
+    for c in (1.0, 2.0, 3.0):
+        front = po.trade_off(d, *goals, points=9, parameters={"c": c})
+        assert np.sqrt(front.objectives).sum(axis=1) == pytest.approx(c, abs=1e-8)
+    # The other objective weighs 1e-4 at the ends.
+    assert po.trade_off(d, *goals, points=9).objectives.max() == pytest.approx(1.0, abs=3e-4)
+    assert len(built) == 2  # one, and a rough one for scans
+
+
+def test_another_question_is_built_anew():
+    d, (first, second) = shifted()
+    front = po.trade_off(d, first, second, points=9)
+    assert po.trade_off(d, po.Goal("a", first), po.Goal("b", -second, maximise=True), points=9).objectives[
+        :, 1
+    ] == pytest.approx(-front.objectives[:, 1], abs=1e-9)
+    d.require("kept", first, at_least=0.25)
+    assert po.trade_off(d, first, second, points=9).objectives[0, 0] == pytest.approx(0.25, rel=1e-8)
+
+
+@pytest.mark.parametrize(
+    ("parameters", "message"),
+    [
+        ({"C": 2.0}, "'C' is no parameter of this design: valid names: c"),
+        ({"c": "two"}, "parameter 'c': 'two' is not a number"),
+        ({"c": np.nan}, "parameter 'c': nan must be a finite number"),
+    ],
+)
+def test_parameters_that_cannot_be(parameters, message):
+    d, goals = shifted()
+    with pytest.raises(po.InputError, match=message):
+        po.trade_off(d, *goals, points=9, parameters=parameters)
+
+
+# --- lattice and volume -------------------------------------------------------------------------------------
+
+
+def test_the_lattice():
+    nodes = set(triangle(6))
+    assert len(nodes) == 28
+    assert {sum(node) for node in nodes} == {12}
+    for node in nodes:
+        assert nearest(np.array(node) / 12.0 + 5.0, 6) == node
+        assert off(np.array(node) / 12.0 + 5.0, node, 6) == pytest.approx(0.0, abs=1e-12)
+        for other in neighbours(node):
+            assert off(np.array(other) / 12.0, node, 6) == pytest.approx(1.0)
+            assert off(np.array(between(node, other)) / 12.0, node, 6) == pytest.approx(0.5)
+
+
+def test_volume_is_that_of_the_boxes():
+    rng = np.random.default_rng(2)
+    points = rng.random((15, 3))
+    # By inclusion and exclusion: of all cells between the points' coordinates those that a point dominates.
+    cuts = [np.unique(np.r_[points[:, k], 1.1]) for k in range(3)]
+    sizes = np.einsum("i,j,k->ijk", *(np.diff(cut) for cut in cuts))
+    corners = np.stack(np.meshgrid(*(cut[:-1] for cut in cuts), indexing="ij"), axis=-1)
+    covered = np.any(np.all(corners[..., None, :] >= points, axis=-1), axis=-1)
+    assert volume(points, np.full(3, 1.1)) == pytest.approx(np.sum(sizes[covered]), rel=1e-13)
+    assert volume(points, np.zeros(3)) == 0.0
+
+
+def test_parts_and_crowds():
+    row = np.array([[k * 0.1, 1.0 - k * 0.1, 0.0] for k in (0, 1, 2, 6, 7)])
+    parts, holes = parts_of(row, 0.1)
+    assert parts == [[0, 1, 2], [3, 4]]
+    assert [sorted(pair) for pair in holes] == [[2, 3]]
+    assert uncrowded(row, np.array([0, 1, 2, 2, 1]), 0.15).tolist() == [0, 2, 4]

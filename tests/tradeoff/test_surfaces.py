@@ -1,0 +1,228 @@
+"""Fronts of three objectives, in closed form: on their surfaces, evenly over all of them, with exact rates."""
+
+import itertools
+
+import casadi as ca
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+
+import plough_opt as po
+from plough_opt.tradeoff.space import distances, undominated
+
+POINTS, STEPS = 28, 6
+
+
+def place(objectives):
+    """Return what is seen of objectives along the diagonal."""
+    return objectives - np.mean(objectives, axis=1, keepdims=True)
+
+
+@pytest.fixture(scope="module")
+def sphere():
+    """Concave front |f| = 1 of points outside the unit sphere: a weighted sum finds its corners only (DTLZ2)."""
+    d = po.Design()
+    x = [d.variable(name, guess=0.7, lower=0.0, upper=1.5) for name in "xyz"]
+    d.require("outside", sum(own**2 for own in x), at_least=1.0)
+    return po.trade_off(d, *(po.Goal(name, own) for name, own in zip("abc", x, strict=True)), points=POINTS)
+
+
+@pytest.fixture(scope="module")
+def plane():
+    """Front f1 + f2 + f3 = 1 (DTLZ1)."""
+    d = po.Design()
+    x = [d.variable(name, guess=0.5, lower=0.0, upper=1.0) for name in "xyz"]
+    d.require("above", sum(x), at_least=1.0)
+    return po.trade_off(d, *x, points=POINTS)
+
+
+@pytest.fixture(scope="module")
+def convex():
+    """Squared distances from three corners: every design of their triangle is efficient, and no other."""
+    d = po.Design()
+    x, y, z = (d.variable(name, guess=0.3, lower=-2.0, upper=2.0) for name in "xyz")
+    corners = [(0.0, 0.0), (1.0, 0.0), (0.0, 1.0)]
+    goals = [po.Goal(f"to {a:g}, {b:g}", (x - a) ** 2 + (y - b) ** 2 + z**2) for a, b in corners]
+    return po.trade_off(d, *goals, points=45)
+
+
+# --- shapes -------------------------------------------------------------------------------------------------
+
+
+def test_points_lie_on_the_surfaces(sphere, plane, convex):
+    # The optimiser meets first-order conditions and requirements to 1e-10, anchors to that over a weight of 1e-6.
+    assert np.linalg.norm(sphere.objectives, axis=1) == pytest.approx(1.0, abs=2e-5)
+    assert np.sort(np.abs(np.linalg.norm(sphere.objectives, axis=1) - 1.0))[:-3] == pytest.approx(0.0, abs=1e-8)
+    assert np.sum(plane.objectives, axis=1) == pytest.approx(1.0, abs=1e-8)
+    x, y, z = convex.designs.T
+    assert z == pytest.approx(0.0, abs=1e-5)
+    for side in (x, y, 1.0 - x - y):
+        assert np.all(side > -1e-4)
+
+
+def test_anchors_are_on_the_front(sphere, plane, convex):
+    for front in (sphere, plane):
+        for corner in np.eye(3):
+            assert np.min(np.max(np.abs(front.objectives - corner), axis=1)) < 1e-4
+    # Of an anchor the second and third objectives weigh 1e-3 and 1e-6, which moves it by about so much.
+    for corner in [(0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0)]:
+        assert np.min(np.max(np.abs(convex.designs - corner), axis=1)) < 3e-3
+
+
+def test_a_plane_is_the_lattice_itself(plane):
+    lattice = [(i, j, STEPS - i - j) for i in range(STEPS + 1) for j in range(STEPS + 1 - i)]
+    found = {tuple(row) for row in np.round(plane.objectives * STEPS).astype(int)}
+    assert found == set(lattice)
+    assert plane.objectives * STEPS == pytest.approx(np.round(plane.objectives * STEPS), abs=1e-6)
+
+
+@pytest.mark.parametrize("name", ["sphere", "plane", "convex"])
+def test_the_whole_surface_is_covered(name, request):
+    front = request.getfixturevalue(name)
+    grid = np.array([p for p in itertools.product(np.linspace(0.0, 1.0, 25), repeat=2) if sum(p) <= 1.0])
+    if name == "convex":
+        wanted = np.column_stack([np.sum(grid**2, axis=1), *(np.sum((grid - c) ** 2, axis=1) for c in np.eye(2))])
+        size, step = np.array([1.0, 2.0, 2.0]), 1.0 / 8.0
+    else:
+        wanted = np.column_stack([grid, 1.0 - np.sum(grid, axis=1)])
+        size, step = np.ones(3), 1.0 / STEPS
+        if name == "sphere":
+            wanted /= np.linalg.norm(wanted, axis=1, keepdims=True)
+    seen, found = place(wanted / size), place(front.objectives / size)
+    apart = np.min(np.max(np.abs(seen[:, None] - found[None]), axis=2), axis=1)
+    # Within the lattice a place is at most 2/3 of a step from a node; at the edges points keep 0.7 steps apart.
+    assert np.max(apart) < 1.3 * step
+    assert np.mean(apart) < 0.6 * step
+
+
+def test_no_point_beats_another(sphere, plane, convex):
+    for front in (sphere, plane, convex):
+        assert len(undominated(front.objectives)) == len(front.points)
+        assert front.parts == (tuple(range(len(front.points))),)
+        assert front.holes == front.failures == ()
+
+
+def test_points_are_even(sphere):
+    apart = distances(sphere.objectives) + np.eye(len(sphere.points))
+    assert np.min(apart) > 0.7 / STEPS - 1e-3
+    assert np.max(np.min(apart, axis=1)) < 1.3 / STEPS
+
+
+# --- rates --------------------------------------------------------------------------------------------------
+
+
+def test_rates_on_a_sphere(sphere):
+    inner = [k for k, point in enumerate(sphere.points) if point.weights is not None and min(point.objectives) > 0.05]
+    assert len(inner) > 10
+    for k in inner:
+        f = sphere.points[k].objectives
+        for of, by in itertools.permutations(range(3), 2):
+            # With the third kept, f_of df_of + f_by df_by = 0.
+            assert sphere.rate(k, of, by) == pytest.approx(-f[by] / f[of], rel=1e-6)
+            assert sphere.cost(k, of, by) == pytest.approx((f[by] / f[of]) ** 2, rel=1e-6)
+
+
+def test_rates_of_the_triangle_are_barycentric(convex):
+    inner = [k for k, point in enumerate(convex.points) if point.weights is not None]
+    assert len(inner) > 10
+    for k in inner:
+        x, y, _ = convex.designs[k]
+        weights = np.array(convex.points[k].weights)
+        # The gradients so weighted balance at (x, y): it is the corners' mean.
+        assert weights / np.sum(weights) == pytest.approx([1.0 - x - y, x, y], abs=1e-6)
+
+
+def test_words_on_three_objectives(sphere):
+    number = next(k for k, point in enumerate(sphere.points) if min(point.objectives) > 0.5)
+    assert sphere.in_words(number, 2, 0).endswith("and c 0.57735: 1 % less a costs 1 % more c")
+    with pytest.raises(po.InputError, match="of = 1 and by = 1 must be two different objectives, from 0 to 2"):
+        sphere.rate(number, 1, 1)
+    with pytest.raises(po.InputError, match="must have 3 objectives"):
+        sphere.hypervolume((1.0, 1.0))
+
+
+def test_hypervolume_of_a_sphere(sphere):
+    # The boxes of the points lie within what the sphere leaves of the unit cube, and leave out a slice of the surface.
+    whole = 1.0 - np.pi / 6.0
+    assert 0.6 * whole < sphere.hypervolume((1.0, 1.0, 1.0)) < whole
+
+
+def test_the_knee_of_the_triangle(convex, sphere):
+    best = np.array(convex.knee.objectives) / [1.0, 2.0, 2.0]
+    assert np.sum(best) == pytest.approx(np.min(np.sum(convex.objectives / [1.0, 2.0, 2.0], axis=1)), abs=0.02)
+    assert sphere.knee is None
+
+
+# --- shapes that are not whole ------------------------------------------------------------------------------
+
+
+def test_a_hole_between_two_parts():
+    d = po.Design()
+    x = d.variable("x", guess=0.2, lower=0.0, upper=1.0)
+    y = d.variable("y", guess=0.5, lower=0.0, upper=1.0)
+    d.require("outside", (x - 0.5) ** 2, at_least=0.09)
+    front = po.trade_off(d, x, y, 2.0 - x - y, points=45, search=["x"])
+    assert np.sum(front.objectives, axis=1) == pytest.approx(2.0, abs=1e-8)
+    assert len(front.parts) == 2
+    (hole,) = front.holes
+    ends = sorted([hole.start[0], hole.end[0]])
+    # An edge is refined to half a step in the first objective's range of 1, and points keep 0.7 steps apart.
+    assert 0.0 < ends[0] <= 0.2 + 1e-9
+    assert 0.8 - 1e-9 <= ends[1] < 1.0
+    assert np.all((front.designs[:, 0] < 0.2 + 1e-9) | (front.designs[:, 0] > 0.8 - 1e-9))
+
+
+def test_what_is_dominated_stays_visible():
+    d = po.Design()
+    x, y, lift = (d.variable(name, guess=0.5, lower=0.0, upper=1.0) for name in ("x", "y", "lift"))
+    # A second sheet, 0.2 above the first, in a valley of its own: where its slope 0.2 + pi/2 sin(2 pi lift) vanishes.
+    bottom = 1.0 - np.arcsin(0.4 / np.pi) / (2.0 * np.pi)
+    valley = 0.2 * lift + 0.5 * ca.sin(ca.pi * lift) ** 2
+    front = po.trade_off(d, x + valley, y + valley, 2.0 - x - y + valley, points=15, search=["lift"])
+    assert front.designs[:, 2] == pytest.approx(0.0, abs=1e-6)
+    assert any(point.variables["lift"] == pytest.approx(bottom, abs=1e-6) for point in front.dominated)
+
+
+def test_an_objective_that_conflicts_with_none_leaves_a_curve():
+    d = po.Design()
+    x, y = (d.variable(name, guess=0.4, lower=-2.0, upper=2.0) for name in "xy")
+    idle = po.Goal("idle", 3.0 + y**2)
+    front = po.trade_off(d, po.Goal("a", x**2 + y**2), idle, po.Goal("b", (x - 1.0) ** 2 + y**2), points=9)
+    assert [goal.name for goal in front.goals] == ["a", "b"]
+    assert front.notes[0] == "'idle' does not conflict with the others: it is at its best all along their front"
+    assert np.sqrt(front.objectives).sum(axis=1) == pytest.approx(1.0, abs=1e-6)
+
+
+def test_three_objectives_without_conflict_give_one_design():
+    d = po.Design()
+    x = d.variable("x", guess=0.4, lower=-2.0, upper=2.0)
+    front = po.trade_off(d, 1.0 + x**2, 2.0 + x**2, 3.0 + x**4, points=9)
+    assert front.objectives == pytest.approx(np.array([[1.0, 2.0, 3.0]]), abs=1e-8)
+    assert front.notes == (
+        "'first objective', 'second objective' and 'third objective' do not conflict: one design is best in all three",
+    )
+
+
+# --- files and pictures -------------------------------------------------------------------------------------
+
+
+def test_a_surface_comes_back_and_is_a_table(sphere, tmp_path):
+    back = po.load(sphere.save(tmp_path / "surface.json"))
+    assert back.points == sphere.points
+    assert back.parts == sphere.parts
+    header, *rows = sphere.to_csv(tmp_path / "surface.csv").read_text(encoding="utf-8").splitlines()
+    assert header.startswith("status,part,a,b,c,x,y,z,b per a,c per a,c per b,margin of outside")
+    assert len(rows) == len(sphere.points) + len(sphere.dominated)
+
+
+def test_picture_of_a_surface(sphere, tmp_path):
+    figure = sphere.plot(tmp_path / "surface.png")
+    space, *panels = [axes for axes in figure.axes if axes.get_label() != "<colorbar>"]
+    assert space.get_zlabel() == "c"
+    drawn = np.transpose(space.lines[0].get_data_3d())
+    assert drawn == pytest.approx(sphere.objectives)
+    assert len(panels) == 3
+    for panel in panels:
+        assert np.asarray(panel.collections[0].get_offsets()) == pytest.approx(sphere.objectives[:, :2])
+    axes = Figure().add_subplot(projection="3d")
+    assert sphere.plot(axes) is axes

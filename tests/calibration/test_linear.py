@@ -89,15 +89,17 @@ def test_leaving_one_out_is_the_hat_matrix(both):
 
 
 def test_a_next_measurement_does_what_it_promises(regression):
-    speeds, values, sigma, _, _ = regression
+    speeds, _, sigma, offset, matrix = regression
     scene = linear_scene(20e3, 1400.0, 2.0)
-    data = po.Measurements("mean_draft", values, {"scene.tow_speed": speeds}, sigma=sigma)
-    # Bounds so wide that they tell nothing beside the data.
-    wide = {"soil.cohesion": (0.0, 4e7, 1e4), "soil.density": (0.0, 2e6, 1e3)}
-    candidate = po.Candidate("mean_draft", {"scene.tow_speed": 9.0}, sigma=50.0)
+    exact = offset + matrix @ [20e3, 1400.0]
+    # Errors so small, and bounds so wide, that the bounds tell nothing beside the data: some 1e-7 of the variance.
+    data = po.Measurements("mean_draft", exact, {"scene.tow_speed": speeds}, sigma=sigma / 100.0)
+    wide = {"soil.cohesion": (0.0, 4e7, 1e4), "soil.density": (1.0, 2e6, 1e3)}
+    candidate = po.Candidate("mean_draft", {"scene.tow_speed": 9.0}, sigma=0.5)
     fit = po.calibrate(scene, data, wide)
     (promise,) = fit.next_measurements([candidate])
-    added = po.Measurements("mean_draft", [9e3], {"scene.tow_speed": [9.0]}, sigma=50.0)
+    draft = float(linear_scene(20e3, 1400.0, 9.0).steady_resistance)
+    added = po.Measurements("mean_draft", [draft], {"scene.tow_speed": [9.0]}, sigma=0.5)
     then = po.calibrate(scene, [data, added], wide)
     for name, (now, after) in promise.errors.items():
         assert now == pytest.approx(fit.standard_errors[name], rel=1e-5)

@@ -153,7 +153,7 @@ def _checks_table(problem: Problem, found: RobustOptimum) -> Table:
         ends = [None if end is None else _value(problem, check, end) for end in (check.low, check.high)]
         interval = "" if None in ends else f"{ends[0]} to {ends[1]}"
         numbers = [_value(problem, check, x) for x in (check.seen, check.fresh)]
-        verdict = "[green]confirmed[/]" if check.confirmed else "[yellow]not confirmed[/]"
+        verdict = "[green]confirmed[/]" if check.confirmed else f"[yellow]{check.verdict}[/]"
         table.add_row(check.result, check.text, *numbers, interval, _value(problem, nominal, nominal.fresh), verdict)
     return table
 
@@ -167,9 +167,7 @@ def _value(problem: Problem, check: Check, value: float, of_result: bool = False
 
 def _indices_table(found: RobustOptimum) -> Table:
     names = next(iter(found.indices.values())).names
-    table = Table(
-        title="Parts of the variance of each result at the robust design (Sobol indices: alone / with others)"
-    )
+    table = Table()
     table.add_column("result")
     for name in names:
         table.add_column(name, justify="right", overflow="fold")

@@ -24,7 +24,7 @@ from plough_opt.errors import InputError, nearest
 from plough_opt.expressions import Expression, is_quantity, map_expressions
 from plough_opt.motion.integrators import integration
 from plough_opt.motion.plan import phase, steps_for
-from plough_opt.motion.terms import start_deflection, start_rate, start_resistance
+from plough_opt.motion.terms import Structure, parameters, start_deflection, start_rate, start_resistance
 from plough_opt.motion.timeline import Timeline
 from plough_opt.scene import Scene
 from plough_opt.soil import Soil
@@ -143,7 +143,7 @@ class Responses:
         return [ca.Function("given", self._symbols, [run.inputs]) for run in self._parts.runs]
 
     @cached_property
-    def _batches(self) -> dict[int, Batch]:
+    def _batches(self) -> dict[int, tuple[Batch, ca.Function]]:
         return {}
 
     def _batched(self, number: int, rows: Vector) -> tuple[Vector, dict[int, str]]:
@@ -152,10 +152,11 @@ class Responses:
         if number not in self._batches:
             parts = iter(ca.vertsplit(run.quantities))
             scene: Scene = map_expressions(run.embedding.template, lambda _: next(parts), is_quantity)
-            self._batches[number] = Batch(scene, run.inputs[-1], inputs=self._symbols, error=_ERROR)
-        found = self._batches[number](rows)
-        start = _start_values(run)(np.asarray(self._given[number].call([ca.DM(c).T for c in rows.T])[0]))
-        deflection, force = (np.asarray(value).ravel() for value in start)
+            batch = Batch(scene, run.inputs[-1], inputs=self._symbols, error=_ERROR)
+            self._batches[number] = batch, _start_values(scene, self._symbols)
+        batch, start = self._batches[number]
+        found = batch(rows)
+        deflection, force = (np.asarray(value).ravel() for value in start.call([ca.DM(c).T for c in rows.T]))
         means, variances = [found.mean_deflection - deflection], [found.displacement_rms**2]
         if run.integration.structure.damper:
             means.append(found.mean_draft - force)
@@ -195,15 +196,12 @@ def _per_soil(result: Vector, count: int) -> Vector:
     return result.reshape(result.shape[0], -1, count, order="F").reshape(-1, count, order="F")
 
 
-def _start_values(run: EmbeddedRun) -> ca.Function:
-    """Return a run's parameters -> deflection [m] and mount force [N] at its start."""
-    structure, names = run.integration.structure, run.integration.names
-    p = ca.SX.sym("p", len(names) + 1)
-    known = dict(zip(names, ca.vertsplit(p[:-1]), strict=True))
+def _start_values(scene: Scene, symbols: Sequence[ca.MX]) -> ca.Function:
+    """Return the symbols of a scene -> deflection [m] and mount force [N] at its start."""
+    structure, known = Structure.of(scene), parameters(scene)
     first = 0.0 if structure.relaxed else start_resistance(structure, known)
     force = first + known.get("damping", 0.0) * start_rate(structure, known)
-    deflection = ca.SX(start_deflection(structure, known))
-    return ca.Function("start", [p], [ca.densify(deflection), ca.densify(ca.SX(force))])
+    return ca.Function("start", list(symbols), [ca.MX(start_deflection(structure, known)), ca.MX(force)])
 
 
 def _number(at: Optimum | Mapping[str, float], symbol: ca.MX) -> float:

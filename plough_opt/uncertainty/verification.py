@@ -73,6 +73,13 @@ class Check:
         return self.low <= self.seen <= self.high
 
     @property
+    def verdict(self) -> str:
+        """Whether fresh samples confirm what the optimiser saw, or on which side of it the distribution lies."""
+        if self.confirmed:
+            return "confirmed"
+        return f"{'larger' if self.fresh > self.seen else 'smaller'} than seen"
+
+    @property
     def interval(self) -> str:
         """The confidence interval in words."""
         if self.low is None or self.high is None:
@@ -81,11 +88,10 @@ class Check:
 
     def __str__(self) -> str:
         """Say what was found."""
-        verdict = "confirmed" if self.confirmed else "not confirmed"
         rounded = f"; rounded off over {self.width:.4g}, which changes it by {self.rounding:+.2g}" if self.width else ""
         return (
             f"{self.result}, {self.text}: the optimiser saw {self.seen:.6g}, fresh samples give {self.fresh:.6g}"
-            f" ({self.interval}): {verdict}{rounded}"
+            f" ({self.interval}): {self.verdict}{rounded}"
         )
 
 
@@ -209,7 +215,7 @@ def _bootstrap(asked: Asked, values: Vector, seed: int) -> tuple[float, float]:
 
 def in_words(checks: Sequence[Check]) -> str:
     """Return one sentence on whether fresh samples confirm what the optimiser saw."""
-    doubtful = [f"{check.result} ({check.text})" for check in checks if not check.confirmed]
+    doubtful = [f"{check.result} ({check.text}: {check.verdict})" for check in checks if not check.confirmed]
     if not doubtful:
         return "fresh samples confirm every measure"
-    return f"fresh samples do not confirm {', '.join(doubtful)}: take more samples"
+    return f"fresh samples do not confirm {', '.join(doubtful)}; more samples would come nearer"

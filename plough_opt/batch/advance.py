@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import itertools
 import math
-from dataclasses import dataclass
-from functools import lru_cache
 
 import casadi as ca
 
+from plough_opt.batch.deviation import felt, grown, transfer
+from plough_opt.batch.layout import Layout
 from plough_opt.batch.rules import series_of
 from plough_opt.batch.series import Graph
 from plough_opt.motion.equation import equation_of_motion
 from plough_opt.motion.signals import signals
-from plough_opt.motion.terms import Structure
 
 # Samples of a switch in a step; halvings, and steps of Newton's method, in the interval in which it changes its sign;
 # and how far beyond, as a part of the step, the next step begins.
@@ -26,60 +25,14 @@ _RAMP_DEGREE = 5
 # Keeps logarithms and quotients finite where nothing moves, or no time has passed.
 _TINY = 1e-290
 _ROUNDING = 2.0**-52
-# Phase [rad] of the mount's oscillation in a usual step.
-_PHASE = 3.0
-# Coefficients by which the end of a series is judged, and their weight. With three one step in a million was far too
-# long, all of them being small by accident; with four the estimates of 600,000 designs were all above their errors.
-_LAST, _WEIGHT = 4, 0.1
-
-
-@dataclass(frozen=True)
-class Layout:
-    """Where things stand in the columns that a step takes.
-
-    Attributes:
-        structure: the terms that are on.
-        parameters: names of the equation's parameters; after them follow the end of the ramp [s], the duration [s], the
-            longest first step [s] and the error of the deflection [m] that a step may make.
-        means: number of signals that are averaged: see `plough_opt.motion.signals`.
-        squares: how many of them have an RMS.
-    """
-
-    structure: Structure
-    parameters: tuple[str, ...]
-    means: int
-    squares: int
-
-    @classmethod
-    def of(cls, structure: Structure) -> Layout:
-        """Return the layout of a structure."""
-        observed = signals(structure)
-        return cls(structure, observed.parameters, observed.count, observed.squared)
-
-    @property
-    def ends(self) -> tuple[int, ...]:
-        """Positions in the parameters of the time at which each part of the motion ends."""
-        after = len(self.parameters)
-        return (after, after + 1) if self.structure.ramp else (after + 1,)
-
-    @property
-    def first(self) -> int:
-        """Position in the parameters of the longest first step."""
-        return len(self.parameters) + 2
-
-    @property
-    def allowed(self) -> int:
-        """Position in the parameters of the error that a step may make, the last of them."""
-        return len(self.parameters) + 3
-
-    @property
-    def state(self) -> int:
-        """Size of the state: time, w, w', means, variances, error so far [m]."""
-        return 4 + self.means + self.squares
+# Coefficients by which the end of a series is judged, how much smaller the last is taken to be than an oscillation's
+# before it, and their weight; by accident all of them may be small, so no step is longer than a phase [rad].
+_LAST, _FALL, _WEIGHT = 4, 8.0, 0.35
+_LONGEST = 4.0
 
 
 def advance(layout: Layout, order: int, part: int) -> ca.Function:
-    """Return (state, parameters) -> state after one step; of a design at its end the state as it is.
+    """Return (state, parameters) -> state after one step, of a design that is not at its end.
 
     Args:
         layout: what the columns hold.
@@ -90,13 +43,11 @@ def advance(layout: Layout, order: int, part: int) -> ca.Function:
     end, late = p[layout.ends[part]], part == len(layout.ends) - 1
     w, rate, switches = _solution(layout, order, x, p, late)
     observed = _signals(layout, w, rate, x, p, late)
-    # What is cut off is judged by the last terms of the deflection and of the force, as a deflection.
-    judged = [(_last_terms(layout, w, order + 1, p), order + 1)]
-    if layout.squares > 1:
-        stiffness = ca.fabs(p[layout.parameters.index("stiffness")])
-        judged.append((_last_terms(layout, observed[1], order, p) / stiffness, order))
+    # What is cut off is judged by the last terms of w', as the deflection into which a mount turns them.
+    last_terms = _last_terms(layout, rate, order, p) / layout.own_frequency(p)
     remaining = end - x[0]
-    reach = _reach(judged, p[layout.allowed])
+    reach = ca.exp((ca.log(p[layout.allowed]) - ca.log(last_terms + _TINY)) / order)
+    reach = ca.fmin(reach, _LONGEST / layout.fastest_frequency(p))
     if layout.structure.relaxed or layout.structure.ramp:
         # A share that begins to move may feel by a high power of the time what its series at the start does not show.
         reach = ca.fmin(reach, x[0] + p[layout.first])
@@ -108,15 +59,16 @@ def advance(layout: Layout, order: int, part: int) -> ca.Function:
         size = ca.fmin(cut, size)
     time = ca.if_else(last, end, x[0] + size)
     powers = _powers(size, len(observed[0]) - 1)
-    made = sum(last * powers[highest] for last, highest in judged)
     terms = [[c * power for c, power in zip(series, powers, strict=False)] for series in observed]
-    averages = _averages(layout, terms, x, size / ca.fmax(time, _TINY))
+    part_of_time = size / ca.fmax(time, _TINY)
+    averages = _averages(layout, terms, x, part_of_time)
     state = [sum(c * power for c, power in zip(series, powers, strict=False)) for series in (w, rate)]
-    growth = _exponential(size * growth_rate(layout)(x[0], x[1:3], p))
-    # A design at its end stays as it is, and makes no error any more.
-    rounding = ca.if_else(remaining > 0.0, _ROUNDING * ca.fabs(state[0]), 0.0)
-    error = growth * x[-1] + made + rounding
-    return ca.Function("advance", [x, p], [ca.cse(ca.vertcat(time, *state, *averages, error))])
+    made = last_terms * powers[order] + _ROUNDING * ca.fabs(state[0])
+    before = ca.vertsplit(x[-4:])
+    ellipse = grown(before[:3], transfer(layout, (w, rate), x[0], p, late, powers), made)
+    both = 0.5 * (felt(layout, before[:3], p) + felt(layout, ellipse, p))
+    error = before[3] + part_of_time * (both - before[3])
+    return ca.Function("advance", [x, p], [ca.cse(ca.vertcat(time, *state, *averages, *ellipse, error))])
 
 
 def _solution(
@@ -126,7 +78,7 @@ def _solution(
     motion, graph = equation_of_motion(layout.structure), Graph()
     time, rate = graph.clock(x[0]), graph.given(x[2])
     w = graph.given(x[1], rate=rate)
-    own = [graph.constant(p[layout.parameters.index(name)]) for name in motion.names]
+    own = [graph.constant(layout.value(p, name)) for name in motion.names]
     slopes = series_of(graph, motion.function, [[time], [w, rate], own], late)
     for k in range(order):
         graph.extend(k)
@@ -148,58 +100,16 @@ def _signals(layout: Layout, w: list[ca.SX], rate: list[ca.SX], x: ca.SX, p: ca.
     return [one.coefficients for one in found]
 
 
-@lru_cache(maxsize=16)
-def growth_rate(layout: Layout) -> ca.Function:
-    """Return (time, (w, w'), parameters) -> a bound of the rate [1/s] at which a small deviation grows.
-
-    In the norm s^2 w^2 + w'^2 it is the largest eigenvalue of the symmetric part of the equation's slopes; s is the
-    mount's own angular frequency, at which a deviation merely oscillates.
-    """
-    motion = equation_of_motion(layout.structure)
-    time, state, p = ca.SX.sym("time"), ca.SX.sym("state", 2), ca.SX.sym("p", layout.allowed + 1)
-    own = ca.vertcat(*(p[layout.parameters.index(name)] for name in motion.names))
-    slopes = ca.jacobian(motion.function(time, state, own)[1], state)
-    scale = own_frequency(layout, p)
-    tilt = (slopes[0] + scale**2) / (2.0 * scale)
-    rate = 0.5 * slopes[1] + ca.sqrt(0.25 * slopes[1] ** 2 + tilt**2)
-    return ca.Function("growth_rate", [time, state, p], [rate])
-
-
-def own_frequency(layout: Layout, p: ca.SX) -> ca.SX:
-    """Return sqrt(|k|/M) [rad/s]."""
-    stiffness, inertia = (p[layout.parameters.index(name)] for name in ("stiffness", "inertia"))
-    return ca.sqrt(ca.fabs(stiffness) / inertia)
-
-
-def _exponential(x: ca.SX) -> ca.SX:
-    """Return exp(x) for x of at least 0, as (1 + y + y^2/2)^16 with y = x/16: a bound needs no more."""
-    y = x / 16.0
-    y = 1.0 + y * (1.0 + 0.5 * y)
-    for _ in range(4):
-        y = y**2
-    return y
-
-
 def _last_terms(layout: Layout, series: list[ca.SX], highest: int, p: ca.SX) -> ca.SX:
     """Return the size of a polynomial's last coefficient, together with the ones before it.
 
     Those count as an oscillation's at the frequencies of mount and wave: the last may just pass through zero.
     """
-    rate = own_frequency(layout, p)
-    if layout.structure.wave:
-        speed, wavelength = (p[layout.parameters.index(name)] for name in ("tow_speed", "wavelength"))
-        rate = rate + 2.0 * math.pi * speed / wavelength
-    rate = rate / _PHASE
+    rate = layout.fastest_frequency(p) / _FALL
     total = ca.SX(0)
     for k in range(_LAST):
         total = total + ca.fabs(series[highest - k]) * rate**k
     return _WEIGHT * total
-
-
-def _reach(judged: list[tuple[ca.SX, int]], allowed: ca.SX) -> ca.SX:
-    """Return the step at which the last terms of the polynomials are as large as allowed."""
-    exponents = [(ca.log(allowed) - ca.log(last + _TINY)) / highest for last, highest in judged]
-    return ca.exp(exponents[0] if len(exponents) == 1 else ca.fmin(*exponents))
 
 
 def _first_change(series: list[ca.SX], size: ca.SX) -> ca.SX:

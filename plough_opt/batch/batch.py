@@ -9,13 +9,14 @@ from concurrent.futures import ThreadPoolExecutor
 
 import casadi as ca
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from plough_opt.batch.advance import Layout, advance
+from plough_opt.batch.advance import advance
 from plough_opt.batch.c_source import Kernels
 from plough_opt.batch.domain_check import DomainCheck
 from plough_opt.batch.engine import engine_of
 from plough_opt.batch.equations import RESULTS, Start, of_column, setup
+from plough_opt.batch.layout import Layout
 from plough_opt.batch.program import Array, Program
 from plough_opt.batch.result import BatchResult
 from plough_opt.effects import StickSlip
@@ -31,8 +32,6 @@ _MOST_STEPS = 200_000
 _REPETITIONS = 4
 _RESERVE = 0.3
 _LARGEST_CUT = 1e-6
-# Part of the allowed error from which on a repetition tells of the error before it; with what reserve, and rounding.
-_MUCH_FINER, _CAUTION, _ROUNDING = 1e-2, 10.0, 1e-12
 _NO_RAMP = "a tow ramp of no duration is no ramp: make a batch of a scene without tow_ramp for such designs"
 
 
@@ -82,7 +81,7 @@ class Batch:
         }
         self._inputs = functions["setup"].numel_in(0)
         # Of a wanted error a step may make a small part: an order more for every digit.
-        order = round(9.0 - math.log10(error))
+        order = round(10.0 - math.log10(error))
         ends = self._layout.ends
         parts = tuple((Program.of(advance(self._layout, order, part)), end) for part, end in enumerate(ends))
         maps = {name: Program.of(one) for name, one in functions.items() if one.is_a("SXFunction")}
@@ -169,43 +168,52 @@ class Batch:
         quantities = self._engine.evaluate("quantities", rows)
         reasons = self._check.reasons(quantities)
         prepared = self._engine.evaluate("setup", rows)
-        p, start = np.ascontiguousarray(prepared[: layout.allowed + 1]), Start(*prepared[layout.allowed + 1 :])
         if layout.structure.ramp:
-            ends = p[layout.parameters.index("ramp_time")]
+            ends = prepared[layout.parameters.index("ramp_time")]
             reasons |= {int(k): _NO_RAMP for k in np.flatnonzero(~(ends > 0.0)) if int(k) not in reasons}
-        sound = np.ones(rows.shape[1], dtype=bool)
-        sound[list(reasons)] = False
-        which = np.flatnonzero(sound)
-        cut = np.ones(len(which))
-        for _ in range(1 + _REPETITIONS):
-            results = self._integrate(p, start, which)
-            # The bound grows with the time; what a much finer repetition changes is an estimate that does not.
-            change = np.where(cut <= _MUCH_FINER, _change(found[:2, which], results[:2]), np.nan)
-            results[-2] = np.fmin(results[-2], change)
-            better = ~(results[-2] >= found[-2, which])
-            found[:, which[better]] = results[:, better]
-            which = which[results[-2] > self._error]
-            if len(which) == 0:
+        which = np.delete(np.arange(rows.shape[1]), list(reasons))
+        # Designs of like phase take like numbers of steps, and so wait little for each other.
+        prepared = prepared if len(which) == rows.shape[1] else prepared[:, which]
+        results = self._integrate(prepared, Start(*prepared[layout.allowed + 1 :]).phase)
+        found[:, which] = results
+        for _ in range(_REPETITIONS):
+            again = results[-2] > self._error
+            if not np.any(again):
                 break
-            cut = np.clip(_RESERVE * self._error / found[-2, which], _LARGEST_CUT, _RESERVE)
-            p[layout.allowed, which] *= cut
-        for k in np.flatnonzero(~np.all(np.isfinite(found[:-1]), axis=0)):
+            which, before = which[again], results[:, again]
+            cut = np.clip(_RESERVE * self._error / before[-2], _LARGEST_CUT, _RESERVE)
+            prepared = prepared[:, again]
+            prepared[layout.allowed] *= cut
+            results = self._integrate(prepared, before[-1])
+            # An error that cut steps hardly lower is that of rounding, or of a motion that forgets its start.
+            gained = results[-2] <= np.sqrt(cut) * before[-2]
+            better = results[-2] < before[-2]
+            found[:, which[better]] = results[:, better]
+            which, prepared, results = which[gained], prepared[:, gained], results[:, gained]
+        for k in np.flatnonzero(~np.isfinite(found[:-2]).all(axis=0)):
             found[:-1, k] = np.nan
             if int(k) not in reasons:
                 reasons[int(k)] = self._why(quantities[:, k], found[-1, k])
         return found, reasons
 
-    def _integrate(self, p: Array, start: Start, which: NDArray[np.int64]) -> Array:
-        """Return (results, errors, steps) of chosen designs; NaN where the steps did not suffice."""
-        # Designs of like phase take like numbers of steps, and so wait little for each other.
-        order = which[np.argsort(start.phase[which])]
+    def _integrate(self, prepared: Array, key: Array) -> Array:
+        """Return (results, errors, steps) of designs; NaN where the steps did not suffice.
+
+        Args:
+            prepared: what `setup` gives.
+            key: designs with a like one are carried out together.
+        """
+        count = self._layout.allowed + 1
+        p, start = np.ascontiguousarray(prepared[:count]), Start(*prepared[count:])
         states = np.zeros((self._layout.state, p.shape[1]))
         states[2] = start.rate
-        steps = self._engine.run(p, states, order, _MOST_STEPS)
+        steps = self._engine.run(p, states, np.argsort(key), _MOST_STEPS)
+        results = np.empty((len(RESULTS) + 2, p.shape[1]))
         with np.errstate(all="ignore"):
-            results = np.vstack([start.averages(self._layout, states[3:]), steps])
+            results[:-1] = start.averages(self._layout, states[3:])
+        results[-1] = steps
         results[:-1, ~(states[0] >= p[self._layout.ends[-1]])] = np.nan
-        return results[:, which]
+        return results
 
     def _why(self, quantities: Array, steps: float) -> str:
         """Return why a design within the domain has no results."""
@@ -219,13 +227,6 @@ class Batch:
             f"the motion of a {scene.describe()} has no finite mean: something drives the share away; po.simulate tells"
             " when"
         )
-
-
-def _change(coarse: Array, fine: Array) -> Array:
-    """Return an error by the relative change of mean draft and RMS force, NaN where there was nothing before."""
-    with np.errstate(all="ignore"):
-        change: Array = np.max(np.abs(fine - coarse), axis=0) / np.maximum(np.abs(fine[0]), fine[1])
-    return _CAUTION * change + _ROUNDING
 
 
 def _refuse(scene: Scene) -> None:

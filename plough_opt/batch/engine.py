@@ -21,8 +21,11 @@ _FLAGS = (
     "-fno-trapping-math",
     "-fno-math-errno",
 )
+# What only some compilers know: the long run of sums and products is put in an order that waits less.
+_ORDERED = ("-fschedule-insns", "-fsched-pressure")
 # From the fastest on: with the vector functions of the GNU C library, without, and for any processor.
 _VARIANTS: tuple[Variant, ...] = (
+    ((*_FLAGS, *_ORDERED, "-march=native", "-DVECTOR_LIBRARY"), ("-lmvec", "-lm")),
     ((*_FLAGS, "-march=native", "-DVECTOR_LIBRARY"), ("-lmvec", "-lm")),
     ((*_FLAGS, "-march=native"), ("-lm",)),
     (_FLAGS, ("-lm",)),

@@ -90,13 +90,13 @@ class Level(Solver):
     def residual(self, point: Point, p: Vector) -> float:
         """Return by how much an optimum misses the first-order conditions: slopes, limits, and one of two at each."""
         _, g, gradient, jacobian = self.slopes(point.y, p)
-        pulls = np.r_[point.lam_g, point.lam_y]
+        pulls = np.concatenate([point.lam_g, point.lam_y])
         slope = gradient + jacobian.T @ point.lam_g + point.lam_y
         beyond = np.max(np.maximum(self._low - g, g - self._high), initial=0.0)
-        rooms = np.r_[
+        rooms = np.concatenate([
             np.where(point.lam_g > 0.0, self._high - g, g - self._low),
             np.where(point.lam_y > 0.0, 1.0 - point.y, point.y),
-        ]
+        ])  # fmt: skip
         # A limit that is not there, at infinity, must have no multiplier.
         both = np.max(np.abs(pulls) * np.where(np.isfinite(rooms), np.abs(rooms), 1.0))
         return float(max(np.max(np.abs(slope)), both) / max(1.0, np.max(np.abs(pulls))) + beyond)
@@ -129,9 +129,9 @@ class Level(Solver):
         for number in range(_STEPS):
             f, g, gradient, jacobian = self.slopes(point.y, p)
             y = point.y
-            found = least(curvature, gradient, np.vstack([jacobian, np.eye(len(y))]), (
-                np.r_[self._low - g, np.maximum(-y, -_LONGEST)], np.r_[self._high - g, np.minimum(1.0 - y, _LONGEST)]
-            ))  # fmt: skip
+            low = np.concatenate([self._low - g, np.maximum(-y, -_LONGEST)])
+            high = np.concatenate([self._high - g, np.minimum(1.0 - y, _LONGEST)])
+            found = least(curvature, gradient, np.concatenate([jacobian, np.eye(len(y))]), (low, high))
             if found is None:
                 return point
             step, lam_g, lam_y = found[0], found[1][: len(g)], found[1][len(g) :]

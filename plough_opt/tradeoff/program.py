@@ -215,7 +215,7 @@ class FrontProgram:
 
     def _evaluated(self, level: Level, y: Vector) -> tuple[Vector, Vector]:
         f, g = level.values(y, self._all)
-        return np.r_[f[0] * self.program.objective_scale, g[self.rows] * self._row_scale], g
+        return np.concatenate([f * self.program.objective_scale, g[self.rows] * self._row_scale]), g
 
     def roughly(self, y: Vector) -> tuple[Vector, Vector]:
         """Return, roughly, scaled objectives and scaled requirements; NaN without a value."""
@@ -230,7 +230,7 @@ class FrontProgram:
         if key not in self._exact:
             found, _ = self.program.exact_values(y, self._all)
             row = 1 + self.program.owner[self.rows[0]]
-            self._exact[key] = np.r_[found[0].ravel(), found[row].ravel()], found[1:]
+            self._exact[key] = np.concatenate([found[0].ravel(), found[row].ravel()]), found[1:]
         return self._exact[key]
 
     def scenes(self, y: Vector) -> list[tuple[Scene, float]]:

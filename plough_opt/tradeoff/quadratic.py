@@ -50,6 +50,7 @@ def least(
 def _with_equal(curvature: Vector, gradient: Vector, rows: Vector, b: Vector) -> tuple[Vector, Vector]:
     """Return step and multipliers with rows that are met exactly."""
     n = len(gradient)
-    system = np.block([[curvature, -rows.T], [rows, np.zeros((len(b), len(b)))]])
+    system = np.zeros((n + len(b), n + len(b)))
+    system[:n, :n], system[:n, n:], system[n:, :n] = curvature, -rows.T, rows
     found = np.linalg.lstsq(system, np.concatenate([-gradient, b]), rcond=None)[0]
     return found[:n], found[n:]

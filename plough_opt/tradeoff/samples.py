@@ -144,10 +144,10 @@ class Samples:
     def kept(self, point: Point, p: Vector, level: int = 0) -> Sample:
         """Return a point's sample: an earlier one where the same design was found before."""
         at = self.front.normalised(self.front.objectives(point.y, level))
-        for other in self.found:
-            close = np.max(np.abs(other.at - at)) < _SAME_OBJECTIVES
-            if close and np.max(np.abs(other.point.y - point.y)) < _SAME_DESIGN:
-                return other
+        places = np.array([other.at for other in self.found]).reshape(-1, len(at))
+        for k in np.flatnonzero(np.max(np.abs(places - at), axis=1) < _SAME_OBJECTIVES):
+            if np.max(np.abs(self.found[k].point.y - point.y)) < _SAME_DESIGN:
+                return self.found[k]
         self.found.append(Sample(point, p, at, level, self.front.level_for(point.y)))
         return self.found[-1]
 
@@ -195,7 +195,9 @@ class Samples:
         for start, feasible in self._basins(p, variable, y):
             if any(abs(point.y[variable] - start[variable]) < _KNOWN for point in optima):
                 continue
-            point = rough.solve(start, p, near=True)
+            point = rough.correct(optima[0], start, p)
+            if not (point.solved and abs(point.y[variable] - start[variable]) < _KNOWN):
+                point = rough.solve(start, p, near=True)
             if feasible and not (point.solved and abs(point.y[variable] - start[variable]) < _KNOWN):
                 # Without curvatures its first steps may be too long for a narrow basin.
                 point = rough.solve(start, p, near=True, exact=True)

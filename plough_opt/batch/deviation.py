@@ -93,18 +93,18 @@ def _weighted(series: Series, powers: list[ca.SX], weights: list[float]) -> ca.S
 
 def _hyperbolic(x: ca.SX) -> tuple[ca.SX, ca.SX]:
     """Return cosh(sqrt(x)) and sinh(sqrt(x))/sqrt(x), of x < 0 the cosine and its like."""
-    x = x / 16.0
-    even = 1.0 + x * (1.0 / 2.0 + x * (1.0 / 24.0 + x * (1.0 / 720.0 + x / 40320.0)))
-    odd = 1.0 + x * (1.0 / 6.0 + x * (1.0 / 120.0 + x * (1.0 / 5040.0 + x / 362880.0)))
-    for _ in range(2):
+    x = x / 64.0
+    even = 1.0 + x * (1.0 / 2.0 + x * (1.0 / 24.0 + x * (1.0 / 720.0)))
+    odd = 1.0 + x * (1.0 / 6.0 + x * (1.0 / 120.0 + x * (1.0 / 5040.0)))
+    for _ in range(3):
         even, odd = 2.0 * even**2 - 1.0, odd * even
     return even, odd
 
 
 def _exponential(x: ca.SX) -> ca.SX:
-    """Return exp(x) to some per cent as (1 + y + y^2/2)^16 with y = x/16, and next to nothing for x below -16."""
+    """Return exp(x) as (1 + y + y^2/2 + y^3/6)^16 with y = x/16: to some per cent from -6 on, next to nothing below."""
     y = ca.fmax(x, -16.0) / 16.0
-    y = 1.0 + y * (1.0 + 0.5 * y)
+    y = 1.0 + y * (1.0 + y * (1.0 / 2.0 + y * (1.0 / 6.0)))
     for _ in range(4):
         y = y**2
     return y

@@ -1,0 +1,195 @@
+"""How a batch follows the errors of its steps: by single steps, over long runs, and whoever else is in the call."""
+
+import math
+
+import casadi as ca
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+import plough_opt as po
+from plough_opt.batch.deviation import grown, transfer
+from plough_opt.batch.layout import Layout
+from plough_opt.expressions import as_number
+from plough_opt.motion.terms import Structure, parameters
+
+NAMES = ("mean_draft", "force_rms", "mean_deflection", "displacement_rms", "tow_power", "error_estimate", "steps")
+# w(t) of a share, by its coefficients.
+PATH = (0.012, -0.4, 3.0, 20.0, -90.0)
+# Of the same scene: neighbouring motions part by more than floating point can hold.
+CHAOTIC = (0.639427778, 0.482322562, 8104.16376)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def cache(tmp_path_factory):
+    """Keep what is compiled in a folder of these tests."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("cache")))
+        yield
+
+
+@pytest.fixture
+def batch_of(r1_scene, r1_wave):
+    """Build a batch of the wedge angle, the height and the stiffness of a scene of problem R1."""
+
+    def build(duration, error=1e-6, **effects):
+        angle, height, k0 = (ca.MX.sym(name) for name in ("angle", "height", "k0"))
+        scene = r1_scene(angle * (180.0 / math.pi), height, k0, **{"strength_wave": r1_wave, **effects})
+        return po.Batch(scene, duration, [angle, height, k0], error=error)
+
+    return build
+
+
+def designs(count, seed=0):
+    low, high = np.array([[po.deg(5.0), 0.1, math.log(5e3)], [po.deg(60.0), 0.5, math.log(5e5)]])
+    values = np.random.default_rng(seed).uniform(low, high, (count, 3))
+    values[:, 2] = np.exp(values[:, 2])
+    return values
+
+
+# --- one step -----------------------------------------------------------------------------------------------
+
+
+def moved(scene, size, start=0.3):
+    """Return what a step makes of a deviation, by the batch and by the differential equation of deviations."""
+    layout, known = Layout.of(Structure.of(scene)), parameters(scene)
+    p = ca.DM([float(known[name]) for name in layout.parameters] + [0.0] * 4)
+    w = [ca.SX(c) for c in PATH] + [ca.SX(0)] * 6
+    rate = [(k + 1) * c for k, c in enumerate(w[1:])]
+    powers = [ca.SX(size**k) for k in range(12)]
+    found = np.array([float(as_number(x)) for x in transfer(layout, (w, rate), ca.SX(start), ca.SX(p), True, powers)])
+
+    stiffness, inertia, speed = scene.stiffness, scene.inertia, scene.tow_speed
+    static, drag, damping = scene.reaction.static, scene.reaction.drag, scene.effects.damping or 0.0
+    if not scene.effects.inertial_drag:
+        drag = 0.0
+    wave = 2.0 * math.pi / 0.6
+    first = (static + drag * speed**2) / stiffness
+    path = np.polynomial.Polynomial(PATH)
+
+    def slopes(t):
+        travel = speed * (start + t) - first - path(t)
+        spring = -(stiffness + 0.3 * wave * static * math.cos(wave * travel)) / inertia
+        return spring, -(damping + 2.0 * drag * (speed - path.deriv()(t))) / inertia
+
+    def rates(t, e):
+        spring, damper = slopes(t)
+        return [e[2], e[3], spring * e[0] + damper * e[2], spring * e[1] + damper * e[3]]
+
+    exact = solve_ivp(rates, (0.0, size), [1.0, 0.0, 0.0, 1.0], method="DOP853", rtol=1e-12, atol=1e-13).y[:, -1]
+    scale = math.sqrt(stiffness / inertia)
+    return found.reshape(2, 2), exact.reshape(2, 2) * [[1.0, scale], [1.0 / scale, 1.0]]
+
+
+@pytest.mark.parametrize("damping", [None, 800.0])
+@pytest.mark.parametrize("stiffness", [6e3, 5e4])
+def test_deviations_over_a_step(r1_scene, r1_wave, damping, stiffness):
+    scene = r1_scene(stiffness=stiffness, strength_wave=r1_wave, damping=damping, inertial_drag=False)
+    sizes = np.array([0.005, 0.01, 0.02, 0.04])
+    errors = [np.max(np.abs(np.subtract(*moved(scene, size)))) for size in sizes]
+    # Order 4: the error of one step falls with the fifth power of its length, but for the exponential's own.
+    assert np.polyfit(np.log(sizes[:3]), np.log(errors[:3]), 1)[0] > 4.5
+    # A usual step has 0.04 s.
+    assert errors[-1] < 1e-3
+
+
+@pytest.mark.parametrize(("damping", "size", "error"), [(None, 0.04, 1e-7), (250.0, 0.04, 1e-6), (2e4, 0.01, 0.02)])
+def test_deviations_keep_the_determinant(r1_scene, r1_wave, damping, size, error):
+    found, exact = moved(r1_scene(strength_wave=r1_wave, damping=damping), size)
+    # The damper's slope is taken to the third power of time, and the exponential by its first terms.
+    assert np.linalg.det(found) == pytest.approx(np.linalg.det(exact), rel=error)
+    assert found == pytest.approx(exact, abs=5e-3)
+
+
+def _matrix(ellipse):
+    p, q, r = (float(as_number(x)) for x in ellipse)
+    return np.array([[p, q], [q, r]])
+
+
+def test_errors_of_a_turning_motion_add_up():
+    ellipse, turn = [ca.SX(0)] * 3, [ca.SX(x) for x in (math.cos(1.0), math.sin(1.0), -math.sin(1.0), math.cos(1.0))]
+    for _ in range(5):
+        ellipse = grown(ellipse, turn, ca.SX(1e-9))
+    # Five circles of radius 1e-9 make one of 5e-9.
+    assert _matrix(ellipse) == pytest.approx(np.eye(2) * 25e-18, rel=1e-14, abs=1e-32)
+
+
+def test_an_ellipse_holds_all_sums_of_errors():
+    random = np.random.default_rng(2)
+    for _ in range(20):
+        root = random.normal(size=(2, 2))
+        before, move, made = root @ root.T, random.normal(size=(2, 2)), random.uniform(0.01, 3.0)
+        after = _matrix(
+            grown([ca.SX(before[0, 0]), ca.SX(before[0, 1]), ca.SX(before[1, 1])], move.ravel(), ca.SX(made))
+        )
+        directions = np.array([[math.cos(a), math.sin(a)] for a in np.linspace(0.0, math.pi, 50)])
+        # How far a sum of both sets reaches in a direction is the sum of how far each does.
+        reach = np.linalg.norm(directions @ move @ root, axis=1) + made
+        held = np.sqrt(np.einsum("ki,ij,kj->k", directions, after, directions))
+        assert np.all(held > reach * (1.0 - 1e-12))
+        # Not much more than needed: no ellipse holds all of them with less than some tenths.
+        assert np.min(held / reach) < 1.3
+
+
+# --- long runs ----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("damping", [None, pytest.param(250.0, marks=pytest.mark.slow)])
+def test_long_runs_keep_the_wanted_error(batch_of, r1_scene, r1_wave, damping):
+    values = designs(400)
+    short, long = (batch_of(duration, damping=damping)(values) for duration in (2.0, 32.0))
+    # Three motions in a thousand part from their neighbours faster than floating point can follow, and say so.
+    assert np.mean(long.missed) < 0.01
+    # Errors that add up ask for steps that are shorter by a sixteenth root: sixteen times as long, some fifth more.
+    assert np.median(long.steps / short.steps) < 16.0 * 1.25
+    finer = batch_of(32.0, error=1e-9, damping=damping)(values)
+    sure = finer.error_estimate < 1e-8
+    assert np.mean(sure) > 0.98
+    size = np.maximum(finer.mean_draft, finer.force_rms)
+    made = np.maximum(abs(long.mean_draft - finer.mean_draft), abs(long.force_rms - finer.force_rms)) / size
+    assert np.all(made[sure] < long.error_estimate[sure])
+    for k in (0, 1):
+        scene = r1_scene(math.degrees(values[k, 0]), *values[k, 1:], strength_wave=r1_wave, damping=damping)
+        run = po.simulate(scene, 32.0, accuracy=po.Accuracy(error=1e-9), outputs=4)
+        # Steps of order 8 add up their rounding, some 1e-10 over so many.
+        assert finer.mean_draft[k] == pytest.approx(run.mean_draft, rel=2e-9)
+        assert finer.force_rms[k] == pytest.approx(run.force_rms, rel=2e-9)
+
+
+def test_motions_that_forget_their_start(batch_of):
+    result = batch_of(600.0, error=1e-4)([CHAOTIC, (po.deg(25.0), 0.25, 5e4)])
+    assert not result.failed.any()
+    assert list(result.missed) == [True, False]
+    assert result.error_estimate[0] > 1.0
+    assert np.all(np.isfinite(result.mean_draft))
+
+
+# --- whoever else is in the call ----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("compiled", "count", "effects"),
+    [
+        (True, 1003, {}),
+        (False, 61, {}),
+        pytest.param(True, 1003, {"contact": po.Smooth(0.2), "tow_ramp": 0.3, "start": "rest"}, marks=pytest.mark.slow),
+    ],
+    ids=["compiled", "plain", "smooth contact"],
+)
+def test_designs_do_not_depend_on_each_other(batch_of, monkeypatch, tmp_path, compiled, count, effects):
+    if not compiled:
+        monkeypatch.setenv("PATH", str(tmp_path))
+        monkeypatch.delenv("CC", raising=False)
+    batch = batch_of(4.0 if compiled else 1.0, error=1e-5, **effects)
+    assert batch.compiled == compiled
+    values, random = designs(count), np.random.default_rng(1)
+    # Some are repeated with shorter steps, and one has no result.
+    values[5] = CHAOTIC
+    values[7, 1] = -1.0
+    whole = batch(values)
+    assert list(whole.reasons) == [7]
+    order = random.permutation(count)
+    for chosen in (order, order[:1], order[:17], order[17:60], np.array([5])):
+        part = batch(values[chosen])
+        for name in NAMES:
+            assert np.array_equal(getattr(part, name), getattr(whole, name)[chosen], equal_nan=True), name

@@ -111,6 +111,10 @@ def print_check(console: Console, problem: Problem) -> None:
         verb = "optimise" if problem.table.minimise or problem.table.trade_off is None else "tradeoff"
         console.print(f"{len(problem.variables)} variables, {len(problem.table.require)} requirements: "
                       f"plough-opt {verb} {escape(problem.name)}")  # fmt: skip
+    if problem.table.uncertain is not None:
+        names = ", ".join(key for key in problem.table.uncertain if key.startswith("soil."))
+        console.print(f"Uncertain: {escape(names)}: optimise designs for them, all else takes the nominal soil.",
+                      soft_wrap=True)  # fmt: skip
     _print_footer(console, scene.warnings(), "")
 
 

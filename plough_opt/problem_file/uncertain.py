@@ -117,7 +117,10 @@ def join_dotted(data: dict[str, Any]) -> None:
     table = data.get(TABLE)
     if isinstance(table, dict) and isinstance(table.get("soil"), dict):
         for name, entry in table.pop("soil").items():
-            table[f"soil.{name}"] = entry
+            own = table.get(f"soil.{name}")
+            # A change from the command line stands beside what the file says.
+            both = isinstance(own, dict) and isinstance(entry, dict)
+            table[f"soil.{name}"] = dict(own or {}, **entry) if both else entry
 
 
 def check_uncertain(source: Source, table: ProblemTable) -> None:

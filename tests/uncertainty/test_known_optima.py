@@ -45,7 +45,7 @@ def test_conditional_value_at_risk_of_a_linear_loss():
     """min over x > 0 of CVaR of x^2/2 - x theta is x = mean - std pdf(z)/(1 - level)."""
     level = 0.9
     d, x = _design(lower=0.01)
-    robust = po.Robust(FIELD, lambda soil: {"loss": x**2 / 2 - x * soil.cohesion / 1e4}, samples=256, seed=3)
+    robust = po.Robust(FIELD, lambda soil: {"loss": x**2 / 2 - x * soil.cohesion / 1e4}, samples=128, seed=3)
     d.minimise(robust.cvar("loss", level, width=0.05))
     found = d.solve().variables["x"]
     sharp = -measures.cvar(-_numbers(robust.samples), level)
@@ -53,7 +53,7 @@ def test_conditional_value_at_risk_of_a_linear_loss():
     slope = 0.05**2 / 18 * stats.norm.pdf(stats.norm.ppf(level)) / (1 - level) / S / found**2
     assert found == pytest.approx(sharp + slope, abs=2e-4)
     closed = M - S * stats.norm.pdf(stats.norm.ppf(level)) / (1 - level)
-    assert found == pytest.approx(closed, abs=1e-2)
+    assert found == pytest.approx(closed, abs=2e-2)
 
 
 @pytest.mark.parametrize("part", [0.6, 0.9])
@@ -75,18 +75,18 @@ def test_newsvendor(part):
     assert response(samples.soils[0])["demand"] == demand[0]
 
 
-@pytest.mark.parametrize("probability", [0.8, 0.95])
+@pytest.mark.parametrize("probability", [pytest.param(0.8, marks=pytest.mark.slow), 0.95])
 def test_chance_constraint_on_a_normal_variable(probability):
     """The least stock that suffices with a probability is mean + z std."""
     d, x = _design(guess=0.0)
-    robust = po.Robust(FIELD, lambda soil: {"missing": soil.cohesion / 1e4 - x}, samples=256, seed=3)
+    robust = po.Robust(FIELD, lambda soil: {"missing": soil.cohesion / 1e4 - x}, samples=128, seed=3)
     width = 0.5 * S
     robust.require_probability(d, "enough", "missing", probability, at_most=0.0, width=width)
     d.minimise(x)
     best = d.solve()
     z = stats.norm.ppf(probability)
     # The width acts as a further variance of width^2/9, to second order.
-    assert best.variables["x"] == pytest.approx(M + z * math.hypot(S, width / 3.0), abs=1e-2)
+    assert best.variables["x"] == pytest.approx(M + z * math.hypot(S, width / 3.0), abs=2e-2)
     assert best.variables["x"] == pytest.approx(measures.quantile(_numbers(robust.samples), probability, width=width))
     check = po.uncertainty.verify(robust, best, samples=4096, seed=9)["missing", "probability"]
     assert check.seen == pytest.approx(probability, abs=1e-9)

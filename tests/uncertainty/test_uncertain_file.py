@@ -22,8 +22,8 @@ title = "Quasi-static share in an uncertain soil"
 [soil]
 name = "serozem"
 [uncertain]
-samples = 16
-fresh = 400
+samples = 8
+fresh = 300
 "soil.cohesion" = { distribution = "lognormal", mean = "20 kPa", std = "6 kPa", upper = "60 kPa" }
 "soil.density_ratio" = { distribution = "beta", mean = 0.794, std = 0.02, lower = 0.70, upper = 0.88 }
 correlation = [["soil.cohesion", "soil.density_ratio", 0.3]]
@@ -64,7 +64,7 @@ def test_file_is_solved_beside_the_nominal_design_and_verified(written, capsys, 
     picture = tmp_path / "field.png"
     assert main(["optimise", written(), "--plot", str(picture)]) == 0
     out = capsys.readouterr().out
-    for words in ("Uncertain soil: serozem", "robust", "nominal", "95 % interval", "Sobol indices", "16 samples"):
+    for words in ("Uncertain soil: serozem", "robust", "nominal", "95 % interval", "Sobol indices", "8 samples"):
         assert words in out
     assert picture.read_bytes().startswith(b"\x89PNG")
 
@@ -89,7 +89,7 @@ def test_the_optimum_is_the_one_that_the_samples_demand(written):
     assert -measures.quantile(-radii * height, 0.9, width=width) == pytest.approx(0.15, abs=1e-9)
     nominal, robust = (own["loosened_radius", "probability"].fresh for own in (found.nominal_fresh, found.fresh))
     assert nominal < 0.6
-    assert robust == pytest.approx(0.9, abs=0.04)
+    assert robust == pytest.approx(0.9, abs=0.08)
     draft = found.fresh["mean_draft", "mean of"]
     assert draft.low < draft.fresh < draft.high
 
@@ -115,8 +115,15 @@ def test_every_kind_of_measure_is_read(written):
 
 def test_nominal_commands_take_the_file_as_it_is(written, capsys):
     assert main(["check", written()]) == 0
+    assert "Uncertain: soil.cohesion, soil.density_ratio" in capsys.readouterr().out
     assert main(["simulate", written()]) == 0
-    capsys.readouterr()
+    assert "loosened radius" in capsys.readouterr().out
+
+
+def test_overrides_reach_a_distribution(written):
+    problem = po.read_problem(written(), ['uncertain.soil.cohesion.std="3 kPa"'])
+    assert problem.table.uncertain["soil.cohesion"]["std"] == "3 kPa"
+    assert problem.table.uncertain["soil.cohesion"]["mean"] == "20 kPa"
 
 
 @pytest.mark.parametrize(
@@ -148,8 +155,8 @@ def test_measures_in_words(text, wanted):
         ("std = 0.02,", "std = 0.2,", 8, "no beta distribution"),
         ('"soil.density_ratio", 0.3', '"soil.density", 0.3', 9, "soil.density_ratio"),
         ('"soil.density_ratio", 0.3', '"soil.density_ratio", 1.3', 9, "between -1 and 1"),
-        ("samples = 16", "samples = 3", 5, "whole number from 8"),
-        ("samples = 16", "sample = 16", 5, "'samples'"),
+        ("samples = 8", "samples = 3", 5, "whole number from 8"),
+        ("samples = 8", "sample = 8", 5, "'samples'"),
         ('"cvar 0.9"', '"cvar 90"', 23, "between 0 and 1"),
         ('"cvar 0.9"', '"median"', 23, "no measure"),
         ('width = "100 N"', 'width = "100 m"', 23, "wrong unit"),
@@ -190,7 +197,7 @@ def test_sensitivity_is_refused(written, capsys):
 
 
 def test_requirements_that_no_soil_can_meet_have_no_solution(written, capsys):
-    path = written(('at_least = "0.15 m"', 'at_least = "0.27 m"'))
+    path = written(('at_least = "0.15 m"', 'at_least = "0.295 m"'))
     assert main(["optimise", path, "--set", 'share.wedge_angle="38 deg"']) == 1
     assert "loosened_radius" in capsys.readouterr().err
 
@@ -208,7 +215,8 @@ def test_picture_shows_every_design_and_limit():
 def test_uncertain_field(samples):
     """The problem file itself: both branches beside the resonance, and more soils loosened widely enough."""
     changes = [f"uncertain.samples={samples}", "uncertain.fresh=1000"]
-    changes += ['scene.duration="0.4 s"', "scene.outputs=40"] if samples == 8 else []
+    if samples == 8:
+        changes += ['scene.duration="0.2 s"', 'variables.scene.stiffness.upper="200 kN/m"', "uncertain.fresh=200"]
     problem = po.read_problem(FIELD, changes)
     found = optimise_robust(problem, lambda *_: None)
     assert found.failures == ()

@@ -49,7 +49,8 @@ def _alone(soil, **effects):
 
 # Each further structure is translated by the C compiler once.
 @pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=pytest.mark.slow if name in ("rest", "smooth") else ()) for name in EFFECTS]
+    "name",
+    [pytest.param(name, marks=pytest.mark.slow if name in ("rest", "ramp", "smooth") else ()) for name in EFFECTS],
 )
 def test_values_over_samples_are_those_of_single_simulations(name):
     _, robust = _robust(3, **EFFECTS[name])

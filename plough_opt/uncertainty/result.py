@@ -5,11 +5,12 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Literal
 
 from plough_opt.design import LocalOptimum, Optimum
 from plough_opt.motion import Run
-from plough_opt.results import SCHEMA, Saved, SavedRun, versions
+from plough_opt.results import SCHEMA, Saved, SavedRun, read_saved, versions
 from plough_opt.uncertainty.robust import Robust
 from plough_opt.uncertainty.variance import SobolIndices
 from plough_opt.uncertainty.verification import Check, Verification
@@ -80,6 +81,15 @@ class SavedRobust(Saved):
             seconds=found.best.seconds + found.nominal.seconds + found.fresh.seconds,
             run=SavedRun.of(found.run, title),
         )
+
+    @classmethod
+    def load(cls, path: str | Path) -> SavedRobust:
+        """Read what ``to_json`` wrote.
+
+        Raises:
+            InputError: no such file, or not a robust optimum of this layout.
+        """
+        return read_saved(path, "robust optimum", "a robust optimum", cls.model_validate_json)
 
 
 def _plain(indices: SobolIndices) -> dict[str, Any]:

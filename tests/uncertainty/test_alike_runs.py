@@ -81,6 +81,40 @@ def test_derivatives_against_differences(other, path):
     assert upper + np.triu(upper, 1).T == pytest.approx(hessian, rel=1e-6, abs=1e-6 * np.max(np.abs(hessian)))
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "effects",
+    [
+        {"contact": po.StickSlip(1.2), "strength_wave": po.StrengthWave(0.9, 0.2), "damping": 200.0},
+        {"orbit": "periodic", "strength_wave": po.StrengthWave(0.3, 0.2), "damping": 400.0},
+    ],
+    ids=["events", "orbit"],
+)
+def test_runs_with_events_and_orbits_are_mapped_too(effects):
+    d = po.Design()
+    k0 = d.variable("stiffness", guess=5e4, lower=2e4, upper=9e4, log=True)
+    frame = d.parameter("frame mass", 20.0)
+    share = po.Wedge(po.deg(35.0), po.deg(15.0), 0.2)
+
+    def response(soil):
+        scene = po.Scene(soil, share, k0, frame + 5.0, 0.8, po.Effects(**effects))
+        run = po.simulate(scene, None if "orbit" in effects else 0.5, outputs=5)
+        return {"rms": run.force_rms / 1e3}
+
+    robust = po.Robust(FIELD, response, samples=3)
+    d.minimise(robust.mean_plus("rms", 1.0))
+    program, p, y = Program(d.declared), np.array([20.0]), np.array([0.5])
+    program.build(p)
+    gradient = np.asarray(program.nlp.slopes(y, p)[2])
+    # Tolerances of integrators with events: 1e-10.
+    wanted = _differences(lambda at: np.asarray(program.nlp.f(at, p)), y)
+    assert gradient.item() == pytest.approx(wanted.item(), rel=1e-5)
+    wanted = _differences(lambda at: np.asarray(program.nlp.slopes(at, p)[2]), y)
+    assert np.asarray(program.nlp.hess_lag(y, p, 1.0, [])).item() == pytest.approx(wanted.item(), rel=1e-5)
+    best = d.solve(search="local")
+    assert po.uncertainty.mean_plus(robust.values(best)["rms"], 1.0) == pytest.approx(best.objective, rel=1e-8)
+
+
 def test_runs_of_one_structure_are_one_map():
     program = _program(6, other=True, path=True)
     y, p = ca.MX.sym("y", 3), ca.MX.sym("p", 0)

@@ -13,6 +13,7 @@ from plough_opt.problem_file.robust_design import optimise_robust
 from plough_opt.problem_file.uncertain import Asked, asked_of
 from plough_opt.uncertainty import measures
 from plough_opt.uncertainty.picture import Panel, plot_spread
+from plough_opt.uncertainty.result import SavedRobust
 
 matplotlib.use("Agg")
 FIELD = Path(__file__).parents[2] / "problems" / "uncertain_field.toml"
@@ -69,10 +70,15 @@ def test_file_is_solved_beside_the_nominal_design_and_verified(written, capsys, 
     assert picture.read_bytes().startswith(b"\x89PNG")
 
 
-def test_json_holds_both_optima_and_every_check(written, capsys):
+def test_json_holds_both_optima_and_every_check(written, capsys, tmp_path):
     assert main(["optimise", written(), "--json"]) == 0
-    found = json.loads(capsys.readouterr().out)
+    text = capsys.readouterr().out
+    found = json.loads(text)
     assert found["kind"] == "robust optimum"
+    (tmp_path / "found.json").write_text(text, encoding="utf-8")
+    assert SavedRobust.load(tmp_path / "found.json").to_json() == text.rstrip()
+    with pytest.raises(po.InputError, match="not a robust optimum"):
+        SavedRobust.load(FIELD)
     assert found["best"]["variables"]["share.height"] > found["nominal"]["variables"]["share.height"]
     names = [(check["result"], check["text"]) for check in found["checks"]]
     assert names == [("mean_draft", "mean of the largest 10 %"), ("loosened_radius", "probability of at least 0.15")]

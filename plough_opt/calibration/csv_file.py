@@ -128,8 +128,8 @@ def _column(text: str, measured: str | None) -> _Column:
     try:
         factor = unit.split(f"1 {written}".strip())[1]
     except InputError:
-        kind = f"a unit of {unit.symbol}" if unit.symbol else "no unit"
-        raise InputError(f"'{written}' is not {kind}: write it like '{_heading(name, unit)}'") from None
+        wrong = f"is not a unit of {unit.symbol}" if unit.symbol else "is a unit, and a pure number is expected"
+        raise InputError(f"'{written}' {wrong}: write it like '{_heading(name, unit)}'") from None
     return _Column(text.strip(), name, factor)
 
 

@@ -162,8 +162,7 @@ class Fit:
         if kind not in ("profile", "linearised"):
             raise InputError(f"kind = {kind!r} must be 'profile' or 'linearised'")
         if self.source is None:
-            held = {i.name: i.interval for i in self.saved_intervals
-                    if i.level == level and i.interval.kind in (kind, "linearised")}  # fmt: skip
+            held = {i.name: i.interval for i in self.saved_intervals if (i.level, i.asked) == (level, kind)}
             if len(held) < len(self.unknowns):
                 raise InputError(f"this fit comes from a file, which holds no {kind} intervals of level {level:g}")
             return held
@@ -257,11 +256,11 @@ class Fit:
         """Return the fit as JSON text with versions and a schema number; infinite numbers as "Infinity"."""
         own = {name: getattr(self, name) for name in self.__dataclass_fields__ if name != "source"}
         if self.source is not None:
-            for kind in ("linearised", "profile"):
-                self.intervals(0.95, kind)
+            self.intervals(0.95, "linearised")
+            self.intervals(0.95, "profile")
             own["saved_intervals"] = tuple(
-                KnownInterval(name, level, found)
-                for (level, _), every in self.source.known.items()
+                KnownInterval(name, level, kind, found)
+                for (level, kind), every in self.source.known.items()
                 for name, found in every.items()
             )
             own["saved_next"] = self.next_measurements()

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from plough_opt.calibration.estimate import Data, Estimate
-from plough_opt.calibration.intervals import Interval
+from plough_opt.calibration.intervals import Interval, Kind
 from plough_opt.calibration.measurements import Measurements, result_unit
 from plough_opt.calibration.unknown import Unknown
 
@@ -79,10 +79,11 @@ class Row:
 
 @dataclass(frozen=True)
 class KnownInterval:
-    """An interval that was computed."""
+    """An interval that was computed, with its level and the kind that was asked for."""
 
     name: str
     level: float
+    asked: Kind
     interval: Interval
 
 

@@ -19,6 +19,7 @@ from plough_opt.errors import DomainError, InputError
 from plough_opt.expressions import Expression, as_number
 from plough_opt.forces import added_mass
 from plough_opt.motion import simulate
+from plough_opt.motion.integrators import quiet_events
 from plough_opt.motion.plan import numbers_of, phase
 from plough_opt.problem_file.measures import MEASURES
 from plough_opt.scene import Scene
@@ -83,7 +84,8 @@ class Rows:
         if self.measured.result in {unknown.name for unknown in self.unknowns}:
             return self._direct()
         self._check()
-        return self._record() if self.measured.result == RECORD else self._mapped()
+        with quiet_events():
+            return self._record() if self.measured.result == RECORD else self._mapped()
 
     def scenes(self, y: Vector) -> list[tuple[Scene, Expression | None, NDArray[np.intp]]]:
         """Return the distinct scenes of numbers, the time that each is simulated, and its rows."""
@@ -190,8 +192,10 @@ def row_functions(
         conditions: names of the conditions, with values that can be.
         result: what is measured.
     """
-    closed = is_closed(model.scene({**{unknown.name: unknown.guess for unknown in unknowns}, **conditions}), result)
-    kind: Any = ca.SX if closed else ca.MX
+    example = model.scene({**{unknown.name: unknown.guess for unknown in unknowns}, **conditions})
+    closed = is_closed(example, result)
+    # Of the elastic medium the force is a quadrature of matrices, which single operations would unroll.
+    kind: Any = ca.SX if closed and example.medium == "plastic" else ca.MX
     y, c = kind.sym("y", len(unknowns)), kind.sym("c", len(conditions))
     values = {unknown.name: unknown.value(y[k]) for k, unknown in enumerate(unknowns)}
     values |= {key: c[k] for k, key in enumerate(conditions)}
@@ -204,7 +208,7 @@ def row_functions(
         run = simulate(scene, model.duration_of(values), accuracy=model.accuracy)
         found = MEASURES[result].of(run)
     found = kind(found)
-    if closed:
+    if kind is ca.SX:
         slope = ca.densify(ca.jacobian(found, y))
     else:
         # Forward through the integration: backwards it costs far more to build.

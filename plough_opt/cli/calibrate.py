@@ -180,7 +180,7 @@ def _print(
     screen.print(quality, markup=False)
     for warning in fit.warnings:
         screen.print(f"[yellow]Note:[/] {escape(warning)}.")
-    screen.print(f"{fit.status}; {fit.seconds:.2f} s")
+    screen.print(f"Converged: no step lowers the loss (IPOPT: {fit.status}); {fit.seconds:.2f} s", markup=False)
 
 
 def _unknown_table(problem: Problem, fit: Fit, intervals: Mapping[str, Interval], level: float) -> Table:

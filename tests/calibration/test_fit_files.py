@@ -10,8 +10,11 @@ import plough_opt as po
 
 
 def test_a_fit_survives_its_file(fitted, tmp_path):
+    fitted.intervals(0.9)
+    fitted.intervals()
     path = fitted.save(tmp_path / "deep" / "fit.json")
     again = po.Fit.load(path)
+    assert po.load(path) == again
     assert again.values == fitted.values
     assert again.standard_errors == fitted.standard_errors
     assert again.correlations == fitted.correlations
@@ -28,8 +31,8 @@ def test_a_fit_survives_its_file(fitted, tmp_path):
 
 def test_what_a_file_cannot_say_is_refused(fitted, tmp_path):
     again = po.Fit.load(fitted.save(tmp_path / "fit.json"))
-    with pytest.raises(po.InputError, match=r"holds no profile intervals of level 0\.9"):
-        again.intervals(0.9)
+    with pytest.raises(po.InputError, match=r"holds no profile intervals of level 0\.8"):
+        again.intervals(0.8)
     for ask in (again.cross_validation, lambda: again.scene, lambda: again.next_measurements([])):
         with pytest.raises(po.InputError, match="this fit comes from a file"):
             ask()

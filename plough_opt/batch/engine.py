@@ -87,10 +87,16 @@ class _Arrays:
 
 def _integrated(program: Program, x: Array, p: Array, end: int, taken: Array, most: int) -> Array:
     """Return the states at the end of a part of the motion; count the steps."""
-    once = program.once([x, p])
-    while np.any(open_ := (x[0] < p[end]) & (taken < most)):
-        x = np.where(open_, program([x, p], once), x)
-        taken += open_
+    which = np.flatnonzero((x[0] < p[end]) & (taken < most))
+    going, own, once = x[:, which], p[:, which], program.once([x[:, which], p[:, which]])
+    while len(which) > 0:
+        going = program([going, own], once)
+        taken[which] += 1.0
+        open_ = (going[0] < own[end]) & (taken[which] < most)
+        if not np.all(open_):
+            x[:, which[~open_]] = going[:, ~open_]
+            which, going, own = which[open_], going[:, open_], own[:, open_]
+            once = program.once([going, own])
     return x
 
 

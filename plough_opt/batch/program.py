@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import casadi as ca
@@ -24,12 +24,14 @@ class Operation:
         code: CasADi's code of the operation.
         of: numbers of the operands.
         once: whether it depends on the last argument alone, and so on nothing that changes from step to step.
+        spent: operands that nothing after it needs, if it is carried out in every step.
     """
 
     value: int
     code: int
     of: tuple[int, ...]
     once: bool
+    spent: tuple[int, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -101,7 +103,7 @@ class Program:
                 work[into[0]] = apply(code, tuple(work[j] for j in of))
             else:
                 raise InputError(f"a batch does not know CasADi's operation number {code}")
-        return cls(tuple(operations), inputs, constants, tuple(results))
+        return cls(_until_spent(operations, results), inputs, constants, tuple(results))
 
     def once(self, arguments: list[Array]) -> list[Any]:
         """Return the values that do not change from step to step, of arguments with a row for each element."""
@@ -133,7 +135,22 @@ class Program:
     def _apply(self, values: list[Any], once: bool) -> None:
         for operation in self.operations:
             if operation.once == once:
-                values[operation.value] = MEANING[operation.code](*(values[k] for k in operation.of))
+                values[operation.value] = MEANING[operation.code](*[values[k] for k in operation.of])
+                # Arrays that are given back at once are taken again while they are in the processor's cache.
+                for k in operation.spent:
+                    values[k] = None
+
+
+def _until_spent(operations: list[Operation], results: list[int]) -> tuple[Operation, ...]:
+    """Return operations that know what nothing after them needs."""
+    needed, found = set(results), []
+    for operation in reversed(operations):
+        if operation.once:
+            found.append(operation)
+            continue
+        found.append(replace(operation, spent=tuple(set(operation.of) - needed)))
+        needed.update(operation.of)
+    return tuple(reversed(found))
 
 
 def _as_number(condition: Callable[..., Any]) -> Callable[..., Any]:

@@ -18,6 +18,7 @@ Vector = NDArray[np.float64]
 Kind = Literal["profile", "linearised"]
 
 _AT_BOUND: Final = 1e-6
+_STRAIGHT: Final = 1e-6
 # How far towards the linearised end the search for the profile's end begins.
 _BEGIN: Final = 0.98
 
@@ -65,7 +66,8 @@ def interval(
     quantile = found.quantile(level)
     error = float(np.sqrt(found.spread.covariance[k, k]))
     wald = [float(found.y[k]) + sign * quantile * error for sign in (-1.0, 1.0)]
-    if kind == "linearised" or error == 0.0:
+    # Over so small a part of its bounds no unknown bends the loss.
+    if kind == "linearised" or quantile * error < _STRAIGHT:
         return _interval(unknowns[k], wald, "linearised")
     ends = []
     for sign in (-1.0, 1.0):

@@ -182,7 +182,11 @@ def joined(predictors: Sequence[Predictor], count: int) -> Predictor:
 
 
 def row_functions(
-    model: Model, unknowns: Sequence[Unknown], conditions: Mapping[str, float], result: str
+    model: Model,
+    unknowns: Sequence[Unknown],
+    conditions: Mapping[str, float],
+    result: str,
+    fixed: Mapping[str, float] | None = None,
 ) -> tuple[ca.Function, ca.Function]:
     """Return two Functions of scaled unknowns and conditions: a result; the same and its derivatives as a column.
 
@@ -191,14 +195,16 @@ def row_functions(
         unknowns: what is to be found.
         conditions: names of the conditions, with values that can be.
         result: what is measured.
+        fixed: further conditions, of which the Functions are no functions.
     """
-    example = model.scene({**{unknown.name: unknown.guess for unknown in unknowns}, **conditions})
+    fixed = dict(fixed or {})
+    example = model.scene({**{unknown.name: unknown.guess for unknown in unknowns}, **conditions, **fixed})
     closed = is_closed(example, result)
     # Of the elastic medium the force is a quadrature of matrices, which single operations would unroll.
     kind: Any = ca.SX if closed and example.medium == "plastic" else ca.MX
     y, c = kind.sym("y", len(unknowns)), kind.sym("c", len(conditions))
     values = {unknown.name: unknown.value(y[k]) for k, unknown in enumerate(unknowns)}
-    values |= {key: c[k] for k, key in enumerate(conditions)}
+    values |= {key: c[k] for k, key in enumerate(conditions)} | fixed
     scene = model.scene(values)
     if result in _OF_SCENE:
         found = _OF_SCENE[result](scene)

@@ -174,8 +174,8 @@ class Calibration:
         for m in self.measured:
             conditions |= {key: float(np.median(column)) for key, column in m.conditions.items()}
         conditions |= candidate.conditions
-        _, both = row_functions(self.model, self.unknowns, conditions, candidate.result)
-        value, slope = both(y, np.array(list(conditions.values())))
+        _, both = row_functions(self.model, self.unknowns, {}, candidate.result, fixed=conditions)
+        value, slope = both(y, np.zeros(0))
         return float(value), np.asarray(slope, dtype=float).ravel()
 
     def _refuse_twice(self) -> None:

@@ -126,3 +126,18 @@ def test_folds_and_weights_of_repeated_rows(measured, three, fitted):
         # The same rows twice: the same optimum, and errors smaller by the root of two.
         assert twice.values[name] == pytest.approx(fitted.values[name], rel=1e-6)
         assert twice.standard_errors[name] == pytest.approx(error / 2**0.5, rel=1e-5)
+
+
+@pytest.mark.slow
+def test_the_elastic_medium_gives_its_modulus():
+    """The steady contact force goes with Young's modulus, less the speed's small part."""
+    soil, angles = po.named_soil("serozem"), np.radians([25.0, 35.0])
+    scenes = [po.Scene(soil, po.Wedge(angle, po.deg(15.0), 0.25), 5e4, 25.0, 2.0, po.Effects(motion=False), "elastic")
+              for angle in angles]  # fmt: skip
+    forces = [float(scene.steady_resistance) for scene in scenes]
+    data = po.Measurements("mean_draft", forces, {"share.wedge_angle": angles}, sigma=0.02 * np.array(forces))
+    fit = po.calibrate(scenes[0], data, {"soil.youngs_modulus": (1e6, 5e7, 3e7)}, starts=1)
+    assert fit.values["soil.youngs_modulus"] == pytest.approx(soil.youngs_modulus, rel=1e-6)
+    # A force proportional to it, measured twice to 2 %: 2 % over the root of two, up to the speed's part.
+    relative = fit.standard_errors["soil.youngs_modulus"] / soil.youngs_modulus
+    assert relative == pytest.approx(0.02 / 2**0.5, rel=0.01)

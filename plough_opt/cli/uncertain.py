@@ -148,7 +148,8 @@ def _optima_table(problem: Problem, found: RobustOptimum) -> Table:
 def _checks_table(problem: Problem, found: RobustOptimum) -> Table:
     table = Table(title=f"What {found.fresh.samples} fresh samples say, of the robust design and of the nominal one")
     for heading in ("result", "measure", "the optimiser saw", "fresh samples", "95 % interval", "nominal design", ""):
-        table.add_column(heading, justify="left" if heading in ("result", "measure") else "right", overflow="fold")
+        left, whole = heading in ("result", "measure"), heading == "result"
+        table.add_column(heading, justify="left" if left else "right", overflow="fold", no_wrap=whole)
     for check, nominal in zip(found.fresh.checks, found.nominal_fresh.checks, strict=True):
         ends = [None if end is None else _value(problem, check, end) for end in (check.low, check.high)]
         interval = "" if None in ends else f"{ends[0]} to {ends[1]}"

@@ -15,6 +15,8 @@ from plough_opt.tradeoff.samples import Sample
 # Scaled by objective and limits: residuals above are no optimum, violations above no design.
 _RESIDUAL = 1e-6
 _VIOLATED = 1e-6
+# Relative curvatures above are none, or the rounding of none.
+_BENDS_DOWN = -1e-6
 
 
 @dataclass(frozen=True)
@@ -32,6 +34,8 @@ class FrontPoint:
         residual: of the first-order conditions, scaled.
         violation: largest violation of a requirement by the tightly integrated model, relative to its limit.
         gap: largest relative difference of the optimiser's objectives from the tightly integrated ones.
+        curvature: least one of the Lagrangian where limits leave a direction, relative to the largest and roughly
+            integrated; None where they leave none.
         weights: of the objectives per their units, by the multipliers: along the front changes so weighted add up to
             nothing. None of a design that stands alone.
     """
@@ -45,6 +49,7 @@ class FrontPoint:
     residual: float
     violation: float
     gap: float
+    curvature: float | None = None
     weights: tuple[float, ...] | None = None
 
     @property
@@ -52,6 +57,8 @@ class FrontPoint:
         """Why this is no certified optimum; empty for one that is."""
         if not self.residual <= _RESIDUAL:
             return f"the first-order conditions are met to {self.residual:.1e} only"
+        if self.curvature is not None and not self.curvature >= _BENDS_DOWN:
+            return f"it is no minimum: in a direction that no limit holds the curvature is {self.curvature:.1e}"
         if not self.violation <= _VIOLATED:
             return f"integrated tightly it violates a requirement by a relative {self.violation:.1e}"
         return ""
@@ -92,6 +99,7 @@ def certify(front: FrontProgram, sample: Sample, signs: Vector) -> FrontPoint:
         residual=front.levels[sample.level].residual(point, sample.p),
         violation=violation,
         gap=front.gap(point.y, sample.level),
+        curvature=front.levels[sample.level].least_curvature(point, sample.p),
         weights=weights,
     )
 

@@ -9,7 +9,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from plough_opt.design.ipopt import OPTIONS, Point, Solver, Vector
+from plough_opt.design.ipopt import OPTIONS, PULLS, Point, Solver, Vector
 from plough_opt.design.nlp import Nlp
 from plough_opt.tradeoff.quadratic import least
 
@@ -35,10 +35,14 @@ _AT_BOUND: Final = 1e-9
 _PATIENCE: Final = 4
 # Curvatures below are made so large: quadratic programs stay convex.
 _LEAST_CURVATURE: Final = 1e-4
+# Scaled margins below this leave no room.
+_TOUCHING: Final = 1e-7
+# Of slopes, relative to the largest: below this one repeats the others.
+_INDEPENDENT: Final = 1e-9
 # Of Powell's damping.
 _DAMPED: Final = 0.2
 # Changes of gradients over shorter steps are rounding.
-_TELLING: Final = 1e-6
+_TELLING: Final = 1e-9
 
 
 class Level(Solver):
@@ -100,6 +104,24 @@ class Level(Solver):
         # A limit that is not there, at infinity, must have no multiplier.
         both = np.max(np.abs(pulls) * np.where(np.isfinite(rooms), np.abs(rooms), 1.0))
         return float(max(np.max(np.abs(slope)), both) / max(1.0, np.max(np.abs(pulls))) + beyond)
+
+    def least_curvature(self, point: Point, p: Vector) -> float | None:
+        """Return the least curvature of the Lagrangian along directions that leave every limit in place.
+
+        Returns:
+            Relative to the largest of the Lagrangian, roughly integrated; None where limits leave no direction.
+        """
+        _, g, _, jacobian = self.slopes(point.y, p)
+        touching = _touches(np.minimum(g - self._low, self._high - g), point.lam_g)
+        bounds = _touches(np.minimum(point.y, 1.0 - point.y), point.lam_y)
+        rows = np.concatenate([jacobian[touching], np.eye(len(point.y))[bounds]])
+        _, sizes, right = np.linalg.svd(rows) if len(rows) else (None, np.zeros(0), np.eye(len(point.y)))
+        free = right[int(np.sum(sizes > _INDEPENDENT * max(1.0, np.max(sizes, initial=0.0)))) :].T
+        if not free.size:
+            return None
+        upper = np.asarray(self._rough.hess_lag(point.y, p, 1.0, point.lam_g))
+        whole = upper + np.triu(upper, 1).T
+        return float(np.linalg.eigvalsh(free.T @ whole @ free)[0] / max(np.max(np.abs(whole)), 1.0))
 
     def correct(self, at: Point, start: Vector, p: Vector) -> Point:
         """Return the optimum near a start by sequential quadratic programming from the multipliers of a neighbour.
@@ -165,6 +187,12 @@ class Level(Solver):
             x0=start, p=p, lbx=0.0, ubx=1.0, lbg=self._low, ubg=self._high, lam_x0=at.lam_y, lam_g0=at.lam_g
         )
         return Point.of(result, self._warm.stats())
+
+
+def _touches(margins: Vector, multipliers: Vector) -> NDArray[np.bool_]:
+    """Return which limits leave no room: by their scaled margins, or because they pull harder than they are far."""
+    pulls = np.abs(multipliers)
+    return (margins < _TOUCHING) | ((pulls > PULLS) & (pulls > margins))
 
 
 def _inside(y: Vector) -> NDArray[np.bool_]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from math import comb
 
 import numpy as np
 
@@ -20,6 +21,9 @@ _BESIDE = 1e-6
 _INWARD = 0.01
 # A branch that ends at a position farther in a scaled variable than this from where it led has become another one.
 _SMOOTH = 0.1
+# Designs beside the last two from which the next one is foretold.
+_REMEMBERED = 2
+_SHRINKS = 0.5
 _GIVE_UP = 2
 _ROUNDS = 6
 # Decimals of the normalised objectives by which gaps are told apart.
@@ -76,7 +80,7 @@ class Tracer(Samples):
                 if failed == _GIVE_UP:
                     return
                 continue
-            failed, passed = 0, [*passed[-1:], sample.point.y]
+            failed, passed = 0, [*passed[-_REMEMBERED:], sample.point.y]
             sample = found
             if objective in sample.swept and sample is not first:
                 return
@@ -171,9 +175,16 @@ class Tracer(Samples):
 
 
 def extrapolated(points: Sequence[Vector]) -> Vector:
-    """Return where up to three equally spaced designs lead, between the bounds."""
-    if len(points) == 1:
-        return points[0]
-    if len(points) == 2:
-        return np.clip(2.0 * points[1] - points[0], 0.0, 1.0)
-    return np.clip(3.0 * (points[2] - points[1]) + points[0], 0.0, 1.0)
+    """Return where equally spaced designs lead, between the bounds.
+
+    That is the next value of the polynomial through so many of them that each further one corrects it by less.
+    """
+    found, correction = points[-1], np.inf
+    for count in range(2, len(points) + 1):
+        weights = np.array([(-1.0) ** (k + 1) * comb(count, k) for k in range(count, 0, -1)])
+        better = weights @ np.array(points[-count:])
+        size = float(np.max(np.abs(better - found)))
+        if size > _SHRINKS * correction:
+            break
+        found, correction = better, size
+    return np.clip(found, 0.0, 1.0)

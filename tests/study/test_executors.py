@@ -86,7 +86,8 @@ def test_the_command_says_that_no_scheduler_answers(monkeypatch, capsys, tmp_pat
 
 def test_mpi_gives_the_same_bits(script, counted_text, inline, tmp_path):
     pytest.importorskip("mpi4py.futures", reason="mpi4py is not installed")
-    launcher = shutil.which("mpiexec")
+    # Beside this Python where its wheel was installed.
+    launcher = shutil.which("mpiexec", path=f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}")
     if launcher is None:
         pytest.skip("there is no mpiexec")
     store, file = tmp_path / "sweep.db", tmp_path / "calls"

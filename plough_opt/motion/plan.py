@@ -28,7 +28,7 @@ PHASE_PER_STEP = 0.5
 """Phase [rad] of the fastest oscillation in one step of order 8 that leaves a relative error of some 1e-10."""
 
 # The same by `summed_rate`, which usually does; where it does not, the check tells, and steps are repeated finer.
-_USUAL_PHASE = 0.5
+_USUAL_PHASE = 0.475
 # Part of the steps with which a run is checked.
 _COARSER = 0.75
 

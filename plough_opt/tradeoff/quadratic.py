@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.optimize import nnls
 
 from plough_opt.design.ipopt import Vector
 
@@ -25,6 +24,8 @@ def least(
     Returns:
         The step, and multipliers, positive at an upper limit and negative at a lower one; None without a feasible step.
     """
+    from scipy.optimize import nnls  # slow to import, and every problem file imports this module
+
     low, high = limits
     below, above = np.flatnonzero(np.isfinite(low)), np.flatnonzero(np.isfinite(high))
     own = np.concatenate([below, above])

@@ -11,8 +11,6 @@ from itertools import permutations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csr_array
-from scipy.sparse.csgraph import connected_components, minimum_spanning_tree
 
 from plough_opt.tradeoff.plane import EQUAL, Array, area, efficient
 
@@ -101,6 +99,9 @@ def parts_of(objectives: Array, step: float) -> tuple[list[list[int]], list[tupl
         objectives: normalised objectives of efficient rows.
         step: between positions.
     """
+    from scipy.sparse import csr_array  # slow to import, and every problem file imports this module
+    from scipy.sparse.csgraph import connected_components, minimum_spanning_tree
+
     apart = distances(objectives)
     count, label = connected_components(csr_array(apart <= _TOGETHER * step), directed=False)
     parts = sorted(([int(k) for k in np.flatnonzero(label == c)] for c in range(count)), key=len, reverse=True)

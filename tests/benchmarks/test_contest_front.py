@@ -80,7 +80,10 @@ def test_disconnected_front(contest, peer):
         rows[THEIRS] = (spent, error, f"{len(found)} designs, hypervolume {theirs:.4f}")
         assert own >= theirs
     first = {
-        OURS: fresh(f"import plough_opt as po; problem = po.read_problem({PROBLEM!r})", f"problem.trade_off({POINTS})"),
+        OURS: fresh(
+            f"import plough_opt as po, scipy.optimize; problem = po.read_problem({PROBLEM!r})",
+            f"problem.trade_off({POINTS})",
+        ),
         THEIRS: None if nsga2 is None else fresh("from peers import nsga2", f"nsga2.front({STEPS})"),
     }
     for name, (spent, error, note) in rows.items():

@@ -25,6 +25,7 @@ REMEDIES = {
     "Search_Direction_Becomes_Too_Small": "the objective is not smooth enough here: take more integration steps",
 }
 
+_MOST_ITERATIONS = 300
 # Zero keeps bounds exactly: by default IPOPT widens them by 1e-8 and reports an objective below the truth.
 OPTIONS: dict[str, Any] = {
     "print_time": False,
@@ -38,7 +39,7 @@ OPTIONS: dict[str, Any] = {
     "ipopt.constr_viol_tol": 1e-10,
     "ipopt.compl_inf_tol": 1e-10,
     "ipopt.acceptable_iter": 0,
-    "ipopt.max_iter": 300,
+    "ipopt.max_iter": _MOST_ITERATIONS,
     # A design's linear systems are small, dense and of order 1.
     "ipopt.mumps_permuting_scaling": 0,
     "ipopt.mumps_scaling": 0,
@@ -154,9 +155,11 @@ class _Part(ca.Callback):
 class Solver:
     """IPOPT on one program; built once for starts far and near."""
 
-    def __init__(self, nlp: Nlp, variables: int, parameters: int, low: Vector, high: Vector) -> None:
-        """Take the program, its sizes, and the limits of its requirements."""
-        self._nlp = nlp
+    def __init__(
+        self, nlp: Nlp, variables: int, parameters: int, low: Vector, high: Vector, *, most: int = _MOST_ITERATIONS
+    ) -> None:
+        """Take the program, its sizes, the limits of its requirements, and after how many iterations to give up."""
+        self._nlp, self._most = nlp, most
         y, p = ca.MX.sym("y", variables), ca.MX.sym("p", parameters)
         parts = nlp.parts or self._interpreted(nlp, y, p)
         self._problem = {"x": y, "p": p, "f": parts["f"](y, p), "g": parts["g"](y, p)}
@@ -210,11 +213,9 @@ class Solver:
     def _solver(self, near: bool, exact: bool) -> ca.Function:
         if (near, exact) not in self._solvers:
             options = OPTIONS | self._derivatives | (NEAR if near else FAR)
-            if exact:
-                options["hess_lag"] = self._nlp.hess_lag
-            else:
-                options |= _QUASI_NEWTON
-                options["ipopt.max_iter"] = min(options["ipopt.max_iter"], _MOST_WITHOUT_CURVATURE)
+            options |= {"hess_lag": self._nlp.hess_lag} if exact else _QUASI_NEWTON
+            most = self._most if exact else min(self._most, _MOST_WITHOUT_CURVATURE)
+            options["ipopt.max_iter"] = min(options["ipopt.max_iter"], most)
             self._solvers[near, exact] = ca.nlpsol("design", "ipopt", self._problem, options)
         return self._solvers[near, exact]
 

@@ -29,6 +29,8 @@ _FEWEST_STEPS = 20
 # Of a periodic orbit, whose harmonics fall off exponentially.
 _HARMONICS = 12
 _SMALLEST_SCALE = 1e-12
+# Of IPOPT with exact curvatures: what can be mended beside a start takes some ten.
+_MOST_ROUGH_ITERATIONS = 15
 
 
 @dataclass(frozen=True)
@@ -90,6 +92,7 @@ class Program:
         self.interpreted = True
         self._steps: list[int | None] = []
         self._relaxed: Solver | None = None
+        self._rough_solver: Solver | None = None
         # A report asks several times for the values at its point.
         self._exact_at: dict[tuple[bytes, bytes], tuple[list[Vector], list[Vector]]] = {}
 
@@ -171,6 +174,7 @@ class Program:
         self.interpreted = translated is None
         sizes = (self._y.numel(), self._p.numel())
         self._solver = Solver(self.nlp, *sizes, self.low, self.high)
+        self._rough_solver = None
 
     def _scaled(self, y: ca.MX, p: ca.MX) -> list[ca.MX]:
         """Return scaled objective and requirements of scaled variables and of parameters."""
@@ -285,6 +289,13 @@ class Program:
     def solve(self, start: Vector, p: Vector, *, near: bool = False, exact: bool = False) -> Point:
         """Return the local optimum that IPOPT reaches from a scaled start: see `Solver.solve`."""
         return self._solver.solve(start, p, near=near, exact=exact)
+
+    def solve_roughly(self, start: Vector, p: Vector) -> Point:
+        """Return the local optimum of the rough program beside a start, by exact second derivatives."""
+        if self._rough_solver is None:
+            sizes = (self._y.numel(), self._p.numel())
+            self._rough_solver = Solver(self.rough, *sizes, self.low, self.high, most=_MOST_ROUGH_ITERATIONS)
+        return self._rough_solver.solve(start, p, near=True, exact=True)
 
     def solve_with_fixed(self, start: Vector, p: Vector, fixed: int | list[int]) -> Point:
         """Return the local optimum with one variable, or several, held at their start."""

@@ -102,7 +102,12 @@ def global_search(
             scans.append(scan)
             for number, (start, feasible) in enumerate(starts):
                 progress(f"polishing basin {number + 1} of {len(starts)}", number / len(starts))
-                point = program.solve(start, p, near=True, exact=not feasible)
+                if not feasible:
+                    # Without curvatures requirements that are broken mislead it; roughly they cost little.
+                    point = program.solve_roughly(start, p)
+                    start = point.y
+                if feasible or point.solved:
+                    point = program.solve(start, p, near=True)
                 if point.solved and feasible and abs(point.y[variable] - start[variable]) > _BESIDE:
                     # Without curvatures its first steps may be too long for a narrow basin.
                     point = program.solve(start, p, near=True, exact=True)

@@ -78,9 +78,9 @@ class Sensitivity:
 
 
 def _percent(name: str, elasticity: float | None, derivative: float, unit: str) -> str:
-    return (
-        f"{name} by {derivative:.4g} per {unit or 'unit'}" if elasticity is None else f"{name} by {elasticity:+.4g} %"
-    )
+    if elasticity is None:
+        return f"{name} by {derivative:.4g} per {unit or 'unit'}"
+    return f"{name} by 0 %" if abs(elasticity) < _ROUNDING else f"{name} by {elasticity:+.4g} %"
 
 
 @dataclass(frozen=True)

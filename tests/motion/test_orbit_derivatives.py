@@ -14,6 +14,8 @@ PLACES = {
     "stiff, strongest": (1.5e5, 25.0, 1.5, 0.4, 0.97, 1e3),
     "beside resonance": (1.3e4, 25.0, 2.0, 0.6, 0.3, 250.0),
 }
+# The others are of one kind with these, and slow.
+FEW = [pytest.param(name, marks=() if name in ("between", "stiff, strongest") else pytest.mark.slow) for name in PLACES]
 OUTPUTS = 48
 
 
@@ -83,7 +85,7 @@ def test_symbols_give_the_values_of_numbers(functions, scene_of, choice, place):
     assert found == pytest.approx([float(value) for value in results(run)], rel=1e-9)
 
 
-@pytest.mark.parametrize("place", PLACES)
+@pytest.mark.parametrize("place", FEW)
 @pytest.mark.parametrize("choice", CHOICES)
 def test_gradients_are_those_of_differences(functions, choice, place):
     first, at = functions(choice)[0], np.array(PLACES[place])
@@ -96,7 +98,7 @@ def test_gradients_are_those_of_differences(functions, choice, place):
         assert column * at[k] == pytest.approx(expected, rel=0, abs=3e-9 * np.max(np.abs(value))), NAMES[k]
 
 
-@pytest.mark.parametrize("place", PLACES)
+@pytest.mark.parametrize("place", FEW)
 @pytest.mark.parametrize("choice", CHOICES)
 def test_hessians_are_those_of_differences_of_gradients(functions, choice, place):
     first, second = functions(choice)

@@ -61,7 +61,7 @@ def _check_options(options: argparse.Namespace) -> None:
     if options.to in ("c", "openmdao"):
         check_folder(options.output, FORMATS[options.to].removeprefix("a new folder with "))
     else:
-        check_file(options.output, f".{options.to}", FORMATS[options.to].partition(",")[0].removeprefix("a "))
+        check_file(options.output, f".{options.to}", FORMATS[options.to].partition(",")[0].partition(" ")[2])
     others = ("inputs", "outputs") if options.to == "fmu" else ("strut", "sources")
     for name in others:
         if getattr(options, name):

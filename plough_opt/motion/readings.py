@@ -74,10 +74,9 @@ def readings(timeline: Timeline) -> Readings:
         ends = np.clip(around, first, last + 1 - count)[:, None] + np.arange(count)
         rows += list(ends)
         weights += list(zip(*_hermite(nodes[ends], inside), strict=True))
-    columns = np.repeat(np.arange(len(rows)), [len(row) for row in rows])
-    pattern = np.concatenate(rows).tolist(), columns.tolist()
-    shape = len(nodes), len(outputs)
-    return Readings(*(ca.DM.triplet(*pattern, np.concatenate(values), *shape) for values in zip(*weights, strict=True)))
+    starts = np.concatenate([[0], np.cumsum([len(row) for row in rows])])
+    pattern = ca.Sparsity(len(nodes), len(outputs), starts.tolist(), np.concatenate(rows).tolist())
+    return Readings(*(ca.DM(pattern, np.concatenate(values)) for values in zip(*weights, strict=True)))
 
 
 def _hermite(x: Array, t: Array) -> tuple[Array, Array, Array, Array]:

@@ -6,13 +6,15 @@ import dataclasses
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Generic, TypeVar
 
 from plough_opt.errors import InputError, nearest
 from plough_opt.expressions import Expression
 from plough_opt.forces import added_mass
 from plough_opt.motion import Run
 from plough_opt.scene import Scene
+
+U = TypeVar("U")
 
 
 @dataclass(frozen=True)
@@ -102,23 +104,23 @@ def _replaced(value: Any, path: tuple[str, ...], new: Expression) -> Any:
 
 
 @dataclass(frozen=True)
-class Measure:
+class Measure(Generic[U]):
     """A result of a run that can be named.
 
     Attributes:
-        unit: SI unit.
+        unit: SI unit, as text or as what reads quantities in it.
         of: run -> value, a column where ``everywhere``.
         everywhere: a value at every output time; it can be limited, and not minimised.
         plastic: belongs to the plastic gas alone.
     """
 
-    unit: str
+    unit: U
     of: Callable[[Run], Expression]
     everywhere: bool = False
     plastic: bool = False
 
 
-MEASURES: dict[str, Measure] = {
+MEASURES: dict[str, Measure[str]] = {
     "mean_draft": Measure("N", lambda run: run.mean_draft),
     "force_rms": Measure("N", lambda run: run.force_rms),
     "mean_deflection": Measure("m", lambda run: run.mean_deflection),

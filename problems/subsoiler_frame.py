@@ -55,7 +55,7 @@ class Leg:
 
     draft: float = 2500.0  # N*
 
-    def force(self, travel: Expression, speed: Expression) -> Expression:  # noqa: ARG002
+    def force(self, _travel: Expression, speed: Expression) -> Expression:
         """Return the resistance [N]."""
         return self.draft * (1.0 + SPEED_TERM * speed**2)
 

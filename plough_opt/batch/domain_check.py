@@ -54,7 +54,7 @@ class DomainCheck:
         """Return which designs have a quantity outside the interval in which it is accepted, all else being sound."""
         suspect = np.zeros(rows.shape[1], dtype=bool)
         for sound in rows.T[:_TRIALS]:
-            if self._accepts(lambda k, sound=sound: float(sound[k])):  # type: ignore[misc]
+            if self._accepts(sound.tolist().__getitem__):
                 break
         else:
             return suspect

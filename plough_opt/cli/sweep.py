@@ -140,14 +140,14 @@ def _executor(address: str | None) -> Iterator[tuple[Executor | None, int | None
     except ImportError:
         raise InputError("--scheduler needs dask.distributed: pip install 'plough_opt[cluster]'") from None
     try:
-        client = Client(address, timeout="10s")  # type: ignore[no-untyped-call]
+        client = Client(address, timeout="10s")
     except (OSError, ValueError) as error:
         raise InputError(f"--scheduler {address}: no dask scheduler answers there ({error})") from None
     with client:
-        threads = sum(client.ncores().values())  # type: ignore[no-untyped-call]
+        threads = sum(client.ncores().values())
         if threads == 0:
             raise InputError(f"--scheduler {address}: it has no workers; start some: dask worker {address}")
-        yield client.get_executor(pure=False), threads  # type: ignore[no-untyped-call]
+        yield client.get_executor(pure=False), threads
 
 
 def _name(key: str) -> str:

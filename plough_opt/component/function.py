@@ -136,7 +136,7 @@ class Component(ca.Function):
 
     def __setstate__(self, state: Mapping[str, Any]) -> None:
         """Take what was pickled."""
-        self.__init__(ca.Function.deserialize(state["serialization"]), **state["told"])  # type: ignore[misc]
+        Component.__init__(self, ca.Function.deserialize(state["serialization"]), **state["told"])
 
     def __copy__(self) -> Component:
         """Return itself: nothing in it can change."""

@@ -120,9 +120,9 @@ def _refuse_unpicklable(evaluation: Evaluation) -> None:
 
 def _identity(evaluation: Evaluation) -> dict[str, str]:
     """Return what tells a function from others: its name, and its text or what it is made of."""
-    named = hasattr(evaluation, "__qualname__")
+    written: Any = evaluation if hasattr(evaluation, "__qualname__") else None
     try:
-        content = inspect.getsource(evaluation).encode() if named else pickle.dumps(evaluation)  # type: ignore[arg-type]
+        content = pickle.dumps(evaluation) if written is None else inspect.getsource(written).encode()
     except Exception:  # whatever hinders a pickle; text that is nowhere to be read
         content = b""
     name = getattr(evaluation, "__qualname__", type(evaluation).__qualname__)

@@ -97,7 +97,9 @@ def _draw_variable(axes: Axes, front: Drawing, variable: Axis) -> None:
     low, high = range_of(variable, values, factor)
     norm = LogNorm(low, high) if variable.log else Normalize(low, high)
     drawn = axes.scatter(places[:, 0], places[:, 1], c=values, norm=norm, cmap="viridis", s=22)
-    bar = axes.get_figure().colorbar(drawn, ax=axes, pad=0.02)  # type: ignore[union-attr]
+    figure = axes.get_figure()
+    assert figure is not None  # panels are drawn on one
+    bar = figure.colorbar(drawn, ax=axes, pad=0.02)
     bar.set_label(f"{variable.name} [{unit}]" if unit else variable.name, fontsize="small")
     bar.ax.tick_params(labelsize="small")
     axes.grid(alpha=0.25)

@@ -5,26 +5,12 @@ from types import SimpleNamespace
 import casadi as ca
 import numpy as np
 import pytest
+from differences import differences
 
 import plough_opt as po
 from plough_opt.design.nlp import averages_only
 from plough_opt.design.split import split
 from plough_opt.motion.embedding import with_numbers
-
-# Weights of the central difference of order 8: with phases up to 30 rad a step of 2e-4 leaves some 1e-12.
-_WEIGHTS = np.array([4 / 5, -1 / 5, 4 / 105, -1 / 280])
-_STEP = 2e-4
-
-
-def _differences(function, y):
-    """Return the derivative of a function of y by central differences of order 8, a column for each entry of y."""
-    columns = []
-    for k in range(len(y)):
-        unit = np.zeros(len(y))
-        unit[k] = _STEP
-        pairs = [np.ravel(function(y + m * unit) - function(y - m * unit)) for m in range(1, 5)]
-        columns.append(sum(w * pair for w, pair in zip(_WEIGHTS, pairs, strict=True)) / _STEP)
-    return np.column_stack(columns)
 
 
 def _whole_by_ad(program):
@@ -104,9 +90,9 @@ def _check_against_differences(program, y, *, first=1e-8, second=1e-7):
         gradient, jacobian = nlp.grad_f(point, at.p)[1], nlp.jac_g(point, at.p)[1]
         return at.lam_f * np.asarray(gradient).ravel() + np.asarray(jacobian).T @ at.lam_g
 
-    _close(at.gradient, _differences(lambda point: np.asarray(nlp.f(point, at.p)), y), first)
-    _close(at.jacobian, _differences(lambda point: np.asarray(nlp.g(point, at.p)), y).reshape(-1, len(y)), first)
-    _close(at.hessian, _differences(slope, y), second)
+    _close(at.gradient, differences(lambda point: np.asarray(nlp.f(point, at.p)), y), first)
+    _close(at.jacobian, differences(lambda point: np.asarray(nlp.g(point, at.p)), y).reshape(-1, len(y)), first)
+    _close(at.hessian, differences(slope, y), second)
 
 
 @pytest.fixture

@@ -5,6 +5,7 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 import pytest
+from differences import differences
 from scipy import stats
 
 import plough_opt as po
@@ -12,8 +13,6 @@ from plough_opt.design.alike_runs import alike_runs
 from plough_opt.design.program import Program
 from plough_opt.design.split import split
 
-_WEIGHTS = np.array([4 / 5, -1 / 5, 4 / 105, -1 / 280])
-_STEP = 2e-4
 POINT = np.array([0.61, 0.43, 0.37])
 FIELD = po.SoilDistribution(
     po.named_soil("serozem"), cohesion=stats.lognorm(0.3, scale=20e3), density_ratio=stats.beta(8, 4, 0.7, 0.14)
@@ -48,16 +47,6 @@ def _program(count, other=False, path=False):
     return program
 
 
-def _differences(function, y):
-    columns = []
-    for k in range(len(y)):
-        unit = np.zeros(len(y))
-        unit[k] = _STEP
-        pairs = [np.ravel(function(y + m * unit) - function(y - m * unit)) for m in range(1, 5)]
-        columns.append(sum(w * pair for w, pair in zip(_WEIGHTS, pairs, strict=True)) / _STEP)
-    return np.column_stack(columns)
-
-
 @pytest.mark.parametrize(("other", "path"), [(False, False), (True, True)])
 def test_derivatives_against_differences(other, path):
     program = _program(6, other, path)
@@ -66,9 +55,9 @@ def test_derivatives_against_differences(other, path):
     again = [np.asarray(result) for result in nlp.values(POINT, p)]
     assert f == pytest.approx(again[0], rel=1e-12)
     assert g == pytest.approx(again[1], rel=1e-12)
-    wanted = _differences(lambda y: np.asarray(nlp.values(y, p)[0]), POINT)
+    wanted = differences(lambda y: np.asarray(nlp.values(y, p)[0]), POINT)
     assert gradient.ravel() == pytest.approx(wanted.ravel(), rel=1e-8, abs=1e-8)
-    assert jacobian == pytest.approx(_differences(lambda y: np.asarray(nlp.values(y, p)[1]), POINT), rel=1e-7, abs=1e-8)
+    assert jacobian == pytest.approx(differences(lambda y: np.asarray(nlp.values(y, p)[1]), POINT), rel=1e-7, abs=1e-8)
     weights = np.cos(1.0 + np.arange(len(program.owner)))
     upper = np.asarray(nlp.hess_lag(POINT, p, 0.7, weights))
 
@@ -76,7 +65,7 @@ def test_derivatives_against_differences(other, path):
         _, _, gradient, jacobian = (np.asarray(result) for result in nlp.slopes(y, p))
         return 0.7 * gradient.ravel() + jacobian.T @ weights
 
-    hessian = _differences(slope, POINT)
+    hessian = differences(slope, POINT)
     # The measures' third derivatives jump where a sample enters a width: differences lose digits there.
     assert upper + np.triu(upper, 1).T == pytest.approx(hessian, rel=1e-6, abs=1e-6 * np.max(np.abs(hessian)))
 
@@ -107,9 +96,9 @@ def test_runs_with_events_and_orbits_are_mapped_too(effects):
     program.build(p)
     gradient = np.asarray(program.nlp.slopes(y, p)[2])
     # Tolerances of integrators with events: 1e-10.
-    wanted = _differences(lambda at: np.asarray(program.nlp.f(at, p)), y)
+    wanted = differences(lambda at: np.asarray(program.nlp.f(at, p)), y)
     assert gradient.item() == pytest.approx(wanted.item(), rel=1e-5)
-    wanted = _differences(lambda at: np.asarray(program.nlp.slopes(at, p)[2]), y)
+    wanted = differences(lambda at: np.asarray(program.nlp.slopes(at, p)[2]), y)
     assert np.asarray(program.nlp.hess_lag(y, p, 1.0, [])).item() == pytest.approx(wanted.item(), rel=1e-5)
     best = d.solve(search="local")
     assert po.uncertainty.mean_plus(robust.values(best)["rms"], 1.0) == pytest.approx(best.objective, rel=1e-8)

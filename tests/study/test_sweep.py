@@ -6,6 +6,7 @@ import re
 import sqlite3
 import subprocess
 import sys
+import threading
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 
 import numpy as np
@@ -192,11 +193,18 @@ class Watched(ThreadPoolExecutor):
 
     def __init__(self, workers):
         super().__init__(workers)
-        self.futures, self.most = [], 0
+        self.futures, self.most, self.second = [], 0, threading.Event()
 
-    def submit(self, *arguments):
-        self.futures = [*(future for future in self.futures if not future.done()), super().submit(*arguments)]
+    def submit(self, function, *arguments):
+        def held():
+            # The first task waits for a second one, however fast it is.
+            self.second.wait(10.0)
+            return function(*arguments)
+
+        self.futures = [*(future for future in self.futures if not future.done()), super().submit(held)]
         self.most = max(self.most, len(self.futures))
+        if self.most > 1:
+            self.second.set()
         return self.futures[-1]
 
 

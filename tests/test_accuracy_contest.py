@@ -79,18 +79,33 @@ class TestMedianTime:
         return Clock
 
     def test_the_warm_up_does_not_count(self, clock):
-        clock.start(0.4, 0.1, 0.3, 0.2)
-        assert median_time(lambda: None, budget=0.5) == pytest.approx(0.2)
+        done = []
+        clock.start(0.1, 0.3, 0.2)
+        assert median_time(lambda: done.append(1), budget=0.5) == pytest.approx(0.2)
+        assert len(done) == 4
+
+    def test_what_was_done_before_needs_no_warm_up(self, clock):
+        done = []
+        clock.start(0.1, 0.3, 0.2)
+        assert median_time(lambda: done.append(1), budget=0.5, warm=True) == pytest.approx(0.2)
+        assert len(done) == 3
 
     def test_the_most_repetitions(self, clock):
-        clock.start(0.001, 0.001, 0.003, 0.002)
+        clock.start(0.001, 0.003, 0.002)
         assert median_time(lambda: None, budget=0.5, most=3) == pytest.approx(0.002)
 
-    def test_a_warm_up_beyond_the_budget_counts_itself(self, clock):
+    def test_what_outlasts_the_budget_is_still_a_median_of_three(self, clock):
         done = []
-        clock.start(0.9)
-        assert median_time(lambda: done.append(1), budget=0.5) == pytest.approx(0.9)
-        assert len(done) == 1
+        clock.start(0.9, 0.7, 0.8)
+        assert median_time(lambda: done.append(1), budget=0.5) == pytest.approx(0.8)
+        assert len(done) == 4
+
+    @pytest.mark.parametrize(("seconds", "median"), [((6.0,), 6.0), ((3.0, 4.0), 3.5)])
+    def test_what_takes_ten_budgets_is_repeated_no_more(self, clock, seconds, median):
+        done = []
+        clock.start(*seconds)
+        assert median_time(lambda: done.append(1), budget=0.5) == pytest.approx(median)
+        assert len(done) == 1 + len(seconds)
 
 
 def test_a_label_has_method_and_setting():

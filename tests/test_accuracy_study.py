@@ -309,6 +309,15 @@ class TestAdvice:
         assert duration_text(seconds) == text
 
 
+def test_building_takes_time_even_where_one_use_takes_longer(monkeypatch):
+    for module in (methods, models):
+        monkeypatch.setattr(module, "median_time", lambda _once, **_: 10.0)
+    study = po.study_accuracy(scene(strength_wave=WAVE), 0.05, outputs=2, thin=True, allowance=1e3)
+    named = [e for e in study.entries if e.failure is None and (e.method, e.family) != ("auto", "integrator")]
+    assert {e.family for e in named} == {"integrator", "model", "derivatives"}
+    assert all(e.setup > 0.0 for e in named if e.method != "quasi-static")
+
+
 class TestFiles:
     """JSON that reads back equal, and pictures."""
 

@@ -38,22 +38,22 @@ class Entry:
         return f"{self.method}, {self.setting}" if self.setting else self.method
 
 
-def median_time(action: Callable[[], object], *, budget: float = 0.5, most: int = 15) -> float:
-    """Return the median time [s] of an action after one warm-up.
+def median_time(
+    action: Callable[[], object], *, budget: float = 0.5, least: int = 3, most: int = 15, warm: bool = False
+) -> float:
+    """Return the median time [s] of an action after a warm-up.
 
     Args:
         action: what is timed.
-        budget: time [s] after which no repetition begins; at least one is timed, unless the warm-up alone takes
-            longer, whose time then counts.
+        budget: time [s] after which no repetition begins beyond the least, and after ten of which none at all.
+        least: smallest number of repetitions of an action that does not take long beside the budget; else it is one.
         most: largest number of repetitions.
+        warm: whether the action was done before: there is no warm-up then.
     """
-    started = time.perf_counter()
-    action()
-    first = time.perf_counter() - started
-    if first > budget:
-        return first
+    if not warm:
+        action()
     seconds: list[float] = []
-    while len(seconds) < most and sum(seconds) < budget:
+    while not seconds or (len(seconds) < most and sum(seconds) < (budget if len(seconds) >= least else 10.0 * budget)):
         started = time.perf_counter()
         action()
         seconds.append(time.perf_counter() - started)

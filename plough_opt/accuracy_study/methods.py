@@ -182,14 +182,15 @@ def _series(
         started = time.perf_counter()
         try:
             once, run = prepare(accuracy)
+            built = time.perf_counter() - started
             found = run()
         except (PloughError, RuntimeError) as error:
             expected = _NEXT * (time.perf_counter() - started)
             yield failure("integrator", method, text(accuracy), _first_line(error))
             continue
         first = time.perf_counter() - started
-        seconds = median_time(once, budget=task.timing)
-        yield Entry("integrator", method, text(accuracy), seconds, max(0.0, first - seconds),
+        seconds = median_time(once, budget=task.timing, warm=True)
+        yield Entry("integrator", method, text(accuracy), seconds, max(built, first - seconds),
                     errors_of(found, reference))  # fmt: skip
         expected = _NEXT * seconds
 
@@ -240,11 +241,12 @@ def _gradient(task: Task, accuracy: Accuracy, reference: ReferenceGradient) -> E
     at = [float(as_number(getattr(task.scene, name))) for name in QUANTITIES]
     try:
         function = gradient_function(task, accuracy)
+        built = time.perf_counter() - started
         found = np.asarray(function(at)) * at
         first = time.perf_counter() - started
         if not np.all(np.isfinite(found)):
             raise IntegrationError("the result is not finite")
-        seconds = median_time(lambda: function(at), budget=task.timing)
+        seconds = median_time(lambda: function(at), budget=task.timing, warm=True)
     except (PloughError, RuntimeError) as error:
         return failure("derivatives", accuracy.method, text(accuracy), _first_line(error))
     size = np.max(np.abs(reference.values))
@@ -253,7 +255,7 @@ def _gradient(task: Task, accuracy: Accuracy, reference: ReferenceGradient) -> E
         "gradient": float(np.max(wrong)),
         **{f"gradient of {name}": float(w) for name, w in zip(("mean draft", "RMS"), wrong, strict=True)},
     }
-    return Entry("derivatives", accuracy.method, text(accuracy), seconds, max(0.0, first - seconds), errors)
+    return Entry("derivatives", accuracy.method, text(accuracy), seconds, max(built, first - seconds), errors)
 
 
 def gradient_function(task: Task, accuracy: Accuracy) -> ca.Function:

@@ -101,12 +101,13 @@ def _entry(
     started = time.perf_counter()
     try:
         once, run = prepare()
+        built = time.perf_counter() - started
         found = run()
     except (PloughError, RuntimeError) as error:
         return failure("model", name, setting, str(error).splitlines()[-1])
     first = time.perf_counter() - started
-    seconds = median_time(once, budget=timing)
-    return Entry("model", name, setting, seconds, max(0.0, first - seconds), _errors(found, references))
+    seconds = median_time(once, budget=timing, warm=True)
+    return Entry("model", name, setting, seconds, max(built, first - seconds), _errors(found, references))
 
 
 def _errors(found: Run, references: References) -> Mapping[str, float]:

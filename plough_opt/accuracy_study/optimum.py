@@ -148,7 +148,7 @@ def design_contest(
 
     Args:
         design: with something to minimise; its parameters have their declared values.
-        budget: time [s] after which a solve is not repeated for its median.
+        budget: time [s] after which a solve is not repeated more than thrice for its median, as in `median_time`.
         limit: time [s] after which IPOPT gives up; the row says so.
         near: start beside the optimum, as a solve with slightly changed parameters would, instead of at the guess.
         progress: called with the method that is next and the fraction done.
@@ -214,13 +214,11 @@ class _Judge:
         try:
             solve = method.build()
             setup = time.perf_counter() - started
-            started = time.perf_counter()
             found = solve()
-            first = time.perf_counter() - started
             errors, place = self._errors(found)
         except (PloughError, RuntimeError) as error:
             return Entry(*named, float("inf"), setup, {}, _in_a_line(error))
-        seconds = first if first > budget else median_time(solve, budget=budget)
+        seconds = median_time(solve, budget=budget, warm=True)
         setting = f"{method.setting}; {place}" if place else method.setting
         return Entry(method.family, method.name, setting, seconds, setup, errors)
 

@@ -58,7 +58,7 @@ def _entry(
     except PloughError as error:
         return failure("quadrature", method, setting, error)
     first = time.perf_counter() - started
-    seconds = median_time(find, budget=task.timing)
+    seconds = median_time(find, budget=task.timing, warm=True)
     return Entry("quadrature", method, setting, seconds, max(0.0, first - seconds), errors(found))
 
 

@@ -5,12 +5,16 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import lru_cache
 
 from plough_opt.accuracy import ADAPTIVE, DEFAULT_TOLERANCE, ORDER_8, Accuracy, Method
 from plough_opt.expressions import Expression, as_number, is_symbolic
 from plough_opt.motion.terms import Structure, lightest_mass, parameters
 from plough_opt.motion.timeline import Timeline
 from plough_opt.scene import Scene
+
+OUTPUTS = 400
+"""Default number of intervals between output times."""
 
 STIFF_PHASE = 1e5
 """Phase [rad] of the fastest oscillation over a run above which an implicit method integrates it."""
@@ -113,9 +117,15 @@ def timeline_of(scene: Scene, duration: Expression, outputs: int, steps: int, me
     """
     ramp, aligned = scene.effects.tow_ramp, method not in ORDER_8
     if not scene.effects.ramps or is_symbolic(ramp) or is_symbolic(duration):
-        return Timeline(outputs, steps, aligned=aligned)
+        return _timeline(outputs, steps, None, aligned)
     kink = float(as_number(ramp)) / float(as_number(duration))
-    return Timeline(outputs, steps, kink if kink < 1.0 else None, aligned)
+    return _timeline(outputs, steps, kink if kink < 1.0 else None, aligned)
+
+
+@lru_cache(maxsize=256)
+def _timeline(outputs: int, steps: int, kink: float | None, aligned: bool) -> Timeline:
+    """Return a timeline, whose times are computed once."""
+    return Timeline(outputs, steps, kink, aligned)
 
 
 def most_steps(total_phase: float) -> int:

@@ -231,13 +231,10 @@ def assemble(
     time = column(fractions, is_casadi(states)) * duration
     w, rate = states[:, 0], states[:, 1]
     mount, u0 = strut(structure, p, time), start_speed(structure, p)
-    stiffness, first = p["stiffness"], 0.0 if structure.relaxed else start_resistance(structure, p)
     gain = mount.gain - rate
     deflection = start_deflection(structure, p) + w
     travel = mount.path - deflection
-    force = first + stiffness * w
-    if structure.damper:
-        force = force + p["damping"] * rate
+    force = mount_force(structure, p, states)
     soil = start_resistance(structure, p) + resistance_change(structure, p, travel, gain)
     acceleration = (force - soil) / inertia_at(structure, p, travel)
     carried = carried_mass(structure, p, travel) if structure.events else scene.reaction.added_mass
@@ -259,14 +256,22 @@ def assemble(
         soil_resistance=soil,
         opening=opening,
         mode=mode,
-        averages=_averages(scene, p, means, variances),
+        averages=averages_of(scene, structure, p, means, variances),
         accuracy=accuracy,
     )
 
 
-def _averages(scene: Scene, p: dict[str, Expression], means: Expression, variances: Expression) -> Averages:
-    """Add the values at the start back to the averages of the changes since then."""
-    structure = Structure.of(scene)
+def mount_force(structure: Structure, p: dict[str, Expression], states: Expression) -> Expression:
+    """Return P at the outputs [N] from (w; w') as two columns over them."""
+    first = 0.0 if structure.relaxed else start_resistance(structure, p)
+    force = first + p["stiffness"] * states[:, 0]
+    return force + p["damping"] * states[:, 1] if structure.damper else force
+
+
+def averages_of(
+    scene: Scene, structure: Structure, p: dict[str, Expression], means: Expression, variances: Expression
+) -> Averages:
+    """Add the values at the start back to the averages of the changes since then: see `assemble`."""
     stiffness, first = p["stiffness"], 0.0 if structure.relaxed else start_resistance(structure, p)
     scale = scene.steady_resistance
     displacement_rms = rms(variances[0], scale / scene.stiffness)

@@ -2,61 +2,33 @@
 
 from __future__ import annotations
 
-import math
 import time
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from plough_opt.accuracy import ADAPTIVE, DEFAULT_ERROR, LOCATE_EVENTS, ORDER_8, Accuracy
 from plough_opt.domain import check_domain
-from plough_opt.effects import StickSlip
-from plough_opt.errors import InputError, IntegrationError
-from plough_opt.expressions import Expression, as_number, holds_casadi, is_casadi, is_symbolic, map_expressions
+from plough_opt.errors import InputError
+from plough_opt.expressions import Expression, as_number, holds_casadi, is_symbolic, map_expressions
 from plough_opt.motion.embedding import embed
-from plough_opt.motion.integrators import Integration, integration
-from plough_opt.motion.judgement import (
-    MissedEvent,
-    likely_cause,
-    refuse_missed_event,
-    refuse_ringing,
-    refuse_runaway,
-    remarks,
-    stability,
-)
+from plough_opt.motion.integrators import integration
+from plough_opt.motion.judgement import remarks, stability
 from plough_opt.motion.plan import (
     IMPOSED,
     MOST_ADAPTIVE,
+    OUTPUTS,
     TIGHTEST,
-    automatic,
-    check_of,
-    checked,
     forced_rate,
-    most_steps,
-    numbers_of,
-    phase,
     steps_for,
-    suited,
     timeline_of,
     with_setting,
 )
-from plough_opt.motion.quasi_static import GAUSS_POINTS, SYMBOLIC_GAUSS_POINTS, quasi_static
+from plough_opt.motion.quasi_static import SYMBOLIC_GAUSS_POINTS, quasi_static
 from plough_opt.motion.run import Checks, Run, assemble
 from plough_opt.motion.terms import Structure, parameters
+from plough_opt.motion.verified import verified
 from plough_opt.scene import Scene
-
-OUTPUTS = 400
-"""Default number of intervals between output times."""
-
-# How often, and by what factor, the tolerance is tightened until the wanted error is reached.
-_TIGHTENINGS = 3
-_TIGHTER = 0.03
-# Part of V0 sqrt(k0 M) that forces are at least related to.
-_LEAST_FORCE = 1e-9
-# Relative difference of a stand-in from the lasting orbit that a reader must know.
-_TELLING = 1e-2
 
 
 def simulate(
@@ -109,7 +81,7 @@ def simulate(
         if np.ndim(value) > 0:
             raise InputError(f"{name} is an array of {np.size(value)} values: simulate takes one scene at a time")
     started = time.perf_counter()
-    run, error, notes = _verified(scene, float(duration), accuracy, outputs)
+    run, error, notes = verified(scene, float(duration), accuracy, outputs)
     multipliers, unstable = stability(run) if scene.effects.orbit == "periodic" else ((), ())
     notes = (*notes, *remarks(run), *unstable)
     return replace(run, checks=Checks(error, time.perf_counter() - started, notes, multipliers))
@@ -149,152 +121,13 @@ def _symbolic(scene: Scene, duration: Expression, accuracy: Accuracy, outputs: i
         accuracy = with_setting(accuracy, max(outputs, OUTPUTS), outputs)
     elif scene.effects.events:
         accuracy = Accuracy("erk", tolerance=max(0.01 * (accuracy.error or DEFAULT_ERROR), TIGHTEST))
-    return _integrate(scene, duration, accuracy, outputs)
+    return _embedded(scene, duration, accuracy, outputs)
 
 
-def _verified(scene: Scene, duration: float, accuracy: Accuracy, outputs: int) -> tuple[Run, float, tuple[str, ...]]:
-    """Integrate twice; return the run, its estimated error, and a note where the wanted error was missed."""
-    if not scene.effects.motion:
-        timeline = timeline_of(scene, duration, outputs, steps_for(forced_rate(numbers_of(scene)) * duration))
-        run = quasi_static(scene, duration, timeline, accuracy)
-        check = quasi_static(scene, duration, timeline, accuracy, GAUSS_POINTS + 6)
-        return run, _difference(run, check), ()
-    total = _phase(scene, duration)
-    wanted = accuracy.error or DEFAULT_ERROR
-    if scene.effects.orbit not in ("transient", "periodic"):
-        return _stand_in(scene, duration, wanted, outputs)
-    if accuracy.method != "auto":
-        named = with_setting(accuracy, steps_for(total), outputs)
-        other = check_of(named, numbers_of(scene), duration, Structure.of(scene).kinked)
-        return *_twice(scene, duration, outputs, named, other), ()
-    refuse_ringing(scene, duration)
-    return _automatic(scene, duration, wanted, outputs)
-
-
-def _automatic(scene: Scene, duration: float, wanted: float, outputs: int) -> tuple[Run, float, tuple[str, ...]]:
-    """Integrate by the first of the methods that suit a scene which reaches the wanted error, or comes nearest."""
-    p, structure = numbers_of(scene), Structure.of(scene)
-    best: tuple[Run, float] | None = None
-    for method in suited(structure, phase(p, duration)):
-        aim = wanted
-        for _ in range(1 if method == "rosenbrock" else _TIGHTENINGS):
-            try:
-                run, error = _twice(scene, duration, outputs, *checked(method, aim, p, duration, structure.kinked))
-            except IntegrationError as failed:
-                failure = failed
-                if not isinstance(failed, MissedEvent):
-                    break
-                aim *= _TIGHTER
-                continue
-            if error <= wanted:
-                return run, error, ()
-            if best is None or error < best[1]:
-                best = run, error
-            aim *= min(_TIGHTER, 0.5 * wanted / error)
-    if best is None:
-        raise failure
-    return *best, (f"the wanted relative error {wanted:.1e} was not reached: the estimate is {best[1]:.1e}",)
-
-
-def _stand_in(scene: Scene, duration: float, wanted: float, outputs: int) -> tuple[Run, float, tuple[str, ...]]:
-    """Return a stand-in for the lasting orbit, its relative difference from the orbit, and a note if there is none."""
-    exact = replace(scene, effects=replace(scene.effects, orbit="periodic"))
-    method = automatic("dop853", wanted, numbers_of(scene), duration)
-    run = _integrate(scene, duration, method, outputs)
-    try:
-        orbit = _integrate(exact, duration, method, outputs)
-    except IntegrationError:
-        return run, math.inf, ("the lasting orbit that this run stands for was not found: its error is unknown",)
-    error = _difference(run, orbit)
-    if error <= _TELLING:
-        return run, error, ()
-    return run, error, (f"a stand-in for the lasting orbit, from which it differs by {error:.1%}",)
-
-
-def _twice(scene: Scene, duration: float, outputs: int, first: Accuracy, second: Accuracy) -> tuple[Run, float]:
-    """Return the run by a method, and its relative difference from the run by another."""
-    run = _integrate(scene, duration, first, outputs)
-    return run, _difference(run, _integrate(scene, duration, second, outputs))
-
-
-def _integrate(scene: Scene, duration: Expression, accuracy: Accuracy, outputs: int) -> Run:
-    """Integrate once, by a method with its setting."""
-    p = parameters(scene)
-    symbolic = any(map(is_symbolic, (*p.values(), duration)))
-    steps = accuracy.steps or max(outputs, OUTPUTS)
-    if accuracy.method in ADAPTIVE:
-        steps = MOST_ADAPTIVE if symbolic else most_steps(_phase(scene, float(as_number(duration))))
+def _embedded(scene: Scene, duration: Expression, accuracy: Accuracy, outputs: int) -> Run:
+    """Return a run by a method with its setting as expressions of the scene's symbols."""
+    steps = MOST_ADAPTIVE if accuracy.method in ADAPTIVE else accuracy.steps or max(outputs, OUTPUTS)
     timeline = timeline_of(scene, duration, outputs, steps, accuracy.method)
-    solver = integration(Structure.of(scene), accuracy, timeline)
-    values = [*(p[name] for name in solver.names), duration]
-    if symbolic:
-        states, means, variances = embed(solver, values, scene)
-        states = states.T
-    else:
-        arrays = _evaluate(solver, [float(as_number(value)) for value in values], scene)
-        states, means, variances = arrays[0].T, arrays[1].ravel(), arrays[2].ravel()
-    run = assemble(scene, duration, timeline.output_fractions, states, means, variances, accuracy)
-    if isinstance(scene.effects.contact, StickSlip) and not is_casadi(states):
-        refuse_missed_event(run)
-    return run
-
-
-def _evaluate(solver: Integration, p: list[float], scene: Scene) -> list[NDArray[np.float64]]:
-    """Evaluate the run of numbers (its duration is the last), or say when and why it failed."""
-    refuse_runaway(scene, p[-1])
-    found = _attempt(solver, p)
-    if found is not None:
-        return found
-    if scene.effects.orbit != "transient":
-        raise IntegrationError(
-            f"no lasting orbit of a {scene.describe()} was found from its linear response: simulate it from a start,"
-            " orbit = 'transient', to see whether it settles, or damp the mount"
-        )
-    reached, failed = 0.0, p[-1]
-    for _ in range(12):
-        middle = (reached + failed) / 2.0
-        if _attempt(solver, [*p[:-1], middle]) is None:
-            failed = middle
-        else:
-            reached = middle
-    raise IntegrationError(
-        f"the motion of a {scene.describe()} could not be integrated by '{solver.accuracy.method}' beyond"
-        f" t = {reached:.4g} s of {p[-1]:g} s: {likely_cause(scene, p[-1], solver)}"
-    )
-
-
-def _attempt(solver: Integration, p: list[float]) -> list[NDArray[np.float64]] | None:
-    """Return the results, or None where the method failed or they are not finite."""
-    function, given = solver.function, np.array(p)
-    made: Any = function.buffer()  # its stubs know no arrays
-    buffer, evaluate = made
-    buffer.set_arg(0, given.data)
-    # A result that is zero by structure stays as it is.
-    results = [np.zeros(function.size_out(k), order="F") for k in range(function.n_out())]
-    for k, result in enumerate(results):
-        if function.nnz_out(k) == result.size:
-            buffer.set_res(k, result.ravel(order="K").data)
-    try:
-        evaluate()
-    except RuntimeError:
-        return None
-    sound = buffer.ret() == 0 and all(np.isfinite(result).all() for result in results)
-    return results if sound else None
-
-
-def _phase(scene: Scene, duration: float) -> float:
-    return phase(numbers_of(scene), duration)
-
-
-def _difference(run: Run, check: Run) -> float:
-    """Return the largest relative difference of two runs with the same output times: see `simulate`."""
-    scene = run.scene
-    # Far below the force of a share that swings freely, a force is the rounding of a deflection.
-    least = _LEAST_FORCE * scene.tow_speed * math.sqrt(scene.stiffness * scene.inertia)
-    size = max(abs(run.mean_draft), run.force_rms, least)
-    pairs = (
-        (abs(run.mean_draft - check.mean_draft), size),
-        (abs(run.force_rms - check.force_rms), size),
-        (np.max(np.abs(run.mount_force - check.mount_force)), max(np.max(np.abs(run.mount_force)), least)),
-    )
-    return max((float(difference / scale) for difference, scale in pairs if scale > 0.0), default=0.0)
+    solver, p = integration(Structure.of(scene), accuracy, timeline), parameters(scene)
+    states, means, variances = embed(solver, [*(p[name] for name in solver.names), duration], scene)
+    return assemble(scene, duration, timeline.output_fractions, states.T, means, variances, accuracy)

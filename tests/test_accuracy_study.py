@@ -290,6 +290,18 @@ class TestAdvice:
         study = made(("a", "", 1e-3, 1e-3), ("b", "", 2.0, 1e-5))
         assert "nothing tried reaches 1e-06; nearest comes b with 1e-05 in 2 s" in study.advice
 
+    def test_another_optimum_is_told_and_neither_ranked_nor_advised(self, tmp_path):
+        study = made(("a", "", 1e-3, 1e-9), ("b", "", 2e-3, 1e-9))
+        away = dataclasses.replace(study.entries[0], elsewhere="ended in another optimum, 5 instead of 4")
+        study = dataclasses.replace(study, entries=(away, study.entries[1]))
+        (question,) = study.questions
+        assert study.front(question) == [study.entries[1]]
+        assert "for 1e-06 take b: 2 ms" in study.advice
+        assert list(study.table(question).columns[0].cells) == ["≠", "*"]
+        assert study.refusals == ("not ranked, a: ended in another optimum, 5 instead of 4",)
+        assert [entry.method for entry in study.panel(question).entries] == ["b"]
+        assert AccuracyStudy.load(study.save(tmp_path / "s.json")) == study
+
     def test_contestants_that_fail_alike_share_a_sentence(self):
         failed = [Entry("integrator", m, s, math.inf, failure=f) for m, s, f in (
             ("a", "1", "slow"), ("b", "", "odd"), ("a", "2", "slow"))]  # fmt: skip

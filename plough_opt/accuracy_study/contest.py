@@ -22,6 +22,8 @@ class Entry:
         setup: time to build it, once [s].
         errors: relative errors [-] by what is wrong; empty of a failure.
         failure: why it has no result, or None.
+        elsewhere: of a solve that ended in another local optimum than the reference's, a clause that says so; its
+            errors are those from that optimum, and it is not ranked.
     """
 
     family: str
@@ -31,6 +33,7 @@ class Entry:
     setup: float = 0.0
     errors: Mapping[str, float] = field(default_factory=dict)
     failure: str | None = None
+    elsewhere: str = ""
 
     @property
     def label(self) -> str:

@@ -215,12 +215,11 @@ class _Judge:
             solve = method.build()
             setup = time.perf_counter() - started
             found = solve()
-            errors, place = self._errors(found)
+            errors, elsewhere = self._errors(found)
         except (PloughError, RuntimeError) as error:
             return Entry(*named, float("inf"), setup, {}, _in_a_line(error))
         seconds = median_time(solve, budget=budget, warm=True)
-        setting = f"{method.setting}; {place}" if place else method.setting
-        return Entry(method.family, method.name, setting, seconds, setup, errors)
+        return Entry(*named, seconds, setup, errors, elsewhere=elsewhere)
 
     def _errors(self, found: Found) -> tuple[dict[str, float], str]:
         """Return a contestant's errors, and a clause that tells where it ended if not in the reference."""
@@ -236,7 +235,9 @@ class _Judge:
             VARIABLES: float(np.max(np.abs(found.y - best.y))),
             REQUIREMENTS: max(broken, default=0.0),
         }
-        return errors, f"another optimum, {best.objective:.9g}" if number else ""
+        if number == 0:
+            return errors, ""
+        return errors, f"ended in another optimum, {best.objective:.7g} instead of {self.optima[0].objective:.7g}"
 
     def _basin(self, y: Vector) -> int:
         """Return the number of the tight optimum to which a design leads; one that is new is added."""

@@ -78,7 +78,10 @@ class AccuracyStudy:
         return tuple(question for question in found if question.reference in self.floors and self.of(question))
 
     def of(self, question: Question) -> list[Entry]:
-        """Return the entries that answer a question."""
+        """Return the entries that answer a question: those of another optimum than the reference's do not."""
+        return [entry for entry in self._listed(question) if not entry.elsewhere]
+
+    def _listed(self, question: Question) -> list[Entry]:
         return [e for e in self.entries if e.family in question.families and question.error in e.errors]
 
     @property
@@ -88,11 +91,14 @@ class AccuracyStudy:
 
     @property
     def refusals(self) -> tuple[str, ...]:
-        """A sentence for each reason for which contestants have no result."""
+        """A sentence for each reason for which contestants have no result, or are not ranked."""
         labels: dict[str, list[str]] = {}
-        for entry in self.failures:
-            labels.setdefault(str(entry.failure), []).append(entry.label)
-        return tuple(f"no result of {'; '.join(who)}: {reason}" for reason, who in labels.items())
+        for entry in self.entries:
+            if entry.failure is not None:
+                labels.setdefault(f"no result of {{}}: {entry.failure}", []).append(entry.label)
+            elif entry.elsewhere:
+                labels.setdefault(f"not ranked, {{}}: {entry.elsewhere}", []).append(entry.label)
+        return tuple(sentence.replace("{}", "; ".join(who), 1) for sentence, who in labels.items())
 
     def front(self, question: Question) -> list[Entry]:
         """Return the entries that no other beats in both time and error, the reference's own error counted as none."""
@@ -140,7 +146,7 @@ class AccuracyStudy:
 
         floor = self.floors[question.reference]
         table = Table(title=f"{question.title}: relative error against time (reference: {floor:.0e})")
-        entries = sorted(self.of(question), key=lambda entry: entry.seconds)
+        entries = sorted(self._listed(question), key=lambda entry: entry.seconds)
         keys = list(dict.fromkeys(key for e in entries for key in e.errors if _shown(key, question)))
         for heading in ("", "method", "setting", "time", "set-up", *(key.removeprefix("lasting ") for key in keys)):
             table.add_column(heading, justify="left" if heading in ("", "method", "setting") else "right")
@@ -148,7 +154,7 @@ class AccuracyStudy:
         for entry in entries:
             errors = (f"{entry.errors[key]:.0e}" if key in entry.errors else "" for key in keys)
             table.add_row(
-                "*" if entry in front else "",
+                "≠" if entry.elsewhere else "*" if entry in front else "",
                 entry.method + (" (default)" if (entry.method, entry.setting) == question.default else ""),
                 entry.setting,
                 duration_text(entry.seconds),
@@ -228,6 +234,7 @@ class SavedEntry(BaseModel):
     setup: float
     errors: dict[str, float]
     failure: str | None
+    elsewhere: str = ""
 
 
 class SavedStudy(Saved):
@@ -245,9 +252,10 @@ class SavedStudy(Saved):
     @classmethod
     def of(cls, study: AccuracyStudy) -> SavedStudy:
         """Take a study."""
+        same = ("family", "method", "setting", "setup", "failure", "elsewhere")
         entries = tuple(
-            SavedEntry(**{name: getattr(e, name) for name in ("family", "method", "setting", "setup", "failure")},
-                       errors=dict(e.errors), seconds=None if e.failure else e.seconds)
+            SavedEntry(**{name: getattr(e, name) for name in same}, errors=dict(e.errors),
+                       seconds=None if e.failure else e.seconds)
             for e in study.entries
         )  # fmt: skip
         own = {name: getattr(study, name) for name in ("title", "duration", "wanted", "notes", "advice")}
@@ -257,8 +265,7 @@ class SavedStudy(Saved):
     def study(self) -> AccuracyStudy:
         """Return the study."""
         entries = tuple(
-            Entry(e.family, e.method, e.setting, float("inf") if e.seconds is None else e.seconds, e.setup, e.errors,
-                  e.failure)
+            Entry(**(e.model_dump() | {"seconds": float("inf") if e.seconds is None else e.seconds}))
             for e in self.entries
         )  # fmt: skip
         return AccuracyStudy(self.title, self.duration, self.wanted, entries, self.floors, self.notes, self.defaults,

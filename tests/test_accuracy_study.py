@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 
 import plough_opt as po
 from plough_opt.accuracy_study import methods, models, quadratures, scenes
-from plough_opt.accuracy_study.contest import Entry
+from plough_opt.accuracy_study.contest import Entry, efficient
 from plough_opt.accuracy_study.methods import Task, prepared
 from plough_opt.accuracy_study.result import AccuracyStudy, duration_text
 from plough_opt.expressions import exp
@@ -74,6 +74,19 @@ class TestErrors:
             assert entry.errors["RMS"] == pytest.approx(abs(run.force_rms - rms) / size, rel=1e-3, abs=3e-14)
             checked += 1
         assert checked >= 30
+
+    def test_the_efficient_named_integrators_have_their_time_with_a_check(self, damped):
+        integrators = [e for e in damped.entries if e.family == "integrator"]
+        named = [e for e in efficient(integrators, "averages", damped.floors["motion"]) if e.method != "auto"]
+        assert named
+        assert [e for e in damped.entries if e.checked is not None] == [e for e in damped.entries if e in named]
+        assert all(0.0 < e.checked < math.inf for e in named)
+
+    def test_the_wanted_error_is_asked_of_the_toolkit_itself(self):
+        task = Task(scene(), 0.2, 4, 1.0, thin=True, wanted=3e-7)
+        assert [a.error for a in methods.automatic_settings(task)] == [1e-3, 1e-6, 3e-7, 1e-8, 1e-10]
+        task = Task(scene(), 0.2, 4, 1.0, thin=True, wanted=1e-15)
+        assert min(a.error for a in methods.automatic_settings(task)) == 1e-12
 
     def test_averages_are_the_larger_of_both_and_the_last_force_is_one_of_the_trajectory(self, linear):
         for entry in linear[1].entries:
@@ -275,8 +288,27 @@ class TestAdvice:
         )  # fmt: skip
         assert study.advice == (
             "averages of the motion: for 1e-06 take a, tight: 2 ms, error 1e-07, 3.0 times cheaper than b; the default,"
-            " auto, error 1e-08, takes 100 ms, error 1e-10, 50 times as long and checks itself."
+            " auto, error 1e-08, takes 100 ms, error 1e-10, checked, 50 times as long."
         )
+
+    def test_a_bare_integration_is_compared_with_its_like_and_its_check_with_checked_runs(self):
+        rows = (
+            ("dop853", "80 steps", 1e-3, 1e-7), ("auto", "error 1e-06", 2e-3, 1e-9),
+            ("auto", "error 1e-08", 6e-3, 1e-10), ("rk", "900 steps", 9e-3, 1e-8),
+        )  # fmt: skip
+        study = made(*rows)
+        first = dataclasses.replace(study.entries[0], checked=3e-3)
+        study = dataclasses.replace(study, entries=(first, *study.entries[1:]))
+        assert study.advice == (
+            "averages of the motion: for 1e-06 take dop853, 80 steps: 1 ms, error 1e-07, 9.0 times cheaper than rk,"
+            " 900 steps; 3 ms by simulate, which checks it; Accuracy(error=1e-06) takes 2 ms, error 1e-09, checked,"
+            " 1.5 times faster; the default, auto, error 1e-08, takes 6 ms, error 1e-10, checked, 2.0 times as long."
+        )
+
+    @pytest.mark.parametrize(("error", "text"), [(1e-6, "1e-06"), (2.5e-6, "2.5e-06"), (1.25e-3, "1.25e-03")])
+    def test_a_wanted_error_is_told_with_its_digits(self, error, text):
+        assert f"for {text} take" in made(("a", "", 1e-3, 1e-9), wanted=error).advice
+        assert methods.text(po.Accuracy(error=error)) == f"error {text}"
 
     def test_the_default_may_be_the_cheapest(self):
         study = made(("auto", "error 1e-08", 1e-3, 1e-9), ("b", "", 1.05e-3, 1e-8))

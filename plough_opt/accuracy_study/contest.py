@@ -24,6 +24,7 @@ class Entry:
         failure: why it has no result, or None.
         elsewhere: of a solve that ended in another local optimum than the reference's, a clause that says so; its
             errors are those from that optimum, and it is not ranked.
+        checked: median time of `simulate` by a named integrator, which checks it [s], where that was measured.
     """
 
     family: str
@@ -34,11 +35,17 @@ class Entry:
     errors: Mapping[str, float] = field(default_factory=dict)
     failure: str | None = None
     elsewhere: str = ""
+    checked: float | None = None
 
     @property
     def label(self) -> str:
         """Method and setting."""
         return f"{self.method}, {self.setting}" if self.setting else self.method
+
+
+def error_text(error: float) -> str:
+    """Return an error that is asked for as text, with no more digits than it has."""
+    return min((f"{error:.{digits}e}" for digits in range(3)), key=lambda text: (float(text) != error, len(text)))
 
 
 def median_time(

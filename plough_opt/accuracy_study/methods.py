@@ -12,7 +12,7 @@ import casadi as ca
 import numpy as np
 
 from plough_opt.accuracy import ADAPTIVE, DEFAULT_ERROR, FIXED_STEP, LOCATE_EVENTS, ORDER_8, Accuracy, Method
-from plough_opt.accuracy_study.contest import Entry, median_time
+from plough_opt.accuracy_study.contest import Entry, efficient, error_text, median_time
 from plough_opt.accuracy_study.gradients import AVERAGES, QUANTITIES, ReferenceGradient
 from plough_opt.accuracy_study.reference import Reference, errors_of
 from plough_opt.effects import StickSlip
@@ -43,6 +43,8 @@ GRADIENT_FACTORS: Final = (0.5, 1.0, 2.0)
 _ONE_STEP = 2e-6
 _PHASE_OF_A_STEP = 1.5
 _NEXT, _GRADIENT = 3.0, 10.0
+# Least error that "auto" takes.
+_TIGHTEST = 1e-12
 # How many times its allowance the default may take.
 _PATIENCE = 20.0
 
@@ -60,6 +62,7 @@ class Task:
         outputs: number of intervals between output times.
         allowance: time [s] that one use of a contestant may take.
         thin: leave out every other setting.
+        wanted: relative error [-] that "auto" is asked for beside its usual ones.
     """
 
     scene: Scene
@@ -67,6 +70,7 @@ class Task:
     outputs: int
     allowance: float
     thin: bool = False
+    wanted: float = DEFAULT_ERROR
 
     @property
     def given(self) -> float | None:
@@ -119,6 +123,29 @@ def values(task: Task, reference: Reference) -> Iterator[Entry]:
         yield from _series(task, method, settings_of(task, method), lambda a: prepared(task, a), reference)
 
 
+def with_checks(task: Task, entries: list[Entry], floor: float) -> list[Entry]:
+    """Return entries of `values`, the efficient ones with the time that `simulate` takes by them, which checks itself.
+
+    Args:
+        task: what they did.
+        entries: of all methods.
+        floor: relative error of their reference [-].
+    """
+    front = efficient(entries, "averages", floor)
+
+    def checked(entry: Entry) -> Entry:
+        if entry not in front or entry.method == "auto":
+            return entry
+        named = (a for method in (*FIXED_STEP, *ADAPTIVE) for a in settings_of(task, method))
+        accuracy = next(a for a in named if (a.method, text(a)) == (entry.method, entry.setting))
+        try:
+            return replace(entry, checked=median_time(_automatic(task, accuracy)[0], budget=task.timing))
+        except PloughError:
+            return entry
+
+    return [checked(entry) for entry in entries]
+
+
 def refusal(scene: Scene, method: str) -> str:
     """Return why a method cannot do a scene, or nothing."""
     if scene.effects.orbit != "transient" and method not in ORDER_8:
@@ -129,8 +156,9 @@ def refusal(scene: Scene, method: str) -> str:
 
 
 def automatic_settings(task: Task) -> list[Accuracy]:
-    """Return the errors asked of "auto", the default among them."""
-    return [Accuracy(error=error) for error in sorted({*task.some(ERRORS), DEFAULT_ERROR}, reverse=True)]
+    """Return the errors asked of "auto", the default and the wanted one among them."""
+    errors = {*task.some(ERRORS), DEFAULT_ERROR, max(task.wanted, _TIGHTEST)}
+    return [Accuracy(error=error) for error in sorted(errors, reverse=True)]
 
 
 def settings_of(
@@ -147,7 +175,7 @@ def settings_of(
 def text(accuracy: Accuracy) -> str:
     """Return a setting as text."""
     if accuracy.method == "auto":
-        return f"error {accuracy.error:.0e}" if accuracy.error else "default"
+        return f"error {error_text(accuracy.error)}" if accuracy.error else "default"
     return f"{accuracy.steps} steps" if accuracy.steps else f"tolerance {accuracy.tolerance:.0e}"
 
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from pydantic import BaseModel, ConfigDict
 
-from plough_opt.accuracy_study.contest import Entry, cheapest, efficient
+from plough_opt.accuracy_study.contest import Entry, cheapest, efficient, error_text
 from plough_opt.accuracy_study.optimum import REPORTED
 from plough_opt.accuracy_study.scenes import CONTACT, COURSE, DERIVATIVES, LASTING, MOTION, PROFILE
 from plough_opt.results import SCHEMA, Saved, read_saved, write_text
@@ -21,6 +21,9 @@ if TYPE_CHECKING:
 
 OPTIMUM = "optimum"
 """Name of the reference of a design."""
+
+AUTO = "auto"
+"""Name of the method that chooses and checks by itself."""
 
 # Ratio of times that says nothing.
 _NOISE = 1.15
@@ -111,29 +114,36 @@ class AccuracyStudy:
         if best is None:
             nearest = min(entries, key=lambda entry: entry.errors[key])
             advice = (
-                f"nothing tried reaches {self.wanted:.0e}; nearest comes {nearest.label} with"
+                f"nothing tried reaches {error_text(self.wanted)}; nearest comes {nearest.label} with"
                 f" {nearest.errors[key]:.0e} in {duration_text(nearest.seconds)}"
             )
         else:
-            advice = f"for {self.wanted:.0e} take {best.label}: {_result(best, key)}"
-            others = [entry for entry in entries if entry.method != best.method]
+            advice = f"for {error_text(self.wanted)} take {best.label}: {_result(best, key)}"
+            # "auto" integrates twice by what stands here once, and is told of below.
+            others = [e for e in entries if e.method != best.method and (e.method != AUTO or best.checked is None)]
             second = cheapest(others, key, self.wanted)
             if second is not None:
                 advice += f", {_cheaper(second.seconds / best.seconds)} {second.label}"
             elif others:
                 advice += ", the only method that reaches it"
-        return f"{question.title}: {advice}{self._of_default(question, best)}."
+            if best.checked is not None:
+                advice += f"; {duration_text(best.checked)} by simulate, which checks it"
+        return f"{question.title}: {advice}{self._unasked(question, best)}."
 
-    def _of_default(self, question: Question, best: Entry | None) -> str:
-        """Return a clause on the default."""
-        default = [e for e in self.of(question) if (e.method, e.setting) == question.default]
-        if not default:
-            return ""
-        if best is default[0]:
-            return "; that is the default"
-        ratio = f", {_times(default[0].seconds / best.seconds)}as long" if best is not None else ""
-        checked = " and checks itself" if question.reference in (MOTION,) else ""
-        return f"; the default, {default[0].label}, takes {_result(default[0], question.error)}{ratio}{checked}"
+    def _unasked(self, question: Question, best: Entry | None) -> str:
+        """Return clauses on what `simulate` takes when it is given the wanted error, and when it is given nothing."""
+        found = {(entry.method, entry.setting): entry for entry in self.of(question)}
+        asked = found.get((AUTO, f"error {error_text(self.wanted)}"))
+        default = found.get(question.default)
+        clauses = ""
+        if asked is not None and asked is not default:
+            name = f"Accuracy(error={error_text(self.wanted)})"
+            clauses += f"; that is {name}" if asked is best else f"; {name} takes {_beside(asked, best, question)}"
+        if default is not None and default is best:
+            return f"{clauses}; that is the default"
+        if default is not None:
+            clauses += f"; the default, {default.label}, takes {_beside(default, best, question)}"
+        return clauses
 
     @property
     def advice(self) -> str:
@@ -235,6 +245,7 @@ class SavedEntry(BaseModel):
     errors: dict[str, float]
     failure: str | None
     elsewhere: str = ""
+    checked: float | None = None
 
 
 class SavedStudy(Saved):
@@ -252,7 +263,7 @@ class SavedStudy(Saved):
     @classmethod
     def of(cls, study: AccuracyStudy) -> SavedStudy:
         """Take a study."""
-        same = ("family", "method", "setting", "setup", "failure", "elsewhere")
+        same = ("family", "method", "setting", "setup", "failure", "elsewhere", "checked")
         entries = tuple(
             SavedEntry(**{name: getattr(e, name) for name in same}, errors=dict(e.errors),
                        seconds=None if e.failure else e.seconds)
@@ -301,6 +312,18 @@ def _cheaper(ratio: float) -> str:
 
 def _result(entry: Entry, key: str) -> str:
     return f"{duration_text(entry.seconds)}, error {entry.errors[key]:.0e}"
+
+
+def _beside(entry: Entry, best: Entry | None, question: Question) -> str:
+    """Return what an entry takes, and how long that is beside the best, of a named integrator with its check."""
+    checks = entry.method == AUTO and question.reference == MOTION
+    text = _result(entry, question.error) + (", checked" if checks else "")
+    if best is None:
+        return text
+    ratio = entry.seconds / (best.seconds if best.checked is None else best.checked)
+    if not _times(ratio):
+        return f"{text}, about as long"
+    return f"{text}, {_times(ratio)}as long" if ratio > 1.0 else f"{text}, {_times(1.0 / ratio)}faster"
 
 
 def duration_text(seconds: float) -> str:

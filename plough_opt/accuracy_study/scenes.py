@@ -8,7 +8,7 @@ from functools import partial
 
 from plough_opt.accuracy_study.contest import Entry
 from plough_opt.accuracy_study.gradients import reference_gradient
-from plough_opt.accuracy_study.methods import Task, gradients, values
+from plough_opt.accuracy_study.methods import Task, gradients, values, with_checks
 from plough_opt.accuracy_study.models import References, lasting_orbit, models
 from plough_opt.accuracy_study.quadratures import Quadratures, density_profile, elastic_contact, quasi_static_course
 from plough_opt.accuracy_study.reference import WIDER, Reference, reference_run
@@ -106,7 +106,7 @@ def _of_motion(hall: _Hall, task: Task, told: Told) -> None:
         lasting = hall.reference(LASTING, partial(reference_run, around, outputs=task.outputs))
     if own is not None:
         told("integrators", 0.1)
-        hall.entries += values(task, own)
+        hall.entries += with_checks(task, list(values(task, own)), own.error)
     if own is not None or lasting is not None:
         told("models", 0.5)
         hall.entries += models(task, References(own, lasting))

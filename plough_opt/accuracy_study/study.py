@@ -72,7 +72,7 @@ def study_accuracy(
     if duration is None:
         raise InputError("the duration is missing: how long shall the scene be simulated, in seconds?")
     check_domain("duration", duration, "s", above=0.0)
-    task = Task(scene, float(duration), int(outputs), float(allowance), thin)
+    task = Task(scene, float(duration), int(outputs), float(allowance), thin, wanted)
     found = contest(task, derivatives=derivatives, told=progress)
     return AccuracyStudy(
         title=title,

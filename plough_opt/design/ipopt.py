@@ -46,7 +46,11 @@ OPTIONS: dict[str, Any] = {
 }
 # By differences of exact gradients: of few variables it takes fewer iterations than the exact Hessian, which is
 # indefinite over most of a multimodal design, and a fraction of the time of each.
-_QUASI_NEWTON: dict[str, Any] = {"ipopt.hessian_approximation": "limited-memory"}
+_QUASI_NEWTON: dict[str, Any] = {
+    "ipopt.hessian_approximation": "limited-memory",
+    # What it remembers enters the linear system; by default that is solved once for each thing remembered.
+    "ipopt.limited_memory_aug_solver": "extended",
+}
 # Iterations after which it no longer converges, but wanders.
 _MOST_WITHOUT_CURVATURE = 100
 # From anywhere: the adaptive barrier takes about half the iterations of the monotone one here.

@@ -87,6 +87,7 @@ class Point:
         lam_g: multipliers of the requirements.
         lam_y: multipliers of the bounds.
         iterations: number of iterations.
+        curvatures: of the objective in the directions that stay free, and these as columns, where they are known.
     """
 
     solved: bool
@@ -96,6 +97,7 @@ class Point:
     lam_g: Vector
     lam_y: Vector
     iterations: int
+    curvatures: tuple[Vector, Vector] | None = None
 
     @classmethod
     def of(cls, result: dict[str, ca.DM], stats: dict[str, Any]) -> Point:
@@ -107,33 +109,36 @@ class Point:
 
 
 class _AtOnce:
-    """A Function whose results IPOPT asks for one by one at the same point: they are computed once."""
+    """Values, and slopes, which hold the values too, that IPOPT asks for one by one at the same point.
 
-    def __init__(self, function: ca.Function) -> None:
-        self._function = function
+    They are computed once: the values with the slopes, unless at the point before no slopes were asked for.
+    """
+
+    def __init__(self, nlp: Nlp) -> None:
+        self.values, self.slopes = nlp.values, nlp.slopes
         self._at: list[list[float]] = []
         self._found: list[ca.DM] = []
+        self._wanted = True
 
-    def __call__(self, at: Sequence[ca.DM]) -> list[ca.DM]:
-        """Return all results at a point."""
-        point = [part.nonzeros() for part in at]
-        if point != self._at:
-            self._found = self._function.call(at)
-            self._at = point
-        return self._found
-
-    def part(self, result: int) -> ca.Callback:
-        """Return one of the results as a Function."""
-        return _Part(self, self._function, result)
+    def __call__(self, at: Sequence[ca.DM], result: int) -> ca.DM:
+        """Return a result of the slopes at a point; the first ones are those of the values."""
+        point, sloping = [part.nonzeros() for part in at], result >= self.values.n_out()
+        fresh = point != self._at
+        if fresh or result >= len(self._found):
+            everything = sloping or (fresh and self._wanted)
+            self._found = (self.slopes if everything else self.values).call(at)
+            self._at, self._wanted = point, False
+        self._wanted |= sloping
+        return self._found[result]
 
 
 class _Part(ca.Callback):
     """One result of a shared evaluation."""
 
-    def __init__(self, shared: _AtOnce, function: ca.Function, result: int) -> None:
+    def __init__(self, shared: _AtOnce, result: int) -> None:
         ca.Callback.__init__(self)
-        self._shared, self._function, self._result = shared, function, result
-        self.construct(f"{function.name()}_{result}", {})
+        self._shared, self._function, self._result = shared, shared.slopes, result
+        self.construct(f"part_{result}", {})
 
     def get_n_in(self) -> int:
         """Return the number of inputs."""
@@ -153,7 +158,7 @@ class _Part(ca.Callback):
 
     def eval(self, at: Sequence[ca.DM]) -> list[ca.DM]:
         """Return the result."""
-        return [self._shared(at)[self._result]]
+        return [self._shared(at, self._result)]
 
 
 class Solver:
@@ -167,9 +172,10 @@ class Solver:
         y, p = ca.MX.sym("y", variables), ca.MX.sym("p", parameters)
         parts = nlp.parts or self._interpreted(nlp, y, p)
         self._problem = {"x": y, "p": p, "f": parts["f"](y, p), "g": parts["g"](y, p)}
+        self._jac_g = parts["jac_g"]
         self._derivatives = {
             "grad_f": parts["grad_f"],
-            "jac_g": parts["jac_g"],
+            "jac_g": self._jac_g,
             # Multipliers of bounds come from IPOPT itself, and of parameters none are asked for.
             "no_nlp_grad": True,
             "calc_lam_p": False,
@@ -179,13 +185,12 @@ class Solver:
 
     def _interpreted(self, nlp: Nlp, y: ca.MX, p: ca.MX) -> dict[str, ca.Function]:
         """Return what IPOPT asks for of a program that does not remember its last point."""
-        values, slopes = _AtOnce(nlp.values), _AtOnce(nlp.slopes)
+        shared = _AtOnce(nlp)
         # CasADi does not keep a Callback alive.
-        self._callbacks = [values.part(0), values.part(1), *(slopes.part(k) for k in range(4))]
-        f, g, *both = (part(y, p) for part in self._callbacks)
-        sources = {"f": [f], "g": [f, g], "grad_f": both, "jac_g": both}
+        self._callbacks = [_Part(shared, k) for k in range(nlp.slopes.n_out())]
+        found = [part(y, p) for part in self._callbacks]
         return {
-            name: ca.Function(name, [y, p], [sources[name][k] for k in results.values()], ["x", "p"], list(results))
+            name: ca.Function(name, [y, p], [found[k] for k in results.values()], ["x", "p"], list(results))
             for name, results in PARTS.items()
         }
 
@@ -213,6 +218,11 @@ class Solver:
         if not exact and (point := self._attempt(start, p, limits, near, exact=False)).solved:
             return point
         return self._attempt(start, p, limits, near, exact=True)
+
+    def requirements(self, y: Vector, p: Vector) -> tuple[Vector, Vector]:
+        """Return the scaled requirements and their Jacobian; where IPOPT just stopped they are known."""
+        g, jacobian = self._jac_g(y, p)
+        return g.full().ravel(), jacobian.full()
 
     def _solver(self, near: bool, exact: bool) -> ca.Function:
         if (near, exact) not in self._solvers:

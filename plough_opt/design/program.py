@@ -290,6 +290,10 @@ class Program:
         """Return the local optimum that IPOPT reaches from a scaled start: see `Solver.solve`."""
         return self._solver.solve(start, p, near=near, exact=exact)
 
+    def slopes_of_requirements(self, y: Vector, p: Vector) -> tuple[Vector, Vector]:
+        """Return the scaled requirements at scaled variables, and their Jacobian: see `Solver.requirements`."""
+        return self._solver.requirements(y, p)
+
     def solve_roughly(self, start: Vector, p: Vector) -> Point:
         """Return the local optimum of the rough program beside a start, by exact second derivatives."""
         if self._rough_solver is None:

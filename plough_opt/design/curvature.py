@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from plough_opt.design.ipopt import Point, Vector
@@ -20,22 +22,22 @@ def flat_directions(program: Program, p: Vector, at: Point) -> list[Vector]:
 
     The reduced Hessian suspects a direction; moving along it and solving again for the rest confirms it.
     """
-    curvatures, directions = _reduced_curvatures(program, p, at)
+    curvatures, directions = at.curvatures or _reduced_curvatures(program, p, at)
     flat = np.flatnonzero(np.abs(curvatures) < _FLAT_CURVATURE)
     return [directions[:, k] for k in flat if _confirmed(program, p, at, directions[:, k])]
 
 
 def minimum_from(program: Program, p: Vector, at: Point) -> Point:
-    """Return the point itself, or where it leads downhill if it is a hilltop or a saddle.
+    """Return the point itself, or where it leads downhill if it is a hilltop or a saddle, with its curvatures.
 
     IPOPT accepts any stationary point that it starts on; the reduced Hessian tells.
     """
     for _ in range(_DESCENTS):
         if not at.solved:
             return at
-        curvatures, directions = _reduced_curvatures(program, p, at)
+        curvatures, directions = known = _reduced_curvatures(program, p, at)
         if not curvatures.size or curvatures[0] >= -_FLAT_CURVATURE:
-            return at
+            return replace(at, curvatures=known)
         step = _STEP * directions[:, 0] / np.max(np.abs(directions[:, 0]))
         starts = [np.clip(at.y + sign * step, 0.0, 1.0) for sign in (1.0, -1.0)]
         found = [point for start in starts if (point := program.solve(start, p)).solved and point.f < at.f]
@@ -62,8 +64,7 @@ def _hessian(program: Program, p: Vector, at: Point) -> Vector:
 
 def _free_directions(program: Program, p: Vector, at: Point) -> Vector:
     """Return an orthonormal basis, as columns, of the directions that leave every active limit in place."""
-    _, g, _, jacobian = (np.asarray(result) for result in program.nlp.slopes(at.y, p))
-    values = g.ravel()
+    values, jacobian = program.slopes_of_requirements(at.y, p)
     touching = (values - program.low < _ACTIVE) | (program.high - values < _ACTIVE)
     bounds = np.eye(len(at.y))[(at.y < _ACTIVE) | (at.y > 1.0 - _ACTIVE)]
     rows = np.vstack([jacobian[touching], bounds])

@@ -47,7 +47,7 @@ def solve_program(
     points, missed = _refined(program, p, points, progress)
     progress("checking", 0.0)
     scenes = [_scenes(program, point, p) for point in points]
-    names = _names(program, [[scene for scene, _ in own] for own in scenes])
+    names = _names(program, [[scene for _, scene in own] for own in scenes])
     optima = [_local_optimum(program, p, point, name) for point, name in zip(points, names, strict=True)]
     order = sorted(range(len(optima)), key=lambda k: optima[k].objective)
     directions = flat_directions(program, p, points[order[0]])
@@ -131,7 +131,7 @@ def _gap(program: Program, p: Vector, point: Point) -> float:
 def _report(program: Program, p: Vector, point: Point) -> tuple[LocalOptimum, tuple[str, ...]]:
     """Return the report on a point, named as if it were alone, and its warnings."""
     scenes = _scenes(program, point, p)
-    (name,) = _names(program, [[scene for scene, _ in scenes]])
+    (name,) = _names(program, [[scene for _, scene in scenes]])
     return _local_optimum(program, p, point, name), _warnings(program, point, p, scenes)
 
 
@@ -152,11 +152,11 @@ def _local_optimum(program: Program, p: Vector, point: Point, name: str) -> Loca
 
 
 def _requirements(program: Program, point: Point, found: Sequence[Vector]) -> list[Limit]:
-    limits = []
+    limits, owner, pulls = [], np.array(program.owner), np.abs(point.lam_g)
     for k, (r, value) in enumerate(zip(program.declared.requirements, found, strict=True)):
         numbers = value.ravel()
-        own = np.flatnonzero(np.array(program.owner) == k)
-        pull = float(np.max(np.abs(point.lam_g[own])))
+        own = pulls[owner == k]
+        pull = float(np.max(own))
         margin = r.margin(numbers)
         worst = int(np.argmin(np.minimum(numbers - r.low, r.high - numbers)))
         limits.append(
@@ -166,7 +166,7 @@ def _requirements(program: Program, point: Point, found: Sequence[Vector]) -> li
                 value=float(numbers[worst]),
                 limits=r.limits_text(),
                 margin=margin,
-                multiplier=float(np.sum(np.abs(point.lam_g[own])) * program.objective_scale / program.scales[k]),
+                multiplier=float(np.sum(own) * program.objective_scale / program.scales[k]),
                 active=decides(margin / program.scales[k], pull),
                 unit=r.unit,
             )
@@ -193,23 +193,21 @@ def _bounds(program: Program, point: Point, values: Vector) -> list[Limit]:
     return limits
 
 
-def _scenes(program: Program, point: Point, p: Vector) -> list[tuple[Scene, float]]:
-    """Return the scenes of the program's runs at a point, with numbers, and how long each runs [s]."""
+def _scenes(program: Program, point: Point, p: Vector) -> list[tuple[Vector, Scene]]:
+    """Return the parameters, the duration last [s], and the scenes of the program's runs at a point, with numbers."""
     numbers = [*program.values(point.y), *p]
-    inputs = [program.exact.inputs(k, numbers) for k in range(len(program.exact.runs))]
-    return [(scene, float(parameters[-1])) for parameters, scene in inputs]
+    return [program.exact.inputs(k, numbers) for k in range(len(program.exact.runs))]
 
 
-def _warnings(program: Program, point: Point, p: Vector, scenes: Sequence[tuple[Scene, float]]) -> tuple[str, ...]:
+def _warnings(program: Program, point: Point, p: Vector, scenes: Sequence[tuple[Vector, Scene]]) -> tuple[str, ...]:
     """Return what a reader of the results at a point must know, each sentence once."""
-    numbers = [*program.values(point.y), *p]
     moving: list[str] = []
-    for k, (scene, duration) in enumerate(scenes):
+    for k, (parameters, scene) in enumerate(scenes):
         if scene.effects.orbit == "transient":
-            moving += (*scene.warnings(), *remarks(program.exact.followed(k, numbers)))
+            moving += (*scene.warnings(), *remarks(program.exact.followed(k, parameters, scene)))
         else:
-            moving += repeat(scene, duration).warnings
-    still = program.exact.quasi_static_scenes(numbers)
+            moving += repeat(scene, float(parameters[-1])).warnings
+    still = program.exact.quasi_static_scenes([*program.values(point.y), *p])
     slow = (_NO_COMPILER,) if program.compiled and program.interpreted else ()
     return (*slow, *_alike_once([*moving, *(text for scene in still for text in scene.warnings())]))
 

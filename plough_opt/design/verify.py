@@ -77,13 +77,14 @@ class TightEvaluation:
             for template, quantities in self._scenes
         ]
 
-    def followed(self, run: int, numbers: Sequence[float]) -> Run:
-        """Return a run from a start at numbers, as it was re-integrated.
+    def followed(self, run: int, parameters: Vector, scene: Scene) -> Run:
+        """Return a run from a start, as it was re-integrated.
 
-        Raises:
-            DomainError: its scene lies outside the model's domain.
+        Args:
+            run: its number.
+            parameters: its parameters, the duration last: see `inputs`.
+            scene: its scene.
         """
-        parameters, scene = self.inputs(run, numbers)
         own = self.runs[run].integration
         stacked, _ = tight_results(own, tuple(parameters.tolist()))
         outputs, observed = own.timeline.outputs + 1, signals(own.structure)

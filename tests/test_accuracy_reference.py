@@ -203,6 +203,23 @@ SLOWER = {
 }  # fmt: skip
 
 
+def test_the_errors_of_averages_and_of_forces_are_apart():
+    # After a thousand radians the phase is rounded and with it every force; averages hardly depend on it.
+    plain = scene(stiffness=5e8, start="rest", inertial_drag=False)
+    found = reference_run(plain, 0.25, outputs=50)
+    k, F, V = (mp.mpf(float(x)) for x in (5e8, plain.reaction.static, 2.0))
+    w = mp.sqrt(k / (mp.mpf(25.0) + mp.mpf(float(plain.reaction.added_mass))))
+    T = mp.mpf(0.25)
+    pulls = [F * (1 - mp.cos(w * t)) + V * k / w * mp.sin(w * t) for t in mp.linspace(0, T, 51)]
+    mean = F * (1 - mp.sin(w * T) / (w * T)) + V * k / w * (1 - mp.cos(w * T)) / (w * T)
+    size = float(found.force_rms)
+    assert off(found.mean_draft, mean) < 10 * found.errors["mean draft"] * size
+    peak = float(max(map(abs, pulls)))
+    wrong = max(off(one, known) for one, known in zip(found.mount_force, pulls, strict=True)) / peak
+    assert found.errors["averages"] < wrong < 10 * found.errors["trajectory"]
+    assert found.error == max(found.errors.values())
+
+
 @pytest.mark.parametrize(
     "name", [*PRECISE, *(pytest.param(name, marks=pytest.mark.slow) for name in SLOWER)]
 )  # fmt: skip

@@ -129,6 +129,14 @@ def damped():
     )
 
 
+def test_the_reference_of_the_averages_and_that_of_the_trajectory_are_told(damped):
+    floors = damped.floors
+    assert 0.0 < floors["motion"] <= floors["motion, trajectory"] < 1e-14
+    assert 0.0 < floors["lasting orbit"] <= floors["lasting orbit, trajectory"] < 1e-14
+    title = damped.table(damped.questions[0]).title
+    assert f"(reference: {floors['motion']:.0e}, of its trajectory {floors['motion, trajectory']:.0e})" in title
+
+
 class TestModels:
     """What leaves something of the motion out, beside the transient and beside the lasting orbit."""
 

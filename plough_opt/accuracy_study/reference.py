@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import math
 import time
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from typing import Any, Final, Protocol
 
 import numpy as np
@@ -72,6 +73,7 @@ class Reference:
         events: time [s] and name of every event.
         error: its own estimated relative error [-]: the largest difference, in the measures of `errors_of`, from the
             same by polynomials of another degree, and so with other steps; at least the rounding of its floats.
+        errors: the same apart, by the names of `errors_of`.
         seconds: time taken [s].
     """
 
@@ -88,6 +90,7 @@ class Reference:
     tow_power: Wide
     events: tuple[tuple[Wide, str], ...]
     error: float = math.nan
+    errors: Mapping[str, float] = field(default_factory=dict)
     seconds: float = 0.0
 
 
@@ -139,8 +142,8 @@ def reference_run(scene: Scene, duration: float | None = None, *, outputs: int =
         both = [orbit(laws, guess, outputs, degree) for degree in (DEGREE, CHECK_DEGREE)]
     else:
         raise InputError("a stand-in for the lasting orbit is no motion: the reference of all of them is the orbit")
-    error = max(float(EPS), *errors_of(both[1], both[0]).values())
-    return replace(both[0], error=error, seconds=time.perf_counter() - started)
+    errors = {name: max(float(EPS), error) for name, error in errors_of(both[1], both[0]).items()}
+    return replace(both[0], error=max(errors.values()), errors=errors, seconds=time.perf_counter() - started)
 
 
 def beside_orbit(scene: Scene) -> tuple[Wide, Wide]:

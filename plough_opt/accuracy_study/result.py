@@ -11,7 +11,7 @@ from pydantic import BaseModel, ConfigDict
 
 from plough_opt.accuracy_study.contest import Entry, cheapest, efficient, error_text
 from plough_opt.accuracy_study.optimum import REPORTED
-from plough_opt.accuracy_study.scenes import CONTACT, COURSE, DERIVATIVES, LASTING, MOTION, PROFILE
+from plough_opt.accuracy_study.scenes import CONTACT, COURSE, DERIVATIVES, LASTING, MOTION, PROFILE, trajectory_of
 from plough_opt.results import SCHEMA, Saved, read_saved, write_text
 
 if TYPE_CHECKING:
@@ -59,7 +59,8 @@ class AccuracyStudy:
         duration: simulated time [s]; None of a design.
         wanted: relative error that the advice is about [-].
         entries: every contestant with every setting; failures with the reason.
-        floors: name of a reference -> its own estimated relative error [-].
+        floors: name of a reference -> its own estimated relative error [-]; of a motion that of its averages, and by
+            `trajectory_of` its name that of its mount forces.
         notes: sentences on what has no reference.
         defaults: what is ranked, in the order of `questions`: method and setting that the toolkit takes unasked.
         versions: of packages, and the machine.
@@ -154,8 +155,10 @@ class AccuracyStudy:
         """Return the entries of a question from the fastest to the slowest, the efficient ones marked."""
         from rich.table import Table
 
-        floor = self.floors[question.reference]
-        table = Table(title=f"{question.title}: relative error against time (reference: {floor:.0e})")
+        reference, name = f"reference: {self.floors[question.reference]:.0e}", trajectory_of(question.reference)
+        if name in self.floors:
+            reference += f", of its trajectory {self.floors[name]:.0e}"
+        table = Table(title=f"{question.title}: relative error against time ({reference})")
         entries = sorted(self._listed(question), key=lambda entry: entry.seconds)
         keys = list(dict.fromkeys(key for e in entries for key in e.errors if _shown(key, question)))
         for heading in ("", "method", "setting", "time", "set-up", *(key.removeprefix("lasting ") for key in keys)):

@@ -31,13 +31,19 @@ class Contest:
 
     Attributes:
         entries: of all families; failures among them.
-        floors: name of a reference -> its own estimated relative error [-].
+        floors: name of a reference -> its own estimated relative error [-]; of a motion that of its averages, and by
+            `trajectory_of` its name that of its mount forces.
         notes: sentences on what there is no reference of, and how far one can be trusted.
     """
 
     entries: tuple[Entry, ...]
     floors: dict[str, float]
     notes: tuple[str, ...]
+
+
+def trajectory_of(reference: str) -> str:
+    """Return the name of what `Contest.floors` says of a reference's mount forces."""
+    return f"{reference}, trajectory"
 
 
 Told = Callable[[str, float], None]
@@ -59,7 +65,7 @@ class _Hall:
         except PloughError as error:
             self.notes.append(f"no reference of the {name}: {error}")
             return None
-        self.floors[name] = found.error
+        self.floors |= {name: found.errors["averages"], trajectory_of(name): found.errors["trajectory"]}
         return found
 
     def quadrature(self, name: str, found: Quadratures) -> None:
@@ -106,7 +112,7 @@ def _of_motion(hall: _Hall, task: Task, told: Told) -> None:
         lasting = hall.reference(LASTING, partial(reference_run, around, outputs=task.outputs))
     if own is not None:
         told("integrators", 0.1)
-        hall.entries += with_checks(task, list(values(task, own)), own.error)
+        hall.entries += with_checks(task, list(values(task, own)), own.errors["averages"])
     if own is not None or lasting is not None:
         told("models", 0.5)
         hall.entries += models(task, References(own, lasting))

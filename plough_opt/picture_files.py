@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -24,7 +25,7 @@ def save(figure: Figure, path: str | Path) -> Path:
     """
     target = Path(path)
     check_format(target)
-    partial = target.with_name(f".{target.name}.part")
+    partial = target.with_name(f".{target.name[:200]}.{os.getpid()}")
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
         try:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import platform
 from collections.abc import Callable, Sequence
 from importlib import import_module
@@ -177,15 +178,36 @@ def read_saved(path: str | Path, name: str, kind: str, validate: Callable[[str],
 
 
 def write_text(path: str | Path, name: str, text: str) -> Path:
-    """Write a text file, making its folder, and return its path.
+    """Write a text file whole or not at all, making its folder, and return its path.
 
     Raises:
         InputError: a place that cannot be written; it calls the content by its name.
     """
+    return write_whole(path, name, lambda target: target.write_text(text, encoding="utf-8"))
+
+
+def write_whole(path: str | Path, name: str, write: Callable[[Path], object]) -> Path:
+    """Let a file be written beside its place and move it there, making its folder; return its path.
+
+    Args:
+        path: the file; what is there is replaced, but links and devices are written through.
+        name: what messages call its content.
+        write: writes the file that it is given.
+
+    Raises:
+        InputError: a place that cannot be written.
+    """
     target = Path(path)
+    through = target.is_symlink() or (target.exists() and not target.is_file())
+    partial = target if through else target.with_name(f".{target.name[:200]}.{os.getpid()}")
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
-        target.write_text(text, encoding="utf-8")
+        try:
+            write(partial)
+            partial.replace(target)
+        finally:
+            if partial != target:
+                partial.unlink(missing_ok=True)
     except OSError as error:
         raise InputError(f"the {name} '{target}' cannot be written: {error.strerror}") from None
     return target

@@ -1,12 +1,13 @@
 """The command `plough-opt`: arguments, exit status, and nothing of the physics.
 
-Exit status: 0 solved; 1 the problem has no solution, or none was found; 2 the input is wrong; 130 a sweep was
-interrupted, and goes on when it is asked again.
+Exit status: 0 solved; 1 the problem has no solution, or none was found; 2 the input is wrong; 130 interrupted: a sweep
+goes on when it is asked again.
 """
 
 from __future__ import annotations
 
 import argparse
+import contextlib
 import io
 import os
 import sys
@@ -20,6 +21,7 @@ from plough_opt.cli import calibrate as calibrations
 from plough_opt.cli import commands
 from plough_opt.cli import export as exports
 from plough_opt.cli import sweep as sweeps
+from plough_opt.cli.terminal import interruptible, what_was_written
 from plough_opt.errors import DomainError, InputError, PloughError
 
 SOLVED, UNSOLVED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
@@ -33,8 +35,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
             # A title in a script that the terminal cannot show is no reason to fail; in JSON this is an escape.
             stream.reconfigure(errors="backslashreplace")
     try:
-        options.run(options)
-        sys.stdout.flush()
+        with interruptible():
+            options.run(options)
+        if sys.stdout is not None:  # which whoever starts the process may have closed
+            sys.stdout.flush()
     except (InputError, DomainError) as error:
         _complain("bad input", error)
         return BAD_INPUT
@@ -43,15 +47,21 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return UNSOLVED
     except KeyboardInterrupt as stop:
         # A sweep says what is stored.
-        _complain("stopped", stop.args[0] if stop.args else "nothing was written")
-        return INTERRUPTED if stop.args else UNSOLVED
+        _complain("stopped", stop.args[0] if stop.args else what_was_written())
+        return INTERRUPTED
     except BrokenPipeError:  # whoever read the output has seen enough; nothing is left to flush at exit
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        _drop_output()
     except OSError as error:
         _complain("output", error)
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        _drop_output()
         return BAD_INPUT
     return SOLVED
+
+
+def _drop_output() -> None:
+    """Leave nothing to be flushed at exit into a stream that takes no more; one that is no file has nothing."""
+    with contextlib.suppress(AttributeError, OSError):
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _complain(kind: str, error: object) -> None:

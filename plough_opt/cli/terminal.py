@@ -3,20 +3,34 @@
 from __future__ import annotations
 
 import argparse
+import os
+import signal
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from types import FrameType
+from typing import NoReturn
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
 from plough_opt import design as designs
+from plough_opt.errors import InputError
 from plough_opt.problem_file import Problem, read_problem
+
+# Options that name a file to be written.
+_OUTPUTS = ("plot", "csv", "npz", "output", "store")
 
 
 def read(options: argparse.Namespace) -> Problem:
-    """Read the problem file; refuse an impossible plot before anything is computed."""
+    """Read the problem file; refuse outputs that cannot be written before anything is computed.
+
+    Raises:
+        InputError: a mistake in the file, an output that cannot be written, or one that would overwrite what is read.
+    """
     problem = read_problem(options.file, options.set)
+    _check_outputs(options)
     if getattr(options, "plot", None) is not None:
         from plough_opt import plots
 
@@ -24,6 +38,59 @@ def read(options: argparse.Namespace) -> Problem:
     for note in problem.notes:
         Console(stderr=True).print(f"note: {note}", markup=False)
     return problem
+
+
+def _check_outputs(options: argparse.Namespace) -> None:
+    """Refuse outputs that are an input or the same file twice, or that have no folder to stand in."""
+    taken = {Path(options.file).resolve(): "the problem file"}
+    taken |= {Path(data).resolve(): "a file of data" for data in getattr(options, "data", ())}
+    for name in _OUTPUTS:
+        if (written := getattr(options, name, None)) is None:
+            continue
+        place = Path(written).resolve()
+        if other := taken.get(place):
+            raise InputError(f"--{name} '{written}' is {other}, which it would overwrite: name another file")
+        taken[place] = f"the file of --{name} too"
+        around = next(folder for folder in place.parents if folder.exists())
+        if not around.is_dir():
+            raise InputError(f"--{name} '{written}' cannot be written: '{around}' is no folder")
+        if not os.access(place if place.is_file() else around, os.W_OK):
+            raise InputError(f"--{name} '{written}' cannot be written: permission denied")
+
+
+_interrupted = threading.Event()
+_written: list[Path] = []
+
+
+@contextmanager
+def interruptible() -> Iterator[None]:
+    """Remember a Ctrl-C, so that `progress` stops too where CasADi took it for an evaluation that failed."""
+    _interrupted.clear()
+    _written.clear()
+    main, before = threading.current_thread() is threading.main_thread(), signal.getsignal(signal.SIGINT)
+    if not main or before is not signal.default_int_handler:
+        yield
+        return
+    signal.signal(signal.SIGINT, _interrupt)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+def _interrupt(_number: int, _frame: FrameType | None) -> NoReturn:
+    _interrupted.set()
+    raise KeyboardInterrupt
+
+
+def _stop_if_interrupted() -> None:
+    if _interrupted.is_set():
+        raise KeyboardInterrupt
+
+
+def what_was_written() -> str:
+    """Say which files an interrupted command left."""
+    return "no other file was written" if _written else "no file was written"
 
 
 def console() -> Console:
@@ -42,6 +109,7 @@ class _Console(Console):
 
 def wrote(path: Path) -> None:
     """Say which file was written, on the error stream."""
+    _written.append(path)
     Console(stderr=True, highlight=False, soft_wrap=True).print(f"wrote {path}", markup=False)
 
 
@@ -52,4 +120,10 @@ def progress() -> Iterator[designs.Progress]:
     columns = (TextColumn("{task.description}"), BarColumn(bar_width=24), TimeElapsedColumn())
     with Progress(*columns, console=stream, transient=True, disable=not stream.is_terminal) as bar:
         task = bar.add_task("reading", total=1.0)
-        yield lambda stage, fraction: bar.update(task, description=stage, completed=fraction)
+
+        def told(stage: str, fraction: float) -> None:
+            _stop_if_interrupted()
+            bar.update(task, description=stage, completed=fraction)
+
+        yield told
+    _stop_if_interrupted()

@@ -26,10 +26,14 @@ def apply_override(source: Source, text: str) -> str:
     if not separator or not path or not written.strip():
         raise InputError(f'--set {text}: expected KEY=VALUE, like scene.tow_speed="2.5 m/s"')
     keys = _split(path, text)
+    if not all(key.strip() for key in keys):
+        raise InputError(f"--set {text}: '{path}' is not a key: name a table and a key, like scene.tow_speed")
     if keys[0] not in ProblemTable.model_fields:
         raise InputError(f"--set {text}: no table is named '{keys[0]}': {nearest(keys[0], ProblemTable.model_fields)}")
     place: Any = source.data
-    for key in keys[:-1]:
+    for depth, key in enumerate(keys[:-1], start=1):
+        if key not in place:
+            source.begun[tuple(keys[:depth])] = text
         place = place.setdefault(key, {})
         if not isinstance(place, dict):
             raise InputError(f"--set {text}: '{path}' is not a key: '{key}' holds a value already")

@@ -16,6 +16,16 @@ from plough_opt.errors import DomainError, InputError, nearest
 
 Keys = tuple[str, ...]
 
+# What the schema calls a wrong type -> what the file must have there.
+_EXPECTED = {
+    "bool_type": "true or false",
+    "int_type": "a whole number",
+    "float_type": "a number",
+    "string_type": "a text in quotes",
+}
+_LIMITS = {"greater_than_equal": "at least", "less_than_equal": "at most"}
+_QUOTED = re.compile(r"'([^']*)'")
+
 
 class Source:
     """A parsed TOML text that knows its lines."""
@@ -29,6 +39,7 @@ class Source:
         self.name = name
         self._lines = text.split("\n")
         self.overridden: dict[Keys, str] = {}
+        self.begun: dict[Keys, str] = {}  # tables that an override had to make
         self._noted: list[InputError] = []
         try:
             self.data: dict[str, Any] = tomllib.loads(text)
@@ -80,7 +91,7 @@ class Source:
         for path, text in self.overridden.items():
             within_entry = keys[0] in ("variables", "minimise", "require") and len(keys) >= 2
             if path == tuple(keys[: len(path)]) or (within_entry and path[:2] == tuple(keys) and path[2] != "log"):
-                return InputError(f"--set {text}: {message}")
+                return PlacedError(f"--set {text}: {message}", 0)
         line = self.line_of(keys)
         return PlacedError(f"{self.name}{'' if line is None else f', line {line}'}: {message}", line or 0)
 
@@ -132,9 +143,21 @@ class Source:
         if item["type"] == "extra_forbidden":
             return self.error(keys, f"'{dotted}' is not a known key: {nearest(keys[-1], _known(keys, valid))}")
         if item["type"] == "missing":
+            began = next((text for path, text in self.begun.items() if path == keys[: len(path)]), None)
+            if began is not None:
+                return PlacedError(f"--set {began}: '{dotted}' is missing", 0)
             return self.error(keys, f"'{dotted}' is missing")
         if item["type"] in ("model_type", "dict_type", "model_attributes_type"):
             return self.error(keys, f"'{dotted}' must be a table of keys, not {item['input']!r}")
+        if kind := _EXPECTED.get(item["type"]):
+            return self.error(keys, f"'{dotted}' = {item['input']!r} must be {kind}")
+        if limit := _LIMITS.get(item["type"]):
+            side = next(iter(item["ctx"].values()))
+            return self.error(keys, f"'{dotted}' = {item['input']!r} must be {limit} {side}")
+        if item["type"] == "literal_error":
+            valid_values = _QUOTED.findall(item["ctx"]["expected"])
+            return self.error(keys, f"'{dotted}' = {item['input']!r} is unknown:"
+                              f" {nearest(str(item['input']), valid_values)}")  # fmt: skip
         message = item["msg"].removeprefix("Value error, ")
         joint = " " if message.startswith(("=", "is not", "has ")) else ": "
         return self.error(keys, f"'{dotted}'{joint}{message[0].lower() + message[1:]}")

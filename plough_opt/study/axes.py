@@ -5,11 +5,15 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 
 from plough_opt.errors import InputError
 from plough_opt.expressions import is_count
+
+MOST_VALUES: Final = 1_000_000
+"""Most values of one quantity of a grid: they are held in memory, as the points of a grid and a sample are not."""
 
 
 @dataclass(frozen=True)
@@ -19,7 +23,7 @@ class Range:
     Args:
         lower: first value, SI.
         upper: last value, above ``lower``.
-        count: values of a grid, ends included, at least 2; None for a sample, which fills the range.
+        count: values of a grid, ends included, 2 to a million; None for a sample, which fills the range.
         log: equal steps of the logarithm in the place of equal steps; both ends above 0.
 
     Raises:
@@ -44,6 +48,8 @@ class Range:
             raise InputError(f"a logarithmic range begins above 0, not at {self.lower:g}")
         if self.count is not None and (not is_count(self.count) or self.count < 2):
             raise InputError(f"the number of values is {self.count!r}: it must be a whole number from 2 on")
+        if self.count is not None and self.count > MOST_VALUES:
+            raise InputError(f"the number of values is {self.count!r}: it can be {MOST_VALUES} at most; take a sample")
 
     def values(self) -> tuple[float, ...]:
         """Return the values of a grid, the ends exactly."""

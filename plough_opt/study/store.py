@@ -72,10 +72,11 @@ class Store:
             )
             try:
                 if self.path is not None:
+                    self._refuse_foreign()
                     self._to_write_ahead()
                 # The end of the process loses nothing; a power cut may lose the last transactions, and spoils nothing.
                 self._run("PRAGMA synchronous = NORMAL")
-            except sqlite3.Error:
+            except (sqlite3.Error, InputError):
                 self._connection.close()
                 raise
 
@@ -96,7 +97,7 @@ class Store:
             InputError: the store belongs to another question; the message says what differs.
         """
         with self._transaction():
-            if self._is_new():
+            if not self._tables():
                 for statement in filter(str.strip, _TABLES.split(";")):
                     self._run(statement)
                 columns = ", ".join(f"{_quoted(name)} REAL NOT NULL" for name in names)
@@ -117,7 +118,7 @@ class Store:
             InputError: the file is no store of this layout.
         """
         with self._telling():
-            if not self._has_meta() or self._meta("layout") != str(LAYOUT):
+            if not self._tables() or self._meta("layout") != str(LAYOUT):
                 raise InputError(f"'{self.path}' is no store of a sweep of this version")
             self.names = tuple(json.loads(self._meta("names")))
             self.results = tuple(json.loads(self._meta("results")))
@@ -311,11 +312,13 @@ class Store:
                 " another store, or ask what was asked before"
             )
 
-    def _is_new(self) -> bool:
-        return self._run("SELECT 1 FROM sqlite_master").fetchone() is None
+    def _refuse_foreign(self) -> None:
+        """Refuse another program's database before anything in it is changed."""
+        if (there := self._tables()) and not {"meta", "claims", "points"} <= there:
+            raise InputError(f"'{self.path}' is a database, but no store of a sweep: name another file")
 
-    def _has_meta(self) -> bool:
-        return self._run("SELECT 1 FROM sqlite_master WHERE name = 'points'").fetchone() is not None
+    def _tables(self) -> set[str]:
+        return {row[0] for row in self._run("SELECT name FROM sqlite_master WHERE type = 'table'")}
 
     def _meta(self, key: str) -> str:
         found = self._run("SELECT value FROM meta WHERE key = ?", key).fetchone()

@@ -12,7 +12,7 @@ from typing import IO, Any
 import numpy as np
 from numpy.lib import format as npy
 
-from plough_opt.errors import InputError
+from plough_opt.results import write_whole
 from plough_opt.study.store import Store
 
 _AT_ONCE = 16384
@@ -34,7 +34,7 @@ def write_csv(store: Store, path: str | Path) -> Path:
             # A float's repr has all the digits that it needs, and None is empty.
             table.writerows(store.rows("point", *store.columns, "reason"))
 
-    return _written(path, write)
+    return write_whole(path, "table", write)
 
 
 def write_npz(store: Store, path: str | Path) -> Path:
@@ -59,7 +59,7 @@ def write_npz(store: Store, path: str | Path) -> Path:
             reasons = (row[0] for row in store.rows("reason", where=lost))
             _write_array(archive, "reasons", np.dtype(f"<U{longest}"), failed, reasons, zipfile.ZIP_DEFLATED)
 
-    return _written(path, write)
+    return write_whole(path, "table", write)
 
 
 def _write_array(
@@ -87,13 +87,3 @@ def _parts(values: Iterable[Any]) -> Iterator[list[Any]]:
     rest = iter(values)
     while part := list(itertools.islice(rest, _AT_ONCE)):
         yield part
-
-
-def _written(path: str | Path, write: Any) -> Path:
-    target = Path(path)
-    try:
-        target.parent.mkdir(parents=True, exist_ok=True)
-        write(target)
-    except OSError as error:
-        raise InputError(f"the table '{target}' cannot be written: {error.strerror}") from None
-    return target

@@ -437,5 +437,5 @@ def test_an_interrupted_command_says_so_and_shows_no_traceback(cli, monkeypatch)
 
     monkeypatch.setattr(commands, "soils", interrupt)
     done = cli("soils")
-    assert done.status != 0
-    assert done.err == "stopped: nothing was written\n"
+    assert done.status == 130
+    assert done.err == "stopped: no file was written\n"

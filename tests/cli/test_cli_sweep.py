@@ -112,6 +112,7 @@ WRONG = {
     "no unit": (("--over", "soil.cohesion=5..45:9"), "'soil.cohesion' = \"5\" has no unit"),
     "reversed": (("--over", "soil.cohesion=45..5 kPa:9"), "the range from 45 to 5 is empty"),
     "one": (("--over", "soil.cohesion=5..45 kPa:1"), "must be a whole number from 2 on"),
+    "too many": (("--over", "soil.cohesion=5..45 kPa:1000000000000"), "can be 1000000 at most; take a sample"),
     "no count": (("--over", "soil.cohesion=5..45 kPa"), "has no number of values"),
     "count of a sample": ((*COHESION, "--samples", "8"), "a sample fills the range; leave it out"),
     "samples": (("--over", "soil.cohesion=5..45 kPa", "--samples", "0"), "0 samples: give a whole number from 2"),

@@ -87,12 +87,19 @@ REFUSED = [
     ("scene.tow_speed=-2.5 m/s", "tow speed = -2.5 m/s", "at least 0"),
     ("share.hight=0.3 m", "'share.hight' is not a known key", "did you mean 'height'?"),
     ("share.height=-0.3 m", "share height = -0.3 m", "above 0"),
-    ("effects.start=rst", "'effects.start'", "'equilibrium', 'rest' or 'towed'"),
+    ("effects.start=rst", "'effects.start' = 'rst' is unknown", "did you mean 'rest'?"),
+    ("effects.start=now", "'effects.start' = 'now' is unknown", "equilibrium, rest, towed"),
+    ("effects.motion=no", "'effects.motion' = 'no' must be true or false"),
+    ("scene.outputs=2.5", "'scene.outputs' = 2.5 must be a whole number"),
+    ("scene.outputs=0", "'scene.outputs' = 0 must be at least 1"),
+    ("scene.outputs=1000000", "'scene.outputs' = 1000000 must be at most 100000"),
+    ("scene..tow_speed=2 m/s", "'scene..tow_speed' is not a key"),
+    ("accuracy.error='1e-6'", "'accuracy.error' = '1e-6' must be a number"),
     ("effects.motion=false", "damping needs motion", "leave it out"),
     ("effects.strength_wave.amplitude=1.3", "amplitude = 1.3", "at most 1"),
     ("soil.name=hardpn", "no soil is named 'hardpn'", "did you mean 'hardpan'?"),
     ("accuracy.method=cvode", "is named 'cvode'", "did you mean 'cvodes'?"),
-    ("title=3", "'title'", "string"),
+    ("title=3", "'title' = 3 must be a text in quotes"),
     ("variables.share.height.uper=0.4 m", "share.height.uper' is not a known key", "did you mean 'upper'?"),
     ("variables.share.height.upper=0.4", "'share.height' upper = 0.4 has no unit", '"0.3 m"'),
     ("variables.share.height.lower=0.6 m", "contradict each other", "lower 0.6 m is not below upper 0.5 m"),
@@ -115,6 +122,9 @@ REFUSED = [
     ("variables=3", "'variables'"),
     ("variables.share.height=3", "'variables.share.height'"),
     ("require=3", "'require'"),
+    ("require.mean_draft.at_most=14", "'mean_draft' at_most = 14.0 has no unit"),
+    ("minimise.mean_draft.per=0 kN", "'mean_draft' per = 0 kN must be above 0"),
+    ("variables.scene.tow_speed.upper=3 m/s", "'variables.scene.tow_speed.lower' is missing"),
 ]
 
 
@@ -124,9 +134,15 @@ REFUSED = [
 def test_a_change_that_cannot_be_is_blamed_and_not_the_file(refusal, cotton, override, pieces):
     message = refusal(cotton, override)
     assert message.startswith(f"--set {override}: ")
+    assert message.count("--set") == 1
     assert "\n" not in message
     for piece in pieces:
         assert piece in message
+
+
+def test_a_variable_that_is_fixed_and_then_bounded_is_blamed_on_the_bound(refusal, cotton):
+    message = refusal(cotton, "share.height=0.3 m", "variables.share.height.upper=0.6 m")
+    assert message == "--set variables.share.height.upper=0.6 m: 'variables.share.height.lower' is missing"
 
 
 def test_the_file_is_blamed_for_its_own_mistakes_beside_a_change(refusal, cotton):

@@ -46,10 +46,8 @@ MISSPELT = [
     case("limit's name", "loosened_radius", "losened", "losened", "'losened' cannot be required", "loosened_radius"),
     case("soil's name", '"serozem" ', '"serozom" ', "serozom", "no soil is named 'serozom'", "mean 'serozem'?"),
     case("form", "damping =", 'formulaton = "printed"\ndamping =', "laton", "'effects.formulaton'", "'formulation'?"),
-    case("print", "damping =", 'formulation = "prnt"\ndamping =', "prnt", "'effects.formulation'", "or 'printed'"),
-    case(
-        "choice", "damping =", 'start = "rst"\ndamping =', "rst", "'effects.start'", "'equilibrium', 'rest' or 'towed'"
-    ),
+    case("print", "damping =", 'formulation = "prnt"\ndamping =', "prnt", "'effects.formulation'", "mean 'printed'?"),
+    case("choice", "damping =", 'start = "rst"\ndamping =', "rst", "'effects.start'", "did you mean 'rest'?"),
 ]
 
 
@@ -163,7 +161,7 @@ DOMAIN = [
     case("frame mass", '"20 kg"', '"-20 kg"', "-20 kg", "mass", "at least 0"),
     case("steel density", '"7850 kg/m^3"', '"-7850 kg/m^3"', "-7850", "density", "at least 0"),
     case("duration", '"2 s"', '"0 s"', "0 s", "duration", "above 0"),
-    case("outputs", 'duration = "2 s"', "duration = '2 s'\noutputs = 0", "outputs", "'scene.outputs'", "or equal to 1"),
+    case("outputs", 'duration = "2 s"', "duration = '2 s'\noutputs = 0", "outputs", "outputs' = 0", "at least 1"),
     case("amplitude", "amplitude = 0.3", "amplitude = 1.3", "1.3", "amplitude = 1.3", "at most 1"),
     case("wavelength", '"0.2 m"', '"0 m"', "wavelength", "wavelength", "above 0"),
     case("damping", '"400 N*s/m"', '"-400 N*s/m"', "-400", "damping", "at least 0"),

@@ -154,6 +154,10 @@ def test_a_file_that_is_no_store_is_refused(inline, tmp_path):
     connection.close()
     with pytest.raises(po.InputError, match="no store of a sweep"):
         po.Sweep.load(tmp_path / "other.db")
+    before = (tmp_path / "other.db").read_bytes()
+    with pytest.raises(po.InputError, match="is a database, but no store of a sweep: name another file"):
+        po.sweep(swept.waves, OVER, executor=inline, store=tmp_path / "other.db")
+    assert (tmp_path / "other.db").read_bytes() == before
     with pytest.raises(po.InputError, match="there is no store"):
         po.Sweep.load(tmp_path / "none.db")
     with pytest.raises(po.InputError, match="cannot be"):

@@ -1,0 +1,119 @@
+"""What commands may not write to, and what is left when they are interrupted."""
+
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+
+from plough_opt.cli import commands, terminal
+
+FRONT = "draft_against_loosening.toml"
+SWEEP = ("--over", "soil.cohesion=5..45 kPa:3")
+
+
+@pytest.fixture
+def own(tmp_path, cotton):
+    """Return a folder with a problem file and data that a command must leave alone."""
+    for name in (FRONT, "calibration.toml", "synthetic_draft.csv"):
+        shutil.copy(cotton.with_name(name), tmp_path / name)
+    return tmp_path
+
+
+@pytest.mark.parametrize(
+    ("verb", "name", "options", "overwritten"),
+    [
+        ("tradeoff", FRONT, ("--csv", FRONT), "--csv 'FILE' is the problem file"),
+        ("tradeoff", FRONT, ("--output", f"./{FRONT}"), "--output 'FILE' is the problem file"),
+        ("sweep", FRONT, (*SWEEP, "--npz", FRONT), "--npz 'FILE' is the problem file"),
+        ("sweep", FRONT, (*SWEEP, "--store", FRONT), "--store 'FILE' is the problem file"),
+        ("calibrate", "calibration.toml", ("--output", "calibration.toml"), "--output 'FILE' is the problem file"),
+        ("calibrate", "calibration.toml", ("--output", "synthetic_draft.csv"), "--output 'FILE' is a file of data"),
+        ("tradeoff", FRONT, ("--csv", "x", "--output", "x"), "--output 'x' is the file of --csv too"),
+    ],
+)
+def test_no_output_overwrites_an_input_or_another_output(cli, own, monkeypatch, verb, name, options, overwritten):
+    monkeypatch.chdir(own)
+    before = {path.name: path.read_bytes() for path in own.iterdir()}
+    data = ("--data", "synthetic_draft.csv") if verb == "calibrate" else ()
+    done = cli(verb, name, *data, *options)
+    assert done.status == 2
+    assert f"{overwritten.replace('FILE', options[-1])}, which it would overwrite: name another" in done.err
+    assert done.out == ""
+    assert {path.name: path.read_bytes() for path in own.iterdir()} == before
+
+
+def test_a_link_to_the_problem_file_is_the_problem_file(cli, own):
+    (own / "link.csv").symlink_to(own / FRONT)
+    done = cli("tradeoff", own / FRONT, "--csv", own / "link.csv")
+    assert done.status == 2
+    assert "is the problem file" in done.err
+
+
+def test_an_output_in_a_folder_that_is_a_file_is_refused_before_anything_is_computed(cli, cotton, own, monkeypatch):
+    monkeypatch.setattr(commands, "progress", None)
+    done = cli("optimise", cotton, "--plot", own / FRONT / "new" / "a.png")
+    assert done.status == 2
+    assert done.out == ""
+    assert f"cannot be written: '{own / FRONT}' is no folder" in done.err
+
+
+def test_a_closed_output_is_no_traceback(cotton):
+    line = 'exec "$0" -c "import sys; from plough_opt.cli import main; sys.exit(main())" check "$1" >&-'
+    done = subprocess.run(["sh", "-c", line, sys.executable, str(cotton)], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+class TestInterruptions:
+    def test_one_that_casadi_took_for_a_failed_evaluation_stops_the_command_all_the_same(self, cli, monkeypatch):
+        def swallowing(_):
+            with terminal.progress() as told:
+                try:
+                    os.kill(os.getpid(), signal.SIGINT)
+                    time.sleep(60.0)
+                except KeyboardInterrupt:
+                    pass
+                told("the next stage", 0.5)
+                raise AssertionError("it went on")
+
+        monkeypatch.setattr(commands, "soils", swallowing)
+        before = signal.getsignal(signal.SIGINT)
+        done = cli("soils")
+        assert (done.status, done.err) == (130, "stopped: no file was written\n")
+        assert signal.getsignal(signal.SIGINT) is before
+
+    def test_what_is_computed_meanwhile_is_not_told(self, cli, monkeypatch):
+        def swallowing(_):
+            with terminal.progress():
+                try:
+                    os.kill(os.getpid(), signal.SIGINT)
+                    time.sleep(60.0)
+                except KeyboardInterrupt:
+                    pass
+            raise AssertionError("it went on")
+
+        monkeypatch.setattr(commands, "soils", swallowing)
+        assert cli("soils").status == 130
+
+    def test_files_that_are_written_already_are_not_denied(self, cli, monkeypatch, tmp_path):
+        def interrupted(_):
+            terminal.wrote(tmp_path / "a.csv")
+            raise KeyboardInterrupt
+
+        monkeypatch.setattr(commands, "soils", interrupted)
+        done = cli("soils")
+        assert done.status == 130
+        assert done.err.endswith("a.csv\nstopped: no other file was written\n")
+
+    def test_the_next_command_knows_nothing_of_it(self, cli, monkeypatch):
+        def interrupted(_):
+            os.kill(os.getpid(), signal.SIGINT)
+            time.sleep(60.0)
+
+        with monkeypatch.context() as patched:
+            patched.setattr(commands, "soils", interrupted)
+            assert cli("soils").status == 130
+        assert cli("soils").status == 0

@@ -145,7 +145,7 @@ def test_events_are_no_states_of_a_mesh(r1_soil, r1_wave, monkeypatch):
     meshes = [entry for entry in entries_of(contest, "transcription") if entry.method != "single shooting"]
     assert meshes
     assert all("events is only shot as a whole" in entry.failure for entry in meshes)
-    assert entries_of(contest, "derivatives", "limited-memory")[0].failure is None
+    assert entries_of(contest, "derivatives", "L-BFGS")[0].failure is None
 
 
 def test_an_optimum_elsewhere_is_told_and_measured_by_itself(monkeypatch):

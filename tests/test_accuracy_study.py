@@ -1,6 +1,7 @@
 """The accuracy study: errors that are the true ones, the advice, what is left out, files and pictures."""
 
 import dataclasses
+import io
 import json
 import math
 
@@ -9,6 +10,7 @@ import matplotlib.image
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
+from rich.console import Console
 
 import plough_opt as po
 from plough_opt.accuracy_study import methods, models, quadratures, scenes
@@ -134,7 +136,7 @@ def test_the_reference_of_the_averages_and_that_of_the_trajectory_are_told(dampe
     assert 0.0 < floors["motion"] <= floors["motion, trajectory"] < 1e-14
     assert 0.0 < floors["lasting orbit"] <= floors["lasting orbit, trajectory"] < 1e-14
     title = damped.table(damped.questions[0]).title
-    assert f"(reference: {floors['motion']:.0e}, of its trajectory {floors['motion, trajectory']:.0e})" in title
+    assert f"(reference: {floors['motion']:.0e}, its trajectory {floors['motion, trajectory']:.0e})" in title
 
 
 class TestModels:
@@ -355,6 +357,22 @@ class TestAdvice:
         table = study.table(question)
         assert list(table.columns[0].cells) == ["*", "*", ""]
         assert list(table.columns[1].cells) == ["a", "b", "c"]
+        assert "faster and more exact in the larger of mean draft and RMS" in table.caption
+
+    def test_a_table_fits_a_narrow_terminal_and_says_all(self):
+        rows = [("harmonic balance", "16 harmonics"), ("rosenbrock", "tolerance 1e-12"), ("auto", "error 1e-08")]
+        errors = dict.fromkeys(("averages", "mean draft", "RMS", "last force", "trajectory"), 1.25e-13)
+        entries = tuple(Entry("integrator", m, s, 1.251e-4, 0.1237, errors) for m, s in rows)
+        study = dataclasses.replace(made(("a", "", 1.0, 1.0)), entries=entries)
+        console = Console(width=80, file=io.StringIO(), highlight=False)
+        console.print(study.table(study.questions[0]))
+        lines = console.file.getvalue().splitlines()
+        assert "…" not in console.file.getvalue()
+        # Title, reference, two lines of headings, a rule, and the entries on a line each.
+        assert [line[3:].split("  ")[0].strip() for line in lines[5:8]] == [
+            "harmonic balance, 16 harmonics", "rosenbrock, tolerance 1e-12", "auto, error 1e-08 (default)"
+        ]  # fmt: skip
+        assert all(line.split()[-8:] == ["125", "µs", "120", "ms", *["1e-13"] * 4] for line in lines[5:8])
 
     @pytest.mark.parametrize(("seconds", "text"), [(1.5e-5, "15 µs"), (2.5e-2, "25 ms"), (3.0, "3 s")])
     def test_times_have_units(self, seconds, text):

@@ -85,7 +85,7 @@ _ADAPTIVE: tuple[tuple[Method, tuple[float, ...]], ...] = (
     ("cvodes", (1e-6, 1e-9)),
     ("rosenbrock", (1e-6,)),
 )
-_HESSIAN, GRADIENT = "exact Hessian, carried along", "exact gradient, limited-memory BFGS"
+_HESSIAN, GRADIENT = "exact Hessian, carried along", "exact gradient, L-BFGS"
 _COMPILED: tuple[tuple[Derivatives, str, str], ...] = (
     ("exact", _HESSIAN, "-O1"),
     ("gradient", GRADIENT, "-O1"),
@@ -362,10 +362,11 @@ def _derivatives(question: Question, start: Start, steps: int | None) -> list[_M
     ]
     if steps is not None:
         form = SingleShooting(Accuracy("dop853", steps=steps))
-        rows.append(("derivatives", "exact, of the graph", partial(_by_casadi, question, form, start, "exact", 1e-10)))
+        build = partial(_by_casadi, question, form, start, "exact", 1e-10)
+        rows.append(("derivatives", "exact Hessian, of the graph", build))
     for differences in _DIFFERENCES:
         blind = partial(without_derivatives, variables=len(start.y), method=differences)
-        name = f"{differences} differences, limited-memory BFGS"
+        name = f"{differences} differences, L-BFGS"
         rows.append(("derivatives", name, partial(built, differences, blind, _NOISY)))
     for use, name, flag in _COMPILED:
         code = partial(compiled, flags=[flag])

@@ -156,7 +156,12 @@ def print_accuracy(console: Console, study: AccuracyStudy) -> None:
         console.print(f"[bold]{escape(study.title)}[/]")
     for question in study.questions:
         console.print(study.table(question))
-    console.print("* efficient: nothing else is both faster and more exact. Times are medians after a warm-up.")
+        console.print()
+    console.print(
+        "Times are medians after a warm-up: of a named method one bare integration, of auto all of simulate, which"
+        " checks itself. Set-up is done once.",
+        soft_wrap=True,
+    )
     for refusal in study.refusals:
         console.print(escape(refusal), soft_wrap=True)
     for note in study.notes:

@@ -40,7 +40,8 @@ def read_measurements(path: str | Path) -> Measurements:
     The first line that is neither empty nor begins with ``#`` names the columns with their units, as
     ``scene.tow_speed [km/h], share.wedge_angle [deg], mean_draft [kN], sigma [kN]``: conditions by their keys in a
     problem file, one measured result, and if wanted ``sigma`` (its standard deviation, in its unit or in ``%``) or
-    ``weight``; with ``mount_force`` a column ``time``. Cells are numbers with a decimal point.
+    ``weight``; with ``mount_force`` a column ``time``. Cells are numbers with a decimal point, with commas, semicolons or
+    tabs between them.
 
     Raises:
         InputError: no such file, or a column or cell that cannot be; the message lists each with line, column, what
@@ -78,7 +79,7 @@ def _rows(path: Path) -> list[tuple[int, list[str]]]:
     except OSError as error:
         raise InputError(f"'{path}' cannot be read: {error.strerror}") from None
     lines = [(k, line) for k, line in enumerate(text.splitlines(), 1) if line.strip() and not line.startswith("#")]
-    delimiter = ";" if lines and ";" in lines[0][1] else ","
+    delimiter = next((mark for mark in "\t;" if lines and mark in lines[0][1]), ",")
     return [(k, next(csv.reader([line], delimiter=delimiter, skipinitialspace=True))) for k, line in lines]
 
 

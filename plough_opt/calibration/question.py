@@ -185,12 +185,17 @@ class Calibration:
             if both:
                 raise InputError(f"{m.name}: '{min(both)}' is a column of the data, and so is no unknown")
             if m.result not in RESULTS and m.result not in names:
-                raise InputError(f"{m.name}: '{m.result}' was measured, and is none of the unknowns: {sorted(names)}")
+                unknowns = ", ".join(sorted(names))
+                raise InputError(f"{m.name}: '{m.result}' was measured, and is none of the unknowns: {unknowns}")
 
     def _refuse_beyond(self) -> None:
-        """Refuse bounds at which there is no scene."""
+        """Refuse bounds, or a first row, at which there is no scene; the other rows are refused where they are read."""
         first = next((m for m in self.measured if m.result in RESULTS), self.measured[0])
         guess = {unknown.name: unknown.guess for unknown in self.unknowns} | first.at(0)
+        try:
+            self.model.scene(guess)
+        except DomainError as error:
+            raise InputError(f"{first.row(0)}: {error}") from None
         for unknown in self.unknowns:
             for side, bound in (("lower", unknown.lower), ("upper", unknown.upper)):
                 try:

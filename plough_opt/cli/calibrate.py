@@ -83,8 +83,13 @@ def calibrate(options: argparse.Namespace) -> None:
     from plough_opt.calibration.intervals import check_level
 
     check_level(options.level)
+    _refuse_twice(options.data)
     data = [read_measurements(path) for path in options.data]
     unknown = _unknowns(options.unknown)
+    if unknown is None and not problem.variables:
+        raise InputError(
+            f'{problem.name}: nothing is unknown: give the file [variables], or --unknown soil.cohesion="1..80 kPa"'
+        )
     _note_guesses(problem, unknown, data)
     data += [_known(text, [m.sigma is not None for m in data]) for text in options.known]
     with progress() as told:
@@ -110,11 +115,21 @@ def calibrate(options: argparse.Namespace) -> None:
         wrote(write_text(options.output, "fit", text + "\n"))
 
 
+def _refuse_twice(paths: Sequence[str]) -> None:
+    """Refuse data that would count twice, and make the intervals too narrow."""
+    places = [Path(path).resolve() for path in paths]
+    for path, place in zip(paths, places, strict=True):
+        if places.count(place) > 1:
+            raise InputError(f"--data {path} is given twice: its rows would count twice; leave one of the two out")
+
+
 def _unknowns(written: list[str]) -> dict[str, tuple[str, str]] | None:
     """Return the bounds that the command line gives, or None."""
     found = {}
     for text in written:
         key, match = _matched("--unknown", text, _RANGE, 'soil.cohesion="1..80 kPa"')
+        if key in found:
+            raise InputError(f"--unknown {text}: '{key}' is given twice")
         found[key] = _both(match)
     return found or None
 
@@ -140,7 +155,7 @@ def _known(text: str, stated: list[bool]) -> Measurements:
     try:
         value, sigma = map(unit.parse, _both(match))
     except InputError as error:
-        raise InputError(f"--known {text}: {error}") from None
+        raise InputError(f"--known {text}: '{key}' {error}") from None
     return Measurements(key, [value], sigma=sigma, name=f"--known {key}")
 
 

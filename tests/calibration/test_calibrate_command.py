@@ -81,7 +81,13 @@ def test_unknowns_of_the_command_line_and_one_measured_by_itself(cli):
         (("--data", DATA, "--unknown", "soil.cohesion=1..80"), "lower bound of 'soil.cohesion' = \"1\" has no unit"),
         (("--data", DATA, "--known", "soil.cohesion=20 kPa"), "--known soil.cohesion=20 kPa: expected KEY=..."),
         (("--data", DATA, "--known", "soil.cohesion=20 +- 0 kPa"), "sigma = 0 must be above 0"),
-        (("--data", DATA, "--known", "soil.cohesion=20 +- 1 m"), "has the wrong unit"),
+        (("--data", DATA, "--known", "soil.cohesion=20 +- 1 m"), "'soil.cohesion' = \"20 m\" has the wrong unit"),
+        (
+            ("--data", DATA, "--known", "soil.density=1 +- 1 kg/m^3"),
+            "unknowns: effects.rate_term, soil.cohesion, soil.",
+        ),
+        (("--data", DATA, "--data", DATA.parent / "." / DATA.name), "is given twice: its rows would count twice"),
+        (("--data", DATA, *2 * ("--unknown", "soil.cohesion=1..80 kPa")), "'soil.cohesion' is given twice"),
         (("--data", DATA, "--level", "95"), "level = 95.0 must lie between 0 and 1"),
         (("--data", DATA, "--folds", "1"), "folds = 1 must be a whole number from 2 to 24"),
         (("--data", DATA, "--plot", "a.txt"), "no known picture format"),
@@ -97,12 +103,19 @@ def test_wrong_input_is_refused_and_writes_nothing(cli, tmp_path, monkeypatch, a
     assert list(tmp_path.iterdir()) == []
 
 
+def test_a_file_without_unknowns_is_refused_in_words_of_the_command_line(cli):
+    done = cli("calibrate", PROBLEMS / "stick_slip.toml", "--data", DATA)
+    assert (done.status, done.out) == (2, "")
+    assert "nothing is unknown: give the file [variables], or --unknown soil.cohesion=" in done.err
+
+
 def test_a_wrong_csv_file_is_refused_with_its_row(cli, tmp_path):
     text = DATA.read_text(encoding="utf-8")
     wrong = tmp_path / "wrong.csv"
     for spoilt, words in (
         (text.replace("scene.tow_speed [km/h]", "scene.tow_speed"), "line 4, column 'scene.tow_speed': the unit"),
         (text.replace("share.wedge_angle", "share.wedge_angel"), "did you mean 'share.wedge_angle'"),
+        (text.replace("3, 25, 1.", "-3, 25, 1.", 1), "wrong.csv, line 5: tow speed = -0.833333 m/s must be at least 0"),
         (text.replace("3, 25, 1.", "3, , 1."), "line 5, column 'share.wedge_angle [deg]': the cell is empty"),
     ):
         wrong.write_text(spoilt, encoding="utf-8")

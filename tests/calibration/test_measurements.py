@@ -34,7 +34,9 @@ def test_columns_are_kept_in_si_with_their_lines(written):
     assert data.row(1).endswith("draft.csv, line 5")
 
 
-def test_sigma_in_per_cent_semicolons_weights_and_time(written):
+def test_sigma_in_per_cent_semicolons_tabs_weights_and_time(written):
+    data = po.read_measurements(written("scene.tow_speed [km/h]\tmean_draft [kN]\n3.6\t4.0\n"))
+    assert (data.conditions["scene.tow_speed"].tolist(), data.values.tolist()) == ([1.0], [4000.0])
     data = po.read_measurements(written("mean_draft [kN]; sigma [%]\n4.0; 5\n2.0; 10\n"))
     np.testing.assert_allclose(data.sigma, 200.0, rtol=1e-15)
     data = po.read_measurements(written("\ufefftime [ms],mount_force [N],weight\n0,1,1\n5,2,0\n"))

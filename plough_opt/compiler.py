@@ -17,6 +17,9 @@ from pathlib import Path
 Variant = tuple[tuple[str, ...], tuple[str, ...]]
 """Flags and libraries of an attempt to compile."""
 
+NO_COMPILER = "no C compiler was found ($CC, cc, gcc, clang): the model is interpreted, which takes longer"
+"""What a reader of results must know who asked for machine code."""
+
 _FLAGS = ("-shared", "-fPIC")
 _LONGEST = 300.0
 _DIGEST = hashlib.sha256().digest_size

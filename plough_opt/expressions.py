@@ -24,6 +24,8 @@ Expression: TypeAlias = Any
 
 _SYMBOLIC = (ca.SX, ca.MX)
 _CASADI = (ca.SX, ca.MX, ca.DM)
+# In which no expression is nested.
+_PLAIN = (float, int, str, type(None))
 # Terms kept in the two power series: enough for a relative 1e-17 in the value and 1e-14 in the second
 # derivative at the far end of the interval on which each series is used.
 _EXPM1_TERMS = 24
@@ -68,15 +70,20 @@ def as_number(value: Expression) -> NDArray[np.float64]:
 
 def holds_casadi(value: Any) -> bool:
     """Return whether any CasADi expression is nested in dataclasses, lists, tuples or dictionaries."""
-    if isinstance(value, str | float | int) or value is None:
-        return False
-    if is_casadi(value):
-        return True
-    if dataclasses.is_dataclass(value) and not isinstance(value, type):
-        return any(holds_casadi(getattr(value, name)) for name in _own_fields(type(value)))
-    if isinstance(value, Mapping):
-        return any(map(holds_casadi, value.values()))
-    return isinstance(value, list | tuple) and any(map(holds_casadi, value))
+    waiting = [value]
+    while waiting:
+        item = waiting.pop()
+        if isinstance(item, _PLAIN):
+            continue
+        if is_casadi(item):
+            return True
+        if dataclasses.is_dataclass(item) and not isinstance(item, type):
+            waiting += [getattr(item, name) for name in _own_fields(type(item))]
+        elif isinstance(item, Mapping):
+            waiting += item.values()
+        elif isinstance(item, list | tuple):
+            waiting += item
+    return False
 
 
 @lru_cache(maxsize=256)

@@ -7,7 +7,10 @@ from collections.abc import Mapping
 from dataclasses import replace
 from functools import lru_cache
 
+import numpy as np
+
 from plough_opt.accuracy import ADAPTIVE, DEFAULT_TOLERANCE, ORDER_8, Accuracy, Method
+from plough_opt.errors import InputError
 from plough_opt.expressions import Expression, as_number, is_symbolic
 from plough_opt.motion.terms import Structure, lightest_mass, parameters
 from plough_opt.motion.timeline import Timeline
@@ -54,8 +57,20 @@ _FEWEST_ADAPTIVE = 1e4
 
 
 def numbers_of(scene: Scene) -> dict[str, float]:
-    """Return the parameters of a scene of numbers, by name."""
-    return {name: float(as_number(value)) for name, value in parameters(scene).items()}
+    """Return the parameters of a scene of numbers, by name.
+
+    Raises:
+        InputError: one is an array.
+    """
+    return {name: _number(name, value) for name, value in parameters(scene).items()}
+
+
+def _number(name: str, value: Expression) -> float:
+    if isinstance(value, float):
+        return value
+    if isinstance(value, np.ndarray) and value.ndim > 0:
+        raise InputError(f"{name} is an array of {value.size} values: simulate takes one scene at a time")
+    return float(as_number(value))
 
 
 def forced_rate(p: Mapping[str, float]) -> float:
@@ -189,7 +204,7 @@ def checked(
     chosen = automatic(method, wanted, p, duration)
     if method != "dop853":
         return chosen, check_of(chosen, p, duration, kinked)
-    return chosen, replace(chosen, steps=math.ceil(_COARSER * (chosen.steps or 1)))
+    return chosen, Accuracy(method, steps=math.ceil(_COARSER * (chosen.steps or 1)))
 
 
 def check_of(accuracy: Accuracy, p: Mapping[str, float], duration: float, kinked: bool) -> Accuracy:

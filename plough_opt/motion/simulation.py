@@ -5,8 +5,6 @@ from __future__ import annotations
 import time
 from dataclasses import replace
 
-import numpy as np
-
 from plough_opt.accuracy import ADAPTIVE, DEFAULT_ERROR, LOCATE_EVENTS, ORDER_8, Accuracy
 from plough_opt.domain import check_domain
 from plough_opt.errors import InputError
@@ -27,12 +25,17 @@ from plough_opt.motion.plan import (
 from plough_opt.motion.quasi_static import SYMBOLIC_GAUSS_POINTS, quasi_static
 from plough_opt.motion.run import Checks, Run, assemble
 from plough_opt.motion.terms import Structure, parameters
-from plough_opt.motion.verified import verified
+from plough_opt.motion.verified import Case, interpreted, verified
 from plough_opt.scene import Scene
 
 
 def simulate(
-    scene: Scene, duration: Expression | None = None, *, accuracy: Accuracy | None = None, outputs: int = OUTPUTS
+    scene: Scene,
+    duration: Expression | None = None,
+    *,
+    accuracy: Accuracy | None = None,
+    outputs: int = OUTPUTS,
+    compiled: bool = False,
 ) -> Run:
     """Simulate a share on its mount, equation (27), or its quasi-static limit.
 
@@ -42,6 +45,10 @@ def simulate(
             the soil's strength and must be left out.
         accuracy: method and setting, or the error to reach; default: a relative error of 1e-8.
         outputs: number of equal intervals between output times, at least 1.
+        compiled: of a scene of numbers, follow a motion from its start by steps of order 8 in machine code, by the
+            system's C compiler. Translating takes about a second, once for scenes of like effects on a machine; then a
+            run takes a fifth of the time, with the same result to the last digit. Where there is no compiler, or
+            another method or model takes the run, a warning says so.
 
     Returns:
         A `Run` of numbers or of expressions. A run of numbers is integrated a second time, by another
@@ -55,7 +62,8 @@ def simulate(
     Raises:
         DomainError: the duration is not positive.
         InputError: no duration, or one for an orbit, fewer than one output interval, an array in the scene, an
-            integration method for a quasi-static scene, or SX symbols with a method that cannot take them.
+            integration method for a quasi-static scene, SX symbols with a method that cannot take them, or a symbolic
+            scene that shall be compiled.
         IntegrationError: the method failed; the message says for which scene, when and the likely cause.
     """
     duration = _duration(scene, duration)
@@ -75,15 +83,15 @@ def simulate(
         )
     if holds_casadi((scene, duration)):
         if any(map(is_symbolic, (*parameters(scene).values(), scene.mass, duration))):
+            if compiled:
+                raise InputError("a symbolic run is no machine code: what it becomes part of is compiled as a whole")
             return _symbolic(scene, duration, accuracy, outputs)
         scene, duration = map_expressions((scene, duration), lambda value: float(as_number(value)))
-    for name, value in parameters(scene).items():
-        if np.ndim(value) > 0:
-            raise InputError(f"{name} is an array of {np.size(value)} values: simulate takes one scene at a time")
     started = time.perf_counter()
-    run, error, notes = verified(scene, float(duration), accuracy, outputs)
+    case = Case.of(scene, float(duration), outputs, compiled=compiled)
+    run, error, notes = verified(case, accuracy)
     multipliers, unstable = stability(run) if scene.effects.orbit == "periodic" else ((), ())
-    notes = (*notes, *remarks(run), *unstable)
+    notes = (*notes, *remarks(run), *unstable, *(interpreted(case, run) if compiled else ()))
     return replace(run, checks=Checks(error, time.perf_counter() - started, notes, multipliers))
 
 

@@ -94,6 +94,11 @@ class Structure:
         return self.entry or self.contact != "resisting"
 
     @property
+    def stepped(self) -> bool:
+        """Whether steps of order 8 from a start can follow the motion."""
+        return self.orbit == "transient" and not self.events
+
+    @property
     def events(self) -> bool:
         """Whether an integrator must find events."""
         return self.entry or self.contact == "stick_slip"

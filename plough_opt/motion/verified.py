@@ -9,9 +9,11 @@ from typing import Any, NoReturn
 import numpy as np
 from numpy.typing import NDArray
 
-from plough_opt.accuracy import ADAPTIVE, DEFAULT_ERROR, Accuracy
+from plough_opt.accuracy import ADAPTIVE, DEFAULT_ERROR, ORDER_8, Accuracy
+from plough_opt.compiler import NO_COMPILER
 from plough_opt.effects import StickSlip
 from plough_opt.errors import IntegrationError
+from plough_opt.motion.compiled_steps import CompiledSteps, compiled_steps
 from plough_opt.motion.integrators import Integration, integration
 from plough_opt.motion.judgement import (
     MissedEvent,
@@ -36,6 +38,7 @@ from plough_opt.motion.plan import (
 )
 from plough_opt.motion.quasi_static import GAUSS_POINTS, quasi_static
 from plough_opt.motion.run import Averages, Run, assemble, averages_of, mount_force
+from plough_opt.motion.signals import signals
 from plough_opt.motion.terms import Structure
 from plough_opt.scene import Scene
 
@@ -60,6 +63,7 @@ class Case:
         outputs: number of intervals between output times.
         structure: what its equation of motion contains.
         p: the equation's parameters by name.
+        code: its steps of order 8 in machine code, where they are wanted and can be had.
     """
 
     scene: Scene
@@ -67,11 +71,18 @@ class Case:
     outputs: int
     structure: Structure
     p: dict[str, float]
+    code: CompiledSteps | None = None
 
     @classmethod
-    def of(cls, scene: Scene, duration: float, outputs: int) -> Case:
-        """Read a scene."""
-        return cls(scene, duration, outputs, Structure.of(scene), numbers_of(scene))
+    def of(cls, scene: Scene, duration: float, outputs: int, *, compiled: bool = False) -> Case:
+        """Read a scene; translate its steps if they shall be compiled and can be.
+
+        Raises:
+            InputError: an array in the scene.
+        """
+        structure = Structure.of(scene)
+        code = compiled_steps(structure) if compiled and scene.effects.motion and structure.stepped else None
+        return cls(scene, duration, outputs, structure, numbers_of(scene), code)
 
     @property
     def phase(self) -> float:
@@ -89,20 +100,33 @@ class _Found:
     variances: Array
 
 
-def verified(scene: Scene, duration: float, accuracy: Accuracy, outputs: int) -> tuple[Run, float, tuple[str, ...]]:
+def verified(case: Case, accuracy: Accuracy) -> tuple[Run, float, tuple[str, ...]]:
     """Integrate twice; return the run, its estimated error, and a note where the wanted error was missed."""
-    case = Case.of(scene, duration, outputs)
-    if not scene.effects.motion:
+    effects = case.scene.effects
+    if not effects.motion:
         return _quasi_static(case, accuracy)
     wanted = accuracy.error or DEFAULT_ERROR
-    if scene.effects.orbit not in ("transient", "periodic"):
+    if effects.orbit not in ("transient", "periodic"):
         return _stand_in(case, wanted)
     if accuracy.method != "auto":
-        named = with_setting(accuracy, steps_for(case.phase), outputs)
-        other = check_of(named, case.p, duration, case.structure.kinked)
+        named = with_setting(accuracy, steps_for(case.phase), case.outputs)
+        other = check_of(named, case.p, case.duration, case.structure.kinked)
         return *_twice(case, named, other), ()
-    refuse_ringing(scene, duration)
+    refuse_ringing(case.scene, case.duration)
     return _automatic(case, wanted)
+
+
+def interpreted(case: Case, run: Run) -> tuple[str, ...]:
+    """Return why a run that should have been compiled was not, or nothing."""
+    if not run.scene.effects.motion:
+        kind = "a quasi-static run"
+    elif case.structure.orbit != "transient":
+        kind = "a lasting orbit"
+    elif run.accuracy.method not in ORDER_8:
+        kind = f"a run by '{run.accuracy.method}'"
+    else:
+        return () if case.code else (NO_COMPILER,)
+    return (f"compiled=True changes nothing in {kind}: machine code takes steps of order 8",)
 
 
 def _quasi_static(case: Case, accuracy: Accuracy) -> tuple[Run, float, tuple[str, ...]]:
@@ -181,8 +205,10 @@ def _integrated(case: Case, accuracy: Accuracy) -> _Found:
     if accuracy.method in ADAPTIVE:
         steps = most_steps(case.phase)
     timeline = timeline_of(scene, duration, case.outputs, steps, accuracy.method)
+    p = [*(case.p[name] for name in signals(case.structure).parameters), duration]
+    if case.code is not None and accuracy.method in ORDER_8 and (found := case.code(timeline, p)) is not None:
+        return _Found(timeline.output_fractions, *found)
     solver = integration(case.structure, accuracy, timeline)
-    p = [*(case.p[name] for name in solver.names), duration]
     results = _attempt(solver, p)
     if results is None:
         _refuse(case, solver, p)
@@ -245,6 +271,6 @@ def _difference(run: Run, averages: Averages, force: Array) -> float:
     pairs = (
         (abs(run.mean_draft - averages.mean_draft), size),
         (abs(run.force_rms - averages.force_rms), size),
-        (np.max(np.abs(run.mount_force - force)), max(np.max(np.abs(run.mount_force)), least)),
+        (np.abs(run.mount_force - force).max(), max(np.abs(run.mount_force).max(), least)),
     )
     return max((float(difference / scale) for difference, scale in pairs if scale > 0.0), default=0.0)

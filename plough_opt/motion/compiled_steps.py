@@ -1,0 +1,170 @@
+"""Runs of order 8 in machine code: the same operations as CasADi's loop, by the system's compiler."""
+
+from __future__ import annotations
+
+import ctypes
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from plough_opt.compiler import Variant, library
+from plough_opt.motion.equation import start_state
+from plough_opt.motion.readings import readings
+from plough_opt.motion.runge_kutta import step
+from plough_opt.motion.signals import signals
+from plough_opt.motion.terms import Structure
+from plough_opt.motion.timeline import Timeline
+
+Array = NDArray[np.float64]
+
+# Products and sums are not fused: then the results are those of CasADi's interpreter.
+_FLAGS = ("-O2", "-ffp-contract=off")
+_VARIANTS: tuple[Variant, ...] = (((*_FLAGS, "-fno-semantic-interposition"), ("-lm",)), (_FLAGS, ("-lm",)))
+
+_SOURCE = """
+#include <stdlib.h>
+#include <string.h>
+enum {{ SIGNALS = {count}, SQUARED = {squared}, MOMENTS = SIGNALS + SQUARED, DURATION = {given} }};
+
+/* Steps, and of each output the first and the number of the ends of steps from which it is read, with their weights:
+   of w and of its rate in w, of w and of its rate in the rate. */
+typedef struct {{
+  long long steps, outputs;
+  const double *span, *size;
+  const long long *first, *count;
+  const double *weight;
+}} Times;
+
+static double *read(const Times *t, const double *x, double duration, double *out) {{
+  const double *weight = t->weight;
+  for (long long o = 0; o < t->outputs; o++) {{
+    double sum[4] = {{0.0, 0.0, 0.0, 0.0}};
+    const double *end = x + 2 * t->first[o];
+    for (long long n = t->count[o]; n > 0; n--, end += 2, weight += 4)
+      for (int j = 0; j < 4; j++) sum[j] += end[j % 2] * weight[j];
+    *out++ = sum[0] + duration * sum[1];
+    *out++ = sum[2] / duration + sum[3];
+  }}
+  return out;
+}}
+
+static void average(const Times *t, const double *moments, double *mean, double *variance) {{
+  memset(mean, 0, SIGNALS * sizeof(double));
+  memset(variance, 0, SQUARED * sizeof(double));
+  for (long long k = 0; k < t->steps; k++)
+    for (int j = 0; j < SIGNALS; j++) mean[j] += moments[MOMENTS * k + j] * t->size[k];
+  for (long long k = 0; k < t->steps; k++)
+    for (int j = 0; j < SQUARED; j++) {{
+      const double drift = moments[MOMENTS * k + j] - mean[j];
+      variance[j] += (moments[MOMENTS * k + SIGNALS + j] + drift * drift) * t->size[k];
+    }}
+}}
+
+/* Writes the states at the outputs, the means and the mean squares about them; returns 1 for want of memory. */
+CASADI_SYMBOL_EXPORT int motion_follow(const Times *t, const double *p, double *out) {{
+  double *x = malloc((2 * (t->steps + 1) + MOMENTS * t->steps) * sizeof(double));
+  if (!x) return 1;
+  double *moments = x + 2 * (t->steps + 1), *into[] = {{x, 0}};
+  motion_start(&p, into, 0, 0, 0);
+  for (long long k = 0; k < t->steps; k++) {{
+    const double *given[] = {{x + 2 * k, t->span + 2 * k, p}};
+    into[0] = x + 2 * (k + 1);
+    into[1] = moments + MOMENTS * k;
+    motion_step(given, into, 0, 0, 0);
+  }}
+  out = read(t, x, p[DURATION], out);
+  average(t, moments, out, out + SIGNALS);
+  free(x);
+  return 0;
+}}
+"""
+
+
+class _Times(ctypes.Structure):
+    """`Times` of the C source."""
+
+    _fields_ = [
+        ("steps", ctypes.c_longlong),
+        ("outputs", ctypes.c_longlong),
+        *((name, ctypes.c_void_p) for name in ("span", "size", "first", "count", "weight")),
+    ]
+
+
+@dataclass(frozen=True)
+class _TimesInC:
+    """A timeline for C, with the arrays to which it points."""
+
+    times: _Times
+    arrays: list[NDArray[Any]]
+
+    @cached_property
+    def address(self) -> int:
+        """Where it lies."""
+        return ctypes.addressof(self.times)
+
+
+class CompiledSteps:
+    """The equation of a structure, followed by steps of order 8 in machine code."""
+
+    def __init__(self, structure: Structure, loaded: ctypes.CDLL) -> None:
+        """Take the library of the structure."""
+        self._observed = signals(structure)
+        self._follow = loaded.motion_follow
+        self._follow.argtypes = [ctypes.c_void_p] * 3
+
+    def __call__(self, timeline: Timeline, p: list[float]) -> tuple[Array, Array, Array] | None:
+        """Return the states at the outputs (a row each), means and mean squares; None where they are not finite.
+
+        Args:
+            timeline: steps, which do not end at the outputs.
+            p: the equation's parameters, the duration last.
+        """
+        times, given = _times(timeline), np.array(p)
+        end = 2 * len(timeline.output_fractions)
+        found = np.empty(end + self._observed.count + self._observed.squared)
+        if self._follow(times.address, given.ctypes.data, found.ctypes.data):
+            raise MemoryError(f"there is no room for the states at the ends of {timeline.steps} steps")
+        if not np.isfinite(found).all():
+            return None
+        averages = end + self._observed.count
+        return found[:end].reshape(-1, 2), found[end:averages], found[averages:]
+
+
+@lru_cache(maxsize=64)
+def compiled_steps(structure: Structure) -> CompiledSteps | None:
+    """Return a structure's steps in machine code, from the user's cache if they are there; None without a compiler."""
+    path = library(_source(structure), _VARIANTS)
+    return None if path is None else CompiledSteps(structure, ctypes.CDLL(str(path)))
+
+
+def _source(structure: Structure) -> str:
+    one, observed = step(structure), signals(structure)
+    p = ca.SX.sym("p", len(observed.parameters) + 1)
+    first = ca.densify(ca.SX(start_state(structure, observed.named(p))))
+    generator = ca.CodeGenerator("motion.c")
+    generator.add(ca.Function("motion_start", [p], [first]))
+    generator.add(ca.Function("motion_step", one.sx_in(), one.call(one.sx_in())))
+    own = _SOURCE.format(count=observed.count, squared=observed.squared, given=len(observed.parameters))
+    return str(generator.dump()) + own
+
+
+@lru_cache(maxsize=256)
+def _times(timeline: Timeline) -> _TimesInC:
+    """Return a timeline for C."""
+    read, nodes = readings(timeline), timeline.nodes
+    pattern, sizes = read.w_by_w.sparsity(), np.diff(nodes)
+    # Ends from which an output is read lie side by side.
+    starts = np.array(pattern.colind(), dtype=np.int64)
+    weights = read.w_by_w, read.w_by_rate, read.rate_by_w, read.rate_by_rate
+    arrays = [
+        np.column_stack([nodes[:-1], sizes]),
+        sizes,
+        np.array(pattern.row(), dtype=np.int64)[starts[:-1]],
+        np.diff(starts),
+        np.column_stack([part.nonzeros() for part in weights]),
+    ]
+    return _TimesInC(_Times(len(sizes), len(timeline.output_fractions), *(a.ctypes.data for a in arrays)), arrays)

@@ -1,0 +1,133 @@
+"""Runs in machine code: the numbers of the interpreted ones, for every combination of effects."""
+
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+import pytest
+
+import plough_opt as po
+from plough_opt.expressions import Expression
+from plough_opt.motion.compiled_steps import compiled_steps
+
+ARRAYS = ("time", "travel", "speed", "deflection", "mount_force", "soil_resistance")
+# Each with the average beside whose size it is rounded.
+AVERAGES = {
+    "mean_draft": "mean_draft",
+    "force_rms": "mean_draft",
+    "mean_deflection": "mean_deflection",
+    "displacement_rms": "mean_deflection",
+    "tow_power": "tow_power",
+}
+# The operations are the same, in the same order, and nothing is fused: on most machines no bit differs. What remains
+# is a compiler's own sine, rounded otherwise in its last digit, over some hundred steps.
+ROUNDED = 1e-12
+
+
+@dataclass(frozen=True)
+class Shank:
+    viscous: Expression
+
+    def force(self, travel, speed):
+        del travel
+        return self.viscous * speed
+
+
+def assert_same(found, expected):
+    for name in ARRAYS:
+        values = getattr(expected, name)
+        np.testing.assert_allclose(
+            getattr(found, name), values, rtol=0.0, atol=ROUNDED * np.max(np.abs(values)), err_msg=name
+        )
+    for name, beside in AVERAGES.items():
+        least = ROUNDED * abs(getattr(expected, beside))
+        assert getattr(found, name) == pytest.approx(getattr(expected, name), rel=ROUNDED, abs=least), name
+    assert found.accuracy == expected.accuracy
+    # A difference of two runs that agree to eight digits keeps half of what those have.
+    assert found.error_estimate == pytest.approx(expected.error_estimate, rel=1e-3, abs=ROUNDED)
+
+
+def test_every_combination_of_effects(r1_scene, effects):
+    scene = r1_scene(**effects)
+    found = po.simulate(scene, 0.7, outputs=60, compiled=True)
+    expected = po.simulate(scene, 0.7, outputs=60)
+    assert_same(found, expected)
+    assert found.warnings == expected.warnings
+
+
+@pytest.mark.parametrize(
+    "effects",
+    [
+        {"start": "towed", "tow_ramp": 0.3, "strength_wave": po.StrengthWave(0.3, 0.6)},
+        {"contact": po.Smooth(0.2), "strength_wave": po.StrengthWave(0.3, 0.6), "damping": 400.0},
+        {"own": (Shank(300.0),), "strength_wave": po.StrengthWave(0.3, 0.6)},
+        {"formulation": "printed"},
+    ],
+    ids=["towed", "smooth", "own", "printed"],
+)
+def test_other_terms(r1_scene, effects):
+    scene = r1_scene(**effects)
+    assert_same(po.simulate(scene, 0.3, outputs=30, compiled=True), po.simulate(scene, 0.3, outputs=30))
+
+
+@pytest.mark.parametrize("steps", [1, 5, 8, 40])
+def test_few_steps_and_one_output(r1_scene, r1_wave, steps):
+    scene, accuracy = r1_scene(strength_wave=r1_wave, tow_ramp=0.01), po.Accuracy("dop853", steps=steps)
+    found = po.simulate(scene, 0.05, accuracy=accuracy, outputs=1, compiled=True)
+    assert_same(found, po.simulate(scene, 0.05, accuracy=accuracy, outputs=1))
+
+
+def test_a_failure_is_the_same(r1_scene):
+    scene, accuracy = r1_scene(stiffness=5e5, start="rest"), po.Accuracy("dop853", steps=4)
+    messages = []
+    for compiled in (False, True):
+        with pytest.raises(po.IntegrationError, match="beyond t = ") as caught:
+            po.simulate(scene, 200.0, accuracy=accuracy, outputs=2, compiled=compiled)
+        messages.append(str(caught.value))
+    assert messages[0] == messages[1]
+
+
+def test_threads_do_not_share_states(r1_scene, r1_wave):
+    scenes = [r1_scene(stiffness=k0, strength_wave=r1_wave) for k0 in np.linspace(3e4, 6e4, 12)]
+    with ThreadPoolExecutor(4) as pool:
+        runs = list(pool.map(lambda scene: po.simulate(scene, 1.0, compiled=True), scenes))
+    for run, scene in zip(runs, scenes, strict=True):
+        assert np.array_equal(run.mount_force, po.simulate(scene, 1.0, compiled=True).mount_force)
+
+
+def test_without_a_compiler_it_is_interpreted_and_says_so(r1_scene, r1_wave, monkeypatch, tmp_path):
+    scene = r1_scene(strength_wave=r1_wave)
+    expected = po.simulate(scene, 1.0)
+    monkeypatch.setenv("CC", "no_such_compiler")
+    monkeypatch.setenv("PATH", str(tmp_path))
+    compiled_steps.cache_clear()
+    try:
+        found = po.simulate(scene, 1.0, compiled=True)
+    finally:
+        compiled_steps.cache_clear()
+    assert np.array_equal(found.mount_force, expected.mount_force)
+    assert any("no C compiler was found" in warning for warning in found.warnings)
+
+
+@pytest.mark.parametrize(
+    ("effects", "what"),
+    [
+        ({"motion": False}, "a quasi-static run"),
+        ({"contact": po.StickSlip(1.2)}, "a run by 'erk'"),
+        ({"strength_wave": po.StrengthWave(0.3, 0.6), "orbit": "periodic"}, "a lasting orbit"),
+    ],
+)
+def test_what_is_not_compiled_says_so(r1_scene, effects, what):
+    scene = r1_scene(**effects)
+    duration = None if "orbit" in effects else 0.2
+    found = po.simulate(scene, duration, outputs=20, compiled=True)
+    expected = po.simulate(scene, duration, outputs=20)
+    (note,) = set(found.warnings) - set(expected.warnings)
+    assert note.startswith(f"compiled=True changes nothing in {what}")
+    assert found.mean_draft == expected.mean_draft
+
+
+def test_a_symbolic_scene_is_refused(r1_scene):
+    with pytest.raises(po.InputError, match="compiled as a whole"):
+        po.simulate(r1_scene(stiffness=ca.MX.sym("k0")), 1.0, compiled=True)

@@ -141,4 +141,6 @@ def _identity(command: tuple[str, ...]) -> str:
     except OSError:
         lines = []
     processor = [line for line in lines if line.startswith(("flags", "model", "Features", "CPU part"))]
-    return "\n".join((*command, version, platform.platform(), *sorted(set(processor))))
+    # platform.platform() would ask another process for the processor.
+    system = platform.system(), platform.release(), platform.machine(), *platform.libc_ver()
+    return "\n".join((*command, version, *system, *sorted(set(processor))))

@@ -40,8 +40,8 @@ def read_measurements(path: str | Path) -> Measurements:
     The first line that is neither empty nor begins with ``#`` names the columns with their units, as
     ``scene.tow_speed [km/h], share.wedge_angle [deg], mean_draft [kN], sigma [kN]``: conditions by their keys in a
     problem file, one measured result, and if wanted ``sigma`` (its standard deviation, in its unit or in ``%``) or
-    ``weight``; with ``mount_force`` a column ``time``. Cells are numbers with a decimal point, with commas, semicolons or
-    tabs between them.
+    ``weight``; with ``mount_force`` a column ``time``. Cells are numbers with a decimal point; between them are commas,
+    semicolons or tabs.
 
     Raises:
         InputError: no such file, or a column or cell that cannot be; the message lists each with line, column, what

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import json
+import shlex
 from pathlib import Path
 
 from plough_opt.cli import report
@@ -29,7 +30,7 @@ def init(options: argparse.Namespace) -> None:
         raise InputError(f"'{path}' exists already and is left as it is: name another file") from None
     except OSError as error:
         raise InputError(f"'{path}' cannot be written: {error.strerror}") from None
-    console().print(f"wrote {path}; next: plough-opt optimise {path}", markup=False)
+    console().print(f"wrote {path}; next: plough-opt optimise {shlex.quote(str(path))}", markup=False, soft_wrap=True)
 
 
 def soils(options: argparse.Namespace) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import shlex
 from pathlib import Path
 from typing import Final
 
@@ -44,16 +45,16 @@ def export(options: argparse.Namespace) -> None:
     problem = read(options)
     if options.to == "fmu":
         wrote(_fmu(problem, options))
-        console().print(f"next: fmpy simulate {options.output} --show-plot", markup=False)
+        console().print(f"next: fmpy simulate {shlex.quote(options.output)} --show-plot", markup=False, soft_wrap=True)
         return
     with progress() as told:
         told("building the component", 0.0)
-        names = (_names(options.inputs), _names(options.outputs))
+        names = (_names("inputs", options.inputs), _names("outputs", options.outputs))
         component = problem.component(*names, name=options.name or "share")
     path: Path = getattr(formats, f"write_{options.to}")(component, options.output)
     console().print(str(component), markup=False)
     wrote(path)
-    console().print(f"next: {_next(options.to, path, component.name())}", markup=False)
+    console().print(f"next: {_next(options.to, path, component.name())}", markup=False, soft_wrap=True)
 
 
 def _check_options(options: argparse.Namespace) -> None:
@@ -69,8 +70,16 @@ def _check_options(options: argparse.Namespace) -> None:
             raise InputError(f"--{name} does not go with --to {options.to}: {reason}")
 
 
-def _names(written: str | None) -> tuple[str, ...]:
-    return tuple(name for part in (written or "").split(",") if (name := part.strip()))
+def _names(option: str, written: str | None) -> tuple[str, ...]:
+    """Return the names of a list, none where the option is not given."""
+    if written is None:
+        return ()
+    names = tuple(part.strip() for part in written.split(","))
+    if not all(names):
+        raise InputError(
+            f"--{option} '{written}' lacks a name: write them with commas between, as share.height,soil.cohesion"
+        )
+    return names
 
 
 def _fmu(problem: Problem, options: argparse.Namespace) -> Path:
@@ -89,7 +98,7 @@ def _fmu(problem: Problem, options: argparse.Namespace) -> Path:
 def _next(to: str, path: Path, name: str) -> str:
     """Return what one does with what was written."""
     if to == "c":
-        return f"make -C {path}"
+        return f"make -C {shlex.quote(str(path))}"
     if to == "casadi":
-        return f'python -c "import casadi; print(casadi.Function.load({str(path)!r}))"'
+        return "python -c " + shlex.quote(f'import casadi; print(casadi.Function.load("{path.as_posix()}"))')
     return f"{path / name}.py holds an openmdao.api.ExplicitComponent; add_design declares variables and constraints"

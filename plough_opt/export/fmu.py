@@ -122,8 +122,8 @@ def _platform() -> tuple[str, str]:
     system, processor = platform.system().lower(), platform.machine().lower()
     if system not in _SYSTEMS or processor not in _PROCESSORS:
         raise InputError(
-            f"FMI has no name for binaries of {system} on {processor}: take binary = False, and let the tool compile"
-            " the sources"
+            f"FMI has no name for binaries of {system} on {processor}: take binary=False (--sources), and let the"
+            " tool compile the sources"
         )
     word, suffix = _SYSTEMS[system]
     return f"{_PROCESSORS[processor]}-{word}", suffix
@@ -133,8 +133,8 @@ def _compiled(source: str) -> bytes:
     command = find_compiler()
     if command is None:
         raise InputError(
-            "no C compiler was found (cc, gcc, clang, or $CC): install one, or take binary = False for an FMU of"
-            " sources, which the importing tool compiles"
+            "no C compiler was found (cc, gcc, clang, or $CC): install one, or take binary=False (--sources) for an FMU"
+            " of sources, which the importing tool compiles"
         )
     with tempfile.TemporaryDirectory() as folder:
         made = Path(folder) / "share"

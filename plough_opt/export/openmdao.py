@@ -5,6 +5,7 @@ from __future__ import annotations
 import inspect
 import keyword
 import pprint
+import sys
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -22,7 +23,7 @@ except ModuleNotFoundError as missing:
     raise InputError("OpenMDAO is not installed: pip install 'plough_opt[openmdao]'") from None
 
 
-_TAKEN = ("casadi", "numpy", "openmdao", "pathlib", "typing")
+_TAKEN = {"casadi", "numpy", "openmdao", *sys.stdlib_module_names}
 
 
 class PloughComponent(openmdao_client.FunctionComponent):

@@ -84,7 +84,7 @@ def test_unknowns_of_the_command_line_and_one_measured_by_itself(cli):
         (("--data", DATA, "--known", "soil.cohesion=20 +- 1 m"), "'soil.cohesion' = \"20 m\" has the wrong unit"),
         (
             ("--data", DATA, "--known", "soil.density=1 +- 1 kg/m^3"),
-            "unknowns: effects.rate_term, soil.cohesion, soil.",
+            "unknowns: effects.rate_term, soil.cohesion,",
         ),
         (("--data", DATA, "--data", DATA.parent / "." / DATA.name), "is given twice: its rows would count twice"),
         (("--data", DATA, *2 * ("--unknown", "soil.cohesion=1..80 kPa")), "'soil.cohesion' is given twice"),

@@ -58,6 +58,20 @@ def test_openmdao_and_fmu_are_written_too(cli, cotton, tmp_path):
     assert "modelDescription.xml" in zipfile.ZipFile(tmp_path / "cotton.fmu").namelist()
 
 
+def test_what_to_do_next_can_be_pasted_whatever_the_folder_is_called(cli, cotton, tmp_path):
+    folder = tmp_path / "new share"
+    done = cli("export", cotton, "--to", "fmu", "--output", folder / "a.fmu", "--sources")
+    assert "next: fmpy simulate '" in done.out
+    quasi_static = ("--set", "effects={motion=false}")
+    done = cli(
+        "export", cotton, "--to", "casadi", "--output", folder / "a.casadi", *quasi_static, "--outputs", "mean_draft"
+    )
+    line = done.out[done.out.index("next: ") + len("next: ") :]
+    assert "share" in subprocess.run(line, shell=True, check=True, capture_output=True, text=True).stdout
+    done = cli("init", folder / "a.toml")
+    assert "next: plough-opt optimise '" in done.out
+
+
 def test_overrides_count(cli, reference, tmp_path):
     changes = ["--set", "scene.tow_speed=1 m/s", "--set", "share.height=0.3 m"]
     done = cli("export", reference, "--to", "casadi", "--output", tmp_path / "a.casadi", *changes)
@@ -78,6 +92,8 @@ def test_overrides_count(cli, reference, tmp_path):
         (["--to", "fmu", "--output", "a.fmu", "--inputs", "share.height"], "--inputs does not go with --to fmu"),
         (["--strut", "speed"], "--strut does not go with --to casadi"),
         (["--inputs", "share.hight"], "no quantity is named 'share.hight': did you mean 'share.height'"),
+        (["--inputs", ""], "--inputs '' lacks a name"),
+        (["--outputs", "mean_draft,"], "--outputs 'mean_draft,' lacks a name"),
         (["--inputs", "effects.damping"], "gives 'effects.damping' no value"),
         (["--outputs", "mean_drft"], "no result is named 'mean_drft': did you mean 'mean_draft'"),
         (["--outputs", "peak_force"], "take 'mount_force'"),

@@ -180,8 +180,9 @@ def test_without_openmdao_the_extra_is_named(monkeypatch):
         importlib.import_module("plough_opt.export.openmdao")
 
 
-def test_a_name_that_no_module_can_have_is_refused(r1_scene, tmp_path):
-    made = po.component(r1_scene(motion=False), 1.0, inputs=["share.height"], outputs=["mean_draft"], name="openmdao")
-    with pytest.raises(po.InputError, match="a module cannot be named 'openmdao'"):
+@pytest.mark.parametrize("name", ["openmdao", "json", "class"])
+def test_a_name_that_no_module_can_have_is_refused(r1_scene, tmp_path, name):
+    made = po.component(r1_scene(motion=False), 1.0, inputs=["share.height"], outputs=["mean_draft"], name=name)
+    with pytest.raises(po.InputError, match=f"a module cannot be named '{name}'"):
         write_openmdao(made, tmp_path / "new")
     assert not (tmp_path / "new").exists()

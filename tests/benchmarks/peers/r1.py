@@ -30,15 +30,15 @@ _LOOSE = 1.0 / (1.0 - RATIO)
 _MU = math.sin(FRICTION)
 _NU = 2.0 * _MU / (1.0 + _MU)
 _PHI = (_LOOSE ** (_NU / 2.0) - 1.0) / _NU
-_STRENGTH = _PHI * (_NU * AMBIENT + 2.0 * COHESION * math.cos(FRICTION) / (1.0 + _MU))
 _RATE = _PHI / RATIO + _LOOSE ** (_NU / 2.0) + (1.0 - _LOOSE ** (_NU / 2.0 - 1.0)) / (RATIO * (_NU - 2.0))
 
 
-def equation(angle, height, stiffness, m=np):
+def equation(angle, height, stiffness, m=np, cohesion=COHESION):
     """Return F0, Fd, M, k and z0 of the equation of motion, by numpy or another module of its like."""
+    strength = _PHI * (_NU * AMBIENT + 2.0 * cohesion * math.cos(FRICTION) / (1.0 + _MU))
     slope = _slope(angle, m)
     face = math.pi * height**2 * slope * (slope + TOOL)
-    static, drag = face * _STRENGTH, face * slope**2 * _RATE * DENSITY
+    static, drag = face * strength, face * slope**2 * _RATE * DENSITY
     added = face * slope**2 * (2.0 / 3.0) * (_PHI / RATIO) * DENSITY * height
     inertia = FRAME + STEEL * math.pi / 3.0 * height**3 * slope**2 + added
     return static, drag, inertia, stiffness, (static + drag * SPEED**2) / stiffness

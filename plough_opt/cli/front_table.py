@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
+from rich.text import Text
 
 from plough_opt.cli.report import shown
 from plough_opt.problem_file import Problem
@@ -27,15 +28,15 @@ def print_front(console: Console, problem: Problem, front: TradeOff) -> None:
         console.print(f"Hole: no efficient design between {start}, and {end}{doubt}.", soft_wrap=True)
     if front.knee is not None:
         number = front.points.index(front.knee)
-        for of, by in _pairs(front):
-            console.print(f"Knee (bold): {escape(front.in_words(number, of, by))}.", soft_wrap=True)
+        costs = "; ".join(front.in_words(number, of, by).partition(": ")[2] for of, by in _pairs(front))
+        place = _place(problem, front, front.knee.objectives)
+        console.print(f"Knee (bold), at {place}: {escape(costs)}.", soft_wrap=True)
     if everywhere:
         console.print(f"Limits that decide every design: {', '.join(everywhere)}.", soft_wrap=True)
     for note in front.notes:
         console.print(f"[yellow]Note:[/] {escape(note)}.", soft_wrap=True)
-    for failure in front.failures:
-        place = _place(problem, front, failure.objectives)
-        console.print(f"[yellow]No certified design[/] near {place}: {escape(failure.reason)}.", soft_wrap=True)
+    for reason, places in _failures(problem, front).items():
+        console.print(f"[yellow]No certified design[/] near {'; '.join(places)}: {escape(reason)}.", soft_wrap=True)
     gap, residual = (max(getattr(point, name) for point in front.points) for name in ("gap", "residual"))
     console.print(
         f"{len(front.dominated)} further local optima are dominated; first-order conditions met to {residual:.0e},"
@@ -53,15 +54,22 @@ def _table(problem: Problem, front: TradeOff, everywhere: Sequence[str]) -> Tabl
     """
     pairs = _pairs(front)
     what = [f"of {front.goals[of].name} for 1 % {_more(front, by)}" for of, by in pairs]
-    heads = ["1 % costs"] if len(pairs) == 1 else [f"1 % costs ({letter})" for letter in "abc"]
+    heads = ["1 % costs"] if len(pairs) == 1 else [f"cost ({letter})" for letter in "abc"]
     lines = [f"{head}: {text}" for head, text in zip(heads, what, strict=True)]
     limits = list(dict.fromkeys(name for point in front.points for name in point.active if name not in everywhere))
     if limits:
         lines.append("limits: " + ", ".join(f"{k} {name}" for k, name in enumerate(limits, start=1)))
     table = Table(title=f"Front of {len(front.points)} designs", caption="\n".join(lines))
     branches = any(point.branch for point in front.points)
-    for heading in (*(axis.name for axis in (*front.goals, *front.variables)), *heads):
-        table.add_column(heading, justify="right", overflow="fold")
+    rows = {k: _numbers(problem, front, k) for part in front.parts for k in part}
+    costs = {k: ["" if (cost := front.cost(k, *pair)) is None else f"{cost:.3g}" for pair in pairs] for k in rows}
+    units = [text.partition(" ")[2] for text in next(iter(rows.values()))]
+    names = [axis.name for axis in (*front.goals, *front.variables)]
+    numbers = {k: [*(text.partition(" ")[0] for text in rows[k]), *costs[k]] for k in rows}
+    # What a surface has is just as wide as 120 characters with headings of one word in a line.
+    between = " " if len(pairs) == 1 else "\n"
+    for name, unit in zip((*names, *heads), (*units, *("%" for _ in pairs)), strict=True):
+        table.add_column(_heading(name, unit, between), justify="right")
     if branches:
         table.add_column("branch")
     if limits:
@@ -69,15 +77,34 @@ def _table(problem: Problem, front: TradeOff, everywhere: Sequence[str]) -> Tabl
     for part in front.parts:
         for k in part:
             point = front.points[k]
-            costs = [front.cost(k, of, by) for of, by in pairs]
-            values = _cells(problem, front, point.objectives)
-            values += [shown(problem, v.name, point.variables[v.name], v.unit) for v in front.variables]
-            values += ["" if cost is None else f"{cost:.3g} %" for cost in costs]
-            values += [point.branch] if branches else []
+            values = numbers[k] + ([point.branch] if branches else [])
             decided = " ".join(str(number) for number, name in enumerate(limits, start=1) if name in point.active)
             values += [decided] if limits else []
             table.add_row(*values, style="bold" if point is front.knee else None, end_section=k == part[-1])
     return table
+
+
+def _numbers(problem: Problem, front: TradeOff, number: int) -> list[str]:
+    """Return objectives and variables of a point with their units, which are the same at every point."""
+    point = front.points[number]
+    variables = [shown(problem, v.name, point.variables[v.name], v.unit) for v in front.variables]
+    return [*_cells(problem, front, point.objectives), *variables]
+
+
+def _heading(name: str, unit: str, between: str) -> Text:
+    """Return a heading in words, with what stands between them."""
+    words = name.rpartition(".")[2].replace("_", " ")
+    return Text((f"{words} [{unit}]" if unit else words).replace(" ", between))
+
+
+def _failures(problem: Problem, front: TradeOff) -> dict[str, list[str]]:
+    """Return why the optimiser failed, in words, and near which places."""
+    found: dict[str, list[str]] = {}
+    for failure in front.failures:
+        # Before the colon is IPOPT's own word.
+        reason = failure.reason.partition(": ")[2] or failure.reason
+        found.setdefault(reason, []).append(_place(problem, front, failure.objectives))
+    return found
 
 
 def _pairs(front: TradeOff) -> list[tuple[int, int]]:

@@ -51,7 +51,7 @@ def _check_outputs(options: argparse.Namespace) -> None:
         if other := taken.get(place):
             raise InputError(f"--{name} '{written}' is {other}, which it would overwrite: name another file")
         taken[place] = f"the file of --{name} too"
-        around = next(folder for folder in place.parents if folder.exists())
+        around = next(folder for folder in (place.parent, *place.parents) if folder.exists())
         if not around.is_dir():
             raise InputError(f"--{name} '{written}' cannot be written: '{around}' is no folder")
         if not os.access(place if place.is_file() else around, os.W_OK):

@@ -3,19 +3,22 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
+from matplotlib.figure import Figure, SubFigure
+from numpy.typing import NDArray
 
 from plough_opt.picture_files import COLOURS
 from plough_opt.tradeoff.certificate import FrontPoint
 from plough_opt.tradeoff.goal import Axis
 
 MUTED: Final = "#A8A8A8"
+# Of the front itself [inch].
+_WIDTH: Final = 7.0
 # Of a variable's bounds.
 _LEAST_RANGE: Final = 0.02
 _CUSTOMARY: Final = {"rad": ("deg", math.pi / 180.0), "N": ("kN", 1e3), "N/m": ("kN/m", 1e3), "W": ("kW", 1e3),
@@ -47,23 +50,40 @@ class Drawing:
 
 def figure_of(front: Drawing) -> Figure:
     """Return the front beside a panel for each variable."""
+    figure, left, panels = beside_panels(front, (3.6, 1.75), 5.2, _draw_variable)
+    draw_front(left.subplots(), front)
+    for axes in panels[-1]:
+        axes.set_xlabel(label_of(front.goals[0]))
+    return figure
+
+
+def beside_panels(
+    front: Drawing, size: tuple[float, float], least: float, draw: Callable[[Axes, Drawing, Axis], None], **shared: bool
+) -> tuple[Figure, SubFigure, NDArray[Any]]:
+    """Return a figure with a panel for each variable, a place for the front on their left, and the panels.
+
+    Args:
+        front: what is drawn.
+        size: width and height of a panel [inch].
+        least: height of the figure [inch].
+        draw: draws a variable on its panel.
+        shared: further arguments of ``subplots``.
+    """
     count = len(front.variables)
     columns = 1 if count <= 3 else 2
     rows = math.ceil(count / columns)
-    figure = Figure(figsize=(7.0 + 3.6 * columns, max(5.2, 1.75 * rows)), layout="constrained")
-    left, right = figure.subfigures(1, 2, squeeze=False, width_ratios=(7.0, 3.6 * columns))[0]
-    draw_front(left.subplots(), front)
-    panels = right.subplots(rows, columns, sharex=True, squeeze=False)
+    width = size[0] * columns
+    figure = Figure(figsize=(_WIDTH + width, max(least, size[1] * rows)), layout="constrained")
+    left, right = figure.subfigures(1, 2, squeeze=False, width_ratios=(_WIDTH, width))[0]
+    panels = right.subplots(rows, columns, sharex=True, squeeze=False, **shared)
     for k, axes in enumerate(panels.T.ravel()):
         if k < count:
-            _draw_variable(axes, front, front.variables[k])
+            draw(axes, front, front.variables[k])
         else:
             axes.set_axis_off()
-    for axes in panels[-1]:
-        axes.set_xlabel(label_of(front.goals[0]))
     if front.title:
         figure.suptitle(front.title)
-    return figure
+    return figure, left, panels
 
 
 def draw_front(axes: Axes, front: Drawing) -> None:

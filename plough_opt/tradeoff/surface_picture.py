@@ -13,7 +13,7 @@ from matplotlib.tri import Triangulation
 
 from plough_opt.picture_files import COLOURS
 from plough_opt.tradeoff.goal import Axis
-from plough_opt.tradeoff.picture import MUTED, Drawing, label_of, places_of, range_of, unit_of
+from plough_opt.tradeoff.picture import MUTED, Drawing, beside_panels, label_of, places_of, range_of, unit_of
 
 # Triangles with a side longer than so many times the usual one lie across a hole.
 _LONGEST: Final = 3.0
@@ -25,24 +25,12 @@ _ASIDE: Final = 20.0
 
 def surface_figure(front: Drawing) -> Figure:
     """Return the surface beside a panel for each variable, over the first two objectives."""
-    count = len(front.variables)
-    columns = 1 if count <= 3 else 2
-    rows = math.ceil(count / columns)
-    figure = Figure(figsize=(7.0 + 4.2 * columns, max(5.6, 2.1 * rows)), layout="constrained")
-    left, right = figure.subfigures(1, 2, squeeze=False, width_ratios=(7.0, 4.2 * columns))[0]
+    figure, left, panels = beside_panels(front, (4.2, 2.1), 5.6, _draw_variable, sharey=True)
     draw_surface(left.add_subplot(projection="3d"), front)
-    panels = right.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
-    for k, axes in enumerate(panels.T.ravel()):
-        if k < count:
-            _draw_variable(axes, front, front.variables[k])
-        else:
-            axes.set_axis_off()
     for axes in panels[-1]:
         axes.set_xlabel(label_of(front.goals[0]), fontsize="small")
     for axes in panels[:, 0]:
         axes.set_ylabel(label_of(front.goals[1]), fontsize="small")
-    if front.title:
-        figure.suptitle(front.title)
     return figure
 
 

@@ -31,6 +31,7 @@ from plough_opt.accuracy_study.local_solve import (
     solve_transcribed,
     without_derivatives,
 )
+from plough_opt.accuracy_study.tight_optimum import Certificate, TightOptimum
 from plough_opt.accuracy_study.transcription import (
     Collocation,
     MultipleShooting,
@@ -42,13 +43,13 @@ from plough_opt.accuracy_study.transcription import (
 )
 from plough_opt.design import Design
 from plough_opt.design.curvature import minimum_from
-from plough_opt.design.ipopt import Point, Vector
+from plough_opt.design.ipopt import Vector
 from plough_opt.design.nlp import Nlp, build_nlp
 from plough_opt.design.program import Program
 from plough_opt.design.solving import first_optimum
-from plough_opt.errors import NotConverged, PloughError
+from plough_opt.errors import InputError, NotConverged, PloughError
 from plough_opt.motion.integrators import quiet_events
-from plough_opt.motion.plan import phase, steps_for
+from plough_opt.motion.plan import steps_for
 
 REPORTED = "objective as reported"
 TRUE = "objective in truth"
@@ -57,16 +58,15 @@ REQUIREMENTS = "requirements"
 
 # The reference takes this many times the steps of a solve: of order 8, an error smaller by 4^8.
 _FINER = 4.0
-# Tolerance of the adaptive method that certifies the reference, by derivatives of its own.
-_CERTIFYING = 1e-12
 # Scaled points nearer than this are one optimum; a coarse method may be further off and yet lead there.
 _SAME = 1e-4
 # Move of each scaled variable, towards the middle, to a start beside the optimum.
 _BESIDE = 0.02
 # A method whose derivatives are noisy cannot meet the toolkit's 1e-10.
 _NOISY = 1e-6
-# Phase [rad] of the fastest oscillation in a step of order 8, as a design takes it.
-_TOOLKIT = 0.8
+# Phase [rad] of the fastest oscillation in a step of order 8, and tolerance where it has events, of single shooting.
+_SINGLE = 0.8
+_TIGHTER = 1e-10
 _SEGMENTS = (4, 16)
 # Points, degree, and phases in an interval, coarse to fine.
 _MESHES: tuple[tuple[Points, int, tuple[float, ...]], ...] = (
@@ -86,36 +86,14 @@ _ADAPTIVE: tuple[tuple[Method, tuple[float, ...]], ...] = (
     ("rosenbrock", (1e-6,)),
 )
 _HESSIAN, GRADIENT = "exact Hessian, carried along", "exact gradient, L-BFGS"
+_OF_GRAPH = "exact Hessian, of the graph"
 _COMPILED: tuple[tuple[Derivatives, str, str], ...] = (
     ("exact", _HESSIAN, "-O1"),
     ("gradient", GRADIENT, "-O1"),
     ("gradient", GRADIENT, "-O3"),
 )
+_NO_CODE = "finds the lasting orbit by Newton's method, which CasADi does not translate into C"
 _DIFFERENCES: tuple[Literal["central", "forward"], ...] = ("central", "forward")
-
-
-@dataclass(frozen=True)
-class TightOptimum:
-    """A local optimum found and checked much more tightly than any contestant's.
-
-    Attributes:
-        variables: name -> value, SI units.
-        objective: tightly re-integrated.
-        check: relative difference of two tight integrations of the objective, of which one checks the other [-].
-        residual: largest component of the scaled optimality conditions, by the derivatives of another integrator [-].
-        y: scaled variables.
-    """
-
-    variables: dict[str, float]
-    objective: float
-    check: float
-    residual: float
-    y: Vector
-
-    @property
-    def floor(self) -> float:
-        """Relative error below which contestants cannot be told apart [-]."""
-        return max(self.check, self.residual)
 
 
 @dataclass(frozen=True)
@@ -192,7 +170,7 @@ class _Judge:
         self._tight = Program(declared)
         self._tight.build(self._p)
         self.question = Question.of(self._tight, self._p)
-        self._certificate = self._certifying()
+        self._certificate = Certificate(self.question)
         self.optima: list[TightOptimum] = []
 
     def reference(self) -> TightOptimum:
@@ -203,7 +181,7 @@ class _Judge:
         point = program.solve(first.y, self._p, near=True)
         if not point.solved:
             raise NotConverged("the reference was lost when the steps were refined: tighten the bounds", point.status)
-        self.optima.append(self._certified(point))
+        self.optima.append(self._certificate.tight(point))
         return self.optima[0]
 
     def entry(self, method: _Method, budget: float) -> Entry:
@@ -212,7 +190,9 @@ class _Judge:
         started = time.perf_counter()
         setup = 0.0
         try:
-            solve = method.build()
+            # CasADi warns of what is experimental, and of what it cannot translate, which is then a failure.
+            with quiet_events():
+                solve = method.build()
             setup = time.perf_counter() - started
             found = solve()
             errors, elsewhere = self._errors(found)
@@ -250,35 +230,15 @@ class _Judge:
         for number, optimum in enumerate(self.optima):
             if np.max(np.abs(point.y - optimum.y)) < _SAME:
                 return number
-        self.optima.append(self._certified(point))
+        self.optima.append(self._certificate.tight(point))
         return len(self.optima) - 1
-
-    def _certified(self, point: Point) -> TightOptimum:
-        """Return a point of the tight program with its objective and optimality by other means."""
-        program = self._tight
-        found, check = (float(values[0].item()) for values in program.exact_values(point.y, self._p))
-        gradient, jacobian = (np.asarray(result) for result in self._certificate(point.y))
-        residual = gradient.ravel() + jacobian.T @ point.lam_g + point.lam_y
-        return TightOptimum(
-            variables={
-                v.name: float(x) for v, x in zip(program.declared.variables, program.values(point.y), strict=True)
-            },
-            objective=found,
-            check=abs(found - check) / max(abs(found), program.objective_scale * 1e-12),
-            residual=float(np.max(np.abs(residual))),
-            y=point.y,
-        )
-
-    def _certifying(self) -> ca.Function:
-        """Return y -> gradient and Jacobian through an integrator that shares nothing with the tight program's."""
-        own = transcribe(self.question, SingleShooting(Accuracy("erk", tolerance=_CERTIFYING)))
-        return ca.Function("certifying", [own.x], [ca.gradient(own.f, own.x), ca.jacobian(own.g[0], own.x)])
 
 
 def _in_a_line(error: Exception) -> str:
     """Return a failure's reason; of CasADi's own, which go over many lines, the last."""
     lines = [line.strip() for line in str(error).splitlines() if line.strip()]
-    return lines[-1] if lines else type(error).__name__
+    reason = lines[-1] if lines else type(error).__name__
+    return reason if isinstance(error, PloughError) else f"CasADi gave up: {reason}"
 
 
 # --- contestants -----------------------------------------------------------------------------------------
@@ -288,36 +248,26 @@ def _methods(question: Question, best: TightOptimum, start: Start) -> list[_Meth
     """Return the contestants; without a moving run there is nothing to transcribe or to integrate."""
     runs = question.parts.runs
     if not runs:
-        return _derivatives(question, start, None)
-    total = max(_phase(question, y) for y in (best.y, start.y))
+        return _derivatives(question, start)
+    total = max(question.phase(y) for y in (best.y, start.y))
 
     def steps(angle: float) -> int:
         return question.intervals(steps_for(total, angle))
 
-    plain = not any(run.integration.structure.events or run.integration.structure.orbit != "transient" for run in runs)
     return [
         *_transcriptions(question, start, steps),
-        *(_integrators(question, start, steps) if plain else []),
-        *_derivatives(question, start, steps(_TOOLKIT) if plain else None),
+        *_integrators(question, start, steps),
+        *_derivatives(question, start),
     ]
-
-
-def _phase(question: Question, y: Vector) -> float:
-    """Return the phase [rad] of the fastest oscillation of any run at a design."""
-    exact = question.program.exact
-    found = []
-    for k, run in enumerate(exact.runs):
-        inputs, _ = exact.inputs(k, [*question.program.values(y), *question.p])
-        found.append(phase(dict(zip(run.integration.names, inputs[:-1], strict=True)), inputs[-1]))
-    return max(found)
 
 
 def _transcriptions(question: Question, start: Start, steps: Callable[[float], int]) -> list[_Method]:
     """Return the forms of the program, each with exact derivatives by CasADi."""
-    count = steps(_TOOLKIT)
-    forms: list[tuple[str, str, Transcription]] = [
-        ("single shooting", f"{count} steps of order 8", SingleShooting(Accuracy("dop853", steps=count)))
-    ]
+    count = steps(_SINGLE)
+    single, text = Accuracy("dop853", steps=count), f"{count} steps of order 8"
+    if question.refusal("dop853"):
+        single, text = Accuracy("erk", tolerance=_TIGHTER), f"erk, tolerance {_TIGHTER:.0e}"
+    forms: list[tuple[str, str, Transcription]] = [("single shooting", text, SingleShooting(single))]
     for segments in dict.fromkeys(map(question.intervals, _SEGMENTS)):
         each = math.ceil(count / segments)
         forms.append(("multiple shooting", f"{segments} segments of {each} steps", MultipleShooting(segments, each)))
@@ -334,50 +284,53 @@ def _transcriptions(question: Question, start: Start, steps: Callable[[float], i
 def _integrators(question: Question, start: Start, steps: Callable[[float], int]) -> list[_Method]:
     """Return single shooting by other integrators, each with an exact gradient and limited-memory BFGS."""
     methods = []
+    settings: list[tuple[Accuracy, str, float]] = []
     for method, angles in _FIXED:
-        for count in dict.fromkeys(map(steps, angles)):
-            form = SingleShooting(Accuracy(method, steps=count))
-            build = partial(_by_casadi, question, form, start, "gradient", 1e-10)
-            methods.append(_Method("integrator", method, f"{count} steps", build))
+        counts = dict.fromkeys(map(steps, angles))
+        settings += [(Accuracy(method, steps=count), f"{count} steps", 1e-10) for count in counts]
     for method, tolerances in _ADAPTIVE:
-        for tolerance in tolerances:
-            form = SingleShooting(Accuracy(method, tolerance=tolerance))
-            build = partial(_by_casadi, question, form, start, "gradient", _NOISY)
-            methods.append(_Method("integrator", method, f"tolerance {tolerance:.0e}", build))
+        settings += [(Accuracy(method, tolerance=t), f"tolerance {t:.0e}", _NOISY) for t in tolerances]
+    for accuracy, text, tolerance in settings:
+        reason = question.refusal(accuracy.method)
+        build = partial(_by_casadi, question, SingleShooting(accuracy), start, "gradient", tolerance)
+        methods.append(_Method("integrator", accuracy.method, text, partial(_refuse, reason) if reason else build))
     return methods
 
 
-def _derivatives(question: Question, start: Start, steps: int | None) -> list[_Method]:
-    """Return choices of derivatives, interpreted and compiled, of one program: steps of order 8 where it has runs."""
-    nlp = partial(_carried, question, steps)
+def _refuse(reason: str) -> Solve:
+    raise InputError(reason)
+
+
+def _derivatives(question: Question, start: Start) -> list[_Method]:
+    """Return choices of derivatives, interpreted and compiled, of the program that `Design.solve` takes."""
 
     def built(use: Derivatives, change: Callable[[Functions], Functions] | None = None, tol: float = 1e-10) -> Solve:
-        own = functions_of(nlp(), use)
+        own = functions_of(_carried(question), use)
         return solve_nlp(own if change is None else change(own), question, start, use, tol)
 
-    text = "" if steps is None else f"{steps} steps of order 8"
+    counts = [count for count in question.steps if count is not None]
+    unit = "harmonics" if question.orbits else "steps of order 8"
+    text = ", ".join(f"{count} {unit}" for count in dict.fromkeys(counts))
     rows: list[tuple[str, str, Callable[[], Solve]]] = [
         ("derivatives", _HESSIAN, partial(built, "exact")),
         ("derivatives", GRADIENT, partial(built, "gradient")),
     ]
-    if steps is not None:
-        form = SingleShooting(Accuracy("dop853", steps=steps))
-        build = partial(_by_casadi, question, form, start, "exact", 1e-10)
-        rows.append(("derivatives", "exact Hessian, of the graph", build))
+    if counts and not question.orbits:
+        form = SingleShooting(Accuracy("dop853", steps=max(counts)))
+        rows.append(("derivatives", _OF_GRAPH, partial(_by_casadi, question, form, start, "exact", 1e-10)))
     for differences in _DIFFERENCES:
         blind = partial(without_derivatives, variables=len(start.y), method=differences)
         name = f"{differences} differences, L-BFGS"
         rows.append(("derivatives", name, partial(built, differences, blind, _NOISY)))
     for use, name, flag in _COMPILED:
-        code = partial(compiled, flags=[flag])
-        rows.append(("compiled", f"{name}, cc {flag}", partial(built, use, code)))
+        build = partial(_refuse, _NO_CODE) if question.orbits else partial(built, use, partial(compiled, flags=[flag]))
+        rows.append(("compiled", f"{name}, cc {flag}", build))
     return [_Method(family, name, text, build) for family, name, build in rows]
 
 
-def _carried(question: Question, steps: int | None) -> Nlp:
+def _carried(question: Question) -> Nlp:
     """Return the toolkit's own program: derivatives carried along the steps."""
-    with quiet_events():
-        return build_nlp(question.parts, question.y, ca.MX.sym("p", 0), [steps] * len(question.parts.runs))
+    return build_nlp(question.parts, question.y, ca.MX.sym("p", 0), list(question.steps))
 
 
 def _by_casadi(

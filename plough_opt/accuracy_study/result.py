@@ -11,7 +11,7 @@ from pydantic import BaseModel, ConfigDict
 
 from plough_opt.accuracy_study.contest import Entry, cheapest, efficient, error_text
 from plough_opt.accuracy_study.optimum import REPORTED, REQUIREMENTS, TRUE, VARIABLES
-from plough_opt.accuracy_study.scenes import CONTACT, COURSE, DERIVATIVES, LASTING, MOTION, PROFILE, trajectory_of
+from plough_opt.accuracy_study.scenes import CONTACT, COURSE, DERIVATIVES, LASTING, MOTION, PROFILE
 from plough_opt.results import SCHEMA, Saved, read_saved, write_text
 
 if TYPE_CHECKING:
@@ -63,8 +63,9 @@ class AccuracyStudy:
         duration: simulated time [s]; None of a design.
         wanted: relative error that the advice is about [-].
         entries: every contestant with every setting; failures with the reason.
-        floors: name of a reference -> its own estimated relative error [-]; of a motion that of its averages, and by
-            `trajectory_of` its name that of its mount forces.
+        floors: name of a reference -> its own estimated relative error [-]; of a motion that of its averages, and
+            by the key "motion, trajectory" that of its mount forces, of an optimum that of the objective, and by
+            "optimum, variables" that of the variables.
         notes: sentences on what has no reference.
         defaults: what is ranked, in the order of `questions`: method and setting that the toolkit takes unasked.
         versions: of packages, and the machine.
@@ -160,9 +161,10 @@ class AccuracyStudy:
         from rich.box import SIMPLE_HEAD
         from rich.table import Table
 
-        reference, name = f"reference: {self.floors[question.reference]:.0e}", trajectory_of(question.reference)
-        if name in self.floors:
-            reference += f", its trajectory {self.floors[name]:.0e}"
+        reference = f"reference: {self.floors[question.reference]:.0e}"
+        for name, floor in self.floors.items():
+            if name.startswith(f"{question.reference}, "):
+                reference += f", its {name.removeprefix(f'{question.reference}, ')} {floor:.0e}"
         ranked = question.ranked or question.error
         table = Table(
             title=f"{question.title}: relative error against time\n({reference})",

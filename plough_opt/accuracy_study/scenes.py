@@ -31,19 +31,14 @@ class Contest:
 
     Attributes:
         entries: of all families; failures among them.
-        floors: name of a reference -> its own estimated relative error [-]; of a motion that of its averages, and by
-            `trajectory_of` its name that of its mount forces.
+        floors: name of a reference -> its own estimated relative error [-]; of a motion that of its averages, and
+            by the key "motion, trajectory" that of its mount forces.
         notes: sentences on what there is no reference of, and how far one can be trusted.
     """
 
     entries: tuple[Entry, ...]
     floors: dict[str, float]
     notes: tuple[str, ...]
-
-
-def trajectory_of(reference: str) -> str:
-    """Return the name of what `Contest.floors` says of a reference's mount forces."""
-    return f"{reference}, trajectory"
 
 
 Told = Callable[[str, float], None]
@@ -65,7 +60,7 @@ class _Hall:
         except PloughError as error:
             self.notes.append(f"no reference of the {name}: {error}")
             return None
-        self.floors |= {name: found.errors["averages"], trajectory_of(name): found.errors["trajectory"]}
+        self.floors |= {name: found.errors["averages"], f"{name}, trajectory": found.errors["trajectory"]}
         return found
 
     def quadrature(self, name: str, found: Quadratures) -> None:

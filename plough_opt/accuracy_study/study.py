@@ -11,7 +11,7 @@ from importlib.metadata import version
 from plough_opt.accuracy import DEFAULT_ERROR
 from plough_opt.accuracy_study.methods import Task
 from plough_opt.accuracy_study.models import period_of
-from plough_opt.accuracy_study.optimum import GRADIENT, design_contest
+from plough_opt.accuracy_study.optimum import GRADIENT, VARIABLES, design_contest
 from plough_opt.accuracy_study.result import OPTIMUM, AccuracyStudy
 from plough_opt.accuracy_study.scenes import CONTACT, COURSE, DERIVATIVES, MOTION, PROFILE, Told, contest
 from plough_opt.design import Design
@@ -122,7 +122,7 @@ def study_design(
         duration=None,
         wanted=wanted,
         entries=found.entries,
-        floors={OPTIMUM: found.optima[0].floor},
+        floors={OPTIMUM: found.optima[0].floor, f"{OPTIMUM}, {VARIABLES}": found.optima[0].off},
         defaults={OPTIMUM: ours[0]},
         versions=_versions(),
     )

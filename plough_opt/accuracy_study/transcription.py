@@ -14,7 +14,7 @@ from typing import Literal
 import casadi as ca
 import numpy as np
 
-from plough_opt.accuracy import Accuracy
+from plough_opt.accuracy import LOCATE_EVENTS, ORDER_8, Accuracy, Method
 from plough_opt.design.ipopt import Vector
 from plough_opt.design.nlp import averages_only
 from plough_opt.design.program import Program
@@ -22,7 +22,7 @@ from plough_opt.design.split import EmbeddedRun, Split, split
 from plough_opt.errors import InputError
 from plough_opt.motion.equation import equation_of_motion, start_state
 from plough_opt.motion.integrators import integration
-from plough_opt.motion.plan import MOST_ADAPTIVE, with_setting
+from plough_opt.motion.plan import MOST_ADAPTIVE, phase, with_setting
 from plough_opt.motion.runge_kutta import step
 from plough_opt.motion.signals import signals
 from plough_opt.motion.terms import Structure
@@ -81,28 +81,58 @@ class Question:
         p: values of the design's parameters.
         y: symbol of the scaled variables.
         parts: scaled objective (first) and requirements (second, a column) over y, split around their runs.
+        steps: of each run what `Design.solve` takes: steps of order 8, of a lasting orbit harmonics, None of events.
     """
 
     program: Program
     p: Vector
     y: ca.MX
     parts: Split
+    steps: tuple[int | None, ...]
 
     @classmethod
     def of(cls, program: Program, p: Vector) -> Question:
-        """Take a program that is built, and the values of its parameters."""
+        """Take a program that is built, not yet finer, and the values of its parameters."""
         declared = program.declared
         y = ca.MX.sym("y", len(declared.variables))
         unscaled = [v.unscaled(own) for v, own in zip(declared.variables, ca.vertsplit(y), strict=True)]
         scaled = [r.expression / scale for r, scale in zip(declared.requirements, program.scales, strict=True)]
         expressions = [declared.objective / program.objective_scale, ca.vertcat(ca.MX(0, 1), *scaled)]
         given = [*unscaled, *(ca.MX(float(value)) for value in p)]
-        return cls(program, p, y, split(ca.graph_substitute(expressions, declared.symbols(), given), [y]))
+        parts = split(ca.graph_substitute(expressions, declared.symbols(), given), [y])
+        return cls(program, p, y, parts, tuple(program._steps))
 
     def uses_averages_only(self, run: int) -> bool:
         """Return whether objective and requirements use no more of a run than its averages."""
         full = ca.Function("full", [self.y, *self.parts.results], list(self.parts.expressions))
         return averages_only(self.parts.runs[run], full, 1 + run)
+
+    @property
+    def events(self) -> bool:
+        """Whether the motion of any run has events."""
+        return any(run.integration.structure.events for run in self.parts.runs)
+
+    @property
+    def orbits(self) -> bool:
+        """Whether any run is a lasting orbit."""
+        return any(run.integration.structure.orbit != "transient" for run in self.parts.runs)
+
+    def refusal(self, method: Method) -> str:
+        """Return why a method of integration cannot do the runs, or nothing."""
+        if self.orbits and method not in ORDER_8:
+            return "finds no lasting orbit"
+        if self.events and method not in LOCATE_EVENTS:
+            return "finds no events, which stick and slip and the entry of a share have"
+        return ""
+
+    def phase(self, y: Vector) -> float:
+        """Return the phase [rad] of the fastest oscillation of any run at scaled variables."""
+        exact = self.program.exact
+        found = [0.0]
+        for k, run in enumerate(exact.runs):
+            inputs, _ = exact.inputs(k, [*self.program.values(y), *self.p])
+            found.append(phase(dict(zip(run.integration.names, inputs[:-1], strict=True)), inputs[-1]))
+        return max(found)
 
     def outputs_used(self, run: int) -> int:
         """Return the number of intervals between the outputs of a run that the design uses: one for averages alone."""

@@ -174,19 +174,20 @@ def draw_force(axes: Axes, run: Run) -> None:
     _shade_modes(axes, run)
     axes.set_ylabel("force [kN]")
     axes.set_xlim(float(run.time[0]), float(run.time[-1]))
-    axes.legend(loc="upper right", ncols=6, fontsize="small")
     low, high = axes.get_ylim()
     # A force that stays the same would have its rounding magnified.
-    low, high = min(low, 0.95 * mean), max(high, 1.05 * mean)
-    axes.set_ylim(low, high + 0.22 * (high - low))
+    axes.set_ylim(min(low, 0.95 * mean), max(high, 1.05 * mean))
+    _legend_above(axes)
 
 
 def draw_deflection(axes: Axes, run: Run) -> None:
     """Draw the spring's deflection."""
     axes.plot(run.time, 1e3 * run.deflection, color=_FORCE, linewidth=1.2)
-    axes.axhline(1e3 * run.mean_deflection, color=_MUTED, linewidth=1.0, linestyle="--")
+    mean = 1e3 * run.mean_deflection
+    axes.axhline(mean, color=_MUTED, linewidth=1.0, linestyle="--", label=f"mean {mean:.3g} mm")
     axes.set_ylabel("deflection [mm]")
     axes.set_xlim(float(run.time[0]), float(run.time[-1]))
+    _legend_above(axes)
 
 
 def draw_speed(axes: Axes, run: Run) -> None:
@@ -196,7 +197,7 @@ def draw_speed(axes: Axes, run: Run) -> None:
     axes.plot(run.time, own, color=_MUTED, linewidth=1.0, linestyle="--", label="strut")
     axes.plot(run.time, run.speed, color=_FORCE, linewidth=1.2, label="share")
     axes.set_ylabel("speed [m/s]")
-    axes.legend(loc="best", fontsize="small")
+    _legend_above(axes)
 
 
 def draw_scan(axes: Axes, best: Optimum) -> None:
@@ -215,6 +216,13 @@ def draw_scan(axes: Axes, best: Optimum) -> None:
     axes.set_xlabel(f"{scan.variable} [{unit}]")
     axes.set_ylabel("objective")
     axes.legend(loc="upper right", fontsize="small")
+
+
+def _legend_above(axes: Axes) -> None:
+    """Give the legend room above all lines."""
+    low, high = axes.get_ylim()
+    axes.set_ylim(low, high + 0.22 * (high - low))
+    axes.legend(loc="upper right", ncols=6, fontsize="small")
 
 
 def _shade_modes(axes: Axes, run: Run) -> None:

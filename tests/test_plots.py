@@ -1,6 +1,7 @@
 """Pictures: what they show, in which units, and files that are whole or not there at all."""
 
 import dataclasses
+import io
 import xml.etree.ElementTree as ET
 from dataclasses import replace
 
@@ -89,6 +90,17 @@ class TestRun:
         force = plots.plot_run(run).axes[0]
         assert f"mean draft {run.mean_draft / 1000:.3g} kN" in legend(force)
         assert f"± RMS {run.force_rms / 1000:.3g} kN" in legend(force)
+
+    def test_the_mean_deflection_is_named(self, run):
+        assert legend(plots.plot_run(run).axes[1]) == [f"mean {1000 * run.mean_deflection:.3g} mm"]
+
+    def test_legends_hide_no_line(self, run):
+        figure = plots.plot_run(run)
+        figure.savefig(io.BytesIO(), format="png")
+        for axes in figure.axes:
+            box = axes.get_legend().get_window_extent()
+            for drawn in axes.get_lines():
+                assert not any(box.contains(*point) for point in axes.transData.transform(drawn.get_xydata()))
 
     def test_the_strut_ramps_where_the_scene_does(self, scene):
         ramped = dataclasses.replace(scene, effects=po.Effects(start="rest", tow_ramp=0.25))

@@ -72,7 +72,8 @@ def print_optimum(console: Console, problem: Problem, best: Optimum, run: Run) -
     console.print(f"[bold]{escape(problem.title)}[/]")
     console.print(_variables_table(problem, best))
     console.print(_run_table(problem, run))
-    console.print(_limits_table(problem, best))
+    if any(limit.kind == "requirement" for limit in best.limits):
+        console.print(_limits_table(problem, best))
     if len(best.local_optima) > 1:
         console.print(_optima_table(problem, best))
     for direction in best.flat_directions:

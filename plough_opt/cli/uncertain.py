@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from rich.console import Console
@@ -59,11 +61,13 @@ def _print(to: Console, problem: Problem, found: RobustOptimum) -> None:
     to.print(f"[bold]{escape(problem.title)}[/]")
     to.print(_soil_table(problem, found))
     to.print(_design_table(problem, found))
-    to.print(_limits_table(problem, found))
+    if any(limit.kind == "requirement" for limit in found.best.limits):
+        to.print(_limits_table(problem, found))
     if len(found.best.local_optima) > 1:
         to.print(_optima_table(problem, found))
-    to.print(_checks_table(problem, found))
-    for check in found.fresh.checks:
+    checks = [replace(check, text=_measure(problem, check)) for check in found.fresh.checks]
+    to.print(_checks_table(problem, checks, found))
+    for check in checks:
         if check.worse is not None:
             to.print(f"* {escape(check.result)}, {check.text}: of the fresh samples {check.note}.", soft_wrap=True)
         if check.width:
@@ -77,7 +81,7 @@ def _print(to: Console, problem: Problem, found: RobustOptimum) -> None:
         to.print(f"In that table {note}.", soft_wrap=True)
     from plough_opt.uncertainty.verification import in_words
 
-    to.print(f"[bold]In the robust design {escape(in_words(found.fresh.checks))}.[/]", soft_wrap=True)
+    to.print(f"[bold]In the robust design {escape(in_words(checks))}.[/]", soft_wrap=True)
     for text in dict.fromkeys((*found.best.warnings, *found.failures)):
         to.print(f"[yellow]Note:[/] {escape(text)}.", soft_wrap=True)
     if found.fresh.failures:
@@ -145,12 +149,21 @@ def _optima_table(problem: Problem, found: RobustOptimum) -> Table:
     return table
 
 
-def _checks_table(problem: Problem, found: RobustOptimum) -> Table:
+def _measure(problem: Problem, check: Check) -> str:
+    """Return a measure in words, a limit in it as the file writes it."""
+    own = problem.table.require.get(check.result)
+    if own is None or not check.text.startswith("probability"):
+        return check.text
+    sides = [f"{side.replace('_', ' ')} {written}" for side, written in own.sides.items()]
+    return f"probability of {' and '.join(sides)}"
+
+
+def _checks_table(problem: Problem, checks: Sequence[Check], found: RobustOptimum) -> Table:
     table = Table(title=f"What {found.fresh.samples} fresh samples say, of the robust design and of the nominal one")
     for heading in ("result", "measure", "the optimiser saw", "fresh samples", "95 % interval", "nominal design", ""):
         left, whole = heading in ("result", "measure"), heading == "result"
         table.add_column(heading, justify="left" if left else "right", overflow="fold", no_wrap=whole)
-    for check, nominal in zip(found.fresh.checks, found.nominal_fresh.checks, strict=True):
+    for check, nominal in zip(checks, found.nominal_fresh.checks, strict=True):
         ends = [None if end is None else _value(problem, check, end) for end in (check.low, check.high)]
         interval = "" if None in ends else f"{ends[0]} to {ends[1]}"
         numbers = [_value(problem, check, x) for x in (check.seen, check.fresh)]

@@ -188,7 +188,7 @@ def _check_distribution(source: Source, key: str, entry: Any) -> None:
     if not isinstance(entry, dict):
         raise InputError(f"'{key}' must be a table like {{ distribution = \"normal\", mean = ..., std = ... }}")
     kind = entry.get("distribution")
-    if kind not in _KINDS:
+    if not isinstance(kind, str) or kind not in _KINDS:
         known = nearest(str(kind), _KINDS) if "distribution" in entry else f"one of {', '.join(_KINDS)}"
         raise source.error((TABLE, key, "distribution"), f"'{key}' needs a known distribution: {known}")
     needed, more = _KINDS[kind]

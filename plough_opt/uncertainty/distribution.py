@@ -288,7 +288,7 @@ class SoilDistribution:
                 except DomainError as error:
                     raise DomainError(
                         f"the distribution of {name} reaches {value:.4g}, out of the model's domain: {error}; truncate"
-                        f' it: within={{"{name}": (lower, upper)}}'
+                        f' it: within={{"{name}": (lower, upper)}}, in a file lower = ... and upper = ...'
                     ) from None
 
 

@@ -439,3 +439,11 @@ def test_an_interrupted_command_says_so_and_shows_no_traceback(cli, monkeypatch)
     done = cli("soils")
     assert done.status == 130
     assert done.err == "stopped: no file was written\n"
+
+
+def test_an_optimum_without_requirements_has_no_table_of_them(cli, cotton):
+    calibration = cotton.with_name("calibration.toml")
+    done = cli("optimise", calibration, "--set", "minimise.mean_draft.per=1 kN")
+    assert done.status == 0
+    assert "Best design" in done.out
+    assert "Requirements" not in done.out

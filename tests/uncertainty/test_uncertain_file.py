@@ -65,6 +65,7 @@ def test_file_is_solved_beside_the_nominal_design_and_verified(written, capsys, 
     picture = tmp_path / "field.png"
     assert main(["optimise", written(), "--plot", str(picture)]) == 0
     out = capsys.readouterr().out
+    assert "loosened_radius, probability of at least 0.15 m: " in out
     for words in ("Uncertain soil: serozem", "robust", "nominal", "95 % interval", "Sobol indices", "8 samples"):
         assert words in out
     assert picture.read_bytes().startswith(b"\x89PNG")
@@ -152,11 +153,12 @@ def test_measures_in_words(text, wanted):
     [
         ('"soil.cohesion" = {', '"soil.cohesoin" = {', 7, "'soil.cohesion'"),
         ('"lognormal"', '"lognorml"', 7, "lognormal"),
+        ('"lognormal"', '["lognormal"]', 7, "needs a known distribution"),
         ('std = "6 kPa"', 'std = "6 deg"', 7, "wrong unit"),
         ('std = "6 kPa"', 'std = "0 kPa"', 7, "std must be above 0"),
         ('std = "6 kPa"', 'sdt = "6 kPa"', 7, "'std'"),
         ('mean = "20 kPa", ', "", 7, "distribution needs mean"),
-        ('"lognormal", mean', '"normal", mean', 7, "truncate it"),
+        ('"lognormal", mean', '"normal", mean', 7, "in a file lower = ... and upper = ..."),
         ('upper = "60 kPa"', 'upper = "1 kPa"', 7, "between its bounds"),
         ("std = 0.02,", "std = 0.2,", 8, "no beta distribution"),
         ('"soil.density_ratio", 0.3', '"soil.density", 0.3', 9, "soil.density_ratio"),

@@ -8,13 +8,15 @@ inside the optimiser's graph gives the same numbers for several times the time a
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import lru_cache
 
 import casadi as ca
 import numpy as np
 
 from plough_opt.accuracy import ORDER_8
-from plough_opt.motion.equation import start_state
+from plough_opt.motion.dop853 import NODES, STAGES, WEIGHTS
+from plough_opt.motion.equation import equation_of_motion, start_state
 from plough_opt.motion.integrators import Integration, quiet_events
 from plough_opt.motion.readings import at_outputs
 from plough_opt.motion.runge_kutta import step
@@ -157,6 +159,8 @@ def _start_jet(structure: Structure, varying: tuple[int, ...], order: int) -> ca
 
 def _jet_step(structure: Structure, varying: tuple[int, ...], order: int) -> ca.Function:
     """Return one step of the jet: (jet of the state, span, parameters) -> (jet of the state, of the moments)."""
+    if order == 1:
+        return _first_order_step(structure, varying)
     one = step(structure)
     e = ca.SX.sym("e", len(varying))
     p = ca.SX.sym("p", len(signals(structure).parameters) + 1)
@@ -170,6 +174,69 @@ def _jet_step(structure: Structure, varying: tuple[int, ...], order: int) -> ca.
     following, moments = one(state, span, _shifted(p, e, varying))
     result = ca.densify(_expand(ca.vertcat(following, moments), e, order))
     return ca.Function("jet_step", [jet, span, p], [result[:2, :], result[2:, :]])
+
+
+def _first_order_step(structure: Structure, varying: tuple[int, ...]) -> ca.Function:
+    """Return `_jet_step` of first derivatives, which solve the equation of motion linearised at every stage.
+
+    In machine code that takes three quarters of the time of the whole step differentiated.
+    """
+    observed = signals(structure)
+    p, span = ca.SX.sym("p", len(observed.parameters) + 1), ca.SX.sym("span", 2)
+    jet = ca.SX.sym("jet", 2, 1 + len(varying))
+    start, size = span[0] * p[-1], span[1] * p[-1]
+    # Of the duration by the parameters: nothing, unless it is one of them.
+    lengthening = ca.jacobian(p[-1], p[list(varying)])
+
+    def moved(weights: Sequence[float], rates: Sequence[ca.SX]) -> ca.SX:
+        """Return the jet of the state after a part of the step."""
+        used = [(weight, rate) for weight, rate in zip(weights, rates, strict=False) if weight != 0.0]
+        shares = ca.DM([weight for weight, _ in used])
+        columns = ca.horzcat(ca.vec(jet), *(rate for _, rate in used))
+        following = ca.reshape(ca.mtimes(columns, ca.vertcat(1.0, size * shares)), jet.shape)
+        if lengthening.nnz():
+            following[:, 1:] += ca.mtimes([columns[:2, 1:], shares, span[1] * lengthening])
+        return following
+
+    # Of the same symbols, so that what depends on the parameters alone is shared by the stages.
+    at = _linearised(structure, varying, p)
+    _, first, _ = at(start, jet, 0.0, p)
+    found: list[list[ca.SX]] = []
+    for row, node in zip(STAGES, NODES, strict=True):
+        found.append(at.call([start + node * size, moved(row, [rate for rate, _, _ in found]), first, p]))
+    rates, changes, squares = zip(*found, strict=True)
+    mean, square = (
+        ca.reshape(ca.mtimes(ca.horzcat(*columns), ca.DM(WEIGHTS)), -1, jet.shape[1]) for columns in (changes, squares)
+    )
+    moments = ca.vertcat(ca.reshape(first, mean.shape) + mean, square - _square(mean[: observed.squared, :]))
+    return ca.Function("jet_step", [jet, span, p], [ca.densify(moved(WEIGHTS, rates)), ca.densify(moments)])
+
+
+def _linearised(structure: Structure, varying: tuple[int, ...], p: ca.SX) -> ca.Function:
+    """Return the equation of motion and the signals as a Function of jets of first order and of parameters ``p``.
+
+    It takes the time [s], the jet of the state, the stacked one of the signals at the start of the step, and p; it
+    returns the stacked jets of the rate, of the signals' changes and of the changes' squares.
+    """
+    motion, observed = equation_of_motion(structure), signals(structure)
+    time, jet = ca.SX.sym("time"), ca.SX.sym("jet", 2, 1 + len(varying))
+    first = ca.SX.sym("first", observed.count, 1 + len(varying))
+    known, e = observed.named(p), p[list(varying)]
+    own = ca.vertcat(*(known[name] for name in motion.names))
+    state = jet[:, 0]
+    value = ca.vertcat(motion.function(time, state, own), observed.function(time, state, p[:-1]))
+    along = ca.mtimes(ca.jacobian(value, state), jet[:, 1:]) + ca.jacobian(value, e)
+    # A time is a fraction of the duration, which may be one of the parameters.
+    along += ca.mtimes(ca.jacobian(value, time) * (time / p[-1]), ca.jacobian(p[-1], e))
+    rate, now = ca.vertsplit(ca.cse([ca.horzcat(value, along)])[0], [0, 2, 2 + observed.count])
+    results = rate, now - first, _square((now - first)[: observed.squared, :])
+    stacked = [ca.densify(ca.vec(result)) for result in results]
+    return ca.Function("linearised", [time, jet, ca.vec(first), p], stacked)
+
+
+def _square(jet: ca.SX) -> ca.SX:
+    """Return the jet of first order of squares."""
+    return ca.horzcat(jet[:, 0] ** 2, ca.mtimes(ca.diag(2.0 * jet[:, 0]), jet[:, 1:]))
 
 
 def _pooled(moments: list[ca.MX], sizes: ca.DM, count: int, squared: int, varying: int) -> tuple[ca.MX, ca.MX]:

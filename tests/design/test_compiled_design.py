@@ -1,11 +1,19 @@
 """Designs in machine code: the same optimum, the same derivatives, and a word where there is no compiler."""
 
+import ctypes
 import dataclasses
+import types
 
+import casadi as ca
+import mpmath
 import numpy as np
 import pytest
 
 import plough_opt as po
+from plough_opt.compiler import library
+from plough_opt.design import machine_code
+from plough_opt.design.ipopt import _AtOnce
+from plough_opt.design.nlp import PARTS
 from plough_opt.design.program import Program
 
 
@@ -63,6 +71,66 @@ def test_values_and_derivatives_are_the_same(small):
             for one, other in zip(found.call([y, p]), expected.call([y, p]), strict=True):
                 # Compilers fuse products and sums: a rounding of each of some 1e5 operations, which mostly cancel.
                 assert np.asarray(one) == pytest.approx(np.asarray(other), rel=1e-11, abs=1e-11)
+
+
+@pytest.mark.usefixtures("cache")
+def test_what_is_remembered_of_a_point_is_of_that_point(small):
+    p = np.array([15e3])
+    fast, plain = Program(small.declared, compiled=True), Program(small.declared)
+    for program in (fast, plain):
+        program.build(p)
+    y = ca.MX.sym("y", 2), ca.MX.sym("p", 1)
+    remembering = [fast.nlp.parts, plain._solver._interpreted(plain.nlp, *y)]
+    points = [np.array([0.3, 0.4]), np.array([0.9, 0.1]), np.array([0.5, 0.8])]
+    expected = [[np.asarray(result) for result in plain.nlp.slopes.call([point, p])] for point in points]
+    rng = np.random.default_rng(7)
+    for _ in range(40):
+        k, name = rng.integers(len(points)), rng.choice(list(PARTS))
+        for parts in remembering:
+            for found, number in zip(parts[name].call([points[k], p]), PARTS[name].values(), strict=True):
+                assert np.asarray(found) == pytest.approx(expected[k][number], rel=1e-11, abs=1e-11)
+
+
+def test_values_come_with_slopes_unless_a_point_was_rejected():
+    asked = []
+
+    def counted(name, count):
+        return types.SimpleNamespace(
+            call=lambda at: asked.append(name) or [(name, float(at[0]))] * count, n_out=lambda: count
+        )
+
+    shared = _AtOnce(types.SimpleNamespace(values=counted("values", 2), slopes=counted("slopes", 4)))
+    accepted, rejected, shorter = (ca.DM(x) for x in (1.0, 2.0, 3.0))
+    for result in (0, 1, 2, 3):
+        assert shared([accepted], result) == ("slopes", 1.0)
+    assert asked == ["slopes"]
+    for result in (0, 1):
+        assert shared([rejected], result) == ("slopes", 2.0)
+    for result in (0, 1):
+        assert shared([shorter], result) == ("values", 3.0)
+    for result in (3, 2, 0):
+        assert shared([shorter], result) == ("slopes", 3.0)
+    assert shared([accepted], 0) == ("slopes", 1.0)
+    assert asked == ["slopes", "slopes", "values", "slopes", "slopes"]
+
+
+@pytest.mark.usefixtures("cache")
+def test_sine_and_cosine_in_place_of_calls():
+    source = (
+        machine_code._CIRCULAR + "double sine(double x) { return sin(x); } double cosine(double x) { return cos(x); }"
+    )
+    loaded = ctypes.CDLL(str(library(source, machine_code._VARIANTS)))
+    near_turns = np.arange(-64, 64) * np.pi / 4.0
+    anywhere = np.random.default_rng(3).uniform(-2e5, 2e5, 2000)
+    angles = np.r_[near_turns, np.nextafter(near_turns, 9.0), anywhere, 1e-300, 0.0]
+    for function, exact in ((loaded.sine, mpmath.sin), (loaded.cosine, mpmath.cos)):
+        function.restype, function.argtypes = ctypes.c_double, (ctypes.c_double,)
+        with mpmath.workdps(40):
+            errors = [abs(function(x) - exact(mpmath.mpf(x))) for x in map(float, angles)]
+        # Two roundings of a number of at most 1.
+        assert max(errors) < 2.0 * 2.0**-53
+        assert np.isnan(function(np.inf))
+        assert np.isnan(function(np.nan))
 
 
 def test_without_a_compiler_it_is_interpreted(small, cache, monkeypatch):

@@ -34,6 +34,10 @@ class TestEfficient:
         better, worse = entry(1, 1e-6), entry(1, 1e-3)
         assert efficient([worse, better], "e") == [better]
 
+    def test_a_little_more_exact_is_no_gain(self):
+        first, second, third = entry(1, 1e-9), entry(2, 0.95e-9), entry(3, 0.85e-9)
+        assert efficient([first, second, third], "e") == [first, third]
+
     def test_none(self):
         assert efficient([], "e") == []
 

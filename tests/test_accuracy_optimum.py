@@ -141,6 +141,17 @@ def test_a_solve_that_takes_too_long_is_a_row_with_its_reason(bowl, monkeypatch)
     assert all("no optimum after 1e-09 s" in entry.failure for entry in rows)
 
 
+def test_a_repetition_that_takes_too_long_leaves_the_first_time(bowl, monkeypatch):
+    monkeypatch.setattr(local_solve, "find_compiler", lambda: None)
+
+    def too_long(*_, **__):
+        raise po.NotConverged("no optimum after 1 s and 4 iterations", "Maximum_WallTime_Exceeded")
+
+    monkeypatch.setattr(optimum, "median_time", too_long)
+    rows = [entry for entry in design_entries(bowl) if entry.family == "derivatives"]
+    assert all(entry.failure is None and 0.0 < entry.seconds < math.inf for entry in rows)
+
+
 def test_an_optimum_elsewhere_is_told_and_measured_by_itself(monkeypatch):
     monkeypatch.setattr(local_solve, "find_compiler", lambda: None)
     # Two wells on either side of the middle: contestants start in the one that is not the reference's.

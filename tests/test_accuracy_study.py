@@ -430,6 +430,23 @@ class TestFiles:
         with pytest.raises(po.InputError, match="picture format"):
             study.plot(tmp_path / "study.jpg")
 
+    @pytest.mark.parametrize("slowest", [0.3, 0.55, 4.0])
+    def test_a_short_axis_has_numbers_too(self, slowest):
+        figure = made(("a", "", 0.2, 1e-3), ("b", "", slowest, 1e-5)).plot()
+        figure.canvas.draw()
+        (axes, _) = figure.axes
+        low, high = axes.get_xlim()
+        shown = [tick.label1.get_text() for tick in axes.xaxis.get_major_ticks() if low <= tick.get_loc() <= high]
+        assert shown
+        assert set(shown) <= {"200 ms", "500 ms", "1 s", "2 s"}
+
+    def test_two_panels_share_a_legend_below(self, damped):
+        figure = damped.plot()
+        assert len(figure.axes) == 2
+        (legend,) = figure.legends
+        names = {text.get_text() for text in legend.get_texts()}
+        assert {"auto", "dop853", "efficient front", "wanted error", "the default"} <= names
+
     def test_axes_show_every_entry_the_front_the_floor_and_the_wanted_error(self):
         study = made(("a", "1", 1e-3, 1e-3), ("a", "2", 2e-3, 0.0), ("b", "", 4e-3, 1e-4))
         axes = Figure().subplots()

@@ -8,6 +8,9 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
+# Part of an error below which another is told from it.
+_TELLING = 0.9
+
 
 @dataclass(frozen=True)
 class Entry:
@@ -73,6 +76,8 @@ def median_time(
 def efficient(entries: Sequence[Entry], error: str, floor: float = 0.0) -> list[Entry]:
     """Return the entries that no other beats in both time and one error, from the fastest to the most exact.
 
+    What takes longer for an error smaller by less than a tenth is beaten too.
+
     Args:
         entries: of one contest; failures are left out.
         error: the key of `Entry.errors` that counts.
@@ -86,7 +91,7 @@ def efficient(entries: Sequence[Entry], error: str, floor: float = 0.0) -> list[
     least = math.inf
     for entry in ranked:
         found = max(entry.errors[error], floor)
-        if found < least:
+        if found < _TELLING * least:
             front.append(entry)
             least = found
     return front

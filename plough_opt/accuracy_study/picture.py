@@ -34,6 +34,8 @@ _SHAPES: Final = "D^v<>PXhp"
 _FLOOR, _FRONT = "#DDDDDD", "#F0C808"
 # Characters of a name beyond which a legend has one column.
 _LONG_NAME: Final = 20
+# Ratio of times on an axis below which it is short.
+_SHORT: Final = 50.0
 # Errors below this are drawn at it.
 _LEAST: Final = 1e-19
 
@@ -98,7 +100,10 @@ def _dress(axes: Axes, panel: Panel) -> None:
     axes.set_ylim(low, high)
     axes.axhspan(_LEAST**2, panel.floor, facecolor=_FLOOR, edgecolor="#999999", hatch="///", linewidth=0.0, zorder=0)
     axes.axhline(panel.wanted, color="black", linestyle=(0, (4, 3)), linewidth=1.0, zorder=2)
-    axes.xaxis.set_major_locator(LogLocator(numticks=8))
+    times = [entry.seconds for entry in panel.entries]
+    # Powers of ten alone would leave a short axis one number, or none.
+    subs = (1.0, 2.0, 5.0) if max(times) < _SHORT * min(times) else (1.0,)
+    axes.xaxis.set_major_locator(LogLocator(subs=subs, numticks=8))
     axes.xaxis.set_minor_formatter(NullFormatter())
     axes.xaxis.set_major_formatter(FuncFormatter(lambda seconds, _: _time(seconds)))
     axes.yaxis.set_major_locator(LogLocator(numticks=8))
@@ -106,7 +111,7 @@ def _dress(axes: Axes, panel: Panel) -> None:
 
 
 def _time(seconds: float) -> str:
-    """Return a power of ten of seconds with its unit."""
+    """Return seconds with their unit."""
     for least, unit in ((1.0, "s"), (1e-3, "ms"), (1e-6, "µs")):
         if seconds >= 0.99 * least:
             return f"{seconds / least:.0f} {unit}"
@@ -127,10 +132,11 @@ def legend(target: Axes | Figure, lines: dict[str, Line2D], **where: Any) -> Non
 
 
 def figure_of(panels: Sequence[Panel], title: str = "") -> Figure:
-    """Return a figure with a panel for each question, and one for the legend."""
-    columns = 2 if len(panels) > 2 else len(panels) + 1
-    rows = math.ceil((len(panels) + 1) / columns)
-    figure = Figure(figsize=(5.4 * columns, 4.1 * rows), layout="constrained")
+    """Return a figure with a panel for each question, and a legend: in a panel of its own, or below two."""
+    columns = 2
+    below = len(panels) == columns
+    rows = math.ceil((len(panels) + (0 if below else 1)) / columns)
+    figure = Figure(figsize=(5.4 * columns, 4.1 * rows + (1.1 if below else 0.0)), layout="constrained")
     places = list(figure.subplots(rows, columns, squeeze=False).ravel())
     lines: dict[str, Line2D] = {}
     for axes, panel in zip(places, panels, strict=False):
@@ -139,7 +145,10 @@ def figure_of(panels: Sequence[Panel], title: str = "") -> Figure:
         axes.set_axis_off()
     longest = max(map(len, lines), default=0)
     ncols = 1 if longest > _LONG_NAME else 2
-    legend(places[len(panels)], lines, loc="center", fontsize="small", ncols=ncols, frameon=False)
+    if below:
+        legend(figure, lines, loc="outside lower center", fontsize="small", ncols=2 * ncols, frameon=False)
+    else:
+        legend(places[len(panels)], lines, loc="center", fontsize="small", ncols=ncols, frameon=False)
     if title:
         figure.suptitle(title)
     return figure

@@ -9,10 +9,11 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from plough_opt.accuracy import Accuracy
+from plough_opt.accuracy import ORDER_8, Accuracy
 from plough_opt.design.split import split
 from plough_opt.errors import IntegrationError
 from plough_opt.labels import Limit
+from plough_opt.motion.compiled_steps import compiled_steps
 from plough_opt.motion.embedding import with_numbers
 from plough_opt.motion.integrators import Integration, integration
 from plough_opt.motion.plan import checked, most_steps, phase, suited
@@ -35,8 +36,9 @@ class TightEvaluation:
         limits: the limits of theories that the expressions rest on, with what must stay within them.
     """
 
-    def __init__(self, expressions: Sequence[ca.MX], symbols: Sequence[ca.MX]) -> None:
-        """Split the expressions of ``symbols`` around their runs."""
+    def __init__(self, expressions: Sequence[ca.MX], symbols: Sequence[ca.MX], *, compiled: bool = False) -> None:
+        """Split the expressions of ``symbols`` around their runs, which are followed in machine code if compiled."""
+        self._compiled = compiled
         parts = split(list(expressions), list(symbols))
         self.runs = parts.runs
         self._inputs = [ca.Function("inputs", list(symbols), [run.inputs, run.quantities]) for run in parts.runs]
@@ -86,7 +88,7 @@ class TightEvaluation:
             scene: its scene.
         """
         own = self.runs[run].integration
-        stacked, _ = tight_results(own, tuple(parameters.tolist()))
+        stacked, _ = tight_results(own, tuple(parameters.tolist()), self._compiled)
         outputs, observed = own.timeline.outputs + 1, signals(own.structure)
         states, means, variances = np.split(stacked, [-observed.count - observed.squared, -observed.squared])
         states = states.reshape(outputs, -1)
@@ -103,7 +105,7 @@ class TightEvaluation:
         pairs = []
         for k, run in enumerate(self.runs):
             parameters, _ = self._numbers(k, numbers)
-            pairs.append(tight_results(run.integration, tuple(parameters.tolist())))
+            pairs.append(tight_results(run.integration, tuple(parameters.tolist()), self._compiled))
             if not all(np.all(np.isfinite(results)) for results in pairs[-1]):
                 _, scene = self.inputs(k, numbers)
                 raise IntegrationError(f"the motion of a {scene.describe()} has no finite result")
@@ -115,20 +117,25 @@ class TightEvaluation:
 
 
 @lru_cache(maxsize=2048)
-def tight_results(own: Integration, inputs: tuple[float, ...]) -> tuple[Vector, Vector]:
+def tight_results(own: Integration, inputs: tuple[float, ...], compiled: bool) -> tuple[Vector, Vector]:
     """Return a run's stacked results at numbers by a tight adaptive method, and by the one that checks it.
 
     Args:
         own: how the run was written in the design; only its structure and output times are kept.
         inputs: its parameters, the duration last.
+        compiled: whether steps of order 8 may be taken in machine code, which gives the same numbers.
     """
     p, duration = dict(zip(own.names, inputs[:-1], strict=True)), inputs[-1]
     total = phase(p, duration)
     outputs = own.timeline.outputs
+    code = compiled_steps(own.structure) if compiled and own.structure.stepped else None
     results = []
     for accuracy in checked(suited(own.structure, total)[0], TIGHT, p, duration, own.structure.kinked):
         timeline = Timeline(outputs, accuracy.steps or most_steps(total), own.timeline.kink, aligned=False)
-        function = integration(own.structure, accuracy, timeline).function
-        parts = [np.asarray(part).ravel(order="F") for part in function.call([ca.DM(inputs)])]
-        results.append(np.concatenate(parts))
+        steps = code if accuracy.method in ORDER_8 else None
+        parts: Sequence[Vector] | None = None if steps is None else steps(timeline, list(inputs))
+        if parts is None:
+            function = integration(own.structure, accuracy, timeline).function
+            parts = [np.asarray(part).T for part in function.call([ca.DM(inputs)])]
+        results.append(np.concatenate([part.ravel() for part in parts]))
     return results[0], results[1]

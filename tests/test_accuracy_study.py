@@ -433,12 +433,12 @@ class TestFiles:
     @pytest.mark.parametrize("slowest", [0.3, 0.55, 4.0])
     def test_a_short_axis_has_numbers_too(self, slowest):
         figure = made(("a", "", 0.2, 1e-3), ("b", "", slowest, 1e-5)).plot()
-        figure.canvas.draw()
+        figure.draw_without_rendering()
         (axes, _) = figure.axes
         low, high = axes.get_xlim()
         shown = [tick.label1.get_text() for tick in axes.xaxis.get_major_ticks() if low <= tick.get_loc() <= high]
-        assert shown
-        assert set(shown) <= {"200 ms", "500 ms", "1 s", "2 s"}
+        assert len(shown) >= 2
+        assert set(shown) <= {"200 ms", "300 ms", "400 ms", "500 ms", "1 s", "2 s"}
 
     def test_two_panels_share_a_legend_below(self, damped):
         figure = damped.plot()

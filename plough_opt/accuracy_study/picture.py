@@ -34,8 +34,8 @@ _SHAPES: Final = "D^v<>PXhp"
 _FLOOR, _FRONT = "#DDDDDD", "#F0C808"
 # Characters of a name beyond which a legend has one column.
 _LONG_NAME: Final = 20
-# Ratio of times on an axis below which it is short.
-_SHORT: Final = 50.0
+# Ratio of times on an axis, and the first digits that are numbered on one that is shorter.
+_DIGITS: Final = {4.0: (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 7.0), 50.0: (1.0, 2.0, 5.0)}
 # Errors below this are drawn at it.
 _LEAST: Final = 1e-19
 
@@ -102,8 +102,8 @@ def _dress(axes: Axes, panel: Panel) -> None:
     axes.axhline(panel.wanted, color="black", linestyle=(0, (4, 3)), linewidth=1.0, zorder=2)
     times = [entry.seconds for entry in panel.entries]
     # Powers of ten alone would leave a short axis one number, or none.
-    subs = (1.0, 2.0, 5.0) if max(times) < _SHORT * min(times) else (1.0,)
-    axes.xaxis.set_major_locator(LogLocator(subs=subs, numticks=8))
+    digits = next((own for ratio, own in _DIGITS.items() if max(times) < ratio * min(times)), (1.0,))
+    axes.xaxis.set_major_locator(LogLocator(subs=digits, numticks=8))
     axes.xaxis.set_minor_formatter(NullFormatter())
     axes.xaxis.set_major_formatter(FuncFormatter(lambda seconds, _: _time(seconds)))
     axes.yaxis.set_major_locator(LogLocator(numticks=8))
@@ -114,8 +114,8 @@ def _time(seconds: float) -> str:
     """Return seconds with their unit."""
     for least, unit in ((1.0, "s"), (1e-3, "ms"), (1e-6, "µs")):
         if seconds >= 0.99 * least:
-            return f"{seconds / least:.0f} {unit}"
-    return f"{seconds * 1e9:.0f} ns"
+            return f"{seconds / least:.3g} {unit}"
+    return f"{seconds * 1e9:.3g} ns"
 
 
 def legend(target: Axes | Figure, lines: dict[str, Line2D], **where: Any) -> None:

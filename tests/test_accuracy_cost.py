@@ -45,6 +45,10 @@ def check(cost, folder, capsys):
     assert "finds no events" in printed
     assert "casadi 3" in printed
     assert matplotlib.image.imread(folder / "accuracy_cost.png").shape[:2] == (1014, 1560)
+    for word, name in zip(("smooth", "stiff", "resonant", "stick", "entry"), cost.scenes(), strict=True):
+        study = po.AccuracyStudy.load(folder / f"accuracy_cost_{word}.json")
+        assert study.title == name
+        assert study.advice in printed
 
 
 def test_short_versions_of_the_scenes(cost, tmp_path, monkeypatch, capsys):

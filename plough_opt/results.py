@@ -116,6 +116,8 @@ class SavedOptimum(Saved):
         )
 
 
+# First bytes of an SQLite file.
+_STORE: Final = b"SQLite format 3"
 # Kinds of results that are built upon this module -> where what reads them is, imported when such a file is read.
 _LATER: Final = {
     "trade-off": ("plough_opt.tradeoff.result", "TradeOff"),
@@ -134,6 +136,8 @@ def load(path: str | Path) -> Any:
     Raises:
         InputError: no such file, or not a result of this layout.
     """
+    if _is_store(Path(path)):
+        raise InputError(f"'{path}' is the store of a sweep: po.Sweep.load reads it")
     kind = read_saved(path, "result", "a result", _Kind.model_validate_json).kind
     if kind in _LATER:
         module, name = _LATER[kind]
@@ -145,6 +149,14 @@ def load(path: str | Path) -> Any:
         Annotated[SavedRun | SavedOptimum, Field(discriminator="kind")]
     )
     return read_saved(path, "result", "a result", either.validate_json)
+
+
+def _is_store(path: Path) -> bool:
+    try:
+        with path.open("rb") as file:
+            return file.read(len(_STORE)) == _STORE
+    except OSError:  # which `read_saved` tells
+        return False
 
 
 class _Kind(BaseModel):

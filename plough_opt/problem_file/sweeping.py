@@ -163,6 +163,8 @@ def _refuse_unknown(what: str, method: str) -> None:
 
 def _axes(over: Mapping[str, object], sampled: bool) -> tuple[dict[str, Axis], dict[str, Display]]:
     """Return what each quantity runs over, and the units of those that are written as texts."""
+    if not isinstance(over, Mapping):
+        raise InputError(f"over = {over!r} must be a dictionary, like {{'soil.cohesion': '5..45 kPa:9'}}")
     units = quantities()
     axes: dict[str, Axis] = {}
     displays: dict[str, Display] = {}

@@ -67,6 +67,8 @@ class Sweep:
         """
         if not Path(path).is_file():
             raise InputError(f"there is no store '{path}'")
+        if not Path(path).stat().st_size:  # which SQLite would take for a new one
+            raise InputError(f"'{path}' is empty, and no store of a sweep")
         store = Store(path)
         try:
             store.read()

@@ -278,7 +278,8 @@ class Store:
             where: SQL condition.
         """
         chosen = ", ".join(map(_quoted, columns))
-        yield from self._run(f"SELECT {chosen} FROM points WHERE {where} ORDER BY point")
+        with self._telling():
+            yield from self._run(f"SELECT {chosen} FROM points WHERE {where} ORDER BY point")
 
     def extreme(self, name: str, largest: bool) -> tuple[Any, ...] | None:
         """Return the least or largest value of a result, its first point and the quantities there, or None."""
@@ -325,13 +326,14 @@ class Store:
         return "" if found is None else str(found[0])
 
     def _run(self, statement: str, *values: object) -> sqlite3.Cursor:
-        return self._connection.execute(statement, values)
+        with self._telling():
+            return self._connection.execute(statement, values)
 
     def _to_write_ahead(self) -> None:
         """Let others read while one writes; several runs may ask for it at the same moment."""
         for trial in range(100):
             try:
-                self._run("PRAGMA journal_mode = WAL")
+                self._connection.execute("PRAGMA journal_mode = WAL")
                 return
             except sqlite3.OperationalError as error:
                 if "locked" not in str(error) or trial == 99:
@@ -355,7 +357,7 @@ class Store:
         """Say which store it is that fails."""
         try:
             yield
-        except sqlite3.Error as error:
+        except (sqlite3.Error, json.JSONDecodeError) as error:
             raise InputError(f"the store '{self.path}' cannot be used: {error}") from None
         except OSError as error:
             raise InputError(f"the store '{self.path}' cannot be written: {error.strerror}") from None
@@ -388,10 +390,8 @@ def _dead(owner: str, expires: float, now: float) -> bool:
         return False
     try:
         os.kill(int(rest.partition(":")[0]), 0)
-    except ProcessLookupError:
-        return True
-    except PermissionError:
-        return False
+    except OSError as error:  # a process of another user is none that is dead
+        return isinstance(error, ProcessLookupError)
     return False
 
 

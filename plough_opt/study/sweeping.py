@@ -16,6 +16,7 @@ from typing import Any
 from rich.console import Console
 
 from plough_opt.errors import InputError
+from plough_opt.expressions import is_count
 from plough_opt.results import versions
 from plough_opt.study.axes import axis_of
 from plough_opt.study.bar import bar
@@ -24,7 +25,7 @@ from plough_opt.study.points import points_of
 from plough_opt.study.pool import ProcessPool, default_workers
 from plough_opt.study.result import Sweep
 from plough_opt.study.store import Store, check_columns
-from plough_opt.study.work import Evaluation
+from plough_opt.study.work import Evaluation, ManyPoints
 
 
 def sweep(
@@ -67,10 +68,9 @@ def sweep(
         InputError: something that cannot be swept, a store of another question, or a broken executor.
         KeyboardInterrupt: interrupted; the message says what is stored.
     """
+    _refuse_arguments(evaluation, over, executor, workers, units)
     points = points_of({name: axis_of(name, given) for name, given in over.items()}, samples, seed)
     check_columns(points.names)
-    if workers is not None and workers < 1:
-        raise InputError(f"workers = {workers} must be 1 or more")
     if executor is None:
         _refuse_unpicklable(evaluation)
     asked = {**points.question(), **(question or _identity(evaluation)), **_versions()}
@@ -96,6 +96,19 @@ def sweep(
         kept.close()
         raise
     return Sweep(kept, already)
+
+
+def _refuse_arguments(evaluation: object, over: object, executor: object, workers: object, units: object) -> None:
+    """Refuse arguments of another kind before anything is computed."""
+    if not callable(evaluation) and not isinstance(evaluation, ManyPoints):
+        raise InputError(f"{evaluation!r} cannot be swept: give a problem, or a function of named numbers")
+    for name, given in (("over", over), ("units", {} if units is None else units)):
+        if not isinstance(given, Mapping):
+            raise InputError(f"{name} = {given!r} must be a dictionary, by the names of the quantities")
+    if executor is not None and not callable(getattr(executor, "submit", None)):
+        raise InputError(f"executor = {executor!r} must be one of concurrent.futures, or have their submit")
+    if workers is not None and not is_count(workers):
+        raise InputError(f"workers = {workers!r} must be 1 or more")
 
 
 def _silent(stored: int, count: int, failed: int) -> None:

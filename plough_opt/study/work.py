@@ -131,7 +131,7 @@ def _one_by_one(
     for k, row in enumerate(values.tolist()):
         try:
             found = evaluation(dict(zip(names, row, strict=True)))
-            numbers = {name: float(number) for name, number in found.items()}
+            numbers = _numbers(found)
         except Exception as error:
             done.reasons[k] = str(error) if isinstance(error, PloughError) else f"{type(error).__name__}: {error}"
             rows.append(None)
@@ -154,6 +154,23 @@ def _one_by_one(
         empty = [math.nan] * len(done.names)
         done.results = np.array([empty if row is None else row for row in rows])
     return done
+
+
+def _numbers(found: Mapping[str, float]) -> dict[str, float]:
+    """Return what an evaluation gave as named floats.
+
+    Raises:
+        InputError: something else; the message says what.
+    """
+    if not isinstance(found, Mapping):
+        raise InputError(f"the function returned {found!r}: return a dictionary of named numbers")
+    numbers = {}
+    for name, number in found.items():
+        try:
+            numbers[name] = float(number)
+        except (TypeError, ValueError, OverflowError) as error:
+            raise InputError(f"{name} = {str(number)[:80]!r} is no number: {error}") from None
+    return numbers
 
 
 def _not_finite(name: str, number: float) -> str:

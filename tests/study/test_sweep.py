@@ -164,6 +164,57 @@ def test_a_file_that_is_no_store_is_refused(inline, tmp_path):
         po.sweep(swept.waves, OVER, executor=inline, store="/proc/sweep.db")
 
 
+def test_a_store_that_is_empty_spoilt_or_closed_is_refused(inline, tmp_path):
+    (tmp_path / "empty.db").touch()
+    with pytest.raises(po.InputError, match="is empty, and no store of a sweep"):
+        po.Sweep.load(tmp_path / "empty.db")
+    assert (tmp_path / "empty.db").stat().st_size == 0
+    result = po.sweep(swept.waves, OVER, executor=inline, store=tmp_path / "sweep.db")
+    with pytest.raises(po.InputError, match=r"is the store of a sweep: po\.Sweep\.load reads it"):
+        po.load(tmp_path / "sweep.db")
+    result.close()
+    for read in (len, lambda closed: closed.table, lambda closed: closed.to_csv(tmp_path / "a.csv")):
+        with pytest.raises(po.InputError, match=r"sweep\.db' cannot be used: Cannot operate on a closed database"):
+            read(result)
+    assert not (tmp_path / "a.csv").exists()
+    with sqlite3.connect(tmp_path / "sweep.db") as connection:
+        connection.execute("UPDATE meta SET value = '{' WHERE key = 'names'")
+    connection.close()
+    with pytest.raises(po.InputError, match=r"sweep\.db' cannot be used: Expecting property name"):
+        po.Sweep.load(tmp_path / "sweep.db")
+
+
+@pytest.mark.parametrize(
+    ("changed", "words"),
+    [
+        ({"over": None}, "over = None must be a dictionary"),
+        ({"over": ["a"]}, r"over = \['a'\] must be a dictionary"),
+        ({"units": "m"}, "units = 'm' must be a dictionary"),
+        ({"workers": "2"}, "workers = '2' must be 1 or more"),
+        ({"workers": 1.5}, "workers = 1.5 must be 1 or more"),
+        ({"executor": "processes"}, "executor = 'processes' must be one of concurrent.futures"),
+        ({"what_to_sweep": 3}, "3 cannot be swept: give a problem, or a function"),
+    ],
+)
+def test_arguments_of_another_kind_are_refused(inline, changed, words):
+    arguments = {"what_to_sweep": swept.waves, "over": OVER, "executor": inline} | changed
+    with pytest.raises(po.InputError, match=words):
+        po.sweep(arguments.pop("what_to_sweep"), arguments.pop("over"), **arguments)
+
+
+@pytest.mark.parametrize(
+    ("given", "reason"),
+    [
+        (None, "the function returned None: return a dictionary of named numbers"),
+        (3.0, "the function returned 3.0: return a dictionary of named numbers"),
+        ({"draft": "much"}, "draft = 'much' is no number: could not convert string to float: 'much'"),
+    ],
+)
+def test_what_is_no_named_number_is_told_by_its_name(inline, given, reason):
+    result = po.sweep(lambda _: given, {"a": [1.0, 2.0]}, executor=inline)
+    assert [failure.reason for failure in result.failures] == [reason] * 2
+
+
 def test_names_that_no_table_can_have_are_refused(inline):
     for over in ({"a": [1.0, 2.0], "A": [1.0, 2.0]}, {"reason": [1.0, 2.0]}, {"": [1.0, 2.0]}):
         with pytest.raises(po.InputError, match="cannot name"):

@@ -16,8 +16,11 @@ import plough_opt as po
 from plough_opt.accuracy_study import methods, models, quadratures, scenes
 from plough_opt.accuracy_study.contest import Entry, efficient
 from plough_opt.accuracy_study.methods import Task, prepared
+from plough_opt.accuracy_study.picard import EPS
+from plough_opt.accuracy_study.profile_reference import profile_reaction
 from plough_opt.accuracy_study.result import AccuracyStudy, duration_text
 from plough_opt.expressions import exp
+from plough_opt.forces import soil_reaction
 
 SOIL = po.named_soil("serozem")
 WAVE = po.StrengthWave(amplitude=0.3, wavelength=0.2)
@@ -179,7 +182,32 @@ class TestQuadratures:
         task = Task(scene(soil=flat), 1.0, 4, 1.0)
         found = quadratures.density_profile(task)
         assert all(e.errors["reaction"] < 1e-11 for e in found.entries if int(e.setting.split()[1]) >= 8)
-        assert found.reference < 1e-12
+        # Some units of rounding of the widest floats: no order of the quadrature that it judges is as exact.
+        assert found.reference < 100 * EPS
+        exact = profile_reaction(task.scene.cone, flat, 64, 24)
+        plain = soil_reaction(task.scene.cone, SOIL)
+        for name in ("static", "drag", "added_mass"):
+            assert float(getattr(exact, name)) == pytest.approx(float(getattr(plain, name)), rel=2e-15)
+
+    def test_the_reference_of_a_profile_has_another_rule_and_the_same_limit(self):
+        # A soil without internal friction, and with a dense core a third as wide as the front.
+        core = dataclasses.replace(SOIL, friction_angle=0.0).with_density_profile(
+            lambda r, w: 1350 * (1.08 + 0.3 / (1.0 + (r / w) ** 2)), 0.05, order=64
+        )
+        cone = scene().cone
+        exact, finest = profile_reaction(cone, core, 64, 24), soil_reaction(cone, core)
+        for name in ("static", "drag", "added_mass"):
+            assert float(getattr(exact, name)) == pytest.approx(float(getattr(finest, name)), rel=1e-13)
+
+    def test_a_profile_that_takes_no_wide_floats_is_a_note(self):
+        def odd(r):
+            if getattr(r, "dtype", None) == np.longdouble:
+                raise TypeError("doubles only")
+            return 1700.0 + 0.0 * r
+
+        study = po.study_accuracy(scene(soil=SOIL.with_density_profile(odd), motion=False), 0.1, outputs=4)
+        assert [q.error for q in study.questions] == ["averages"]
+        assert any("density profile takes no wide floats: doubles only" in note for note in study.notes)
 
     def test_orders_of_a_profile_converge(self):
         varied = SOIL.with_density_profile(lambda r, w: 1350 * (1.05 + 0.3 * exp(-((r / w) ** 2))), 0.15, order=12)

@@ -18,7 +18,8 @@ from plough_opt.accuracy import Accuracy
 from plough_opt.accuracy_study.contest import Entry, median_time
 from plough_opt.accuracy_study.laws import Laws, Piece
 from plough_opt.accuracy_study.methods import Task, failure
-from plough_opt.accuracy_study.picard import WIDE, Wide, gauss
+from plough_opt.accuracy_study.picard import EPS, WIDE, Wide, gauss
+from plough_opt.accuracy_study.profile_reference import WideReaction, profile_reaction
 from plough_opt.accuracy_study.reference import errors_of
 from plough_opt.errors import PloughError
 from plough_opt.expressions import as_number
@@ -31,8 +32,8 @@ from plough_opt.scene import Scene
 ORDERS: Final = (2, 4, 8, 16, 32, 64)
 """Orders of a density profile's quadrature that are tried."""
 
-REFERENCE_ORDERS: Final = (160, 120)
-"""Order of the reference for them, and of what tells its error."""
+PANELS: Final = ((64, 24), (48, 20))
+"""Panels and degree of the reference for them, and of what tells its error."""
 
 POINTS: Final = (1, 2, 4, 10)
 """Gauss-Legendre points in each panel of a quasi-static course that are tried."""
@@ -73,9 +74,9 @@ def density_profile(task: Task) -> Quadratures:
     def reaction(order: int) -> SoilReaction:
         return soil_reaction(scene.cone, replace(scene.soil, density_profile=replace(profile, order=order)))
 
-    exact, check = (reaction(order) for order in REFERENCE_ORDERS)
+    exact, check = (profile_reaction(scene.cone, scene.soil, *panels) for panels in PANELS)
 
-    def errors(found: SoilReaction) -> dict[str, float]:
+    def errors(found: SoilReaction | WideReaction) -> dict[str, float]:
         names = {"static resistance": "static", "drag": "drag", "added mass": "added_mass"}
         apart = {
             name: float(abs(getattr(found, key) - getattr(exact, key)) / abs(getattr(exact, key)))
@@ -87,7 +88,7 @@ def density_profile(task: Task) -> Quadratures:
     entries = tuple(
         _entry(task, "density profile", f"order {order}", partial(reaction, order), errors) for order in orders
     )
-    return Quadratures(entries, max(float(errors(check)["reaction"]), float(np.finfo(float).eps)))
+    return Quadratures(entries, max(errors(check)["reaction"], float(EPS)))
 
 
 # --- quasi-static course ---

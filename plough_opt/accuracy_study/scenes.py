@@ -63,8 +63,13 @@ class _Hall:
         self.floors |= {name: found.errors["averages"], f"{name}, trajectory": found.errors["trajectory"]}
         return found
 
-    def quadrature(self, name: str, found: Quadratures) -> None:
-        """Take over the entries of a quadrature."""
+    def quadrature(self, name: str, measure: Callable[[], Quadratures]) -> None:
+        """Take over the entries of a quadrature, or note why there are none."""
+        try:
+            found = measure()
+        except PloughError as error:
+            self.notes.append(f"no reference of the {name}: {error}")
+            return
         self.entries += found.entries
         self.floors[name] = found.reference
 
@@ -86,12 +91,12 @@ def contest(task: Task, *, derivatives: bool = True, told: Told | None = None) -
             told("derivatives", 0.6)
             hall.entries += _derivatives(hall, task)
     elif scene.medium == "elastic":
-        hall.quadrature(CONTACT, elastic_contact(task))
+        hall.quadrature(CONTACT, partial(elastic_contact, task))
     else:
-        hall.quadrature(COURSE, quasi_static_course(task))
+        hall.quadrature(COURSE, partial(quasi_static_course, task))
     if scene.soil.density_profile is not None and scene.medium == "plastic":
         told("quadratures", 0.9)
-        hall.quadrature(PROFILE, density_profile(task))
+        hall.quadrature(PROFILE, partial(density_profile, task))
     if not WIDER and scene.effects.motion:
         hall.notes.append("this machine has no floats wider than a double: the references are no better than that")
     return Contest(tuple(hall.entries), hall.floors, tuple(hall.notes))

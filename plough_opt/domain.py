@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 
-from plough_opt.errors import DomainError
-from plough_opt.expressions import Expression, as_number, is_casadi, is_symbolic
+from plough_opt.errors import DomainError, InputError
+from plough_opt.expressions import Expression, as_number, holds_several, is_casadi, is_symbolic
+
+# Numbers of fewer bytes overflow, or have three digits.
+_LEAST_BYTES = 4
 
 
 def check_domain(
@@ -41,8 +45,7 @@ def check_domain(
         return
     if is_symbolic(value):
         return
-    if not is_casadi(value) and np.asarray(value).dtype.kind not in "iuf":
-        raise DomainError(f"{name} = {value!r} must be a number, in {unit or 'no unit'}")
+    _check_kind(name, value, unit)
     numbers = np.atleast_1d(as_number(value))
     rules = [
         (np.isfinite(numbers), "finite", None),
@@ -61,3 +64,37 @@ def check_domain(
             bound = "" if limit is None else f" {limit:.{digits}g}{suffix}"
             reason = f": {why}" if why else ""
             raise DomainError(f"{name} = {bad:.{digits}g}{suffix} must be {relation}{bound}{reason}")
+
+
+def _check_kind(name: str, value: Expression, unit: str) -> None:
+    """Refuse what is no number, or one of a type in which squares and cubes overflow.
+
+    Raises:
+        DomainError: text, a list, a switch, or numbers of one or two bytes.
+    """
+    if is_casadi(value):
+        return
+    if isinstance(value, list | tuple):
+        raise DomainError(f"{name} = {value!r} must be a number or a NumPy array of them, in {unit or 'no unit'}")
+    kind = np.asarray(value).dtype
+    if kind.kind not in "iuf":
+        raise DomainError(f"{name} = {value!r} must be a number, in {unit or 'no unit'}")
+    if kind.itemsize < _LEAST_BYTES:
+        raise DomainError(f"{name} is of type {kind}, in which squares and cubes overflow: give it as float")
+
+
+def check_single(what: str, values: Any) -> None:
+    """Refuse arrays, and columns of symbols, where formulas hold for one number at a time.
+
+    Args:
+        what: what takes them, as the user calls it.
+        values: numbers and expressions, alone or nested in dataclasses, lists, tuples and dictionaries.
+
+    Raises:
+        InputError: one of them has not exactly one element.
+    """
+    if holds_several(values):
+        raise InputError(
+            f"{what} takes one number for each quantity and no arrays: call it once for each, or build it of CasADi"
+            " symbols and map the casadi.Function"
+        )

@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field, is_dataclass
 from typing import Literal, Protocol, runtime_checkable
 
+import numpy as np
+
 from plough_opt.domain import check_domain
 from plough_opt.errors import InputError
 from plough_opt.expressions import COUNT, Expression, as_number, is_count, is_symbolic
@@ -161,6 +163,7 @@ class Effects:
     formulation: Formulation = "derived"
 
     def __post_init__(self) -> None:
+        self._check_kinds()
         if self.contact != "resisting" and not isinstance(self.contact, Smooth | StickSlip):
             raise InputError(f"contact = {self.contact!r} must be 'resisting', Smooth(width) or StickSlip(breakaway)")
         if self.start not in ("equilibrium", "rest", "towed"):
@@ -181,6 +184,18 @@ class Effects:
             self._refuse_on_an_orbit()
         if self.printed.repelling_spring and self.contact != "resisting":
             raise InputError("the print knows no contact law: its repelling spring goes with contact = 'resisting'")
+
+    def _check_kinds(self) -> None:
+        """Refuse a switch that is neither on nor off, and a strength wave that is none."""
+        for name in ("motion", "inertial_drag", "added_mass", "ambient_pressure", "entry"):
+            value = getattr(self, name)
+            if not isinstance(value, bool):
+                raise InputError(f"{name} = {value!r} must be True or False")
+        if self.strength_wave is not None and not isinstance(self.strength_wave, StrengthWave):
+            raise InputError(
+                f"strength_wave = {self.strength_wave!r} must be None or a StrengthWave, as StrengthWave(amplitude=0.3,"
+                " wavelength=0.2)"
+            )
 
     def _check_own(self) -> None:
         """Refuse own resistances that are none, or that a contact law would not know what to do with."""
@@ -242,4 +257,4 @@ class Effects:
     @property
     def ramps(self) -> bool:
         """Whether the strut's speed ramps up; a ramp of zero duration is no ramp."""
-        return self.tow_ramp is not None and (is_symbolic(self.tow_ramp) or bool(as_number(self.tow_ramp) > 0))
+        return self.tow_ramp is not None and (is_symbolic(self.tow_ramp) or bool(np.any(as_number(self.tow_ramp) > 0)))

@@ -31,21 +31,28 @@ class InfeasibleDesign(PloughError, RuntimeError):
     """
 
     def __init__(self, message: str, conflicts: dict[str, float], blockers: list[str]) -> None:
-        super().__init__(message)
+        # Exceptions are pickled by these arguments, for instance on their way back from a process of a pool.
+        super().__init__(message, conflicts, blockers)
         self.conflicts = conflicts
         self.blockers = blockers
+
+    def __str__(self) -> str:
+        return str(self.args[0])
 
 
 class NotConverged(PloughError, RuntimeError):
     """The optimiser stopped without an optimum; ``status`` is IPOPT's own word for why."""
 
     def __init__(self, message: str, status: str) -> None:
-        super().__init__(message)
+        super().__init__(message, status)
         self.status = status
+
+    def __str__(self) -> str:
+        return str(self.args[0])
 
 
 def nearest(name: str, valid: Iterable[str]) -> str:
     """Return a clause that suggests the nearest valid names, or lists them all when none is near."""
     names = sorted(valid)
-    close = difflib.get_close_matches(name, names, n=2, cutoff=0.55)
+    close = difflib.get_close_matches(str(name), names, n=2, cutoff=0.55)
     return f"did you mean {' or '.join(map(repr, close))}?" if close else f"valid names: {', '.join(names)}"

@@ -24,6 +24,7 @@ Expression: TypeAlias = Any
 
 _SYMBOLIC = (ca.SX, ca.MX)
 _CASADI = (ca.SX, ca.MX, ca.DM)
+_MATRICES = (np.ndarray, *_CASADI)
 # In which no expression is nested.
 _PLAIN = (float, int, str, type(None))
 # Terms kept in the two power series: enough for a relative 1e-17 in the value and 1e-14 in the second
@@ -70,12 +71,25 @@ def as_number(value: Expression) -> NDArray[np.float64]:
 
 def holds_casadi(value: Any) -> bool:
     """Return whether any CasADi expression is nested in dataclasses, lists, tuples or dictionaries."""
+    return _holds(value, is_casadi)
+
+
+def holds_several(value: Any) -> bool:
+    """Return whether an array or CasADi matrix of other than one element is nested in these, or is ``value``."""
+    return _holds(value, _is_several)
+
+
+def _is_several(value: Any) -> bool:
+    return isinstance(value, _MATRICES) and math.prod(value.shape) != 1
+
+
+def _holds(value: Any, leaf: Callable[[Any], bool]) -> bool:
     waiting = [value]
     while waiting:
         item = waiting.pop()
         if isinstance(item, _PLAIN):
             continue
-        if is_casadi(item):
+        if leaf(item):
             return True
         if dataclasses.is_dataclass(item) and not isinstance(item, type):
             waiting += [getattr(item, name) for name in _own_fields(type(item))]

@@ -9,9 +9,10 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from plough_opt.domain import check_domain
+from plough_opt.domain import check_domain, check_single
+from plough_opt.errors import InputError
 from plough_opt.expressions import Expression, column, holds_casadi, is_casadi
-from plough_opt.geometry import Cone
+from plough_opt.geometry import Cone, Wedge
 from plough_opt.plastic import Cavity, WallPressure, front_radius, wall_pressure
 from plough_opt.quadrature import gauss_legendre
 from plough_opt.soil import Soil
@@ -39,9 +40,23 @@ def resistance_coefficients(cone: Cone, soil: Soil) -> ResistanceCoefficients:
     coefficients are then quadratures over the cone's height too. Holds for a slender cone (half angle up to
     some 20 degrees, hypothesis of plane sections) wholly in the soil.
     """
+    _check_kinds(cone, soil)
     p = _mean_wall_pressure(cone, soil)
     slope = cone.slope
     return ResistanceCoefficients(A=slope**2 * p.strength, B=slope**4 * p.rate, C=2.0 / 3.0 * slope**4 * p.inertia)
+
+
+def _check_kinds(cone: Cone, soil: Soil) -> None:
+    """Refuse something else in the place of the cone or the soil.
+
+    Raises:
+        InputError: a wedge, whose forces are those of its equivalent cone, the name of a soil, or anything else.
+    """
+    if not isinstance(cone, Cone):
+        remedy = ": take its equivalent_cone()" if isinstance(cone, Wedge) else ""
+        raise InputError(f"the cone = {cone!r} must be a Cone{remedy}")
+    if not isinstance(soil, Soil):
+        raise InputError(f"the soil = {soil!r} must be a Soil, for instance named_soil('serozem')")
 
 
 def _mean_wall_pressure(cone: Cone, soil: Soil) -> WallPressure:
@@ -52,6 +67,8 @@ def _mean_wall_pressure(cone: Cone, soil: Soil) -> WallPressure:
     profile = soil.density_profile
     if profile is None:
         return wall_pressure(soil)
+    # The nodes are a column of their own, which an array would meet element by element.
+    check_single("the resistance of a soil with a density profile", (cone, soil))
     nodes, weights = (np.array(values) for values in gauss_legendre(profile.order))
     shares = column(nodes, holds_casadi((cone, soil)))
     p = wall_pressure(soil, cone.height * cone.slope * shares)
@@ -87,6 +104,7 @@ def soil_reaction(cone: Cone, soil: Soil) -> SoilReaction:
     (1 + mu0 cot(beta)) tan^2(beta) is taken as tan(beta) (tan(beta) + mu0), so nothing is singular for a
     slender cone.
     """
+    _check_kinds(cone, soil)
     p = _mean_wall_pressure(cone, soil)
     slope = cone.slope
     face = math.pi * cone.height**2 * slope * (slope + soil.tool_friction)
@@ -122,5 +140,6 @@ def added_mass(cone: Cone, soil: Soil) -> Expression:
 
 def loosened_radius(cone: Cone, soil: Soil) -> Expression:
     """Return the radius h tan(beta) sqrt(a) [m] of the compaction front at the base of the cone, (16)."""
+    _check_kinds(cone, soil)
     at_base = Cavity(radius=cone.height * cone.slope, rate=0.0, acceleration=0.0)
     return front_radius(at_base, soil)

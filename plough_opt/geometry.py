@@ -13,7 +13,15 @@ PLANE_SECTIONS_LIMIT = math.radians(20.0)
 
 
 def deg(angle: Expression) -> Expression:
-    """Return an angle given in degrees in radians."""
+    """Return an angle given in degrees in radians [rad].
+
+    Args:
+        angle: a float, a NumPy array or a CasADi expression [degrees].
+
+    Raises:
+        DomainError: not a number, or one that is not finite.
+    """
+    check_domain("angle", angle, "degrees")
     return angle * (math.pi / 180.0)
 
 

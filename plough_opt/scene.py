@@ -37,7 +37,8 @@ class Scene:
 
     Raises:
         DomainError: a number outside its domain.
-        InputError: an unknown medium, or an effect that has no meaning in the elastic one.
+        InputError: an unknown medium, an effect that has no meaning in the elastic one, or something else in the place
+            of soil, share or effects.
     """
 
     soil: Soil
@@ -49,6 +50,7 @@ class Scene:
     medium: Literal["plastic", "elastic"] = "plastic"
 
     def __post_init__(self) -> None:
+        self._check_kinds()
         if self.medium not in ("plastic", "elastic"):
             raise InputError(f"medium = {self.medium!r} must be 'plastic' or 'elastic'")
         if self.medium == "elastic":
@@ -56,6 +58,16 @@ class Scene:
         check_domain("stiffness", self.stiffness, "N/m", above=0.0)
         check_domain("mass", self.mass, "kg", above=0.0, why="the share itself moves")
         check_domain("tow speed", self.tow_speed, "m/s", at_least=0.0)
+
+    def _check_kinds(self) -> None:
+        """Refuse something else in the place of the soil, the share or the effects."""
+        for name, wanted, kinds in (
+            ("soil", "a Soil, for instance named_soil('serozem')", Soil),
+            ("share", "a Wedge or a Cone", Wedge | Cone),
+            ("effects", "an Effects", Effects),
+        ):
+            if not isinstance(getattr(self, name), kinds):
+                raise InputError(f"the scene's {name} = {getattr(self, name)!r} must be {wanted}")
 
     def _refuse_plastic_effects(self) -> None:
         """Refuse effects that have no meaning in the elastic medium."""

@@ -196,7 +196,6 @@ def named_soil(name: str) -> Soil:
     Raises:
         InputError: no soil of that name; the message suggests the nearest.
     """
-    try:
-        return _NAMED[name]
-    except KeyError:
-        raise InputError(f"no soil is named '{name}': {nearest(name, _NAMED)}") from None
+    if not isinstance(name, str) or name not in _NAMED:
+        raise InputError(f"no soil is named '{name}': {nearest(name, _NAMED)}")
+    return _NAMED[name]

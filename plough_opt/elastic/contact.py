@@ -19,7 +19,7 @@ from functools import partial
 import casadi as ca
 import numpy as np
 
-from plough_opt.domain import check_domain
+from plough_opt.domain import check_domain, check_single
 from plough_opt.elastic import cone as cones
 from plough_opt.elastic import wedge as wedges
 from plough_opt.elastic.medium import Medium, medium
@@ -181,6 +181,7 @@ def wedge_force(profile: Profile, soil: Soil, speed: Expression, *, separation: 
         InputError: as `wedge_stress`.
     """
     state, face = medium(soil, speed), body(profile)
+    check_single("the contact force of the elastic medium", (face, soil, speed))
     force = 2.0 * soil.tool_friction * _face_integral(face, state)
     if separation:
         ambient = soil.ambient_pressure
@@ -241,6 +242,7 @@ def cone_force(
     """
     check_domain("section factor", section_factor, above=0.0)
     state, face = cones.state_of(soil, speed), body(profile)
+    check_single("the contact force of the elastic medium", (face, soil, speed, section_factor))
     for radius in face.heights[1:-1] or face.heights[-1:]:
         check_domain("radius at a node between the first and the last", radius, "m", above=0.0)
     symbolic = holds_casadi((face, soil, speed, section_factor))

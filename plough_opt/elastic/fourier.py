@@ -13,13 +13,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from plough_opt.domain import check_domain
+from plough_opt.domain import check_domain, check_single
 from plough_opt.elastic import cone as cones
 from plough_opt.elastic import sources
 from plough_opt.elastic import wedge as wedges
 from plough_opt.elastic.medium import Medium, medium
 from plough_opt.errors import DomainError, InputError
-from plough_opt.expressions import Expression, expm1_ratio, holds_casadi
+from plough_opt.expressions import Expression, expm1_ratio, holds_casadi, is_count
 from plough_opt.quadrature import gauss_legendre
 from plough_opt.soil import Soil
 
@@ -203,11 +203,13 @@ def _place(
         raise InputError(
             "the Fourier integrals take numbers only: of symbols take the closed forms, with elastic.knots"
         )
+    x, distance = (np.asarray(value) if isinstance(value, list | tuple) else value for value in (x, distance))
     check_domain("x", x, "m")
     check_domain("distance from the axis", distance, "m", above=0.0, why="on the axis the integrals do not converge")
     check_domain("length of the profile", length, "m", above=0.0)
-    if order < 2:
-        raise InputError(f"order = {order} must be at least 2: the number of nodes in a panel")
+    check_single("a Fourier integral", (length, soil, speed))
+    if not is_count(order) or order < 2:
+        raise InputError(f"order = {order!r} must be at least 2, and whole: the number of nodes in a panel")
     state = medium(soil, speed)
     check_domain("speed over shear wave speed", state.mach, below=1.0, why="at it the integrals do not converge")
     across, away = np.broadcast_arrays(np.asarray(x, dtype=float), np.asarray(distance, dtype=float))

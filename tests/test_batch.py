@@ -293,9 +293,45 @@ def test_wrong_inputs(batch_of, r1_scene, r1_wave):
         po.Batch(scene, 1.0, [])
     with pytest.raises(po.InputError, match="must lie between 1e-11 and 1e-2"):
         po.Batch(scene, 1.0, [k0], error=0.0)
+    with pytest.raises(po.InputError, match="error = '1e-6' must lie between"):
+        po.Batch(scene, 1.0, [k0], error="1e-6")
+    with pytest.raises(po.InputError, match="its scene is made, as a list"):
+        po.Batch(scene, 1.0, k0)
+    with pytest.raises(po.InputError, match="named twice"):
+        po.Batch(scene, 1.0, [k0, k0])
+    with pytest.raises(po.InputError, match="all SX, or all MX"):
+        po.Batch(scene, 1.0, [k0, ca.SX.sym("other")])
+    for duration in ("2 s", None, -1.0):
+        with pytest.raises(po.DomainError, match=r"duration = .* must be"):
+            po.Batch(scene, duration, [k0])
     batch = batch_of(strength_wave=r1_wave, error=1e-6)
     with pytest.raises(po.InputError, match=r"shape \(3,\).*each of its 3 inputs"):
         batch(DESIGNS[0])
+    with pytest.raises(po.InputError, match="values of a batch must be numbers"):
+        batch([["25 deg", 0.25, 5e4]])
+    for threads in (0, 1.5, "2"):
+        with pytest.raises(po.InputError, match=r"threads = .* must be a whole number from 1 on"):
+            batch(DESIGNS, threads=threads)
+
+
+@pytest.mark.parametrize("compiled", [True, False])
+def test_inputs_on_which_nothing_depends(r1_scene, r1_wave, compiled, request):
+    if not compiled:
+        request.getfixturevalue("no_compiler")
+    scene = r1_scene(25.0, 0.25, 5e4, strength_wave=r1_wave)
+    result = po.Batch(scene, 1.0, [ca.MX.sym("idle"), ca.MX.sym("other")])(np.ones((3, 2)))
+    # The batch wants a relative error of 1e-6.
+    assert result.mean_draft == pytest.approx([po.simulate(scene, 1.0).mean_draft] * 3, rel=1e-6)
+
+
+def test_one_design_beyond_floating_point_leaves_the_others(r1_soil, r1_wave):
+    height = ca.MX.sym("height")
+    scene = po.Scene(r1_soil, po.Cone(0.2, height), 5e4, 25.0, 2.0, po.Effects(strength_wave=r1_wave))
+    batch = po.Batch(scene, 1.0, [height])
+    result = batch([[0.25], [1e200]])
+    assert list(result.failed) == [False, True]
+    assert "beyond what floating point holds" in result.reasons[1]
+    assert result.mean_draft[0] == batch([[0.25]]).mean_draft[0]
 
 
 # --- one call or many ---------------------------------------------------------------------------------------
@@ -342,6 +378,11 @@ def test_result_is_data(batch_of, r1_wave):
     assert {field.name for field in dataclasses.fields(result)} >= {*NAMES, "reasons", "seconds", "warnings"}
     assert result.seconds > 0.0
     assert result.warnings == ()
+    assert repr(result).startswith("<BatchResult: 3 designs in ")
+    assert len(repr(result)) < 120
+    # Arrays have no single truth: a result is equal to itself alone.
+    assert result == result
+    assert result != dataclasses.replace(result)
 
 
 def test_many_designs_outside_the_domain(batch_of, r1_wave):

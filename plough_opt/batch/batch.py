@@ -19,9 +19,10 @@ from plough_opt.batch.equations import RESULTS, Start, of_column, setup
 from plough_opt.batch.layout import Layout
 from plough_opt.batch.program import Array, Program
 from plough_opt.batch.result import BatchResult
+from plough_opt.domain import check_domain
 from plough_opt.effects import StickSlip
 from plough_opt.errors import InputError
-from plough_opt.expressions import Expression, as_number, is_symbolic, template_of
+from plough_opt.expressions import Expression, as_number, is_casadi, is_count, is_symbolic, template_of
 from plough_opt.motion.terms import Structure
 from plough_opt.scene import Scene
 
@@ -58,18 +59,18 @@ class Batch:
         error: wanted error of mean draft and RMS force, relative to the larger of them, from 1e-11 to 1e-2.
 
     Raises:
-        InputError: a scene of another kind, inputs that are no symbols, or others in the scene.
+        InputError: a scene of another kind, inputs that are no symbols or twice the same, or others in the scene.
+        DomainError: a duration that is a number, and not above 0.
     """
 
     def __init__(
         self, scene: Scene, duration: Expression, inputs: Sequence[Expression], *, error: float = 1e-6
     ) -> None:
         _refuse(scene)
-        if not 1e-11 <= error <= 1e-2:
-            raise InputError(f"error = {error:g} must lie between 1e-11 and 1e-2")
-        symbols = list(inputs)
-        if not symbols or not all(is_symbolic(one) and one.is_valid_input() for one in symbols):
-            raise InputError("the inputs of a batch are the CasADi symbols of which its scene is made")
+        if not (isinstance(error, int | float | np.number) and 1e-11 <= error <= 1e-2):
+            raise InputError(f"error = {error!r} must lie between 1e-11 and 1e-2")
+        check_domain("duration", duration, "s", above=0.0)
+        symbols = _symbols(inputs)
         self._error = error
         self._layout = Layout.of(Structure.of(scene))
         template, quantities = template_of(scene)
@@ -110,8 +111,10 @@ class Batch:
             threads: of this process, each on a part of the designs.
 
         Raises:
-            InputError: values of another shape.
+            InputError: values that are no numbers or of another shape, or a number of threads that is none.
         """
+        if not is_count(threads):
+            raise InputError(f"threads = {threads!r} must be a whole number from 1 on")
         began = time.perf_counter()
         rows = self._rows(values)
         starts = range(0, rows.shape[1], _CHUNK)
@@ -153,7 +156,10 @@ class Batch:
 
     def _rows(self, values: ArrayLike) -> Array:
         """Return values with a row for each input."""
-        array = np.asarray(values, dtype=float)
+        try:
+            array = np.asarray(values, dtype=float)
+        except (TypeError, ValueError) as error:
+            raise InputError(f"the values of a batch must be numbers, in SI units: {error}") from None
         if array.ndim != 2 or array.shape[1] != self._inputs:
             raise InputError(
                 f"the values have the shape {array.shape}: a batch takes a row for each design and a column for each of"
@@ -218,15 +224,29 @@ class Batch:
     def _why(self, quantities: Array, steps: float) -> str:
         """Return why a design within the domain has no results."""
         scene = self._check.scene(lambda k: float(quantities[k]))
+        try:
+            told = scene.describe()
+        except OverflowError:
+            return "its forces are beyond what floating point holds: take numbers of a share"
         if steps >= _MOST_STEPS:
             return (
-                f"the motion of a {scene.describe()} takes more than {_MOST_STEPS} steps: take the quasi-static scene"
+                f"the motion of a {told} takes more than {_MOST_STEPS} steps: take the quasi-static scene"
                 " (Effects(motion=False)), a softer or a damped mount, or a shorter duration"
             )
-        return (
-            f"the motion of a {scene.describe()} has no finite mean: something drives the share away; po.simulate tells"
-            " when"
-        )
+        return f"the motion of a {told} has no finite mean: something drives the share away; po.simulate tells when"
+
+
+def _symbols(inputs: Sequence[Expression]) -> list[Expression]:
+    """Return the inputs, each a symbol and none twice."""
+    symbols = [] if is_casadi(inputs) else list(inputs)
+    if not symbols or not all(is_symbolic(one) and one.is_valid_input() for one in symbols):
+        raise InputError("the inputs of a batch are the CasADi symbols of which its scene is made, as a list")
+    if len({type(one) for one in symbols}) > 1:
+        raise InputError("the inputs of a batch are all SX, or all MX")
+    distinct = ca.symvar(ca.veccat(*symbols))
+    if sum(one.numel() for one in distinct) < sum(one.numel() for one in symbols):
+        raise InputError("an input of the batch is named twice: each symbol has one column")
+    return symbols
 
 
 def _refuse(scene: Scene) -> None:

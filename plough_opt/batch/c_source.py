@@ -170,7 +170,7 @@ def c_source(kernels: Kernels) -> str:
     lines += [f"LIBRARY({name})" for code, name in _LIBRARY.items() if code in codes]
     lines += [f"LIBRARY_OF_TWO({name})" for name in sorted({_LIBRARY_OF_TWO[c] for c in codes & set(_LIBRARY_OF_TWO)})]
     for name, program in kernels.maps.items():
-        inputs = 1 + max(element for _, element in program.inputs.values())
+        inputs = 1 + max((element for _, element in program.inputs.values()), default=0)
         body = _Text(program, ("x",)).body(None)
         lines.append(_MAP.format(name=name, inputs=inputs, results=len(program.results), body=body))
     state = len(kernels.parts[0][0].results)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False, repr=False)
 class BatchResult:
     """Results of a batch, an element for each design in the order in which they were given.
 
@@ -41,6 +41,13 @@ class BatchResult:
     wanted: float
     seconds: float
     warnings: tuple[str, ...]
+
+    def __repr__(self) -> str:
+        """Return in a line what was found; the arrays would fill pages."""
+        return (
+            f"<BatchResult: {len(self)} designs in {self.seconds:.3g} s, {len(self.reasons)} without results,"
+            f" {np.count_nonzero(self.missed)} less exact than {self.wanted:g}>"
+        )
 
     def __len__(self) -> int:
         return len(self.mean_draft)

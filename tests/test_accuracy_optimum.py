@@ -178,6 +178,18 @@ def test_a_start_beside_the_optimum_leads_back_to_it(bowl, monkeypatch):
     assert all(entry.failure is None and entry.errors[VARIABLES] < 1e-4 for entry in rows)
 
 
+def test_a_thin_contest_leaves_out_every_other_setting(r1_soil, r1_wave, monkeypatch):
+    monkeypatch.setattr(local_solve, "find_compiler", lambda: None)
+    monkeypatch.setattr(optimum, "_ADAPTIVE", (("erk", (1e-6, 1e-9)),))
+    monkeypatch.setattr(optimum, "_FIXED", (("dop853", (0.8, 0.5, 0.3)),))
+    monkeypatch.setattr(optimum, "_MESHES", (("radau", 3, (1.0, 0.5)),))
+    thin = design_contest(short(r1_soil, r1_wave), budget=0.0, thin=True)
+    counts = {name: len(entries_of(thin, "integrator", name)) for name in ("dop853", "erk")}
+    assert counts == {"dop853": 2, "erk": 1}
+    assert len(entries_of(thin, "transcription", "collocation")) == 1
+    assert list(dict.fromkeys(entry.family for entry in thin.entries)) == FAMILIES
+
+
 def test_progress_names_each_contestant(bowl, monkeypatch):
     monkeypatch.setattr(local_solve, "find_compiler", lambda: None)
     told = []

@@ -121,6 +121,7 @@ def design_contest(
     budget: float = 0.5,
     limit: float = 10.0,
     near: bool = False,
+    thin: bool = False,
     progress: Callable[[str, float], None] | None = None,
 ) -> DesignContest:
     """Solve a design locally by every method, and measure error and time of each.
@@ -130,6 +131,7 @@ def design_contest(
         budget: time [s] after which a solve is not repeated more than thrice for its median, as in `median_time`.
         limit: time [s] after which IPOPT gives up; the row says so.
         near: start beside the optimum, as a solve with slightly changed parameters would, instead of at the guess.
+        thin: leave out every other setting of a method.
         progress: called with the method that is next and the fraction done.
 
     Raises:
@@ -143,6 +145,10 @@ def design_contest(
     y = best.y + _BESIDE * np.where(best.y < 0.5, 1.0, -1.0) if near else question.program.start()
     start = Start(y, near, limit)
     methods = _methods(question, best, start)
+    if thin:
+        names = dict.fromkeys((method.family, method.name) for method in methods)
+        alike = [[method for method in methods if (method.family, method.name) == name] for name in names]
+        methods = [method for settings in alike for method in settings[::2]]
     entries = []
     for k, method in enumerate(methods):
         if progress is not None:

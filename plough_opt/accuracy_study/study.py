@@ -92,6 +92,7 @@ def study_design(
     wanted: float = 1e-6,
     limit: float = 10.0,
     near: bool = False,
+    thin: bool = False,
     title: str = "",
     progress: Told | None = None,
 ) -> AccuracyStudy:
@@ -104,6 +105,7 @@ def study_design(
         wanted: relative error of the objective that the advice is about [-], from 1e-15 to 0.1.
         limit: time [s] after which a solve is given up; its row says so.
         near: start beside the optimum, as a solve with slightly changed parameters would, instead of at the guess.
+        thin: leave out every other setting of a method.
         title: of the design, for reports.
         progress: called with what is being done and with the part that is done.
 
@@ -115,7 +117,7 @@ def study_design(
     """
     check_domain("wanted error", wanted, at_least=1e-15, at_most=0.1)
     check_domain("time allowed to a solve", limit, "s", above=0.0)
-    found = design_contest(design, limit=limit, near=near, progress=progress)
+    found = design_contest(design, limit=limit, near=near, thin=thin, progress=progress)
     ours = [(e.method, e.setting) for e in found.entries if (e.family, e.method) == ("derivatives", GRADIENT)]
     return AccuracyStudy(
         title=title,

@@ -135,12 +135,12 @@ def accuracy(options: argparse.Namespace) -> None:
     from plough_opt.accuracy_study.study import study_accuracy, study_design
 
     with progress() as told:
-        common = {"wanted": options.error, "title": problem.title, "progress": told}
+        common = {"wanted": options.error, "title": problem.title, "progress": told, "thin": options.thin}
         if options.design:
             study = study_design(problem.design()[0], limit=10.0 * options.seconds, **common)
         else:
             duration = problem.values().get("scene.duration")
-            study = study_accuracy(problem.scene(), duration, allowance=options.seconds, thin=options.thin, **common)
+            study = study_accuracy(problem.scene(), duration, allowance=options.seconds, **common)
     report.print_accuracy(console(), study)
     if options.plot is not None:
         from plough_opt import plots

@@ -33,14 +33,16 @@ def versions() -> dict[str, str]:
 class Saved(BaseModel):
     """What every saved result says about itself."""
 
-    model_config = ConfigDict(frozen=True, arbitrary_types_allowed=True, populate_by_name=True)
+    model_config = ConfigDict(
+        frozen=True, arbitrary_types_allowed=True, populate_by_name=True, ser_json_inf_nan="strings"
+    )
 
     layout: Annotated[Literal[1], Field(alias="schema")]
     title: str
     versions: dict[str, str]
 
     def to_json(self) -> str:
-        """Return the result as JSON text."""
+        """Return the result as JSON text; infinite numbers as "Infinity"."""
         return self.model_dump_json(indent=2, by_alias=True)
 
 

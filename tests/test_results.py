@@ -156,6 +156,16 @@ def test_soil_without_any_strength_gives_a_result_without_gaps(written):
     assert po.load(written(saved.to_json())) == saved
 
 
+def test_a_stand_in_for_no_orbit_reads_back_with_its_infinite_error(written):
+    wave = po.StrengthWave(amplitude=1.0, wavelength=0.02)
+    effects = po.Effects(strength_wave=wave, orbit="linearised")
+    run = po.simulate(po.Scene(po.named_soil("serozem"), po.Cone(po.deg(12), 0.25), 2e3, 25.0, 0.3, effects), outputs=4)
+    assert run.error_estimate == math.inf
+    text = SavedRun.of(run, "no orbit").to_json()
+    assert strict(text)["error_estimate"] == "Infinity"
+    assert po.load(written(text)).error_estimate == math.inf
+
+
 class TestLoadRefuses:
     """What is no result of this version is refused with a sentence that names the file."""
 

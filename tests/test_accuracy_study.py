@@ -468,6 +468,14 @@ class TestFiles:
         assert len(shown) >= 2
         assert set(shown) <= {"200 ms", "300 ms", "400 ms", "500 ms", "1 s", "2 s"}
 
+    def test_a_long_axis_has_powers_of_ten_though_its_marks_stand_close(self):
+        axes = Figure().subplots()
+        made(("a", "", 1e-2, 1e-3), ("b", "", 3e-2, 1e-5)).plot(axes).set_size_inches(5.0, 4.0)
+        axes.set_xlim(2e-3, 2.0)
+        axes.get_figure().draw_without_rendering()
+        ticks = [tick for tick in axes.xaxis.get_major_ticks() if 2e-3 <= tick.get_loc() <= 2.0]
+        assert [tick.label1.get_text() for tick in ticks] == ["10 ms", "100 ms", "1 s"]
+
     def test_two_panels_share_a_legend_below(self, damped):
         figure = damped.plot()
         assert len(figure.axes) == 2

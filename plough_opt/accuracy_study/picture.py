@@ -34,8 +34,8 @@ _SHAPES: Final = "D^v<>PXhp"
 _FLOOR, _FRONT = "#DDDDDD", "#F0C808"
 # Characters of a name beyond which a legend has one column.
 _LONG_NAME: Final = 20
-# Ratio of times on an axis, and the first digits that are numbered on one that is shorter.
-_DIGITS: Final = {4.0: (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 7.0), 50.0: (1.0, 2.0, 5.0)}
+# Ratio of times at the ends of an axis, and the first digits that are numbered on one that is shorter.
+_DIGITS: Final = {6.0: (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 7.0), 60.0: (1.0, 2.0, 5.0)}
 # Errors below this are drawn at it.
 _LEAST: Final = 1e-19
 
@@ -91,6 +91,16 @@ def draw(axes: Axes, panel: Panel) -> dict[str, Line2D]:
     return lines
 
 
+class _Times(LogLocator):
+    """Places of the numbers at a logarithmic axis; powers of ten alone would leave a short one a single number."""
+
+    def tick_values(self, vmin: float, vmax: float) -> Any:
+        """Return the places between two limits, or a little beyond."""
+        digits = next((own for ratio, own in _DIGITS.items() if vmax < ratio * vmin), (1.0,))
+        self.set_params(subs=digits)
+        return super().tick_values(vmin, vmax)
+
+
 def _dress(axes: Axes, panel: Panel) -> None:
     """Set scales, limits and labels, and show the reference's own error and the wanted one."""
     axes.set(xscale="log", yscale="log", title=panel.title, xlabel="time of one use", ylabel="relative error")
@@ -100,10 +110,7 @@ def _dress(axes: Axes, panel: Panel) -> None:
     axes.set_ylim(low, high)
     axes.axhspan(_LEAST**2, panel.floor, facecolor=_FLOOR, edgecolor="#999999", hatch="///", linewidth=0.0, zorder=0)
     axes.axhline(panel.wanted, color="black", linestyle=(0, (4, 3)), linewidth=1.0, zorder=2)
-    times = [entry.seconds for entry in panel.entries]
-    # Powers of ten alone would leave a short axis one number, or none.
-    digits = next((own for ratio, own in _DIGITS.items() if max(times) < ratio * min(times)), (1.0,))
-    axes.xaxis.set_major_locator(LogLocator(subs=digits, numticks=8))
+    axes.xaxis.set_major_locator(_Times(numticks=8))
     axes.xaxis.set_minor_formatter(NullFormatter())
     axes.xaxis.set_major_formatter(FuncFormatter(lambda seconds, _: _time(seconds)))
     axes.yaxis.set_major_locator(LogLocator(numticks=8))

@@ -115,7 +115,7 @@ def test_values_come_with_slopes_unless_a_point_was_rejected():
 
 
 @pytest.mark.usefixtures("cache")
-def test_sine_and_cosine_in_place_of_calls():
+def test_sine_and_cosine_of_machine_code():
     source = (
         machine_code._CIRCULAR + "double sine(double x) { return sin(x); } double cosine(double x) { return cos(x); }"
     )

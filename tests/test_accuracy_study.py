@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from rich.console import Console
 
 import plough_opt as po
-from plough_opt.accuracy_study import methods, models, quadratures, scenes
+from plough_opt.accuracy_study import methods, models, picture, quadratures, scenes
 from plough_opt.accuracy_study.contest import Entry, efficient
 from plough_opt.accuracy_study.methods import Task, prepared
 from plough_opt.accuracy_study.picard import EPS
@@ -475,6 +475,12 @@ class TestFiles:
         axes.get_figure().draw_without_rendering()
         ticks = [tick for tick in axes.xaxis.get_major_ticks() if 2e-3 <= tick.get_loc() <= 2.0]
         assert [tick.label1.get_text() for tick in ticks] == ["10 ms", "100 ms", "1 s"]
+
+    def test_no_two_methods_look_alike(self):
+        names = ["dop853", "rk", "collocation", "erk", "quasi-static", *(f"{n} differences" for n in range(12))]
+        looks = [picture.style_of(name, number) for number, name in enumerate(names)]
+        told = {(look["color"], look["marker"], look.get("markerfacecolor")) for look in looks}
+        assert len(told) == len(names)
 
     def test_two_panels_share_a_legend_below(self, damped):
         figure = damped.plot()

@@ -70,7 +70,9 @@ def style_of(method: str, number: int) -> dict[str, Any]:
         return {"color": color, "marker": marker, "markersize": 9 if marker == "*" else 5.5}
     if method in _MODELS:
         return {"color": "#444444", "marker": _MODELS[method], "markersize": 7, "markerfacecolor": "white"}
-    return {"color": COLOURS[number % len(COLOURS)], "marker": _SHAPES[number % len(_SHAPES)], "markersize": 5.5}
+    color, marker = COLOURS[number % len(COLOURS)], _SHAPES[number % len(_SHAPES)]
+    # Hollow, lest it look like one that has a style of its own.
+    return {"color": color, "marker": marker, "markersize": 6, "markerfacecolor": "white"}
 
 
 def draw(axes: Axes, panel: Panel) -> dict[str, Line2D]:

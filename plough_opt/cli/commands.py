@@ -141,6 +141,10 @@ def accuracy(options: argparse.Namespace) -> None:
         else:
             duration = problem.values().get("scene.duration")
             study = study_accuracy(problem.scene(), duration, allowance=options.seconds, **common)
+    if problem.table.uncertain is not None:
+        study = dataclasses.replace(
+            study, notes=(*study.notes, "the soil is the nominal one: its uncertainty takes no part")
+        )
     report.print_accuracy(console(), study)
     if options.plot is not None:
         from plough_opt import plots

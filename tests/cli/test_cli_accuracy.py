@@ -122,6 +122,17 @@ def test_a_design_instead_of_a_scene(cli, tmp_path):
     assert max(exact.errors.values()) < 1e-9
 
 
+def test_an_uncertain_soil_is_said_to_take_no_part(cli, tmp_path):
+    path = tmp_path / "small.toml"
+    uncertain = (
+        '[uncertain]\nsamples = 4\n"soil.cohesion" = { distribution = "normal", mean = "20 kPa", std = "1 kPa" }\n'
+    )
+    path.write_text(SMALL + uncertain, encoding="utf-8")
+    done = cli("accuracy", path)
+    assert done.status == 0
+    assert "note: the soil is the nominal one: its uncertainty takes no part" in done.out
+
+
 def test_a_design_without_variables_is_refused(cli, tmp_path):
     path = tmp_path / "still.toml"
     path.write_text(

@@ -125,7 +125,7 @@ def test_a_design_instead_of_a_scene(cli, tmp_path):
 def test_an_uncertain_soil_is_said_to_take_no_part(cli, tmp_path):
     path = tmp_path / "small.toml"
     uncertain = (
-        '[uncertain]\nsamples = 4\n"soil.cohesion" = { distribution = "normal", mean = "20 kPa", std = "1 kPa" }\n'
+        '[uncertain]\nsamples = 8\n"soil.cohesion" = { distribution = "normal", mean = "20 kPa", std = "1 kPa" }\n'
     )
     path.write_text(SMALL + uncertain, encoding="utf-8")
     done = cli("accuracy", path)

@@ -188,10 +188,13 @@ class Scene:
     def describe(self) -> str:
         """Return, for a scene of numbers, a clause that tells which it is."""
         spring = " of a repelling spring, as printed," if self.effects.printed.repelling_spring else ""
+        angle, height, stiffness, inertia, speed = (
+            float(as_number(value))
+            for value in (self.cone.half_angle, self.cone.height, self.stiffness, self.inertia, self.tow_speed)
+        )
         return (
-            f"share of half angle {math.degrees(self.cone.half_angle):.3g} deg and height {self.cone.height:.3g} m"
-            f" in {self.soil.name}, on {self.stiffness:.3g} N/m{spring} with {self.inertia:.3g} kg at"
-            f" {self.tow_speed:.3g} m/s"
+            f"share of half angle {math.degrees(angle):.3g} deg and height {height:.3g} m in {self.soil.name}, on"
+            f" {stiffness:.3g} N/m{spring} with {inertia:.3g} kg at {speed:.3g} m/s"
         )
 
     def warnings(self) -> tuple[str, ...]:

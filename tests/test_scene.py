@@ -214,3 +214,21 @@ def test_a_strut_that_stands_still_leaves_the_share_where_it_is(r1_scene):
     run = po.simulate(r1_scene(tow_speed=0.0), 1.0)
     assert run.mean_draft == run.scene.reaction.static
     assert max(map(abs, run.speed)) == 0.0
+
+
+@pytest.mark.parametrize("kind", [ca.DM, ca.SX, ca.MX, float])
+def test_a_scene_of_casadis_numbers_describes_itself(r1_scene, kind):
+    scene = r1_scene()
+    same = dataclasses.replace(
+        scene,
+        share=po.Cone(kind(scene.cone.half_angle), kind(scene.cone.height)),
+        stiffness=kind(scene.stiffness),
+        mass=kind(scene.mass),
+        tow_speed=kind(scene.tow_speed),
+    )
+    assert same.describe() == scene.describe()
+
+
+def test_a_scene_of_symbols_has_no_description(r1_scene):
+    with pytest.raises(po.InputError, match="holds symbols and so has no value yet"):
+        r1_scene(stiffness=ca.MX.sym("k0")).describe()

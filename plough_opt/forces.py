@@ -36,9 +36,16 @@ class ResistanceCoefficients:
 def resistance_coefficients(cone: Cone, soil: Soil) -> ResistanceCoefficients:
     """Return A [Pa], B and C of equation (26); C with the factor 2/3 that the integral (24) gives.
 
-    Arguments may be floats, arrays or CasADi expressions; of a density profile floats or expressions, and the
-    coefficients are then quadratures over the cone's height too. Holds for a slender cone (half angle up to
-    some 20 degrees, hypothesis of plane sections) wholly in the soil.
+    Holds for a slender cone (half angle up to some 20 degrees, hypothesis of plane sections) wholly in the soil.
+
+    Args:
+        cone: the share's equivalent cone.
+        soil: the soil. Numbers of both may be floats, arrays or CasADi expressions; of a density profile single
+            numbers or expressions, and the coefficients are then quadratures over the cone's height too.
+
+    Raises:
+        InputError: no cone or no soil, or arrays with a density profile.
+        DomainError: a density profile without a compaction front.
     """
     _check_kinds(cone, soil)
     p = _mean_wall_pressure(cone, soil)
@@ -99,10 +106,10 @@ class SoilReaction:
 
 
 def soil_reaction(cone: Cone, soil: Soil) -> SoilReaction:
-    """Return F0, Fd and the added mass of equations (25)-(27).
+    """Return F0 [N], Fd [N s^2/m^2] and the added mass [kg] of equations (25)-(27).
 
     (1 + mu0 cot(beta)) tan^2(beta) is taken as tan(beta) (tan(beta) + mu0), so nothing is singular for a
-    slender cone.
+    slender cone. Domain, arguments and errors are those of `resistance_coefficients`.
     """
     _check_kinds(cone, soil)
     p = _mean_wall_pressure(cone, soil)
@@ -126,6 +133,7 @@ def resistance(cone: Cone, soil: Soil, speed: Expression, acceleration: Expressi
 
     Raises:
         DomainError: a speed below 0, which the plastic gas does not follow, or a number that is not finite.
+        InputError: as `resistance_coefficients`.
     """
     check_domain("speed", speed, "m/s", at_least=0.0, why="the plastic gas does not follow a share that retreats")
     check_domain("acceleration", acceleration, "m/s^2")
@@ -134,12 +142,26 @@ def resistance(cone: Cone, soil: Soil, speed: Expression, acceleration: Expressi
 
 
 def added_mass(cone: Cone, soil: Soil) -> Expression:
-    """Return the mass of soil that the share carries along, pi (1 + mu0 cot(beta)) C rho0 h^3 [kg]."""
+    """Return the mass of soil that the share carries along, pi (1 + mu0 cot(beta)) C rho0 h^3 [kg], equation (26).
+
+    Arguments and errors are those of `resistance_coefficients`.
+    """
     return soil_reaction(cone, soil).added_mass
 
 
 def loosened_radius(cone: Cone, soil: Soil) -> Expression:
-    """Return the radius h tan(beta) sqrt(a) [m] of the compaction front at the base of the cone, (16)."""
+    """Return the radius r* of the compaction front at the base of the cone [m], equation (16).
+
+    For a constant density it is h tan(beta) sqrt(a) with a = 1/(1 - b1).
+
+    Args:
+        cone: the share's equivalent cone.
+        soil: the soil; its density ratio or density profile counts. Floats, arrays or CasADi expressions.
+
+    Raises:
+        InputError: no cone or no soil.
+        DomainError: a density profile without a compaction front.
+    """
     _check_kinds(cone, soil)
     at_base = Cavity(radius=cone.height * cone.slope, rate=0.0, acceleration=0.0)
     return front_radius(at_base, soil)

@@ -120,6 +120,13 @@ def surface_pressure(cavity: Cavity, soil: Soil) -> Expression:
 
     On a cone that moves with speed L' the cavity at distance x behind the tip has R = x tan(beta),
     R' = L' tan(beta), R'' = L'' tan(beta). Positive is compression.
+
+    Args:
+        cavity: its state there; floats, arrays or CasADi expressions.
+        soil: the soil.
+
+    Raises:
+        DomainError: a density profile and a cavity without radius, or one with which there is no front.
     """
     p = wall_pressure(soil, cavity.radius)
     motion = p.rate * cavity.rate**2 + p.inertia * cavity.radius * cavity.acceleration
@@ -141,6 +148,9 @@ def front_speed(cavity: Cavity, soil: Soil) -> Expression:
     """Return the speed D = u*'/(1 - b*) of the compaction front [m/s], equations (19)-(21).
 
     For a constant density it is R' sqrt(a) with a = 1/(1 - b1).
+
+    Raises:
+        DomainError: a density profile and a cavity without radius, or one with which there is no front.
     """
     if soil.density_profile is None:
         return cavity.rate * exp(-log1p(-soil.density_ratio) / 2.0)
@@ -178,7 +188,10 @@ def current_radius(r: Expression, cavity: Cavity, soil: Soil) -> Expression:
 
 
 def particle_velocity(r: Expression, cavity: Cavity, soil: Soil) -> Expression:
-    """Return the radial velocity R R'/y of the particle at Lagrangian radius r [m/s], equation (17)."""
+    """Return the radial velocity R R'/y of the particle at Lagrangian radius r [m/s], equation (17).
+
+    Arguments and errors are those of `current_radius`.
+    """
     return cavity.radius * cavity.rate / current_radius(r, cavity, soil)
 
 
@@ -186,6 +199,7 @@ def particle_acceleration(r: Expression, cavity: Cavity, soil: Soil) -> Expressi
     """Return (R'^2 + R R'')/y - R^2 R'^2/y^3 of the particle at Lagrangian radius r [m/s^2], equation (18).
 
     As y^2 - R^2 = 2 psi, that is (R R'' + 2 psi R'^2/y^2)/y, which does not cancel for soil that locks at once.
+    Arguments and errors are those of `current_radius`.
     """
     y = current_radius(r, cavity, soil)
     return (cavity.radius * cavity.acceleration + cavity.rate**2 * mean_ratio(r, soil) * (r / y) ** 2) / y

@@ -69,9 +69,9 @@ def _table(problem: Problem, front: TradeOff, everywhere: Sequence[str]) -> Tabl
     # What a surface has is just as wide as 120 characters with headings of one word in a line.
     between = " " if len(pairs) == 1 else "\n"
     for name, unit in zip((*names, *heads), (*units, *("%" for _ in pairs)), strict=True):
-        table.add_column(_heading(name, unit, between), justify="right")
+        table.add_column(_heading(name, unit, between), justify="right", overflow="fold")
     if branches:
-        table.add_column("branch")
+        table.add_column("branch", overflow="fold")
     if limits:
         table.add_column("limits")
     for part in front.parts:

@@ -158,11 +158,10 @@ def print_accuracy(console: Console, study: AccuracyStudy) -> None:
     for question in study.questions:
         console.print(study.table(question))
         console.print()
-    console.print(
-        "Times are medians after a warm-up: of a named method one bare integration, of auto all of simulate, which"
-        " checks itself. Set-up is done once.",
-        soft_wrap=True,
-    )
+    timed = "one local solve; ≠ ended in another optimum"
+    if study.duration is not None:
+        timed = "a named method integrates once, auto is all of simulate, which checks itself"
+    console.print(f"Times are medians after a warm-up: {timed}. Set-up is done once.", soft_wrap=True)
     for refusal in study.refusals:
         console.print(escape(refusal), soft_wrap=True)
     for note in study.notes:

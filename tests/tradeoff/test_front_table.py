@@ -47,6 +47,16 @@ def test_a_surface_fits_into_120_characters_with_every_number_whole(surface):
         assert word in headings
 
 
+def test_on_a_narrow_terminal_no_digit_is_lost(surface):
+    lines = [line for line in printed(surface, 60) if line.startswith("│")]
+    assert "…" not in "".join(lines)
+    columns = [
+        "".join(cell.strip() for cell in column) for column in zip(*(line.split("│") for line in lines), strict=True)
+    ]
+    order = [k for part in surface.parts for k in part]
+    assert columns[1] == "".join(f"{surface.points[k].objectives[0] / 1e3:.5g}" for k in order)
+
+
 def test_failures_are_told_in_words_and_each_reason_once(surface):
     at = [point.objectives for point in surface.points[:3]]
     reasons = ("Infeasible_Problem_Detected: no design near the start meets the requirements",) * 2

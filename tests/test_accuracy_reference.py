@@ -355,6 +355,15 @@ def test_a_lasting_orbit_returns_to_where_it_began():
     assert found.error < 200 * EPS
 
 
+def test_every_output_of_an_orbit_is_there_whatever_its_period_rounds_to():
+    # At 1.7 m/s a third of the period, thrice, is more than the period in the widest floats.
+    share = scene(tow_speed=1.7, strength_wave=WAVE, damping=400.0, orbit="periodic")
+    found = reference_run(share, outputs=3)
+    assert len(found.mount_force) == len(found.time) == 4
+    run = po.simulate(share, accuracy=po.Accuracy(error=1e-11), outputs=3)
+    assert errors_of(run, found)["trajectory"] < 1e-11
+
+
 def test_the_default_run_is_as_close_as_it_says():
     share, duration = OTHERS["wave"]
     run = po.simulate(share, duration, outputs=20)

@@ -281,7 +281,13 @@ def _transcriptions(question: Question, start: Start, steps: Callable[[float], i
     forms: list[tuple[str, str, Transcription]] = [("single shooting", text, SingleShooting(single))]
     for segments in dict.fromkeys(map(question.intervals, _SEGMENTS)):
         each = math.ceil(count / segments)
-        forms.append(("multiple shooting", f"{segments} segments of {each} steps", MultipleShooting(segments, each)))
+        forms.append(
+            (
+                "multiple shooting",
+                f"{segments} segments of {each} step{'s' * (each > 1)}",
+                MultipleShooting(segments, each),
+            )
+        )
     for points, degree, angles in _MESHES:
         for intervals in dict.fromkeys(map(steps, angles)):
             form = Collocation(intervals, degree, points)

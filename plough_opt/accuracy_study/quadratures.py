@@ -114,7 +114,7 @@ def quasi_static_course(task: Task) -> Quadratures:
 
     usual = steps_for(forced_rate(numbers_of(scene)) * task.duration)
     entries = [
-        _entry(task, "quasi-static", f"{points} points in each of {panels} panels",
+        _entry(task, "quasi-static", f"{points} point{'s' * (points > 1)} in each of {panels} panels",
                partial(average, points, panels), lambda run: errors_of(run, exact))
         for points in POINTS for panels in dict.fromkeys((task.outputs, max(usual, task.outputs)))
     ]  # fmt: skip

@@ -251,7 +251,10 @@ def follow(laws: Laws, duration: Wide, outputs: int, degree: int, first: tuple[W
     # What rounds: the forces, and from a start that is not steady the speed that the mount must take up.
     force = abs(laws.stiffness * z) + laws.static + (0 if laws.steady else laws.tow_speed * hardness)
     scales = force / abs(laws.stiffness), force / hardness
-    course = _Course(laws, duration * np.arange(outputs + 1) / WIDE(outputs))
+    times = duration * np.arange(outputs + 1) / WIDE(outputs)
+    # Rounding may put the last output behind the end, where no step reaches it.
+    times[-1] = duration
+    course = _Course(laws, times)
     now, size, at_once = WIDE(0), hardness / abs(laws.stiffness), 0
     while now < duration:
         stop = laws.ramp if piece.ramping and laws.ramp < duration else duration

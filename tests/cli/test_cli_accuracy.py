@@ -115,6 +115,7 @@ def test_a_design_instead_of_a_scene(cli, tmp_path):
     assert done.status == 0
     assert "optimum of the design: relative error against time" in done.out
     assert "(default)" in done.out
+    assert "medians after a warm-up: one local solve" in done.out
     study = AccuracyStudy.load(output)
     assert study.duration is None
     assert study.title == "Quasi-static"

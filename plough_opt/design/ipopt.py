@@ -50,6 +50,8 @@ _QUASI_NEWTON: dict[str, Any] = {
     "ipopt.hessian_approximation": "limited-memory",
     # What it remembers enters the linear system; by default that is solved once for each thing remembered.
     "ipopt.limited_memory_aug_solver": "extended",
+    # Systems this small are solved to rounding, and no step is checked for what its solution leaves over.
+    "ipopt.fast_step_computation": "yes",
 }
 # Iterations after which it no longer converges, but wanders.
 _MOST_WITHOUT_CURVATURE = 100
@@ -180,7 +182,7 @@ class Solver:
             "no_nlp_grad": True,
             "calc_lam_p": False,
         }
-        self._low, self._high = low, high
+        self._low, self._high = ca.DM(low), ca.DM(high)
         self._solvers: dict[tuple[bool, bool], ca.Function] = {}
 
     def _interpreted(self, nlp: Nlp, y: ca.MX, p: ca.MX) -> dict[str, ca.Function]:

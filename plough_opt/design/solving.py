@@ -154,11 +154,10 @@ def _local_optimum(program: Program, p: Vector, point: Point, name: str) -> Loca
 def _requirements(program: Program, point: Point, found: Sequence[Vector]) -> list[Limit]:
     limits, owner, pulls = [], np.array(program.owner), np.abs(point.lam_g)
     for k, (r, value) in enumerate(zip(program.declared.requirements, found, strict=True)):
-        numbers = value.ravel()
-        own = pulls[owner == k]
-        pull = float(np.max(own))
-        margin = r.margin(numbers)
-        worst = int(np.argmin(np.minimum(numbers - r.low, r.high - numbers)))
+        numbers, own = value.ravel(), pulls[owner == k]
+        margins = np.minimum(numbers - r.low, r.high - numbers)
+        worst = int(np.argmin(margins))
+        margin = float(margins[worst])
         limits.append(
             Limit(
                 name=r.name,
@@ -167,7 +166,7 @@ def _requirements(program: Program, point: Point, found: Sequence[Vector]) -> li
                 limits=r.limits_text(),
                 margin=margin,
                 multiplier=float(np.sum(own) * program.objective_scale / program.scales[k]),
-                active=decides(margin / program.scales[k], pull),
+                active=decides(margin / program.scales[k], float(np.max(own))),
                 unit=r.unit,
             )
         )

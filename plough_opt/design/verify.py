@@ -65,7 +65,7 @@ class TightEvaluation:
 
     def _numbers(self, run: int, numbers: Sequence[float]) -> tuple[Vector, Vector]:
         """Return a run's parameters and its scene's quantities at numbers."""
-        parameters, quantities = (np.asarray(result).ravel() for result in self._inputs[run](*numbers))
+        parameters, quantities = (result.full().ravel() for result in self._inputs[run](*map(float, numbers)))
         return parameters, quantities
 
     def quasi_static_scenes(self, numbers: Sequence[float]) -> list[Scene]:

@@ -278,3 +278,8 @@ def test_shares_soils_scenes_and_runs_are_expressions_of_ones_own_graph(r1, r1_s
     for parameter, value in zip(x, START, strict=True):
         opti.set_value(parameter, value)
     assert [opti.value(value) for value in results] == pytest.approx(r1(*START), rel=1e-12)
+
+
+def test_limits_of_an_output_that_contradict_each_other_are_refused():
+    with pytest.raises(po.InputError, match="the limits of 'mean_draft' contradict each other: 2 is above 1"):
+        po.Output("mean_draft", lower=2.0, upper=1.0)

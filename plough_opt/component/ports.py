@@ -56,6 +56,9 @@ class Output:
         upper: the same.
         of: run -> value, by arithmetic and the functions of `plough_opt.expressions`, for the run holds symbols.
         unit: SI unit; known for a named result.
+
+    Raises:
+        InputError: limits that contradict each other.
     """
 
     name: str
@@ -63,6 +66,12 @@ class Output:
     upper: float = math.inf
     of: Callable[[Run], Expression] | None = None
     unit: str | None = None
+
+    def __post_init__(self) -> None:
+        if not self.lower <= self.upper:
+            raise InputError(
+                f"the limits of '{self.name}' contradict each other: {self.lower:g} is above {self.upper:g}"
+            )
 
 
 @dataclass(frozen=True)

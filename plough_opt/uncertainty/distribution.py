@@ -70,10 +70,17 @@ class Marginal:
             raise InputError(
                 f"{self.name}: its bounds contradict each other: {self.lower:g} is not below {self.upper:g}"
             )
+        with np.errstate(invalid="ignore"):
+            middle = float(self._inverse(0.5))
+        if not math.isfinite(middle):
+            raise InputError(
+                f"{self.name}: its distribution has no middle: its parameters cannot be, such as a scale of 0; what is"
+                " certain belongs to the soil"
+            )
         if not self._mass > _LEAST_MASS:
             raise InputError(
                 f"{self.name}: between its bounds {self.lower:g} and {self.upper:g} lies a part {self._mass:.1g} of its"
-                f" distribution, whose middle is {float(self._inverse(0.5)):g}: set bounds around that"
+                f" distribution, whose middle is {middle:g}: set bounds around that"
             )
 
     @property
@@ -161,7 +168,12 @@ class SoilDistribution:
                 raise InputError(f"'{name}' is no property of a soil: {nearest(name, PROPERTIES)}")
         if not properties:
             raise InputError("nothing is uncertain: give a property a distribution, such as cohesion=stats.norm(...)")
-        bounds = dict(within or {})
+        if not isinstance(soil, Soil):
+            raise InputError(f"{soil!r} is no soil: po.named_soil(...) or po.Soil(...) makes one")
+        for what, given in (("within", within), ("correlation", correlation)):
+            if given is not None and not isinstance(given, Mapping):
+                raise InputError(f"{what} = {given!r} must be a dictionary, by the properties")
+        bounds = {name: _pair_of(name, ends) for name, ends in (within or {}).items()}
         for name in bounds:
             if name not in properties:
                 raise InputError(f"within names '{name}', which has no distribution: {nearest(name, properties)}")
@@ -190,7 +202,7 @@ class SoilDistribution:
         matrix = np.eye(len(self.names))
         for pair, value in self.correlation.items():
             a, b = self._pair(pair)
-            if not -1.0 < value < 1.0:
+            if not isinstance(value, int | float | np.number) or not -1.0 < value < 1.0:
                 raise InputError(f"the correlation of {pair[0]} and {pair[1]}, {value!r}, must lie between -1 and 1")
             if matrix[a, b] != 0.0:
                 raise InputError(f"the correlation of {pair[0]} and {pair[1]} is given twice")
@@ -216,19 +228,19 @@ class SoilDistribution:
         a smooth function of the design. Best a power of two.
 
         Raises:
-            InputError: a count that cannot be.
+            InputError: a count or a seed that cannot be.
         """
         power = math.ceil(math.log2(_count(count)))
-        sequence = qmc.Sobol(len(self.names), scramble=True, rng=np.random.default_rng(seed))
+        sequence = qmc.Sobol(len(self.names), scramble=True, rng=np.random.default_rng(_seed(seed)))
         return self.at(sequence.random_base2(power)[:count])
 
     def draw(self, count: int, *, seed: int) -> SoilSamples:
         """Return samples drawn independently of each other, from which confidence intervals follow.
 
         Raises:
-            InputError: a count that cannot be.
+            InputError: a count or a seed that cannot be.
         """
-        return self.at(np.random.default_rng(seed).random((_count(count), len(self.names))))
+        return self.at(np.random.default_rng(_seed(seed)).random((_count(count), len(self.names))))
 
     def corners(self, part: float = 0.9) -> SoilSamples:
         """Return the corners of a box, for the worst case over a set.
@@ -290,6 +302,23 @@ class SoilDistribution:
                         f"the distribution of {name} reaches {value:.4g}, out of the model's domain: {error}; truncate"
                         f' it: within={{"{name}": (lower, upper)}}, in a file lower = ... and upper = ...'
                     ) from None
+
+
+def _pair_of(name: str, ends: Any) -> tuple[float, float]:
+    """Return bounds, checked to be two numbers."""
+    try:
+        lower, upper = map(float, ends)
+    except (TypeError, ValueError):
+        raise InputError(
+            f"within: the bounds of {name} are {ends!r}: give two numbers, SI units, either may be infinite"
+        ) from None
+    return lower, upper
+
+
+def _seed(seed: int) -> int:
+    if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
+        raise InputError(f"the seed {seed!r} must be a whole number from 0 on")
+    return int(seed)
 
 
 def _count(count: int) -> int:

@@ -77,6 +77,10 @@ class Robust:
     def __init__(
         self, field: SoilDistribution, response: Response, *, samples: int | SoilSamples = 64, seed: int = 1
     ) -> None:
+        if not isinstance(field, SoilDistribution):
+            raise InputError(f"{field!r} is no distribution of soils: po.SoilDistribution(...) makes one")
+        if not callable(response):
+            raise InputError(f"the response {response!r} must be a function: soil -> results by name")
         self.field = field
         self.samples = samples if isinstance(samples, SoilSamples) else field.sample(samples, seed=seed)
         if self.samples.names != field.names:

@@ -106,7 +106,13 @@ def test_corners_are_the_ends_of_each_marginal():
         ({"cohesion": 20e3}, "no distribution"),
         ({"cohesion": stats.norm}, "no distribution|reaches"),
         ({"cohesion": stats.norm(20e3, 6e3)}, "truncate it"),
-        ({"cohesion": stats.norm(20e3, np.nan)}, "cohesion"),
+        ({"cohesion": stats.norm(20e3, np.nan)}, "cohesion: its distribution has no middle"),
+        ({"cohesion": stats.norm(20e3, 0.0)}, "such as a scale of 0; what is certain belongs to the soil"),
+        ({"within": {"cohesion": 30e3}}, "the bounds of cohesion are 30000.0: give two numbers"),
+        ({"within": {"cohesion": ("1 kPa", "30 kPa")}}, "give two numbers, SI units"),
+        ({"within": 3}, "within = 3 must be a dictionary"),
+        ({"correlation": "strong"}, "correlation = 'strong' must be a dictionary"),
+        ({"correlation": {("cohesion", "friction_angle"): "strong"}}, "between -1 and 1"),
         ({"within": {"friction_angle": (po.deg(34), po.deg(20))}}, "contradict"),
         ({"within": {"friction_angle": (po.deg(80), po.deg(85))}}, "between its bounds"),
         ({"within": {"friction_angle": (math.nan, po.deg(85))}}, "contradict"),
@@ -126,6 +132,19 @@ def test_correlations_that_cannot_hold_together_are_refused():
     pairs = {("cohesion", "friction_angle"): 0.9, ("cohesion", "density"): 0.9, ("friction_angle", "density"): -0.9}
     with pytest.raises(po.InputError, match=r"not positive definite.*eigenvalue"):
         _field(density=stats.uniform(1300, 100), correlation=pairs)
+
+
+def test_what_is_no_soil_no_seed_no_field_or_no_response_is_refused():
+    with pytest.raises(po.InputError, match="'serozem' is no soil"):
+        po.SoilDistribution("serozem", cohesion=stats.uniform(1e4, 2e4))
+    field = po.SoilDistribution(SEROZEM, cohesion=stats.uniform(1e4, 2e4))
+    for make in (field.sample, field.draw):
+        with pytest.raises(po.InputError, match="the seed -1 must be a whole number"):
+            make(8, seed=-1)
+    with pytest.raises(po.InputError, match="is no distribution of soils"):
+        po.Robust(SEROZEM, lambda soil: {"k": soil.cohesion})
+    with pytest.raises(po.InputError, match="the response 3 must be a function"):
+        po.Robust(field, 3)
 
 
 def test_nothing_uncertain_is_refused():

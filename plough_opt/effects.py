@@ -2,18 +2,24 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, is_dataclass
-from typing import Literal, Protocol, runtime_checkable
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields, is_dataclass
+from enum import Enum
+from types import BuiltinFunctionType, FunctionType
+from typing import Any, Literal, Protocol, runtime_checkable
 
 import numpy as np
 
 from plough_opt.domain import check_domain
 from plough_opt.errors import InputError
-from plough_opt.expressions import COUNT, Expression, as_number, is_count, is_symbolic
+from plough_opt.expressions import COUNT, Expression, as_number, is_casadi, is_count, is_symbolic
 from plough_opt.printed import Formulation, Printed, errors_of
 
 MOST_HARMONICS = 64
 """Largest number of harmonics of a harmonic balance."""
+
+# What prints all that it is, or its own place in memory, beside single numbers and expressions.
+_DISTINCT = (str, bool, int, float, type(None), np.generic, Enum, type, FunctionType, BuiltinFunctionType, np.ufunc)
 
 
 @dataclass(frozen=True)
@@ -81,7 +87,8 @@ class StickSlip:
 class OwnResistance(Protocol):
     """A resistance that the toolkit does not know, such as that of the shank: a frozen dataclass with this method.
 
-    Its fields are what it needs, numbers or expressions. For example::
+    Its fields are what it needs: single numbers or expressions, tuples of them, text, switches or functions. Effects of
+    one class are told apart by what these print, so that arrays and tables are refused. For example::
 
         @dataclass(frozen=True)
         class Shank:
@@ -97,6 +104,31 @@ class OwnResistance(Protocol):
 
         Written with arithmetic and the functions of `plough_opt.expressions`, so that it takes symbols.
         """
+
+
+def _indistinct(effect: OwnResistance) -> str | None:
+    """Return the type of something in an own effect's fields that two different effects may print alike, if any."""
+    waiting: list[Any] = [effect]
+    while waiting:
+        item = waiting.pop()
+        if is_dataclass(item) and not isinstance(item, type):
+            waiting += [getattr(item, each.name) for each in fields(item)]
+        elif isinstance(item, Mapping):
+            waiting += item.values()
+        elif isinstance(item, list | tuple):
+            waiting += item
+        elif is_casadi(item):
+            if item.numel() != 1:
+                return f"a column of type {type(item).__name__}"
+        elif not isinstance(item, _DISTINCT) and not _prints_its_place(item):
+            return f"a value of type {type(item).__name__}"
+    return None
+
+
+def _prints_its_place(item: Any) -> bool:
+    """Return whether something prints by its place in memory, as objects do unless they say otherwise."""
+    printed: object = type(item).__repr__
+    return printed is object.__repr__
 
 
 @dataclass(frozen=True)
@@ -205,6 +237,12 @@ class Effects:
             if isinstance(effect, type) or not (is_dataclass(effect) and isinstance(effect, OwnResistance)):
                 raise InputError(
                     f"own effect {effect!r} must be a frozen dataclass with a method force(travel, speed) in newtons"
+                )
+            if (found := _indistinct(effect)) is not None:
+                raise InputError(
+                    f"own effect {type(effect).__name__} holds {found}, which may print as another does, and effects"
+                    " are told apart by what they print: give single numbers, or tuples of them; a table as a function"
+                    " that looks it up, as lambda travel: table(travel)"
                 )
         if self.own and isinstance(self.contact, StickSlip):
             raise InputError(

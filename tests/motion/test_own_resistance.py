@@ -144,3 +144,64 @@ def test_what_is_no_resistance_is_refused(effects, message):
 def test_the_elastic_medium_refuses_it():
     with pytest.raises(po.InputError, match="own resistances belong to the plastic gas"):
         replace(scene(Shank(1.0, 0.0), motion=False), medium="elastic")
+
+
+@dataclass(frozen=True)
+class Looked:
+    """A resistance by a table over the travel, or by whatever a field holds."""
+
+    table: object
+
+    def force(self, travel, speed):
+        return self.table(travel) * speed
+
+
+def _table(value):
+    return ca.interpolant("table", "linear", [[-1.0, 3.0]], [value, value])
+
+
+class Named:
+    """What prints alike whatever it holds."""
+
+    def __init__(self, value):
+        self.value = value
+
+    def __repr__(self):
+        return "Named"
+
+
+@pytest.mark.parametrize(
+    "field",
+    [
+        _table(100.0),
+        np.zeros(5000),
+        np.array(3.0),
+        Named(3.0),
+        (1.0, [np.zeros(2)]),
+        {"values": ca.DM([1.0, 2.0])},
+        ca.MX.sym("column", 3),
+    ],
+    ids=lambda field: type(field).__name__,
+)
+def test_fields_that_may_print_alike_are_refused(field):
+    with pytest.raises(po.InputError, match=r"own effect Looked holds a .*which may print as another does"):
+        po.Effects(own=(Looked(field),))
+
+
+def test_tables_behind_functions_are_told_apart():
+    def built_in(viscous):
+        return po.simulate(scene(Shank(0.0, viscous), start="towed"), 0.5, outputs=4).mean_draft
+
+    def looked_up(value):
+        table = _table(value)
+        return po.simulate(scene(Looked(lambda travel: table(travel)), start="towed"), 0.5, outputs=4).mean_draft
+
+    # The second is not taken for the first, nor one that is gone for one that has its place in memory.
+    for value in (100.0, 500.0, 100.0):
+        # Either run is told to 1e-8.
+        assert looked_up(value) == pytest.approx(built_in(value), rel=1e-7)
+
+
+@pytest.mark.parametrize("field", [3.0, 3, "text", True, None, (1.0, 2.0), {"a": 1.0}, ca.SX.sym("x"), np.float64(2.0)])
+def test_fields_that_print_what_they_are_pass(field):
+    assert po.Effects(own=(Looked(field),)).own[0].table is field

@@ -259,6 +259,13 @@ class TestWhatIsLeftOut:
         assert {e.method for e in study.of(study.questions[0])} == {"auto", "erk", "rosenbrock", "quasi-static"}
         assert {e.method for e in study.entries if e.family == "derivatives"} == {"auto", "erk", "rosenbrock"}
 
+    def test_what_enters_the_soil_has_no_quasi_static_limit(self):
+        study = po.study_accuracy(
+            scene(start="towed", entry=True), 0.05, outputs=2, thin=True, allowance=0.1, derivatives=False
+        )
+        refused = {e.method: e.failure for e in study.failures}
+        assert refused["quasi-static"] == "has a share that is wholly buried, and so no entry"
+
     def test_what_takes_too_long_is_cut_off_and_the_default_is_not(self):
         study = po.study_accuracy(
             scene(stiffness=5e6, strength_wave=WAVE, damping=400.0), 0.5, outputs=4, allowance=1e-3, derivatives=False

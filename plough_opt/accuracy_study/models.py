@@ -57,7 +57,10 @@ def period_of(scene: Scene) -> float:
 
 def models(task: Task, references: References) -> Iterator[Entry]:
     """Yield the models; errors called "lasting ..." are those from the averages of the lasting orbit."""
-    yield _entry("quasi-static", "", partial(_quasi_static, task), references, task.timing)
+    if task.scene.effects.entry:
+        yield failure("model", "quasi-static", "", "has a share that is wholly buried, and so no entry")
+    else:
+        yield _entry("quasi-static", "", partial(_quasi_static, task), references, task.timing)
     orbit = lasting_orbit(task.scene)
     transient = task.scene.effects.orbit == "transient"
     if orbit is None or (transient and references.lasting is None):

@@ -328,14 +328,20 @@ class Program:
 
     def merit(self, points: Vector, p: Vector) -> tuple[Vector, Vector]:
         """Return, roughly, scaled objective and largest violation at points, a row each; NaN becomes infinity."""
-        objective, violation = np.empty(len(points)), np.empty(len(points))
-        for k, point in enumerate(points):
-            try:
-                f, g = (np.asarray(result).ravel() for result in self.rough.values(point, p))
-            except RuntimeError:  # no orbit, or no end of an integration
-                f, g = np.array([np.inf]), np.zeros(len(self.low))
-            objective[k] = f[0]
-            violation[k] = max(0.0, np.max(self.low - g, initial=0.0), np.max(g - self.high, initial=0.0))
-        bad = ~(np.isfinite(objective) & np.isfinite(violation))
-        objective[bad] = violation[bad] = np.inf
-        return objective, violation
+        f, g = self._roughly(points, p)
+        low, high = self.low[:, None], self.high[:, None]
+        violation = np.max(np.vstack([low - g, g - high]), axis=0, initial=0.0)
+        bad = ~(np.isfinite(f) & np.isfinite(violation))
+        f[bad] = violation[bad] = np.inf
+        return f, violation
+
+    def _roughly(self, points: Vector, p: Vector) -> tuple[Vector, Vector]:
+        """Return rough values at points, a row each: the objective, and the requirements, a column for each point."""
+        try:
+            f, g = (result.full() for result in self.rough.values(points.T, p))
+        except RuntimeError:  # no orbit, or no end of an integration
+            if len(points) == 1:
+                return np.array([np.inf]), np.zeros((len(self.low), 1))
+            f, g = map(np.hstack, zip(*(self._roughly(point[None], p) for point in points), strict=True))
+            return f, g
+        return f.ravel(), g

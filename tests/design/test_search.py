@@ -1,6 +1,7 @@
 """The search for the global optimum: what is scanned, what is found, and that nothing better exists."""
 
 import math
+import types
 
 import casadi as ca
 import numpy as np
@@ -9,6 +10,7 @@ from scipy.optimize import differential_evolution, minimize_scalar
 
 import plough_opt as po
 from plough_opt.design import program as program_module
+from plough_opt.design.program import Program
 from plough_opt.design.search import SCAN_POINTS
 from plough_opt.motion.integrators import integration
 from plough_opt.motion.terms import Structure, parameters
@@ -322,3 +324,31 @@ def test_a_goal_reached_exactly_is_no_lack_of_accuracy(r1_scene, r1_wave):
     # The objective is zero but for rounding: a difference relative to it means nothing.
     assert best(run.mean_draft) == pytest.approx(600.0, rel=1e-7)
     assert not any("not reached" in warning for warning in best.warnings)
+
+
+def test_positions_without_a_value_count_as_infinitely_bad():
+    d = po.Design()
+    x = d.variable("x", guess=0.2, lower=0.0, upper=1.0)
+    d.minimise(1.0 + x)
+    d.require("limit", x, at_most=0.4)
+    program = Program(d.declared)
+    program.build(np.empty(0))
+    own = program.rough.values
+
+    def values(y, p):
+        """Fail as an integrator does, for all positions at once."""
+        if np.any(y == 0.9):
+            raise RuntimeError
+        f, g = own(y, p)
+        return ca.DM(np.where(y == 0.1, np.nan, f.full())), ca.DM(np.where(y == 0.3, np.nan, g.full()))
+
+    positions = np.array([[0.1], [0.2], [0.3], [0.6], [0.9]])
+    plain, _ = program.merit(positions, np.empty(0))
+    program.rough = types.SimpleNamespace(values=values)
+    objective, violation = program.merit(positions, np.empty(0))
+    wanted = [1.2, 1.6]
+    assert objective[[1, 3]] / objective[1] == pytest.approx(np.array(wanted) / wanted[0], rel=1e-15)
+    assert objective[[1, 3]] == pytest.approx(plain[[1, 3]], rel=0.0, abs=0.0)
+    # The limit scales its requirement.
+    assert violation[[1, 3]] == pytest.approx([0.0, 0.5], rel=1e-15)
+    assert np.all(np.isinf([objective, violation])[:, [0, 2, 4]])

@@ -109,6 +109,8 @@ class Source:
             self._noted.append(error)
         except (DomainError, InputError) as error:
             self._noted.append(self.error(keys, f"{prefix}{error}"))
+        except OverflowError:
+            self._noted.append(self.error(keys, f"{prefix}too large to compute with"))
 
     def raise_noted(self) -> None:
         """Raise one error that lists everything noted, in the order of the lines; nothing if nothing was."""

@@ -87,6 +87,8 @@ REFUSED = [
     ("scene.tow_speed=-2.5 m/s", "tow speed = -2.5 m/s", "at least 0"),
     ("share.hight=0.3 m", "'share.hight' is not a known key", "did you mean 'height'?"),
     ("share.height=-0.3 m", "share height = -0.3 m", "above 0"),
+    ("share.height=1e300 m", "'share.height' = 1e300 m: too large to compute with"),
+    ("variables.share.height.upper=1e300 m", "'share.height' upper = 1e300 m: too large to compute with"),
     ("effects.start=rst", "'effects.start' = 'rst' is unknown", "did you mean 'rest'?"),
     ("effects.start=now", "'effects.start' = 'now' is unknown", "equilibrium, rest, towed"),
     ("effects.motion=no", "'effects.motion' = 'no' must be true or false"),

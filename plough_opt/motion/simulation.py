@@ -47,7 +47,7 @@ def simulate(
         outputs: number of equal intervals between output times, at least 1.
         compiled: of a scene of numbers, follow a motion from its start by steps of order 8 in machine code, by the
             system's C compiler. Translating takes about a second, once for scenes of like effects on a machine; then a
-            run takes a fifth of the time, with the same result to the last digit. Where there is no compiler, or
+            run takes about a quarter of the time, with the same result. Where there is no compiler, or
             another method or model takes the run, a warning says so.
 
     Returns:

@@ -95,6 +95,7 @@ class Calibration:
         self.program = Program(joined([rows.predictor() for rows in self.rows], len(self.unknowns)), self.loss)
         self.data = self._data()
         self._refuse_few()
+        self._refuse_infinite()
 
     @property
     def guess(self) -> Vector:
@@ -202,6 +203,15 @@ class Calibration:
                     self.model.scene(guess | {unknown.name: bound})
                 except DomainError as error:
                     raise InputError(f"{side} bound of '{unknown.name}': {error}") from None
+
+    def _refuse_infinite(self) -> None:
+        """Refuse rows of which the model tells nothing finite at the guesses."""
+        y = np.clip(self.guess, 0.02, 0.98)  # where the search begins
+        told = np.column_stack([self.program.predict(y), self.program.slope(y)])
+        wrong = np.flatnonzero(~np.isfinite(told).all(axis=1))
+        names = [m.row(k) for m in self.measured for k in range(m.rows)]
+        if wrong.size:
+            raise InputError(f"{names[wrong[0]]}: the model gives no finite number at these conditions")
 
     def _data(self) -> Data:
         stated = {m.sigma is not None for m in self.measured}

@@ -64,6 +64,7 @@ class Level(Solver):
         """
         variables, parameters = sizes
         super().__init__(nlp, variables, parameters, low, high)
+        self._least, self._largest = low, high  # as NumPy has them; the solver's own are CasADi's
         self.nlp, self._rough = nlp, rough
         self._warm: ca.Function | None = None
         self._curvature: Vector | None = None
@@ -96,9 +97,9 @@ class Level(Solver):
         _, g, gradient, jacobian = self.slopes(point.y, p)
         pulls = np.concatenate([point.lam_g, point.lam_y])
         slope = gradient + jacobian.T @ point.lam_g + point.lam_y
-        beyond = np.max(np.maximum(self._low - g, g - self._high), initial=0.0)
+        beyond = np.max(np.maximum(self._least - g, g - self._largest), initial=0.0)
         rooms = np.concatenate([
-            np.where(point.lam_g > 0.0, self._high - g, g - self._low),
+            np.where(point.lam_g > 0.0, self._largest - g, g - self._least),
             np.where(point.lam_y > 0.0, 1.0 - point.y, point.y),
         ])  # fmt: skip
         # A limit that is not there, at infinity, must have no multiplier.
@@ -112,7 +113,7 @@ class Level(Solver):
             Relative to the largest of the Lagrangian, roughly integrated; None where limits leave no direction.
         """
         _, g, _, jacobian = self.slopes(point.y, p)
-        touching = _touches(np.minimum(g - self._low, self._high - g), point.lam_g)
+        touching = _touches(np.minimum(g - self._least, self._largest - g), point.lam_g)
         bounds = _touches(np.minimum(point.y, 1.0 - point.y), point.lam_y)
         rows = np.concatenate([jacobian[touching], np.eye(len(point.y))[bounds]])
         _, sizes, right = np.linalg.svd(rows) if len(rows) else (None, np.zeros(0), np.eye(len(point.y)))
@@ -151,8 +152,8 @@ class Level(Solver):
         for number in range(_STEPS):
             f, g, gradient, jacobian = self.slopes(point.y, p)
             y = point.y
-            low = np.concatenate([self._low - g, np.maximum(-y, -_LONGEST)])
-            high = np.concatenate([self._high - g, np.minimum(1.0 - y, _LONGEST)])
+            low = np.concatenate([self._least - g, np.maximum(-y, -_LONGEST)])
+            high = np.concatenate([self._largest - g, np.minimum(1.0 - y, _LONGEST)])
             found = least(curvature, gradient, np.concatenate([jacobian, np.eye(len(y))]), (low, high))
             if found is None:
                 return point

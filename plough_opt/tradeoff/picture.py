@@ -50,22 +50,31 @@ class Drawing:
 
 def figure_of(front: Drawing) -> Figure:
     """Return the front beside a panel for each variable."""
-    figure, left, panels = beside_panels(front, (3.6, 1.75), 5.2, _draw_variable)
-    draw_front(left.subplots(), front)
+
+    def place(left: SubFigure) -> None:
+        draw_front(left.subplots(), front)
+
+    figure, panels = beside_panels(front, (3.6, 1.75), 5.2, place, _draw_variable)
     for axes in panels[-1]:
         axes.set_xlabel(label_of(front.goals[0]))
     return figure
 
 
 def beside_panels(
-    front: Drawing, size: tuple[float, float], least: float, draw: Callable[[Axes, Drawing, Axis], None], **shared: bool
-) -> tuple[Figure, SubFigure, NDArray[Any]]:
-    """Return a figure with a panel for each variable, a place for the front on their left, and the panels.
+    front: Drawing,
+    size: tuple[float, float],
+    least: float,
+    place: Callable[[SubFigure], None],
+    draw: Callable[[Axes, Drawing, Axis], None],
+    **shared: bool,
+) -> tuple[Figure, NDArray[Any]]:
+    """Return a figure with the front and a panel for each variable on its right, and the panels.
 
     Args:
         front: what is drawn.
         size: width and height of a panel [inch].
         least: height of the figure [inch].
+        place: draws the front itself.
         draw: draws a variable on its panel.
         shared: further arguments of ``subplots``.
     """
@@ -75,6 +84,7 @@ def beside_panels(
     width = size[0] * columns
     figure = Figure(figsize=(_WIDTH + width, max(least, size[1] * rows)), layout="constrained")
     left, right = figure.subfigures(1, 2, squeeze=False, width_ratios=(_WIDTH, width))[0]
+    place(left)
     panels = right.subplots(rows, columns, sharex=True, squeeze=False, **shared)
     for k, axes in enumerate(panels.T.ravel()):
         if k < count:
@@ -83,7 +93,7 @@ def beside_panels(
             axes.set_axis_off()
     if front.title:
         figure.suptitle(front.title)
-    return figure, left, panels
+    return figure, panels
 
 
 def draw_front(axes: Axes, front: Drawing) -> None:

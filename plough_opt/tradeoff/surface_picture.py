@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm, Normalize
-from matplotlib.figure import Figure
+from matplotlib.figure import Figure, SubFigure
 from matplotlib.tri import Triangulation
 
 from plough_opt.picture_files import COLOURS
@@ -25,8 +25,11 @@ _ASIDE: Final = 20.0
 
 def surface_figure(front: Drawing) -> Figure:
     """Return the surface beside a panel for each variable, over the first two objectives."""
-    figure, left, panels = beside_panels(front, (4.2, 2.1), 5.6, _draw_variable, sharey=True)
-    draw_surface(left.add_subplot(projection="3d"), front)
+
+    def place(left: SubFigure) -> None:
+        draw_surface(left.add_subplot(projection="3d"), front)
+
+    figure, panels = beside_panels(front, (4.2, 2.1), 5.6, place, _draw_variable, sharey=True)
     for axes in panels[-1]:
         axes.set_xlabel(label_of(front.goals[0]), fontsize="small")
     for axes in panels[:, 0]:

@@ -11,6 +11,9 @@ import plough_opt as po
 mp = mpmath.mp.clone()
 mp.dps = 28
 
+# Part of its width by which the step of a smooth contact is left late: there it is 0 or 1 to 1e-18.
+LATE = mp.mpf(1e-4)
+
 
 class PreciseShare:
     """The forces of a scene of numbers, in the travel L and the speed L', from the model's equations."""
@@ -95,10 +98,11 @@ def follow(scene, events, duration):
         if share.breakaway is not None:
             buried = max(travel, mp.zero) / share.height if following else depth
             hold = share.breakaway * share.soil(travel, mp.zero, buried)
+        late = LATE * share.width if name in ("lets go", "resists fully") else mp.zero
         if name in ("stop", "lets go", "resists", "retreat"):
-            misses.append(speed / share.v0)
+            misses.append((speed + late) / share.v0)
         if name in ("yields", "resists fully"):
-            misses.append((speed - share.width) / share.v0)
+            misses.append((speed - share.width - late) / share.v0)
         share.full = {"yields": None, "resists": None, "resists fully": True, "lets go": False}.get(name, share.full)
         if name == "buried":
             misses.append((travel - share.height) / size)

@@ -97,13 +97,11 @@ def sweep(options: argparse.Namespace) -> None:
 
 
 def _check_places(options: argparse.Namespace) -> None:
-    """Refuse what cannot be written before anything is computed."""
-    places = {name: Path(getattr(options, name)) for name in _PLACES if getattr(options, name) is not None}
-    for name, path in places.items():
-        if path.is_dir():
+    """Refuse folders in the place of files."""
+    for name in _PLACES:
+        path = getattr(options, name)
+        if path is not None and Path(path).is_dir():
             raise InputError(f"--{name} '{path}' is a folder: name a file in it")
-        if other := [key for key, one in places.items() if key != name and one.resolve() == path.resolve()]:
-            raise InputError(f"--{name} and --{other[0]} are the same file '{path}': name two")
 
 
 def _over(options: argparse.Namespace) -> dict[str, object]:

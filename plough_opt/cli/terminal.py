@@ -42,12 +42,12 @@ def read(options: argparse.Namespace) -> Problem:
 
 def _check_outputs(options: argparse.Namespace) -> None:
     """Refuse outputs that are an input or the same file twice, or that have no folder to stand in."""
-    taken = {Path(options.file).resolve(): "the problem file"}
-    taken |= {Path(data).resolve(): "a file of data" for data in getattr(options, "data", ())}
+    taken = {_place(options.file): "the problem file"}
+    taken |= {_place(data): "a file of data" for data in getattr(options, "data", ())}
     for name in _OUTPUTS:
         if (written := getattr(options, name, None)) is None:
             continue
-        place = Path(written).resolve()
+        place = _place(written)
         if other := taken.get(place):
             raise InputError(f"--{name} '{written}' is {other}, which it would overwrite: name another file")
         taken[place] = f"the file of --{name} too"
@@ -56,6 +56,11 @@ def _check_outputs(options: argparse.Namespace) -> None:
             raise InputError(f"--{name} '{written}' cannot be written: '{around}' is no folder")
         if not os.access(place if place.is_file() else around, os.W_OK):
             raise InputError(f"--{name} '{written}' cannot be written: permission denied")
+
+
+def _place(path: str) -> Path:
+    """Return where a path leads, links followed; unlike `Path.resolve` also where they go round in a circle."""
+    return Path(os.path.realpath(path))
 
 
 _interrupted = threading.Event()

@@ -53,6 +53,13 @@ def test_a_link_to_the_problem_file_is_the_problem_file(cli, own):
     assert "is the problem file" in done.err
 
 
+def test_a_link_to_itself_is_no_traceback(cli, own):
+    (own / "round.csv").symlink_to(own / "round.csv")
+    done = cli("tradeoff", own / FRONT, "--csv", own / "round.csv", "--points", "5", "--set", "scene.duration=0.1 s")
+    assert done.status == 2
+    assert "round.csv' cannot be written" in done.err.replace("\n", "")
+
+
 def test_an_output_in_a_folder_that_is_a_file_is_refused_before_anything_is_computed(cli, cotton, own, monkeypatch):
     monkeypatch.setattr(commands, "progress", None)
     done = cli("optimise", cotton, "--plot", own / FRONT / "new" / "a.png")

@@ -120,7 +120,7 @@ WRONG = {
     "fixed": ((*COHESION, "--set", "soil.cohesion=5 kPa"), "'soil.cohesion' is fixed by --set too"),
     "domain": (("--over", "soil.density_ratio=0.5..1.5:3"), "density ratio b1 = 1.5 must be below 1"),
     "folder": ((*COHESION, "--csv", "/"), "--csv '/' is a folder"),
-    "same file": ((*COHESION, "--csv", "x", "--npz", "x"), "are the same file 'x'"),
+    "same file": ((*COHESION, "--csv", "x", "--npz", "x"), "--npz 'x' is the file of --csv too"),
     "workers": ((*COHESION, "--workers", "0"), "--workers 0: a sweep takes one or more"),
     "both": ((*COHESION, "--workers", "2", "--scheduler", "tcp://x:1"), "leave one of the two out"),
     "batch": ((*COHESION, "--optimise", "--method", "batch"), "it does not optimise"),

@@ -118,7 +118,7 @@ class Alike:
 
     def _jets(self, order: int) -> ca.Function:
         p = self._parameters()
-        with quiet_events():
+        with quiet_events(self._events):
             return ca.Function("jets", [p], [jets_of(self.solver, self.varying, order)(p)[self.first :, :]])
 
     def _mapped(self, function: ca.Function) -> ca.Function:

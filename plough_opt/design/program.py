@@ -164,7 +164,7 @@ class Program:
         self._steps, self._built, self._relaxed = steps, True, None
         scaled = self._scaled(self._y, self._p)
         parts = split(scaled, [self._y, self._p])
-        with quiet_events():
+        with quiet_events(self._events):
             self.nlp = build_nlp(parts, self._y, self._p, steps)
             # Where basins lie and which way they curve shows at two fifths of the steps.
             self.rough = build_nlp(parts, self._y, self._p, [self._fewer(k) for k in range(len(steps))])
@@ -187,11 +187,15 @@ class Program:
         ]
         return list(ca.graph_substitute(scaled, declared.symbols(), replacements))
 
+    @property
+    def _events(self) -> bool:
+        return any(run.integration.structure.events for run in self.exact.runs)
+
     def with_parameters_varied(self) -> Nlp:
         """Return the built program in (scaled variables, parameters) as one column, and in no parameters."""
         n = self._y.numel()
         both, none = ca.MX.sym("z", n + self._p.numel()), ca.MX.sym("p", 0)
-        with quiet_events():
+        with quiet_events(self._events):
             return build_nlp(split(self._scaled(both[:n], both[n:]), [both, none]), both, none, self._steps)
 
     def _set_scales(self, start: list[Vector]) -> None:

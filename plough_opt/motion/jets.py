@@ -37,7 +37,7 @@ def weighted_curvature(integration: Integration, varying: tuple[int, ...]) -> ca
     p, shift, shifted = _shifts(integration, varying)
     results = ca.vertcat(*(ca.vec(result) for result in integration.function.call([shifted])))
     weights = ca.MX.sym("weights", results.numel())
-    with quiet_events():
+    with quiet_events(integration.structure.events):
         hessian, _ = ca.hessian(ca.dot(weights, results), shift)
     whole = ca.Function("whole", [p, shift, weights], [ca.densify(hessian)])
     return ca.Function("curvature", [p, weights], [whole(p, ca.DM.zeros(len(varying)), weights)])
@@ -60,7 +60,7 @@ def jets_of(integration: Integration, varying: tuple[int, ...], order: int) -> c
     p, e, shifted = _shifts(integration, varying)
     results = integration.function.call([shifted])
     stacked = ca.vertcat(*(ca.vec(result) for result in results))
-    with quiet_events():
+    with quiet_events(integration.structure.events):
         slopes = ca.jacobian(stacked, e)
     columns = [stacked, slopes]
     if order == 2:

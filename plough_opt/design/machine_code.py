@@ -13,38 +13,6 @@ from plough_opt.design.nlp import PARTS, Nlp
 _FAST = ("-O2", "-march=native", "-fno-math-errno", "-fno-trapping-math", "-freciprocal-math")
 _VARIANTS: tuple[Variant, ...] = ((_FAST, ("-lm",)), (("-O1",), ("-lm",)))
 
-# Sine and cosine to a rounding or two, where a processor fuses products and sums: every stage of an integration waits
-# for one. A compiler sees which registers a function of its own leaves alone; set in place it would take a fifth longer
-# to compile. Quarter turns are taken off in two parts, exactly below 1e5; the polynomials are those of fdlibm, good
-# between -pi/4 and pi/4.
-_CIRCULAR = """
-#include <math.h>
-#ifdef FP_FAST_FMA
-static inline double circular(double x, int quarter) {
-  const double turns = rint(x * 0x1.45f306dc9c883p-1);
-  const double r = fma(-turns, 0x1.1a62633145c07p-54, fma(-turns, 0x1.921fb54442d18p+0, x));
-  const double z = r * r, z2 = z * z, z4 = z2 * z2;
-  const double odd = (-1.66666666666666324348e-01 + z * 8.33333333332248946124e-03)
-    + z2 * (-1.98412698298579493134e-04 + z * 2.75573137070700676789e-06)
-    + z4 * (-2.50507602534068634195e-08 + z * 1.58969099521155010221e-10);
-  const double even = (4.16666666666666019037e-02 + z * -1.38888888888741095749e-03)
-    + z2 * (2.48015872894767294178e-05 + z * -2.75573143513906633035e-07)
-    + z4 * (2.08757232129817482790e-09 + z * -1.13596475577881948265e-11);
-  const long long side = (long long)turns + quarter;
-  const double found = side & 1 ? (1.0 - 0.5 * z) + z2 * even : fma(r * z, odd, r);
-  return side & 2 ? -found : found;
-}
-static __attribute__((noinline, const)) double circular_sin(double x) {
-  return __builtin_expect(fabs(x) < 1e5, 1) ? circular(x, 0) : sin(x);
-}
-static __attribute__((noinline, const)) double circular_cos(double x) {
-  return __builtin_expect(fabs(x) < 1e5, 1) ? circular(x, 1) : cos(x);
-}
-#define sin(x) circular_sin(x)
-#define cos(x) circular_cos(x)
-#endif
-"""
-
 # IPOPT asks for values and slopes of a point one after the other: the last point is remembered. It mostly asks for the
 # slopes wherever it asked for values, so values come with their slopes at once, unless the point before was rejected.
 _MEMORY = """
@@ -118,7 +86,7 @@ def as_machine_code(nlp: Nlp, rough: Nlp) -> tuple[Nlp, Nlp] | None:
     generator = ca.CodeGenerator("design.c")
     for name, function in functions.items():
         generator.add(_named(function, name))
-    path = library(_CIRCULAR + generator.dump() + _remembering(nlp.slopes), _VARIANTS)
+    path = library(generator.dump() + _remembering(nlp.slopes), _VARIANTS)
     if path is None:
         return None
     values, slopes, roughly = (ca.external(name, str(path)) for name in functions)

@@ -1,17 +1,13 @@
 """Designs in machine code: the same optimum, the same derivatives, and a word where there is no compiler."""
 
-import ctypes
 import dataclasses
 import types
 
 import casadi as ca
-import mpmath
 import numpy as np
 import pytest
 
 import plough_opt as po
-from plough_opt.compiler import library
-from plough_opt.design import machine_code
 from plough_opt.design.ipopt import _AtOnce
 from plough_opt.design.nlp import PARTS
 from plough_opt.design.program import Program
@@ -112,25 +108,6 @@ def test_values_come_with_slopes_unless_a_point_was_rejected():
         assert shared([shorter], result) == ("slopes", 3.0)
     assert shared([accepted], 0) == ("slopes", 1.0)
     assert asked == ["slopes", "slopes", "values", "slopes", "slopes"]
-
-
-@pytest.mark.usefixtures("cache")
-def test_sine_and_cosine_of_machine_code():
-    source = (
-        machine_code._CIRCULAR + "double sine(double x) { return sin(x); } double cosine(double x) { return cos(x); }"
-    )
-    loaded = ctypes.CDLL(str(library(source, machine_code._VARIANTS)))
-    near_turns = np.arange(-64, 64) * np.pi / 4.0
-    anywhere = np.random.default_rng(3).uniform(-2e5, 2e5, 2000)
-    angles = np.r_[near_turns, np.nextafter(near_turns, 9.0), anywhere, 1e-300, 0.0]
-    for function, exact in ((loaded.sine, mpmath.sin), (loaded.cosine, mpmath.cos)):
-        function.restype, function.argtypes = ctypes.c_double, (ctypes.c_double,)
-        with mpmath.workdps(40):
-            errors = [abs(function(x) - exact(mpmath.mpf(x))) for x in map(float, angles)]
-        # Two roundings of a number of at most 1.
-        assert max(errors) < 2.0 * 2.0**-53
-        assert np.isnan(function(np.inf))
-        assert np.isnan(function(np.nan))
 
 
 def test_without_a_compiler_it_is_interpreted(small, cache, monkeypatch):

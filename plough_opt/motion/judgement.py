@@ -19,6 +19,7 @@ from plough_opt.motion.plan import (
     MOST_RINGING,
     PHASE_PER_STEP,
     STIFF_PHASE,
+    forced_rate,
     numbers_of,
     phase,
     ringing,
@@ -59,6 +60,24 @@ def refuse_ringing(scene: Scene, duration: float) -> None:
         f"the motion of a {scene.describe()}: from this start it rings {turns / (2.0 * math.pi):.3g} times, which"
         f" would take some {steps:.1g} steps: damp the mount, start at equilibrium, take a softer mount, a shorter"
         " duration or the quasi-static scene, or name a method, as Accuracy('erk'), to follow it all the same"
+    )
+
+
+def refuse_countless_waves(scene: Scene, duration: float, most: float) -> None:
+    """Refuse a wave, or a ramp, so short beside the run that following it would take minutes.
+
+    Args:
+        scene: of numbers.
+        duration: of the run [s].
+        most: phase [rad] that is followed.
+    """
+    total = forced_rate(numbers_of(scene)) * duration
+    if total <= most:
+        return
+    by_name = ", or name a method, as Accuracy('erk'), to follow them all the same" if scene.effects.motion else ""
+    raise IntegrationError(
+        f"the motion of a {scene.describe()}: in {duration:g} s the strut and the soil change it"
+        f" {total / (4.0 * math.pi):.3g} times: take a shorter duration or a longer wave{by_name}"
     )
 
 

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+import numpy as np
+
 from plough_opt.effects import OwnResistance
-from plough_opt.expressions import Expression, map_expressions, template_of
+from plough_opt.errors import InputError
+from plough_opt.expressions import Expression, is_quantity, map_expressions, template_of
 
 
 @dataclass(frozen=True)
@@ -32,11 +36,26 @@ class OwnTerm:
         return cls(type(effect), repr(template), len(quantities), template)
 
     def force(self, number: int, p: Mapping[str, Expression], travel: Expression, speed: Expression) -> Expression:
-        """Return the resistance [N] with the parameters of the own effect of that number."""
+        """Return the resistance [N] with the parameters of the own effect of that number.
+
+        Raises:
+            InputError: the user's class returns something else.
+        """
         values = (p[name] for name in self.names(number))
         effect: OwnResistance = map_expressions(self.template, lambda _: next(values))
-        return effect.force(travel, speed)
+        found = effect.force(travel, speed)
+        sizes = {1, _elements(travel), _elements(speed)}
+        if not (is_quantity(found) or isinstance(found, np.ndarray)) or _elements(found) not in sizes:
+            raise InputError(
+                f"{self.kind.__name__}.force returned {found!r}: an own effect returns its resistance [N], a number or"
+                " an expression of travel and speed"
+            )
+        return found
 
     def names(self, number: int) -> list[str]:
         """Return the names of its parameters as the own effect of that number."""
         return [f"own_{number}_{k}" for k in range(self.count)]
+
+
+def _elements(value: Expression) -> int:
+    return math.prod(getattr(value, "shape", ()))

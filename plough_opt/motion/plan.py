@@ -12,7 +12,7 @@ import numpy as np
 from plough_opt.accuracy import ADAPTIVE, DEFAULT_TOLERANCE, ORDER_8, Accuracy, Method
 from plough_opt.errors import InputError
 from plough_opt.expressions import Expression, as_number, is_symbolic
-from plough_opt.motion.terms import Structure, lightest_mass, parameters
+from plough_opt.motion.terms import Structure, lightest_mass, own_slopes, parameters
 from plough_opt.motion.timeline import Timeline
 from plough_opt.scene import Scene
 
@@ -42,6 +42,12 @@ _COARSER = 0.75
 MOST_RINGING = 2e4
 """Phase [rad] of the share's own oscillation from a start that is not steady, which is followed unasked."""
 
+MOST_FORCED = 1e6
+"""Phase [rad] that strut and soil impose over a run which is followed unasked."""
+
+MOST_PANELLED = 4e5
+"""The same of a quasi-static run, whose panels are in memory at once."""
+
 # Phase [rad] over a run that steps of order 8 follow within seconds.
 _ORDER_8_PHASE = 4e5
 # exp(-30) is the rounding of the first swing.
@@ -57,12 +63,15 @@ _FEWEST_ADAPTIVE = 1e4
 
 
 def numbers_of(scene: Scene) -> dict[str, float]:
-    """Return the parameters of a scene of numbers, by name.
+    """Return the parameters of a scene of numbers, by name, and the steepest slopes of its own effects.
 
     Raises:
         InputError: one is an array.
     """
-    return {name: _number(name, value) for name, value in parameters(scene).items()}
+    p = {name: _number(name, value) for name, value in parameters(scene).items()}
+    if scene.effects.own:
+        p |= zip(("own_stiffness", "own_damping"), own_slopes(scene), strict=True)
+    return p
 
 
 def _number(name: str, value: Expression) -> float:
@@ -102,8 +111,9 @@ def _rates(p: Mapping[str, float]) -> tuple[float, float, float]:
     drag = 2.0 * p.get("drag", 0.0) * p.get("tow_speed", 0.0)
     # Steepest slope of the smooth contact's step, at its strongest soil.
     creep = 315.0 / 128.0 * p["static"] * (1.0 + p.get("wave_amplitude", 0.0)) / p["width"] if "width" in p else 0.0
-    decay = (p.get("damping", 0.0) + drag + creep) / inertia
-    return math.sqrt(abs(p["stiffness"]) / inertia), decay, forced_rate(p)
+    decay = (p.get("damping", 0.0) + p.get("own_damping", 0.0) + drag + creep) / inertia
+    stiffness = abs(p["stiffness"]) + p.get("own_stiffness", 0.0)
+    return math.sqrt(stiffness / inertia), decay, forced_rate(p)
 
 
 def phase(p: Mapping[str, float], duration: float) -> float:
@@ -218,7 +228,11 @@ def check_of(accuracy: Accuracy, p: Mapping[str, float], duration: float, kinked
     """
     if accuracy.method not in ADAPTIVE:
         return replace(accuracy, steps=2 * (accuracy.steps or 1))
-    tolerance = accuracy.tolerance or DEFAULT_TOLERANCE
     if phase(p, duration) > STIFF_PHASE or kinked:
-        return replace(accuracy, tolerance=max(0.1 * tolerance, 0.1 * TIGHTEST))
-    return automatic("dop853", tolerance, p, duration)
+        return finer(accuracy)
+    return automatic("dop853", accuracy.tolerance or DEFAULT_TOLERANCE, p, duration)
+
+
+def finer(accuracy: Accuracy) -> Accuracy:
+    """Return an adaptive method at a tenth of its tolerance."""
+    return replace(accuracy, tolerance=max(0.1 * (accuracy.tolerance or DEFAULT_TOLERANCE), 0.1 * TIGHTEST))

@@ -67,7 +67,7 @@ class Checks:
     floquet: tuple[complex, ...] = ()
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, repr=False, eq=False)
 class Run:
     """A simulated run: arrays over the output times, averages, and how far they can be trusted.
 

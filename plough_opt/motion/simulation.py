@@ -5,10 +5,12 @@ from __future__ import annotations
 import time
 from dataclasses import replace
 
+import numpy as np
+
 from plough_opt.accuracy import ADAPTIVE, DEFAULT_ERROR, LOCATE_EVENTS, ORDER_8, Accuracy
-from plough_opt.domain import check_domain
+from plough_opt.domain import check_domain, check_single
 from plough_opt.errors import InputError
-from plough_opt.expressions import Expression, as_number, holds_casadi, is_symbolic, map_expressions
+from plough_opt.expressions import Expression, as_number, holds_casadi, is_count, is_symbolic, map_expressions
 from plough_opt.motion.embedding import embed
 from plough_opt.motion.integrators import integration
 from plough_opt.motion.judgement import remarks, stability
@@ -66,9 +68,8 @@ def simulate(
             scene that shall be compiled.
         IntegrationError: the method failed; the message says for which scene, when and the likely cause.
     """
+    _check_kinds(scene, accuracy, outputs)
     duration = _duration(scene, duration)
-    if outputs < 1:
-        raise InputError(f"outputs = {outputs} must be at least 1: the number of intervals between output times")
     accuracy = accuracy or Accuracy()
     if accuracy.method != "auto" and not scene.effects.motion:
         raise InputError(f"accuracy method '{accuracy.method}' has nothing to integrate in a quasi-static scene")
@@ -82,6 +83,7 @@ def simulate(
             " take 'auto', 'erk' or 'rosenbrock'"
         )
     if holds_casadi((scene, duration)):
+        check_single("simulate", (scene, duration))
         if any(map(is_symbolic, (*parameters(scene).values(), scene.mass, duration))):
             if compiled:
                 raise InputError("a symbolic run is no machine code: what it becomes part of is compiled as a whole")
@@ -95,6 +97,16 @@ def simulate(
     return replace(run, checks=Checks(error, time.perf_counter() - started, notes, multipliers))
 
 
+def _check_kinds(scene: Scene, accuracy: Accuracy | None, outputs: int) -> None:
+    """Refuse something else in the place of a scene, an accuracy or a number of outputs."""
+    if not isinstance(scene, Scene):
+        raise InputError(f"the scene = {scene!r} must be a Scene, made of soil, share, stiffness, mass and tow speed")
+    if not (accuracy is None or isinstance(accuracy, Accuracy)):
+        raise InputError(f"accuracy = {accuracy!r} must be an Accuracy, as Accuracy(error=1e-6) or Accuracy('erk')")
+    if not is_count(outputs):
+        raise InputError(f"outputs = {outputs!r} must be a whole number from 1 on: of intervals between output times")
+
+
 def repeat(scene: Scene, duration: Expression, *, outputs: int = OUTPUTS) -> Run:
     """Simulate a scene for the duration of a run of its like; an orbit has its own."""
     return simulate(scene, duration if scene.effects.orbit == "transient" else None, outputs=outputs)
@@ -106,6 +118,8 @@ def _duration(scene: Scene, duration: Expression | None) -> Expression:
         if duration is None:
             raise InputError("the duration is missing: how long shall the scene be simulated, in seconds?")
         check_domain("duration", duration, "s", above=0.0)
+        if isinstance(duration, np.ndarray) and duration.ndim > 0:
+            raise InputError(f"the duration is an array of {duration.size} values: simulate takes one at a time")
         return duration
     if duration is not None:
         raise InputError("a lasting orbit has a duration of its own, one wavelength of the soil: leave it out")

@@ -16,10 +16,15 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
 
+import numpy as np
+
 from plough_opt.effects import HarmonicBalance, Smooth, StickSlip
-from plough_opt.expressions import Expression, maximum, minimum, sin, template_of, where
+from plough_opt.expressions import Expression, as_number, maximum, minimum, sin, template_of, where
 from plough_opt.motion.own import OwnTerm
 from plough_opt.scene import Scene
+
+# Differences of travel [m] and speed [m/s] by which slopes that only choose steps are measured.
+_DIFFERENCE = 1e-4
 
 PARAMETERS = (
     "inertia",
@@ -177,6 +182,20 @@ def start_resistance(structure: Structure, p: dict[str, Expression]) -> Expressi
 def _own_force(structure: Structure, p: dict[str, Expression], travel: Expression, speed: Expression) -> Expression:
     """Return the sum of the user's own resistances [N]."""
     return sum(term.force(k, p, travel, speed) for k, term in enumerate(structure.own))
+
+
+def own_slopes(scene: Scene) -> tuple[float, float]:
+    """Return the steepest slopes of own resistances by travel [N/m] and by speed [N s/m], at rest and at tow speed."""
+    structure, p = Structure.of(scene), parameters(scene)
+    steepest = [0.0, 0.0]
+    for speed in (0.0, float(as_number(p["tow_speed"]))):
+        for k, (dx, dv) in enumerate(((_DIFFERENCE, 0.0), (0.0, _DIFFERENCE))):
+            with np.errstate(all="ignore"):
+                ahead, behind = (_own_force(structure, p, s * dx, speed + s * dv) for s in (1.0, -1.0))
+            slope = abs(float(as_number(ahead - behind))) / (2.0 * _DIFFERENCE)
+            if math.isfinite(slope):
+                steepest[k] = max(steepest[k], slope)
+    return steepest[0], steepest[1]
 
 
 def _steady(structure: Structure, p: dict[str, Expression]) -> Expression:

@@ -18,15 +18,19 @@ from plough_opt.motion.integrators import Integration, integration
 from plough_opt.motion.judgement import (
     MissedEvent,
     likely_cause,
+    refuse_countless_waves,
     refuse_missed_event,
     refuse_ringing,
     refuse_runaway,
 )
 from plough_opt.motion.plan import (
+    MOST_FORCED,
+    MOST_PANELLED,
     OUTPUTS,
     automatic,
     check_of,
     checked,
+    finer,
     forced_rate,
     most_steps,
     numbers_of,
@@ -113,6 +117,7 @@ def verified(case: Case, accuracy: Accuracy) -> tuple[Run, float, tuple[str, ...
         other = check_of(named, case.p, case.duration, case.structure.kinked)
         return *_twice(case, named, other), ()
     refuse_ringing(case.scene, case.duration)
+    refuse_countless_waves(case.scene, case.duration, MOST_FORCED)
     return _automatic(case, wanted)
 
 
@@ -131,9 +136,12 @@ def interpreted(case: Case, run: Run) -> tuple[str, ...]:
 
 def _quasi_static(case: Case, accuracy: Accuracy) -> tuple[Run, float, tuple[str, ...]]:
     scene, duration = case.scene, case.duration
+    refuse_countless_waves(scene, duration, MOST_PANELLED)
     timeline = timeline_of(scene, duration, case.outputs, steps_for(forced_rate(case.p) * duration))
     run = quasi_static(scene, duration, timeline, accuracy)
     check = quasi_static(scene, duration, timeline, accuracy, GAUSS_POINTS + 6)
+    if not all(np.isfinite(part).all() for part in (run.mount_force, run.mean_draft, run.force_rms)):
+        raise IntegrationError(f"the resistance of a {scene.describe()} is not finite: look at its own effects")
     return run, _difference(run, check.averages, check.mount_force), ()
 
 
@@ -183,7 +191,13 @@ def _twice(case: Case, first: Accuracy, second: Accuracy) -> tuple[Run, float]:
         # An event that the check misses is a failure too.
         check = _followed(case, second)
         return run, _difference(run, check.averages, check.mount_force)
-    found = _integrated(case, second)
+    try:
+        found = _integrated(case, second)
+    except IntegrationError:
+        if first.method not in ADAPTIVE or first.method == second.method:
+            raise
+        # Fixed steps may be too long for what only an adaptive method notices.
+        found = _integrated(case, finer(first))
     averages = averages_of(case.scene, case.structure, case.p, found.means, found.variances)
     return run, _difference(run, averages, mount_force(case.structure, case.p, found.states))
 

@@ -537,12 +537,6 @@ def test_a_duration_must_be_positive(r1_scene, duration):
         po.simulate(r1_scene(), duration)
 
 
-@pytest.mark.parametrize("outputs", [0, -4])
-def test_outputs_must_be_at_least_one(r1_scene, outputs):
-    with pytest.raises(po.InputError, match=f"outputs = {outputs} must be at least 1"):
-        po.simulate(r1_scene(), 1.0, outputs=outputs)
-
-
 def test_a_run_prints_as_a_line(r1_scene):
     run = po.simulate(r1_scene(strength_wave=WAVE), 2.0)
     # Mean and RMS of R1 at its start.

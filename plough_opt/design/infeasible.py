@@ -61,10 +61,11 @@ def infeasible(program: Program, point: Point) -> InfeasibleDesign:
         for r in declared.requirements
         if r.name in conflicts
     )
-    against = " and ".join(blockers) if blockers else "nothing but each other"
+    alone = "no variable of this design changes it" if len(conflicts) == 1 else "against them stand only each other"
+    against = f"against it stand {' and '.join(blockers)}" if blockers else alone
     place = declared.describe(program.values(np.clip(point.y[:n], 0.0, 1.0)))
     return InfeasibleDesign(
-        f"no design was found that meets all requirements: at best {fails}; against it stand {against}."
+        f"no design was found that meets all requirements: at best {fails}; {against}."
         f" Nearest design: {place}. Loosen one of these",
         conflicts,
         blockers,

@@ -121,6 +121,7 @@ class _AtOnce:
         self._at: list[list[float]] = []
         self._found: list[ca.DM] = []
         self._wanted = True
+        self.interrupted = False
 
     def __call__(self, at: Sequence[ca.DM], result: int) -> ca.DM:
         """Return a result of the slopes at a point; the first ones are those of the values."""
@@ -160,7 +161,12 @@ class _Part(ca.Callback):
 
     def eval(self, at: Sequence[ca.DM]) -> list[ca.DM]:
         """Return the result."""
-        return [self._shared(at, self._result)]
+        try:
+            return [self._shared(at, self._result)]
+        except KeyboardInterrupt:
+            # CasADi takes any exception for an evaluation that failed, from which IPOPT goes on.
+            self._shared.interrupted = True
+            raise
 
 
 class Solver:
@@ -171,6 +177,7 @@ class Solver:
     ) -> None:
         """Take the program, its sizes, the limits of its requirements, and after how many iterations to give up."""
         self._nlp, self._most = nlp, most
+        self._shared: _AtOnce | None = None
         y, p = ca.MX.sym("y", variables), ca.MX.sym("p", parameters)
         parts = nlp.parts or self._interpreted(nlp, y, p)
         self._problem = {"x": y, "p": p, "f": parts["f"](y, p), "g": parts["g"](y, p)}
@@ -187,7 +194,7 @@ class Solver:
 
     def _interpreted(self, nlp: Nlp, y: ca.MX, p: ca.MX) -> dict[str, ca.Function]:
         """Return what IPOPT asks for of a program that does not remember its last point."""
-        shared = _AtOnce(nlp)
+        self._shared = shared = _AtOnce(nlp)
         # CasADi does not keep a Callback alive.
         self._callbacks = [_Part(shared, k) for k in range(nlp.slopes.n_out())]
         found = [part(y, p) for part in self._callbacks]
@@ -239,4 +246,7 @@ class Solver:
         solver = self._solver(near, exact)
         lower, upper = limits
         result = solver(x0=start, p=p, lbx=lower, ubx=upper, lbg=self._low, ubg=self._high)
+        if self._shared is not None and self._shared.interrupted:
+            self._shared.interrupted = False
+            raise KeyboardInterrupt
         return Point.of(result, solver.stats())

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from plough_opt.accuracy import Accuracy
+from plough_opt.domain import check_domain
 from plough_opt.errors import InputError
 from plough_opt.expressions import Expression, column, is_casadi, sqrt, where
 from plough_opt.motion.equation import GAP, SLIP, STICK
@@ -142,8 +143,14 @@ class Run:
 
     @property
     def specific_draft(self) -> Expression:
-        """Mean draft per loosened section pi r*^2 at the share's base [N/m^2]; the elastic medium has none."""
-        return self.mean_draft / (math.pi * self.scene.loosened_radius**2)
+        """Mean draft per loosened section pi r*^2 at the share's base [N/m^2]; the elastic medium has none.
+
+        Raises:
+            DomainError: a share so small that its section is zero in floating point.
+        """
+        section = math.pi * self.scene.loosened_radius**2
+        check_domain("loosened section", section, "m^2", above=0.0, why="take a larger share")
+        return self.mean_draft / section
 
     @property
     def peak_force(self) -> float:

@@ -1,7 +1,12 @@
-"""Designs that are solved in threads of one process."""
+"""Designs that are solved in threads of one process, and those that are interrupted."""
 
 import subprocess
 import sys
+
+import pytest
+
+import plough_opt as po
+from plough_opt.design import ipopt
 
 # In a process of its own, whose output and errors threads must not lose.
 SCRIPT = """
@@ -31,3 +36,29 @@ print("all solved")
 def test_designs_in_threads_are_those_one_after_the_other():
     done = subprocess.run([sys.executable, "-c", SCRIPT], capture_output=True, text=True, check=False)
     assert done.stdout.split("\n")[0] == "all solved", done.stderr
+
+
+@pytest.mark.filterwarnings("ignore")  # CasADi tells of every evaluation that failed
+def test_an_interruption_ends_a_solve_and_not_the_next(monkeypatch):
+    d = po.Design()
+    x = d.variable("x", guess=0.5, lower=0.1, upper=1.0)
+    d.minimise(x + 1.0 / x)
+    d.require("sum", x, at_most=0.8)
+
+    def stop(*_):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(ipopt._AtOnce, "__call__", stop)
+        with pytest.raises(KeyboardInterrupt):
+            d.solve()
+    assert d.solve().variables["x"] == pytest.approx(0.8, rel=1e-9)
+
+
+def test_what_no_variable_can_mend_is_said():
+    d = po.Design()
+    x = d.variable("x", guess=0.5, lower=0.1, upper=1.0)
+    d.minimise(x**2)
+    d.require("fixed", 0.0 * x + 2.0, at_most=1.0)
+    with pytest.raises(po.InfeasibleDesign, match="no variable of this design changes it"):
+        d.solve()

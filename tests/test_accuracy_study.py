@@ -14,11 +14,12 @@ from rich.console import Console
 
 import plough_opt as po
 from plough_opt.accuracy_study import methods, models, picture, quadratures, scenes
-from plough_opt.accuracy_study.contest import Entry, efficient
+from plough_opt.accuracy_study.contest import AUTO, COMPILED, Entry, efficient
 from plough_opt.accuracy_study.methods import Task, prepared
 from plough_opt.accuracy_study.picard import EPS
 from plough_opt.accuracy_study.profile_reference import profile_reaction
 from plough_opt.accuracy_study.result import AccuracyStudy, duration_text
+from plough_opt.compiler import find_compiler
 from plough_opt.expressions import exp
 from plough_opt.forces import soil_reaction
 
@@ -69,7 +70,7 @@ class TestErrors:
         size = max(abs(mean), rms)
         checked = 0
         for entry in study.entries:
-            if entry.family != "integrator" or entry.method == "auto" or entry.failure:
+            if entry.family != "integrator" or entry.method in (AUTO, COMPILED) or entry.failure:
                 continue
             kind, value = entry.setting.split()[::-1] if entry.setting.endswith("steps") else entry.setting.split()
             accuracy = po.Accuracy(entry.method, **{kind: int(value) if kind == "steps" else float(value)})
@@ -82,7 +83,9 @@ class TestErrors:
 
     def test_the_efficient_named_integrators_have_their_time_with_a_check(self, damped):
         integrators = [e for e in damped.entries if e.family == "integrator"]
-        named = [e for e in efficient(integrators, "averages", damped.floors["motion"]) if e.method != "auto"]
+        named = [
+            e for e in efficient(integrators, "averages", damped.floors["motion"]) if e.method not in (AUTO, COMPILED)
+        ]
         assert named
         assert [e for e in damped.entries if e.checked is not None] == [e for e in damped.entries if e in named]
         assert all(0.0 < e.checked < math.inf for e in named)
@@ -113,6 +116,16 @@ class TestErrors:
         still = po.study_accuracy(scene(), 0.2, outputs=4, thin=True, allowance=0.2, derivatives=False)
         (entry,) = (e for e in still.entries if e.method == "quasi-static")
         assert entry.errors["trajectory"] < 1e-15
+
+    @pytest.mark.skipif(find_compiler() is None, reason="needs a C compiler")
+    def test_machine_code_has_the_errors_of_what_is_interpreted(self, linear):
+        entries = {(e.method, e.setting): e for e in linear[1].entries if e.family == "integrator" and not e.failure}
+        compiled = {setting for method, setting in entries if method == COMPILED}
+        assert len(compiled) >= 3
+        for setting in compiled:
+            for name, error in entries[AUTO, setting].errors.items():
+                # The same steps, rounded alike or nearly.
+                assert entries[COMPILED, setting].errors[name] == pytest.approx(error, rel=1e-2, abs=1e-14)
 
     def test_gradients_of_the_finest_settings_agree_with_the_reference(self, linear):
         study = linear[1]

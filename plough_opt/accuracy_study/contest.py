@@ -8,6 +8,9 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
+AUTO, COMPILED = "auto", "auto, compiled"
+"""Names of what chooses and checks by itself, interpreted and in machine code."""
+
 # Part of an error below which another is told from it.
 _TELLING = 0.9
 

@@ -6,15 +6,17 @@ import math
 import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any, Final, TypeVar
 
 import casadi as ca
 import numpy as np
 
 from plough_opt.accuracy import ADAPTIVE, DEFAULT_ERROR, FIXED_STEP, LOCATE_EVENTS, ORDER_8, Accuracy, Method
-from plough_opt.accuracy_study.contest import Entry, efficient, error_text, median_time
+from plough_opt.accuracy_study.contest import AUTO, COMPILED, Entry, efficient, error_text, median_time
 from plough_opt.accuracy_study.gradients import AVERAGES, QUANTITIES, ReferenceGradient
 from plough_opt.accuracy_study.reference import Reference, errors_of
+from plough_opt.compiler import find_compiler
 from plough_opt.effects import StickSlip
 from plough_opt.errors import IntegrationError, PloughError
 from plough_opt.expressions import Expression, as_number
@@ -114,7 +116,10 @@ def prepared(task: Task, accuracy: Accuracy) -> tuple[Callable[[], object], Call
 
 def values(task: Task, reference: Reference) -> Iterator[Entry]:
     """Yield every method that can integrate the scene, over its settings from coarse to fine."""
-    yield from _series(task, "auto", automatic_settings(task), lambda a: _automatic(task, a), reference)
+    yield from _series(task, AUTO, automatic_settings(task), lambda a: _automatic(task, a), reference)
+    if task.scene.effects.motion and Structure.of(task.scene).stepped and find_compiler() is not None:
+        compiled = partial(_automatic, task, compiled=True)
+        yield from _series(task, COMPILED, automatic_settings(task), compiled, reference)
     for method in (*FIXED_STEP, *ADAPTIVE):
         refused = refusal(task.scene, method)
         if refused:
@@ -134,7 +139,7 @@ def with_checks(task: Task, entries: list[Entry], floor: float) -> list[Entry]:
     front = efficient(entries, "averages", floor)
 
     def checked(entry: Entry) -> Entry:
-        if entry not in front or entry.method == "auto":
+        if entry not in front or entry.method in (AUTO, COMPILED):
             return entry
         named = (a for method in (*FIXED_STEP, *ADAPTIVE) for a in settings_of(task, method))
         accuracy = next(a for a in named if (a.method, text(a)) == (entry.method, entry.setting))
@@ -184,9 +189,11 @@ def failure(family: str, method: str, setting: str, reason: object) -> Entry:
     return Entry(family, method, setting, math.inf, failure=str(reason))
 
 
-def _automatic(task: Task, accuracy: Accuracy) -> tuple[Callable[[], object], Callable[[], Run]]:
+def _automatic(
+    task: Task, accuracy: Accuracy, *, compiled: bool = False
+) -> tuple[Callable[[], object], Callable[[], Run]]:
     def run() -> Run:
-        return simulate(task.scene, task.given, accuracy=accuracy, outputs=task.outputs)
+        return simulate(task.scene, task.given, accuracy=accuracy, outputs=task.outputs, compiled=compiled)
 
     return run, run
 

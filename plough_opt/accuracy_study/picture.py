@@ -21,6 +21,7 @@ from plough_opt.picture_files import COLOURS
 _BLUE, _RED, _GREEN, _PINK, _ORANGE, _SKY, _GREY = COLOURS
 _STYLES: Final[dict[str, tuple[str, str]]] = {
     "auto": ("#000000", "*"),
+    "auto, compiled": ("#777777", "*"),
     "dop853": (_BLUE, "o"),
     "erk": (_RED, "s"),
     "rosenbrock": (_GREEN, "^"),

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from pydantic import BaseModel, ConfigDict
 
-from plough_opt.accuracy_study.contest import Entry, cheapest, efficient, error_text
+from plough_opt.accuracy_study.contest import AUTO, COMPILED, Entry, cheapest, efficient, error_text
 from plough_opt.accuracy_study.optimum import REPORTED, REQUIREMENTS, TRUE, VARIABLES
 from plough_opt.accuracy_study.scenes import CONTACT, COURSE, DERIVATIVES, LASTING, MOTION, PROFILE
 from plough_opt.results import SCHEMA, Saved, read_saved, write_text
@@ -21,9 +21,6 @@ if TYPE_CHECKING:
 
 OPTIMUM = "optimum"
 """Name of the reference of a design."""
-
-AUTO = "auto"
-"""Name of the method that chooses and checks by itself."""
 
 # Ratio of times that says nothing.
 _NOISE = 1.15
@@ -126,7 +123,8 @@ class AccuracyStudy:
         else:
             advice = f"for {error_text(self.wanted)} take {best.label}: {_result(best, key)}"
             # "auto" integrates twice by what stands here once, and is told of below.
-            others = [e for e in entries if e.method != best.method and (e.method != AUTO or best.checked is None)]
+            twice = () if best.checked is None else (AUTO, COMPILED)
+            others = [entry for entry in entries if entry.method not in (best.method, *twice)]
             second = cheapest(others, key, self.wanted)
             if second is not None:
                 advice += f", {_cheaper(second.seconds / best.seconds)} {second.label}"

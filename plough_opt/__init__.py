@@ -93,6 +93,11 @@ def __getattr__(name: str) -> Any:
     return getattr(importlib.import_module(_LATER[name]), name)
 
 
+def __dir__() -> list[str]:
+    """Return the names of the package, those that are imported on first use among them."""
+    return sorted({*globals(), *_LATER, *_MODULES_LATER})
+
+
 __all__ = [
     "Accuracy",
     "AccuracyStudy",

@@ -37,3 +37,12 @@ def test_importing_the_package_leaves_heavy_libraries_alone():
     code = f"import sys, plough_opt; print([name for name in {heavy} if name in sys.modules])"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
+
+
+def test_names_imported_later_are_listed_without_importing_them():
+    code = (
+        "import sys, plough_opt as po; listed = dir(po);"
+        "print(sorted(set(po.__all__) - set(listed)), len(listed) == len(set(listed)), 'pydantic' in sys.modules)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[] True False"

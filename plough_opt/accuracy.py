@@ -5,7 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Final, Literal, get_args
 
+import numpy as np
+
 from plough_opt.errors import InputError, nearest
+from plough_opt.expressions import is_count
 
 Method = Literal["auto", "dop853", "cvodes", "idas", "erk", "rosenbrock", "collocation", "rk"]
 FIXED_STEP: Final = ("dop853", "collocation", "rk")
@@ -61,5 +64,8 @@ class Accuracy:
             return
         if self.method not in methods:
             raise InputError(f"method '{self.method}' has no setting '{name}': it belongs to {', '.join(methods)}")
-        if not low <= value <= high:
-            raise InputError(f"accuracy {name} = {value:g} must lie between {low:g} and {high:g}")
+        whole = name == "steps"
+        sound = is_count(value) if whole else isinstance(value, int | float | np.number) and not isinstance(value, bool)
+        if not (sound and low <= value <= high):
+            kind, shown = ", as a whole number" if whole else "", f"{value:g}" if sound else repr(value)
+            raise InputError(f"accuracy {name} = {shown} must lie between {low:g} and {high:g}{kind}")

@@ -1,3 +1,5 @@
+import casadi as ca
+import numpy as np
 import pytest
 
 import plough_opt as po
@@ -67,6 +69,24 @@ def test_all_methods_are_listed_where_none_is_near():
     ],
 )
 def test_a_setting_out_of_range_is_refused(method, setting):
+    (name,) = setting
+    with pytest.raises(po.InputError, match=f"accuracy {name} = .* must lie between"):
+        po.Accuracy(method, **setting)
+
+
+@pytest.mark.parametrize(
+    ("method", "setting"),
+    [
+        ("auto", {"error": "1e-6"}),
+        ("auto", {"error": ca.DM(1e-6)}),
+        ("erk", {"tolerance": [1e-8]}),
+        ("erk", {"tolerance": np.array([1e-8, 1e-9])}),
+        ("rk", {"steps": [3]}),
+        ("rk", {"steps": 2.5}),
+        ("rk", {"steps": True}),
+    ],
+)
+def test_a_setting_is_a_number_and_steps_are_whole(method, setting):
     (name,) = setting
     with pytest.raises(po.InputError, match=f"accuracy {name} = .* must lie between"):
         po.Accuracy(method, **setting)

@@ -107,16 +107,14 @@ class Optimum(LocalOptimum):
     def __call__(self, item: Any) -> Any:
         """Return an expression, or any object with expressions nested in it, with numbers in their place.
 
-        A single value becomes a float, a column an array. A symbolic run is simulated with numbers, checked.
+        A single value becomes a float, a column an array. A run is simulated with numbers, checked, on its own or
+        nested in something else.
 
         Raises:
             InputError: an expression holds symbols that are not of this design.
             DomainError: the numbers lie outside the model's domain.
         """
-        if isinstance(item, Run):
-            outputs = item.time.numel() - 1 if is_casadi(item.time) else len(item.time) - 1
-            return repeat(self(item.scene), self(item.duration), outputs=outputs)
-        return map_expressions(item, self._number)
+        return map_expressions(item, self._with_numbers, _is_run_or_expression)
 
     def sensitivity(self, name: str, *, check: bool = False) -> Sensitivity:
         """Return how the best objective and the best variables change with a parameter or a limit.
@@ -178,8 +176,11 @@ class Optimum(LocalOptimum):
         """Leave the design's graph, which cannot be pickled, behind."""
         return {**self.__dict__, "evaluate": _left_behind, "sensitivities": None, "rounder": None}
 
-    def _number(self, expression: Any) -> float | np.ndarray:
-        value = self.evaluate(expression)
+    def _with_numbers(self, item: Any) -> Any:
+        if isinstance(item, Run):
+            outputs = item.time.numel() - 1 if is_casadi(item.time) else len(item.time) - 1
+            return repeat(self(item.scene), self(item.duration), outputs=outputs)
+        value = self.evaluate(item)
         return float(value) if value.size == 1 else value
 
 
@@ -242,6 +243,10 @@ class Rounded(Optimum):
 
 def _values_in_words(values: Mapping[str, float], units: Mapping[str, str]) -> str:
     return ", ".join(f"{name} = {in_words(value, units[name])}" for name, value in values.items())
+
+
+def _is_run_or_expression(item: object) -> bool:
+    return isinstance(item, Run) or is_casadi(item)
 
 
 def _left_behind(_expression: object) -> np.ndarray:

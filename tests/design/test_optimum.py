@@ -3,7 +3,7 @@
 import json
 import math
 import pickle
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 
 import casadi as ca
 import numpy as np
@@ -144,6 +144,35 @@ def test_an_expression_that_was_no_part_of_the_design(r1):
     assert r1.best(r1.cone.area) == pytest.approx(cone.area, rel=1e-14)
     wanted = r1.best(r1.run.specific_draft)
     assert wanted == pytest.approx(r1.best(r1.run.mean_draft) / (math.pi * 0.12**2), rel=1e-8)
+
+
+@dataclass(frozen=True)
+class _Pair:
+    name: str
+    runs: tuple[po.Run, ...]
+
+
+@pytest.mark.parametrize(
+    ("nested", "run_of"),
+    [
+        (lambda run: [run], lambda found: found[0]),
+        (lambda run: (run.mean_draft, run), lambda found: found[1]),
+        (lambda run: {"wanted": {"run": run}}, lambda found: found["wanted"]["run"]),
+        (lambda run: _Pair("both", (run, run)), lambda found: found.runs[1]),
+    ],
+    ids=["list", "tuple", "dict", "dataclass"],
+)
+def test_a_nested_run_is_simulated_and_checked_as_it_is_alone(build_r1, nested, run_of):
+    problem = build_r1(outputs=7, duration=0.5)
+    best = problem.design.solve(search="local")
+    alone, found = best(problem.run), run_of(best(nested(problem.run)))
+    assert (found.mean_draft, found.error_estimate, found.warnings) == (
+        alone.mean_draft,
+        alone.error_estimate,
+        alone.warnings,
+    )
+    np.testing.assert_array_equal(found.deflection, alone.deflection)
+    assert isinstance(found.scene.stiffness, float)
 
 
 def test_the_wanted_run_may_have_few_outputs(build_r1):

@@ -33,6 +33,8 @@ class Variable:
     def __post_init__(self) -> None:
         numbers = (self.guess, self.lower, self.upper)
         text = f"variable '{self.name}'"
+        if not isinstance(self.log, bool | np.bool_):
+            raise InputError(f"{text}: log = {self.log!r} must be True or False")
         if not all(math.isfinite(number) for number in numbers):
             raise InputError(f"{text}: guess, lower and upper must be finite numbers, not {numbers}")
         if not self.lower < self.upper:

@@ -53,7 +53,8 @@ class Design:
             log: scale it by its logarithm: for a quantity whose bounds lie decades apart.
 
         Raises:
-            InputError: bounds that contradict each other or the guess, or a name declared before.
+            InputError: no name, or one declared before, what is no number, or bounds that contradict each other or the
+                guess.
         """
         self._refuse_again(name)
         symbol = ca.MX.sym(name)
@@ -104,11 +105,17 @@ class Design:
             unit: unit of expression and limits, for reports.
 
         Raises:
-            InputError: no limit, limits that contradict each other, or a name used before.
+            InputError: no limit, or one that is no number, limits that contradict each other, no name, or one used
+                before.
         """
+        _check_name(name)
         if name in [item.name for item in self._requirements] + [item.name for item in self._variables]:
             raise InputError(f"a requirement or variable named '{name}' exists already: give each its own name")
-        self._requirements.append(Requirement(name, _expression(f"'{name}'", expression), at_least, at_most, unit))
+        least, most = (
+            None if limit is None else _as_float(f"requirement '{name}': {side}", limit)
+            for side, limit in (("at_least", at_least), ("at_most", at_most))
+        )
+        self._requirements.append(Requirement(name, _expression(f"'{name}'", expression), least, most, unit))
         self._program = None
 
     def solve(
@@ -160,6 +167,7 @@ class Design:
         return Declarations(tuple(self._variables), tuple(self._parameters), self._objective, tuple(self._requirements))
 
     def _refuse_again(self, name: str) -> None:
+        _check_name(name)
         if name in [v.name for v in self._variables] + [p.name for p in self._parameters]:
             raise InputError(f"'{name}' is declared already: give each variable and parameter its own name")
 
@@ -175,12 +183,25 @@ def _silent(_stage: str, _fraction: float) -> None:
     """Report nothing."""
 
 
+def _check_name(name: Any) -> None:
+    """Refuse what reports could not call anything by."""
+    if not isinstance(name, str) or not name.strip():
+        raise InputError(f"name = {name!r} must be a text that says what it is, as 'share height'")
+
+
+def _as_float(what: str, value: Any) -> float:
+    """Return a value, and no text or array, as a float."""
+    try:
+        if isinstance(value, str | bytes) or (isinstance(value, np.ndarray) and value.ndim > 0):
+            raise TypeError
+        return float(value)
+    except (TypeError, ValueError, RuntimeError):  # the last is CasADi's of a column or a symbol
+        raise InputError(f"{what}: {value!r} is not a number (in SI units; po.deg converts degrees)") from None
+
+
 def _number(what: str, value: Any) -> float:
     """Return a value as a finite float."""
-    try:
-        number = float(value)
-    except (TypeError, ValueError):
-        raise InputError(f"{what}: {value!r} is not a number (in SI units; po.deg converts degrees)") from None
+    number = _as_float(what, value)
     if not np.isfinite(number):
         raise InputError(f"{what}: {value} must be a finite number")
     return number

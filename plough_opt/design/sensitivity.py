@@ -148,8 +148,9 @@ class Sensitivities:
         parameters = [parameter.name for parameter in self._program.declared.parameters]
         own = [limit for limit in self._limits if limit.rpartition(" ")[0] == name]
         hint = f"did you mean {' or '.join(map(repr, own))}?" if own else nearest(name, [*parameters, *self._limits])
+        end = "" if hint.endswith("?") else "."
         raise InputError(
-            f"'{name}' is neither a parameter nor a limit of this design: {hint} Parameters:"
+            f"'{name}' is neither a parameter nor a limit of this design: {hint}{end} Parameters:"
             f" {', '.join(parameters) or 'none'}; limits: {', '.join(self._limits)}. A quantity that was given as a"
             " number is no part of the design: declare it with design.parameter"
         )

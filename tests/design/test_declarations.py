@@ -34,6 +34,9 @@ def _variable(**changes):
         ({"upper": math.inf}, "must be a finite number"),
         ({"lower": 0.0, "log": True}, "needs a lower bound above 0, not 0"),
         ({"lower": -1.0, "log": True}, "needs a lower bound above 0, not -1"),
+        ({"log": "yes"}, "log = 'yes' must be True or False"),
+        ({"guess": "0.25"}, "'0.25' is not a number"),
+        ({"upper": np.array([0.5])}, r"array\(\[0.5\]\) is not a number"),
     ],
 )
 def test_a_variable_that_cannot_be_is_refused_by_name(changes, sentence):
@@ -72,6 +75,19 @@ def test_a_name_declared_twice_is_refused(first, second):
         declare(second)
 
 
+@pytest.mark.parametrize("name", ["", "  ", 3, None])
+def test_what_is_declared_has_a_name(name):
+    d = po.Design()
+    x = d.variable("x", guess=0.5, lower=0.0, upper=1.0)
+    for declare in (
+        lambda: d.variable(name, **WELL),
+        lambda: d.parameter(name, 1.0),
+        lambda: d.require(name, x, at_most=0.9),
+    ):
+        with pytest.raises(po.InputError, match=r"name = .* must be a text"):
+            declare()
+
+
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
 def test_a_parameter_without_a_finite_value_is_refused(value):
     with pytest.raises(po.InputError, match=r"parameter 'cohesion': .* must be a finite number"):
@@ -85,6 +101,10 @@ def test_a_parameter_without_a_finite_value_is_refused(value):
         ({"at_least": 2.0, "at_most": 1.0}, r"at least 2( m)? is above at most 1 m"),
         ({"at_least": math.nan}, "at_least = nan must be a finite number"),
         ({"at_most": math.inf}, "at_most = inf must be a finite number"),
+        ({"at_most": "0.12 m"}, "at_most: '0.12 m' is not a number"),
+        ({"at_most": np.array([0.1, 0.2])}, "at_most: .* is not a number"),
+        ({"at_least": ca.DM([0.1, 0.2])}, "at_least: .* is not a number"),
+        ({"at_least": ca.MX.sym("limit")}, "at_least: .* is not a number"),
     ],
 )
 def test_limits_that_cannot_be_are_refused_by_name(limits, sentence):

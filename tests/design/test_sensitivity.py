@@ -303,6 +303,8 @@ def test_cotton_has_every_quantity_and_check_solves_it_again(cotton_parameters):
 def test_what_is_no_parameter_is_refused_with_those_that_are():
     with pytest.raises(po.InputError) as refusal:
         _cost_against_yield().solve().sensitivity("wieght")
+    with pytest.raises(po.InputError, match=r"valid names: .*[^.]\. Parameters: weight"):
+        _cost_against_yield().solve().sensitivity("nope")
     assert "did you mean 'weight'?" in str(refusal.value)
     assert "declare it with design.parameter" in str(refusal.value)
 

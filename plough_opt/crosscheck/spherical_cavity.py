@@ -7,8 +7,9 @@ from dataclasses import dataclass
 from typing import Final
 
 from plough_opt.domain import check_domain
+from plough_opt.errors import InputError
 from plough_opt.expressions import Expression, cos, expm1_ratio, log, sin, sqrt, tan
-from plough_opt.geometry import Cone
+from plough_opt.geometry import Cone, Wedge
 from plough_opt.soil import Soil
 
 SOURCE: Final = "M. J. Forrestal and V. K. Luk, Int. J. Impact Engineering 12 (1992) 427-444"
@@ -79,8 +80,12 @@ def spherical_cavity_draft(cone: Cone, soil: Soil, speed: Expression) -> Express
         speed: V [m/s], at least 0.
 
     Raises:
+        InputError: no cone.
         DomainError: a negative speed, large elastic strains, or a front as fast as elastic waves sqrt(E/rho0).
     """
+    if not isinstance(cone, Cone):
+        remedy = ": take its equivalent_cone()" if isinstance(cone, Wedge) else ""
+        raise InputError(f"the cone = {cone!r} must be a Cone{remedy}")
     check_domain("speed", speed, "m/s", at_least=0.0)
     cavity = spherical_cavity(soil)
     normal = speed * sin(cone.half_angle)

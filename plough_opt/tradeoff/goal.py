@@ -27,6 +27,8 @@ class Goal:
     maximise: bool = False
 
     def __post_init__(self) -> None:
+        if not isinstance(self.name, str) or not self.name.strip():
+            raise InputError(f"an objective's name = {self.name!r} must be a text that says what it is, as 'draft'")
         if not is_casadi(self.expression) or isinstance(self.expression, ca.SX):
             raise InputError(f"the objective '{self.name}' is no expression of a design's variables")
         if self.expression.numel() != 1:

@@ -287,6 +287,9 @@ def test_objectives_that_cannot_be(plane):
         po.trade_off(d, x, ca.vertcat(x, y))
     with pytest.raises(po.InputError, match="is no expression of a design's variables"):
         po.trade_off(d, x, 3.0)
+    for name in ("", " ", 3, None):
+        with pytest.raises(po.InputError, match=r"an objective's name = .* must be a text"):
+            po.Goal(name, x)
     with pytest.raises(po.InputError, match="'first objective' holds symbols that this design did not declare"):
         po.trade_off(d, ca.MX.sym("z"), x)
     with pytest.raises(po.InputError, match="two objectives are named 'a'"):

@@ -221,8 +221,9 @@ class Effects:
         """Refuse a switch that is neither on nor off, and a strength wave that is none."""
         for name in ("motion", "inertial_drag", "added_mass", "ambient_pressure", "entry"):
             value = getattr(self, name)
-            if not isinstance(value, bool):
+            if not isinstance(value, bool | np.bool_):
                 raise InputError(f"{name} = {value!r} must be True or False")
+            object.__setattr__(self, name, bool(value))
         if self.strength_wave is not None and not isinstance(self.strength_wave, StrengthWave):
             raise InputError(
                 f"strength_wave = {self.strength_wave!r} must be None or a StrengthWave, as StrengthWave(amplitude=0.3,"

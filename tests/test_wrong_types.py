@@ -124,6 +124,14 @@ def test_a_switch_is_on_or_off(name, value):
         po.Effects(**{name: value})
 
 
+@pytest.mark.parametrize("name", ["motion", "inertial_drag", "added_mass", "ambient_pressure", "entry"])
+def test_a_switch_of_numpy_is_a_switch(name):
+    effects = po.Effects(start="rest", **{name: np.True_})
+    assert effects == po.Effects(start="rest", **{name: True})
+    # Printed and written to files as what it is.
+    assert type(getattr(effects, name)) is bool
+
+
 @pytest.mark.parametrize("wave", [(0.3, 0.2), {"amplitude": 0.3, "wavelength": 0.2}, 0.3, po.StrengthWave])
 def test_a_strength_wave_is_one(wave):
     with pytest.raises(po.InputError, match=r"strength_wave = .* must be None or a StrengthWave"):

@@ -1,8 +1,11 @@
 """plough-opt export: each format from a problem file, and what wrong options are told."""
 
 import json
+import os
 import subprocess
+import sys
 import zipfile
+from pathlib import Path
 
 import casadi as ca
 import pytest
@@ -67,7 +70,10 @@ def test_what_to_do_next_can_be_pasted_whatever_the_folder_is_called(cli, cotton
         "export", cotton, "--to", "casadi", "--output", folder / "a.casadi", *quasi_static, "--outputs", "mean_draft"
     )
     line = done.out[done.out.index("next: ") + len("next: ") :]
-    assert "share" in subprocess.run(line, shell=True, check=True, capture_output=True, text=True).stdout
+    # Its python is the one that has CasADi.
+    path = os.pathsep.join((str(Path(sys.executable).parent), os.environ["PATH"]))
+    told = subprocess.run(line, shell=True, check=True, capture_output=True, text=True, env=os.environ | {"PATH": path})
+    assert "share" in told.stdout
     done = cli("init", folder / "a.toml")
     assert "next: plough-opt optimise '" in done.out
 

@@ -14,10 +14,10 @@ test: $(READY)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
-	$(BIN)/pytest -n auto
+	$(BIN)/pytest -n auto --dist worksteal
 
 slow: $(READY)
-	$(BIN)/pytest -n auto -m "slow or not bench"
+	$(BIN)/pytest -n auto --dist worksteal -m "slow or not bench"
 
 bench: $(PEERS)
 	$(BIN)/pytest -m bench tests/benchmarks --benchmark-columns=min,median,iqr,rounds --benchmark-sort=name

@@ -7,12 +7,17 @@ import pytest
 from nbclient import NotebookClient
 
 NOTEBOOKS = sorted((Path(__file__).parents[1] / "notebooks").glob("*.ipynb"))
+# Takes longest; what it calls is tested elsewhere, the frame in test_subsoiler_frame.py.
+LONGEST = "06_larger_machine"
 
 
 # ipykernel and its event loop warn about themselves at start-up and shut-down; the notebook's own warnings
 # stay in the kernel, where its first cell turns them into errors.
 @pytest.mark.filterwarnings("default")
-@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+@pytest.mark.parametrize(
+    "path",
+    [pytest.param(path, marks=pytest.mark.slow if path.stem == LONGEST else (), id=path.stem) for path in NOTEBOOKS],
+)
 def test_notebook_runs(path):
     notebook = nbformat.read(path, as_version=4)
     NotebookClient(notebook, timeout=120, resources={"metadata": {"path": str(path.parent)}}).execute()

@@ -34,6 +34,8 @@ from plough_opt.scene import Scene
 from plough_opt.soil import Soil, named_soil, soil_names
 
 if TYPE_CHECKING:
+    __version__: str
+
     from plough_opt import crosscheck, plots, uncertainty
     from plough_opt.accuracy_study.result import AccuracyStudy
     from plough_opt.accuracy_study.study import study_accuracy, study_design
@@ -86,6 +88,10 @@ def __getattr__(name: str) -> Any:
     """Import a name of ``_LATER``, or a module, on first use."""
     import importlib
 
+    if name == "__version__":
+        from importlib.metadata import version
+
+        return version("plough_opt")
     if name in _MODULES_LATER:
         return importlib.import_module(f"plough_opt.{name}")
     if name not in _LATER:
@@ -95,7 +101,7 @@ def __getattr__(name: str) -> Any:
 
 def __dir__() -> list[str]:
     """Return the names of the package, those that are imported on first use among them."""
-    return sorted({*globals(), *_LATER, *_MODULES_LATER})
+    return sorted({*globals(), *_LATER, *_MODULES_LATER, "__version__"})
 
 
 __all__ = [

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from plough_opt.errors import InputError
+from plough_opt.files import write_file
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -18,24 +18,14 @@ COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#8
 
 
 def save(figure: Figure, path: str | Path) -> Path:
-    """Write a figure to a file, making its folder; the ending chooses the format.
+    """Write a figure to a file whole or not at all, making its folder; the ending chooses the format.
 
     Raises:
         InputError: an ending that is no known format, or a place that cannot be written.
     """
-    target = Path(path)
-    check_format(target)
-    partial = target.with_name(f".{target.name[:200]}.{os.getpid()}")
-    try:
-        target.parent.mkdir(parents=True, exist_ok=True)
-        try:
-            figure.savefig(partial, dpi=130, format=target.suffix[1:].lower())
-            partial.replace(target)
-        finally:
-            partial.unlink(missing_ok=True)
-    except OSError as error:
-        raise InputError(f"the plot '{target}' cannot be written: {error}") from None
-    return target
+    check_format(path)
+    ending = Path(path).suffix[1:].lower()
+    return write_file(path, "plot", lambda file: figure.savefig(file, dpi=130, format=ending))
 
 
 def check_format(path: str | Path) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import platform
 from collections.abc import Callable, Sequence
 from importlib import import_module
@@ -16,6 +15,7 @@ from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 from plough_opt.accuracy import Accuracy
 from plough_opt.design import LocalOptimum, Optimum, Sensitivity
 from plough_opt.errors import InputError
+from plough_opt.files import ascii_json
 from plough_opt.motion import Averages, Run
 
 SCHEMA: Final = 1
@@ -42,8 +42,8 @@ class Saved(BaseModel):
     versions: dict[str, str]
 
     def to_json(self) -> str:
-        """Return the result as JSON text; infinite numbers as "Infinity"."""
-        return self.model_dump_json(indent=2, by_alias=True)
+        """Return the result as JSON text of ASCII characters; infinite numbers as "Infinity"."""
+        return ascii_json(self.model_dump_json(indent=2, by_alias=True))
 
 
 class SavedRun(Saved):
@@ -189,42 +189,6 @@ def read_saved(path: str | Path, name: str, kind: str, validate: Callable[[str],
         raise InputError(
             f"'{path}' is not {kind} of this version (schema {SCHEMA}): at {place}: {first['msg']}"
         ) from None
-
-
-def write_text(path: str | Path, name: str, text: str) -> Path:
-    """Write a text file whole or not at all, making its folder, and return its path.
-
-    Raises:
-        InputError: a place that cannot be written; it calls the content by its name.
-    """
-    return write_whole(path, name, lambda target: target.write_text(text, encoding="utf-8"))
-
-
-def write_whole(path: str | Path, name: str, write: Callable[[Path], object]) -> Path:
-    """Let a file be written beside its place and move it there, making its folder; return its path.
-
-    Args:
-        path: the file; what is there is replaced, but links and devices are written through.
-        name: what messages call its content.
-        write: writes the file that it is given.
-
-    Raises:
-        InputError: a place that cannot be written.
-    """
-    target = Path(path)
-    through = target.is_symlink() or (target.exists() and not target.is_file())
-    partial = target if through else target.with_name(f".{target.name[:200]}.{os.getpid()}")
-    try:
-        target.parent.mkdir(parents=True, exist_ok=True)
-        try:
-            write(partial)
-            partial.replace(target)
-        finally:
-            if partial != target:
-                partial.unlink(missing_ok=True)
-    except OSError as error:
-        raise InputError(f"the {name} '{target}' cannot be written: {error.strerror}") from None
-    return target
 
 
 def _floats(averages: Averages) -> Averages:

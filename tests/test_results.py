@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import plough_opt as po
-from plough_opt.results import SavedOptimum, SavedRun, write_text, write_whole
+from plough_opt.results import SavedOptimum, SavedRun
 
 
 @pytest.fixture(scope="module")
@@ -232,29 +232,3 @@ class TestLoadRefuses:
         path = tmp_path / "plot.png"
         path.write_bytes(b"\x89PNG\r\n\x1a\n")
         assert "cannot be read" in self.refusal(path)
-
-
-class TestWriting:
-    def test_an_interrupted_file_leaves_what_was_there(self, tmp_path):
-        def half(path):
-            path.write_text("half of")
-            raise KeyboardInterrupt
-
-        (tmp_path / "a.json").write_text("before")
-        with pytest.raises(KeyboardInterrupt):
-            write_whole(tmp_path / "a.json", "result", half)
-        assert [path.read_text() for path in tmp_path.iterdir()] == ["before"]
-
-    def test_a_file_is_written_through_a_link(self, tmp_path):
-        (tmp_path / "a.json").write_text("before")
-        (tmp_path / "link.json").symlink_to(tmp_path / "a.json")
-        assert write_text(tmp_path / "link.json", "result", "after") == tmp_path / "link.json"
-        assert (tmp_path / "a.json").read_text() == "after"
-        assert (tmp_path / "link.json").is_symlink()
-
-    def test_a_place_that_is_none_is_refused(self, tmp_path):
-        (tmp_path / "a.json").write_text("before")
-        for place in (tmp_path, tmp_path / "a.json" / "b.json"):
-            with pytest.raises(po.InputError, match=r"the result '.*' cannot be written"):
-                write_text(place, "result", "after")
-        assert [path.read_text() for path in tmp_path.iterdir()] == ["before"]

@@ -12,7 +12,8 @@ from pydantic import BaseModel, ConfigDict
 from plough_opt.accuracy_study.contest import AUTO, COMPILED, Entry, cheapest, efficient, error_text
 from plough_opt.accuracy_study.optimum import REPORTED, REQUIREMENTS, TRUE, VARIABLES
 from plough_opt.accuracy_study.scenes import CONTACT, COURSE, DERIVATIVES, LASTING, MOTION, PROFILE
-from plough_opt.results import SCHEMA, Saved, read_saved, write_text
+from plough_opt.files import write_file
+from plough_opt.results import SCHEMA, Saved, read_saved
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -237,7 +238,7 @@ class AccuracyStudy:
         Raises:
             InputError: a place that cannot be written.
         """
-        return write_text(path, "study", self.to_json() + "\n")
+        return write_file(path, "study", self.to_json() + "\n")
 
     @staticmethod
     def load(path: str | Path) -> AccuracyStudy:

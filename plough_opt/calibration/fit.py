@@ -24,7 +24,8 @@ from plough_opt.calibration.parts import Correlation, Found, KnownInterval, Row,
 from plough_opt.calibration.prediction import Rows
 from plough_opt.calibration.unknown import Unknown
 from plough_opt.errors import InputError
-from plough_opt.results import SCHEMA, Saved, read_saved, versions, write_text
+from plough_opt.files import write_file
+from plough_opt.results import SCHEMA, Saved, read_saved, versions
 from plough_opt.scene import Scene
 from plough_opt.soil import Soil
 
@@ -272,7 +273,7 @@ class Fit:
         Raises:
             InputError: the place cannot be written.
         """
-        return write_text(path, "fit", self.to_json() + "\n")
+        return write_file(path, "fit", self.to_json() + "\n")
 
     @classmethod
     def load(cls, path: str | Path) -> Fit:

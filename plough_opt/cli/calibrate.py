@@ -110,9 +110,9 @@ def calibrate(options: argparse.Namespace) -> None:
 
         wrote(plots.save(fit.plot(), options.plot))
     if options.output is not None:
-        from plough_opt.results import write_text
+        from plough_opt.files import write_file
 
-        wrote(write_text(options.output, "fit", text + "\n"))
+        wrote(write_file(options.output, "fit", text + "\n"))
 
 
 def _refuse_twice(paths: Sequence[str]) -> None:

@@ -16,20 +16,14 @@ from plough_opt.cli.terminal import console, progress, read, wrote
 from plough_opt.cli.uncertain import optimise_uncertain
 from plough_opt.effect_costs import effect_costs
 from plough_opt.errors import InputError
+from plough_opt.files import write_new
 from plough_opt.problem_file import TEMPLATE
 from plough_opt.soil import named_soil, soil_names
 
 
 def init(options: argparse.Namespace) -> None:
     """Write the template; an existing file is left alone."""
-    path = Path(options.file)
-    try:
-        with path.open("x", encoding="utf-8") as file:
-            file.write(TEMPLATE)
-    except FileExistsError:
-        raise InputError(f"'{path}' exists already and is left as it is: name another file") from None
-    except OSError as error:
-        raise InputError(f"'{path}' cannot be written: {error.strerror}") from None
+    path = write_new(options.file, "problem file", TEMPLATE)
     console().print(f"wrote {path}; next: plough-opt optimise {shlex.quote(str(path))}", markup=False, soft_wrap=True)
 
 

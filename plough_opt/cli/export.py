@@ -10,7 +10,7 @@ from typing import Final
 from plough_opt import export as formats
 from plough_opt.cli.terminal import console, progress, read, wrote
 from plough_opt.errors import InputError
-from plough_opt.export.whole import check_file, check_folder
+from plough_opt.files import check_file, check_new_folder
 from plough_opt.problem_file import Problem
 
 FORMATS: Final = {
@@ -34,6 +34,7 @@ def add_options(verb: argparse.ArgumentParser) -> None:
         metavar="NAMES",
         help="results, as mean_draft,force_rms (default: what the file minimises, trades and requires)",
     )
+    verb.add_argument("--description", metavar="FILE.json", help="of casadi: write names, units and bounds here too")
     verb.add_argument("--name", metavar="NAME", help="name of the function or model (default: share)")
     verb.add_argument("--strut", choices=("speed", "position"), help="of an FMU: its input (default: speed)")
     verb.add_argument("--sources", action="store_true", help="of an FMU: its C source only, which needs no compiler")
@@ -51,18 +52,27 @@ def export(options: argparse.Namespace) -> None:
         told("building the component", 0.0)
         names = (_names("inputs", options.inputs), _names("outputs", options.outputs))
         component = problem.component(*names, name=options.name or "share")
-    path: Path = getattr(formats, f"write_{options.to}")(component, options.output)
+    if options.to == "casadi":
+        path = formats.write_casadi(component, options.output, options.description)
+    else:
+        path = (formats.write_c if options.to == "c" else formats.write_openmdao)(component, options.output)
     console().print(str(component), markup=False)
     wrote(path)
+    if options.description is not None:
+        wrote(Path(options.description))
     console().print(f"next: {_next(options.to, path, component.name())}", markup=False, soft_wrap=True)
 
 
 def _check_options(options: argparse.Namespace) -> None:
     """Refuse a place that cannot be written to, and options of another format, before anything is computed."""
     if options.to in ("c", "openmdao"):
-        check_folder(options.output, FORMATS[options.to].removeprefix("a new folder with "))
+        check_new_folder(options.output, FORMATS[options.to].removeprefix("a new folder with "))
     else:
         check_file(options.output, f".{options.to}", FORMATS[options.to].partition(",")[0].partition(" ")[2])
+    if options.description is not None and options.to == "casadi":
+        check_file(options.description, ".json", "description")
+    elif options.description is not None:
+        raise InputError(f"--description does not go with --to {options.to}: what it says stands in that format itself")
     others = ("inputs", "outputs") if options.to == "fmu" else ("strut", "sources")
     for name in others:
         if getattr(options, name):
@@ -100,5 +110,6 @@ def _next(to: str, path: Path, name: str) -> str:
     if to == "c":
         return f"make -C {shlex.quote(str(path))}"
     if to == "casadi":
-        return "python -c " + shlex.quote(f'import casadi; print(casadi.Function.load("{path.as_posix()}"))')
+        told = "  # such a file can run code when it is loaded: take none from strangers"
+        return "python -c " + shlex.quote(f"import casadi; print(casadi.Function.load({path.as_posix()!r}))") + told
     return f"{path / name}.py holds an openmdao.api.ExplicitComponent; add_design declares variables and constraints"

@@ -20,7 +20,7 @@ from plough_opt.errors import InputError
 from plough_opt.problem_file import Problem, read_problem
 
 # Options that name a file to be written.
-_OUTPUTS = ("plot", "csv", "npz", "output", "store")
+_OUTPUTS = ("plot", "csv", "npz", "output", "description", "store")
 
 
 def read(options: argparse.Namespace) -> Problem:
@@ -54,7 +54,8 @@ def _check_outputs(options: argparse.Namespace) -> None:
         around = next(folder for folder in (place.parent, *place.parents) if folder.exists())
         if not around.is_dir():
             raise InputError(f"--{name} '{written}' cannot be written: '{around}' is no folder")
-        if not os.access(place if place.is_file() else around, os.W_OK):
+        # A file is replaced by a whole one, so its folder must take a new file too.
+        if not os.access(around, os.W_OK) or (place.is_file() and not os.access(place, os.W_OK)):
             raise InputError(f"--{name} '{written}' cannot be written: permission denied")
 
 

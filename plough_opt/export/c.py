@@ -12,7 +12,7 @@ import casadi as ca
 from plough_opt.component import Component, Port
 from plough_opt.component.ports import corners, inside
 from plough_opt.errors import InputError
-from plough_opt.export.whole import check_folder, write_folder
+from plough_opt.files import check_new_folder, write_folder
 
 ULP = 4
 """Units in the last place by which a compiled result may differ from Python's."""
@@ -44,7 +44,7 @@ def write_c(component: Component, path: str | Path) -> Path:
     Raises:
         InputError: the folder exists or cannot be written, a name that C keeps to itself, or a component that has no C.
     """
-    target = check_folder(path, "C source")
+    target = check_new_folder(path, "C source")
     name = component.name()
     if name in _KEYWORDS:
         raise InputError(f"'{name}' is a word of the C language: name the component otherwise")
@@ -54,7 +54,7 @@ def write_c(component: Component, path: str | Path) -> Path:
         f"{name}_test.c": _test(component),
         "Makefile": _MAKEFILE.replace("NAME", name),
     }
-    return write_folder(target, {file: text.encode() for file, text in files.items()})
+    return write_folder(target, "C source", files)
 
 
 def _header(component: Component) -> str:

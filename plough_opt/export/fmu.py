@@ -19,8 +19,8 @@ from plough_opt.export.fmu_description import build_description, documentation, 
 from plough_opt.export.fmu_equations import model_of
 from plough_opt.export.fmu_share import StrutInput
 from plough_opt.export.fmu_source import c_source
-from plough_opt.export.whole import check_file, write_files
 from plough_opt.expressions import as_number, is_casadi, is_symbolic, map_expressions
+from plough_opt.files import check_file, write_file
 from plough_opt.scene import Scene
 
 _NAME: Final = re.compile(r"[A-Za-z_]\w{0,62}", re.ASCII)
@@ -82,8 +82,7 @@ def write_fmu(
     if binary:
         folder, suffix = _platform()
         content[f"binaries/{folder}/{name}{suffix}"] = _compiled(source)
-    write_files({target: _archive(content)})
-    return target
+    return write_file(target, "FMU", _archive(content))
 
 
 def _check(scene: Scene, strut: str, steel_density: float | None, duration: float | None, name: str) -> None:

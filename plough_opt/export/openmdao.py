@@ -13,7 +13,7 @@ from typing import Any
 from plough_opt.component import Component
 from plough_opt.errors import InputError
 from plough_opt.export.serialised import described, serialised
-from plough_opt.export.whole import check_folder, write_folder
+from plough_opt.files import Content, check_new_folder, write_folder
 
 try:
     from plough_opt.export import openmdao_client
@@ -58,11 +58,12 @@ def write_openmdao(component: Component, path: str | Path) -> Path:
     Raises:
         InputError: the folder exists or cannot be written, or a name that no module can have.
     """
-    target = check_folder(path, "OpenMDAO component")
+    target = check_new_folder(path, "OpenMDAO component")
     name = component.name()
     if keyword.iskeyword(name) or name in _TAKEN:
         raise InputError(f"a module cannot be named '{name}': name the component otherwise")
-    return write_folder(target, {f"{name}.py": _module(component).encode(), f"{name}.casadi": serialised(component)})
+    files: dict[str, Content] = {f"{name}.py": _module(component), f"{name}.casadi": serialised(component)}
+    return write_folder(target, "OpenMDAO component", files)
 
 
 def _module(component: Component) -> str:

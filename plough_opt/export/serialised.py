@@ -11,18 +11,19 @@ from typing import Any
 import numpy as np
 
 from plough_opt.component import Component, Port
-from plough_opt.export.whole import check_file, write_files
+from plough_opt.files import Content, check_file, write_files
 
 
-def write_casadi(component: Component, path: str | Path) -> Path:
-    """Write a component as a serialised CasADi Function, and names, units and bounds as JSON beside it.
+def write_casadi(component: Component, path: str | Path, description: str | Path | None = None) -> Path:
+    """Write a component as a serialised CasADi Function and, if wanted, its names, units and bounds as JSON.
 
     A process with CasADi and without plough_opt loads it by ``casadi.Function.load(path)`` in Python, and by
     ``casadi::Function::load`` or ``casadi.Function.load`` in C++, MATLAB and Octave.
 
     Args:
         component: what to write.
-        path: of the Function, ending in .casadi; the JSON file has the same name ending in .json. Files are replaced.
+        path: of the Function, ending in .casadi; what is there is replaced.
+        description: of a JSON file with names, units, bounds and accuracy, ending in .json; None: none is written.
 
     Returns:
         The path.
@@ -31,9 +32,10 @@ def write_casadi(component: Component, path: str | Path) -> Path:
         InputError: another ending, or a place that cannot be written.
     """
     target = check_file(path, ".casadi", "serialised Function")
-    told = target.with_suffix(".json")
-    text = json.dumps(described(component), indent=2) + "\n"
-    write_files({target: serialised(component), check_file(told, ".json", "description"): text.encode()})
+    files: dict[Path, Content] = {target: serialised(component)}
+    if description is not None:
+        files[check_file(description, ".json", "description")] = json.dumps(described(component), indent=2) + "\n"
+    write_files(files, "serialised Function")
     return target
 
 

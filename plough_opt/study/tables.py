@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import io
 import itertools
 import zipfile
 from collections.abc import Iterable, Iterator
@@ -12,7 +13,7 @@ from typing import IO, Any
 import numpy as np
 from numpy.lib import format as npy
 
-from plough_opt.results import write_whole
+from plough_opt.files import write_file
 from plough_opt.study.store import Store
 
 _AT_ONCE = 16384
@@ -26,15 +27,16 @@ def write_csv(store: Store, path: str | Path) -> Path:
     """
     units = store.units
 
-    def write(target: Path) -> None:
-        with target.open("w", encoding="utf-8", newline="") as file:
-            table = csv.writer(file, lineterminator="\n")
-            headings = (f"{name} [{units[name]}]" if units.get(name) else name for name in store.columns)
-            table.writerow(["point", *headings, "reason"])
-            # A float's repr has all the digits that it needs, and None is empty.
-            table.writerows(store.rows("point", *store.columns, "reason"))
+    def write(file: IO[bytes]) -> None:
+        text = io.TextIOWrapper(file, encoding="utf-8", newline="")
+        table = csv.writer(text, lineterminator="\n")
+        headings = (f"{name} [{units[name]}]" if units.get(name) else name for name in store.columns)
+        table.writerow(["point", *headings, "reason"])
+        # A float's repr has all the digits that it needs, and None is empty.
+        table.writerows(store.rows("point", *store.columns, "reason"))
+        text.detach()  # flushed, and left open for whoever opened it
 
-    return write_whole(path, "table", write)
+    return write_file(path, "table", write)
 
 
 def write_npz(store: Store, path: str | Path) -> Path:
@@ -45,8 +47,8 @@ def write_npz(store: Store, path: str | Path) -> Path:
     """
     stored, failed = store.stored()
 
-    def write(target: Path) -> None:
-        with zipfile.ZipFile(target, "w", allowZip64=True) as archive:
+    def write(file: IO[bytes]) -> None:
+        with zipfile.ZipFile(file, "w", allowZip64=True) as archive:
             _write_array(archive, "point", np.dtype("<i8"), stored, (row[0] for row in store.rows("point")))
             for name in store.columns:
                 numbers = (np.nan if row[0] is None else row[0] for row in store.rows(name))
@@ -59,7 +61,7 @@ def write_npz(store: Store, path: str | Path) -> Path:
             reasons = (row[0] for row in store.rows("reason", where=lost))
             _write_array(archive, "reasons", np.dtype(f"<U{longest}"), failed, reasons, zipfile.ZIP_DEFLATED)
 
-    return write_whole(path, "table", write)
+    return write_file(path, "table", write)
 
 
 def _write_array(

@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING, Literal, overload
 import numpy as np
 
 from plough_opt.errors import InputError
-from plough_opt.results import SCHEMA, Saved, read_saved, versions, write_text
+from plough_opt.files import write_file
+from plough_opt.results import SCHEMA, Saved, read_saved, versions
 from plough_opt.tradeoff import plane, space
 from plough_opt.tradeoff.certificate import FrontPoint
 from plough_opt.tradeoff.goal import Axis
@@ -206,7 +207,7 @@ class TradeOff:
         Raises:
             InputError: the place cannot be written.
         """
-        return write_text(path, "front", self.to_json() + "\n")
+        return write_file(path, "front", self.to_json() + "\n")
 
     def to_csv(self, path: str | Path) -> Path:
         """Write a table of all points, SI units, the efficient ones first.
@@ -231,7 +232,7 @@ class TradeOff:
             rates = ["" if rate is None else repr(rate) for rate in found]
             table.writerow([status, part, *map(repr, values), *rates, *(repr(point.margins[name]) for name in margins),
                             "; ".join(point.active), point.branch, repr(point.residual), repr(point.gap)])  # fmt: skip
-        return write_text(path, "table", text.getvalue())
+        return write_file(path, "table", text.getvalue())
 
     @classmethod
     def load(cls, path: str | Path) -> TradeOff:

@@ -9,6 +9,7 @@ import subprocess
 import sys
 import tomllib
 import xml.etree.ElementTree as ET
+from importlib.metadata import version
 from pathlib import Path
 
 import pytest
@@ -447,3 +448,9 @@ def test_an_optimum_without_requirements_has_no_table_of_them(cli, cotton):
     assert done.status == 0
     assert "Best design" in done.out
     assert "Requirements" not in done.out
+
+
+def test_the_module_is_the_command_and_has_its_version(cli):
+    done = subprocess.run([sys.executable, "-m", "plough_opt", "soils"], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout, done.stderr) == (0, cli("soils").out, "")
+    assert po.__version__ == version("plough_opt")

@@ -21,8 +21,9 @@ def _component(out):
 
 
 def test_casadi_has_the_files_variables_and_all_that_it_minimises_and_requires(cli, reference, tmp_path):
-    done = cli("export", reference, "--to", "casadi", "--output", tmp_path / "r1.casadi")
-    assert (done.status, done.err) == (0, f"wrote {tmp_path / 'r1.casadi'}\n")
+    told = ("--description", tmp_path / "r1.json")
+    done = cli("export", reference, "--to", "casadi", "--output", tmp_path / "r1.casadi", *told)
+    assert (done.status, done.err) == (0, f"wrote {tmp_path / 'r1.casadi'}\nwrote {tmp_path / 'r1.json'}\n")
     inputs, outputs = _component(done.out)
     assert inputs == ["share.wedge_angle", "share.height", "scene.stiffness"]
     wanted = ["objective", "mean_draft", "force_rms", "loosened_radius", "mean_deflection", "half_angle"]
@@ -62,7 +63,7 @@ def test_openmdao_and_fmu_are_written_too(cli, cotton, tmp_path):
 
 
 def test_what_to_do_next_can_be_pasted_whatever_the_folder_is_called(cli, cotton, tmp_path):
-    folder = tmp_path / "new share"
+    folder = tmp_path / 'new "share\'s"'
     done = cli("export", cotton, "--to", "fmu", "--output", folder / "a.fmu", "--sources")
     assert "next: fmpy simulate '" in done.out
     quasi_static = ("--set", "effects={motion=false}")
@@ -97,6 +98,8 @@ def test_overrides_count(cli, reference, tmp_path):
         (["--to", "fmu", "--output", "a.casadi"], "end it in .fmu"),
         (["--to", "fmu", "--output", "a.fmu", "--inputs", "share.height"], "--inputs does not go with --to fmu"),
         (["--strut", "speed"], "--strut does not go with --to casadi"),
+        (["--to", "c", "--output", "c", "--description", "a.json"], "--description does not go with --to c"),
+        (["--description", "a.txt"], "end it in .json"),
         (["--inputs", "share.hight"], "no quantity is named 'share.hight': did you mean 'share.height'"),
         (["--inputs", ""], "--inputs '' lacks a name"),
         (["--outputs", "mean_draft,"], "--outputs 'mean_draft,' lacks a name"),

@@ -47,9 +47,10 @@ def test_another_process_without_plough_opt_evaluates_and_differentiates(around_
         assert (beside[0] - beside[1]) / (2e-4 * size) == pytest.approx(np.array(hessian)[k], rel=1e-5)
 
 
-def test_names_units_and_bounds_lie_beside_it(around_r1, tmp_path):
-    path = write_casadi(around_r1, tmp_path / "r1.casadi")
-    told = json.loads(path.with_suffix(".json").read_text())
+def test_names_units_and_bounds_are_written_where_asked(around_r1, tmp_path):
+    path = tmp_path / "told" / "r1.json"
+    write_casadi(around_r1, tmp_path / "r1.casadi", path)
+    told = json.loads(path.read_text())
     assert [(p["name"], p["argument"], p["unit"], p["lower"], p["upper"], p["value"]) for p in told["inputs"]] == [
         (p.name, p.argument, p.unit, p.lower, p.upper, p.value) for p in around_r1.inputs
     ]
@@ -72,5 +73,12 @@ def test_a_file_is_replaced_whole_and_a_folder_never(around_r1, tmp_path):
             write_casadi(around_r1, tmp_path / name)
     (tmp_path / "other.json").mkdir()
     with pytest.raises(po.InputError, match=r"other.json' is a folder"):
-        write_casadi(around_r1, tmp_path / "other.casadi")
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["folder.casadi", "other.json", "r1.casadi", "r1.json"]
+        write_casadi(around_r1, tmp_path / "other.casadi", tmp_path / "other.json")
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["folder.casadi", "other.json", "r1.casadi"]
+
+
+def test_nothing_unnamed_is_written(around_r1, tmp_path):
+    (tmp_path / "r1.json").write_text("an optimum of somebody's")
+    write_casadi(around_r1, tmp_path / "r1.casadi")
+    assert (tmp_path / "r1.json").read_text() == "an optimum of somebody's"
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["r1.casadi", "r1.json"]

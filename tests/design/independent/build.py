@@ -1,0 +1,40 @@
+"""The same problems as designs of the package under test: the only module here that knows it."""
+
+import plough_opt as po
+from independent.problem import PATHS, UNITS
+
+_LIMIT_UNITS = {"loosened radius": "m", "half angle": "rad", "mean_deflection": "m", "deflection": "m",
+                "mount force": "N", "tow_power": "W", "force_rms": "N", "mean_draft": "N"}  # fmt: skip
+
+
+def as_design(problem):
+    """Return a problem as a `po.Design`, and its run."""
+    d = po.Design()
+    x = dict(problem.fixed)
+    for v in problem.variables:
+        x[v.name] = d.variable(v.name, guess=v.guess, lower=v.lower, upper=v.upper, unit=UNITS[v.name], log=v.log)
+    soil = po.Soil(*problem.soil)
+    share = po.Wedge(x["wedge angle"], x["chisel angle"], x["height"])
+    cone = share.equivalent_cone()
+    mass = x["frame mass"] + (cone.solid_mass(7850.0) if problem.steel else 0.0)
+
+    def optional(name):
+        value = x[name]
+        return None if isinstance(value, float) and value == 0.0 else value
+
+    effects = po.Effects(
+        strength_wave=po.StrengthWave(*problem.wave) if problem.wave else None,
+        damping=optional("damping"),
+        tow_ramp=optional("ramp time"),
+        start=problem.start,
+    )
+    run = po.simulate(po.Scene(soil, share, x["stiffness"], mass, x["tow speed"], effects), problem.duration)
+    geometry = {"loosened radius": po.loosened_radius(cone, soil), "half angle": cone.half_angle}
+    d.minimise(sum(weight * getattr(run, name) for name, weight in problem.objective.items()))
+    for r in problem.limits:
+        expression = geometry.get(r.measure)
+        if expression is None:
+            expression = getattr(run, r.measure.replace(" ", "_") if r.measure in PATHS else r.measure)
+        # A requirement may not have the name of a variable.
+        d.require(r.measure.replace("_", " "), expression, **{r.side: r.limit}, unit=_LIMIT_UNITS[r.measure])
+    return d, run

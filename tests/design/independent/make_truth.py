@@ -1,0 +1,52 @@
+"""Make the study's problems and their truth anew.
+
+    nice -n 10 python tests/design/independent/make_truth.py search --count 300 --processes 2
+
+writes `search_problems.json` beside this file. Problems that are there already are kept, so that an interrupted run
+goes on; delete the file to start afresh. It takes some ten seconds for a problem, and a C compiler.
+"""
+
+import argparse
+import json
+import os
+import sys
+from concurrent.futures import ProcessPoolExecutor
+from pathlib import Path
+
+# Matrices are small here, and many threads of a library would only wait for each other.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from independent import fast, study, truth
+from independent.generate import draw
+
+
+def search(seed):
+    """Return the problem of a seed and its truth."""
+    problem = draw(seed, fast.simulate)
+    return {"problem": problem.plain(), "truth": truth.truth_of(problem)}
+
+
+KINDS = {"search": search}
+
+
+def main():
+    """Make what is missing of a kind's file, a problem a line."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("kind", choices=sorted(KINDS))
+    parser.add_argument("--count", type=int, default=100)
+    parser.add_argument("--processes", type=int, default=2)
+    given = parser.parse_args()
+    path = study.path_of(given.kind)
+    known = study.read_lines(path) if path.exists() else {}
+    missing = [seed for seed in range(given.count) if seed not in known]
+    with ProcessPoolExecutor(given.processes) as pool:
+        for seed, line in zip(missing, pool.map(KINDS[given.kind], missing), strict=True):
+            known[seed] = json.dumps(line, separators=(",", ":"))
+            text = ",\n".join(f'"{k}": {known[k]}' for k in sorted(known))
+            path.write_text("{\n" + text + "\n}\n", encoding="utf-8")
+            print(seed, end=" ", flush=True)
+
+
+if __name__ == "__main__":
+    main()

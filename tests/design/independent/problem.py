@@ -1,0 +1,189 @@
+"""A design problem as plain data, and what the independent simulator says of its designs."""
+
+from dataclasses import asdict, dataclass
+
+import numpy as np
+
+from independent import motion
+
+QUANTITIES = (
+    "wedge angle",
+    "height",
+    "stiffness",
+    "tow speed",
+    "frame mass",
+    "damping",
+    "ramp time",
+    "chisel angle",
+)
+PATHS = ("deflection", "mount force")
+UNITS = dict(zip(QUANTITIES, ("rad", "m", "N/m", "m/s", "kg", "N s/m", "s", "rad"), strict=True))
+
+
+@dataclass(frozen=True)
+class Variable:
+    """A quantity to choose, between bounds."""
+
+    name: str
+    lower: float
+    upper: float
+    guess: float
+    log: bool
+
+    def unscaled(self, y):
+        """Return the value at a position between the bounds, 0 to 1."""
+        if self.log:
+            return self.lower * (self.upper / self.lower) ** y
+        return self.lower + (self.upper - self.lower) * y
+
+    def scaled(self, x):
+        """Return the position of a value."""
+        if self.log:
+            return np.log(x / self.lower) / np.log(self.upper / self.lower)
+        return (x - self.lower) / (self.upper - self.lower)
+
+
+@dataclass(frozen=True)
+class Limit:
+    """A requirement: a measure, of a path at every output time, "at_least" or "at_most" a limit."""
+
+    measure: str
+    side: str
+    limit: float
+
+    def violation(self, values):
+        """Return how far values are beyond the limit, in parts of the limit; negative inside."""
+        away = (values - self.limit) / abs(self.limit)
+        return away if self.side == "at_most" else -away
+
+
+@dataclass(frozen=True)
+class Problem:
+    """A problem; SI units and radians.
+
+    Attributes:
+        name: kind and seed.
+        soil: density, density ratio, cohesion, friction angle, tool friction, ambient pressure.
+        fixed: values of the quantities that are no variables.
+        wave: amplitude and wavelength of the strength wave, or None.
+        start: "equilibrium", "rest" or "towed".
+        duration: of the run [s].
+        steel: whether a solid steel cone moves beside the frame's mass.
+        variables: what may be chosen.
+        limits: the requirements.
+        objective: weights of the run's averages in the sum to minimise.
+    """
+
+    name: str
+    soil: tuple[float, ...]
+    fixed: dict[str, float]
+    wave: tuple[float, float] | None
+    start: str
+    duration: float
+    steel: bool
+    variables: tuple[Variable, ...]
+    limits: tuple[Limit, ...]
+    objective: dict[str, float]
+
+    def plain(self):
+        """Return what `of_plain` takes, for JSON."""
+        data = asdict(self)
+        data["variables"] = [list(asdict(v).values()) for v in self.variables]
+        data["limits"] = [list(asdict(r).values()) for r in self.limits]
+        return data
+
+    @classmethod
+    def of_plain(cls, data):
+        """Return a problem from what `plain` gave."""
+        own = dict(data, soil=tuple(data["soil"]), wave=data["wave"] and tuple(data["wave"]))
+        own["variables"] = tuple(Variable(*v) for v in data["variables"])
+        own["limits"] = tuple(Limit(*r) for r in data["limits"])
+        return cls(**own)
+
+    def values(self, y):
+        """Return the variables in their units at positions, a row for each design."""
+        return np.array([v.unscaled(column) for v, column in zip(self.variables, np.atleast_2d(y).T, strict=True)]).T
+
+    def positions(self, values):
+        """Return the positions of variables in their units."""
+        return np.array([v.scaled(column) for v, column in zip(self.variables, np.atleast_2d(values).T, strict=True)]).T
+
+
+@dataclass(frozen=True)
+class Found:
+    """What designs are worth, an array over them.
+
+    Attributes:
+        objective: infinite where a share runs away.
+        violations: for each requirement how far it is beyond its limit, in parts of it; of a path the worst.
+        rows: the same of a path at every output time, by number of the requirement, if asked for.
+    """
+
+    objective: np.ndarray
+    violations: np.ndarray
+    rows: dict[int, np.ndarray]
+
+    @property
+    def worst(self):
+        """Return the largest violation of a design, 0 where all requirements are met."""
+        return np.max(self.violations, axis=0, initial=0.0)
+
+    @property
+    def shortfall(self):
+        """Return the sum over the requirements of what is lacking."""
+        return np.sum(np.maximum(self.violations, 0.0), axis=0)
+
+
+def evaluate(problem, y, *, simulate=motion.simulate, phase=0.7, rows=False):
+    """Return what designs at positions, a row each, are worth.
+
+    Args:
+        problem: the problem.
+        y: positions between the bounds.
+        simulate: of `motion`, or the same in C.
+        phase: see `motion.simulate`.
+        rows: whether to return paths at every output.
+    """
+    y = np.atleast_2d(y)
+    measures = measure(problem, y, simulate, phase, paths=any(r.measure in PATHS for r in problem.limits))
+    objective = sum(weight * measures[name] for name, weight in problem.objective.items())
+    all_rows = {k: r.violation(measures[r.measure]) for k, r in enumerate(problem.limits)}
+    worst = [np.max(v, axis=0) if v.ndim == 2 else v for v in all_rows.values()]
+    violations = np.array(worst).reshape(len(problem.limits), len(y))
+    bad = ~np.isfinite(objective) | ~np.all(np.isfinite(violations), axis=0)
+    objective = np.where(bad, np.inf, objective)
+    violations = np.where(bad, np.inf, violations)
+    return Found(objective, violations, {k: v for k, v in all_rows.items() if v.ndim == 2} if rows else {})
+
+
+def measure(problem, y, simulate=motion.simulate, phase=0.7, *, paths=False):
+    """Return all measures of designs by name; paths have a row for each output."""
+    y = np.atleast_2d(y)
+    x = {name: np.full(len(y), value) for name, value in problem.fixed.items()}
+    x |= dict(zip((v.name for v in problem.variables), problem.values(y).T, strict=True))
+    s = motion.share(problem.soil, x["wedge angle"], x["chisel angle"], x["height"])
+    amplitude, wavelength = problem.wave or (0.0, 1.0)
+    mass = x["frame mass"] + (s.steel if problem.steel else 0.0) + s.added_mass
+    runs = motion.Motion(
+        s.static, s.drag, mass, x["stiffness"], x["damping"], x["tow speed"], amplitude, wavelength, x["ramp time"],
+        problem.start, problem.duration,
+    )  # fmt: skip
+    found = simulate(runs, phase=phase, paths=paths)
+    return {
+        **{name: getattr(found, name) for name in motion.NAMES},
+        "deflection": found.deflection,
+        "mount force": found.mount_force,
+        "loosened radius": s.loosened_radius,
+        "half angle": s.half_angle,
+    }
+
+
+def box_sample(problem, y, count=256, half_width=3e-3, seed=0):
+    """Return designs in the tolerance box of one, clipped at the bounds; its half width is in parts of the ranges."""
+    spread = np.random.default_rng(seed).uniform(-half_width, half_width, (count, len(problem.variables)))
+    return np.clip(np.ravel(y) + spread, 0.0, 1.0)
+
+
+def box_median(problem, y, **options):
+    """Return the median objective over the tolerance box of a design."""
+    return float(np.median(evaluate(problem, box_sample(problem, y), **options).objective))

@@ -1,0 +1,76 @@
+"""The problems of the study with their truth, and whether an answer is right."""
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from independent.problem import Problem, box_median, evaluate
+
+RELATIVE = 1e-6
+"""Part of the objective, and of each limit, to which an answer must agree with the truth."""
+
+# The library ranks by medians of 64 designs of the box, here they are of 256: a part of the spread lies between them.
+_OF_A_MEDIAN = 1e-2
+
+
+def path_of(kind):
+    """Return the file of a kind of problems."""
+    return Path(__file__).with_name(f"{kind}_problems.json")
+
+
+def read_lines(path):
+    """Return the lines of a file of problems, by number."""
+    data = json.loads(path.read_text(encoding="utf-8"))
+    return {int(k): json.dumps(v, separators=(",", ":")) for k, v in data.items()}
+
+
+def problems(kind):
+    """Return problems and truths of a kind, by number."""
+    data = json.loads(path_of(kind).read_text(encoding="utf-8"))
+    return {int(k): (Problem.of_plain(v["problem"]), v["truth"]) for k, v in data.items()}
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """Whether an answer is right.
+
+    Attributes:
+        right: whether it meets the requirements and is as good as the truth, or over its tolerance box where that is
+            what counts.
+        excess: its objective's relative excess over the truth.
+        median_excess: the excess of its median over the tolerance box, relative to the truth's.
+        violation: the largest of its violations, in parts of the limits.
+    """
+
+    right: bool
+    excess: float
+    median_excess: float
+    violation: float
+
+
+def judge(problem, truth, variables):
+    """Return the verdict on a design.
+
+    Args:
+        problem: the problem.
+        truth: what `truth.truth_of` found.
+        variables: the answer's variables by name.
+    """
+    y = problem.positions([[variables[v.name] for v in problem.variables]])
+    found = evaluate(problem, y, phase=0.5)
+    excess = _excess(found.objective[0], truth["objective"])
+    violation = float(found.worst[0])
+    met = violation <= RELATIVE
+    if met and excess <= RELATIVE and not truth["needle"]:
+        return Verdict(True, excess, np.nan, violation)
+    median = box_median(problem, y, phase=1.3)
+    wanted = truth["best_median"] * (1.0 + _OF_A_MEDIAN) if truth["needle"] else truth["median"]
+    median_excess = _excess(median, wanted)
+    right = met and (excess <= RELATIVE or median_excess <= RELATIVE)
+    return Verdict(right, excess, median_excess, violation)
+
+
+def _excess(value, wanted):
+    return float((value - wanted) / abs(wanted))

@@ -1,0 +1,246 @@
+"""The best design of a problem by SciPy: a Sobol sample, islands of differential evolution, many polished starts."""
+
+import warnings
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import Bounds, differential_evolution, minimize
+from scipy.stats import qmc
+
+from independent import fast
+from independent.lockstep import Lockstep
+from independent.problem import box_median, evaluate
+
+# Rad in a step: of the sample and the evolution some 1e-6, of polishing some 1e-10.
+_ROUGH, _FINE = 1.3, 0.5
+# Beyond every objective: designs that violate a requirement, and those that have no value.
+_BEYOND, _NO_VALUE = 1e6, 1e12
+# Violations in parts of a limit that a solver's rounding leaves.
+MET = 1e-9
+_DIFFERENCE = 1e-6
+_ROWS = 80
+# Starts of the same basin polish to one design: apart by less, they are one.
+_SAME = 1e-4
+_ROUNDS = 6
+
+
+@dataclass(frozen=True)
+class Best:
+    """A design, positions between the bounds, and its objective."""
+
+    y: np.ndarray
+    objective: float
+
+
+def efforts(count):
+    """Return the sample's size as a power of 2, islands, members of each, generations, and polished starts."""
+    return {1: (15, 2, 40, 40, 40), 2: (15, 4, 40, 60, 40), 3: (15, 6, 50, 80, 48), 4: (15, 6, 60, 100, 48)}.get(
+        count, (16, 8, 15 * count, 40 * count, 60)
+    )
+
+
+def merit(found):
+    """Return the objective where all requirements are met, and beyond it the shortfall where not."""
+    values = np.where(found.worst <= MET, found.objective, _BEYOND * (1.0 + found.shortfall))
+    return np.nan_to_num(values, nan=_NO_VALUE, posinf=_NO_VALUE)
+
+
+def shortfall(found):
+    """Return what is lacking in all requirements together, without regard to the objective."""
+    return np.nan_to_num(found.shortfall, nan=_NO_VALUE, posinf=_NO_VALUE)
+
+
+def sample(problem, power, random):
+    """Return a scrambled Sobol sample, half of it stretched so that bounds and corners are in it."""
+    y = qmc.Sobol(len(problem.variables), seed=random).random(2**power)
+    y[::2] = np.clip(0.5 + 1.15 * (y[::2] - 0.5), 0.0, 1.0)
+    return y
+
+
+def evolved(problem, worth, y, values, random, effort):
+    """Return the designs to which islands of differential evolution lead, and their worth."""
+    _, islands, members, generations, _ = effort
+    together = Lockstep(lambda rows: (worth(evaluate(problem, rows, simulate=fast.simulate, phase=_ROUGH)),))
+    order = np.argsort(values, kind="stable")
+
+    def island(k):
+        # Good designs and others, of each island its own part of the sample.
+        own = order[k::islands]
+        others = random.choice(own, size=members - members // 2, replace=False)
+        first = y[np.concatenate([own[: members // 2], others])]
+        strategy = ("best1bin", "rand1bin", "randtobest1bin", "currenttobest1bin")[k % 4]
+        seed = int(random.integers(2**31))
+
+        def run():
+            done = differential_evolution(
+                lambda x: together(np.clip(x.T, 0.0, 1.0))[0],
+                [(0.0, 1.0)] * y.shape[1],
+                strategy=strategy, init=first, maxiter=generations, mutation=(0.4, 0.9), recombination=0.9,
+                tol=1e-10, atol=0.0, polish=False, vectorized=True, updating="deferred", rng=seed,
+            )  # fmt: skip
+            return np.clip(done.x, 0.0, 1.0), done.population
+
+        return run
+
+    found = together.run([island(k) for k in range(islands)])
+    return np.vstack([np.vstack([x[None], population]) for x, population in found])
+
+
+def spread_starts(y, values, count, apart):
+    """Return the best designs that are well apart from each other."""
+    chosen = []
+    for k in np.argsort(values, kind="stable"):
+        if values[k] >= _NO_VALUE or len(chosen) == count:
+            break
+        if all(np.max(np.abs(y[k] - y[j])) > apart for j in chosen):
+            chosen.append(k)
+    return y[chosen]
+
+
+def polished(problem, starts, *, lacking=False, reach=1.0):
+    """Return the designs to which SLSQP leads, from each start side by side.
+
+    Args:
+        problem: the problem.
+        starts: positions, a row each.
+        lacking: minimise what requirements lack, not the objective.
+        reach: how far from its start a design may go.
+    """
+
+    def together(y):
+        found = evaluate(problem, y, simulate=fast.simulate, phase=_FINE, rows=True)
+        whole = [found.rows[k] if k in found.rows else found.violations[k : k + 1] for k in range(len(problem.limits))]
+        return found.objective, np.vstack(whole) if whole else np.zeros((0, len(y)))
+
+    lockstep = Lockstep(together)
+    sizes = [401 if r.measure in ("deflection", "mount force") else 1 for r in problem.limits]
+    owner = np.repeat(np.arange(len(sizes)), sizes)
+    results = lockstep.run([_polish(lockstep, start, owner, len(sizes), lacking, reach) for start in starts])
+    return np.array(results)
+
+
+def _polish(lockstep, start, owner, count, lacking, reach):
+    def run():
+        y = start
+        for k in range(_ROUNDS):
+            objective, gaps = lockstep(y[None])
+            if not np.isfinite(objective[0]):
+                return y
+            scale = max(abs(objective[0]), 1e-12)
+            slack = np.zeros(count)
+            for r in range(count):
+                slack[r] = max(0.0, np.max(gaps[owner == r, 0]))
+            kept = np.zeros(len(owner), dtype=bool)
+            for r in range(count):
+                own = np.flatnonzero(owner == r)
+                kept[own[np.argsort(-gaps[own, 0], kind="stable")[:_ROWS]]] = True
+            away = reach * 0.3**k if k else reach
+            new = _once(lockstep, y, np.flatnonzero(kept), owner, slack, scale, lacking, away)
+            moved = np.max(np.abs(new - y))
+            y = new
+            if moved < 1e-8:
+                break
+        return y
+
+    return run
+
+
+def _once(lockstep, y, kept, owner, slack, scale, lacking, away):
+    """Return where SLSQP leads with some rows of the requirements, which give way by slacks if lacking."""
+    n, own = len(y), owner[kept]
+    known = {}
+
+    def at(x):
+        key = x.tobytes()
+        if key not in known:
+            step = np.where(x[:n] > 0.5, -_DIFFERENCE, _DIFFERENCE)
+            points = np.vstack([x[:n], x[:n] + np.diag(step), x[:n] + 2.0 * np.diag(step)])
+            f, g = lockstep(np.clip(points, 0.0, 1.0))
+            f, g = np.nan_to_num(f / scale, posinf=1e6), np.nan_to_num(g[kept], posinf=1e6)
+            slopes = [
+                (4.0 * v[..., 1 : n + 1] - 3.0 * v[..., :1] - v[..., n + 1 :]) / (2.0 * step) for v in (f[None], g)
+            ]
+            known.clear()
+            known[key] = f[0], g[:, 0], slopes[0][0], slopes[1]
+        return known[key]
+
+    low, high = np.maximum(y - away, 0.0), np.minimum(y + away, 1.0)
+    options = {"ftol": 1e-13, "maxiter": 60}
+    if lacking:
+        # The requirements' slacks are variables of their own, behind the design's.
+        spread = np.eye(len(slack))[own]
+        ones = np.r_[np.zeros(n), np.ones(len(slack))]
+        first = np.r_[y, slack + 1e-9]
+        low, high = np.r_[low, np.zeros(len(slack))], np.r_[high, np.full(len(slack), np.inf)]
+        objective, slope = (lambda x: ones @ x), (lambda _x: ones)
+        gaps, gap_slopes = (lambda x: x[n:][own] - at(x)[1]), (lambda x: np.hstack([-at(x)[3], spread]))
+    else:
+        first = y
+        objective, slope = (lambda x: at(x)[0]), (lambda x: at(x)[2])
+        gaps, gap_slopes = (lambda x: -at(x)[1] - 0.5 * MET), (lambda x: -at(x)[3])
+    constraints = [{"type": "ineq", "fun": gaps, "jac": gap_slopes}] if len(kept) else []
+    with warnings.catch_warnings(), np.errstate(all="ignore"):
+        warnings.simplefilter("ignore")
+        done = minimize(
+            objective, first, jac=slope, bounds=Bounds(low, high), constraints=constraints, method="SLSQP",
+            options=options,
+        )  # fmt: skip
+    return np.clip(np.where(np.isfinite(done.x), done.x, first), low, high)[:n]
+
+
+def optima(problem, seed=0, *, lacking=False, extra=()):
+    """Return distinct good designs, best first: met requirements with their objective, or the least shortfall.
+
+    Args:
+        problem: the problem.
+        seed: of sample and evolution.
+        lacking: minimise what the requirements lack.
+        extra: further starts, positions.
+    """
+    random = np.random.default_rng([seed, 7])
+    worth = shortfall if lacking else merit
+    effort = efforts(len(problem.variables))
+    y = sample(problem, effort[0], random)
+    values = worth(evaluate(problem, y, simulate=fast.simulate, phase=_ROUGH))
+    islands = evolved(problem, worth, y, values, random, effort)
+    everything = np.vstack([y, islands, *[np.atleast_2d(x) for x in extra]])
+    values = worth(evaluate(problem, everything, simulate=fast.simulate, phase=_FINE))
+    starts = spread_starts(everything, values, effort[4], 0.04)
+    near = spread_starts(everything, values, effort[4] // 3, 0.004)
+    ends = [
+        polished(problem, np.vstack([starts, near]), lacking=lacking),
+        polished(problem, near, lacking=lacking, reach=0.01),
+    ]
+    # The evolution's own designs remain in the race.
+    everything = np.vstack([*ends, near, everything[np.argsort(values, kind="stable")[:50]]])
+    found = evaluate(problem, everything, simulate=fast.simulate, phase=_FINE)
+    values = worth(found)
+    best = [Best(everything[k], float(values[k])) for k in np.argsort(values, kind="stable")]
+    last = polished(problem, np.array([b.y for b in best[:6]]), lacking=lacking, reach=0.003)
+    again = worth(evaluate(problem, last, simulate=fast.simulate, phase=_FINE))
+    best += [Best(x, float(v)) for x, v in zip(last, again, strict=True)]
+    best.sort(key=lambda b: b.objective)
+    kept = []
+    for b in best:
+        if b.objective < _BEYOND and all(np.max(np.abs(b.y - other.y)) > _SAME for other in kept):
+            kept.append(b)
+    return kept
+
+
+def truth_of(problem, seed=0, extra=()):
+    """Return the truth on a problem as plain data, or None if no design meets the requirements."""
+    found = optima(problem, seed, extra=extra)
+    if not found:
+        return None
+    best = found[0]
+    near = [b for b in found if b.objective <= best.objective + 0.6 * abs(best.objective)][:60]
+    medians = [box_median(problem, b.y, simulate=fast.simulate, phase=_ROUGH) for b in near]
+    robust = int(np.argmin(medians))
+    return {
+        "objective": best.objective,
+        "design": list(map(float, problem.values(best.y)[0])),
+        "median": medians[0],
+        "needle": bool(medians[0] > best.objective + 0.05 * abs(best.objective)),
+        "best_median": medians[robust],
+        "best_median_design": list(map(float, problem.values(near[robust].y)[0])),
+    }

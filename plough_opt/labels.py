@@ -2,12 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable
+import threading
+from collections import OrderedDict
+from collections.abc import Callable, Hashable
 from dataclasses import dataclass
+from typing import Final, Generic, TypeVar
 
 import casadi as ca
 
 from plough_opt.expressions import Expression, is_symbolic
+
+Meaning = TypeVar("Meaning")
+
+# Functions that are kept although nothing may call them any more: some designs' worth.
+_MOST_LATELY: Final = 64
+# Below so many, looking for those that nothing calls is not worth it.
+_FEWEST_LOOKED_AT: Final = 128
 
 
 @dataclass(frozen=True)
@@ -16,11 +26,9 @@ class Label:
 
     Attributes:
         meaning: what the carried expressions are: any object that whoever looks for it knows.
-        function: (value, carried expressions as a column) -> the same value.
     """
 
     meaning: object
-    function: ca.Function
 
 
 @dataclass(frozen=True)
@@ -38,8 +46,48 @@ class Limit:
     unit: str = ""
 
 
-_BY_LAYOUT: dict[tuple[Hashable, tuple[int, int], int], Label] = {}
-_KNOWN: dict[int, Label] = {}
+class Meanings(Generic[Meaning]):
+    """What Functions in graphs mean, which is forgotten with the last graph that calls them.
+
+    Functions lately made are kept for graphs alike. Threads may share it.
+    """
+
+    def __init__(self) -> None:
+        self._lock = threading.RLock()
+        self._known: dict[int, tuple[ca.WeakRef, Meaning]] = {}
+        self._lately: OrderedDict[Hashable, tuple[ca.Function, Meaning]] = OrderedDict()
+        self._look_at = _FEWEST_LOOKED_AT
+
+    def shared(self, key: Hashable, make: Callable[[], tuple[ca.Function, Meaning]]) -> ca.Function:
+        """Return the Function that was lately made by a key, or make it with what it means."""
+        with self._lock:
+            if key not in self._lately:
+                function, meaning = self._lately[key] = make()
+                self._known[hash(function)] = ca.WeakRef(function), meaning
+                self._forget()
+            self._lately.move_to_end(key)
+            return self._lately[key][0]
+
+    def of(self, function: ca.Function) -> Meaning | None:
+        """Return what a Function in a graph means, or None for any other Function."""
+        reference, meaning = self._known.get(hash(function), (None, None))
+        # The hash is a place in memory, which another Function may have taken over.
+        return meaning if reference is not None and reference.alive() else None
+
+    def _forget(self) -> None:
+        """Forget Functions that nothing calls; looks at all of them whenever their number has doubled."""
+        while len(self._lately) > _MOST_LATELY:
+            self._lately.popitem(last=False)
+        if len(self._known) >= self._look_at:
+            self._known = {at: known for at, known in self._known.items() if known[0].alive()}
+            self._look_at = max(_FEWEST_LOOKED_AT, 2 * len(self._known))
+
+    def __len__(self) -> int:
+        """Return how many are remembered."""
+        return len(self._known)
+
+
+_LABELS: Meanings[Label] = Meanings()
 
 
 def attach(value: Expression, carried: Expression, meaning: object, key: Hashable) -> Expression:
@@ -54,13 +102,15 @@ def attach(value: Expression, carried: Expression, meaning: object, key: Hashabl
     if not (isinstance(value, ca.MX) and isinstance(carried, ca.MX) and is_symbolic(carried)):
         return value
     layout = (key, value.shape, carried.numel())
-    if layout not in _BY_LAYOUT:
+
+    def make() -> tuple[ca.Function, Label]:
         x, c = ca.MX.sym("x", *value.shape), ca.MX.sym("c", carried.numel())
-        function = ca.Function("label", [x, c], [x], ["value", "carried"], ["value_again"], {"never_inline": True})
-        _BY_LAYOUT[layout] = _KNOWN[hash(function)] = Label(meaning, function)
-    return _BY_LAYOUT[layout].function(ca.densify(value), carried)
+        names = ["value", "carried"], ["value_again"]
+        return ca.Function("label", [x, c], [x], *names, {"never_inline": True}), Label(meaning)
+
+    return _LABELS.shared(layout, make)(ca.densify(value), carried)
 
 
 def label_of(function: ca.Function) -> Label | None:
     """Return the label that a Function in a graph is, or None for any other Function."""
-    return _KNOWN.get(hash(function))
+    return _LABELS.of(function)

@@ -4,7 +4,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from plough_opt.labels import Limit, attach, label_of
+from plough_opt.labels import Limit, Meanings, attach, label_of
 
 LOW = Limit("something", at_most=2.0, unit="m")
 HIGH = Limit("something else", at_most=3.0)
@@ -129,3 +129,44 @@ def test_a_graph_with_a_label_is_substituted_and_evaluated_as_any_other():
     assert float(whole(moved, symbol=z)(2.0)) == 36.0
     assert [label.meaning for label in labels_in(moved, z)] == [LOW]
     assert float(ca.Function("f", [x], [y]).map(3)([1.0, 2.0, 3.0])[2]) == 9.0
+
+
+def called(meanings, key):
+    """Return a graph that calls a Function of its own, and nothing else that holds it."""
+    x = ca.MX.sym("x")
+
+    def make():
+        return ca.Function("own", [x], [ca.sin(x)], {"never_inline": True}), key
+
+    return x, meanings.shared(key, make)(x) + 1.0
+
+
+def meaning_in(meanings, x, graph):
+    function = whole(graph, symbol=x)
+    calls = [k for k in range(function.n_instructions()) if function.instruction_id(k) == ca.OP_CALL]
+    (node,) = (function.instruction_MX(k) for k in calls)
+    return meanings.of(node.which_function())
+
+
+def test_a_graph_finds_its_meaning_while_it_lives_and_what_nothing_calls_is_forgotten():
+    meanings = Meanings()
+    kept = {k: called(meanings, k) for k in range(0, 2000, 100)}
+    most = 0
+    for k in range(2000, 4000):
+        called(meanings, k)
+        most = max(most, len(meanings))
+    assert most <= 128 + len(kept)
+    for key, (x, graph) in kept.items():
+        assert meaning_in(meanings, x, graph) == key
+
+
+def test_a_function_in_the_place_of_one_that_is_gone_has_no_meaning():
+    meanings, x = Meanings(), ca.MX.sym("x")
+    places = set()
+    for k in range(200):
+        places.add(hash(meanings.shared(k, lambda: (ca.Function("own", [x], [ca.sin(x)]), "own"))))
+    # The last ones are kept for graphs alike.
+    places -= {hash(function) for function, _ in meanings._lately.values()}
+    others = [ca.Function("other", [x], [ca.cos(x)]) for _ in range(2000)]
+    assert any(hash(other) in places for other in others)  # else this shows nothing
+    assert all(meanings.of(other) is None for other in others)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import platform
 from collections.abc import Iterator
 from dataclasses import replace
@@ -19,6 +18,7 @@ from plough_opt.domain import check_domain
 from plough_opt.errors import InputError
 from plough_opt.expressions import as_number, holds_casadi, is_count, map_expressions
 from plough_opt.motion.plan import forced_rate, numbers_of, steps_for
+from plough_opt.processors import available
 from plough_opt.results import versions
 from plough_opt.scene import Scene
 
@@ -149,5 +149,5 @@ def _versions() -> dict[str, str]:
         **versions(),
         "scipy": version("scipy"),
         "platform": platform.platform(),
-        "processors": str(os.cpu_count()),
+        "processors": str(available()),
     }

@@ -7,7 +7,6 @@ no longer for many of them and every evaluation grows with their number alone.
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -21,6 +20,7 @@ from plough_opt.motion.integrators import Integration, integration, quiet_events
 from plough_opt.motion.jets import jets_of, pairs, weighted_curvature
 from plough_opt.motion.signals import signals
 from plough_opt.motion.timeline import Timeline
+from plough_opt.processors import available
 
 
 @dataclass(frozen=True)
@@ -122,11 +122,11 @@ class Alike:
             return ca.Function("jets", [p], [jets_of(self.solver, self.varying, order)(p)[self.first :, :]])
 
     def _mapped(self, function: ca.Function) -> ca.Function:
-        """Return a Function of one run as one of all of them, our own steps on all processors."""
+        """Return a Function of one run as one of all of them, our own steps on all processors that it may keep busy."""
         if len(self.members) == 1:
             return function
         own = self.solver.accuracy.method in ORDER_8 and self.solver.structure.orbit == "transient"
-        if own and (processors := os.cpu_count() or 1) > 1:
+        if own and (processors := available()) > 1:
             return function.map(len(self.members), "thread", processors)
         return function.map(len(self.members), "serial")
 

@@ -96,6 +96,6 @@ def _calls(whole: ca.Function) -> tuple[list[EmbeddedRun], list[tuple[Label, ca.
         if (label := label_of(node.which_function())) is not None:
             labels[hash(node)] = (label, node.dep(1))
         elif (run := embedding_of(node.which_function())) is not None:
-            outputs = tuple(node.get_output(i) for i in range(run.function.n_out()))
+            outputs = tuple(node.get_output(i) for i in range(run.integration.function.n_out()))
             runs[hash(node)] = EmbeddedRun(run, node.dep(0), node.dep(1), outputs)
     return list(runs.values()), list(labels.values())

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import lru_cache
+from typing import Final, TypeAlias
 
 import casadi as ca
 import numpy as np
@@ -28,6 +29,12 @@ TIGHT = 1e-12
 """Relative error that the re-integration aims at."""
 
 
+_Tight: TypeAlias = Callable[[Integration, tuple[float, ...], bool], tuple[Vector, Vector]]
+
+# Runs at numbers that an evaluation remembers: those of a design over some hundred samples at a few points.
+_MOST_KEPT: Final = 2048
+
+
 class TightEvaluation:
     """Expressions of symbols as functions of numbers, through runs that are re-integrated tightly.
 
@@ -36,9 +43,24 @@ class TightEvaluation:
         limits: the limits of theories that the expressions rest on, with what must stay within them.
     """
 
-    def __init__(self, expressions: Sequence[ca.MX], symbols: Sequence[ca.MX], *, compiled: bool = False) -> None:
-        """Split the expressions of ``symbols`` around their runs, which are followed in machine code if compiled."""
+    def __init__(
+        self,
+        expressions: Sequence[ca.MX],
+        symbols: Sequence[ca.MX],
+        *,
+        compiled: bool = False,
+        beside: TightEvaluation | None = None,
+    ) -> None:
+        """Split expressions around their runs.
+
+        Args:
+            expressions: the expressions.
+            symbols: that they hold.
+            compiled: whether the runs are followed in machine code.
+            beside: another evaluation, whose runs are not integrated again where this one has the same.
+        """
         self._compiled = compiled
+        self._tight: _Tight = lru_cache(maxsize=_MOST_KEPT)(_tight_results) if beside is None else beside._tight
         parts = split(list(expressions), list(symbols))
         self.runs = parts.runs
         self._inputs = [ca.Function("inputs", list(symbols), [run.inputs, run.quantities]) for run in parts.runs]
@@ -88,7 +110,7 @@ class TightEvaluation:
             scene: its scene.
         """
         own = self.runs[run].integration
-        stacked, _ = tight_results(own, tuple(parameters.tolist()), self._compiled)
+        stacked, _ = self._tight(own, tuple(parameters.tolist()), self._compiled)
         outputs, observed = own.timeline.outputs + 1, signals(own.structure)
         states, means, variances = np.split(stacked, [-observed.count - observed.squared, -observed.squared])
         states = states.reshape(outputs, -1)
@@ -105,7 +127,7 @@ class TightEvaluation:
         pairs = []
         for k, run in enumerate(self.runs):
             parameters, _ = self._numbers(k, numbers)
-            pairs.append(tight_results(run.integration, tuple(parameters.tolist()), self._compiled))
+            pairs.append(self._tight(run.integration, tuple(parameters.tolist()), self._compiled))
             if not all(np.all(np.isfinite(results)) for results in pairs[-1]):
                 _, scene = self.inputs(k, numbers)
                 raise IntegrationError(f"the motion of a {scene.describe()} has no finite result")
@@ -116,8 +138,7 @@ class TightEvaluation:
         return found, check
 
 
-@lru_cache(maxsize=2048)
-def tight_results(own: Integration, inputs: tuple[float, ...], compiled: bool) -> tuple[Vector, Vector]:
+def _tight_results(own: Integration, inputs: tuple[float, ...], compiled: bool) -> tuple[Vector, Vector]:
     """Return a run's stacked results at numbers by a tight adaptive method, and by the one that checks it.
 
     Args:

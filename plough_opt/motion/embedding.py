@@ -10,29 +10,27 @@ import casadi as ca
 from plough_opt.accuracy import ORDER_8
 from plough_opt.errors import InputError
 from plough_opt.expressions import Expression, is_quantity, is_symbolic, map_expressions, template_of
-from plough_opt.labels import attach
+from plough_opt.labels import Meanings, attach
 from plough_opt.motion.integrators import Integration
 from plough_opt.scene import Scene
 
 
 @dataclass(frozen=True)
 class Embedding:
-    """A run as one CasADi Function of the equation's parameters and of the whole scene.
+    """What a Function in a graph is: (parameters with the duration last, quantities of the scene) -> a run's results.
+
+    The quantities have no influence; they let a design rebuild the scene.
 
     Attributes:
         integration: method, structure and times.
         template: the scene with a placeholder for each of its quantities.
-        function: (parameters with the duration last, quantities of the scene) -> results of the
-            integration. The quantities have no influence; they let a design rebuild the scene.
     """
 
     integration: Integration
     template: Scene
-    function: ca.Function
 
 
-_KNOWN: dict[int, Embedding] = {}
-_BY_LAYOUT: dict[tuple[int, Hashable], Embedding] = {}
+_RUNS: Meanings[Embedding] = Meanings()
 
 
 def with_numbers(template: Scene, quantities: Sequence[float]) -> Scene:
@@ -70,9 +68,8 @@ def embed(solver: Integration, p: Sequence[Expression], scene: Scene) -> tuple[E
         return tuple(solver.function.call([inputs]))
     # Quantities print alike, as placeholders, so scenes that differ in numbers only share one Function.
     layout = (hash(solver.function), _key(template))
-    if layout not in _BY_LAYOUT:
-        _BY_LAYOUT[layout] = _build(solver, template, carried.numel())
-    return tuple(_BY_LAYOUT[layout].function.call([inputs, carried]))
+    run = _RUNS.shared(layout, lambda: (_build(solver, carried.numel()), Embedding(solver, template)))
+    return tuple(run.call([inputs, carried]))
 
 
 def labelled(value: Expression, scene: Scene) -> Expression:
@@ -86,7 +83,7 @@ def labelled(value: Expression, scene: Scene) -> Expression:
 
 def embedding_of(function: ca.Function) -> Embedding | None:
     """Return the run that a Function in a graph is, or None for any other Function."""
-    return _KNOWN.get(hash(function))
+    return _RUNS.of(function)
 
 
 def _key(template: Scene) -> Hashable:
@@ -95,13 +92,10 @@ def _key(template: Scene) -> Hashable:
     return repr(template), None if profile is None else id(profile.density)
 
 
-def _build(solver: Integration, template: Scene, count: int) -> Embedding:
+def _build(solver: Integration, count: int) -> ca.Function:
     p, carried = ca.MX.sym("p", solver.function.numel_in(0)), ca.MX.sym("scene", count)
     # A share that never moves from equilibrium has results that are zero by structure; dense, they keep the call,
     # and with it the scene, in the graph.
     results = [ca.densify(result) for result in solver.function.call([p])]
     names = ["parameters", "scene"], ["states", "means", "variances"]
-    function = ca.Function("run", [p, carried], results, *names, {"never_inline": True})
-    built = Embedding(solver, template, function)
-    _KNOWN[hash(function)] = built
-    return built
+    return ca.Function("run", [p, carried], results, *names, {"never_inline": True})

@@ -13,6 +13,7 @@ from multiprocessing.context import SpawnContext, SpawnProcess
 from typing import Any
 
 from plough_opt.errors import InputError
+from plough_opt.processors import available
 from plough_opt.study.work import Evaluation
 
 # The most that ProcessPoolExecutor takes on Windows.
@@ -97,8 +98,7 @@ class _RememberingContext(SpawnContext):
 
 def default_workers() -> int:
     """Return the number of processor cores that this process may use."""
-    count = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    return min(count, _MOST_WORKERS)
+    return min(available(), _MOST_WORKERS)
 
 
 def _understood(evaluation: Evaluation) -> bool:

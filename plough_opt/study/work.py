@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from plough_opt.errors import InputError, PloughError
+from plough_opt.processors import one_of_several
 
 Array = NDArray[np.float64]
 
@@ -96,10 +97,11 @@ def work(key: str, evaluation: Evaluation, names: tuple[str, ...], values: Array
     evaluation = _kept.setdefault(key, evaluation)
     while len(_kept) > _MOST_KEPT:
         _kept.pop(next(iter(_kept)))
-    done = _together(evaluation, values) if isinstance(evaluation, ManyPoints) else None
-    if done is None:
-        assert not isinstance(evaluation, ManyPoints)
-        done = _one_by_one(evaluation, names, values, began + budget)
+    with one_of_several():
+        if isinstance(evaluation, ManyPoints):
+            done = _together(evaluation, values)
+        else:
+            done = _one_by_one(evaluation, names, values, began + budget)
     if done.results is not None:
         # SQLite stores the negative zero as zero.
         done.results += 0.0

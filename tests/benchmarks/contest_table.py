@@ -16,8 +16,6 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from plough_opt.design.verify import tight_results
-
 HERE = Path(__file__).resolve().parent
 # A clock's own cost and grain are nothing beside this [s].
 _LEAST = 0.02
@@ -186,8 +184,8 @@ def race(contestants, rounds=7):
 
 def solved_anew(design, **options):
     """Solve a design that is built, without what its last solve remembers of the optimum that it certified."""
-    tight_results.cache_clear()
     if design._program is not None:
+        design._program.exact._tight.cache_clear()
         design._program._exact_at.clear()
     return design.solve(**options)
 

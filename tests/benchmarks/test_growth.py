@@ -34,6 +34,20 @@ assert sum(len(found.mean_draft) for found in batch.stream(chunks)) == 16384 * {
 print(next(line.split()[1] for line in Path("/proc/self/status").read_text().splitlines() if "VmHWM" in line))
 """
 
+DESIGNS = """
+import plough_opt as po
+from pathlib import Path
+soil, share = po.named_soil("serozem"), po.Wedge(po.deg(30), po.deg(15), 0.25)
+for k in range({designs}):
+    design = po.Design()
+    stiffness = design.variable("stiffness", guess=5e4, lower=1e4, upper=1e5)
+    effects = po.Effects(start="rest", tow_ramp=0.1 + 1e-4 * k, damping=400.0)
+    run = po.simulate(po.Scene(soil, share, stiffness, 25.0, 2.0, effects), 0.5)
+    design.minimise(run.force_rms)
+    design.solve(search="local")
+print(next(line.split()[1] for line in Path("/proc/self/status").read_text().splitlines() if "VmRSS" in line))
+"""
+
 
 def _add(contest, what, sizes, make, rounds=3):
     """Measure a function for every size, and keep how its time grows."""
@@ -164,14 +178,26 @@ def test_batch_over_its_effects(contest, r1_soil):
     _add(contest, "Batch of 4096, effects that are on", (1, 2, 3, 4, 5), make)
 
 
-def test_memory_of_a_stream(contest):
+def _add_memory(contest, what, sizes, codes):
+    """Keep how the memory that a process prints [kB] grows; return it [MiB]."""
     if not Path("/proc/self/status").exists():
-        contest.missing["memory of Batch.stream"] = "the system does not tell the most memory of a process"
-        return
-    sizes, costs = (4, 16, 64), []
-    for chunks in sizes:
-        code = MEMORY.format(problem=r1.PROBLEM, chunks=chunks)
-        done = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
-        costs.append(int(done.stdout) / 1024.0)
-    designs = tuple(16384 * chunks for chunks in sizes)
-    contest.growths.append(Growth("Batch.stream, most memory, designs", designs, tuple(costs), "MiB"))
+        contest.missing[what] = "the system does not tell the memory of a process"
+        return None
+    done = [subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True) for code in codes]
+    costs = tuple(int(one.stdout) / 1024.0 for one in done)
+    contest.growths.append(Growth(what, sizes, costs, "MiB"))
+    return costs
+
+
+def test_memory_of_a_stream(contest):
+    sizes = (4, 16, 64)
+    codes = [MEMORY.format(problem=r1.PROBLEM, chunks=chunks) for chunks in sizes]
+    _add_memory(contest, "Batch.stream, most memory, designs", tuple(16384 * chunks for chunks in sizes), codes)
+
+
+def test_memory_of_different_designs(contest):
+    # From some 150 designs on, the caches are full.
+    sizes = (250, 500, 1000, 2000)
+    codes = [DESIGNS.format(designs=designs) for designs in sizes]
+    costs = _add_memory(contest, "Designs solved and dropped, memory at the end, designs", sizes, codes)
+    assert costs is None or max(costs) < 1.1 * min(costs)

@@ -73,6 +73,9 @@ class StickSlip:
     * Gap, behind the furthest point: no soil and no added mass; at the furthest point the share takes up the added
       mass, m v = (m + m_a) v', and slips on.
 
+    CasADi says on the error stream, whenever an integrator with events or a derivative of one is built, that its
+    support of them is experimental; a library leaves a program's streams alone. Every run is checked by a second one.
+
     Args:
         breakaway: resistance at which a sticking share moves, over the static resistance [-], at least 1.
     """

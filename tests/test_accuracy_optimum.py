@@ -231,7 +231,7 @@ def test_an_orbit_is_solved_by_harmonics_and_by_shooting(r1_soil, r1_wave, monke
     assert all("Newton's method" in entry.failure for entry in entries_of(contest, "compiled"))
 
 
-def test_a_share_that_sticks_is_solved_by_what_finds_events(r1_soil, r1_wave, monkeypatch, capfd):
+def test_a_share_that_sticks_is_solved_by_what_finds_events(r1_soil, r1_wave, monkeypatch):
     monkeypatch.setattr(local_solve, "find_compiler", lambda: None)
     d = short(r1_soil, r1_wave, duration=0.1, objective=lambda run: run.mean_draft / 1e3, contact=po.StickSlip())
     contest = design_contest(d, budget=0.0)
@@ -248,4 +248,3 @@ def test_a_share_that_sticks_is_solved_by_what_finds_events(r1_soil, r1_wave, mo
     assert single.setting == "erk, tolerance 1e-10"
     # What CasADi itself cannot do is said to be so.
     assert single.failure is None or single.failure.startswith("CasADi gave up: ")
-    assert "experimental" not in "".join(capfd.readouterr())

@@ -21,7 +21,7 @@ from plough_opt.effects import StickSlip
 from plough_opt.errors import IntegrationError, PloughError
 from plough_opt.expressions import Expression, as_number
 from plough_opt.motion import Run, simulate
-from plough_opt.motion.integrators import integration, quiet_events
+from plough_opt.motion.integrators import integration
 from plough_opt.motion.judgement import refuse_missed_event
 from plough_opt.motion.plan import fastest_rate, most_steps, numbers_of, phase, steps_for, timeline_of, with_setting
 from plough_opt.motion.run import assemble
@@ -298,7 +298,6 @@ def gradient_function(task: Task, accuracy: Accuracy) -> ca.Function:
     x = ca.MX.sym("x", len(QUANTITIES))
     varied: dict[str, Any] = dict(zip(QUANTITIES, ca.vertsplit(x), strict=True))
     scene = replace(task.scene, **varied)
-    with quiet_events():
-        run = simulate(scene, task.given, accuracy=accuracy, outputs=1)
-        averages: Expression = ca.vertcat(*(getattr(run, name) for name in AVERAGES))
-        return ca.Function("gradient", [x], [ca.densify(ca.jacobian(averages, x))])
+    run = simulate(scene, task.given, accuracy=accuracy, outputs=1)
+    averages: Expression = ca.vertcat(*(getattr(run, name) for name in AVERAGES))
+    return ca.Function("gradient", [x], [ca.densify(ca.jacobian(averages, x))])

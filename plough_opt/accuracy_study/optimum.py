@@ -49,7 +49,6 @@ from plough_opt.design.nlp import Nlp, build_nlp
 from plough_opt.design.program import Program
 from plough_opt.design.solving import first_optimum
 from plough_opt.errors import InputError, NotConverged, PloughError
-from plough_opt.motion.integrators import quiet_events
 from plough_opt.motion.plan import steps_for
 
 REPORTED = "objective as reported"
@@ -197,9 +196,7 @@ class _Judge:
         started = time.perf_counter()
         setup = 0.0
         try:
-            # CasADi warns of what is experimental, and of what it cannot translate, which is then a failure.
-            with quiet_events():
-                solve = method.build()
+            solve = method.build()
             setup = time.perf_counter() - started
             started = time.perf_counter()
             found = solve()

@@ -15,7 +15,6 @@ from plough_opt.accuracy import Accuracy
 from plough_opt.accuracy_study.transcription import Question, SingleShooting, transcribe
 from plough_opt.design.ipopt import Point, Vector, decides
 from plough_opt.design.program import Program
-from plough_opt.motion.integrators import quiet_events
 from plough_opt.motion.plan import steps_for
 
 # Tolerance of the adaptive method; and phase [rad] in a step of order 8, which takes its place where a lasting orbit is
@@ -71,10 +70,9 @@ class Certificate:
             accuracy = (
                 Accuracy("dop853", steps=steps) if self._question.orbits else Accuracy("erk", tolerance=_TOLERANCE)
             )
-            with quiet_events():
-                own = transcribe(self._question, SingleShooting(accuracy))
-                results = [ca.gradient(own.f, own.x), own.g[0], ca.jacobian(own.g[0], own.x)]
-                self._built = ca.Function("certificate", [own.x], results)
+            own = transcribe(self._question, SingleShooting(accuracy))
+            results = [ca.gradient(own.f, own.x), own.g[0], ca.jacobian(own.g[0], own.x)]
+            self._built = ca.Function("certificate", [own.x], results)
         return tuple(np.asarray(result) for result in self._built(y))
 
     def tight(self, point: Point) -> TightOptimum:

@@ -19,7 +19,6 @@ from plough_opt.errors import DomainError, InputError
 from plough_opt.expressions import Expression, as_number
 from plough_opt.forces import added_mass
 from plough_opt.motion import simulate
-from plough_opt.motion.integrators import quiet_events
 from plough_opt.motion.plan import numbers_of, phase
 from plough_opt.problem_file.measures import MEASURES
 from plough_opt.scene import Scene
@@ -84,8 +83,7 @@ class Rows:
         if self.measured.result in {unknown.name for unknown in self.unknowns}:
             return self._direct()
         self._check()
-        with quiet_events():
-            return self._record() if self.measured.result == RECORD else self._mapped()
+        return self._record() if self.measured.result == RECORD else self._mapped()
 
     def scenes(self, y: Vector) -> list[tuple[Scene, Expression | None, NDArray[np.intp]]]:
         """Return the distinct scenes of numbers, the time that each is simulated, and its rows."""

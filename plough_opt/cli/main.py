@@ -23,6 +23,7 @@ from plough_opt.cli import export as exports
 from plough_opt.cli import sweep as sweeps
 from plough_opt.cli.terminal import interruptible, what_was_written
 from plough_opt.errors import DomainError, InputError, PloughError
+from plough_opt.notices import without_notices
 
 SOLVED, UNSOLVED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 
@@ -35,7 +36,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             # A title in a script that the terminal cannot show is no reason to fail; in JSON this is an escape.
             stream.reconfigure(errors="backslashreplace")
     try:
-        with interruptible():
+        with interruptible(), without_notices():
             options.run(options)
         if sys.stdout is not None:  # which whoever starts the process may have closed
             sys.stdout.flush()

@@ -16,7 +16,7 @@ import casadi as ca
 
 from plough_opt.accuracy import ORDER_8
 from plough_opt.design.split import EmbeddedRun
-from plough_opt.motion.integrators import Integration, integration, quiet_events
+from plough_opt.motion.integrators import Integration, integration
 from plough_opt.motion.jets import jets_of, pairs, weighted_curvature
 from plough_opt.motion.signals import signals
 from plough_opt.motion.timeline import Timeline
@@ -118,8 +118,7 @@ class Alike:
 
     def _jets(self, order: int) -> ca.Function:
         p = self._parameters()
-        with quiet_events(self._events):
-            return ca.Function("jets", [p], [jets_of(self.solver, self.varying, order)(p)[self.first :, :]])
+        return ca.Function("jets", [p], [jets_of(self.solver, self.varying, order)(p)[self.first :, :]])
 
     def _mapped(self, function: ca.Function) -> ca.Function:
         """Return a Function of one run as one of all of them, our own steps on all processors that it may keep busy."""

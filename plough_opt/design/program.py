@@ -19,7 +19,6 @@ from plough_opt.design.split import split
 from plough_opt.design.verify import TightEvaluation
 from plough_opt.effects import MOST_HARMONICS
 from plough_opt.errors import DomainError, InputError, PloughError
-from plough_opt.motion.integrators import quiet_events
 from plough_opt.motion.plan import steps_for, summed_rate
 
 # By `summed_rate`: a relative error of averages of some 3e-9, and finer steps where the check finds it wanting.
@@ -80,9 +79,7 @@ class Program:
         )
         if self._implied:
             self.declared = replace(declared, requirements=(*declared.requirements, *self._implied))
-            self.exact = TightEvaluation(
-                self.expressions, declared.symbols(), compiled=compiled, beside=self.exact
-            )
+            self.exact = TightEvaluation(self.expressions, declared.symbols(), compiled=compiled, beside=self.exact)
         self._refuse_idas()
         self.owner = [k for k, r in enumerate(self.declared.requirements) for _ in range(r.expression.numel())]
         self._y, self._p = ca.MX.sym("y", len(declared.variables)), ca.MX.sym("p", len(declared.parameters))
@@ -166,11 +163,10 @@ class Program:
         self._steps, self._built, self._relaxed = steps, True, None
         scaled = self._scaled(self._y, self._p)
         parts = split(scaled, [self._y, self._p])
-        with quiet_events(self._events):
-            self.nlp = build_nlp(parts, self._y, self._p, steps)
-            # Where basins lie and which way they curve shows at two fifths of the steps.
-            self.rough = build_nlp(parts, self._y, self._p, [self._fewer(k) for k in range(len(steps))])
-            translated = as_machine_code(self.nlp, self.rough) if self.compiled else None
+        self.nlp = build_nlp(parts, self._y, self._p, steps)
+        # Where basins lie and which way they curve shows at two fifths of the steps.
+        self.rough = build_nlp(parts, self._y, self._p, [self._fewer(k) for k in range(len(steps))])
+        translated = as_machine_code(self.nlp, self.rough) if self.compiled else None
         if translated is not None:
             self.nlp, self.rough = translated
         self.interpreted = translated is None
@@ -189,16 +185,11 @@ class Program:
         ]
         return list(ca.graph_substitute(scaled, declared.symbols(), replacements))
 
-    @property
-    def _events(self) -> bool:
-        return any(run.integration.structure.events for run in self.exact.runs)
-
     def with_parameters_varied(self) -> Nlp:
         """Return the built program in (scaled variables, parameters) as one column, and in no parameters."""
         n = self._y.numel()
         both, none = ca.MX.sym("z", n + self._p.numel()), ca.MX.sym("p", 0)
-        with quiet_events(self._events):
-            return build_nlp(split(self._scaled(both[:n], both[n:]), [both, none]), both, none, self._steps)
+        return build_nlp(split(self._scaled(both[:n], both[n:]), [both, none]), both, none, self._steps)
 
     def _set_scales(self, start: list[Vector]) -> None:
         """Scale the objective by its value at the start, each requirement by its limits, or by its own value."""

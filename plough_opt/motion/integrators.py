@@ -2,10 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
-import io
-import threading
-from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
@@ -26,7 +22,6 @@ _LEAST_FORCE = 1e-9
 _MOST_EVENTS = 1_000_000
 # A failure is reported once, as an IntegrationError, and not by CasADi at every attempt.
 _QUIET = {"show_eval_warnings": False}
-_ONE_AT_A_TIME = threading.RLock()
 
 
 @dataclass(frozen=True)
@@ -70,8 +65,7 @@ def _by_casadi(structure: Structure, accuracy: Accuracy, timeline: Timeline) -> 
     # Fixed steps end where the result is asked for: at the kink too, so that they keep their order.
     times = (timeline.stops if accuracy.method in FIXED_STEP else timeline.output_fractions)[1:]
     asked = [int(i) for i in np.searchsorted(times, timeline.output_fractions[1:])]
-    with quiet_events(transition is not None):
-        solver = ca.integrator("motion", accuracy.method, equation, 0.0, times.tolist(), options)
+    solver = ca.integrator("motion", accuracy.method, equation, 0.0, times.tolist(), options)
     p = ca.MX.sym("p", len(observed.parameters) + 1)
     known = observed.named(p)
     scales = _scales(structure, known)
@@ -92,21 +86,6 @@ def _by_casadi(structure: Structure, accuracy: Accuracy, timeline: Timeline) -> 
         ],
         {"never_inline": True},
     )
-
-
-@contextlib.contextmanager
-def quiet_events(events: bool = True) -> Iterator[None]:
-    """Keep CasADi from saying of every integrator with events, and of its derivatives, that they are experimental.
-
-    Args:
-        events: whether there may be any; without, what other threads print meanwhile is not held back.
-    """
-    if not events:
-        yield
-        return
-    # Streams are one for all threads: each must give them back before the next takes them.
-    with _ONE_AT_A_TIME, contextlib.redirect_stderr(io.StringIO()), contextlib.redirect_stdout(io.StringIO()):
-        yield
 
 
 def _scales(structure: Structure, p: dict[str, Any]) -> tuple[Any, Any, Any]:

@@ -17,7 +17,7 @@ import numpy as np
 from plough_opt.accuracy import ORDER_8
 from plough_opt.motion.dop853 import NODES, STAGES, WEIGHTS
 from plough_opt.motion.equation import equation_of_motion, start_state
-from plough_opt.motion.integrators import Integration, quiet_events
+from plough_opt.motion.integrators import Integration
 from plough_opt.motion.readings import at_outputs
 from plough_opt.motion.signals import signals
 from plough_opt.motion.terms import Structure
@@ -37,8 +37,7 @@ def weighted_curvature(integration: Integration, varying: tuple[int, ...]) -> ca
     p, shift, shifted = _shifts(integration, varying)
     results = ca.vertcat(*(ca.vec(result) for result in integration.function.call([shifted])))
     weights = ca.MX.sym("weights", results.numel())
-    with quiet_events(integration.structure.events):
-        hessian, _ = ca.hessian(ca.dot(weights, results), shift)
+    hessian, _ = ca.hessian(ca.dot(weights, results), shift)
     whole = ca.Function("whole", [p, shift, weights], [ca.densify(hessian)])
     return ca.Function("curvature", [p, weights], [whole(p, ca.DM.zeros(len(varying)), weights)])
 
@@ -60,8 +59,7 @@ def jets_of(integration: Integration, varying: tuple[int, ...], order: int) -> c
     p, e, shifted = _shifts(integration, varying)
     results = integration.function.call([shifted])
     stacked = ca.vertcat(*(ca.vec(result) for result in results))
-    with quiet_events(integration.structure.events):
-        slopes = ca.jacobian(stacked, e)
+    slopes = ca.jacobian(stacked, e)
     columns = [stacked, slopes]
     if order == 2:
         columns += [ca.jacobian(slopes[:, a], e)[:, a:] for a in range(len(varying))]

@@ -6,6 +6,7 @@ import contextlib
 import multiprocessing
 import os
 import signal
+import sys
 import threading
 from concurrent.futures import BrokenExecutor, Executor, Future, ProcessPoolExecutor
 from multiprocessing.connection import wait
@@ -13,6 +14,7 @@ from multiprocessing.context import SpawnContext, SpawnProcess
 from typing import Any
 
 from plough_opt.errors import InputError
+from plough_opt.notices import Sieve
 from plough_opt.processors import available
 from plough_opt.study.work import Evaluation
 
@@ -107,8 +109,9 @@ def _understood(evaluation: Evaluation) -> bool:
 
 
 def _begin() -> None:
-    """Leave Ctrl-C to the parent, and end with it, even where it is killed."""
+    """Leave Ctrl-C to the parent, and end with it, even where it is killed; keep CasADi's notices to itself."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    sys.stderr = Sieve(sys.stderr)
     threading.Thread(target=_follow_parent, daemon=True).start()
 
 

@@ -15,7 +15,6 @@ from test_effect_combinations import ALL, COVERING, label, refused
 
 import plough_opt as po
 from plough_opt.design.program import Program
-from plough_opt.motion.integrators import quiet_events
 
 # What every scene has, in SI units; the wave passes some two times, and the mount swings once and a half.
 NUMBERS = {
@@ -161,9 +160,8 @@ def derivatives(effects, at, direction, accuracy):
     """Return t -> (results, slopes) and (t, weights) -> curvature of the weighted sum, as Functions."""
     t, weights = ca.MX.sym("t"), ca.MX.sym("weights", 4)
     found = ca.vertcat(*results(simulated(effects, along(at, direction, t), accuracy)))
-    with quiet_events():
-        first = ca.Function("first", [t], [found, ca.jacobian(found, t)])
-        second = ca.Function("second", [t, weights], [ca.hessian(ca.dot(weights, found), t)[0]])
+    first = ca.Function("first", [t], [found, ca.jacobian(found, t)])
+    second = ca.Function("second", [t, weights], [ca.hessian(ca.dot(weights, found), t)[0]])
     return first, second
 
 
@@ -338,9 +336,8 @@ def test_gradient_and_hessian_by_every_number(case):
     weights = ca.DM([1.0, 0.7, -0.4, 0.3])
     accuracy = method_of(effects) if is_smooth(effects) or has_events(effects) else po.Accuracy("dop853", steps=60)
     total = ca.dot(weights, ca.vertcat(*results(simulated(effects, scaled, accuracy))))
-    with quiet_events():
-        hessian, gradient = ca.hessian(total, x)
-        first, second = ca.Function("first", [x], [total, gradient]), ca.Function("second", [x], [hessian])
+    hessian, gradient = ca.hessian(total, x)
+    first, second = ca.Function("first", [x], [total, gradient]), ca.Function("second", [x], [hessian])
     origin = np.zeros(len(at))
     slopes, curvatures = first(origin)[1].full().ravel(), second(origin).full()
     allowed = 1e-8, (2e-5 if is_smooth(effects) else 1e-8)

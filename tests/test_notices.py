@@ -1,0 +1,90 @@
+"""CasADi's notices about events: a program's own streams are left alone, a command's answer is without it."""
+
+import io
+import itertools
+import re
+import subprocess
+import sys
+from concurrent.futures import ThreadPoolExecutor
+
+import pytest
+
+from plough_opt.notices import Sieve
+
+NOTICE = 'CasADi - 2026-01-01 00:00:00 WARNING("Event support is experimental") [.../core/integrator.cpp:755]\n'
+OTHER = 'CasADi - 2026-01-01 00:00:00 WARNING("Something else") [.../core/function.cpp:1]\n'
+
+# Thread A builds integrators with events, one for each number of outputs; thread B prints meanwhile, and more after.
+TALK = """
+import sys, threading
+import plough_opt as po
+
+share = po.Wedge(po.deg(30), po.deg(15), 0.25)
+effects = po.Effects(start="rest", contact=po.StickSlip(), damping=400.0)
+scene = po.Scene(po.named_soil("serozem"), share, 5e4, 25.0, 2.0, effects)
+out, err = sys.stdout, sys.stderr
+done = threading.Event()
+
+def build():
+    for outputs in range(10, 20):
+        po.simulate(scene, 0.05, outputs=outputs)
+        assert sys.stdout is out and sys.stderr is err
+    done.set()
+
+builder = threading.Thread(target=build)
+builder.start()
+count = 0
+while count < 100 or not done.is_set():
+    print(f"line {count} on the one")
+    print(f"line {count} on the other", file=sys.stderr)
+    count += 1
+    done.wait(0.0005)
+builder.join()
+print(count)
+"""
+
+
+def test_output_of_other_threads_arrives_whole_while_integrators_with_events_are_built():
+    done = subprocess.run([sys.executable, "-c", TALK], capture_output=True, text=True, check=True)
+    *lines, count = done.stdout.splitlines()
+    assert lines == [f"line {k} on the one" for k in range(int(count))]
+    # Pieces of CasADi's own lines stand between them.
+    others = re.findall(r"line (\d+) on the other", done.stderr)
+    assert [int(k) for k in others] == list(range(int(count)))
+    assert "Event support is experimental" in done.stderr
+
+
+def sieved(*pieces):
+    stream = io.StringIO()
+    sieve = Sieve(stream)
+    for piece in pieces:
+        assert sieve.write(piece) == len(piece)
+    return stream.getvalue()
+
+
+@pytest.mark.parametrize("cuts", [(), (9, 40, 60), (9, 30)])
+def test_the_notice_is_left_out_in_whatever_pieces_it_comes(cuts):
+    ends = [0, *cuts, len(NOTICE)]
+    pieces = [NOTICE[i:j] for i, j in itertools.pairwise(ends)]
+    assert sieved("before\n", *pieces, "after\n") == "before\nafter\n"
+
+
+def test_everything_else_passes_whole():
+    assert sieved(OTHER[:20], OTHER[20:], "no end of a line") == OTHER + "no end of a line"
+
+
+def test_pieces_of_different_threads_do_not_mix():
+    stream = io.StringIO()
+    sieve = Sieve(stream)
+    with ThreadPoolExecutor(1) as other:
+        sieve.write(NOTICE[:50])
+        other.submit(sieve.write, OTHER).result()
+        sieve.write(NOTICE[50:])
+    assert stream.getvalue() == OTHER
+
+
+def test_all_else_is_the_streams():
+    stream = io.StringIO()
+    Sieve(stream).writelines(["a", "b"])
+    assert stream.getvalue() == "ab"
+    assert Sieve(sys.__stderr__).fileno() == 2

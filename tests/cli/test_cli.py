@@ -454,6 +454,8 @@ def test_the_module_is_the_command_and_has_its_version(cli):
     done = subprocess.run([sys.executable, "-m", "plough_opt", "soils"], capture_output=True, text=True, check=False)
     assert (done.returncode, done.stdout, done.stderr) == (0, cli("soils").out, "")
     assert po.__version__ == version("plough_opt")
+
+
 def test_a_share_that_sticks_is_answered_without_casadis_notices(command, reference):
     done = command(
         "simulate", reference, *BRIEF, "--set", 'effects.contact="stick_slip"', "--set", 'effects.start="rest"'

@@ -3,7 +3,12 @@
 from __future__ import annotations
 
 import difflib
+import unicodedata
 from collections.abc import Iterable
+from typing import Final
+
+# Comparing names takes the square of their lengths; no name is near that is three times as long as any.
+_LONGEST_NAME: Final = 100
 
 
 class PloughError(Exception):
@@ -51,8 +56,31 @@ class NotConverged(PloughError, RuntimeError):
         return str(self.args[0])
 
 
+def short(text: str, most: int = 60) -> str:
+    """Return a text as messages quote it: cut where it is long."""
+    return text if len(text) <= most else f"{text[: most - 3]}..."
+
+
+def unprintable(text: str, *, allowed: str = "\t\n") -> str | None:
+    """Return the first character of a text that no file or terminal can show, as "U+001B", or None.
+
+    Those are control characters, of which a terminal would take some for commands, halves of surrogate pairs, which
+    have no bytes, and what is no character at all.
+
+    Args:
+        text: of a user.
+        allowed: control characters that may stand in it.
+    """
+    for character in text:
+        code = ord(character)
+        odd = unicodedata.category(character) in ("Cc", "Cs") or code & 0xFFFE == 0xFFFE
+        if odd and character not in allowed:
+            return f"U+{code:04X}"
+    return None
+
+
 def nearest(name: str, valid: Iterable[str]) -> str:
     """Return a clause that suggests the nearest valid names, or lists them all when none is near."""
     names = sorted(valid)
-    close = difflib.get_close_matches(str(name), names, n=2, cutoff=0.55)
+    close = difflib.get_close_matches(str(name)[:_LONGEST_NAME], names, n=2, cutoff=0.55)
     return f"did you mean {' or '.join(map(repr, close))}?" if close else f"valid names: {', '.join(names)}"

@@ -12,7 +12,7 @@ from plough_opt.cli import report
 from plough_opt.cli.against import asked_of
 from plough_opt.cli.front_table import print_front
 from plough_opt.cli.sensitivity_table import print_sensitivities, sensitivities_of
-from plough_opt.cli.terminal import console, progress, read, wrote
+from plough_opt.cli.terminal import console, printable, progress, read, wrote
 from plough_opt.cli.uncertain import optimise_uncertain
 from plough_opt.effect_costs import effect_costs
 from plough_opt.errors import InputError
@@ -24,7 +24,8 @@ from plough_opt.soil import named_soil, soil_names
 def init(options: argparse.Namespace) -> None:
     """Write the template; an existing file is left alone."""
     path = write_new(options.file, "problem file", TEMPLATE)
-    console().print(f"wrote {path}; next: plough-opt optimise {shlex.quote(str(path))}", markup=False, soft_wrap=True)
+    line = f"wrote {path}; next: plough-opt optimise {shlex.quote(str(path))}"
+    console().print(printable(line), markup=False, soft_wrap=True)
 
 
 def soils(options: argparse.Namespace) -> None:

@@ -21,7 +21,7 @@ from plough_opt.cli import calibrate as calibrations
 from plough_opt.cli import commands
 from plough_opt.cli import export as exports
 from plough_opt.cli import sweep as sweeps
-from plough_opt.cli.terminal import interruptible, what_was_written
+from plough_opt.cli.terminal import interruptible, printable, what_was_written
 from plough_opt.errors import DomainError, InputError, PloughError
 from plough_opt.notices import without_notices
 
@@ -66,7 +66,7 @@ def _drop_output() -> None:
 
 
 def _complain(kind: str, error: object) -> None:
-    Console(stderr=True, highlight=False, soft_wrap=True).print(f"[bold red]{kind}:[/] {escape(str(error))}")
+    Console(stderr=True, highlight=False, soft_wrap=True).print(f"[bold red]{kind}:[/] {escape(printable(str(error)))}")
 
 
 def _parser() -> argparse.ArgumentParser:

@@ -16,7 +16,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
 from plough_opt import design as designs
-from plough_opt.errors import InputError
+from plough_opt.errors import InputError, unprintable
 from plough_opt.problem_file import Problem, read_problem
 
 # Options that name a file to be written.
@@ -116,7 +116,12 @@ class _Console(Console):
 def wrote(path: Path) -> None:
     """Say which file was written, on the error stream."""
     _written.append(path)
-    Console(stderr=True, highlight=False, soft_wrap=True).print(f"wrote {path}", markup=False)
+    Console(stderr=True, highlight=False, soft_wrap=True).print(f"wrote {printable(str(path))}", markup=False)
+
+
+def printable(text: str) -> str:
+    """Return a text of a user with what a terminal would take for a command written as Python writes it."""
+    return "".join(repr(character)[1:-1] if unprintable(character) else character for character in text)
 
 
 @contextmanager

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import tomllib
-from typing import Any
+from typing import Any, Final
 
-from plough_opt.errors import InputError, nearest
+from plough_opt.errors import InputError, nearest, short
+from plough_opt.problem_file.lines import nested_line
 from plough_opt.problem_file.schema import ProblemTable, quantities
-from plough_opt.problem_file.source import Source
+from plough_opt.problem_file.source import TOO_DEEP, Source, unreadable
+
+# Characters of a change: a table in one line, and more.
+_LONGEST: Final = 2_000
 
 
 def apply_override(source: Source, text: str) -> str:
@@ -21,6 +25,8 @@ def apply_override(source: Source, text: str) -> str:
     Raises:
         InputError: no ``=``, or a key that the file cannot have.
     """
+    if len(text) > _LONGEST:
+        raise InputError(f"--set {short(text)}: at most {_LONGEST} characters can be read")
     path, separator, written = text.partition("=")
     path = path.strip()
     if not separator or not path or not written.strip():
@@ -37,7 +43,9 @@ def apply_override(source: Source, text: str) -> str:
         place = place.setdefault(key, {})
         if not isinstance(place, dict):
             raise InputError(f"--set {text}: '{path}' is not a key: '{key}' holds a value already")
-    place[keys[-1]] = _value(written.strip())
+    place[keys[-1]] = value = _value(written.strip(), text)
+    if wrong := unreadable({path: value}):
+        raise InputError(f"--set {text}: {wrong[1]}")
     source.overridden[tuple(keys)] = text
     variables = source.data.get("variables")
     if isinstance(variables, dict) and variables.pop(".".join(keys), None) is not None:
@@ -58,9 +66,12 @@ def _split(path: str, text: str) -> list[str]:
     return ["variables", name, side]
 
 
-def _value(written: str) -> Any:
+def _value(written: str, text: str) -> Any:
     """Return a value as TOML reads it; what is not TOML is text, so that quotes may be left out."""
+    if nested_line(written) is not None:
+        raise InputError(f"--set {short(text)}: {TOO_DEEP}")
     try:
-        return tomllib.loads(f"value = {written}")["value"]
+        read = tomllib.loads(f"value = {written}")
     except tomllib.TOMLDecodeError:
         return written
+    return read["value"] if len(read) == 1 else written

@@ -1,4 +1,4 @@
-"""The text of a problem file: where each key stands, what overrides change, and errors that say so."""
+"""The text of a problem file: its limits, what overrides change, and errors that say where each mistake stands."""
 
 from __future__ import annotations
 
@@ -7,12 +7,14 @@ import difflib
 import re
 import tomllib
 from collections.abc import Iterator, Mapping, Sequence
+from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from pydantic import ValidationError
 
-from plough_opt.errors import DomainError, InputError, nearest
+from plough_opt.errors import DomainError, InputError, nearest, short, unprintable
+from plough_opt.problem_file.lines import MOST_TABLES, lines_of, nested_line
 
 Keys = tuple[str, ...]
 
@@ -25,6 +27,13 @@ _EXPECTED = {
 }
 _LIMITS = {"greater_than_equal": "at least", "less_than_equal": "at most"}
 _QUOTED = re.compile(r"'([^']*)'")
+# What a problem file may be: far above any that is written by hand, and read in a second whatever it holds.
+_MOST_BYTES: Final = 100_000
+_LONGEST_LINE: Final = 1_000  # below the digits from which on Python reads no whole number
+_MOST_BITS: Final = 1_024  # of a whole number: those of the largest float
+# Mistakes that are listed; whoever makes more has made one many times.
+_MOST_LISTED: Final = 20
+TOO_DEEP: Final = f"tables or lists stand in one another more than {MOST_TABLES} deep: write them flat"
 
 
 class Source:
@@ -34,19 +43,30 @@ class Source:
         """Parse a text; ``name`` is what errors call it.
 
         Raises:
-            InputError: the text is not TOML; the message gives the line.
+            InputError: the text is not TOML, or beyond what a problem file may be; the message gives the line.
         """
         self.name = name
-        self._lines = text.split("\n")
+        self._text = text.replace("\r\n", "\n")
         self.overridden: dict[Keys, str] = {}
         self.begun: dict[Keys, str] = {}  # tables that an override had to make
         self._noted: list[InputError] = []
+        self._unlisted = 0  # mistakes that are counted only
+        for number, line in enumerate(self._text.split("\n"), start=1):
+            if len(line) > _LONGEST_LINE:
+                raise InputError(
+                    f"{name}, line {number}: it has {len(line)} characters, and at most {_LONGEST_LINE} can be read:"
+                    " write it in several lines"
+                )
+        if (line_too_deep := nested_line(self._text)) is not None:
+            raise InputError(f"{name}, line {line_too_deep}: {TOO_DEEP}")
         try:
             self.data: dict[str, Any] = tomllib.loads(text)
         except tomllib.TOMLDecodeError as error:
             at = re.search(r"at line (\d+)", str(error))
-            line = f", line {at[1]}" if at else f", line {len(text.splitlines()) or 1}"
-            raise InputError(f"{name}{line}: not valid TOML: {str(error).split(' (at')[0]}") from None
+            where = f", line {at[1]}" if at else f", line {len(text.splitlines()) or 1}"
+            raise InputError(f"{name}{where}: not valid TOML: {short(str(error).split(' (at')[0], 200)}") from None
+        if wrong := unreadable(self.data):
+            raise self.error(*wrong)
 
     @classmethod
     def read(cls, path: Path) -> Source:
@@ -56,7 +76,12 @@ class Source:
             InputError: no such file (the message names the nearest), a folder, or not text.
         """
         try:
-            return cls(path.read_text(encoding="utf-8-sig"), str(path))
+            with path.open("rb") as file:
+                content = file.read(_MOST_BYTES + 1)
+            if len(content) > _MOST_BYTES:
+                most = f"{_MOST_BYTES // 1000} kB"
+                raise InputError(f"'{path}' is too long for a problem file: at most {most} can be read")
+            return cls(content.decode("utf-8-sig"), str(path))
         except FileNotFoundError:
             there = sorted(p.name for p in path.parent.glob("*.toml")) if path.parent.is_dir() else []
             hint = _nearest_file(path, there) if there else "plough-opt init FILE writes one"
@@ -70,21 +95,12 @@ class Source:
 
     def line_of(self, keys: Sequence[str]) -> int | None:
         """Return the line on which a key, or failing that the table around it, begins."""
-        for count in range(len(keys), 0, -1):
-            complete = 0
-            for number in range(1, len(self._lines) + 1):
-                place = _parsed(self._lines[:number])
-                if place is None:
-                    continue
-                if _holds(place, keys[:count]):
-                    return self._first_line(complete, number)
-                complete = number
-        return None
+        places = (".".join(keys[:count]) for count in range(len(keys), 0, -1))
+        return next((self._line_of[place] for place in places if place in self._line_of), None)
 
-    def _first_line(self, before: int, end: int) -> int:
-        """Return the first line between two that is neither empty nor a comment."""
-        texts = (line.strip() for line in self._lines[before:end])
-        return next((before + k for k, text in enumerate(texts, start=1) if text and not text.startswith("#")), end)
+    @cached_property
+    def _line_of(self) -> dict[str, int]:
+        return lines_of(self._text)
 
     def error(self, keys: Sequence[str], message: str) -> InputError:
         """Return an error about a key, with its line or the override that set it."""
@@ -117,7 +133,9 @@ class Source:
         if self._noted:
             unique = {str(error): error for error in self._noted}
             ordered = sorted(unique.values(), key=lambda error: getattr(error, "line", 0))
-            raise InputError("\n".join(map(str, ordered)))
+            rest = len(ordered[_MOST_LISTED:]) + self._unlisted
+            more = [f"... and {rest} more"] if rest else []
+            raise InputError("\n".join([*map(str, ordered[:_MOST_LISTED]), *more]))
 
     def note_schema(self, error: ValidationError, valid: Mapping[str, Sequence[str]]) -> None:
         """Note everything a schema refused, each with its line.
@@ -128,6 +146,9 @@ class Source:
         """
         # A union reports each alternative that it tried: the first says enough.
         items = list({_keys(item): item for item in reversed(error.errors())}.values())
+        items = sorted(items, key=lambda item: self.line_of(_keys(item)) or 0)
+        self._unlisted += len(items[_MOST_LISTED:])
+        items = items[:_MOST_LISTED]
         meant = set()
         for item in items:
             if item["type"] == "extra_forbidden":
@@ -150,19 +171,36 @@ class Source:
                 return PlacedError(f"--set {began}: '{dotted}' is missing", 0)
             return self.error(keys, f"'{dotted}' is missing")
         if item["type"] in ("model_type", "dict_type", "model_attributes_type"):
-            return self.error(keys, f"'{dotted}' must be a table of keys, not {item['input']!r}")
+            return self.error(keys, f"'{dotted}' must be a table of keys, not {short(repr(item['input']))}")
         if kind := _EXPECTED.get(item["type"]):
-            return self.error(keys, f"'{dotted}' = {item['input']!r} must be {kind}")
+            return self.error(keys, f"'{dotted}' = {short(repr(item['input']))} must be {kind}")
         if limit := _LIMITS.get(item["type"]):
             side = next(iter(item["ctx"].values()))
-            return self.error(keys, f"'{dotted}' = {item['input']!r} must be {limit} {side}")
+            return self.error(keys, f"'{dotted}' = {short(repr(item['input']))} must be {limit} {side}")
         if item["type"] == "literal_error":
             valid_values = _QUOTED.findall(item["ctx"]["expected"])
-            return self.error(keys, f"'{dotted}' = {item['input']!r} is unknown:"
+            return self.error(keys, f"'{dotted}' = {short(repr(item['input']))} is unknown:"
                               f" {nearest(str(item['input']), valid_values)}")  # fmt: skip
         message = item["msg"].removeprefix("Value error, ")
         joint = " " if message.startswith(("=", "is not", "has ")) else ": "
         return self.error(keys, f"'{dotted}'{joint}{message[0].lower() + message[1:]}")
+
+
+def unreadable(data: Any) -> tuple[Keys, str] | None:
+    """Return where parsed TOML holds what no message or table can show, and what is wrong there; or None."""
+    rest: list[tuple[Keys, Any]] = [((), data)]
+    while rest:  # not by recursion, which deep nesting would exhaust
+        keys, value = rest.pop()
+        if len(keys) > MOST_TABLES:
+            return keys[:MOST_TABLES], TOO_DEEP
+        if isinstance(value, int) and value.bit_length() > _MOST_BITS:
+            return keys, f"'{'.'.join(keys)}' is larger than any number that can be computed with"
+        for text in (*keys[-1:], value):
+            if isinstance(text, str) and (wrong := unprintable(text)) is not None:
+                return keys, f"'{'.'.join(keys)}' holds {wrong}, a character that cannot be printed: take it out"
+        inner = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
+        rest += [((*keys, str(name)), one) for name, one in inner]
+    return None
 
 
 def _nearest_file(path: Path, names: Sequence[str]) -> str:
@@ -189,23 +227,3 @@ def _keys(item: Any) -> Keys:
 def _known(keys: Keys, valid: Mapping[str, Sequence[str]]) -> Sequence[str]:
     """Return the valid keys of the table that a path's last key stands in."""
     return valid.get(".".join(keys[:-1]), valid.get(keys[0], ()) if len(keys) > 1 else ())
-
-
-def _parsed(lines: Sequence[str]) -> dict[str, Any] | None:
-    """Return lines as TOML, or None where they are not TOML on their own."""
-    try:
-        return tomllib.loads("\n".join(lines))
-    except tomllib.TOMLDecodeError:
-        return None
-
-
-def _holds(place: Any, keys: Sequence[str]) -> bool:
-    """Return whether a key is set; a dotted name may stand in quotes or as nested tables."""
-    for position, key in enumerate(keys):
-        if isinstance(place, dict) and key in place:
-            place = place[key]
-        elif "." in key and position > 0:
-            return _holds(place, [*key.split("."), *keys[position + 1 :]])
-        else:
-            return False
-    return True

@@ -6,18 +6,21 @@ import math
 import re
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any, cast
+from typing import Any, Final, cast
 
 import pint
 from pydantic import GetCoreSchemaHandler
 from pydantic_core import CoreSchema, core_schema
 
-from plough_opt.errors import InputError, nearest
+from plough_opt.errors import InputError, nearest, short
 
 _QUANTITY = re.compile(
     r"\s*(?P<number>[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?)\s*"
     r"(?P<unit>(?:[^\W\d_]|[°%])(?:[\w°%/*^.·³²()-]| (?=\S))*|)\s*"
 )
+# Characters of a quantity, and powers of its unit: pint would compute 9^9^9 before it says that it is no unit.
+_LONGEST: Final = 100
+_POWER = re.compile(r"(?:\^|\*\*)(?!\s*-?[0-9](?:\.[0-9])?(?![\w.^]|\s*(?:\^|\*\*)))")
 # What users write; the nearest of these is suggested for a unit that pint does not know.
 _COMMON = (
     "m", "cm", "mm", "km", "deg", "rad", "kg", "g", "t", "s", "ms", "min", "h", "N", "kN", "Pa", "kPa", "MPa",
@@ -74,10 +77,17 @@ class Unit:
             if self.symbol:
                 raise InputError(f"= {value} has no unit: write it like {self.example()}")
             return _as_float(value), 1.0
+        if len(value) > _LONGEST:
+            raise InputError(
+                f'= "{short(value)}" has {len(value)} characters, and a quantity at most {_LONGEST}: write it like'
+                f" {self.example()}"
+            )
         match = _QUANTITY.fullmatch(value)
         if match is None:
             raise InputError(f'= "{value}" is not a quantity: write it like {self.example()}')
         number, written = float(match["number"]), match["unit"]
+        if _POWER.search(written):
+            raise InputError(f'= "{value}" has a unit that cannot be read: its powers are one digit each, as "kg/m^3"')
         if not written and self.symbol:
             raise InputError(f'= "{value}" has no unit: write it like {self.example()}')
         factor, kind = _root(written, value)
@@ -123,7 +133,7 @@ def _as_float(value: float) -> float:
     try:
         return _finite(float(value), str(value))
     except OverflowError:
-        raise InputError(f"= {str(value)[:12]}... must be finite: it is too large") from None
+        raise InputError("must be finite: it is too large") from None
 
 
 def _finite(number: float, text: str) -> float:

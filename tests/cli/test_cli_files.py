@@ -124,3 +124,14 @@ class TestInterruptions:
             patched.setattr(commands, "soils", interrupted)
             assert cli("soils").status == 130
         assert cli("soils").status == 0
+
+
+def test_no_command_to_the_terminal_comes_out_of_a_name(cli, cotton, tmp_path):
+    for line in (("check", "\x1b[31m.toml"), ("check", cotton, "--set", "\x1b]0;x\x07=1"), ("init", "\x1b[2J/a")):
+        done = cli(*line)
+        assert (done.status, done.out) == (2, "")
+        assert "\\x1b" in done.err
+        assert "\x1b" not in done.err + done.out
+    done = cli("init", tmp_path / "\x1b[2J.toml")
+    assert "wrote" in done.out
+    assert "\x1b" not in done.out + done.err

@@ -1,0 +1,111 @@
+"""What a problem file may be at most, and that what is beyond is told at once, with its place."""
+
+import pytest
+
+from plough_opt.problem_file.lines import lines_of
+
+
+@pytest.mark.parametrize(
+    ("inserted", "line", "told"),
+    [
+        ("x = " + "[" * 400 + "]" * 400, 10, "more than 8 deep"),
+        ("x = " + "[\n" * 2000 + "]" * 900, 18, "more than 8 deep"),
+        (".".join("a" * 400) + " = 1", 10, "more than 8 deep"),
+        ("x = " + "1" * 996, 10, "'scene.x' is larger than any number"),
+        ("x = " + "1" * 5000, 10, "it has 5004 characters, and at most 1000 can be read: write it in several lines"),
+        ('x = "\\u001b[31m"', 10, "'scene.x' holds U+001B, a character that cannot be printed: take it out"),
+        ('"\\u0001" = 1', 10, "holds U+0001"),
+        ('damping = "1 m^9^9^9"', 10, "'scene.damping' is not a known key"),
+    ],
+    ids=lambda value: str(value)[:20],
+)
+def test_what_cannot_be_read_is_told_with_its_line(changed, refusal, inserted, line, told):
+    message = refusal(changed("[scene]", f"[scene]\n{inserted}"))
+    assert message.startswith(f"share.toml, line {line}: ")
+    assert told in message
+
+
+@pytest.mark.parametrize("written", ["1 m^9^9^9", "1 m**9**9", "1 m^99", "1 m^-99", "1 m^1.25", "1 m^9 ^9", "1 m^9**9"])
+@pytest.mark.parametrize("where", ["file", "--set", "variable"])
+def test_powers_of_units_are_one_digit(changed, cotton, refusal, written, where):
+    if where == "file":
+        message = refusal(changed("7.2 km/h", written))
+    elif where == "--set":
+        message = refusal(cotton, f'share.height="{written}"')
+    else:
+        message = refusal(changed("0.1 m", written))
+    assert f'= "{written}" has a unit that cannot be read: its powers are one digit each, as "kg/m^3"' in message
+
+
+@pytest.mark.parametrize("written", ["9.80665 m/s^2*kg/m^2", "1 N*m^-2", "1 N*m**-2", "1 kN*m^-1.5*m^-0.5"])
+def test_units_with_powers_are_read(cotton, read, written):
+    assert read(cotton, f'soil.cohesion="{written}"').fixed["soil.cohesion"] in (9.80665, 1.0, 1000.0)
+
+
+def test_a_quantity_is_short(changed, refusal):
+    message = refusal(changed("7.2 km/h", f"{'1' * 400} km/h"))
+    assert "has 405 characters, and a quantity at most 100: write it like" in message
+
+
+def test_a_file_is_short(cotton, refusal):
+    assert "too long for a problem file: at most 100 kB can be read" in refusal(cotton + "# comment\n" * 10_000)
+
+
+def test_a_file_without_an_end_is_not_read_to_it(cli_check):
+    assert "at most 100 kB" in cli_check("/dev/zero")
+
+
+@pytest.fixture
+def cli_check():
+    """Return the message with which a file is refused."""
+    import plough_opt as po
+
+    def check(path):
+        with pytest.raises(po.InputError) as caught:
+            po.read_problem(path)
+        return str(caught.value)
+
+    return check
+
+
+def test_many_mistakes_are_counted(cotton, refusal):
+    message = refusal("\n".join(f"k{number} = 1" for number in range(3000)) + "\n" + cotton)
+    lines = message.splitlines()
+    assert len(lines) == 21
+    assert lines[0].startswith("share.toml, line 1: 'k0' is not a known key")
+    assert lines[-1] == "... and 2980 more"
+
+
+def test_a_change_is_short(cotton, refusal):
+    assert "at most 2000 characters can be read" in refusal(cotton, f"title={'x' * 3000}")
+    assert "more than 8 deep" in refusal(cotton, f"title={'[' * 900}{']' * 900}")
+    assert "'title' holds U+0007" in refusal(cotton, "title=a\x07b")
+    assert "holds U+DCFF" in refusal(cotton, "title=a\udcff")
+
+
+def test_lines_of_keys_wherever_toml_lets_them_stand():
+    text = '''# comment with [brackets
+title = """
+[soil]
+name = 1""" # and "more
+[soil]  # [scene]
+name = 'a[b'
+"x.y" = { lower = "1 {m", upper = 2 }
+list = [ # [
+  "]", 1,
+  { inner = 3 },
+]
+[a.b]
+c.d = 1
+
+[[rows]]
+e = 1
+[[rows]]
+f = "\\"]"
+'''
+    found = lines_of(text)
+    wanted = {
+        "title": 2, "soil": 5, "soil.name": 6, "soil.x.y": 7, "soil.x.y.lower": 7, "soil.list": 8, "a": 12, "a.b": 12,
+        "a.b.c": 13, "a.b.c.d": 13, "rows": 15, "rows.e": 16, "rows.f": 18,
+    }  # fmt: skip
+    assert {key: found[key] for key in wanted} == wanted

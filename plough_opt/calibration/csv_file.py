@@ -13,7 +13,7 @@ from typing import Final
 import numpy as np
 
 from plough_opt.calibration.measurements import RECORD, RESULTS, Measurements
-from plough_opt.errors import InputError, nearest
+from plough_opt.errors import InputError, nearest, short
 from plough_opt.problem_file.measures import MEASURES
 from plough_opt.problem_file.schema import quantities
 from plough_opt.problem_file.units import Unit
@@ -21,7 +21,12 @@ from plough_opt.problem_file.units import Unit
 _HEADING: Final = re.compile(r"\s*(?P<name>[\w.]+)\s*(?:\[(?P<unit>[^\]]*)\])?\s*")
 # Units in which fields are measured, for the message that asks for one.
 _CUSTOMARY: Final = {"N": "kN", "rad": "deg", "m/s": "km/h", "Pa": "kPa", "N/m": "kN/m", "W": "kW"}
+# Also what is no finite number, for a message of its own.
+_NUMBER: Final = re.compile(r"[+-]?(?:(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:e[+-]?[0-9]+)?|nan|inf(?:inity)?)", re.IGNORECASE)
 _MOST_LISTED: Final = 8
+# What a file may be: some 300,000 rows, each of which is a run of the model.
+_MOST_BYTES: Final = 10_000_000
+_LONGEST_LINE: Final = 10_000
 
 
 @dataclass(frozen=True)
@@ -54,7 +59,7 @@ def read_measurements(path: str | Path) -> Measurements:
     line, headings = rows[0]
     columns = _columns(str(path), line, headings)
     if len(rows) == 1:
-        raise InputError(f"{path}, line {line}: there is no row below the header")
+        raise InputError(f"{path}, line {line}: there is no row below the header: add what was measured")
     table, errors = [], []
     for number, cells in rows[1:]:
         values, wrong = _values(f"{path}, line {number}", cells, columns)
@@ -67,7 +72,9 @@ def read_measurements(path: str | Path) -> Measurements:
 def _rows(path: Path) -> list[tuple[int, list[str]]]:
     """Return the rows with their line numbers, without comments and empty lines."""
     try:
-        text = path.read_text(encoding="utf-8-sig")
+        with path.open("rb") as file:
+            content = file.read(_MOST_BYTES + 1)
+        text = content.decode("utf-8-sig")
     except FileNotFoundError:
         there = sorted(p.name for p in path.parent.glob("*.csv")) if path.parent.is_dir() else []
         hint = nearest(path.name, there) if there else "in that folder is no .csv file"
@@ -78,7 +85,15 @@ def _rows(path: Path) -> list[tuple[int, list[str]]]:
         raise InputError(f"'{path}' cannot be read as text: it is not UTF-8") from None
     except OSError as error:
         raise InputError(f"'{path}' cannot be read: {error.strerror}") from None
+    if len(content) > _MOST_BYTES:
+        raise InputError(f"'{path}' is too long: at most {_MOST_BYTES // 1_000_000} MB of measurements can be read")
     lines = [(k, line) for k, line in enumerate(text.splitlines(), 1) if line.strip() and not line.startswith("#")]
+    for number, line in lines:
+        if len(line) > _LONGEST_LINE:
+            raise InputError(
+                f"{path}, line {number}: it has {len(line)} characters, and at most {_LONGEST_LINE} can be read: write"
+                " a row in each line"
+            )
     delimiter = next((mark for mark in "\t;" if lines and mark in lines[0][1]), ",")
     return [(k, next(csv.reader([line], delimiter=delimiter, skipinitialspace=True))) for k, line in lines]
 
@@ -95,9 +110,8 @@ def _columns(name: str, line: int, headings: Sequence[str]) -> list[_Column]:
         except InputError as error:
             errors.append(f"{place}, column '{text.strip()}': {error}")
     names = [column.name for column in found]
-    errors += [
-        f"{place}, column '{key}': it stands there twice" for key in sorted({n for n in names if names.count(n) > 1})
-    ]
+    twice = sorted({name for name in names if names.count(name) > 1})
+    errors += [f"{place}, column '{key}': it stands there twice: leave one of the two out" for key in twice]
     if not measured:
         errors.append(
             f"{place}: no column holds a measured result: one of {', '.join(RESULTS)} is needed, as {_example()}"
@@ -157,12 +171,14 @@ def _heading(name: str, unit: Unit) -> str:
 def _values(place: str, cells: Sequence[str], columns: Sequence[_Column]) -> tuple[list[float], list[str]]:
     """Return a row's numbers in SI, and what is wrong with it."""
     if len(cells) != len(columns):
-        return [math.nan] * len(columns), [f"{place}: {len(cells)} cells, and the header names {len(columns)} columns"]
+        return [math.nan] * len(columns), [
+            f"{place}: the number of cells is {len(cells)}, and the header names {len(columns)} columns: give each one"
+        ]
     values, errors = [], []
     for cell, column in zip(cells, columns, strict=True):
         value = math.nan
         try:
-            value = _number(cell) * column.factor
+            value = _number(cell, column.factor)
             if column.name == "sigma" and value <= 0.0:
                 raise InputError(f"{cell.strip()} must be above 0: it is a standard deviation")
             if column.name in ("weight", "time") and value < 0.0:
@@ -173,17 +189,17 @@ def _values(place: str, cells: Sequence[str], columns: Sequence[_Column]) -> tup
     return values, errors
 
 
-def _number(cell: str) -> float:
+def _number(cell: str, factor: float) -> float:
+    """Return a cell's number in SI."""
     text = cell.strip()
     if not text:
         raise InputError("the cell is empty: a number is expected; leave the whole row out if it was not measured")
-    try:
-        value = float(text)
-    except ValueError:
-        hint = ": write a decimal point" if re.fullmatch(r"[+-]?\d+,\d+", text) else ", without its unit"
-        raise InputError(f"'{text}' is not a number{hint if ',' in text or text[0].isdigit() else ''}") from None
+    if _NUMBER.fullmatch(text) is None:
+        hint = "a decimal point" if re.fullmatch(r"[+-]?\d+,\d+", text) else "it as 12.5 or 1.25e1, without its unit"
+        raise InputError(f"'{short(text)}' is not a number: write {hint}")
+    value = float(text) * factor
     if not math.isfinite(value):
-        raise InputError(f"'{text}' is not a finite number; leave the whole row out if it was not measured")
+        raise InputError(f"'{short(text)}' is not a finite number; leave the whole row out if it was not measured")
     return value
 
 
@@ -192,7 +208,8 @@ def _measurements(name: str, columns: Sequence[_Column], table: np.ndarray, line
     result = next(key for key in values if key in RESULTS)
     sigma = values.pop("sigma", None)
     if sigma is not None and any(column.relative for column in columns):
-        sigma = sigma * np.abs(values[result])
+        with np.errstate(over="ignore"):  # what is infinite is refused with its row
+            sigma = sigma * np.abs(values[result])
     return Measurements(
         result,
         values.pop(result),

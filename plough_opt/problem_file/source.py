@@ -64,7 +64,7 @@ class Source:
         except tomllib.TOMLDecodeError as error:
             at = re.search(r"at line (\d+)", str(error))
             where = f", line {at[1]}" if at else f", line {len(text.splitlines()) or 1}"
-            raise InputError(f"{name}{where}: not valid TOML: {short(str(error).split(' (at')[0], 200)}") from None
+            raise InputError(f"{name}{where}: not valid TOML: {_in_words(str(error).split(' (at')[0])}") from None
         if wrong := unreadable(self.data):
             raise self.error(*wrong)
 
@@ -125,8 +125,8 @@ class Source:
             self._noted.append(error)
         except (DomainError, InputError) as error:
             self._noted.append(self.error(keys, f"{prefix}{error}"))
-        except OverflowError:
-            self._noted.append(self.error(keys, f"{prefix}too large to compute with"))
+        except ArithmeticError:  # overflow, or a difference of huge numbers that is 0
+            self._noted.append(self.error(keys, f"{prefix}too large or too small to compute with: check its unit"))
 
     def raise_noted(self) -> None:
         """Raise one error that lists everything noted, in the order of the lines; nothing if nothing was."""
@@ -168,8 +168,8 @@ class Source:
         if item["type"] == "missing":
             began = next((text for path, text in self.begun.items() if path == keys[: len(path)]), None)
             if began is not None:
-                return PlacedError(f"--set {began}: '{dotted}' is missing", 0)
-            return self.error(keys, f"'{dotted}' is missing")
+                return PlacedError(f"--set {began}: '{dotted}' is missing: set it too", 0)
+            return self.error(keys, f"'{dotted}' is missing: add it")
         if item["type"] in ("model_type", "dict_type", "model_attributes_type"):
             return self.error(keys, f"'{dotted}' must be a table of keys, not {short(repr(item['input']))}")
         if kind := _EXPECTED.get(item["type"]):
@@ -184,6 +184,17 @@ class Source:
         message = item["msg"].removeprefix("Value error, ")
         joint = " " if message.startswith(("=", "is not", "has ")) else ": "
         return self.error(keys, f"'{dotted}'{joint}{message[0].lower() + message[1:]}")
+
+
+def _in_words(complaint: str) -> str:
+    """Return a complaint of the TOML reader with what to do about it."""
+    twice = re.search(r"Cannot (?:declare|mutate|redefine)[^(]*\((.*)\)", complaint)
+    if twice is not None:
+        name = ".".join(re.findall(r"'([^']*)'", twice[1]))
+        return f"the table '{short(name)}' stands there twice: join the two"
+    if complaint in ("Cannot overwrite a value",) or complaint.startswith("Duplicate"):
+        return "a key stands there twice: leave one of the two out"
+    return f'{short(complaint, 100)}; write keys as tow_speed = "7.2 km/h", each in a line, texts in quotes'
 
 
 def unreadable(data: Any) -> tuple[Keys, str] | None:

@@ -69,9 +69,14 @@ def test_sigma_in_per_cent_semicolons_tabs_weights_and_time(written):
         ("soil.tool_friction [m], mean_draft [N]\n1, 2\n", "'m' is a unit, and a pure number is expected"),
         # a gap, and other cells
         (HEADER + "3.6, 40, , 0.1\n" + ROWS, "line 2, column 'mean_draft [kN]': the cell is empty"),
-        (HEADER + ROWS + "3.6, 40, 4.0\n", "line 4: 3 cells, and the header names 4 columns"),
+        (HEADER + ROWS + "3.6, 40, 4.0\n", "line 4: the number of cells is 3, and the header names 4 columns"),
         (HEADER + "3.6, 40, n/a, 0.1\n", "line 2, column 'mean_draft [kN]': 'n/a' is not a number"),
-        (HEADER + "3.6, 40, 4 kN, 0.1\n", "'4 kN' is not a number, without its unit"),
+        (HEADER + "3.6, 40, ３, 0.1\n", "'３' is not a number"),
+        (HEADER + "3.6, 40, 4_5, 0.1\n", "'4_5' is not a number"),
+        (HEADER + "3.6, 40, 1e308, 0.1\n", "'1e308' is not a finite number"),
+        ("mean_draft [m^9^9^9]\n1\n", "'m^9^9^9' is not a unit of N"),
+        ("mean_draft [kN]; sigma [%]\n1e300; 1e300\n", "sigma = inf must be a finite number"),
+        (HEADER + "3.6, 40, 4 kN, 0.1\n", "'4 kN' is not a number: write it as 12.5 or 1.25e1, without its unit"),
         (HEADER + "3.6, 40, nan, 0.1\n", "'nan' is not a finite number"),
         (HEADER + "3.6, 40, 4.0, -0.1\n", "line 2, column 'sigma [kN]': -0.1 must be above 0"),
         (HEADER + "3.6, 40, 4.0, 0\n", "0 must be above 0"),
@@ -136,3 +141,18 @@ def test_measurements_that_cannot_be(arguments, keywords, words):
     with pytest.raises(po.InputError) as refusal:
         po.Measurements(*arguments, **keywords)
     assert words in str(refusal.value)
+
+
+@pytest.mark.parametrize(
+    ("rows", "words"),
+    [
+        (f"3.6, 40, {'4' * 200_000}, 0.1\n", "line 2: it has 200014 characters, and at most 10000 can be read"),
+        ("3.6, 40, 4, 0.1\n" * 700_000, "at most 10 MB of measurements can be read"),
+    ],
+    ids=["line", "file"],
+)
+def test_sizes_have_limits(tmp_path, rows, words):
+    path = tmp_path / "draft.csv"
+    path.write_text(HEADER + rows, encoding="utf-8")
+    with pytest.raises(po.InputError, match=words):
+        po.read_measurements(path)

@@ -87,8 +87,8 @@ REFUSED = [
     ("scene.tow_speed=-2.5 m/s", "tow speed = -2.5 m/s", "at least 0"),
     ("share.hight=0.3 m", "'share.hight' is not a known key", "did you mean 'height'?"),
     ("share.height=-0.3 m", "share height = -0.3 m", "above 0"),
-    ("share.height=1e300 m", "'share.height' = 1e300 m: too large to compute with"),
-    ("variables.share.height.upper=1e300 m", "'share.height' upper = 1e300 m: too large to compute with"),
+    ("share.height=1e300 m", "'share.height' = 1e300 m: too large or too small to compute with"),
+    ("variables.share.height.upper=1e300 m", "'share.height' upper = 1e300 m: too large or too small to compute with"),
     ("effects.start=rst", "'effects.start' = 'rst' is unknown", "did you mean 'rest'?"),
     ("effects.start=now", "'effects.start' = 'now' is unknown", "equilibrium, rest, towed"),
     ("effects.motion=no", "'effects.motion' = 'no' must be true or false"),
@@ -144,7 +144,7 @@ def test_a_change_that_cannot_be_is_blamed_and_not_the_file(refusal, cotton, ove
 
 def test_a_variable_that_is_fixed_and_then_bounded_is_blamed_on_the_bound(refusal, cotton):
     message = refusal(cotton, "share.height=0.3 m", "variables.share.height.upper=0.6 m")
-    assert message == "--set variables.share.height.upper=0.6 m: 'variables.share.height.lower' is missing"
+    assert message == "--set variables.share.height.upper=0.6 m: 'variables.share.height.lower' is missing: set it too"
 
 
 def test_the_file_is_blamed_for_its_own_mistakes_beside_a_change(refusal, cotton):

@@ -49,7 +49,7 @@ def add_options(verb: argparse.ArgumentParser) -> None:
     verb.add_argument("--workers", type=int, metavar="N", help="processes on this machine (default: all cores)")
     verb.add_argument("--scheduler", metavar="ADDRESS", help="the workers of a dask scheduler, like tcp://host:8786")
     verb.add_argument("--store", metavar="FILE", help="where finished points are kept (default: named after the sweep)")
-    verb.add_argument("--retry", action="store_true", help="try the points again that failed")
+    verb.add_argument("--retry", action="store_true", help="try the points again that failed or are undetermined")
     verb.add_argument("--csv", metavar="FILE", help="write a table of all points")
     verb.add_argument("--npz", metavar="FILE", help="write an array for each column")
 
@@ -92,6 +92,12 @@ def sweep(options: argparse.Namespace) -> None:
                 wrote(write(getattr(options, name)))
         if found.failed == len(found):
             raise NotConverged("every point failed; the reasons stand above and in the tables", "failed")
+        if undetermined := len(list(found.undetermined)):
+            raise NotConverged(
+                f"{undetermined} of {len(found)} points are undetermined: workers ended while they computed them; the"
+                " same command with --retry tries them again",
+                "undetermined",
+            )
     finally:
         found.close()
 
@@ -155,8 +161,9 @@ def _name(key: str) -> str:
 
 def _report(out: Console, problem: Problem, asked: ProblemSweep, found: Sweep) -> None:
     """Print what the sweep found: the range of every result, where it lies, and what failed."""
-    failed = found.failed
-    table = Table(title=f"{escape(problem.title)}: {len(found)} points, {failed} failed")
+    failed, undetermined = found.failed, list(found.undetermined)
+    also = f", {len(undetermined)} undetermined" if undetermined else ""
+    table = Table(title=f"{escape(problem.title)}: {len(found)} points, {failed} failed{also}")
     for heading in ("result", "least", "at", "largest", "at"):
         table.add_column(heading, justify="left" if heading in ("result", "at") else "right")
     for name in found.results:
@@ -174,11 +181,12 @@ def _report(out: Console, problem: Problem, asked: ProblemSweep, found: Sweep) -
         out.print(table)
     else:
         out.print(table.title)
-    for failure in itertools.islice(found.failures, _SHOWN_FAILURES):
-        values = ", ".join(f"{key} = {asked.displays[key].text(value)}" for key, value in failure.values.items())
-        out.print(f"failed at {escape(values)}: {escape(failure.reason)}")
-    if failed > _SHOWN_FAILURES:
-        out.print(f"... and {failed - _SHOWN_FAILURES} more failed: --csv writes all reasons")
+    for state, count, points in (("failed", failed, found.failures), ("undetermined", len(undetermined), undetermined)):
+        for point in itertools.islice(points, _SHOWN_FAILURES):
+            values = ", ".join(f"{key} = {asked.displays[key].text(value)}" for key, value in point.values.items())
+            out.print(f"{state} at {escape(values)}: {escape(point.reason)}")
+        if count > _SHOWN_FAILURES:
+            out.print(f"... and {count - _SHOWN_FAILURES} more {state}: --csv writes all reasons")
     for note in found.notes:
         out.print(f"[yellow]Note:[/] {escape(note)}.")
     there = f"; {found.already} points were there already" if found.already else ""

@@ -14,8 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from plough_opt.errors import InputError
+from plough_opt.study.cluster import Cluster
+from plough_opt.study.layout import State
 from plough_opt.study.points import Points
-from plough_opt.study.pool import ProcessPool
+from plough_opt.study.pool import ProcessPool, WorkerDied
 from plough_opt.study.store import Store
 from plough_opt.study.work import Array, Done, Evaluation, ManyPoints, work
 
@@ -29,9 +31,10 @@ _FIRST, _MOST = (1, 64), (4096, 2048)
 _GROWTH: Final = 4
 # How long to wait before looking at the clock, and at what other runs do [s]; how often to renew claims.
 _GLANCE, _RENEWAL = 0.25, 3.0
-# How often a task that was under way when a worker died is tried among others; then its points are tried alone.
-_TRIED_AMONG_OTHERS = 2
-DIED: Final = "the worker process died at this point, whenever it was tried"
+# How often a task is tried whole of which a worker died; then its halves are, and at last a point, with no other.
+_TRIED_WHOLE: Final = 2
+# How many workers may die of a point that is tried alone.
+_TRIED_ALONE: Final = 3
 
 
 @dataclass
@@ -42,8 +45,8 @@ class _Task:
         claim: first point of the claim.
         numbers: of the points.
         values: of the quantities, a row for each point.
-        deaths: how often a worker died while it was under way.
-        alone: whether it is tried with no other under way.
+        deaths: how many workers died while it was under way.
+        alone: whether it is one point and is tried with no other under way.
     """
 
     claim: int
@@ -52,9 +55,9 @@ class _Task:
     deaths: int = 0
     alone: bool = False
 
-    def part(self, which: slice, alone: bool = False) -> _Task:
+    def part(self, which: slice, deaths: int = 0, alone: bool = False) -> _Task:
         """Return some of the points."""
-        return _Task(self.claim, self.numbers[which], self.values[which], self.deaths, alone)
+        return _Task(self.claim, self.numbers[which], self.values[which], deaths, alone)
 
 
 class Engine:
@@ -72,9 +75,11 @@ class Engine:
         self._size = _FIRST[self._kind]
         self._under_way: dict[Future[Done], _Task] = {}
         self._again: deque[_Task] = deque()
+        self._alone: deque[_Task] = deque()
         self._open: dict[int, int] = {}
-        self._stored, self._failed = store.stored()
+        self._stored, self._failed, _ = store.stored()
         self._renewed = time.monotonic()
+        self._returned = False
 
     def run(self) -> None:
         """Evaluate every point that is not stored.
@@ -88,9 +93,11 @@ class Engine:
                 if self._under_way:
                     done = wait(self._under_way, timeout=_GLANCE, return_when=FIRST_COMPLETED).done
                     self._collect(done)
+                    if isinstance(self._executor, Cluster):
+                        self._executor.check()
                 else:
                     time.sleep(_GLANCE)
-                    self._stored, self._failed = self._store.stored()
+                    self._count()
                     self._tell()
                 self._renew()
         finally:
@@ -98,15 +105,18 @@ class Engine:
 
     def _fill(self) -> bool:
         """Submit tasks; return whether there is anything to wait for."""
-        while len(self._under_way) < self._most_under_way:
-            alone = bool(self._again) and self._again[0].alone
-            if any(task.alone for task in self._under_way.values()) or (alone and self._under_way):
-                break
-            task = self._again.popleft() if self._again else self._claimed()
-            if task is None:
-                break
+        while len(self._under_way) < self._most_under_way and (task := self._following()) is not None:
             self._submit(task)
         return bool(self._under_way) or self._store.waiting()
+
+    def _following(self) -> _Task | None:
+        """Return the task that is to be submitted now, if there is one."""
+        if any(task.alone for task in self._under_way.values()):
+            return None
+        task = self._again.popleft() if self._again else self._claimed()
+        if task is None and self._alone and not self._under_way:
+            task = self._alone.popleft()
+        return task
 
     def _claimed(self) -> _Task | None:
         """Return a task of points that nobody works on, or None."""
@@ -116,7 +126,7 @@ class Engine:
                 self._open[claim[0]] = len(numbers)
                 first = int(numbers[0])
                 return _Task(claim[0], numbers, self._points.block(first, int(numbers[-1]) + 1)[numbers - first])
-            self._store.keep(numbers, np.empty((0, 0)), None, {}, finished=claim[0])
+            self._store.keep(numbers, np.empty((0, len(self._points.names))), None, {}, finished=claim[0])
         return None
 
     def _submit(self, task: _Task) -> None:
@@ -129,27 +139,25 @@ class Engine:
 
     def _collect(self, done: set[Future[Done]]) -> None:
         """Store what came back."""
-        broken: BaseException | None = None
-        dead: list[_Task] = []
         for future in sorted(done, key=lambda future: self._under_way[future].claim):
             task = self._under_way.pop(future)
             error = CancelledError("cancelled") if future.cancelled() else future.exception()
             if error is None:
                 self._take(task, future.result())
-            elif isinstance(error, BrokenExecutor):
-                broken = error
-                dead.append(task)
-            elif type(error).__name__ == "KilledWorker":  # dask gives up a task after several workers died of it
-                self._bury(task)
+            elif isinstance(error, WorkerDied):
+                self._suspect(task, error.deaths, str(error))
             elif isinstance(error, InputError):
                 raise error
+            elif isinstance(error, BrokenExecutor):
+                raise InputError(
+                    f"the executor is broken: {error}; what is stored is stored, and the same sweep goes on from there"
+                    " with a new one"
+                ) from error
             else:
                 raise InputError(
                     f"the executor could not carry out a task: {type(error).__name__}: {error}; what is stored is"
                     " stored, and the same sweep goes on from there"
                 ) from error
-        if broken is not None:
-            self._restart(dead, broken)
 
     def _take(self, task: _Task, done: Done) -> None:
         """Store what a worker found, and put the rest of its points back."""
@@ -158,65 +166,59 @@ class Engine:
         self._keep(task.part(slice(done.points)), done)
         if done.points < len(task.numbers):
             self._again.appendleft(task.part(slice(done.points, None)))
+        self._returned = True
         each = done.seconds / done.points
         wanted = int(min(_WANTED / max(each, 1e-9), _GROWTH * self._size))
         self._size = max(1, min(wanted, _MOST[self._kind]))
 
-    def _keep(self, task: _Task, done: Done) -> None:
+    def _keep(self, task: _Task, done: Done, without: State = "failed") -> None:
         """Store finished points, and give up their claim where they are the last of it."""
         notes = [
             (kind, text, int(task.numbers[place]), points) for kind, (text, place, points) in sorted(done.notes.items())
         ]
         left = self._open[task.claim] - len(task.numbers)
         finished = task.claim if left == 0 else None
-        new = self._store.keep(task.numbers, task.values, done.results, done.reasons, notes, finished)
+        new = self._store.keep(task.numbers, task.values, done.results, done.reasons, notes, finished, without)
         # An interruption before this line leaves the claim to whoever resumes.
         self._open[task.claim] = left
         self._stored += new
-        self._failed += len(done.reasons) if new == len(task.numbers) else 0
+        if without == "failed" and new == len(task.numbers):
+            self._failed += len(done.reasons)
         self._tell()
 
-    def _restart(self, dead: list[_Task], error: BaseException) -> None:
-        """Go on with new processes after one of them died."""
-        if not isinstance(self._executor, ProcessPool):
-            raise InputError(
-                f"the executor is broken: {error}; what is stored is stored, and the same sweep goes on from there with"
-                " a new one"
-            ) from error
-        # Those that came back whole before their process died are among them.
-        for future, task in list(self._under_way.items()):
-            del self._under_way[future]
-            if not future.cancel() and future.exception() is None:
-                self._take(task, future.result())
-            else:
-                dead.append(task)
-        self._executor.restart()
-        for task in dead:
-            task.deaths += 1
-            if task.alone and len(task.numbers) == 1:
-                self._bury(task)
-            elif task.deaths < _TRIED_AMONG_OTHERS:
-                self._again.append(task)
-            else:
-                self._separate(task)
-
-    def _separate(self, task: _Task) -> None:
-        """Try the points of a task one at a time, with nothing else under way."""
-        self._again.extend(task.part(slice(k, k + 1), alone=True) for k in range(len(task.numbers)))
-
-    def _bury(self, task: _Task) -> None:
-        """Enter a point as failed at which workers die; of several, find out at which."""
-        if len(task.numbers) == 1:
-            self._keep(task, Done(1, reasons={0: DIED}))
+    def _suspect(self, task: _Task, deaths: int, how: str) -> None:
+        """Try a task again of which workers died: whole, then its halves, at last a point with no other under way."""
+        task.deaths += deaths
+        half = len(task.numbers) // 2
+        if task.alone and task.deaths >= _TRIED_ALONE:
+            self._leave_open(task, how)
+        elif task.alone:
+            self._alone.append(task)
+        elif task.deaths < _TRIED_WHOLE:
+            self._again.append(task)
+        elif half:
+            parts = (slice(half), slice(half, None))
+            self._again.extend(task.part(which, deaths=_TRIED_WHOLE - 1) for which in parts)
         else:
-            self._separate(task)
+            self._alone.append(task.part(slice(None), alone=True))
+
+    def _leave_open(self, task: _Task, how: str) -> None:
+        """Enter a point as undetermined."""
+        reason = f"{task.deaths} workers ended while each worked at this point alone; {how}"
+        self._keep(task, Done(1, reasons={0: reason}), without="undetermined")
+        if self._returned and isinstance(self._executor, ProcessPool):
+            # Workers can work: it is the point that is deadly.
+            self._executor.proceed()
 
     def _renew(self) -> None:
         if time.monotonic() - self._renewed > _RENEWAL:
             self._store.renew()
             if self._store.waiting():
-                self._stored, self._failed = self._store.stored()
+                self._count()
             self._renewed = time.monotonic()
+
+    def _count(self) -> None:
+        self._stored, self._failed, _ = self._store.stored()
 
     def _tell(self) -> None:
         self._told(self._stored, self._points.count, self._failed)

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from plough_opt.errors import InputError
 from plough_opt.study import tables
+from plough_opt.study.layout import State
 from plough_opt.study.store import Store
 
 
@@ -67,11 +68,9 @@ class Sweep:
         """
         if not Path(path).is_file():
             raise InputError(f"there is no store '{path}'")
-        if not Path(path).stat().st_size:  # which SQLite would take for a new one
-            raise InputError(f"'{path}' is empty, and no store of a sweep")
-        store = Store(path)
+        store = Store(path, write=False)
         try:
-            store.read()
+            store.verify()
             return cls(store, store.stored()[0])
         except BaseException:
             store.close()
@@ -122,27 +121,31 @@ class Sweep:
 
     @property
     def failed(self) -> int:
-        """Number of points without results."""
+        """Number of points that failed: without results, for a reason of their own."""
         return self._store.stored()[1]
 
     @property
     def table(self) -> NDArray[np.void]:
-        """A structured array: ``point``, quantities and results, SI; the results of points that failed are NaN."""
+        """A structured array: ``point``, quantities and results, SI; NaN where a point has none."""
         kind = np.dtype([("point", "i8"), *((name, "f8") for name in self._store.columns)])
         # As floats NumPy reads None as NaN.
         return np.fromiter(self._store.rows("point", *self._store.columns), dtype=kind)
 
     def column(self, name: str) -> NDArray[np.float64]:
-        """Return a quantity or a result at every point, NaN where the point failed."""
+        """Return a quantity or a result at every point, NaN where it has none."""
         if name not in self._store.columns:
             raise InputError(f"'{name}' is no column: there are {', '.join(self._store.columns)}")
         return np.array([row[0] for row in self._store.rows(name)], dtype=float)
 
     @property
     def failures(self) -> Iterator[Failure]:
-        """The points without results, in their order."""
-        for point, reason, *values in self._store.rows("point", "reason", *self.names, where="reason IS NOT NULL"):
-            yield Failure(point, dict(zip(self.names, values, strict=True)), reason)
+        """The points that failed, in their order."""
+        return self._without_results("failed")
+
+    @property
+    def undetermined(self) -> Iterator[Failure]:
+        """The points at which nothing is known, because every worker died that tried them, in their order."""
+        return self._without_results("undetermined")
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -150,7 +153,7 @@ class Sweep:
         return tuple(f"at {points} of {len(self)} points: {text}" for _, text, _, points in self._store.notes())
 
     def extreme(self, name: str, *, largest: bool = False) -> Extreme | None:
-        """Return the least or the largest value of a result, or None where every point failed."""
+        """Return the least or the largest value of a result, or None where no point has any."""
         if name not in self.results:
             raise InputError(f"'{name}' is no result: there are {', '.join(self.results)}")
         found: tuple[Any, ...] | None = self._store.extreme(name, largest)
@@ -166,3 +169,7 @@ class Sweep:
     def to_npz(self, path: str | Path) -> Path:
         """Write an array for each column; see `plough_opt.study.tables.write_npz`."""
         return tables.write_npz(self._store, path)
+
+    def _without_results(self, state: State) -> Iterator[Failure]:
+        for point, reason, *values in self._store.rows("point", "reason", *self.names, where=state):
+            yield Failure(point, dict(zip(self.names, values, strict=True)), reason)

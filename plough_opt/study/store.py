@@ -1,16 +1,14 @@
 """The store of a sweep: an SQLite file that several runs may fill at once and any may resume.
 
-Points are claimed in ranges. Every point below ``next`` is either stored or lies in a range of ``claims``, whose owner
-renews it while it lives; the ranges of a run that died are taken over by the next that looks.
+The ranges of points that a run has claimed and left, because it died, are taken over by the next that looks.
 """
 
 from __future__ import annotations
 
-import contextlib
+import itertools
 import json
 import os
 import platform
-import sqlite3
 import time
 import uuid
 from collections.abc import Iterator, Mapping, Sequence
@@ -21,24 +19,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from plough_opt.errors import InputError
+from plough_opt.study import layout
+from plough_opt.study.database import Database, quoted
+from plough_opt.study.layout import FIXED, State
 from plough_opt.study.work import Array
-
-LAYOUT: Final = 1
-"""Number of the layout of a store."""
 
 # A claim that was not renewed for so long [s] is that of a dead run.
 _LEASE: Final = 30.0
-# How long [s] to wait for another run's transaction.
-_BUSY: Final = 60.0
 # Claims among which one of a dead run is looked for.
 _LOOKED_AT: Final = 256
-_FIXED: Final = ("point", "reason")
-_TABLES: Final = """
-CREATE TABLE meta (key TEXT PRIMARY KEY, value TEXT NOT NULL);
-CREATE TABLE claims (first INTEGER PRIMARY KEY, last INTEGER NOT NULL, owner TEXT NOT NULL, expires REAL NOT NULL);
-CREATE INDEX oldest ON claims (expires);
-CREATE TABLE notes (kind TEXT PRIMARY KEY, text TEXT NOT NULL, first INTEGER NOT NULL, points INTEGER NOT NULL);
-"""
+# Most points of a claim of points that are to be computed again: as many rows as a batch takes at once.
+_MOST_AGAIN: Final = 2048
 Note = tuple[str, str, int, int]
 """Kind, text, first point and number of points of something that a reader must know."""
 
@@ -48,41 +39,31 @@ class Store:
 
     Attributes:
         path: of the file, or None for one that is deleted when it is closed.
-        names: the quantities that are swept.
-        results: names of the results, empty until a point has some.
     """
 
-    def __init__(self, path: str | Path | None) -> None:
-        """Open a file, or make it.
+    def __init__(self, path: str | Path | None, write: bool = True) -> None:
+        """Open a file, and make it where it is to be written and is not there.
 
         Raises:
-            InputError: a file that cannot be made or is no SQLite file.
+            InputError: a file that cannot be made or read, or that is no store; nothing in it is changed.
         """
-        self.path = None if path is None else Path(path)
+        self._database = Database(path, write)
         self._owner = f"{platform.node()}:{os.getpid()}:{uuid.uuid4().hex}"
-        self.names: tuple[str, ...] = ()
-        self.results: tuple[str, ...] = ()
-        with self._telling():
-            if self.path is not None:
-                self.path.parent.mkdir(parents=True, exist_ok=True)
-            # An empty name is SQLite's for a file that nobody else sees and that goes with the connection.
-            # Whichever thread lets go of a result closes its store.
-            self._connection = sqlite3.connect(
-                self.path or "", timeout=_BUSY, isolation_level=None, check_same_thread=False
-            )
-            try:
-                if self.path is not None:
-                    self._refuse_foreign()
-                    self._to_write_ahead()
-                # The end of the process loses nothing; a power cut may lose the last transactions, and spoils nothing.
-                self._run("PRAGMA synchronous = NORMAL")
-            except (sqlite3.Error, InputError):
-                self._connection.close()
-                raise
+        self.path = self._database.path
+        try:
+            if self._database.tables():
+                self.read()
+            elif not write:
+                raise InputError(f"'{self.path}' is empty, and no store of a sweep")
+            if write and path is not None:
+                self._database.write_ahead()
+        except InputError:
+            self.close()
+            raise
 
     def close(self) -> None:
         """Close the file."""
-        self._connection.close()
+        self._database.close()
 
     def prepare(self, question: Mapping[str, str], names: Sequence[str], units: Mapping[str, str], count: int) -> None:
         """Enter what is asked, or compare it with what the file holds.
@@ -96,57 +77,69 @@ class Store:
         Raises:
             InputError: the store belongs to another question; the message says what differs.
         """
-        with self._transaction():
-            if not self._tables():
-                for statement in filter(str.strip, _TABLES.split(";")):
-                    self._run(statement)
-                columns = ", ".join(f"{_quoted(name)} REAL NOT NULL" for name in names)
-                self._run(f"CREATE TABLE points (point INTEGER PRIMARY KEY, reason TEXT, {columns})")
-                values = {
-                    "layout": str(LAYOUT), "next": "0", "count": str(count), "names": json.dumps(list(names)),
-                    "results": "[]", "units": json.dumps(dict(units)), "question": json.dumps(dict(question)),
-                }  # fmt: skip
-                self._connection.executemany("INSERT INTO meta VALUES (?, ?)", values.items())
-            else:
-                self._refuse_another(dict(question))
+        with self._database.transaction():
+            if not self._database.tables():
+                layout.create(self._database, question, names, units, count)
         self.read()
+        self._refuse_another(dict(question))
 
     def read(self) -> None:
         """Take over what the file says about itself.
 
         Raises:
-            InputError: the file is no store of this layout.
+            InputError: the file is no store of this layout, or damaged.
         """
-        with self._telling():
-            if not self._tables() or self._meta("layout") != str(LAYOUT):
-                raise InputError(f"'{self.path}' is no store of a sweep of this version")
-            self.names = tuple(json.loads(self._meta("names")))
-            self.results = tuple(json.loads(self._meta("results")))
+        self._about = layout.read(self._database)
+
+    def finish(self) -> None:
+        """Count the points, and make the file whole: one that can be read from any medium.
+
+        Raises:
+            InputError: points are missing.
+        """
+        stored = self.stored()[0]
+        if stored != self.count:
+            raise InputError(
+                f"the store '{self.path}' holds {stored} of {self.count} points, though all of them were handed to it:"
+                " another program, or a trigger inside it, refuses or removes rows; sweep into another file"
+            )
+        if self.path is not None:
+            self._database.make_whole()
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The quantities that are swept."""
+        return self._about.names
+
+    @property
+    def results(self) -> tuple[str, ...]:
+        """Names of the results, empty until a point has some."""
+        return self._about.results
+
+    @property
+    def units(self) -> dict[str, str]:
+        """Name -> unit, of quantities and results that have one."""
+        return dict(self._about.units)
+
+    @property
+    def question(self) -> dict[str, str]:
+        """Everything that the results depend on."""
+        return dict(self._about.question)
 
     @property
     def count(self) -> int:
         """Number of points of the whole sweep."""
-        return int(self._meta("count"))
-
-    @property
-    def question(self) -> dict[str, str]:
-        """What was asked."""
-        return dict(json.loads(self._meta("question")))
-
-    @property
-    def units(self) -> dict[str, str]:
-        """Name -> unit."""
-        return dict(json.loads(self._meta("units")))
+        return self._about.count
 
     @property
     def columns(self) -> tuple[str, ...]:
         """Names of quantities and results."""
         return (*self.names, *self.results)
 
-    def stored(self) -> tuple[int, int]:
-        """Return how many points are stored, and how many of them failed."""
-        found = self._run("SELECT count(*), count(reason) FROM points").fetchone()
-        return int(found[0]), int(found[1])
+    def stored(self) -> tuple[int, int, int]:
+        """Return how many points are stored, how many of them failed, and how many are undetermined."""
+        found = self._run("SELECT count(*), total(state = 'failed'), total(state = 'undetermined') FROM points")[0]
+        return int(found[0]), int(found[1]), int(found[2])
 
     def claim(self, size: int) -> tuple[int, int] | None:
         """Return a range of points that no run works on yet, first and one beyond the last, or None.
@@ -155,17 +148,17 @@ class Store:
             size: most points of a range of new ones; one that a dead run left has its own size.
         """
         now = time.time()
-        with self._transaction():
-            first, count = int(self._meta("next")), self.count
-            last = min(first + size, count)
-            if first < count:
+        with self._database.transaction():
+            first = self._next()
+            last = min(first + size, self.count)
+            if first < self.count:
                 self._run("UPDATE meta SET value = ? WHERE key = 'next'", str(last))
             else:
                 # Whoever is dead renewed longest ago.
                 oldest = self._run(
                     "SELECT first, last, owner, expires FROM claims ORDER BY expires LIMIT ?", _LOOKED_AT
                 )
-                left = [row for row in oldest.fetchall() if _dead(row[2], row[3], now)]
+                left = [row for row in oldest if _dead(row[2], row[3], now)]
                 if not left:
                     return None
                 first, last = left[0][:2]
@@ -174,7 +167,7 @@ class Store:
 
     def waiting(self) -> bool:
         """Return whether another run still works on points."""
-        return self._run("SELECT 1 FROM claims WHERE owner != ? LIMIT 1", self._owner).fetchone() is not None
+        return bool(self._run("SELECT 1 FROM claims WHERE owner != ? LIMIT 1", self._owner))
 
     def missing(self, first: int, last: int) -> NDArray[np.int64]:
         """Return the numbers of the points of a range that are not stored."""
@@ -183,29 +176,56 @@ class Store:
 
     def renew(self) -> None:
         """Tell other runs that this one lives."""
-        with self._transaction():
+        with self._database.transaction():
             self._run("UPDATE claims SET expires = ? WHERE owner = ?", time.time() + _LEASE, self._owner)
 
     def release(self) -> None:
         """Leave what this run claimed and did not finish to others."""
-        with self._transaction():
-            self._run("UPDATE claims SET expires = 0 WHERE owner = ?", self._owner)
+        with self._database.transaction():
+            self._run("UPDATE claims SET expires = 0.0 WHERE owner = ?", self._owner)
 
-    def reopen_failures(self) -> int:
-        """Forget the points that failed, so that they are tried again; return how many they were.
+    def reopen(self, retry: bool) -> None:
+        """Look at every row, and leave to be claimed what is not stored and no run works on.
+
+        Args:
+            retry: forget the points that failed, that are undetermined, or that are damaged, so that they are tried
+                again.
 
         Raises:
-            InputError: another run fills the store, and may have them under way.
+            InputError: damaged rows; or another run fills the store, and may have under way what is to be tried again.
         """
         now = time.time()
-        with self._transaction():
-            owners = self._run("SELECT owner, max(expires) FROM claims GROUP BY owner").fetchall()
-            if not all(_dead(owner, expires, now) for owner, expires in owners):
-                raise InputError(f"another run fills the store '{self.path}': wait for its end to try failures again")
-            self._run(
-                "INSERT OR IGNORE INTO claims SELECT point, point + 1, '', 0 FROM points WHERE reason IS NOT NULL"
+        with self._database.transaction():
+            owners = self._run("SELECT owner, max(expires) FROM claims GROUP BY owner")
+            alone = all(_dead(owner, expires, now) for owner, expires in owners)
+            if retry:
+                if not alone:
+                    raise InputError(
+                        f"another run fills the store '{self.path}': wait for its end to try failures again"
+                    )
+                self._run("DELETE FROM points WHERE state != 'computed'")
+                for point in list(layout.spoilt_points(self._database, self._about)):
+                    self._run("DELETE FROM points WHERE point = ?", point)
+            else:
+                self.verify()
+            if alone:
+                self._run("DELETE FROM claims")
+                gaps = self._gaps(self._next())
+                self._database.run_many("INSERT INTO claims VALUES (?, ?, '', 0.0)", gaps)
+
+    def verify(self) -> None:
+        """Compare every row with its checksum.
+
+        Raises:
+            InputError: some differ.
+        """
+        spoilt = list(layout.spoilt_points(self._database, self._about))
+        if spoilt:
+            raise layout.damaged(
+                self.path,
+                f"{len(spoilt)} of its rows differ from their checksums, the first that of point {spoilt[0]}; the same"
+                " sweep computes them again where it is asked to try failures again (--retry, retry=True)",
             )
-            return int(self._run("DELETE FROM points WHERE reason IS NOT NULL").rowcount)
 
     def name_results(self, results: Sequence[str]) -> None:
         """Enter the names of the results when the first point has some.
@@ -213,15 +233,15 @@ class Store:
         Raises:
             InputError: names that cannot be columns, or other ones than those of the points before.
         """
-        with self._transaction():
-            known = tuple(json.loads(self._meta("results")))
+        with self._database.transaction():
+            known = tuple(json.loads(self._run("SELECT value FROM meta WHERE key = 'results'")[0][0]))
             if not known:
-                check_columns((*self.names, *results))
+                layout.check_columns((*self.names, *results))
                 for name in results:
-                    self._run(f"ALTER TABLE points ADD COLUMN {_quoted(name)} REAL")
+                    self._run(f"ALTER TABLE points ADD COLUMN {quoted(name)} REAL")
                 self._run("UPDATE meta SET value = ? WHERE key = 'results'", json.dumps(list(results)))
                 known = tuple(results)
-        self.results = known
+        self.read()
         if known != tuple(results):
             raise InputError(
                 f"the results of one point are {', '.join(results)}, those of others {', '.join(known)}: return the"
@@ -236,6 +256,7 @@ class Store:
         reasons: Mapping[int, str],
         notes: Sequence[Note] = (),
         finished: int | None = None,
+        without: State = "failed",
     ) -> int:
         """Store points, at once; return how many of them were new.
 
@@ -243,50 +264,78 @@ class Store:
             numbers: of the points.
             values: of the quantities, a row each.
             results: a row for each point, or None where all of them failed before any succeeded.
-            reasons: place among these points -> why it failed.
+            reasons: place among these points -> why it has no results.
             notes: what a reader must know of them.
             finished: first point of the claim that they complete.
+            without: what points without results are.
         """
-        width = len(self.results) if results is not None else 0
-        marks = ", ".join("?" * (2 + len(self.names) + width))
-        columns = ", ".join(map(_quoted, (*_FIXED, *self.names, *self.results[:width])))
-        empty = [None] * width
-        rows = (
-            (number, reasons.get(k), *row, *(empty if k in reasons or results is None else results[k].tolist()))
-            for k, (number, row) in enumerate(zip(numbers.tolist(), values.tolist(), strict=True))
-        )
-        with self._transaction():
-            new = self._connection.executemany(
-                f"INSERT OR IGNORE INTO points ({columns}) VALUES ({marks})", rows
-            ).rowcount
+        columns = self._all_columns()
+        marks = ", ".join("?" * (len(FIXED) + len(self.columns)))
+        rows = self._rows(numbers, values, results, reasons, without)
+        with self._database.transaction():
+            new = self._database.run_many(f"INSERT OR IGNORE INTO points ({columns}) VALUES ({marks})", rows)
             if new == len(numbers):
                 for note in notes:
                     self._add_note(note)
             if finished is not None:
                 self._run("DELETE FROM claims WHERE first = ? AND owner = ?", finished, self._owner)
-        return int(new)
+        return new
 
     def notes(self) -> list[Note]:
         """Return what a reader must know, in the order of the first points."""
-        return list(self._run("SELECT kind, text, first, points FROM notes ORDER BY first, kind"))
+        return [
+            (kind, text, first, points)
+            for kind, text, first, points in self._run("SELECT kind, text, first, points FROM notes ORDER BY 3, 1")
+        ]
 
-    def rows(self, *columns: str, where: str = "1") -> Iterator[tuple[Any, ...]]:
+    def rows(self, *columns: str, where: State | None = None) -> Iterator[tuple[Any, ...]]:
         """Yield columns of the points, in their order, without holding more than a few.
 
         Args:
             columns: "point", "reason", or names of quantities and results.
-            where: SQL condition.
+            where: only points of this state.
         """
-        chosen = ", ".join(map(_quoted, columns))
-        with self._telling():
-            yield from self._run(f"SELECT {chosen} FROM points WHERE {where} ORDER BY point")
+        chosen = ", ".join(map(quoted, columns))
+        condition = f"WHERE state = '{where}'" if where else ""
+        return self._database.rows(f"SELECT {chosen} FROM points {condition} ORDER BY point")
 
     def extreme(self, name: str, largest: bool) -> tuple[Any, ...] | None:
         """Return the least or largest value of a result, its first point and the quantities there, or None."""
-        chosen = ", ".join(map(_quoted, (name, "point", *self.names)))
-        order = f"{_quoted(name)} {'DESC' if largest else 'ASC'}, point"
-        found = self._run(f"SELECT {chosen} FROM points WHERE reason IS NULL ORDER BY {order} LIMIT 1").fetchone()
-        return None if found is None else tuple(found)
+        chosen = ", ".join(map(quoted, (name, "point", *self.names)))
+        order = f"{quoted(name)} {'DESC' if largest else 'ASC'}, point"
+        found = self._run(f"SELECT {chosen} FROM points WHERE state = 'computed' ORDER BY {order} LIMIT 1")
+        return found[0] if found else None
+
+    def _rows(
+        self, numbers: NDArray[np.int64], values: Array, results: Array | None, reasons: Mapping[int, str], state: State
+    ) -> Iterator[tuple[object, ...]]:
+        """Yield rows as they are stored."""
+        empty = [None] * len(self.results)
+        # SQLite stores the negative zero as zero.
+        for k, (number, row) in enumerate(zip(numbers.tolist(), (values + 0.0).tolist(), strict=True)):
+            reason = reasons.get(k)
+            if reason is None and results is not None:
+                numbers_of = [*row, *results[k].tolist()]
+                own: State = "computed"
+            else:
+                numbers_of, own = [*row, *empty], state
+            # Whatever an exception said; not every text of Python's can be stored.
+            text = None if reason is None else reason.encode("utf-8", "backslashreplace").decode("utf-8")
+            yield number, own, text, layout.checksum(number, own, text, numbers_of, len(row)), *numbers_of
+
+    def _gaps(self, end: int) -> Iterator[tuple[int, int]]:
+        """Yield the ranges of points before an end that are not stored."""
+        first = 0
+        for point, *_ in itertools.chain(self.rows("point"), [(end,)]):
+            for start in range(first, point, _MOST_AGAIN):
+                yield start, min(start + _MOST_AGAIN, point)
+            first = point + 1
+
+    def _next(self) -> int:
+        return int(self._run("SELECT value FROM meta WHERE key = 'next'")[0][0])
+
+    def _all_columns(self) -> str:
+        return ", ".join(map(quoted, (*FIXED, *self.columns)))
 
     def _add_note(self, note: Note) -> None:
         """Count a note; the first point's text stands for its kind."""
@@ -299,12 +348,10 @@ class Store:
 
     def _refuse_another(self, question: dict[str, str]) -> None:
         """Refuse a store of another question."""
-        self.read()
-        before = self.question
         differences = [
-            f"{key}: {before.get(key, 'absent')} there, {question.get(key, 'absent')} here"
-            for key in dict.fromkeys((*question, *before))
-            if before.get(key) != question.get(key)
+            f"{key}: {self.question.get(key, 'absent')} there, {question.get(key, 'absent')} here"
+            for key in dict.fromkeys((*question, *self.question))
+            if self.question.get(key) != question.get(key)
         ]
         if differences:
             more = f"; and {len(differences) - 4} more" if len(differences) > 4 else ""
@@ -313,72 +360,8 @@ class Store:
                 " another store, or ask what was asked before"
             )
 
-    def _refuse_foreign(self) -> None:
-        """Refuse another program's database before anything in it is changed."""
-        if (there := self._tables()) and not {"meta", "claims", "points"} <= there:
-            raise InputError(f"'{self.path}' is a database, but no store of a sweep: name another file")
-
-    def _tables(self) -> set[str]:
-        return {row[0] for row in self._run("SELECT name FROM sqlite_master WHERE type = 'table'")}
-
-    def _meta(self, key: str) -> str:
-        found = self._run("SELECT value FROM meta WHERE key = ?", key).fetchone()
-        return "" if found is None else str(found[0])
-
-    def _run(self, statement: str, *values: object) -> sqlite3.Cursor:
-        with self._telling():
-            return self._connection.execute(statement, values)
-
-    def _to_write_ahead(self) -> None:
-        """Let others read while one writes; several runs may ask for it at the same moment."""
-        for trial in range(100):
-            try:
-                self._connection.execute("PRAGMA journal_mode = WAL")
-                return
-            except sqlite3.OperationalError as error:
-                if "locked" not in str(error) or trial == 99:
-                    raise
-                time.sleep(0.05)
-
-    @contextlib.contextmanager
-    def _transaction(self) -> Iterator[None]:
-        """Do everything inside or nothing; others wait."""
-        with self._telling():
-            self._run("BEGIN IMMEDIATE")
-            try:
-                yield
-            except BaseException:
-                self._run("ROLLBACK")
-                raise
-            self._run("COMMIT")
-
-    @contextlib.contextmanager
-    def _telling(self) -> Iterator[None]:
-        """Say which store it is that fails."""
-        try:
-            yield
-        except (sqlite3.Error, json.JSONDecodeError) as error:
-            raise InputError(f"the store '{self.path}' cannot be used: {error}") from None
-        except OSError as error:
-            raise InputError(f"the store '{self.path}' cannot be written: {error.strerror}") from None
-
-
-def check_columns(names: Sequence[str]) -> None:
-    """Refuse names that cannot stand side by side in a table.
-
-    Raises:
-        InputError: an empty name, the same one twice, or one that the table needs itself.
-    """
-    for name in names:
-        if not isinstance(name, str) or not name.isprintable() or not name.strip():
-            raise InputError(f"{name!r} cannot name a quantity or a result: take printable text")
-    folded = [name.casefold() for name in (*_FIXED, *names)]
-    for name in names:
-        if folded.count(name.casefold()) > 1:
-            raise InputError(
-                f"'{name}' cannot name a column: there are two of that name, whatever their case (point and reason are"
-                " the table's own)"
-            )
+    def _run(self, statement: str, *values: object) -> list[tuple[Any, ...]]:
+        return self._database.run(statement, *values)
 
 
 def _dead(owner: str, expires: float, now: float) -> bool:
@@ -390,10 +373,8 @@ def _dead(owner: str, expires: float, now: float) -> bool:
         return False
     try:
         os.kill(int(rest.partition(":")[0]), 0)
+    except (ValueError, OverflowError):  # no run writes such an owner
+        return True
     except OSError as error:  # a process of another user is none that is dead
         return isinstance(error, ProcessLookupError)
     return False
-
-
-def _quoted(name: str) -> str:
-    return '"' + name.replace('"', '""') + '"'

@@ -20,11 +20,13 @@ from plough_opt.expressions import is_count
 from plough_opt.results import versions
 from plough_opt.study.axes import axis_of
 from plough_opt.study.bar import bar
+from plough_opt.study.cluster import Cluster
 from plough_opt.study.engine import Engine, Told
+from plough_opt.study.layout import check_columns
 from plough_opt.study.points import points_of
 from plough_opt.study.pool import ProcessPool, default_workers
 from plough_opt.study.result import Sweep
-from plough_opt.study.store import Store, check_columns
+from plough_opt.study.store import Store
 from plough_opt.study.work import Evaluation, ManyPoints
 
 
@@ -74,19 +76,26 @@ def sweep(
     if executor is None:
         _refuse_unpicklable(evaluation)
     asked = {**points.question(), **(question or _identity(evaluation)), **_versions()}
+    if not retry and store is not None and (finished := _finished(store, asked)) is not None:
+        return finished
     kept = Store(store)
     try:
         kept.prepare(asked, points.names, units or {}, points.count)
-        already = kept.stored()[0] - (kept.reopen_failures() if retry else 0)
+        kept.reopen(retry)
+        already = kept.stored()[0]
         count = workers or default_workers()
         if already < points.count:
             with ExitStack() as stack:
                 told = progress if callable(progress) else _silent
                 if progress is True:
                     told = stack.enter_context(bar(Console(stderr=True)))
-                used = executor or stack.enter_context(ProcessPool(count, evaluation))
+                if executor is None:
+                    used: Executor = stack.enter_context(ProcessPool(count, evaluation))
+                else:
+                    used = Cluster.of(executor) or executor
                 Engine(evaluation, points, kept, used, count, told).run()
             kept.read()  # what another run entered meanwhile
+        kept.finish()
     except KeyboardInterrupt:
         done = kept.stored()[0]
         kept.close()
@@ -96,6 +105,18 @@ def sweep(
         kept.close()
         raise
     return Sweep(kept, already)
+
+
+def _finished(path: str | Path, question: Mapping[str, str]) -> Sweep | None:
+    """Return what a complete store of the same question holds; it may stand on a medium that cannot be written."""
+    if not Path(path).is_file() or not Path(path).stat().st_size:
+        return None
+    kept = Store(path, write=False)
+    if kept.question == dict(question) and kept.stored()[0] == kept.count:
+        kept.verify()
+        return Sweep(kept, kept.count)
+    kept.close()
+    return None
 
 
 def _refuse_arguments(evaluation: object, over: object, executor: object, workers: object, units: object) -> None:

@@ -14,13 +14,14 @@ import numpy as np
 from numpy.lib import format as npy
 
 from plough_opt.files import write_file
+from plough_opt.study.layout import State
 from plough_opt.study.store import Store
 
 _AT_ONCE = 16384
 
 
 def write_csv(store: Store, path: str | Path) -> Path:
-    """Write a row for each point: its number, quantities and results in SI units, and why it failed.
+    """Write a row for each point: its number, quantities and results in SI units, and why it has none.
 
     Raises:
         InputError: a place that cannot be written.
@@ -33,19 +34,22 @@ def write_csv(store: Store, path: str | Path) -> Path:
         headings = (f"{name} [{units[name]}]" if units.get(name) else name for name in store.columns)
         table.writerow(["point", *headings, "reason"])
         # A float's repr has all the digits that it needs, and None is empty.
-        table.writerows(store.rows("point", *store.columns, "reason"))
+        for *row, state, reason in store.rows("point", *store.columns, "state", "reason"):
+            table.writerow([*row, f"undetermined: {reason}" if state == "undetermined" else reason])
         text.detach()  # flushed, and left open for whoever opened it
 
     return write_file(path, "table", write)
 
 
 def write_npz(store: Store, path: str | Path) -> Path:
-    """Write an array for each column; ``failed`` has the numbers of the points that failed, ``reasons`` why.
+    """Write an array for each column.
+
+    ``failed`` has the numbers of the points that failed, ``reasons`` why, and ``undetermined`` the numbers of those.
 
     Raises:
         InputError: a place that cannot be written.
     """
-    stored, failed = store.stored()
+    stored, failed, undetermined = store.stored()
 
     def write(file: IO[bytes]) -> None:
         with zipfile.ZipFile(file, "w", allowZip64=True) as archive:
@@ -53,12 +57,12 @@ def write_npz(store: Store, path: str | Path) -> Path:
             for name in store.columns:
                 numbers = (np.nan if row[0] is None else row[0] for row in store.rows(name))
                 _write_array(archive, name, np.dtype("<f8"), stored, numbers)
-            lost = "reason IS NOT NULL"
-            _write_array(
-                archive, "failed", np.dtype("<i8"), failed, (row[0] for row in store.rows("point", where=lost))
-            )
-            longest = max((len(row[0]) for row in store.rows("reason", where=lost)), default=1)
-            reasons = (row[0] for row in store.rows("reason", where=lost))
+            states: tuple[tuple[State, int], ...] = (("failed", failed), ("undetermined", undetermined))
+            for state, count in states:
+                points = (row[0] for row in store.rows("point", where=state))
+                _write_array(archive, state, np.dtype("<i8"), count, points)
+            longest = max((len(row[0]) for row in store.rows("reason", where="failed")), default=1)
+            reasons = (row[0] for row in store.rows("reason", where="failed"))
             _write_array(archive, "reasons", np.dtype(f"<U{longest}"), failed, reasons, zipfile.ZIP_DEFLATED)
 
     return write_file(path, "table", write)

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 HERE = Path(__file__).parent
+ROOT = HERE.parents[1]
 
 
 @pytest.fixture(scope="session")
@@ -25,7 +26,7 @@ def script(tmp_path):
     def start(text, *command, **options):
         path = tmp_path / f"script{len(started)}.py"
         path.write_text(text, encoding="utf-8")
-        environment = os.environ | {"PYTHONPATH": str(HERE)}
+        environment = os.environ | {"PYTHONPATH": f"{HERE}{os.pathsep}{ROOT}"}
         line = [*command, str(path)] if command else [sys.executable, str(path)]
         pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
         started.append(subprocess.Popen(line, env=environment, **(pipes | options)))

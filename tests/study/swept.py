@@ -28,18 +28,61 @@ def two_names(values):
     return {"x": 1.0} if values["a"] < 2.0 else {"y": 1.0}
 
 
+def end():
+    """End this process as the system would that needs its memory."""
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+def kills_always(_values):
+    end()
+
+
+def fork_and_die(file):
+    """Leave a child behind that has all that this process had open."""
+    child = os.fork()
+    if child == 0:
+        time.sleep(60.0)
+        os._exit(0)
+    Path(file).write_text(str(child))
+    end()
+
+
+class DeadOnArrival:
+    """Kill the process that reads it."""
+
+    def __call__(self, values):
+        return values
+
+    def __reduce__(self):
+        return end, ()
+
+
+class Unreadable:
+    """Refuse to be read elsewhere."""
+
+    def __call__(self, values):
+        return values
+
+    def __getstate__(self):
+        return {"some": "state"}
+
+    def __setstate__(self, state):
+        raise RuntimeError("not here")
+
+
 @dataclass(frozen=True)
 class Deadly:
-    """Kill the process at one point always, and at another the first time."""
+    """Kill the process at one point always, until there is a file "cured", and at another the first time."""
 
     file: Path
 
     def __call__(self, values):
-        if values["a"] == 5.0:
-            os.kill(os.getpid(), signal.SIGKILL)
-        if values["a"] == 2.0 and not self.file.exists():
-            self.file.touch()
-            os.kill(os.getpid(), signal.SIGKILL)
+        if values["a"] in (2.0, 5.0):
+            deaths = self.file.read_text() if self.file.exists() else ""
+            cured = self.file.with_name("cured").exists()
+            if (values["a"] == 5.0 and not cured) or (values["a"] == 2.0 and "2.0" not in deaths):
+                self.file.write_text(f"{deaths}{values['a']} ")
+                end()
         return waves({"a": values["a"], "b": 2.0})
 
 

@@ -21,7 +21,7 @@ OVER = {"a": po.Range(0.0, 1.0, 30), "b": [1.0, 2.0]}
 def cluster():
     """Return a client of two worker processes on this machine."""
     distributed = pytest.importorskip("distributed", reason="dask.distributed is not installed")
-    arguments = {"n_workers": 2, "threads_per_worker": 1, "processes": True, "dashboard_address": None}
+    arguments = {"n_workers": 2, "threads_per_worker": 1, "processes": True, "dashboard_address": ":0"}
     with distributed.LocalCluster(**arguments) as running, distributed.Client(running) as client:
         yield client
 

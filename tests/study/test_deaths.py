@@ -1,0 +1,176 @@
+"""Sweeps whose workers are killed at any moment: no point is lost, doubled or called failed that is sound."""
+
+import math
+import os
+import random
+import signal
+import sqlite3
+import threading
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+import pytest
+import swept
+
+import plough_opt as po
+from plough_opt.study import pool as pools
+from plough_opt.study.pool import ProcessPool, WorkerDied
+from plough_opt.study.worker import environment
+
+PROCESSES = Path("/proc")
+by_proc = pytest.mark.skipif(not PROCESSES.is_dir(), reason="finds the workers in /proc")
+
+
+def workers_here():
+    """Return the worker processes of this one."""
+    found = []
+    for entry in PROCESSES.iterdir():
+        try:
+            parent = int((entry / "stat").read_text().rpartition(")")[2].split()[1])
+            if parent == os.getpid() and "plough_opt.study.worker" in (entry / "cmdline").read_text():
+                found.append(int(entry.name))
+        except (OSError, ValueError, IndexError):  # what is no process, or gone already
+            continue
+    return sorted(found)
+
+
+class Killer(threading.Thread):
+    """Kills workers of this process, at random moments and in random order, until it is stopped."""
+
+    def __init__(self, seed, pauses, most):
+        super().__init__(daemon=True)
+        self.random, self.pauses, self.most = random.Random(seed), pauses, most
+        self.killed, self.stopped = [], threading.Event()
+
+    def run(self):
+        while len(self.killed) < self.most and not self.stopped.wait(self.random.uniform(*self.pauses)):
+            if there := workers_here():
+                self.killed.append(self.random.choice(there))
+                os.kill(self.killed[-1], signal.SIGKILL)
+
+    def __enter__(self):
+        self.start()
+        return self
+
+    def __exit__(self, *_):
+        self.stopped.set()
+        self.join()
+
+
+@by_proc
+@pytest.mark.parametrize(
+    ("seed", "values", "pauses", "kills"),
+    [
+        # Also before the first worker has reported in, which takes half a second or more.
+        (1, 60, (0.05, 0.9), 6),
+        *(pytest.param(seed, 450, (0.05, 1.5), 60, marks=pytest.mark.slow) for seed in range(2, 8)),
+    ],
+)
+def test_whatever_workers_are_killed_the_table_is_that_of_a_sweep_in_peace(
+    inline, tmp_path, seed, values, pauses, kills
+):
+    over = {"a": po.Range(0.0, 1.0, values), "b": [1.0, 2.0]}
+    with po.sweep(swept.waves, over, executor=inline) as peaceful:
+        truth = peaceful.table
+    counted = swept.Counted(tmp_path / "calls", 0.02)
+    with (
+        Killer(seed, pauses, kills) as killer,
+        po.sweep(counted, over, workers=2, store=tmp_path / "sweep.db") as found,
+    ):
+        np.testing.assert_array_equal(found.table, truth)
+        assert (found.failed, list(found.undetermined), found.complete) == (0, [], True)
+    assert len(set(killer.killed)) == len(killer.killed) > 0
+    connection = sqlite3.connect(tmp_path / "sweep.db")
+    rows = Counter(row[0] for row in connection.execute("SELECT point FROM points"))
+    connection.close()
+    assert rows == Counter(range(2 * values))
+
+
+def test_a_point_that_kills_three_workers_alone_is_undetermined_and_tried_again_on_request(tmp_path):
+    deadly, store = swept.Deadly(tmp_path / "died"), tmp_path / "sweep.db"
+    with po.sweep(deadly, {"a": np.arange(8.0)}, workers=2, store=store) as found:
+        (one,) = found.undetermined
+        assert (one.point, one.values) == (5, {"a": 5.0})
+        assert one.reason.startswith(
+            "3 workers ended while each worked at this point alone; the last ended by signal 9"
+        )
+        assert (found.failed, list(found.failures), found.complete) == (0, [], True)
+        expected = [math.nan if a == 5.0 else 2.0 * math.sin(a) for a in range(8)]
+        np.testing.assert_array_equal(found.column("sine"), expected)
+        assert (
+            found.to_csv(tmp_path / "t.csv").read_text().splitlines()[6].startswith("5,5.0,,,undetermined: 3 workers")
+        )
+        with np.load(found.to_npz(tmp_path / "t.npz")) as arrays:
+            assert (arrays["undetermined"].tolist(), arrays["failed"].tolist()) == ([5], [])
+    # Alone it killed three, and in company three before it was alone: whole, a half, and by itself among others.
+    assert (tmp_path / "died").read_text().count("5.0") <= 3 + 2 + 3
+    (tmp_path / "cured").touch()
+    with po.sweep(deadly, {"a": np.arange(8.0)}, workers=1, store=store) as found:
+        assert len(list(found.undetermined)) == 1
+    with po.sweep(deadly, {"a": np.arange(8.0)}, workers=1, store=store, retry=True) as found:
+        assert (found.already, list(found.undetermined)) == (7, [])
+        assert found.column("sine").tolist() == [2.0 * math.sin(a) for a in range(8)]
+
+
+@pytest.mark.parametrize("evaluation", [swept.DeadOnArrival(), swept.kills_always], ids=("on arrival", "at work"))
+def test_workers_that_all_die_end_the_sweep_with_a_reason(monkeypatch, evaluation):
+    monkeypatch.setattr(pools, "_PATIENCE", 0.5)
+    with pytest.raises(po.InputError, match=r"worker processes ended within \d+ s before .* by signal 9 \(Killed\)"):
+        po.sweep(evaluation, {"a": np.arange(64.0)}, workers=2)
+
+
+def test_the_patience_with_deaths_is_less_than_a_minute():
+    # A process is started before the last death that counts, and that takes seconds at most.
+    assert pools._PATIENCE <= 45.0
+
+
+def test_what_cannot_be_read_by_a_worker_is_told_by_its_reason():
+    with pytest.raises(po.InputError, match="the worker processes could not begin: RuntimeError: not here"):
+        po.sweep(swept.Unreadable(), {"a": [1.0, 2.0]}, workers=1)
+
+
+@by_proc
+def test_a_death_in_idleness_is_that_of_no_task():
+    before = set(workers_here())
+    with ProcessPool(1, swept.waves) as pool:
+        for _ in range(3):
+            assert pool.submit(math.sqrt, 4.0).result(60.0) == 2.0
+            (idle,) = set(workers_here()) - before
+            os.kill(idle, signal.SIGKILL)
+        assert pool.submit(math.sqrt, 9.0).result(60.0) == 3.0
+        with pytest.raises(WorkerDied):
+            pool.submit(os._exit, 7).result(60.0)
+        with pytest.raises(ZeroDivisionError):
+            pool.submit(divmod, 1, 0).result(60.0)
+
+
+@by_proc
+def test_workers_end_with_the_pool_and_what_they_print_is_no_message(capfd):
+    before = set(workers_here())
+    with ProcessPool(1, swept.waves) as pool:
+        pool.submit(print, "from inside").result(60.0)
+        pool.submit(os.system, "echo from a child").result(60.0)
+    assert set(workers_here()) <= before
+    assert capfd.readouterr() == ("", "from inside\nfrom a child\n")
+
+
+@by_proc
+def test_a_process_that_a_dead_worker_left_behind_holds_nothing_up(tmp_path):
+    with ProcessPool(1, swept.waves) as pool, pytest.raises(WorkerDied):
+        pool.submit(swept.fork_and_die, str(tmp_path / "child")).result(30.0)
+    child = int((tmp_path / "child").read_text())
+    os.kill(child, signal.SIGKILL)
+
+
+def test_the_threads_of_all_workers_together_are_as_many_as_the_cores(monkeypatch):
+    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setattr(pools, "default_workers", lambda: 5)
+    with ProcessPool(2, swept.waves) as pool:
+        assert pool.submit(os.getenv, "OPENBLAS_NUM_THREADS").result(60.0) == "2"
+    # What somebody has set stays, and a worker in an MPI job is none of its processes.
+    monkeypatch.setenv("OMP_NUM_THREADS", "3")
+    monkeypatch.setenv("PMI_FD", "9")
+    found = environment(2)
+    assert (found["OMP_NUM_THREADS"], found["MKL_NUM_THREADS"], "PMI_FD" in found) == ("3", "2", False)

@@ -57,7 +57,7 @@ class ProcessPool(Executor):
             raise InputError(_UNGUARDED)
         self._first = preparation(), pickle.dumps(evaluation)
         # One thread for each core, whatever their libraries take: a worker for each, with threads of its own, is slow.
-        self._environment = environment(max(1, default_workers() // workers))
+        self._environment = environment(max(1, available() // workers))
         self._calls: queue.SimpleQueue[_Call | None] = queue.SimpleQueue()
         self._lock = threading.Lock()
         self._processes: set[_Process] = set()
@@ -268,11 +268,6 @@ class _Process:
         if status >= 0:
             return f"with exit status {status}"
         return f"by signal {-status} ({signal.strsignal(-status)})"
-
-
-def default_workers() -> int:
-    """Return the number of processor cores that this process may use."""
-    return available()
 
 
 def _resolve(future: Future[Any], returned: bool, pickled: bytes) -> None:

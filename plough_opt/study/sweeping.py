@@ -17,6 +17,7 @@ from rich.console import Console
 
 from plough_opt.errors import InputError
 from plough_opt.expressions import is_count
+from plough_opt.processors import available
 from plough_opt.results import versions
 from plough_opt.study.axes import axis_of
 from plough_opt.study.bar import bar
@@ -24,7 +25,7 @@ from plough_opt.study.cluster import Cluster
 from plough_opt.study.engine import Engine, Told
 from plough_opt.study.layout import check_columns
 from plough_opt.study.points import points_of
-from plough_opt.study.pool import ProcessPool, default_workers
+from plough_opt.study.pool import ProcessPool
 from plough_opt.study.result import Sweep
 from plough_opt.study.store import Store
 from plough_opt.study.work import Evaluation, ManyPoints
@@ -83,7 +84,7 @@ def sweep(
         kept.prepare(asked, points.names, units or {}, points.count)
         kept.reopen(retry)
         already = kept.stored()[0]
-        count = workers or default_workers()
+        count = workers or available()
         if already < points.count:
             with ExitStack() as stack:
                 told = progress if callable(progress) else _silent

@@ -166,7 +166,7 @@ def test_a_process_that_a_dead_worker_left_behind_holds_nothing_up(tmp_path):
 def test_the_threads_of_all_workers_together_are_as_many_as_the_cores(monkeypatch):
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
         monkeypatch.delenv(name, raising=False)
-    monkeypatch.setattr(pools, "default_workers", lambda: 5)
+    monkeypatch.setattr(pools, "available", lambda: 5)
     with ProcessPool(2, swept.waves) as pool:
         assert pool.submit(os.getenv, "OPENBLAS_NUM_THREADS").result(60.0) == "2"
     # What somebody has set stays, and a worker in an MPI job is none of its processes.

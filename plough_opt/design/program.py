@@ -18,7 +18,8 @@ from plough_opt.design.relaxation import first_slack, relaxed
 from plough_opt.design.split import split
 from plough_opt.design.verify import TightEvaluation
 from plough_opt.effects import MOST_HARMONICS
-from plough_opt.errors import DomainError, InputError, PloughError
+from plough_opt.errors import DomainError, InputError, IntegrationError, PloughError
+from plough_opt.motion.judgement import refuse_drifting_own, refuse_stiff_orbit
 from plough_opt.motion.plan import steps_for, summed_rate
 
 # By `summed_rate`: a relative error of averages of some 3e-9, and finer steps where the check finds it wanting.
@@ -249,12 +250,18 @@ class Program:
             if run.integration.accuracy.method != "auto":
                 steps.append(None)
                 continue
+            given = [(clause, *self.exact.inputs(k, [*values, *p])) for clause, values in self._corners()]
+            for clause, _, scene in given if run.integration.structure.orbit != "transient" else ():
+                refuse_drifting_own(scene)
+                try:
+                    refuse_stiff_orbit(scene)
+                except IntegrationError as error:
+                    raise DomainError(f"{clause}: {error}") from None
             if self._holds_orbit(k):
                 steps.append(min(math.ceil(_HARMONICS * refinement), MOST_HARMONICS))
                 continue
             fastest = 0.0
-            for _, values in self._corners():
-                numbers, _ = self.exact.inputs(k, [*values, *p])
+            for _, numbers, _ in given:
                 rate = summed_rate(dict(zip(run.integration.names, numbers, strict=False)))
                 fastest = max(fastest, rate * float(numbers[-1]))
             count = math.ceil(refinement * steps_for(fastest, _PHASE_PER_STEP))

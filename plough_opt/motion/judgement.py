@@ -10,13 +10,14 @@ import numpy as np
 
 from plough_opt.accuracy import FIXED_STEP
 from plough_opt.effects import StickSlip
-from plough_opt.errors import IntegrationError
+from plough_opt.errors import InputError, IntegrationError
 from plough_opt.expressions import as_number
 from plough_opt.motion.equation import SLIP, STICK
 from plough_opt.motion.integrators import Integration
 from plough_opt.motion.orbit import monodromy
 from plough_opt.motion.plan import (
     MOST_RINGING,
+    MOST_SHOT,
     PHASE_PER_STEP,
     STIFF_PHASE,
     forced_rate,
@@ -28,7 +29,7 @@ from plough_opt.motion.plan import (
 )
 from plough_opt.motion.run import Run
 from plough_opt.motion.signals import signals
-from plough_opt.motion.terms import Structure, parameters, start_deflection, static_resistance
+from plough_opt.motion.terms import Structure, own_force, parameters, start_deflection, static_resistance
 from plough_opt.motion.timeline import Timeline
 from plough_opt.scene import Scene
 
@@ -42,6 +43,12 @@ _GRAZES = 5e-3
 _MARGINAL = 1e-8
 # Speeds backwards of a slipping share above this fraction are no rounding of the time at which it stopped.
 _MISSED = 1e-5
+
+
+# Places in a wavelength at which own resistances are compared with those one wavelength on, and the relative difference
+# that is rounding of a travel.
+_OWN_PLACES = 16
+_SAME_OWN = 1e-9
 
 
 class MissedEvent(IntegrationError):
@@ -79,6 +86,55 @@ def refuse_countless_waves(scene: Scene, duration: float, most: float) -> None:
         f"the motion of a {scene.describe()}: in {duration:g} s the strut and the soil change it"
         f" {total / (4.0 * math.pi):.3g} times: take a shorter duration or a longer wave{by_name}"
     )
+
+
+def refuse_stiff_orbit(scene: Scene) -> None:
+    """Refuse a lasting orbit so stiff that finding it, or what tells a stand-in's error, would take minutes.
+
+    Args:
+        scene: of numbers, with an orbit.
+
+    Raises:
+        IntegrationError: it is beyond what is sought unasked.
+    """
+    turn = float(as_number(scene.wave_frequency))
+    total = phase(numbers_of(scene), 2.0 * math.pi / turn) if turn > 0.0 else 0.0
+    if total <= MOST_SHOT:
+        return
+    stands = "" if scene.effects.orbit == "periodic" else ", from which this stand-in's error is told,"
+    raise IntegrationError(
+        f"the lasting orbit of a {scene.describe()}: its fastest part runs through {total / (2.0 * math.pi):.3g} turns"
+        f" in one wavelength, so that the orbit{stands} would take minutes to find: take a softer or less damped mount,"
+        " a shorter wave or a higher tow speed, the quasi-static scene (Effects(motion=False)), or name a method, as"
+        f" Accuracy('dop853', steps={steps_for(total)}), to seek it all the same"
+    )
+
+
+def refuse_drifting_own(scene: Scene) -> None:
+    """Refuse a lasting orbit under own resistances that are not the same one wavelength on.
+
+    Args:
+        scene: of numbers, with an orbit.
+
+    Raises:
+        InputError: they differ.
+    """
+    if not scene.effects.own:
+        return
+    structure, p = Structure.of(scene), numbers_of(scene)
+    places = [k / _OWN_PLACES * p["wavelength"] for k in range(_OWN_PLACES)]
+    both = [
+        [float(as_number(own_force(structure, p, place + on, part * p["tow_speed"]))) for on in (0.0, p["wavelength"])]
+        for place in places
+        for part in (0.5, 1.0, 1.5)
+    ]
+    size = max(abs(force) for pair in both for force in pair)
+    if any(abs(before - after) > _SAME_OWN * size for before, after in both):
+        names = ", ".join(type(effect).__name__ for effect in scene.effects.own)
+        raise InputError(
+            f"own effects ({names}) resist otherwise one wavelength ({p['wavelength']:g} m) further on: no motion"
+            " repeats itself with the wave then, so leave orbit out and simulate from a start"
+        )
 
 
 def refuse_runaway(scene: Scene, duration: float) -> None:

@@ -18,7 +18,7 @@ from plough_opt.expressions import Expression
 from plough_opt.motion.equation import equation_of_motion
 from plough_opt.motion.runge_kutta import run_from
 from plough_opt.motion.signals import signals
-from plough_opt.motion.terms import Structure, start_deflection
+from plough_opt.motion.terms import Structure, own_force, start_deflection
 from plough_opt.motion.timeline import Timeline
 
 # The residual is in units of `_size`. CasADi prints every input of a root that it fails to find; here such a root
@@ -27,6 +27,8 @@ _OPTIONS = {"abstol": 1e-12, "max_iter": 60, "error_on_fail": False, "show_eval_
 _FOUND = 1e-8
 # Wave amplitude below which the unit of the unknowns no longer follows it, so that it has derivatives at 0.
 _LEAST_AMPLITUDE = 1e-3
+# Places in a wavelength at which own resistances are looked at: enough for their first harmonic beside 14 more.
+_OWN_SAMPLES = 16
 
 
 def orbit_map(structure: Structure, timeline: Timeline) -> ca.Function:
@@ -48,22 +50,59 @@ def monodromy(structure: Structure, timeline: Timeline) -> ca.Function:
     return ca.Function("monodromy", [first, p], [ca.jacobian(last, first)])
 
 
-def _response(structure: Structure, p: dict[str, Expression]) -> tuple[Expression, Expression]:
-    """Return sine and cosine coefficients [m] of w in the linear forced response about steady sliding.
+def _response(structure: Structure, p: dict[str, Expression]) -> tuple[Expression, Expression, Expression]:
+    """Return mean, sine and cosine coefficients [m] of w in the linear forced response about steady sliding.
 
-    M w'' + d w' + k0 w = F sin(omega t - 2 pi z0/ell), d = c + 2 V0 (F0 kappa + Fd).
+    M w'' + d w' + k0 w = F0 + Fs sin(theta) + Fc cos(theta), theta = omega t - 2 pi z0/ell,
+    d = c + 2 V0 (F0 kappa + Fd) + dO/dL', where own resistances O(L, L') on the steady path are a series in theta too,
+    of which this is the first harmonic.
     """
     speed = p["tow_speed"]
     omega = 2.0 * math.pi * speed / p["wavelength"]
     rate = p["static"] * p["rate_term"] if structure.rate else 0.0
     drag = p["drag"] if structure.drag else 0.0
     damping = (p["damping"] if structure.damper else 0.0) + 2.0 * speed * (rate + drag)
-    force = p["wave_amplitude"] * (p["static"] + rate * speed**2)
+    along_sine = p["wave_amplitude"] * (p["static"] + rate * speed**2)
+    mean: Expression = 0.0
+    along_cosine: Expression = 0.0
+    if structure.own:
+        mean, own_sine, along_cosine, slope = ca.vertsplit(_own_series(structure)(_own_parameters(structure, p)))
+        along_sine, damping = along_sine + own_sine, damping + slope
     spring = p["stiffness"] - p["inertia"] * omega**2
-    size = force / (spring**2 + (damping * omega) ** 2)
+    size = 1.0 / (spring**2 + (damping * omega) ** 2)
+    sine = size * (spring * along_sine + damping * omega * along_cosine)
+    cosine = size * (spring * along_cosine - damping * omega * along_sine)
     lag = 2.0 * math.pi / p["wavelength"] * start_deflection(structure, p)
-    along, across = spring * size, -damping * omega * size
-    return along * ca.cos(lag) + across * ca.sin(lag), across * ca.cos(lag) - along * ca.sin(lag)
+    return (
+        mean / p["stiffness"],
+        sine * ca.cos(lag) + cosine * ca.sin(lag),
+        cosine * ca.cos(lag) - sine * ca.sin(lag),
+    )
+
+
+def _own_parameters(structure: Structure, p: dict[str, Expression]) -> Expression:
+    """Return what `_own_series` takes: tow speed, wavelength, quantities of the own resistances."""
+    names = [name for k, term in enumerate(structure.own) for name in term.names(k)]
+    return ca.vertcat(p["tow_speed"], p["wavelength"], *(p[name] for name in names))
+
+
+@lru_cache(maxsize=32)
+def _own_series(structure: Structure) -> ca.Function:
+    """Return of own resistances on the steady path L = V0 t: mean change since L = 0, first harmonic, slope by speed.
+
+    As one column: mean [N], sine and cosine coefficients [N], mean derivative by the share's speed [N s/m].
+    """
+    names = [name for k, term in enumerate(structure.own) for name in term.names(k)]
+    given, travel, speed = ca.SX.sym("given", 2 + len(names)), ca.SX.sym("travel"), ca.SX.sym("speed")
+    known = dict(zip(names, ca.vertsplit(given[2:]), strict=True))
+    force = ca.SX(own_force(structure, known, travel, speed))
+    at = ca.Function("own", [travel, speed, given], [force, ca.jacobian(force, speed)])
+    phases = 2.0 * math.pi * np.arange(_OWN_SAMPLES) / _OWN_SAMPLES
+    found = [at(given[1] * phase / (2.0 * math.pi), given[0], given) for phase in phases]
+    forces, slopes = (ca.densify(ca.horzcat(*column)) for column in zip(*found, strict=True))
+    weights = ca.DM(np.column_stack([np.ones_like(phases), 2.0 * np.sin(phases), 2.0 * np.cos(phases)]) / _OWN_SAMPLES)
+    series = ca.mtimes(forces - forces[0], weights).T
+    return ca.Function("own_series", [given], [ca.vertcat(series, ca.sum2(slopes) / _OWN_SAMPLES)])
 
 
 def _size(p: dict[str, Expression]) -> Expression:
@@ -76,13 +115,13 @@ def _shooting(structure: Structure, timeline: Timeline) -> ca.Function:
     """Return the orbit to which one period of steps returns."""
     x, p = ca.MX.sym("x", 2), ca.MX.sym("p", len(signals(structure).parameters) + 1)
     known = signals(structure).named(p)
-    sine, cosine = _response(structure, known)
+    mean, sine, cosine = _response(structure, known)
     omega = 2.0 * math.pi * known["tow_speed"] / known["wavelength"]
     size = _size(known)
     unit = ca.vertcat(size, size * omega)
     once = run_from(structure, Timeline(1, timeline.steps))
     miss = (once(x * unit, p)[0][:, -1] - x * unit) / unit
-    first = _root(x, p, miss, ca.vertcat(cosine, sine * omega) / unit) * unit
+    first = _root(x, p, miss, ca.vertcat(mean + cosine, sine * omega) / unit) * unit
     results = run_from(structure, timeline)(first, p)
     return ca.Function("orbit", [p], list(results), {"never_inline": True})
 
@@ -90,8 +129,8 @@ def _shooting(structure: Structure, timeline: Timeline) -> ca.Function:
 def _linear(structure: Structure) -> ca.Function:
     """Return the Fourier coefficients of the linear response: mean, cosines, sines."""
     p = ca.MX.sym("p", len(signals(structure).parameters) + 1)
-    sine, cosine = _response(structure, signals(structure).named(p))
-    return ca.Function("linear", [p], [ca.vertcat(0.0, cosine, sine)])
+    mean, sine, cosine = _response(structure, signals(structure).named(p))
+    return ca.Function("linear", [p], [ca.vertcat(mean, cosine, sine)])
 
 
 @lru_cache(maxsize=32)
@@ -103,7 +142,7 @@ def _balanced(structure: Structure) -> ca.Function:
     basis, slope, bend = _basis(count, phases)
     x, p = ca.MX.sym("x", 2 * count + 1), ca.MX.sym("p", len(signals(structure).parameters) + 1)
     known = signals(structure).named(p)
-    sine, cosine = _response(structure, known)
+    mean, sine, cosine = _response(structure, known)
     omega = 2.0 * math.pi * known["tow_speed"] / known["wavelength"]
     size = _size(known)
     w, rate, acceleration = (size * ca.mtimes(ca.DM(b), x) for b in (basis, slope, bend))
@@ -116,7 +155,7 @@ def _balanced(structure: Structure) -> ca.Function:
     # Scaled by the spring, whose force on the response is of order one.
     stiff = known["stiffness"] / known["inertia"] + omega**2
     out_of_balance = ca.mtimes(ca.DM(weights), acceleration - forced) / (size * stiff)
-    guess = ca.vertcat(0.0, cosine / size, ca.MX.zeros(count - 1), sine / size, ca.MX.zeros(count - 1))
+    guess = ca.vertcat(mean / size, cosine / size, ca.MX.zeros(count - 1), sine / size, ca.MX.zeros(count - 1))
     return ca.Function("balanced", [p], [_root(x, p, out_of_balance, guess) * size])
 
 

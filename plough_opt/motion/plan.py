@@ -48,6 +48,9 @@ MOST_FORCED = 1e6
 MOST_PANELLED = 4e5
 """The same of a quasi-static run, whose panels are in memory at once."""
 
+MOST_SHOT = 1e4
+"""Phase [rad] of the fastest part of a motion over one wavelength whose lasting orbit is sought unasked."""
+
 # Phase [rad] over a run that steps of order 8 follow within seconds.
 _ORDER_8_PHASE = 4e5
 # exp(-30) is the rounding of the first swing.

@@ -176,10 +176,10 @@ def start_resistance(structure: Structure, p: dict[str, Expression]) -> Expressi
     """Return the steady resistance at the strut's initial speed [N], without the wave."""
     u0, force = start_speed(structure, p), _steady(structure, p)
     soil = _step(p, u0) * force if structure.contact == "smooth" else force
-    return soil + _own_force(structure, p, 0.0, u0) if structure.own else soil
+    return soil + own_force(structure, p, 0.0, u0) if structure.own else soil
 
 
-def _own_force(structure: Structure, p: dict[str, Expression], travel: Expression, speed: Expression) -> Expression:
+def own_force(structure: Structure, p: dict[str, Expression], travel: Expression, speed: Expression) -> Expression:
     """Return the sum of the user's own resistances [N]."""
     return sum(term.force(k, p, travel, speed) for k, term in enumerate(structure.own))
 
@@ -191,7 +191,7 @@ def own_slopes(scene: Scene) -> tuple[float, float]:
     for speed in (0.0, float(as_number(p["tow_speed"]))):
         for k, (dx, dv) in enumerate(((_DIFFERENCE, 0.0), (0.0, _DIFFERENCE))):
             with np.errstate(all="ignore"):
-                ahead, behind = (_own_force(structure, p, s * dx, speed + s * dv) for s in (1.0, -1.0))
+                ahead, behind = (own_force(structure, p, s * dx, speed + s * dv) for s in (1.0, -1.0))
             slope = abs(float(as_number(ahead - behind))) / (2.0 * _DIFFERENCE)
             if math.isfinite(slope):
                 steepest[k] = max(steepest[k], slope)
@@ -247,7 +247,7 @@ def resistance_change(
         step, first = _step(p, u0 + gain), _step(p, u0)
         change = step * change + (step - first) * _steady(structure, p)
     if structure.own:
-        change = change + _own_force(structure, p, travel, u0 + gain) - _own_force(structure, p, 0.0, u0)
+        change = change + own_force(structure, p, travel, u0 + gain) - own_force(structure, p, 0.0, u0)
     return change
 
 

@@ -19,9 +19,11 @@ from plough_opt.motion.judgement import (
     MissedEvent,
     likely_cause,
     refuse_countless_waves,
+    refuse_drifting_own,
     refuse_missed_event,
     refuse_ringing,
     refuse_runaway,
+    refuse_stiff_orbit,
 )
 from plough_opt.motion.plan import (
     MOST_FORCED,
@@ -110,6 +112,10 @@ def verified(case: Case, accuracy: Accuracy) -> tuple[Run, float, tuple[str, ...
     if not effects.motion:
         return _quasi_static(case, accuracy)
     wanted = accuracy.error or DEFAULT_ERROR
+    if effects.orbit != "transient":
+        refuse_drifting_own(case.scene)
+        if accuracy.method == "auto":
+            refuse_stiff_orbit(case.scene)
     if effects.orbit not in ("transient", "periodic"):
         return _stand_in(case, wanted)
     if accuracy.method != "auto":

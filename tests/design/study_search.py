@@ -58,9 +58,17 @@ def _answer(problem, truth, search):
     began = time.perf_counter()
     try:
         best = as_design(problem)[0].solve(search=search)
-    except po.PloughError as error:
+    except po.InfeasibleDesign as error:
+        if "shortfall" not in truth:
+            return f"refused: {str(error)[:150]}", False
+        excess, right = study.judge_shortfall(problem, truth, error.conflicts)
+        return f"solve {time.perf_counter() - began:.2f} s, excess of the shortfall {excess:+.1e}", right
+    except Exception as error:  # whatever goes wrong is an answer, too
         return f"{type(error).__name__}: {str(error)[:150]}", False
     took = time.perf_counter() - began
+    if "shortfall" in truth:
+        y = problem.positions([[best.variables[v.name] for v in problem.variables]])
+        return f"solved, though {truth['shortfall']:.2g} is lacking, {evaluate(problem, y).worst[0]:.2g} here", False
     v = study.judge(problem, truth, best.variables)
     median = "" if np.isnan(v.median_excess) else f" median {v.median_excess:+.1e}"
     return f"solve {took:.2f} s, excess {v.excess:+.1e}{median} violation {v.violation:.0e}", v.right

@@ -2,6 +2,7 @@
 
 import plough_opt as po
 from independent.problem import PATHS, UNITS
+from independent.study import name_of
 
 _LIMIT_UNITS = {"loosened radius": "m", "half angle": "rad", "mean_deflection": "m", "deflection": "m",
                 "mount force": "N", "tow_power": "W", "force_rms": "N", "mean_draft": "N"}  # fmt: skip
@@ -35,6 +36,5 @@ def as_design(problem):
         expression = geometry.get(r.measure)
         if expression is None:
             expression = getattr(run, r.measure.replace(" ", "_") if r.measure in PATHS else r.measure)
-        # A requirement may not have the name of a variable.
-        d.require(r.measure.replace("_", " "), expression, **{r.side: r.limit}, unit=_LIMIT_UNITS[r.measure])
+        d.require(name_of(r), expression, **{r.side: r.limit}, unit=_LIMIT_UNITS[r.measure])
     return d, run

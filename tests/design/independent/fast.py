@@ -136,7 +136,7 @@ def _library():
     return found
 
 
-def simulate(runs, *, phase=0.7, paths=False):
+def simulate(runs, *, phase=0.5, paths=False):
     """Return what `motion.simulate` returns."""
     steps, followed = motion.steps_of(runs, phase, paths)
     order = np.argsort(-steps, kind="stable")

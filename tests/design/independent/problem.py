@@ -134,7 +134,7 @@ class Found:
         return np.sum(np.maximum(self.violations, 0.0), axis=0)
 
 
-def evaluate(problem, y, *, simulate=motion.simulate, phase=0.7, rows=False):
+def evaluate(problem, y, *, simulate=motion.simulate, phase=0.5, rows=False):
     """Return what designs at positions, a row each, are worth.
 
     Args:
@@ -156,7 +156,7 @@ def evaluate(problem, y, *, simulate=motion.simulate, phase=0.7, rows=False):
     return Found(objective, violations, {k: v for k, v in all_rows.items() if v.ndim == 2} if rows else {})
 
 
-def measure(problem, y, simulate=motion.simulate, phase=0.7, *, paths=False):
+def measure(problem, y, simulate=motion.simulate, phase=0.5, *, paths=False):
     """Return all measures of designs by name; paths have a row for each output."""
     y = np.atleast_2d(y)
     x = {name: np.full(len(y), value) for name, value in problem.fixed.items()}

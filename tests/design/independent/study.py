@@ -59,7 +59,7 @@ def judge(problem, truth, variables):
         variables: the answer's variables by name.
     """
     y = problem.positions([[variables[v.name] for v in problem.variables]])
-    found = evaluate(problem, y, phase=0.5)
+    found = evaluate(problem, y)
     excess = _excess(found.objective[0], truth["objective"])
     violation = float(found.worst[0])
     met = violation <= RELATIVE
@@ -74,3 +74,30 @@ def judge(problem, truth, variables):
 
 def _excess(value, wanted):
     return float((value - wanted) / abs(wanted))
+
+
+# IPOPT stops within some 1e-8 of the least sum.
+_OF_A_SHORTFALL = 1e-5
+
+
+def judge_shortfall(problem, truth, conflicts):
+    """Return whether the shortfalls that a refusal states, in the limits' own units, are the least.
+
+    Args:
+        problem: the problem.
+        truth: the least sum of shortfalls, each in parts of its limit.
+        conflicts: name of a requirement -> its shortfall.
+
+    Returns:
+        The relative excess of the stated sum over the least one, and whether that is none. A smaller sum than the
+        truth's is no better answer: the truth is a design, and what is stated is none that can be evaluated.
+    """
+    limits = {name_of(r): abs(r.limit) for r in problem.limits}
+    total = sum(short / limits[name] for name, short in conflicts.items())
+    excess = _excess(total, truth["shortfall"])
+    return excess, abs(excess) <= _OF_A_SHORTFALL
+
+
+def name_of(limit):
+    """Return what a requirement is called in a design."""
+    return limit.measure.replace("_", " ")

@@ -1,7 +1,7 @@
 """The best design of a problem by SciPy: a Sobol sample, islands of differential evolution, many polished starts."""
 
 import warnings
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.optimize import Bounds, differential_evolution, minimize
@@ -9,10 +9,10 @@ from scipy.stats import qmc
 
 from independent import fast
 from independent.lockstep import Lockstep
-from independent.problem import box_median, evaluate
+from independent.problem import PATHS, box_median, evaluate
 
-# Rad in a step: of the sample and the evolution some 1e-6, of polishing some 1e-10.
-_ROUGH, _FINE = 1.3, 0.5
+# Rad in a step: of the sample and the evolution some 1e-5, of polishing 1e-7, and of the last polishing 1e-10.
+_ROUGH, _GOOD, _FINE = 1.6, 0.9, 0.5
 # Beyond every objective: designs that violate a requirement, and those that have no value.
 _BEYOND, _NO_VALUE = 1e6, 1e12
 # Violations in parts of a limit that a solver's rounding leaves.
@@ -26,28 +26,57 @@ _ROUNDS = 6
 
 @dataclass(frozen=True)
 class Best:
-    """A design, positions between the bounds, and its objective."""
+    """A design, positions between the bounds, and what it is worth."""
 
     y: np.ndarray
-    objective: float
+    value: float
 
 
 def efforts(count):
     """Return the sample's size as a power of 2, islands, members of each, generations, and polished starts."""
-    return {1: (15, 2, 40, 40, 40), 2: (15, 4, 40, 60, 40), 3: (15, 6, 50, 80, 48), 4: (15, 6, 60, 100, 48)}.get(
-        count, (16, 8, 15 * count, 40 * count, 60)
-    )
+    if count == 1:
+        return 13, 1, 20, 20, 60
+    return 14, 4 if count < 5 else 6, 20 + 10 * count, 25 * count, 40
 
 
-def merit(found):
-    """Return the objective where all requirements are met, and beyond it the shortfall where not."""
-    values = np.where(found.worst <= MET, found.objective, _BEYOND * (1.0 + found.shortfall))
-    return np.nan_to_num(values, nan=_NO_VALUE, posinf=_NO_VALUE)
+@dataclass(frozen=True)
+class Question:
+    """What is minimised.
+
+    Attributes:
+        giving: numbers of requirements of which the shortfall is minimised, while the others are kept; None: the
+            objective is, and all of them are kept.
+    """
+
+    giving: tuple[int, ...] | None = None
+
+    def worth(self, found):
+        """Return the value of designs: beyond all others where a requirement that must be kept is not."""
+        kept = np.array([self.giving is None or k not in self.giving for k in range(len(found.violations))], dtype=bool)
+        lacking = np.maximum(found.violations, 0.0)
+        value = found.objective if self.giving is None else np.sum(lacking[~kept], axis=0)
+        short = np.sum(lacking[kept], axis=0)
+        with np.errstate(invalid="ignore"):
+            values = np.where(short <= MET * len(kept), value, _BEYOND * (1.0 + short / (1.0 + short)))
+        return np.nan_to_num(values, nan=_NO_VALUE, posinf=_NO_VALUE)
+
+    def roughly(self, problem, y):
+        """Return `worth` by few steps; paths, which take the longest, only of designs that keep all else."""
+        plain = [k for k, r in enumerate(problem.limits) if r.measure not in PATHS]
+        values = np.empty(len(y))
+        follow = np.ones(len(y), dtype=bool)
+        if len(plain) < len(problem.limits):
+            bare = replace(problem, limits=tuple(problem.limits[k] for k in plain))
+            found = evaluate(bare, y, simulate=fast.simulate, phase=_ROUGH)
+            kept = np.array([self.giving is None or k not in self.giving for k in plain], dtype=bool)
+            short = np.sum(np.maximum(found.violations[kept], 0.0), axis=0)
+            follow = short <= MET
+            values = np.minimum(np.nan_to_num(_BEYOND * (2.0 + short), nan=_NO_VALUE, posinf=_NO_VALUE), _NO_VALUE)
+        values[follow] = self.worth(evaluate(problem, y[follow], simulate=fast.simulate, phase=_ROUGH))
+        return values
 
 
-def shortfall(found):
-    """Return what is lacking in all requirements together, without regard to the objective."""
-    return np.nan_to_num(found.shortfall, nan=_NO_VALUE, posinf=_NO_VALUE)
+_OBJECTIVE = Question()
 
 
 def sample(problem, power, random):
@@ -57,10 +86,10 @@ def sample(problem, power, random):
     return y
 
 
-def evolved(problem, worth, y, values, random, effort):
+def evolved(problem, question, y, values, random, effort):
     """Return the designs to which islands of differential evolution lead, and their worth."""
     _, islands, members, generations, _ = effort
-    together = Lockstep(lambda rows: (worth(evaluate(problem, rows, simulate=fast.simulate, phase=_ROUGH)),))
+    together = Lockstep(lambda rows: (question.roughly(problem, rows),))
     order = np.argsort(values, kind="stable")
 
     def island(k):
@@ -97,29 +126,30 @@ def spread_starts(y, values, count, apart):
     return y[chosen]
 
 
-def polished(problem, starts, *, lacking=False, reach=1.0):
+def polished(problem, starts, *, question=_OBJECTIVE, reach=1.0, phase=_GOOD):
     """Return the designs to which SLSQP leads, from each start side by side.
 
     Args:
         problem: the problem.
         starts: positions, a row each.
-        lacking: minimise what requirements lack, not the objective.
+        question: what is minimised.
         reach: how far from its start a design may go.
+        phase: see `motion.simulate`.
     """
 
     def together(y):
-        found = evaluate(problem, y, simulate=fast.simulate, phase=_FINE, rows=True)
+        found = evaluate(problem, y, simulate=fast.simulate, phase=phase, rows=True)
         whole = [found.rows[k] if k in found.rows else found.violations[k : k + 1] for k in range(len(problem.limits))]
         return found.objective, np.vstack(whole) if whole else np.zeros((0, len(y)))
 
     lockstep = Lockstep(together)
     sizes = [401 if r.measure in ("deflection", "mount force") else 1 for r in problem.limits]
     owner = np.repeat(np.arange(len(sizes)), sizes)
-    results = lockstep.run([_polish(lockstep, start, owner, len(sizes), lacking, reach) for start in starts])
+    results = lockstep.run([_polish(lockstep, start, owner, len(sizes), question, reach) for start in starts])
     return np.array(results)
 
 
-def _polish(lockstep, start, owner, count, lacking, reach):
+def _polish(lockstep, start, owner, count, question, reach):
     def run():
         y = start
         for k in range(_ROUNDS):
@@ -135,7 +165,7 @@ def _polish(lockstep, start, owner, count, lacking, reach):
                 own = np.flatnonzero(owner == r)
                 kept[own[np.argsort(-gaps[own, 0], kind="stable")[:_ROWS]]] = True
             away = reach * 0.3**k if k else reach
-            new = _once(lockstep, y, np.flatnonzero(kept), owner, slack, scale, lacking, away)
+            new = _once(lockstep, y, np.flatnonzero(kept), owner, slack, scale, question, away)
             moved = np.max(np.abs(new - y))
             y = new
             if moved < 1e-8:
@@ -145,7 +175,7 @@ def _polish(lockstep, start, owner, count, lacking, reach):
     return run
 
 
-def _once(lockstep, y, kept, owner, slack, scale, lacking, away):
+def _once(lockstep, y, kept, owner, slack, scale, question, away):
     """Return where SLSQP leads with some rows of the requirements, which give way by slacks if lacking."""
     n, own = len(y), owner[kept]
     known = {}
@@ -166,14 +196,18 @@ def _once(lockstep, y, kept, owner, slack, scale, lacking, away):
 
     low, high = np.maximum(y - away, 0.0), np.minimum(y + away, 1.0)
     options = {"ftol": 1e-13, "maxiter": 60}
-    if lacking:
+    if question.giving is not None:
         # The requirements' slacks are variables of their own, behind the design's.
         spread = np.eye(len(slack))[own]
         ones = np.r_[np.zeros(n), np.ones(len(slack))]
-        first = np.r_[y, slack + 1e-9]
-        low, high = np.r_[low, np.zeros(len(slack))], np.r_[high, np.full(len(slack), np.inf)]
+        gives = np.isin(np.arange(len(slack)), question.giving)
+        first = np.r_[y, np.where(gives, slack + 1e-9, 0.0)]
+        low, high = np.r_[low, np.zeros(len(slack))], np.r_[high, np.where(gives, np.inf, 0.0)]
         objective, slope = (lambda x: ones @ x), (lambda _x: ones)
-        gaps, gap_slopes = (lambda x: x[n:][own] - at(x)[1]), (lambda x: np.hstack([-at(x)[3], spread]))
+        gaps, gap_slopes = (
+            (lambda x: x[n:][own] - at(x)[1] - 0.5 * MET * ~gives[own]),
+            (lambda x: np.hstack([-at(x)[3], spread])),
+        )
     else:
         first = y
         objective, slope = (lambda x: at(x)[0]), (lambda x: at(x)[2])
@@ -188,42 +222,39 @@ def _once(lockstep, y, kept, owner, slack, scale, lacking, away):
     return np.clip(np.where(np.isfinite(done.x), done.x, first), low, high)[:n]
 
 
-def optima(problem, seed=0, *, lacking=False, extra=()):
-    """Return distinct good designs, best first: met requirements with their objective, or the least shortfall.
+def optima(problem, seed=0, *, question=_OBJECTIVE, extra=()):
+    """Return distinct good designs, best first: that keep the requirements that must be kept.
 
     Args:
         problem: the problem.
         seed: of sample and evolution.
-        lacking: minimise what the requirements lack.
+        question: what is minimised.
         extra: further starts, positions.
     """
     random = np.random.default_rng([seed, 7])
-    worth = shortfall if lacking else merit
     effort = efforts(len(problem.variables))
     y = sample(problem, effort[0], random)
-    values = worth(evaluate(problem, y, simulate=fast.simulate, phase=_ROUGH))
-    islands = evolved(problem, worth, y, values, random, effort)
+    values = question.roughly(problem, y)
+    islands = evolved(problem, question, y, values, random, effort)
     everything = np.vstack([y, islands, *[np.atleast_2d(x) for x in extra]])
-    values = worth(evaluate(problem, everything, simulate=fast.simulate, phase=_FINE))
+    values = np.r_[values, question.roughly(problem, everything[len(y) :])]
     starts = spread_starts(everything, values, effort[4], 0.04)
     near = spread_starts(everything, values, effort[4] // 3, 0.004)
     ends = [
-        polished(problem, np.vstack([starts, near]), lacking=lacking),
-        polished(problem, near, lacking=lacking, reach=0.01),
+        polished(problem, np.vstack([starts, near]), question=question),
+        polished(problem, near, question=question, reach=0.01),
     ]
     # The evolution's own designs remain in the race.
     everything = np.vstack([*ends, near, everything[np.argsort(values, kind="stable")[:50]]])
-    found = evaluate(problem, everything, simulate=fast.simulate, phase=_FINE)
-    values = worth(found)
-    best = [Best(everything[k], float(values[k])) for k in np.argsort(values, kind="stable")]
-    last = polished(problem, np.array([b.y for b in best[:6]]), lacking=lacking, reach=0.003)
-    again = worth(evaluate(problem, last, simulate=fast.simulate, phase=_FINE))
-    best += [Best(x, float(v)) for x, v in zip(last, again, strict=True)]
-    best.sort(key=lambda b: b.objective)
+    values = question.worth(evaluate(problem, everything, simulate=fast.simulate, phase=_GOOD))
+    order = np.argsort(values, kind="stable")
+    last = polished(problem, everything[order[:6]], question=question, reach=0.003, phase=_FINE)
+    everything = np.vstack([last, everything[order[:200]]])
+    values = question.worth(evaluate(problem, everything, simulate=fast.simulate, phase=_FINE))
     kept = []
-    for b in best:
-        if b.objective < _BEYOND and all(np.max(np.abs(b.y - other.y)) > _SAME for other in kept):
-            kept.append(b)
+    for k in np.argsort(values, kind="stable"):
+        if values[k] < _BEYOND and all(np.max(np.abs(everything[k] - other.y)) > _SAME for other in kept):
+            kept.append(Best(everything[k], float(values[k])))
     return kept
 
 
@@ -233,14 +264,14 @@ def truth_of(problem, seed=0, extra=()):
     if not found:
         return None
     best = found[0]
-    near = [b for b in found if b.objective <= best.objective + 0.6 * abs(best.objective)][:60]
+    near = [b for b in found if b.value <= best.value + 0.6 * abs(best.value)][:60]
     medians = [box_median(problem, b.y, simulate=fast.simulate, phase=_ROUGH) for b in near]
     robust = int(np.argmin(medians))
     return {
-        "objective": best.objective,
+        "objective": best.value,
         "design": list(map(float, problem.values(best.y)[0])),
         "median": medians[0],
-        "needle": bool(medians[0] > best.objective + 0.05 * abs(best.objective)),
+        "needle": bool(medians[0] > best.value + 0.05 * abs(best.value)),
         "best_median": medians[robust],
         "best_median_design": list(map(float, problem.values(near[robust].y)[0])),
     }

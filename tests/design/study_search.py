@@ -16,6 +16,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 import numpy as np
 from independent import study
 from independent.build import as_design
+from independent.problem import evaluate
 
 import plough_opt as po
 

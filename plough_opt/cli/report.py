@@ -208,6 +208,8 @@ def _run_table(problem: Problem, run: Run) -> Table:
     table.add_row("peak deflection", shown(problem, "deflection", run.peak_deflection, "m"))
     if run.scene.effects.orbit == "periodic":
         table.add_row("largest Floquet multiplier", f"{max(map(abs, run.floquet)):.4g}")
+        comes = {True: "comes to this orbit", False: "comes to another motion", None: "has not settled"}
+        table.add_row("a share from equilibrium", comes[run.settles.orbit])
     return table
 
 

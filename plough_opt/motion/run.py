@@ -13,6 +13,7 @@ from plough_opt.domain import check_domain
 from plough_opt.errors import InputError
 from plough_opt.expressions import Expression, column, is_casadi, sqrt, where
 from plough_opt.motion.equation import GAP, SLIP, STICK
+from plough_opt.motion.settled import Settled
 from plough_opt.motion.terms import (
     Structure,
     carried_mass,
@@ -60,12 +61,14 @@ class Checks:
         seconds: time taken [s].
         notes: sentences on this run for whoever reads its results.
         floquet: multipliers of a lasting orbit [-].
+        settles: to which motion a share comes from equilibrium, of a lasting orbit.
     """
 
     error_estimate: float
     seconds: float
     notes: tuple[str, ...]
     floquet: tuple[complex, ...] = ()
+    settles: Settled | None = None
 
 
 @dataclass(frozen=True, repr=False, eq=False)
@@ -190,6 +193,18 @@ class Run:
         if not multipliers:
             raise InputError("only a periodic orbit has Floquet multipliers: take orbit = 'periodic'")
         return multipliers
+
+    @property
+    def settles(self) -> Settled:
+        """To which motion a share comes that starts from equilibrium: this periodic orbit, or what else.
+
+        Raises:
+            InputError: a run of expressions, or one that is no periodic orbit.
+        """
+        found = self._known("motion to which a share settles").settles
+        if found is None:
+            raise InputError("only a periodic orbit says to which motion a share settles: take orbit = 'periodic'")
+        return found
 
     def _known(self, what: str) -> Checks:
         if self.checks is None:

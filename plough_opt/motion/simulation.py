@@ -13,7 +13,7 @@ from plough_opt.errors import InputError
 from plough_opt.expressions import Expression, as_number, holds_casadi, is_count, is_symbolic, map_expressions
 from plough_opt.motion.embedding import embed
 from plough_opt.motion.integrators import integration
-from plough_opt.motion.judgement import remarks, stability
+from plough_opt.motion.judgement import remarks
 from plough_opt.motion.plan import (
     IMPOSED,
     MOST_ADAPTIVE,
@@ -26,6 +26,7 @@ from plough_opt.motion.plan import (
 )
 from plough_opt.motion.quasi_static import SYMBOLIC_GAUSS_POINTS, quasi_static
 from plough_opt.motion.run import Checks, Run, assemble
+from plough_opt.motion.settling import which_motion
 from plough_opt.motion.terms import Structure, parameters
 from plough_opt.motion.verified import Case, interpreted, verified
 from plough_opt.scene import Scene
@@ -92,9 +93,9 @@ def simulate(
     started = time.perf_counter()
     case = Case.of(scene, float(duration), outputs, compiled=compiled)
     run, error, notes = verified(case, accuracy)
-    multipliers, unstable = stability(run) if scene.effects.orbit == "periodic" else ((), ())
-    notes = (*notes, *remarks(run), *unstable, *(interpreted(case, run) if compiled else ()))
-    return replace(run, checks=Checks(error, time.perf_counter() - started, notes, multipliers))
+    multipliers, found, lasting = which_motion(run) if scene.effects.orbit == "periodic" else ((), None, ())
+    notes = (*notes, *remarks(run), *lasting, *(interpreted(case, run) if compiled else ()))
+    return replace(run, checks=Checks(error, time.perf_counter() - started, notes, multipliers, found))
 
 
 def _check_kinds(scene: Scene, accuracy: Accuracy | None, outputs: int) -> None:

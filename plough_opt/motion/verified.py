@@ -44,6 +44,7 @@ from plough_opt.motion.plan import (
 )
 from plough_opt.motion.quasi_static import GAUSS_POINTS, quasi_static
 from plough_opt.motion.run import Averages, Run, assemble, averages_of, mount_force
+from plough_opt.motion.settling import which_motion
 from plough_opt.motion.signals import signals
 from plough_opt.motion.terms import Structure
 from plough_opt.scene import Scene
@@ -185,9 +186,10 @@ def _stand_in(case: Case, wanted: float) -> tuple[Run, float, tuple[str, ...]]:
     except IntegrationError:
         return run, math.inf, ("the lasting orbit that this run stands for was not found: its error is unknown",)
     error = _difference(run, orbit.averages, orbit.mount_force)
+    _, _, lasting = which_motion(orbit)
     if error <= _TELLING:
-        return run, error, ()
-    return run, error, (f"a stand-in for the lasting orbit, from which it differs by {error:.1%}",)
+        return run, error, lasting
+    return run, error, (f"a stand-in for the lasting orbit, from which it differs by {error:.1%}", *lasting)
 
 
 def _twice(case: Case, first: Accuracy, second: Accuracy) -> tuple[Run, float]:

@@ -31,6 +31,7 @@ def test_simulate_reports_saves_and_draws_an_orbit(cli, file, tmp_path, form):
     saved = cli("simulate", file(form), "--json", "--plot", picture)
     assert shown.status == saved.status == 0
     assert "mean draft" in shown.out
+    assert ("a share from equilibrium" in shown.out) == (form == "periodic")
     run = json.loads(saved.out)
     assert run["time"][-1] == pytest.approx(0.1, rel=1e-12)
     assert run["mount_force"][-1] == pytest.approx(run["mount_force"][0], rel=1e-10)

@@ -1,0 +1,121 @@
+"""To which motion a share comes that starts from equilibrium, beside the lasting orbit that was found."""
+
+import dataclasses
+
+import casadi as ca
+import numpy as np
+import pytest
+from orbit_oracle import follow, period
+
+import plough_opt as po
+from plough_opt.motion import settling
+
+# Of the orbit's multipliers the larger is 0.73, and it never retreats; from equilibrium another motion comes about.
+TWO_MOTIONS = po.Scene(
+    po.Soil(
+        density=1285.32,
+        density_ratio=0.829167,
+        cohesion=41721.3,
+        friction_angle=0.472563,
+        tool_friction=0.689544,
+        ambient_pressure=0.0,
+    ),
+    po.Wedge(0.859646, 0.30097, 0.332078),
+    8856.09,
+    18.1717,
+    1.13819,
+    po.Effects(strength_wave=po.StrengthWave(0.262576, 0.0633886), damping=153.44, orbit="periodic"),
+)
+WAVE = po.StrengthWave(0.3, 0.2)
+
+
+def settled_on(scene, after, over):
+    """Return the states of a share from equilibrium at the ends of wavelengths, and the RMS of its last ones, by SciPy.
+
+    Args:
+        scene: of an orbit.
+        after: wavelengths that are followed.
+        over: the last wavelengths, over which the mount force is averaged.
+    """
+    each = 60
+    equilibrium = (scene.reaction.static + scene.reaction.drag * scene.tow_speed**2) / scene.stiffness
+    times = np.linspace(0.0, after * period(scene), after * each + 1)
+    z, rate = follow(scene, (equilibrium, 0.0), times[-1], times, rtol=1e-9)
+    force = (scene.stiffness * z + scene.effects.damping * rate)[-over * each :]
+    return np.array([z, rate])[:, ::each], float(np.std(force)), bool(np.max(rate[-over * each :]) > scene.tow_speed)
+
+
+def test_another_motion_than_the_stable_orbit_is_named():
+    run = po.simulate(TWO_MOTIONS)
+    assert max(map(abs, run.floquet)) < 0.8
+    assert run.speed.min() > 0.0
+    ends, rms, retreats = settled_on(TWO_MOTIONS, after=120, over=6)
+    np.testing.assert_allclose(ends[:, -1], ends[:, -7], rtol=1e-6, atol=1e-8)
+    assert min(np.max(np.abs(ends[:, -1] - ends[:, -1 - k])) for k in range(1, 6)) > 1e-2
+    found = run.settles
+    assert (found.orbit, found.period, found.averaged, found.retreats) == (False, 6, 6, retreats)
+    # The mean of 60 samples of each wavelength is exact; the states are within 1e-6 of the limit.
+    assert found.force_rms == pytest.approx(rms, rel=1e-6)
+    (warning,) = [text for text in run.warnings if "equilibrium" in text]
+    assert warning.startswith("a share that starts from equilibrium comes to a period-6 motion of RMS 423.4 N")
+    assert "although the orbit is stable" in warning
+
+
+def test_a_stand_in_says_so_too():
+    effects = dataclasses.replace(TWO_MOTIONS.effects, orbit="linearised")
+    run = po.simulate(dataclasses.replace(TWO_MOTIONS, effects=effects))
+    assert [text for text in run.warnings if "comes to a period-6 motion of RMS 423.4 N" in text]
+
+
+@pytest.mark.parametrize("damping", [1.0, 20.0, 400.0])
+@pytest.mark.parametrize("stiffness", [5e4, 3e5])
+def test_a_share_that_comes_to_the_orbit(r1_scene, damping, stiffness):
+    run = po.simulate(r1_scene(stiffness=stiffness, strength_wave=WAVE, damping=damping, orbit="periodic"))
+    assert run.settles.orbit is True
+    assert run.settles.force_rms == run.force_rms
+    assert not [text for text in run.warnings if "equilibrium" in text]
+    assert run.settles.text.startswith("comes to this orbit (after ")
+    # By a run from the start, over as many wavelengths and one more, as near as it says; its own error is beside that
+    # nothing.
+    count = run.settles.wavelengths
+    scene = r1_scene(stiffness=stiffness, strength_wave=WAVE, damping=damping)
+    followed = po.simulate(scene, (count + 1) * run.duration, outputs=40 * (count + 1))
+    away = np.max(np.abs(followed.deflection[-41:] - run.deflection[::10])) / (np.ptp(run.deflection) / 2.0)
+    assert away <= 1.5 * run.settles.distance + 1e-9
+
+
+def test_where_nothing_damps_a_share_it_never_settles(r1_scene):
+    run = po.simulate(r1_scene(strength_wave=WAVE, inertial_drag=False, orbit="periodic"))
+    assert run.settles.orbit is None
+    (warning,) = [text for text in run.warnings if "equilibrium" in text]
+    assert "has not settled after 64 wavelengths" in warning
+    assert "nothing damps a deviation from the orbit" in warning
+
+
+def test_beside_an_unstable_orbit_the_share_is_followed_as_far_as_is_said():
+    effects = po.Effects(strength_wave=WAVE, damping=20.0, orbit="periodic")
+    share = po.Wedge(po.deg(30.0), po.deg(15.0), 0.25)
+    run = po.simulate(po.Scene(po.named_soil("serozem"), share, 2e4, 20.0, 2.0, effects))
+    found = run.settles
+    assert max(map(abs, run.floquet)) > 1.5
+    assert found.orbit is not True
+    assert found.wavelengths * run.accuracy.steps <= settling.MOST_STEPS + 32 * run.accuracy.steps
+    if found.orbit is None:
+        assert f"has not settled after {found.wavelengths} wavelengths" in found.text
+        assert found.averaged == 256
+
+
+def test_steady_sliding_is_come_to_at_once(r1_scene):
+    run = po.simulate(r1_scene(strength_wave=po.StrengthWave(0.0, 0.2), damping=100.0, orbit="periodic"))
+    assert run.settles.orbit is True
+    assert run.settles.distance < 1e-3
+
+
+def test_only_a_periodic_orbit_of_numbers_settles(r1_scene):
+    for effects, duration in (({}, 0.3), ({"orbit": "linearised"}, None)):
+        run = po.simulate(r1_scene(strength_wave=WAVE, **effects), duration)
+        with pytest.raises(po.InputError, match="only a periodic orbit says to which motion a share settles"):
+            _ = run.settles
+    symbolic = po.simulate(r1_scene(stiffness=ca.MX.sym("k"), strength_wave=WAVE, orbit="periodic"))
+    with pytest.raises(po.InputError, match="a symbolic run has no motion to which a share settles"):
+        _ = symbolic.settles

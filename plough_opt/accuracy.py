@@ -67,5 +67,5 @@ class Accuracy:
         whole = name == "steps"
         sound = is_count(value) if whole else isinstance(value, int | float | np.number) and not isinstance(value, bool)
         if not (sound and low <= value <= high):
-            kind, shown = ", as a whole number" if whole else "", f"{value:g}" if sound else repr(value)
+            kind, shown = ", as a whole number" if whole else "", f"{min(value, 1e300):g}" if sound else repr(value)
             raise InputError(f"accuracy {name} = {shown} must lie between {low:g} and {high:g}{kind}")

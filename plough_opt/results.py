@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import platform
+import sys
 from collections.abc import Callable, Sequence
 from importlib import import_module
 from importlib.metadata import version
@@ -10,11 +11,12 @@ from pathlib import Path
 from typing import Annotated, Any, Final, Literal, TypeVar
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, FiniteFloat, TypeAdapter, ValidationError
+from pydantic_core import from_json
 
 from plough_opt.accuracy import Accuracy
 from plough_opt.design import LocalOptimum, Optimum, Sensitivity
-from plough_opt.errors import InputError
+from plough_opt.errors import InputError, short
 from plough_opt.files import ascii_json
 from plough_opt.motion import Averages, Run
 
@@ -46,25 +48,38 @@ class Saved(BaseModel):
         return ascii_json(self.model_dump_json(indent=2, by_alias=True))
 
 
+def _checked(averages: Averages) -> Averages:
+    """Return averages, which a scene of symbols has too, as those of numbers.
+
+    Raises:
+        ValueError: one is no finite number.
+    """
+    for name in Averages.__dataclass_fields__:
+        value = getattr(averages, name)
+        if isinstance(value, bool) or not isinstance(value, int | float) or not np.isfinite(value):
+            raise ValueError(f"{name} must be a finite number")
+    return averages
+
+
 class SavedRun(Saved):
     """A run of numbers: SI units; arrays over the output times."""
 
     kind: Literal["run"] = "run"
     accuracy: Accuracy
     error_estimate: float
-    seconds: float
+    seconds: FiniteFloat
     warnings: tuple[str, ...]
-    ambient_share: float
-    averages: Averages
-    peak_force: float
-    peak_deflection: float
-    specific_draft: float | None
-    time: list[float]
-    travel: list[float]
-    speed: list[float]
-    deflection: list[float]
-    mount_force: list[float]
-    soil_resistance: list[float]
+    ambient_share: FiniteFloat
+    averages: Annotated[Averages, AfterValidator(_checked)]
+    peak_force: FiniteFloat
+    peak_deflection: FiniteFloat
+    specific_draft: FiniteFloat | None
+    time: list[FiniteFloat]
+    travel: list[FiniteFloat]
+    speed: list[FiniteFloat]
+    deflection: list[FiniteFloat]
+    mount_force: list[FiniteFloat]
+    soil_resistance: list[FiniteFloat]
 
     @classmethod
     def of(cls, run: Run, title: str) -> SavedRun:
@@ -118,6 +133,8 @@ class SavedOptimum(Saved):
         )
 
 
+# Characters of a saved result, some hundred times the longest that the commands write.
+_MOST_BYTES: Final = 100_000_000
 # First bytes of an SQLite file.
 _STORE: Final = b"SQLite format 3"
 # Kinds of results that are built upon this module -> where what reads them is, imported when such a file is read.
@@ -180,15 +197,41 @@ def read_saved(path: str | Path, name: str, kind: str, validate: Callable[[str],
         InputError: no such file, or another kind or layout.
     """
     try:
-        return validate(Path(path).read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"the {name} '{path}' cannot be read: {error}") from None
-    except ValidationError as error:
-        first = error.errors()[0]
-        place = ".".join(map(str, first["loc"])) or "its beginning"
+        with Path(path).open("rb") as file:
+            content = file.read(_MOST_BYTES + 1)
+        text = content.decode("utf-8")
+    except (OSError, ValueError) as error:
+        raise InputError(f"the {name} '{path}' cannot be read: {short(str(error), 200)}") from None
+    if len(content) > _MOST_BYTES:
+        raise InputError(f"the {name} '{path}' is too long: at most {_MOST_BYTES // 1_000_000} MB can be read")
+    try:
+        found = validate(text)
+        _refuse_infinite(from_json(text, allow_inf_nan=False))
+    except ValueError as error:
+        place, why = "its beginning", str(error)
+        if isinstance(error, ValidationError):
+            first = error.errors()[0]
+            place, why = ".".join(map(str, first["loc"])) or place, first["msg"]
         raise InputError(
-            f"'{path}' is not {kind} of this version (schema {SCHEMA}): at {place}: {first['msg']}"
+            f"'{path}' is not {kind} of this version (schema {SCHEMA}): at {short(place)}: {short(why, 200)}; name"
+            " another file, or write it anew"
         ) from None
+    return found
+
+
+def _refuse_infinite(data: Any) -> None:
+    """Refuse parsed JSON with numbers that are beyond all floats; what is infinite on purpose is the text "Infinity".
+
+    Raises:
+        ValueError: as said.
+    """
+    rest = [data]
+    while rest:
+        value = rest.pop()
+        if isinstance(value, dict | list):
+            rest += value.values() if isinstance(value, dict) else value
+        elif isinstance(value, int | float) and not abs(value) <= sys.float_info.max:
+            raise ValueError("a number is beyond all floats")
 
 
 def _floats(averages: Averages) -> Averages:

@@ -108,7 +108,7 @@ def _columns(name: str, line: int, headings: Sequence[str]) -> list[_Column]:
         try:
             found.append(_column(text, measured[0] if measured else None))
         except InputError as error:
-            errors.append(f"{place}, column '{text.strip()}': {error}")
+            errors.append(f"{place}, column '{short(text.strip())}': {error}")
     names = [column.name for column in found]
     twice = sorted({name for name in names if names.count(name) > 1})
     errors += [f"{place}, column '{key}': it stands there twice: leave one of the two out" for key in twice]

@@ -12,6 +12,7 @@ from plough_opt.problem_file.source import TOO_DEEP, Source, unreadable
 
 # Characters of a change: a table in one line, and more.
 _LONGEST: Final = 2_000
+_SHOWN: Final = 120
 
 
 def apply_override(source: Source, text: str) -> str:
@@ -27,8 +28,11 @@ def apply_override(source: Source, text: str) -> str:
     """
     if len(text) > _LONGEST:
         raise InputError(f"--set {short(text)}: at most {_LONGEST} characters can be read")
+    if "\n" in text:
+        raise InputError(f"--set {short(repr(text))}: a change stands in one line: give --set once for each")
     path, separator, written = text.partition("=")
     path = path.strip()
+    text = short(text, _SHOWN)  # as messages quote it
     if not separator or not path or not written.strip():
         raise InputError(f'--set {text}: expected KEY=VALUE, like scene.tow_speed="2.5 m/s"')
     keys = _split(path, text)

@@ -1,0 +1,151 @@
+"""Thousands of wrong inputs: each is answered by a message with its place and a remedy, none by a traceback.
+
+Warnings are errors in these tests, so that a warning is no answer either. Every case is seeded by its number.
+"""
+
+import contextlib
+import io
+import random
+import re
+import time
+from pathlib import Path
+
+import pytest
+from mutations import NUMBERS, UNITS, mutated, mutated_json
+
+import plough_opt as po
+from plough_opt.cli import main
+from plough_opt.problem_file.schema import quantities
+
+PROBLEMS = Path(__file__).parents[2] / "problems"
+TEXTS = [path.read_text(encoding="utf-8") for path in sorted(PROBLEMS.glob("*.toml"))]
+TABLES = [
+    (PROBLEMS / "synthetic_draft.csv").read_text(encoding="utf-8"),
+    "scene.tow_speed [km/h]; mean_draft [kN]; sigma [%]\n3; 2.5; 10\n4; 3; 5\n",
+    "time [s],mount_force [kN]\n0,1\n0.1,1.1\n0.2,1.2\n0.3,1\n",
+]
+KEYS = [
+    *quantities(), "title", "minimise.mean_draft.per", "require.half_angle.at_most", "variables.share.height.upper",
+    "variables.share.height", "accuracy.method", "accuracy.error", "accuracy.steps", "effects.contact",
+    "effects.motion", "effects.orbit", "effects.harmonics", "scene.medium", "scene.outputs", "effects.start", "effects.entry",
+    "soil.name", "effects", "uncertain.samples", "trade_off.points", "variables", "minimise", "effects.strength_wave",
+]  # fmt: skip
+# What tells a reader where a mistake is, and what may stand there instead.
+PLACE = re.compile(r"FILE(, line \d+|:|' is not|' cannot be read|' is too long)|--set |problems/cotton_subsoiler")
+REMEDY = re.compile(
+    r"did you mean|valid names|\b(write|must|expected|give|take|leave|remove|name|add|lower|raise|join|set|check"
+    r"|belongs?|outside its bounds|contradict|expected|known|needs?|needed|make|least|cannot be|say|choose)\b"
+)
+
+
+def judge(status, message):
+    """Refuse an answer that is neither a success nor a message that helps."""
+    assert status in (0, 2), message
+    if status == 2:
+        assert PLACE.search(message), message
+        for line in message.removeprefix("bad input: ").splitlines():
+            assert REMEDY.search(line) or re.match(r"\.\.\. and \d+ more", line), message
+
+
+def checked(*arguments):
+    """Run `plough-opt check`; return status and message."""
+    out, err = io.StringIO(), io.StringIO()
+    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+        status = main(["check", *map(str, arguments)])
+    assert status == 0 or out.getvalue() == ""
+    return status, err.getvalue()
+
+
+def refused(read, path):
+    """Return the status and the message with which a file is read in Python."""
+    try:
+        read(path)
+    except po.InputError as error:
+        return 2, str(error)
+    return 0, ""
+
+
+def run(count, answer, folder):
+    """Answer seeded cases; print how many were refused, and the longest time that an answer took."""
+    refusals, slowest = 0, (0.0, 0)
+    for number in range(count):
+        started = time.perf_counter()
+        status, message = answer(random.Random(number), folder / "case")
+        slowest = max(slowest, (time.perf_counter() - started, number))
+        try:
+            judge(status, message.replace(str(folder / "case"), "FILE"))
+        except AssertionError as error:
+            raise AssertionError(f"case {number}: {error}") from None
+        refusals += status == 2
+    print(f"{refusals} of {count} refused, the slowest after {slowest[0]:.2f} s (case {slowest[1]})")
+    assert refusals > count / 4
+
+
+def thinned(few, many):
+    """Run few cases by default, and many in the slow tests."""
+    return pytest.mark.parametrize("count", [few, pytest.param(many, marks=pytest.mark.slow)])
+
+
+@thinned(120, 2000)
+def test_problem_files(count, tmp_path):
+    def answer(rng, path):
+        path.write_text(mutated(rng.choice(TEXTS), rng), encoding="utf-8", errors="surrogatepass", newline="")
+        return checked(path)
+
+    run(count, answer, tmp_path)
+
+
+@thinned(60, 500)
+def test_changes_on_the_command_line(count, tmp_path):
+    def change(rng):
+        key = rng.choice(KEYS)
+        symbol = quantities()[key].symbol if key in quantities() else rng.choice(UNITS)
+        number = rng.choice(NUMBERS)
+        written = f"{key}={rng.choice([number, f'{number} {rng.choice(UNITS)}', f'{number} {symbol}', f'1 {symbol}'])}"
+        return (mutated(written, rng) if rng.random() < 0.5 else written).replace("\0", "")
+
+    def answer(rng, _):
+        changes = [change(rng) for _ in range(rng.choice([1, 1, 2]))]
+        return checked(PROBLEMS / "cotton_subsoiler.toml", *(f"--set={text}" for text in changes))
+
+    run(count, answer, tmp_path)
+
+
+@thinned(60, 300)
+def test_tables_of_measurements(count, tmp_path):
+    def answer(rng, path):
+        path.write_text(mutated(rng.choice(TABLES), rng), encoding="utf-8", errors="surrogatepass", newline="")
+        return refused(po.read_measurements, path)
+
+    run(count, answer, tmp_path)
+
+
+SHORT = ("--set=scene.duration=0.1 s", "--set=scene.outputs=10")
+RUN = ("simulate", "cotton_subsoiler.toml", *SHORT, "--json")
+SAVED = [
+    RUN,
+    ("optimise", "reference.toml", *SHORT, "--sensitivity", "--json"),
+    ("tradeoff", "draft_against_loosening.toml", "--points=5", "--json"),
+    ("optimise", "uncertain_field.toml", "--set=uncertain.samples=8", *SHORT, "--json"),
+    ("calibrate", "calibration.toml", f"--data={PROBLEMS / 'synthetic_draft.csv'}", "--json"),
+]
+
+
+@pytest.mark.parametrize(
+    ("count", "commands"), [(40, [RUN]), pytest.param(200, SAVED, marks=pytest.mark.slow)], ids=["run", "all kinds"]
+)
+def test_saved_results(count, commands, tmp_path):
+    texts = []
+    for verb, name, *options in commands:
+        out = io.StringIO()
+        with contextlib.redirect_stdout(out), contextlib.redirect_stderr(io.StringIO()):
+            assert main([verb, str(PROBLEMS / name), *options]) == 0
+        texts.append(out.getvalue())
+
+    def answer(rng, path):
+        text = rng.choice(texts)
+        text = mutated_json(text, rng) if rng.random() < 0.6 else mutated(text, rng)
+        path.write_text(text, encoding="utf-8", errors="surrogatepass", newline="")
+        return refused(po.load, path)
+
+    run(count, answer, tmp_path)

@@ -61,7 +61,7 @@ def write_files(files: Mapping[Path, Content], kind: str) -> None:
                         _fill(stream, content)
                     continue
                 place = _place(target)
-                place.parent.mkdir(parents=True, exist_ok=True)
+                _make_folder(place.parent)
                 moves.append((_written_beside(place, content, unfinished), place))
             for beside, place in moves:
                 beside.replace(place)
@@ -103,7 +103,7 @@ def write_folder(target: Path, kind: str, files: Mapping[str, Content]) -> Path:
     """
     unfinished: list[Path] = []
     try:
-        target.parent.mkdir(parents=True, exist_ok=True)
+        _make_folder(target.parent)
         with _tidied(unfinished):
             scratch = Path(tempfile.mkdtemp(prefix=f".{target.name[:_LONGEST_STEM]}.", dir=target.parent))
             unfinished.append(scratch)
@@ -180,6 +180,13 @@ def _place(target: Path) -> Path:
     if place.exists() and not os.access(place, os.W_OK):
         raise PermissionError(0, "permission denied")
     return place
+
+
+def _make_folder(folder: Path) -> None:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except FileExistsError:
+        raise NotADirectoryError(0, f"'{folder}' is no folder") from None
 
 
 def _written_beside(place: Path, content: Content, unfinished: list[Path]) -> Path:

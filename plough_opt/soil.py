@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 from plough_opt.domain import check_domain
-from plough_opt.errors import InputError, nearest
+from plough_opt.errors import InputError, nearest, unprintable
 from plough_opt.expressions import COUNT, Expression, is_count
 
 STANDARD_ATMOSPHERE = 101325.0
@@ -68,6 +68,7 @@ class Soil:
 
     Raises:
         DomainError: a property outside its domain.
+        InputError: a name that cannot be printed.
     """
 
     density: Expression
@@ -83,6 +84,8 @@ class Soil:
     density_profile: DensityProfile | None = None
 
     def __post_init__(self) -> None:
+        if not isinstance(self.name, str) or unprintable(self.name, allowed=""):
+            raise InputError(f"name = {self.name!r} must be a text that can be printed: it calls the soil in reports")
         check_domain("soil density", self.density, "kg/m^3", above=0.0)
         check_domain(
             "density ratio b1",

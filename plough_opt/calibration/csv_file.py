@@ -55,7 +55,7 @@ def read_measurements(path: str | Path) -> Measurements:
     path = Path(path)
     rows = _rows(path)
     if not rows:
-        raise InputError(f"{path}: the file is empty: its first line names the columns, as {_example()}")
+        raise InputError(f"{path}: the file is empty: write a first line that names the columns, as {_example()}")
     line, headings = rows[0]
     columns = _columns(str(path), line, headings)
     if len(rows) == 1:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from plough_opt.domain import check_domain
-from plough_opt.errors import InputError, nearest
+from plough_opt.errors import InputError, nearest, unprintable
 from plough_opt.expressions import Expression
 from plough_opt.motion import Run
 from plough_opt.vocabulary import MEASURES, Quantity
@@ -22,6 +22,9 @@ _WIDE = 10.0
 # Inputs up to which every corner of the box is sampled; of more, each input at its bounds, the others at their values.
 _ALL_CORNERS = 6
 _INSIDE = 32
+BEYOND = 1e-6
+"""Part of the width between its bounds by which an input of an export may lie outside: optimisers relax bounds."""
+
 _PEAKS = {"peak_force": "mount_force", "peak_deflection": "deflection"}
 
 
@@ -143,8 +146,10 @@ def check_names(kind: str, names: Sequence[str]) -> None:
     seen: dict[str, str] = {}
     for name in names:
         own = identifier(name)
-        if not own.isidentifier():
-            raise InputError(f"{kind} {name!r} must be a name that begins with a letter")
+        if not own.isidentifier() or unprintable(name, allowed=""):
+            raise InputError(
+                f"{kind} {name!r} must be a name that begins with a letter, of characters that are printed"
+            )
         if own in seen:
             raise InputError(
                 f"{kind} '{name}' is there twice" if seen[own] == name else f"'{seen[own]}' and '{name}' clash"

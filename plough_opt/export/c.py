@@ -10,18 +10,13 @@ from pathlib import Path
 import casadi as ca
 
 from plough_opt.component import Component, Port
-from plough_opt.component.ports import corners, inside
+from plough_opt.component.ports import BEYOND, corners, inside
 from plough_opt.errors import InputError
 from plough_opt.files import check_new_folder, write_folder
 
 ULP = 4
 """Units in the last place by which a compiled result may differ from Python's."""
 
-_KEYWORDS = (
-    "auto", "break", "case", "char", "const", "continue", "default", "do", "double", "else", "enum", "extern", "float",
-    "for", "goto", "if", "inline", "int", "long", "main", "register", "restrict", "return", "short", "signed", "sizeof",
-    "static", "struct", "switch", "typedef", "union", "unsigned", "void", "volatile", "while",
-)  # fmt: skip
 # Points at which the test holds values and derivatives against Python's, beside the corners of the bounds.
 _POINTS = 6
 
@@ -42,12 +37,10 @@ def write_c(component: Component, path: str | Path) -> Path:
         The path.
 
     Raises:
-        InputError: the folder exists or cannot be written, a name that C keeps to itself, or a component that has no C.
+        InputError: the folder exists or cannot be written, or a component that has no C.
     """
     target = check_new_folder(path, "C source")
     name = component.name()
-    if name in _KEYWORDS:
-        raise InputError(f"'{name}' is a word of the C language: name the component otherwise")
     files = {
         f"{name}.h": _header(component),
         f"{name}.c": _source(component),
@@ -86,10 +79,13 @@ extern const double {name}_input_values[{upper}_INPUTS];
 extern const char *const {name}_output_names[{upper}_OUTPUTS];
 extern const char *const {name}_output_units[{upper}_OUTPUTS];
 
-/* {upper}_OUTPUTS outputs of {upper}_INPUTS inputs. Returns 0, or 1 where memory is short. Safe in threads. */
+/* {upper}_OUTPUTS outputs of {upper}_INPUTS inputs. Safe in threads.
+ * Returns 0; or 1 where memory is short; 2 where an input lies outside its bounds, for which steps and checks were not
+ * chosen; 3 where a result is not finite. Unless it returns 0 the results are NaN. */
 int {name}_evaluate(const double *inputs, double *outputs);
 
-/* Derivatives of all outputs by all inputs, row by row: jacobian[i * {upper}_INPUTS + j] = d output i / d input j. */
+/* Derivatives of all outputs by all inputs, row by row: jacobian[i * {upper}_INPUTS + j] = d output i / d input j.
+ * Returns the same. */
 int {name}_jacobian(const double *inputs, double *jacobian);
 
 #ifdef __cplusplus
@@ -105,7 +101,8 @@ def _source(component: Component) -> str:
     functions = {"values": _values(component), "slopes": _slopes(component)}
     outputs = [(port, k) for port in component.outputs for k in range(port.size)]
     parts = [
-        f'#include <stdlib.h>\n\n#include "{name}.h"\n',
+        f'#include <float.h>\n#include <math.h>\n#include <stdlib.h>\n\n#include "{name}.h"\n',
+        _UNUSED,
         _graph(name, list(functions.values())),
         _strings(f"{name}_input_names", (port.name for port in component.inputs)),
         _strings(f"{name}_input_units", (port.unit for port in component.inputs)),
@@ -114,8 +111,9 @@ def _source(component: Component) -> str:
         _doubles(f"{name}_input_values", [port.value for port in component.inputs]),
         _strings(f"{name}_output_names", (_element(port, k) for port, k in outputs)),
         _strings(f"{name}_output_units", (port.unit for port, _ in outputs)),
-        _call(f"{name}_evaluate", functions["values"]),
-        _call(f"{name}_jacobian", functions["slopes"]),
+        _OUTSIDE.format(name=name, count=len(component.inputs), beyond=float(BEYOND).hex()),
+        _call(name, "evaluate", functions["values"]),
+        _call(name, "jacobian", functions["slopes"]),
     ]
     return "\n".join(parts)
 
@@ -150,21 +148,25 @@ def _graph(name: str, functions: Sequence[ca.Function]) -> str:
     return str(generator.dump())
 
 
-def _call(public: str, function: ca.Function) -> str:
+def _call(name: str, verb: str, function: ca.Function) -> str:
     """Return a function of the header that calls one of CasADi's with memory to work in."""
     sizes = [int(size) for size in (function.sz_arg(), function.sz_res(), function.sz_iw() + 1, function.sz_w() + 1)]
-    return f"""int {public}(const double *inputs, double *results) {{
+    return f"""int {name}_{verb}(const double *inputs, double *results) {{
   const casadi_real *arg[{sizes[0]}];
   casadi_real *res[{sizes[1]}];
   casadi_int iw[{sizes[2]}];
-  casadi_real *w = malloc({sizes[3]} * sizeof *w);
-  int failed = 1;
-  if (w) {{
+  casadi_real *w;
+  int k, failed = {name}_outside(inputs) ? 2 : 0;
+  if (!failed) {{
+    w = (casadi_real *) malloc({sizes[3]} * sizeof *w);
     arg[0] = inputs;
     res[0] = results;
-    failed = {function.name()}(arg, res, iw, w, 0);
+    failed = w && !{function.name()}(arg, res, iw, w, 0) ? 0 : 1;
     free(w);
   }}
+  for (k = 0; k < {function.numel_out(0)} && !failed; ++k)
+    if (!(fabs(results[k]) <= DBL_MAX)) failed = 3;
+  for (k = 0; k < {function.numel_out(0)} && failed; ++k) results[k] = NAN;
   return failed;
 }}
 """
@@ -212,6 +214,25 @@ def _row(values: Iterable[float]) -> str:
 def _rows(values: Iterable[Iterable[float]]) -> str:
     return ",\n".join(f"  {{{_row(row)}}}" for row in values)
 
+
+# What CasADi writes has parameters of one form, used or not.
+_UNUSED = """\
+#ifdef __GNUC__
+#pragma GCC diagnostic ignored "-Wunused-parameter"
+#endif
+"""
+
+_OUTSIDE = """\
+/* Whether an input lies outside its bounds by more than the rounding of an optimiser, or is no number. */
+static int {name}_outside(const double *inputs) {{
+  int k;
+  for (k = 0; k < {count}; ++k) {{
+    double slack = {beyond} * ({name}_input_upper[k] - {name}_input_lower[k]);
+    if (!(inputs[k] >= {name}_input_lower[k] - slack && inputs[k] <= {name}_input_upper[k] + slack)) return 1;
+  }}
+  return 0;
+}}
+"""
 
 _MAKEFILE = """\
 test: NAME_test

@@ -23,6 +23,8 @@ except ModuleNotFoundError as missing:
     raise InputError("OpenMDAO is not installed: pip install 'plough_opt[openmdao]'") from None
 
 
+# Names that the module needs itself.
+_INNER = {"Any", "FunctionComponent"}
 _TAKEN = {"casadi", "numpy", "openmdao", *sys.stdlib_module_names}
 
 
@@ -60,7 +62,7 @@ def write_openmdao(component: Component, path: str | Path) -> Path:
     """
     target = check_new_folder(path, "OpenMDAO component")
     name = component.name()
-    if keyword.iskeyword(name) or name in _TAKEN:
+    if keyword.iskeyword(name) or name in _TAKEN or _class_name(name) in _INNER:
         raise InputError(f"a module cannot be named '{name}': name the component otherwise")
     files: dict[str, Content] = {f"{name}.py": _module(component), f"{name}.casadi": serialised(component)}
     return write_folder(target, "OpenMDAO component", files)
@@ -76,12 +78,12 @@ def _module(component: Component) -> str:
 {_quoted(str(component))}
 """
 
-from pathlib import Path
+from pathlib import Path as _Path
 {imports}
 
-INPUTS = {pprint.pformat(told["inputs"], width=110, sort_dicts=False)}
+_INPUTS = {pprint.pformat(told["inputs"], width=110, sort_dicts=False)}
 
-OUTPUTS = {pprint.pformat(told["outputs"], width=110, sort_dicts=False)}
+_OUTPUTS = {pprint.pformat(told["outputs"], width=110, sort_dicts=False)}
 
 
 {classes}
@@ -91,8 +93,8 @@ class {_class_name(name)}(FunctionComponent):
     """The component of {name}.casadi, which lies beside this file."""
 
     def __init__(self, **options):
-        function = ca.Function.load(str(Path(__file__).with_name("{name}.casadi")))
-        super().__init__(function, INPUTS, OUTPUTS, **options)
+        function = ca.Function.load(str(_Path(__file__).with_name("{name}.casadi")))
+        super().__init__(function, _INPUTS, _OUTPUTS, **options)
 '''
 
 

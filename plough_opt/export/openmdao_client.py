@@ -56,7 +56,19 @@ class FunctionComponent(om.ExplicitComponent):  # type: ignore[misc]
             row += port["size"]
 
     def _values(self, inputs: Any) -> list[float]:
-        return [float(inputs[port["argument"]].item()) for port in self._sources]
+        """Return the inputs, or refuse those outside their bounds, for which steps and checks were not chosen.
+
+        A driver that is told so tries another step.
+        """
+        values = [float(inputs[port["argument"]].item()) for port in self._sources]
+        for value, port in zip(values, self._sources, strict=True):
+            slack = 1e-6 * (port["upper"] - port["lower"])  # by which optimisers relax bounds
+            if not port["lower"] - slack <= value <= port["upper"] + slack:
+                raise om.AnalysisError(
+                    f"{port['argument']} = {value:g} must lie between {port['lower']:g} and {port['upper']:g}, the"
+                    " bounds for which this component was made"
+                )
+        return values
 
     def add_design(self, model: Any, objective: str, prefix: str = "") -> None:
         """Make every input a design variable between its bounds, and every output that has limits a constraint.

@@ -8,9 +8,11 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+import casadi as ca
 import numpy as np
 
 from plough_opt.component import Component, Port
+from plough_opt.component.ports import BEYOND
 from plough_opt.files import Content, check_file, write_files
 
 
@@ -19,6 +21,9 @@ def write_casadi(component: Component, path: str | Path, description: str | Path
 
     A process with CasADi and without plough_opt loads it by ``casadi.Function.load(path)`` in Python, and by
     ``casadi::Function::load`` or ``casadi.Function.load`` in C++, MATLAB and Octave.
+
+    Where an input lies outside its bounds, by more than the 1e-6 of their distance by which optimisers relax them, the
+    results are NaN: steps and checks were not chosen for it.
 
     Args:
         component: what to write.
@@ -40,11 +45,25 @@ def write_casadi(component: Component, path: str | Path, description: str | Path
 
 
 def serialised(component: Component) -> bytes:
-    """Return the component's Function as CasADi writes it to a file."""
+    """Return the component's Function as CasADi writes it to a file; outside its bounds the results are NaN."""
+    guarded = _guarded(component)
     with tempfile.TemporaryDirectory() as folder:
         written = Path(folder) / "function.casadi"
-        component.save(str(written))
+        guarded.save(str(written))
         return written.read_bytes()
+
+
+def _guarded(component: Component) -> ca.Function:
+    """Return the Function with NaN for its results where an input lies outside its bounds."""
+    names = [port.argument for port in component.inputs]
+    x = [ca.MX.sym(name) for name in names]
+    slack = [BEYOND * (port.upper - port.lower) for port in component.inputs]
+    inside: ca.MX = ca.MX(1)
+    for value, port, more in zip(x, component.inputs, slack, strict=True):
+        inside = ca.logic_and(inside, ca.logic_and(value >= port.lower - more, value <= port.upper + more))
+    found = [ca.if_else(inside, result, ca.MX.nan(*result.shape)) for result in component.call(x)]
+    values = {"default_in": [port.value for port in component.inputs]}
+    return ca.Function(component.name(), x, found, names, [port.argument for port in component.outputs], values)
 
 
 def described(component: Component) -> dict[str, Any]:

@@ -44,7 +44,7 @@ def check_front(source: Source, table: Mapping[str, Any], medium: str) -> None:
     if count not in (2, 3) and all(name in {*MEASURES, "points"} for name in table):
         with source.noting((TABLE,)):
             how = {0: "of nothing", 1: "of one alone"}.get(count, f"of {count} results")
-            more = ": put the others into [require]" if count > 3 else f": {EXAMPLE}"
+            more = ": put the others into [require]" if count > 3 else f": give {EXAMPLE}"
             raise InputError(f"a front is drawn of two or three results, not {how}{more}")
 
 

@@ -205,7 +205,7 @@ def unreadable(data: Any) -> tuple[Keys, str] | None:
         if len(keys) > MOST_TABLES:
             return keys[:MOST_TABLES], TOO_DEEP
         if isinstance(value, int) and value.bit_length() > _MOST_BITS:
-            return keys, f"'{'.'.join(keys)}' is larger than any number that can be computed with"
+            return keys, f"'{'.'.join(keys)}' is larger than any number that can be computed with: check it"
         for text in (*keys[-1:], value):
             if isinstance(text, str) and (wrong := unprintable(text)) is not None:
                 return keys, f"'{'.'.join(keys)}' holds {wrong}, a character that cannot be printed: take it out"

@@ -27,8 +27,9 @@ TABLES = [
 KEYS = [
     *quantities(), "title", "minimise.mean_draft.per", "require.half_angle.at_most", "variables.share.height.upper",
     "variables.share.height", "accuracy.method", "accuracy.error", "accuracy.steps", "effects.contact",
-    "effects.motion", "effects.orbit", "effects.harmonics", "scene.medium", "scene.outputs", "effects.start", "effects.entry",
-    "soil.name", "effects", "uncertain.samples", "trade_off.points", "variables", "minimise", "effects.strength_wave",
+    "effects.motion", "effects.orbit", "effects.harmonics", "scene.medium", "scene.outputs", "effects.start",
+    "effects.entry", "soil.name", "effects", "uncertain.samples", "trade_off.points", "variables", "minimise",
+    "effects.strength_wave",
 ]  # fmt: skip
 # What tells a reader where a mistake is, and what may stand there instead.
 PLACE = re.compile(r"FILE(, line \d+|:|' is not|' cannot be read|' is too long)|--set |problems/cotton_subsoiler")

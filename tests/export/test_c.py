@@ -11,10 +11,11 @@ import pytest
 import plough_opt as po
 from plough_opt.compiler import find_compiler
 from plough_opt.export import write_c
+from plough_opt.expressions import log
 
 COMPILER = find_compiler()
 pytestmark = pytest.mark.skipif(COMPILER is None, reason="no C compiler")
-STRICT = ["-std=c99", "-ffp-contract=off", "-Wall", "-Werror", "-pedantic-errors"]
+STRICT = ["-std=c99", "-ffp-contract=off", "-Wall", "-Wextra", "-Werror", "-pedantic-errors"]
 
 
 def _run(*command, folder):
@@ -124,8 +125,70 @@ def test_what_cannot_be_is_refused_and_nothing_is_written(around_r1, r1_scene, r
     )
     with pytest.raises(po.InputError, match="no C for the root of an equation"):
         write_c(orbit, tmp_path / "orbit")
-    keyword = po.component(r1_scene(motion=False), 1.0, inputs=["share.height"], outputs=["mean_draft"], name="double")
-    with pytest.raises(po.InputError, match="a word of the C language"):
-        write_c(keyword, tmp_path / "double")
     assert sorted(path.name for path in tmp_path.iterdir()) == ["file", "taken"]
     assert not list((tmp_path / "taken").iterdir())
+
+
+@pytest.mark.parametrize("name", ["double", "main", "inline", "new"])
+def test_words_of_c_are_names_like_others(r1_scene, tmp_path, name):
+    made = po.component(r1_scene(motion=False), 1.0, inputs=["share.height"], outputs=["mean_draft"], name=name)
+    done = _compiled(write_c(made, tmp_path / "c"), name, *STRICT, "-O0")
+    assert done.returncode == 0, done.stdout
+
+
+@pytest.mark.skipif(shutil.which("g++") is None, reason="no C++ compiler")
+def test_it_is_c_plus_plus_too(folder, tmp_path):
+    strict = ("-Wall", "-Wextra", "-Werror", "-O0", "-ffp-contract=off")
+    for language in ("c++17", "c++20"):
+        command = ("g++", "-x", "c++", f"-std={language}", *strict, "-o", tmp_path / "t")
+        done = _run(*command, "share.c", "share_test.c", "-lm", folder=folder)
+        assert (done.returncode, done.stderr) == (0, "")
+    assert _run(tmp_path / "t", folder=folder).returncode == 0
+
+
+OUTSIDE = """
+#include <math.h>
+#include <stdio.h>
+#include "share.h"
+int main(void) {
+  double x[SHARE_INPUTS], y[SHARE_OUTPUTS], slopes[SHARE_OUTPUTS * SHARE_INPUTS];
+  int j, k, side;
+  for (j = 0; j < SHARE_INPUTS; ++j)
+    for (side = 0; side < 4; ++side) {
+      double width = share_input_upper[j] - share_input_lower[j];
+      double at[] = {share_input_lower[j] - 0.9e-6 * width, share_input_lower[j] - 1.1e-6 * width,
+                     share_input_upper[j] + 1.1e-6 * width, NAN};
+      for (k = 0; k < SHARE_INPUTS; ++k) x[k] = share_input_values[k];
+      x[j] = at[side];
+      for (k = 0; k < SHARE_OUTPUTS; ++k) y[k] = 0.0;
+      printf("%d", share_evaluate(x, y));
+      printf("%d", share_jacobian(x, slopes));
+      for (k = 0; k < SHARE_OUTPUTS; ++k)
+        if (isnan(y[k]) != (side > 0) || isnan(slopes[k * SHARE_INPUTS]) != (side > 0)) return 1;
+    }
+  return 0;
+}
+"""
+
+
+def test_outside_its_bounds_it_says_so_and_gives_nothing(folder, tmp_path):
+    (tmp_path / "outside.c").write_text(OUTSIDE)
+    command = (*COMPILER, *STRICT, "-O0", f"-I{folder}", tmp_path / "outside.c", folder / "share.c", "-o", "t", "-lm")
+    done = _run(*command, folder=tmp_path)
+    assert (done.returncode, done.stderr) == (0, "")
+    done = _run("./t", folder=tmp_path)
+    assert (done.returncode, done.stdout) == (0, "00222222" * 3)
+
+
+def test_a_result_that_is_not_finite_is_a_status(r1_scene, tmp_path):
+    """The logarithm of a height that may be zero."""
+    logarithm = po.Output("logarithm", of=lambda run: log(run.scene.share.height - 0.25), unit="")
+    inputs = [po.Input("share.height", 0.2, 0.3, 0.26)]
+    made = po.component(r1_scene(motion=False), 1.0, inputs=inputs, outputs=[logarithm])
+    (tmp_path / "c").mkdir()
+    folder = write_c(made, tmp_path / "c" / "new")
+    command = (*COMPILER, "-shared", "-fPIC", "-O0", "share.c", "-o", "share.so", "-lm")
+    assert _run(*command, folder=folder).returncode == 0
+    share = ctypes.CDLL(str(folder / "share.so"))
+    found = ctypes.c_double()
+    assert [share.share_evaluate(ctypes.byref(ctypes.c_double(x)), ctypes.byref(found)) for x in (0.26, 0.24)] == [0, 3]

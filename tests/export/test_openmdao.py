@@ -10,6 +10,7 @@ import pytest
 import plough_opt as po
 import plough_opt.export
 from plough_opt.export import PloughComponent, write_openmdao
+from plough_opt.expressions import log
 
 om = pytest.importorskip("openmdao.api")
 
@@ -155,12 +156,25 @@ print(float(problem["objective"][0]), worst)
         write_openmdao(around_r1, folder)
 
 
-def test_a_share_without_a_finite_draft_is_an_analysis_error(r1_scene):
-    made = po.component(r1_scene(motion=False), 1.0, inputs=["soil.density_ratio"], outputs=["mean_draft"])
-    problem, _ = _problem(made)
+@pytest.mark.parametrize("value", [0.15 - 1.1e-6 * 0.15, 0.3 + 1.1e-6 * 0.15, -0.05, np.nan])
+def test_outside_the_bounds_is_an_analysis_error(around_r1, value):
+    problem, _ = _problem(around_r1)
     problem.setup()
-    problem["soil_density_ratio"] = 1.5
-    with pytest.raises(om.AnalysisError, match="'mean_draft' has no finite value"):
+    problem["share_height"] = value
+    with pytest.raises(om.AnalysisError, match=r"share_height = .* must lie between 0\.15 and 0\.3, the bounds"):
+        problem.run_model()
+    problem["share_height"] = 0.15 - 0.9e-6 * 0.15  # by which an optimiser may have relaxed the bound
+    problem.run_model()
+    assert np.isfinite(problem["objective"][0])
+
+
+def test_a_result_that_is_not_finite_is_an_analysis_error(r1_scene):
+    logarithm = po.Output("logarithm", of=lambda run: log(run.scene.share.height - 0.25), unit="")
+    inputs = [po.Input("share.height", 0.2, 0.3, 0.26)]
+    problem, _ = _problem(po.component(r1_scene(motion=False), 1.0, inputs=inputs, outputs=[logarithm]))
+    problem.setup()
+    problem["share_height"] = 0.24
+    with pytest.raises(om.AnalysisError, match="'logarithm' has no finite value"):
         problem.run_model()
 
 
@@ -186,3 +200,30 @@ def test_a_name_that_no_module_can_have_is_refused(r1_scene, tmp_path, name):
     with pytest.raises(po.InputError, match=f"a module cannot be named '{name}'"):
         write_openmdao(made, tmp_path / "new")
     assert not (tmp_path / "new").exists()
+
+
+@pytest.mark.parametrize("name", ["path", "Path", "INPUTS", "OUTPUTS", "om", "units_of"])
+def test_a_name_that_the_module_has_too_is_no_obstacle(r1_scene, tmp_path, name):
+    made = po.component(r1_scene(motion=False), 1.0, inputs=["share.height"], outputs=["mean_draft"], name=name)
+    folder = write_openmdao(made, tmp_path / "new")
+    code = f"""
+import sys
+sys.path.insert(0, {str(folder)!r})
+import {name} as module, openmdao.api as om
+problem = om.Problem(reports=None)
+own = "".join(part[:1].upper() + part[1:] for part in {name!r}.split("_"))
+problem.model.add_subsystem("share", getattr(module, own)(), promotes=["*"])
+problem.setup()
+problem.run_model()
+print(float(problem["mean_draft"][0]))
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert float(done.stdout) == made(made.inputs[0].value)
+
+
+@pytest.mark.parametrize("name", ["any", "function_component"])
+def test_a_class_that_the_module_needs_is_refused(r1_scene, tmp_path, name):
+    made = po.component(r1_scene(motion=False), 1.0, inputs=["share.height"], outputs=["mean_draft"], name=name)
+    with pytest.raises(po.InputError, match=f"a module cannot be named '{name}'"):
+        write_openmdao(made, tmp_path / "new")

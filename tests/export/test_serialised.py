@@ -4,6 +4,7 @@ import json
 import subprocess
 import sys
 
+import casadi as ca
 import numpy as np
 import pytest
 
@@ -82,3 +83,16 @@ def test_nothing_unnamed_is_written(around_r1, tmp_path):
     write_casadi(around_r1, tmp_path / "r1.casadi")
     assert (tmp_path / "r1.json").read_text() == "an optimum of somebody's"
     assert sorted(p.name for p in tmp_path.iterdir()) == ["r1.casadi", "r1.json"]
+
+
+def test_outside_its_bounds_there_is_nothing(around_r1, tmp_path):
+    loaded = ca.Function.load(str(write_casadi(around_r1, tmp_path / "r1.casadi")))
+    middle = [port.value for port in around_r1.inputs]
+    for k, port in enumerate(around_r1.inputs):
+        width = port.upper - port.lower
+        for value, finite in (
+            (port.lower - 0.9e-6 * width, True), (port.upper + 0.9e-6 * width, True), (-0.3, False), (np.nan, False),
+            (port.lower - 1.1e-6 * width, False), (port.upper + 1.1e-6 * width, False), (1e9, False),
+        ):  # fmt: skip
+            found = loaded.call([*middle[:k], value, *middle[k + 1 :]])
+            assert {bool(np.isfinite(float(one))) for one in found} == {finite}

@@ -78,7 +78,10 @@ WRONG = {
         "mean_draft = {}\nforce_rms = {}\ntow_power = {}\nmean_deflection = {}",
         "not of 4 results: put the others into [require]",
     ),
-    "none": ("points = 7", "line 25: a front is drawn of two or three results, not of nothing: [trade_off] with two"),
+    "none": (
+        "points = 7",
+        "line 25: a front is drawn of two or three results, not of nothing: give [trade_off]",
+    ),
     "no table": ("mean_draft = 3\nforce_rms = {}", "line 26: 'trade_off.mean_draft' must be {} or { maximise = true }"),
     "key": (
         "mean_draft = { maximize = true }\nforce_rms = {}",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import casadi as ca
@@ -163,26 +164,32 @@ class Kernels:
 
 def c_source(kernels: Kernels) -> str:
     """Return the C source of a library with a function for each map, and one that runs all steps."""
-    programs = [*kernels.maps.values(), *(program for program, _ in kernels.parts)]
-    codes = {operation.code for program in programs for operation in program.operations}
-    lines = [_HEAD, "int64_t lanes(void) { return LANES; }"]
-    lines += [f"EACH({name})" for code, name in _LANE_BY_LANE.items() if code in codes]
-    lines += [f"LIBRARY({name})" for code, name in _LIBRARY.items() if code in codes]
-    lines += [f"LIBRARY_OF_TWO({name})" for name in sorted({_LIBRARY_OF_TWO[c] for c in codes & set(_LIBRARY_OF_TWO)})]
+    lines = head([*kernels.maps.values(), *(program for program, _ in kernels.parts)])
+    lines.append("int64_t lanes(void) { return LANES; }")
     for name, program in kernels.maps.items():
         inputs = 1 + max((element for _, element in program.inputs.values()), default=0)
-        body = _Text(program, ("x",)).body(None)
+        body = Text(program, ("x",)).body(None)
         lines.append(_MAP.format(name=name, inputs=inputs, results=len(program.results), body=body))
     state = len(kernels.parts[0][0].results)
     parts = []
     for program, end in kernels.parts:
-        text = _Text(program, ("x", "p"))
+        text = Text(program, ("x", "p"))
         parts.append(_PART.format(once=text.body(True), each=text.body(False), end=end, state=state))
     lines.append(_RUN.format(parameters=kernels.parameters, state=state, parts="\n".join(parts)))
     return "\n".join(lines)
 
 
-class _Text:
+def head(programs: Sequence[Program]) -> list[str]:
+    """Return the C that the text of programs rests on: types, and the functions that they call."""
+    codes = {operation.code for program in programs for operation in program.operations}
+    lines = [_HEAD]
+    lines += [f"EACH({name})" for code, name in _LANE_BY_LANE.items() if code in codes]
+    lines += [f"LIBRARY({name})" for code, name in _LIBRARY.items() if code in codes]
+    lines += [f"LIBRARY_OF_TWO({name})" for name in sorted({_LIBRARY_OF_TWO[c] for c in codes & set(_LIBRARY_OF_TWO)})]
+    return lines
+
+
+class Text:
     """A program as C statements."""
 
     def __init__(self, program: Program, arrays: tuple[str, ...]) -> None:

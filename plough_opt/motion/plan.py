@@ -6,12 +6,13 @@ import math
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 
 from plough_opt.accuracy import ADAPTIVE, DEFAULT_TOLERANCE, ORDER_8, Accuracy, Method
 from plough_opt.errors import InputError
-from plough_opt.expressions import Expression, as_number, is_symbolic
+from plough_opt.expressions import Expression, as_number, is_symbolic, maximum, sqrt
 from plough_opt.motion.terms import Structure, lightest_mass, own_slopes, parameters
 from plough_opt.motion.timeline import Timeline
 from plough_opt.scene import Scene
@@ -85,12 +86,12 @@ def _number(name: str, value: Expression) -> float:
     return float(as_number(value))
 
 
-def forced_rate(p: Mapping[str, float]) -> float:
+def forced_rate(p: Mapping[str, Any]) -> Any:
     """Return the fastest angular frequency [rad/s] that the strut and the soil impose."""
     # The wave is a sine of the travel, to which the share's own oscillation adds harmonics.
     wave = 4.0 * math.pi * p["tow_speed"] / p["wavelength"] if "wavelength" in p else 0.0
     ramp = 2.0 * math.pi / p["ramp_time"] if "ramp_time" in p else 0.0
-    return max(wave, ramp)
+    return maximum(wave, ramp)
 
 
 def fastest_rate(p: Mapping[str, float]) -> float:
@@ -98,8 +99,8 @@ def fastest_rate(p: Mapping[str, float]) -> float:
     return max(_rates(p))
 
 
-def summed_rate(p: Mapping[str, float]) -> float:
-    """Return the sum of mount's, wave's and decay's rates [1/s]: in proportion to it are the steps for an error.
+def summed_rate(p: Mapping[str, Any]) -> Any:
+    """Return the sum of mount's, wave's and decay's rates [1/s], of numbers or arrays: steps are in proportion to it.
 
     Of 23 sampled scenes under contact "resisting", steps of order 8 reached 1e-8 with 0.84 to 1.2 rad of it in the
     slower half, where `fastest_rate` scattered twice as far.
@@ -108,15 +109,15 @@ def summed_rate(p: Mapping[str, float]) -> float:
     return frequency + decay + 0.5 * forced
 
 
-def _rates(p: Mapping[str, float]) -> tuple[float, float, float]:
+def _rates(p: Mapping[str, Any]) -> tuple[Any, Any, Any]:
     """Return the mount's angular frequency [rad/s], the rate of decay [1/s] and `forced_rate`."""
-    inertia: float = lightest_mass(p)
+    inertia = lightest_mass(p)
     drag = 2.0 * p.get("drag", 0.0) * p.get("tow_speed", 0.0)
     # Steepest slope of the smooth contact's step, at its strongest soil.
     creep = 315.0 / 128.0 * p["static"] * (1.0 + p.get("wave_amplitude", 0.0)) / p["width"] if "width" in p else 0.0
     decay = (p.get("damping", 0.0) + p.get("own_damping", 0.0) + drag + creep) / inertia
     stiffness = abs(p["stiffness"]) + p.get("own_stiffness", 0.0)
-    return math.sqrt(stiffness / inertia), decay, forced_rate(p)
+    return sqrt(stiffness / inertia), decay, forced_rate(p)
 
 
 def phase(p: Mapping[str, float], duration: float) -> float:

@@ -1,8 +1,10 @@
 """Designs: variables, an objective and named requirements, solved by IPOPT with exact derivatives."""
 
+from plough_opt.design.exploring import Progress
 from plough_opt.design.optimum import Choice, Limit, LocalOptimum, Optimum, Rounded
 from plough_opt.design.problem import Design
-from plough_opt.design.search import Progress, Scan
+from plough_opt.design.record import Search
 from plough_opt.design.sensitivity import Sensitivity
+from plough_opt.design.tolerance import Spread
 
-__all__ = ["Choice", "Design", "Limit", "LocalOptimum", "Optimum", "Progress", "Rounded", "Scan", "Sensitivity"]
+__all__ = ["Choice", "Design", "Limit", "LocalOptimum", "Optimum", "Progress", "Rounded", "Search", "Sensitivity", "Spread"]

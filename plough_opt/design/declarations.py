@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import dataclass
 
 import casadi as ca
@@ -29,6 +30,7 @@ class Variable:
     upper: float
     unit: str
     log: bool
+    tolerance: float | str | None = None
 
     def __post_init__(self) -> None:
         numbers = (self.guess, self.lower, self.upper)
@@ -47,6 +49,7 @@ class Variable:
             raise InputError(f"{text}: its guess {guess} lies outside its bounds {low} to {high}")
         if self.log and self.lower <= 0.0:
             raise InputError(f"{text}: a log-scaled variable needs a lower bound above 0, not {self.lower:g}")
+        self._half_width(self.guess)  # refuses what is not a tolerance
 
     def scaled(self, value: float) -> float:
         """Return a value as its position between the bounds, 0 to 1."""
@@ -67,6 +70,36 @@ class Variable:
         if y >= 1.0:
             return self.upper
         return float(self.unscaled(y))
+
+
+    def tolerance_interval(self, y: float) -> tuple[float, float]:
+        """Return the ends of the tolerance around a scaled value, scaled, and clipped at the bounds."""
+        if self.tolerance is None:
+            return max(0.0, y - _TOLERANCE), min(1.0, y + _TOLERANCE)
+        value = self.value(y)
+        half = self._half_width(value)
+        return self.scaled(max(self.lower, value - half)), self.scaled(min(self.upper, value + half))
+
+    def _half_width(self, value: float) -> float:
+        """Return the tolerance at a value, in the variable's unit, where one was declared."""
+        given = self.tolerance
+        number = _PER_CENT.fullmatch(given) if isinstance(given, str) else None
+        if number is not None:
+            given, part = float(number[1]), abs(value) / 100.0
+        else:
+            part = 1.0
+        sound = isinstance(given, int | float | np.number) and not isinstance(given, bool)
+        if self.tolerance is not None and not (sound and math.isfinite(float(given or 0.0)) and float(given or 0) >= 0):
+            raise InputError(
+                f"variable '{self.name}': tolerance = {self.tolerance!r} must be a half width in {self.unit or '1'},"
+                " not below 0, or a part of the value such as '0.5 %'"
+            )
+        return float(given or 0.0) * part
+
+
+# Half width of the tolerance that is taken where none is declared: a part of the range, of the logarithm's if scaled so.
+_TOLERANCE = 0.003
+_PER_CENT = re.compile(r"\s*([0-9.]+(?:[eE][+-]?[0-9]+)?)\s*%\s*")
 
 
 @dataclass(frozen=True)

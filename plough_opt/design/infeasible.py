@@ -1,32 +1,80 @@
-"""What to say when no design meets the requirements."""
+"""Whether any design meets the requirements, and what to say when none was found."""
 
 from __future__ import annotations
+
+from collections.abc import Callable
 
 import numpy as np
 
 from plough_opt.design.declarations import in_words
 from plough_opt.design.ipopt import Point, Vector
+from plough_opt.design.landscape import FEASIBLE, Landscape, Seen
 from plough_opt.design.program import Program
 from plough_opt.errors import InfeasibleDesign
 
 # Scaled by each limit: violations below are rounding, multipliers below do not hold anything back.
 _VIOLATED = 1e-7
 _HOLDS = 1e-6
+# Designs from which the least violation is looked for, no two of them nearer than this part of the range.
+_STARTS, _APART = 8, 0.1
+# Of these the best go on to the optimiser.
+_POLISHED = 3
+# A requirement is to blame where the others are violated by so much less, in parts of the shortfall, without it.
+_HELPS = 1e-3
 
 
-def least_violation(program: Program, p: Vector) -> Point:
-    """Return the design that violates the requirements least, of those reached from three starts."""
-    n = len(program.declared.variables)
-    starts = (program.start(), np.full(n, 0.5), np.full(n, 0.25))
-    points = (program.solve_relaxed(start, p) for start in starts)
-    best: Point | None = None
-    for point in points:
-        if best is None or (point.solved, -point.f) > (best.solved, -best.f):
-            best = point
-        if best.solved and best.f < _VIOLATED:
+def feasible_from(program: Program, landscape: Landscape, p: Vector, sample: Seen, start: Vector) -> Vector:
+    """Return a scaled design that meets all requirements, from a sample in which none does.
+
+    Args:
+        program: the design's program.
+        landscape: what was sampled.
+        p: parameters.
+        sample: designs that were tried.
+        start: the guess, which is tried too.
+
+    Raises:
+        InfeasibleDesign: the least violation that was found, from several designs of the sample, is one.
+    """
+    starts = [start, *_apart(sample)]
+    if landscape.vectorised:
+        ends = [landscape.least_violation(one) for one in starts]
+        ends = sorted(ends, key=lambda one: float(one.violation[0]))
+        if ends[0].feasible[0]:
+            found: Vector = ends[0].points[0]
+            return found
+        starts = [one.points[0] for one in ends]
+    starts = starts[:_POLISHED]
+    program.build(p, starts=starts)
+    points = [program.solve_relaxed(one, p) for one in starts]
+    n = len(start)
+    solved = [point for point in points if point.solved] or points
+    best = min(solved, key=lambda point: point.f)
+    if is_feasible(best):
+        return np.clip(best.y[:n], 0.0, 1.0)
+    raise infeasible(program, best, landscape.tried, lambda k: _helps(landscape, best.y[:n], k))
+
+
+def _apart(sample: Seen) -> list[Vector]:
+    """Return the designs of a sample with the least violations, none near another."""
+    chosen: list[Vector] = []
+    for k in np.argsort(sample.violation, kind="stable"):
+        if not np.isfinite(sample.violation[k]) or len(chosen) == _STARTS:
             break
-    assert best is not None  # there is at least one start
-    return best
+        if all(np.max(np.abs(sample.points[k] - other)) > _APART for other in chosen):
+            chosen.append(sample.points[k])
+    return chosen
+
+
+def _helps(landscape: Landscape, y: Vector, requirement: int) -> bool:
+    """Return whether the others are violated less where a requirement is left out."""
+    if not landscape.vectorised:
+        return True
+    others = np.arange(len(landscape.program.declared.requirements)) != requirement
+    before = landscape.violations(landscape.rows(y[None])[1])[0][others].sum()
+    end = landscape.least_violation(np.clip(y, 0.0, 1.0), frozenset({requirement})).points
+    after = landscape.violations(landscape.rows(end)[1])[0][others].sum()
+    return bool(after < (1.0 - _HELPS) * before)
 
 
 def is_feasible(point: Point) -> bool:
@@ -34,8 +82,17 @@ def is_feasible(point: Point) -> bool:
     return point.f < _VIOLATED
 
 
-def infeasible(program: Program, point: Point) -> InfeasibleDesign:
-    """Return the error that names the requirements that fail, by how much, and what holds them back."""
+def infeasible(
+    program: Program, point: Point, designs: int = 0, helps: Callable[[int], bool] = lambda _: True
+) -> InfeasibleDesign:
+    """Return the error that names the requirements that fail, by how much, and what holds them back.
+
+    Args:
+        program: the design's program.
+        point: the least violation that was found.
+        designs: number of designs that were tried; 0 leaves it unsaid.
+        helps: number of a requirement that holds others back -> whether these are violated less without it.
+    """
     declared = program.declared
     count, n = len(declared.requirements), len(declared.variables)
     slack = point.y[n : n + count] + point.y[n + count :]
@@ -49,8 +106,8 @@ def infeasible(program: Program, point: Point) -> InfeasibleDesign:
         pull[requirement] = max(pull[requirement], abs(multiplier))
     blockers = [
         f"requirement '{r.name}' {r.limits_text()}"
-        for r, force in zip(declared.requirements, pull, strict=True)
-        if force > _HOLDS and r.name not in conflicts
+        for k, (r, force) in enumerate(zip(declared.requirements, pull, strict=True))
+        if force > _HOLDS and r.name not in conflicts and helps(k)
     ]
     for variable, multiplier in zip(declared.variables, point.lam_y[:n], strict=True):
         if abs(multiplier) > _HOLDS:
@@ -64,8 +121,9 @@ def infeasible(program: Program, point: Point) -> InfeasibleDesign:
     alone = "no variable of this design changes it" if len(conflicts) == 1 else "against them stand only each other"
     against = f"against it stand {' and '.join(blockers)}" if blockers else alone
     place = declared.describe(program.values(np.clip(point.y[:n], 0.0, 1.0)))
+    tried = f" of {designs} tried" if designs else ""
     return InfeasibleDesign(
-        f"no design was found that meets all requirements: at best {fails}; {against}."
+        f"no design was found that meets all requirements: at best{tried} {fails}; {against}."
         f" Nearest design: {place}. Loosen one of these",
         conflicts,
         blockers,

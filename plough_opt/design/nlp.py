@@ -136,7 +136,7 @@ def build_nlp(parts: Split, y: ca.MX, p: ca.MX, steps: list[int | None]) -> Nlp:
         steps: for each run, the number of steps, or None for the method it was written with.
     """
     full = ca.Function("full", [y, p, *parts.results], list(parts.expressions))
-    if not _holds_maps(full):
+    if not holds_maps(full):
         full = full.expand()
     only_averages = [averages_only(run, full, 2 + k) for k, run in enumerate(parts.runs)]
     alike = alike_runs(parts.runs, only_averages, y, p, steps)
@@ -226,7 +226,7 @@ def _joined(alike: list[Alike], found: list[list[ca.MX]], y: ca.MX) -> tuple[ca.
     return ca.vertcat(*(ca.vec(o) for o, _ in found)), ca.vertcat(*slopes)
 
 
-def _holds_maps(function: ca.Function) -> bool:
+def holds_maps(function: ca.Function) -> bool:
     """Return whether a graph calls mapped Functions, of which a scalar form would hold every copy."""
     calls = (k for k in range(function.n_instructions()) if function.instruction_id(k) == ca.OP_CALL)
     return any(function.instruction_MX(k).which_function().is_a("Map") for k in calls)

@@ -10,8 +10,9 @@ from typing import Any
 import numpy as np
 
 from plough_opt.design.declarations import in_words
-from plough_opt.design.search import Scan
+from plough_opt.design.record import Search
 from plough_opt.design.sensitivity import Sensitivities, Sensitivity
+from plough_opt.design.tolerance import Spread
 from plough_opt.errors import InputError
 from plough_opt.expressions import as_number, is_casadi, map_expressions
 from plough_opt.motion.run import Run
@@ -57,6 +58,7 @@ class LocalOptimum:
         gap: relative difference of the optimiser's own objective from the tightly integrated one.
         error_estimate: relative difference of two tight integrations of the objective, by different methods.
         iterations: of IPOPT.
+        spread: objective and margins within the tolerances; None of runs with events and orbits, which take too long.
     """
 
     name: str
@@ -66,6 +68,7 @@ class LocalOptimum:
     gap: float
     error_estimate: float
     iterations: int
+    spread: Spread | None = None
 
     @property
     def margins(self) -> dict[str, float]:
@@ -89,7 +92,7 @@ class Optimum(LocalOptimum):
         status: "solved", or "not unique" where ``flat_directions`` lead to designs that are as good.
         flat_directions: directions, as changes of the variables, along which objective and requirements stay.
         local_optima: all distinct local optima that were found, best first, this one included.
-        scans: objective along the scanned variables.
+        search: what was looked at, and what was not.
         seconds: time that the solve took [s].
         warnings: what a reader of the numbers must know.
     """
@@ -97,7 +100,7 @@ class Optimum(LocalOptimum):
     status: str = "solved"
     flat_directions: tuple[dict[str, float], ...] = ()
     local_optima: tuple[LocalOptimum, ...] = ()
-    scans: tuple[Scan, ...] = ()
+    search: Search | None = None
     seconds: float = 0.0
     warnings: tuple[str, ...] = ()
     evaluate: Callable[[Any], np.ndarray] = field(repr=False, default=as_number)

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
 from plough_opt.design.declarations import Parameter, Requirement, Variable
+from plough_opt.design.effort import Search
+from plough_opt.design.exploring import Progress
 from plough_opt.design.optimum import Optimum
 from plough_opt.design.program import Declarations, Program
-from plough_opt.design.search import Progress
 from plough_opt.design.solving import solve_program
+from plough_opt.design.tolerance import Judge
 from plough_opt.errors import InputError, nearest
 from plough_opt.expressions import Expression, is_casadi
 
@@ -40,7 +42,15 @@ class Design:
         self._program: Program | None = None
 
     def variable(
-        self, name: str, *, guess: float, lower: float, upper: float, unit: str = "", log: bool = False
+        self,
+        name: str,
+        *,
+        guess: float,
+        lower: float,
+        upper: float,
+        unit: str = "",
+        log: bool = False,
+        tolerance: float | str | None = None,
     ) -> ca.MX:
         """Declare a quantity to choose, and return its CasADi symbol.
 
@@ -51,6 +61,9 @@ class Design:
             upper: upper bound.
             unit: SI unit, for reports.
             log: scale it by its logarithm: for a quantity whose bounds lie decades apart.
+            tolerance: half width, in ``unit``, within which a workshop makes it, or a part of the value as "0.5 %". The
+                optimum is judged over it. Default: 0.3 % of the range between the bounds, of the logarithm's with
+                ``log``.
 
         Raises:
             InputError: no name, or one declared before, what is no number, or bounds that contradict each other or the
@@ -59,7 +72,7 @@ class Design:
         self._refuse_again(name)
         symbol = ca.MX.sym(name)
         at, low, high = (_number(f"variable '{name}'", value) for value in (guess, lower, upper))
-        self._variables.append(Variable(name, symbol, at, low, high, unit, log))
+        self._variables.append(Variable(name, symbol, at, low, high, unit, log, tolerance))
         self._program = None
         return symbol
 
@@ -122,7 +135,8 @@ class Design:
         self,
         *,
         parameters: Mapping[str, float] | None = None,
-        search: str | Sequence[str] = "auto",
+        search: Search = "auto",
+        judge: Judge = "tolerance",
         compiled: bool = False,
         progress: Progress | None = None,
     ) -> Optimum:
@@ -130,9 +144,14 @@ class Design:
 
         Args:
             parameters: values of parameters that differ from the declared ones, by name.
-            search: ``"auto"``: where a strength wave makes the stiffness multimodal, scan it and polish every basin,
-                else start from the guess alone; ``"local"``: from the guess alone; ``"near"``: from the guess, which
-                lies in the basin of the optimum wanted; or names of variables to scan.
+            search: ``"auto"``: over all variables, by a sample, evolution and descents, after which IPOPT optimises
+                what can be best; ``"thorough"``: four times as much of it; ``"near"`` or ``"local"``: the optimum of
+                the guess's basin, never worse than a guess that meets the requirements, and from any other that of the
+                nearest design that does; names of variables: over these alone, the others beginning at the guess; a
+                number of designs to try, or a text such as ``"20 s"``. The same search gives the same answer, bit for
+                bit, on any number of threads of a machine, one of a number of seconds excepted.
+            judge: ``"tolerance"``: optima are compared by the median of their objective within the tolerances of the
+                variables, so that one which no workshop can hit is not called best; ``"bare"``: by the objective.
             compiled: translate the model into machine code first, by the system's C compiler. That takes seconds, once
                 for a model (it is kept in the user's cache folder), and each solve a fraction of its time: for
                 repeated solves. Without a compiler the model is interpreted, and a warning says so.
@@ -147,11 +166,13 @@ class Design:
             NotConverged: the optimiser stopped without an optimum; it says why and what to do.
         """
         started = time.perf_counter()
+        if judge not in ("tolerance", "bare"):
+            raise InputError(f"judge = {judge!r} must be 'tolerance' or 'bare'")
         values = self._parameter_values(parameters or {})
         declared = self.declared
         if self._program is None or self._program.compiled != compiled:
             self._program = Program(declared, compiled=compiled)
-        return solve_program(self._program, values, search, progress or _silent, started)
+        return solve_program(self._program, values, search, judge, progress or _silent, started)
 
     @property
     def declared(self) -> Declarations:

@@ -14,6 +14,7 @@ from plough_opt.design.declarations import Parameter, Requirement, Variable, in_
 from plough_opt.design.ipopt import Point, Solver, Vector
 from plough_opt.design.machine_code import as_machine_code
 from plough_opt.design.nlp import Nlp, build_nlp
+from plough_opt.design.population import Population
 from plough_opt.design.relaxation import first_slack, relaxed
 from plough_opt.design.split import split
 from plough_opt.design.verify import TightEvaluation
@@ -29,8 +30,8 @@ _FEWEST_STEPS = 20
 # Of a periodic orbit, whose harmonics fall off exponentially.
 _HARMONICS = 12
 _SMALLEST_SCALE = 1e-12
-# Of IPOPT with exact curvatures: what can be mended beside a start takes some ten.
-_MOST_ROUGH_ITERATIONS = 15
+# Designs whose middle values set the scales where the guess has none.
+_SAMPLE, _SAMPLE_SEED = 256, 256
 
 
 @dataclass(frozen=True)
@@ -87,12 +88,12 @@ class Program:
         self.objective_scale = 1.0
         self.scales: list[float] = []
         self._built = False
-        self._served: set[tuple[bytes, float]] = set()
+        self._prepared: bytes | None = None
         self.compiled = compiled
         self.interpreted = True
         self._steps: list[int | None] = []
+        self._population: Population | None = None
         self._relaxed: Solver | None = None
-        self._rough_solver: Solver | None = None
         # A report asks several times for the values at its point.
         self._exact_at: dict[tuple[bytes, bytes], tuple[list[Vector], list[Vector]]] = {}
 
@@ -140,24 +141,43 @@ class Program:
 
     # --- building ----------------------------------------------------------------------------------------
 
-    def build(self, p: Vector, refinement: float = 1.0) -> None:
-        """Write the program with enough integration steps between the bounds, times ``refinement``.
+    def prepare(self, p: Vector) -> None:
+        """Check the bounds, and scale the program by its guess, or by a sample where the guess has no value.
+
+        Raises:
+            InputError: the objective or a requirement has no value at the guess, nor anywhere in a sample.
+            DomainError: bounds that lead out of the model's domain.
+        """
+        if self._prepared == p.tobytes():
+            return
+        self._check_bounds(p)
+        try:
+            found = self._checked_start(p)
+        except InputError as error:
+            found = self._typical(p, error)
+        if not self.scales:
+            self._set_scales(found)
+        self._prepared = p.tobytes()
+
+    def build(self, p: Vector, refinement: float = 1.0, starts: Sequence[Vector] | None = None) -> None:
+        """Write the program with enough integration steps at some designs, times ``refinement``.
 
         A program that has enough of them already is kept.
 
+        Args:
+            p: parameters.
+            refinement: factor on the steps.
+            starts: scaled designs; by default the guess and that with each variable at each of its bounds.
+
         Raises:
-            InputError: the objective or a requirement is not finite at the start.
-            DomainError: bounds that lead out of the model's domain, or a motion too fast to integrate.
+            InputError, DomainError: as `prepare`; or a motion too fast to integrate at one of the designs.
         """
-        asked = (p.tobytes(), refinement)
-        if asked in self._served:
-            return
-        self._check_bounds(p)
-        steps = self._steps_between_bounds(p, refinement)
-        found = self._checked_start(p)
-        self._served.add(asked)
-        if not self._built:
-            self._set_scales(found)
+        self.prepare(p)
+        variables = self.declared.variables
+        if starts is None:
+            corners = (values for _, values in self._corners())
+            starts = [np.array([v.scaled(x) for v, x in zip(variables, values, strict=True)]) for values in corners]
+        steps = self._steps_at(starts, p, refinement)
         enough = [have is None or need is None or have >= need for have, need in zip(self._steps, steps, strict=False)]
         if self._built and all(enough):
             return
@@ -173,18 +193,33 @@ class Program:
         self.interpreted = translated is None
         sizes = (self._y.numel(), self._p.numel())
         self._solver = Solver(self.nlp, *sizes, self.low, self.high)
-        self._rough_solver = None
+
+    @property
+    def population(self) -> Population:
+        """Objective and requirements, unscaled, of many scaled designs at once."""
+        if self._population is None:
+            declared = self.declared
+            raw = [declared.objective, ca.vertcat(*(r.expression for r in declared.requirements))]
+            parts = split(self._of_scaled(raw, self._y, self._p), [self._y, self._p])
+            with quiet_events(self._events):
+                self._population = Population(parts, self._y, self._p)
+        return self._population
 
     def _scaled(self, y: ca.MX, p: ca.MX) -> list[ca.MX]:
         """Return scaled objective and requirements of scaled variables and of parameters."""
         declared = self.declared
-        unscaled = [v.unscaled(x) for v, x in zip(declared.variables, ca.vertsplit(y), strict=True)]
-        replacements = [*unscaled, *(ca.vertsplit(p) if declared.parameters else [])]
         scaled = [
             declared.objective / self.objective_scale,
             ca.vertcat(*(r.expression / scale for r, scale in zip(declared.requirements, self.scales, strict=True))),
         ]
-        return list(ca.graph_substitute(scaled, declared.symbols(), replacements))
+        return self._of_scaled(scaled, y, p)
+
+    def _of_scaled(self, expressions: list[ca.MX], y: ca.MX, p: ca.MX) -> list[ca.MX]:
+        """Return expressions of the design's symbols as those of scaled variables and of parameters."""
+        declared = self.declared
+        unscaled = [v.unscaled(x) for v, x in zip(declared.variables, ca.vertsplit(y), strict=True)]
+        replacements = [*unscaled, *(ca.vertsplit(p) if declared.parameters else [])]
+        return list(ca.graph_substitute(expressions, declared.symbols(), replacements))
 
     def with_parameters_varied(self) -> Nlp:
         """Return the built program in (scaled variables, parameters) as one column, and in no parameters."""
@@ -201,6 +236,17 @@ class Program:
         ]
         self.low = np.array([requirements[k].low / self.scales[k] for k in self.owner])
         self.high = np.array([requirements[k].high / self.scales[k] for k in self.owner])
+
+    def _typical(self, p: Vector, error: InputError) -> list[Vector]:
+        """Return the middle values of the expressions over a sample, or say why the guess has none."""
+        points = np.random.default_rng(_SAMPLE_SEED).random((_SAMPLE, len(self.declared.variables)))
+        with np.errstate(all="ignore"):
+            f, g = self.population(points, p)
+        sound = np.isfinite(f) & np.all(np.isfinite(g), axis=1)
+        if not np.any(sound):
+            raise error
+        rows = np.median(np.abs(g[sound]), axis=0)
+        return [np.median(np.abs(f[sound])), *(rows[np.array(self.owner) == k] for k in range(len(self.declared.requirements)))]
 
     def _checked_start(self, p: Vector) -> list[Vector]:
         """Return the expressions at the guess, or say which of them has no value there."""
@@ -240,28 +286,27 @@ class Program:
                 scenes = [self.exact.inputs(k, numbers)[1] for k in range(len(self.exact.runs))]
                 for scene in (*scenes, *self.exact.quasi_static_scenes(numbers)):
                     scene.check_reaction()
-            except DomainError as error:
+                for run, scene in zip(self.exact.runs, scenes, strict=True):
+                    own = run.integration
+                    if own.structure.orbit != "transient" and own.accuracy.method == "auto":
+                        refuse_drifting_own(scene)
+                        refuse_stiff_orbit(scene)
+            except (DomainError, IntegrationError) as error:
                 raise DomainError(f"{clause}: {error}") from None
 
-    def _steps_between_bounds(self, p: Vector, refinement: float) -> list[int | None]:
-        """Return, for each run whose accuracy is automatic, the steps that its fastest design needs."""
+    def _steps_at(self, points: Sequence[Vector], p: Vector, refinement: float) -> list[int | None]:
+        """Return, for each run whose accuracy is automatic, the steps that the fastest of some designs needs."""
         steps: list[int | None] = []
         for k, run in enumerate(self.exact.runs):
             if run.integration.accuracy.method != "auto":
                 steps.append(None)
                 continue
-            given = [(clause, *self.exact.inputs(k, [*values, *p])) for clause, values in self._corners()]
-            for clause, _, scene in given if run.integration.structure.orbit != "transient" else ():
-                refuse_drifting_own(scene)
-                try:
-                    refuse_stiff_orbit(scene)
-                except IntegrationError as error:
-                    raise DomainError(f"{clause}: {error}") from None
             if self._holds_orbit(k):
                 steps.append(min(math.ceil(_HARMONICS * refinement), MOST_HARMONICS))
                 continue
             fastest = 0.0
-            for _, numbers, _ in given:
+            for y in points:
+                numbers, _ = self.exact.inputs(k, [*self.values(y), *p])
                 rate = summed_rate(dict(zip(run.integration.names, numbers, strict=False)))
                 fastest = max(fastest, rate * float(numbers[-1]))
             count = math.ceil(refinement * steps_for(fastest, _PHASE_PER_STEP))
@@ -271,7 +316,7 @@ class Program:
                     f" which would take {count} integration steps: tighten the bounds on stiffness and mass,"
                     " shorten the duration, or take the quasi-static scene"
                 )
-            steps.append(count)
+            steps.append(_with_reserve(count))
         return steps
 
     def _fewer(self, run: int) -> int | None:
@@ -290,20 +335,16 @@ class Program:
 
     # --- solving -----------------------------------------------------------------------------------------
 
-    def solve(self, start: Vector, p: Vector, *, near: bool = False, exact: bool = False) -> Point:
-        """Return the local optimum that IPOPT reaches from a scaled start: see `Solver.solve`."""
-        return self._solver.solve(start, p, near=near, exact=exact)
+    def solve(
+        self, start: Vector, p: Vector, box: float = 1.0, *, near: bool = False, exact: bool = False
+    ) -> Point:
+        """Return the local optimum that IPOPT reaches from a scaled start, no further from it than ``box``."""
+        lower, upper = np.maximum(start - box, 0.0), np.minimum(start + box, 1.0)
+        return self._solver.solve(start, p, lower, upper, near=near, exact=exact)
 
     def slopes_of_requirements(self, y: Vector, p: Vector) -> tuple[Vector, Vector]:
         """Return the scaled requirements at scaled variables, and their Jacobian: see `Solver.requirements`."""
         return self._solver.requirements(y, p)
-
-    def solve_roughly(self, start: Vector, p: Vector) -> Point:
-        """Return the local optimum of the rough program beside a start, by exact second derivatives."""
-        if self._rough_solver is None:
-            sizes = (self._y.numel(), self._p.numel())
-            self._rough_solver = Solver(self.rough, *sizes, self.low, self.high, most=_MOST_ROUGH_ITERATIONS)
-        return self._rough_solver.solve(start, p, near=True, exact=True)
 
     def solve_with_fixed(self, start: Vector, p: Vector, fixed: int | list[int]) -> Point:
         """Return the local optimum with one variable, or several, held at their start."""
@@ -330,22 +371,9 @@ class Program:
         lower[held] = upper[held] = start[held]
         return self._relaxed.solve(np.r_[start, slack], p, lower, upper, near=bool(held))
 
-    def merit(self, points: Vector, p: Vector) -> tuple[Vector, Vector]:
-        """Return, roughly, scaled objective and largest violation at points, a row each; NaN becomes infinity."""
-        f, g = self._roughly(points, p)
-        low, high = self.low[:, None], self.high[:, None]
-        violation = np.max(np.vstack([low - g, g - high]), axis=0, initial=0.0)
-        bad = ~(np.isfinite(f) & np.isfinite(violation))
-        f[bad] = violation[bad] = np.inf
-        return f, violation
 
-    def _roughly(self, points: Vector, p: Vector) -> tuple[Vector, Vector]:
-        """Return rough values at points, a row each: the objective, and the requirements, a column for each point."""
-        try:
-            f, g = (result.full() for result in self.rough.values(points.T, p))
-        except RuntimeError:  # no orbit, or no end of an integration
-            if len(points) == 1:
-                return np.array([np.inf]), np.zeros((len(self.low), 1))
-            f, g = map(np.hstack, zip(*(self._roughly(point[None], p) for point in points), strict=True))
-            return f, g
-        return f.ravel(), g
+def _with_reserve(steps: int) -> int:
+    """Return at least a tenth more, to two binary digits: where an optimiser goes from a start differs little."""
+    enough = math.ceil(1.1 * steps)
+    unit = 1 << max(0, enough.bit_length() - 3)
+    return -(-enough // unit) * unit

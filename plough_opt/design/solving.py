@@ -11,15 +11,22 @@ from functools import partial
 import casadi as ca
 import numpy as np
 
+from plough_opt.design.basin import near_optimum
 from plough_opt.design.curvature import flat_directions, minimum_from
 from plough_opt.design.declarations import in_words
-from plough_opt.design.infeasible import infeasible, is_feasible, least_violation
-from plough_opt.design.ipopt import REMEDIES, Point, Vector, decides
+from plough_opt.design.effort import Search, effort_of, searched
+from plough_opt.design.exploring import Explored, Explorer, Progress
+from plough_opt.design.infeasible import feasible_from
+from plough_opt.design.ipopt import Point, Vector, decides
+from plough_opt.design.landscape import Landscape, Seen
 from plough_opt.design.optimum import Limit, LocalOptimum, Optimum
+from plough_opt.design.polishing import polished
 from plough_opt.design.program import Program
+from plough_opt.design.record import Search as SearchRecord
 from plough_opt.design.rounding import rounded
-from plough_opt.design.search import NEAR_GUESS, Progress, global_search, scanned_variables
+from plough_opt.design.sampling import SEED
 from plough_opt.design.sensitivity import Sensitivities
+from plough_opt.design.tolerance import Judge, judgement, spread
 from plough_opt.design.verify import TightEvaluation
 from plough_opt.errors import InputError, NotConverged
 from plough_opt.motion.judgement import remarks
@@ -31,72 +38,155 @@ _REFINEMENTS = 4
 _FINER = 1.5
 # Above this gap a design by a method with its own setting carries a warning.
 _COARSE = 1e-6
+# Judged values by which a bottom may be above the best and still be optimised, and how many are.
+_CAN_WIN, _MOST_POLISHED = 0.15, 8
+# The same of designs whose runs are integrated one by one.
+_MOST_ONE_BY_ONE = 4
+# Two scaled optima nearer than this are one.
+_SAME = 1e-4
 _NUMBER = re.compile(r"\d[\d.e+-]*")
 
 
 def solve_program(
-    program: Program, p: Vector, search: str | Sequence[str], progress: Progress, started: float
+    program: Program, p: Vector, search: Search, judge: Judge, progress: Progress, started: float
 ) -> Optimum:
     """Return the best optimum of a program: see `Design.solve`."""
-    progress("building the model", 0.0)
-    program.build(p)
-    scanned = scanned_variables(program, search)
-    progress("solving from the guess", 0.0)
-    first = minimum_from(program, p, first_optimum(program, p, near=search == NEAR_GUESS))
-    points, scans = global_search(program, p, first, scanned, progress)
+    variables = program.declared.variables
+    vary = searched(search, variables)
+    progress("preparing the model", 0.0)
+    program.prepare(p)
+    landscape = Landscape(program, p)
+    explored, points = None, []
+    if vary:
+        explored, points = _searched(program, landscape, p, search, vary, judge, progress)
+    else:
+        progress("solving from the guess", 0.0)
+        points = [near_optimum(program, landscape, p, program.start())]
     points, missed = _refined(program, p, points, progress)
     progress("checking", 0.0)
+    order, points = _ranked(landscape, judge, points)
     scenes = [_scenes(program, point, p) for point in points]
     names = _names(program, [[scene for _, scene in own] for own in scenes])
-    optima = [_local_optimum(program, p, point, name) for point, name in zip(points, names, strict=True)]
-    order = sorted(range(len(optima)), key=lambda k: optima[k].objective)
-    directions = flat_directions(program, p, points[order[0]])
-    best = optima[order[0]]
+    points[0] = minimum_from(program, p, points[0])
+    optima = [_local_optimum(program, p, point, name, landscape) for point, name in zip(points, names, strict=True)]
+    directions = flat_directions(program, p, points[0])
+    best = optima[0]
     return Optimum(
         **{name: getattr(best, name) for name in LocalOptimum.__dataclass_fields__},
         status="not unique" if directions else "solved",
-        flat_directions=tuple(_in_units(program, points[order[0]], d) for d in directions),
-        local_optima=tuple(optima[k] for k in order),
-        scans=tuple(scans),
+        flat_directions=tuple(_in_units(program, points[0], d) for d in directions),
+        local_optima=tuple(optima),
+        search=_record(program, landscape, search, vary, explored, len(points), time.perf_counter() - started),
         seconds=time.perf_counter() - started,
-        warnings=(*missed, *_warnings(program, points[order[0]], p, scenes[order[0]])),
-        evaluate=partial(_evaluated, program, p, program.values(points[order[0]].y)),
-        sensitivities=Sensitivities(program, p, points[order[0]]),
+        warnings=(*missed, *_judged(best), *_warnings(program, points[0], p, scenes[0])),
+        evaluate=partial(_evaluated, program, p, program.values(points[0].y)),
+        sensitivities=Sensitivities(program, p, points[0]),
         rounder=partial(
-            rounded, program, p, points[order[0]], best, partial(_report, program, p), partial(_evaluated, program, p)
+            rounded, program, p, points[0], best, partial(_report, program, p), partial(_evaluated, program, p)
         ),
     )
 
 
-def first_optimum(program: Program, p: Vector, *, near: bool = False) -> Point:
-    """Return a local optimum near the guess; failing that, from the nearest feasible design.
-
-    With ``near`` the guess lies in the basin wanted: what makes a design multimodal is held there at first.
+def _searched(
+    program: Program,
+    landscape: Landscape,
+    p: Vector,
+    search: Search,
+    vary: tuple[int, ...],
+    judge: Judge,
+    progress: Progress,
+) -> tuple[Explored, list[Point]]:
+    """Return what a search over some variables saw, and the local optima of the basins that can be best.
 
     Raises:
-        InfeasibleDesign: no design meets the requirements.
-        NotConverged: IPOPT found no optimum although feasible designs exist.
+        InfeasibleDesign: no design was found that meets the requirements.
+        NotConverged: no design has a value, or IPOPT made none of those that were found an optimum.
     """
-    if near:
-        held = program.solve_with_fixed(program.start(), p, scanned_variables(program, "auto"))
-        if (point := program.solve(held.y if held.solved else program.start(), p, near=True)).solved:
-            return point
-    point = program.solve(program.start(), p)
-    if point.solved:
-        return point
+    start = program.start()
+    effort = effort_of(search, len(vary), program.population.runs, landscape.vectorised)
+    judged = judgement(landscape, judge)
+    explored = Explorer(landscape, start, vary, judged, progress).explored(effort)
+    if not np.any(np.isfinite(explored.sample.merit)):
+        raise NotConverged(
+            f"none of {landscape.tried} designs between the bounds has a value: tighten the bounds, or shorten the"
+            " duration",
+            "no value",
+        )
+    bottoms = explored.bottoms
+    if not np.any(bottoms.feasible) and program.declared.requirements:
+        progress("looking for a design that meets the requirements", 0.0)
+        y = feasible_from(program, landscape, p, explored.sample, start)
+        bottoms = landscape.descend(y) if landscape.vectorised else landscape(y[None])
+    chosen = _that_can_win(bottoms, judged(bottoms.points), _MOST_POLISHED if landscape.vectorised else _MOST_ONE_BY_ONE)
+    program.build(p, starts=list(bottoms.points[chosen]))
+    points: list[Point] = []
+    for number, k in enumerate(chosen):
+        progress(f"optimising basin {number + 1} of {len(chosen)}", number / len(chosen))
+        point = polished(program, p, bottoms.points[k])
+        if point.solved and not any(np.max(np.abs(point.y - other.y)) < _SAME for other in points):
+            points.append(point)
+    if not points:
+        place = program.declared.describe(program.values(bottoms.points[0]))
+        raise NotConverged(
+            f"no optimum was found; the best design that was seen is {place}: check the bounds, or search more"
+            " thoroughly",
+            "no optimum",
+        )
+    return explored, points
+
+
+def _that_can_win(bottoms: Seen, judged: Vector, most: int) -> list[int]:
+    """Return which bottoms to optimise: the best, and those that are little worse."""
+    order = np.argsort(judged, kind="stable")
+    limit = judged[order[0]] + _CAN_WIN * abs(judged[order[0]])
+    return [int(k) for k in order if judged[k] <= limit][:most]
+
+
+def _ranked(landscape: Landscape, judge: Judge, points: list[Point]) -> tuple[Vector, list[Point]]:
+    """Return optima by what they are judged by, the best first; of equal ones the lower objective."""
+    values = judgement(landscape, judge)(np.array([point.y for point in points]))
+    order = sorted(range(len(points)), key=lambda k: (round(float(values[k]), 9), points[k].f))
+    return values[order], [points[k] for k in order]
+
+
+def _record(
+    program: Program,
+    landscape: Landscape,
+    search: Search,
+    vary: tuple[int, ...],
+    explored: Explored | None,
+    polished: int,
+    seconds: float,
+) -> SearchRecord:
+    """Return the record of a search, or of none."""
     n = len(program.declared.variables)
-    if program.declared.requirements:
-        nearest = least_violation(program, p)
-        if nearest.solved and not is_feasible(nearest):
-            raise infeasible(program, nearest)
-        point = program.solve(np.clip(nearest.y[:n], 0.0, 1.0), p)
-    else:
-        point = program.solve(np.full(n, 0.5), p)
-    if point.solved:
-        return point
-    place = program.declared.describe(program.values(np.clip(point.y, 0.0, 1.0)))
-    remedy = REMEDIES.get(point.status, "start nearer, or check the bounds")
-    raise NotConverged(f"IPOPT stopped with {point.status} at {place}: {remedy}", point.status)
+    sample = explored.sample if explored else Seen(np.empty((0, n)), np.empty(0), np.empty(0))
+    return SearchRecord(
+        asked=str(search),
+        variables=tuple(program.declared.variables[k].name for k in vary),
+        designs=landscape.tried if explored else 0,
+        one_by_one=not landscape.vectorised,
+        basins=len(explored.bottoms.f) if explored else 1,
+        polished=polished,
+        followed=explored.followed if explored else 0,
+        reached=explored.reached if explored else 0,
+        seed=SEED,
+        seconds=seconds,
+        values=np.array([program.values(y) for y in sample.points]).reshape(-1, n),
+        objective=sample.f * program.objective_scale,
+        violation=sample.violation,
+    )
+
+
+def _judged(best: LocalOptimum) -> tuple[str, ...]:
+    """Return what a reader must know of the best design as it is made."""
+    spread = best.spread
+    if spread is None or not spread.needle:
+        return ()
+    return (
+        f"the best design is a needle: within its tolerances the objective is {spread.median:.6g} in the middle of the"
+        f" cases, where {best.objective:.6g} was found; no workshop can hit it",
+    )
 
 
 def _refined(
@@ -113,7 +203,7 @@ def _refined(
         if max(gaps) <= wanted:
             return points, ()
         progress(f"refining: error {max(gaps):.1e}", refinement / _REFINEMENTS)
-        program.build(p, _FINER**refinement)
+        program.build(p, _FINER**refinement, [point.y for point in points])
         for k, gap in enumerate(gaps):
             if gap > wanted and (again := program.solve(points[k].y, p, near=True)).solved:
                 points[k] = again
@@ -132,10 +222,10 @@ def _report(program: Program, p: Vector, point: Point) -> tuple[LocalOptimum, tu
     """Return the report on a point, named as if it were alone, and its warnings."""
     scenes = _scenes(program, point, p)
     (name,) = _names(program, [[scene for _, scene in scenes]])
-    return _local_optimum(program, p, point, name), _warnings(program, point, p, scenes)
+    return _local_optimum(program, p, point, name, Landscape(program, p)), _warnings(program, point, p, scenes)
 
 
-def _local_optimum(program: Program, p: Vector, point: Point, name: str) -> LocalOptimum:
+def _local_optimum(program: Program, p: Vector, point: Point, name: str, landscape: Landscape) -> LocalOptimum:
     """Return the report on a point, from the tightly integrated model."""
     found, check = program.exact_values(point.y, p)
     objective = float(found[0].item())
@@ -148,6 +238,7 @@ def _local_optimum(program: Program, p: Vector, point: Point, name: str) -> Loca
         gap=_gap(program, p, point),
         error_estimate=abs(objective - float(check[0].item())) / max(abs(objective), program.objective_scale),
         iterations=point.iterations,
+        spread=spread(landscape, point.y, objective),
     )
 
 

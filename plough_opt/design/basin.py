@@ -1,0 +1,75 @@
+"""The optimum of the basin in which a guess lies."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from plough_opt.design.infeasible import feasible_from, infeasible, is_feasible
+from plough_opt.design.ipopt import Point, Vector
+from plough_opt.design.landscape import Landscape
+from plough_opt.design.polishing import as_it_is, polished
+from plough_opt.design.program import Program
+from plough_opt.design.sampling import sample_of
+
+# Part of the range by which a descent that stays in its basin moves at once, and how often.
+_BOX, _MOST_BOXES = 0.05, 60
+# Positions on the straight way to an optimum at which a barrier is looked for, and the rise of the merit that is one.
+_BETWEEN, _BARRIER = 40, 1e-3
+
+
+def near_optimum(program: Program, landscape: Landscape, p: Vector, start: Vector) -> Point:
+    """Return the optimum of the guess's basin; from an infeasible guess, of that of the nearest feasible design.
+
+    Args:
+        program: the design's program.
+        landscape: of the program.
+        p: parameters.
+        start: the guess, scaled.
+
+    Raises:
+        InfeasibleDesign: no design was found that meets the requirements.
+    """
+    program.build(p, starts=[start])
+    point = program.solve(start, p)
+    if not landscape.vectorised:
+        return point if point.solved else _from_least_violation(program, p, start)
+    begin = landscape(start[None])
+    if not begin.feasible[0]:
+        begin = landscape.nearest_feasible(start)
+    if not begin.feasible[0]:
+        begin = landscape(feasible_from(program, landscape, p, sample_of(landscape), start)[None])
+    if point.solved and _downhill(landscape, begin.points[0], point.y):
+        return point
+    y = begin.points[0]
+    for _ in range(_MOST_BOXES):
+        end = landscape.descend(y, np.maximum(y - _BOX, 0.0), np.minimum(y + _BOX, 1.0)).points[0]
+        moved, y = np.max(np.abs(end - y)), end
+        if moved < 0.9 * _BOX:
+            break
+    program.build(p, starts=[y])
+    return polished(program, p, y)
+
+
+def first_optimum(program: Program, p: Vector) -> Point:
+    """Return the optimum of the basin of a program's guess."""
+    program.prepare(p)
+    return near_optimum(program, Landscape(program, p), p, program.start())
+
+
+def _downhill(landscape: Landscape, start: Vector, end: Vector) -> bool:
+    """Return whether no barrier lies on the straight way between two designs, nor the end above the start."""
+    parts = np.linspace(0.0, 1.0, _BETWEEN)[:, None]
+    merit = landscape(start + parts * (end - start)).merit
+    rise = np.max(merit - np.minimum.accumulate(merit))
+    return bool(rise <= _BARRIER * abs(merit[0]))
+
+
+def _from_least_violation(program: Program, p: Vector, start: Vector) -> Point:
+    """Return the optimum from the nearest design that meets the requirements."""
+    n = len(start)
+    loose = program.solve_relaxed(start, p)
+    if not is_feasible(loose):
+        raise infeasible(program, loose)
+    y = np.clip(loose.y[:n], 0.0, 1.0)
+    point = program.solve(y, p)
+    return point if point.solved else as_it_is(program, p, y)

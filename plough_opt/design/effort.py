@@ -1,0 +1,124 @@
+"""How thoroughly a design is searched."""
+
+from __future__ import annotations
+
+import re
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from plough_opt.design.declarations import Variable
+from plough_opt.errors import InputError, nearest
+
+Search = str | int | Sequence[str]
+"""Words, names of variables, a number of designs, or a text such as "20 s"."""
+
+WORDS = ("auto", "thorough", "near", "local")
+"""What `search` may say: the last is another word for the one before it."""
+
+# By number of variables: designs of a sample, a power of two, and islands of the evolution that begins from it. One
+# evolution in two to four misses the best basin of a problem of four and more variables, so there are several.
+_DESIGNS = {1: 512, 2: 1024, 3: 2048, 4: 4096}
+_MOST_DESIGNS = 8192
+_ISLANDS = {1: 0, 2: 1, 3: 2}
+_MOST_ISLANDS = 4
+# Runs, of all designs of a round together, where a design has many: some seconds' worth.
+_MOST_RUNS = 60_000
+# Designs whose runs are integrated one by one, each for milliseconds.
+_ONE_BY_ONE = 256
+_THOROUGH = 4
+_SECONDS = re.compile(r"\s*([0-9.]+(?:e[+-]?[0-9]+)?)\s*s\s*")
+
+
+@dataclass(frozen=True)
+class Effort:
+    """Rounds of a search, each a sample, an evolution and descents of their own.
+
+    Attributes:
+        designs: of each round's sample.
+        islands: of each round's evolution.
+        population: designs on an island.
+        generations: of an evolution.
+        descents: from the lowest designs of the sample.
+        followed: further descents, from where designs drawn at random lead.
+        rounds: number of them, where neither of the following says.
+        most_designs: after how many designs to stop, or None.
+        seconds: after what time to stop, or None.
+    """
+
+    designs: int
+    islands: int
+    population: int
+    generations: int
+    descents: int
+    followed: int
+    rounds: int = 1
+    most_designs: int | None = None
+    seconds: float | None = None
+
+    def more(self, rounds: int, designs: int, began: float) -> bool:
+        """Return whether another round is due, after so many rounds and designs, since a time."""
+        if self.seconds is not None:
+            return time.perf_counter() - began < self.seconds
+        if self.most_designs is not None:
+            return designs < self.most_designs
+        return rounds < self.rounds
+
+
+def effort_of(search: Search, dimensions: int, runs: int, vectorised: bool) -> Effort:
+    """Return the effort that words ask for.
+
+    Args:
+        search: see `plough_opt.Design.solve`.
+        dimensions: number of variables that are searched.
+        runs: number of runs in a design.
+        vectorised: whether they are followed side by side.
+    """
+    designs = min(_DESIGNS.get(dimensions, _MOST_DESIGNS), max(_ONE_BY_ONE, _MOST_RUNS // max(runs, 1)))
+    islands = _ISLANDS.get(dimensions, _MOST_ISLANDS) if designs * runs < _MOST_RUNS else 0
+    many = dimensions > 3
+    effort = Effort(
+        designs=designs if vectorised else _ONE_BY_ONE,
+        islands=islands if vectorised else 0,
+        population=40 if many else 24,
+        generations=60 if many else 30,
+        descents=4 + 3 * dimensions,
+        followed=4 + 2 * dimensions,
+        rounds=_THOROUGH if search == "thorough" else 1,
+        most_designs=search if isinstance(search, int) else None,
+        seconds=seconds_of(search),
+    )
+    return effort
+
+
+def seconds_of(search: Search) -> float | None:
+    """Return the seconds that a text such as "20 s" asks for, or None for any other."""
+    found = _SECONDS.fullmatch(search) if isinstance(search, str) else None
+    return float(found[1]) if found else None
+
+
+def searched(search: Search, variables: Sequence[Variable]) -> tuple[int, ...]:
+    """Return the numbers of the variables to search; none where the guess's basin is asked for.
+
+    Raises:
+        InputError: a name that is no variable, or what is no effort.
+    """
+    names = [v.name for v in variables]
+    every = tuple(range(len(names)))
+    if isinstance(search, bool) or not isinstance(search, str | int | Sequence):
+        raise InputError(f"search = {search!r} must be 'auto', 'thorough', 'near', a number of designs, a text such as"
+                         " '20 s', or names of variables")  # fmt: skip
+    if isinstance(search, int):
+        if search < 1:
+            raise InputError(f"search = {search} must be a number of designs, at least 1")
+        return every
+    if search in ("near", "local"):
+        return ()
+    if search in ("auto", "thorough") or seconds_of(search) is not None:
+        return every
+    wanted = [search] if isinstance(search, str) else list(search)
+    for name in wanted:
+        if name not in names:
+            known = nearest(str(name), [*WORDS, *names])
+            raise InputError(f"search = {name!r} is not a variable of this design: {known}")
+    return tuple(names.index(name) for name in dict.fromkeys(wanted))

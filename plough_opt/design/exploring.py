@@ -1,0 +1,212 @@
+"""A search over all variables: a sample, evolution on islands, descents, and the basins that they show."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from plough_opt.design.effort import Effort
+from plough_opt.design.ipopt import Vector
+from plough_opt.design.landscape import Landscape, Seen
+from plough_opt.design.sampling import SEED, lowest_around, sample
+
+Progress = Callable[[str, float], None]
+"""Called with what is being done and the fraction done of it."""
+
+# Positions on the straight way between two designs at which a barrier is looked for.
+_BETWEEN = 24
+# A rise by less than this part of the merit is a ripple within a basin.
+_RIPPLE = 1e-3
+# Two scaled designs nearer than this are one.
+_SAME = 1e-3
+# Positions along each variable through the best design, dips for each variable that are followed, and how far from that
+# design a dip is another.
+_ALONG, _DIPS, _BESIDE = 128, 4, 0.01
+# An island on which all designs are this alike has converged.
+_CONVERGED = 1e-7
+# Points of the uniform part of a sample that are followed at most, once their basins are known.
+_MOST_FOLLOWED = 256
+
+
+@dataclass(frozen=True)
+class Explored:
+    """What a search saw.
+
+    Attributes:
+        sample: the designs of the samples.
+        bottoms: of each basin found, the lowest design, by a judgement of their own the best first.
+        followed: uniform points of the sample that were followed to their basins.
+        reached: basins that they came to.
+    """
+
+    sample: Seen
+    bottoms: Seen
+    followed: int
+    reached: int
+
+
+class Explorer:
+    """Rounds of looking for basins."""
+
+    def __init__(
+        self,
+        landscape: Landscape,
+        start: Vector,
+        vary: tuple[int, ...],
+        judge: Callable[[Vector], Vector],
+        progress: Progress,
+    ) -> None:
+        """Take what to search.
+
+        Args:
+            landscape: what is searched.
+            start: the guess, scaled; variables that are not searched stay there until the descents.
+            vary: numbers of the variables that are searched.
+            judge: scaled designs, a row each -> by what they are compared, in units of the merit.
+            progress: called with what is being done.
+        """
+        self._landscape, self._start, self._vary = landscape, start, list(vary)
+        self._judge, self._progress = judge, progress
+        self._samples: list[Seen] = []
+        self._found: list[Seen] = []
+        # Of every followed point, the number of the descent that it led to.
+        self._followed: list[int] = []
+
+    def explored(self, effort: Effort) -> Explored:
+        """Return what rounds of an effort see."""
+        began, rounds = time.perf_counter(), 0
+        while rounds == 0 or effort.more(rounds, self._landscape.tried, began):
+            self._round(effort, rounds)
+            rounds += 1
+        self._progress("telling basins apart", 0.0)
+        bottoms, basin = self._basins()
+        reached = [basin[k] for k in self._followed if basin[k] is not None]
+        return Explored(self._samples[0].joined(*self._samples[1:]), bottoms, len(reached), len(set(reached)))
+
+    def _round(self, effort: Effort, number: int) -> None:
+        rng = np.random.default_rng([SEED, number])
+        n = len(self._vary)
+        self._progress(f"trying {effort.designs} designs", 0.0)
+        points, uniform = sample(n, effort.designs, self._start[self._vary], rng)
+        seen = self._landscape(self._whole(points))
+        self._samples.append(seen)
+        if not np.any(np.isfinite(seen.merit)):
+            return
+        lowest, downhill = lowest_around(points, seen.merit)
+        islands = [self._evolved(effort, points, seen.merit, k, rng) for k in range(effort.islands if n > 1 else 0)]
+        starts = [*islands, *(seen.points[k] for k in lowest[: effort.descents])]
+        if not number:
+            starts.append(self._start)
+        first = len(self._found)
+        for done, start in enumerate(starts):
+            self._progress(f"descending from {len(starts)} low designs", done / len(starts))
+            self._found.append(self._descended(start))
+        known = {int(k): first + len(islands) + j for j, k in enumerate(lowest[: effort.descents])}
+        self._scan()
+        self._follow(seen, [int(downhill[k]) for k in uniform], known, effort.followed)
+
+    def _scan(self) -> None:
+        """Descend from the dips along each variable through the best design so far, which a sample may be too thin for."""
+        if not self._landscape.vectorised:
+            return
+        bottoms, _ = self._basins()
+        if not len(bottoms.f):
+            return
+        lines = np.repeat(bottoms.points[0][None], _ALONG * len(self._vary), axis=0)
+        for k, variable in enumerate(self._vary):
+            lines[k * _ALONG : (k + 1) * _ALONG, variable] = np.linspace(0.0, 1.0, _ALONG)
+        seen = self._landscape(lines)
+        merit = np.pad(seen.merit.reshape(-1, _ALONG), ((0, 0), (1, 1)), constant_values=np.inf)
+        dips = np.flatnonzero(((merit[:, 1:-1] < merit[:, :-2]) & (merit[:, 1:-1] <= merit[:, 2:])).ravel())
+        for k in dips[np.argsort(seen.merit[dips], kind="stable")][: _DIPS * len(self._vary)]:
+            if np.isfinite(seen.merit[k]) and np.max(np.abs(lines[k] - bottoms.points[0])) > _BESIDE:
+                self._progress("descending from dips along each variable", 0.0)
+                self._found.append(self._descended(lines[k]))
+
+    def _follow(self, seen: Seen, ends: list[int], known: dict[int, int], most: int) -> None:
+        """Follow uniform points, in their order, to where descents from the lowest designs around them lead."""
+        for number, end in enumerate(ends[:_MOST_FOLLOWED]):
+            if end not in known:
+                if most == 0 or not np.isfinite(seen.merit[end]):
+                    return
+                most -= 1
+                self._progress("following designs drawn at random", number / min(len(ends), _MOST_FOLLOWED))
+                known[end] = len(self._found)
+                self._found.append(self._descended(seen.points[end]))
+            self._followed.append(known[end])
+
+    def _descended(self, start: Vector) -> Seen:
+        """Return where a descent leads; runs that are integrated one by one are left to the optimiser."""
+        landscape = self._landscape
+        return landscape.descend(start) if landscape.vectorised else landscape(start[None])
+
+    def _whole(self, points: Vector) -> Vector:
+        """Return designs whose searched variables are given, the others at the start."""
+        whole = np.repeat(self._start[None], len(points), axis=0)
+        whole[:, self._vary] = points
+        return whole
+
+    def _evolved(
+        self, effort: Effort, points: Vector, merit: Vector, island: int, rng: np.random.Generator
+    ) -> Vector:
+        """Return the best design of SciPy's differential evolution that begins from a part of the sample."""
+        from scipy.optimize import differential_evolution  # slow to import
+
+        self._progress(f"evolution, island {island + 1} of {effort.islands}", island / effort.islands)
+        order = np.argsort(merit, kind="stable")
+        part = order[island :: effort.islands][: effort.population]
+        # The middle of the best is where it begins; every second island takes random bases and forgets slowly.
+        found = differential_evolution(
+            lambda x: np.minimum(self._landscape(self._whole(x.T)).merit, _WORST),
+            [(0.0, 1.0)] * points.shape[1],
+            strategy="best1bin" if island % 2 == 0 and points.shape[1] < 6 else "rand1bin",
+            init=points[part],
+            maxiter=effort.generations,
+            tol=_CONVERGED,
+            recombination=0.9,
+            rng=rng,
+            polish=False,
+            updating="deferred",
+            vectorized=True,
+        )
+        return self._whole(found.x[None])[0]
+
+    def _basins(self) -> tuple[Seen, list[int | None]]:
+        """Return the lowest design of each basin, the best first, and the basin of each descent's end."""
+        found = self._found[0].joined(*self._found[1:]) if self._found else self._samples[0].of(slice(0, 0))
+        basin: list[int | None] = [None] * len(found.f)
+        sound = np.flatnonzero(np.isfinite(found.merit))
+        if np.any(found.feasible):
+            sound = np.flatnonzero(found.feasible)
+        judged = self._judge(found.points[sound])
+        bottoms: list[int] = []
+        for k in sound[np.argsort(judged, kind="stable")]:
+            same = self._without_barrier(found, int(k), bottoms)
+            basin[k] = len(bottoms) if same is None else same
+            if same is None:
+                bottoms.append(int(k))
+        return found.of(bottoms), basin
+
+    def _without_barrier(self, found: Seen, k: int, bottoms: list[int]) -> int | None:
+        """Return the first basin from whose bottom no barrier parts a design, or None."""
+        if not bottoms:
+            return None
+        own, others = found.points[k], found.points[bottoms]
+        near = np.flatnonzero(np.max(np.abs(others - own), axis=1) < _SAME)
+        if len(near):
+            return int(near[0])
+        parts = np.linspace(0.0, 1.0, _BETWEEN + 2)[1:-1]
+        way = own + parts[:, None, None] * (others - own)
+        if not self._landscape.vectorised:
+            return None
+        merit = self._landscape(way.reshape(-1, len(own))).merit.reshape(_BETWEEN, -1)
+        higher = np.maximum(found.merit[bottoms], found.merit[k])
+        level = np.flatnonzero(merit.max(axis=0) <= higher + _RIPPLE * np.abs(higher))
+        return int(level[0]) if len(level) else None
+
+
+# Keeps the arithmetic of an evolution finite where designs have no value.
+_WORST = 1e30

@@ -1,0 +1,286 @@
+"""The scaled objective and violations over all variables: what a search samples, and rough descents in it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from plough_opt.design.ipopt import Vector
+from plough_opt.design.program import Program
+
+FEASIBLE = 1e-6
+"""Scaled violation below which a design counts as meeting its requirements."""
+
+# A violated requirement must outweigh any gain in the scaled objective, which is of order 1.
+_PENALTY = 100.0
+# Scaled step of differences, between the rounding of a run (some 1e-13) and its curvature.
+_STEP = 1e-6
+# Descents take finer steps than a sample, so that the few steps by which a count changes shift nothing that matters.
+_FINER = 2.0
+_ITERATIONS = 60
+# Of a column of a requirement, as a deflection at every output, only the worst values enter a descent.
+_MOST_ROWS = 6
+# Times that further rows, which a descent has broken, are added.
+_ROUNDS = 3
+
+
+@dataclass(frozen=True)
+class Seen:
+    """What was seen of designs, a row each.
+
+    Attributes:
+        points: scaled variables.
+        f: scaled objective; NaN where a design has no value.
+        violation: sum over the requirements of what each is violated by at its worst, in its scale; infinite without
+            a value.
+    """
+
+    points: Vector
+    f: Vector
+    violation: Vector
+
+    @property
+    def feasible(self) -> np.ndarray:
+        """Whether each design meets all requirements."""
+        return self.violation <= FEASIBLE
+
+    @property
+    def merit(self) -> Vector:
+        """Objective and violations in one number, infinite without a value."""
+        return np.where(np.isfinite(self.f), self.f + _PENALTY * self.violation, np.inf)
+
+    def joined(self, *others: Seen) -> Seen:
+        """Return the designs of all."""
+        every = (self, *others)
+        return Seen(*(np.concatenate([getattr(one, name) for one in every]) for name in ("points", "f", "violation")))
+
+    def of(self, which: Any) -> Seen:
+        """Return some of the designs."""
+        return Seen(self.points[which], self.f[which], self.violation[which])
+
+
+class Landscape:
+    """Scaled objective and requirements over the scaled variables, at given parameters."""
+
+    def __init__(self, program: Program, p: Vector) -> None:
+        """Take a program whose scales are set."""
+        self.program, self._p = program, p
+        self.dimensions = len(program.declared.variables)
+        owner = np.array(program.owner, dtype=int)
+        self.first_rows: list[int] = np.flatnonzero(np.diff(owner, prepend=-1)).tolist()
+        self._scale = np.array(program.scales)[owner] if len(owner) else np.empty(0)
+        self.vectorised = program.population.vectorised
+        self.tried = 0
+
+    def rows(self, points: Vector, *, finer: float = 1.0, together: int = 1) -> tuple[Vector, Vector]:
+        """Return the scaled objective and requirements, a row for each design."""
+        self.tried += len(points)
+        f, g = self.program.population(points, self._p, finer=finer, together=together)
+        return f / self.program.objective_scale, g / self._scale
+
+    def violations(self, g: Vector) -> Vector:
+        """Return by what each requirement is violated at its worst, a row for each design; infinite without a value."""
+        if not self.first_rows:
+            return np.zeros((len(g), 0))
+        excess = np.maximum(self.program.low - g, g - self.program.high)
+        worst = np.maximum.reduceat(excess, self.first_rows, axis=1)
+        return np.where(np.isfinite(worst), np.maximum(worst, 0.0), np.inf)
+
+    def __call__(self, points: Vector, *, finer: float = 1.0) -> Seen:
+        """Look at designs, a row each."""
+        with np.errstate(all="ignore"):
+            f, g = self.rows(points, finer=finer)
+            violation = self.violations(g).sum(axis=1)
+        f = np.where(np.isfinite(f), f, np.nan)
+        return Seen(points, f, np.where(np.isnan(f), np.inf, violation))
+
+    # --- descents ----------------------------------------------------------------------------------------
+
+    def descend(self, start: Vector, lower: Vector | None = None, upper: Vector | None = None) -> Seen:
+        """Return where a local search by SciPy's SLSQP leads from a start; never worse than the start.
+
+        Args:
+            start: scaled variables.
+            lower: lower bounds of them; default 0.
+            upper: upper bounds; default 1.
+        """
+        box = (np.zeros(len(start)) if lower is None else lower, np.ones(len(start)) if upper is None else upper)
+        return _Descent(self, box).from_(np.clip(start, *box))
+
+    def nearest_feasible(self, start: Vector) -> Seen:
+        """Return the feasible design that is nearest to a start, as far as a local search finds it."""
+        return _Nearest(self, start).from_(start)
+
+    def least_violation(self, start: Vector, ignored: frozenset[int] = frozenset()) -> Seen:
+        """Return where the sum of all violations is least beside a start, requirements numbered ``ignored`` apart."""
+        return _LeastViolation(self, ignored).from_(start)
+
+
+class _NoValue(Exception):
+    """A design without a value, on which a descent ends."""
+
+
+class _Descent:
+    """Runs of SLSQP on the worst rows of each requirement, repeated when others turn out to be broken."""
+
+    def __init__(self, landscape: Landscape, box: tuple[Vector, Vector]) -> None:
+        self._landscape, self._box = landscape, box
+        self._known: tuple[bytes, tuple[float, Vector, Vector, Vector]] | None = None
+        self._best: tuple[float, Vector] = (np.inf, box[0])
+
+    def from_(self, start: Vector) -> Seen:
+        """Return the best design that a descent from a start comes to."""
+        x, rows = self._begin(start), np.empty(0, dtype=int)
+        try:
+            for _ in range(_ROUNDS):
+                more = self._worst_rows(x[: len(start)], rows)
+                if len(more) == len(rows) > 0:
+                    break
+                x, rows = self._minimised(x, more), more
+                if not len(rows):
+                    break
+        except _NoValue:
+            pass
+        best = start if np.isinf(self._best[0]) else self._best[1]
+        return self._landscape(best[None], finer=_FINER)
+
+    def _begin(self, start: Vector) -> Vector:
+        """Return the unknowns at a start."""
+        return start
+
+    def _minimised(self, x: Vector, rows: np.ndarray) -> Vector:
+        """Return the unknowns to which SLSQP leads, subject to some rows of the requirements."""
+        from scipy.optimize import minimize  # slow to import
+
+        found = minimize(
+            self._objective,
+            x,
+            jac=self._gradient,
+            bounds=[(low, high if np.isfinite(high) else None) for low, high in zip(*self._box, strict=True)],
+            constraints=self._constraints(rows),
+            method="SLSQP",
+            options={"maxiter": _ITERATIONS, "ftol": 1e-11},
+        )
+        clipped: Vector = np.clip(found.x, *self._box)
+        return clipped
+
+    def _objective(self, x: Vector) -> float:
+        """Return what SLSQP minimises."""
+        return self._derivatives(x)[0]
+
+    def _gradient(self, x: Vector) -> Vector:
+        """Return its gradient."""
+        return self._derivatives(x)[1]
+
+    def _constraints(self, rows: np.ndarray) -> list[dict[str, Any]]:
+        program = self._landscape.program
+        return [
+            {
+                "type": "ineq",
+                "fun": lambda x, some=some, at=at, sign=sign: sign * (self._derivatives(x)[2][some] - at),
+                "jac": lambda x, some=some, sign=sign: sign * self._derivatives(x)[3][some],
+            }
+            for limit, sign in ((program.low[rows], 1.0), (program.high[rows], -1.0))
+            if len(some := rows[np.isfinite(limit)])
+            for at in (limit[np.isfinite(limit)],)
+        ]
+
+    def _merit(self, _y: Vector, f: float, violations: Vector) -> float:
+        """Return what the best design of a descent has least of."""
+        return f + _PENALTY * float(violations.sum())
+
+    def _derivatives(self, x: Vector) -> tuple[float, Vector, Vector, Vector]:
+        """Return objective, gradient, requirements and their Jacobian, by differences of runs of equal steps."""
+        n = self._landscape.dimensions
+        lower, upper = (side[:n] for side in self._box)
+        y = np.clip(x[:n], lower, upper)
+        if self._known is None or self._known[0] != y.tobytes():
+            step = np.where(y + _STEP > upper, -_STEP, _STEP)
+            with np.errstate(all="ignore"):
+                f, g = self._landscape.rows(np.vstack([y, y + np.diag(step)]), finer=_FINER, together=n + 1)
+            if not (np.all(np.isfinite(f)) and np.all(np.isfinite(g))):
+                raise _NoValue
+            merit = self._merit(y, float(f[0]), self._landscape.violations(g[:1])[0])
+            if merit < self._best[0]:
+                self._best = merit, y
+            self._known = y.tobytes(), (float(f[0]), (f[1:] - f[0]) / step, g[0], ((g[1:] - g[0]) / step[:, None]).T)
+        return self._known[1]
+
+    def _worst_rows(self, y: Vector, known: np.ndarray) -> np.ndarray:
+        """Return the rows nearest to their limits, some of each requirement, beside those known already."""
+        program, first = self._landscape.program, self._landscape.first_rows
+        g = self._derivatives(y)[2]
+        margin = np.minimum(g - program.low, program.high - g)
+        chosen = set(known.tolist())
+        for begin, end in zip(first, [*first[1:], len(g)], strict=True):
+            own = margin[begin:end]
+            # Of a curve over time the dips, each of which is a row of its own.
+            dips = np.flatnonzero((own <= np.r_[np.inf, own[:-1]]) & (own <= np.r_[own[1:], np.inf]))
+            which = dips[np.argsort(own[dips], kind="stable")[:_MOST_ROWS]] if len(own) > _MOST_ROWS else range(len(own))
+            chosen |= {begin + int(k) for k in which}
+        return np.array(sorted(chosen), dtype=int)
+
+
+class _Nearest(_Descent):
+    """The same for the distance from a design in the place of the objective."""
+
+    def __init__(self, landscape: Landscape, design: Vector) -> None:
+        n = landscape.dimensions
+        super().__init__(landscape, (np.zeros(n), np.ones(n)))
+        self._design = design
+
+    def _objective(self, x: Vector) -> float:
+        return float(np.sum((x - self._design) ** 2))
+
+    def _gradient(self, x: Vector) -> Vector:
+        return 2.0 * (x - self._design)
+
+    def _merit(self, y: Vector, _f: float, violations: Vector) -> float:
+        return self._objective(y) + _PENALTY * float(violations.sum())
+
+
+class _LeastViolation(_Descent):
+    """The same for the sum of what the requirements give way, each a further unknown."""
+
+    def __init__(self, landscape: Landscape, ignored: frozenset[int]) -> None:
+        n, count = landscape.dimensions, len(landscape.program.declared.requirements)
+        super().__init__(landscape, (np.zeros(n + count), np.r_[np.ones(n), np.full(count, np.inf)]))
+        self._n, self._count = n, count
+        self._weights = np.array([float(k not in ignored) for k in range(count)])
+
+    def _begin(self, start: Vector) -> Vector:
+        try:
+            g = self._derivatives(start)[2]
+        except _NoValue:
+            return np.r_[start, np.zeros(self._count)]
+        return np.r_[start, self._landscape.violations(g[None])[0]]
+
+    def _merit(self, _y: Vector, _f: float, violations: Vector) -> float:
+        return float(violations @ self._weights)
+
+    def _objective(self, x: Vector) -> float:
+        return float(self._weights @ x[self._n :])
+
+    def _gradient(self, _: Vector) -> Vector:
+        return np.r_[np.zeros(self._n), self._weights]
+
+    def _constraints(self, rows: np.ndarray) -> list[dict[str, Any]]:
+        program = self._landscape.program
+        owner = np.array(program.owner)
+        constraints = []
+        for limit, sign in ((program.low[rows], 1.0), (program.high[rows], -1.0)):
+            some = rows[np.isfinite(limit)]
+            if not len(some):
+                continue
+            at, give = limit[np.isfinite(limit)], np.eye(self._count)[owner[some]]
+
+            def fun(x: Vector, some: Any = some, at: Any = at, give: Any = give, sign: float = sign) -> Vector:
+                return sign * (self._derivatives(x)[2][some] - at) + give @ x[self._n :]
+
+            def jac(x: Vector, some: Any = some, give: Any = give, sign: float = sign) -> Vector:
+                return np.hstack([sign * self._derivatives(x)[3][some], give])
+
+            constraints.append({"type": "ineq", "fun": fun, "jac": jac})
+        return constraints

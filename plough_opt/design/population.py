@@ -1,0 +1,192 @@
+"""A design's objective and requirements at very many designs, side by side and roughly: what a search looks at."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from plough_opt.accuracy import ADAPTIVE
+from plough_opt.batch.many_runs import ManyRuns
+from plough_opt.processors import available
+from plough_opt.design.nlp import averages_only, holds_maps
+from plough_opt.design.split import EmbeddedRun, Split
+from plough_opt.design.ipopt import Vector
+from plough_opt.errors import InputError
+from plough_opt.motion.integrators import Integration, integration
+
+# Numbers of results that are in memory at once.
+_MOST_RESULTS = 4_000_000
+# Of runs that are integrated one by one, for a look at them: of some 1e-5.
+_TOLERANCE = 1e-7
+_HARMONICS = 8
+
+
+@dataclass(frozen=True)
+class _Group:
+    """Runs of one structure that are followed together.
+
+    Attributes:
+        members: their numbers among the design's runs.
+        follow: (parameters, a row for each run; finer; together) -> results, a row for each.
+        size: number of results of each.
+    """
+
+    members: tuple[int, ...]
+    follow: Callable[[Vector, float, int], Vector]
+    size: int
+
+
+class Population:
+    """Objective and requirements of many designs, by steps of each design's own.
+
+    Attributes:
+        vectorised: whether all runs are followed side by side, some ten microseconds each; runs with events and lasting
+            orbits are integrated one by one, at a thousand times that.
+        runs: number of runs in a design.
+    """
+
+    def __init__(self, parts: Split, y: ca.MX, p: ca.MX) -> None:
+        """Take objective (first) and requirements (second, a column) of scaled variables y and of parameters p.
+
+        Args:
+            parts: the expressions, split around their runs.
+            y: scaled variables.
+            p: parameters.
+        """
+        full = ca.Function("full", [y, p, *parts.results], list(parts.expressions))
+        if not holds_maps(full):
+            full = full.expand()
+        self.runs = len(parts.runs)
+        self.vectorised = True
+        found: dict[object, list[int]] = {}
+        for k, run in enumerate(parts.runs):
+            averages = averages_only(run, full, 2 + k)
+            outputs = 0 if averages else run.integration.timeline.outputs
+            key = (run.integration.structure, outputs) if run.integration.structure.stepped else k
+            found.setdefault(key, []).append(k)
+        self._groups = [self._group(parts, members, key) for key, members in found.items()]
+        inputs = [ca.horzcat(*(parts.runs[k].inputs for k in group.members)) for group in self._groups]
+        given = ca.Function("inputs", [y, p], [ca.densify(one) for one in inputs])
+        self._inputs = _OfRows(given if holds_maps(given) else given.expand())
+        self._algebra = _OfRows(_of_groups(full, parts, self._groups))
+        self._rows = self._algebra.function.numel_out(1)
+
+    def _group(self, parts: Split, members: list[int], key: object) -> _Group:
+        if isinstance(key, tuple):
+            try:
+                many = ManyRuns(*key)
+            except InputError:  # an operation without a vector form
+                pass
+            else:
+                threads = available()
+
+                def follow(theta: Vector, finer: float, together: int) -> Vector:
+                    return many(theta, finer=finer, together=together, threads=threads)
+
+                return _Group(tuple(members), follow, many.size)
+        self.vectorised = False
+        solver = _roughly(parts.runs[members[0]])
+        size = sum(solver.function.numel_out(j) for j in range(solver.function.n_out()))
+        return _Group(tuple(members), lambda theta, _finer, _together: _each(solver, theta), size)
+
+    def __call__(self, points: Vector, p: Vector, *, finer: float = 1.0, together: int = 1) -> tuple[Vector, Vector]:
+        """Return the objective, and the requirements, a row for each design; NaN where a design has no value.
+
+        Args:
+            points: scaled variables, a row for each design.
+            p: parameters.
+            finer: factor on the steps of the runs.
+            together: designs, of rows one after the other, whose runs take equal numbers of steps.
+        """
+        each = max(1, sum(group.size * len(group.members) for group in self._groups) + self._rows)
+        chunk = max(1, _MOST_RESULTS // each // together) * together
+        f, g = np.empty(len(points)), np.empty((len(points), self._rows))
+        for first in range(0, len(points), chunk):
+            part = slice(first, first + chunk)
+            f[part], g[part] = self._values(points[part], p, finer, together)
+        return f, g
+
+    def _values(self, points: Vector, p: Vector, finer: float, together: int) -> tuple[Vector, Vector]:
+        n = len(points)
+        given = [points, np.broadcast_to(p, (n, len(p)))]
+        results = []
+        for group, theta in zip(self._groups, self._inputs(*given), strict=True):
+            count = len(group.members)
+            theta = theta.reshape(n, count, -1)
+            if together > 1 and count > 1:
+                # Runs of equal steps are the same run of designs one after the other.
+                found = group.follow(theta.transpose(1, 0, 2).reshape(n * count, -1), finer, together)
+                found = found.reshape(count, n, -1).transpose(1, 0, 2)
+            else:
+                found = group.follow(theta.reshape(n * count, -1), finer, together)
+            results.append(found.reshape(n, -1))
+        f, g = self._algebra(*given, *results)
+        return f.ravel(), g
+
+
+class _OfRows:
+    """A Function of dense columns, of many of them at once: a row of each argument and each result for each."""
+
+    def __init__(self, function: ca.Function) -> None:
+        """Take the Function."""
+        self.function = function
+        # A search asks for few numbers of designs, most of them again and again.
+        self._mapped = lru_cache(maxsize=16)(lambda count: function.map(count))
+
+    def __call__(self, *arguments: Vector) -> list[Vector]:
+        """Return the results."""
+        count = len(arguments[0])
+        mapped = self._mapped(count) if count > 1 else self.function
+        made: Any = mapped.buffer()  # its stubs know no arrays
+        buffer, evaluate = made
+        kept = [np.ascontiguousarray(argument, dtype=float) for argument in arguments]
+        results = [np.empty((count, self.function.numel_out(k))) for k in range(self.function.n_out())]
+        for k, array in enumerate(kept):
+            buffer.set_arg(k, memoryview(array.reshape(-1)))
+        for k, array in enumerate(results):
+            buffer.set_res(k, memoryview(array.reshape(-1)))
+        evaluate()
+        return results
+
+
+def _of_groups(full: ca.Function, parts: Split, groups: list[_Group]) -> ca.Function:
+    """Return (y, p, results of each group's members, one below the other) -> (objective, requirements)."""
+    kind = ca.SX if full.is_a("SXFunction") else ca.MX
+    y, p = kind.sym("y", full.numel_in(0)), kind.sym("p", full.numel_in(1))
+    given, results = [], {}
+    for group in groups:
+        column = kind.sym("o", group.size * len(group.members))
+        given.append(column)
+        for j, k in enumerate(group.members):
+            own = column[j * group.size : (j + 1) * group.size]
+            results[k] = ca.vertcat(kind.zeros(parts.results[k].numel() - group.size), own)
+    ordered = [results[k] for k in range(len(parts.results))]
+    return ca.Function("algebra", [y, p, *given], [ca.densify(one) for one in full(y, p, *ordered)])
+
+
+def _roughly(run: EmbeddedRun) -> Integration:
+    """Return what integrates a run one by one and roughly: events by a loose tolerance, orbits by few harmonics."""
+    own = run.integration
+    if own.structure.orbit == "periodic":
+        structure = replace(own.structure, orbit="harmonic_balance", harmonics=_HARMONICS)
+        return integration(structure, own.accuracy, own.timeline)
+    if own.accuracy.method in ADAPTIVE:
+        return integration(own.structure, replace(own.accuracy, tolerance=_TOLERANCE), own.timeline)
+    return own
+
+
+def _each(solver: Integration, theta: Vector) -> Vector:
+    """Return the results of runs, a row each, integrated one by one; NaN where that fails."""
+    size = sum(solver.function.numel_out(j) for j in range(solver.function.n_out()))
+    found = np.full((len(theta), size), np.nan)
+    for k, row in enumerate(theta):
+        try:
+            found[k] = np.concatenate([np.asarray(part).ravel(order="F") for part in solver.function.call([row])])
+        except RuntimeError:  # no orbit, or no end of an integration
+            continue
+    return found

@@ -1,0 +1,60 @@
+"""A space-filling sample of a design's variables, and the basins that show in it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from plough_opt.design.ipopt import Vector
+from plough_opt.design.landscape import Landscape, Seen
+
+SEED = 2008
+"""Of every sample and evolution: the same question has the same answer."""
+
+# Half of the sample is stretched by so much on either side and clipped, so that bounds and corners are sampled.
+_STRETCH = 0.15
+# Neighbours of a point in the sample, for each variable, that tell whether it is the lowest around.
+_NEIGHBOURS = 4
+# Designs of a sample that looks for one that meets the requirements.
+_LOOK = 1024
+
+
+def sample_of(landscape: Landscape) -> Seen:
+    """Return a look at all designs of a landscape."""
+    middle = np.full(landscape.dimensions, 0.5)
+    points, _ = sample(landscape.dimensions, _LOOK, middle, np.random.default_rng(SEED))
+    return landscape(points)
+
+
+def sample(n: int, count: int, start: Vector, rng: np.random.Generator) -> tuple[Vector, np.ndarray]:
+    """Return points between 0 and 1, the start and the middle among them, and which of them are uniform."""
+    if n == 1:
+        # In one variable nothing is more even than a grid.
+        grid = np.linspace(0.0, 1.0, count)[:, None]
+        return np.vstack([grid, start[None]]), rng.permutation(count)
+    from scipy.stats.qmc import Sobol  # slow to import
+
+    points = Sobol(n, rng=rng).random(count)
+    half = count // 2
+    points[half:] = np.clip((1.0 + 2.0 * _STRETCH) * points[half:] - _STRETCH, 0.0, 1.0)
+    return np.vstack([points, start[None], np.full((1, n), 0.5)]), rng.permutation(half)
+
+
+def lowest_around(points: Vector, merit: Vector) -> tuple[np.ndarray, np.ndarray]:
+    """Return the points that are lower than their neighbours, the lowest first, and where downhill steps end.
+
+    Args:
+        points: a row each.
+        merit: of each.
+    """
+    from scipy.spatial import KDTree  # slow to import
+
+    n = points.shape[1]
+    count = min(_NEIGHBOURS * n if n > 1 else 2, len(points) - 1)
+    _, around = KDTree(points).query(points, k=count + 1)
+    around = np.hstack([np.arange(len(points))[:, None], around])
+    ends = around[np.arange(len(points)), np.argmin(merit[around], axis=1)]
+    # A step from each point at a time doubles the way until all have arrived.
+    while not np.array_equal(following := ends[ends], ends):
+        ends = following
+    lowest = np.unique(ends)
+    return lowest[np.argsort(merit[lowest], kind="stable")], ends

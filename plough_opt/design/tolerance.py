@@ -1,0 +1,106 @@
+"""A design as a workshop makes it: its objective and margins over a box of tolerances around it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Literal
+
+import numpy as np
+
+from plough_opt.design.declarations import Variable
+from plough_opt.design.ipopt import Vector
+from plough_opt.design.landscape import FEASIBLE, Landscape
+
+Judge = Literal["tolerance", "bare"]
+"""By what optima are compared: the median objective over the tolerances, or the objective itself."""
+
+NEEDLE = 0.05
+"""A median this part above an optimum's own objective makes it a needle, which no workshop can hit."""
+
+BOX_DESIGNS = 64
+"""Designs that are sampled in a box."""
+
+_SEED = 64
+
+
+@dataclass(frozen=True)
+class Spread:
+    """What becomes of a design within its tolerances, from a sample of `BOX_DESIGNS` designs.
+
+    Attributes:
+        median: of the objective; infinite where half of the designs have no value.
+        worst: largest objective.
+        margins: least margin of each requirement, positive inside, in its unit.
+        kept: part of the designs that meets all requirements. Where two limits decide a design it is about a tenth: a
+            design that shall keep its limits as made needs a margin.
+        needle: whether the median lies more than 5 % of the objective above the design's own.
+    """
+
+    median: float
+    worst: float
+    margins: dict[str, float]
+    kept: float
+    needle: bool
+
+
+def boxes(variables: Sequence[Variable], points: Vector) -> Vector:
+    """Return the designs of the boxes around scaled designs, one box after the other."""
+    unit = _unit_box(len(variables))
+    found = np.empty((len(points), BOX_DESIGNS, len(variables)))
+    for k, v in enumerate(variables):
+        low, high = np.array([v.tolerance_interval(float(y)) for y in points[:, k]]).reshape(-1, 2).T
+        found[:, :, k] = low[:, None] + (high - low)[:, None] * unit[:, k]
+    return found.reshape(-1, len(variables))
+
+
+def judgement(landscape: Landscape, judge: Judge) -> Callable[[Vector], Vector]:
+    """Return what gives the scaled value by which designs, a row each, are compared."""
+
+    def bare(points: Vector) -> Vector:
+        return landscape(points).merit
+
+    def over_tolerances(points: Vector) -> Vector:
+        f = landscape(boxes(landscape.program.declared.variables, points)).f
+        median: Vector = np.median(np.where(np.isnan(f), np.inf, f).reshape(len(points), -1), axis=1)
+        return median
+
+    return over_tolerances if judge == "tolerance" and landscape.vectorised else bare
+
+
+def spread(landscape: Landscape, y: Vector, objective: float) -> Spread | None:
+    """Return what becomes of a scaled design within its tolerances; None where that takes too long to look at.
+
+    Args:
+        landscape: of the design.
+        y: the design.
+        objective: its own.
+    """
+    if not landscape.vectorised:
+        return None
+    program = landscape.program
+    f, g = landscape.rows(boxes(program.declared.variables, y[None]))
+    values = np.where(np.isfinite(f), f, np.inf) * program.objective_scale
+    median = float(np.median(values))
+    margins = np.minimum(g - program.low, program.high - g)
+    least = np.array([margins[:, np.array(program.owner) == k].min() for k in range(len(program.scales))])
+    return Spread(
+        median=median,
+        worst=float(values.max()),
+        margins={
+            r.name: float(margin * scale)
+            for r, margin, scale in zip(program.declared.requirements, least, program.scales, strict=True)
+        },
+        kept=float(np.mean(landscape.violations(g).sum(axis=1) <= FEASIBLE)),
+        needle=median - objective > NEEDLE * abs(objective),
+    )
+
+
+@lru_cache(maxsize=16)
+def _unit_box(n: int) -> Vector:
+    """Return the designs of a box between 0 and 1, a row each."""
+    from scipy.stats.qmc import Sobol  # slow to import
+
+    points: Vector = Sobol(n, rng=np.random.default_rng(_SEED)).random(BOX_DESIGNS)
+    return points

@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from plough_opt.design import Optimum
+from plough_opt.design.landscape import FEASIBLE
 from plough_opt.elastic import wedge_stress
 from plough_opt.elastic.profile import Profile, body
 from plough_opt.geometry import Wedge
@@ -26,7 +27,7 @@ __all__ = [
     "draw_cone",
     "draw_deflection",
     "draw_force",
-    "draw_scan",
+    "draw_search",
     "draw_speed",
     "draw_wedge",
     "plot_optimum",
@@ -101,6 +102,7 @@ def plot_optimum(best: Optimum, run: Run) -> Figure:
         best: the optimum.
         run: its run of numbers.
     """
+    searched = best.search is not None and len(best.search.objective) > 0
     figure = Figure(figsize=(12, 9.5), layout="constrained")
     grid = figure.add_gridspec(3, 2, height_ratios=(1.15, 1.0, 1.0))
     draw_wedge(figure.add_subplot(grid[0, 0]), run.scene)
@@ -108,11 +110,11 @@ def plot_optimum(best: Optimum, run: Run) -> Figure:
     force = figure.add_subplot(grid[1, :])
     draw_force(force, run)
     force.set_xlabel("time [s]")
-    deflection = figure.add_subplot(grid[2, 0] if best.scans else grid[2, :])
+    deflection = figure.add_subplot(grid[2, 0] if searched else grid[2, :])
     draw_deflection(deflection, run)
     deflection.set_xlabel("time [s]")
-    if best.scans:
-        draw_scan(figure.add_subplot(grid[2, 1]), best)
+    if searched:
+        draw_search(figure.add_subplot(grid[2, 1]), best, len(best.variables) - 1)
     return figure
 
 
@@ -200,20 +202,18 @@ def draw_speed(axes: Axes, run: Run) -> None:
     _legend_above(axes)
 
 
-def draw_scan(axes: Axes, best: Optimum) -> None:
-    """Draw the objective along a scanned variable, with all local optima."""
-    scan = best.scans[0]
-    axes.plot(scan.values, scan.objective, color=_FORCE, linewidth=1.2, label="at one geometry, where feasible")
+def draw_search(axes: Axes, best: Optimum, variable: int) -> None:
+    """Draw the objective of the designs that a search tried over a variable, with the local optima."""
+    search, name = best.search, list(best.variables)[variable]
+    assert search is not None  # the caller has looked
+    feasible = search.violation <= FEASIBLE
+    axes.plot(search.values[feasible, variable], search.objective[feasible], ".", markersize=2, color=_MUTED,
+              label="designs tried that meet all requirements")  # fmt: skip
     for k, optimum in enumerate(best.local_optima):
-        axes.plot(optimum.variables[scan.variable], optimum.objective, "o" if k else "*", markersize=7 if k else 13,
+        axes.plot(optimum.variables[name], optimum.objective, "o" if k else "*", markersize=7 if k else 13,
                   color=_ACCENT, label=None if k > 1 else ("best" if k == 0 else "other local optima"))  # fmt: skip
-    if np.min(scan.values) > 0 and np.max(scan.values) / np.min(scan.values) > 20:
-        axes.set_xscale("log")
-    seen = scan.objective[np.isfinite(scan.objective)]
-    if seen.size and np.max(seen) > 5 * np.min(seen) > 0:
-        axes.set_yscale("log")
-    unit = next(limit.unit for limit in best.limits if limit.name == scan.variable)
-    axes.set_xlabel(f"{scan.variable} [{unit}]")
+    limit = next(limit for limit in best.limits if limit.name == name and limit.kind == "bound")
+    axes.set_xlabel(f"{name} [{limit.unit}]")
     axes.set_ylabel("objective")
     axes.legend(loc="upper right", fontsize="small")
 

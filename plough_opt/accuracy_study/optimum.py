@@ -43,11 +43,11 @@ from plough_opt.accuracy_study.transcription import (
     transcribe,
 )
 from plough_opt.design import Design
+from plough_opt.design.basin import first_optimum
 from plough_opt.design.curvature import minimum_from
 from plough_opt.design.ipopt import Vector
 from plough_opt.design.nlp import Nlp, build_nlp
 from plough_opt.design.program import Program
-from plough_opt.design.basin import first_optimum
 from plough_opt.errors import InputError, NotConverged, PloughError
 from plough_opt.motion.plan import steps_for
 

@@ -20,7 +20,6 @@ from numpy.typing import NDArray
 from plough_opt.batch.c_source import Text, head
 from plough_opt.batch.program import Array, Program
 from plough_opt.compiler import Variant, library
-from plough_opt.errors import InputError
 from plough_opt.motion.equation import equation_of_motion, start_state
 from plough_opt.motion.plan import summed_rate
 from plough_opt.motion.runge_kutta import step

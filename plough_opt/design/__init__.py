@@ -7,4 +7,15 @@ from plough_opt.design.record import Search
 from plough_opt.design.sensitivity import Sensitivity
 from plough_opt.design.tolerance import Spread
 
-__all__ = ["Choice", "Design", "Limit", "LocalOptimum", "Optimum", "Progress", "Rounded", "Search", "Sensitivity", "Spread"]
+__all__ = [
+    "Choice",
+    "Design",
+    "Limit",
+    "LocalOptimum",
+    "Optimum",
+    "Progress",
+    "Rounded",
+    "Search",
+    "Sensitivity",
+    "Spread",
+]

@@ -33,18 +33,21 @@ def minimum_from(program: Program, p: Vector, at: Point) -> Point:
     IPOPT accepts any stationary point that it starts on; the reduced Hessian tells.
     """
     for _ in range(_DESCENTS):
-        if not at.solved:
-            return at
         curvatures, directions = known = _reduced_curvatures(program, p, at)
         if not curvatures.size or curvatures[0] >= -_FLAT_CURVATURE:
             return replace(at, curvatures=known)
         step = _STEP * directions[:, 0] / np.max(np.abs(directions[:, 0]))
         starts = [np.clip(at.y + sign * step, 0.0, 1.0) for sign in (1.0, -1.0)]
-        found = [point for start in starts if (point := program.solve(start, p)).solved and point.f < at.f]
+        found = [point for start in starts if (point := _beside(program, p, start)).solved and point.f < at.f]
         if not found:
             return at
         at = min(found, key=lambda point: point.f)
     return at
+
+
+def _beside(program: Program, p: Vector, start: Vector) -> Point:
+    """Return the local optimum beside a start."""
+    return program.solve(start, p, near=True, exact=False, enough=True)
 
 
 def _reduced_curvatures(program: Program, p: Vector, at: Point) -> tuple[Vector, Vector]:
@@ -53,6 +56,9 @@ def _reduced_curvatures(program: Program, p: Vector, at: Point) -> tuple[Vector,
     if not free.shape[1]:
         return np.empty(0), free
     hessian = _hessian(program, p, at)
+    if not np.all(np.isfinite(hessian)):
+        # Of a motion that forgets its start at once, second derivatives may be beyond floating point.
+        return np.empty(0), free[:, :0]
     curvatures, vectors = np.linalg.eigh(free.T @ hessian @ free)
     return curvatures / max(1.0, float(np.max(np.abs(hessian)))), free @ vectors
 

@@ -71,7 +71,6 @@ class Variable:
             return self.upper
         return float(self.unscaled(y))
 
-
     def tolerance_interval(self, y: float) -> tuple[float, float]:
         """Return the ends of the tolerance around a scaled value, scaled, and clipped at the bounds."""
         if self.tolerance is None:
@@ -97,7 +96,7 @@ class Variable:
         return float(given or 0.0) * part
 
 
-# Half width of the tolerance that is taken where none is declared: a part of the range, of the logarithm's if scaled so.
+# Half width of the tolerance where none is declared: a part of the range, of the logarithm's if scaled so.
 _TOLERANCE = 0.003
 _PER_CENT = re.compile(r"\s*([0-9.]+(?:[eE][+-]?[0-9]+)?)\s*%\s*")
 

@@ -77,7 +77,7 @@ def effort_of(search: Search, dimensions: int, runs: int, vectorised: bool) -> E
     designs = min(_DESIGNS.get(dimensions, _MOST_DESIGNS), max(_ONE_BY_ONE, _MOST_RUNS // max(runs, 1)))
     islands = _ISLANDS.get(dimensions, _MOST_ISLANDS) if designs * runs < _MOST_RUNS else 0
     many = dimensions > 3
-    effort = Effort(
+    return Effort(
         designs=designs if vectorised else _ONE_BY_ONE,
         islands=islands if vectorised else 0,
         population=40 if many else 24,
@@ -88,7 +88,6 @@ def effort_of(search: Search, dimensions: int, runs: int, vectorised: bool) -> E
         most_designs=search if isinstance(search, int) else None,
         seconds=seconds_of(search),
     )
-    return effort
 
 
 def seconds_of(search: Search) -> float | None:

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -109,7 +109,7 @@ class Explorer:
         self._follow(seen, [int(downhill[k]) for k in uniform], known, effort.followed)
 
     def _scan(self) -> None:
-        """Descend from the dips along each variable through the best design so far, which a sample may be too thin for."""
+        """Descend from the dips along each variable through the best design, for which a sample may be too thin."""
         if not self._landscape.vectorised:
             return
         bottoms, _ = self._basins()
@@ -149,9 +149,7 @@ class Explorer:
         whole[:, self._vary] = points
         return whole
 
-    def _evolved(
-        self, effort: Effort, points: Vector, merit: Vector, island: int, rng: np.random.Generator
-    ) -> Vector:
+    def _evolved(self, effort: Effort, points: Vector, merit: Vector, island: int, rng: np.random.Generator) -> Vector:
         """Return the best design of SciPy's differential evolution that begins from a part of the sample."""
         from scipy.optimize import differential_evolution  # slow to import
 
@@ -172,7 +170,8 @@ class Explorer:
             updating="deferred",
             vectorized=True,
         )
-        return self._whole(found.x[None])[0]
+        best: Vector = self._whole(found.x[None])[0]
+        return best
 
     def _basins(self) -> tuple[Seen, list[int | None]]:
         """Return the lowest design of each basin, the best first, and the basin of each descent's end."""

@@ -8,7 +8,7 @@ import numpy as np
 
 from plough_opt.design.declarations import in_words
 from plough_opt.design.ipopt import Point, Vector
-from plough_opt.design.landscape import FEASIBLE, Landscape, Seen
+from plough_opt.design.landscape import Landscape, Seen
 from plough_opt.design.program import Program
 from plough_opt.errors import InfeasibleDesign
 

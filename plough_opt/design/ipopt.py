@@ -66,6 +66,14 @@ NEAR: dict[str, Any] = {
     "ipopt.slack_bound_push": 1e-6,
     "ipopt.slack_bound_frac": 1e-6,
 }
+# Where the objective no longer falls, as along a valley, the last digits of the derivatives are not waited for.
+_ENOUGH: dict[str, Any] = {
+    "ipopt.acceptable_iter": 3,
+    "ipopt.acceptable_tol": 1e-5,
+    "ipopt.acceptable_obj_change_tol": 1e-10,
+    "ipopt.acceptable_constr_viol_tol": 1e-9,
+    "ipopt.acceptable_compl_inf_tol": 1e-6,
+}
 
 
 # Scaled multipliers below this pull at nothing.
@@ -106,7 +114,7 @@ class Point:
         """Take what CasADi's interface to IPOPT returned."""
         y, lam_g, lam_y = (np.asarray(result[name]).ravel() for name in ("x", "lam_g", "lam_x"))
         status = stats["return_status"]
-        solved = status == "Solve_Succeeded" and bool(np.all(np.isfinite(y)))
+        solved = status in ("Solve_Succeeded", "Solved_To_Acceptable_Level") and bool(np.all(np.isfinite(y)))
         return cls(solved, status, y, float(result["f"]), lam_g, lam_y, int(stats["iter_count"]))
 
 
@@ -190,7 +198,7 @@ class Solver:
             "calc_lam_p": False,
         }
         self._low, self._high = ca.DM(low), ca.DM(high)
-        self._solvers: dict[tuple[bool, bool], ca.Function] = {}
+        self._solvers: dict[tuple[bool, bool, bool], ca.Function] = {}
 
     def _interpreted(self, nlp: Nlp, y: ca.MX, p: ca.MX) -> dict[str, ca.Function]:
         """Return what IPOPT asks for of a program that does not remember its last point."""
@@ -209,9 +217,11 @@ class Solver:
         p: Vector,
         lower: Vector | None = None,
         upper: Vector | None = None,
+        limits: tuple[Vector, Vector] | None = None,
         *,
         near: bool = False,
-        exact: bool = False,
+        exact: bool | None = None,
+        enough: bool = False,
     ) -> Point:
         """Return the local optimum that IPOPT reaches from a start.
 
@@ -220,32 +230,37 @@ class Solver:
             p: parameters.
             lower: lower bounds of the scaled variables; default 0.
             upper: upper bounds; default 1.
+            limits: of the requirements, where they are not those that it was built with.
             near: whether the start is nearly optimal.
-            exact: whether to take exact second derivatives at once, and not only where it fails without them.
+            exact: whether to take exact second derivatives; by default only where it fails without them.
+            enough: whether to stop where the objective no longer falls, in the place of waiting for the last digits.
         """
-        limits = (0.0 if lower is None else lower, 1.0 if upper is None else upper)
-        if not exact and (point := self._attempt(start, p, limits, near, exact=False)).solved:
-            return point
-        return self._attempt(start, p, limits, near, exact=True)
+        bounds = {"lbx": 0.0 if lower is None else lower, "ubx": 1.0 if upper is None else upper}
+        low, high = (self._low, self._high) if limits is None else limits
+        asked = {"x0": start, "p": p, "lbg": low, "ubg": high, **bounds}
+        if not exact:
+            point = self._attempt(asked, (near, False, enough))
+            if point.solved or exact is False:
+                return point
+        return self._attempt(asked, (near, True, enough))
 
     def requirements(self, y: Vector, p: Vector) -> tuple[Vector, Vector]:
         """Return the scaled requirements and their Jacobian; where IPOPT just stopped they are known."""
         g, jacobian = self._jac_g(y, p)
         return g.full().ravel(), jacobian.full()
 
-    def _solver(self, near: bool, exact: bool) -> ca.Function:
-        if (near, exact) not in self._solvers:
-            options = OPTIONS | self._derivatives | (NEAR if near else FAR)
+    def _solver(self, near: bool, exact: bool, enough: bool) -> ca.Function:
+        if (near, exact, enough) not in self._solvers:
+            options = OPTIONS | self._derivatives | (NEAR if near else FAR) | (_ENOUGH if enough else {})
             options |= {"hess_lag": self._nlp.hess_lag} if exact else _QUASI_NEWTON
             most = self._most if exact else min(self._most, _MOST_WITHOUT_CURVATURE)
             options["ipopt.max_iter"] = min(options["ipopt.max_iter"], most)
-            self._solvers[near, exact] = ca.nlpsol("design", "ipopt", self._problem, options)
-        return self._solvers[near, exact]
+            self._solvers[near, exact, enough] = ca.nlpsol("design", "ipopt", self._problem, options)
+        return self._solvers[near, exact, enough]
 
-    def _attempt(self, start: Vector, p: Vector, limits: tuple[Any, Any], near: bool, *, exact: bool) -> Point:
-        solver = self._solver(near, exact)
-        lower, upper = limits
-        result = solver(x0=start, p=p, lbx=lower, ubx=upper, lbg=self._low, ubg=self._high)
+    def _attempt(self, asked: dict[str, Any], kind: tuple[bool, bool, bool]) -> Point:
+        solver = self._solver(*kind)
+        result = solver(**asked)
         if self._shared is not None and self._shared.interrupted:
             self._shared.interrupted = False
             raise KeyboardInterrupt

@@ -214,11 +214,13 @@ class _Descent:
         g = self._derivatives(y)[2]
         margin = np.minimum(g - program.low, program.high - g)
         chosen = set(known.tolist())
-        for begin, end in zip(first, [*first[1:], len(g)], strict=True):
+        for begin, end in zip(first, [*first, len(g)][1:], strict=True):
             own = margin[begin:end]
             # Of a curve over time the dips, each of which is a row of its own.
             dips = np.flatnonzero((own <= np.r_[np.inf, own[:-1]]) & (own <= np.r_[own[1:], np.inf]))
-            which = dips[np.argsort(own[dips], kind="stable")[:_MOST_ROWS]] if len(own) > _MOST_ROWS else range(len(own))
+            which = (
+                dips[np.argsort(own[dips], kind="stable")[:_MOST_ROWS]] if len(own) > _MOST_ROWS else range(len(own))
+            )
             chosen |= {begin + int(k) for k in which}
         return np.array(sorted(chosen), dtype=int)
 
@@ -254,8 +256,8 @@ class _LeastViolation(_Descent):
         try:
             g = self._derivatives(start)[2]
         except _NoValue:
-            return np.r_[start, np.zeros(self._count)]
-        return np.r_[start, self._landscape.violations(g[None])[0]]
+            return np.concatenate([start, np.zeros(self._count)])
+        return np.concatenate([start, self._landscape.violations(g[None])[0]])
 
     def _merit(self, _y: Vector, _f: float, violations: Vector) -> float:
         return float(violations @ self._weights)
@@ -264,7 +266,7 @@ class _LeastViolation(_Descent):
         return float(self._weights @ x[self._n :])
 
     def _gradient(self, _: Vector) -> Vector:
-        return np.r_[np.zeros(self._n), self._weights]
+        return np.concatenate([np.zeros(self._n), self._weights])
 
     def _constraints(self, rows: np.ndarray) -> list[dict[str, Any]]:
         program = self._landscape.program
@@ -277,10 +279,12 @@ class _LeastViolation(_Descent):
             at, give = limit[np.isfinite(limit)], np.eye(self._count)[owner[some]]
 
             def fun(x: Vector, some: Any = some, at: Any = at, give: Any = give, sign: float = sign) -> Vector:
-                return sign * (self._derivatives(x)[2][some] - at) + give @ x[self._n :]
+                margins: Vector = sign * (self._derivatives(x)[2][some] - at) + give @ x[self._n :]
+                return margins
 
             def jac(x: Vector, some: Any = some, give: Any = give, sign: float = sign) -> Vector:
-                return np.hstack([sign * self._derivatives(x)[3][some], give])
+                slopes: Vector = np.hstack([sign * self._derivatives(x)[3][some], give])
+                return slopes
 
             constraints.append({"type": "ineq", "fun": fun, "jac": jac})
         return constraints

@@ -15,20 +15,29 @@ _BESIDE = 0.05
 # Part of the objective by which a polished design may be above its start: what the search's rougher runs are off by.
 _NOT_WORSE = 1e-5
 # IPOPT stops with these beside an optimum where the objective is rough, as a needle's is.
-_STALLED = ("Search_Direction_Becomes_Too_Small", "Maximum_Iterations_Exceeded", "Solved_To_Acceptable_Level")
+_STALLED = ("Search_Direction_Becomes_Too_Small", "Maximum_Iterations_Exceeded")
 
 
 def polished(program: Program, p: Vector, start: Vector) -> Point:
-    """Return the local optimum of a search's bottom: the start itself, unsolved, where no better one lies beside it."""
+    """Return the local optimum of a search's bottom: the start as it is, where no better one lies beside it."""
     begins = as_it_is(program, p, start)
     for box, exact in ((1.0, False), (_BESIDE, False), (_BESIDE, True)):
-        point = program.solve(start, p, box, near=True, exact=exact)
+        point = program.solve(start, p, box, near=True, exact=exact, enough=True)
         if point.status in _STALLED and _meets(program, p, point.y):
             point = replace(point, solved=True)
         beside = box == 1.0 or np.max(np.abs(point.y - start)) < box
         if point.solved and beside and _not_worse(point, begins):
             return point
     return begins
+
+
+def to_the_last_digit(program: Program, p: Vector, point: Point) -> Point:
+    """Return an optimum with the last digits of its derivatives, where these can be had; else as it is."""
+    if point.status == "Solve_Succeeded":
+        return point
+    again = program.solve(point.y, p, _BESIDE, near=True, exact=False)
+    inside = np.max(np.abs(again.y - point.y)) < _BESIDE
+    return again if again.solved and inside and _not_worse(again, point) else point
 
 
 def as_it_is(program: Program, p: Vector, y: Vector) -> Point:

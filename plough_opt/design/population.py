@@ -12,12 +12,12 @@ import numpy as np
 
 from plough_opt.accuracy import ADAPTIVE
 from plough_opt.batch.many_runs import ManyRuns
-from plough_opt.processors import available
 from plough_opt.design.nlp import averages_only, holds_maps
 from plough_opt.design.split import EmbeddedRun, Split
-from plough_opt.design.ipopt import Vector
+from plough_opt.design.verify import Vector
 from plough_opt.errors import InputError
 from plough_opt.motion.integrators import Integration, integration
+from plough_opt.processors import available
 
 # Numbers of results that are in memory at once.
 _MOST_RESULTS = 4_000_000
@@ -147,16 +147,16 @@ class _OfRows:
         kept = [np.ascontiguousarray(argument, dtype=float) for argument in arguments]
         results = [np.empty((count, self.function.numel_out(k))) for k in range(self.function.n_out())]
         for k, array in enumerate(kept):
-            buffer.set_arg(k, memoryview(array.reshape(-1)))
+            buffer.set_arg(k, array.reshape(-1).data)
         for k, array in enumerate(results):
-            buffer.set_res(k, memoryview(array.reshape(-1)))
+            buffer.set_res(k, array.reshape(-1).data)
         evaluate()
         return results
 
 
 def _of_groups(full: ca.Function, parts: Split, groups: list[_Group]) -> ca.Function:
     """Return (y, p, results of each group's members, one below the other) -> (objective, requirements)."""
-    kind = ca.SX if full.is_a("SXFunction") else ca.MX
+    kind: Any = ca.SX if full.is_a("SXFunction") else ca.MX
     y, p = kind.sym("y", full.numel_in(0)), kind.sym("p", full.numel_in(1))
     given, results = [], {}
     for group in groups:

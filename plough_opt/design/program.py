@@ -10,6 +10,7 @@ import casadi as ca
 import numpy as np
 
 from plough_opt.accuracy import DEFAULT_ERROR
+from plough_opt.design.active_rows import ActiveRows, chosen_rows
 from plough_opt.design.declarations import Parameter, Requirement, Variable, in_words
 from plough_opt.design.ipopt import Point, Solver, Vector
 from plough_opt.design.machine_code import as_machine_code
@@ -193,6 +194,11 @@ class Program:
         self.interpreted = translated is None
         sizes = (self._y.numel(), self._p.numel())
         self._solver = Solver(self.nlp, *sizes, self.low, self.high)
+        self._of_rows = (
+            ActiveRows(self.nlp, sizes, self.owner, (self.low, self.high))
+            if chosen_rows(self.owner) < len(self.owner)
+            else None
+        )
 
     @property
     def population(self) -> Population:
@@ -201,8 +207,7 @@ class Program:
             declared = self.declared
             raw = [declared.objective, ca.vertcat(*(r.expression for r in declared.requirements))]
             parts = split(self._of_scaled(raw, self._y, self._p), [self._y, self._p])
-            with quiet_events(self._events):
-                self._population = Population(parts, self._y, self._p)
+            self._population = Population(parts, self._y, self._p)
         return self._population
 
     def _scaled(self, y: ca.MX, p: ca.MX) -> list[ca.MX]:
@@ -245,8 +250,11 @@ class Program:
         sound = np.isfinite(f) & np.all(np.isfinite(g), axis=1)
         if not np.any(sound):
             raise error
-        rows = np.median(np.abs(g[sound]), axis=0)
-        return [np.median(np.abs(f[sound])), *(rows[np.array(self.owner) == k] for k in range(len(self.declared.requirements)))]
+        rows, owner = np.median(np.abs(g[sound]), axis=0), np.array(self.owner)
+        return [
+            np.median(np.abs(f[sound])),
+            *(rows[owner == k] for k in range(len(self.declared.requirements))),
+        ]
 
     def _checked_start(self, p: Vector) -> list[Vector]:
         """Return the expressions at the guess, or say which of them has no value there."""
@@ -336,11 +344,20 @@ class Program:
     # --- solving -----------------------------------------------------------------------------------------
 
     def solve(
-        self, start: Vector, p: Vector, box: float = 1.0, *, near: bool = False, exact: bool = False
+        self,
+        start: Vector,
+        p: Vector,
+        box: float = 1.0,
+        *,
+        near: bool = False,
+        exact: bool | None = None,
+        enough: bool = False,
     ) -> Point:
         """Return the local optimum that IPOPT reaches from a scaled start, no further from it than ``box``."""
         lower, upper = np.maximum(start - box, 0.0), np.minimum(start + box, 1.0)
-        return self._solver.solve(start, p, lower, upper, near=near, exact=exact)
+        if self._of_rows is not None and near:
+            return self._of_rows.solve(start, p, lower, upper, near=near, exact=exact, enough=enough)
+        return self._solver.solve(start, p, lower, upper, near=near, exact=exact, enough=enough)
 
     def slopes_of_requirements(self, y: Vector, p: Vector) -> tuple[Vector, Vector]:
         """Return the scaled requirements at scaled variables, and their Jacobian: see `Solver.requirements`."""

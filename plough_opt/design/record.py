@@ -17,7 +17,7 @@ class Search:
     How likely further basins are follows from N uniform designs that were followed to their basins, of which there are
     w, by the Bayesian rule of Boender and Rinnooy Kan, "Bayesian stopping rules for multistart global optimization
     methods", Mathematical Programming 37 (1987): w (w + 1)/(N - w - 2) basins are expected unseen, in the part
-    w (w + 1)/(N (N - 1)) of the volume of all designs that lead to a basin. Following is rough, so both are approximate.
+    w (w + 1)/(N (N - 1)) of the volume of all designs. Following is rough, so both are approximate.
 
     Attributes:
         asked: what was asked for, as `Design.solve` takes it.

@@ -20,7 +20,7 @@ from plough_opt.design.infeasible import feasible_from
 from plough_opt.design.ipopt import Point, Vector, decides
 from plough_opt.design.landscape import Landscape, Seen
 from plough_opt.design.optimum import Limit, LocalOptimum, Optimum
-from plough_opt.design.polishing import polished
+from plough_opt.design.polishing import polished, to_the_last_digit
 from plough_opt.design.program import Program
 from plough_opt.design.record import Search as SearchRecord
 from plough_opt.design.rounding import rounded
@@ -40,8 +40,8 @@ _FINER = 1.5
 _COARSE = 1e-6
 # Judged values by which a bottom may be above the best and still be optimised, and how many are.
 _CAN_WIN, _MOST_POLISHED = 0.15, 8
-# The same of designs whose runs are integrated one by one.
-_MOST_ONE_BY_ONE = 4
+# The same where each takes longer: of more variables than so many, or of runs that are integrated one by one.
+_MOST_OF_MANY, _FEW_VARIABLES = 3, 3
 # Two scaled optima nearer than this are one.
 _SAME = 1e-4
 _NUMBER = re.compile(r"\d[\d.e+-]*")
@@ -56,7 +56,7 @@ def solve_program(
     progress("preparing the model", 0.0)
     program.prepare(p)
     landscape = Landscape(program, p)
-    explored, points = None, []
+    explored: Explored | None = None
     if vary:
         explored, points = _searched(program, landscape, p, search, vary, judge, progress)
     else:
@@ -64,10 +64,10 @@ def solve_program(
         points = [near_optimum(program, landscape, p, program.start())]
     points, missed = _refined(program, p, points, progress)
     progress("checking", 0.0)
-    order, points = _ranked(landscape, judge, points)
+    points = _ranked(landscape, judge, points)
     scenes = [_scenes(program, point, p) for point in points]
     names = _names(program, [[scene for _, scene in own] for own in scenes])
-    points[0] = minimum_from(program, p, points[0])
+    points[0] = minimum_from(program, p, to_the_last_digit(program, p, points[0]))
     optima = [_local_optimum(program, p, point, name, landscape) for point, name in zip(points, names, strict=True)]
     directions = flat_directions(program, p, points[0])
     best = optima[0]
@@ -117,7 +117,8 @@ def _searched(
         progress("looking for a design that meets the requirements", 0.0)
         y = feasible_from(program, landscape, p, explored.sample, start)
         bottoms = landscape.descend(y) if landscape.vectorised else landscape(y[None])
-    chosen = _that_can_win(bottoms, judged(bottoms.points), _MOST_POLISHED if landscape.vectorised else _MOST_ONE_BY_ONE)
+    few = len(vary) <= _FEW_VARIABLES and landscape.vectorised
+    chosen = _that_can_win(judged(bottoms.points), (_MOST_POLISHED if few else _MOST_OF_MANY) * effort.rounds)
     program.build(p, starts=list(bottoms.points[chosen]))
     points: list[Point] = []
     for number, k in enumerate(chosen):
@@ -135,18 +136,18 @@ def _searched(
     return explored, points
 
 
-def _that_can_win(bottoms: Seen, judged: Vector, most: int) -> list[int]:
+def _that_can_win(judged: Vector, most: int) -> list[int]:
     """Return which bottoms to optimise: the best, and those that are little worse."""
     order = np.argsort(judged, kind="stable")
     limit = judged[order[0]] + _CAN_WIN * abs(judged[order[0]])
     return [int(k) for k in order if judged[k] <= limit][:most]
 
 
-def _ranked(landscape: Landscape, judge: Judge, points: list[Point]) -> tuple[Vector, list[Point]]:
+def _ranked(landscape: Landscape, judge: Judge, points: list[Point]) -> list[Point]:
     """Return optima by what they are judged by, the best first; of equal ones the lower objective."""
     values = judgement(landscape, judge)(np.array([point.y for point in points]))
     order = sorted(range(len(points)), key=lambda k: (round(float(values[k]), 9), points[k].f))
-    return values[order], [points[k] for k in order]
+    return [points[k] for k in order]
 
 
 def _record(

@@ -96,7 +96,7 @@ def forced_rate(p: Mapping[str, Any]) -> Any:
 
 def fastest_rate(p: Mapping[str, float]) -> float:
     """Return the fastest angular frequency [rad/s] or rate of decay or growth [1/s] of an equation's parameters."""
-    return max(_rates(p))
+    return float(max(_rates(p)))
 
 
 def summed_rate(p: Mapping[str, Any]) -> Any:

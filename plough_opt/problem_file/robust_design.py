@@ -46,8 +46,7 @@ def optimise_robust(problem: Problem, progress: Progress) -> RobustOptimum:
     question = _Question(problem, table, field)
     progress("sampling the soil", 0.0)
     question.set_widths(nominal.variables)
-    scanned = tuple(dict.fromkeys(scan.variable for scan in nominal.scans))
-    best, robust, failures = best_from(nominal.variables, question.build, scanned, progress)
+    best, robust, failures = best_from(nominal.variables, question.build, (), progress)
     progress("verifying on fresh samples", 0.0)
     seed = 20_000 + table.seed
     fresh, nominal_fresh = (verify(robust, at, samples=table.fresh, seed=seed) for at in (best, nominal.variables))

@@ -7,10 +7,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from plough_opt.design.basin import first_optimum
 from plough_opt.design.curvature import minimum_from
 from plough_opt.design.ipopt import REMEDIES, Point, Vector
 from plough_opt.design.search import SCAN_POINTS, Progress
-from plough_opt.design.basin import first_optimum
 from plough_opt.scene import Scene
 from plough_opt.tradeoff.program import FrontProgram
 

@@ -1,7 +1,6 @@
 """The simulator that judges the search: against an adaptive integrator, and against published values of R1."""
 
 import itertools
-import shutil
 
 import numpy as np
 import pytest
@@ -106,7 +105,7 @@ def test_designs_side_by_side_do_not_touch():
         assert alone.displacement_rms[0] == pytest.approx(together.displacement_rms[number], rel=1e-10)
 
 
-@pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler")
+@pytest.mark.skipif(not fast.available(), reason="no C compiler")
 @pytest.mark.parametrize("ramp", [0.0, 0.3])
 def test_the_same_in_c_finds_the_same(ramp):
     s = share(R1_SOIL, np.linspace(0.2, 0.9, 50), 0.3, 0.25)

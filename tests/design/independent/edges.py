@@ -44,7 +44,7 @@ def _end(problem, k):
     for _ in range(10):
         beyond = _tightened(problem, k, limit * _BEYOND[r.side])
         limit = beyond.limits[k].limit
-        found = optima(beyond, question=Question((k,)))
+        found = optima(beyond, question=Question((k,)), thrifty=True)
         if found[0].value > 1e-6:
             return limit * (1.0 + sign * found[0].value), [b.y for b in found[:40]]
     raise AssertionError(f"{problem.name}: '{r.measure}' has no end")

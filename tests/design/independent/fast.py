@@ -6,6 +6,7 @@ is compared with `motion.simulate`, which needs no compiler and judges in the te
 
 import ctypes
 import hashlib
+import shutil
 import subprocess
 import tempfile
 from functools import cache
@@ -117,19 +118,28 @@ _TAIL = """
 """
 
 
+def available():
+    """Return whether there is a compiler."""
+    return shutil.which("cc") is not None
+
+
 @cache
 def _library():
     """Translate the steps, once for a machine's temporary folder."""
     tail = _TAIL.replace("SPEEDS", _combination(motion._B, "at")).replace("RATES", _combination(motion._B, "acc"))
     source = _HEAD + "".join(_stage(i) for i in range(12)) + tail
-    key = hashlib.sha256(source.encode()).hexdigest()[:16]
+    key = hashlib.sha256(f"{source} linked plainly".encode()).hexdigest()[:16]
     target = Path(tempfile.gettempdir()) / f"plough_truth_{key}.so"
     if not target.exists():
         with tempfile.TemporaryDirectory() as folder:
             code, built = Path(folder) / "steps.c", Path(folder) / "steps.so"
             code.write_text(source, encoding="utf-8")
-            options = ["-O3", "-march=native", "-ffast-math", "-shared", "-fPIC", "-o", built]
-            subprocess.run(["cc", *options, code, "-lm"], check=True)
+            plain, compiled = ["cc", "-shared", "-fPIC", "-o", built], Path(folder) / "steps.o"
+            subprocess.run(
+                ["cc", "-c", "-O3", "-march=native", "-ffast-math", "-fPIC", "-o", compiled, code], check=True
+            )
+            # Linked with -ffast-math, a library would switch off denormal numbers in the whole process.
+            subprocess.run([*plain, compiled, "-lm"], check=True)
             built.replace(target)
     found = ctypes.CDLL(str(target)).advance
     found.argtypes = [ctypes.c_long, _POINTER, ctypes.c_double, ctypes.c_int, _POINTER, _POINTER]

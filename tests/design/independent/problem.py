@@ -179,9 +179,9 @@ def measure(problem, y, simulate=motion.simulate, phase=0.5, *, paths=False):
 
 
 def box_sample(problem, y, count=256, half_width=3e-3, seed=0):
-    """Return designs in the tolerance box of one, clipped at the bounds; its half width is in parts of the ranges."""
-    spread = np.random.default_rng(seed).uniform(-half_width, half_width, (count, len(problem.variables)))
-    return np.clip(np.ravel(y) + spread, 0.0, 1.0)
+    """Return designs in the tolerance box of one, which the bounds cut; its half width is in parts of the ranges."""
+    low, high = (np.clip(np.ravel(y) + side * half_width, 0.0, 1.0) for side in (-1.0, 1.0))
+    return low + (high - low) * np.random.default_rng(seed).random((count, len(problem.variables)))
 
 
 def box_median(problem, y, **options):

@@ -34,8 +34,8 @@ class Accuracy:
             every setting; CasADi's adaptive ``"cvodes"``, ``"idas"``, ``"erk"``, ``"rosenbrock"``; and
             CasADi's fixed-step ``"collocation"`` and ``"rk"``, of order 5 and 4 (RMS by
             ``"rk"`` from a start at which the force has a slope: 3).
-        error: for ``"auto"``, the wanted relative error of mean draft and RMS force (each relative to the mean
-            draft); default 1e-8.
+        error: for ``"auto"``, the wanted relative error: of a run of numbers that of every result, each on its own
+            scale, as in its ``error_estimate``; default 1e-8.
         steps: for a fixed-step method, steps over the whole duration; default: as many as the scene's
             fastest oscillation needs for 1e-8, or of a symbolic scene, whose time scales are unknown, at
             least 400 of order 8. Under ``"auto"`` a design chooses and refines them by itself.

@@ -26,7 +26,7 @@ _SYMBOLIC = (ca.SX, ca.MX)
 _CASADI = (ca.SX, ca.MX, ca.DM)
 _MATRICES = (np.ndarray, *_CASADI)
 # In which no expression is nested.
-_PLAIN = (float, int, str, type(None))
+_PLAIN = frozenset((float, int, str, bool, type(None)))
 # Terms kept in the two power series: enough for a relative 1e-17 in the value and 1e-14 in the second
 # derivative at the far end of the interval on which each series is used.
 _EXPM1_TERMS = 24
@@ -87,12 +87,13 @@ def _holds(value: Any, leaf: Callable[[Any], bool]) -> bool:
     waiting = [value]
     while waiting:
         item = waiting.pop()
-        if isinstance(item, _PLAIN):
+        if type(item) in _PLAIN:
             continue
         if leaf(item):
             return True
-        if dataclasses.is_dataclass(item) and not isinstance(item, type):
-            waiting += [getattr(item, name) for name in _own_fields(type(item))]
+        kind: type = type(item)
+        if names := _own_fields(kind):
+            waiting += [getattr(item, name) for name in names]
         elif isinstance(item, Mapping):
             waiting += item.values()
         elif isinstance(item, list | tuple):
@@ -102,8 +103,9 @@ def _holds(value: Any, leaf: Callable[[Any], bool]) -> bool:
 
 @lru_cache(maxsize=256)
 def _own_fields(kind: type) -> tuple[str, ...]:
-    """Return the names of a dataclass's fields that its maker is given."""
-    return tuple(field.name for field in dataclasses.fields(kind) if field.init)
+    """Return the names of a dataclass's fields that its maker is given; none of another type."""
+    fields = dataclasses.fields(kind) if dataclasses.is_dataclass(kind) else ()
+    return tuple(field.name for field in fields if field.init)
 
 
 def is_quantity(value: Any) -> bool:

@@ -161,6 +161,16 @@ class Laws:
         """Return the mount force P."""
         return self.stiffness * z + self.damping * rate
 
+    def felt(self, z: Wide, rate: Wide, share: tuple[Wide, Wide], piece: Piece) -> Wide:
+        """Return the soil's force with the added mass's part, at z, z', and the share's travel and speed."""
+        pull = self.pull(z, rate)
+        if piece.mode == STICK:
+            return pull
+        if piece.mode == GAP:
+            return 0 * pull
+        net = pull - self.resistance(*share, piece)
+        return pull - self.mass * net / self.inertia(share[0], piece)
+
     def hold(self, travel: Wide, piece: Piece) -> Wide:
         """Return the mount force at which a share that sticks breaks loose."""
         assert self.breakaway is not None  # else no share sticks

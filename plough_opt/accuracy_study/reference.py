@@ -64,6 +64,7 @@ class Reference:
         speed: L' [m/s].
         deflection: z [m].
         mount_force: P [N].
+        soil_resistance: F, the added mass's part included [N].
         mode: 0 slips, 1 sticks, 2 behind a gap.
         mean_draft: mean of P [N].
         force_rms: RMS of P about its mean [N].
@@ -82,6 +83,7 @@ class Reference:
     speed: Wide
     deflection: Wide
     mount_force: Wide
+    soil_resistance: Wide
     mode: Wide
     mean_draft: Wide
     force_rms: Wide
@@ -206,7 +208,8 @@ class _Course:
         if at.size:
             z, rate = done.at(at)
             path, tow, _ = self.laws.strut(at, piece)
-            self.noted += zip(z, rate, path - z, tow - rate, [piece.mode] * at.size, strict=True)
+            soil = self.laws.felt(z, rate, (path - z, tow - rate), piece)
+            self.noted += zip(z, rate, path - z, tow - rate, soil, [piece.mode] * at.size, strict=True)
 
     def result(self) -> Reference:
         """Return what was noted, averaged."""
@@ -214,13 +217,14 @@ class _Course:
         pull, z, tow = (np.concatenate(values) for values in zip(*self.sums, strict=True))
         whole = np.sum(weights)
         mean, mean_z = weights @ pull / whole, weights @ z / whole
-        deflection, rate, travel, speed, mode = (np.array(column) for column in zip(*self.noted, strict=True))
+        deflection, rate, travel, speed, soil, mode = (np.array(column) for column in zip(*self.noted, strict=True))
         return Reference(
             time=self.times,
             travel=travel,
             speed=np.where(mode == STICK, WIDE(0), speed),
             deflection=deflection,
             mount_force=self.laws.pull(deflection, rate),
+            soil_resistance=soil,
             mode=mode,
             mean_draft=mean,
             force_rms=np.sqrt(weights @ (pull - mean) ** 2 / whole),

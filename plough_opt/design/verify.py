@@ -151,7 +151,7 @@ def _tight_results(own: Integration, inputs: tuple[float, ...], compiled: bool) 
     outputs = own.timeline.outputs
     code = compiled_steps(own.structure) if compiled and own.structure.stepped else None
     results = []
-    for accuracy in checked(suited(own.structure, total)[0], TIGHT, p, duration, own.structure.kinked):
+    for accuracy in checked(suited(own.structure, total)[0], TIGHT, p, duration):
         timeline = Timeline(outputs, accuracy.steps or most_steps(total), own.timeline.kink, aligned=False)
         steps = code if accuracy.method in ORDER_8 else None
         parts: Sequence[Vector] | None = None if steps is None else steps(timeline, list(inputs))

@@ -1,12 +1,13 @@
 """Equation of motion (27) as CasADi Functions: the right-hand side, and the events that interrupt it.
 
 A share that slips has the states (w, w'). Under `StickSlip`, and while a share enters, two more follow: how far it is
-behind its furthest point [m], and its mode, whose rate is zero. Of a share that enters the last state is 1 once it was
-wholly in the soil, and before 0.
+behind its furthest point [m], and its mode, whose rate is zero. Of a share that enters the next state is 1 once it was
+wholly in the soil, and before 0; behind a strut whose speed ramps up the last one is 1 once the ramp is over.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Final
@@ -68,10 +69,11 @@ def equation_of_motion(structure: Structure) -> EquationOfMotion:
         rates, zeros, after = now.rates_of_entry(), [now.until_it_turns()], [now.after_it_turned()]
     else:
         rates, zeros, after = ca.vertcat(now.rate, now.slipping()), [], []
-    if structure.entry:
-        rates = ca.vertcat(rates, 0.0)
-        zeros.append(ca.if_else(now.entered < 0.5, symbols["height"] - now.travel, 1.0))
-        after = [ca.vertcat(after[0], now.entered), ca.vertcat(now.state[:-1], 1.0)]
+    counted = now.state[4:]
+    rates, after = ca.vertcat(rates, ca.SX.zeros(counted.numel())), [ca.vertcat(state, counted) for state in after]
+    for what, until in now.until_counted():
+        zeros.append(ca.if_else(what < 0.5, until, 1.0))
+        after.append(ca.substitute(now.state, what, 1.0))
     everything = ca.vertcat(rates, *zeros, *after)
     used = {symbol.name() for symbol in ca.symvar(everything)} & set(structure.names)
     names = tuple(name for name in structure.names if name in used)
@@ -87,16 +89,16 @@ def equation_of_motion(structure: Structure) -> EquationOfMotion:
 def start_state(structure: Structure, p: dict[str, Expression]) -> Expression:
     """Return the state at time 0 as a column."""
     first = ca.vertcat(0.0, start_rate(structure, p))
-    entered = (0.0,) if structure.entry else ()
+    counted = (0.0,) * (structure.entry + structure.ends_ramp)
     if structure.contact != "stick_slip":
-        return ca.vertcat(first, 0.0, SLIP, *entered) if structure.entry else first
+        return ca.vertcat(first, 0.0, SLIP, *counted) if structure.entry else first
     # A share without speed sticks, unless the mount already pulls enough.
     speed = 0.0 if structure.start == "rest" else start_speed(structure, p)
     pull = 0.0 if structure.relaxed else start_resistance(structure, p)
     if structure.damper:
         pull = pull + p["damping"] * start_rate(structure, p)
     held = pull < p["breakaway"] * static_resistance(structure, p, -start_deflection(structure, p))
-    return ca.vertcat(first, 0.0, ca.if_else(speed > 0.0, SLIP, ca.if_else(held, STICK, SLIP)), *entered)
+    return ca.vertcat(first, 0.0, ca.if_else(speed > 0.0, SLIP, ca.if_else(held, STICK, SLIP)), *counted)
 
 
 class _Now:
@@ -107,12 +109,15 @@ class _Now:
         self.time = ca.SX.sym("time")
         self.w, self.rate = ca.SX.sym("w"), ca.SX.sym("rate")
         self.opening, self.mode = ca.SX.sym("opening"), ca.SX.sym("mode")
-        self.entered = ca.SX.sym("entered")
+        self.entered, self.ramped = ca.SX.sym("entered"), ca.SX.sym("ramped")
         modes = (self.opening, self.mode) if structure.events else ()
-        self.state = ca.vertcat(self.w, self.rate, *modes, *((self.entered,) if structure.entry else ()))
+        counted = ((structure.entry, self.entered), (structure.ends_ramp, self.ramped))
+        self.state = ca.vertcat(self.w, self.rate, *modes, *(symbol for there, symbol in counted if there))
         self.structure = structure
         self.p = p | {"entered": self.entered, "behind": self.opening} if structure.entry else p
-        self.mount: Strut = strut(structure, p, self.time)
+        if structure.ends_ramp:
+            self.p = self.p | {"ramped": self.ramped}
+        self.mount: Strut = strut(structure, self.p, self.time)
         self.travel = self.mount.path - start_deflection(structure, p) - self.w
 
     @property
@@ -188,6 +193,13 @@ class _Now:
     def after_it_turned(self) -> Expression:
         """Return the state after that."""
         return ca.vertcat(self.w, self.rate, 0.0, ca.if_else(self.mode > STICK, SLIP, GAP))
+
+    def until_counted(self) -> Iterator[tuple[ca.SX, Expression]]:
+        """Yield the states that become 1 once and for all, and what becomes negative when they do."""
+        if self.structure.entry:
+            yield self.entered, self.p["height"] - self.travel
+        if self.structure.ends_ramp:
+            yield self.ramped, self.p["ramp_time"] - self.time
 
     def _by_mode(self, slip: Expression, stick: Expression, gap: Expression) -> Expression:
         """Choose by the mode, element by element."""

@@ -25,17 +25,34 @@ _QUIET = {"show_eval_warnings": False}
 
 
 @dataclass(frozen=True)
+class Sized:
+    """An adaptive run whose tolerances relate to sizes that are given, and the sizes that a scene lets expect.
+
+    The sizes are those of w [m] and w' [m/s], of each of the `signals`, and of the RMS of those that have one.
+
+    Attributes:
+        function: (parameters, the duration last; sizes) -> the results of an `Integration`.
+        expected: parameters -> sizes.
+    """
+
+    function: ca.Function
+    expected: ca.Function
+
+
+@dataclass(frozen=True)
 class Integration:
     """A run as a CasADi Function of the parameters ``names`` and, last, the duration [s].
 
     Its results are the states (w [m]; w' [m/s]) at the output times, a column each, the means of the
-    `signals`, and the mean squares about the mean of those signals that have an RMS.
+    `signals`, and the mean squares about the mean of those signals that have an RMS. By CasADi's integrators
+    it is there in another form too, ``sized``.
     """
 
     structure: Structure
     accuracy: Accuracy
     timeline: Timeline
     function: ca.Function
+    sized: Sized | None = None
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -47,16 +64,18 @@ class Integration:
 def integration(structure: Structure, accuracy: Accuracy, timeline: Timeline) -> Integration:
     """Build, or find, the Function that integrates scenes of a structure by a named method with its setting."""
     if structure.orbit != "transient":
-        function = orbit_map(structure, timeline)
-    elif accuracy.method in ORDER_8:
-        function = run_map(structure, timeline)
-    else:
-        function = _by_casadi(structure, accuracy, timeline)
-    return Integration(structure, accuracy, timeline, function)
+        return Integration(structure, accuracy, timeline, orbit_map(structure, timeline))
+    if accuracy.method in ORDER_8:
+        return Integration(structure, accuracy, timeline, run_map(structure, timeline))
+    sized = _by_casadi(structure, accuracy, timeline)
+    p = ca.MX.sym("p", sized.expected.size1_in(0))
+    results = sized.function.call([p, sized.expected(p)])
+    function = ca.Function(f"run_{accuracy.method}", [p], results, {"never_inline": True})
+    return Integration(structure, accuracy, timeline, function, sized)
 
 
-def _by_casadi(structure: Structure, accuracy: Accuracy, timeline: Timeline) -> ca.Function:
-    """Wrap a CasADi integrator of the scaled equation in the interface of `Integration`."""
+def _by_casadi(structure: Structure, accuracy: Accuracy, timeline: Timeline) -> Sized:
+    """Wrap a CasADi integrator of the scaled equation."""
     observed, count = signals(structure), equation_of_motion(structure).states
     equation, transition = _scaled_equation(structure)
     options = _options(accuracy, timeline)
@@ -68,56 +87,47 @@ def _by_casadi(structure: Structure, accuracy: Accuracy, timeline: Timeline) -> 
     solver = ca.integrator("motion", accuracy.method, equation, 0.0, times.tolist(), options)
     p = ca.MX.sym("p", len(observed.parameters) + 1)
     known = observed.named(p)
-    scales = _scales(structure, known)
-    unit = _units(structure, scales)
+    sizes = ca.MX.sym("sizes", 2 + observed.count + observed.squared)
+    unit = _units(structure, sizes)
     first = start_state(structure, known)
-    result = solver(x0=ca.vertcat(first / unit, ca.MX.zeros(observed.squared)), p=ca.vertcat(p, *scales))
+    result = solver(x0=ca.vertcat(first / unit, ca.MX.zeros(observed.squared)), p=ca.vertcat(p, sizes))
     states = result["xf"][:count, asked] * ca.repmat(unit, 1, timeline.outputs)
-    sizes = _signal_scales(structure, known, scales)
+    _, of_means, of_spreads = ca.vertsplit(sizes, [0, 2, 2 + observed.count, sizes.numel()])
     spreads, others = ca.vertsplit(result["qf"][:, -1], [0, observed.squared, observed.count])
-    integrals = ca.vertcat(result["xf"][count:, -1], others)
-    return ca.Function(
-        f"run_{accuracy.method}",
-        [p],
-        [
-            ca.horzcat(first, states),
-            integrals * sizes,
-            spreads * sizes[: observed.squared] ** 2,
-        ],
-        {"never_inline": True},
-    )
+    means = ca.vertcat(result["xf"][count:, -1], others) * of_means
+    found = [ca.horzcat(first, states), means, spreads * of_spreads**2]
+    function = ca.Function(f"sized_{accuracy.method}", [p, sizes], found, {"never_inline": True})
+    return Sized(function, ca.Function("expected", [p], [_expected(structure, known, p[-1])]))
 
 
-def _scales(structure: Structure, p: dict[str, Any]) -> tuple[Any, Any, Any]:
-    """Return scales of deflection [m] and rate [m/s], so that one absolute tolerance fits both, and of force [N]."""
+def _expected(structure: Structure, p: dict[str, Any], duration: Any) -> Any:
+    """Return the sizes of a `Sized` run that a scene lets expect, so that one absolute tolerance fits all."""
     # A parameter that nothing in the equation needs moves nothing, and counts as zero here.
     own = (name for k, term in enumerate(structure.own) for name in term.names(k))
     complete = {**dict.fromkeys(("static", "drag", "rate_term", "tow_speed", *own), 0.0), **p}
     stiffness = ca.fabs(p["stiffness"])  # below zero where a spring repels
     hardness = ca.sqrt(stiffness * lightest_mass(p))
     force = start_resistance(structure, complete) + complete["tow_speed"] * hardness + _LEAST_FORCE
-    return force / stiffness, force / hardness, force
-
-
-def _units(structure: Structure, scales: Any) -> Any:
-    """Return the units of an equation's states: deflection, rate, a gap's opening; mode and entry count."""
-    modes = (scales[0], 1.0) if structure.events else ()
-    return ca.vertcat(scales[0], scales[1], *modes, *((1.0,) if structure.entry else ()))
-
-
-def _signal_scales(structure: Structure, p: dict[str, Any], scales: tuple[Any, Any, Any]) -> Any:
-    """Return the scale of each signal, in the order of `signals`, from those of deflection, rate and force."""
-    deflection, rate, force = scales
-    sizes = [deflection]
+    if structure.relaxed and structure.contact == "stick_slip":
+        # Soil that only resists may be far stronger than a relaxed spring ever pulls.
+        force = ca.fmin(force, complete["tow_speed"] * (stiffness * duration + hardness) + _LEAST_FORCE)
+    deflection, rate = force / stiffness, force / hardness
+    squared, others = [deflection], []
     if structure.damper:
-        sizes.append(force + p["damping"] * rate)
+        squared.append(force + p["damping"] * rate)
     if structure.ramp:
-        sizes.append(force * (p["tow_speed"] + rate))
-    return ca.vertcat(*sizes)
+        others.append(force * (p["tow_speed"] + rate))
+    return ca.vertcat(deflection, rate, *squared, *others, *squared)
+
+
+def _units(structure: Structure, sizes: Any) -> Any:
+    """Return the units of an equation's states: deflection, rate, a gap's opening; mode and entry count."""
+    modes = (sizes[0], 1.0) if structure.events else ()
+    return ca.vertcat(sizes[0], sizes[1], *modes, *(1.0,) * (structure.entry + structure.ends_ramp))
 
 
 def _scaled_equation(structure: Structure) -> tuple[dict[str, ca.SX], ca.Function | None]:
-    """Return the DAE over time as a fraction of the duration, in scaled states, and what an event does to them.
+    """Return the DAE over time as a fraction of the duration, in units of given sizes, and what an event does to it.
 
     Over the scaled time integrals are averages. That of a squared deviation takes the deviation from the running mean:
     its growth, d/dt of the sum about the mean, is exactly that square, so the RMS is never a difference of squares.
@@ -127,27 +137,28 @@ def _scaled_equation(structure: Structure) -> tuple[dict[str, ca.SX], ca.Functio
     count = motion.states
     x = ca.SX.sym("x", count + observed.squared)
     p = ca.SX.sym("p", len(observed.parameters) + 1)
-    scales = ca.SX.sym("scales", 3)
-    unit = _units(structure, scales)
+    sizes = ca.SX.sym("sizes", 2 + observed.count + observed.squared)
+    unit = _units(structure, sizes)
+    _, of_means, of_spreads = ca.vertsplit(sizes, [0, 2, 2 + observed.count, sizes.numel()])
     known = observed.named(p)
     duration = p[-1]
     time, state = fraction * duration, x[:count] * unit
     own = ca.vertcat(*(known[name] for name in motion.names))
     rate = motion.function(time, state, own)
-    sizes = _signal_scales(structure, known, (scales[0], scales[1], scales[2]))
-    values = observed.function(time, state[:2], p[:-1]) / sizes
+    seen = ca.vertcat(state[:2], state[-1]) if structure.ends_ramp else state
+    values = observed.function(time, seen[: observed.function.size1_in(1)], p[:-1]) / of_means
     squared = values[: observed.squared]
     # At the start the running mean is 0/0; the spread is 0 there.
     started = fraction > 0.0
     running_mean = x[count:] / ca.if_else(started, fraction, 1.0)
-    spread = ca.if_else(started, squared - running_mean, 0.0) ** 2
-    given = ca.vertcat(p, scales)
+    deviation = ca.if_else(started, squared - running_mean, 0.0) * of_means[: observed.squared]
+    given = ca.vertcat(p, sizes)
     equation = {
         "t": fraction,
         "x": x,
         "p": given,
         "ode": ca.vertcat(rate * duration / unit, squared),
-        "quad": ca.vertcat(spread, values[observed.squared :, :]),
+        "quad": ca.vertcat((deviation / of_spreads) ** 2, values[observed.squared :, :]),
     }
     if motion.events is None:
         return equation, None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import replace
 
 import casadi as ca
@@ -70,15 +71,16 @@ def refuse_ringing(scene: Scene, duration: float) -> None:
     )
 
 
-def refuse_countless_waves(scene: Scene, duration: float, most: float) -> None:
+def refuse_countless_waves(scene: Scene, p: Mapping[str, float], duration: float, most: float) -> None:
     """Refuse a wave, or a ramp, so short beside the run that following it would take minutes.
 
     Args:
         scene: of numbers.
+        p: its parameters.
         duration: of the run [s].
         most: phase [rad] that is followed.
     """
-    total = forced_rate(numbers_of(scene)) * duration
+    total = forced_rate(p) * duration
     if total <= most:
         return
     by_name = ", or name a method, as Accuracy('erk'), to follow them all the same" if scene.effects.motion else ""
@@ -208,7 +210,7 @@ def retreat(run: Run) -> tuple[str, ...]:
     """Return a warning where, at an output time, the share retreats under a contact law that knows no gap."""
     contact = run.scene.effects.contact
     slowest = float(np.min(run.speed))
-    if isinstance(contact, StickSlip) or slowest >= -_RETREAT * float(np.max(np.abs(run.speed))):
+    if slowest >= 0.0 or isinstance(contact, StickSlip) or slowest >= -_RETREAT * float(np.max(np.abs(run.speed))):
         return ()
     law = (
         "under contact 'resisting' the soil then pushes it backwards, which real soil does not"

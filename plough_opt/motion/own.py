@@ -6,11 +6,12 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+import casadi as ca
 import numpy as np
 
 from plough_opt.effects import OwnResistance
 from plough_opt.errors import InputError
-from plough_opt.expressions import Expression, is_quantity, map_expressions, template_of
+from plough_opt.expressions import Expression, as_number, is_casadi, is_quantity, map_expressions, template_of
 
 
 @dataclass(frozen=True)
@@ -50,6 +51,10 @@ class OwnTerm:
                 f"{self.kind.__name__}.force returned {found!r}: an own effect returns its resistance [N], a number or"
                 " an expression of travel and speed"
             )
+        if isinstance(found, ca.DM) and not is_casadi(travel):
+            # CasADi's own functions of an array, as a table is one, give a column.
+            found = as_number(found)
+            return float(found) if found.ndim == 0 else found
         return found
 
     def names(self, number: int) -> list[str]:

@@ -202,7 +202,7 @@ def automatic(method: Method, wanted: float, p: Mapping[str, float], duration: f
         return Accuracy(method, tolerance=max(0.01 * wanted, TIGHTEST))
     # The error of order 8 falls by (4/3)^8 = 10 from the steps that should reach it to those taken.
     enough = steps_for(summed_rate(p) * duration, _USUAL_PHASE * (max(wanted, TIGHTEST) / DEFAULT_TOLERANCE) ** 0.125)
-    return Accuracy(method, steps=_rounded(math.ceil(enough / _COARSER)))
+    return _order_8(_rounded(math.ceil(enough / _COARSER)))
 
 
 def _rounded(steps: int) -> int:
@@ -211,14 +211,21 @@ def _rounded(steps: int) -> int:
     return -(-steps // unit) * unit
 
 
-def checked(
-    method: Method, wanted: float, p: Mapping[str, float], duration: float, kinked: bool
-) -> tuple[Accuracy, Accuracy]:
-    """Return `automatic` and what checks it: of order 8 three quarters of its steps, else `check_of`."""
+def checked(method: Method, wanted: float, p: Mapping[str, float], duration: float) -> tuple[Accuracy, Accuracy]:
+    """Return how a method runs, and what checks it: `automatic`, of an adaptive method after a finer run.
+
+    The coarser of the two errs by several times as much as the run, so that their difference is no less than its error.
+    """
     chosen = automatic(method, wanted, p, duration)
     if method != "dop853":
-        return chosen, check_of(chosen, p, duration, kinked)
-    return chosen, Accuracy(method, steps=math.ceil(_COARSER * (chosen.steps or 1)))
+        return finer(chosen), chosen
+    return chosen, _order_8(math.ceil(_COARSER * (chosen.steps or 1)))
+
+
+@lru_cache(maxsize=256)
+def _order_8(steps: int) -> Accuracy:
+    """Return steps of order 8 as an accuracy, which takes longer to check than to look up."""
+    return Accuracy("dop853", steps=steps)
 
 
 def check_of(accuracy: Accuracy, p: Mapping[str, float], duration: float, kinked: bool) -> Accuracy:

@@ -57,7 +57,7 @@ class Checks:
     """What is known about a run of numbers beside its results.
 
     Attributes:
-        error_estimate: estimated relative error [-].
+        error_estimate: estimated relative error [-] of every result: see `plough_opt.simulate`.
         seconds: time taken [s].
         notes: sentences on this run for whoever reads its results.
         floquet: multipliers of a lasting orbit [-].
@@ -167,7 +167,7 @@ class Run:
 
     @property
     def error_estimate(self) -> float:
-        """Estimated relative error [-]: see `simulate`. A run of numbers only."""
+        """Estimated relative error [-] of every result, each on its own scale: see `simulate`. Of numbers only."""
         return self._known("error estimate").error_estimate
 
     @property
@@ -221,6 +221,8 @@ class Run:
 
 def rms(variance: Expression, scale: Expression) -> Expression:
     """Return the root of a variance; of an expression, with finite derivatives where nothing oscillates."""
+    if isinstance(variance, float):
+        return math.sqrt(max(variance, 0.0))
     if not is_casadi(variance):
         return sqrt(np.maximum(variance, 0.0))
     least = _LEAST_RMS * scale + 1e-100
@@ -235,6 +237,7 @@ def assemble(
     means: Expression,
     variances: Expression,
     accuracy: Accuracy,
+    known: tuple[Structure, dict[str, Expression]] | None = None,
 ) -> Run:
     """Turn the changes since the start that were integrated into forces and travel.
 
@@ -246,8 +249,9 @@ def assemble(
         means: of the signals of `plough_opt.motion.signals`.
         variances: of those that have an RMS.
         accuracy: method and setting used.
+        known: structure and parameters of the scene, where they were read off it before.
     """
-    structure, p = Structure.of(scene), parameters(scene)
+    structure, p = known or (Structure.of(scene), parameters(scene))
     if structure.entry:
         p |= {"behind": states[:, 2], "entered": states[:, 4]}
     time = column(fractions, is_casadi(states)) * duration
@@ -265,6 +269,9 @@ def assemble(
     mode = opening
     if structure.contact == "stick_slip":
         opening, mode = states[:, 2], states[:, 3]
+        if not is_casadi(mode):
+            # An implicit method solves for modes too, and rounds them.
+            mode = np.round(mode)
         speed = where((mode - STICK) ** 2 < (SLIP - STICK) ** 2 / 4.0, 0.0, speed)
         soil = where(mode < (SLIP + STICK) / 2.0, soil, where(mode < (STICK + GAP) / 2.0, force, 0.0))
     return Run(

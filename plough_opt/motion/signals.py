@@ -17,7 +17,8 @@ class Signals:
     """Integrands of a run's averages.
 
     Attributes:
-        function: (time [s], state (w [m], w' [m/s]), parameters) -> signals.
+        function: (time [s], state (w [m], w' [m/s]), parameters) -> signals. Where the end of the strut's ramp is an
+            event the state has a third element, ``ramped``.
         parameters: names of all parameters of the equation of motion and of the signals, in order.
         count: number of signals: change of deflection w; with a damper, change of mount force
             k0 w + c (w' - w'(0)); with a tow ramp, the tow power P s'.
@@ -39,6 +40,10 @@ def signals(structure: Structure) -> Signals:
     """Build the signals of a structure. Without a damper the mount force is k0 z and needs none of its own."""
     symbols = {name: ca.SX.sym(name) for name in structure.names}
     time, w, rate = ca.SX.sym("time"), ca.SX.sym("w"), ca.SX.sym("rate")
+    state = ca.vertcat(w, rate)
+    if structure.ends_ramp:
+        ramped = ca.SX.sym("ramped")
+        state, symbols = ca.vertcat(state, ramped), symbols | {"ramped": ramped}
     force = symbols["stiffness"] * w
     values = [w]
     if structure.damper:
@@ -55,5 +60,5 @@ def signals(structure: Structure) -> Signals:
     used = {s.name() for s in ca.symvar(everything)} | set(equation_of_motion(structure).names)
     names = tuple(name for name in structure.names if name in used)
     p = ca.vertcat(*(symbols[name] for name in names))
-    function = ca.Function("signals", [time, ca.vertcat(w, rate), p], [expression])
+    function = ca.Function("signals", [time, state, p], [expression])
     return Signals(function, names, len(values), squared)

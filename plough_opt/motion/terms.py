@@ -108,6 +108,11 @@ class Structure:
         """Whether an integrator must find events."""
         return self.entry or self.contact == "stick_slip"
 
+    @property
+    def ends_ramp(self) -> bool:
+        """Whether the end of the strut's ramp is one of them."""
+        return self.events and self.ramp
+
 
 def parameters(scene: Scene) -> dict[str, Expression]:
     """Return the numbers that the equation of motion may need, by name, in SI units."""
@@ -154,12 +159,16 @@ class Strut:
 
 
 def strut(structure: Structure, p: dict[str, Expression], time: Expression) -> Strut:
-    """Return the strut's motion: constant speed, or a ramp by 6u^5 - 15u^4 + 10u^3 with u = t/t_r."""
+    """Return the strut's motion: constant speed, or a ramp by 6u^5 - 15u^4 + 10u^3 with u = t/t_r.
+
+    Where events interrupt the motion the state ``ramped`` ends the ramp: the step that finds its end goes beyond it,
+    and its stages there must not see another motion yet.
+    """
     speed = p["tow_speed"]
     if not structure.ramp:
         return Strut(path=speed * time, gain=0.0, acceleration=0.0)
     ramp = p["ramp_time"]
-    u = minimum(time / ramp, 1.0)
+    u = where(p["ramped"] > 0.5, 1.0, time / ramp) if "ramped" in p else minimum(time / ramp, 1.0)
     return Strut(
         path=speed * (ramp * u**4 * (2.5 + u * (u - 3.0)) + (time - ramp * u)),
         gain=speed * u**3 * (10.0 + u * (6.0 * u - 15.0)),

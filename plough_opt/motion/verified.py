@@ -3,112 +3,56 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
-from typing import Any, NoReturn
+from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from plough_opt.accuracy import ADAPTIVE, DEFAULT_ERROR, ORDER_8, Accuracy
 from plough_opt.compiler import NO_COMPILER
-from plough_opt.effects import StickSlip
 from plough_opt.errors import IntegrationError
-from plough_opt.motion.compiled_steps import CompiledSteps, compiled_steps
-from plough_opt.motion.integrators import Integration, integration
+from plough_opt.motion.estimate import TELLING, difference
+from plough_opt.motion.following import Array, Case, Followed, follow, thinned
 from plough_opt.motion.judgement import (
     MissedEvent,
-    likely_cause,
     refuse_countless_waves,
     refuse_drifting_own,
-    refuse_missed_event,
     refuse_ringing,
-    refuse_runaway,
     refuse_stiff_orbit,
+    remarks,
 )
 from plough_opt.motion.plan import (
     MOST_FORCED,
     MOST_PANELLED,
-    OUTPUTS,
     automatic,
     check_of,
     checked,
     finer,
     forced_rate,
-    most_steps,
-    numbers_of,
-    phase,
     steps_for,
     suited,
     timeline_of,
     with_setting,
 )
 from plough_opt.motion.quasi_static import GAUSS_POINTS, quasi_static
-from plough_opt.motion.run import Averages, Run, assemble, averages_of, mount_force
+from plough_opt.motion.run import Run
 from plough_opt.motion.settling import which_motion
-from plough_opt.motion.signals import signals
-from plough_opt.motion.terms import Structure
-from plough_opt.scene import Scene
-
-Array = NDArray[np.float64]
 
 # How often, and by what factor, the tolerance is tightened until the wanted error is reached.
 _TIGHTENINGS = 3
 _TIGHTER = 0.03
-# Part of V0 sqrt(k0 M) that forces are at least related to.
-_LEAST_FORCE = 1e-9
 # Relative difference of a stand-in from the lasting orbit that a reader must know.
-_TELLING = 1e-2
-
-
-@dataclass(frozen=True)
-class Case:
-    """A scene of numbers over a time, read once for all its integrations.
-
-    Attributes:
-        scene: the scene.
-        duration: simulated time [s].
-        outputs: number of intervals between output times.
-        structure: what its equation of motion contains.
-        p: the equation's parameters by name.
-        code: its steps of order 8 in machine code, where they are wanted and can be had.
-    """
-
-    scene: Scene
-    duration: float
-    outputs: int
-    structure: Structure
-    p: dict[str, float]
-    code: CompiledSteps | None = None
-
-    @classmethod
-    def of(cls, scene: Scene, duration: float, outputs: int, *, compiled: bool = False) -> Case:
-        """Read a scene; translate its steps if they shall be compiled and can be.
-
-        Raises:
-            InputError: an array in the scene.
-        """
-        structure = Structure.of(scene)
-        code = compiled_steps(structure) if compiled and scene.effects.motion and structure.stepped else None
-        return cls(scene, duration, outputs, structure, numbers_of(scene), code)
-
-    @property
-    def phase(self) -> float:
-        """Phase of the fastest oscillation over the run [rad]."""
-        return phase(self.p, self.duration)
-
-
-@dataclass(frozen=True)
-class _Found:
-    """What an integration found: states in rows of outputs, means and mean squares of the signals."""
-
-    fractions: Array
-    states: Array
-    means: Array
-    variances: Array
+_FAR = 1e-2
+# Of a run whose check is finer the difference is less than its error by the check's own, a sixth of it or so; across
+# a kink both err by chance.
+_MARGIN = 2.0
+# Relative change of the parameters by which it is tried how far a motion can be predicted at all, and the factor by
+# which a difference grows in one that cannot be to `TELLING`.
+_SHAKEN = 1e-12
+_SENSITIVE = 1e4
 
 
 def verified(case: Case, accuracy: Accuracy) -> tuple[Run, float, tuple[str, ...]]:
-    """Integrate twice; return the run, its estimated error, and a note where the wanted error was missed."""
+    """Integrate twice; return the run, its estimated error, and what a reader must know of it."""
     effects = case.scene.effects
     if not effects.motion:
         return _quasi_static(case, accuracy)
@@ -121,11 +65,14 @@ def verified(case: Case, accuracy: Accuracy) -> tuple[Run, float, tuple[str, ...
         return _stand_in(case, wanted)
     if accuracy.method != "auto":
         named = with_setting(accuracy, steps_for(case.phase), case.outputs)
-        other = check_of(named, case.p, case.duration, case.structure.kinked)
-        return *_twice(case, named, other), ()
-    refuse_ringing(case.scene, case.duration)
-    refuse_countless_waves(case.scene, case.duration, MOST_FORCED)
-    return _automatic(case, wanted)
+        found, error = _twice(case, named, check_of(named, case.p, case.duration, case.structure.kinked))
+        error, notes = _told(case, found, error, None)
+    else:
+        refuse_ringing(case.scene, case.duration)
+        refuse_countless_waves(case.scene, case.p, case.duration, MOST_FORCED)
+        found, error = _automatic(case, wanted)
+        error, notes = _told(case, found, error, wanted)
+    return thinned(found.run, case.every), error, (*notes, *remarks(found.run))
 
 
 def interpreted(case: Case, run: Run) -> tuple[str, ...]:
@@ -143,23 +90,23 @@ def interpreted(case: Case, run: Run) -> tuple[str, ...]:
 
 def _quasi_static(case: Case, accuracy: Accuracy) -> tuple[Run, float, tuple[str, ...]]:
     scene, duration = case.scene, case.duration
-    refuse_countless_waves(scene, duration, MOST_PANELLED)
+    refuse_countless_waves(scene, case.p, duration, MOST_PANELLED)
     timeline = timeline_of(scene, duration, case.outputs, steps_for(forced_rate(case.p) * duration))
     run = quasi_static(scene, duration, timeline, accuracy)
     check = quasi_static(scene, duration, timeline, accuracy, GAUSS_POINTS + 6)
     if not all(np.isfinite(part).all() for part in (run.mount_force, run.mean_draft, run.force_rms)):
         raise IntegrationError(f"the resistance of a {scene.describe()} is not finite: look at its own effects")
-    return run, _difference(run, check.averages, check.mount_force), ()
+    return run, difference(run, check), ()
 
 
-def _automatic(case: Case, wanted: float) -> tuple[Run, float, tuple[str, ...]]:
+def _automatic(case: Case, wanted: float) -> tuple[Followed, float]:
     """Integrate by the first of the methods that suit a scene which reaches the wanted error, or comes nearest."""
-    best: tuple[Run, float] | None = None
+    best: tuple[Followed, float] | None = None
     for method in suited(case.structure, case.phase):
         aim = wanted
         for _ in range(1 if method == "rosenbrock" else _TIGHTENINGS):
             try:
-                run, error = _twice(case, *checked(method, aim, case.p, case.duration, case.structure.kinked))
+                found, error = _twice(case, *checked(method, aim, case.p, case.duration))
             except IntegrationError as failed:
                 failure = failed
                 if not isinstance(failed, MissedEvent):
@@ -167,132 +114,89 @@ def _automatic(case: Case, wanted: float) -> tuple[Run, float, tuple[str, ...]]:
                 aim *= _TIGHTER
                 continue
             if error <= wanted:
-                return run, error, ()
+                return found, error
             if best is None or error < best[1]:
-                best = run, error
+                best = found, error
             aim *= min(_TIGHTER, 0.5 * wanted / error)
     if best is None:
         raise failure
-    return *best, (f"the wanted relative error {wanted:.1e} was not reached: the estimate is {best[1]:.1e}",)
+    return best
 
 
 def _stand_in(case: Case, wanted: float) -> tuple[Run, float, tuple[str, ...]]:
     """Return a stand-in for the lasting orbit, its relative difference from the orbit, and a note if there is none."""
     exact = replace(case.scene, effects=replace(case.scene.effects, orbit="periodic"))
     method = automatic("dop853", wanted, case.p, case.duration)
-    run = _followed(case, method)
+    run = follow(case, method).run
+    notes = remarks(run)
     try:
-        orbit = _followed(Case.of(exact, case.duration, case.outputs), method)
+        orbit = follow(Case.of(exact, case.duration, case.outputs), method).run
     except IntegrationError:
-        return run, math.inf, ("the lasting orbit that this run stands for was not found: its error is unknown",)
-    error = _difference(run, orbit.averages, orbit.mount_force)
+        notes = ("the lasting orbit that this run stands for was not found: its error is unknown", *notes)
+        return run, math.inf, notes
+    error = difference(run, orbit)
     _, _, lasting = which_motion(orbit)
-    if error <= _TELLING:
-        return run, error, lasting
-    return run, error, (f"a stand-in for the lasting orbit, from which it differs by {error:.1%}", *lasting)
+    notes = (*notes, *lasting)
+    if error > _FAR:
+        notes = (f"a stand-in for the lasting orbit, from which it differs by {error:.1%}", *notes)
+    return run, error, notes
 
 
-def _twice(case: Case, first: Accuracy, second: Accuracy) -> tuple[Run, float]:
-    """Return the run by a method, and its relative difference from the run by another."""
-    run = _followed(case, first)
-    if case.structure.events:
-        # An event that the check misses is a failure too.
-        check = _followed(case, second)
-        return run, _difference(run, check.averages, check.mount_force)
+def _twice(case: Case, first: Accuracy, second: Accuracy) -> tuple[Followed, float]:
+    """Return the run by a method, and its estimated error, from the run by another."""
+    if first.method in ADAPTIVE and _is_coarser(second, first):
+        # From the coarser of two runs the finer one learns the sizes of what moves.
+        check = follow(case, second)
+        found = follow(case, first, check.sizes)
+    else:
+        found = follow(case, first)
+        check = _checking(case, first, second, found.sizes)
+    apart = difference(thinned(found.run, case.every), thinned(check.run, case.every))
+    return found, apart * (1.0 if _is_coarser(second, first) and not case.structure.kinked else _MARGIN)
+
+
+def _checking(case: Case, first: Accuracy, second: Accuracy, sizes: Array | None) -> Followed:
+    """Return the run that checks another."""
     try:
-        found = _integrated(case, second)
+        return follow(case, second, sizes)
     except IntegrationError:
-        if first.method not in ADAPTIVE or first.method == second.method:
+        if case.structure.events or first.method not in ADAPTIVE or first.method == second.method:
+            # An event that the check misses is a failure too.
             raise
         # Fixed steps may be too long for what only an adaptive method notices.
-        found = _integrated(case, finer(first))
-    averages = averages_of(case.scene, case.structure, case.p, found.means, found.variances)
-    return run, _difference(run, averages, mount_force(case.structure, case.p, found.states))
+        return follow(case, finer(first), sizes)
 
 
-def _followed(case: Case, accuracy: Accuracy) -> Run:
-    """Return the run by a method with its setting."""
-    found = _integrated(case, accuracy)
-    run = assemble(case.scene, case.duration, found.fractions, found.states, found.means, found.variances, accuracy)
-    if isinstance(case.scene.effects.contact, StickSlip):
-        refuse_missed_event(run)
-    return run
-
-
-def _integrated(case: Case, accuracy: Accuracy) -> _Found:
-    """Integrate once, by a method with its setting, or say when and why it failed."""
-    scene, duration = case.scene, case.duration
-    refuse_runaway(scene, duration)
-    steps = accuracy.steps or max(case.outputs, OUTPUTS)
-    if accuracy.method in ADAPTIVE:
-        steps = most_steps(case.phase)
-    timeline = timeline_of(scene, duration, case.outputs, steps, accuracy.method)
-    p = [*(case.p[name] for name in signals(case.structure).parameters), duration]
-    if case.code is not None and accuracy.method in ORDER_8 and (found := case.code(timeline, p)) is not None:
-        return _Found(timeline.output_fractions, *found)
-    solver = integration(case.structure, accuracy, timeline)
-    results = _attempt(solver, p)
-    if results is None:
-        _refuse(case, solver, p)
-    states, means, variances = results
-    return _Found(timeline.output_fractions, states.T, means.ravel(), variances.ravel())
-
-
-def _refuse(case: Case, solver: Integration, p: list[float]) -> NoReturn:
-    """Say of an integration that failed when and why it did."""
-    scene, duration = case.scene, case.duration
-    if scene.effects.orbit != "transient":
-        raise IntegrationError(
-            f"no lasting orbit of a {scene.describe()} was found from its linear response: simulate it from a start,"
-            " orbit = 'transient', to see whether it settles, or damp the mount"
-        )
-    reached, failed = 0.0, duration
-    for _ in range(12):
-        middle = (reached + failed) / 2.0
-        if _attempt(solver, [*p[:-1], middle]) is None:
-            failed = middle
-        else:
-            reached = middle
-    raise IntegrationError(
-        f"the motion of a {scene.describe()} could not be integrated by '{solver.accuracy.method}' beyond"
-        f" t = {reached:.4g} s of {duration:g} s: {likely_cause(scene, duration, solver)}"
+def _is_coarser(one: Accuracy, other: Accuracy) -> bool:
+    """Return whether a method has a coarser setting than the same method has in another accuracy."""
+    return one.method == other.method and (
+        (one.steps or 0) < (other.steps or 0) or (one.tolerance or 0.0) > (other.tolerance or 0.0)
     )
 
 
-def _attempt(solver: Integration, p: list[float]) -> list[Array] | None:
-    """Return the results, or None where the method failed or they are not finite."""
-    function, given = solver.function, np.array(p)
-    made: Any = function.buffer()  # its stubs know no arrays
-    buffer, evaluate = made
-    buffer.set_arg(0, given.data)
-    # A result that is zero by structure stays as it is.
-    results = [np.zeros(function.size_out(k), order="F") for k in range(function.n_out())]
-    for k, result in enumerate(results):
-        if function.nnz_out(k) == result.size:
-            buffer.set_res(k, result.ravel(order="K").data)
+def _told(case: Case, found: Followed, error: float, wanted: float | None) -> tuple[float, tuple[str, ...]]:
+    """Return the estimated error, and in words that it is larger than wanted, or that no motion could be predicted."""
+    if error <= (wanted or TELLING):
+        return error, ()
+    if wanted is None:
+        return error, (f"the estimated relative error is {error:.1e}: take more steps or a tighter tolerance",)
+    missed = f"the wanted relative error {wanted:.1e} was not reached"
+    # The coarse steps of an implicit method tell nothing of the motion's own sensitivity.
+    if error > TELLING and found.run.accuracy.method != "rosenbrock":
+        apart = _shaken(case, found)
+        if apart > _SENSITIVE * _SHAKEN:
+            error = max(error, _MARGIN * apart)
+            return error, (
+                f"{missed}: the motion is too sensitive to be predicted to better than {error:.1e}, for a change of the"
+                f" scene's numbers by {_SHAKEN:.0e} of themselves changes it by {apart:.1e}",
+            )
+    return error, (f"{missed}: the estimate is {error:.1e}",)
+
+
+def _shaken(case: Case, found: Followed) -> float:
+    """Return how far a motion is from that of all but the same scene."""
     try:
-        evaluate()
-    except RuntimeError:
-        return None
-    sound = buffer.ret() == 0 and all(np.isfinite(result).all() for result in results)
-    return results if sound else None
-
-
-def _difference(run: Run, averages: Averages, force: Array) -> float:
-    """Return the largest relative difference of a run from another with the same output times: see `simulate`.
-
-    Args:
-        run: the run.
-        averages: of the other.
-        force: mount force of the other at the outputs [N].
-    """
-    scene = run.scene
-    # Far below the force of a share that swings freely, a force is the rounding of a deflection.
-    least = _LEAST_FORCE * scene.tow_speed * math.sqrt(scene.stiffness * scene.inertia)
-    size = max(abs(run.mean_draft), run.force_rms, least)
-    pairs = (
-        (abs(run.mean_draft - averages.mean_draft), size),
-        (abs(run.force_rms - averages.force_rms), size),
-        (np.abs(run.mount_force - force).max(), max(np.abs(run.mount_force).max(), least)),
-    )
-    return max((float(difference / scale) for difference, scale in pairs if scale > 0.0), default=0.0)
+        other = follow(case, found.run.accuracy, found.sizes, shaken=_SHAKEN)
+    except IntegrationError:
+        return math.inf
+    return difference(thinned(found.run, case.every), thinned(other.run, case.every))

@@ -159,8 +159,9 @@ def test_what_is_off_is_not_in_the_equation(r1_soil, effects):
         assert is_on(effects, name) or not (own & names), name
     assert stick_slip or "breakaway" not in names
     assert smooth == ("width" in names)
-    assert equation.states == 2 + 2 * (stick_slip or effects["entry"]) + effects["entry"]
-    assert (equation.events is not None) == (stick_slip or effects["entry"])
+    events = stick_slip or effects["entry"]
+    assert equation.states == 2 + events * (2 + effects["entry"] + is_on(effects, "tow_ramp"))
+    assert (equation.events is not None) == events
     operations = [equation.function.instruction_id(k) for k in range(equation.function.n_instructions())]
     assert is_on(effects, "strength_wave") == (ca.OP_SIN in operations)
     # Another effect that is switched on adds nodes. (A ramp may take some away, for it starts at rest.)

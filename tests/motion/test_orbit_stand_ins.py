@@ -166,12 +166,15 @@ def test_averages_are_those_of_the_outputs(simulated, name, choice):
 @pytest.mark.parametrize("name", CASES)
 def test_error_estimate_is_the_difference_from_the_orbit(simulated, name, choice):
     run, exact = simulated(name, choice), simulated(name, "periodic")
-    size = max(run.mean_draft, run.force_rms)
-    differences = (
-        abs(run.mean_draft - exact.mean_draft) / size,
-        abs(run.force_rms - exact.force_rms) / size,
-        np.max(np.abs(run.mount_force - exact.mount_force)) / np.max(np.abs(run.mount_force)),
-    )
+    sizes = {
+        "mean_draft": max(run.mean_draft, run.force_rms),
+        "force_rms": run.force_rms,
+        "mean_deflection": max(run.mean_deflection, run.displacement_rms),
+        "displacement_rms": run.displacement_rms,
+    }
+    arrays = ("mount_force", "soil_resistance", "deflection", "speed", "travel")
+    sizes |= {name: np.max(np.abs(getattr(run, name))) for name in arrays}
+    differences = [np.max(np.abs(getattr(run, name) - getattr(exact, name))) / size for name, size in sizes.items()]
     assert run.error_estimate == pytest.approx(max(differences), rel=1e-6, abs=1e-12)
     assert run.error_estimate > 0.0
 

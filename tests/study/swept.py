@@ -20,6 +20,13 @@ def failing(values):
     return {"inverse": 1.0 / values["a"], "half": math.inf if values["a"] == 3.0 else -0.0}
 
 
+def failing_at_one(values):
+    """Return `waves`, but not at 1."""
+    if values["a"] == 1.0:
+        raise ValueError("one is not allowed")
+    return waves(values)
+
+
 def all_fail(values):
     raise KeyError(values["a"])
 

@@ -1,0 +1,224 @@
+"""Stores that somebody damaged, moved to a medium that cannot be written, or took rows from."""
+
+import contextlib
+import os
+import shutil
+import sqlite3
+import struct
+import tempfile
+import zlib
+from pathlib import Path
+
+import numpy as np
+import pytest
+import swept
+
+import plough_opt as po
+from plough_opt.cli import main
+
+REFERENCE = Path(__file__).parents[2] / "problems" / "reference.toml"
+OVER = {"a": [1.0, 2.0, 5.0], "b": [1.0, 2.0]}
+
+
+@pytest.fixture
+def store(inline, tmp_path):
+    """Return a finished store, and change it by a statement."""
+    path = tmp_path / "sweep.db"
+    po.sweep(swept.failing_at_one, OVER, executor=inline, store=path).close()
+
+    def changed(*statements):
+        connection = sqlite3.connect(path)
+        for statement in statements:
+            connection.execute(statement)
+        connection.commit()
+        connection.close()
+        return path
+
+    return changed
+
+
+def test_every_row_carries_the_checksum_that_the_documentation_says(store):
+    connection = sqlite3.connect(store())
+    rows = connection.execute("SELECT point, state, reason, checksum, a, b, sine, root FROM points").fetchall()
+    connection.close()
+    assert [row[1] for row in rows].count("failed") == 2
+    for point, state, reason, checksum, *numbers in rows:
+        numbers = [number for number in numbers if number is not None]
+        assert len(numbers) == (4 if state == "computed" else 2)
+        text = struct.pack(f"<q{len(numbers)}d", point, *numbers) + f"{state}\n{reason or ''}".encode()
+        assert checksum == zlib.crc32(text)
+
+
+SPOILT = {
+    "a number": "UPDATE points SET sine = sine + 1e-16 WHERE point = 4",
+    "a cell that is no number": "UPDATE points SET sine = 'much' WHERE point = 4",
+    "an empty cell": "UPDATE points SET sine = NULL WHERE point = 4",
+    "a quantity": "UPDATE points SET b = 1.5 WHERE point = 4",
+    "a reason": "UPDATE points SET reason = 'none' WHERE point = 0",
+    "a state": "UPDATE points SET state = 'undetermined' WHERE point = 0",
+    "results of a point that failed": "UPDATE points SET sine = 1.0 WHERE point = 0",
+    "a point of no sweep": "UPDATE points SET point = 6 WHERE point = 4",
+    "bytes": "UPDATE points SET state = x'ff' WHERE point = 4",
+}
+
+
+@pytest.mark.parametrize("name", SPOILT)
+def test_a_row_that_was_changed_is_told_and_computed_again_on_request(store, inline, name):
+    with po.Sweep.load(store()) as whole:
+        truth = whole.table
+    path = store(SPOILT[name])
+    words = r"sweep\.db' is damaged: 1 of its rows differ from their checksums, the first that of point [046]; .*retry"
+    with pytest.raises(po.InputError, match=words):
+        po.Sweep.load(path)
+    with pytest.raises(po.InputError, match=words):
+        po.sweep(swept.failing_at_one, OVER, executor=inline, store=path)
+    with po.sweep(swept.failing_at_one, OVER, executor=inline, store=path, retry=True) as mended:
+        # What failed before is tried again too.
+        assert mended.already == (4 if SPOILT[name].endswith("= 0") else 3)
+        assert mended.table.tobytes() == truth.tobytes()
+
+
+DAMAGED = {
+    "a column less": (
+        ("ALTER TABLE points DROP COLUMN sine",),
+        "the columns point, state, reason, checksum, a, b, root",
+    ),
+    "results no list": (("UPDATE meta SET value = '7' WHERE key = 'results'",), "results: Input should be a valid"),
+    "names no JSON": (("UPDATE meta SET value = '{' WHERE key = 'names'",), "names: Invalid JSON"),
+    "no units": (("DELETE FROM meta WHERE key = 'units'",), "units: Field required"),
+    "a count that is none": (("UPDATE meta SET value = 'x' WHERE key = 'count'",), "count: Input should be a valid"),
+    "claims": (("INSERT INTO claims VALUES (3, 'x', 'y', 0.0)",), "its table of claims holds what no sweep writes"),
+    "notes": (("INSERT INTO notes VALUES ('x', 'y', 'z', 1)",), "its table of notes holds what no sweep writes"),
+    "layout": (("UPDATE meta SET value = '1' WHERE key = 'layout'",), "has layout 1, and this version reads 2"),
+    "no claims": (("DROP TABLE claims",), "is a database, but no store of a sweep"),
+}
+
+
+@pytest.mark.parametrize("name", DAMAGED)
+def test_tables_that_are_not_those_of_a_store_are_refused_with_a_sentence(store, inline, name):
+    statements, words = DAMAGED[name]
+    path = store(*statements)
+    for use in (
+        lambda: po.Sweep.load(path),
+        lambda: po.sweep(swept.failing_at_one, OVER, executor=inline, store=path),
+        lambda: po.sweep(swept.failing_at_one, OVER, executor=inline, store=path, retry=True),
+    ):
+        with pytest.raises(po.InputError, match=words):
+            use()
+
+
+def test_every_damaged_byte_ends_in_a_sentence_or_in_the_right_numbers(store):
+    with po.Sweep.load(store()) as whole:
+        truth = whole.table
+    path, sound = store(), store().read_bytes()
+    rng = np.random.default_rng(4)
+    told = 0
+    for place in rng.integers(0, len(sound), 300).tolist():
+        spoilt = bytearray(sound)
+        spoilt[place] ^= int(rng.integers(1, 256))
+        path.write_bytes(spoilt)
+        try:
+            with po.Sweep.load(path) as found:
+                assert found.table.tobytes() == truth.tobytes()
+                list(found.failures), found.notes, found.extreme("sine")
+        except po.InputError:
+            told += 1
+    assert told > 0
+
+
+def test_rows_that_somebody_took_away_are_computed_again(store, inline):
+    with po.Sweep.load(store()) as whole:
+        truth = whole.table
+    path = store("DELETE FROM points WHERE point IN (0, 3, 5)")
+    with po.Sweep.load(path) as partial:
+        assert not partial.complete
+    with po.sweep(swept.failing_at_one, OVER, executor=inline, store=path) as mended:
+        assert mended.already == 3
+        assert mended.table.tobytes() == truth.tobytes()
+
+
+def test_a_store_that_refuses_a_row_is_no_success(store, inline):
+    path = store(
+        "CREATE TRIGGER lossy BEFORE INSERT ON points WHEN new.point = 3 BEGIN SELECT RAISE(IGNORE); END",
+        "DELETE FROM points WHERE point IN (3, 4)",
+    )
+    with pytest.raises(po.InputError, match="holds 5 of 6 points, though all of them were handed to it"):
+        po.sweep(swept.failing_at_one, OVER, executor=inline, store=path)
+
+
+@contextlib.contextmanager
+def without_rights():
+    """Do without the rights of whoever may do everything."""
+    if os.geteuid() != 0:
+        yield
+        return
+    os.seteuid(65534)
+    try:
+        yield
+    finally:
+        os.seteuid(0)
+
+
+@pytest.mark.skipif(not hasattr(os, "geteuid"), reason="the system knows no owners of files")
+@pytest.mark.parametrize("state", ["finished", "copied while it was written", "copied without its log"])
+def test_a_store_is_read_where_nothing_can_be_written(store, state):
+    path = store()
+    with po.Sweep.load(path) as whole:
+        truth = whole.table
+    with tempfile.TemporaryDirectory() as folder:  # those of pytest are closed to others
+        place = Path(folder)
+        writer = sqlite3.connect(path)
+        if state != "finished":
+            assert writer.execute("PRAGMA journal_mode = WAL").fetchall() == [("wal",)]
+            writer.execute("INSERT INTO notes VALUES ('kind', 'text', 0, 1)")
+            writer.commit()
+        copied = [path, *([Path(f"{path}-wal")] if state == "copied while it was written" else [])]
+        for file in copied:
+            assert Path(shutil.copy(file, place)).stat().st_size > 0
+        writer.close()
+        place.chmod(0o555)
+        try:
+            with without_rights():
+                with pytest.raises(PermissionError):
+                    (place / "other").touch()
+                with po.Sweep.load(place / "sweep.db") as found:
+                    assert found.complete
+                    assert found.table.tobytes() == truth.tobytes()
+                    assert len(found.notes) == (state == "copied while it was written")
+        finally:
+            place.chmod(0o755)
+        assert sorted(place.iterdir()) == sorted(place / file.name for file in copied)
+
+
+def test_a_finished_store_is_one_file_and_the_command_reads_it_without_writing(tmp_path, capsys):
+    store = tmp_path / "sweep.db"
+    command = ("sweep", str(REFERENCE), "--over", "soil.cohesion=10 kPa, 20 kPa", "--set", "effects.motion=false")
+    assert main([*command, "--workers", "1", "--store", str(store)]) == 0
+    first = capsys.readouterr().out
+    assert list(tmp_path.iterdir()) == [store]
+    before = store.read_bytes(), store.stat().st_mtime_ns
+    store.chmod(0o444)
+    tmp_path.chmod(0o555)
+    try:
+        assert main([*command, "--store", str(store)]) == 0
+    finally:
+        tmp_path.chmod(0o755)
+    assert (store.read_bytes(), store.stat().st_mtime_ns) == before
+    assert list(tmp_path.iterdir()) == [store]
+    assert capsys.readouterr().out.splitlines()[:-1] == first.splitlines()[:-1]
+
+
+@pytest.mark.parametrize(
+    "statement", ["ALTER TABLE points DROP COLUMN mean_draft", "UPDATE points SET mean_draft = 'much'"]
+)
+def test_the_command_tells_a_damaged_store_with_status_2(tmp_path, capsys, statement):
+    store = tmp_path / "sweep.db"
+    command = ("sweep", str(REFERENCE), "--over", "soil.cohesion=10 kPa, 20 kPa", "--set", "effects.motion=false")
+    assert main([*command, "--workers", "1", "--store", str(store)]) == 0
+    connection = sqlite3.connect(store)
+    connection.execute(statement)
+    connection.commit()
+    connection.close()
+    capsys.readouterr()
+    assert main([*command, "--store", str(store)]) == 2
+    assert f"bad input: the store '{store}' is damaged: " in capsys.readouterr().err

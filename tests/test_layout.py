@@ -1,5 +1,6 @@
 """The layout: imports go one way, files stay short, links lead somewhere."""
 
+import ast
 import re
 import subprocess
 import sys
@@ -46,3 +47,30 @@ def test_names_imported_later_are_listed_without_importing_them():
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[] True False"
+
+
+TESTS = sorted((ROOT / "tests").rglob("*.py"))
+
+
+def imported(source):
+    """Return the top-level modules that a file imports."""
+    tree = ast.parse(source.read_text(encoding="utf-8"))
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            yield from (alias.name.partition(".")[0] for alias in node.names)
+        elif isinstance(node, ast.ImportFrom) and node.level == 0:
+            yield node.module.partition(".")[0]
+
+
+def test_folders_of_tests_run_alone_and_in_any_company():
+    packages = [path.parent for path in TESTS if path.name == "__init__.py"]
+    modules = [path for path in TESTS if path.name != "conftest.py" and not set(path.parents) & set(packages)]
+    helpers = [*packages, *modules]
+    # pytest puts folders of tests on the path of modules: one of two of the same name would stand for both.
+    assert len({path.stem for path in helpers}) == len(helpers)
+    places = {path.stem: path.parent for path in helpers}
+    for source in TESTS:
+        found = set(imported(source))
+        assert "conftest" not in found, source
+        for name in found & places.keys():
+            assert places[name] in source.parents, (source, name)

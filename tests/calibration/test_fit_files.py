@@ -4,7 +4,7 @@ import json
 import math
 
 import pytest
-from conftest import BOUNDS, steady_scene
+from known_soil import BOUNDS, steady_scene
 
 import plough_opt as po
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from conftest import TRUTH, steady_scene
+from known_soil import TRUTH, steady_scene
 from scipy import optimize
 
 import plough_opt as po

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from conftest import steady_scene
+from known_soil import steady_scene
 from scipy import stats
 
 import plough_opt as po

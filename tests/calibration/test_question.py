@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import steady_scene
+from known_soil import steady_scene
 
 import plough_opt as po
 

@@ -1,10 +1,23 @@
 """Scenes that several test files share."""
 
 import itertools
+import signal
 
 import pytest
 
 import plough_opt as po
+
+
+@pytest.fixture
+def ctrl_c():
+    """Let Ctrl-C do here, and in processes that are started meanwhile, what it does at a terminal.
+
+    A shell that runs the tests in the background has them ignore it.
+    """
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
 
 FLAGS = ("drag", "rate", "wave", "ramp", "damper", "rest")
 

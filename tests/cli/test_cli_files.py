@@ -74,6 +74,7 @@ def test_a_closed_output_is_no_traceback(cotton):
     assert (done.returncode, done.stderr) == (0, "")
 
 
+@pytest.mark.usefixtures("ctrl_c")
 class TestInterruptions:
     def test_one_that_casadi_took_for_a_failed_evaluation_stops_the_command_all_the_same(self, cli, monkeypatch):
         def swallowing(_):
@@ -135,3 +136,11 @@ def test_no_command_to_the_terminal_comes_out_of_a_name(cli, cotton, tmp_path):
     done = cli("init", tmp_path / "\x1b[2J.toml")
     assert "wrote" in done.out
     assert "\x1b" not in done.out + done.err
+
+
+@pytest.mark.slow  # a run of pytest inside another
+@pytest.mark.skipif(os.name != "posix", reason="a shell's & has Ctrl-C ignored there")
+def test_they_pass_in_the_background_too():
+    line = 'trap "" INT; exec "$0" -m pytest -q -p no:cacheprovider -k TestInterruptions "$1"'
+    done = subprocess.run(["sh", "-c", line, sys.executable, __file__], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr

@@ -46,6 +46,7 @@ def test_a_sweep_is_reported_written_and_resumed(cli, cotton, tmp_path, monkeypa
     assert len(list(tmp_path.glob("*.sweep.db"))) == 1
 
 
+@pytest.mark.usefixtures("ctrl_c")
 def test_ctrl_c_leaves_a_store_that_goes_on(cli, tmp_path):
     file = str(tmp_path / "stick.toml")
     cli("init", file)

@@ -92,6 +92,7 @@ def test_a_killed_sweep_resumes_and_repeats_nothing_that_was_stored(script, coun
 
 
 @pytest.mark.slow  # by default the command's Ctrl-C and a killed sweep stand for it
+@pytest.mark.usefixtures("ctrl_c")
 def test_an_interrupted_sweep_says_what_is_stored_and_resumes(script, counted_text, inline, tmp_path):
     store, file = tmp_path / "sweep.db", tmp_path / "calls"
     process = script(counted_text(store, file, 0.02, VALUES, "ThreadPoolExecutor(1)"))

@@ -128,13 +128,16 @@ def printable(text: str) -> str:
 def progress() -> Iterator[designs.Progress]:
     """Show on the terminal's error stream what is being done, and how long it has taken."""
     stream = Console(stderr=True)
-    columns = (TextColumn("{task.description}"), BarColumn(bar_width=24), TimeElapsedColumn())
-    with Progress(*columns, console=stream, transient=True, disable=not stream.is_terminal) as bar:
-        task = bar.add_task("reading", total=1.0)
+    if stream.is_terminal:
+        columns = (TextColumn("{task.description}"), BarColumn(bar_width=24), TimeElapsedColumn())
+        with Progress(*columns, console=stream, transient=True) as bar:
+            task = bar.add_task("reading", total=1.0)
 
-        def told(stage: str, fraction: float) -> None:
-            _stop_if_interrupted()
-            bar.update(task, description=stage, completed=fraction)
+            def told(stage: str, fraction: float) -> None:
+                _stop_if_interrupted()
+                bar.update(task, description=stage, completed=fraction)
 
-        yield told
+            yield told
+    else:  # to which a bar that is switched off writes an empty line in some versions of rich
+        yield lambda _stage, _fraction: _stop_if_interrupted()
     _stop_if_interrupted()

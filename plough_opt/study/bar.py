@@ -24,11 +24,14 @@ class RateColumn(ProgressColumn):
 @contextmanager
 def bar(console: Console) -> Iterator[Told]:
     """Show a bar where a console is a terminal, and yield what updates it."""
+    if not console.is_terminal:  # to which a bar that is switched off writes an empty line in some versions of rich
+        yield silent
+        return
     columns = (
         TextColumn("sweep"), BarColumn(bar_width=24), MofNCompleteColumn(), RateColumn(), TimeRemainingColumn(),
         TextColumn("{task.fields[failures]}"),
     )  # fmt: skip
-    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
+    with Progress(*columns, console=console, transient=True) as progress:
         task = progress.add_task("sweep", total=None, failures="")
         began = False
 
@@ -42,3 +45,7 @@ def bar(console: Console) -> Iterator[Told]:
             progress.update(task, completed=stored, failures=failures)
 
         yield told
+
+
+def silent(stored: int, count: int, failed: int) -> None:
+    """Tell nobody."""

@@ -20,7 +20,7 @@ from plough_opt.expressions import is_count
 from plough_opt.processors import available
 from plough_opt.results import versions
 from plough_opt.study.axes import axis_of
-from plough_opt.study.bar import bar
+from plough_opt.study.bar import bar, silent
 from plough_opt.study.cluster import Cluster
 from plough_opt.study.engine import Engine, Told
 from plough_opt.study.layout import check_columns
@@ -87,7 +87,7 @@ def sweep(
         count = workers or available()
         if already < points.count:
             with ExitStack() as stack:
-                told = progress if callable(progress) else _silent
+                told = progress if callable(progress) else silent
                 if progress is True:
                     told = stack.enter_context(bar(Console(stderr=True)))
                 if executor is None:
@@ -131,10 +131,6 @@ def _refuse_arguments(evaluation: object, over: object, executor: object, worker
         raise InputError(f"executor = {executor!r} must be one of concurrent.futures, or have their submit")
     if workers is not None and not is_count(workers):
         raise InputError(f"workers = {workers!r} must be 1 or more")
-
-
-def _silent(stored: int, count: int, failed: int) -> None:
-    """Tell nobody."""
 
 
 def _refuse_unpicklable(evaluation: Evaluation) -> None:

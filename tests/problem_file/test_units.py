@@ -80,7 +80,7 @@ def test_another_dimension_is_refused_with_an_example_of_the_right_one(unit, wri
         ("Pa", "20 KPa", "KPa", "'kPa'"),
         ("Pa", "20 kpa", "kpa", "'kPa'"),
         ("kg", "20 kgs", "kgs", "'kg'"),
-        ("N/m", "50 kn/mm2", "mm2", "'mm'"),
+        ("N/m", "50 kN/mm2", "mm2", "'mm'"),
     ],
 )
 def test_an_unknown_unit_is_named_with_the_nearest(unit, written, unknown, suggested):

@@ -14,6 +14,8 @@ from collections.abc import Sequence
 from functools import lru_cache
 from pathlib import Path
 
+from plough_opt.errors import InputError
+
 Variant = tuple[tuple[str, ...], tuple[str, ...]]
 """Flags and libraries of an attempt to compile."""
 
@@ -26,9 +28,16 @@ _DIGEST = hashlib.sha256().digest_size
 
 
 def find_compiler() -> tuple[str, ...] | None:
-    """Return the command of the system's C compiler, ``$CC`` first, or None without one."""
+    """Return the command of the system's C compiler, ``$CC`` first, or None without one.
+
+    Raises:
+        InputError: ``$CC`` is no command line.
+    """
     for command in (os.environ.get("CC", ""), "cc", "gcc", "clang"):
-        words = shlex.split(command)
+        try:
+            words = shlex.split(command)
+        except ValueError as error:
+            raise InputError(f"$CC = {command!r} is no command: {error}; set it to one, or unset it") from None
         if words and (found := shutil.which(words[0])) is not None:
             return (found, *words[1:])
     return None

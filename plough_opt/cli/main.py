@@ -98,7 +98,7 @@ def _parser() -> argparse.ArgumentParser:
         ("export", exports.export, "write the scene for other tools: C, CasADi, OpenMDAO, FMU"),
         ("accuracy", commands.accuracy, "show what accuracy costs in time, and say which method to take"),
     ):
-        verb = verbs.add_parser(name, help=text)
+        verb = verbs.add_parser(name, help=text, aliases=["optimize"] if name == "optimise" else [])
         verb.add_argument("file", metavar="FILE", help="problem file (TOML)")
         verb.add_argument(
             "--set",

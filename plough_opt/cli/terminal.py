@@ -16,7 +16,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
 from plough_opt import design as designs
-from plough_opt.errors import InputError, unprintable
+from plough_opt.errors import InputError, short, unprintable
 from plough_opt.problem_file import Problem, read_problem
 
 # Options that name a file to be written.
@@ -32,12 +32,24 @@ def read(options: argparse.Namespace) -> Problem:
     problem = read_problem(options.file, options.set)
     _check_outputs(options)
     if getattr(options, "plot", None) is not None:
+        _check_matplotlib()
         from plough_opt import plots
 
         plots.check_format(options.plot)
     for note in problem.notes:
         Console(stderr=True).print(f"note: {note}", markup=False)
     return problem
+
+
+def _check_matplotlib() -> None:
+    """Refuse a picture where matplotlib cannot be imported, as with a $MPLBACKEND that it does not know."""
+    try:
+        import matplotlib  # noqa: F401
+    except ValueError as error:
+        raise InputError(
+            f"--plot: matplotlib does not start: {short(str(error), 100)}: mend $MPLBACKEND or matplotlibrc, or leave"
+            " the picture out"
+        ) from None
 
 
 def _check_outputs(options: argparse.Namespace) -> None:

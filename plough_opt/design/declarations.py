@@ -13,10 +13,21 @@ from numpy.typing import NDArray
 from plough_opt.errors import InputError
 from plough_opt.expressions import Expression, exp
 
+# Units of which thousands have a name of their own.
+_KILO = ("N", "W", "Pa", "N/m")
+# Lengths [m] below this are read in millimetres.
+_SHORT = 0.01
+
 
 def in_words(value: float, unit: str) -> str:
-    """Return a value with its unit as an engineer reads it: angles in degrees."""
-    return f"{math.degrees(value):.6g} deg" if unit == "rad" else f"{value:.6g} {unit}".rstrip()
+    """Return a value with its unit as an engineer reads it: degrees, thousands in kilo, short lengths in mm."""
+    if unit == "rad":
+        return f"{math.degrees(value):.6g} deg"
+    if unit in _KILO and abs(value) >= 1e3:
+        return f"{value / 1e3:.6g} k{unit}"
+    if unit == "m" and 0.0 < abs(value) < _SHORT:
+        return f"{value * 1e3:.6g} mm"
+    return f"{value:.6g} {'' if unit in ('1', '-') else unit}".rstrip()
 
 
 @dataclass(frozen=True)

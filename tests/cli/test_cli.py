@@ -333,7 +333,7 @@ class TestBadInput:
 
     @pytest.mark.parametrize(
         "arguments",
-        [[], ["optimize", "x"], ["check"], ["check", "a", "b"], ["check", "x", "--json"], ["simulate", "x", "--set"]],
+        [[], ["optimse", "x"], ["check"], ["check", "a", "b"], ["check", "x", "--json"], ["simulate", "x", "--set"]],
         ids=["none", "verb", "file", "files", "option", "value"],
     )
     def test_wrong_usage_is_explained(self, capsys, arguments):
@@ -461,3 +461,9 @@ def test_a_share_that_sticks_is_answered_without_casadis_notices(command, refere
         "simulate", reference, *BRIEF, "--set", 'effects.contact="stick_slip"', "--set", 'effects.start="rest"'
     )
     assert (done.status, done.err) == (0, "")
+
+
+def test_optimise_may_be_spelt_otherwise(cli, reference):
+    told = {verb: cli(verb, reference, "--set", "scene.tow_sped=1 m/s") for verb in ("optimise", "optimize")}
+    assert told["optimize"] == told["optimise"]
+    assert told["optimize"].status == 2

@@ -126,6 +126,21 @@ class TestInterruptions:
             assert cli("soils").status == 130
         assert cli("soils").status == 0
 
+    def test_one_during_the_imports_is_no_traceback(self, tmp_path):
+        code = """
+import sys
+class Interrupt:
+    def find_spec(self, name, path=None, target=None):
+        if name == "casadi":
+            raise KeyboardInterrupt
+sys.meta_path.insert(0, Interrupt())
+from plough_opt_command import main
+sys.exit(main())
+"""
+        line = [sys.executable, "-c", code, "init", str(tmp_path / "a.toml")]
+        done = subprocess.run(line, capture_output=True, text=True, check=False)
+        assert (done.returncode, done.stdout, done.stderr) == (130, "", "stopped: no file was written\n")
+
 
 def test_no_command_to_the_terminal_comes_out_of_a_name(cli, cotton, tmp_path):
     for line in (("check", "\x1b[31m.toml"), ("check", cotton, "--set", "\x1b]0;x\x07=1"), ("init", "\x1b[2J/a")):
@@ -144,3 +159,17 @@ def test_they_pass_in_the_background_too():
     line = 'trap "" INT; exec "$0" -m pytest -q -p no:cacheprovider -k TestInterruptions "$1"'
     done = subprocess.run(["sh", "-c", line, sys.executable, __file__], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
+
+
+@pytest.mark.parametrize(
+    ("variable", "value", "line", "told"),
+    [
+        ("MPLBACKEND", "bogus", ("simulate", "--plot", "a.png"), "--plot: matplotlib does not start: "),
+        ("CC", "'", ("export", "--to", "fmu", "--output", "a.fmu"), '$CC = "\'" is no command: No closing quotation'),
+    ],
+)
+def test_environments_that_cannot_be_are_bad_input(command, cotton, tmp_path, variable, value, line, told):
+    done = command(line[0], cotton, *line[1:], environment={variable: value}, cwd=tmp_path)
+    assert done.status == 2
+    assert done.err.startswith(f"bad input: {told}")
+    assert list(tmp_path.iterdir()) == []

@@ -55,7 +55,7 @@ def test_a_path_that_cannot_be_kept(r1_scene):
         d.solve()
     # From equilibrium without a wave nothing moves, and the stiffest mount bends least.
     assert caught.value.conflicts == {"deflection": pytest.approx(force / 5e5 - limit, rel=1e-6)}
-    assert caught.value.blockers == ["upper bound 500000 N/m of 'stiffness'"]
+    assert caught.value.blockers == ["upper bound 500 kN/m of 'stiffness'"]
 
 
 def test_a_bound_alone_can_block():

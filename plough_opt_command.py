@@ -1,0 +1,14 @@
+"""The command `plough-opt`: outside the package, so that a Ctrl-C while that is imported is no traceback."""
+
+import sys
+
+
+def main() -> int:
+    """Import the command line and run it; return the exit status."""
+    try:
+        from plough_opt.cli import main as run  # what may take seconds
+
+        return run()
+    except KeyboardInterrupt:
+        print("stopped: no file was written", file=sys.stderr)
+        return 130

@@ -21,6 +21,7 @@ ORDER_8: Final = ("dop853", "auto")
 """Methods by which a symbolic scene becomes a loop of order-8 steps; under "auto" a design sets their number."""
 
 DEFAULT_ERROR = 1e-8
+DEFAULT_DERIVATIVES = 1e-6
 DEFAULT_TOLERANCE = 1e-10
 
 
@@ -39,6 +40,12 @@ class Accuracy:
         steps: for a fixed-step method, steps over the whole duration; default: as many as the scene's
             fastest oscillation needs for 1e-8, or of a symbolic scene, whose time scales are unknown, at
             least 400 of order 8. Under ``"auto"`` a design chooses and refines them by itself.
+        derivatives: for ``"auto"``, the wanted error of the first and second derivatives of a symbolic scene's averages
+            by relative changes of its numbers, relative to the largest of average, first and second derivatives;
+            default 1e-6. Where smooth contact calls for it there are more than 400 steps, and events are located
+            more tightly. A symbolic scene cannot be checked, for it has no numbers: that is done where a design is
+            solved, at its optimum, and where a component is made, at points between its bounds, by finer
+            steps; where the error is missed, a warning says so.
         tolerance: for an adaptive method, relative tolerance; default 1e-10. Absolute tolerances
             follow from it and from the scene's own scales of deflection and speed.
 
@@ -50,6 +57,7 @@ class Accuracy:
     error: float | None = None
     steps: int | None = None
     tolerance: float | None = None
+    derivatives: float | None = None
 
     def __post_init__(self) -> None:
         methods = get_args(Method)
@@ -57,7 +65,13 @@ class Accuracy:
             raise InputError(f"no integration method is named '{self.method}': {nearest(self.method, methods)}")
         self._check_setting("error", self.error, ("auto",), 1e-12, 1e-1)
         self._check_setting("steps", self.steps, FIXED_STEP, 1, 10**7)
+        self._check_setting("derivatives", self.derivatives, ("auto",), 1e-10, 1e-1)
         self._check_setting("tolerance", self.tolerance, ADAPTIVE, 1e-14, 1e-1)
+
+    @property
+    def wanted_derivatives(self) -> float:
+        """Wanted error of derivatives."""
+        return self.derivatives or DEFAULT_DERIVATIVES
 
     def _check_setting(self, name: str, value: float | None, methods: tuple[str, ...], low: float, high: float) -> None:
         if value is None:

@@ -63,7 +63,7 @@ def graph(name: str, arguments: Sequence[str], make: OfColumn, results: Results,
     scene, duration = make(x)
     # Of the two ends of a run no output needs to be read between steps.
     method: Method | None = "dop853" if scene.effects.motion and resolution.outputs > 1 else None
-    timeline = timeline_of(scene, duration, resolution.outputs, resolution.steps, method)
+    timeline = timeline_of(scene, duration, resolution.outputs, resolution.steps, method, symbolic=True)
     if not scene.effects.motion:
         run = quasi_static(scene, duration, timeline, Accuracy(), resolution.points)
         return ca.Function(name, x, _columns(run, results, kind))

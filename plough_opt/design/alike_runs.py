@@ -17,9 +17,9 @@ import casadi as ca
 from plough_opt.accuracy import ORDER_8
 from plough_opt.design.split import EmbeddedRun
 from plough_opt.motion.integrators import Integration, integration
-from plough_opt.motion.jets import jets_of, pairs, weighted_curvature
+from plough_opt.motion.jets import jets_of, weighted_curvature
+from plough_opt.motion.pooling import pairs
 from plough_opt.motion.signals import signals
-from plough_opt.motion.timeline import Timeline
 from plough_opt.processors import available
 
 
@@ -167,9 +167,9 @@ def _prepared(run: EmbeddedRun, only_averages: bool, steps: int | None) -> tuple
     if structure.orbit == "periodic" and steps is not None:
         structure, steps = replace(structure, orbit="harmonic_balance", harmonics=steps), None
     if only_averages and accuracy.method in ORDER_8:
-        timeline = Timeline(1, timeline.steps, timeline.kink)
+        timeline = replace(timeline, outputs=1, aligned=True)
     if steps is not None:
-        timeline = Timeline(timeline.outputs, steps, timeline.kink, aligned=False)
+        timeline = replace(timeline, steps=steps, aligned=timeline.moving)
     solver = integration(structure, accuracy, timeline)
     observed = signals(structure)
     size = sum(solver.function.numel_out(k) for k in range(solver.function.n_out()))

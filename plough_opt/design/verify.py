@@ -17,7 +17,7 @@ from plough_opt.labels import Limit
 from plough_opt.motion.compiled_steps import compiled_steps
 from plough_opt.motion.embedding import with_numbers
 from plough_opt.motion.integrators import Integration, integration
-from plough_opt.motion.plan import checked, most_steps, phase, suited
+from plough_opt.motion.plan import checked, kink_of, most_steps, phase, suited
 from plough_opt.motion.run import Run, assemble
 from plough_opt.motion.signals import signals
 from plough_opt.motion.timeline import Timeline
@@ -148,11 +148,11 @@ def _tight_results(own: Integration, inputs: tuple[float, ...], compiled: bool) 
     """
     p, duration = dict(zip(own.names, inputs[:-1], strict=True)), inputs[-1]
     total = phase(p, duration)
-    outputs = own.timeline.outputs
+    outputs, kink = own.timeline.outputs, kink_of(p.get("ramp_time", 0.0), duration)
     code = compiled_steps(own.structure) if compiled and own.structure.stepped else None
     results = []
     for accuracy in checked(suited(own.structure, total)[0], TIGHT, p, duration):
-        timeline = Timeline(outputs, accuracy.steps or most_steps(total), own.timeline.kink, aligned=False)
+        timeline = Timeline(outputs, accuracy.steps or most_steps(total), kink, aligned=False)
         steps = code if accuracy.method in ORDER_8 else None
         parts: Sequence[Vector] | None = None if steps is None else steps(timeline, list(inputs))
         if parts is None:

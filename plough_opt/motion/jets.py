@@ -12,21 +12,17 @@ from collections.abc import Sequence
 from functools import lru_cache
 
 import casadi as ca
-import numpy as np
 
 from plough_opt.accuracy import ORDER_8
+from plough_opt.motion.breaks import moving_ramp, spans_of, start_and_size, unbroken
 from plough_opt.motion.dop853 import NODES, STAGES, WEIGHTS
 from plough_opt.motion.equation import equation_of_motion, start_state
 from plough_opt.motion.integrators import Integration
+from plough_opt.motion.pooling import Average, pairs, pooled, product
 from plough_opt.motion.readings import at_outputs
 from plough_opt.motion.signals import signals
 from plough_opt.motion.terms import Structure
 from plough_opt.motion.timeline import Timeline
-
-
-def pairs(count: int) -> list[tuple[int, int]]:
-    """Return the index pairs (a, b) with a <= b of second derivatives, in the order that jets use."""
-    return [(a, b) for a in range(count) for b in range(a, count)]
 
 
 def weighted_curvature(integration: Integration, varying: tuple[int, ...]) -> ca.Function:
@@ -83,31 +79,53 @@ def jets(structure: Structure, timeline: Timeline, varying: tuple[int, ...], ord
         value, the first derivatives and, with order 2, the second ones of `pairs`.
     """
     observed = signals(structure)
-    p = ca.MX.sym("p", len(observed.parameters) + 1)
-    sizes = np.diff(timeline.nodes)
-    count = len(sizes)
-    spans = ca.DM(np.vstack([timeline.nodes[:-1], sizes]))
+    p, count = ca.MX.sym("p", len(observed.parameters) + 1), len(varying)
+    ramp = moving_ramp(structure, timeline, p)
+    spans = spans_of(timeline, p[-1], ramp)
+    steps = spans.shape[1]
     first = _start_jet(structure, varying, order)(p)
-    states, moments = _jet_step(structure, varying, order).mapaccum(count)(first, spans, ca.repmat(p, 1, count))
+    one = unbroken(structure, timeline, _jet_step(structure, varying, order, spans.shape[0]), count)
+    states, moments = one.mapaccum(steps)(first, spans, ca.repmat(p, 1, steps))
     width = first.shape[1]
     own = [moments[:, column::width] for column in range(width)]
-    means, variances = _pooled(own, ca.DM(sizes), observed.count, observed.squared, len(varying))
+    part = None if ramp is None else _ramp_part(structure, varying, order)(p)
+    averages = pooled(own, _average(spans, part, count), observed.count, count)
     paths = [ca.horzcat(first[:, column], states[:, column::width]) for column in range(width)]
-    read = _read(timeline, paths, p[-1], [position == p.numel() - 1 for position in varying])
-    result = ca.vertcat(ca.horzcat(*map(ca.vec, read)), means, variances)
+    read = _read(timeline, paths, (p[-1], ramp), [position == p.numel() - 1 for position in varying])
+    result = ca.vertcat(ca.horzcat(*map(ca.vec, read)), *averages)
     return ca.Function("jets", [p], [result])
 
 
-def _read(timeline: Timeline, paths: list[ca.MX], duration: ca.MX, own: list[bool]) -> list[ca.MX]:
+def _average(spans: ca.MX | ca.DM, ramp: ca.MX | None, count: int) -> Average:
+    """Return what averages jets over the steps.
+
+    Args:
+        spans: of the steps.
+        ramp: jet of the ramp's part of the duration, where steps have parts of it.
+        count: number of varying parameters.
+    """
+
+    def average(columns: Sequence[ca.MX]) -> list[ca.MX]:
+        found = [column @ spans[1, :].T for column in columns]
+        if ramp is None:
+            return found
+        more = product(ca.horzsplit(ramp), [column @ spans[3, :].T for column in columns], count)
+        return [own + other for own, other in zip(found, more, strict=True)]
+
+    return average
+
+
+def _read(timeline: Timeline, paths: list[ca.MX], times: tuple[ca.MX, ca.MX | None], own: list[bool]) -> list[ca.MX]:
     """Return the jets of the states at the outputs from those at the ends of the steps.
 
     Args:
         timeline: steps and outputs.
         paths: value, first and second derivatives of the states, a column for each end.
-        duration: of the run [s].
+        times: duration of the run [s], and of a ramp at whose end a step ends.
         own: of each varying parameter whether it is the duration, by which the weights of the ends change.
     """
-    read = [at_outputs(timeline, path, duration) for path in paths]
+    duration, ramp = times
+    read = [at_outputs(timeline, path, duration, ramp) for path in paths]
     if timeline.aligned or not any(own):
         return read
     time, one = ca.MX.sym("time"), ca.MX.sym("path", *paths[0].shape)
@@ -154,18 +172,30 @@ def _start_jet(structure: Structure, varying: tuple[int, ...], order: int) -> ca
     return ca.Function("start", [p], [ca.densify(_expand(start_state(structure, known), e, order))])
 
 
-def _jet_step(structure: Structure, varying: tuple[int, ...], order: int) -> ca.Function:
+def _ramp_part(structure: Structure, varying: tuple[int, ...], order: int) -> ca.Function:
+    """Return the jet of the ramp's part of the duration as a Function of the parameters."""
+    names = signals(structure).parameters
+    p, e = ca.SX.sym("p", len(names) + 1), ca.SX.sym("e", len(varying))
+    shifted = _shifted(p, e, varying)
+    part = shifted[names.index("ramp_time")] / shifted[-1]
+    return ca.Function("ramp_part", [p], [ca.densify(_expand(part, e, order))])
+
+
+@lru_cache(maxsize=64)
+def _jet_step(structure: Structure, varying: tuple[int, ...], order: int, width: int) -> ca.Function:
     """Return one step of the jet: (jet of the state, span, parameters) -> (jet of the state, of the moments).
+
+    The span is that of `plough_opt.motion.runge_kutta.step`, of that width.
 
     The derivatives solve the equation of motion expanded at every stage, which takes a fraction of the operations of
     the whole step differentiated.
     """
     observed, count = signals(structure), len(varying)
-    p, span = ca.SX.sym("p", len(observed.parameters) + 1), ca.SX.sym("span", 2)
+    p, span = ca.SX.sym("p", len(observed.parameters) + 1), ca.SX.sym("span", width)
     jet = ca.SX.sym("jet", 2, _width(count, order))
-    start, size = span[0] * p[-1], span[1] * p[-1]
-    # Of the step by the parameters: nothing, unless the duration is one of them.
-    lengthening = span[1] * ca.jacobian(p[-1], p[list(varying)])
+    start, size = start_and_size(span, p[-1], observed.named(p))
+    # Of the step by the parameters: nothing, unless the duration or a ramp's time is one of them.
+    lateness, lengthening = (ca.jacobian(time, p[list(varying)]) for time in (start, size))
 
     def moved(weights: Sequence[float], rates: Sequence[ca.SX]) -> ca.SX:
         """Return the jet of the state after a part of the step."""
@@ -183,10 +213,11 @@ def _jet_step(structure: Structure, varying: tuple[int, ...], order: int) -> ca.
 
     # Of the same symbols, so that what depends on the parameters alone is shared by the stages.
     at = _expanded(structure, varying, order, p)
-    _, first, _ = at(start, jet, 0.0, p)
+    _, first, _ = at(ca.horzcat(start, lateness), jet, 0.0, p)
     found: list[list[ca.SX]] = []
     for row, node in zip(STAGES, NODES, strict=True):
-        found.append(at.call([start + node * size, moved(row, [rate for rate, _, _ in found]), first, p]))
+        time = ca.horzcat(start + node * size, lateness + node * lengthening)
+        found.append(at.call([time, moved(row, [rate for rate, _, _ in found]), first, p]))
     rates, changes, squares = zip(*found, strict=True)
     mean, square = (
         ca.reshape(ca.mtimes(ca.horzcat(*columns), ca.DM(WEIGHTS)), -1, jet.shape[1]) for columns in (changes, squares)
@@ -199,18 +230,17 @@ def _jet_step(structure: Structure, varying: tuple[int, ...], order: int) -> ca.
 def _expanded(structure: Structure, varying: tuple[int, ...], order: int, p: ca.SX) -> ca.Function:
     """Return the equation of motion and the signals as a Function of jets and of parameters ``p``.
 
-    It takes the time [s], the jet of the state, the stacked one of the signals at the start of the step, and p; it
-    returns the stacked jets of the rate, of the signals' changes and of the changes' squares.
+    It takes the time [s] with its slopes, the jet of the state, the stacked one of the signals at the start of the
+    step, and p; it returns the stacked jets of the rate, of the signals' changes and of the changes' squares.
     """
     motion, observed, count = equation_of_motion(structure), signals(structure), len(varying)
-    time, jet = ca.SX.sym("time"), ca.SX.sym("jet", 2, _width(count, order))
+    moment, jet = ca.SX.sym("moment", 1, 1 + count), ca.SX.sym("jet", 2, _width(count, order))
     first = ca.SX.sym("first", observed.count, jet.shape[1])
-    known, e, state = observed.named(p), p[list(varying)], jet[:, 0]
+    known, e, time, state = observed.named(p), p[list(varying)], moment[0], jet[:, 0]
     own = ca.vertcat(*(known[name] for name in motion.names))
     value = ca.vertcat(motion.function(time, state, own), observed.function(time, state, p[:-1]))
     given = ca.vertcat(time, state, e)
-    # A time is a fraction of the duration, which may be one of the parameters.
-    slopes = ca.vertcat(time / p[-1] * ca.jacobian(p[-1], e), jet[:, 1 : 1 + count], ca.SX.eye(count))
+    slopes = ca.vertcat(moment[1:], jet[:, 1 : 1 + count], ca.SX.eye(count))
     columns = [value, ca.mtimes(ca.jacobian(value, given), slopes)]
     if order == 2:
         bends = [ca.mtimes([slopes.T, ca.hessian(row, given)[0], slopes]) for row in ca.vertsplit(value)]
@@ -219,32 +249,16 @@ def _expanded(structure: Structure, varying: tuple[int, ...], order: int, p: ca.
     rate, now = ca.vertsplit(ca.cse([ca.horzcat(*columns)])[0], [0, 2, 2 + observed.count])
     results = rate, now - first, _square((now - first)[: observed.squared, :], count)
     stacked = [ca.densify(ca.vec(result)) for result in results]
-    return ca.Function("expanded", [time, jet, ca.vec(first), p], stacked)
+    return ca.Function("expanded", [moment, jet, ca.vec(first), p], stacked)
 
 
 def _square(jet: ca.SX, count: int) -> ca.SX:
     """Return the jet of squares, of quantities whose jets are rows, by ``count`` parameters."""
-    twice = ca.mtimes(ca.diag(2.0 * jet[:, 0]), jet[:, 1:])
-    for column, (a, b) in enumerate(pairs(count) if jet.shape[1] > 1 + count else [], start=count):
-        twice[:, column] += 2.0 * jet[:, 1 + a] * jet[:, 1 + b]
-    return ca.horzcat(jet[:, 0] ** 2, twice)
+    columns = ca.horzsplit(jet)
+    squares: ca.SX = ca.horzcat(*product(columns, columns, count))
+    return squares
 
 
 def _width(count: int, order: int) -> int:
     """Return the number of columns of a jet by ``count`` parameters."""
     return 1 + count + (len(pairs(count)) if order == 2 else 0)
-
-
-def _pooled(moments: list[ca.MX], sizes: ca.DM, count: int, squared: int, varying: int) -> tuple[ca.MX, ca.MX]:
-    """Pool the steps' moments into means and variances, with the derivatives of both."""
-    means = [m[:count, :] @ sizes for m in moments]
-    drift = [
-        m[:squared, :] - ca.repmat(mean[:squared], 1, sizes.numel()) for m, mean in zip(moments, means, strict=True)
-    ]
-    spreads = [m[count:, :] for m in moments]
-    variances = [spreads[0] + drift[0] ** 2]
-    for a in range(1, 1 + varying):
-        variances.append(spreads[a] + 2.0 * drift[0] * drift[a])
-    for column, (a, b) in enumerate(pairs(varying) if len(moments) > 1 + varying else [], start=1 + varying):
-        variances.append(spreads[column] + 2.0 * (drift[1 + a] * drift[1 + b] + drift[0] * drift[column]))
-    return ca.horzcat(*means), ca.horzcat(*(v @ sizes for v in variances))

@@ -10,7 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from plough_opt.accuracy import ADAPTIVE, DEFAULT_TOLERANCE, ORDER_8, Accuracy, Method
+from plough_opt.accuracy import ADAPTIVE, DEFAULT_DERIVATIVES, DEFAULT_TOLERANCE, ORDER_8, Accuracy, Method
+from plough_opt.effects import Smooth
 from plough_opt.errors import InputError
 from plough_opt.expressions import Expression, as_number, is_symbolic, maximum, sqrt
 from plough_opt.motion.terms import Structure, lightest_mass, own_slopes, parameters
@@ -19,6 +20,9 @@ from plough_opt.scene import Scene
 
 OUTPUTS = 400
 """Default number of intervals between output times."""
+
+# Of order 8 in a symbolic run with smooth contact, which changes in a fraction of the time of the mount's swing.
+_SMOOTH_STEPS = 1600
 
 STIFF_PHASE = 1e5
 """Phase [rad] of the fastest oscillation over a run above which an implicit method integrates it."""
@@ -139,22 +143,53 @@ def steps_for(total_phase: float, phase_per_step: float = PHASE_PER_STEP) -> int
     return max(_FEWEST_STEPS, math.ceil(min(total_phase / phase_per_step, _MOST_STEPS)))
 
 
-def timeline_of(scene: Scene, duration: Expression, outputs: int, steps: int, method: Method | None = None) -> Timeline:
-    """Return the times of a run; the end of a tow ramp is among them when it is a number.
+def timeline_of(
+    scene: Scene,
+    duration: Expression,
+    outputs: int,
+    steps: int,
+    method: Method | None = None,
+    *,
+    symbolic: bool = False,
+) -> Timeline:
+    """Return the times of a run; the end of a tow ramp is among them, a number or wherever its symbols put it.
 
-    Steps of order 8 need not end at the outputs, which are read between them.
+    Steps of order 8 need not end at the outputs, which are read between them, unless steps end at moving kinks.
+
+    Args:
+        scene: the scene.
+        duration: of the run [s].
+        outputs: number of intervals between output times.
+        steps: number of steps.
+        method: the method that takes them.
+        symbolic: whether the run is to be differentiated, so that steps end where smooth contact ends too.
     """
-    ramp, aligned = scene.effects.tow_ramp, method not in ORDER_8
-    if not scene.effects.ramps or is_symbolic(ramp) or is_symbolic(duration):
-        return _timeline(outputs, steps, None, aligned)
-    kink = float(as_number(ramp)) / float(as_number(duration))
-    return _timeline(outputs, steps, kink if kink < 1.0 else None, aligned)
+    effects, aligned = scene.effects, method not in ORDER_8
+    ramp = effects.tow_ramp if effects.ramps else 0.0
+    timed = not effects.ramps or not (is_symbolic(ramp) or is_symbolic(duration))
+    if not timed or (symbolic and effects.motion and isinstance(effects.contact, Smooth)):
+        return _timeline(outputs, steps, None, True, True)
+    kink = kink_of(float(as_number(ramp)), float(as_number(duration))) if effects.ramps else None
+    return _timeline(outputs, steps, kink, aligned, False)
+
+
+def kink_of(ramp: float, duration: float) -> float | None:
+    """Return at which part of the duration [s] a ramp of a time [s], or 0, ends; None if not within the run."""
+    return ramp / duration if 0.0 < ramp < duration else None
 
 
 @lru_cache(maxsize=256)
-def _timeline(outputs: int, steps: int, kink: float | None, aligned: bool) -> Timeline:
+def _timeline(outputs: int, steps: int, kink: float | None, aligned: bool, moving: bool) -> Timeline:
     """Return a timeline, whose times are computed once."""
-    return Timeline(outputs, steps, kink, aligned)
+    return Timeline(outputs, steps, kink, aligned, moving)
+
+
+def unknown_steps(scene: Scene, accuracy: Accuracy, outputs: int) -> int:
+    """Return how many steps of order 8 a symbolic run takes, whose time scales are unknown."""
+    steps = _SMOOTH_STEPS if isinstance(scene.effects.contact, Smooth) else OUTPUTS
+    # For the default; second derivatives of order-8 steps are of that order too.
+    finer: float = (DEFAULT_DERIVATIVES / accuracy.wanted_derivatives) ** 0.125
+    return max(outputs, OUTPUTS, math.ceil(steps * finer))
 
 
 def most_steps(total_phase: float) -> int:

@@ -6,10 +6,10 @@ from functools import partial
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
 from plough_opt.accuracy import Accuracy
 from plough_opt.expressions import Expression, column, holds_casadi, is_casadi
+from plough_opt.motion.breaks import ends
 from plough_opt.motion.embedding import labelled
 from plough_opt.motion.run import Averages, Run, rms
 from plough_opt.motion.terms import Structure, parameters, resistance_change, start_resistance, start_speed, strut
@@ -22,6 +22,9 @@ GAUSS_POINTS = 10
 SYMBOLIC_GAUSS_POINTS = 4
 """The same in a symbolic run, whose graph grows with them."""
 
+# Exact for the square of a ramp's force, a polynomial of degree 20, in however few panels the ramp lies.
+_RAMP_GAUSS_POINTS = 11
+
 
 def quasi_static(
     scene: Scene, duration: Expression, timeline: Timeline, accuracy: Accuracy, points: int = GAUSS_POINTS
@@ -30,13 +33,8 @@ def quasi_static(
 
     Averages are composite Gauss-Legendre quadratures over the timeline's steps.
     """
-    nodes, weights = np.polynomial.legendre.leggauss(points)
-    ends = timeline.nodes
-    sizes = np.diff(ends)
-    inner = (ends[:-1, None] + sizes[:, None] * (nodes + 1.0) / 2.0).ravel()
-    shares = (sizes[:, None] * weights / 2.0).ravel()
-
     p = parameters(scene)
+    inner, shares = _quadrature(timeline, points, duration, p.get("ramp_time", 0.0))
     p["static"] = labelled(p["static"], scene)
     course = partial(_course, scene, p, duration)
     time, path, speed, force = course(timeline.output_fractions)
@@ -70,12 +68,30 @@ def quasi_static(
     )
 
 
+def _quadrature(
+    timeline: Timeline, points: int, duration: Expression, ramp: Expression
+) -> tuple[Expression, Expression]:
+    """Return nodes and weights of an average over the timeline's steps, as fractions of the duration."""
+    points = max(points, _RAMP_GAUSS_POINTS) if timeline.moving else points
+    nodes, weights = np.polynomial.legendre.leggauss(points)
+    if timeline.moving:
+        a, b = ends(timeline, duration, ramp)
+        at = a + b * (ramp / duration)
+        starts, sizes = at[:-1], at[1:] - at[:-1]
+        rows = [starts + sizes * ((node + 1.0) / 2.0) for node in nodes]
+        return ca.vertcat(*rows), ca.vertcat(*(sizes * (weight / 2.0) for weight in weights))
+    sizes = np.diff(timeline.nodes)[:, None]
+    inner = timeline.nodes[:-1, None] + sizes * (nodes + 1.0) / 2.0
+    return inner.ravel(), (sizes * weights / 2.0).ravel()
+
+
 def _course(
-    scene: Scene, p: dict[str, Expression], duration: Expression, fractions: NDArray[np.float64]
+    scene: Scene, p: dict[str, Expression], duration: Expression, fractions: Expression
 ) -> tuple[Expression, Expression, Expression, Expression]:
     """Return time [s], path [m], speed [m/s] and resistance [N] at fractions of the duration."""
     structure = Structure.of(scene)
-    time = column(fractions, holds_casadi((scene, duration))) * duration
+    known = not isinstance(fractions, np.ndarray)
+    time = (fractions if known else column(fractions, holds_casadi((scene, duration)))) * duration
     mount = strut(structure, p, time)
     force = start_resistance(structure, p) + resistance_change(structure, p, mount.path, mount.gain)
     everywhere = 0.0 * time
@@ -87,5 +103,7 @@ def _course(
     )
 
 
-def _average(values: Expression, shares: NDArray[np.float64]) -> Expression:
-    return ca.dot(ca.DM(shares), values) if is_casadi(values) else float(shares @ values)
+def _average(values: Expression, shares: Expression) -> Expression:
+    if not is_casadi(values):
+        return float(shares @ values)
+    return ca.dot(ca.DM(shares) if isinstance(shares, np.ndarray) else shares, values)

@@ -41,16 +41,22 @@ class Readings:
     rate_by_rate: ca.DM
 
 
-def at_outputs(timeline: Timeline, states: ca.MX, duration: ca.MX) -> ca.MX:
+def at_outputs(timeline: Timeline, states: ca.MX, duration: ca.MX, ramp: ca.MX | None = None) -> ca.MX:
     """Return the states (w [m]; w' [m/s]) at the output times, a column each.
 
     Args:
         timeline: steps and outputs.
         states: at the ends of all steps, the start included, a column each.
         duration: of the run [s].
+        ramp: time of a ramp [s] at which a step ends too, wherever that is.
     """
+    columns = timeline.output_columns
+    if ramp is not None:
+        # Behind the ramp's end the steps count one more.
+        reached = ca.repmat(ca.DM(timeline.output_fractions).T * duration <= ramp, states.shape[0], 1)
+        return ca.if_else(reached, states[:, columns], states[:, [column + 1 for column in columns]])
     if timeline.aligned:
-        return states[:, timeline.output_columns]
+        return states[:, columns]
     read = readings(timeline)
     w, rate = states[0, :], states[1, :]
     return ca.vertcat(

@@ -9,10 +9,11 @@ from __future__ import annotations
 from functools import lru_cache
 
 import casadi as ca
-import numpy as np
 
+from plough_opt.motion.breaks import moving_ramp, spans_of, start_and_size, unbroken
 from plough_opt.motion.dop853 import NODES, STAGES, WEIGHTS
 from plough_opt.motion.equation import equation_of_motion, start_state
+from plough_opt.motion.pooling import pooled
 from plough_opt.motion.readings import at_outputs
 from plough_opt.motion.signals import signals
 from plough_opt.motion.terms import Structure
@@ -20,22 +21,22 @@ from plough_opt.motion.timeline import Timeline
 
 
 @lru_cache(maxsize=64)
-def step(structure: Structure) -> ca.Function:
-    """Return one step as a Function: (state, (start, size), parameters with the duration last) -> (state, moments).
+def step(structure: Structure, width: int = 2) -> ca.Function:
+    """Return one step as a Function: (state, span, parameters with the duration last) -> (state, moments).
 
-    Start and size are fractions of the duration. The moments are, for each signal, the mean over the step,
-    then, for each signal with an RMS, the mean square about that mean. Both are taken from the deviation
-    from the value at the step's start, where they lose at most a factor of four to cancellation.
+    The span is start and size of the step as fractions of the duration and, of width 4, of the ramp's time, which add
+    up. The moments are, for each signal, the mean over the step, then, for each signal with an RMS, the mean square
+    about that mean. Both are taken from the deviation from the value at the step's start, where they lose at most a
+    factor of four to cancellation.
     """
     motion = equation_of_motion(structure)
     observed = signals(structure)
     state = ca.SX.sym("state", 2)
-    span = ca.SX.sym("span", 2)
+    span = ca.SX.sym("span", width)
     p = ca.SX.sym("p", len(observed.parameters) + 1)
-    duration = p[-1]
     known = observed.named(p)
     own = ca.vertcat(*(known[name] for name in motion.names))
-    start, size = span[0] * duration, span[1] * duration
+    start, size = start_and_size(span, p[-1], known)
 
     rates: list[ca.SX] = []
     first = observed.function(start, state, p[:-1])
@@ -70,19 +71,15 @@ def run_map(structure: Structure, timeline: Timeline) -> ca.Function:
 @lru_cache(maxsize=64)
 def run_from(structure: Structure, timeline: Timeline) -> ca.Function:
     """Return the run from any state: (state at time 0, parameters) -> states at the outputs, means, variances."""
-    one = step(structure)
     observed = signals(structure)
     first = ca.MX.sym("first", 2)
     p = ca.MX.sym("p", len(observed.parameters) + 1)
-    sizes = ca.DM(np.diff(timeline.nodes)).T
-    spans = ca.vertcat(ca.DM(timeline.nodes[:-1]).T, sizes)
+    ramp = moving_ramp(structure, timeline, p)
+    spans = spans_of(timeline, p[-1], ramp)
+    sizes = spans[1, :] if ramp is None else spans[1, :] + spans[3, :] * (ramp / p[-1])
     count = sizes.shape[1]
+    one = unbroken(structure, timeline, step(structure, spans.shape[0]))
     states, moments = one.mapaccum(count)(first, spans, ca.repmat(p, 1, count))
-    means = moments[: observed.count, :]
-    spreads = moments[observed.count :, :]
-    mean = means @ sizes.T
-    # Pooling the steps' own spreads with the spread of their means adds squares only: nothing cancels.
-    drift = means[: observed.squared, :] - ca.repmat(mean[: observed.squared], 1, count)
-    variance = (spreads + drift**2) @ sizes.T
-    found = at_outputs(timeline, ca.horzcat(first, states), p[-1])
-    return ca.Function("run_from", [first, p], [found, mean, variance])
+    averages = pooled([moments], lambda parts: [part @ sizes.T for part in parts], observed.count)
+    found = at_outputs(timeline, ca.horzcat(first, states), p[-1], ramp)
+    return ca.Function("run_from", [first, p], [found, *averages])

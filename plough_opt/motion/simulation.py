@@ -9,6 +9,7 @@ import numpy as np
 
 from plough_opt.accuracy import ADAPTIVE, DEFAULT_ERROR, LOCATE_EVENTS, ORDER_8, Accuracy
 from plough_opt.domain import check_domain, check_single
+from plough_opt.effects import Smooth
 from plough_opt.errors import InputError
 from plough_opt.expressions import Expression, as_number, holds_casadi, is_count, is_symbolic, map_expressions
 from plough_opt.motion.embedding import embed
@@ -22,6 +23,7 @@ from plough_opt.motion.plan import (
     forced_rate,
     steps_for,
     timeline_of,
+    unknown_steps,
     with_setting,
 )
 from plough_opt.motion.quasi_static import SYMBOLIC_GAUSS_POINTS, quasi_static
@@ -150,14 +152,17 @@ def _symbolic(scene: Scene, duration: Expression, accuracy: Accuracy, outputs: i
     if accuracy.method != "auto":
         accuracy = with_setting(accuracy, max(outputs, OUTPUTS), outputs)
     elif scene.effects.events:
-        accuracy = Accuracy("erk", tolerance=max(0.01 * (accuracy.error or DEFAULT_ERROR), TIGHTEST))
+        # Events are located, the ends of smooth contact's step beside them are not.
+        part = 1e-3 if isinstance(scene.effects.contact, Smooth) else 1e-2
+        wanted = min(accuracy.error or DEFAULT_ERROR, part * accuracy.wanted_derivatives)
+        accuracy = Accuracy("erk", tolerance=max(0.01 * wanted, TIGHTEST))
     return _embedded(scene, duration, accuracy, outputs)
 
 
 def _embedded(scene: Scene, duration: Expression, accuracy: Accuracy, outputs: int) -> Run:
     """Return a run by a method with its setting as expressions of the scene's symbols."""
-    steps = MOST_ADAPTIVE if accuracy.method in ADAPTIVE else accuracy.steps or max(outputs, OUTPUTS)
-    timeline = timeline_of(scene, duration, outputs, steps, accuracy.method)
+    steps = MOST_ADAPTIVE if accuracy.method in ADAPTIVE else accuracy.steps or unknown_steps(scene, accuracy, outputs)
+    timeline = timeline_of(scene, duration, outputs, steps, accuracy.method, symbolic=True)
     solver, p = integration(Structure.of(scene), accuracy, timeline), parameters(scene)
     states, means, variances = embed(solver, [*(p[name] for name in solver.names), duration], scene)
     return assemble(scene, duration, timeline.output_fractions, states.T, means, variances, accuracy)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -20,12 +21,16 @@ class Timeline:
             step ends there, so that the method keeps its order. Between 0 and 1.
         aligned: whether a step ends at each output; each output interval then takes the nearest whole number of
             steps, at least one.
+        moving: whether steps of order 8 end at kinks too wherever the parameters put these: see
+            `plough_opt.motion.breaks`. Then they are aligned, an output interval takes no fewer steps than its share,
+            and ``kink`` is None.
     """
 
     outputs: int
     steps: int
     kink: float | None = None
     aligned: bool = True
+    moving: bool = False
 
     @cached_property
     def output_fractions(self) -> NDArray[np.float64]:
@@ -35,7 +40,8 @@ class Timeline:
     @cached_property
     def nodes(self) -> NDArray[np.float64]:
         """Ends of the steps as fractions of the duration, both ends included."""
-        per_interval = max(1, round(self.steps / self.outputs))
+        share = self.steps / self.outputs
+        per_interval = max(1, math.ceil(share) if self.moving else round(share))
         steps = self.outputs * per_interval if self.aligned else self.steps
         return self._with_kink(np.linspace(0.0, 1.0, steps + 1))
 

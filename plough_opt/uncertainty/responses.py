@@ -25,7 +25,6 @@ from plough_opt.expressions import Expression, is_quantity, map_expressions
 from plough_opt.motion.integrators import integration
 from plough_opt.motion.plan import phase, steps_for
 from plough_opt.motion.terms import Structure, parameters, start_deflection, start_rate, start_resistance
-from plough_opt.motion.timeline import Timeline
 from plough_opt.scene import Scene
 from plough_opt.soil import Soil
 from plough_opt.uncertainty.samples import SoilSamples
@@ -176,9 +175,8 @@ class Responses:
         if own.accuracy.method == "auto" and own.structure.orbit == "transient":
             fastest = max(phase(dict(zip(own.names, p, strict=False)), p[-1]) for p in parameters.T)
             outputs = 1 if only_averages else outputs
-            solver = integration(
-                own.structure, own.accuracy, Timeline(outputs, max(outputs, steps_for(fastest)), own.timeline.kink)
-            )
+            timeline = replace(own.timeline, outputs=outputs, steps=max(outputs, steps_for(fastest)), aligned=True)
+            solver = integration(own.structure, own.accuracy, timeline)
         found, size = [], sum(output.numel() for output in run.outputs)
         for start in range(0, parameters.shape[1], _CHUNK):
             chunk = parameters[:, start : start + _CHUNK]

@@ -7,7 +7,8 @@ import pytest
 import plough_opt as po
 from plough_opt.expressions import as_number
 from plough_opt.motion.integrators import integration
-from plough_opt.motion.jets import jets, jets_of, pairs
+from plough_opt.motion.jets import jets, jets_of
+from plough_opt.motion.pooling import pairs
 from plough_opt.motion.runge_kutta import run_map
 from plough_opt.motion.signals import signals
 from plough_opt.motion.terms import Structure, parameters
@@ -81,6 +82,24 @@ def everything(r1_scene):
 def test_any_parameters_may_vary(r1_scene, chosen, aligned):
     structure, names, values = numbers_of(everything(r1_scene))
     timeline = Timeline(outputs=3, steps=24) if aligned else Timeline(outputs=7, steps=24, aligned=False)
+    varying = tuple((*names, "duration").index(name) for name in chosen)
+    found = scaled(jets(structure, timeline, varying, 2)(values).full(), values, varying)
+    assert_alike(found, differentiated(run_map(structure, timeline), values, varying), timeline.outputs)
+
+
+@pytest.mark.parametrize(
+    ("effects", "chosen"),
+    [
+        ({"tow_ramp": 0.137}, ("ramp_time", "duration", "stiffness")),
+        ({"tow_ramp": 0.1}, ("ramp_time", "static")),
+        ({"tow_ramp": 0.137, "contact": po.Smooth(0.5)}, ("ramp_time", "width")),
+        ({"contact": po.Smooth(0.5), "start": "rest"}, ("width", "duration")),
+    ],
+    ids=["ramp", "ramp to an output", "smooth under a ramp", "smooth"],
+)
+def test_steps_that_end_at_moving_kinks_too(r1_scene, effects, chosen):
+    structure, names, values = numbers_of(r1_scene(damping=250.0, **effects))
+    timeline = Timeline(outputs=4, steps=24, moving=True)
     varying = tuple((*names, "duration").index(name) for name in chosen)
     found = scaled(jets(structure, timeline, varying, 2)(values).full(), values, varying)
     assert_alike(found, differentiated(run_map(structure, timeline), values, varying), timeline.outputs)

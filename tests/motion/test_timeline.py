@@ -1,8 +1,10 @@
+import casadi as ca
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from plough_opt.motion.breaks import ends
 from plough_opt.motion.timeline import Timeline
 
 
@@ -29,6 +31,21 @@ def test_a_step_ends_at_the_kink():
 @pytest.mark.parametrize("kink", [None, 0.25, 0.25 + 1e-12, 0.25 - 1e-12, 1.0 - 1e-12])
 def test_a_kink_at_a_node_adds_no_step_without_length(kink):
     assert Timeline(outputs=4, steps=4, kink=kink).nodes == pytest.approx([0.0, 0.25, 0.5, 0.75, 1.0], rel=0, abs=0)
+
+
+def test_steps_that_end_at_moving_kinks_are_no_fewer_than_their_share():
+    assert len(Timeline(outputs=5, steps=12, moving=True).nodes) == 16
+
+
+@pytest.mark.parametrize("ramp", [1e-3, 0.3, 0.5, 0.6, 1.99, 2.0, 7.0])
+def test_one_end_moves_with_the_ramp_and_the_others_stay(ramp):
+    timeline, duration = Timeline(outputs=4, steps=4, moving=True), 2.0
+    a, b = ends(timeline, duration, ca.DM(ramp))
+    found = np.asarray(a * duration + b * ramp).ravel()
+    expected = sorted([*(duration * timeline.nodes), min(ramp, duration)])
+    assert found == pytest.approx(expected, rel=0, abs=4e-16)
+    # Nothing but that end has a derivative by the ramp, and that has slope 1.
+    assert sorted(np.asarray(b).ravel()) == [0.0] * 5 + [float(ramp < duration)]
 
 
 @given(

@@ -1,0 +1,130 @@
+"""Steps that end where the parameters put a kink: at the end of a tow ramp, and where the smooth contact's step ends.
+
+Across a kink steps of order 8 lose their order, and derivatives by what moves the kink lose most: each differentiation
+one order more. So a step ends there. The end of a ramp is a time, and moves with it. The ends of the smooth contact's
+step are found in the motion; that part of a step is no function of the parameters to a derivative, for where the
+motion has four derivatives a step may as well end a little beside.
+"""
+
+from __future__ import annotations
+
+import itertools
+from functools import lru_cache
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from plough_opt.expressions import Expression
+from plough_opt.motion.equation import equation_of_motion
+from plough_opt.motion.pooling import pooled
+from plough_opt.motion.signals import signals
+from plough_opt.motion.terms import Structure, start_speed, strut
+from plough_opt.motion.timeline import Timeline
+
+# A kink is missed by 1e-3 of a step, and what it leaves of a second derivative by the fourth power of that.
+_BISECTIONS = 10
+
+
+def ends(timeline: Timeline, duration: Expression, ramp: Expression) -> tuple[Expression, Expression]:
+    """Return a and b, columns: steps end at a * duration + b * ramp, at the ramp's end too if that is within the run.
+
+    Both are numbers to a derivative. Where the ramp ends at a step's end, or behind the run, one step has no length.
+
+    Args:
+        timeline: the other ends.
+        duration: of the run [s].
+        ramp: time of the ramp [s].
+    """
+    nodes = ca.DM(timeline.nodes)
+    before, after = nodes[:-1], nodes[1:]
+    reached, begun = after * duration <= ramp, before * duration <= ramp
+    a = reached * after + (1.0 - begun) * before
+    b = begun - reached
+    return ca.vertcat(0.0, a, 1.0), ca.vertcat(0.0, b, 0.0)
+
+
+def start_and_size(span: ca.SX, duration: ca.SX, known: dict[str, ca.SX]) -> tuple[ca.SX, ca.SX]:
+    """Return start and size of a step [s], from their shares of the duration and, if it may end there, of the ramp."""
+    start, size = span[0] * duration, span[1] * duration
+    if span.numel() == 2:
+        return start, size
+    return start + span[2] * known["ramp_time"], size + span[3] * known["ramp_time"]
+
+
+def moving_ramp(structure: Structure, timeline: Timeline, p: ca.MX) -> ca.MX | None:
+    """Return the time of a ramp [s] at whose end a step ends wherever that is, or None. The duration is last in p."""
+    return signals(structure).named(p)["ramp_time"] if timeline.moving and structure.ramp else None
+
+
+def spans_of(timeline: Timeline, duration: ca.MX, ramp: ca.MX | None) -> ca.MX | ca.DM:
+    """Return starts and sizes of the steps, a column for each: as fractions of the duration, then of a ramp if any."""
+    if ramp is None:
+        return ca.DM(np.vstack([timeline.nodes[:-1], np.diff(timeline.nodes)]))
+    rows = [row for end in ends(timeline, duration, ramp) for row in (end[:-1], end[1:] - end[:-1])]
+    transposed: ca.MX = ca.horzcat(*rows).T
+    return transposed
+
+
+def unbroken(structure: Structure, timeline: Timeline, one: ca.Function, count: int = 0) -> ca.Function:
+    """Return a Function like ``one`` that takes a step in three where the smooth contact's step ends within it.
+
+    Args:
+        structure: the terms that are on.
+        timeline: whether steps end there.
+        one: (Taylor coefficients of the state, span, parameters) -> (those of the state after it, of the moments).
+        count: number of parameters by which these are differentiated.
+    """
+    if not timeline.moving or structure.contact != "smooth":
+        return one
+    state, span, p = (ca.MX.sym(one.name_in(k), *one.size_in(k)) for k in range(3))
+    at = ca.MX.sym("at", 2)
+    after, moments = ca.MX.sym("after", *one.size_out(0)), ca.MX.sym("moments", *one.size_out(1))
+    given = [state, span, p, at, after, moments]
+    whole = ca.Function("whole", given, [after, moments])
+    cuts: list[Any] = [0.0, at[0], at[1], 1.0]
+    reached, found = state, []
+    for cut, following in itertools.pairwise(cuts):
+        starts, whole_sizes = span[0::2], span[1::2]
+        part = ca.vec(ca.horzcat(starts + cut * whole_sizes, (following - cut) * whole_sizes).T)
+        reached, own = one(reached, part, p)
+        found.append(own)
+    sizes = ca.vertcat(at[0], at[1] - at[0], 1.0 - at[1])
+    columns = [ca.horzcat(*(own[:, k] for own in found)) for k in range(found[0].shape[1])]
+    both = pooled(columns, lambda parts: [part @ sizes for part in parts], signals(structure).count, count)
+    parted = ca.Function("parted", given, [reached, ca.vertcat(*both)])
+    after, moments = one(state, span, p)
+    at = _crossings(structure, span.numel())(state[:, 0], after[:, 0], span, p)
+    chosen = ca.Function.if_else("chosen", parted, whole)(at[0] < 1.0, state, span, p, at, after, moments)
+    return ca.Function("unbroken", [state, span, p], list(chosen))
+
+
+@lru_cache(maxsize=64)
+def _crossings(structure: Structure, width: int) -> ca.Function:
+    """Return (states at both ends of a step, span, p) -> at which parts of it the contact's step ends, 1 if beyond.
+
+    The share's speed between is a cubic.
+    """
+    motion, observed = equation_of_motion(structure), signals(structure)
+    states, span = [ca.SX.sym("first", 2), ca.SX.sym("last", 2)], ca.SX.sym("span", width)
+    p = ca.SX.sym("p", len(observed.parameters) + 1)
+    known = observed.named(p)
+    start, size = start_and_size(span, p[-1], known)
+    own = ca.vertcat(*(known[name] for name in motion.names))
+    speeds, slopes = [], []
+    for time, state in zip((start, start + size), states, strict=True):
+        mount = strut(structure, known, time)
+        speeds.append(start_speed(structure, known) + mount.gain - state[1])
+        slopes.append(size * (mount.acceleration - motion.function(time, state, own)[1]))
+    change = speeds[1] - speeds[0]
+    bend, twist = 3.0 * change - 2.0 * slopes[0] - slopes[1], slopes[0] + slopes[1] - 2.0 * change
+    found = []
+    for threshold in (0.0, known["width"]):
+        begins, part = speeds[0] < threshold, 0.0
+        for k in range(1, _BISECTIONS + 1):
+            middle = part + 0.5**k
+            speed = speeds[0] + middle * (slopes[0] + middle * (bend + middle * twist))
+            part = ca.if_else((speed < threshold) == begins, middle, part)
+        found.append(ca.if_else((speeds[1] < threshold) == begins, 1.0, part))
+    parts = ca.vertcat(ca.fmin(*found), ca.fmax(*found))
+    return ca.Function("crossings", [*states, span, p], [parts], {"is_diff_out": [False]})

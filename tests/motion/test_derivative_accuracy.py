@@ -1,0 +1,95 @@
+"""First and second derivatives at default accuracy, against differences of simulators that share no code with it."""
+
+import casadi as ca
+import gauss_motion
+import numpy as np
+import pytest
+import three_modes
+from differences import WEIGHTS
+
+import plough_opt as po
+
+# Weights of the second central difference of order 8 beside the value's.
+BENDS, MIDDLE = np.array([8 / 5, -1 / 5, 8 / 315, -1 / 560]), -205 / 72
+NAMES = ("mean_draft", "force_rms", "mean_deflection", "displacement_rms", "tow_power")
+WAVE = {"amplitude": 0.5, "wavelength": 0.4}
+PLAIN = {"stiffness": 5e4, "mass": 45.0, "speed": 2.0, "damping": 400.0, "duration": 1.0}
+# Where a smooth kink moves past an end of the run derivatives of high order jump: there steps are shorter.
+STEPS = {"smooth": 2e-2}
+
+
+def scene_of(x, **effects):
+    """Return the scene of numbers or symbols."""
+    if "amplitude" in x:
+        effects["strength_wave"] = po.StrengthWave(x["amplitude"], x["wavelength"])
+    if "ramp" in x:
+        effects["tow_ramp"] = x["ramp"]
+    if "width" in x:
+        effects["contact"] = po.Smooth(x["width"])
+    if "breakaway" in x:
+        effects["contact"] = po.StickSlip(x["breakaway"])
+    share = po.Wedge(po.deg(30.0), po.deg(15.0), x.get("height", 0.25))
+    chosen = po.Effects(damping=x["damping"], **effects)
+    return po.Scene(po.named_soil("serozem"), share, x["stiffness"], x["mass"], x["speed"], chosen)
+
+
+CASES = {
+    "ramp": (PLAIN | {"ramp": 0.301}, {}, gauss_motion.follow),
+    "ramp beyond the end": (PLAIN | {"ramp": 1.2}, {"start": "rest"}, gauss_motion.follow),
+    "smooth": (PLAIN | {"width": 0.2, "speed": 1.5}, {"start": "rest"}, three_modes.follow),
+    "smooth under a ramp": (PLAIN | WAVE | {"width": 0.2, "ramp": 0.301}, {"start": "towed"}, three_modes.follow),
+    "stick and slip under a ramp": (
+        PLAIN | WAVE | {"breakaway": 1.2, "ramp": 0.2, "speed": 1.5, "duration": 0.5},
+        {"start": "rest"},
+        three_modes.follow,
+    ),
+    "entry under a ramp": (
+        PLAIN | WAVE | {"ramp": 0.2, "speed": 1.5, "duration": 0.5, "height": 0.25},
+        {"start": "towed", "entry": True},
+        three_modes.follow,
+    ),
+}
+
+
+def symbolic(case, name):
+    """Return results, their slopes and the curvature of a weighted sum, by relative changes of one number."""
+    x, effects, _ = CASES[case]
+    t, weights = ca.MX.sym("t"), ca.MX.sym("weights", len(NAMES))
+    moved = x | {name: x[name] * (1.0 + t)}
+    run = po.simulate(scene_of(moved, **effects), moved["duration"], outputs=7)
+    found = ca.vertcat(*(getattr(run, result) for result in NAMES))
+    first = ca.Function("first", [t], [found, ca.jacobian(found, t)])
+    second = ca.Function("second", [t, weights], [ca.hessian(ca.dot(weights, found), t)[0]])
+    value, slope = (np.asarray(part).ravel() for part in first(0.0))
+    return value, slope, np.array([float(second(0.0, unit)) for unit in np.eye(len(NAMES))])
+
+
+def by_differences(case, name, step):
+    """Return the same by differences of order 8 of an independent simulator."""
+    x, effects, follow = CASES[case]
+
+    def results(t):
+        moved = x | {name: x[name] * (1.0 + t)}
+        motion = follow(scene_of(moved, **effects), moved["duration"])
+        return np.array([getattr(motion, result) for result in NAMES])
+
+    here, pairs = results(0.0), [(results(k * step), results(-k * step)) for k in range(1, 5)]
+    slopes = sum(w * (a - b) for w, (a, b) in zip(WEIGHTS, pairs, strict=True)) / step
+    bends = (MIDDLE * here + sum(w * (a + b) for w, (a, b) in zip(BENDS, pairs, strict=True))) / step**2
+    return here, slopes, bends
+
+
+EVERY = [(case, name) for case in CASES for name in CASES[case][0]]
+FEW = [("ramp", "ramp"), ("smooth", "width"), ("stick and slip under a ramp", "ramp"), ("entry under a ramp", "ramp")]
+
+
+@pytest.mark.parametrize(
+    ("case", "name"),
+    [pytest.param(*pair, id="-".join(pair), marks=[] if pair in FEW else [pytest.mark.slow]) for pair in EVERY],
+)
+def test_derivatives_are_those_of_differences(case, name):
+    found, expected = symbolic(case, name), by_differences(case, name, STEPS.get(case, 4e-3))
+    size = np.max(np.abs(expected), axis=0)
+    # Of the motion 1e-8 and less is wrong. Differences of rounding, 1e-15, or of steps to 1e-12, leave 1e-10 or 3e-8.
+    for order, allowed in enumerate((1e-8, 1e-8, 1e-7)):
+        assert np.max(np.abs(found[order] - expected[order]) / size) < allowed, order

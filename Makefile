@@ -4,8 +4,14 @@ VENV   ?= .venv
 BIN    := $(VENV)/bin
 READY  := $(VENV)/.plough_opt-installed
 PEERS  := $(VENV)/.peers-installed
+LOWEST := .venv-lowest
 
-.PHONY: run test slow bench clean
+# One file or folder for every dependency, and what is quick to compute.
+FAST   := $(addprefix tests/,problem_file cli export study calibration/test_linear.py design/test_declarations.py \
+          motion/test_simulate.py uncertainty/test_distribution.py test_layout.py test_geometry.py test_soil.py \
+          test_forces.py test_scene.py test_component.py test_plots.py test_results.py test_source_equations.py)
+
+.PHONY: run test slow bench lowest clean
 
 run: $(READY)
 	$(BIN)/plough-opt optimise problems/cotton_subsoiler.toml --plot out/cotton_subsoiler.png
@@ -22,6 +28,13 @@ slow: $(READY)
 bench: $(PEERS)
 	$(BIN)/pytest -m bench tests/benchmarks --benchmark-columns=min,median,iqr,rounds --benchmark-sort=name
 
+# The oldest versions that pyproject.toml allows, in an environment of its own.
+lowest:
+	$(PYTHON) -m venv --clear $(LOWEST)
+	$(LOWEST)/bin/python -m pip install --quiet uv
+	$(LOWEST)/bin/uv pip install --quiet --python $(LOWEST)/bin/python --resolution lowest-direct --editable ".[test]"
+	$(LOWEST)/bin/pytest -n auto --dist worksteal $(FAST)
+
 $(READY): pyproject.toml
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --upgrade pip
@@ -34,4 +47,4 @@ $(PEERS): $(READY)
 	touch $@
 
 clean:
-	rm -rf $(VENV) out
+	rm -rf $(VENV) $(LOWEST) out

@@ -1,10 +1,12 @@
 """The same sweep on a cluster of dask, one of whose workers is killed, and on MPI."""
 
+import asyncio
 import os
 import shutil
 import signal
 import sys
 import time
+from concurrent.futures import CancelledError, Future
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +15,8 @@ import swept
 
 import plough_opt as po
 from plough_opt.cli import main
+from plough_opt.study import cluster as clusters
+from plough_opt.study.pool import WorkerDied
 
 OVER = {"a": po.Range(0.0, 1.0, 30), "b": [1.0, 2.0]}
 
@@ -84,6 +88,62 @@ def test_the_command_says_that_no_scheduler_answers(monkeypatch, capsys, tmp_pat
     assert "no dask scheduler answers there" in capsys.readouterr().err
 
 
+def test_a_cluster_that_has_no_workers_says_so(monkeypatch):
+    distributed = pytest.importorskip("distributed")
+    monkeypatch.setattr(clusters, "_PATIENCE", 0.5)
+    monkeypatch.setattr(clusters, "_ASKED", 0.5)
+    arguments = {"n_workers": 0, "processes": False, "dashboard_address": ":0"}
+    with distributed.LocalCluster(**arguments) as empty, distributed.Client(empty, set_as_default=False) as client:
+        executor = client.get_executor(pure=False)
+        with pytest.raises(po.InputError, match=r"the cluster has had no workers for \d s: start some; what is stored"):
+            po.sweep(swept.waves, OVER, executor=executor, workers=1)
+    # A minute has passed at most where nothing is changed: when they were asked for, and when they answered, included.
+    monkeypatch.undo()
+    assert clusters._PATIENCE + 2.0 * clusters._ASKED < 60.0
+
+
+class Fetched:
+    """A task of a cluster whose result cannot be had."""
+
+    def __init__(self, error):
+        self.error = error
+
+    def __await__(self):
+        yield from asyncio.sleep(0.0).__await__()
+        raise self.error
+
+
+class KilledWorker(Exception):  # the name and the attribute of dask's
+    allowed_failures = 3
+
+
+@pytest.mark.parametrize(
+    ("error", "kind", "words"),
+    [
+        (KilledWorker(), WorkerDied, "dask does not say how"),
+        (CancelledError(), po.InputError, "scheduler is gone"),
+        (asyncio.CancelledError(), po.InputError, "scheduler is gone"),
+        (ZeroDivisionError("by zero"), ZeroDivisionError, "by zero"),
+    ],
+)
+def test_whatever_hinders_a_result_ends_its_task(error, kind, words):
+    future = Future()
+    asyncio.run(clusters._carry(Fetched(error), future))
+    with pytest.raises(kind, match=words) as raised:
+        future.result(0.0)
+    assert getattr(raised.value, "deaths", 4) == 4
+
+
+@pytest.mark.slow  # every death costs a cluster seconds
+def test_a_point_that_kills_the_workers_of_a_cluster_is_undetermined(cluster, tmp_path):
+    cluster.run_on_scheduler(lambda dask_scheduler: setattr(dask_scheduler, "allowed_failures", 0))
+    executor = cluster.get_executor(pure=False)
+    with po.sweep(swept.Deadly(tmp_path / "died"), {"a": np.arange(8.0)}, executor=executor, workers=2) as found:
+        assert [one.point for one in found.undetermined] == [5]
+        assert found.failed == 0
+        assert found.column("sine").tolist()[6:] == [2.0 * np.sin(6.0), 2.0 * np.sin(7.0)]
+
+
 def test_mpi_gives_the_same_bits(script, counted_text, inline, tmp_path):
     pytest.importorskip("mpi4py.futures", reason="mpi4py is not installed")
     # Beside this Python where its wheel was installed.
@@ -92,9 +152,10 @@ def test_mpi_gives_the_same_bits(script, counted_text, inline, tmp_path):
         pytest.skip("there is no mpiexec")
     store, file = tmp_path / "sweep.db", tmp_path / "calls"
     text = counted_text(store, file, 0.0, 30, "MPIPoolExecutor()")
-    text = "from mpi4py.futures import MPIPoolExecutor\n" + text
+    # In the same script then processes of its own, which are none of the MPI job.
+    text = f"from mpi4py.futures import MPIPoolExecutor\n{text}    print(len(sweep(counted, over, workers=1)))\n"
     process = script(text, launcher, "-n", "2", sys.executable, "-m", "mpi4py.futures")
-    _, error = process.communicate(timeout=60)
-    assert process.returncode == 0, error
+    out, error = process.communicate(timeout=120)
+    assert (process.returncode, out) == (0, "60\n"), error
     with po.Sweep.load(store) as found:
         np.testing.assert_array_equal(found.table, po.sweep(swept.waves, OVER, executor=inline).table)

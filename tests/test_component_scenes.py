@@ -238,6 +238,16 @@ def test_calls_that_cannot_be_are_refused(r1_scene):
             made(*arguments, **named)
 
 
+@pytest.mark.parametrize("side", [-1, 1])
+def test_only_rounding_lies_outside_the_bounds(r1_scene, side):
+    made = po.component(r1_scene(), 1.0, inputs=[po.Input("scene.stiffness", 4e4, 6e4)], outputs=["mean_draft"])
+    bound, width = (4e4, 6e4)[side > 0], 2e4
+    # A billionth of the width is what conversions of units and optimisers leave; twice that is outside.
+    assert np.isfinite(made(bound + side * 0.9e-9 * width))
+    with pytest.raises(po.DomainError, match="must lie between 40000 and 60000 N/m"):
+        made(bound + side * 2e-9 * width)
+
+
 def test_a_retreating_share_is_told_of(r1_scene):
     made = po.component(
         r1_scene(start="rest"), 0.5, inputs=[po.Input("scene.stiffness", 2e3, 1e5)], outputs=["mean_draft"]

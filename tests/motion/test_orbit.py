@@ -251,6 +251,17 @@ def test_a_deviation_from_it_grows_by_the_largest(solved):
     assert away == pytest.approx(max(run.floquet, key=abs).real * axis, rel=1e-4)
 
 
+@pytest.mark.parametrize(("damping", "unstable"), [(35.2, True), (35.3, False)])
+def test_hardly_unstable_is_unstable(scene_of, damping, unstable):
+    # Between these two the largest multiplier passes through one; it is 4e-4 from it at both.
+    run = po.simulate(scene_of("soft", damping=damping), outputs=1)
+    first = np.array([run.deflection[0], run.scene.tow_speed - run.speed[0]])
+    excess = max(abs(np.linalg.eigvals(monodromy(run.scene, first)))) - 1.0
+    assert max(map(abs, run.floquet)) - 1.0 == pytest.approx(excess, abs=1e-9)
+    assert (1e-4 < excess < 1e-3) if unstable else (-1e-3 < excess < -1e-4)
+    assert bool([text for text in run.warnings if "the orbit is unstable" in text]) == unstable
+
+
 @pytest.mark.parametrize("name", ["damped", "resonant and damped", "soft and damped"])
 def test_a_stable_orbit_carries_none(solved, name):
     run, _ = solved(name)

@@ -16,7 +16,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from plough_opt.cli.report import shown
-from plough_opt.cli.terminal import console, read, wrote
+from plough_opt.cli.terminal import console, printable, read, wrote
 from plough_opt.errors import InputError, NotConverged
 from plough_opt.problem_file import Problem
 from plough_opt.problem_file.sweeping import ProblemSweep, What
@@ -190,4 +190,6 @@ def _report(out: Console, problem: Problem, asked: ProblemSweep, found: Sweep) -
     for note in found.notes:
         out.print(f"[yellow]Note:[/] {escape(note)}.")
     there = f"; {found.already} points were there already" if found.already else ""
-    out.print(f"{asked.how[0].upper()}{asked.how[1:]}; stored in {escape(str(found.path))}{there}", soft_wrap=True)
+    out.print(
+        f"{asked.how[0].upper()}{asked.how[1:]}; stored in {escape(printable(str(found.path)))}{there}", soft_wrap=True
+    )

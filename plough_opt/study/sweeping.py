@@ -61,14 +61,15 @@ def sweep(
         executor: any `concurrent.futures.Executor`, such as that of a dask client or of mpi4py; it is left running.
             Default: processes on all cores of this machine, which end with the sweep.
         workers: how many the executor has, so that all have work (default: the cores of this machine).
-        retry: try the points again that failed.
+        retry: try the points again that failed, are undetermined, or whose rows in the store are damaged.
         progress: True: a bar on the error stream, if that is a terminal; or what is called with the points that are
             stored, all points, and those that failed.
         question: what else the results depend on, as texts; a store with other ones is refused.
         units: name -> unit, of quantities and results, for the headings of tables.
 
     Raises:
-        InputError: something that cannot be swept, a store of another question, or a broken executor.
+        InputError: something that cannot be swept; a store of another question, or one that is damaged or loses rows; a
+            broken executor, or workers none of which lives long enough.
         KeyboardInterrupt: interrupted; the message says what is stored.
     """
     _refuse_arguments(evaluation, over, executor, workers, units)

@@ -2,6 +2,7 @@
 
 import dataclasses
 import io
+import itertools
 import json
 import math
 
@@ -13,8 +14,8 @@ from matplotlib.figure import Figure
 from rich.console import Console
 
 import plough_opt as po
-from plough_opt.accuracy_study import methods, models, picture, quadratures, scenes
-from plough_opt.accuracy_study.contest import AUTO, COMPILED, Entry, efficient
+from plough_opt.accuracy_study import methods, picture, quadratures, scenes, tracks
+from plough_opt.accuracy_study.contest import AUTO, BARE, COMPILED, Entry, cheapest, efficient
 from plough_opt.accuracy_study.methods import Task, prepared
 from plough_opt.accuracy_study.picard import EPS
 from plough_opt.accuracy_study.profile_reference import profile_reaction
@@ -41,7 +42,7 @@ def linear():
     """Return a scene with a closed form, and its study; by a clock that lets nobody be cut off."""
     plain = scene(start="rest", inertial_drag=False)
     with pytest.MonkeyPatch.context() as patch:
-        for module in (methods, models):
+        for module in (methods, tracks):
             patch.setattr(module, "median_time", lambda _once, **_: 1e-3)
         study = po.study_accuracy(plain, 0.3, wanted=1e-6, outputs=10, allowance=1e3, title="from rest")
     return plain, study
@@ -82,9 +83,11 @@ class TestErrors:
         assert checked >= 30
 
     def test_the_efficient_named_integrators_have_their_time_with_a_check(self, damped):
-        integrators = [e for e in damped.entries if e.family == "integrator"]
         named = [
-            e for e in efficient(integrators, "averages", damped.floors["motion"]) if e.method not in (AUTO, COMPILED)
+            e
+            for family in ("integrator", methods.MACHINE_CODE)
+            for e in efficient([e for e in damped.entries if e.family == family], "averages", damped.floors["motion"])
+            if e.method not in (AUTO, COMPILED)
         ]
         assert named
         assert [e for e in damped.entries if e.checked is not None] == [e for e in damped.entries if e in named]
@@ -119,13 +122,16 @@ class TestErrors:
 
     @pytest.mark.skipif(find_compiler() is None, reason="needs a C compiler")
     def test_machine_code_has_the_errors_of_what_is_interpreted(self, linear):
-        entries = {(e.method, e.setting): e for e in linear[1].entries if e.family == "integrator" and not e.failure}
+        families = ("integrator", methods.MACHINE_CODE)
+        entries = {(e.method, e.setting): e for e in linear[1].entries if e.family in families and not e.failure}
         compiled = {setting for method, setting in entries if method == COMPILED}
-        assert len(compiled) >= 3
-        for setting in compiled:
-            for name, error in entries[AUTO, setting].errors.items():
+        bare = {setting for method, setting in entries if method == BARE}
+        assert min(len(compiled), len(bare)) >= 3
+        pairs = [(AUTO, COMPILED, setting) for setting in compiled] + [("dop853", BARE, setting) for setting in bare]
+        for interpreted, machine, setting in pairs:
+            for name, error in entries.get((interpreted, setting), entries[machine, setting]).errors.items():
                 # The same steps, rounded alike or nearly.
-                assert entries[COMPILED, setting].errors[name] == pytest.approx(error, rel=1e-2, abs=1e-14)
+                assert entries[machine, setting].errors[name] == pytest.approx(error, rel=1e-2, abs=1e-14)
 
     def test_gradients_of_the_finest_settings_agree_with_the_reference(self, linear):
         study = linear[1]
@@ -137,6 +143,80 @@ class TestErrors:
         assert max(best.values()) < 1e-6
         assert best["dop853"] < 1e-10
         assert study.floors["gradient"] < 1e-12
+
+
+CLOCKED = {"fast": 1.0, "slow": 2.5, "slower": 30.0}
+
+
+def clocked(method, counts, order, *, factor=1.0, **own):
+    """Return a track of a method of an order, whose uses are told by name, and what was tried of it."""
+    tried = []
+
+    def prepare(steps):
+        tried.append(steps)
+        return (lambda: (method, steps)), lambda: {"error": 0.5 * factor * (40.0 / steps) ** order}
+
+    rungs, shown = tracks.rungs_of(40, counts)
+    label = "{} steps".format
+    return tracks.Track("family", method, rungs, shown, label, prepare, lambda found: found, **own), tried
+
+
+class TestTracks:
+    """The cheapest setting between those that are tried in any case, by a clock that knows what a step takes."""
+
+    @pytest.fixture(autouse=True)
+    def clock(self, monkeypatch):
+        # A use tells its name and its steps; nobody needs to wait for it.
+        monkeypatch.setattr(tracks, "median_time", lambda use, **_: CLOCKED[use()[0]] * 1e-3 * use()[1] / 40.0)
+        monkeypatch.setattr(tracks, "_measure_in_turns", lambda *_: None)
+
+    @pytest.mark.parametrize("wanted", [1e-1, 1e-4, 1e-6, 1e-9])
+    @pytest.mark.parametrize("order", [4, 8])
+    def test_it_is_within_a_tenth_of_the_least_steps_in_thin_and_in_full_mode(self, wanted, order):
+        true = 40.0 * (0.5 / wanted) ** (1.0 / order)
+        found = []
+        for factors in (methods.FACTORS, methods.FACTORS[::2]):
+            track, _ = clocked("fast", factors, order)
+            entries = tracks.measured([track], "error", wanted, 1e3)
+            found.append(cheapest(entries, "error", wanted))
+            if true <= 40.0 * max(factors):
+                assert int(found[-1].setting.split()[0]) == pytest.approx(true, rel=0.1, abs=1.0)
+        if true <= 40.0 * methods.FACTORS[-2]:
+            assert found[0].setting == found[1].setting
+
+    def test_what_is_too_slow_is_not_narrowed_down(self):
+        (fast, of_fast), (slower, of_slower) = clocked("fast", (0.5, 1, 2, 4), 8), clocked("slower", (0.5, 1, 2, 4), 8)
+        tracks.measured([fast, slower], "error", 1e-2, 1e3)
+        assert len(of_fast) > len(fast.shown)
+        assert len(of_slower) == len(slower.shown)
+
+    def test_what_may_still_win_is(self):
+        # Its coarsest setting that is tried in any case is slower, and far too exact.
+        (fast, _), (slow, _) = clocked("fast", (1, 2, 4), 8, factor=50.0), clocked("slow", (1, 2, 4), 8, factor=1e-9)
+        entries = tracks.measured([fast, slow], "error", 1e-3, 1e3)
+        assert cheapest(entries, "error", 1e-3).method == "slow"
+
+    def test_a_track_that_shall_not_is_left_as_it_is(self):
+        track, tried = clocked("fast", (0.5, 1, 2), 8, narrows=False)
+        assert len(tracks.measured([track], "error", 1e-2, 1e3)) == len(tried) == 3
+
+    def test_rungs_lie_a_tenth_apart_and_hold_the_multiples(self):
+        rungs, shown = tracks.rungs_of(1000, methods.FACTORS)
+        assert [rungs[place] for place in shown] == [125, 250, 500, 1000, 2000, 4000]
+        assert all(finer / coarser <= 1.1 for coarser, finer in itertools.pairwise(rungs) if coarser >= 40)
+        assert all(count % 40 == 0 for count in tracks.rungs_of(1000, methods.FACTORS, unit=40)[0])
+
+
+@pytest.mark.slow
+def test_thin_and_full_mode_give_the_same_advice_that_stands_when_it_is_measured_again():
+    plain = scene(strength_wave=WAVE, damping=400.0)
+    found = [po.study_accuracy(plain, 2.0, thin=thin, derivatives=False) for thin in (True, False, False)]
+    for first, *others in zip(*(study.questions for study in found), strict=True):
+        best = [cheapest(study.of(first), first.error, study.wanted) for study in found]
+        assert len({entry.method for entry in best}) == 1, first.title
+        settings = [int(entry.setting.split()[0]) for entry in best]
+        assert max(settings) <= 1.2 * min(settings) + 1, first.title
+        assert others
 
 
 @pytest.fixture(scope="module")
@@ -168,7 +248,8 @@ class TestModels:
 
     def test_both_questions_are_asked_and_the_default_answers_the_first(self, damped):
         titles = [question.title for question in damped.questions]
-        assert titles == ["averages of the motion", "averages of the lasting orbit"]
+        own = ["averages of the motion, in machine code"] if find_compiler() else []
+        assert titles == ["averages of the motion", *own, "averages of the lasting orbit"]
         first = damped.questions[0]
         assert any((e.method, e.setting) == first.default for e in damped.of(first))
 
@@ -290,8 +371,16 @@ class TestWhatIsLeftOut:
     def test_a_method_that_breaks_down_says_so(self):
         task = Task(scene(stiffness=5e6, strength_wave=WAVE), 0.5, 4, 1.0)
         reference = scenes.reference_run(task.scene, 0.5, outputs=4)
-        coarse = methods._series(task, "rk", [po.Accuracy("rk", steps=40)], lambda a: prepared(task, a), reference)
-        (entry,) = coarse
+        coarse = tracks.Track(
+            family="integrator",
+            method="rk",
+            rungs=(po.Accuracy("rk", steps=40),),
+            shown=(0,),
+            label=methods.text,
+            prepare=lambda accuracy: prepared(task, accuracy),
+            errors=lambda run: methods.errors_of(run, reference),
+        )
+        (entry,) = tracks.measured([coarse], "averages", 1e-6, 1.0)
         assert entry.failure is not None
 
     def test_without_a_reference_a_note_says_why(self):
@@ -428,11 +517,13 @@ class TestAdvice:
 
 
 def test_building_takes_time_even_where_one_use_takes_longer(monkeypatch):
-    for module in (methods, models):
+    for module in (methods, tracks):
         monkeypatch.setattr(module, "median_time", lambda _once, **_: 10.0)
     study = po.study_accuracy(scene(strength_wave=WAVE), 0.05, outputs=2, thin=True, allowance=1e3)
     named = [e for e in study.entries if e.failure is None and (e.method, e.family) != ("auto", "integrator")]
-    assert {e.family for e in named} == {"integrator", "model", "derivatives"}
+    assert {e.family for e in named} == {"integrator", "model", "derivatives"} | (
+        {methods.MACHINE_CODE} if find_compiler() else set()
+    )
     assert all(e.setup > 0.0 for e in named if e.method != "quasi-static")
 
 
@@ -473,7 +564,8 @@ class TestFiles:
         study = linear[1]
         figure = study.plot(tmp_path / "study.png")
         titles = [axes.get_title() for axes in figure.axes]
-        assert titles[:2] == ["averages of the motion", "gradients of the averages"]
+        named = [title for title in titles if title and "machine code" not in title]
+        assert named == ["averages of the motion", "gradients of the averages"]
         assert matplotlib.image.imread(tmp_path / "study.png").shape[1] > 800
         with pytest.raises(po.InputError, match="picture format"):
             study.plot(tmp_path / "study.jpg")
@@ -503,7 +595,8 @@ class TestFiles:
         assert len(told) == len(names)
 
     def test_two_panels_share_a_legend_below(self, damped):
-        figure = damped.plot()
+        interpreted = tuple(e for e in damped.entries if e.family != methods.MACHINE_CODE)
+        figure = dataclasses.replace(damped, entries=interpreted).plot()
         assert len(figure.axes) == 2
         (legend,) = figure.legends
         names = {text.get_text() for text in legend.get_texts()}

@@ -8,9 +8,11 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
-AUTO, COMPILED = "auto", "auto, compiled"
-"""Names of what chooses and checks by itself, interpreted and in machine code."""
+AUTO, COMPILED, BARE = "auto", "auto, compiled", "dop853, compiled"
+"""Names of what chooses and checks by itself, interpreted and in machine code, and of bare steps in machine code."""
 
+# Ratio of times that a repetition may give to what takes equally long.
+_AS_CHEAP = 1.1
 # Part of an error below which another is told from it.
 _TELLING = 0.9
 
@@ -24,7 +26,8 @@ class Entry:
             ``"derivatives"``.
         method: its name.
         setting: its setting as text, such as ``"tolerance 1e-08"`` or ``"40 steps"``.
-        seconds: median time of one use after a warm-up [s]; infinite of a failure.
+        seconds: median time of one use after a warm-up [s], of what may be the cheapest the least of several turns;
+            infinite of a failure.
         setup: time to build it, once [s].
         errors: relative errors [-] by what is wrong; empty of a failure.
         failure: why it has no result, or None.
@@ -101,6 +104,10 @@ def efficient(entries: Sequence[Entry], error: str, floor: float = 0.0) -> list[
 
 
 def cheapest(entries: Sequence[Entry], error: str, wanted: float) -> Entry | None:
-    """Return the fastest entry whose error [-] is at most the wanted one, or None."""
+    """Return the fastest entry whose error [-] is at most the wanted one, or None.
+
+    Of entries that take equally long within the noise of a clock it is the first, so that a repetition finds it again.
+    """
     good = [entry for entry in entries if entry.failure is None and entry.errors.get(error, math.inf) <= wanted]
-    return min(good, key=lambda entry: entry.seconds, default=None)
+    least = min((entry.seconds for entry in good), default=math.inf)
+    return next((entry for entry in good if entry.seconds <= _AS_CHEAP * least), None)

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, Final, TypeVar
@@ -13,19 +12,23 @@ import casadi as ca
 import numpy as np
 
 from plough_opt.accuracy import ADAPTIVE, DEFAULT_ERROR, FIXED_STEP, LOCATE_EVENTS, ORDER_8, Accuracy, Method
-from plough_opt.accuracy_study.contest import AUTO, COMPILED, Entry, efficient, error_text, median_time
+from plough_opt.accuracy_study.contest import AUTO, BARE, COMPILED, Entry, efficient, error_text, median_time
 from plough_opt.accuracy_study.gradients import AVERAGES, QUANTITIES, ReferenceGradient
 from plough_opt.accuracy_study.reference import Reference, errors_of
+from plough_opt.accuracy_study.tracks import Track, Use, measured, rungs_of
 from plough_opt.compiler import find_compiler
 from plough_opt.effects import StickSlip
 from plough_opt.errors import IntegrationError, PloughError
 from plough_opt.expressions import Expression, as_number
 from plough_opt.motion import Run, simulate
+from plough_opt.motion.compiled_steps import CompiledSteps, compiled_steps
 from plough_opt.motion.integrators import integration
 from plough_opt.motion.judgement import refuse_missed_event
 from plough_opt.motion.plan import fastest_rate, most_steps, numbers_of, phase, steps_for, timeline_of, with_setting
 from plough_opt.motion.run import assemble
+from plough_opt.motion.signals import signals
 from plough_opt.motion.terms import Structure
+from plough_opt.motion.timeline import Timeline
 from plough_opt.scene import Scene
 
 ERRORS: Final = (1e-3, 1e-5, 1e-6, 1e-8, 1e-10)
@@ -40,16 +43,21 @@ GRADIENT_TOLERANCES: Final = (1e-6, 1e-9)
 GRADIENT_FACTORS: Final = (0.5, 1.0, 2.0)
 """The same of derivatives."""
 
-# Time [s] of one explicit step, by which hopeless ones are left out before they are tried; and how much longer the
-# next finer setting, and a gradient, may be expected to take.
+# Time [s] of one explicit step, by which hopeless ones are left out before they are tried; and how much longer a
+# gradient may be expected to take.
 _ONE_STEP = 2e-6
 _PHASE_OF_A_STEP = 1.5
-_NEXT, _GRADIENT = 3.0, 10.0
+_GRADIENT = 10.0
+# All tolerances that may be tried: one in five to ten is by no more than a tenth dearer than the next.
+_ALL_TOLERANCES: Final = tuple(float(f"{digit}e-{power}") for power in range(2, 13) for digit in (5, 3, 2, 1))
 # Least error that "auto" takes.
 _TIGHTEST = 1e-12
 # How many times its allowance the default may take.
 _PATIENCE = 20.0
 
+
+MACHINE_CODE: Final = "machine code"
+"""Family of what is compiled."""
 
 _Number = TypeVar("_Number", int, float)
 
@@ -91,8 +99,7 @@ class Task:
 
 def prepared(task: Task, accuracy: Accuracy) -> tuple[Callable[[], object], Callable[[], Run]]:
     """Return one integration by a named method, without the check that `simulate` adds, and the run that it gives."""
-    steps = accuracy.steps or most_steps(phase(numbers_of(task.scene), task.duration))
-    timeline = timeline_of(task.scene, task.duration, task.outputs, steps)
+    timeline = _timeline(task, accuracy)
     solver = integration(Structure.of(task.scene), accuracy, timeline)
     known = numbers_of(task.scene)
     p = ca.DM([*(known[name] for name in solver.names), task.duration])
@@ -103,10 +110,7 @@ def prepared(task: Task, accuracy: Accuracy) -> tuple[Callable[[], object], Call
 
     def run() -> Run:
         states, means, variances = (np.asarray(result) for result in once())
-        if not all(np.all(np.isfinite(part)) for part in (states, means, variances)):
-            raise IntegrationError("the result is not finite")
-        fractions = timeline.output_fractions
-        found = assemble(task.scene, task.duration, fractions, states.T, means.ravel(), variances.ravel(), accuracy)
+        found = _assembled(task, accuracy, timeline, states.T, means.ravel(), variances.ravel())
         if isinstance(task.scene.effects.contact, StickSlip):
             refuse_missed_event(found)
         return found
@@ -114,18 +118,102 @@ def prepared(task: Task, accuracy: Accuracy) -> tuple[Callable[[], object], Call
     return once, run
 
 
-def values(task: Task, reference: Reference) -> Iterator[Entry]:
-    """Yield every method that can integrate the scene, over its settings from coarse to fine."""
-    yield from _series(task, AUTO, automatic_settings(task), lambda a: _automatic(task, a), reference)
-    if task.scene.effects.motion and Structure.of(task.scene).stepped and find_compiler() is not None:
-        compiled = partial(_automatic, task, compiled=True)
-        yield from _series(task, COMPILED, automatic_settings(task), compiled, reference)
+def _compiled(task: Task, code: CompiledSteps, accuracy: Accuracy) -> tuple[Callable[[], object], Callable[[], Run]]:
+    """Return the same in machine code."""
+    timeline, known = _timeline(task, accuracy), numbers_of(task.scene)
+    p = [*(known[name] for name in signals(Structure.of(task.scene)).parameters), task.duration]
+
+    def run() -> Run:
+        found = code(timeline, p)
+        if found is None:
+            raise IntegrationError("the result is not finite")
+        return _assembled(task, accuracy, timeline, *found)
+
+    return lambda: code(timeline, p), run
+
+
+def _timeline(task: Task, accuracy: Accuracy) -> Timeline:
+    steps = accuracy.steps or most_steps(phase(numbers_of(task.scene), task.duration))
+    return timeline_of(task.scene, task.duration, task.outputs, steps, accuracy.method)
+
+
+def _assembled(task: Task, accuracy: Accuracy, timeline: Timeline, states: Any, means: Any, variances: Any) -> Run:
+    """Return a run of finite results.
+
+    Raises:
+        IntegrationError: they are not.
+    """
+    if not all(np.all(np.isfinite(part)) for part in (states, means, variances)):
+        raise IntegrationError("the result is not finite")
+    return assemble(task.scene, task.duration, timeline.output_fractions, states, means, variances, accuracy)
+
+
+def values(task: Task, reference: Reference) -> list[Entry]:
+    """Return every method that can integrate the scene, over its settings from coarse to fine."""
+    errors = partial(_errors_from, reference)
+    tracks, refused = [_automatic_track(task, AUTO, errors)], []
     for method in (*FIXED_STEP, *ADAPTIVE):
-        refused = refusal(task.scene, method)
-        if refused:
-            yield failure("integrator", method, "", refused)
-            continue
-        yield from _series(task, method, settings_of(task, method), lambda a: prepared(task, a), reference)
+        if reason := refusal(task.scene, method):
+            refused.append(failure("integrator", method, "", reason))
+        else:
+            tracks.append(_track(task, "integrator", method, partial(prepared, task), errors))
+    return [*measured(tracks, "averages", task.wanted, task.allowance), *refused]
+
+
+def in_machine_code(task: Task, reference: Reference) -> list[Entry]:
+    """Return what is there in machine code: steps of order 8, bare and chosen and checked by "auto"."""
+    if not (task.scene.effects.motion and Structure.of(task.scene).stepped and find_compiler() is not None):
+        return []
+    code = compiled_steps(Structure.of(task.scene))
+    if code is None:
+        return []
+    errors = partial(_errors_from, reference)
+    bare = _track(task, MACHINE_CODE, "dop853", partial(_compiled, task, code), errors)
+    tracks = [_automatic_track(task, COMPILED, errors), replace(bare, method=BARE)]
+    return measured(tracks, "averages", task.wanted, task.allowance)
+
+
+def _errors_from(reference: Reference, found: Run) -> Mapping[str, float]:
+    return errors_of(found, reference)
+
+
+def _automatic_track(task: Task, name: str, errors: Callable[[Run], Mapping[str, float]]) -> Track:
+    settings = tuple(automatic_settings(task))
+    return Track(
+        family="integrator" if name == AUTO else MACHINE_CODE,
+        method=name,
+        rungs=settings,
+        shown=tuple(range(len(settings))),
+        label=text,
+        prepare=partial(_automatic, task, compiled=name == COMPILED),
+        errors=errors,
+        # What the toolkit does unasked is told even where it takes long.
+        patient=lambda accuracy: _PATIENCE if accuracy == DEFAULT else 1.0,
+        narrows=False,
+    )
+
+
+def _track(
+    task: Task,
+    family: str,
+    method: Method,
+    prepare: Callable[[Accuracy], tuple[Use, Callable[[], Any]]],
+    errors: Callable[[Any], Mapping[str, float]],
+    *,
+    gradient: bool = False,
+) -> Track:
+    """Return a named method over its settings."""
+    rungs, shown = settings_of(replace(task, outputs=1) if gradient else task, method, gradient=gradient)
+    return Track(
+        family=family,
+        method=method,
+        rungs=rungs,
+        shown=shown,
+        label=text,
+        prepare=prepare,
+        errors=errors,
+        least=lambda accuracy: (_GRADIENT if gradient else 1.0) * hopeless(task, accuracy),
+    )
 
 
 def with_checks(task: Task, entries: list[Entry], floor: float) -> list[Entry]:
@@ -141,10 +229,12 @@ def with_checks(task: Task, entries: list[Entry], floor: float) -> list[Entry]:
     def checked(entry: Entry) -> Entry:
         if entry not in front or entry.method in (AUTO, COMPILED):
             return entry
-        named = (a for method in (*FIXED_STEP, *ADAPTIVE) for a in settings_of(task, method))
-        accuracy = next(a for a in named if (a.method, text(a)) == (entry.method, entry.setting))
+        compiled = entry.family == MACHINE_CODE
+        method: Method = "dop853" if compiled else next(m for m in (*FIXED_STEP, *ADAPTIVE) if m == entry.method)
+        accuracy = next(a for a in settings_of(task, method)[0] if text(a) == entry.setting)
         try:
-            return replace(entry, checked=median_time(_automatic(task, accuracy)[0], budget=task.timing))
+            use, _ = _automatic(task, accuracy, compiled=compiled)
+            return replace(entry, checked=median_time(use, budget=task.timing))
         except PloughError:
             return entry
 
@@ -166,15 +256,20 @@ def automatic_settings(task: Task) -> list[Accuracy]:
     return [Accuracy(error=error) for error in sorted(errors, reverse=True)]
 
 
-def settings_of(
-    task: Task, method: Method, factors: tuple[float, ...] = FACTORS, tolerances: tuple[float, ...] = TOLERANCES
-) -> list[Accuracy]:
-    """Return a method's settings from coarse to fine, around those that a scene's own time scales call for."""
+def settings_of(task: Task, method: Method, *, gradient: bool = False) -> tuple[tuple[Accuracy, ...], tuple[int, ...]]:
+    """Return a method's settings from coarse to fine, and the places of those that are tried in any case.
+
+    Those lie around the settings that a scene's own time scales call for.
+    """
     if method in ADAPTIVE:
-        return [Accuracy(method, tolerance=tolerance) for tolerance in task.some(tolerances)]
+        chosen = task.some(GRADIENT_TOLERANCES if gradient else TOLERANCES)
+        settings = tuple(Accuracy(method, tolerance=tolerance) for tolerance in _ALL_TOLERANCES)
+        return settings, tuple(_ALL_TOLERANCES.index(tolerance) for tolerance in chosen)
     usual = with_setting(Accuracy(method), steps_for(phase(numbers_of(task.scene), task.duration)), 1).steps or 1
-    wanted = (math.ceil(factor * usual / task.outputs) * task.outputs for factor in task.some(factors))
-    return [Accuracy(method, steps=steps) for steps in dict.fromkeys(wanted)]
+    # Steps of order 8 need not end at the outputs.
+    unit = 1 if method in ORDER_8 else task.outputs
+    rungs, shown = rungs_of(usual, task.some(GRADIENT_FACTORS if gradient else FACTORS), unit)
+    return tuple(Accuracy(method, steps=steps) for steps in rungs), shown
 
 
 def text(accuracy: Accuracy) -> str:
@@ -189,45 +284,11 @@ def failure(family: str, method: str, setting: str, reason: object) -> Entry:
     return Entry(family, method, setting, math.inf, failure=str(reason))
 
 
-def _automatic(
-    task: Task, accuracy: Accuracy, *, compiled: bool = False
-) -> tuple[Callable[[], object], Callable[[], Run]]:
+def _automatic(task: Task, accuracy: Accuracy, *, compiled: bool) -> tuple[Callable[[], object], Callable[[], Run]]:
     def run() -> Run:
         return simulate(task.scene, task.given, accuracy=accuracy, outputs=task.outputs, compiled=compiled)
 
     return run, run
-
-
-def _series(
-    task: Task,
-    method: str,
-    settings: list[Accuracy],
-    prepare: Callable[[Accuracy], tuple[Callable[[], object], Callable[[], Run]]],
-    reference: Reference,
-) -> Iterator[Entry]:
-    """Yield the settings of one method until they take too long."""
-    expected = 0.0
-    for accuracy in settings:
-        expected = max(expected, hopeless(task, accuracy))
-        # What the toolkit does unasked is told even where it takes long.
-        allowed = task.allowance * (_PATIENCE if accuracy == DEFAULT else 1.0)
-        if expected > allowed:
-            yield failure("integrator", method, text(accuracy), _cut(expected, allowed))
-            continue
-        started = time.perf_counter()
-        try:
-            once, run = prepare(accuracy)
-            built = time.perf_counter() - started
-            found = run()
-        except (PloughError, RuntimeError) as error:
-            expected = _NEXT * (time.perf_counter() - started)
-            yield failure("integrator", method, text(accuracy), _first_line(error))
-            continue
-        first = time.perf_counter() - started
-        seconds = median_time(once, budget=task.timing, warm=True)
-        yield Entry("integrator", method, text(accuracy), seconds, max(built, first - seconds),
-                    errors_of(found, reference))  # fmt: skip
-        expected = _NEXT * seconds
 
 
 def hopeless(task: Task, accuracy: Accuracy) -> float:
@@ -240,57 +301,34 @@ def hopeless(task: Task, accuracy: Accuracy) -> float:
     return 0.0
 
 
-def _cut(expected: float, allowance: float) -> str:
-    return f"cut off: expected to take {expected:.2g} s, {allowance:.2g} s allowed"
-
-
-def _first_line(error: Exception) -> str:
-    if isinstance(error, PloughError):
-        return str(error)
-    return f"CasADi gave up: {str(error).strip().splitlines()[-1]}" if str(error).strip() else "CasADi gave up"
-
-
-def gradients(task: Task, reference: ReferenceGradient) -> Iterator[Entry]:
-    """Yield the derivatives of mean draft and RMS by every method, as CasADi differentiates its run."""
-    for accuracy in gradient_settings(task):
-        method = accuracy.method
-        expected = _GRADIENT * hopeless(task, accuracy)
-        if expected > task.allowance:
-            yield failure("derivatives", method, text(accuracy), _cut(expected, task.allowance))
-            continue
-        yield _gradient(task, accuracy, reference)
-
-
-def gradient_settings(task: Task) -> list[Accuracy]:
-    """Return the methods that can differentiate the scene, with their settings; the default first."""
-    found = [Accuracy()]
-    whole = replace(task, outputs=1)
-    for method in (*FIXED_STEP, *ADAPTIVE):
-        if not refusal(task.scene, method):
-            found += settings_of(whole, method, GRADIENT_FACTORS, GRADIENT_TOLERANCES)
-    return found
-
-
-def _gradient(task: Task, accuracy: Accuracy, reference: ReferenceGradient) -> Entry:
-    started = time.perf_counter()
+def gradients(task: Task, reference: ReferenceGradient) -> list[Entry]:
+    """Return the derivatives of mean draft and RMS by every method, as CasADi differentiates its run."""
     at = [float(as_number(getattr(task.scene, name))) for name in QUANTITIES]
-    try:
+
+    def prepare(accuracy: Accuracy) -> tuple[Use, Callable[[], Any]]:
         function = gradient_function(task, accuracy)
-        built = time.perf_counter() - started
-        found = np.asarray(function(at)) * at
-        first = time.perf_counter() - started
-        if not np.all(np.isfinite(found)):
-            raise IntegrationError("the result is not finite")
-        seconds = median_time(lambda: function(at), budget=task.timing, warm=True)
-    except (PloughError, RuntimeError) as error:
-        return failure("derivatives", accuracy.method, text(accuracy), _first_line(error))
-    size = np.max(np.abs(reference.values))
-    wrong = np.max(np.abs(found - reference.values), axis=1) / (size if size > 0 else 1.0)
-    errors: Mapping[str, float] = {
-        "gradient": float(np.max(wrong)),
-        **{f"gradient of {name}": float(w) for name, w in zip(("mean draft", "RMS"), wrong, strict=True)},
-    }
-    return Entry("derivatives", accuracy.method, text(accuracy), seconds, max(built, first - seconds), errors)
+
+        def find() -> Any:
+            found = np.asarray(function(at)) * at
+            if not np.all(np.isfinite(found)):
+                raise IntegrationError("the result is not finite")
+            return found
+
+        return lambda: function(at), find
+
+    def errors(found: Any) -> Mapping[str, float]:
+        size = np.max(np.abs(reference.values))
+        wrong = np.max(np.abs(found - reference.values), axis=1) / (size if size > 0 else 1.0)
+        own = zip(("mean draft", "RMS"), wrong, strict=True)
+        return {"gradient": float(np.max(wrong)), **{f"gradient of {name}": float(w) for name, w in own}}
+
+    default = Track("derivatives", AUTO, (Accuracy(),), (0,), text, prepare, errors)
+    tracks = [
+        _track(task, "derivatives", method, prepare, errors, gradient=True)
+        for method in (*FIXED_STEP, *ADAPTIVE)
+        if not refusal(task.scene, method)
+    ]
+    return measured([default, *tracks], "gradient", task.wanted, task.allowance)
 
 
 def gradient_function(task: Task, accuracy: Accuracy) -> ca.Function:

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any, Final
+from typing import Any, Final, TypeAlias
 
 from plough_opt.accuracy import Accuracy
-from plough_opt.accuracy_study.contest import Entry, median_time
-from plough_opt.accuracy_study.methods import FACTORS, Task, failure, prepared, settings_of
+from plough_opt.accuracy_study.contest import Entry
+from plough_opt.accuracy_study.methods import Task, failure, prepared, settings_of, text
 from plough_opt.accuracy_study.reference import Reference, errors_of
+from plough_opt.accuracy_study.tracks import Track, measured
 from plough_opt.effects import HarmonicBalance
 from plough_opt.errors import PloughError
 from plough_opt.expressions import as_number
@@ -22,6 +22,10 @@ from plough_opt.scene import Scene
 
 HARMONICS: Final = (1, 3, 8, 16)
 """Numbers of harmonics tried."""
+
+
+_Prepared: TypeAlias = tuple[Callable[[], object], Callable[[], Run]]
+_Errors: TypeAlias = Callable[[Run], Mapping[str, float]]
 
 
 @dataclass(frozen=True)
@@ -55,28 +59,49 @@ def period_of(scene: Scene) -> float:
     return float(as_number(wave.wavelength)) / float(as_number(scene.tow_speed))
 
 
-def models(task: Task, references: References) -> Iterator[Entry]:
-    """Yield the models; errors called "lasting ..." are those from the averages of the lasting orbit."""
+def models(task: Task, references: References) -> list[Entry]:
+    """Return the models; errors called "lasting ..." are those from the averages of the lasting orbit."""
+    errors = partial(_errors, references)
+    still = "quasi-static"
     if task.scene.effects.entry:
-        yield failure("model", "quasi-static", "", "has a share that is wholly buried, and so no entry")
+        first = [failure("model", still, "", "has a share that is wholly buried, and so no entry")]
+        tracks = []
     else:
-        yield _entry("quasi-static", "", partial(_quasi_static, task), references, task.timing)
+        first, tracks = [], [_single(still, lambda _: _quasi_static(task), errors)]
     orbit = lasting_orbit(task.scene)
     transient = task.scene.effects.orbit == "transient"
-    if orbit is None or (transient and references.lasting is None):
-        return
-    around = replace(task, scene=orbit, duration=period_of(orbit))
-    kinds: list[tuple[str, str, Any]] = [("linearised", "", "linearised")]
-    kinds += [("harmonic balance", f"{n} harmonics" if n > 1 else "1 harmonic", HarmonicBalance(n))
-              for n in task.some(HARMONICS)]  # fmt: skip
-    steps = settings_of(around, "dop853")[-1]
-    for name, setting, kind in kinds:
-        scene = replace(orbit, effects=replace(orbit.effects, orbit=kind))
-        yield _entry(name, setting, partial(prepared, replace(around, scene=scene), steps), references, task.timing)
+    if orbit is not None and not (transient and references.lasting is None):
+        tracks += _around(replace(task, scene=orbit, duration=period_of(orbit)), errors, transient=transient)
+    key = "lasting averages" if transient else "averages"
+    return [*first, *measured(tracks, key, task.wanted, task.allowance)]
+
+
+def _around(task: Task, errors: _Errors, *, transient: bool) -> Iterator[Track]:
+    """Yield what computes a lasting orbit; shooting itself only beside a motion from a start."""
+    steps = settings_of(task, "dop853")[0][-1]
+
+    def prepare(kind: Any) -> _Prepared:
+        effects = replace(task.scene.effects, orbit=kind)
+        return prepared(replace(task, scene=replace(task.scene, effects=effects)), steps)
+
+    yield _single("linearised", lambda _: prepare("linearised"), errors)
+    shown = tuple(count - 1 for count in task.some(HARMONICS))
+    yield Track(
+        family="model",
+        method="harmonic balance",
+        rungs=tuple(range(1, HARMONICS[-1] + 1)),
+        shown=shown,
+        label=lambda count: f"{count} harmonics" if count > 1 else "1 harmonic",
+        prepare=lambda count: prepare(HarmonicBalance(count)),
+        errors=errors,
+    )
     if transient:
-        for accuracy in settings_of(around, "dop853", FACTORS[2:]):
-            one = f"{accuracy.steps} steps"
-            yield _entry("lasting orbit", one, partial(prepared, around, accuracy), references, task.timing)
+        rungs, places = settings_of(task, "dop853")
+        yield Track("model", "lasting orbit", rungs, places, text, partial(prepared, task), errors)
+
+
+def _single(name: str, prepare: Callable[[Any], _Prepared], errors: _Errors) -> Track:
+    return Track("model", name, (None,), (0,), lambda _: "", prepare, errors)
 
 
 def _quasi_static(task: Task) -> tuple[Callable[[], object], Callable[[], Run]]:
@@ -94,26 +119,7 @@ def _quasi_static(task: Task) -> tuple[Callable[[], object], Callable[[], Run]]:
     return run, run
 
 
-def _entry(
-    name: str,
-    setting: str,
-    prepare: Callable[[], tuple[Callable[[], object], Callable[[], Run]]],
-    references: References,
-    timing: float,
-) -> Entry:
-    started = time.perf_counter()
-    try:
-        once, run = prepare()
-        built = time.perf_counter() - started
-        found = run()
-    except (PloughError, RuntimeError) as error:
-        return failure("model", name, setting, str(error).splitlines()[-1])
-    first = time.perf_counter() - started
-    seconds = median_time(once, budget=timing, warm=True)
-    return Entry("model", name, setting, seconds, max(built, first - seconds), _errors(found, references))
-
-
-def _errors(found: Run, references: References) -> Mapping[str, float]:
+def _errors(references: References, found: Run) -> Mapping[str, float]:
     """Return the errors from both references; mount forces are compared where the outputs are the same times."""
     errors: dict[str, float] = {}
     for prefix, reference in (("", references.motion), ("lasting ", references.lasting)):

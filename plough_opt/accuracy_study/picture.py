@@ -23,6 +23,7 @@ _STYLES: Final[dict[str, tuple[str, str]]] = {
     "auto": ("#000000", "*"),
     "auto, compiled": ("#777777", "*"),
     "dop853": (_BLUE, "o"),
+    "dop853, compiled": ("#000088", "o"),
     "erk": (_RED, "s"),
     "rosenbrock": (_GREEN, "^"),
     "cvodes": (_PINK, "v"),

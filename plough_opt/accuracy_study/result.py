@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from pydantic import BaseModel, ConfigDict
 
 from plough_opt.accuracy_study.contest import AUTO, COMPILED, Entry, cheapest, efficient, error_text
+from plough_opt.accuracy_study.methods import MACHINE_CODE
 from plough_opt.accuracy_study.optimum import REPORTED, REQUIREMENTS, TRUE, VARIABLES
 from plough_opt.accuracy_study.scenes import CONTACT, COURSE, DERIVATIVES, LASTING, MOTION, PROFILE
 from plough_opt.files import write_file
@@ -138,11 +139,13 @@ class AccuracyStudy:
     def _unasked(self, question: Question, best: Entry | None) -> str:
         """Return clauses on what `simulate` takes when it is given the wanted error, and when it is given nothing."""
         found = {(entry.method, entry.setting): entry for entry in self.of(question)}
-        asked = found.get((AUTO, f"error {error_text(self.wanted)}"))
+        setting = f"error {error_text(self.wanted)}"
+        asked = found.get((AUTO, setting)) or found.get((COMPILED, setting))
         default = found.get(question.default)
         clauses = ""
         if asked is not None and asked is not default:
             name = f"Accuracy(error={error_text(self.wanted)})"
+            name += ", compiled=True" if asked.method == COMPILED else ""
             clauses += f"; that is {name}" if asked is best else f"; {name} takes {_beside(asked, best, question)}"
         if default is not None and default is best:
             return f"{clauses}; that is the default"
@@ -302,9 +305,13 @@ class SavedStudy(Saved):
 
 
 _FORCES = {"mean draft": "mean\ndraft", "RMS": "RMS", "last force": "last\nforce", "trajectory": "trajec-\ntory"}
+_OF_OPTIMA = {REPORTED: "reported\nvalue", TRUE: "true\nvalue", VARIABLES: "varia-\nbles",
+              REQUIREMENTS: "broken\nlimits"}  # fmt: skip
+_VALUE = "the reported value; the true one is integrated tightly anew"
 _LARGER = "the larger of mean draft and RMS"
 _QUESTIONS = (
     Question("averages of the motion", "averages", ("integrator", "model"), MOTION, _FORCES, _LARGER),
+    Question("averages of the motion, in machine code", "averages", (MACHINE_CODE,), MOTION, _FORCES, _LARGER),
     Question("averages of the lasting orbit", "lasting averages", ("integrator", "model"), LASTING,
              {f"lasting {key}": heading for key, heading in _FORCES.items()}, _LARGER),
     Question("gradients of the averages", "gradient", ("derivatives",), DERIVATIVES,
@@ -315,10 +322,9 @@ _QUESTIONS = (
              "the largest of these"),
     Question("elastic contact force", "contact force", ("quadrature",), CONTACT, {"contact force": "contact\nforce"},
              "that"),
-    Question("optimum of the design", REPORTED, ("transcription", "integrator", "derivatives", "compiled"), OPTIMUM,
-             {REPORTED: "reported\nvalue", TRUE: "true\nvalue", VARIABLES: "varia-\nbles",
-              REQUIREMENTS: "broken\nlimits"},
-             "the reported value; the true one is integrated tightly anew"),
+    Question("optimum of the design", REPORTED, ("transcription", "integrator", "derivatives"), OPTIMUM, _OF_OPTIMA,
+             _VALUE),
+    Question("optimum of the design, in machine code", REPORTED, ("compiled",), OPTIMUM, _OF_OPTIMA, _VALUE),
 )  # fmt: skip
 
 
@@ -339,7 +345,7 @@ def _result(entry: Entry, key: str) -> str:
 
 def _beside(entry: Entry, best: Entry | None, question: Question) -> str:
     """Return what an entry takes, and how long that is beside the best, of a named integrator with its check."""
-    checks = entry.method == AUTO and question.reference == MOTION
+    checks = entry.method in (AUTO, COMPILED) and question.reference == MOTION
     text = _result(entry, question.error) + (", checked" if checks else "")
     if best is None:
         return text

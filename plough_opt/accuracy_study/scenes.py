@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 
 from plough_opt.accuracy_study.contest import Entry
 from plough_opt.accuracy_study.gradients import reference_gradient
-from plough_opt.accuracy_study.methods import Task, gradients, values, with_checks
+from plough_opt.accuracy_study.methods import Task, gradients, in_machine_code, values, with_checks
 from plough_opt.accuracy_study.models import References, lasting_orbit, models
 from plough_opt.accuracy_study.quadratures import Quadratures, density_profile, elastic_contact, quasi_static_course
 from plough_opt.accuracy_study.reference import WIDER, Reference, reference_run
@@ -112,18 +112,19 @@ def _of_motion(hall: _Hall, task: Task, told: Told) -> None:
         lasting = hall.reference(LASTING, partial(reference_run, around, outputs=task.outputs))
     if own is not None:
         told("integrators", 0.1)
-        hall.entries += with_checks(task, list(values(task, own)), own.errors["averages"])
+        for found in (values(task, own), in_machine_code(task, own)):
+            hall.entries += with_checks(task, found, own.errors["averages"])
     if own is not None or lasting is not None:
         told("models", 0.5)
         hall.entries += models(task, References(own, lasting))
 
 
-def _derivatives(hall: _Hall, task: Task) -> Iterator[Entry]:
-    """Measure derivatives of the averages."""
+def _derivatives(hall: _Hall, task: Task) -> list[Entry]:
+    """Return derivatives of the averages."""
     try:
         reference = reference_gradient(task.scene, task.given)
     except PloughError as error:
         hall.notes.append(f"no reference of the {DERIVATIVES}: {error}")
-        return
+        return []
     hall.floors[DERIVATIVES] = reference.error
-    yield from gradients(task, reference)
+    return gradients(task, reference)

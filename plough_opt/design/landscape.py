@@ -113,9 +113,19 @@ class Landscape:
         """Return the feasible design that is nearest to a start, as far as a local search finds it."""
         return _Nearest(self, start).from_(start)
 
-    def least_violation(self, start: Vector, ignored: frozenset[int] = frozenset()) -> Seen:
-        """Return where the sum of all violations is least beside a start, requirements numbered ``ignored`` apart."""
-        return _LeastViolation(self, ignored).from_(start)
+    def least_violation(
+        self,
+        start: Vector,
+        ignored: frozenset[int] = frozenset(),
+        lower: Vector | None = None,
+        upper: Vector | None = None,
+    ) -> Seen:
+        """Return where the sum of all violations is least beside a start, requirements numbered ``ignored`` apart.
+
+        Bounds are those of `descend`.
+        """
+        box = (np.zeros(len(start)) if lower is None else lower, np.ones(len(start)) if upper is None else upper)
+        return _LeastViolation(self, ignored, box).from_(start)
 
 
 class _NoValue(Exception):
@@ -246,9 +256,9 @@ class _Nearest(_Descent):
 class _LeastViolation(_Descent):
     """The same for the sum of what the requirements give way, each a further unknown."""
 
-    def __init__(self, landscape: Landscape, ignored: frozenset[int]) -> None:
+    def __init__(self, landscape: Landscape, ignored: frozenset[int], box: tuple[Vector, Vector]) -> None:
         n, count = landscape.dimensions, len(landscape.program.declared.requirements)
-        super().__init__(landscape, (np.zeros(n + count), np.r_[np.ones(n), np.full(count, np.inf)]))
+        super().__init__(landscape, (np.r_[box[0], np.zeros(count)], np.r_[box[1], np.full(count, np.inf)]))
         self._n, self._count = n, count
         self._weights = np.array([float(k not in ignored) for k in range(count)])
 

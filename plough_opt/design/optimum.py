@@ -148,11 +148,13 @@ class Optimum(LocalOptimum):
     def rounded(
         self, catalogues: Mapping[str, float | Sequence[float]] | None = None, /, **more: float | Sequence[float]
     ) -> Rounded:
-        """Return the best design beside this one with some variables in values that can be bought or made.
+        """Return the best design with some variables in values that can be bought or made.
 
-        Every combination of the values just below and just above this optimum's is fixed in turn and the rest solved
-        again from here; the best that meets all requirements is returned, with what the rounding costs and what was
-        tried. Other local optima are not looked at.
+        Fewer than 100,000 combinations of all values between the bounds are looked at one by one, with the other
+        variables as here and at a sample of them; in the 20 that promise most these are optimised. Of more
+        combinations, and of scenes with events, the values just below and just above this optimum's are tried, the
+        rest optimised from here; `Rounded.combinations`, `Rounded.screened` and its text say so. The best that meets
+        all requirements is returned, judged as optima are, with what the rounding costs and what was tried.
 
         Args:
             catalogues: variable's name -> the values it may take, or the step of which it may take multiples:
@@ -195,11 +197,13 @@ class Choice:
         values: name of the variable -> value.
         objective: best objective with these values, or None where none meets the requirements.
         conflicts: name of the requirement that fails -> by how much at best, in its unit.
+        spread: objective and margins within the tolerances; None where it fails or that takes too long.
     """
 
     values: dict[str, float]
     objective: float | None
     conflicts: dict[str, float]
+    spread: Spread | None = None
 
 
 @dataclass(frozen=True)
@@ -209,12 +213,16 @@ class Rounded(Optimum):
     Attributes:
         fixed: names of these variables.
         unrounded: objective of the optimum that was rounded.
-        tried: every combination, the best first, those that fail last.
+        tried: every combination in which the rest was optimised, the best first, those that fail last.
+        combinations: number of combinations of the values between the bounds.
+        screened: how many of them were looked at: all, or the neighbours of the optimum.
     """
 
     fixed: tuple[str, ...] = ()
     unrounded: float = 0.0
     tried: tuple[Choice, ...] = ()
+    combinations: int = 0
+    screened: int = 0
 
     @property
     def cost(self) -> float:
@@ -232,16 +240,25 @@ class Rounded(Optimum):
         return tuple(choice for choice in self.tried if choice.objective is None)
 
     def __str__(self) -> str:
-        """Say what was chosen, what it costs and what is infeasible."""
+        """Say what was chosen, what it costs, how many combinations were looked at, and what is infeasible."""
         units = {limit.name: limit.unit for limit in self.limits}
+        side = "below" if self.cost < 0.0 else "above"
         text = (
             f"{_values_in_words(self.variables, units)}: objective {self.objective:.9g},"
-            f" {self.cost_percent:.3g} % above that of the optimum"
+            f" {abs(self.cost_percent):.3g} % {side} that of the optimum; {self._looked_at()}"
         )
         for choice in self.infeasible:
             fails = ", ".join(f"'{name}' fails by {in_words(x, units[name])}" for name, x in choice.conflicts.items())
             text += f"; {_values_in_words(choice.values, units)} is infeasible: {fails or 'not solved'}"
         return text
+
+    def _looked_at(self) -> str:
+        """Say how many combinations were looked at."""
+        if self.screened < self.combinations:
+            return f"of {self.combinations} combinations only the {self.screened} beside the optimum were tried"
+        if len(self.tried) < self.screened:
+            return f"of {self.screened} combinations, all looked at, {len(self.tried)} were optimised"
+        return f"all {self.combinations} combinations were optimised" if self.combinations > 1 else "the only one"
 
 
 def _values_in_words(values: Mapping[str, float], units: Mapping[str, str]) -> str:

@@ -367,7 +367,7 @@ class Program:
         """Return the local optimum with one variable, or several, held at their start."""
         lower, upper = np.zeros(len(start)), np.ones(len(start))
         lower[fixed] = upper[fixed] = start[fixed]
-        return self._solver.solve(start, p, lower, upper, near=True)
+        return (self._of_rows or self._solver).solve(start, p, lower, upper, near=True)
 
     def solve_relaxed(self, start: Vector, p: Vector, fixed: Sequence[int] = ()) -> Point:
         """Return the design near a start at which the requirements give way least; slacks follow y.

@@ -1,4 +1,4 @@
-"""An optimum in values that can be bought or made: its neighbours in a catalogue, the rest solved again."""
+"""An optimum in values that can be bought or made: the best of a catalogue's combinations, the rest solved again."""
 
 from __future__ import annotations
 
@@ -11,37 +11,45 @@ from functools import partial
 
 import numpy as np
 
-from plough_opt.design.declarations import Variable, in_words
+from plough_opt.design.catalogue import Allowed, Catalogue, allowed
+from plough_opt.design.declarations import in_words
 from plough_opt.design.infeasible import infeasible, is_feasible
 from plough_opt.design.ipopt import Point, Vector
+from plough_opt.design.landscape import Landscape
 from plough_opt.design.optimum import Choice, LocalOptimum, Rounded
+from plough_opt.design.polishing import as_it_is
 from plough_opt.design.program import Program
+from plough_opt.design.screening import promising
 from plough_opt.design.sensitivity import Sensitivities
-from plough_opt.errors import InfeasibleDesign, InputError, nearest
+from plough_opt.design.tolerance import Judge, judgement, spread
+from plough_opt.errors import InfeasibleDesign, InputError
 
-Catalogue = float | Sequence[float]
-"""Values that a variable may take, or the step of which it may take multiples."""
-
-# The optimiser stops this near a bound; a value of the catalogue this near is the optimum's own.
-_ITSELF = 1e-6
-_ROUNDING = 1e-12
-_MOST_COMBINATIONS = 4096
+# Combinations from which on only an optimum's neighbours are tried: a look at each takes some seconds by then.
+_MOST_SCREENED = 100_000
+# Combinations that are optimised, and neighbours at most.
+_MOST_TRIED, _MOST_NEIGHBOURS = 20, 4096
+# By so much of the objective an optimised design may be above its start: what a search's rougher runs are off by.
+_NOT_WORSE = 1e-5
+# Failing combinations that a refusal names.
+_MOST_NAMED = 5
 
 
 def rounded(
     program: Program,
     p: Vector,
+    judge: Judge,
     point: Point,
     best: LocalOptimum,
     report: Callable[[Point], tuple[LocalOptimum, tuple[str, ...]]],
     evaluate: Callable[..., Vector],
     catalogues: Mapping[str, Catalogue],
 ) -> Rounded:
-    """Return the best design with some variables in catalogue values beside an optimum: see `Optimum.rounded`.
+    """Return the best design with some variables in catalogue values: see `Optimum.rounded`.
 
     Args:
         program: the design's program, built.
         p: parameters of the optimum.
+        judge: by what choices are compared.
         point: the optimum.
         best: its report.
         report: gives the report on a point, and its warnings.
@@ -49,28 +57,36 @@ def rounded(
         catalogues: for each variable to round, its values or step.
     """
     started = time.perf_counter()
-    neighbours = _neighbours(program, best, catalogues)
-    fixed = list(neighbours)
-    if math.prod(map(len, neighbours.values())) > _MOST_COMBINATIONS:
-        raise InputError(f"{len(fixed)} variables have too many combinations of neighbours: round fewer at a time")
+    landscape = Landscape(program, p)
+    offered = allowed(program.declared.variables, catalogues)
+    fixed = [own.number for own in offered]
+    count = math.prod(own.count for own in offered)
+    every = landscape.vectorised and count < _MOST_SCREENED
+    starts = _screened(landscape, point, best, offered) if every else _neighbours(point, best, offered)
+    program.build(p, starts=[start for start, _ in starts])
     tried, found = [], []
-    for values in itertools.product(*neighbours.values()):
-        chosen = dict(zip(fixed, values, strict=True))
-        reached, conflicts = _solved(program, p, point.y, chosen)
-        names = {program.declared.variables[k].name: value for k, value in chosen.items()}
-        tried.append(Choice(names, reached.f * program.objective_scale if reached else None, conflicts))
+    for start, values in starts:
+        reached, conflicts = _solved(program, p, start, fixed)
+        names = {own.variable.name: value for own, value in zip(offered, values, strict=True)}
+        objective = reached.f * program.objective_scale if reached else None
+        around = spread(landscape, reached.y, objective) if reached and objective is not None else None
+        tried.append(Choice(names, objective, conflicts, around))
         if reached:
-            found.append((reached, chosen, names))
+            found.append((reached, values, names))
+    looked_at = count if every else len(starts)
     if not found:
-        raise _nothing(program, tried)
-    reached, chosen, names = min(found, key=lambda one: one[0].f)
+        raise _nothing(program, tried, looked_at)
+    judged = judgement(landscape, judge)(np.array([reached.y for reached, *_ in found]))
+    order = sorted(range(len(found)), key=lambda k: (round(float(judged[k]), 9), found[k][0].f))
+    reached, values, names = found[order[0]]
     # What holds a rounded variable is the catalogue, and no bound.
     pulls = reached.lam_y.copy()
     pulls[fixed] = 0.0
     local, warnings = report(replace(reached, lam_y=pulls))
     numbers = program.values(reached.y)
-    numbers[fixed] = list(chosen.values())
+    numbers[fixed] = values
     local = replace(local, variables={**local.variables, **names})
+    ranks = {str(found[k][2]): rank for rank, k in enumerate(order)}
     return Rounded(
         **{name: getattr(local, name) for name in LocalOptimum.__dataclass_fields__},
         local_optima=(local,),
@@ -80,105 +96,91 @@ def rounded(
         sensitivities=Sensitivities(program, p, reached, fixed),
         fixed=tuple(names),
         unrounded=best.objective,
-        tried=tuple(sorted(tried, key=lambda choice: math.inf if choice.objective is None else choice.objective)),
+        tried=tuple(sorted(tried, key=lambda choice: ranks.get(str(choice.values), len(ranks)))),
+        combinations=count,
+        screened=looked_at,
     )
 
 
-# --- neighbours -------------------------------------------------------------------------------------------
+# --- what to try ------------------------------------------------------------------------------------------
+
+Start = tuple[Vector, tuple[float, ...]]
+"""A scaled design, and the catalogue's values in it."""
 
 
-def _neighbours(program: Program, best: LocalOptimum, catalogues: Mapping[str, Catalogue]) -> dict[int, list[float]]:
-    """Return, for each variable to round, its number and the values on either side of the optimum's."""
-    if not catalogues:
-        raise InputError("nothing to round: give a catalogue or a step, like best.rounded(stiffness=[4e4, 5e4])")
-    variables = program.declared.variables
-    found: dict[int, list[float]] = {}
-    for name, catalogue in catalogues.items():
-        number = _number_of(variables, name)
-        if number in found:
-            raise InputError(f"'{variables[number].name}' is given two catalogues: give one")
-        found[number] = _beside(variables[number], best.variables[variables[number].name], catalogue)
-    return found
+def _screened(landscape: Landscape, point: Point, best: LocalOptimum, offered: Sequence[Allowed]) -> list[Start]:
+    """Return starts of the combinations that can be best."""
+    columns = [own.values() for own in offered]
+    scaled = [[own.variable.scaled(x) for x in column] for own, column in zip(offered, columns, strict=True)]
+    grid = np.array(list(itertools.product(*scaled)))
+    combinations = list(itertools.product(*columns))
+    beside = [own.beside(best.variables[own.variable.name]) for own in offered]
+    kept: list[int] = []
+    if math.prod(map(len, beside)) <= _MOST_TRIED:
+        places = [[column.index(x) for x in near] for column, near in zip(columns, beside, strict=True)]
+        sizes = tuple(len(column) for column in columns)
+        kept = [int(np.ravel_multi_index(place, sizes)) for place in itertools.product(*places)]
+    found = promising(landscape, point.y, [own.number for own in offered], grid, kept)
+    return [(one.start, combinations[one.number]) for one in found[:_MOST_TRIED]]
 
 
-def _number_of(variables: Sequence[Variable], name: str) -> int:
-    """Return the number of a variable by its name, or by that as a keyword: ``wedge_angle`` for "wedge angle"."""
-    names = [v.name for v in variables]
-    if name in names:
-        return names.index(name)
-    short = ["".join(c if c.isalnum() else "_" for c in own.rpartition(".")[2]) for own in names]
-    if short.count(name) != 1:
-        raise InputError(f"'{name}' is no variable of this design: {nearest(name, names)}")
-    return short.index(name)
-
-
-def _beside(v: Variable, optimum: float, catalogue: Catalogue) -> list[float]:
-    """Return the nearest allowed values at or below and at or above the optimum's, between the variable's bounds."""
-    try:
-        values = np.atleast_1d(np.asarray(catalogue, dtype=float))
-    except (TypeError, ValueError):
-        values = np.array([])
-    if not values.size or not np.all(np.isfinite(values)):
-        raise InputError(f"the catalogue of '{v.name}' must hold finite numbers, not {catalogue!r}")
-    if np.ndim(catalogue) == 0:
-        step = float(values[0])
-        if step <= 0.0:
-            raise InputError(f"the step of '{v.name}' must be above 0, not {step:g}")
-        values = step * (math.floor(optimum / step) + np.array([-1.0, 0.0, 1.0, 2.0]))
-    rounding, near = _ROUNDING * (v.upper - v.lower), _ITSELF * (v.upper - v.lower)
-    allowed = values[(values >= v.lower - rounding) & (values <= v.upper + rounding)]
-    inside = np.clip(allowed, v.lower, v.upper).tolist()
-    if not inside:
-        raise InputError(
-            f"no value that '{v.name}' may take lies between its bounds {in_words(v.lower, v.unit)} and"
-            f" {in_words(v.upper, v.unit)}, beside the optimum's {in_words(optimum, v.unit)}"
-        )
-    itself = min(inside, key=lambda x: abs(x - optimum))
-    if abs(itself - optimum) <= near:
-        return [itself]
-    below, above = [x for x in inside if x < optimum], [x for x in inside if x > optimum]
-    return [*([max(below)] if below else []), *([min(above)] if above else [])]
+def _neighbours(point: Point, best: LocalOptimum, offered: Sequence[Allowed]) -> list[Start]:
+    """Return starts of the combinations of the values on either side of the optimum's."""
+    beside = [own.beside(best.variables[own.variable.name]) for own in offered]
+    if math.prod(map(len, beside)) > _MOST_NEIGHBOURS:
+        raise InputError(f"{len(beside)} variables have too many combinations of neighbours: round fewer at a time")
+    starts = []
+    for values in itertools.product(*beside):
+        start = point.y.copy()
+        start[[own.number for own in offered]] = [
+            own.variable.scaled(x) for own, x in zip(offered, values, strict=True)
+        ]
+        starts.append((start, values))
+    return starts
 
 
 # --- solving ----------------------------------------------------------------------------------------------
 
 
-def _solved(
-    program: Program, p: Vector, y: Vector, chosen: Mapping[int, float]
-) -> tuple[Point | None, dict[str, float]]:
+def _solved(program: Program, p: Vector, start: Vector, fixed: list[int]) -> tuple[Point | None, dict[str, float]]:
     """Return the optimum with some variables held, or None and the requirements that fail, by how much."""
-    start, fixed = y.copy(), list(chosen)
-    start[fixed] = [program.declared.variables[k].scaled(value) for k, value in chosen.items()]
-    if len(fixed) < len(y) and (point := program.solve_with_fixed(start, p, fixed)).solved:
-        return point, {}
-    if program.declared.requirements:
-        loose = program.solve_relaxed(start, p, fixed)
-        if not is_feasible(loose):
-            return None, infeasible(program, loose).conflicts
-        if len(fixed) < len(y):
-            point = program.solve_with_fixed(np.clip(loose.y[: len(y)], 0.0, 1.0), p, fixed)
-    if len(fixed) < len(y):
-        return (point if point.solved else None), {}
-    f = float(np.asarray(program.nlp.f(start, p)).item())
-    return Point(True, "nothing left to choose", start, f, np.zeros(len(program.owner)), np.zeros(len(y)), 0), {}
+    begins = as_it_is(program, p, start)
+    if len(fixed) == len(start) and begins.solved:
+        return replace(begins, status="nothing left to choose"), {}
+    if len(fixed) < len(start):
+        point = program.solve_with_fixed(start, p, fixed)
+        if point.solved and (not begins.solved or point.f <= begins.f + _NOT_WORSE * abs(begins.f)):
+            return point, {}
+        if begins.solved:
+            return begins, {}
+    if not program.declared.requirements:
+        return None, {}
+    loose = program.solve_relaxed(start, p, fixed)
+    if not is_feasible(loose):
+        return None, infeasible(program, loose).conflicts
+    nearest = np.clip(loose.y[: len(start)], 0.0, 1.0)
+    point = program.solve_with_fixed(nearest, p, fixed) if len(fixed) < len(start) else as_it_is(program, p, nearest)
+    return (point if point.solved else None), {}
 
 
-def _nothing(program: Program, tried: Sequence[Choice]) -> InfeasibleDesign:
-    """Return the error that says of every combination which requirements fail."""
+def _nothing(program: Program, tried: Sequence[Choice], looked_at: int) -> InfeasibleDesign:
+    """Return the error that says of the best combinations which requirements fail."""
     requirements = {r.name: r for r in program.declared.requirements}
     texts = []
-    for choice in tried:
-        units = {v.name: v.unit for v in program.declared.variables}
+    least = sorted(tried, key=lambda choice: sum(choice.conflicts.values()) or math.inf)
+    units = {v.name: v.unit for v in program.declared.variables}
+    for choice in least[:_MOST_NAMED]:
         values = ", ".join(f"{name} = {in_words(x, units[name])}" for name, x in choice.values.items())
         fails = ", ".join(
             f"'{name}' ({requirements[name].limits_text()}) fails by {in_words(x, requirements[name].unit)}"
             for name, x in choice.conflicts.items()
         )
         texts.append(f"{values}: {fails or 'not solved'}")
-    least = min(tried, key=lambda choice: sum(choice.conflicts.values()) or math.inf)
+    many = f"none of {looked_at} combinations of values" if looked_at > 1 else "the only combination of values does not"
+    verb = " meets" if looked_at > 1 else " meet"
+    rest = f"; and so on, {len(tried)} of them optimised" if len(tried) > len(texts) else ""
     return InfeasibleDesign(
-        f"no combination of values beside the optimum meets all requirements: {'; '.join(texts)}. Loosen one of these,"
-        " or offer more values",
-        least.conflicts,
-        [f"catalogue of '{name}'" for name in least.values],
+        f"{many}{verb} all requirements: {'; '.join(texts)}{rest}. Loosen one of these, or offer more values",
+        least[0].conflicts,
+        [f"catalogue of '{name}'" for name in least[0].values],
     )

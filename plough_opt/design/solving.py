@@ -82,7 +82,7 @@ def solve_program(
         evaluate=partial(_evaluated, program, p, program.values(points[0].y)),
         sensitivities=Sensitivities(program, p, points[0]),
         rounder=partial(
-            rounded, program, p, points[0], best, partial(_report, program, p), partial(_evaluated, program, p)
+            rounded, program, p, judge, points[0], best, partial(_report, program, p), partial(_evaluated, program, p)
         ),
     )
 

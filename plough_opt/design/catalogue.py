@@ -1,0 +1,133 @@
+"""The values that variables may take in a catalogue or in steps, and how many combinations of them there are."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from plough_opt.design.declarations import Variable, in_words
+from plough_opt.errors import InputError, nearest
+
+Catalogue = float | Sequence[float]
+"""Values that a variable may take, or the step of which it may take multiples."""
+
+# The optimiser stops this near a bound; a value of the catalogue this near is the optimum's own.
+_ITSELF = 1e-6
+_ROUNDING = 1e-12
+
+
+@dataclass(frozen=True)
+class Allowed:
+    """The values that a variable may take between its bounds.
+
+    Attributes:
+        number: of the variable.
+        variable: the variable.
+        offered: the catalogue's values between the bounds, rising; empty of a step.
+        step: of which multiples are allowed; 0 of a catalogue.
+    """
+
+    number: int
+    variable: Variable
+    offered: tuple[float, ...]
+    step: float = 0.0
+
+    @property
+    def count(self) -> int:
+        """Number of values."""
+        first, last = self._multiples()
+        return last - first + 1 if self.step else len(self.offered)
+
+    def values(self) -> list[float]:
+        """Return all values, rising."""
+        first, last = self._multiples()
+        return self._between(range(first, last + 1)) if self.step else list(self.offered)
+
+    def beside(self, optimum: float) -> list[float]:
+        """Return the nearest values at or below and at or above an optimum's."""
+        v = self.variable
+        below = math.floor(optimum / self.step) if self.step else 0
+        first, last = self._multiples()
+        inside = list(self.offered)
+        if self.step:
+            inside = self._between(k for k in range(below - 1, below + 3) if first <= k <= last)
+        itself = min(inside, key=lambda x: abs(x - optimum))
+        if abs(itself - optimum) <= _ITSELF * (v.upper - v.lower):
+            return [itself]
+        lower, higher = [x for x in inside if x < optimum], [x for x in inside if x > optimum]
+        return [*([max(lower)] if lower else []), *([min(higher)] if higher else [])]
+
+    def _multiples(self) -> tuple[int, int]:
+        """Return the first and the last multiple of the step between the bounds."""
+        if not self.step:
+            return 0, -1
+        v, reserve = self.variable, _rounding(self.variable)
+        return math.ceil((v.lower - reserve) / self.step), math.floor((v.upper + reserve) / self.step)
+
+    def _between(self, multiples: Iterable[int]) -> list[float]:
+        v = self.variable
+        return [min(max(self.step * k, v.lower), v.upper) for k in multiples]
+
+
+def allowed(variables: Sequence[Variable], catalogues: Mapping[str, Catalogue]) -> list[Allowed]:
+    """Return the values that variables may take.
+
+    Args:
+        variables: of the design.
+        catalogues: for each variable to round, by name, its values or step.
+
+    Raises:
+        InputError: no catalogue, no such variable, no numbers, or none between the variable's bounds.
+    """
+    if not catalogues:
+        raise InputError("nothing to round: give a catalogue or a step, like best.rounded(stiffness=[4e4, 5e4])")
+    found: dict[int, Allowed] = {}
+    for name, catalogue in catalogues.items():
+        number = _number_of(variables, name)
+        if number in found:
+            raise InputError(f"'{variables[number].name}' is given two catalogues: give one")
+        found[number] = _allowed(number, variables[number], catalogue)
+    return list(found.values())
+
+
+def _number_of(variables: Sequence[Variable], name: str) -> int:
+    """Return the number of a variable by its name, or by that as a keyword: ``wedge_angle`` for "wedge angle"."""
+    names = [v.name for v in variables]
+    if name in names:
+        return names.index(name)
+    short = ["".join(c if c.isalnum() else "_" for c in own.rpartition(".")[2]) for own in names]
+    if short.count(name) != 1:
+        raise InputError(f"'{name}' is no variable of this design: {nearest(name, names)}")
+    return short.index(name)
+
+
+def _allowed(number: int, v: Variable, catalogue: Catalogue) -> Allowed:
+    try:
+        values = np.atleast_1d(np.asarray(catalogue, dtype=float)).ravel()
+    except (TypeError, ValueError):
+        values = np.array([])
+    if not values.size or not np.all(np.isfinite(values)):
+        raise InputError(f"the catalogue of '{v.name}' must hold finite numbers, not {catalogue!r}")
+    if np.ndim(catalogue) == 0:
+        step = float(values[0])
+        if step <= 0.0:
+            raise InputError(f"the step of '{v.name}' must be above 0, not {step:g}")
+        found = Allowed(number, v, (), step)
+    else:
+        reserve = _rounding(v)
+        inside = values[(values >= v.lower - reserve) & (values <= v.upper + reserve)]
+        found = Allowed(number, v, tuple(np.unique(np.clip(inside, v.lower, v.upper)).tolist()))
+    if not found.count:
+        raise InputError(
+            f"no value that '{v.name}' may take lies between its bounds {in_words(v.lower, v.unit)} and"
+            f" {in_words(v.upper, v.unit)}: offer one that does, or widen the bounds"
+        )
+    return found
+
+
+def _rounding(v: Variable) -> float:
+    """Return by how much a value may be beyond a bound and still be the bound."""
+    return _ROUNDING * (v.upper - v.lower)

@@ -184,7 +184,7 @@ def _report(out: Console, problem: Problem, asked: ProblemSweep, found: Sweep) -
     for state, count, points in (("failed", failed, found.failures), ("undetermined", len(undetermined), undetermined)):
         for point in itertools.islice(points, _SHOWN_FAILURES):
             values = ", ".join(f"{key} = {asked.displays[key].text(value)}" for key, value in point.values.items())
-            out.print(f"{state} at {escape(values)}: {escape(point.reason)}")
+            out.print(f"{state} at {escape(values)}: {escape(printable(point.reason))}", soft_wrap=True)
         if count > _SHOWN_FAILURES:
             out.print(f"... and {count - _SHOWN_FAILURES} more {state}: --csv writes all reasons")
     for note in found.notes:

@@ -66,6 +66,8 @@ def _check_outputs(options: argparse.Namespace) -> None:
         around = next(folder for folder in (place.parent, *place.parents) if folder.exists())
         if not around.is_dir():
             raise InputError(f"--{name} '{written}' cannot be written: '{around}' is no folder")
+        if name == "store" and place.is_file():
+            continue  # a complete one is only read
         # A file is replaced by a whole one, so its folder must take a new file too.
         if not os.access(around, os.W_OK) or (place.is_file() and not os.access(place, os.W_OK)):
             raise InputError(f"--{name} '{written}' cannot be written: permission denied")

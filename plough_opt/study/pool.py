@@ -87,26 +87,18 @@ class ProcessPool(Executor):
         with self._lock:
             self._deaths = 0
 
-    def kill(self) -> None:
-        """End the processes at once, whatever they do."""
+    def __exit__(self, *_: object) -> None:
+        """End the processes."""
+        self.shutdown()
+
+    def shutdown(self, wait: bool = True, *, cancel_futures: bool = True) -> None:
+        """End the processes at once: what has not returned by now is not wanted any more."""
         self._closing.set()
         with self._lock:
             for process in self._processes:
                 process.kill()
-        self.shutdown(cancel_futures=True)
-
-    def __exit__(self, kind: type[BaseException] | None, *rest: object) -> None:
-        """End the processes: when they are done, or after an error or an interruption at once."""
-        if kind is None:
-            self.shutdown()
-        else:
-            self.kill()
-
-    def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
-        """End the processes when they are done."""
-        if cancel_futures:
-            for future in self._waiting():
-                future.cancel()
+        for future in self._waiting() if cancel_futures else ():
+            future.cancel()
         for _ in self._threads:
             self._calls.put(None)
         for thread in self._threads if wait else ():

@@ -1,24 +1,29 @@
-"""What each effect costs: nodes, states and events of the differential equation, and time, with it and without it."""
+"""The cost of each effect: nodes, states and events of the differential equation, and operations of a run.
+
+Operations are counted, not clocked: they are the same at every repetition and on every machine.
+"""
 
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
-import numpy as np
+import casadi as ca
 
+from plough_opt.accuracy import ORDER_8, Accuracy
 from plough_opt.effects import Effects, Smooth, StickSlip, StrengthWave
 from plough_opt.errors import InputError, IntegrationError
 from plough_opt.expressions import as_number
 from plough_opt.motion import simulate
 from plough_opt.motion.equation import equation_of_motion
-from plough_opt.motion.terms import Structure
+from plough_opt.motion.integrators import integration
+from plough_opt.motion.plan import MOST_ADAPTIVE, OUTPUTS, coarser, forced_rate, numbers_of, steps_for, timeline_of
+from plough_opt.motion.quasi_static import GAUSS_POINTS, MORE_POINTS
+from plough_opt.motion.runge_kutta import step
+from plough_opt.motion.terms import Structure, resistance_change, start_resistance
 from plough_opt.scene import Scene
-
-_REPEATS = 3
 
 
 @dataclass(frozen=True)
@@ -31,7 +36,8 @@ class EffectCost:
         nodes: of the differential equation and its events.
         states: of the differential equation.
         events: that an integrator must find.
-        time: of a run with the effect over that of one without it [-].
+        operations: in a run with the effect, and in what checks it, over those without it [-]; None of an orbit, which
+            is sought by going through one wavelength again and again, beside a run from a start.
         refused: why it does not go with the rest of the scene, or "".
     """
 
@@ -40,40 +46,41 @@ class EffectCost:
     nodes: int = 0
     states: int = 0
     events: int = 0
-    time: float = 1.0
+    operations: float | None = 1.0
     refused: str = ""
 
 
 def effect_costs(scene: Scene, duration: float | None) -> list[EffectCost]:
-    """Measure every effect on a scene of numbers; one that the scene lacks is tried with a strength of its own order.
+    """Count every effect on a scene of numbers; one that the scene lacks is tried with a strength of its own order.
 
     Args:
         scene: the scene.
-        duration: simulated time [s]; None for a lasting orbit, which is measured beside a transient of ten wavelengths.
+        duration: simulated time [s]; None for a lasting orbit, whose like from a start is ten wavelengths.
     """
-    found: dict[Effects, float] = {}
+    found: dict[Effects, int] = {}
 
-    def measured(effects: Effects) -> float:
+    def counted(effects: Effects) -> int:
         if effects not in found:
-            found[effects] = _seconds(replace(scene, effects=effects), duration)
+            found[effects] = _operations(replace(scene, effects=effects), duration)
         return found[effects]
 
-    return [_cost(name, scene, pair, measured) for name, pair in _pairs(scene, duration).items()]
+    return [_cost(name, scene, pair, counted) for name, pair in _pairs(scene, duration).items()]
 
 
 def _cost(
-    name: str, scene: Scene, pair: tuple[dict[str, Any], dict[str, Any]], measured: Callable[[Effects], float]
+    name: str, scene: Scene, pair: tuple[dict[str, Any], dict[str, Any]], counted: Callable[[Effects], int]
 ) -> EffectCost:
     """Return what an effect costs, from the changes that switch it on and off."""
     present = all(getattr(scene.effects, field) == value for field, value in pair[0].items())
     try:
         both = [replace(scene.effects, **changes) for changes in pair]
         sizes = [_size(replace(scene, effects=effects)) for effects in both]
-        times = [measured(effects) for effects in both]
+        totals = [counted(effects) for effects in both]
     except (InputError, IntegrationError) as error:
         return EffectCost(name, present, refused=str(error))
     nodes, states, events = (on - off for on, off in zip(*sizes, strict=True))
-    return EffectCost(name, present, nodes, states, events, times[0] / times[1])
+    alike = both[0].orbit == both[1].orbit
+    return EffectCost(name, present, nodes, states, events, totals[0] / totals[1] if alike else None)
 
 
 def _pairs(scene: Scene, duration: float | None) -> dict[str, tuple[dict[str, Any], dict[str, Any]]]:
@@ -113,17 +120,42 @@ def _size(scene: Scene) -> tuple[int, int, int]:
     return nodes + int(equation.events.n_nodes()), equation.states, int(equation.events.numel_out(0))
 
 
-def _seconds(scene: Scene, duration: float | None) -> float:
-    """Return the median time of a run [s], its check included, after a warm-up."""
-    wave = scene.effects.strength_wave
+def _operations(scene: Scene, duration: float | None) -> int:
+    """Return the operations in a run and in what checks it; of an orbit, in going through one wavelength."""
+    wave, structure = scene.effects.strength_wave, Structure.of(scene)
     if scene.effects.orbit != "transient":
         duration = None
     elif duration is None:
         assert wave is not None  # the scene's own orbit has one
         duration = 10.0 * float(as_number(wave.wavelength)) / float(as_number(scene.tow_speed))
-    taken = []
-    for _ in range(1 + _REPEATS):
-        started = time.perf_counter()
-        simulate(scene, duration)
-        taken.append(time.perf_counter() - started)
-    return float(np.median(taken[1:]))
+    if not scene.effects.motion:
+        assert duration is not None  # an orbit has motion
+        panels = steps_for(forced_rate(numbers_of(scene)) * duration)
+        return panels * (2 * GAUSS_POINTS + MORE_POINTS) * _of_resistance(structure)
+    accuracy = simulate(scene, duration).accuracy
+    if accuracy.method in ORDER_8:
+        steps = accuracy.steps or 1
+        return (steps + coarser(steps)) * int(step(structure).n_instructions())
+    assert duration is not None
+    assert accuracy.tolerance is not None
+    both = accuracy, replace(accuracy, tolerance=10.0 * accuracy.tolerance)  # and its check: see `plan.checked`
+    return sum(_of_adaptive(scene, duration, one) for one in both)
+
+
+def _of_resistance(structure: Structure) -> int:
+    """Return the operations of the resistance at one point of the path."""
+    symbols = {name: ca.SX.sym(name) for name in structure.names}
+    travel, gain = ca.SX.sym("travel"), ca.SX.sym("gain")
+    force = start_resistance(structure, symbols) + resistance_change(structure, symbols, travel, gain)
+    return int(ca.Function("resistance", [*symbols.values(), travel, gain], [force]).n_instructions())
+
+
+def _of_adaptive(scene: Scene, duration: float, accuracy: Accuracy) -> int:
+    """Return the operations of an adaptive method: its evaluations of the equation, and of what events are found by."""
+    p, timeline = numbers_of(scene), timeline_of(scene, duration, OUTPUTS, MOST_ADAPTIVE, accuracy.method)
+    solver = integration(Structure.of(scene), accuracy, timeline)
+    assert solver.sized is not None  # adaptive methods are CasADi's
+    equation = equation_of_motion(solver.structure)
+    rates, events = solver.sized.evaluations([*(p[name] for name in solver.names), duration])
+    each = int(equation.function.n_instructions())
+    return rates * each + (events * int(equation.events.n_instructions()) if equation.events is not None else 0)

@@ -120,16 +120,17 @@ def print_check(console: Console, problem: Problem) -> None:
 
 
 def print_effects(console: Console, costs: Sequence[EffectCost]) -> None:
-    """Print what each effect adds to the differential equation and to the time of a run."""
+    """Print what each effect adds to the differential equation and to the operations of a run."""
     table = Table(title="What each effect adds to this scene")
-    for heading in ("effect", "", "nodes", "states", "events", "time, with it over without"):
+    for heading in ("effect", "", "nodes", "states", "events", "operations, with it over without"):
         table.add_column(heading, justify="left" if heading == "effect" else "right")
     for cost in costs:
         if cost.refused:
             table.add_row(cost.name, "on" if cost.on else "off", "", "", "", "not here, see below")
             continue
         sizes = (f"{size:+d}" for size in (cost.nodes, cost.states, cost.events))
-        table.add_row(cost.name, "on" if cost.on else "off", *sizes, f"{cost.time:.2f}")
+        ratio = "a search" if cost.operations is None else f"{cost.operations:.3g}"
+        table.add_row(cost.name, "on" if cost.on else "off", *sizes, ratio)
     console.print(table)
     for cost in costs:
         if cost.refused:

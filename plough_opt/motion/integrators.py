@@ -33,10 +33,25 @@ class Sized:
     Attributes:
         function: (parameters, the duration last; sizes) -> the results of an `Integration`.
         expected: parameters -> sizes.
+        solver: CasADi's integrator.
+        given: (parameters, sizes) -> its initial state and its parameters.
     """
 
     function: ca.Function
     expected: ca.Function
+    solver: ca.Function
+    given: ca.Function
+
+    def evaluations(self, p: list[float]) -> tuple[int, int]:
+        """Return how often a run evaluates the equation's rates, and what its events are found by.
+
+        Args:
+            p: the parameters, the duration last.
+        """
+        first, known = self.given(p, self.expected(p))
+        self.solver(x0=first, p=known)
+        stats = self.solver.stats()
+        return stats["n_call_rhsF"], stats.get("n_call_zeroF", 0)
 
 
 @dataclass(frozen=True)
@@ -90,14 +105,16 @@ def _by_casadi(structure: Structure, accuracy: Accuracy, timeline: Timeline) -> 
     sizes = ca.MX.sym("sizes", 2 + observed.count + observed.squared)
     unit = _units(structure, sizes)
     first = start_state(structure, known)
-    result = solver(x0=ca.vertcat(first / unit, ca.MX.zeros(observed.squared)), p=ca.vertcat(p, sizes))
+    given = ca.vertcat(first / unit, ca.MX.zeros(observed.squared)), ca.vertcat(p, sizes)
+    result = solver(x0=given[0], p=given[1])
     states = result["xf"][:count, asked] * ca.repmat(unit, 1, timeline.outputs)
     _, of_means, of_spreads = ca.vertsplit(sizes, [0, 2, 2 + observed.count, sizes.numel()])
     spreads, others = ca.vertsplit(result["qf"][:, -1], [0, observed.squared, observed.count])
     means = ca.vertcat(result["xf"][count:, -1], others) * of_means
     found = [ca.horzcat(first, states), means, spreads * of_spreads**2]
     function = ca.Function(f"sized_{accuracy.method}", [p, sizes], found, {"never_inline": True})
-    return Sized(function, ca.Function("expected", [p], [_expected(structure, known, p[-1])]))
+    expected = ca.Function("expected", [p], [_expected(structure, known, p[-1])])
+    return Sized(function, expected, solver, ca.Function("given", [p, sizes], given))
 
 
 def _expected(structure: Structure, p: dict[str, Any], duration: Any) -> Any:

@@ -240,6 +240,11 @@ def automatic(method: Method, wanted: float, p: Mapping[str, float], duration: f
     return _order_8(_rounded(math.ceil(enough / _COARSER)))
 
 
+def coarser(steps: int) -> int:
+    """Return the steps of order 8 that check so many."""
+    return math.ceil(_COARSER * steps)
+
+
 def _rounded(steps: int) -> int:
     """Return at least so many steps, to three binary digits: scenes much alike then share one loop over steps."""
     unit = 1 << max(0, steps.bit_length() - 3)
@@ -254,7 +259,7 @@ def checked(method: Method, wanted: float, p: Mapping[str, float], duration: flo
     chosen = automatic(method, wanted, p, duration)
     if method != "dop853":
         return finer(chosen), chosen
-    return chosen, _order_8(math.ceil(_COARSER * (chosen.steps or 1)))
+    return chosen, _order_8(coarser(chosen.steps or 1))
 
 
 @lru_cache(maxsize=256)

@@ -19,6 +19,9 @@ from plough_opt.scene import Scene
 GAUSS_POINTS = 10
 """Gauss-Legendre nodes in each panel of the averages of a run of numbers."""
 
+MORE_POINTS = 6
+"""How many more nodes check them."""
+
 SYMBOLIC_GAUSS_POINTS = 4
 """The same in a symbolic run, whose graph grows with them."""
 

@@ -33,7 +33,7 @@ from plough_opt.motion.plan import (
     timeline_of,
     with_setting,
 )
-from plough_opt.motion.quasi_static import GAUSS_POINTS, quasi_static
+from plough_opt.motion.quasi_static import GAUSS_POINTS, MORE_POINTS, quasi_static
 from plough_opt.motion.run import Run
 from plough_opt.motion.settling import which_motion
 
@@ -93,7 +93,7 @@ def _quasi_static(case: Case, accuracy: Accuracy) -> tuple[Run, float, tuple[str
     refuse_countless_waves(scene, case.p, duration, MOST_PANELLED)
     timeline = timeline_of(scene, duration, case.outputs, steps_for(forced_rate(case.p) * duration))
     run = quasi_static(scene, duration, timeline, accuracy)
-    check = quasi_static(scene, duration, timeline, accuracy, GAUSS_POINTS + 6)
+    check = quasi_static(scene, duration, timeline, accuracy, GAUSS_POINTS + MORE_POINTS)
     if not all(np.isfinite(part).all() for part in (run.mount_force, run.mean_draft, run.force_rms)):
         raise IntegrationError(f"the resistance of a {scene.describe()} is not finite: look at its own effects")
     return run, difference(run, check), ()

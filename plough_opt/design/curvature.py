@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -27,10 +28,19 @@ def flat_directions(program: Program, p: Vector, at: Point) -> list[Vector]:
     return [directions[:, k] for k in flat if _confirmed(program, p, at, directions[:, k])]
 
 
-def minimum_from(program: Program, p: Vector, at: Point) -> Point:
+def minimum_from(
+    program: Program, p: Vector, at: Point, downhill: Callable[[Vector, Vector], Vector | None] | None = None
+) -> Point:
     """Return the point itself, or where it leads downhill if it is a hilltop or a saddle, with its curvatures.
 
     IPOPT accepts any stationary point that it starts on; the reduced Hessian tells.
+
+    Args:
+        program: the design's program.
+        p: parameters.
+        at: the point.
+        downhill: (the point, a design beside it) -> a lower design to which that leads, or None; without it the
+            optimiser begins beside the point.
     """
     for _ in range(_DESCENTS):
         curvatures, directions = known = _reduced_curvatures(program, p, at)
@@ -38,9 +48,11 @@ def minimum_from(program: Program, p: Vector, at: Point) -> Point:
             return replace(at, curvatures=known)
         step = _STEP * directions[:, 0] / np.max(np.abs(directions[:, 0]))
         starts = [np.clip(at.y + sign * step, 0.0, 1.0) for sign in (1.0, -1.0)]
+        if downhill is not None:
+            starts = [lower for start in starts if (lower := downhill(at.y, start)) is not None]
         found = [point for start in starts if (point := _beside(program, p, start)).solved and point.f < at.f]
         if not found:
-            return at
+            return replace(at, curvatures=known)
         at = min(found, key=lambda point: point.f)
     return at
 

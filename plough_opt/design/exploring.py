@@ -25,6 +25,8 @@ _SAME = 1e-3
 # Positions along each variable through the best design, dips for each variable that are followed, and how far from that
 # design a dip is another.
 _ALONG, _DIPS, _BESIDE = 128, 4, 0.01
+# Times that is looked closer, around how many designs, how far from them, at how many, and the gain that is one.
+_CLOSER, _CLOSELY, _NEAR, _AROUND, _BETTER = 4, 2, 0.06, 256, 1e-6
 # An island on which all designs are this alike has converged.
 _CONVERGED = 1e-7
 # Points of the uniform part of a sample that are followed at most, once their basins are known.
@@ -106,6 +108,7 @@ class Explorer:
             self._found.append(self._descended(start))
         known = {int(k): first + len(islands) + j for j, k in enumerate(lowest[: effort.descents])}
         self._scan()
+        self._look_closer(rng)
         self._follow(seen, [int(downhill[k]) for k in uniform], known, effort.followed)
 
     def _scan(self) -> None:
@@ -125,6 +128,28 @@ class Explorer:
             if np.isfinite(seen.merit[k]) and np.max(np.abs(lines[k] - bottoms.points[0])) > _BESIDE:
                 self._progress("descending from dips along each variable", 0.0)
                 self._found.append(self._descended(lines[k]))
+
+    def _look_closer(self, rng: np.random.Generator) -> None:
+        """Look around the best designs, and again around a better one: basins with ripples have their own basins."""
+        if not self._landscape.vectorised or len(self._vary) < 2:
+            return
+        for _ in range(_CLOSER):
+            bottoms, _ = self._basins()
+            before = len(self._found)
+            for number, at in enumerate(bottoms.points[:_CLOSELY]):
+                self._progress("looking closer at the best designs", number / _CLOSELY)
+                points, _ = sample(len(self._vary), _AROUND, np.full(len(self._vary), 0.5), rng)
+                around = np.repeat(at[None], len(points), axis=0)
+                around[:, self._vary] = np.clip(at[self._vary] + _NEAR * (2.0 * points - 1.0), 0.0, 1.0)
+                merit = self._landscape(around).merit
+                lowest, _ = lowest_around(points, merit)
+                for k in lowest[:_DIPS]:
+                    if np.isfinite(merit[k]):
+                        self._found.append(self._descended(around[k]))
+            merits = [float(one.merit[0]) for one in self._found]
+            best = min(merits[:before], default=np.inf)
+            if not min(merits[before:], default=np.inf) < best - _BETTER * abs(best):
+                return
 
     def _follow(self, seen: Seen, ends: list[int], known: dict[int, int], most: int) -> None:
         """Follow uniform points, in their order, to where descents from the lowest designs around them lead."""

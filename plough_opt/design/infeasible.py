@@ -68,8 +68,8 @@ def _apart(sample: Seen) -> list[Vector]:
 
 def _helps(landscape: Landscape, y: Vector, requirement: int) -> bool:
     """Return whether the others are violated less where a requirement is left out."""
-    if not landscape.vectorised:
-        return True
+    if not landscape.vectorised or requirement >= len(landscape.program.own_requirements):
+        return True  # beyond the end of a theory nothing has a value
     others = np.arange(len(landscape.program.declared.requirements)) != requirement
     before = landscape.violations(landscape.rows(y[None])[1])[0][others].sum()
     end = landscape.least_violation(np.clip(y, 0.0, 1.0), frozenset({requirement})).points

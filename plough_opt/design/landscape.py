@@ -22,8 +22,10 @@ _FINER = 2.0
 _ITERATIONS = 60
 # Of a column of a requirement, as a deflection at every output, only the worst values enter a descent.
 _MOST_ROWS = 6
-# Times that further rows, which a descent has broken, are added.
-_ROUNDS = 3
+# Part of the merit by which a design is lower than another, and not just differently rounded.
+_LOWER = 1e-6
+# Times that a descent is begun anew, with further rows that it has broken, while it gains more than a part of its merit.
+_ROUNDS, _GAIN = 6, 1e-7
 
 
 @dataclass(frozen=True)
@@ -71,6 +73,8 @@ class Landscape:
         owner = np.array(program.owner, dtype=int)
         self.first_rows: list[int] = np.flatnonzero(np.diff(owner, prepend=-1)).tolist()
         self._scale = np.array(program.scales)[owner] if len(owner) else np.empty(0)
+        # Kept where the program is scaled anew by what is found here.
+        self.objective_scale = program.objective_scale
         self.vectorised = program.population.vectorised
         self.tried = 0
 
@@ -78,7 +82,7 @@ class Landscape:
         """Return the scaled objective and requirements, a row for each design."""
         self.tried += len(points)
         f, g = self.program.population(points, self._p, finer=finer, together=together)
-        return f / self.program.objective_scale, g / self._scale
+        return f / self.objective_scale, g / self._scale
 
     def violations(self, g: Vector) -> Vector:
         """Return by what each requirement is violated at its worst, a row for each design; infinite without a value."""
@@ -108,6 +112,11 @@ class Landscape:
         """
         box = (np.zeros(len(start)) if lower is None else lower, np.ones(len(start)) if upper is None else upper)
         return _Descent(self, box).from_(np.clip(start, *box))
+
+    def lower_from(self, design: Vector, start: Vector) -> Vector | None:
+        """Return where a descent from a start beside a design leads, if that is lower than the design, or None."""
+        end, own = self.descend(start), self(design[None], finer=_FINER)
+        return end.points[0] if end.merit[0] < own.merit[0] - _LOWER * abs(own.merit[0]) else None
 
     def nearest_feasible(self, start: Vector) -> Seen:
         """Return the feasible design that is nearest to a start, as far as a local search finds it."""
@@ -145,12 +154,12 @@ class _Descent:
         x, rows = self._begin(start), np.empty(0, dtype=int)
         try:
             for _ in range(_ROUNDS):
-                more = self._worst_rows(x[: len(start)], rows)
-                if len(more) == len(rows) > 0:
+                before, more = self._best[0], self._worst_rows(x[: len(start)], rows)
+                x = self._minimised(x, more)
+                # Begun anew it takes steps again where it had stalled in a bent valley.
+                if len(more) == len(rows) and not self._best[0] < before - _GAIN * abs(before):
                     break
-                x, rows = self._minimised(x, more), more
-                if not len(rows):
-                    break
+                rows = more
         except _NoValue:
             pass
         best = start if np.isinf(self._best[0]) else self._best[1]

@@ -18,13 +18,17 @@ _NOT_WORSE = 1e-5
 _STALLED = ("Search_Direction_Becomes_Too_Small", "Maximum_Iterations_Exceeded")
 
 
+AS_FOUND = "taken as found"
+"""Status of a design that the optimiser did not confirm as an optimum."""
+
+
 def polished(program: Program, p: Vector, start: Vector) -> Point:
     """Return the local optimum of a search's bottom: the start as it is, where no better one lies beside it."""
     begins = as_it_is(program, p, start)
-    for box, exact in ((1.0, False), (_BESIDE, False), (_BESIDE, True)):
+    for box, exact in ((1.0, False), (_BESIDE, True)):
         point = program.solve(start, p, box, near=True, exact=exact, enough=True)
         if point.status in _STALLED and _meets(program, p, point.y):
-            point = replace(point, solved=True)
+            point = replace(point, solved=True, status=AS_FOUND)
         beside = box == 1.0 or np.max(np.abs(point.y - start)) < box
         if point.solved and beside and _not_worse(point, begins):
             return point
@@ -33,7 +37,7 @@ def polished(program: Program, p: Vector, start: Vector) -> Point:
 
 def to_the_last_digit(program: Program, p: Vector, point: Point) -> Point:
     """Return an optimum with the last digits of its derivatives, where these can be had; else as it is."""
-    if point.status == "Solve_Succeeded":
+    if point.status in ("Solve_Succeeded", AS_FOUND):
         return point
     again = program.solve(point.y, p, _BESIDE, near=True, exact=False)
     inside = np.max(np.abs(again.y - point.y)) < _BESIDE
@@ -44,7 +48,7 @@ def as_it_is(program: Program, p: Vector, y: Vector) -> Point:
     """Return a scaled design as a point without multipliers, solved if it meets all requirements."""
     f, g = (np.asarray(result).ravel() for result in program.nlp.values(y, p))
     meets = bool(np.all(np.isfinite(f)) and _excess(program, g) <= FEASIBLE)
-    return Point(meets, "taken as found", y, float(f[0]), np.zeros(len(g)), np.zeros(len(y)), 0)
+    return Point(meets, AS_FOUND, y, float(f[0]), np.zeros(len(g)), np.zeros(len(y)), 0)
 
 
 def _not_worse(point: Point, begins: Point) -> bool:

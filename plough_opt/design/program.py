@@ -31,6 +31,8 @@ _FEWEST_STEPS = 20
 # Of a periodic orbit, whose harmonics fall off exponentially.
 _HARMONICS = 12
 _SMALLEST_SCALE = 1e-12
+# Programs that are kept, of other numbers of steps or scales.
+_MOST_KEPT = 6
 # Designs whose middle values set the scales where the guess has none.
 _SAMPLE, _SAMPLE_SEED = 256, 256
 
@@ -58,6 +60,27 @@ class Declarations:
         return ", ".join(
             f"{v.name} = {in_words(float(x), v.unit)}" for v, x in zip(self.variables, values, strict=True)
         )
+
+
+@dataclass
+class Built:
+    """A program that is written for numbers of steps.
+
+    Attributes:
+        nlp: objective and requirements.
+        rough: the same with fewer steps.
+        interpreted: whether it is not in machine code.
+        solver: IPOPT on it.
+        of_rows: IPOPT on those of its rows that can decide; None where there are few.
+        relaxed: IPOPT on the sum of violations, once it was asked for.
+    """
+
+    nlp: Nlp
+    rough: Nlp
+    interpreted: bool
+    solver: Solver
+    of_rows: ActiveRows | None
+    relaxed: Solver | None = None
 
 
 class Program:
@@ -88,13 +111,13 @@ class Program:
         self._y, self._p = ca.MX.sym("y", len(declared.variables)), ca.MX.sym("p", len(declared.parameters))
         self.objective_scale = 1.0
         self.scales: list[float] = []
-        self._built = False
+        self._built: Built | None = None
+        # The same question is solved by the same program again, whatever was asked in between.
+        self._kept: dict[tuple[object, ...], Built] = {}
         self._prepared: bytes | None = None
         self.compiled = compiled
-        self.interpreted = True
         self._steps: list[int | None] = []
         self._population: Population | None = None
-        self._relaxed: Solver | None = None
         # A report asks several times for the values at its point.
         self._exact_at: dict[tuple[bytes, bytes], tuple[list[Vector], list[Vector]]] = {}
 
@@ -142,22 +165,25 @@ class Program:
 
     # --- building ----------------------------------------------------------------------------------------
 
-    def prepare(self, p: Vector) -> None:
+    def prepare(self, p: Vector, *, any_guess: bool = False) -> None:
         """Check the bounds, and scale the program by its guess, or by a sample where the guess has no value.
 
+        Args:
+            p: parameters.
+            any_guess: whether a guess without a value will do.
+
         Raises:
-            InputError: the objective or a requirement has no value at the guess, nor anywhere in a sample.
+            InputError: the objective or a requirement has no value at the guess, nor, if any will do, in a sample.
             DomainError: bounds that lead out of the model's domain.
         """
-        if self._prepared == p.tobytes():
-            return
         self._check_bounds(p)
         try:
             found = self._checked_start(p)
         except InputError as error:
+            if not any_guess:
+                raise
             found = self._typical(p, error)
-        if not self.scales:
-            self._set_scales(found)
+        self._set_scales(found)
         self._prepared = p.tobytes()
 
     def build(self, p: Vector, refinement: float = 1.0, starts: Sequence[Vector] | None = None) -> None:
@@ -173,32 +199,58 @@ class Program:
         Raises:
             InputError, DomainError: as `prepare`; or a motion too fast to integrate at one of the designs.
         """
-        self.prepare(p)
+        if self._prepared != p.tobytes():
+            self.prepare(p)
         variables = self.declared.variables
         if starts is None:
             corners = (values for _, values in self._corners())
             starts = [np.array([v.scaled(x) for v, x in zip(variables, values, strict=True)]) for values in corners]
-        steps = self._steps_at(starts, p, refinement)
-        enough = [have is None or need is None or have >= need for have, need in zip(self._steps, steps, strict=False)]
-        if self._built and all(enough):
-            return
-        self._steps, self._built, self._relaxed = steps, True, None
-        scaled = self._scaled(self._y, self._p)
-        parts = split(scaled, [self._y, self._p])
-        self.nlp = build_nlp(parts, self._y, self._p, steps)
+        self._steps = self._steps_at(starts, p, refinement)
+        key = (tuple(self._steps), self.objective_scale, *self.scales)
+        if key not in self._kept:
+            while len(self._kept) >= _MOST_KEPT:
+                self._kept.pop(next(iter(self._kept)))
+            self._kept[key] = self._write(self._steps)
+        self._built = self._kept[key]
+
+    def _write(self, steps: Sequence[int | None]) -> Built:
+        """Return the program with numbers of steps, and what solves it."""
+        parts = split(self._scaled(self._y, self._p), [self._y, self._p])
+        nlp = build_nlp(parts, self._y, self._p, list(steps))
         # Where basins lie and which way they curve shows at two fifths of the steps.
-        self.rough = build_nlp(parts, self._y, self._p, [self._fewer(k) for k in range(len(steps))])
-        translated = as_machine_code(self.nlp, self.rough) if self.compiled else None
+        rough = build_nlp(parts, self._y, self._p, [self._fewer(k) for k in range(len(steps))])
+        translated = as_machine_code(nlp, rough) if self.compiled else None
         if translated is not None:
-            self.nlp, self.rough = translated
-        self.interpreted = translated is None
-        sizes = (self._y.numel(), self._p.numel())
-        self._solver = Solver(self.nlp, *sizes, self.low, self.high)
-        self._of_rows = (
-            ActiveRows(self.nlp, sizes, self.owner, (self.low, self.high))
-            if chosen_rows(self.owner) < len(self.owner)
-            else None
+            nlp, rough = translated
+        sizes, limits = (self._y.numel(), self._p.numel()), (self.low, self.high)
+        few = chosen_rows(self.owner) < len(self.owner)
+        return Built(
+            nlp=nlp,
+            rough=rough,
+            interpreted=translated is None,
+            solver=Solver(nlp, *sizes, *limits),
+            of_rows=ActiveRows(nlp, sizes, self.owner, limits) if few else None,
         )
+
+    @property
+    def nlp(self) -> Nlp:
+        """The built program."""
+        return self._now.nlp
+
+    @property
+    def rough(self) -> Nlp:
+        """The same with fewer steps."""
+        return self._now.rough
+
+    @property
+    def interpreted(self) -> bool:
+        """Whether the program is not in machine code."""
+        return self._now.interpreted
+
+    @property
+    def _now(self) -> Built:
+        assert self._built is not None  # whoever asks has called `build`
+        return self._built
 
     @property
     def population(self) -> Population:
@@ -234,13 +286,18 @@ class Program:
 
     def _set_scales(self, start: list[Vector]) -> None:
         """Scale the objective by its value at the start, each requirement by its limits, or by its own value."""
-        self.objective_scale = max(abs(float(start[0].item())), _SMALLEST_SCALE)
+        self.objective_scale = _power_of_four(float(start[0].item()))
         requirements = self.declared.requirements
         self.scales = [
-            r.scale or float(np.max(np.abs(value))) or 1.0 for r, value in zip(requirements, start[1:], strict=True)
+            r.scale or (_power_of_four(size) if (size := float(np.max(np.abs(value)))) else 1.0)
+            for r, value in zip(requirements, start[1:], strict=True)
         ]
         self.low = np.array([requirements[k].low / self.scales[k] for k in self.owner])
         self.high = np.array([requirements[k].high / self.scales[k] for k in self.owner])
+
+    def scale_by(self, objective: float) -> None:
+        """Scale the objective by the size of a value that a search found, which may be another than the guess's."""
+        self.objective_scale = _power_of_four(objective)
 
     def _typical(self, p: Vector, error: InputError) -> list[Vector]:
         """Return the middle values of the expressions over a sample, or say why the guess has none."""
@@ -355,19 +412,19 @@ class Program:
     ) -> Point:
         """Return the local optimum that IPOPT reaches from a scaled start, no further from it than ``box``."""
         lower, upper = np.maximum(start - box, 0.0), np.minimum(start + box, 1.0)
-        if self._of_rows is not None and near:
-            return self._of_rows.solve(start, p, lower, upper, near=near, exact=exact, enough=enough)
-        return self._solver.solve(start, p, lower, upper, near=near, exact=exact, enough=enough)
+        if self._now.of_rows is not None and near:
+            return self._now.of_rows.solve(start, p, lower, upper, near=near, exact=exact, enough=enough)
+        return self._now.solver.solve(start, p, lower, upper, near=near, exact=exact, enough=enough)
 
     def slopes_of_requirements(self, y: Vector, p: Vector) -> tuple[Vector, Vector]:
         """Return the scaled requirements at scaled variables, and their Jacobian: see `Solver.requirements`."""
-        return self._solver.requirements(y, p)
+        return self._now.solver.requirements(y, p)
 
     def solve_with_fixed(self, start: Vector, p: Vector, fixed: int | list[int]) -> Point:
         """Return the local optimum with one variable, or several, held at their start."""
         lower, upper = np.zeros(len(start)), np.ones(len(start))
         lower[fixed] = upper[fixed] = start[fixed]
-        return (self._of_rows or self._solver).solve(start, p, lower, upper, near=True)
+        return (self._now.of_rows or self._now.solver).solve(start, p, lower, upper, near=True)
 
     def solve_relaxed(self, start: Vector, p: Vector, fixed: Sequence[int] = ()) -> Point:
         """Return the design near a start at which the requirements give way least; slacks follow y.
@@ -375,9 +432,10 @@ class Program:
         Variables number ``fixed`` are held at the start, which then lies near.
         """
         count, n = len(self.declared.requirements), len(start)
-        if self._relaxed is None:
+        built = self._now
+        if built.relaxed is None:
             loose = relaxed(self.nlp, n, len(p), self.owner, count)
-            self._relaxed = Solver(loose, n + 2 * count, len(p), self.low, self.high)
+            built.relaxed = Solver(loose, n + 2 * count, len(p), self.low, self.high)
         g = np.asarray(self.nlp.g(start, p)).ravel()
         slack = first_slack(g, self.low, self.high, self.owner, count)
         # Where a theory ends nothing gives way: beyond it the model has no value.
@@ -386,7 +444,12 @@ class Program:
         lower, upper = np.zeros(n + 2 * count), np.r_[np.ones(n), np.where(gives, np.inf, 0.0)]
         held = list(fixed)
         lower[held] = upper[held] = start[held]
-        return self._relaxed.solve(np.r_[start, slack], p, lower, upper, near=bool(held))
+        return built.relaxed.solve(np.r_[start, slack], p, lower, upper, near=bool(held))
+
+
+def _power_of_four(value: float) -> float:
+    """Return the power of four nearest to a size: questions that differ a little are scaled alike."""
+    return float(4.0 ** round(math.log(max(abs(value), _SMALLEST_SCALE), 4.0)))
 
 
 def _with_reserve(steps: int) -> int:

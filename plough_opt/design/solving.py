@@ -20,7 +20,7 @@ from plough_opt.design.infeasible import feasible_from
 from plough_opt.design.ipopt import Point, Vector, decides
 from plough_opt.design.landscape import Landscape, Seen
 from plough_opt.design.optimum import Limit, LocalOptimum, Optimum
-from plough_opt.design.polishing import polished, to_the_last_digit
+from plough_opt.design.polishing import AS_FOUND, polished, to_the_last_digit
 from plough_opt.design.program import Program
 from plough_opt.design.record import Search as SearchRecord
 from plough_opt.design.rounding import rounded
@@ -35,6 +35,8 @@ from plough_opt.scene import Scene
 
 _NO_COMPILER = "no C compiler was found ($CC, cc, gcc, clang): the model is interpreted, which takes longer"
 _REFINEMENTS = 4
+# Of the gap before, to which half as many steps more bring it at least, by a method of order 8.
+_FALLS = 0.5
 _FINER = 1.5
 # Above this gap a design by a method with its own setting carries a warning.
 _COARSE = 1e-6
@@ -54,7 +56,7 @@ def solve_program(
     variables = program.declared.variables
     vary = searched(search, variables)
     progress("preparing the model", 0.0)
-    program.prepare(p)
+    program.prepare(p, any_guess=bool(vary))
     landscape = Landscape(program, p)
     explored: Explored | None = None
     if vary:
@@ -67,18 +69,19 @@ def solve_program(
     points = _ranked(landscape, judge, points)
     scenes = [_scenes(program, point, p) for point in points]
     names = _names(program, [[scene for _, scene in own] for own in scenes])
-    points[0] = minimum_from(program, p, to_the_last_digit(program, p, points[0]))
+    last = to_the_last_digit(program, p, points[0])
+    points[0] = minimum_from(program, p, last, landscape.lower_from if landscape.vectorised else None)
     optima = [_local_optimum(program, p, point, name, landscape) for point, name in zip(points, names, strict=True)]
-    directions = flat_directions(program, p, points[0])
+    directions = [] if points[0].status == AS_FOUND else flat_directions(program, p, points[0])
     best = optima[0]
     return Optimum(
         **{name: getattr(best, name) for name in LocalOptimum.__dataclass_fields__},
-        status="not unique" if directions else "solved",
+        status="unconfirmed" if points[0].status == AS_FOUND else "not unique" if directions else "solved",
         flat_directions=tuple(_in_units(program, points[0], d) for d in directions),
         local_optima=tuple(optima),
         search=_record(program, landscape, search, vary, explored, len(points), time.perf_counter() - started),
         seconds=time.perf_counter() - started,
-        warnings=(*missed, *_judged(best), *_warnings(program, points[0], p, scenes[0])),
+        warnings=(*missed, *_unconfirmed(points[0]), *_judged(best), *_warnings(program, points[0], p, scenes[0])),
         evaluate=partial(_evaluated, program, p, program.values(points[0].y)),
         sensitivities=Sensitivities(program, p, points[0]),
         rounder=partial(
@@ -117,6 +120,8 @@ def _searched(
         progress("looking for a design that meets the requirements", 0.0)
         y = feasible_from(program, landscape, p, explored.sample, start)
         bottoms = landscape.descend(y) if landscape.vectorised else landscape(y[None])
+    best = float(bottoms.f[np.argmin(bottoms.merit)]) * landscape.objective_scale
+    program.scale_by(best)
     few = len(vary) <= _FEW_VARIABLES and landscape.vectorised
     chosen = _that_can_win(judged(bottoms.points), (_MOST_POLISHED if few else _MOST_OF_MANY) * effort.rounds)
     program.build(p, starts=list(bottoms.points[chosen]))
@@ -174,8 +179,18 @@ def _record(
         seed=SEED,
         seconds=seconds,
         values=np.array([program.values(y) for y in sample.points]).reshape(-1, n),
-        objective=sample.f * program.objective_scale,
+        objective=sample.f * landscape.objective_scale,
         violation=sample.violation,
+    )
+
+
+def _unconfirmed(point: Point) -> tuple[str, ...]:
+    """Return what a reader must know of a design that the optimiser did not confirm."""
+    if point.status != AS_FOUND:
+        return ()
+    return (
+        "the design is the best that was seen, but the optimiser did not confirm it as an optimum: objective or"
+        " requirements are not smooth there (a kink, noise, a needle), or leave no room to move",
     )
 
 
@@ -199,14 +214,19 @@ def _refined(
         gap = max(_gap(program, p, point) for point in points)
         coarse = f"the optimiser's objective is off by a relative {gap:.1e}: take more steps or a tighter tolerance"
         return points, (coarse,) if gap > _COARSE else ()
+    last = math.inf
     for refinement in range(1, _REFINEMENTS + 1):
         gaps = [_gap(program, p, point) for point in points]
         if max(gaps) <= wanted:
             return points, ()
+        if max(gaps) > _FALLS * last:  # a motion too sensitive for any number of steps
+            break
+        last = max(gaps)
         progress(f"refining: error {max(gaps):.1e}", refinement / _REFINEMENTS)
         program.build(p, _FINER**refinement, [point.y for point in points])
         for k, gap in enumerate(gaps):
-            if gap > wanted and (again := program.solve(points[k].y, p, near=True)).solved:
+            again = program.solve(points[k].y, p, near=True, exact=False, enough=True) if gap > wanted else points[k]
+            if again.solved:
                 points[k] = again
     gap = max(_gap(program, p, point) for point in points)
     if gap <= wanted:

@@ -81,7 +81,7 @@ def spread(landscape: Landscape, y: Vector, objective: float) -> Spread | None:
         return None
     program = landscape.program
     f, g = landscape.rows(boxes(program.declared.variables, y[None]))
-    values = np.where(np.isfinite(f), f, np.inf) * program.objective_scale
+    values = np.where(np.isfinite(f), f, np.inf) * landscape.objective_scale
     median = float(np.median(values))
     margins = np.minimum(g - program.low, program.high - g)
     least = np.array([margins[:, np.array(program.owner) == k].min() for k in range(len(program.scales))])

@@ -24,7 +24,7 @@ _ITERATIONS = 60
 _MOST_ROWS = 6
 # Part of the merit by which a design is lower than another, and not just differently rounded.
 _LOWER = 1e-6
-# Times that a descent is begun anew, with further rows that it has broken, while it gains more than a part of its merit.
+# Times that a descent is begun anew, with further rows that it has broken, while it gains a part of its merit.
 _ROUNDS, _GAIN = 6, 1e-7
 
 
@@ -94,6 +94,8 @@ class Landscape:
 
     def __call__(self, points: Vector, *, finer: float = 1.0) -> Seen:
         """Look at designs, a row each."""
+        if not len(points):
+            return Seen(points, np.empty(0), np.empty(0))
         with np.errstate(all="ignore"):
             f, g = self.rows(points, finer=finer)
             violation = self.violations(g).sum(axis=1)

@@ -89,8 +89,8 @@ class Optimum(LocalOptimum):
     inside them integrated tightly anew; ``best(run)`` simulates the scene with its numbers.
 
     Attributes:
-        status: "solved"; "not unique" where ``flat_directions`` lead to designs that are as good; or "unconfirmed" where
-            the best design that was seen is no optimum by its derivatives, as on a kink: see ``warnings``.
+        status: "solved"; "not unique" where ``flat_directions`` lead to designs that are as good; or "unconfirmed"
+            where derivatives do not confirm the best design that was seen, as on a kink: see ``warnings``.
         flat_directions: directions, as changes of the variables, along which objective and requirements stay.
         local_optima: all distinct local optima that were found, best first, this one included.
         search: what was looked at, and what was not.

@@ -40,12 +40,15 @@ _FALLS = 0.5
 _FINER = 1.5
 # Above this gap a design by a method with its own setting carries a warning.
 _COARSE = 1e-6
-# Judged values by which a bottom may be above the best and still be optimised, and how many are.
-_CAN_WIN, _MOST_POLISHED = 0.15, 8
-# The same where each takes longer: of more variables than so many, or of runs that are integrated one by one.
-_MOST_OF_MANY, _FEW_VARIABLES = 3, 3
+# Basins that are optimised, the best first.
+_MOST_POLISHED = 8
+# The same where each takes longer, of more variables than so many, with the part by which their judged values may be
+# above the best.
+_MOST_OF_MANY, _FEW_VARIABLES, _CAN_WIN = 3, 3, 0.15
 # Two scaled optima nearer than this are one.
 _SAME = 1e-4
+# An objective below this part of the program's scale is next to nothing, and errors are relative to the scale.
+_SMALL = 0.25
 _NUMBER = re.compile(r"\d[\d.e+-]*")
 
 
@@ -109,7 +112,7 @@ def _searched(
     effort = effort_of(search, len(vary), program.population.runs, landscape.vectorised)
     judged = judgement(landscape, judge)
     explored = Explorer(landscape, start, vary, judged, progress).explored(effort)
-    if not np.any(np.isfinite(explored.sample.merit)):
+    if not len(explored.bottoms.f):
         raise NotConverged(
             f"none of {landscape.tried} designs between the bounds has a value: tighten the bounds, or shorten the"
             " duration",
@@ -122,8 +125,7 @@ def _searched(
         bottoms = landscape.descend(y) if landscape.vectorised else landscape(y[None])
     best = float(bottoms.f[np.argmin(bottoms.merit)]) * landscape.objective_scale
     program.scale_by(best)
-    few = len(vary) <= _FEW_VARIABLES and landscape.vectorised
-    chosen = _that_can_win(judged(bottoms.points), (_MOST_POLISHED if few else _MOST_OF_MANY) * effort.rounds)
+    chosen = _that_can_win(judged(bottoms.points), len(vary) <= _FEW_VARIABLES, effort.rounds)
     program.build(p, starts=list(bottoms.points[chosen]))
     points: list[Point] = []
     for number, k in enumerate(chosen):
@@ -141,11 +143,13 @@ def _searched(
     return explored, points
 
 
-def _that_can_win(judged: Vector, most: int) -> list[int]:
-    """Return which bottoms to optimise: the best, and those that are little worse."""
+def _that_can_win(judged: Vector, few: bool, rounds: int) -> list[int]:
+    """Return which bottoms to optimise: the best, and of many variables only those that are little worse."""
     order = np.argsort(judged, kind="stable")
+    if few:
+        return [int(k) for k in order[: _MOST_POLISHED * rounds]]
     limit = judged[order[0]] + _CAN_WIN * abs(judged[order[0]])
-    return [int(k) for k in order if judged[k] <= limit][:most]
+    return [int(k) for k in order if judged[k] <= limit][: _MOST_OF_MANY * rounds]
 
 
 def _ranked(landscape: Landscape, judge: Judge, points: list[Point]) -> list[Point]:
@@ -236,7 +240,7 @@ def _refined(
 
 def _gap(program: Program, p: Vector, point: Point) -> float:
     exact = float(program.exact_values(point.y, p)[0][0].item())
-    return abs(point.f * program.objective_scale - exact) / max(abs(exact), program.objective_scale)
+    return abs(point.f * program.objective_scale - exact) / max(abs(exact), _SMALL * program.objective_scale)
 
 
 def _report(program: Program, p: Vector, point: Point) -> tuple[LocalOptimum, tuple[str, ...]]:
@@ -257,7 +261,7 @@ def _local_optimum(program: Program, p: Vector, point: Point, name: str, landsca
         variables={v.name: float(x) for v, x in zip(program.declared.variables, values, strict=True)},
         limits=(*_requirements(program, point, found[1:]), *_bounds(program, point, values)),
         gap=_gap(program, p, point),
-        error_estimate=abs(objective - float(check[0].item())) / max(abs(objective), program.objective_scale),
+        error_estimate=abs(objective - float(check[0].item())) / max(abs(objective), _SMALL * program.objective_scale),
         iterations=point.iterations,
         spread=spread(landscape, point.y, objective),
     )

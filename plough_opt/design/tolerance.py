@@ -62,6 +62,8 @@ def judgement(landscape: Landscape, judge: Judge) -> Callable[[Vector], Vector]:
         return landscape(points).merit
 
     def over_tolerances(points: Vector) -> Vector:
+        if not len(points):
+            return np.empty(0)
         f = landscape(boxes(landscape.program.declared.variables, points)).f
         median: Vector = np.median(np.where(np.isnan(f), np.inf, f).reshape(len(points), -1), axis=1)
         return median

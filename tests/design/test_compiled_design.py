@@ -76,7 +76,7 @@ def test_what_is_remembered_of_a_point_is_of_that_point(small):
     for program in (fast, plain):
         program.build(p)
     y = ca.MX.sym("y", 2), ca.MX.sym("p", 1)
-    remembering = [fast.nlp.parts, plain._solver._interpreted(plain.nlp, *y)]
+    remembering = [fast.nlp.parts, plain._now.solver._interpreted(plain.nlp, *y)]
     points = [np.array([0.3, 0.4]), np.array([0.9, 0.1]), np.array([0.5, 0.8])]
     expected = [[np.asarray(result) for result in plain.nlp.slopes.call([point, p])] for point in points]
     rng = np.random.default_rng(7)

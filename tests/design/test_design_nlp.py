@@ -368,14 +368,17 @@ def test_no_run_at_all(built):
 def test_derivatives_stay_finite_where_nothing_moves(small, built):
     case = small(FIXED, effects={})
     case.design.minimise(case.run.mean_draft / 1e3 + case.run.force_rms / 1e3)
-    at = _evaluations(built(case.design), POINT)
+    program = built(case.design)
+    at = _evaluations(program, POINT)
     # Nothing moves: the RMS is zero for every design, and so are its derivatives.
     assert np.all(np.isfinite(at.gradient))
     assert np.all(np.isfinite(at.hessian))
     values = [v.value(y) for v, y in zip(case.design._variables, POINT, strict=True)]
     steady = ca.Function("steady", [case.angle, case.height, case.k0], [case.scene.steady_resistance])
-    scale = abs(float(steady(*(v.guess for v in case.design._variables))))
-    assert at.f == pytest.approx(float(steady(*values)) / scale, rel=1e-13)
+    # Scaled by a power of four beside its size at the guess, in kN.
+    size = abs(float(steady(*(v.guess for v in case.design._variables)))) / 1e3
+    assert 0.5 <= size / program.objective_scale <= 2.0
+    assert at.f * program.objective_scale == pytest.approx(float(steady(*values)) / 1e3, rel=1e-13)
 
 
 # --- the graph taken apart ----------------------------------------------------------------------------------
@@ -458,10 +461,15 @@ def test_automatic_values_agree_with_the_tight_integration(r1, program_of):
         assert found == pytest.approx(float(exact[0].item()), rel=1e-8)
 
 
-def test_bounds_that_need_too_many_steps_are_refused(r1_scene, r1_wave):
+def test_motions_that_need_too_many_steps_are_passed_over_and_refused(r1_scene, r1_wave):
     d = po.Design()
     # 2e5 rad/s for a second at the upper bound, at 0.8 rad a step.
     k0 = d.variable("stiffness", guess=1e4, lower=5e3, upper=1e12, unit="N/m", log=True)
     d.minimise(po.simulate(r1_scene(stiffness=k0, strength_wave=r1_wave), 1.0, outputs=5).mean_draft / 1e3)
-    with pytest.raises(po.DomainError, match=r"oscillates up to .* times in a run, .* tighten the bounds"):
-        d.solve()
+    best = d.solve()
+    assert np.mean(np.isnan(best.search.objective)) > 0.1
+    fast = po.Design()
+    k0 = fast.variable("stiffness", guess=1e11, lower=5e10, upper=1e12, unit="N/m", log=True)
+    fast.minimise(po.simulate(r1_scene(stiffness=k0, strength_wave=r1_wave), 1.0, outputs=5).mean_draft / 1e3)
+    with pytest.raises(po.PloughError, match="shorten"):
+        fast.solve()

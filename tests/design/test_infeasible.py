@@ -142,31 +142,34 @@ def _rosenbrock():
     return d, x, y
 
 
-def test_too_few_iterations_give_no_optimum(monkeypatch):
+def _unconfirmed(d):
+    """Solve a design whose optimum the optimiser cannot confirm."""
+    best = d.solve()
+    assert best.status == "unconfirmed"
+    assert any("did not confirm" in warning for warning in best.warnings)
+    return best
+
+
+def test_too_few_iterations_confirm_no_optimum(monkeypatch):
     monkeypatch.setitem(ipopt.OPTIONS, "ipopt.max_iter", 1)
+    monkeypatch.setitem(ipopt.NEAR, "ipopt.max_iter", 1)
     d, _, _ = _rosenbrock()
-    with pytest.raises(po.NotConverged, match="ran out of iterations") as caught:
-        d.solve()
-    assert caught.value.status == "Maximum_Iterations_Exceeded"
-    assert "x = " in str(caught.value)
+    _unconfirmed(d)
 
 
 def test_too_few_iterations_with_requirements_are_not_called_infeasible(monkeypatch):
     monkeypatch.setitem(ipopt.OPTIONS, "ipopt.max_iter", 1)
     d, x, y = _rosenbrock()
+    monkeypatch.setitem(ipopt.NEAR, "ipopt.max_iter", 1)
     d.require("sum", x + y, at_least=1.0)
-    with pytest.raises(po.NotConverged) as caught:
-        d.solve()
-    assert caught.value.status == "Maximum_Iterations_Exceeded"
+    _unconfirmed(d)
 
 
 def test_an_objective_with_a_kink_never_looks_like_an_optimum():
     d = po.Design()
     x = d.variable("x", guess=0.9, lower=0.0, upper=1.0)
     d.minimise(1.0 + ca.fabs(x - 0.3))
-    with pytest.raises(po.NotConverged, match=r"x = 0\.3") as caught:
-        d.solve()
-    assert caught.value.status == "Maximum_Iterations_Exceeded"
+    assert _unconfirmed(d).variables["x"] == pytest.approx(0.3, abs=1e-5)
 
 
 @pytest.mark.parametrize("size", [1.0, 1e6])
@@ -182,30 +185,28 @@ def test_the_shortfall_of_a_limit_of_zero_is_in_the_requirements_own_unit(size):
     assert caught.value.blockers == ["upper bound 1 of 'x'"]
 
 
-def test_more_equalities_than_variables_are_refused_with_a_remedy():
+def test_more_equalities_than_variables_leave_no_room_to_confirm_an_optimum():
     d = po.Design()
     x = d.variable("x", guess=0.5, lower=0.0, upper=1.0)
     d.minimise(1.0 + x**2)
     d.require("one", x, at_least=0.8, at_most=0.8)
     d.require("same in other words", x + 1.0, at_least=1.8, at_most=1.8)
-    with pytest.raises(po.NotConverged, match="more equalities than variables"):
-        d.solve()
+    assert _unconfirmed(d).variables["x"] == pytest.approx(0.8, abs=1e-6)
 
 
 def test_noise_is_no_optimum():
     d = po.Design()
     x = d.variable("x", guess=0.1, lower=0.0, upper=1.0)
     d.minimise(1.0 + x + 1e-3 * ca.sin(1e7 * x))
-    with pytest.raises(po.NotConverged) as caught:
-        d.solve()
-    assert caught.value.status
-    assert str(caught.value).endswith(ipopt.REMEDIES[caught.value.status])
+    # The noise is 1e-3, and lowest beside 0: whichever of its dips is found, it is not called more than it is.
+    best = d.solve()
+    assert best.objective == pytest.approx(1.0, abs=2e-3)
+    assert best.status in ("solved", "unconfirmed")
 
 
 def test_a_model_that_breaks_between_the_bounds_says_so():
     d = po.Design()
     x = d.variable("x", guess=0.9, lower=0.0, upper=1.0)
     d.minimise(ca.sqrt(x - 0.5) + x)
-    with pytest.raises(po.NotConverged) as caught:
-        d.solve()
-    assert caught.value.status
+    # Below 0.5 there is no value, and at it the slope is infinite.
+    assert _unconfirmed(d).objective == pytest.approx(0.5, abs=5e-2)

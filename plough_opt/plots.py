@@ -8,6 +8,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
+from numpy.typing import NDArray
 
 from plough_opt.design import Optimum
 from plough_opt.design.landscape import FEASIBLE
@@ -37,6 +38,9 @@ __all__ = [
     "save",
 ]
 
+# Panels of the search beside each other.
+_PANELS = 3
+_SURFACE = "#cfd4d8"
 _STEEL, _SOIL, _FORCE, _ACCENT, _MUTED = "#4a5a68", "#b98b5e", "#1f5f8b", "#c0392b", "#8a8a8a"
 
 
@@ -102,19 +106,25 @@ def plot_optimum(best: Optimum, run: Run) -> Figure:
         best: the optimum.
         run: its run of numbers.
     """
-    searched = best.search is not None and len(best.search.objective) > 0
-    figure = Figure(figsize=(12, 9.5), layout="constrained")
-    grid = figure.add_gridspec(3, 2, height_ratios=(1.15, 1.0, 1.0))
-    draw_wedge(figure.add_subplot(grid[0, 0]), run.scene)
-    draw_cone(figure.add_subplot(grid[0, 1]), run.scene)
-    force = figure.add_subplot(grid[1, :])
-    draw_force(force, run)
-    force.set_xlabel("time [s]")
-    deflection = figure.add_subplot(grid[2, 0] if searched else grid[2, :])
-    draw_deflection(deflection, run)
-    deflection.set_xlabel("time [s]")
-    if searched:
-        draw_search(figure.add_subplot(grid[2, 1]), best, len(best.variables) - 1)
+    panels = list(best.variables) if best.search is not None and len(best.search.objective) > 0 else []
+    rows = -(-len(panels) // _PANELS)
+    figure = Figure(figsize=(12, 7.0 + 3.0 * rows), layout="constrained")
+    grid = figure.add_gridspec(2 + rows, 12, height_ratios=(1.15, 1.0, *[0.95] * rows))
+    draw_wedge(figure.add_subplot(grid[0, :6]), run.scene)
+    draw_cone(figure.add_subplot(grid[0, 6:]), run.scene)
+    for draw, columns in ((draw_force, slice(0, 6)), (draw_deflection, slice(6, 12))):
+        axes = figure.add_subplot(grid[1, columns])
+        draw(axes, run)
+        axes.set_xlabel("time [s]")
+        axes.legend(loc="upper right", ncols=2, fontsize="x-small")
+    for row in range(rows):
+        own = panels[_PANELS * row : _PANELS * (row + 1)]
+        width = 12 // len(own)
+        for k in range(len(own)):
+            axes = figure.add_subplot(grid[2 + row, k * width : (k + 1) * width])
+            draw_search(axes, best, _PANELS * row + k)
+            if row == k == 0:
+                figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=5, fontsize="small")
     return figure
 
 
@@ -203,19 +213,46 @@ def draw_speed(axes: Axes, run: Run) -> None:
 
 
 def draw_search(axes: Axes, best: Optimum, variable: int) -> None:
-    """Draw the objective of the designs that a search tried over a variable, with the local optima."""
+    """Draw the objective of the designs that a search tried over a variable, with the local optima and their spread.
+
+    Args:
+        axes: where.
+        best: an optimum whose search tried designs.
+        variable: number of the variable.
+    """
     search, name = best.search, list(best.variables)[variable]
     assert search is not None  # the caller has looked
-    feasible = search.violation <= FEASIBLE
-    axes.plot(search.values[feasible, variable], search.objective[feasible], ".", markersize=2, color=_MUTED,
-              label="designs tried that meet all requirements")  # fmt: skip
+    values, feasible = search.values[:, variable], search.violation <= FEASIBLE
+    for which, color, label in (
+        (np.isfinite(search.objective) & ~feasible, _SURFACE, "tried, fails a requirement"),
+        (feasible, _FORCE, "tried, meets all requirements"),
+    ):
+        if np.any(which):
+            axes.plot(values[which], search.objective[which], ".", markersize=2, color=color, label=label, zorder=1)
     for k, optimum in enumerate(best.local_optima):
-        axes.plot(optimum.variables[name], optimum.objective, "o" if k else "*", markersize=7 if k else 13,
-                  color=_ACCENT, label=None if k > 1 else ("best" if k == 0 else "other local optima"))  # fmt: skip
+        at = optimum.variables[name]
+        if optimum.spread is not None:
+            axes.plot([at, at], [optimum.objective, optimum.spread.worst], color=_ACCENT, linewidth=1.2, zorder=2,
+                      label=None if k else "within the tolerances, up to the worst")  # fmt: skip
+        label = None if k > 1 else ("best" if k == 0 else "other local optima")
+        axes.plot(at, optimum.objective, "o" if k else "*", markersize=6 if k else 13, color=_ACCENT, zorder=3,
+                  markeredgecolor="white", label=label)  # fmt: skip
+    if np.min(values) > 0 and np.max(values) / np.min(values) > 20:
+        axes.set_xscale("log")
+    _show_low_objectives(axes, search.objective[feasible if np.any(feasible) else np.isfinite(search.objective)], best)
     limit = next(limit for limit in best.limits if limit.name == name and limit.kind == "bound")
-    axes.set_xlabel(f"{name} [{limit.unit}]")
-    axes.set_ylabel("objective")
-    axes.legend(loc="upper right", fontsize="small")
+    axes.set_xlabel(f"{name} [{limit.unit}]" if limit.unit else name)
+    if variable % _PANELS == 0:
+        axes.set_ylabel("objective")
+
+
+def _show_low_objectives(axes: Axes, seen: NDArray[np.float64], best: Optimum) -> None:
+    """Leave out of sight what is far above the optima, which would press them into a line."""
+    lows = [optimum.objective for optimum in best.local_optima]
+    low = min([*lows, *seen.tolist()])
+    high = max([*lows, float(np.quantile(seen, 0.75)) if len(seen) else low])
+    room = 0.08 * (high - low) or 0.1 * abs(low) or 1.0
+    axes.set_ylim(low - room, high + room)
 
 
 def _legend_above(axes: Axes) -> None:

@@ -114,6 +114,7 @@ class SavedOptimum(Saved):
     local_optima: tuple[LocalOptimum, ...]
     run: SavedRun
     sensitivities: tuple[Sensitivity, ...] = ()
+    search: str = ""
 
     @classmethod
     def of(cls, best: Optimum, run: Run, title: str, sensitivities: Sequence[Sensitivity] = ()) -> SavedOptimum:
@@ -130,6 +131,7 @@ class SavedOptimum(Saved):
             local_optima=best.local_optima,
             run=SavedRun.of(run, title),
             sensitivities=tuple(sensitivities),
+            search=str(best.search or ""),
         )
 
 

@@ -14,6 +14,7 @@ from plough_opt.cli.front_table import print_front
 from plough_opt.cli.sensitivity_table import print_sensitivities, sensitivities_of
 from plough_opt.cli.terminal import console, printable, progress, read, wrote
 from plough_opt.cli.uncertain import optimise_uncertain
+from plough_opt.design.effort import Search
 from plough_opt.effect_costs import effect_costs
 from plough_opt.errors import InputError
 from plough_opt.files import write_new
@@ -84,7 +85,9 @@ def optimise(options: argparse.Namespace) -> None:
         optimise_uncertain(problem, options)
         return
     with progress() as told:
-        best, run = problem.optimise(told, parameters=options.sensitivity)
+        best, run = problem.optimise(
+            told, parameters=options.sensitivity, search=search_of(options.search), judge=options.judge
+        )
         asked = sensitivities_of(best, told) if options.sensitivity else ()
     if options.json:
         from plough_opt.results import SavedOptimum
@@ -98,6 +101,13 @@ def optimise(options: argparse.Namespace) -> None:
         from plough_opt import plots
 
         wrote(plots.save(plots.plot_optimum(best, run), options.plot))
+
+
+def search_of(text: str) -> Search:
+    """Return what a text of the command line says of a search: a word, a number of designs, a time, or keys."""
+    if text.strip().isdigit():
+        return int(text)
+    return tuple(part.strip() for part in text.split(",")) if "," in text else text
 
 
 def tradeoff(options: argparse.Namespace) -> None:

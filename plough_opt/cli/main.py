@@ -126,6 +126,19 @@ def _parser() -> argparse.ArgumentParser:
             continue
         if name == "optimise":
             verb.add_argument(
+                "--search",
+                metavar="HOW",
+                default="auto",
+                help="auto, thorough (four times as much), near (the guess's basin), a number of designs, a time as"
+                ' "20 s", or keys of variables, with commas (default: auto)',
+            )
+            verb.add_argument(
+                "--judge",
+                choices=("tolerance", "bare"),
+                default="tolerance",
+                help="compare optima by their median within the tolerances, or as they are (default: tolerance)",
+            )
+            verb.add_argument(
                 "--sensitivity",
                 action="store_true",
                 help="print by how many per cent the optimum changes per per cent of every quantity and limit",

@@ -79,6 +79,10 @@ def print_optimum(console: Console, problem: Problem, best: Optimum, run: Run) -
     for direction in best.flat_directions:
         moves = ", ".join(_move(problem, name, change) for name, change in direction.items() if change)
         console.print(f"[yellow]The optimum is not unique:[/] nothing changes along {moves}: fix one of these.")
+    if best.spread is not None:
+        console.print(_spread_text(best))
+    if best.search is not None:
+        console.print(str(best.search))
     trust = (
         f"objective re-integrated tightly: gap {best.gap:.0e}, error estimate {best.error_estimate:.0e};"
         f" {best.seconds:.2f} s"
@@ -251,14 +255,29 @@ def _limits_text(problem: Problem, limit: Limit) -> str:
 
 
 def _optima_table(problem: Problem, best: Optimum) -> Table:
-    table = Table(title="All local optima found")
+    table = Table(title="Local optima found")
     table.add_column("")
     table.add_column("objective", justify="right")
+    judged = all(optimum.spread is not None for optimum in best.local_optima)
+    if judged:
+        table.add_column("as made", justify="right")
     for key in problem.variables:
         table.add_column(key, justify="right")
     for optimum in best.local_optima:
-        table.add_row(optimum.name, f"{optimum.objective:.9g}", *_cells(problem, optimum))
+        made = [f"{optimum.spread.median:.6g}"] if judged and optimum.spread is not None else []
+        table.add_row(optimum.name, f"{optimum.objective:.9g}", *made, *_cells(problem, optimum))
     return table
+
+
+def _spread_text(best: Optimum) -> str:
+    """Return what becomes of the best design within its tolerances."""
+    spread = best.spread
+    assert spread is not None  # the caller has looked
+    kept = f"; {100.0 * spread.kept:.0f} % of the designs keep all requirements" if spread.margins else ""
+    return (
+        f"As it is made, within the tolerances: objective {spread.median:.6g} in the middle of the cases,"
+        f" {spread.worst:.6g} at worst{kept}."
+    )
 
 
 def _cells(problem: Problem, optimum: LocalOptimum) -> list[str]:

@@ -49,6 +49,8 @@ _MOST_OF_MANY, _FEW_VARIABLES, _CAN_WIN = 3, 3, 0.15
 _SAME = 1e-4
 # An objective below this part of the program's scale is next to nothing, and errors are relative to the scale.
 _SMALL = 0.25
+# Mounts whose frequencies differ by less than this part are named as one, and of more than so many the first.
+_ONE_MOUNT, _MOST_MOUNTS = 0.02, 4
 _NUMBER = re.compile(r"\d[\d.e+-]*")
 
 
@@ -339,19 +341,39 @@ def _alike_once(sentences: Sequence[str]) -> list[str]:
 
 
 def _names(program: Program, scenes: Sequence[Sequence[Scene]]) -> list[str]:
-    """Return a name for each optimum: under a strength wave its branch, soft or stiff beside the resonance.
+    """Return a name for each optimum, no two alike: under a strength wave its branch, soft or stiff beside resonance.
 
     Args:
         program: the design's program.
         scenes: for each optimum, the scenes of its runs.
     """
+    mounts = _mounts(program, scenes)
+    names = [
+        "; ".join(
+            f"{f'mount {number + 1}: ' if len(mounts) > 1 else ''}{branch} branch, {ratio:.2f} of the wave's frequency"
+            for number, (branch, ratio) in enumerate(own)
+        )
+        for own in zip(*mounts, strict=True)
+    ]
+    if not names:
+        return ["optimum"] if len(scenes) == 1 else [f"optimum {k + 1}" for k in range(len(scenes))]
+    return [name if names.count(name) == 1 else f"{name} ({names[:k].count(name) + 1})" for k, name in enumerate(names)]
+
+
+def _mounts(program: Program, scenes: Sequence[Sequence[Scene]]) -> list[list[tuple[str, float]]]:
+    """Return for each mount under a wave that differs from the others, of each optimum, its branch and frequency ratio.
+
+    Many samples of one share's soil have mounts that hardly differ; the first stands for them.
+    """
+    found: list[list[tuple[str, float]]] = []
     for k, run in enumerate(program.exact.runs):
         if not run.integration.structure.wave or not all(own[k].branch for own in scenes):
             continue
         ratios = [float(own[k].natural_frequency / own[k].wave_frequency) for own in scenes]
-        branches = [own[k].branch for own in scenes]
-        return [f"{b} branch, {r:.2f} of the wave's frequency" for b, r in zip(branches, ratios, strict=True)]
-    return ["optimum"] if len(scenes) == 1 else [f"optimum {k + 1}" for k in range(len(scenes))]
+        mount = [(str(own[k].branch), ratio) for own, ratio in zip(scenes, ratios, strict=True)]
+        if not any(np.allclose(ratios, [ratio for _, ratio in other], rtol=_ONE_MOUNT) for other in found):
+            found.append(mount)
+    return found if len(found) <= _MOST_MOUNTS else found[:1]
 
 
 def _in_units(program: Program, point: Point, direction: Vector) -> dict[str, float]:

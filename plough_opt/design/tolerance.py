@@ -30,12 +30,13 @@ class Spread:
     """What becomes of a design within its tolerances, from a sample of `BOX_DESIGNS` designs.
 
     Attributes:
-        median: of the objective; infinite where half of the designs have no value.
-        worst: largest objective.
+        median: of the objective, over the designs that have a value.
+        worst: largest objective of them.
         margins: least margin of each requirement, positive inside, in its unit.
         kept: part of the designs that meets all requirements. Where two limits decide a design it is about a tenth: a
             design that shall keep its limits as made needs a margin.
-        needle: whether the median lies more than 5 % of the objective above the design's own.
+        needle: whether the median lies more than 5 % of the objective above the design's own, or half of the designs
+            have no value.
     """
 
     median: float
@@ -83,9 +84,10 @@ def spread(landscape: Landscape, y: Vector, objective: float) -> Spread | None:
         return None
     program = landscape.program
     f, g = landscape.rows(boxes(program.declared.variables, y[None]))
-    values = np.where(np.isfinite(f), f, np.inf) * landscape.objective_scale
+    sound = np.isfinite(f)
+    values = f[sound] * landscape.objective_scale if np.any(sound) else np.array([objective])
     median = float(np.median(values))
-    margins = np.minimum(g - program.low, program.high - g)
+    margins = np.minimum(g - program.low, program.high - g)[sound] if np.any(sound) else np.zeros((1, len(program.low)))
     least = np.array([margins[:, np.array(program.owner) == k].min() for k in range(len(program.scales))])
     return Spread(
         median=median,
@@ -95,7 +97,7 @@ def spread(landscape: Landscape, y: Vector, objective: float) -> Spread | None:
             for r, margin, scale in zip(program.declared.requirements, least, program.scales, strict=True)
         },
         kept=float(np.mean(landscape.violations(g).sum(axis=1) <= FEASIBLE)),
-        needle=median - objective > NEEDLE * abs(objective),
+        needle=median - objective > NEEDLE * abs(objective) or 2 * np.sum(sound) < len(sound),
     )
 
 

@@ -9,6 +9,8 @@ from typing import Literal
 from plough_opt.accuracy import Accuracy
 from plough_opt.component import Component, Input, build
 from plough_opt.design import Design, Optimum, Progress
+from plough_opt.design.effort import Search
+from plough_opt.design.tolerance import Judge
 from plough_opt.domain import check_domain
 from plough_opt.effects import Effects, HarmonicBalance, Smooth, StickSlip, StrengthWave
 from plough_opt.errors import InputError
@@ -229,10 +231,17 @@ class Problem:
         every = {**own, **self.fixed}
         return {key: float(x) for key, x in every.items() if x is not None and key not in self.variables}
 
-    def optimise(self, progress: Progress | None = None, *, parameters: bool = False) -> tuple[Optimum, Run]:
-        """Return the optimum and its run of numbers; with ``parameters`` as in `design`."""
+    def optimise(
+        self,
+        progress: Progress | None = None,
+        *,
+        parameters: bool = False,
+        search: Search = "auto",
+        judge: Judge = "tolerance",
+    ) -> tuple[Optimum, Run]:
+        """Return the optimum and its run of numbers: see `design` for ``parameters``, `Design.solve` for the rest."""
         design, run = self.design(parameters=parameters)
-        best = design.solve(progress=progress)
+        best = design.solve(search=search, judge=judge, progress=progress)
         return best, best(run)
 
     def trade_off(self, points: int | None = None, progress: Progress | None = None) -> TradeOff:

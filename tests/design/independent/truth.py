@@ -224,6 +224,14 @@ def _once(lockstep, y, kept, owner, slack, scale, question, away):
     return np.clip(np.where(np.isfinite(done.x), done.x, first), low, high)[:n]
 
 
+def finished(problem, y, question=_OBJECTIVE):
+    """Return designs and where they are polished to with fine steps, from further away and from near."""
+    everything = y
+    for reach in (0.1, 0.02, 0.003):
+        everything = np.vstack([everything, polished(problem, everything, question=question, reach=reach, phase=_FINE)])
+    return everything
+
+
 def optima(problem, seed=0, *, question=_OBJECTIVE, extra=(), thrifty=False):
     """Return distinct good designs, best first: that keep the requirements that must be kept.
 
@@ -251,8 +259,7 @@ def optima(problem, seed=0, *, question=_OBJECTIVE, extra=(), thrifty=False):
     everything = np.vstack([*ends, near, everything[np.argsort(values, kind="stable")[:50]]])
     values = question.worth(evaluate(problem, everything, simulate=fast.simulate, phase=_GOOD))
     order = np.argsort(values, kind="stable")
-    last = polished(problem, everything[order[:6]], question=question, reach=0.003, phase=_FINE)
-    everything = np.vstack([last, everything[order[:200]]])
+    everything = np.vstack([finished(problem, everything[order[:6]], question), everything[order[:200]]])
     values = question.worth(evaluate(problem, everything, simulate=fast.simulate, phase=_FINE))
     kept = []
     for k in np.argsort(values, kind="stable"):

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from plough_opt.errors import DomainError, InputError
+from plough_opt.errors import DomainError, InputError, short, unprintable
 from plough_opt.expressions import Expression, as_number, holds_several, is_casadi, is_symbolic
 
 # Numbers of fewer bytes overflow, or have three digits.
@@ -81,6 +81,40 @@ def _check_kind(name: str, value: Expression, unit: str) -> None:
         raise DomainError(f"{name} = {value!r} must be a number, in {unit or 'no unit'}")
     if kind.itemsize < _LEAST_BYTES:
         raise DomainError(f"{name} is of type {kind}, in which squares and cubes overflow: give it as float")
+
+
+def plain_number(what: str, value: Any) -> float:
+    """Return a number as a float.
+
+    Args:
+        what: what the value is, as the user calls it.
+        value: a number, an array or CasADi matrix of one, and no text, switch or expression.
+
+    Raises:
+        InputError: not a number, or one that is not finite.
+    """
+    try:
+        if isinstance(value, str | bytes | bool | np.bool_) or (isinstance(value, np.ndarray) and value.ndim > 0):
+            raise TypeError
+        number = float(value)
+    except (TypeError, ValueError, RuntimeError):  # the last is CasADi's of a column or a symbol
+        text = f"{what}: {short(repr(value))} is not a number (in SI units; po.deg converts degrees)"
+        raise InputError(text) from None
+    except OverflowError:
+        number = math.inf
+    if not math.isfinite(number):
+        raise InputError(f"{what}: {short(str(value))} must be a finite number")
+    return number
+
+
+def check_text(what: str, value: Any) -> None:
+    """Refuse what is no text, or holds characters that cannot be printed.
+
+    Raises:
+        InputError: as said.
+    """
+    if not isinstance(value, str) or unprintable(value, allowed=""):
+        raise InputError(f"{what} = {short(repr(value))} must be a text that can be printed")
 
 
 def check_single(what: str, values: Any) -> None:

@@ -75,12 +75,21 @@ def quantity_of(scene: Scene, name: str) -> Expression:
         InputError: an unknown name, or a quantity that the scene does not have.
     """
     if name not in QUANTITIES:
-        raise InputError(f"no quantity is named '{name}': {nearest(name, QUANTITIES)}")
-    value: Any = scene
-    for attribute in QUANTITIES[name].path:
-        value = getattr(value, attribute, None)
+        raise InputError(f"a scene has no quantity '{name}': {nearest(name, QUANTITIES)}")
+    value = _at(scene, QUANTITIES[name].path)
     if value is None:
         raise InputError(f"the scene has no '{name}': give it one, or leave the name out")
+    return value
+
+
+def quantities_of(scene: Scene) -> dict[str, Expression | None]:
+    """Return a scene's quantities by name, None for those that it does not have."""
+    return {name: _at(scene, quantity.path) for name, quantity in QUANTITIES.items()}
+
+
+def _at(value: Any, path: tuple[str, ...]) -> Any:
+    for attribute in path:
+        value = getattr(value, attribute, None)
     return value
 
 

@@ -1,6 +1,7 @@
 """What is no number, or no number that a formula holds for, is refused by name and never computed with."""
 
 import dataclasses
+import math
 import pickle
 from importlib.resources import files
 
@@ -181,3 +182,109 @@ def test_the_message_of_an_error_is_a_sentence():
 
 def test_type_checkers_are_told_that_there_are_types():
     assert (files("plough_opt") / "py.typed").is_file()
+
+
+# --- arguments of verbs ---
+
+
+def _design():
+    d = po.Design()
+    angle, speed = d.variable("angle", guess=0.5, lower=0.3, upper=0.8, unit="rad"), d.parameter("speed", 2.0)
+    scene = po.Scene(SOIL, po.Wedge(angle, 0.26, 0.25), 5e4, 45.0, speed, po.Effects(motion=False))
+    d.minimise(po.simulate(scene, 1.0).mean_draft / 1e3)
+    d.require("radius", scene.loosened_radius, at_least=0.05, unit="m")
+    return d, scene
+
+
+def _component(**changes):
+    scene = po.Scene(SOIL, po.Wedge(0.5, 0.26, 0.25), 5e4, 45.0, 2.0, po.Effects(motion=False))
+    options = {"duration": 1.0, "inputs": ["share.height"], "outputs": ["mean_draft"]} | changes
+    return po.component(scene, options.pop("duration"), **options)
+
+
+def _traded(**changes):
+    d, scene = _design()
+    radius = po.Goal("radius of it", scene.loosened_radius, maximise=True)
+    return po.trade_off(d, po.simulate(scene, 1.0).mean_draft, radius, **changes)
+
+
+SYMBOL = ca.MX.sym("x")
+NO_NUMBER = ("3", None, [1.0], {}, 1j, b"3", object(), np.array([1.0, 2.0]), SYMBOL, True)
+NO_COUNT = ("3", 2.5, 64.0, None, [], 0, -1, 1j, object(), np.array([1.0, 2.0]), SYMBOL, True)
+NO_FINITE = (math.nan, math.inf, 10**400)
+VERBS = {
+    "component samples": (lambda wrong: _component(samples=wrong), NO_COUNT),
+    "component duration": (lambda wrong: _component(duration=wrong), ("3", [], np.array([1.0, 2.0]), 1j)),
+    "component steel": (lambda wrong: _component(steel_density=wrong), ("3", [], np.array([1.0, 2.0]), 1j, SYMBOL)),
+    "component accuracy": (lambda wrong: _component(accuracy=wrong), ("3", 1e-6, [], True, SYMBOL)),
+    "component name": (lambda wrong: _component(name=wrong), (None, 3, [], SYMBOL, b"x", "two words")),
+    "component inputs": (lambda wrong: _component(inputs=wrong), (None, 3, 1.5, SYMBOL, object(), [3])),
+    "component outputs": (lambda wrong: _component(outputs=wrong), (None, 3, 1.5, SYMBOL, object(), [3])),
+    "limit of an output": (lambda wrong: po.Output("mean_draft", lower=wrong), (*NO_NUMBER, math.nan, 10**400)),
+    "solve parameters": (lambda wrong: _design()[0].solve(parameters=wrong), (3, "speed", [2.0], SYMBOL)),
+    "value of a parameter": (
+        lambda wrong: _design()[0].solve(parameters={"speed": wrong}), (*NO_NUMBER, *NO_FINITE),
+    ),
+    "trade-off's parameters": (lambda wrong: _traded(parameters={"speed": wrong}), (*NO_NUMBER, *NO_FINITE)),
+    "guess": (lambda wrong: po.Design().variable("a", guess=wrong, lower=0.0, upper=1.0), (*NO_NUMBER, *NO_FINITE)),
+    "unit": (lambda wrong: po.Design().parameter("a", 1.0, unit=wrong), (None, 3, b"m", object(), "\x1b[31m")),
+    "name": (lambda wrong: po.Design().parameter(wrong, 1.0), (None, 3, b"m", "", " ", "\x01")),
+    "limit": (lambda wrong: _design()[0].require("z", SYMBOL, at_least=wrong), ("3", [1.0], 1j, SYMBOL, *NO_FINITE)),
+    "level of a CVaR": (lambda wrong: po.uncertainty.cvar([1.0, 2.0], wrong), (*NO_NUMBER, *NO_FINITE, 1.0, -0.1)),
+    "width": (lambda wrong: po.uncertainty.cvar([1.0, 2.0], 0.5, width=wrong), (*NO_NUMBER, *NO_FINITE, -1.0)),
+    "level of a quantile": (lambda wrong: po.uncertainty.quantile([1.0, 2.0], wrong), (*NO_NUMBER, *NO_FINITE, 0.0)),
+    "kappa": (lambda wrong: po.uncertainty.mean_plus([1.0, 2.0], wrong), (*NO_NUMBER, *NO_FINITE)),
+    "samples of a measure": (lambda wrong: po.uncertainty.expected(wrong), ("a", [None, "x"], [], [10**400])),
+    "fresh samples": (lambda wrong: po.uncertainty.verify(None, {}, samples=wrong), (*NO_COUNT, 99)),
+    "samples of Sobol": (lambda wrong: po.uncertainty.sobol_indices(_Alone, {}, samples=wrong), (*NO_COUNT, 1, 65)),
+    "end of a range": (lambda wrong: po.Range(wrong, 2.0), (*NO_NUMBER, *NO_FINITE)),
+}  # fmt: skip
+
+
+class _Alone:
+    """In the place of results, which are looked at only after the samples."""
+
+    field = None
+
+
+@pytest.mark.parametrize("verb", VERBS)
+def test_arguments_of_another_kind_are_refused(verb):
+    call, wrongs = VERBS[verb]
+    for wrong in wrongs:
+        with pytest.raises((po.InputError, po.DomainError)):
+            call(wrong)
+
+
+# --- names ---
+
+
+def test_variables_parameters_and_requirements_have_names_of_their_own():
+    kinds = {
+        "variable": lambda d: d.variable("x", guess=0.5, lower=0.0, upper=1.0),
+        "parameter": lambda d: d.parameter("x", 1.0),
+        "requirement": lambda d: d.require("x", SYMBOL, at_most=1.0),
+    }
+    for first in kinds.values():
+        for second in kinds.values():
+            d = po.Design()
+            first(d)
+            with pytest.raises(po.InputError, match="'x' is declared already"):
+                second(d)
+
+
+def test_an_input_is_given_once():
+    made = _component()
+    assert made(share_height=0.2) == made(**{"share.height": 0.2})
+    with pytest.raises(po.InputError, match=r"'share.height' is given twice, as 'share_height' too"):
+        made(**{"share.height": 0.2, "share_height": 0.3})
+
+
+def test_a_requirement_may_have_the_name_of_the_fronts_own():
+    """Its margins and its violation are those of any other."""
+    d, scene = _design()
+    d.require("position on the front", scene.cone.half_angle, at_most=0.3, unit="rad")
+    draft = po.simulate(scene, 1.0).mean_draft
+    front = po.trade_off(d, draft, po.Goal("r", scene.loosened_radius, maximise=True), points=5, search="local")
+    for point in front.points:
+        angle = po.Wedge(point.variables["angle"], 0.26, 0.25).equivalent_cone().half_angle
+        assert point.margins["position on the front"] == pytest.approx(0.3 - angle, abs=1e-12)

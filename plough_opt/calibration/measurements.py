@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from plough_opt.errors import InputError, nearest
 from plough_opt.problem_file.measures import MEASURES
-from plough_opt.problem_file.schema import quantities
+from plough_opt.problem_file.schema import every_quantity
 from plough_opt.problem_file.units import Unit
 
 Vector = NDArray[np.float64]
@@ -26,7 +26,7 @@ RESULTS: Final = ("mean_draft", RECORD, "force_rms", "mean_deflection", "displac
 
 def result_unit(name: str) -> Unit:
     """Return the SI unit of a result, or of a quantity that is measured on its own."""
-    return MEASURES[name].unit if name in RESULTS else quantities()[name]
+    return MEASURES[name].unit if name in RESULTS else every_quantity()[name]
 
 
 @dataclass(frozen=True)
@@ -100,7 +100,7 @@ class Measurements:
         return {key: float(column[number]) for key, column in self.conditions.items()}
 
     def _check_names(self, conditions: Mapping[str, Any]) -> None:
-        known = quantities()
+        known = every_quantity()
         if self.result not in RESULTS and self.result not in known:
             raise InputError(f"{self.name}: '{self.result}' is no measured result: {nearest(self.result, RESULTS)}")
         for key in conditions:

@@ -14,7 +14,7 @@ from scipy import stats
 
 from plough_opt.calibration.parts import Row
 from plough_opt.picture_files import COLOURS
-from plough_opt.problem_file.schema import quantities
+from plough_opt.problem_file.schema import every_quantity
 
 Vector = NDArray[np.float64]
 
@@ -129,5 +129,5 @@ def _varied(rows: Sequence[Row]) -> tuple[Sequence[Row], list[float], str]:
 
 
 def _unit(name: str) -> tuple[str, float]:
-    symbol = quantities()[name].symbol
+    symbol = every_quantity()[name].symbol
     return _CUSTOMARY.get(symbol, (symbol, 1.0))

@@ -80,9 +80,14 @@ class Calibration:
         title: str = "",
     ) -> None:
         """Take the arguments of `calibrate`, check them and build the model."""
-        self.measured = (data,) if isinstance(data, Measurements) else tuple(data)
+        several = data if isinstance(data, Sequence) else ()
+        self.measured = (data,) if isinstance(data, Measurements) else tuple(several)
         if not self.measured or not all(isinstance(m, Measurements) for m in self.measured):
             raise InputError("the data must be Measurements, one set or several: po.read_measurements reads a file")
+        if not any(np.any(m.values) for m in self.measured):
+            raise InputError(
+                f"{self.measured[0].name}: every measured value is 0, of which no soil follows: check the column"
+            )
         if not is_count(starts) or starts > 16:
             raise InputError(f"starts = {starts!r} must be a whole number from 1 to 16")
         self.loss, self.starts = loss_of(loss), starts

@@ -10,7 +10,7 @@ from typing import Any, Final
 from plough_opt.domain import check_domain
 from plough_opt.errors import InputError, nearest
 from plough_opt.expressions import Expression, exp
-from plough_opt.problem_file.schema import quantities
+from plough_opt.problem_file.schema import every_quantity
 
 _CUSTOMARY: Final = {"rad": ("deg", math.pi / 180.0), "Pa": ("kPa", 1e3), "N": ("kN", 1e3), "N/m": ("kN/m", 1e3)}
 # Bounds further apart than by this factor are scaled logarithmically.
@@ -78,7 +78,7 @@ def unknowns_of(given: Mapping[str, Any], current: Mapping[str, float]) -> tuple
 
 
 def _unknown(name: str, bounds: Any, current: float | None) -> Unknown:
-    units = quantities()
+    units = every_quantity()
     if name not in units:
         raise InputError(f"'{name}' cannot be an unknown: {nearest(name, units)}")
     if isinstance(bounds, str) or not isinstance(bounds, Sequence) or len(bounds) not in (2, 3):

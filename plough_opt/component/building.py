@@ -13,9 +13,9 @@ from plough_opt.component.box import Box, Make
 from plough_opt.component.function import Component
 from plough_opt.component.graph import graph
 from plough_opt.component.ports import Input, Output, Port, check_names, measure_of, port_of
-from plough_opt.domain import check_domain
+from plough_opt.domain import check_domain, check_single, plain_number
 from plough_opt.errors import DomainError, InputError, nearest
-from plough_opt.expressions import Expression, as_number, holds_casadi, is_symbolic, map_expressions
+from plough_opt.expressions import Expression, as_number, holds_casadi, is_count, is_symbolic, map_expressions
 from plough_opt.scene import Scene
 from plough_opt.vocabulary import BESIDE, QUANTITIES, Quantity, quantity_of, with_quantities
 
@@ -56,7 +56,9 @@ def component(
             says why.
         DomainError: bounds outside the model's domain.
     """
-    base = _Base(scene, duration, steel_density)
+    check_single("a component", (scene, duration))
+    steel = None if steel_density is None else plain_number("steel_density", steel_density)
+    base = _Base(scene, duration, steel)
     asked = _several(inputs, Input)
     check_names("input", [one.name for one in asked])
     ports = [_own_port(one) if one.symbol is not None else _port(one, base) for one in asked]
@@ -85,19 +87,21 @@ def build(
         name: the Function's name.
         notes: warnings beside those of the scenes.
     """
-    if not ca.Function.check_name(name):
+    if not isinstance(name, str) or not ca.Function.check_name(name):
         raise InputError(f"name = {name!r} cannot be that of a CasADi Function: take letters, digits and underscores")
     wanted = _several(outputs, Output)
     check_names("output", [one.name for one in wanted])
     check_names("input or output", [*(port.name for port in inputs), *(one.name for one in wanted)])
-    accuracy = accuracy or Accuracy()
+    accuracy = Accuracy() if accuracy is None else accuracy
+    if not isinstance(accuracy, Accuracy):
+        raise InputError(f"accuracy = {accuracy!r} must be a po.Accuracy(...)")
     if accuracy.method not in ORDER_8:
         raise InputError(
             f"accuracy method '{accuracy.method}' cannot be part of a component, which holds its steps as a plain"
             " graph: take 'auto', or 'dop853' with a number of steps"
         )
-    if samples < 1:
-        raise InputError(f"samples = {samples} must be at least 1: the number of intervals between output times")
+    if not is_count(samples):
+        raise InputError(f"samples = {samples!r} must be a whole number from 1 on: intervals between output times")
     box = Box(tuple(inputs), make, name)
     measures = [measure_of(one, box.scene.medium) for one in wanted]
     results = [of for _, of in measures]
@@ -128,6 +132,9 @@ def _largest(port: Port, values: ca.DM) -> float:
 
 def _several(asked: Any, kind: type[_T]) -> list[_T]:
     """Return what is asked for; a name alone is one, and not its letters."""
+    if not isinstance(asked, str | Sequence):
+        word = kind.__name__
+        raise InputError(f"{word.lower()}s = {asked!r} must be a list of names, or of po.{word}(name, ...)")
     found = [kind(one) if isinstance(one, str) else one for one in ([asked] if isinstance(asked, str) else asked)]
     for one in found:
         if not isinstance(one, kind):

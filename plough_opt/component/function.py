@@ -93,6 +93,9 @@ class Component(ca.Function):
                 raise InputError(
                     f"'{self.name()}' has no input '{name}': {nearest(name, [p.name for p in self.inputs])}"
                 )
+        for port in self.inputs:
+            if port.name != port.argument and {port.name, port.argument} <= {*named}:
+                raise InputError(f"'{port.name}' is given twice, as '{port.argument}' too: leave one of the two out")
         return [named.get(p.name, named.get(p.argument, p.value)) for p in self.inputs]
 
     def _number(self, port: Port, value: Expression) -> float:

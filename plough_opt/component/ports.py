@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from plough_opt.domain import check_domain
+from plough_opt.domain import check_domain, plain_number
 from plough_opt.errors import InputError, nearest, unprintable
 from plough_opt.expressions import Expression
 from plough_opt.motion import Run
@@ -71,6 +71,10 @@ class Output:
     unit: str | None = None
 
     def __post_init__(self) -> None:
+        for side in ("lower", "upper"):
+            limit = getattr(self, side)
+            if not (isinstance(limit, float) and math.isinf(limit)):  # there is none
+                object.__setattr__(self, side, plain_number(f"'{self.name}': {side}", limit))
         if not self.lower <= self.upper:
             raise InputError(
                 f"the limits of '{self.name}' contradict each other: {self.lower:g} is above {self.upper:g}"

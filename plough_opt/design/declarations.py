@@ -138,9 +138,6 @@ class Requirement:
             raise InputError(f"{text} has no value to limit: its expression is empty")
         if self.at_least is None and self.at_most is None:
             raise InputError(f"{text} has no limit: give at_least, at_most or both")
-        for side, limit in (("at_least", self.at_least), ("at_most", self.at_most)):
-            if limit is not None and not math.isfinite(limit):
-                raise InputError(f"{text}: {side} = {limit} must be a finite number")
         if self.at_least is not None and self.at_most is not None and self.at_least > self.at_most:
             raise InputError(
                 f"{text}: its limits contradict each other: at least {in_words(self.at_least, self.unit)} is above"

@@ -16,7 +16,8 @@ from plough_opt.design.optimum import Optimum
 from plough_opt.design.program import Declarations, Program
 from plough_opt.design.solving import solve_program
 from plough_opt.design.tolerance import Judge
-from plough_opt.errors import InputError, nearest
+from plough_opt.domain import check_text, plain_number
+from plough_opt.errors import InputError, nearest, short, unprintable
 from plough_opt.expressions import Expression, is_casadi
 
 
@@ -70,8 +71,9 @@ class Design:
                 guess.
         """
         self._refuse_again(name)
+        check_text(f"unit of '{name}'", unit)
         symbol = ca.MX.sym(name)
-        at, low, high = (_number(f"variable '{name}'", value) for value in (guess, lower, upper))
+        at, low, high = (plain_number(f"variable '{name}'", value) for value in (guess, lower, upper))
         self._variables.append(Variable(name, symbol, at, low, high, unit, log, tolerance))
         self._program = None
         return symbol
@@ -83,8 +85,9 @@ class Design:
             InputError: a value that is not finite, or a name declared before.
         """
         self._refuse_again(name)
+        check_text(f"unit of '{name}'", unit)
         symbol = ca.MX.sym(name)
-        self._parameters.append(Parameter(name, symbol, _number(f"parameter '{name}'", value), unit))
+        self._parameters.append(Parameter(name, symbol, plain_number(f"parameter '{name}'", value), unit))
         self._program = None
         return symbol
 
@@ -121,11 +124,10 @@ class Design:
             InputError: no limit, or one that is no number, limits that contradict each other, no name, or one used
                 before.
         """
-        _check_name(name)
-        if name in [item.name for item in self._requirements] + [item.name for item in self._variables]:
-            raise InputError(f"a requirement or variable named '{name}' exists already: give each its own name")
+        self._refuse_again(name)
+        check_text(f"unit of '{name}'", unit)
         least, most = (
-            None if limit is None else _as_float(f"requirement '{name}': {side}", limit)
+            None if limit is None else plain_number(f"requirement '{name}': {side}", limit)
             for side, limit in (("at_least", at_least), ("at_most", at_most))
         )
         self._requirements.append(Requirement(name, _expression(f"'{name}'", expression), least, most, unit))
@@ -168,7 +170,7 @@ class Design:
         started = time.perf_counter()
         if judge not in ("tolerance", "bare"):
             raise InputError(f"judge = {judge!r} must be 'tolerance' or 'bare'")
-        values = self._parameter_values(parameters or {})
+        values = self._parameter_values({} if parameters is None else parameters)
         declared = self.declared
         if self._program is None or self._program.compiled != compiled:
             self._program = Program(declared, compiled=compiled)
@@ -189,15 +191,18 @@ class Design:
 
     def _refuse_again(self, name: str) -> None:
         _check_name(name)
-        if name in [v.name for v in self._variables] + [p.name for p in self._parameters]:
-            raise InputError(f"'{name}' is declared already: give each variable and parameter its own name")
+        taken = [*(v.name for v in self._variables), *(p.name for p in self._parameters)]
+        if name in [*taken, *(r.name for r in self._requirements)]:
+            raise InputError(f"'{name}' is declared already: give each variable, parameter and limit a name of its own")
 
     def _parameter_values(self, changed: Mapping[str, float]) -> np.ndarray:
         names = [p.name for p in self._parameters]
+        if not isinstance(changed, Mapping):
+            raise InputError(f"parameters = {short(repr(changed))} must be a dictionary: name -> value")
         for name in changed:
             if name not in names:
                 raise InputError(f"'{name}' is no parameter of this design: {nearest(name, names)}")
-        return np.array([_number(f"parameter '{p.name}'", changed.get(p.name, p.value)) for p in self._parameters])
+        return np.array([plain_number(f"parameter '{p.name}'", changed.get(p.name, p.value)) for p in self._parameters])
 
 
 def _silent(_stage: str, _fraction: float) -> None:
@@ -206,26 +211,8 @@ def _silent(_stage: str, _fraction: float) -> None:
 
 def _check_name(name: Any) -> None:
     """Refuse what reports could not call anything by."""
-    if not isinstance(name, str) or not name.strip():
-        raise InputError(f"name = {name!r} must be a text that says what it is, as 'share height'")
-
-
-def _as_float(what: str, value: Any) -> float:
-    """Return a value, and no text or array, as a float."""
-    try:
-        if isinstance(value, str | bytes) or (isinstance(value, np.ndarray) and value.ndim > 0):
-            raise TypeError
-        return float(value)
-    except (TypeError, ValueError, RuntimeError):  # the last is CasADi's of a column or a symbol
-        raise InputError(f"{what}: {value!r} is not a number (in SI units; po.deg converts degrees)") from None
-
-
-def _number(what: str, value: Any) -> float:
-    """Return a value as a finite float."""
-    number = _as_float(what, value)
-    if not np.isfinite(number):
-        raise InputError(f"{what}: {value} must be a finite number")
-    return number
+    if not isinstance(name, str) or not name.strip() or unprintable(name, allowed=""):
+        raise InputError(f"name = {short(repr(name))} must be a text that says what it is, as 'share height'")
 
 
 def _expression(what: str, value: Expression) -> ca.MX:
@@ -236,5 +223,5 @@ def _expression(what: str, value: Expression) -> ca.MX:
         return ca.vec(ca.MX(value))
     try:
         return ca.MX(ca.DM(np.atleast_1d(np.asarray(value, dtype=float))))
-    except (TypeError, ValueError):
-        raise InputError(f"{what}: {value!r} is neither an expression nor a number") from None
+    except (TypeError, ValueError, OverflowError):
+        raise InputError(f"{what}: {short(repr(value))} is neither an expression nor a number") from None

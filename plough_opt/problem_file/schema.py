@@ -10,6 +10,7 @@ from pydantic import BaseModel, ConfigDict, Field, StrictBool, StrictFloat, Stri
 from plough_opt.effects import MOST_HARMONICS, Effects, HarmonicBalance
 from plough_opt.problem_file.units import Unit
 from plough_opt.scene import Scene
+from plough_opt.vocabulary import QUANTITIES
 
 Length = Annotated[float, Unit("m")]
 Angle = Annotated[float, Unit("rad")]
@@ -156,6 +157,11 @@ def unit_of(annotation: Any) -> Unit | None:
     if isinstance(annotation, Unit):
         return annotation
     return next((unit for part in typing.get_args(annotation) if (unit := unit_of(part))), None)
+
+
+def every_quantity() -> dict[str, Unit]:
+    """Return every quantity of a scene by its one name: those of files, and what scenes of Python's alone have."""
+    return {**quantities(), **{name: Unit(quantity.unit) for name, quantity in QUANTITIES.items()}}
 
 
 def quantities() -> dict[str, Unit]:

@@ -9,6 +9,7 @@ from typing import Final
 
 import numpy as np
 
+from plough_opt.domain import plain_number
 from plough_opt.errors import InputError
 from plough_opt.expressions import is_count
 
@@ -37,8 +38,7 @@ class Range:
 
     def __post_init__(self) -> None:
         for end in (self.lower, self.upper):
-            if isinstance(end, bool) or not isinstance(end, int | float | np.number) or not math.isfinite(end):
-                raise InputError(f"the end {end!r} of a range must be a finite number")
+            plain_number("the end of a range", end)
         for side in ("lower", "upper"):
             # 1, 1.0 and NumPy's 1.0 are the same question.
             object.__setattr__(self, side, float(getattr(self, side)))

@@ -9,7 +9,7 @@ import numpy as np
 
 from plough_opt.design.ipopt import PULLS, Vector, decides
 from plough_opt.scene import Scene
-from plough_opt.tradeoff.program import POSITION, FrontProgram
+from plough_opt.tradeoff.program import FrontProgram
 from plough_opt.tradeoff.samples import Sample
 
 # Scaled by objective and limits: residuals above are no optimum, violations above no design.
@@ -75,9 +75,8 @@ def certify(front: FrontProgram, sample: Sample, signs: Vector) -> FrontPoint:
     program, point = front.program, sample.point
     scaled, found = front.exact(point.y)
     margins, violation, active = {}, 0.0, []
-    for k, (r, value) in enumerate(zip(program.declared.requirements, found, strict=True)):
-        if r.name == POSITION:
-            continue
+    own_requirements = program.declared.requirements[:-1]  # the last one is the position on the front
+    for k, (r, value) in enumerate(zip(own_requirements, found[:-1], strict=True)):
         margin = r.margin(value.ravel())
         pull = float(np.max(np.abs(point.lam_g[np.array(program.owner) == k])))
         margins[r.name] = margin

@@ -27,7 +27,7 @@ from plough_opt.scene import Scene
 from plough_opt.tradeoff.goal import Goal
 from plough_opt.tradeoff.level import Level
 
-POSITION = "position on the front"
+_POSITION = "position on the front"
 _FINER = 1.5
 # Multipliers below this pull at nothing.
 _PULLS = 1e-6
@@ -79,7 +79,7 @@ class FrontProgram:
                 declared,
                 parameters=(*self.own_parameters, *(Parameter(symbol.name(), symbol, 0.0, "") for symbol in extra)),
                 objective=weights[0] + ca.dot(ca.vertcat(*weights[1:]), scaled),
-                requirements=(*declared.requirements, Requirement(POSITION, ca.vertcat(*rows), None, 0.0, "")),
+                requirements=(*declared.requirements, Requirement(_POSITION, ca.vertcat(*rows), None, 0.0, "")),
             ),
             compiled=compiled,
         )

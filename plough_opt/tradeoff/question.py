@@ -13,6 +13,7 @@ import numpy as np
 from plough_opt.design import Design, Progress
 from plough_opt.design.ipopt import Point
 from plough_opt.design.search import scanned_variables
+from plough_opt.domain import plain_number
 from plough_opt.errors import InputError, nearest
 from plough_opt.expressions import Expression, is_count
 from plough_opt.tradeoff.assembly import Times, assembled
@@ -163,12 +164,7 @@ def _checked(front: FrontProgram, changed: Mapping[str, float]) -> dict[str, flo
     for name, value in changed.items():
         if name not in names:
             raise InputError(f"'{name}' is no parameter of this design: {nearest(name, names)}")
-        try:
-            found[name] = float(value)
-        except (TypeError, ValueError):
-            raise InputError(f"parameter '{name}': {value!r} is not a number (in SI units)") from None
-        if not np.isfinite(found[name]):
-            raise InputError(f"parameter '{name}': {value} must be a finite number")
+        found[name] = plain_number(f"parameter '{name}'", value)
     return found
 
 

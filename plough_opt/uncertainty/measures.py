@@ -12,7 +12,8 @@ import math
 import casadi as ca
 import numpy as np
 
-from plough_opt.errors import InputError
+from plough_opt.domain import plain_number
+from plough_opt.errors import InputError, short
 from plough_opt.expressions import Expression, is_casadi, sqrt, where
 from plough_opt.uncertainty import smoothing
 
@@ -44,7 +45,7 @@ def standard_deviation(values: Expression) -> Expression:
 
 def mean_plus(values: Expression, kappa: float) -> Expression:
     """Return mean + kappa * standard deviation; a negative kappa where small values are bad."""
-    return expected(values) + _finite("kappa", kappa) * standard_deviation(values)
+    return expected(values) + plain_number("kappa", kappa) * standard_deviation(values)
 
 
 def cvar(values: Expression, level: float, *, width: float = 0.0) -> Expression:
@@ -63,6 +64,7 @@ def cvar(values: Expression, level: float, *, width: float = 0.0) -> Expression:
     Raises:
         InputError: a level or a width that cannot be.
     """
+    level = plain_number("the level of a CVaR", level)
     if not 0.0 <= level < 1.0:
         raise InputError(f"the level {level!r} of a CVaR must lie from 0 to below 1: 0.9 means the worst tenth")
     column = _column(values)
@@ -114,8 +116,8 @@ def probability(
     """
     if at_least is None and at_most is None:
         raise InputError("a probability needs a limit: give at_least, at_most or both")
-    low = -math.inf if at_least is None else _finite("at_least", at_least)
-    high = math.inf if at_most is None else _finite("at_most", at_most)
+    low = -math.inf if at_least is None else plain_number("at_least", at_least)
+    high = math.inf if at_most is None else plain_number("at_most", at_most)
     if low > high:
         raise InputError(f"the limits of a probability contradict each other: at least {low:g}, at most {high:g}")
     column = _column(values)
@@ -141,6 +143,7 @@ def quantile(values: Expression, level: float, *, width: float = 0.0) -> Express
     Raises:
         InputError: a level or a width that cannot be.
     """
+    level = plain_number("the level of a quantile", level)
     if not 0.0 < level < 1.0:
         raise InputError(f"the level {level!r} of a quantile must lie between 0 and 1")
     column = _column(values)
@@ -179,7 +182,7 @@ def _sharp_cvar(values: np.ndarray, part: float) -> float:
 
 def _smooth(what: str, column: Expression, width: float) -> bool:
     """Return whether a width rounds the measure off, which it must do of expressions."""
-    if not (math.isfinite(width) and width >= 0.0):
+    if plain_number(f"the width of a {what}", width) < 0.0:
         raise InputError(f"the width {width!r} of a {what} must be a number of at least 0, in the unit of the values")
     if width == 0.0 and is_casadi(column):
         raise InputError(
@@ -196,7 +199,10 @@ def _column(values: Expression) -> Expression:
         if column.numel() == 0:
             raise InputError("there are no samples to take a measure of")
         return column
-    numbers = np.asarray(values, dtype=float).ravel()
+    try:
+        numbers = np.asarray(values, dtype=float).ravel()
+    except (TypeError, ValueError, OverflowError):
+        raise InputError(f"{short(repr(values))} are no samples: give a column of numbers") from None
     if not len(numbers):
         raise InputError("there are no samples to take a measure of")
     if not np.all(np.isfinite(numbers)):
@@ -218,9 +224,3 @@ def _least(column: Expression) -> Expression:
 
 def _floor(value: Expression) -> Expression:
     return ca.floor(value) if is_casadi(value) else math.floor(value)
-
-
-def _finite(name: str, value: float) -> float:
-    if not math.isfinite(value):
-        raise InputError(f"{name} = {value!r} must be a finite number")
-    return float(value)

@@ -12,6 +12,7 @@ from scipy import stats
 
 from plough_opt.design import Optimum
 from plough_opt.errors import InputError
+from plough_opt.expressions import is_count
 from plough_opt.uncertainty.distribution import SoilDistribution
 from plough_opt.uncertainty.robust import Robust
 
@@ -82,7 +83,7 @@ def sobol_indices(
         InputError: correlated properties, a number that is no power of two, or soils without result.
     """
     field = robust.field
-    if samples < 2 or samples & (samples - 1):
+    if not is_count(samples) or samples < 2 or samples & (samples - 1):
         raise InputError(f"samples = {samples!r} must be a power of two, as the Sobol sequence needs")
     if field.correlated and not correlated:
         raise InputError(

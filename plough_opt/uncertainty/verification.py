@@ -16,6 +16,7 @@ from scipy import stats
 
 from plough_opt.design import Optimum
 from plough_opt.errors import InputError
+from plough_opt.expressions import is_count
 from plough_opt.uncertainty.robust import Asked, Robust
 
 Vector = NDArray[np.float64]
@@ -152,8 +153,8 @@ def verify(
         InputError: too few samples, or too many soils without result.
     """
     started = time.perf_counter()
-    if samples < 100:
-        raise InputError(f"{samples} fresh samples are too few for confidence intervals: take at least 100")
+    if not is_count(samples) or samples < 100:
+        raise InputError(f"samples = {samples!r} must be a whole number of at least 100, for confidence intervals")
     own = robust.values(at)
     found = robust.responses(at, robust.field.draw(samples, seed=seed))
     kept = samples - len(found.failures)

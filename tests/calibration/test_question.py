@@ -7,6 +7,7 @@ import pytest
 from known_soil import steady_scene
 
 import plough_opt as po
+from plough_opt.vocabulary import with_quantities
 
 PROBLEMS = Path(__file__).resolve().parents[2] / "problems"
 
@@ -48,8 +49,8 @@ def test_text_with_units_bounds_an_unknown(measured):
         ({"soil.cohesion": ("1 kg", "2 kPa")}, {}, "lower bound of 'soil.cohesion' = \"1 kg\" has the wrong unit"),
         ({"soil.cohesion": (1e3, float("inf"))}, {}, "upper bound of 'soil.cohesion' = inf Pa must be finite"),
         ({"scene.tow_speed": (1.0, 2.0)}, {}, "plane: 'scene.tow_speed' is a column of the data, and so is no unknown"),
-        ({"scene.frame_mass": (1.0, 2.0)}, {}, "a Scene has no 'scene.frame_mass'"),
-        ({"effects.strength_wave.amplitude": (0.0, 0.5)}, {}, "the scene has no strength wave"),
+        ({"scene.frame_mass": (1.0, 2.0)}, {}, "a scene has no quantity 'scene.frame_mass': did you mean 'scene.mass'"),
+        ({"effects.strength_wave.amplitude": (0.0, 0.5)}, {}, "the scene has no 'effects.strength_wave.amplitude'"),
         ({}, {}, "nothing is unknown"),
         ({"soil.cohesion": (1e3, 80e3)}, {"loss": "huberr"}, "no loss is named 'huberr': did you mean 'huber'?"),
         ({"soil.cohesion": (1e3, 80e3)}, {"starts": 0}, "starts = 0 must be a whole number from 1 to 16"),
@@ -83,7 +84,7 @@ def test_data_that_do_not_fit_are_refused():
     with pytest.raises(po.InputError, match="must be a Problem, a Scene, or a function"):
         po.calibrate(3.0, few, unknown)
     cone = po.Scene(scene.soil, po.Cone(0.3, 0.25), 5e4, 25.0, 2.0, po.Effects(motion=False))
-    with pytest.raises(po.InputError, match="a cone has no 'angle'"):
+    with pytest.raises(po.InputError, match=r"the scene has no 'share.wedge_angle'"):
         po.calibrate(cone, po.Measurements("mean_draft", [1e3] * 3, {"share.wedge_angle": [0.5, 0.6, 0.7]}), unknown)
 
 
@@ -141,3 +142,28 @@ def test_the_elastic_medium_gives_its_modulus():
     # A force proportional to it, measured twice to 2 %: 2 % over the root of two, up to the speed's part.
     relative = fit.standard_errors["soil.youngs_modulus"] / soil.youngs_modulus
     assert relative == pytest.approx(0.02 / 2**0.5, rel=0.01)
+
+
+def test_the_mass_of_a_scene_is_found_by_the_name_that_components_have():
+    wave = po.Effects(strength_wave=po.StrengthWave(0.3, 0.2), damping=400.0)
+    share = po.Wedge(po.deg(30), po.deg(15), 0.25)
+    scene = po.Scene(po.named_soil("serozem"), share, 5e4, 45.0, 2.0, wave)
+    speeds, heavier = [1.0, 1.5, 2.0, 2.5], with_quantities(scene, {"scene.mass": 60.0})
+    runs = [po.simulate(with_quantities(heavier, {"scene.tow_speed": v}), 1.0) for v in speeds]
+    data = po.Measurements("force_rms", [run.force_rms for run in runs], {"scene.tow_speed": speeds})
+    found = po.calibrate(scene, data, {"scene.mass": ("20 kg", "100 kg")}, duration=1.0)
+    # Exact data: IPOPT's tolerance is what is left.
+    assert found.values["scene.mass"] == pytest.approx(60.0, rel=1e-8)
+    assert po.component(scene, 1.0, inputs=["scene.mass"], outputs=["force_rms"]).inputs[0].name == "scene.mass"
+
+
+def test_a_files_mass_is_that_of_its_frame(measured):
+    problem = po.read_problem(PROBLEMS / "calibration.toml")
+    with pytest.raises(po.InputError, match=r"a problem file has no 'scene\.mass': did you mean 'scene\.frame_mass'"):
+        po.calibrate(problem, measured, {"scene.mass": (1.0, 100.0)})
+
+
+def test_nothing_but_zeros_is_no_measurement():
+    zeros = po.Measurements("mean_draft", [0.0, -0.0, 0.0], {"scene.tow_speed": [1.0, 2.0, 3.0]}, name="plane")
+    with pytest.raises(po.InputError, match="plane: every measured value is 0, of which no soil follows"):
+        po.calibrate(steady_scene(), zeros, {"soil.cohesion": (1e3, 80e3)})

@@ -99,8 +99,8 @@ def test_a_parameter_without_a_finite_value_is_refused(value):
     [
         ({}, "has no limit: give at_least, at_most or both"),
         ({"at_least": 2.0, "at_most": 1.0}, r"at least 2( m)? is above at most 1 m"),
-        ({"at_least": math.nan}, "at_least = nan must be a finite number"),
-        ({"at_most": math.inf}, "at_most = inf must be a finite number"),
+        ({"at_least": math.nan}, "at_least: nan must be a finite number"),
+        ({"at_most": math.inf}, "at_most: inf must be a finite number"),
         ({"at_most": "0.12 m"}, "at_most: '0.12 m' is not a number"),
         ({"at_most": np.array([0.1, 0.2])}, "at_most: .* is not a number"),
         ({"at_least": ca.DM([0.1, 0.2])}, "at_least: .* is not a number"),
@@ -120,7 +120,7 @@ def test_two_requirements_of_one_name_are_refused():
     d = po.Design()
     x = d.variable("x", guess=0.5, lower=0.0, upper=1.0)
     d.require("radius", x, at_least=0.1)
-    with pytest.raises(po.InputError, match="a requirement or variable named 'radius' exists already"):
+    with pytest.raises(po.InputError, match="'radius' is declared already"):
         d.require("radius", x, at_most=0.9)
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import casadi as ca
@@ -12,12 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from plough_opt.accuracy import DEFAULT_ERROR, Accuracy
-from plough_opt.component.graph import Resolution, Results, graph
+from plough_opt.component.graph import Resolution, Results, graph, motion
 from plough_opt.component.ports import Port, corners, inside
 from plough_opt.domain import check_domain
 from plough_opt.errors import DomainError, InputError, IntegrationError
 from plough_opt.expressions import Expression, as_number
 from plough_opt.geometry import PLANE_SECTIONS_LIMIT
+from plough_opt.motion.derivative_error import derivative_error
 from plough_opt.motion.judgement import refuse_runaway
 from plough_opt.motion.plan import forced_rate, numbers_of, phase, steps_for
 from plough_opt.scene import Scene
@@ -119,20 +120,47 @@ class Box:
         """Return the steps that reach an error between the bounds, or the named ones, and the error that they leave."""
         wanted = accuracy.error or DEFAULT_ERROR
         effects = self.scene.effects
-        motion = effects.motion
+        moves = effects.motion
         # A draft that does not vary in time has no error of steps or panels.
-        varies = motion or effects.strength_wave is not None or effects.tow_ramp is not None or effects.own
+        varies = moves or effects.strength_wave is not None or effects.tow_ramp is not None or effects.own
         points = [*corners(self.inputs), *(inside(self.inputs) if varies else ())]
         needed = self._steps(corners(self.inputs), _MOST_STEPS if accuracy.steps is None else math.inf)
         steps = accuracy.steps or needed
         for _ in range(_ROUNDS):
             resolution = Resolution(steps, outputs)
-            coarse, fine = (self._evaluated(points, one, motion) for one in (resolution, resolution.finer(motion)))
+            coarse, fine = (self._evaluated(points, one, moves) for one in (resolution, resolution.finer(moves)))
             error = max(_difference(*pair) for pair in zip(coarse, fine, strict=True))
             if error <= wanted or accuracy.steps is not None or 2 * steps > _MOST_STEPS:
                 break
             steps = math.ceil(steps * min(2.0, 1.1 * (error / wanted) ** 0.125))
-        return Found(resolution, error, (*self._warnings(points, fine), *_missed(error, wanted)))
+        resolution, doubts = self._with_sure_derivatives(points, resolution, accuracy)
+        return Found(resolution, error, (*self._warnings(points, fine), *_missed(error, wanted), *doubts))
+
+    def _with_sure_derivatives(
+        self, points: Sequence[NDArray[np.float64]], resolution: Resolution, accuracy: Accuracy
+    ) -> tuple[Resolution, tuple[str, ...]]:
+        """Return as many steps as derivatives need, or the named ones, and a warning where they miss the error."""
+        if not self.scene.effects.motion:
+            return resolution, ()
+        wanted = accuracy.wanted_derivatives
+        for _ in range(_ROUNDS):
+            error = self._derivative_error(points, resolution)
+            if error <= wanted:
+                return resolution, ()
+            steps = math.ceil(resolution.steps * min(2.0, 1.1 * (error / wanted) ** 0.125))
+            if accuracy.steps is not None or 2 * steps > _MOST_STEPS:
+                break
+            resolution = replace(resolution, steps=steps)
+        return resolution, (f"the wanted error {wanted:.1e} of derivatives was not reached: it is {error:.1e}",)
+
+    def _derivative_error(self, points: Sequence[NDArray[np.float64]], resolution: Resolution) -> float:
+        """Return the largest error of the motion's derivatives at points."""
+        solver, given = motion([port.argument for port in self.inputs], self.make_of_column, resolution)
+        varying = tuple(sorted(set(given.jac_sparsity(0, 0).row())))
+        p = np.hstack([given(x).full() for x in points])
+        # Of results at the ends alone the averages matter.
+        first = solver.function.numel_out(0) if resolution.outputs == 1 else 0
+        return derivative_error(solver, first, varying, p)
 
     def _steps(self, points: Sequence[NDArray[np.float64]], limit: float) -> int:
         """Return how many steps, or panels, the fastest of some scenes needs; refuse scenes that cannot be."""
@@ -157,7 +185,7 @@ class Box:
         return most
 
     def _evaluated(
-        self, points: Sequence[NDArray[np.float64]], resolution: Resolution, motion: bool
+        self, points: Sequence[NDArray[np.float64]], resolution: Resolution, moves: bool
     ) -> list[list[NDArray[np.float64]]]:
         """Return what is checked, at points."""
         function = self._graph(_CHECKED, resolution)
@@ -165,7 +193,7 @@ class Box:
         for x, values in zip(points, found, strict=True):
             if not all(np.all(np.isfinite(value)) for value in values):
                 raise DomainError(
-                    f"the {'motion' if motion else 'draft'} has no finite value at {self._place(x)}: give the inputs"
+                    f"the {'motion' if moves else 'draft'} has no finite value at {self._place(x)}: give the inputs"
                     " narrower bounds"
                 )
         return found

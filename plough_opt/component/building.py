@@ -47,7 +47,8 @@ def component(
         outputs: names of results, as in problem files ("mean_draft", "deflection"), or `Output`s.
         steel_density: of the share [kg/m^3]; the mass then follows the share's volume, what is left of the scene's mass
             being the frame's, and "scene.frame_mass" and "scene.steel_density" are names too. Default: the mass stays.
-        accuracy: an error to reach, or ``"dop853"`` with a number of steps; default: a relative error of 1e-8.
+        accuracy: an error to reach, or ``"dop853"`` with a number of steps; default: a relative error of 1e-8, of
+            derivatives 1e-6, checked at corners of the bounds and points inside.
         samples: number of equal intervals between output times of results at every output time.
         name: the Function's name.
 

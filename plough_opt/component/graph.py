@@ -11,11 +11,12 @@ import casadi as ca
 from plough_opt.accuracy import Accuracy, Method
 from plough_opt.expressions import Expression
 from plough_opt.motion import Run
-from plough_opt.motion.integrators import integration
+from plough_opt.motion.integrators import Integration, integration
 from plough_opt.motion.plan import timeline_of
 from plough_opt.motion.quasi_static import quasi_static
 from plough_opt.motion.run import assemble
 from plough_opt.motion.terms import Structure, parameters
+from plough_opt.motion.timeline import Timeline
 from plough_opt.scene import Scene
 
 OfColumn = Callable[[Sequence[Expression]], tuple[Scene, Expression]]
@@ -67,16 +68,35 @@ def graph(name: str, arguments: Sequence[str], make: OfColumn, results: Results,
     if not scene.effects.motion:
         run = quasi_static(scene, duration, timeline, Accuracy(), resolution.points)
         return ca.Function(name, x, _columns(run, results, kind))
-    accuracy = Accuracy("dop853", steps=resolution.steps)
-    solver = integration(Structure.of(scene), accuracy, timeline)
-    p = parameters(scene)
-    given = ca.Function("parameters", x, [ca.vertcat(*(p[key] for key in solver.names), duration)])
-    moved = solver.function
+    solver, given = _integrated(scene, duration, x, timeline)
+    accuracy, moved = solver.accuracy, solver.function
     states, means, variances = found = [ca.SX.sym(f"o{k}", *moved.size_out(k)) for k in range(moved.n_out())]
     run = assemble(scene, duration, timeline.output_fractions, states.T, means, variances, accuracy)
     around = ca.Function("results", [*x, *found], _columns(run, results, kind))
     symbols = [ca.MX.sym(argument) for argument in arguments]
     return ca.Function(name, symbols, around.call([*symbols, *moved.call([given(*symbols)])]))
+
+
+def motion(arguments: Sequence[str], make: OfColumn, resolution: Resolution) -> tuple[Integration, ca.Function]:
+    """Return what integrates a run, and its parameters, the duration last, as a Function of a column of the inputs."""
+    inputs: Any = ca.SX.sym("inputs", len(arguments))
+    scene, duration = make(ca.vertsplit(inputs))
+    if scene.medium == "elastic":
+        inputs = ca.MX.sym("inputs", len(arguments))
+        scene, duration = make(ca.vertsplit(inputs))
+    method: Method | None = "dop853" if resolution.outputs > 1 else None
+    timeline = timeline_of(scene, duration, resolution.outputs, resolution.steps, method, symbolic=True)
+    return _integrated(scene, duration, [inputs], timeline)
+
+
+def _integrated(
+    scene: Scene, duration: Expression, inputs: Sequence[Any], timeline: Timeline
+) -> tuple[Integration, ca.Function]:
+    """Return what integrates a run of symbols, and its parameters as a Function of these."""
+    solver = integration(Structure.of(scene), Accuracy("dop853", steps=timeline.steps), timeline)
+    p = parameters(scene)
+    given = ca.vertcat(*(p[key] for key in solver.names), duration)
+    return solver, ca.Function("parameters", list(inputs), [given])
 
 
 def _columns(run: Run, results: Results, kind: Any) -> list[Any]:

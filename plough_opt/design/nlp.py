@@ -40,12 +40,14 @@ class Nlp:
         first: returns `slopes`; not all programs are asked for derivatives, which take time to build.
         second: returns `hess_lag`, which takes longest.
         parts: `PARTS` that remember their last point, by name; without them a caller has to.
+        alike: the runs, as they are integrated.
     """
 
     values: ca.Function
     first: Callable[[], ca.Function]
     second: Callable[[], ca.Function]
     parts: Mapping[str, ca.Function] | None = None
+    alike: tuple[Alike, ...] = ()
 
     @cached_property
     def slopes(self) -> ca.Function:
@@ -155,7 +157,7 @@ def build_nlp(parts: Split, y: ca.MX, p: ca.MX, steps: list[int | None]) -> Nlp:
         names, result = ["x", "p", "lam_f", "lam_g"], ["triu_hess_gamma_x_x"]
         return ca.Function("hess_lag", [y, p, lam_f, lam_g], [upper], names, result)
 
-    return Nlp(ca.Function("values", [y, p], [f, g]), first, second)
+    return Nlp(ca.Function("values", [y, p], [f, g]), first, second, alike=tuple(alike))
 
 
 def _algebra(parts: Split, full: ca.Function, alike: list[Alike], sizes: tuple[int, int]) -> Algebra:

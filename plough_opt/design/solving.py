@@ -14,6 +14,7 @@ import numpy as np
 from plough_opt.design.basin import near_optimum
 from plough_opt.design.curvature import flat_directions, minimum_from
 from plough_opt.design.declarations import in_words
+from plough_opt.design.derivatives import with_sure_derivatives
 from plough_opt.design.effort import Search, effort_of, searched
 from plough_opt.design.exploring import Explored, Explorer, Progress
 from plough_opt.design.infeasible import feasible_from
@@ -71,7 +72,8 @@ def solve_program(
         points = [near_optimum(program, landscape, p, program.start())]
     points, missed = _refined(program, p, points, progress)
     progress("checking", 0.0)
-    points = _ranked(landscape, judge, points)
+    points, unsure = with_sure_derivatives(program, p, _ranked(landscape, judge, points))
+    missed += unsure
     scenes = [_scenes(program, point, p) for point in points]
     names = _names(program, [[scene for _, scene in own] for own in scenes])
     last = to_the_last_digit(program, p, points[0])

@@ -1,0 +1,91 @@
+"""Random problems some of whose variables come from a catalogue, with the best combination by brute force.
+
+python tests/design/independent/catalogues.py
+"""
+
+import itertools
+import json
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+import numpy as np
+
+from independent import fast, generate, truth
+from independent.problem import Problem, evaluate
+
+FILE = Path(__file__).with_name("catalogue_problems.json")
+# Designs of each combination's sample, a power of 2; starts that are polished of each, and of how many combinations.
+_SAMPLE, _STARTS, _POLISHED = 12, 6, 12
+_MOST_VARIABLES, _LEAST_COMBINATIONS = 5, 25
+
+
+def problems():
+    """Return problems, catalogues by variable, and truths, by number."""
+    data = json.loads(FILE.read_text(encoding="utf-8"))
+    return {int(k): (Problem.of_plain(v["problem"]), v["catalogues"], v["truth"]) for k, v in data.items()}
+
+
+def catalogues_of(problem, random):
+    """Return catalogues for one or two of a problem's variables, one variable at least left free."""
+    count = min(int(random.integers(1, 3)), len(problem.variables) - 1)
+    chosen = random.choice(len(problem.variables), size=count, replace=False)
+    found = {}
+    for k in sorted(chosen):
+        v = problem.variables[k]
+        size = int(random.integers(5, 12)) if count > 1 else int(random.integers(25, 40))
+        values = [float(f"{v.unscaled(y):.3g}") for y in random.random(size)]
+        found[v.name] = sorted({x for x in values if v.lower <= x <= v.upper})
+    return found
+
+
+def held(problem, values):
+    """Return a problem with some variables, by name, at values."""
+    left = tuple(v for v in problem.variables if v.name not in values)
+    return replace(problem, variables=left, fixed={**problem.fixed, **values})
+
+
+def truth_of(problem, catalogues):
+    """Return the best objective, its values in the catalogue, and the number of combinations that are feasible."""
+    looks = []
+    for number, values in enumerate(itertools.product(*catalogues.values())):
+        one = held(problem, dict(zip(catalogues, values, strict=True)))
+        y = truth.sample(one, _SAMPLE, np.random.default_rng([number, 3]))
+        worth = truth.Question().roughly(one, y)
+        starts = truth.spread_starts(y, worth, _STARTS, 0.1)
+        looks.append((float(np.min(worth)), values, one, starts))
+    found = []
+    for _, values, one, starts in sorted(looks, key=lambda look: look[0])[:_POLISHED]:
+        ends = truth.polished(one, starts, phase=0.5)
+        worth = truth.Question().worth(evaluate(one, ends, simulate=fast.simulate, phase=0.5))
+        found.append((float(np.min(worth)), values))
+    objective, values = min(found)
+    return {"objective": objective, "values": values} if objective < 1e6 else None
+
+
+def main():
+    """Write ten problems."""
+    made = {}
+    for seed in range(5000, 5200):
+        problem = generate.draw(seed, fast.simulate)
+        random = np.random.default_rng([seed, 77])
+        if not 2 <= len(problem.variables) <= _MOST_VARIABLES:
+            continue
+        catalogues = catalogues_of(problem, random)
+        if np.prod([len(values) for values in catalogues.values()]) < _LEAST_COMBINATIONS:
+            continue
+        best = truth_of(problem, catalogues)
+        if best is None:
+            continue
+        made[len(made)] = {"problem": problem.plain(), "catalogues": catalogues, "truth": best}
+        print(seed, list(catalogues), len(problem.variables), best, flush=True)
+        if len(made) == 10:
+            break
+    lines = ",\n".join(f'"{k}":{json.dumps(v, separators=(",", ":"))}' for k, v in made.items())
+    FILE.write_text(f"{{\n{lines}\n}}\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

@@ -115,6 +115,7 @@ class SavedOptimum(Saved):
     run: SavedRun
     sensitivities: tuple[Sensitivity, ...] = ()
     search: str = ""
+    over: str = ""
 
     @classmethod
     def of(cls, best: Optimum, run: Run, title: str, sensitivities: Sequence[Sensitivity] = ()) -> SavedOptimum:
@@ -132,6 +133,7 @@ class SavedOptimum(Saved):
             run=SavedRun.of(run, title),
             sensitivities=tuple(sensitivities),
             search=str(best.search or ""),
+            over=best.over,
         )
 
 

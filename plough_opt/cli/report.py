@@ -74,6 +74,8 @@ def print_optimum(console: Console, problem: Problem, best: Optimum, run: Run) -
     console.print(_run_table(problem, run))
     if any(limit.kind == "requirement" for limit in best.limits):
         console.print(_limits_table(problem, best))
+    if best.over:
+        console.print(f"Within the tolerances: {best.over}.")
     if len(best.local_optima) > 1:
         console.print(_optima_table(problem, best))
     for direction in best.flat_directions:

@@ -1,5 +1,6 @@
 """Designs: variables, an objective and named requirements, solved by IPOPT with exact derivatives."""
 
+from plough_opt.design.boxed import Over
 from plough_opt.design.exploring import Progress
 from plough_opt.design.optimum import Choice, Limit, LocalOptimum, Optimum, Rounded
 from plough_opt.design.problem import Design
@@ -13,6 +14,7 @@ __all__ = [
     "Limit",
     "LocalOptimum",
     "Optimum",
+    "Over",
     "Progress",
     "Rounded",
     "Search",

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from plough_opt.errors import InputError
-from plough_opt.expressions import Expression, exp
+from plough_opt.expressions import Expression, absolute, exp, log, maximum, minimum
 
 # Units of which thousands have a name of their own.
 _KILO = ("N", "W", "Pa", "N/m")
@@ -42,6 +42,7 @@ class Variable:
     unit: str
     log: bool
     tolerance: float | str | None = None
+    auxiliary: bool = False  # made by the program, and in no report
 
     def __post_init__(self) -> None:
         numbers = (self.guess, self.lower, self.upper)
@@ -90,12 +91,32 @@ class Variable:
         half = self._half_width(value)
         return self.scaled(max(self.lower, value - half)), self.scaled(min(self.upper, value + half))
 
-    def _half_width(self, value: float) -> float:
+    def within_tolerance(self, value: Expression, part: float) -> Expression:
+        """Return a value within the tolerance of another, clipped at the bounds: its lower end at part 0, upper at 1.
+
+        Parts are of the scaled interval, as those of `tolerance_interval` are.
+        """
+        if self.tolerance is None:
+            y = self._position(value)
+            low, high = maximum(y - _TOLERANCE, 0.0), minimum(y + _TOLERANCE, 1.0)
+        else:
+            half = self._half_width(value)
+            low = self._position(maximum(value - half, self.lower))
+            high = self._position(minimum(value + half, self.upper))
+        return self.unscaled(low + (high - low) * part)
+
+    def _position(self, value: Expression) -> Expression:
+        """Return `scaled` of an expression."""
+        if self.log:
+            return log(value / self.lower) / math.log(self.upper / self.lower)
+        return (value - self.lower) / (self.upper - self.lower)
+
+    def _half_width(self, value: Expression) -> Expression:
         """Return the tolerance at a value, in the variable's unit, where one was declared."""
         given = self.tolerance
         number = _PER_CENT.fullmatch(given) if isinstance(given, str) else None
         if number is not None:
-            given, part = float(number[1]), abs(value) / 100.0
+            given, part = float(number[1]), absolute(value) / 100.0
         else:
             part = 1.0
         sound = isinstance(given, int | float | np.number) and not isinstance(given, bool)
@@ -131,6 +152,7 @@ class Requirement:
     at_least: float | None
     at_most: float | None
     unit: str
+    auxiliary: bool = False  # made by the program, and in no report
 
     def __post_init__(self) -> None:
         text = f"requirement '{self.name}'"

@@ -75,6 +75,7 @@ def effort_of(search: Search, dimensions: int, runs: int, vectorised: bool) -> E
         vectorised: whether they are followed side by side.
     """
     designs = min(_DESIGNS.get(dimensions, _MOST_DESIGNS), max(_ONE_BY_ONE, _MOST_RUNS // max(runs, 1)))
+    designs = 1 << (designs.bit_length() - 1)  # Sobol points are even in numbers that are powers of two
     islands = _ISLANDS.get(dimensions, _MOST_ISLANDS) if designs * runs < _MOST_RUNS else 0
     many = dimensions > 3
     return Effort(

@@ -76,6 +76,7 @@ class Landscape:
         # Kept where the program is scaled anew by what is found here.
         self.objective_scale = program.objective_scale
         self.vectorised = program.population.vectorised
+        self.settled = program.linear_variables(p)
         self.tried = 0
 
     def rows(self, points: Vector, *, finer: float = 1.0, together: int = 1) -> tuple[Vector, Vector]:
@@ -83,6 +84,14 @@ class Landscape:
         self.tried += len(points)
         f, g = self.program.population(points, self._p, finer=finer, together=together)
         return f / self.objective_scale, g / self._scale
+
+    def of_the_design(self) -> Landscape:
+        """Return that of the design alone, where this is of a whole tolerance box, or this one."""
+        bare = self.program.bare
+        if bare is None:
+            return self
+        bare.prepare(self._p)
+        return Landscape(bare, self._p)
 
     def violations(self, g: Vector) -> Vector:
         """Return by what each requirement is violated at its worst, a row for each design; infinite without a value."""
@@ -93,14 +102,23 @@ class Landscape:
         return np.where(np.isfinite(worst), np.maximum(worst, 0.0), np.inf)
 
     def __call__(self, points: Vector, *, finer: float = 1.0) -> Seen:
-        """Look at designs, a row each."""
+        """Look at designs, a row each; variables that can be are solved for, given the others."""
         if not len(points):
             return Seen(points, np.empty(0), np.empty(0))
         with np.errstate(all="ignore"):
-            f, g = self.rows(points, finer=finer)
+            points, f, g = self.settled_rows(points, finer=finer)
             violation = self.violations(g).sum(axis=1)
         f = np.where(np.isfinite(f), f, np.nan)
         return Seen(points, f, np.where(np.isnan(f), np.inf, violation))
+
+    def settled_rows(self, points: Vector, *, finer: float = 1.0) -> tuple[Vector, Vector, Vector]:
+        """Return designs with the variables that can be solved for so solved, their objective and requirements."""
+        f, g = self.rows(points, finer=finer)
+        size, low, high = self.objective_scale, self.program.low * self._scale, self.program.high * self._scale
+        for variable in self.settled:
+            points, f, g = variable.settled(points, f * size, g * self._scale, low, high)
+            f, g = f / size, g / self._scale
+        return points, f, g
 
     # --- descents ----------------------------------------------------------------------------------------
 
@@ -113,7 +131,10 @@ class Landscape:
             upper: upper bounds; default 1.
         """
         box = (np.zeros(len(start)) if lower is None else lower, np.ones(len(start)) if upper is None else upper)
-        return _Descent(self, box).from_(np.clip(start, *box))
+        start = np.clip(start, *box)
+        if self.settled:
+            start = np.clip(self(start[None]).points[0], *box)
+        return _Descent(self, box).from_(start)
 
     def lower_from(self, design: Vector, start: Vector) -> Vector | None:
         """Return where a descent from a start beside a design leads, if that is lower than the design, or None."""

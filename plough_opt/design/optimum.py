@@ -89,6 +89,7 @@ class Optimum(LocalOptimum):
     inside them integrated tightly anew; ``best(run)`` simulates the scene with its numbers.
 
     Attributes:
+        over: in words, what the objective is of where it is not the design's own: see `Design.minimise`.
         status: "solved"; "not unique" where ``flat_directions`` lead to designs that are as good; or "unconfirmed"
             where derivatives do not confirm the best design that was seen, as on a kink: see ``warnings``.
         flat_directions: directions, as changes of the variables, along which objective and requirements stay.
@@ -98,6 +99,7 @@ class Optimum(LocalOptimum):
         warnings: what a reader of the numbers must know.
     """
 
+    over: str = ""
     status: str = "solved"
     flat_directions: tuple[dict[str, float], ...] = ()
     local_optima: tuple[LocalOptimum, ...] = ()

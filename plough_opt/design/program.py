@@ -17,6 +17,7 @@ from plough_opt.design.machine_code import as_machine_code
 from plough_opt.design.nlp import Nlp, build_nlp
 from plough_opt.design.population import Population
 from plough_opt.design.relaxation import first_slack, relaxed
+from plough_opt.design.settled import Linear, linear_variables
 from plough_opt.design.split import split
 from plough_opt.design.verify import TightEvaluation
 from plough_opt.effects import MOST_HARMONICS
@@ -86,12 +87,16 @@ class Built:
 class Program:
     """The scaled program of some declarations: variables between 0 and 1, requirements and objective of order 1."""
 
-    def __init__(self, declared: Declarations, *, compiled: bool = False) -> None:
+    def __init__(
+        self, declared: Declarations, *, compiled: bool = False, bare: Program | None = None, over: str = ""
+    ) -> None:
         """Split the expressions around their runs, and add the requirements that the theories in them bring.
 
         Args:
             declared: what was declared.
             compiled: whether to translate the program into machine code.
+            bare: where this asks for the tolerance box around a design: the same question of the design alone.
+            over: in words, what is then minimised.
 
         Raises:
             InputError: an expression holds a symbol that was not declared.
@@ -116,8 +121,10 @@ class Program:
         self._kept: dict[tuple[object, ...], Built] = {}
         self._prepared: bytes | None = None
         self.compiled = compiled
+        self.bare, self.over = bare, over
         self._steps: list[int | None] = []
         self._population: Population | None = None
+        self._linear: dict[bytes, list[Linear]] = {}
         # A report asks several times for the values at its point.
         self._exact_at: dict[tuple[bytes, bytes], tuple[list[Vector], list[Vector]]] = {}
 
@@ -231,6 +238,15 @@ class Program:
             solver=Solver(nlp, *sizes, *limits),
             of_rows=ActiveRows(nlp, sizes, self.owner, limits) if few else None,
         )
+
+    def linear_variables(self, p: Vector) -> list[Linear]:
+        """Return the variables that are solved from the algebra: see `plough_opt.design.settled`."""
+        at = p.tobytes()
+        if at not in self._linear:
+            declared = self.declared
+            parameters = [own.symbol for own in declared.parameters]
+            self._linear = {at: linear_variables(self.expressions, declared.variables, parameters, p)}
+        return self._linear[at]
 
     @property
     def nlp(self) -> Nlp:

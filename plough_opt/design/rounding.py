@@ -17,7 +17,7 @@ from plough_opt.design.infeasible import infeasible, is_feasible
 from plough_opt.design.ipopt import Point, Vector
 from plough_opt.design.landscape import Landscape
 from plough_opt.design.optimum import Choice, LocalOptimum, Rounded
-from plough_opt.design.polishing import as_it_is
+from plough_opt.design.polishing import AS_FOUND, as_it_is
 from plough_opt.design.program import Program
 from plough_opt.design.screening import promising
 from plough_opt.design.sensitivity import Sensitivities
@@ -90,6 +90,7 @@ def rounded(
     return Rounded(
         **{name: getattr(local, name) for name in LocalOptimum.__dataclass_fields__},
         local_optima=(local,),
+        status="unconfirmed" if reached.status == AS_FOUND else "solved",
         seconds=time.perf_counter() - started,
         warnings=warnings,
         evaluate=partial(evaluate, numbers),

@@ -18,10 +18,10 @@ _NEIGHBOURS = 4
 _LOOK = 1024
 
 
-def sample_of(landscape: Landscape) -> Seen:
-    """Return a look at all designs of a landscape."""
+def sample_of(landscape: Landscape, count: int = _LOOK) -> Seen:
+    """Return a look at all designs of a landscape, by a number of them that is a power of two."""
     middle = np.full(landscape.dimensions, 0.5)
-    points, _ = sample(landscape.dimensions, _LOOK, middle, np.random.default_rng(SEED))
+    points, _ = sample(landscape.dimensions, count, middle, np.random.default_rng(SEED))
     return landscape(points)
 
 

@@ -64,6 +64,9 @@ def solve_program(
     progress("preparing the model", 0.0)
     program.prepare(p, any_guess=bool(vary))
     landscape = Landscape(program, p)
+    # What the algebra gives for a design is not searched.
+    given = {variable.number for variable in landscape.settled}
+    vary = tuple(k for k in vary if k not in given) or vary
     explored: Explored | None = None
     if vary:
         explored, points = _searched(program, landscape, p, search, vary, judge, progress)
@@ -84,6 +87,7 @@ def solve_program(
     return Optimum(
         **{name: getattr(best, name) for name in LocalOptimum.__dataclass_fields__},
         status="unconfirmed" if points[0].status == AS_FOUND else "not unique" if directions else "solved",
+        over=program.over,
         flat_directions=tuple(_in_units(program, points[0], d) for d in directions),
         local_optima=tuple(optima),
         search=_record(program, landscape, search, vary, explored, len(points), time.perf_counter() - started),
@@ -173,6 +177,7 @@ def _record(
     seconds: float,
 ) -> SearchRecord:
     """Return the record of a search, or of none."""
+    own = [k for k, v in enumerate(program.declared.variables) if not v.auxiliary]
     n = len(program.declared.variables)
     sample = explored.sample if explored else Seen(np.empty((0, n)), np.empty(0), np.empty(0))
     return SearchRecord(
@@ -186,7 +191,7 @@ def _record(
         reached=explored.reached if explored else 0,
         seed=SEED,
         seconds=seconds,
-        values=np.array([program.values(y) for y in sample.points]).reshape(-1, n),
+        values=np.array([program.values(y) for y in sample.points]).reshape(-1, n)[:, own],
         objective=sample.f * landscape.objective_scale,
         violation=sample.violation,
     )
@@ -262,7 +267,9 @@ def _local_optimum(program: Program, p: Vector, point: Point, name: str, landsca
     return LocalOptimum(
         name=name,
         objective=objective,
-        variables={v.name: float(x) for v, x in zip(program.declared.variables, values, strict=True)},
+        variables={
+            v.name: float(x) for v, x in zip(program.declared.variables, values, strict=True) if not v.auxiliary
+        },
         limits=(*_requirements(program, point, found[1:]), *_bounds(program, point, values)),
         gap=_gap(program, p, point),
         error_estimate=abs(objective - float(check[0].item())) / max(abs(objective), _SMALL * program.objective_scale),
@@ -274,6 +281,8 @@ def _local_optimum(program: Program, p: Vector, point: Point, name: str, landsca
 def _requirements(program: Program, point: Point, found: Sequence[Vector]) -> list[Limit]:
     limits, owner, pulls = [], np.array(program.owner), np.abs(point.lam_g)
     for k, (r, value) in enumerate(zip(program.declared.requirements, found, strict=True)):
+        if r.auxiliary:
+            continue
         numbers, own = value.ravel(), pulls[owner == k]
         margins = np.minimum(numbers - r.low, r.high - numbers)
         worst = int(np.argmin(margins))
@@ -296,6 +305,8 @@ def _requirements(program: Program, point: Point, found: Sequence[Vector]) -> li
 def _bounds(program: Program, point: Point, values: Vector) -> list[Limit]:
     limits = []
     for v, value, y, multiplier in zip(program.declared.variables, values, point.y, point.lam_y, strict=True):
+        if v.auxiliary:
+            continue
         slope = value * math.log(v.upper / v.lower) if v.log else v.upper - v.lower
         limits.append(
             Limit(

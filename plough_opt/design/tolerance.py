@@ -48,7 +48,7 @@ class Spread:
 
 def boxes(variables: Sequence[Variable], points: Vector) -> Vector:
     """Return the designs of the boxes around scaled designs, one box after the other."""
-    unit = _unit_box(len(variables))
+    unit = unit_box(len(variables))
     found = np.empty((len(points), BOX_DESIGNS, len(variables)))
     for k, v in enumerate(variables):
         low, high = np.array([v.tolerance_interval(float(y)) for y in points[:, k]]).reshape(-1, 2).T
@@ -69,7 +69,9 @@ def judgement(landscape: Landscape, judge: Judge) -> Callable[[Vector], Vector]:
         median: Vector = np.median(np.where(np.isnan(f), np.inf, f).reshape(len(points), -1), axis=1)
         return median
 
-    return over_tolerances if judge == "tolerance" and landscape.vectorised else bare
+    # What is asked of the whole box needs no further box around it.
+    several = landscape.program.bare is None and landscape.vectorised
+    return over_tolerances if judge == "tolerance" and several else bare
 
 
 def spread(landscape: Landscape, y: Vector, objective: float) -> Spread | None:
@@ -82,8 +84,10 @@ def spread(landscape: Landscape, y: Vector, objective: float) -> Spread | None:
     """
     if not landscape.vectorised:
         return None
+    landscape = landscape.of_the_design()
     program = landscape.program
-    f, g = landscape.rows(boxes(program.declared.variables, y[None]))
+    y = y[: len(program.declared.variables)]
+    _, f, g = landscape.settled_rows(boxes(program.declared.variables, y[None]))
     sound = np.isfinite(f)
     values = f[sound] * landscape.objective_scale if np.any(sound) else np.array([objective])
     median = float(np.median(values))
@@ -102,8 +106,8 @@ def spread(landscape: Landscape, y: Vector, objective: float) -> Spread | None:
 
 
 @lru_cache(maxsize=16)
-def _unit_box(n: int) -> Vector:
-    """Return the designs of a box between 0 and 1, a row each."""
+def unit_box(n: int) -> Vector:
+    """Return the designs of a box between 0 and 1, a row each; the first of them, a power of two, are even too."""
     from scipy.stats.qmc import Sobol  # slow to import
 
     points: Vector = Sobol(n, rng=np.random.default_rng(_SEED)).random(BOX_DESIGNS)

@@ -8,7 +8,7 @@ from typing import Literal
 
 from plough_opt.accuracy import Accuracy
 from plough_opt.component import Component, Input, build
-from plough_opt.design import Design, Optimum, Progress
+from plough_opt.design import Design, Optimum, Over, Progress
 from plough_opt.design.effort import Search
 from plough_opt.design.tolerance import Judge
 from plough_opt.domain import check_domain
@@ -37,6 +37,7 @@ class FileVariable:
     log: bool
     unit: str
     display: Display
+    tolerance: float | str | None = None
 
 
 @dataclass(frozen=True)
@@ -50,6 +51,7 @@ class Problem:
         variables: key -> bounds and guess.
         displays: key or measure -> the unit in which the file writes it.
         notes: what overrides changed beyond their own key.
+        over: what is minimised within the tolerances, if not the design's own objective.
     """
 
     name: str
@@ -58,6 +60,7 @@ class Problem:
     variables: Mapping[str, FileVariable]
     displays: Mapping[str, Display]
     notes: tuple[str, ...]
+    over: Over | None = None
 
     @property
     def title(self) -> str:
@@ -151,7 +154,7 @@ class Problem:
         if not self.table.minimise:
             raise InputError(f"{self.name}: nothing to minimise: a [minimise] table is missing")
         design, run = self._required(parameters)
-        design.minimise(self._objective(run))
+        design.minimise(self._objective(run), over=self.over)
         return design, run
 
     def _objective(self, run: Run) -> Expression:
@@ -170,7 +173,9 @@ class Problem:
         """Return the design with its requirements and without an objective, and its symbolic run."""
         design = Design()
         symbols = {
-            key: design.variable(key, guess=v.guess, lower=v.lower, upper=v.upper, unit=v.unit, log=v.log)
+            key: design.variable(
+                key, guess=v.guess, lower=v.lower, upper=v.upper, unit=v.unit, log=v.log, tolerance=v.tolerance
+            )
             for key, v in self.variables.items()
         }
         scene = self.scene(symbols)

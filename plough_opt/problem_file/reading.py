@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import re
+import typing
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
@@ -11,8 +13,9 @@ from typing import Any
 from pydantic import ValidationError
 
 from plough_opt.accuracy import Accuracy
+from plough_opt.design import Over
 from plough_opt.domain import check_domain
-from plough_opt.errors import InputError, nearest
+from plough_opt.errors import InputError, nearest, short
 from plough_opt.problem_file.front import check_front
 from plough_opt.problem_file.measures import MEASURES
 from plough_opt.problem_file.overrides import apply_override
@@ -42,6 +45,7 @@ _REQUIRED = (
 _DURATION = ("scene", "duration")
 _SOIL_REQUIRED = ("density", "density_ratio", "cohesion", "friction_angle", "tool_friction")
 _WAVE = ("effects.strength_wave.amplitude", "effects.strength_wave.wavelength")
+_PER_CENT = re.compile(r"\s*([0-9]+\.?[0-9]*|\.[0-9]+)\s*%\s*")
 # Values inside every domain, beside which a single value is checked.
 _PLAUSIBLE = {
     "soil.density": 1350.0, "soil.density_ratio": 0.8, "soil.cohesion": 2e4, "soil.friction_angle": 0.5,
@@ -68,12 +72,13 @@ def read_problem(path: str | Path, overrides: Iterable[str] = ()) -> Problem:
     notes = tuple(note for text in overrides if (note := apply_override(source, text)))
     _join_dotted_variables(source.data)
     join_dotted(source.data)
+    over = _over(source)
     try:
         table = ProblemTable.model_validate(source.data)
     except ValidationError as error:
         source.note_schema(error, _valid_keys())
     source.raise_noted()
-    problem = _checked(source, table, notes)
+    problem = dataclasses.replace(_checked(source, table, notes), over=over)
     source.raise_noted()
     _check_values(source, problem)
     source.raise_noted()
@@ -108,6 +113,18 @@ def _join_dotted_variables(data: dict[str, Any]) -> None:
     for table in ("soil", "share", "scene", "effects"):
         if variables.get(table) in ({}, {"strength_wave": {}}):
             del variables[table]
+
+
+def _over(source: Source) -> Over | None:
+    """Take over = "worst" or "mean" out of [minimise], whose other keys are results."""
+    table = source.data.get("minimise")
+    written = table.pop("over", None) if isinstance(table, dict) else None
+    with source.noting(("minimise", "over")):
+        if written not in (None, "worst", "mean"):
+            raise InputError(f'over = {short(repr(written))} must be "worst" or "mean", within the tolerances')
+        if written is not None and source.data.get("uncertain") is not None:
+            raise InputError("over takes the design within its tolerances in one soil: leave it out, or [uncertain]")
+    return typing.cast("Over | None", written)
 
 
 def _valid_keys() -> dict[str, list[str]]:
@@ -190,7 +207,22 @@ def _variable(source: Source, key: str, declared: VariableTable) -> FileVariable
         raise InputError(
             f"the guess {declared.guess} of '{key}' lies outside its bounds {declared.lower} to {declared.upper}"
         )
-    return FileVariable(lower, upper, guess, declared.log, unit.symbol, display_of(declared.lower, unit))
+    tolerance = _tolerance(source, key, declared.tolerance)
+    return FileVariable(lower, upper, guess, declared.log, unit.symbol, display_of(declared.lower, unit), tolerance)
+
+
+def _tolerance(source: Source, key: str, written: str | float | None) -> float | str | None:
+    """Return a half width in SI, or a part of the value in per cent as it is written."""
+    place = ("variables", key, "tolerance")
+    if written is None or (isinstance(written, str) and (part := _PER_CENT.fullmatch(written)) and float(part[1]) >= 0):
+        return written
+    try:
+        half = quantities()[key].parse(written)
+    except InputError as error:
+        raise source.error(place, f"'{key}' tolerance {error}, or as a part of the value like \"0.5 %\"") from None
+    if half < 0.0:
+        raise source.error(place, f"'{key}' tolerance = {written} must not be below 0")
+    return half
 
 
 def _check_complete(source: Source, table: ProblemTable, known: set[str]) -> None:

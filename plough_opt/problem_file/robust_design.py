@@ -89,7 +89,13 @@ class _Question:
         problem, design = self._problem, Design()
         symbols: dict[str, Expression] = {
             key: design.variable(
-                key, guess=min(max(start[key], v.lower), v.upper), lower=v.lower, upper=v.upper, unit=v.unit, log=v.log
+                key,
+                guess=min(max(start[key], v.lower), v.upper),
+                lower=v.lower,
+                upper=v.upper,
+                unit=v.unit,
+                log=v.log,
+                tolerance=v.tolerance,
             )
             for key, v in problem.variables.items()
         }

@@ -101,6 +101,7 @@ class VariableTable(Table):
     upper: Written
     guess: Written | None = None
     log: StrictBool = False
+    tolerance: Written | None = None
 
 
 class TermTable(Table):

@@ -40,8 +40,10 @@ damping = "400 N*s/m"
 "share.wedge_angle" = { lower = "5 deg", upper = "60 deg", guess = "25 deg" }
 "share.height"      = { lower = "0.1 m", upper = "0.5 m", guess = "0.25 m" }
 "scene.stiffness"   = { lower = "10 kN/m", upper = "1000 kN/m", guess = "50 kN/m", log = true }
+# each is made within a tolerance, 0.3 % of its range; the key "tolerance" says otherwise, like "1 mm" or "0.5 %"
 
 [minimise]                        # the sum of these: mean_draft/1 kN + force_rms/1 kN
+# over = "worst"                  # or "mean": within the tolerances, the requirements kept everywhere in them
 mean_draft = { per = "1 kN" }
 force_rms  = { per = "1 kN" }
 

@@ -1,0 +1,216 @@
+"""The mean and the worst objective within tolerances: closed forms, and variables solved from the algebra in place."""
+
+import math
+from pathlib import Path
+
+import casadi as ca
+import numpy as np
+import pytest
+
+import plough_opt as po
+from plough_opt.cli import main
+from plough_opt.design import boxed
+from plough_opt.design.landscape import Landscape
+from plough_opt.design.program import Program
+from plough_opt.design.tolerance import BOX_DESIGNS, boxes
+
+T = 0.1
+FILE = Path(__file__).parents[2] / "problems" / "cotton_subsoiler.toml"
+
+
+def _parabola(over, *, log=False, tolerance=T):
+    d = po.Design()
+    x = d.variable("x", guess=1.8, lower=0.2, upper=2.0, log=log, tolerance=tolerance)
+    shift = d.parameter("shift", 0.7)
+    d.minimise((x - shift) ** 2 + 1.0, over=over)
+    return d
+
+
+def _offsets(d, value):
+    """Return the sampled values of a design's only variable within its tolerance, beside a value."""
+    (v,) = d.declared.variables
+    return np.array([v.value(y) for (y,) in boxes([v], np.array([[v.scaled(value)]]))]) - value
+
+
+@pytest.mark.parametrize("log", [False, True])
+def test_the_mean_of_a_parabola_is_that_of_its_uniform_box(log):
+    d = _parabola("mean", log=log)
+    best = d.solve()
+    # The mean of (x - a + u)^2 over |u| < t is (x - a)^2 + t^2/3; 64 even points differ by less than 1 in 64^1.5.
+    assert best.objective == pytest.approx(1.0 + T**2 / 3.0, abs=T**2 / 64)
+    assert best.variables["x"] == pytest.approx(0.7, abs=T / 64 if not log else T / 10)
+    own = _offsets(d, best.variables["x"])
+    assert best.objective == pytest.approx(1.0 + np.mean((best.variables["x"] + own - 0.7) ** 2), rel=1e-9)
+    assert f"the mean of {BOX_DESIGNS} designs" in best.over
+
+
+def test_the_worst_of_a_parabola_lies_at_the_ends_of_its_box():
+    d = _parabola("worst")
+    best = d.solve()
+    own = _offsets(d, 0.7)
+    # Both ends of the sample are as bad: x = a - (least + most)/2, and the worst ((most - least)/2)^2.
+    assert best.variables["x"] == pytest.approx(0.7 - (own.min() + own.max()) / 2.0, abs=1e-7)
+    assert best.objective == pytest.approx(1.0 + (np.ptp(own) / 2.0) ** 2, rel=1e-9)
+    # Of 64 even points the outermost lie in the last 64th on either side.
+    assert 1.0 + T**2 * (1.0 - 2.0 / 64) ** 2 <= best.objective <= 1.0 + T**2
+    assert list(best.variables) == ["x"]
+    assert [limit.name for limit in best.limits] == ["x"]
+    assert best.spread.worst == pytest.approx(best.objective, rel=1e-9)
+
+
+def test_parameters_move_the_worst():
+    d = _parabola("worst")
+    first, second = d.solve(), d.solve(parameters={"shift": 1.2})
+    assert second.variables["x"] - first.variables["x"] == pytest.approx(0.5, abs=1e-7)
+    assert second.objective == pytest.approx(first.objective, rel=1e-9)
+
+
+def test_a_worst_below_what_a_sample_showed_is_found_all_the_same(monkeypatch):
+    monkeypatch.setattr(boxed, "bounds_of_worst", lambda *_: (4.0, 5.0))
+    assert _parabola("worst").solve().objective == pytest.approx(_worst_by_hand(), rel=1e-9)
+
+
+def _worst_by_hand():
+    own = _offsets(_parabola(None), 0.7)
+    return 1.0 + (np.ptp(own) / 2.0) ** 2
+
+
+@pytest.mark.parametrize("over", ["mean", "worst"])
+def test_requirements_hold_in_the_whole_box(over):
+    d = po.Design()
+    x = d.variable("x", guess=1.0, lower=0.1, upper=10.0, tolerance=0.2)
+    y = d.variable("y", guess=2.0, lower=0.1, upper=10.0, tolerance="5 %")
+    d.minimise(2.0 * x + y, over=over)
+    d.require("yield", x * y, at_least=3.0)
+    best = d.solve()
+    assert best.spread.kept == 1.0
+    assert best.margins["yield"] == pytest.approx(0.0, abs=1e-8)
+    assert best.active == ("yield",)
+    # The corner of the box, (x - 0.2) 0.95 y = 3, is the hardest; the sample comes near it and keeps no more.
+    hardest = 0.4 + 2.0 * math.sqrt(2.0 * 3.0 / 0.95)
+    mean = best.variables["x"] * 2.0 + best.variables["y"]
+    assert 2.0 * math.sqrt(6.0) < mean < hardest
+    assert mean == pytest.approx(hardest, rel=0.03)
+
+
+def test_a_narrow_valley_is_left_for_a_broad_one():
+    d = po.Design()
+    x = d.variable("x", guess=0.5, lower=0.0, upper=1.0, tolerance=0.02)
+    narrow, broad = ca.exp(-(((x - 0.25) / 0.005) ** 2)), ca.exp(-(((x - 0.75) / 0.1) ** 2))
+    objective = 2.0 - 1.2 * narrow - broad
+    d.minimise(objective)
+    assert d.solve(judge="bare").variables["x"] == pytest.approx(0.25, abs=1e-6)
+    for over in ("mean", "worst"):
+        d.minimise(objective, over=over)
+        assert d.solve().variables["x"] == pytest.approx(0.75, abs=1e-3)
+
+
+def test_runs_under_a_wave_keep_their_limits_in_the_whole_box():
+    d = po.Design()
+    stiffness = d.variable("stiffness", guess=2e4, lower=5e3, upper=1e5, unit="N/m", log=True, tolerance="5 %")
+    share = po.Wedge(po.deg(25), po.deg(15), 0.25)
+    effects = po.Effects(strength_wave=po.StrengthWave(0.3, 0.6), damping=200.0)
+    scene = po.Scene(po.named_soil("firm sandy loam"), share, stiffness, 28.0, 2.0, effects)
+    run = po.simulate(scene, 0.5)
+    d.minimise(run.force_rms / 1e3, over="worst")
+    d.require("deflection", run.mean_deflection, at_most=0.1, unit="m")
+    best = d.solve()
+    assert best.spread.kept == 1.0
+
+    def at(k):
+        return po.simulate(po.Scene(scene.soil, share, k, 28.0, 2.0, effects), 0.5)
+
+    (v,) = d.declared.variables
+    box = [v.value(y) for (y,) in boxes([v], np.array([[v.scaled(best.variables["stiffness"])]]))]
+    runs = [at(k) for k in box]
+    assert best.objective == pytest.approx(max(float(run.force_rms) for run in runs) / 1e3, rel=1e-7)
+    assert max(float(run.mean_deflection) for run in runs) <= 0.1 + 1e-8
+    # No other stiffness has a lower worst, as far as a fine grid tells.
+    for y in np.linspace(0.0, 1.0, 21):
+        around = [at(v.value(z)) for (z,) in boxes([v], np.array([[y]]))[::8]]
+        if all(float(run.mean_deflection) <= 0.1 for run in around):
+            # Eight of the 64 designs come within a per cent of the worst.
+            assert max(float(run.force_rms) for run in around) / 1e3 >= 0.99 * best.objective
+
+
+def test_another_word_is_refused():
+    with pytest.raises(po.InputError, match="must be 'worst' or 'mean'"):
+        _parabola("best")
+
+
+# --- variables that are solved from the algebra -----------------------------------------------------------
+
+
+@pytest.mark.parametrize("log", [False, True])
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_bound_on_a_peak_is_solved_in_place(log, sign):
+    d = po.Design()
+    x = d.variable("x", guess=0.5, lower=0.0, upper=1.0)
+    peak = d.variable("peak", guess=90.0, lower=0.01, upper=100.0, log=log)
+    curves = [3.0 + ca.sin(11.0 * x), 3.0 + ca.cos(7.0 * x)]
+    d.minimise(sign * peak)
+    d.require("below", sign * (ca.vertcat(*curves) - peak), at_most=0.0)
+    program = Program(d.declared)
+    program.prepare(np.empty(0))
+    landscape = Landscape(program, np.empty(0))
+    assert [variable.number for variable in landscape.settled] == [1]
+    points = np.random.default_rng(3).random((50, 2))
+    seen = landscape(points)
+    assert np.array_equal(seen.points[:, 0], points[:, 0])
+    both = np.array([3.0 + np.sin(11.0 * points[:, 0]), 3.0 + np.cos(7.0 * points[:, 0])])
+    wanted = both.max(axis=0) if sign > 0.0 else -both.min(axis=0)
+    assert seen.f * program.objective_scale == pytest.approx(wanted, rel=1e-12)
+    assert seen.violation == pytest.approx(0.0, abs=1e-12)
+    best = d.solve()
+    grid = np.linspace(0.0, 1.0, 200_001)
+    both = np.array([3.0 + np.sin(11.0 * grid), 3.0 + np.cos(7.0 * grid)])
+    least = both.max(axis=0).min() if sign > 0.0 else -both.min(axis=0).max()
+    assert best.objective == pytest.approx(least, abs=1e-4)
+    assert best.objective <= least + 1e-9
+    assert best.search.variables == ("x",)
+
+
+def test_variables_of_runs_and_of_products_are_searched():
+    d = po.Design()
+    x = d.variable("x", guess=0.5, lower=0.1, upper=1.0)
+    y = d.variable("y", guess=0.5, lower=0.1, upper=1.0)
+    d.minimise(x + y)
+    d.require("product", x * y, at_least=0.1)
+    program = Program(d.declared)
+    assert program.linear_variables(np.empty(0)) == []
+
+
+# --- problem files ----------------------------------------------------------------------------------------
+
+
+def test_a_file_asks_for_the_worst_within_tolerances(tmp_path, capsys):
+    text = FILE.read_text(encoding="utf-8")
+    assert text.count("[minimise]") == 1
+    changed = text.replace("[minimise]", '[minimise]\nover = "worst"').replace('duration = "2 s"', 'duration = "0.1 s"')
+    path = tmp_path / "share.toml"
+    path.write_text(changed, encoding="utf-8")
+    problem = po.read_problem(
+        path, ['variables.share.height.tolerance="5 mm"', "variables.scene.stiffness.tolerance=2 %"]
+    )
+    assert problem.over == "worst"
+    assert problem.variables["share.height"].tolerance == pytest.approx(5e-3, rel=1e-15)
+    assert problem.variables["scene.stiffness"].tolerance == "2 %"
+    assert [v.tolerance for v in problem.design()[0].declared.variables] == [None, pytest.approx(5e-3), "2 %"]
+    assert main(["optimise", str(path), "--set", "scene.outputs=4"]) == 0
+    assert "Within the tolerances: the objective is the worst of 64 designs" in " ".join(
+        capsys.readouterr().out.split()
+    )
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ('minimise.over="best"', '"worst" or "mean"'),
+        ('variables.share.height.tolerance="5 kg"', "wrong unit"),
+        ('variables.share.height.tolerance="-5 mm"', "must not be below 0"),
+        ("variables.share.height.tolerance=0.005", "has no unit"),
+    ],
+)
+def test_files_with_wrong_tolerances_are_refused(change, words):
+    with pytest.raises(po.InputError, match=words):
+        po.read_problem(FILE, [change])

@@ -18,8 +18,8 @@ from plough_opt.domain import check_domain
 from plough_opt.errors import DomainError, InputError, IntegrationError
 from plough_opt.expressions import Expression, as_number
 from plough_opt.geometry import PLANE_SECTIONS_LIMIT
+from plough_opt.motion.causes import refuse_runaway
 from plough_opt.motion.derivative_error import derivative_error
-from plough_opt.motion.judgement import refuse_runaway
 from plough_opt.motion.plan import forced_rate, numbers_of, phase, steps_for
 from plough_opt.scene import Scene
 

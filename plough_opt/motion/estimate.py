@@ -21,8 +21,8 @@ _LEAST = 1e-7
 def difference(run: Run, other: Run) -> float:
     """Return the largest relative difference of any quantity of two runs with the same output times.
 
-    Each counts on its own scale: an array (mount force, soil resistance, deflection, speed, travel), and with it its
-    peak, by its largest difference relative to its largest value; an opening relative to the largest deflection; an
+    Each counts on its own scale: an array (mount force, soil resistance, deflection, speed), and with it its peak, by
+    its largest difference relative to its largest value; travel and opening relative to the largest deflection too; an
     RMS relative to itself; a mean relative to the larger of itself and the RMS; the tow power relative to the larger of
     itself and that force at the strut's mean speed. Speed and soil resistance jump at an event, and count at outputs at
     which both runs are in the same mode.
@@ -33,6 +33,8 @@ def difference(run: Run, other: Run) -> float:
         apart[[1, 3]] *= run.mode == other.mode
     wrong: list[float] = np.abs(apart).max(axis=1).tolist()
     largest: list[float] = np.abs(ours).max(axis=1).tolist()
+    # A share that sticks has a travel of rounding.
+    largest[4] = max(largest[4], largest[2])
     force, deflection, speed = _scales(run, largest)
     found, check = run.averages, other.averages
     least, least_z = _LEAST * force, _LEAST * deflection

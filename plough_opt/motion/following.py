@@ -8,13 +8,14 @@ from typing import Any, NoReturn
 import numpy as np
 from numpy.typing import NDArray
 
-from plough_opt.accuracy import ADAPTIVE, ORDER_8, Accuracy
+from plough_opt.accuracy import ADAPTIVE, ORDER_8, Accuracy, Method
 from plough_opt.effects import StickSlip
 from plough_opt.errors import IntegrationError
+from plough_opt.motion.causes import failed_by, refuse_runaway
 from plough_opt.motion.compiled_steps import CompiledSteps, compiled_steps
 from plough_opt.motion.integrators import Integration, Sized, integration
-from plough_opt.motion.judgement import likely_cause, refuse_missed_event, refuse_runaway
-from plough_opt.motion.plan import OUTPUTS, most_steps, numbers_of, phase, timeline_of
+from plough_opt.motion.judgement import refuse_missed_event
+from plough_opt.motion.plan import OUTPUTS, STIFF_PHASE, most_steps, numbers_of, phase, timeline_of
 from plough_opt.motion.run import Run, assemble
 from plough_opt.motion.signals import signals
 from plough_opt.motion.terms import Structure
@@ -25,6 +26,11 @@ Array = NDArray[np.float64]
 
 # Part of the expected sizes below which an absolute tolerance related to those leaves few digits.
 _SMALL = 0.03
+# When a motion fails is found by halving the time, with a tolerance and steps that soon come to the end of it.
+_CLOSE = 2e-4
+_SHORTEST = 1e-9
+_COARSE = 1e-4
+_COARSE_STEPS = 10_000
 
 
 @dataclass(frozen=True)
@@ -164,17 +170,33 @@ def _refuse(case: Case, solver: Integration, p: list[float]) -> NoReturn:
             f"no lasting orbit of a {scene.describe()} was found from its linear response: simulate it from a start,"
             " orbit = 'transient', to see whether it settles, or damp the mount"
         )
-    reached, failed = 0.0, duration
-    for _ in range(12):
+    raise failed_by(scene, duration, solver, *_last(case, solver, p))
+
+
+def _last(case: Case, solver: Integration, p: list[float]) -> tuple[Run | None, float]:
+    """Return the motion until shortly before it can no longer be followed, and the pause until then [s]."""
+    method: Method = "rosenbrock" if case.phase > STIFF_PHASE else "erk"
+    coarse = Accuracy(method, tolerance=_COARSE)
+    sooner = integration(case.structure, coarse, timeline_of(case.scene, case.duration, OUTPUTS, _COARSE_STEPS, method))
+    if _attempt(sooner.function, p) is None:
+        # Coarse steps come to the end of a motion that has one in a fraction of the time.
+        solver = sooner
+    reached, failed = 0.0, case.duration
+    last: list[Array] | None = None
+    while failed - reached > failed * _CLOSE and failed > _SHORTEST * case.duration:
         middle = (reached + failed) / 2.0
-        if _attempt(solver.function, [*p[:-1], middle]) is None:
+        results = _attempt(solver.function, [*p[:-1], middle])
+        if results is None:
             failed = middle
         else:
-            reached = middle
-    raise IntegrationError(
-        f"the motion of a {scene.describe()} could not be integrated by '{solver.accuracy.method}' beyond"
-        f" t = {reached:.4g} s of {duration:g} s: {likely_cause(scene, duration, solver)}"
-    )
+            reached, last = middle, results
+    if last is None:
+        return None, failed
+    states, means, variances = last
+    until = replace(case, duration=reached)
+    found = states.T, means.ravel(), variances.ravel()
+    with np.errstate(all="ignore"):  # steps that are too long end in any numbers
+        return _assembled(until, solver.timeline, found, solver.accuracy), failed - reached
 
 
 def _attempt(function: Any, *inputs: list[float] | Array) -> list[Array] | None:

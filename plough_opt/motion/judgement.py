@@ -4,29 +4,25 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import replace
 
 import casadi as ca
 import numpy as np
 
-from plough_opt.accuracy import FIXED_STEP
 from plough_opt.effects import StickSlip
 from plough_opt.errors import InputError, IntegrationError
 from plough_opt.expressions import as_number
+from plough_opt.motion.causes import waves_in_flight
 from plough_opt.motion.equation import SLIP, STICK
-from plough_opt.motion.integrators import Integration
 from plough_opt.motion.orbit import monodromy
 from plough_opt.motion.plan import (
     MOST_RINGING,
     MOST_SHOT,
     PHASE_PER_STEP,
-    STIFF_PHASE,
     forced_rate,
     numbers_of,
     phase,
     ringing,
     steps_for,
-    with_setting,
 )
 from plough_opt.motion.run import Run
 from plough_opt.motion.signals import signals
@@ -80,7 +76,7 @@ def refuse_countless_waves(scene: Scene, p: Mapping[str, float], duration: float
         duration: of the run [s].
         most: phase [rad] that is followed.
     """
-    total = forced_rate(p) * duration
+    total = forced_rate(p) * duration + waves_in_flight(scene, p, duration)
     if total <= most:
         return
     by_name = ", or name a method, as Accuracy('erk'), to follow them all the same" if scene.effects.motion else ""
@@ -137,44 +133,6 @@ def refuse_drifting_own(scene: Scene) -> None:
             f"own effects ({names}) resist otherwise one wavelength ({p['wavelength']:g} m) further on: no motion"
             " repeats itself with the wave then, so leave orbit out and simulate from a start"
         )
-
-
-def refuse_runaway(scene: Scene, duration: float) -> None:
-    """Refuse a repelling spring over a time in which no number holds the travel, and no method ends soon."""
-    if scene.effects.printed.repelling_spring and _growth(scene) * duration > _MOST_GROWTH:
-        raise IntegrationError(f"the motion of a {scene.describe()} has no end in {duration:g} s: {_runaway(scene)}")
-
-
-def _growth(scene: Scene) -> float:
-    """Return the rate [1/s] at which a repelling spring, against the mount's damper, drives the share away."""
-    decay = float(as_number(scene.effects.damping or 0.0)) / (2.0 * float(as_number(scene.inertia)))
-    frequency = float(as_number(scene.natural_frequency))
-    return frequency**2 / (decay + math.hypot(decay, frequency))
-
-
-def _runaway(scene: Scene) -> str:
-    return (
-        f"the print's repelling spring drives the share away like exp({_growth(scene):.3g} t), and drag still faster,"
-        " beyond what the method can follow: take a shorter duration, or formulation = 'derived'"
-    )
-
-
-def likely_cause(scene: Scene, duration: float, solver: Integration) -> str:
-    """Return what probably made an integration fail, and what to do."""
-    total, outputs, accuracy = phase(numbers_of(scene), duration), solver.timeline.outputs, solver.accuracy
-    if scene.effects.printed.repelling_spring:
-        return _runaway(scene)
-    turns = total / (2.0 * math.pi)
-    if accuracy.method in FIXED_STEP:
-        enough = with_setting(replace(accuracy, steps=None), steps_for(total), outputs).steps or 0
-        if enough > 2 * (accuracy.steps or 0):
-            return f"{accuracy.steps} steps are too few for {turns:.3g} oscillations: take steps={enough}"
-    if total > STIFF_PHASE:
-        return (
-            f"it oscillates {turns:.3g} times meanwhile: use the quasi-static scene (Effects(motion=False)),"
-            " a softer or a damped mount, or a shorter duration"
-        )
-    return "the tolerance is tighter than rounding allows, or the resistance drives the share away"
 
 
 def refuse_missed_event(run: Run) -> None:

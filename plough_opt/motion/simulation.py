@@ -59,8 +59,8 @@ def simulate(
         A `Run` of numbers or of expressions. A run of numbers is integrated a second time, more coarsely, of a method
         that is named more finely, and ``error_estimate`` is the largest difference of the two, twice that where the
         second run is not the coarser or the contact has kinks. It covers every result, each relative to its own size:
-        mount force, soil resistance, deflection, speed and travel at the outputs, and so their peaks, relative to the
-        largest of each; an opening to the largest deflection; both RMS to themselves; mean draft and mean deflection
+        mount force, soil resistance, deflection and speed at the outputs, and so their peaks, relative to the largest
+        of each; travel and opening to the largest deflection too; both RMS to themselves; mean draft and deflection
         to themselves or the RMS, whichever is larger; the tow power to itself or that force at the strut's mean speed.
         A size below 1e-7 of what the motion's forces, deflections or speeds reach counts as that. Soil resistance and
         speed jump at an event, and count where both runs are in the same mode. What is left of double precision, some

@@ -10,6 +10,7 @@ import numpy as np
 from plough_opt.accuracy import ADAPTIVE, DEFAULT_ERROR, ORDER_8, Accuracy
 from plough_opt.compiler import NO_COMPILER
 from plough_opt.errors import IntegrationError
+from plough_opt.motion.causes import Escape, unsound_own
 from plough_opt.motion.estimate import TELLING, difference
 from plough_opt.motion.following import Array, Case, Followed, follow, thinned
 from plough_opt.motion.judgement import (
@@ -92,10 +93,12 @@ def _quasi_static(case: Case, accuracy: Accuracy) -> tuple[Run, float, tuple[str
     scene, duration = case.scene, case.duration
     refuse_countless_waves(scene, case.p, duration, MOST_PANELLED)
     timeline = timeline_of(scene, duration, case.outputs, steps_for(forced_rate(case.p) * duration))
-    run = quasi_static(scene, duration, timeline, accuracy)
-    check = quasi_static(scene, duration, timeline, accuracy, GAUSS_POINTS + MORE_POINTS)
+    with np.errstate(all="ignore"):  # what is not finite is refused below
+        run = quasi_static(scene, duration, timeline, accuracy)
+        check = quasi_static(scene, duration, timeline, accuracy, GAUSS_POINTS + MORE_POINTS)
     if not all(np.isfinite(part).all() for part in (run.mount_force, run.mean_draft, run.force_rms)):
-        raise IntegrationError(f"the resistance of a {scene.describe()} is not finite: look at its own effects")
+        why = unsound_own(scene, run, 0.0) or "look at its numbers"
+        raise IntegrationError(f"the resistance of a {scene.describe()} is not finite: {why}")
     return run, difference(run, check), ()
 
 
@@ -107,6 +110,8 @@ def _automatic(case: Case, wanted: float) -> tuple[Followed, float]:
         for _ in range(1 if method == "rosenbrock" else _TIGHTENINGS):
             try:
                 found, error = _twice(case, *checked(method, aim, case.p, case.duration))
+            except Escape:
+                raise
             except IntegrationError as failed:
                 failure = failed
                 if not isinstance(failed, MissedEvent):

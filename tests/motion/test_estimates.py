@@ -1,0 +1,160 @@
+"""The error estimate of a run: no result is further from the truth, and a motion that cannot be predicted says so."""
+
+import collections
+import dataclasses
+
+import numpy as np
+import pytest
+import wild_scenes
+
+import plough_opt as po
+from plough_opt.accuracy_study.reference import reference_run
+from plough_opt.motion.estimate import difference
+
+SOIL = po.named_soil("serozem")
+SHARE = po.Wedge(po.deg(30), po.deg(15), 0.25)
+# The truth's own error, estimated, above which it is none: of forces that are but the rounding of a travel.
+DOUBTFUL = 1e-10
+
+
+def by(seed):
+    """Return a sampled run and its errors, or why there is none."""
+    drawn = wild_scenes.sampled(seed)
+    if drawn is None:
+        return "not drawn"
+    scene, duration, outputs = drawn
+    try:
+        run = po.simulate(scene, duration, outputs=outputs)
+    except po.IntegrationError:
+        return "refused"
+    try:
+        truth = reference_run(scene, duration, outputs=outputs)
+    except po.IntegrationError:
+        return "no truth"
+    return (run, wild_scenes.errors(run, truth)) if truth.error < DOUBTFUL else "no truth"
+
+
+@pytest.mark.parametrize("count", [60, pytest.param(1600, marks=pytest.mark.slow)])
+def test_no_result_is_further_from_the_truth_than_estimated(count, capsys):
+    kinds, ratios, beyond = collections.Counter(), [], []
+    for seed in range(count):
+        found = by(seed)
+        if isinstance(found, str):
+            kinds[found] += 1
+            continue
+        run, errors = found
+        kinds["runs"] += 1
+        worst = max(errors, key=errors.get)
+        error = errors[worst]
+        if error > 0.0:
+            ratios.append(run.error_estimate / error)
+        if error > run.error_estimate:
+            beyond.append((seed, worst, error, run.error_estimate))
+        assert error <= 3.0 * run.error_estimate, (seed, worst, error, run.error_estimate)
+        assert error <= 1e-6 or run.checks.notes, (seed, worst, error)
+    with capsys.disabled():
+        print(f"\n{dict(kinds)}, estimate over error {np.median(ratios):.1f} in the median; beyond: {beyond}")
+    assert kinds["runs"] > 0.6 * count
+    assert kinds["no truth"] < 0.05 * count
+    assert len(beyond) <= 0.01 * kinds["runs"]
+    assert np.median(ratios) <= 30.0
+
+
+ALTERED = ("mount_force", "soil_resistance", "deflection", "speed", "travel", "opening")
+AVERAGES = ("mean_draft", "force_rms", "mean_deflection", "displacement_rms", "tow_power")
+
+
+@pytest.fixture(scope="module")
+def gapped():
+    """Return a run with slip, stick and gaps behind a ramp."""
+    effects = {"contact": po.StickSlip(), "strength_wave": po.StrengthWave(0.9, 0.1), "tow_ramp": 0.1, "start": "rest"}
+    run = po.simulate(po.Scene(SOIL, SHARE, 5e4, 45.0, 1.5, po.Effects(**effects)), 0.6, outputs=60)
+    assert set(run.mode) == {0.0, 1.0, 2.0}
+    return run
+
+
+@pytest.mark.parametrize("name", ALTERED)
+def test_every_array_counts(gapped, name):
+    values = getattr(gapped, name).copy()
+    size = max(np.max(np.abs(values)), np.max(np.abs(gapped.deflection)) if name in ("travel", "opening") else 0.0)
+    values[30] += 1e-3 * size
+    assert difference(gapped, dataclasses.replace(gapped, **{name: values})) == pytest.approx(1e-3, rel=1e-9)
+
+
+@pytest.mark.parametrize("name", AVERAGES)
+def test_every_average_counts(gapped, name):
+    other = dataclasses.replace(gapped.averages, **{name: getattr(gapped.averages, name) * 1.001})
+    told = difference(gapped, dataclasses.replace(gapped, averages=other))
+    # A mean that is less than the RMS counts relative to that.
+    assert told <= 1.0000001e-3
+    assert told == pytest.approx(1e-3, rel=1e-9) or name in ("mean_draft", "mean_deflection", "tow_power")
+    assert told > 1e-4
+
+
+def test_what_is_not_finite_is_no_small_difference(gapped):
+    values = gapped.soil_resistance.copy()
+    values[3] = np.nan
+    assert difference(gapped, dataclasses.replace(gapped, soil_resistance=values)) == np.inf
+
+
+# --- forces far below the soil's strength, to which tolerances were once related ---
+
+HARD = po.Soil(
+    density=1900, density_ratio=0.69, cohesion=1.5e6, friction_angle=0.066, tool_friction=0.93, ambient_pressure=700.0
+)
+FIRM = po.Soil(
+    density=1900, density_ratio=0.8, cohesion=2e5, friction_angle=0.3, tool_friction=0.5, ambient_pressure=700.0
+)
+STUCK = {"start": "towed", "contact": po.StickSlip()}
+FEEBLE = {
+    "sticks at once": (
+        po.Scene(HARD, po.Wedge(1.24, 0.52, 0.35), 1565.0, 0.27, 1.3, po.Effects(**STUCK, damping=120.0)),
+        0.033,
+    ),
+    "sticks, no added mass": (
+        po.Scene(FIRM, po.Wedge(1.0, 0.26, 0.35), 2e3, 5.0, 0.1, po.Effects(**STUCK, damping=500.0, added_mass=False)),
+        0.5,
+    ),
+    "touches the soil": (po.Scene(SOIL, SHARE, 5e4, 45.0, 1.5, po.Effects(start="towed", entry=True)), 1e-4),
+    "begins to enter": (po.Scene(SOIL, SHARE, 5e4, 45.0, 1.5, po.Effects(start="towed", entry=True)), 1e-3),
+}
+
+
+@pytest.mark.parametrize("method", ["auto", "erk", "rosenbrock"])
+@pytest.mark.parametrize("name", FEEBLE)
+def test_feeble_forces_keep_their_digits(name, method):
+    scene, duration = FEEBLE[name]
+    run, truth = po.simulate(scene, duration, accuracy=po.Accuracy(method)), reference_run(scene, duration)
+    errors = wild_scenes.errors(run, truth)
+    assert max(errors.values()) <= run.error_estimate <= 3e-8, errors
+
+
+def test_no_step_crosses_the_end_of_a_ramp():
+    # The jerk jumps there, and a step of order 5 across it errs by what its tolerance does not see.
+    soil = dataclasses.replace(FIRM, friction_angle=0.0, tool_friction=0.0, ambient_pressure=0.0)
+    effects = po.Effects(start="rest", entry=True, tow_ramp=0.0206, damping=635.0, rate_term=0.042)
+    scene = po.Scene(soil, po.Wedge(1.4, 0.12, 0.15), 6.8e5, 337.0, 0.77, effects)
+    run = po.simulate(scene, 0.1834, accuracy=po.Accuracy("erk", tolerance=1e-10))
+    errors = wild_scenes.errors(run, reference_run(scene, 0.1834))
+    # Some hundred times the tolerance where a step does.
+    assert max(errors.values()) < 1e-9, errors
+
+
+def test_modes_are_whole_by_an_implicit_method(gapped):
+    run = po.simulate(gapped.scene, gapped.duration, accuracy=po.Accuracy("rosenbrock"), outputs=60)
+    assert set(run.mode) == {0.0, 1.0, 2.0}
+
+
+def test_few_outputs_let_no_event_pass(gapped):
+    few = po.simulate(gapped.scene, gapped.duration, outputs=3)
+    assert few.mount_force == pytest.approx(gapped.mount_force[::20], rel=0, abs=1e-8 * gapped.peak_force)
+    assert len(few.time) == len(few.mode) == len(few.opening) == 4
+
+
+@pytest.mark.parametrize("accuracy", [po.Accuracy("erk", tolerance=1e-4), po.Accuracy("dop853", steps=24)])
+def test_a_named_method_tells_an_error_that_matters(accuracy):
+    scene = po.Scene(SOIL, SHARE, 5e4, 45.0, 1.5, po.Effects(strength_wave=po.StrengthWave(0.3, 0.3)))
+    coarse, fine = (po.simulate(scene, 1.0, accuracy=a) for a in (accuracy, po.Accuracy()))
+    assert coarse.error_estimate > 1e-6
+    assert [text for text in coarse.warnings if "estimated relative error is" in text]
+    assert not [text for text in fine.warnings if "error" in text]

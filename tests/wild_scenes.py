@@ -1,0 +1,123 @@
+"""Scenes sampled over the whole domain and all combinations of effects, and a run's errors against the truth."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+import plough_opt as po
+from plough_opt.motion.plan import numbers_of, phase
+
+# Turns of its fastest oscillation that the reference, in Python and the widest floats, follows within seconds.
+MOST_PHASE = 1500.0
+# What double precision leaves of forces, deflections and speeds, as a part of the largest in the motion.
+ROUNDING = 1e-13
+# Part of the duration from an event at which a jump may fall on either side of an output.
+BESIDE = 1e-9
+
+
+@dataclass(frozen=True)
+class Shank:
+    """A resistance of one's own."""
+
+    static: float
+    viscous: float
+
+    def force(self, travel, speed):
+        return self.static + self.viscous * speed + 0.0 * travel
+
+
+def sampled(seed):
+    """Return a scene with a motion, its duration [s] and outputs; None for one that is refused or too long."""
+    random = np.random.default_rng([seed, 20])
+
+    def log(low, high):
+        return float(10.0 ** random.uniform(low, high))
+
+    def pick(*values):
+        return values[int(random.integers(len(values)))]
+
+    def maybe(value):
+        return value if random.random() < 0.4 else None
+
+    soil = po.Soil(
+        density=log(2.5, 3.5),
+        density_ratio=pick(float(random.uniform(0.5, 0.95)), log(-6, -1), 1.0 - log(-6, -1)),
+        cohesion=pick(0.0, log(3, 5), log(0, 6.3)),
+        friction_angle=pick(0.0, float(random.uniform(0.1, 0.8))),
+        tool_friction=pick(0.0, float(random.uniform(0.0, 1.5))),
+        ambient_pressure=pick(0.0, log(2, 6)),
+    )
+    share = po.Wedge(
+        pick(float(random.uniform(0.02, 1.45)), log(-5, -2)), float(random.uniform(0.0, 1.0)), log(-2, 0.3)
+    )
+    law = pick("resisting", po.Smooth(log(-2, 0)), po.StickSlip(pick(1.0, float(random.uniform(1.0, 3.0)))))
+    start = pick("equilibrium", "rest", "towed")
+    effects = {
+        "inertial_drag": random.random() < 0.7,
+        "added_mass": random.random() < 0.7,
+        "ambient_pressure": random.random() < 0.7,
+        "contact": law,
+        "start": start,
+        "entry": start != "equilibrium" and random.random() < 0.4,
+        "strength_wave": pick(None, po.StrengthWave(float(random.uniform(0.0, 1.0)), log(-1.5, 0.5))),
+        "tow_ramp": maybe(log(-2.5, 0.3)),
+        "damping": pick(None, log(-1, 4)),
+        "rate_term": maybe(log(-3, 0)),
+        "own": (Shank(log(0, 3), log(0, 3)),) if random.random() < 0.15 and not isinstance(law, po.StickSlip) else (),
+        "formulation": "printed" if random.random() < 0.04 else "derived",
+    }
+    mount = pick(log(3, 6), log(1, 8)), pick(log(0, 2), log(-1, 3)), log(-2, 0.8)
+    duration, outputs = pick(log(-1.5, 0.3), log(-4, -1.5)), pick(1, 5, 40, 100, 400)
+    try:
+        scene = po.Scene(soil, share, *mount, po.Effects(**effects))
+    except po.PloughError:
+        return None
+    return (scene, duration, outputs) if phase(numbers_of(scene), duration) < MOST_PHASE else None
+
+
+def errors(run, truth):
+    """Return by name the errors of a run's results, each relative to its own scale, beyond the rounding of doubles."""
+    scene = run.scene
+    stiffness, speed = scene.stiffness, float(np.max(np.abs(truth.speed))) + scene.tow_speed
+    hardness = math.sqrt(stiffness * scene.inertia)
+    force = max(float(np.max(np.abs(x))) for x in (truth.mount_force, truth.soil_resistance)) + hardness * speed
+    rounding = {
+        "force": ROUNDING * force,
+        "z": ROUNDING * force / stiffness,
+        "speed": ROUNDING * (speed + force / hardness),
+    }
+    moments = np.array([float(moment) for moment, _ in truth.events] or [-math.inf])
+    apart = np.min(np.abs(run.time[:, None] - moments), axis=1) > BESIDE * run.duration
+    peak_z = float(np.max(np.abs(truth.deflection)))
+    found = {}
+
+    def note(name, error, scale, kind):
+        beyond = max(0.0, float(error) - rounding[kind])
+        found[name] = beyond / float(scale) if beyond > 0.0 else 0.0
+
+    for name, kind in (
+        ("mount_force", "force"),
+        ("soil_resistance", "force"),
+        ("deflection", "z"),
+        ("speed", "speed"),
+        ("travel", "z"),
+    ):
+        wrong = np.abs(getattr(run, name) - getattr(truth, name))
+        # Where the share changes its mode these jump.
+        wrong = wrong * apart if name in ("soil_resistance", "speed") else wrong
+        size = float(np.max(np.abs(getattr(truth, name))))
+        note(name, np.max(wrong), max(size, peak_z) if name == "travel" else size, kind)
+    note("peak_force", abs(run.peak_force - np.max(truth.mount_force)), np.max(np.abs(truth.mount_force)), "force")
+    note("peak_deflection", abs(run.peak_deflection - np.max(truth.deflection)), peak_z, "z")
+    size, size_z = max(abs(truth.mean_draft), truth.force_rms), max(abs(truth.mean_deflection), truth.displacement_rms)
+    note("mean_draft", abs(run.mean_draft - truth.mean_draft), size, "force")
+    note("force_rms", abs(run.force_rms - truth.force_rms), truth.force_rms, "force")
+    note("mean_deflection", abs(run.mean_deflection - truth.mean_deflection), size_z, "z")
+    note("displacement_rms", abs(run.displacement_rms - truth.displacement_rms), truth.displacement_rms, "z")
+    # The strut's path is that of share and spring together.
+    towed = float((truth.travel + truth.deflection)[-1] - (truth.travel + truth.deflection)[0]) / run.duration
+    power = max(abs(truth.tow_power), size * towed)
+    rounding["power"] = rounding["force"] * scene.tow_speed
+    note("tow_power", abs(run.tow_power - truth.tow_power), power, "power")
+    return found

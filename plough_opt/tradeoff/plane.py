@@ -13,8 +13,9 @@ Array = NDArray[np.float64]
 
 # Normalised differences below are rounding of the solves.
 EQUAL = 1e-7
-# Steps between neighbours above this many are a gap.
-_GAP = 1.5
+JOINED = 1.5
+"""Steps between neighbours above this many are a gap."""
+
 # Neighbours nearer than this many steps are one point twice.
 _NEAR = 0.1
 # A knee stands out from the line between the anchors by at least this.
@@ -48,7 +49,7 @@ def gaps(front: Array, step: float) -> list[int]:
         step: distance of neighbours, the sum of both changes.
     """
     distance = np.sum(np.abs(np.diff(front, axis=0)), axis=1)
-    return [int(k) for k in np.flatnonzero(distance > _GAP * step)]
+    return [int(k) for k in np.flatnonzero(distance > JOINED * step)]
 
 
 def spread(front: Array, step: float) -> NDArray[np.intp]:

@@ -44,7 +44,7 @@ class FrontProgram:
         own_parameters: the design's.
         scales: sizes of the objectives, in their units.
         rows: numbers of the constraints that set the position.
-        levels: ways to solve it, the finest first: with all integration steps, and with a third of them.
+        levels: ways to solve it, the finest first: with all integration steps, and with two fifths of them.
         low: normalised objectives' zero, in scaled units.
         span: their range.
     """
@@ -88,15 +88,16 @@ class FrontProgram:
         self._exact: dict[bytes, tuple[Vector, list[Vector]]] = {}
         self.levels: list[Level] = []
         self._refinement = 1.0
+        self._starts: list[Vector] = []
 
     def prepare(self, changed: Mapping[str, float]) -> None:
-        """Build the program, or keep what is built, for values of the design's parameters.
+        """Check the program for values of the design's parameters.
 
         Args:
             changed: values that differ from the declared ones, by name.
 
         Raises:
-            InputError: a model without a value at the guess.
+            InputError: a model without a value at the guess and in a sample.
             DomainError: bounds that lead out of the model's domain.
         """
         self._values = [changed.get(parameter.name, parameter.value) for parameter in self.own_parameters]
@@ -107,11 +108,21 @@ class FrontProgram:
         # With these parameters objective and positions are the scaled objectives.
         count = self.count
         self._all = self.parameters((0.0, 1.0, *np.zeros(count - 1)), np.eye(count)[1:], np.zeros(count - 1).tolist())
-        self._build()
+        self._refinement = 1.0
+        self.program.prepare(self._nowhere())
 
     def parameters(self, weights: Sequence[float], normals: Vector, positions: Sequence[float]) -> Vector:
         """Return the program's parameters for w, n (a row for each position) and c, in scaled units."""
         return np.array([*self._values, *weights, *np.ravel(normals), *positions])
+
+    def build(self, starts: Sequence[Vector]) -> None:
+        """Write the program with enough integration steps at some designs, or keep what is written.
+
+        Args:
+            starts: scaled designs.
+        """
+        self._starts = list(starts)
+        self._build()
 
     def refine(self) -> None:
         """Take more integration steps."""
@@ -120,15 +131,15 @@ class FrontProgram:
 
     def _build(self) -> None:
         program = self.program
-        program.build(self._nowhere(), self._refinement)
+        program.build(self._nowhere(), self._refinement, self._starts)
         if self.levels and self.levels[0].nlp is program.nlp:
             return
-        # A third of the steps of machine code saves less than its derivatives cost, which are interpreted.
+        # Fewer steps of machine code save less than their derivatives cost, which are interpreted.
         sizes = (len(program.declared.variables), len(program.declared.parameters))
-        fine, self._rough = (
-            Level(nlp, program.rough, sizes, program.low, program.high) for nlp in (program.nlp, program.rough)
-        )
-        self.levels = [fine, self._rough] if program.interpreted and self.wanted_error else [fine]
+        fine = Level(program.nlp, program.rough, sizes, program.low, program.high)
+        self.levels = [fine]
+        if program.interpreted and self.wanted_error:
+            self.levels.append(Level(program.rough, program.rough, sizes, program.low, program.high))
 
     def _nowhere(self) -> Vector:
         """Return parameters without objective or position."""
@@ -211,18 +222,20 @@ class FrontProgram:
 
     def objectives(self, y: Vector, level: int = 0) -> Vector:
         """Return the scaled objectives as the optimiser has them."""
-        return self._evaluated(self.levels[level], y)[0]
+        f, g = self.levels[level].values(y, self._all)
+        return np.concatenate([f * self.program.objective_scale, g[self.rows] * self._row_scale])
 
-    def _evaluated(self, level: Level, y: Vector) -> tuple[Vector, Vector]:
-        f, g = level.values(y, self._all)
-        return np.concatenate([f * self.program.objective_scale, g[self.rows] * self._row_scale]), g
+    def look(self, points: Vector, finer: float, together: int) -> tuple[Vector, Vector]:
+        """Return scaled objectives and all rows of requirements, in their units, of designs, a row for each.
 
-    def roughly(self, y: Vector) -> tuple[Vector, Vector]:
-        """Return, roughly, scaled objectives and scaled requirements; NaN without a value."""
-        try:
-            return self._evaluated(self._rough, y)
-        except RuntimeError:  # no orbit, or no end of an integration
-            return np.full(self.count, np.nan), np.full(len(self.program.low), np.nan)
+        Args:
+            points: scaled variables.
+            finer: as in `Population`.
+            together: as in `Population`.
+        """
+        with np.errstate(all="ignore"):
+            f, g = self.program.population(points, self._all, finer=finer, together=together)
+        return np.column_stack([f, g[:, self.rows]]), g
 
     def exact(self, y: Vector) -> tuple[Vector, list[Vector]]:
         """Return the scaled objectives and all requirements, integrated tightly."""

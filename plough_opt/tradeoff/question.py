@@ -12,14 +12,16 @@ import numpy as np
 
 from plough_opt.design import Design, Progress
 from plough_opt.design.ipopt import Point
-from plough_opt.design.search import scanned_variables
+from plough_opt.design.effort import Search
 from plough_opt.domain import plain_number
-from plough_opt.errors import InputError, nearest
+from plough_opt.errors import InputError, NotConverged, nearest
 from plough_opt.expressions import Expression, is_count
 from plough_opt.tradeoff.assembly import Times, assembled
+from plough_opt.tradeoff.cloud import Cloud
 from plough_opt.tradeoff.goal import Goal
 from plough_opt.tradeoff.program import FrontProgram, declarations
 from plough_opt.tradeoff.result import TradeOff
+from plough_opt.tradeoff.searching import Searcher
 from plough_opt.tradeoff.surface import SurfaceTracer
 from plough_opt.tradeoff.tracing import Tracer
 
@@ -40,7 +42,7 @@ def trade_off(
     *others: Goal | Expression,
     points: int = 40,
     parameters: Mapping[str, float] | None = None,
-    search: str | Sequence[str] = "auto",
+    search: Search = "auto",
     compiled: bool = False,
     title: str = "",
     progress: Progress | None = None,
@@ -87,7 +89,7 @@ def trade_off(
     front.prepare(_checked(front, parameters or {}))
     building = time.perf_counter() - started
     kind = Tracer if len(goals) == 2 else SurfaceTracer
-    tracer = kind(front, scanned_variables(front.program, search), int(points), told)
+    tracer = kind(front, Searcher(Cloud(front), search, told), int(points), told)
     anchors = _anchors(front, tracer)
     idle = _normalise(front, anchors)
     if len(idle) == 1 and len(goals) == 3:
@@ -125,8 +127,16 @@ def _built(design: Design, goals: Sequence[Goal], compiled: bool) -> FrontProgra
 
 def _anchors(front: FrontProgram, tracer: Tracer | SurfaceTracer) -> list[list[Point]]:
     """Return all local optima of each objective alone, with enough integration steps for the wanted error."""
+    starts = tracer.begin(tracer.orders())
     for _ in range(_REFINEMENTS):
-        found = tracer.all_anchors()
+        found = tracer.all_anchors(starts)
+        for number, points in enumerate(found):
+            if not points:
+                raise NotConverged(
+                    f"objective number {1 + number * front.count // len(found)} alone has no optimum that the optimiser"
+                    " finds: check the bounds, or search more thoroughly",
+                    "no optimum",
+                )
         if all(front.accurate(point.y) for points in found for point in points):
             break
         front.refine()

@@ -1,35 +1,42 @@
-"""Local optima of a trade-off: kept once each, and searched where a scan shows basins."""
+"""Local optima of a trade-off: kept once each, and sought wherever the cloud has designs that the front misses."""
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
-from plough_opt.design.basin import first_optimum
+from plough_opt.design.basin import near_optimum
 from plough_opt.design.curvature import minimum_from
+from plough_opt.design.exploring import Progress
 from plough_opt.design.ipopt import REMEDIES, Point, Vector
-from plough_opt.design.search import SCAN_POINTS, Progress
+from plough_opt.design.polishing import as_it_is, polished
 from plough_opt.scene import Scene
+from plough_opt.tradeoff.cloud import Cloud
+from plough_opt.tradeoff.missing import gains, thinned
 from plough_opt.tradeoff.program import FrontProgram
+from plough_opt.tradeoff.searching import Searcher
 
 # Weight of the other objectives in an anchor: what is indifferent to one objective is decided by the others.
 OTHERS = 1e-4
+MATTERS = 1e-3
+"""Of the range of an objective: a design that is better by less is on the front."""
+
+# Steps of designs for which the program is written, in ranges.
+_ROUGHLY = 1e-2
 # Two optima nearer than this, in normalised objectives and in scaled variables, are one.
 _SAME_OBJECTIVES = 1e-6
 _SAME_DESIGN = 1e-4
-# Scaled designs nearer than this, but for the scanned variable, share a scan.
-_SAME_GEOMETRY = 1e-3
-# A violated requirement must outweigh any gain in the scaled objective, which is of order 1.
-_PENALTY = 100.0
-_ROUNDS = 3
-_FEASIBLE = 1e-6
-# A basin within so many tried positions of a known optimum is that optimum's.
-_KNOWN = 2.0 / (SCAN_POINTS - 1)
-# Roughly integrated optima nearer than this are one.
-_ROUGHLY = 1e-2
-_PLACES = np.linspace(0.0, 1.0, SCAN_POINTS)
+# An optimum with its last digits is no further from where it was without them.
+_BESIDE = 0.05
+# Of the scaled objective: an optimum above its start by less is no worse, for searches integrate roughly.
+_NOT_WORSE = 1e-5
+# Rounds of following missed designs, and how many in each.
+_ROUNDS, _AT_ONCE = 12, 6
+# Missed designs that are held against their tolerances in a round.
+_MOST_JUDGED = 100
 
 
 @dataclass
@@ -43,6 +50,7 @@ class Sample:
         level: of the program that found it.
         coarsest: level that suits its neighbours.
         swept: objectives in whose direction its branch has been followed from here.
+        extra: whether it was sought for a design that the front missed, and lies between positions.
         inward: at an end, an optimum and its parameters a little along the front, where the multipliers are unique.
         scenes: of its runs, with numbers, and how long each runs [s], once it is certified.
     """
@@ -53,6 +61,7 @@ class Sample:
     level: int = 0
     coarsest: int = 0
     swept: set[int] = field(default_factory=set)
+    extra: bool = False
     inward: tuple[Point, Vector] | None = None
     scenes: list[tuple[Scene, float]] = field(default_factory=list)
 
@@ -70,42 +79,80 @@ class Failure:
     reason: str
 
 
-class Samples:
-    """All local optima found, and how to find more."""
+class Samples(ABC):
+    """All local optima found, and how to find more.
 
-    def __init__(self, front: FrontProgram, scanned: Sequence[int], progress: Progress) -> None:
-        """Take the program and the variables to scan."""
+    Attributes:
+        step: distance of neighbouring positions in the normalised objectives.
+    """
+
+    step: float
+
+    def __init__(self, front: FrontProgram, searcher: Searcher, progress: Progress) -> None:
+        """Take the program, and what searches over its variables."""
         self.front = front
-        self.scanned = scanned
+        self.searcher = searcher
+        self.cloud: Cloud = searcher.cloud
         self.told = progress
         self.found: list[Sample] = []
         self.failures: list[Failure] = []
-        self._scans: list[tuple[int, Vector, Vector, Vector]] = []
 
-    def anchors(self, p: Vector) -> list[Point]:
-        """Return all local optima at parameters that set no position, best first.
+    # --- anchors -----------------------------------------------------------------------------------------
 
-        Raises:
-            InfeasibleDesign: no design meets the requirements.
-            NotConverged: no optimum was found.
-        """
-        return self.all_optima(p, [self.from_guess(p)])
+    def begin(self, orders: Sequence[Vector]) -> list[list[Vector]]:
+        """Return starts for each objective alone, and write the program with the steps that these need.
 
-    def from_guess(self, p: Vector) -> Point:
-        """Return the local optimum to which the guess leads at parameters that set no position.
+        Args:
+            orders: parameters that set no position.
 
         Raises:
             InfeasibleDesign: no design meets the requirements.
-            NotConverged: no optimum was found.
+            NotConverged: no design has a value.
         """
-        program = self.front.program
-        self.told("solving from the guess", 0.0)
-        first = self.front.levels[-1].solve(program.start(), p)
-        if first.solved:
-            first = self.front.solve(first, first.y, p)
-        if not first.solved:
-            first = first_optimum(program, p)
-        return minimum_from(program, p, first)
+        if not self.searcher.vary:
+            self.told("solving from the guess", 0.0)
+            program = self.front.program
+            starts = [[near_optimum(program, self.cloud.landscape(p), p, program.start()).y] for p in orders]
+        else:
+            starts = [list(self.searcher.bottoms(p).points) for p in orders]
+        self._normalise_roughly([own[0] for own in starts])
+        self.front.build([y for own in starts for y in own] + self._best_seen())
+        return starts
+
+    def _normalise_roughly(self, ends: Sequence[Vector]) -> None:
+        """Normalise by the starts, so that needles can be told from others."""
+        at = self.front.look(np.array(ends), 1.0, 1)[0]
+        low, high = at.min(axis=0), at.max(axis=0)
+        self.front.normalise(low, np.maximum(high - low, _SAME_OBJECTIVES * np.maximum(np.abs(at).max(axis=0), 1.0)))
+
+    def _best_seen(self) -> list[Vector]:
+        """Return the designs of the cloud that no other beats by more than a hundredth of a range."""
+        y, scaled = self.cloud.feasible
+        return list(y[thinned(self.front.normalised(scaled), _ROUGHLY)])
+
+    def anchors(self, p: Vector, starts: Sequence[Vector]) -> list[Point]:
+        """Return the local optima beside starts, needles last, of the others the best first.
+
+        Args:
+            p: parameters that set no position.
+            starts: scaled designs.
+        """
+        points = [minimum_from(self.front.program, p, self._polished(p, y)) for y in starts]
+        points = [self._to_the_last_digit(point, p) for point in points if point.solved]
+        objectives = np.array([self.front.objectives(point.y) for point in points]).reshape(-1, self.front.count)
+        needles = self.cloud.needles(np.array([point.y for point in points]), objectives) if points else ()
+        order = sorted(range(len(points)), key=lambda k: (bool(needles[k]), points[k].f))
+        return [points[k] for k in order]
+
+    def _polished(self, p: Vector, y: Vector) -> Point:
+        """Return the local optimum beside a design that a search found; never a worse one."""
+        return polished(self.front.program, p, y)
+
+    def _to_the_last_digit(self, point: Point, p: Vector) -> Point:
+        """Return an optimum solved to rounding, where that can be had beside it."""
+        again = self.front.solve(point, point.y, p, patient=False)
+        beside = np.max(np.abs(again.y - point.y)) < _BESIDE and again.f <= point.f + _NOT_WORSE * abs(point.f)
+        return again if again.solved and beside else point
 
     # --- solving -----------------------------------------------------------------------------------------
 
@@ -168,71 +215,64 @@ class Samples:
 
     # --- searching ---------------------------------------------------------------------------------------
 
-    def all_optima(self, p: Vector, known: Sequence[Point]) -> list[Point]:
-        """Return all distinct local optima at parameters that scans lead to, best first.
+    @abstractmethod
+    def ordered(self) -> list[Sample]:
+        """Return the samples that no other dominates, of two objectives in order."""
 
-        Args:
-            p: parameters.
-            known: local optima there, the first of which has the geometry of the first scan.
-        """
-        optima = [point for point in known if point.solved]
-        for variable in self.scanned:
-            visited: list[Vector] = []
-            for _ in range(_ROUNDS):
-                rests = [np.delete(point.y, variable) for point in optima]
-                fresh = [k for k, rest in enumerate(rests)
-                         if all(np.max(np.abs(rest - v), initial=0.0) > _ROUGHLY for v in visited)]  # fmt: skip
-                if not fresh:
-                    break
-                visited.append(rests[fresh[0]])
-                self._polish(p, optima, variable, optima[fresh[0]].y)
-        return sorted(optima, key=lambda point: point.f)
+    @abstractmethod
+    def position(self, at: Vector) -> Vector:
+        """Return the parameters that ask for the front's design at the place of normalised objectives."""
 
-    def _polish(self, p: Vector, optima: list[Point], variable: int, y: Vector) -> None:
-        """Add the optima in the basins along a variable that are not among the known ones."""
-        program, front = self.front.program, self.front
-        rough = front.levels[-1]
-        for start, feasible in self._basins(p, variable, y):
-            if any(abs(point.y[variable] - start[variable]) < _KNOWN for point in optima):
-                continue
-            point = rough.correct(optima[0], start, p)
-            if not (point.solved and abs(point.y[variable] - start[variable]) < _KNOWN):
-                point = rough.solve(start, p, near=True)
-            if feasible and not (point.solved and abs(point.y[variable] - start[variable]) < _KNOWN):
-                # Without curvatures its first steps may be too long for a narrow basin.
-                point = rough.solve(start, p, near=True, exact=True)
-            if not point.solved or any(np.max(np.abs(point.y - other.y)) < _ROUGHLY for other in optima):
-                continue
-            point = minimum_from(program, p, front.solve(point, point.y, p))
-            if point.solved and not any(np.max(np.abs(point.y - other.y)) < _SAME_DESIGN for other in optima):
-                optima.append(point)
+    @abstractmethod
+    def follow_all(self, sample: Sample) -> None:
+        """Follow the branch of a sample wherever it leads."""
 
-    def _basins(self, p: Vector, variable: int, y: Vector) -> list[tuple[Vector, bool]]:
-        """Return a start in each basin along a variable, the most promising first, and whether it is feasible."""
-        objectives, rows = self._scan(variable, y)
-        program, (weights, normals, limits) = self.front.program, self.front.asked(p)
-        beyond = np.maximum(program.low - rows, rows - program.high)
-        beyond[:, self.front.rows] = objectives @ normals.T - limits
-        violation = np.max(beyond, axis=1, initial=0.0)
-        merit = weights[0] + objectives @ weights[1:] + _PENALTY * violation
-        merit[~np.isfinite(merit)] = np.inf
-        left, right = np.r_[np.inf, merit[:-1]], np.r_[merit[1:], np.inf]
-        basins = np.flatnonzero((merit < left) & (merit <= right) & np.isfinite(merit))
-        starts = np.repeat(y[None, :], len(basins), axis=0)
-        starts[:, variable] = _PLACES[basins]
-        order = np.argsort(merit[basins])
-        return [(starts[k], bool(violation[basins[k]] <= _FEASIBLE)) for k in order]
+    def sample_at(self, p: Vector, y: Vector) -> Sample | Point:
+        """Return the local optimum beside a design at a position, no worse than it, or where the optimiser stopped."""
+        begins = as_it_is(self.front.program, p, y)
+        near = min(self.found, key=lambda sample: float(np.max(np.abs(sample.point.y - y))))
+        point, level = self.optimum(near.point, y, p, near.coarsest, patient=False)
+        if not point.solved or point.f > begins.f + _NOT_WORSE * max(abs(begins.f), 1.0):
+            point, level = self._to_the_last_digit(self._polished(p, y), p), 0
+        return self.kept(point, p, level) if point.solved else point
 
-    def _scan(self, variable: int, y: Vector) -> tuple[Vector, Vector]:
-        """Return, roughly, scaled objectives and requirements along a variable, a row for each position."""
-        rest = np.delete(y, variable)
-        for known, place, objectives, rows in self._scans:
-            if known == variable and np.max(np.abs(place - rest), initial=0.0) < _SAME_GEOMETRY:
-                return objectives, rows
-        self.told(f"scanning {self.front.program.declared.variables[variable].name}", 0.0)
-        points = np.repeat(y[None, :], SCAN_POINTS, axis=0)
-        points[:, variable] = _PLACES
-        found = [self.front.roughly(point) for point in points]
-        objectives, rows = (np.array(column) for column in zip(*found, strict=True))
-        self._scans.append((variable, rest, objectives, rows))
-        return objectives, rows
+    def reach_all(self) -> None:
+        """Follow the designs that the cloud has beyond the front, until none is left that is no needle."""
+        tried: set[bytes] = set()
+        for number in range(_ROUNDS if self.searcher.vary else 0):
+            missed = [(y, at) for y, at in self._missed() if y.tobytes() not in tried]
+            if not missed:
+                return
+            for k, (y, at) in enumerate(missed[:_AT_ONCE]):
+                self.told("following designs that the front misses", (number + k / _AT_ONCE) / _ROUNDS)
+                tried.add(y.tobytes())
+                known = len(self.found)
+                found = self.sample_at(self.position(at), y)
+                if isinstance(found, Point):
+                    self.fail(self._nearest(at), found)
+                elif len(self.found) > known:
+                    found.extra = True
+                    self.follow_all(found)
+
+    def _missed(self) -> list[tuple[Vector, Vector]]:
+        """Return designs by which the front could be better, and their normalised objectives, none beside another."""
+        y, scaled = self.cloud.feasible
+        at = self.front.normalised(scaled)
+        own = np.array([sample.at for sample in self.ordered()])
+        gain = gains(own, at, self.step)
+        left = np.flatnonzero(gain > MATTERS)
+        while len(left):
+            best = left[thinned(at[left], MATTERS)]
+            best = best[np.argsort(-gain[best], kind="stable")][:_MOST_JUDGED]
+            needles = self.cloud.needles(y[best], scaled[best])
+            if not np.any(needles):
+                break
+            left = np.setdiff1d(left, best[needles])
+        chosen: list[int] = []
+        for k in best if len(left) else ():
+            if all(np.max(np.abs(at[k] - at[j])) > self.step / 2.0 for j in chosen):
+                chosen.append(int(k))
+        return [(y[k], at[k]) for k in chosen]
+
+    def _nearest(self, at: Vector) -> Sample:
+        return min(self.found, key=lambda sample: float(np.max(np.abs(sample.at - at))))

@@ -17,8 +17,12 @@ from plough_opt.tradeoff.plane import EQUAL, Array, area, efficient
 Node = tuple[int, int, int]
 """A position on the plane of utopia, in half steps; the three add up to the same everywhere."""
 
-# Steps between places within which two points belong to one part.
-_TOGETHER = 1.75
+TOGETHER = 1.75
+"""Steps between places within which two points belong to one part."""
+
+ACROSS = np.array([[1.0, 1.0], [-1.0, 1.0], [0.0, -2.0]]) / np.sqrt([2.0, 6.0])
+"""Two directions across (1, 1, 1), as columns."""
+
 # Steps; of points that the tight integration gives their objectives.
 _EXACT = 1e-3
 
@@ -103,7 +107,7 @@ def parts_of(objectives: Array, step: float) -> tuple[list[list[int]], list[tupl
     from scipy.sparse.csgraph import connected_components, minimum_spanning_tree
 
     apart = distances(objectives)
-    count, label = connected_components(csr_array(apart <= _TOGETHER * step), directed=False)
+    count, label = connected_components(csr_array(apart <= TOGETHER * step), directed=False)
     parts = sorted(([int(k) for k in np.flatnonzero(label == c)] for c in range(count)), key=len, reverse=True)
     between_parts, ends = np.zeros((count, count)), {}
     for a in range(count):

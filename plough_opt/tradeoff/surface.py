@@ -9,9 +9,10 @@ from itertools import permutations
 import numpy as np
 
 from plough_opt.design.ipopt import Point, Vector
-from plough_opt.design.search import Progress
+from plough_opt.design.exploring import Progress
 from plough_opt.tradeoff.program import FrontProgram
 from plough_opt.tradeoff.samples import Sample, Samples
+from plough_opt.tradeoff.searching import Searcher
 from plough_opt.tradeoff.space import (
     Node,
     between,
@@ -37,7 +38,7 @@ _EXACT = 1e-3
 _ROUNDS = 4
 # Decimals by which places are told apart.
 _PLACES = 4
-# Nodes at which all local optima are searched, as fractions of the triangle's corners.
+# Nodes at which basins are searched, as fractions of the triangle's corners.
 _SEARCHED = ((1 / 3, 1 / 3, 1 / 3), (0.5, 0.5, 0.0), (0.5, 0.0, 0.5), (0.0, 0.5, 0.5))
 
 
@@ -48,9 +49,9 @@ class SurfaceTracer(Samples):
         step: distance of neighbouring positions in the normalised objectives.
     """
 
-    def __init__(self, front: FrontProgram, scanned: Sequence[int], count: int, progress: Progress) -> None:
-        """Take the program, the variables to scan, and the least number of positions within the triangle."""
-        super().__init__(front, scanned, progress)
+    def __init__(self, front: FrontProgram, searcher: Searcher, count: int, progress: Progress) -> None:
+        """Take the program, what searches over its variables, and the least number of positions in the triangle."""
+        super().__init__(front, searcher, progress)
         self._steps = positions(count)
         self.step = 1.0 / self._steps
         self._inside = set(triangle(self._steps))
@@ -68,12 +69,14 @@ class SurfaceTracer(Samples):
         for number, sample in enumerate(ends):
             self.told(f"following branch {number + 1} of {len(ends)}", number / len(ends))
             self._flood(sample, nearest(sample.at, self._steps))
-        for number, corner in enumerate(_SEARCHED if self.scanned else ()):
+        for number, corner in enumerate(_SEARCHED if self.searcher.vary else ()):
             self.told(f"searching between the anchors, {number + 1} of {len(_SEARCHED)}", number / len(_SEARCHED))
             self._search_at(nearest(np.array(corner), self._steps))
         self._fill_gaps()
+        self.reach_all()
         self._refine_edges()
         self._bridge()
+        self.reach_all()
 
     def _start_in_the_middle(self, ends: Sequence[Sample]) -> None:
         """Follow branches from the middle of the triangle: at an end of a front slopes may vanish that lead inside."""
@@ -95,13 +98,12 @@ class SurfaceTracer(Samples):
         """
         return [self.front.weighted(weights) for weights in IN_TURN]
 
-    def all_anchors(self) -> list[list[Point]]:
-        """Return local optima for each of `orders`: of every other one those near the ones before, and the guess."""
+    def all_anchors(self, starts: Sequence[Sequence[Vector]]) -> list[list[Point]]:
+        """Return local optima for each of `orders` beside its starts, and beside those of the order before."""
         orders, found = self.orders(), list[list[Point]]()
-        for searched, beside in zip(orders[::2], orders[1::2], strict=True):
-            points = self.anchors(searched)
-            others = [self.from_guess(beside), *(self.front.solve(point, point.y, beside) for point in points)]
-            found += [points, sorted((point for point in others if point.solved), key=lambda point: point.f)]
+        for k in range(0, len(orders), 2):
+            points = self.anchors(orders[k], starts[k])
+            found += [points, self.anchors(orders[k + 1], [*starts[k + 1], *(point.y for point in points)])]
         return found
 
     # --- following ---------------------------------------------------------------------------------------
@@ -190,15 +192,20 @@ class SurfaceTracer(Samples):
         """Return whether no objective would rather be worse: a local optimum may be held back by its position."""
         return bool(np.all(self.front.slopes(sample.point, sample.p) > 0.0))
 
+    def position(self, at: Vector) -> Vector:
+        """Return the parameters that ask for the front's design at the place of normalised objectives."""
+        return self._question_at(at - np.mean(at) + 1.0 / 3.0)
+
+    def follow_all(self, sample: Sample) -> None:
+        """Follow a branch from the node nearest to a sample."""
+        self._flood(sample, nearest(sample.at, self._steps))
+
     def _search_at(self, node: Node) -> None:
-        """Search all local optima at a node, and follow what is new from there."""
-        here = self._at.get(node, [])
-        if not here:
-            return
-        p = self._question(node)
-        for point in self.all_optima(p, [sample.point for sample in here]):
-            sample = self.kept(point, p)
-            if not any(sample is other for other in here):
+        """Search basins at a node, and follow what is new from there."""
+        p, here = self._question(node), self._at.setdefault(node, [])
+        for y in self.searcher.basins_at(p):
+            sample = self.sample_at(p, y)
+            if not isinstance(sample, Point) and not any(sample is other for other in here):
                 self._flood(sample, node)
 
     # --- gaps --------------------------------------------------------------------------------------------

@@ -14,6 +14,7 @@ from matplotlib.tri import Triangulation
 from plough_opt.picture_files import COLOURS
 from plough_opt.tradeoff.goal import Axis
 from plough_opt.tradeoff.picture import MUTED, Drawing, beside_panels, label_of, places_of, range_of, unit_of
+from plough_opt.tradeoff.space import ACROSS
 
 # Triangles with a side longer than so many times the usual one lie across a hole.
 _LONGEST: Final = 3.0
@@ -67,17 +68,13 @@ def _triangles(places: np.ndarray) -> list[np.ndarray]:
         return []
     low, span = places.min(axis=0), np.ptp(places, axis=0)
     scaled = (places - low) / np.where(span > 0.0, span, 1.0)
-    flat = scaled @ _ACROSS
+    flat = scaled @ ACROSS
     if np.linalg.matrix_rank(flat - flat.mean(axis=0), tol=1e-6) < 2:
         return []
     corners = Triangulation(*flat.T).triangles
     sides = np.linalg.norm(flat[corners] - flat[np.roll(corners, 1, axis=1)], axis=2)
     short = np.max(sides, axis=1) < _LONGEST * np.median(sides)
     return [corners[short]] if np.any(short) else []
-
-
-# Two directions across (1, 1, 1), as columns.
-_ACROSS: Final = np.array([[1.0, 1.0], [-1.0, 1.0], [0.0, -2.0]]) / np.sqrt([2.0, 6.0])
 
 
 def _draw_variable(axes: Axes, front: Drawing, variable: Axis) -> None:

@@ -8,10 +8,11 @@ from math import comb
 import numpy as np
 
 from plough_opt.design.ipopt import Point, Vector
-from plough_opt.design.search import Progress
+from plough_opt.design.exploring import Progress
 from plough_opt.tradeoff.plane import efficient, gaps
 from plough_opt.tradeoff.program import FrontProgram
 from plough_opt.tradeoff.samples import OTHERS, Sample, Samples
+from plough_opt.tradeoff.searching import Searcher
 
 # A position farther from its limit is held by none: the branch has ended.
 _ENDED = 1e-6
@@ -28,16 +29,16 @@ _GIVE_UP = 2
 _ROUNDS = 6
 # Decimals of the normalised objectives by which gaps are told apart.
 _PLACES = 4
-# Differences of the normalised objectives at which all local optima are searched.
-_SEARCHED = (-0.5, 0.0, 0.5)
+# Differences of the normalised objectives at which basins are searched.
+_SEARCHED = (-0.75, -0.375, 0.0, 0.375, 0.75)
 
 
 class Tracer(Samples):
     """The local optima of a front of two objectives."""
 
-    def __init__(self, front: FrontProgram, scanned: Sequence[int], positions: int, progress: Progress) -> None:
-        """Take the program, the variables to scan, and the number of positions."""
-        super().__init__(front, scanned, progress)
+    def __init__(self, front: FrontProgram, searcher: Searcher, positions: int, progress: Progress) -> None:
+        """Take the program, what searches over its variables, and the number of positions."""
+        super().__init__(front, searcher, progress)
         self._grid = np.linspace(-1.0, 1.0, positions)
         self.step = 2.0 / (positions - 1)
 
@@ -52,15 +53,17 @@ class Tracer(Samples):
             self.told(f"following branch {number + 1} of {len(starts)}", number / len(starts))
             self.follow(sample, objective)
         self._search_inside()
+        self.reach_all()
         self._fill_gaps()
+        self.reach_all()
 
     def orders(self) -> list[Vector]:
         """Return the parameters for either objective alone."""
         return [self.front.alone(k, OTHERS) for k in (0, 1)]
 
-    def all_anchors(self) -> list[list[Point]]:
-        """Return all local optima for each of `orders`."""
-        return [self.anchors(p) for p in self.orders()]
+    def all_anchors(self, starts: Sequence[Sequence[Vector]]) -> list[list[Point]]:
+        """Return the local optima for each of `orders` beside its starts."""
+        return [self.anchors(p, own) for p, own in zip(self.orders(), starts, strict=True)]
 
     # --- following ---------------------------------------------------------------------------------------
 
@@ -100,25 +103,28 @@ class Tracer(Samples):
 
     # --- searching ---------------------------------------------------------------------------------------
 
+    def position(self, at: Vector) -> Vector:
+        """Return the parameters that ask for the front's design at the place of normalised objectives."""
+        return self._beside(1, float(at[0] - at[1]))
+
+    def follow_all(self, sample: Sample) -> None:
+        """Follow a branch both ways."""
+        for objective in (1, 0):
+            if objective not in sample.swept:
+                self.follow(sample, objective)
+
     def _search_inside(self) -> None:
-        """Search all local optima at some positions, and follow what is new from there both ways."""
-        for number, difference in enumerate(_SEARCHED if self.scanned else ()):
+        """Search basins at some positions, and follow what is new from there both ways."""
+        for number, difference in enumerate(_SEARCHED if self.searcher.vary else ()):
             self.told(f"searching between the anchors, {number + 1} of {len(_SEARCHED)}", number / len(_SEARCHED))
             self._search_at(difference)
 
     def _search_at(self, difference: float) -> None:
-        difference = float(self._grid[np.argmin(np.abs(self._grid - difference))])
-        p = self._beside(1, difference)
-        near = min(self.found, key=lambda sample: abs(self._difference(sample, 1) - difference))
-        first = self.solve(near, near.point.y, p)
-        if isinstance(first, Point):
-            return
-        here = [s.point for s in self.found if abs(self._difference(s, 1) - difference) < _ENDED and s is not first]
-        for point in self.all_optima(p, [first.point, *here]):
-            sample = self.kept(point, p)
-            for objective in (1, 0):
-                if objective not in sample.swept:
-                    self.follow(sample, objective)
+        p = self._beside(1, float(self._grid[np.argmin(np.abs(self._grid - difference))]))
+        for y in self.searcher.basins_at(p):
+            sample = self.sample_at(p, y)
+            if not isinstance(sample, Point):
+                self.follow_all(sample)
 
     # --- gaps --------------------------------------------------------------------------------------------
 
@@ -146,7 +152,7 @@ class Tracer(Samples):
         for sample, objective in ((left, 1), (right, 0)):
             if objective not in sample.swept:
                 self.follow(sample, objective)
-        if self.scanned:
+        if self.searcher.vary:
             self._search_at(float(np.mean([self._difference(sample, 1) for sample in (left, right)])))
         end = self._end(left, 1, float(right.at[0]) - _BESIDE)
         self._end(right, 0, float((end or left).at[1]) - _BESIDE)

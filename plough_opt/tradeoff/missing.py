@@ -1,0 +1,87 @@
+"""By how much designs are better than a traced front: ends, branches and basins that it misses.
+
+All objectives are normalised and minimised, a row for each design.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from plough_opt.tradeoff.plane import JOINED, Array
+from plough_opt.tradeoff.space import ACROSS, TOGETHER
+
+# Designs that are compared with a front at once.
+_CHUNK = 20_000
+
+
+def gains(front: Array, designs: Array, step: float) -> Array:
+    """Return by how much each design is better than a front in the objective in which it is least so, at least 0.
+
+    Compared are the front's points and, at the design's own place, the straight lines or triangles between neighbours.
+
+    Args:
+        front: efficient rows; of two objectives in order.
+        designs: rows to compare.
+        step: distance of neighbours on the front.
+    """
+    found = np.empty(len(designs))
+    for first in range(0, len(designs), _CHUNK):
+        part = designs[first : first + _CHUNK]
+        from_points = np.max(front[None] - part[:, None], axis=2).min(axis=1)
+        between = _under_curve(front, part, step) if front.shape[1] == 2 else _under_surface(front, part, step)
+        found[first : first + _CHUNK] = np.minimum(from_points, between)
+    return np.maximum(found, 0.0)
+
+
+def beaten(points: Array, designs: Array) -> Array:
+    """Return by how much some design is better than each point in all objectives, below 0 where none is."""
+    if not len(designs):
+        return np.full(len(points), -np.inf)
+    return np.array([np.min(point - designs, axis=1).max() for point in points])
+
+
+def thinned(designs: Array, tolerance: float) -> NDArray[np.intp]:
+    """Return rows of which none is better than another by less than a tolerance, and that no row dominates."""
+    left = np.argsort(designs.sum(axis=1), kind="stable")
+    kept: list[int] = []
+    while len(left):
+        kept.append(int(left[0]))
+        left = left[np.any(designs[left] < designs[left[0]] - tolerance, axis=1)]
+    return np.array(kept, dtype=np.intp)
+
+
+def _under_curve(front: Array, designs: Array, step: float) -> Array:
+    """Return how far designs lie below the lines between neighbours of a curve; infinite at its gaps and beyond it."""
+    if len(front) < 2:
+        return np.full(len(designs), np.inf)
+    along, height = front[:, 0] - front[:, 1], front.sum(axis=1) / 2.0
+    place = designs[:, 0] - designs[:, 1]
+    after = np.clip(np.searchsorted(along, place), 1, len(front) - 1)
+    joined = np.sum(np.abs(np.diff(front, axis=0)), axis=1) <= JOINED * step
+    inside = (place >= along[0]) & (place <= along[-1]) & joined[after - 1]
+    return np.where(inside, np.interp(place, along, height) - designs.sum(axis=1) / 2.0, np.inf)
+
+
+def _under_surface(front: Array, designs: Array, step: float) -> Array:
+    """Return how far designs lie below the triangles between neighbours of a surface; infinite at holes and beyond."""
+    from scipy.spatial import Delaunay, QhullError  # slow to import, and every problem file imports this module
+
+    found = np.full(len(designs), np.inf)
+    try:
+        triangles = Delaunay(front @ ACROSS)
+    except (QhullError, ValueError):  # too few points, or all on a line
+        return found
+    corners = front[triangles.simplices]
+    places = corners - corners.mean(axis=2, keepdims=True)
+    sides = np.abs(places - np.roll(places, 1, axis=1)).max(axis=(1, 2))
+    across = designs @ ACROSS
+    own = triangles.find_simplex(across)
+    inside = np.flatnonzero(own >= 0)
+    inside = inside[sides[own[inside]] <= TOGETHER * step]
+    turn = triangles.transform[own[inside]]
+    first = np.einsum("ijk,ik->ij", turn[:, :2], across[inside] - turn[:, 2])
+    weights = np.column_stack([first, 1.0 - first.sum(axis=1)])
+    height = np.einsum("ij,ij->i", weights, corners[own[inside]].mean(axis=2))
+    found[inside] = height - designs[inside].mean(axis=1)
+    return found

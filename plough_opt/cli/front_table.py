@@ -33,13 +33,16 @@ def print_front(console: Console, problem: Problem, front: TradeOff) -> None:
         console.print(f"Knee (bold), at {place}: {escape(costs)}.", soft_wrap=True)
     if everywhere:
         console.print(f"Limits that decide every design: {', '.join(everywhere)}.", soft_wrap=True)
+    if front.search:
+        console.print(escape(front.search), soft_wrap=True)
     for note in front.notes:
         console.print(f"[yellow]Note:[/] {escape(note)}.", soft_wrap=True)
     for reason, places in _failures(problem, front).items():
         console.print(f"[yellow]No certified design[/] near {'; '.join(places)}: {escape(reason)}.", soft_wrap=True)
     gap, residual = (max(getattr(point, name) for point in front.points) for name in ("gap", "residual"))
     console.print(
-        f"{len(front.dominated)} further local optima are dominated; first-order conditions met to {residual:.0e},"
+        f"{len(front.dominated)} further local optima are dominated, {len(front.needles)} are needles; first-order"
+        f" conditions met to {residual:.0e},"
         f" re-integrated tightly: gap {gap:.0e}; {front.seconds:.1f} s, {front.building:.1f} s of them for building"
     )
 

@@ -13,22 +13,23 @@ from plough_opt.errors import NotConverged
 from plough_opt.tradeoff.caveats import caveats
 from plough_opt.tradeoff.certificate import FrontPoint, certify
 from plough_opt.tradeoff.goal import Axis, Goal
-from plough_opt.tradeoff.plane import Array, efficient, gaps, spread
+from plough_opt.tradeoff.notes import against_the_search, looked_at, notes_on
+from plough_opt.tradeoff.plane import Array, efficient, gaps, needed, spread
 from plough_opt.tradeoff.program import FrontProgram
 from plough_opt.tradeoff.result import Hole, TradeOff
-from plough_opt.tradeoff.samples import Failure, Sample, Samples
-from plough_opt.tradeoff.space import lattice, parts_of, uncrowded, undominated
+from plough_opt.tradeoff.samples import MATTERS, Failure, Sample, Samples
+from plough_opt.tradeoff.space import covering, lattice, parts_of, uncrowded, undominated
 from plough_opt.tradeoff.surface import IN_TURN, SurfaceTracer
 from plough_opt.tradeoff.tracing import Tracer
 
-# Relative ranges of all objectives below this are hardly a conflict.
-_HARDLY = 0.02
 # Of six anchors none has to stay where it lies beside another.
 _LAST = np.full(6, 1)
 # Of a hole's size: nearer to its ends is at them.
 _EDGE = 1e-3
 # Steps between points of a surface that are not on positions.
 _ROOM = 0.7
+# Steps, in the objectives: no efficient design that was found is farther from a point of a surface.
+_COVERED = 1.0
 
 
 @dataclass(frozen=True)
@@ -65,14 +66,17 @@ def assembled(
         NotConverged: no point could be certified.
     """
     signs = np.array([goal.sign for goal in goals])
-    certified, failures = _certified(front, tracer, signs)
-    if not certified:
+    every, failures = _certified(front, tracer, signs)
+    if not every:
         raise NotConverged(f"no point of the front could be certified: {failures[-1].reason}", "Not_Certified")
+    # A needle beats no design that can be made; where there is nothing else it is named.
+    certified = [own for own in every if not own[1].needle] or every
+    needles = tuple(point for _, point in every if point.needle)
     at = np.array([front.normalised(np.array(point.objectives) * signs / front.scales) for _, point in certified])
     if isinstance(tracer, SurfaceTracer):
         order = _surface(at, [tracer.is_efficient(sample) for sample, _ in certified], tracer.step)
     else:
-        order = _curve(at, tracer.step)
+        order = _curve(at, [sample.extra for sample, _ in certified], tracer.step)
     points = tuple(certified[k][1] for k in order.kept)
     variables = front.program.declared.variables
     return TradeOff(
@@ -81,12 +85,18 @@ def assembled(
         variables=tuple(Axis(v.name, v.unit, log=v.log, lower=v.lower, upper=v.upper) for v in variables),
         points=points,
         dominated=tuple(point for k, (_, point) in enumerate(certified) if k not in order.efficient),
+        needles=needles if certified is not every else (),
         failures=tuple(failures),
         parts=order.parts,
         holes=tuple(hole(points[a], points[b], failures, signs) for a, b in order.holes),
-        notes=(*_notes(front, goals, points), *_caveats(front, [certified[k][0] for k in order.kept])),
+        notes=(
+            *notes_on(tracer, goals, points),
+            *against_the_search(tracer, at[list(order.kept)]),
+            *_caveats(front, [certified[k][0] for k in order.kept]),
+        ),
+        search=looked_at(tracer),
         seconds=time.perf_counter() - times.started,
-        building=times.building,
+        building=times.building + front.building,
     )
 
 
@@ -94,18 +104,38 @@ def _certified(
     front: FrontProgram, tracer: Samples, signs: Array
 ) -> tuple[list[tuple[Sample, FrontPoint]], list[Failure]]:
     """Return samples with their certificates, and what failed, in the objectives' own units."""
-    found, failures = [], []
+    found: list[tuple[Sample, FrontPoint]] = []
+    doubtful: list[tuple[Sample, FrontPoint]] = []
+    failures = []
     for failure in tracer.failures:
         own = (np.array(failure.objectives) * front.span + front.low) * front.scales * signs
         failures.append(replace(failure, objectives=tuple(own.tolist())))
     for sample in tracer.found:
         sample.scenes = front.scenes(sample.point.y)
         point = certify(front, sample, signs)
-        if point.doubt:
+        (doubtful if point.doubt else found).append((sample, point))
+    for sample, point in doubtful:
+        # One that a certified design is as good as leaves no place without one.
+        if not any(np.all(other.at <= sample.at + MATTERS) for other, _ in found):
             failures.append(Failure(point.objectives, point.doubt))
-        else:
-            found.append((sample, point))
-    return found, failures
+    return _with_medians(front, tracer, found, signs), failures
+
+
+def _with_medians(
+    front: FrontProgram, tracer: Samples, found: list[tuple[Sample, FrontPoint]], signs: Array
+) -> list[tuple[Sample, FrontPoint]]:
+    """Return points with what becomes of them within their tolerances."""
+    y = np.array([sample.point.y for sample, _ in found]).reshape(len(found), -1)
+    medians = tracer.cloud.medians(y)
+    if medians is None:
+        return found
+    scaled = np.array([point.objectives for _, point in found]).reshape(len(found), -1) * signs / front.scales
+    needles = tracer.cloud.needles(y, scaled)
+    own = medians * np.array(front.scales) * signs
+    return [
+        (sample, replace(point, medians=tuple(row.tolist()), needle=bool(needle)))
+        for (sample, point), row, needle in zip(found, own, needles, strict=True)
+    ]
 
 
 def _caveats(front: FrontProgram, samples: Sequence[Sample]) -> tuple[str, ...]:
@@ -113,10 +143,17 @@ def _caveats(front: FrontProgram, samples: Sequence[Sample]) -> tuple[str, ...]:
     return caveats([sample.scenes for sample in samples], still)
 
 
-def _curve(at: Array, step: float) -> Order:
-    """Return the order of the points between two objectives."""
+def _curve(at: Array, extra: Sequence[bool], step: float) -> Order:
+    """Return the order of the points between two objectives.
+
+    Args:
+        at: their normalised objectives.
+        extra: whether a point lies between positions.
+        step: between positions.
+    """
     order = efficient(at)
-    kept = order[spread(at[order], step)]
+    own = order[needed(at[order], [extra[k] for k in order], step)]
+    kept = own[spread(at[own], step)]
     breaks = gaps(at[kept], step)
     bounds = [0, *(k + 1 for k in breaks), len(kept)]
     return Order(
@@ -142,7 +179,7 @@ def _surface(at: Array, willing: Sequence[bool], step: float) -> Order:
     rank = lattice(at[order], round(1.0 / step))
     apart = anchors[uncrowded(at[order[anchors]], _LAST, _ROOM * step)]
     rank[[*apart, *(row for pair in ends for row in pair)]] = 0
-    kept = uncrowded(at[order], rank, _ROOM * step)
+    kept = covering(at[order], uncrowded(at[order], rank, _ROOM * step), _COVERED * step)
     kept = kept[np.lexsort(at[order[kept]].T[::-1])]
     number = {int(row): k for k, row in enumerate(kept)}
     return Order(
@@ -167,23 +204,3 @@ def hole(before: FrontPoint, after: FrontPoint, failures: Sequence[Failure], sig
         and not failure.reason.startswith("Infeasible_Problem_Detected")
     ]
     return Hole(before.objectives, after.objectives, settled=not within)
-
-
-def _notes(front: FrontProgram, goals: Sequence[Goal], points: Sequence[FrontPoint]) -> tuple[str, ...]:
-    """Return sentences on objectives that hardly conflict, and on an error that is larger than wanted."""
-    notes = []
-    names = [f"'{goal.name}'" for goal in goals]
-    listed = f"{', '.join(names[:-1])} and {names[-1]}"
-    values = np.array([point.objectives for point in points])
-    ranges = np.ptp(values, axis=0) / np.maximum(np.max(np.abs(values), axis=0), np.finfo(float).tiny)
-    if len(points) == 1:
-        best = "both" if len(goals) == 2 else "all three"
-        notes.append(f"{listed} do not conflict: one design is best in {best}")
-    elif np.max(ranges) < _HARDLY:
-        changes = [f"{100 * change:.2g} %" for change in ranges]
-        how = f"{', '.join(changes[:-1])} and {changes[-1]}"
-        notes.append(f"{listed} hardly conflict: along the whole front they change by {how}")
-    wanted, gap = front.wanted_error, max(point.gap for point in points)
-    if wanted is not None and gap > wanted:
-        notes.append(f"the wanted relative error {wanted:.1e} was not reached everywhere: the largest is {gap:.1e}")
-    return tuple(notes)

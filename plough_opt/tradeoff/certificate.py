@@ -38,6 +38,10 @@ class FrontPoint:
             integrated; None where they leave none.
         weights: of the objectives per their units, by the multipliers: along the front changes so weighted add up to
             nothing. None of a design that stands alone.
+        medians: of each objective over the design's tolerances, as a search integrates; None where runs are integrated
+            one by one, which takes too long.
+        needle: whether the median of some objective is worse than its own by more than 5 % of it and of its range over
+            the front: no workshop can hit such a design.
     """
 
     objectives: tuple[float, ...]
@@ -51,6 +55,8 @@ class FrontPoint:
     gap: float
     curvature: float | None = None
     weights: tuple[float, ...] | None = None
+    medians: tuple[float, ...] | None = None
+    needle: bool = False
 
     @property
     def doubt(self) -> str:

@@ -15,23 +15,36 @@ from plough_opt.tradeoff.space import ACROSS, TOGETHER
 _CHUNK = 20_000
 
 
-def gains(front: Array, designs: Array, step: float) -> Array:
-    """Return by how much each design is better than a front in the objective in which it is least so, at least 0.
-
-    Compared are the front's points and, at the design's own place, the straight lines or triangles between neighbours.
+def beyond_points(front: Array, designs: Array) -> Array:
+    """Return by how much each design is better than every point of a front in the objective in which it is least so.
 
     Args:
-        front: efficient rows; of two objectives in order.
+        front: rows.
         designs: rows to compare.
-        step: distance of neighbours on the front.
     """
     found = np.empty(len(designs))
     for first in range(0, len(designs), _CHUNK):
         part = designs[first : first + _CHUNK]
-        from_points = np.max(front[None] - part[:, None], axis=2).min(axis=1)
-        between = _under_curve(front, part, step) if front.shape[1] == 2 else _under_surface(front, part, step)
-        found[first : first + _CHUNK] = np.minimum(from_points, between)
-    return np.maximum(found, 0.0)
+        found[first : first + _CHUNK] = np.max(front[None] - part[:, None], axis=2).min(axis=1)
+    return found
+
+
+def beyond_front(front: Array, designs: Array, step: float) -> Array:
+    """Return the same beyond the points and the straight lines, or triangles, between neighbours among them.
+
+    Where a surface has no triangle, at its edges and in its holes, half a step beyond the points is none beyond it: so
+    far apart are the points of an edge.
+
+    Args:
+        front: efficient rows; of two objectives in order.
+        designs: rows to compare, of three objectives a few thousand at most.
+        step: distance of neighbours on the front.
+    """
+    points = beyond_points(front, designs)
+    if front.shape[1] == 2:
+        return np.minimum(points, _under_curve(front, designs, step))
+    under = _under_surface(front, designs, step)
+    return np.where(np.isfinite(under), np.minimum(points, under), points - step / 2.0)
 
 
 def beaten(points: Array, designs: Array) -> Array:

@@ -6,6 +6,8 @@ objectives between neighbours on evenly spread positions is the same everywhere.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -67,6 +69,23 @@ def spread(front: Array, step: float) -> NDArray[np.intp]:
             if not last or kept[-1] == 0 or kept[-1] in ends:
                 continue
             kept.pop()
+        kept.append(k)
+    return np.array(kept, dtype=np.intp)
+
+
+def needed(front: Array, extra: Sequence[bool], step: float) -> NDArray[np.intp]:
+    """Return the rows of a front without those between positions that no gap would follow.
+
+    Args:
+        front: normalised objectives of efficient rows in order.
+        extra: whether a row lies between positions.
+        step: distance of neighbours, the sum of both changes.
+    """
+    kept: list[int] = []
+    for k in range(len(front)):
+        ends = kept and k + 1 < len(front)
+        if extra[k] and ends and np.sum(np.abs(front[k + 1] - front[kept[-1]])) <= JOINED * step:
+            continue
         kept.append(k)
     return np.array(kept, dtype=np.intp)
 

@@ -11,6 +11,7 @@ objectives Messac and Mattson 2004) with w and n in units of the objectives' ran
 from __future__ import annotations
 
 import copy
+import time
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
@@ -47,6 +48,8 @@ class FrontProgram:
         levels: ways to solve it, the finest first: with all integration steps, and with two fifths of them.
         low: normalised objectives' zero, in scaled units.
         span: their range.
+        building: time that was spent on writing it since it was last prepared [s].
+        apart: by what part of its size each objective differs between the anchors.
     """
 
     def __init__(self, declared: Declarations, goals: Sequence[Goal], *, compiled: bool = False) -> None:
@@ -87,6 +90,8 @@ class FrontProgram:
         self.rows = np.arange(first, first + self.count - 1)
         self._exact: dict[bytes, tuple[Vector, list[Vector]]] = {}
         self.levels: list[Level] = []
+        self.building = 0.0
+        self.apart = np.ones(self.count)
         self._refinement = 1.0
         self._starts: list[Vector] = []
 
@@ -108,7 +113,7 @@ class FrontProgram:
         # With these parameters objective and positions are the scaled objectives.
         count = self.count
         self._all = self.parameters((0.0, 1.0, *np.zeros(count - 1)), np.eye(count)[1:], np.zeros(count - 1).tolist())
-        self._refinement = 1.0
+        self._refinement, self.building = 1.0, 0.0
         self.program.prepare(self._nowhere())
 
     def parameters(self, weights: Sequence[float], normals: Vector, positions: Sequence[float]) -> Vector:
@@ -130,8 +135,9 @@ class FrontProgram:
         self._build()
 
     def _build(self) -> None:
-        program = self.program
+        program, began = self.program, time.perf_counter()
         program.build(self._nowhere(), self._refinement, self._starts)
+        self.building += time.perf_counter() - began
         if self.levels and self.levels[0].nlp is program.nlp:
             return
         # Fewer steps of machine code save less than their derivatives cost, which are interpreted.

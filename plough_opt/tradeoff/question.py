@@ -11,8 +11,8 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 from plough_opt.design import Design, Progress
-from plough_opt.design.ipopt import Point
 from plough_opt.design.effort import Search
+from plough_opt.design.ipopt import Point
 from plough_opt.domain import plain_number
 from plough_opt.errors import InputError, NotConverged, nearest
 from plough_opt.expressions import Expression, is_count
@@ -52,8 +52,10 @@ def trade_off(
     By the normalised normal constraint (Messac, Ismail-Yahaya and Mattson 2003; Messac and Mattson 2004): from the
     optima of each objective alone, at positions that are evenly spread in the normalised objectives, on a line for two
     of them and on a lattice for three, which goes on beyond the anchors' triangle to the edges of the surface. Unlike a
-    weighted sum it finds the concave parts of a front. Every local optimum of an anchor, and of some positions between
-    them, is the start of a branch, so that a front's parts beside a ridge are all followed. For example::
+    weighted sum it finds the concave parts of a front. Ends and branches come from a sample of
+    all variables, evolution and descents, for each objective alone and at positions between them; then every design
+    that was looked at and is better than the front, by 0.1 % of the ranges and of a surface by 0.5 % or half a step at
+    its edges, is followed, unless it is a needle. What no search saw stays unknown. For example::
 
         radius = po.Goal("loosened radius", po.loosened_radius(cone, soil), unit="m", maximise=True)
         front = po.trade_off(d, po.Goal("draft", run.mean_draft, unit="N"), radius)
@@ -67,8 +69,9 @@ def trade_off(
             between the anchors. Parts that end between positions get their ends beside these.
         parameters: values of parameters that differ from the declared ones, by name. The program is built once for a
             design and its objectives, and kept for further fronts.
-        search: as in `Design.solve`: which variables are scanned for further local optima. Without a scan the anchors
-            are those that the guess leads to, and parts of the front that lie elsewhere stay unknown.
+        search: as in `Design.solve`: "auto", "thorough", names of variables, a number of designs, or a text such as
+            "20 s", which the objectives share. With "near" the ends are those to which the guess leads, and parts of
+            the front that lie elsewhere stay unknown.
         compiled: as in `Design.solve`.
         title: of the question, for reports.
         progress: called with what is being done and the fraction done.
@@ -76,7 +79,7 @@ def trade_off(
     Raises:
         InputError: more than three objectives, one that is no scalar expression of this design, an unknown parameter,
             or nothing to vary.
-        InfeasibleDesign: no design meets the requirements.
+        InfeasibleDesign: no design was found that meets the requirements.
         NotConverged: an objective alone has no optimum that the optimiser finds, or no point could be certified.
     """
     started = time.perf_counter()
@@ -107,6 +110,7 @@ def trade_off(
         tracer.trace(anchors)
         _refine(tracer, front, told)
         tracer.look_inward()
+        tracer.confess()
     told("checking", 0.0)
     return assembled(front, tracer, goals, title, Times(started, building))
 
@@ -127,7 +131,7 @@ def _built(design: Design, goals: Sequence[Goal], compiled: bool) -> FrontProgra
 
 def _anchors(front: FrontProgram, tracer: Tracer | SurfaceTracer) -> list[list[Point]]:
     """Return all local optima of each objective alone, with enough integration steps for the wanted error."""
-    starts = tracer.begin(tracer.orders())
+    starts = tracer.begin()
     for _ in range(_REFINEMENTS):
         found = tracer.all_anchors(starts)
         for number, points in enumerate(found):
@@ -148,8 +152,8 @@ def _normalise(front: FrontProgram, anchors: Sequence[Sequence[Point]]) -> list[
     ends = np.array([front.objectives(points[0].y) for points in anchors])
     low, high = ends.min(axis=0), ends.max(axis=0)
     front.normalise(low, high - low)
-    sizes = np.maximum(1e-3, np.max(np.abs(ends), axis=0))
-    return [int(k) for k in np.flatnonzero((high - low) / sizes < _NONE)]
+    front.apart = (high - low) / np.maximum(1e-3, np.max(np.abs(ends), axis=0))
+    return [int(k) for k in np.flatnonzero(front.apart < _NONE)]
 
 
 def _refine(tracer: Tracer | SurfaceTracer, front: FrontProgram, told: Progress) -> None:

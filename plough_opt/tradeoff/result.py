@@ -49,14 +49,16 @@ class TradeOff:
         title: of the question.
         goals: the objectives.
         variables: the design's variables.
-        points: certified efficient designs.
+        points: certified designs that no other dominates which was found.
         dominated: certified local optima that some design beats in all objectives.
         failures: positions without a certified design, and why.
         parts: numbers of the points of each connected part.
         holes: between the parts.
         notes: what a reader of the numbers must know.
+        search: what was looked at, in a sentence.
+        needles: certified local optima that no workshop can hit, which are left out of the front.
         seconds: time taken.
-        building: part of it that building the program took; nothing for one that was built before.
+        building: part of it that building the program took; little for one that was built before.
         versions: of packages, and the machine.
     """
 
@@ -69,6 +71,8 @@ class TradeOff:
     parts: tuple[tuple[int, ...], ...]
     holes: tuple[Hole, ...]
     notes: tuple[str, ...] = ()
+    search: str = ""
+    needles: tuple[FrontPoint, ...] = ()
     seconds: float = 0.0
     building: float = 0.0
     versions: Mapping[str, str] = field(default_factory=versions)
@@ -257,6 +261,8 @@ class SavedTradeOff(Saved):
     parts: tuple[tuple[int, ...], ...]
     holes: tuple[Hole, ...]
     notes: tuple[str, ...]
+    search: str = ""
+    needles: tuple[FrontPoint, ...] = ()
     seconds: float
     building: float = 0.0
 

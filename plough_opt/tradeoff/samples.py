@@ -15,14 +15,14 @@ from plough_opt.design.ipopt import REMEDIES, Point, Vector
 from plough_opt.design.polishing import as_it_is, polished
 from plough_opt.scene import Scene
 from plough_opt.tradeoff.cloud import Cloud
-from plough_opt.tradeoff.missing import gains, thinned
+from plough_opt.tradeoff.missing import beyond_front, beyond_points, thinned
 from plough_opt.tradeoff.program import FrontProgram
 from plough_opt.tradeoff.searching import Searcher
 
 # Weight of the other objectives in an anchor: what is indifferent to one objective is decided by the others.
 OTHERS = 1e-4
 MATTERS = 1e-3
-"""Of the range of an objective: a design that is better by less is on the front."""
+"""Of the range of an objective: a design that is better by less is no better."""
 
 # Steps of designs for which the program is written, in ranges.
 _ROUGHLY = 1e-2
@@ -84,9 +84,11 @@ class Samples(ABC):
 
     Attributes:
         step: distance of neighbouring positions in the normalised objectives.
+        matters: of the range of an objective: a design that the front misses by less is not sought.
     """
 
     step: float
+    matters: float
 
     def __init__(self, front: FrontProgram, searcher: Searcher, progress: Progress) -> None:
         """Take the program, and what searches over its variables."""
@@ -96,14 +98,16 @@ class Samples(ABC):
         self.told = progress
         self.found: list[Sample] = []
         self.failures: list[Failure] = []
+        self._settled = np.empty(0, dtype=int)
 
     # --- anchors -----------------------------------------------------------------------------------------
 
-    def begin(self, orders: Sequence[Vector]) -> list[list[Vector]]:
-        """Return starts for each objective alone, and write the program with the steps that these need.
+    @abstractmethod
+    def alone(self) -> list[Vector]:
+        """Return the parameters for each objective alone."""
 
-        Args:
-            orders: parameters that set no position.
+    def begin(self) -> list[list[Vector]]:
+        """Return starts for each objective alone, and write the program with the steps that these need.
 
         Raises:
             InfeasibleDesign: no design meets the requirements.
@@ -112,9 +116,9 @@ class Samples(ABC):
         if not self.searcher.vary:
             self.told("solving from the guess", 0.0)
             program = self.front.program
-            starts = [[near_optimum(program, self.cloud.landscape(p), p, program.start()).y] for p in orders]
+            starts = [[near_optimum(program, self.cloud.landscape(p), p, program.start()).y] for p in self.alone()]
         else:
-            starts = [list(self.searcher.bottoms(p).points) for p in orders]
+            starts = [list(self.searcher.bottoms(p).points) for p in self.alone()]
         self._normalise_roughly([own[0] for own in starts])
         self.front.build([y for own in starts for y in own] + self._best_seen())
         return starts
@@ -234,13 +238,17 @@ class Samples(ABC):
         point, level = self.optimum(near.point, y, p, near.coarsest, patient=False)
         if not point.solved or point.f > begins.f + _NOT_WORSE * max(abs(begins.f), 1.0):
             point, level = self._to_the_last_digit(self._polished(p, y), p), 0
-        return self.kept(point, p, level) if point.solved else point
+        return self.at_the_edge(p, point, level) if point.solved else point
+
+    def at_the_edge(self, p: Vector, point: Point, level: int) -> Sample:
+        """Return the sample of an optimum at a position; where the position does not hold it, that of the edge."""
+        return self.kept(point, p, level)
 
     def reach_all(self) -> None:
         """Follow the designs that the cloud has beyond the front, until none is left that is no needle."""
         tried: set[bytes] = set()
-        for number in range(_ROUNDS if self.searcher.vary else 0):
-            missed = [(y, at) for y, at in self._missed() if y.tobytes() not in tried]
+        for number in range(_ROUNDS):
+            missed = [(y, at) for y, at, _ in self.missed() if y.tobytes() not in tried]
             if not missed:
                 return
             for k, (y, at) in enumerate(missed[:_AT_ONCE]):
@@ -248,31 +256,47 @@ class Samples(ABC):
                 tried.add(y.tobytes())
                 known = len(self.found)
                 found = self.sample_at(self.position(at), y)
-                if isinstance(found, Point):
-                    self.fail(self._nearest(at), found)
-                elif len(self.found) > known:
+                if not isinstance(found, Point) and len(self.found) > known:
                     found.extra = True
                     self.follow_all(found)
 
-    def _missed(self) -> list[tuple[Vector, Vector]]:
-        """Return designs by which the front could be better, and their normalised objectives, none beside another."""
+    def missed(self) -> list[tuple[Vector, Vector, float]]:
+        """Return designs by which the front could be better, where it was to be searched, none beside another.
+
+        Returns:
+            Of each the scaled variables, the normalised objectives, and the gain.
+        """
+        if not self.searcher.vary:
+            return []
         y, scaled = self.cloud.feasible
         at = self.front.normalised(scaled)
         own = np.array([sample.at for sample in self.ordered()])
-        gain = gains(own, at, self.step)
-        left = np.flatnonzero(gain > MATTERS)
+        # Designs only join the cloud, and the front only gets better.
+        open_ones = np.setdiff1d(np.arange(len(at)), self._settled)
+        settled = beyond_points(own, at[open_ones]) <= MATTERS
+        self._settled = np.r_[self._settled, open_ones[settled]]
+        left, best, gain = open_ones[~settled], np.empty(0, dtype=int), np.empty(0)
         while len(left):
             best = left[thinned(at[left], MATTERS)]
-            best = best[np.argsort(-gain[best], kind="stable")][:_MOST_JUDGED]
+            gain = beyond_front(own, at[best], self.step)
+            order = np.argsort(-gain, kind="stable")
+            order = order[gain[order] > self.matters][:_MOST_JUDGED]
+            best, gain = best[order], gain[order]
             needles = self.cloud.needles(y[best], scaled[best])
             if not np.any(needles):
                 break
-            left = np.setdiff1d(left, best[needles])
+            left, best = np.setdiff1d(left, best[needles]), best[:0]
         chosen: list[int] = []
-        for k in best if len(left) else ():
-            if all(np.max(np.abs(at[k] - at[j])) > self.step / 2.0 for j in chosen):
-                chosen.append(int(k))
-        return [(y[k], at[k]) for k in chosen]
+        for j, k in enumerate(best):
+            if all(np.max(np.abs(at[k] - at[best[i]])) > self.step / 2.0 for i in chosen):
+                chosen.append(j)
+        return [(y[best[j]], at[best[j]], float(gain[j])) for j in chosen]
 
-    def _nearest(self, at: Vector) -> Sample:
-        return min(self.found, key=lambda sample: float(np.max(np.abs(sample.at - at))))
+    def confess(self) -> None:
+        """Keep as failures the missed designs beside which no optimum was found."""
+        for _, at, gain in self.missed():
+            reason = (
+                f"Not_Reached: a design of the search is better here than the front by {100.0 * gain:.2g} % of its"
+                " range, and the optimiser found no optimum beside it"
+            )
+            self.failures.append(Failure(tuple(at.tolist()), reason))

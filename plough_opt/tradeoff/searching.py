@@ -48,6 +48,7 @@ class Searcher:
         self._start = program.start()
         effort = effort_of(search, len(self.vary), program.population.runs, cloud.vectorised)
         self._effort = _shared(effort, cloud.front.count)
+        self._samples: dict[int, Vector] = {}
 
     def bottoms(self, p: Vector) -> Seen:
         """Return the lowest designs of the basins of an objective alone that can be best, the best first.
@@ -81,8 +82,7 @@ class Searcher:
         landscape = self.cloud.landscape(p)
         ends: list[Seen] = []
         for number in range(self._effort.rounds):
-            rng = np.random.default_rng([SEED, number])
-            points, _ = sample(len(self.vary), self._effort.designs, self._start[list(self.vary)], rng)
+            points, rng = self._sampled(number)
             seen = landscape(self._whole(points))
             if not np.any(np.isfinite(seen.merit)):
                 continue
@@ -99,6 +99,14 @@ class Searcher:
             if found.feasible[k] and all(np.max(np.abs(found.points[k] - other)) > _SAME for other in chosen):
                 chosen.append(found.points[k])
         return chosen[: _MOST * self._effort.rounds]
+
+    def _sampled(self, number: int) -> tuple[Vector, np.random.Generator]:
+        """Return the sample of a round, which is that of `bottoms` too, and what is random after it."""
+        if number not in self._samples:
+            rng = np.random.default_rng([SEED, number])
+            points, _ = sample(len(self.vary), self._effort.designs, self._start[list(self.vary)], rng)
+            self._samples[number] = points
+        return self._samples[number], np.random.default_rng([SEED, number, 1])
 
     def _evolved(self, landscape: FrontLandscape, points: Vector, merit: Vector, rng: np.random.Generator) -> Vector:
         """Return the best design of SciPy's differential evolution from the best of a sample."""

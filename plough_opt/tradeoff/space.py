@@ -136,6 +136,22 @@ def uncrowded(objectives: Array, rank: NDArray[np.intp], room: float) -> NDArray
     return np.array(sorted(kept), dtype=np.intp)
 
 
+def covering(objectives: Array, kept: NDArray[np.intp], room: float) -> NDArray[np.intp]:
+    """Return kept rows, and others until none is farther from them in some objective than a distance.
+
+    Args:
+        objectives: normalised objectives.
+        kept: rows.
+        room: the distance.
+    """
+    found = [int(k) for k in kept]
+    apart = np.max(np.abs(objectives[:, None] - objectives[found][None]), axis=2).min(axis=1)
+    while np.max(apart) > room:
+        found.append(int(np.argmax(apart)))
+        apart = np.minimum(apart, np.max(np.abs(objectives - objectives[found[-1]]), axis=1))
+    return np.array(sorted(found), dtype=np.intp)
+
+
 def volume(front: Array, reference: Array) -> float:
     """Return the volume that a front dominates up to a reference point, slice by slice.
 

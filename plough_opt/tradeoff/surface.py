@@ -8,8 +8,9 @@ from itertools import permutations
 
 import numpy as np
 
-from plough_opt.design.ipopt import Point, Vector
+from plough_opt.design.curvature import minimum_from
 from plough_opt.design.exploring import Progress
+from plough_opt.design.ipopt import Point, Vector
 from plough_opt.tradeoff.program import FrontProgram
 from plough_opt.tradeoff.samples import Sample, Samples
 from plough_opt.tradeoff.searching import Searcher
@@ -29,6 +30,8 @@ from plough_opt.tradeoff.space import (
 _OTHERS = 0.1
 # Of the objectives of an anchor: of the one it is best in, of another and of the last, in all six orders.
 IN_TURN = np.array(list(permutations((1.0, 1e-3, 1e-6))))[[0, 1, 2, 4, 3, 5]]
+# Of a range: what is worse than the best by so much is nearly the best.
+_NEARLY = 0.02
 # Farthest that the lattice reaches beyond the triangle of utopia, in its sides.
 _BEYOND = 1.0
 # Steps between a node and a design that lies beside it.
@@ -47,7 +50,10 @@ class SurfaceTracer(Samples):
 
     Attributes:
         step: distance of neighbouring positions in the normalised objectives.
+        matters: more than of a curve, for triangles lie beside what is curved between its points.
     """
+
+    matters = 5e-3
 
     def __init__(self, front: FrontProgram, searcher: Searcher, count: int, progress: Progress) -> None:
         """Take the program, what searches over its variables, and the least number of positions in the triangle."""
@@ -98,13 +104,38 @@ class SurfaceTracer(Samples):
         """
         return [self.front.weighted(weights) for weights in IN_TURN]
 
+    def alone(self) -> list[Vector]:
+        """Return the first of either two orders that begin with the same objective."""
+        return self.orders()[::2]
+
     def all_anchors(self, starts: Sequence[Sequence[Vector]]) -> list[list[Point]]:
-        """Return local optima for each of `orders` beside its starts, and beside those of the order before."""
+        """Return local optima for each of `orders`, beside the starts of its first objective."""
         orders, found = self.orders(), list[list[Point]]()
-        for k in range(0, len(orders), 2):
-            points = self.anchors(orders[k], starts[k])
-            found += [points, self.anchors(orders[k + 1], [*starts[k + 1], *(point.y for point in points)])]
+        for number, own in enumerate(starts):
+            points, beside = self.anchors(orders[2 * number], own), orders[2 * number + 1]
+            if not points:
+                return [*found, [], []]
+            others = [self.front.solve(points[0], y, beside) for y in (*self._toward(IN_TURN[2 * number + 1]), *own)]
+            others += [self.front.solve(point, point.y, beside) for point in points]
+            others = [
+                self._to_the_last_digit(minimum_from(self.front.program, beside, point), beside)
+                for point in others
+                if point.solved
+            ]
+            found += [points, sorted(others, key=lambda point: point.f)]
         return found
+
+    def _toward(self, weights: Vector) -> list[Vector]:
+        """Return the design of the cloud that is nearly the best in the first of the objectives, and best in the next.
+
+        Args:
+            weights: of the objectives; the larger, the earlier.
+        """
+        first, second, _ = np.argsort(-weights)
+        y, scaled = self.cloud.feasible
+        at = self.front.normalised(scaled)
+        near = np.flatnonzero(at[:, first] <= at[:, first].min(initial=np.inf) + _NEARLY)
+        return [y[near[np.argmin(at[near, second])]]] if len(near) else []
 
     # --- following ---------------------------------------------------------------------------------------
 
@@ -117,14 +148,14 @@ class SurfaceTracer(Samples):
         objective = int(np.argmin(place))
         return self.front.beside(objective, {k: float(place[k] - place[objective]) for k in range(3) if k != objective})
 
-    def _flood(self, sample: Sample, node: Node) -> None:
-        """Follow a branch from a node over all nodes that it reaches."""
+    def _flood(self, sample: Sample, node: Node, *, told: bool = True) -> None:
+        """Follow a branch from a node over all nodes that it reaches; ``told`` is whether failures are reported."""
         visited: dict[Node, Sample] = {}
         waiting: deque[tuple[Sample, Node]] = deque([(sample, node)])
         seen = {node}
         while waiting:
             near, node = waiting.popleft()
-            found = self._step_to(node, near, self._extrapolated(visited, near, node))
+            found = self._step_to(node, near, self._extrapolated(visited, near, node), told=told)
             if found is None:
                 continue
             visited[node] = found
@@ -152,8 +183,13 @@ class SurfaceTracer(Samples):
             if told:
                 self.fail(near, point)
             return None
+        return self.at_the_edge(p, point, level)
+
+    def at_the_edge(self, p: Vector, point: Point, level: int) -> Sample:
+        """Return the sample of an optimum at a position; where the position does not hold it, that of the edge."""
         if not self.front.holds(point):
-            p, point, level = self._improved(int(np.argmin(place)), p, point, level)
+            objective = int(np.argmax(self.front.asked(p)[0][1:]))
+            p, point, level = self._improved(objective, p, point, level)
         return self.kept(point, p, level)
 
     def _improved(self, objective: int, p: Vector, point: Point, level: int) -> tuple[Vector, Point, int]:
@@ -198,7 +234,7 @@ class SurfaceTracer(Samples):
 
     def follow_all(self, sample: Sample) -> None:
         """Follow a branch from the node nearest to a sample."""
-        self._flood(sample, nearest(sample.at, self._steps))
+        self._flood(sample, nearest(sample.at, self._steps), told=False)
 
     def _search_at(self, node: Node) -> None:
         """Search basins at a node, and follow what is new from there."""

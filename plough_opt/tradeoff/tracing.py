@@ -7,11 +7,11 @@ from math import comb
 
 import numpy as np
 
-from plough_opt.design.ipopt import Point, Vector
 from plough_opt.design.exploring import Progress
+from plough_opt.design.ipopt import Point, Vector
 from plough_opt.tradeoff.plane import efficient, gaps
 from plough_opt.tradeoff.program import FrontProgram
-from plough_opt.tradeoff.samples import OTHERS, Sample, Samples
+from plough_opt.tradeoff.samples import MATTERS, OTHERS, Sample, Samples
 from plough_opt.tradeoff.searching import Searcher
 
 # A position farther from its limit is held by none: the branch has ended.
@@ -30,11 +30,13 @@ _ROUNDS = 6
 # Decimals of the normalised objectives by which gaps are told apart.
 _PLACES = 4
 # Differences of the normalised objectives at which basins are searched.
-_SEARCHED = (-0.75, -0.375, 0.0, 0.375, 0.75)
+_SEARCHED = (-0.5, 0.0, 0.5)
 
 
 class Tracer(Samples):
     """The local optima of a front of two objectives."""
+
+    matters = MATTERS
 
     def __init__(self, front: FrontProgram, searcher: Searcher, positions: int, progress: Progress) -> None:
         """Take the program, what searches over its variables, and the number of positions."""
@@ -60,6 +62,8 @@ class Tracer(Samples):
     def orders(self) -> list[Vector]:
         """Return the parameters for either objective alone."""
         return [self.front.alone(k, OTHERS) for k in (0, 1)]
+
+    alone = orders
 
     def all_anchors(self, starts: Sequence[Sequence[Vector]]) -> list[list[Point]]:
         """Return the local optima for each of `orders` beside its starts."""

@@ -296,5 +296,5 @@ def test_objectives_that_cannot_be(plane):
         po.trade_off(d, po.Goal("a", x), po.Goal("a", y))
     with pytest.raises(po.InputError, match="nothing to choose"):
         po.trade_off(po.Design(), x, y)
-    with pytest.raises(po.InputError, match="search = 'X' is no variable"):
+    with pytest.raises(po.InputError, match="search = 'X' is not a variable"):
         po.trade_off(d, x, y, search=["X"])

@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 
 import plough_opt as po
+from plough_opt.design.basin import first_optimum
 from plough_opt.design.program import Program
-from plough_opt.design.search import scanned_variables
-from plough_opt.design.solving import first_optimum
 from plough_opt.motion import integrators, runge_kutta
 
 pytestmark = pytest.mark.bench
@@ -98,11 +97,9 @@ def test_second_full_solve(benchmark, problem):
     benchmark.pedantic(design.solve, rounds=3)
 
 
-def test_scan(benchmark, built, point):
-    (variable,) = scanned_variables(built, "auto")
-    points = np.repeat(point[None, :], 200, axis=0)
-    points[:, variable] = np.linspace(0.0, 1.0, 200)
-    benchmark(built.merit, points, NOTHING)
+def test_many_designs(benchmark, built):
+    points = np.random.default_rng(0).random((4096, len(built.declared.variables)))
+    benchmark(built.population, points, NOTHING)
 
 
 # --- one evaluation -----------------------------------------------------------------------------------------

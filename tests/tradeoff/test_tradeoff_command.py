@@ -73,7 +73,7 @@ def test_a_problem_without_solution(cli, loosening):
 
 WRONG = {
     "misspelt": ("mean_draft = {}\nlosened_radius = {}", "line 27: 'losened_radius' cannot be traded: did you mean"),
-    "one": ("mean_draft = {}", "line 25: a front is drawn of two or three results, not of one alone: [trade_off]"),
+    "one": ("mean_draft = {}", "line 25: a front is drawn of two or three results, not of one alone: give [trade_off]"),
     "four": (
         "mean_draft = {}\nforce_rms = {}\ntow_power = {}\nmean_deflection = {}",
         "not of 4 results: put the others into [require]",

@@ -76,6 +76,9 @@ class StickSlip:
     CasADi says on the error stream, whenever an integrator with events or a derivative of one is built, that its
     support of them is experimental; a library leaves a program's streams alone. Every run is checked by a second one.
 
+    Derivatives are those through the times at which it moves and stops; CasADi has the second ones of a gradient only:
+    see `plough_opt.simulate`.
+
     Args:
         breakaway: resistance at which a sticking share moves, over the static resistance [-], at least 1.
     """

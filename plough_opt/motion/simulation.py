@@ -68,6 +68,9 @@ def simulate(
         named method above 1e-6, is told in ``warnings``, and that a motion is too sensitive to be predicted. Of a
         stand-in for the lasting orbit it is the difference from that orbit. A symbolic run is an exactly
         differentiable expression that has no such estimate.
+        Its derivatives aim at ``Accuracy(derivatives=...)``. Of stick and slip, and of entry, second derivatives are
+        those of a gradient, ``casadi.hessian(f, x)`` or ``jacobian(gradient(f, x), x)``: of a forward derivative, as
+        in ``jacobian(jacobian(f, x), x)``, CasADi has none and raises a ``RuntimeError``.
         A symbolic quasi-static run in which the tow speed, the wavelength or the ramp's time is a symbol averages over
         as many panels as it has outputs, at least 400: enough for some hundred waves, and told by nothing beyond.
 

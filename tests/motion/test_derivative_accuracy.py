@@ -93,3 +93,25 @@ def test_derivatives_are_those_of_differences(case, name):
     # Of the motion 1e-8 and less is wrong. Differences of rounding, 1e-15, or of steps to 1e-12, leave 1e-10 or 3e-8.
     for order, allowed in enumerate((1e-8, 1e-8, 1e-7)):
         assert np.max(np.abs(found[order] - expected[order]) / size) < allowed, order
+
+
+@pytest.mark.parametrize("case", ["stick and slip under a ramp", "entry under a ramp"])
+def test_second_derivatives_through_events_are_those_of_a_gradient(case):
+    x, effects, _ = CASES[case]
+    t = ca.MX.sym("t", 2)
+    moved = x | {"stiffness": x["stiffness"] * (1.0 + t[0]), "ramp": x["ramp"] * (1.0 + t[1])}
+    draft = po.simulate(scene_of(moved, **effects), x["duration"], outputs=4).mean_draft
+    gradient = ca.gradient(draft, t)
+    ways = [
+        ca.hessian(draft, t)[0],
+        ca.jacobian(gradient, t),
+        ca.horzcat(*(ca.jtimes(gradient, t, unit) for unit in ca.horzsplit(ca.DM.eye(2)))),
+        ca.horzcat(*(ca.jtimes(gradient, t, unit, True) for unit in ca.horzsplit(ca.DM.eye(2)))),
+    ]
+    found = [np.asarray(part) for part in ca.Function("ways", [t], ways)(0.0)]
+    for other in found[1:]:
+        # The same steps, summed in another order.
+        assert other == pytest.approx(found[0], rel=0, abs=1e-9 * np.max(np.abs(found[0])))
+    # The limit that the documents state.
+    with pytest.raises(RuntimeError, match="Event support not implemented"):
+        ca.jacobian(ca.jacobian(draft, t), t)

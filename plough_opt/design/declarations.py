@@ -13,6 +13,8 @@ from numpy.typing import NDArray
 from plough_opt.errors import InputError
 from plough_opt.expressions import Expression, absolute, exp, log, maximum, minimum
 
+# The domain of a quantity of which no end is known.
+EVERYWHERE = (-math.inf, math.inf)
 # Units of which thousands have a name of their own.
 _KILO = ("N", "W", "Pa", "N/m")
 # Lengths [m] below this are read in millimetres.
@@ -43,6 +45,7 @@ class Variable:
     log: bool
     tolerance: float | str | None = None
     auxiliary: bool = False  # made by the program, and in no report
+    domain: tuple[float, float] = EVERYWHERE
 
     def __post_init__(self) -> None:
         numbers = (self.guess, self.lower, self.upper)
@@ -141,6 +144,12 @@ class Parameter:
     symbol: ca.MX
     value: float
     unit: str
+    domain: tuple[float, float] = EVERYWHERE
+
+    def __post_init__(self) -> None:
+        if not self.domain[0] <= self.value <= self.domain[1]:
+            low, high, value = (in_words(x, self.unit) for x in (*self.domain, self.value))
+            raise InputError(f"parameter '{self.name}': {value} lies outside its domain {low} to {high}")
 
 
 @dataclass(frozen=True)

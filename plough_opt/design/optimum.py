@@ -18,6 +18,8 @@ from plough_opt.expressions import as_number, is_casadi, map_expressions
 from plough_opt.motion.run import Run
 from plough_opt.motion.simulation import repeat
 
+# Per cent of an objective below which a cost is the rounding of none.
+_ROUNDING = 1e-9
 _LEFT_BEHIND = "this optimum was pickled without its design: evaluate expressions before, or solve again"
 
 
@@ -246,9 +248,10 @@ class Rounded(Optimum):
         """Say what was chosen, what it costs, how many combinations were looked at, and what is infeasible."""
         units = {limit.name: limit.unit for limit in self.limits}
         side = "below" if self.cost < 0.0 else "above"
+        cost = "as" if abs(self.cost_percent) < _ROUNDING else f"{abs(self.cost_percent):.3g} % {side}"
         text = (
             f"{_values_in_words(self.variables, units)}: objective {self.objective:.9g},"
-            f" {abs(self.cost_percent):.3g} % {side} that of the optimum; {self._looked_at()}"
+            f" {cost} that of the optimum; {self._looked_at()}"
         )
         for choice in self.infeasible:
             fails = ", ".join(f"'{name}' fails by {in_words(x, units[name])}" for name, x in choice.conflicts.items())

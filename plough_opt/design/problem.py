@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 
 from plough_opt.design.boxed import Boxed, Over
-from plough_opt.design.declarations import Parameter, Requirement, Variable
+from plough_opt.design.declarations import EVERYWHERE, Parameter, Requirement, Variable
 from plough_opt.design.effort import Search
 from plough_opt.design.exploring import Progress
 from plough_opt.design.optimum import Optimum
@@ -55,6 +55,7 @@ class Design:
         unit: str = "",
         log: bool = False,
         tolerance: float | str | None = None,
+        domain: tuple[float, float] = EVERYWHERE,
     ) -> ca.MX:
         """Declare a quantity to choose, and return its CasADi symbol.
 
@@ -68,6 +69,7 @@ class Design:
             tolerance: half width, in ``unit``, within which a workshop makes it, or a part of the value as "0.5 %". The
                 optimum is judged over it. Default: 0.3 % of the range between the bounds, of the logarithm's with
                 ``log``.
+            domain: ends of the model's domain, in ``unit``: how far sensitivities hold is told within it.
 
         Raises:
             InputError: no name, or one declared before, what is no number, or bounds that contradict each other or the
@@ -77,20 +79,27 @@ class Design:
         check_text(f"unit of '{name}'", unit)
         symbol = ca.MX.sym(name)
         at, low, high = (plain_number(f"variable '{name}'", value) for value in (guess, lower, upper))
-        self._variables.append(Variable(name, symbol, at, low, high, unit, log, tolerance))
+        self._variables.append(Variable(name, symbol, at, low, high, unit, log, tolerance, domain=_ends(name, domain)))
         self._program = None
         return symbol
 
-    def parameter(self, name: str, value: float, *, unit: str = "") -> ca.MX:
+    def parameter(self, name: str, value: float, *, unit: str = "", domain: tuple[float, float] = EVERYWHERE) -> ca.MX:
         """Declare a quantity that is fixed within a solve and may differ between solves; return its symbol.
 
+        Args:
+            name: what to call it in reports.
+            value: its value in ``unit``, where a solve says nothing else.
+            unit: SI unit, for reports.
+            domain: ends of the model's domain, in ``unit``: how far sensitivities hold is told within it.
+
         Raises:
-            InputError: a value that is not finite, or a name declared before.
+            InputError: a value that is not finite or lies outside the domain, or a name declared before.
         """
         self._refuse_again(name)
         check_text(f"unit of '{name}'", unit)
         symbol = ca.MX.sym(name)
-        self._parameters.append(Parameter(name, symbol, plain_number(f"parameter '{name}'", value), unit))
+        at = plain_number(f"parameter '{name}'", value)
+        self._parameters.append(Parameter(name, symbol, at, unit, _ends(name, domain)))
         self._program = None
         return symbol
 
@@ -223,6 +232,16 @@ class Design:
 
 def _silent(_stage: str, _fraction: float) -> None:
     """Report nothing."""
+
+
+def _ends(name: str, domain: Any) -> tuple[float, float]:
+    """Return the ends of a domain, in order."""
+    if not (isinstance(domain, tuple) and len(domain) == 2 and all(isinstance(end, int | float) for end in domain)):
+        raise InputError(f"domain of '{name}' = {short(repr(domain))} must be its two ends, as (0.0, math.inf)")
+    low, high = map(float, domain)
+    if not low < high:
+        raise InputError(f"domain of '{name}': its first end {low:g} must be below its second {high:g}")
+    return low, high
 
 
 def _check_name(name: Any) -> None:

@@ -10,7 +10,7 @@ from functools import cached_property
 import numpy as np
 
 from plough_opt.design.active_set import ActiveSet, Move, slope
-from plough_opt.design.declarations import in_words
+from plough_opt.design.declarations import EVERYWHERE, in_words
 from plough_opt.design.ipopt import Point, Solver, Vector
 from plough_opt.design.program import Program
 from plough_opt.errors import InputError, NotConverged, nearest
@@ -35,8 +35,9 @@ class Sensitivity:
         variables: name -> d variable / d value; where ``touching`` is not empty, for a value that grows.
         elasticity: per cent of the objective per per cent of the value; None where the objective is 0.
         elasticities: the same of the variables.
-        valid_from: value down to which, to first order, the same limits decide; None: all the way.
-        valid_to: value up to which they do.
+        valid_from: value down to which, to first order, the same limits decide, or end of the model's domain, where
+            that is declared and nearer; None: all the way.
+        valid_to: value up to which they do, or the domain's other end.
         then: what begins or ceases to decide below ``valid_from`` and above ``valid_to``, in words.
         touching: limits that just touch the optimum, so that the variables move differently up and down.
         falling: name -> d variable / d value for a value that falls.
@@ -91,6 +92,14 @@ class _Target:
     unit: str
     parameter: int | None = None
     side: str = ""
+    domain: tuple[float, float] = EVERYWHERE
+
+    def within(self, end: float, then: str) -> tuple[float | None, str]:
+        """Return how far a range goes, and what is there: no further than the model."""
+        if not math.isfinite(end):
+            return None, then
+        inside = min(max(end, self.domain[0]), self.domain[1])
+        return inside, then if inside == end else "the model's domain ends"
 
 
 class Sensitivities:
@@ -113,6 +122,8 @@ class Sensitivities:
         best = self._active.f * self._program.objective_scale
         rising, falling = self._in_units(up.y), self._in_units(down.y)
         values = dict(zip(rising, self._values(self._active.y), strict=True))
+        lowest, below = target.within(target.value - down.until, down.then)
+        highest, above = target.within(target.value + up.until, up.then)
         differs = bool(np.max(np.abs(up.y - down.y)) > _SAME * np.max(np.abs([up.y, down.y])))
         return Sensitivity(
             name=name,
@@ -122,9 +133,9 @@ class Sensitivities:
             variables=rising,
             elasticity=_elasticity(objective, target.value, best),
             elasticities={v: _elasticity(rising[v], target.value, values[v]) for v in rising},
-            valid_from=target.value - down.until if math.isfinite(down.until) else None,
-            valid_to=target.value + up.until if math.isfinite(up.until) else None,
-            then=(down.then, up.then),
+            valid_from=lowest,
+            valid_to=highest,
+            then=(below, above),
             touching=self._active.touching if differs else (),
             falling=falling,
             difference=self._difference(target, objective, up, down) if check else None,
@@ -142,7 +153,7 @@ class Sensitivities:
     def _target(self, name: str) -> _Target:
         for k, (parameter, value) in enumerate(zip(self._program.declared.parameters, self._p, strict=True)):
             if parameter.name == name:
-                return _Target(float(value), parameter.unit, parameter=k)
+                return _Target(float(value), parameter.unit, parameter=k, domain=parameter.domain)
         if name in self._limits:
             return self._limits[name]
         parameters = [parameter.name for parameter in self._program.declared.parameters]
@@ -171,7 +182,7 @@ class Sensitivities:
         for k, v in enumerate(self._program.declared.variables):
             if k not in self._fixed:
                 found |= {
-                    name: _Target(bound, v.unit, side=name)
+                    name: _Target(bound, v.unit, side=name, domain=v.domain)
                     for name, bound in ((f"{v.name} lower", v.lower), (f"{v.name} upper", v.upper))
                 }
         return found

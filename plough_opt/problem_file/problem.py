@@ -25,6 +25,7 @@ from plough_opt.problem_file.units import Display
 from plough_opt.scene import Scene
 from plough_opt.soil import Soil, named_soil
 from plough_opt.tradeoff import Goal, TradeOff, trade_off
+from plough_opt.vocabulary import BESIDE, QUANTITIES
 
 
 @dataclass(frozen=True)
@@ -174,14 +175,24 @@ class Problem:
         design = Design()
         symbols = {
             key: design.variable(
-                key, guess=v.guess, lower=v.lower, upper=v.upper, unit=v.unit, log=v.log, tolerance=v.tolerance
+                key,
+                guess=v.guess,
+                lower=v.lower,
+                upper=v.upper,
+                unit=v.unit,
+                log=v.log,
+                tolerance=v.tolerance,
+                domain=_domain(key),
             )
             for key, v in self.variables.items()
         }
         scene = self.scene(symbols)
         if parameters:
             units = quantities()
-            symbols |= {key: design.parameter(key, x, unit=units[key].symbol) for key, x in self._numbers().items()}
+            symbols |= {
+                key: design.parameter(key, x, unit=units[key].symbol, domain=_domain(key))
+                for key, x in self._numbers().items()
+            }
             soil = replace(self.scene(symbols).soil, name=scene.soil.name, source=scene.soil.source)
             scene = replace(self.scene(symbols), soil=soil)
         duration = self.values(symbols).get("scene.duration")
@@ -270,6 +281,12 @@ class Problem:
         ]
         count = table.points if points is None else points
         return trade_off(design, *goals, points=count, title=self.title, progress=progress)
+
+
+def _domain(key: str) -> tuple[float, float]:
+    """Return the ends of the model's domain of a quantity."""
+    quantity = {**QUANTITIES, **BESIDE}[key]
+    return quantity.low, quantity.high
 
 
 def _contact(law: str, values: Mapping[str, Expression]) -> Literal["resisting"] | Smooth | StickSlip:

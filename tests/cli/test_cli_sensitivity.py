@@ -10,6 +10,7 @@ from test_cli import cells
 import plough_opt as po
 from plough_opt.cli import main
 from plough_opt.problem_file import read_problem
+from plough_opt.vocabulary import QUANTITIES
 
 
 @pytest.fixture(scope="module")
@@ -142,3 +143,21 @@ def test_an_optimum_that_is_not_unique_is_printed_with_a_note(cli, file):
     assert "not unique" in done.out
     assert "note: no sensitivities: the optimum is not unique" in " ".join(done.err.split())
     assert "one per cent" not in done.out
+
+
+def test_no_range_leaves_the_models_domain(cli, cotton):
+    """Half a revolution of friction or a chisel of 103 degrees is no soil and no share, whatever the slopes say."""
+    saved = json.loads(cli("optimise", cotton, "--sensitivity", "--json").out)
+    ends = {item["name"]: (item["valid_from"], item["valid_to"], item["then"]) for item in saved["sensitivities"]}
+    assert len(ends) > 10
+    reached = 0
+    for name, (low, high, then) in ends.items():
+        quantity = QUANTITIES.get(name.partition(" ")[0])
+        if quantity is None:
+            continue
+        for end, side, limit in ((low, then[0], quantity.low), (high, then[1], quantity.high)):
+            assert end is None or quantity.low <= end <= quantity.high, name
+            if side == "the model's domain ends":
+                reached += 1
+                assert end == limit
+    assert reached > 0

@@ -319,3 +319,11 @@ def test_margin_is_that_of_the_worst_value(limits, values, margin):
 )
 def test_scale_is_the_larger_limit(limits, scale):
     assert _requirement(*limits).scale == scale
+
+
+def test_a_domain_has_two_ends_in_order_around_the_value():
+    for domain in ((1.0, 0.0), (0.0,), 3.0, [0.0, 1.0], ("0", "1"), (float("nan"), 1.0)):
+        with pytest.raises(po.InputError, match="domain of 'x'"):
+            po.Design().parameter("x", 0.5, domain=domain)
+    with pytest.raises(po.InputError, match=r"parameter 'x': 28\.6479 deg lies outside its domain 0 deg to 5\."):
+        po.Design().parameter("x", 0.5, unit="rad", domain=(0.0, 0.1))

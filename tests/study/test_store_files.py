@@ -15,6 +15,7 @@ import swept
 
 import plough_opt as po
 from plough_opt.cli import main
+from plough_opt.study.store import Store
 
 REFERENCE = Path(__file__).parents[2] / "problems" / "reference.toml"
 OVER = {"a": [1.0, 2.0, 5.0], "b": [1.0, 2.0]}
@@ -223,3 +224,28 @@ def test_the_command_tells_a_damaged_store_with_status_2(tmp_path, capsys, state
     capsys.readouterr()
     assert main([*command, "--store", str(store)]) == 2
     assert f"bad input: the store '{store}' is damaged: " in capsys.readouterr().err
+
+
+def test_the_command_tells_what_is_undetermined_with_status_1(tmp_path, capsys):
+    store = tmp_path / "sweep.db"
+    command = ("sweep", str(REFERENCE), "--over", "soil.cohesion=10 kPa, 20 kPa", "--set", "effects.motion=false")
+    assert main([*command, "--workers", "1", "--store", str(store)]) == 0
+    first = capsys.readouterr().out
+    connection = sqlite3.connect(store)
+    connection.execute("DELETE FROM points WHERE point = 1")
+    connection.commit()
+    connection.close()
+    opened = Store(store)
+    reasons = {0: "3 workers ended while each worked at this point alone"}
+    opened.keep(np.array([1]), np.array([[2e4]]), None, reasons, without="undetermined")
+    opened.finish()
+    opened.close()
+    assert main([*command, "--store", str(store), "--csv", str(tmp_path / "t.csv")]) == 1
+    shown = capsys.readouterr()
+    assert "2 points, 0 failed, 1 undetermined" in " ".join(shown.out.split())
+    assert "undetermined at soil.cohesion = 20 kPa: 3 workers ended" in shown.out
+    assert "1 of 2 points are undetermined" in shown.err
+    assert "the same command with --retry tries them again" in shown.err.replace("\n", " ")
+    assert "undetermined: 3 workers ended" in (tmp_path / "t.csv").read_text().splitlines()[2]
+    assert main([*command, "--workers", "1", "--store", str(store), "--retry"]) == 0
+    assert capsys.readouterr().out.splitlines()[:-1] == first.splitlines()[:-1]

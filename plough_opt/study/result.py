@@ -150,7 +150,9 @@ class Sweep:
     @property
     def notes(self) -> tuple[str, ...]:
         """What a reader of the numbers must know, each kind once with the numbers of its first point."""
-        return tuple(f"at {points} of {len(self)} points: {text}" for _, text, _, points in self._store.notes())
+        count = len(self)
+        # Points whose rows were lost or damaged have been counted twice.
+        return tuple(f"at {min(points, count)} of {count} points: {text}" for _, text, _, points in self._store.notes())
 
     def extreme(self, name: str, *, largest: bool = False) -> Extreme | None:
         """Return the least or the largest value of a result, or None where no point has any."""

@@ -32,7 +32,7 @@ bench: $(PEERS)
 lowest:
 	$(PYTHON) -m venv --clear $(LOWEST)
 	$(LOWEST)/bin/python -m pip install --quiet uv
-	$(LOWEST)/bin/uv pip install --quiet --python $(LOWEST)/bin/python --resolution lowest-direct --editable ".[test]"
+	$(LOWEST)/bin/uv pip install --quiet --python $(LOWEST)/bin/python --compile-bytecode --resolution lowest-direct --editable ".[test]"
 	$(LOWEST)/bin/pytest -n auto --dist worksteal $(FAST)
 
 $(READY): pyproject.toml

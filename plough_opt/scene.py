@@ -17,6 +17,9 @@ from plough_opt.forces import SoilReaction, loosened_radius, soil_reaction
 from plough_opt.geometry import PLANE_SECTIONS_LIMIT, Cone, Wedge
 from plough_opt.soil import Soil
 
+# Overburden [Pa] of some 1.5 m of soil, below which no subsoiler works: more is the atmosphere's.
+_DEEPEST = 20e3
+
 
 @dataclass(frozen=True)
 class Scene:
@@ -218,9 +221,12 @@ class Scene:
             )
         share = float(as_number(self.ambient_share))
         if share > 0.0:
-            pressure = float(as_number(self.soil.ambient_pressure)) / 1e3
-            found.append(
-                f"ambient pressure ({pressure:.4g} kPa) carries {100 * share:.0f} % of the static draft; soil with"
-                " open pores would feel only the overburden, a few kPa: set soil.ambient_pressure for that reading"
-            )
+            pressure = float(as_number(self.soil.ambient_pressure))
+            text = f"ambient pressure ({pressure / 1e3:.4g} kPa) carries {100 * share:.0f} % of the static draft"
+            if pressure > _DEEPEST:
+                text += (
+                    "; soil with open pores would feel only the overburden, a few kPa: set soil.ambient_pressure for"
+                    " that reading"
+                )
+            found.append(text)
         return tuple(found)

@@ -232,3 +232,22 @@ def test_a_scene_of_casadis_numbers_describes_itself(r1_scene, kind):
 def test_a_scene_of_symbols_has_no_description(r1_scene):
     with pytest.raises(po.InputError, match="holds symbols and so has no value yet"):
         r1_scene(stiffness=ca.MX.sym("k0")).describe()
+
+
+@pytest.mark.parametrize(("pressure", "advised"), [(101325.0, True), (8e3, False), (500.0, False)])
+def test_the_overburden_is_advised_where_the_atmosphere_is_taken(pressure, advised):
+    soil = dataclasses.replace(po.named_soil("serozem"), ambient_pressure=pressure)
+    notes = po.Scene(soil, po.Wedge(0.5, 0.26, 0.25), 5e4, 45.0, 2.0).warnings()
+    note = next(text for text in notes if text.startswith("ambient pressure"))
+    assert f"({pressure / 1e3:.4g} kPa) carries" in note
+    assert ("set soil.ambient_pressure for that reading" in note) == advised
+
+
+def test_the_speed_term_is_as_small_as_the_readme_says():
+    """Parts of the draft of the cotton problem's best share, over the named soils."""
+    cone = po.Wedge(po.deg(39.1), po.deg(15), 0.254).equivalent_cone()
+    for speed, low, high in ((1.0, 0.15, 0.35), (2.0, 0.65, 1.35), (3.0, 1.5, 3.0)):
+        for name in po.soil_names():
+            soil = po.named_soil(name)
+            part = 1.0 - po.resistance(cone, soil, 0.0, 0.0) / po.resistance(cone, soil, speed, 0.0)
+            assert low < 100.0 * float(part) < high, (name, speed)

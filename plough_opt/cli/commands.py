@@ -54,6 +54,10 @@ def check(options: argparse.Namespace) -> None:
             found = effect_costs(problem.scene(), problem.values().get("scene.duration"))
         report.print_effects(console(), found)
     if comparison is not None:
+        if problem.variables:
+            guess = ", ".join(f"{key} = {v.display.text(v.guess)}" for key, v in problem.variables.items())
+            line = f"Compared at the file's guess, {guess}; --set gives another design, such as the optimum."
+            console().print(line, markup=False, soft_wrap=True)
         report.print_comparison(console(), comparison)
         if options.plot is not None:
             comparison.plot(options.plot)

@@ -58,3 +58,13 @@ def test_wrong_input_is_refused_before_anything_is_printed(cli, cotton, argument
     done = cli("check", cotton, *arguments)
     assert (done.status, done.out) == (2, "")
     assert words in done.err
+
+
+def test_it_says_of_which_design(cli, cotton):
+    done = cli("check", cotton, "--against")
+    told = (
+        "at the file's guess, share.wedge_angle = 25 deg, share.height = 0.25 m, scene.stiffness = 50 kN/m; --set gives"
+    )
+    assert told in done.out
+    fixed = ("share.wedge_angle=39.1 deg", "share.height=0.254 m", "scene.stiffness=50.8 kN/m")
+    assert "guess" not in cli("check", cotton, "--against", *(f"--set={text}" for text in fixed)).out

@@ -3,6 +3,7 @@
 import dataclasses
 import io
 import math
+from pathlib import Path
 
 import casadi as ca
 import numpy as np
@@ -12,6 +13,8 @@ from rich.console import Console
 import plough_opt as po
 from plough_opt.crosscheck import Tine, asabe_draft, compare, godwin_draft, mckyes_ali_draft, spherical_cavity_draft
 
+PROBLEMS = Path(__file__).parents[2] / "problems"
+SPEEDS = [3.0 / 3.6, 9.0 / 3.6]
 SOIL = po.named_soil("serozem")
 SHARE = po.Wedge(angle=po.deg(39.1), chisel_angle=po.deg(15.0), height=0.254)
 
@@ -224,3 +227,19 @@ def test_arguments_that_no_model_could_take_are_refused(options, error, words):
 def test_a_scene_with_symbols_is_refused():
     with pytest.raises(po.InputError, match="comparison is of numbers"):
         compare(dataclasses.replace(scene(), tow_speed=ca.SX.sym("speed")))
+
+
+def test_the_page_tells_what_speed_adds():
+    """Draft at 9 km/h over that at 3 km/h, in per cent more, on the share of the cotton problem and tines like it."""
+    problem = po.read_problem(PROBLEMS / "cotton_subsoiler.toml")
+    guess, steeper = problem.scene(), problem.scene({"share.wedge_angle": po.deg(39.0)})
+    for share, most in ((guess, 0.6), (steeper, 1.45)):
+        own = compare(share, speeds=SPEEDS).own.drafts
+        assert 0.45 < 100.0 * (own[1] / own[0] - 1.0) < most
+    for rake in (30.0, 45.0):
+        others = compare(guess, rake_angle=po.deg(rake), speeds=SPEEDS).others
+        more = {row.model: 100.0 * (row.drafts[1] / row.drafts[0] - 1.0) for row in others}
+        assert 11.5 < more["Swick-Perumpral"] < 15.0
+        assert 3.0 < more["universal earthmoving equation"] < 5.0
+        assert 53.0 < more["ASABE D497, narrow, medium"] < 54.0
+    assert 3.0 < more["McKyes-Ali"] < 5.0  # refuses a rake of 30 degrees

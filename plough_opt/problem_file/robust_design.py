@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import cached_property
 
 import numpy as np
 
@@ -17,7 +18,7 @@ from plough_opt.problem_file.uncertain import Asked, UncertainTable, asked_of, d
 from plough_opt.soil import Soil
 from plough_opt.uncertainty import Robust, SoilDistribution, sobol_indices, verify
 from plough_opt.uncertainty.result import RobustOptimum
-from plough_opt.uncertainty.search import best_from
+from plough_opt.uncertainty.search import Spreads, best_robust
 
 # Of a result's standard deviation over the samples: the width over which its measures are rounded off.
 _WIDTH = 0.5
@@ -45,8 +46,7 @@ def optimise_robust(problem: Problem, progress: Progress) -> RobustOptimum:
     nominal = design.solve(progress=progress)
     question = _Question(problem, table, field)
     progress("sampling the soil", 0.0)
-    question.set_widths(nominal.variables)
-    best, robust, failures = best_from(nominal.variables, question.build, (), progress)
+    best, robust, failures = best_robust(nominal.variables, question.build, question.spreads, progress)
     progress("verifying on fresh samples", 0.0)
     seed = 20_000 + table.seed
     fresh, nominal_fresh = (verify(robust, at, samples=table.fresh, seed=seed) for at in (best, nominal.variables))
@@ -63,26 +63,32 @@ class _Question:
         self._samples = field.sample(table.samples, seed=table.seed)
         self._names = tuple({**problem.table.minimise, **problem.table.require})
         self._averages = tuple(name for name in self._names if not MEASURES[name].everywhere)
-        self._spreads: dict[str, float] = {}
+        self._spreads: Spreads = {}
 
-    def set_widths(self, at: Mapping[str, float]) -> None:
-        """Take the spread of every result at a design, for the widths that the file leaves open."""
-        _, robust, _ = self._declared(at)
-        values = robust.values(at)
-        self._spreads = {
+    @cached_property
+    def _responses(self) -> Robust:
+        """The results over the samples, of numbers."""
+        return self._declared({key: v.guess for key, v in self._problem.variables.items()})[1]
+
+    def spreads(self, at: Mapping[str, float]) -> dict[str, float]:
+        """Return the spread of every result at a design, for the widths that the file leaves open."""
+        values = self._responses.values(at)
+        return {
             name: float(np.std(own)) if np.ptp(own) > _NONE * np.max(np.abs(own)) else 0.0
             for name, own in values.items()
         }
 
-    def build(self, start: Mapping[str, float]) -> tuple[Design, Robust]:
-        """Return the design with its guesses at a start."""
+    def build(self, start: Mapping[str, float], spreads: Spreads) -> tuple[Design, Robust, frozenset[str]]:
+        """Return the design with its guesses at a start, and the results whose spreads set widths."""
+        self._spreads = spreads
+        self._following: set[str] = set()
         design, robust, run = self._declared(start)
         tables = self._problem.table
         parts = [self._term(robust, run, name, term) for name, term in tables.minimise.items()]
         design.minimise(sum(parts[1:], parts[0]))
         for name, limit in tables.require.items():
             self._require(design, robust, run, name, limit)
-        return design, robust
+        return design, robust, frozenset(self._following)
 
     def _declared(self, start: Mapping[str, float]) -> tuple[Design, Robust, Run]:
         """Return a design with its variables, the results over the samples, and the run in the nominal soil."""
@@ -135,7 +141,10 @@ class _Question:
         return robust.worst(name, width=width, tail="lower" if low_is_bad else "upper")
 
     def _width(self, name: str, written: object) -> float:
-        return _WIDTH * self._spreads[name] if written is None else MEASURES[name].unit.parse(written)
+        if written is not None:
+            return MEASURES[name].unit.parse(written)
+        self._following.add(name)
+        return _WIDTH * self._spreads[name]
 
     def _require(self, design: Design, robust: Robust, run: Run, name: str, limit: LimitTable) -> None:
         measure = MEASURES[name]

@@ -76,18 +76,6 @@ class Responses:
         design = [_number(at, symbol) for symbol in self._design]
         return self._found(np.hstack([np.tile(design, (len(samples), 1)), samples.values]))
 
-    def of_designs(self, designs: Sequence[Mapping[str, float]], samples: SoilSamples) -> dict[str, Vector]:
-        """Return the results of several designs for each soil, a row for each design; NaN where there are none."""
-        blocks = [[_number(at, symbol) for symbol in self._design] for at in designs]
-        rows = np.hstack([np.repeat(blocks, len(samples), axis=0), np.tile(samples.values, (len(designs), 1))])
-        found = self._found(rows)
-        kept = np.ones(len(rows), dtype=bool)
-        kept[list(found.failures)] = False
-        whole = {name: np.full(len(rows), np.nan) for name in self.names}
-        for name, values in found.values.items():
-            whole[name][kept] = values
-        return {name: values.reshape(len(designs), len(samples)) for name, values in whole.items()}
-
     def _found(self, rows: Vector) -> Found:
         """Return the results for rows of numbers, the design's first."""
         results, failures = [], self._outside(rows)

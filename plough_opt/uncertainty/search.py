@@ -1,111 +1,101 @@
-"""Every basin of a robust design: its objective along a variable by `Batch`, and a solve from each of its bottoms.
-
-A strength wave makes designs multimodal in the stiffness, and the soil's strength moves the basins. To follow all
-samples at two hundred values of a variable costs a batch a moment and the optimiser's own model a minute.
-"""
+"""The best robust design: searched over all its variables, its measures rounded off by its own results' spread."""
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Mapping, Sequence
-
-import casadi as ca
-import numpy as np
-from numpy.typing import NDArray
+from collections.abc import Callable, Mapping
 
 from plough_opt.design import Design, LocalOptimum, Optimum, Progress
 from plough_opt.errors import InfeasibleDesign, NotConverged
 from plough_opt.uncertainty.robust import Robust
 
-Vector = NDArray[np.float64]
-Build = Callable[[Mapping[str, float]], tuple[Design, Robust]]
+Spreads = Mapping[str, float]
+"""Standard deviations of results over the samples, by name."""
 
-_POINTS = 200
-# A violated requirement must outweigh any gain in the objective, which is set in relation to its own size.
-_PENALTY = 100.0
+Build = Callable[[Mapping[str, float], Spreads], tuple[Design, Robust, frozenset[str]]]
+"""Variables and spreads -> the robust design that begins there, and of which results the spreads set widths."""
+
+# Relative change of every spread by which the widths are settled, and how often they are set anew at most.
+_SETTLED, _ROUNDS = 0.02, 6
+# Part of the best objective within which other optima may come to be best once their widths are their own.
+_CAN_WIN = 0.02
 _SAME = 1e-3
 
 
-def best_from(
-    start: Mapping[str, float], build: Build, scanned: Sequence[str], progress: Progress
+def best_robust(
+    start: Mapping[str, float], build: Build, spreads: Callable[[Mapping[str, float]], Spreads], progress: Progress
 ) -> tuple[Optimum, Robust, tuple[str, ...]]:
-    """Return the best robust optimum, with all that were found, and why some basins gave none.
+    """Return the best robust optimum, with all that were found, and why some gave none with widths of their own.
+
+    The design is searched with the widths that belong to a start. At the optimum they are set anew and it is solved
+    again from there, until they stay.
 
     Args:
         start: variables by name, such as those of the nominal optimum.
-        build: variables of a start -> the robust design with these as its guesses.
-        scanned: names of the variables along which there may be several basins.
-        progress: told what is being done.
+        build: makes the robust design.
+        spreads: variables -> the spreads of the results there.
+        progress: called with what is being done.
 
     Raises:
         InfeasibleDesign: no design meets the requirements.
         NotConverged: the optimiser found no optimum.
     """
-    progress("robust design from the nominal optimum", 0.0)
-    design, robust = build(start)
-    for variable in scanned:
-        # What the nominal soil allows there, the samples may not: begin where they come nearest to what is required.
-        design, robust = build(next(iter(_bottoms(design, robust, start, variable)), start))
-    found = [(design.solve(search="near"), robust)]
+    first = spreads(start)
+    design, robust, follow = build(start, first)
+    seen = design.solve(progress=progress)
+    limit = seen.objective + _CAN_WIN * abs(seen.objective)
+    candidates = [own for own in seen.local_optima if own.objective <= limit]
+    found: list[tuple[Optimum, Robust]] = []
     failures = []
-    for variable in scanned:
-        progress(f"scanning {variable} over all samples", 0.0)
-        starts = _bottoms(design, robust, found[0][0].variables, variable)
-        for number, bottom in enumerate(starts):
-            if any(_same(bottom, own.variables, 0.02) for own, _ in found):
-                continue
-            progress(f"robust design from basin {number + 1} of {len(starts)}", number / len(starts))
-            further, results = build(bottom)
-            try:
-                found.append((further.solve(search="near"), results))
-            except (InfeasibleDesign, NotConverged) as error:
-                failures.append(f"from {variable} = {bottom[variable]:.5g}: {error}")
+    for number, own in enumerate(candidates):
+        progress("setting the widths of the best designs", number / len(candidates))
+        try:
+            known = (seen, robust) if own is seen.local_optima[0] else None
+            found.append(_settled(own, known, build, spreads, {name: first[name] for name in follow}))
+        except (InfeasibleDesign, NotConverged) as error:
+            place = ", ".join(f"{name} = {value:.5g}" for name, value in own.variables.items())
+            failures.append(f"with widths of its own, from {place}: {error}")
+    if not found:
+        found = [(seen, robust)]
     best, robust = min(found, key=lambda pair: pair[0].objective)
     local: list[LocalOptimum] = []
-    for own, _ in sorted(found, key=lambda pair: pair[0].objective):
-        if not any(_same(own.variables, other.variables, _SAME) for other in local):
-            local.append(own.local_optima[0])
-    seconds = sum(own.seconds for own, _ in found)
-    return dataclasses.replace(best, local_optima=tuple(local), seconds=seconds), robust, tuple(failures)
+    every = [*(own.local_optima[0] for own, _ in found), *seen.local_optima[len(candidates) :]]
+    for optimum in sorted(every, key=lambda one: one.objective):
+        if not any(_same(optimum.variables, other.variables) for other in local):
+            local.append(optimum)
+    seconds = seen.seconds + sum(own.seconds for own, _ in found if own is not seen)
+    best = dataclasses.replace(best, local_optima=tuple(local), search=seen.search, seconds=seconds)
+    return best, robust, tuple(failures)
 
 
-def _bottoms(design: Design, robust: Robust, at: Mapping[str, float], variable: str) -> list[dict[str, float]]:
-    """Return the bottoms of the basins along a variable, the others held, the lowest first."""
-    declared = next(v for v in design.declared.variables if v.name == variable)
-    grid = [{**at, variable: declared.value(y)} for y in np.linspace(0.0, 1.0, _POINTS)]
-    merit = _merit(design, robust, grid)
-    left, right = np.r_[np.inf, merit[:-1]], np.r_[merit[1:], np.inf]
-    bottoms = np.flatnonzero((merit < left) & (merit <= right) & np.isfinite(merit))
-    return [grid[k] for k in bottoms[np.argsort(merit[bottoms])]]
+def _settled(
+    own: LocalOptimum,
+    known: tuple[Optimum, Robust] | None,
+    build: Build,
+    spreads: Callable[[Mapping[str, float]], Spreads],
+    used: Spreads,
+) -> tuple[Optimum, Robust]:
+    """Return an optimum solved again until the widths that follow from spreads are those of its own.
+
+    Args:
+        own: the optimum.
+        known: the same, if it needs not be solved where its widths are right already.
+        build: makes the robust design.
+        spreads: variables -> the spreads of the results there.
+        used: the spreads that set its widths.
+    """
+    at = own.variables
+    for _ in range(_ROUNDS):
+        now = spreads(at)
+        if known is not None and all(abs(now[name] - used[name]) <= _SETTLED * used[name] for name in used):
+            break
+        design, robust, follow = build(at, now)
+        known, used = (design.solve(search="near"), robust), {name: now[name] for name in follow}
+        at = known[0].variables
+    assert known is not None  # the first round solves what is not solved yet
+    return known
 
 
-def _merit(design: Design, robust: Robust, designs: Sequence[Mapping[str, float]]) -> Vector:
-    """Return objective and violations of designs in one number, infinity where there is no result."""
-    declared = design.declared
-    names = list(robust.columns)
-    columns = [ca.MX(robust.columns[name]) for name in names]
-    symbols = [ca.MX.sym(name, len(robust.samples)) for name in names]
-    expressions = [declared.objective, *(r.expression for r in declared.requirements)]
-    replaced = ca.graph_substitute(expressions, columns, symbols)
-    function = ca.Function("merit", [*declared.symbols(), *symbols], replaced)
-    values = robust.responses.of_designs(designs, robust.samples)
-    merit = np.full(len(designs), np.inf)
-    size = 0.0
-    for k, one in enumerate(designs):
-        own = [values[name][k] for name in names]
-        if not all(np.all(np.isfinite(part)) for part in own):
-            continue
-        variables = [one[symbol.name()] for symbol in declared.symbols()]
-        found = [np.asarray(result).ravel() for result in function.call([*variables, *map(ca.DM, own)])]
-        size = size or max(abs(float(found[0][0])), 1e-12)
-        violations = [
-            max(0.0, -r.margin(value)) / (r.scale or 1.0)
-            for r, value in zip(declared.requirements, found[1:], strict=True)
-        ]
-        merit[k] = float(found[0][0]) / size + _PENALTY * max([0.0, *violations])
-    return merit
-
-
-def _same(one: Mapping[str, float], other: Mapping[str, float], relative: float) -> bool:
+def _same(one: Mapping[str, float], other: Mapping[str, float]) -> bool:
     """Return whether two designs are one, to a part of every variable."""
-    return all(abs(x - other[name]) <= relative * abs(x) for name, x in one.items())
+    return all(abs(x - other[name]) <= _SAME * abs(x) for name, x in one.items())

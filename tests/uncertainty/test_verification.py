@@ -74,14 +74,6 @@ def test_values_along_the_path_and_by_a_named_method():
         assert by_name["draft"][k] == pytest.approx(run.mean_draft, rel=1e-8)
 
 
-def test_values_of_several_designs_at_once():
-    _, robust = _robust(3, **EFFECTS["damper, wave"])
-    other = {"height": 0.2, "stiffness": 9e4}
-    both = robust.responses.of_designs([AT, other], robust.samples)
-    for row, at in enumerate((AT, other)):
-        assert both["rms"][row] == pytest.approx(robust.values(at)["rms"], rel=1e-12)
-
-
 @pytest.fixture(scope="module")
 def quasi_static():
     d, robust = _robust(32, motion=False)

@@ -17,6 +17,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
 from plough_opt import design as designs
 from plough_opt.errors import InputError, short, unprintable
+from plough_opt.heartbeat import heartbeat
 from plough_opt.problem_file import Problem, read_problem
 
 # Options that name a file to be written.
@@ -140,18 +141,25 @@ def printable(text: str) -> str:
 
 @contextmanager
 def progress() -> Iterator[designs.Progress]:
-    """Show on the terminal's error stream what is being done, and how long it has taken."""
-    stream = Console(stderr=True)
-    if stream.is_terminal:
-        columns = (TextColumn("{task.description}"), BarColumn(bar_width=24), TimeElapsedColumn())
-        with Progress(*columns, console=stream, transient=True) as bar:
-            task = bar.add_task("reading", total=1.0)
+    """Show on the error stream what is being done, and how long it has taken: a bar on a terminal, else lines."""
+    stream = Console(stderr=True, highlight=False)
+    if not stream.is_terminal:
+        with heartbeat(lambda line: stream.print(line, markup=False, soft_wrap=True)) as said:
 
-            def told(stage: str, fraction: float) -> None:
+            def say(stage: str, _fraction: float) -> None:
                 _stop_if_interrupted()
-                bar.update(task, description=stage, completed=fraction)
+                said(stage)
 
-            yield told
-    else:  # to which a bar that is switched off writes an empty line in some versions of rich
-        yield lambda _stage, _fraction: _stop_if_interrupted()
+            yield say
+        _stop_if_interrupted()
+        return
+    columns = (TextColumn("{task.description}"), BarColumn(bar_width=24), TimeElapsedColumn())
+    with Progress(*columns, console=stream, transient=True) as bar:
+        task = bar.add_task("reading", total=1.0)
+
+        def told(stage: str, fraction: float) -> None:
+            _stop_if_interrupted()
+            bar.update(task, description=stage, completed=fraction)
+
+        yield told
     _stop_if_interrupted()

@@ -9,6 +9,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, ProgressColumn, Task, TextColumn, TimeRemainingColumn
 from rich.text import Text
 
+from plough_opt.heartbeat import heartbeat
 from plough_opt.study.engine import Told
 
 
@@ -23,9 +24,14 @@ class RateColumn(ProgressColumn):
 
 @contextmanager
 def bar(console: Console) -> Iterator[Told]:
-    """Show a bar where a console is a terminal, and yield what updates it."""
-    if not console.is_terminal:  # to which a bar that is switched off writes an empty line in some versions of rich
-        yield silent
+    """Show how far a sweep is, by a bar where a console is a terminal, else by lines; yield what updates it."""
+    if not console.is_terminal:
+        with heartbeat(lambda line: console.print(line, markup=False, highlight=False, soft_wrap=True)) as said:
+
+            def say(stored: int, count: int, failed: int) -> None:
+                said(f"sweep: {stored} of {count} points{f', {failed} failed' if failed else ''}")
+
+            yield say
         return
     columns = (
         TextColumn("sweep"), BarColumn(bar_width=24), MofNCompleteColumn(), RateColumn(), TimeRemainingColumn(),

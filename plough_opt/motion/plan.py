@@ -41,6 +41,11 @@ PHASE_PER_STEP = 0.5
 
 # The same by `summed_rate`, which usually does; where it does not, the check tells, and steps are repeated finer.
 _USUAL_PHASE = 0.475
+# Phase, by `summed_rate`, in a long step whose error others are chosen by, and by how much those are more than the law
+# of order 8 says, and more than the last at least.
+_LONG_PHASE = 1.6
+_SURE = 1.05
+_LEAST_FINER = 1.15
 # Part of the steps with which a run is checked.
 _COARSER = 0.75
 
@@ -240,14 +245,34 @@ def automatic(method: Method, wanted: float, p: Mapping[str, float], duration: f
     return _order_8(_rounded(math.ceil(enough / _COARSER)))
 
 
+def long_steps(p: Mapping[str, float], duration: float) -> int:
+    """Return how many steps of order 8 are so long that their error just begins to follow the order's law."""
+    return _rounded(steps_for(summed_rate(p) * duration, _LONG_PHASE))
+
+
+def steps_by_law(steps: int, error: float, wanted: float) -> int:
+    """Return how many steps of order 8 reach an error, if so many have another one."""
+    return max(longer_by(steps, _LEAST_FINER), _rounded(math.ceil(_SURE * steps * (error / wanted) ** 0.125), 5))
+
+
+def longer_by(steps: int, factor: float) -> int:
+    """Return so many times more steps."""
+    return _rounded(math.ceil(factor * steps), 5)
+
+
+def pair_of(steps: int) -> tuple[Accuracy, Accuracy]:
+    """Return so many steps of order 8, and what checks them."""
+    return _order_8(steps), _order_8(coarser(steps))
+
+
 def coarser(steps: int) -> int:
     """Return the steps of order 8 that check so many."""
     return math.ceil(_COARSER * steps)
 
 
-def _rounded(steps: int) -> int:
-    """Return at least so many steps, to three binary digits: scenes much alike then share one loop over steps."""
-    unit = 1 << max(0, steps.bit_length() - 3)
+def _rounded(steps: int, digits: int = 3) -> int:
+    """Return at least so many steps, to some binary digits: scenes much alike then share one loop over steps."""
+    unit = 1 << max(0, steps.bit_length() - digits)
     return -(-steps // unit) * unit
 
 

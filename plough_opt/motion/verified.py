@@ -29,6 +29,10 @@ from plough_opt.motion.plan import (
     checked,
     finer,
     forced_rate,
+    long_steps,
+    longer_by,
+    pair_of,
+    steps_by_law,
     steps_for,
     suited,
     timeline_of,
@@ -40,6 +44,11 @@ from plough_opt.motion.settling import which_motion
 
 # How often, and by what factor, the tolerance is tightened until the wanted error is reached.
 _TIGHTENINGS = 3
+# The same of steps of order 8, whose number follows from an error that was measured; how much shorter they become where
+# the error is too large to tell, and up to where it is not.
+_MEASURED = 6
+_ANEW = 1.4
+_KNOWN = 1e-3
 _TIGHTER = 0.03
 # Relative difference of a stand-in from the lasting orbit that a reader must know.
 _FAR = 1e-2
@@ -105,7 +114,14 @@ def _quasi_static(case: Case, accuracy: Accuracy) -> tuple[Run, float, tuple[str
 def _automatic(case: Case, wanted: float) -> tuple[Followed, float]:
     """Integrate by the first of the methods that suit a scene which reaches the wanted error, or comes nearest."""
     best: tuple[Followed, float] | None = None
-    for method in suited(case.structure, case.phase):
+    failure: IntegrationError | None = None
+    methods = suited(case.structure, case.phase)
+    if methods[0] == "dop853" and case.structure.stepped and not case.structure.kinked:
+        methods = methods[1:]
+        best, failure = _by_measured_steps(case, wanted)
+        if best is not None and best[1] <= wanted:
+            return best
+    for method in methods:
         aim = wanted
         for _ in range(1 if method == "rosenbrock" else _TIGHTENINGS):
             try:
@@ -123,9 +139,36 @@ def _automatic(case: Case, wanted: float) -> tuple[Followed, float]:
             if best is None or error < best[1]:
                 best = found, error
             aim *= min(_TIGHTER, 0.5 * wanted / error)
-    if best is None:
-        raise failure
-    return best
+    if best is not None:
+        return best
+    assert failure is not None  # each method found a run or failed
+    raise failure
+
+
+def _by_measured_steps(case: Case, wanted: float) -> tuple[tuple[Followed, float] | None, IntegrationError | None]:
+    """Integrate by steps of order 8: by long ones first, whose error tells how many reach the wanted one.
+
+    The long steps are the same whatever is wanted, and the tighter that is the more are taken: a looser error costs no
+    more.
+
+    Returns:
+        The run that reaches the error or comes nearest, and why there is none.
+    """
+    best: tuple[Followed, float] | None = None
+    failure: IntegrationError | None = None
+    steps = long_steps(case.p, case.duration)
+    for _ in range(_MEASURED):
+        try:
+            found, error = _twice(case, *pair_of(steps))
+        except IntegrationError as failed:
+            failure, steps = failed, longer_by(steps, _ANEW)
+            continue
+        if best is None or error < best[1]:
+            best = found, error
+        if error <= wanted:
+            break
+        steps = longer_by(steps, _ANEW) if error > _KNOWN else steps_by_law(steps, error, wanted)
+    return best, failure
 
 
 def _stand_in(case: Case, wanted: float) -> tuple[Run, float, tuple[str, ...]]:

@@ -95,7 +95,7 @@ def allowed(variables: Sequence[Variable], catalogues: Mapping[str, Catalogue]) 
 
 def _number_of(variables: Sequence[Variable], name: str) -> int:
     """Return the number of a variable by its name, or by that as a keyword: ``wedge_angle`` for "wedge angle"."""
-    names = [v.name for v in variables]
+    names = [v.name for v in variables if not v.auxiliary]
     if name in names:
         return names.index(name)
     short = ["".join(c if c.isalnum() else "_" for c in own.rpartition(".")[2]) for own in names]

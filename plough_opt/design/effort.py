@@ -24,8 +24,8 @@ _ISLANDS = {1: 0, 2: 1, 3: 2}
 _MOST_ISLANDS = 4
 # Runs, of all designs of a round together, where a design has many: some seconds' worth.
 _MOST_RUNS = 60_000
-# Designs whose runs are integrated one by one, each for milliseconds.
-_ONE_BY_ONE = 256
+# Designs whose runs are integrated one by one, each for milliseconds: fewer where a design has several, but so many.
+_ONE_BY_ONE, _FEWEST = 256, 32
 _THOROUGH = 4
 _SECONDS = re.compile(r"\s*([0-9.]+(?:e[+-]?[0-9]+)?)\s*s\s*")
 
@@ -79,7 +79,7 @@ def effort_of(search: Search, dimensions: int, runs: int, vectorised: bool) -> E
     islands = _ISLANDS.get(dimensions, _MOST_ISLANDS) if designs * runs < _MOST_RUNS else 0
     many = dimensions > 3
     return Effort(
-        designs=designs if vectorised else _ONE_BY_ONE,
+        designs=designs if vectorised else 1 << (max(_FEWEST, _ONE_BY_ONE // max(runs, 1)).bit_length() - 1),
         islands=islands if vectorised else 0,
         population=40 if many else 24,
         generations=60 if many else 30,

@@ -90,6 +90,7 @@ def rounded(
     return Rounded(
         **{name: getattr(local, name) for name in LocalOptimum.__dataclass_fields__},
         local_optima=(local,),
+        over=program.over,
         status="unconfirmed" if reached.status == AS_FOUND else "solved",
         seconds=time.perf_counter() - started,
         warnings=warnings,

@@ -124,20 +124,21 @@ class Sensitivities:
         values = dict(zip(rising, self._values(self._active.y), strict=True))
         lowest, below = target.within(target.value - down.until, down.then)
         highest, above = target.within(target.value + up.until, up.then)
+        names = [v.name for v in self._program.declared.variables if not v.auxiliary]
         differs = bool(np.max(np.abs(up.y - down.y)) > _SAME * np.max(np.abs([up.y, down.y])))
         return Sensitivity(
             name=name,
             value=target.value,
             unit=target.unit,
             objective=objective,
-            variables=rising,
+            variables={v: rising[v] for v in names},
             elasticity=_elasticity(objective, target.value, best),
-            elasticities={v: _elasticity(rising[v], target.value, values[v]) for v in rising},
+            elasticities={v: _elasticity(rising[v], target.value, values[v]) for v in names},
             valid_from=lowest,
             valid_to=highest,
             then=(below, above),
             touching=self._active.touching if differs else (),
-            falling=falling,
+            falling={v: falling[v] for v in names},
             difference=self._difference(target, objective, up, down) if check else None,
         )
 
@@ -170,6 +171,8 @@ class Sensitivities:
     def _limits(self) -> dict[str, _Target]:
         found = {}
         for r in self._program.own_requirements:
+            if r.auxiliary:
+                continue
             given = {
                 f"{r.name} {side}": x for side, x in (("at_least", r.at_least), ("at_most", r.at_most)) if x is not None
             }
@@ -180,7 +183,7 @@ class Sensitivities:
             if len(given) == 1:
                 found[r.name] = next(iter(found[name] for name in given))
         for k, v in enumerate(self._program.declared.variables):
-            if k not in self._fixed:
+            if k not in self._fixed and not v.auxiliary:
                 found |= {
                     name: _Target(bound, v.unit, side=name, domain=v.domain)
                     for name, bound in ((f"{v.name} lower", v.lower), (f"{v.name} upper", v.upper))

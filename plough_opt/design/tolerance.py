@@ -101,7 +101,7 @@ def spread(landscape: Landscape, y: Vector, objective: float) -> Spread | None:
             for r, margin, scale in zip(program.declared.requirements, least, program.scales, strict=True)
         },
         kept=float(np.mean(landscape.violations(g).sum(axis=1) <= FEASIBLE)),
-        needle=median - objective > NEEDLE * abs(objective) or 2 * np.sum(sound) < len(sound),
+        needle=bool(median - objective > NEEDLE * abs(objective) or 2 * np.sum(sound) < len(sound)),
     )
 
 

@@ -133,6 +133,40 @@ def test_runs_under_a_wave_keep_their_limits_in_the_whole_box():
             assert max(float(run.force_rms) for run in around) / 1e3 >= 0.99 * best.objective
 
 
+def test_its_sensitivities_and_catalogue_choices_are_of_the_whole_box():
+    d = po.Design()
+    x = d.variable("x", guess=1.0, lower=0.1, upper=10.0, tolerance=0.2)
+    y = d.variable("y", guess=2.0, lower=0.1, upper=10.0, tolerance="5 %")
+    least = d.parameter("least", 3.0)
+    d.minimise(2.0 * x + y, over="worst")
+    d.require("yield", x * y - least, at_least=0.0)
+    best = d.solve()
+    by_yield = best.sensitivity("least", check=True)
+    assert list(by_yield.variables) == ["x", "y"]
+    # The optimiser stops 1e-10 from optima that are some 1e-3 apart.
+    assert by_yield.difference < 1e-6
+    assert [item.name for item in best.every_sensitivity()] == ["least", "yield at_least"]
+    found = best.rounded(x=[1.0, 1.5, 2.0])
+    assert found.over == best.over
+    assert found.spread.kept == 1.0
+    by_hand = {}
+    for value in (1.0, 1.5, 2.0):
+        # With x held, y is as small as the box lets it be.
+        box = boxes(
+            d.declared.variables,
+            np.array([[v.scaled(z) for v, z in zip(d.declared.variables, (value, 2.0), strict=True)]]),
+        )
+        xs, parts = (
+            np.array([v.value(z) for z in column]) for v, column in zip(d.declared.variables, box.T, strict=True)
+        )
+        smallest = np.max(3.0 / (xs * parts / 2.0))
+        by_hand[value] = np.max(2.0 * xs + parts / 2.0 * smallest)
+    assert found.variables["x"] == min(by_hand, key=by_hand.get)
+    assert found.objective == pytest.approx(min(by_hand.values()), rel=1e-8)
+    with pytest.raises(po.InputError, match="is no variable"):
+        best.rounded({"worst objective": [5.0]})
+
+
 def test_another_word_is_refused():
     with pytest.raises(po.InputError, match="must be 'worst' or 'mean'"):
         _parabola("best")

@@ -10,7 +10,7 @@ from plough_opt.tradeoff.certificate import FrontPoint
 from plough_opt.tradeoff.goal import Goal
 from plough_opt.tradeoff.missing import beaten
 from plough_opt.tradeoff.plane import Array
-from plough_opt.tradeoff.samples import MATTERS, Samples
+from plough_opt.tradeoff.samples import MATTERS, NOT_REACHED, Samples
 
 # Relative ranges of all objectives below this are hardly a conflict, of one of them below the second too small to act
 # on; below the third they are rounding.
@@ -26,7 +26,9 @@ def notes_on(tracer: Samples, goals: Sequence[Goal], points: Sequence[FrontPoint
     values = np.array([point.objectives for point in points])
     ranges = np.ptp(values, axis=0) / np.maximum(np.max(np.abs(values), axis=0), np.finfo(float).tiny)
     small = [k for k, change in enumerate(ranges) if change < _SMALL]
-    if len(points) == 1:
+    if len(points) == 1 and any(failure.reason.startswith(NOT_REACHED) for failure in tracer.failures):
+        notes.append(f"of {listed} one design was found alone, though some were seen that are better in one of them")
+    elif len(points) == 1:
         best = "both" if len(goals) == 2 else "all three"
         # What the anchors differ by, which is too little to trace.
         apart = front.apart
@@ -42,6 +44,11 @@ def notes_on(tracer: Samples, goals: Sequence[Goal], points: Sequence[FrontPoint
                 f"{names[k]} hardly conflicts with the rest: along the whole front it changes by"
                 f" {100 * ranges[k]:.2g} % of its value"
             )
+    if tracer.needles_beyond:
+        notes.append(
+            f"{tracer.needles_beyond} designs beyond the front were seen that are needles: within their tolerances no"
+            " workshop can hit them"
+        )
     if any(point.needle for point in points):
         count = sum(point.needle for point in points)
         notes.append(f"{count} of {len(points)} designs are needles: within their tolerances no workshop can hit them")

@@ -164,12 +164,6 @@ class FrontProgram:
 
     # --- questions ---------------------------------------------------------------------------------------
 
-    def alone(self, objective: int, other: float) -> Vector:
-        """Return the parameters for one objective, and a little of the others where the first does not care."""
-        weights = np.full(self.count, other)
-        weights[objective] = 1.0
-        return self.weighted(weights)
-
     def weighted(self, weights: Vector) -> Vector:
         """Return the parameters for a weighted sum of the scaled objectives."""
         count = self.count

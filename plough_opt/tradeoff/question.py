@@ -104,13 +104,14 @@ def trade_off(
     if idle:
         # An objective that conflicts with none leaves the design to one that may.
         number = next((k for k in range(len(anchors)) if k // (len(anchors) // len(goals)) not in idle), 0)
-        front.normalise(np.zeros(len(goals)), np.ones(len(goals)))
+        sizes = np.abs(front.objectives(anchors[number][0].y))
+        front.normalise(np.zeros(len(goals)), np.where(sizes > 0.0, sizes, 1.0))
         tracer.kept(anchors[number][0], tracer.orders()[number])
     else:
         tracer.trace(anchors)
         _refine(tracer, front, told)
         tracer.look_inward()
-        tracer.confess()
+    tracer.confess()
     told("checking", 0.0)
     return assembled(front, tracer, goals, title, Times(started, building))
 

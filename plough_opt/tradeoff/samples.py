@@ -24,6 +24,9 @@ OTHERS = 1e-4
 MATTERS = 1e-3
 """Of the range of an objective: a design that is better by less is no better."""
 
+NOT_REACHED = "Not_Reached"
+"""Status of a design that was seen beyond the front, and beside which the optimiser found none."""
+
 # Steps of designs for which the program is written, in ranges.
 _ROUGHLY = 1e-2
 # Two optima nearer than this, in normalised objectives and in scaled variables, are one.
@@ -35,6 +38,10 @@ _BESIDE = 0.05
 _NOT_WORSE = 1e-5
 # Rounds of following missed designs, and how many in each.
 _ROUNDS, _AT_ONCE = 12, 6
+# Ratios of ranges that weights follow.
+_RATIOS = 1e-3, 1e3
+# Times that an anchor is sought anew from a better design, of how many such designs, and what is rounding.
+_OVERLOOKED, _MOST_SEEN, _ROUNDING = 3, 1000, 1e-5
 # Missed designs that are held against their tolerances in a round.
 _MOST_JUDGED = 100
 
@@ -98,13 +105,23 @@ class Samples(ABC):
         self.told = progress
         self.found: list[Sample] = []
         self.failures: list[Failure] = []
+        self._pricks: set[int] = set()
         self._settled = np.empty(0, dtype=int)
+        self._ranges = np.ones(front.count)
 
     # --- anchors -----------------------------------------------------------------------------------------
 
     @abstractmethod
     def alone(self) -> list[Vector]:
         """Return the parameters for each objective alone."""
+
+    def in_ranges(self, weights: Vector) -> Vector:
+        """Return the parameters for weights of the objectives on their ranges, that of the heaviest on its size.
+
+        Without that, what little another objective weighs may be more than the range of one that hardly changes.
+        """
+        first = int(np.argmax(weights))
+        return self.front.weighted(weights * np.clip(self._ranges[first] / self._ranges, *_RATIOS))
 
     def begin(self) -> list[list[Vector]]:
         """Return starts for each objective alone, and write the program with the steps that these need.
@@ -127,7 +144,8 @@ class Samples(ABC):
         """Normalise by the starts, so that needles can be told from others."""
         at = self.front.look(np.array(ends), 1.0, 1)[0]
         low, high = at.min(axis=0), at.max(axis=0)
-        self.front.normalise(low, np.maximum(high - low, _SAME_OBJECTIVES * np.maximum(np.abs(at).max(axis=0), 1.0)))
+        self._ranges = np.maximum(high - low, _SAME_OBJECTIVES * np.maximum(np.abs(at).max(axis=0), 1.0))
+        self.front.normalise(low, self._ranges)
 
     def _best_seen(self) -> list[Vector]:
         """Return the designs of the cloud that no other beats by more than a hundredth of a range."""
@@ -141,12 +159,42 @@ class Samples(ABC):
             p: parameters that set no position.
             starts: scaled designs.
         """
-        points = [minimum_from(self.front.program, p, self._polished(p, y)) for y in starts]
-        points = [self._to_the_last_digit(point, p) for point in points if point.solved]
-        objectives = np.array([self.front.objectives(point.y) for point in points]).reshape(-1, self.front.count)
-        needles = self.cloud.needles(np.array([point.y for point in points]), objectives) if points else ()
-        order = sorted(range(len(points)), key=lambda k: (bool(needles[k]), points[k].f))
-        return [points[k] for k in order]
+        points = self._needles_last([self._anchor(p, y) for y in starts])
+        for _ in range(_OVERLOOKED if self.searcher.vary else 0):
+            better = self._better_seen(p, points[0]) if points else None
+            if better is None or not (found := self._anchor(p, better)).solved or found.f >= points[0].f:
+                break
+            points = self._needles_last([*points, found])
+        return points
+
+    def _anchor(self, p: Vector, y: Vector) -> Point:
+        """Return the local optimum beside a design."""
+        point = minimum_from(self.front.program, p, self._polished(p, y))
+        return self._to_the_last_digit(point, p) if point.solved else point
+
+    def _needles_last(self, points: Sequence[Point]) -> list[Point]:
+        """Return what is solved, needles last, of the others the best first."""
+        solved = [point for point in points if point.solved]
+        if not solved:
+            return []
+        objectives = np.array([self.front.objectives(point.y) for point in solved])
+        needles = self.cloud.needles(np.array([point.y for point in solved]), objectives)
+        return [solved[k] for k in sorted(range(len(solved)), key=lambda k: (bool(needles[k]), solved[k].f))]
+
+    def _better_seen(self, p: Vector, best: Point) -> Vector | None:
+        """Return the best design of the cloud that is better than an anchor and no needle, or None."""
+        y, scaled = self.cloud.feasible
+        weights = self.front.asked(p)[0]
+        values = weights[0] + scaled @ weights[1:]
+        margin = max(MATTERS * float(np.min(self._ranges)), _ROUNDING * abs(best.f))
+        better = np.flatnonzero(values < best.f * self.front.program.objective_scale - margin)
+        better = better[np.argsort(values[better], kind="stable")][:_MOST_SEEN]
+        for first in range(0, len(better), _MOST_JUDGED):
+            part = better[first : first + _MOST_JUDGED]
+            sound = part[~self.cloud.needles(y[part], scaled[part])]
+            if len(sound):
+                return np.asarray(y[sound[0]])
+        return None
 
     def _polished(self, p: Vector, y: Vector) -> Point:
         """Return the local optimum beside a design that a search found; never a worse one."""
@@ -285,6 +333,7 @@ class Samples(ABC):
             needles = self.cloud.needles(y[best], scaled[best])
             if not np.any(needles):
                 break
+            self._pricks |= {int(k) for k in best[needles]}
             left, best = np.setdiff1d(left, best[needles]), best[:0]
         chosen: list[int] = []
         for j, k in enumerate(best):
@@ -292,11 +341,16 @@ class Samples(ABC):
                 chosen.append(j)
         return [(y[best[j]], at[best[j]], float(gain[j])) for j in chosen]
 
+    @property
+    def needles_beyond(self) -> int:
+        """How many needles were seen beyond the front, those that others beat apart."""
+        return len(self._pricks)
+
     def confess(self) -> None:
         """Keep as failures the missed designs beside which no optimum was found."""
         for _, at, gain in self.missed():
             reason = (
-                f"Not_Reached: a design of the search is better here than the front by {100.0 * gain:.2g} % of its"
+                f"{NOT_REACHED}: a design of the search is better here than the front by {100.0 * gain:.2g} % of its"
                 " range, and the optimiser found no optimum beside it"
             )
             self.failures.append(Failure(tuple(at.tolist()), reason))

@@ -102,7 +102,7 @@ class SurfaceTracer(Samples):
 
         An optimum of one objective that leaves the others open is no anchor: it does not bound them.
         """
-        return [self.front.weighted(weights) for weights in IN_TURN]
+        return [self.in_ranges(weights) for weights in IN_TURN]
 
     def alone(self) -> list[Vector]:
         """Return the first of either two orders that begin with the same objective."""

@@ -61,7 +61,7 @@ class Tracer(Samples):
 
     def orders(self) -> list[Vector]:
         """Return the parameters for either objective alone."""
-        return [self.front.alone(k, OTHERS) for k in (0, 1)]
+        return [self.in_ranges(np.array(weights)) for weights in ((1.0, OTHERS), (OTHERS, 1.0))]
 
     alone = orders
 

@@ -26,7 +26,7 @@ class Cloud:
         """Take a program whose scales are set."""
         self.front = front
         self.tried = 0
-        self._bare = Landscape(front.program, np.empty(0))
+        self._bare = Landscape(front.program, front.nowhere())
         self._position = front.program.owner[front.rows[0]]
         self._parts: list[tuple[Vector, Vector]] = []
         self._samples: dict[bytes, tuple[Vector, Vector]] = {}
@@ -130,4 +130,4 @@ class FrontLandscape(Landscape):
         weights, normals, limits = self._asked
         g = g.copy()
         g[:, self._cloud.front.rows] = objectives @ normals.T - limits
-        return (weights[0] + objectives @ weights[1:]) / self.program.objective_scale, g / self._scale
+        return (weights[0] + objectives @ weights[1:]) / self.objective_scale, g / self._scale

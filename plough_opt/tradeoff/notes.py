@@ -30,9 +30,8 @@ def notes_on(tracer: Samples, goals: Sequence[Goal], points: Sequence[FrontPoint
         notes.append(f"of {listed} one design was found alone, though some were seen that are better in one of them")
     elif len(points) == 1:
         best = "both" if len(goals) == 2 else "all three"
-        # What the anchors differ by, which is too little to trace.
-        apart = front.apart
-        within = f", to within {100.0 * np.max(apart):.2g} %" if np.max(apart) > _ROUNDING else ""
+        given_up = tracer.front.rounded_off
+        within = f", to within {100.0 * given_up:.2g} %" if given_up > _ROUNDING else ""
         where = "" if tracer.searcher.vary else " in the basin of the guess"
         notes.append(f"{listed} do not conflict{where}: one design is best in {best}{within}")
     elif np.max(ranges) < _HARDLY:

@@ -10,6 +10,7 @@ from typing import Any, Final
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure, SubFigure
+from matplotlib.ticker import MaxNLocator, ScalarFormatter
 from numpy.typing import NDArray
 
 from plough_opt.picture_files import COLOURS
@@ -21,6 +22,9 @@ MUTED: Final = "#A8A8A8"
 _WIDTH: Final = 7.0
 # Of a variable's bounds.
 _LEAST_RANGE: Final = 0.02
+# Of an objective's value: an axis shows no less, and no more ticks than fit beside each other.
+_LEAST_CHANGE: Final = 0.01
+_TICKS: Final = 6
 _CUSTOMARY: Final = {"rad": ("deg", math.pi / 180.0), "N": ("kN", 1e3), "N/m": ("kN/m", 1e3), "W": ("kW", 1e3),
                      "Pa": ("kPa", 1e3)}  # fmt: skip
 
@@ -57,6 +61,7 @@ def figure_of(front: Drawing) -> Figure:
     figure, panels = beside_panels(front, (3.6, 1.75), 5.2, place, _draw_variable)
     for axes in panels[-1]:
         axes.set_xlabel(label_of(front.goals[0]))
+        _plain(axes, places_of(front.points, front)[:, 0], "x")
     return figure
 
 
@@ -119,6 +124,8 @@ def draw_front(axes: Axes, front: Drawing) -> None:
         axes.plot(knee[0], knee[1], "*", color="black", markersize=13, zorder=5, label="knee")
     _limit(axes, places, beaten)
     axes.set(xlabel=label_of(first), ylabel=label_of(second))
+    for along, values in zip("xy", places.T, strict=True):
+        _plain(axes, values, along)
     axes.grid(alpha=0.25)
     axes.legend(fontsize="small")
 
@@ -133,6 +140,23 @@ def _limit(axes: Axes, places: np.ndarray, beaten: np.ndarray) -> None:
     edge = 0.04 * (high - low)
     axes.set_xlim(max(low[0] - pad[0], least[0]) - edge[0], min(high[0] + pad[0], most[0]) + edge[0])
     axes.set_ylim(max(low[1] - pad[1], least[1]) - edge[1], min(high[1] + pad[1], most[1]) + edge[1])
+
+
+def _plain(axes: Axes, values: np.ndarray, along: str) -> None:
+    """Show whole numbers that do not touch along an axis, and what hardly changes as hardly changing.
+
+    Args:
+        axes: on which everything is drawn.
+        values: the front's along it.
+        along: "x" or "y".
+    """
+    low, high = axes.get_xlim() if along == "x" else axes.get_ylim()
+    middle, least = (low + high) / 2.0, _LEAST_CHANGE * float(np.max(np.abs(values)))
+    if high - low < least:
+        (axes.set_xlim if along == "x" else axes.set_ylim)(middle - least / 2.0, middle + least / 2.0)
+    axis = axes.xaxis if along == "x" else axes.yaxis
+    axis.set_major_locator(MaxNLocator(_TICKS))
+    axis.set_major_formatter(ScalarFormatter(useOffset=False))
 
 
 def _draw_variable(axes: Axes, front: Drawing, variable: Axis) -> None:

@@ -49,7 +49,7 @@ class FrontProgram:
         low: normalised objectives' zero, in scaled units.
         span: their range.
         building: time that was spent on writing it since it was last prepared [s].
-        apart: by what part of its size each objective differs between the anchors.
+        rounded_off: largest part of an objective by which it changes and is taken to change by nothing.
     """
 
     def __init__(self, declared: Declarations, goals: Sequence[Goal], *, compiled: bool = False) -> None:
@@ -91,7 +91,7 @@ class FrontProgram:
         self._exact: dict[bytes, tuple[Vector, list[Vector]]] = {}
         self.levels: list[Level] = []
         self.building = 0.0
-        self.apart = np.ones(self.count)
+        self.rounded_off = 0.0
         self._refinement = 1.0
         self._starts: list[Vector] = []
 
@@ -114,7 +114,7 @@ class FrontProgram:
         count = self.count
         self._all = self.parameters((0.0, 1.0, *np.zeros(count - 1)), np.eye(count)[1:], np.zeros(count - 1).tolist())
         self._refinement, self.building = 1.0, 0.0
-        self.program.prepare(self._nowhere())
+        self.program.prepare(self.nowhere())
 
     def parameters(self, weights: Sequence[float], normals: Vector, positions: Sequence[float]) -> Vector:
         """Return the program's parameters for w, n (a row for each position) and c, in scaled units."""
@@ -136,7 +136,7 @@ class FrontProgram:
 
     def _build(self) -> None:
         program, began = self.program, time.perf_counter()
-        program.build(self._nowhere(), self._refinement, self._starts)
+        program.build(self.nowhere(), self._refinement, self._starts)
         self.building += time.perf_counter() - began
         if self.levels and self.levels[0].nlp is program.nlp:
             return
@@ -147,7 +147,7 @@ class FrontProgram:
         if program.interpreted and self.wanted_error:
             self.levels.append(Level(program.rough, program.rough, sizes, program.low, program.high))
 
-    def _nowhere(self) -> Vector:
+    def nowhere(self) -> Vector:
         """Return parameters without objective or position."""
         nothing = self.weighted(np.zeros(self.count))
         nothing[len(self._values)] = 1.0
@@ -258,7 +258,7 @@ class FrontProgram:
 
     def _numbers(self, y: Vector) -> list[float]:
         """Return the values of all symbols at a design."""
-        return [*self.program.values(y), *self._nowhere()]
+        return [*self.program.values(y), *self.nowhere()]
 
     def normalised(self, scaled: Vector) -> Vector:
         """Return scaled objectives in units of the front's range."""

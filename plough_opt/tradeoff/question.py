@@ -153,8 +153,9 @@ def _normalise(front: FrontProgram, anchors: Sequence[Sequence[Point]]) -> list[
     ends = np.array([front.objectives(points[0].y) for points in anchors])
     low, high = ends.min(axis=0), ends.max(axis=0)
     front.normalise(low, high - low)
-    front.apart = (high - low) / np.maximum(1e-3, np.max(np.abs(ends), axis=0))
-    return [int(k) for k in np.flatnonzero(front.apart < _NONE)]
+    apart = (high - low) / np.maximum(1e-3, np.max(np.abs(ends), axis=0))
+    front.rounded_off = float(np.max(apart[apart < _NONE], initial=0.0))
+    return [int(k) for k in np.flatnonzero(apart < _NONE)]
 
 
 def _refine(tracer: Tracer | SurfaceTracer, front: FrontProgram, told: Progress) -> None:

@@ -25,6 +25,9 @@ if TYPE_CHECKING:
 
 Array = plane.Array
 
+# Rates are told for so much of an objective, which a front must hold.
+_ONE_PER_CENT = 0.01
+
 
 @dataclass(frozen=True)
 class Hole:
@@ -134,7 +137,9 @@ class TradeOff:
         return plane.area(front, corner) if len(self.goals) == 2 else space.volume(front, corner)
 
     def cost(self, number: int, of: int = 1, by: int = 0) -> float | None:
-        """Return by how many per cent an objective gets worse for 1 % of another at a point; None without.
+        """Return by how many per cent an objective gets worse for 1 % of another at a point.
+
+        None where there is no rate, or where the whole front does not change the other one by 1 %.
 
         Args:
             number: of the point.
@@ -142,7 +147,7 @@ class TradeOff:
             by: number of the objective that gains; default the first.
         """
         rate, objectives = self.rate(number, of, by), self.points[number].objectives
-        if rate is None or not (objectives[of] and objectives[by]):
+        if rate is None or not (objectives[of] and objectives[by]) or self._change(by) < _ONE_PER_CENT:
             return None
         return abs(rate * objectives[by] / objectives[of])
 
@@ -158,10 +163,17 @@ class TradeOff:
         at, cost = self.points[number].objectives, self.cost(number, of, by)
         values = [_value(x, goal) for x, goal in zip(at, self.goals, strict=True)]
         place = f"at {', '.join(values[:-1])} and {values[-1]}"
+        if cost is None and len(self.points) > 1 and self._change(by) < _ONE_PER_CENT:
+            return f"{place}: the whole front changes {gains.name} by {100.0 * self._change(by):.2g} % only"
         if cost is None:
             return f"{place}: no finite rate"
         more, costs = ("more" if gains.maximise else "less"), ("less" if gives.maximise else "more")
         return f"{place}: 1 % {more} {gains.name} costs {cost:.3g} % {costs} {gives.name}"
+
+    def _change(self, objective: int) -> float:
+        """Return by what part of its largest value an objective changes along the front."""
+        values = self.objectives[:, objective]
+        return float(np.ptp(values) / max(float(np.max(np.abs(values))), np.finfo(float).tiny))
 
     def _signs(self) -> Array:
         return np.array([goal.sign for goal in self.goals])

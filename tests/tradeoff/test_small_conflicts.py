@@ -1,0 +1,67 @@
+"""Objectives that hardly conflict: a sentence with the size of it, and no rate that lies outside the front."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+import plough_opt as po
+
+
+@pytest.fixture(scope="module")
+def small():
+    """Front of a power of 4073 that changes by 3e-5 of it, against a deflection between 0 and 1."""
+    d = po.Design()
+    x, y = (d.variable(name, guess=0.4, lower=-2.0, upper=2.0) for name in "xy")
+    power = po.Goal("power", 4073.0 * (1.0 + 3e-5 * (x**2 + y**2)), unit="W")
+    return po.trade_off(d, power, po.Goal("deflection", (x - 1.0) ** 2 + y**2, unit="m"), points=11)
+
+
+def test_a_conflict_too_small_to_act_on_is_said_with_its_size(small):
+    assert small.notes == (
+        "'power' hardly conflicts with the rest: along the whole front it changes by 0.003 % of its value",
+    )
+
+
+def test_the_front_is_right_all_the_same(small):
+    power, deflection = small.objectives.T
+    # The designs are those between both optima; the power's change is known to its rounding, 1e-12 of 3e-5.
+    assert np.sqrt((power / 4073.0 - 1.0) / 3e-5) + np.sqrt(deflection) == pytest.approx(1.0, abs=1e-4)
+    assert len(small.points) == 11
+
+
+def test_no_rate_is_told_that_lies_outside_the_front(small):
+    assert small.cost(5) is None
+    assert small.in_words(5).endswith("the whole front changes power by 0.003 % only")
+    # The rate in units stays, and what 1 % less deflection costs is on the front.
+    x = small.designs[5, 0]
+    assert small.rate(5) == pytest.approx((x - 1.0) / (4073.0 * 3e-5 * x), rel=1e-4)
+    assert small.cost(5, of=0, by=1) == pytest.approx(
+        abs(small.rate(5, 0, 1) * small.objectives[5, 1] / 4073.0), rel=1e-3
+    )
+
+
+def test_the_picture_has_no_offset_and_ticks_that_do_not_touch(small):
+    figure = small.plot()
+    figure.canvas.draw()
+    front, *panels = figure.axes
+    for axes in (front, panels[-1]):
+        labels = [label for label in axes.get_xticklabels() if label.get_text()]
+        boxes = sorted((label.get_window_extent() for label in labels), key=lambda box: box.x0)
+        assert all(left.x1 < right.x0 for left, right in pairwise(boxes))
+        assert axes.xaxis.get_offset_text().get_text() == ""
+    low, high = front.get_xlim()
+    # What changes by 0.003 % is drawn on 1 %.
+    assert high - low == pytest.approx(0.01 * 4.073, rel=0.01)
+
+
+def test_a_conflict_below_what_is_solved_for_is_none_to_within_its_size():
+    d = po.Design()
+    x, y = (d.variable(name, guess=0.4, lower=-2.0, upper=2.0) for name in "xy")
+    front = po.trade_off(d, 1.0 + 2e-6 * (x**2 + y**2), 1.0 + (x - 1.0) ** 2 + y**2, points=9)
+    (note,) = front.notes
+    assert (
+        note
+        == "'first objective' and 'second objective' do not conflict: one design is best in both, to within 0.0002 %"
+    )
+    assert front.designs[0] == pytest.approx([1.0, 0.0], abs=1e-3)

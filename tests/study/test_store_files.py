@@ -1,6 +1,7 @@
 """Stores that somebody damaged, moved to a medium that cannot be written, or took rows from."""
 
 import contextlib
+import io
 import os
 import shutil
 import sqlite3
@@ -191,18 +192,32 @@ def test_a_store_is_read_where_nothing_can_be_written(store, state):
         assert sorted(place.iterdir()) == sorted(place / file.name for file in copied)
 
 
-def test_a_finished_store_is_one_file_and_the_command_reads_it_without_writing(tmp_path, capsys, monkeypatch):
-    store = tmp_path / "sweep.db"
-    command = ("sweep", str(REFERENCE), "--over", "soil.cohesion=10 kPa, 20 kPa", "--set", "effects.motion=false")
-    assert main([*command, "--workers", "1", "--store", str(store)]) == 0
-    first = capsys.readouterr().out
+COMMAND = ("sweep", str(REFERENCE), "--over", "soil.cohesion=10 kPa, 20 kPa", "--set", "effects.motion=false")
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    """Return what copies the command's store into a folder, and returns it with what the command printed."""
+    folder, printed = tmp_path_factory.mktemp("made"), io.StringIO()
+    with contextlib.redirect_stdout(printed):
+        assert main([*COMMAND, "--workers", "1", "--store", str(folder / "sweep.db")]) == 0
+    assert [file.name for file in folder.iterdir()] == ["sweep.db"]
+
+    def copied(place):
+        return Path(shutil.copy(folder / "sweep.db", place)), printed.getvalue()
+
+    return copied
+
+
+def test_a_finished_store_is_one_file_and_the_command_reads_it_without_writing(made, tmp_path, capsys, monkeypatch):
+    store, first = made(tmp_path)
     assert list(tmp_path.iterdir()) == [store]
     before = store.read_bytes(), store.stat().st_mtime_ns
     store.chmod(0o444)
     tmp_path.chmod(0o555)
     monkeypatch.setattr(os, "access", lambda *_: False)  # whoever runs the tests may be allowed everything
     try:
-        assert main([*command, "--store", str(store)]) == 0
+        assert main([*COMMAND, "--store", str(store)]) == 0
     finally:
         tmp_path.chmod(0o755)
     assert (store.read_bytes(), store.stat().st_mtime_ns) == before
@@ -213,24 +228,18 @@ def test_a_finished_store_is_one_file_and_the_command_reads_it_without_writing(t
 @pytest.mark.parametrize(
     "statement", ["ALTER TABLE points DROP COLUMN mean_draft", "UPDATE points SET mean_draft = 'much'"]
 )
-def test_the_command_tells_a_damaged_store_with_status_2(tmp_path, capsys, statement):
-    store = tmp_path / "sweep.db"
-    command = ("sweep", str(REFERENCE), "--over", "soil.cohesion=10 kPa, 20 kPa", "--set", "effects.motion=false")
-    assert main([*command, "--workers", "1", "--store", str(store)]) == 0
+def test_the_command_tells_a_damaged_store_with_status_2(made, tmp_path, capsys, statement):
+    store, _ = made(tmp_path)
     connection = sqlite3.connect(store)
     connection.execute(statement)
     connection.commit()
     connection.close()
-    capsys.readouterr()
-    assert main([*command, "--store", str(store)]) == 2
+    assert main([*COMMAND, "--store", str(store)]) == 2
     assert f"bad input: the store '{store}' is damaged: " in capsys.readouterr().err
 
 
-def test_the_command_tells_what_is_undetermined_with_status_1(tmp_path, capsys):
-    store = tmp_path / "sweep.db"
-    command = ("sweep", str(REFERENCE), "--over", "soil.cohesion=10 kPa, 20 kPa", "--set", "effects.motion=false")
-    assert main([*command, "--workers", "1", "--store", str(store)]) == 0
-    first = capsys.readouterr().out
+def test_the_command_tells_what_is_undetermined_with_status_1(made, tmp_path, capsys):
+    store, first = made(tmp_path)
     connection = sqlite3.connect(store)
     connection.execute("DELETE FROM points WHERE point = 1")
     connection.commit()
@@ -240,12 +249,12 @@ def test_the_command_tells_what_is_undetermined_with_status_1(tmp_path, capsys):
     opened.keep(np.array([1]), np.array([[2e4]]), None, reasons, without="undetermined")
     opened.finish()
     opened.close()
-    assert main([*command, "--store", str(store), "--csv", str(tmp_path / "t.csv")]) == 1
+    assert main([*COMMAND, "--store", str(store), "--csv", str(tmp_path / "t.csv")]) == 1
     shown = capsys.readouterr()
     assert "2 points, 0 failed, 1 undetermined" in " ".join(shown.out.split())
     assert "undetermined at soil.cohesion = 20 kPa: 3 workers ended" in shown.out
     assert "1 of 2 points are undetermined" in shown.err
     assert "the same command with --retry tries them again" in shown.err.replace("\n", " ")
     assert "undetermined: 3 workers ended" in (tmp_path / "t.csv").read_text().splitlines()[2]
-    assert main([*command, "--workers", "1", "--store", str(store), "--retry"]) == 0
+    assert main([*COMMAND, "--workers", "1", "--store", str(store), "--retry"]) == 0
     assert capsys.readouterr().out.splitlines()[:-1] == first.splitlines()[:-1]

@@ -234,9 +234,9 @@ def draw_search(axes: Axes, best: Optimum, variable: int) -> None:
         if optimum.spread is not None:
             axes.plot([at, at], [optimum.objective, optimum.spread.worst], color=_ACCENT, linewidth=1.2, zorder=2,
                       label=None if k else "within the tolerances, up to the worst")  # fmt: skip
-        label = None if k > 1 else ("best" if k == 0 else "other local optima")
+        named = None if k > 1 else ("best" if k == 0 else "other local optima")
         axes.plot(at, optimum.objective, "o" if k else "*", markersize=6 if k else 13, color=_ACCENT, zorder=3,
-                  markeredgecolor="white", label=label)  # fmt: skip
+                  markeredgecolor="white", label=named)  # fmt: skip
     if np.min(values) > 0 and np.max(values) / np.min(values) > 20:
         axes.set_xscale("log")
     _show_low_objectives(axes, search.objective[feasible if np.any(feasible) else np.isfinite(search.objective)], best)

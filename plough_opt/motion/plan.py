@@ -44,7 +44,7 @@ _USUAL_PHASE = 0.475
 # Phase, by `summed_rate`, in a long step whose error others are chosen by, and by how much those are more than the law
 # of order 8 says, and more than the last at least.
 _LONG_PHASE = 1.6
-_SURE = 1.05
+_SURE = 1.1
 _LEAST_FINER = 1.15
 # Part of the steps with which a run is checked.
 _COARSER = 0.75

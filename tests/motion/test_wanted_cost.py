@@ -69,5 +69,4 @@ def test_nor_does_it_in_nearly_all_of_many_scenes(monkeypatch):
         dearer += [looser / tighter for looser, tighter in itertools.pairwise(steps) if looser > max(tighter, FEW)]
     # Where an error does not yet follow the law of order 8 a second number of steps is sought.
     assert pairs > 500
-    assert len(dearer) <= 0.02 * pairs
-    assert max(dearer, default=1.0) < 2.0
+    assert len(dearer) <= 0.01 * pairs, dearer

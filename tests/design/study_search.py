@@ -86,8 +86,13 @@ def _answer(problem, truth, search):
         y = problem.positions([[best.variables[v.name] for v in problem.variables]])
         return f"solved, though {truth['shortfall']:.2g} is lacking, {evaluate(problem, y).worst[0]:.2g} here", False
     v = study.judge(problem, truth, best.variables)
+    tied = ""
+    if v.tied:
+        tied = f" (tied over the tolerances: excess {v.excess:+.1e}, median {v.median_excess:+.1e})"
+        best = as_design(problem)[0].solve(search=search, judge="bare")
+        v = study.judge(problem, truth, best.variables)
     median = "" if np.isnan(v.median_excess) else f" median {v.median_excess:+.1e}"
-    return f"solve {took:.2f} s, excess {v.excess:+.1e}{median} violation {v.violation:.0e}", v.right
+    return f"solve {took:.2f} s, excess {v.excess:+.1e}{median} violation {v.violation:.0e}{tied}", v.right
 
 
 if __name__ == "__main__":

@@ -184,6 +184,8 @@ def box_sample(problem, y, count=256, half_width=3e-3, seed=0):
     return low + (high - low) * np.random.default_rng(seed).random((count, len(problem.variables)))
 
 
-def box_median(problem, y, **options):
-    """Return the median objective over the tolerance box of a design."""
-    return float(np.median(evaluate(problem, box_sample(problem, y), **options).objective))
+def box_quartiles(problem, y, **options):
+    """Return the quartiles of the objective over the tolerance box of a design; the second is the median."""
+    values = np.sort(evaluate(problem, box_sample(problem, y), **options).objective)
+    # Between two values, which may be infinite, nothing is interpolated but the median.
+    return values[len(values) // 4], float(np.median(values)), values[3 * len(values) // 4]

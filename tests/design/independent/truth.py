@@ -9,7 +9,7 @@ from scipy.stats import qmc
 
 from independent import fast
 from independent.lockstep import Lockstep
-from independent.problem import PATHS, box_median, evaluate
+from independent.problem import PATHS, box_quartiles, evaluate
 
 # Rad in a step: of the sample and the evolution some 1e-5, of polishing 1e-7, and of the last polishing 1e-10.
 _ROUGH, _GOOD, _FINE = 1.6, 0.9, 0.5
@@ -275,7 +275,7 @@ def truth_of(problem, seed=0, extra=()):
         return None
     best = found[0]
     near = [b for b in found if b.value <= best.value + 0.6 * abs(best.value)][:60]
-    medians = [box_median(problem, b.y, simulate=fast.simulate, phase=_ROUGH) for b in near]
+    medians = [box_quartiles(problem, b.y, simulate=fast.simulate, phase=_ROUGH)[1] for b in near]
     robust = int(np.argmin(medians))
     return {
         "objective": best.value,

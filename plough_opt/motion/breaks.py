@@ -9,6 +9,7 @@ motion has four derivatives a step may as well end a little beside.
 from __future__ import annotations
 
 import itertools
+from dataclasses import replace
 from functools import lru_cache
 from typing import Any
 
@@ -44,6 +45,14 @@ def ends(timeline: Timeline, duration: Expression, ramp: Expression) -> tuple[Ex
     return ca.vertcat(0.0, a, 1.0), ca.vertcat(0.0, b, 0.0)
 
 
+def telling(structure: Structure, width: int) -> Structure:
+    """Return a structure whose ramp is over where a step of a span of that width says so.
+
+    At the end itself a stage cannot tell: there the ramp's formula and the constant speed differ in second derivatives.
+    """
+    return structure if width == 2 else replace(structure, tells_ramp=True)
+
+
 def start_and_size(span: ca.SX, duration: ca.SX, known: dict[str, ca.SX]) -> tuple[ca.SX, ca.SX]:
     """Return start and size of a step [s], from their shares of the duration and, if it may end there, of the ramp."""
     start, size = span[0] * duration, span[1] * duration
@@ -52,16 +61,26 @@ def start_and_size(span: ca.SX, duration: ca.SX, known: dict[str, ca.SX]) -> tup
     return start + span[2] * known["ramp_time"], size + span[3] * known["ramp_time"]
 
 
+def told(known: dict[str, ca.SX], span: ca.SX) -> dict[str, ca.SX]:
+    """Return parameters by name with what a span says of the ramp."""
+    return known if span.numel() == 2 else known | {"ramped": span[4]}
+
+
 def moving_ramp(structure: Structure, timeline: Timeline, p: ca.MX) -> ca.MX | None:
     """Return the time of a ramp [s] at whose end a step ends wherever that is, or None. The duration is last in p."""
     return signals(structure).named(p)["ramp_time"] if timeline.moving and structure.ramp else None
 
 
 def spans_of(timeline: Timeline, duration: ca.MX, ramp: ca.MX | None) -> ca.MX | ca.DM:
-    """Return starts and sizes of the steps, a column for each: as fractions of the duration, then of a ramp if any."""
+    """Return starts and sizes of the steps, a column for each: as fractions of the duration, then of a ramp if any.
+
+    With a ramp a fifth row is 1 once it is over.
+    """
     if ramp is None:
         return ca.DM(np.vstack([timeline.nodes[:-1], np.diff(timeline.nodes)]))
-    rows = [row for end in ends(timeline, duration, ramp) for row in (end[:-1], end[1:] - end[:-1])]
+    a, b = ends(timeline, duration, ramp)
+    rows = [row for end in (a, b) for row in (end[:-1], end[1:] - end[:-1])]
+    rows.append(ca.vertcat(0.0, ca.DM(timeline.nodes[1:]) * duration > ramp))
     transposed: ca.MX = ca.horzcat(*rows).T
     return transposed
 
@@ -85,8 +104,10 @@ def unbroken(structure: Structure, timeline: Timeline, one: ca.Function, count: 
     cuts: list[Any] = [0.0, at[0], at[1], 1.0]
     reached, found = state, []
     for cut, following in itertools.pairwise(cuts):
-        starts, whole_sizes = span[0::2], span[1::2]
+        times = span[:4] if span.numel() > 2 else span
+        starts, whole_sizes = times[0::2], times[1::2]
         part = ca.vec(ca.horzcat(starts + cut * whole_sizes, (following - cut) * whole_sizes).T)
+        part = ca.vertcat(part, span[4:]) if span.numel() > 2 else part
         reached, own = one(reached, part, p)
         found.append(own)
     sizes = ca.vertcat(at[0], at[1] - at[0], 1.0 - at[1])
@@ -105,10 +126,10 @@ def _crossings(structure: Structure, width: int) -> ca.Function:
 
     The share's speed between is a cubic.
     """
-    motion, observed = equation_of_motion(structure), signals(structure)
+    motion, observed = equation_of_motion(telling(structure, width)), signals(structure)
     states, span = [ca.SX.sym("first", 2), ca.SX.sym("last", 2)], ca.SX.sym("span", width)
     p = ca.SX.sym("p", len(observed.parameters) + 1)
-    known = observed.named(p)
+    known = told(observed.named(p), span)
     start, size = start_and_size(span, p[-1], known)
     own = ca.vertcat(*(known[name] for name in motion.names))
     speeds, slopes = [], []

@@ -14,7 +14,7 @@ from functools import lru_cache
 import casadi as ca
 
 from plough_opt.accuracy import ORDER_8
-from plough_opt.motion.breaks import moving_ramp, spans_of, start_and_size, unbroken
+from plough_opt.motion.breaks import moving_ramp, spans_of, start_and_size, telling, unbroken
 from plough_opt.motion.dop853 import NODES, STAGES, WEIGHTS
 from plough_opt.motion.equation import equation_of_motion, start_state
 from plough_opt.motion.integrators import Integration
@@ -212,12 +212,12 @@ def _jet_step(structure: Structure, varying: tuple[int, ...], order: int, width:
         return following
 
     # Of the same symbols, so that what depends on the parameters alone is shared by the stages.
-    at = _expanded(structure, varying, order, p)
-    _, first, _ = at(ca.horzcat(start, lateness), jet, 0.0, p)
+    at = _expanded(telling(structure, width), varying, order, (p, span))
+    _, first, _ = at(ca.horzcat(start, lateness), jet, 0.0, p, span)
     found: list[list[ca.SX]] = []
     for row, node in zip(STAGES, NODES, strict=True):
         time = ca.horzcat(start + node * size, lateness + node * lengthening)
-        found.append(at.call([time, moved(row, [rate for rate, _, _ in found]), first, p]))
+        found.append(at.call([time, moved(row, [rate for rate, _, _ in found]), first, p, span]))
     rates, changes, squares = zip(*found, strict=True)
     mean, square = (
         ca.reshape(ca.mtimes(ca.horzcat(*columns), ca.DM(WEIGHTS)), -1, jet.shape[1]) for columns in (changes, squares)
@@ -227,18 +227,21 @@ def _jet_step(structure: Structure, varying: tuple[int, ...], order: int, width:
     return ca.Function("jet_step", [jet, span, p], [ca.densify(moved(WEIGHTS, rates)), ca.densify(moments)])
 
 
-def _expanded(structure: Structure, varying: tuple[int, ...], order: int, p: ca.SX) -> ca.Function:
-    """Return the equation of motion and the signals as a Function of jets and of parameters ``p``.
+def _expanded(structure: Structure, varying: tuple[int, ...], order: int, symbols: tuple[ca.SX, ca.SX]) -> ca.Function:
+    """Return the equation of motion and the signals as a Function of jets, of parameters p and of a span, in symbols.
 
     It takes the time [s] with its slopes, the jet of the state, the stacked one of the signals at the start of the
-    step, and p; it returns the stacked jets of the rate, of the signals' changes and of the changes' squares.
+    step, p and the span; it returns the stacked jets of the rate, of the signals' changes and of the changes' squares.
     """
     motion, observed, count = equation_of_motion(structure), signals(structure), len(varying)
     moment, jet = ca.SX.sym("moment", 1, 1 + count), ca.SX.sym("jet", 2, _width(count, order))
     first = ca.SX.sym("first", observed.count, jet.shape[1])
-    known, e, time, state = observed.named(p), p[list(varying)], moment[0], jet[:, 0]
+    p, span = symbols
+    parameters = ca.vertcat(p[:-1], span[4:])
+    known, e = observed.named(ca.vertcat(parameters, p[-1])), p[list(varying)]
+    time, state = moment[0], jet[:, 0]
     own = ca.vertcat(*(known[name] for name in motion.names))
-    value = ca.vertcat(motion.function(time, state, own), observed.function(time, state, p[:-1]))
+    value = ca.vertcat(motion.function(time, state, own), observed.function(time, state, parameters))
     given = ca.vertcat(time, state, e)
     slopes = ca.vertcat(moment[1:], jet[:, 1 : 1 + count], ca.SX.eye(count))
     columns = [value, ca.mtimes(ca.jacobian(value, given), slopes)]
@@ -249,7 +252,7 @@ def _expanded(structure: Structure, varying: tuple[int, ...], order: int, p: ca.
     rate, now = ca.vertsplit(ca.cse([ca.horzcat(*columns)])[0], [0, 2, 2 + observed.count])
     results = rate, now - first, _square((now - first)[: observed.squared, :], count)
     stacked = [ca.densify(ca.vec(result)) for result in results]
-    return ca.Function("expanded", [moment, jet, ca.vec(first), p], stacked)
+    return ca.Function("expanded", [moment, jet, ca.vec(first), p, span], stacked)
 
 
 def _square(jet: ca.SX, count: int) -> ca.SX:

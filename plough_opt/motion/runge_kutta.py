@@ -10,7 +10,7 @@ from functools import lru_cache
 
 import casadi as ca
 
-from plough_opt.motion.breaks import moving_ramp, spans_of, start_and_size, unbroken
+from plough_opt.motion.breaks import moving_ramp, spans_of, start_and_size, telling, unbroken
 from plough_opt.motion.dop853 import NODES, STAGES, WEIGHTS
 from plough_opt.motion.equation import equation_of_motion, start_state
 from plough_opt.motion.pooling import pooled
@@ -24,22 +24,23 @@ from plough_opt.motion.timeline import Timeline
 def step(structure: Structure, width: int = 2) -> ca.Function:
     """Return one step as a Function: (state, span, parameters with the duration last) -> (state, moments).
 
-    The span is start and size of the step as fractions of the duration and, of width 4, of the ramp's time, which add
-    up. The moments are, for each signal, the mean over the step, then, for each signal with an RMS, the mean square
-    about that mean. Both are taken from the deviation from the value at the step's start, where they lose at most a
-    factor of four to cancellation.
+    The span is start and size of the step as fractions of the duration and, of width 5, of the ramp's time, which add
+    up, and whether the ramp is over. The moments are, for each signal, the mean over the step, then, for each signal
+    with an RMS, the mean square about that mean. Both are taken from the deviation from the value at the step's start,
+    where they lose at most a factor of four to cancellation.
     """
-    motion = equation_of_motion(structure)
-    observed = signals(structure)
+    structure = telling(structure, width)
+    motion, observed = equation_of_motion(structure), signals(structure)
     state = ca.SX.sym("state", 2)
     span = ca.SX.sym("span", width)
-    p = ca.SX.sym("p", len(observed.parameters) + 1)
-    known = observed.named(p)
+    p = ca.SX.sym("p", len(observed.parameters) + 1 - structure.tells_ramp)
+    given = ca.vertcat(p[:-1], span[4:])
+    known = observed.named(ca.vertcat(given, p[-1]))
     own = ca.vertcat(*(known[name] for name in motion.names))
     start, size = start_and_size(span, p[-1], known)
 
     rates: list[ca.SX] = []
-    first = observed.function(start, state, p[:-1])
+    first = observed.function(start, state, given)
     mean, square = ca.SX.zeros(observed.count), ca.SX.zeros(observed.squared)
     for row, node, weight in zip(STAGES, NODES, WEIGHTS, strict=True):
         stage = state
@@ -49,7 +50,7 @@ def step(structure: Structure, width: int = 2) -> ca.Function:
         time = start + node * size
         rates.append(motion.function(time, stage, own))
         if weight != 0.0:
-            change = observed.function(time, stage, p[:-1]) - first
+            change = observed.function(time, stage, given) - first
             mean += weight * change
             square += weight * change[: observed.squared] ** 2
     following = state

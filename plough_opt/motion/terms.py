@@ -62,6 +62,7 @@ class Structure:
     orbit: Literal["transient", "periodic", "linearised", "harmonic_balance"] = "transient"
     harmonics: int = 0
     own: tuple[OwnTerm, ...] = ()
+    tells_ramp: bool = False
 
     @classmethod
     def of(cls, scene: Scene) -> Structure:
@@ -86,7 +87,8 @@ class Structure:
     @property
     def names(self) -> tuple[str, ...]:
         """Names of everything that its terms may need, in order."""
-        return (*PARAMETERS, *(name for k, term in enumerate(self.own) for name in term.names(k)))
+        told = ("ramped",) if self.tells_ramp else ()
+        return (*PARAMETERS, *(name for k, term in enumerate(self.own) for name in term.names(k)), *told)
 
     @property
     def relaxed(self) -> bool:

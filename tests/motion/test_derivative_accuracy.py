@@ -35,6 +35,7 @@ def scene_of(x, **effects):
 
 CASES = {
     "ramp": (PLAIN | {"ramp": 0.301}, {}, gauss_motion.follow),
+    "ramp to the end of a step": (PLAIN | {"ramp": 0.3}, {}, gauss_motion.follow),
     "ramp beyond the end": (PLAIN | {"ramp": 1.2}, {"start": "rest"}, gauss_motion.follow),
     "smooth": (PLAIN | {"width": 0.2, "speed": 1.5}, {"start": "rest"}, three_modes.follow),
     "smooth under a ramp": (PLAIN | WAVE | {"width": 0.2, "ramp": 0.301}, {"start": "towed"}, three_modes.follow),
@@ -80,7 +81,13 @@ def by_differences(case, name, step):
 
 
 EVERY = [(case, name) for case in CASES for name in CASES[case][0]]
-FEW = [("ramp", "ramp"), ("smooth", "width"), ("stick and slip under a ramp", "ramp"), ("entry under a ramp", "ramp")]
+FEW = [
+    ("ramp", "ramp"),
+    ("ramp to the end of a step", "ramp"),
+    ("smooth", "width"),
+    ("stick and slip under a ramp", "ramp"),
+    ("entry under a ramp", "ramp"),
+]
 
 
 @pytest.mark.parametrize(

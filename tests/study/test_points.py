@@ -70,7 +70,7 @@ def test_what_is_no_grid_and_no_sample_is_refused(over, samples, expected):
         ((0.0, 1.0, 2.5), "number of values is 2.5"),
         ((0.0, 1.0, 3, True), "begins above 0"),
         ((0.0, float("inf")), "must be a finite number"),
-        ((0.0, "1"), "must be a finite number"),
+        ((0.0, "1"), "'1' is not a number"),
     ],
 )
 def test_wrong_ranges_are_refused(arguments, expected):

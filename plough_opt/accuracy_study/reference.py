@@ -99,8 +99,8 @@ class Reference:
 def errors_of(found: Response, reference: Response) -> dict[str, float]:
     """Return the relative errors [-] of averages and mount force.
 
-    Mean draft and RMS count relative to the larger of the two, mount forces relative to the largest of them, as in the
-    ``error_estimate`` of a run. ``"averages"`` is the larger of the first two.
+    Mean draft and RMS count relative to the larger of the two, mount forces relative to the largest of them.
+    ``"averages"`` is the larger of the first two.
     """
     size = max(abs(reference.mean_draft), reference.force_rms)
     peak = np.max(np.abs(reference.mount_force))

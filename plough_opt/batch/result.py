@@ -20,8 +20,8 @@ class BatchResult:
         mean_deflection: time average of the spring's deflection [m].
         displacement_rms: its standard deviation [m].
         tow_power: mean of P s' [W].
-        error_estimate: of mean draft and RMS force, relative to the larger of them, as in a `Run`: the terms that the
-            steps left out, added up as if all of them pointed the same way, each moved along with the motions beside
+        error_estimate: of mean draft and RMS force, relative to the larger of them: the terms that the steps left out,
+            added up as if all of them pointed the same way, each moved along with the motions beside
             that of the design; usually some hundred times too large. It is infinite of a motion that forgets its start.
         steps: how many steps each design took.
         reasons: position of a design that has no results, which are then NaN -> why.

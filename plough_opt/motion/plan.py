@@ -48,6 +48,8 @@ _SURE = 1.1
 _LEAST_FINER = 1.15
 # Part of the steps with which a run is checked.
 _COARSER = 0.75
+# Part of the tolerance of its check with which an adaptive method runs: it then errs by a tenth of it or so.
+_RUN_FINER = 0.2
 
 MOST_RINGING = 2e4
 """Phase [rad] of the share's own oscillation from a start that is not steady, which is followed unasked."""
@@ -283,7 +285,7 @@ def checked(method: Method, wanted: float, p: Mapping[str, float], duration: flo
     """
     chosen = automatic(method, wanted, p, duration)
     if method != "dop853":
-        return finer(chosen), chosen
+        return finer(chosen, _RUN_FINER), chosen
     return chosen, _order_8(coarser(chosen.steps or 1))
 
 
@@ -309,6 +311,6 @@ def check_of(accuracy: Accuracy, p: Mapping[str, float], duration: float, kinked
     return automatic("dop853", accuracy.tolerance or DEFAULT_TOLERANCE, p, duration)
 
 
-def finer(accuracy: Accuracy) -> Accuracy:
-    """Return an adaptive method at a tenth of its tolerance."""
-    return replace(accuracy, tolerance=max(0.1 * (accuracy.tolerance or DEFAULT_TOLERANCE), 0.1 * TIGHTEST))
+def finer(accuracy: Accuracy, by: float = 0.1) -> Accuracy:
+    """Return an adaptive method at a part of its tolerance."""
+    return replace(accuracy, tolerance=max(by * (accuracy.tolerance or DEFAULT_TOLERANCE), 0.1 * TIGHTEST))

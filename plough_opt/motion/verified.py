@@ -55,6 +55,10 @@ _FAR = 1e-2
 # Of a run whose check is finer the difference is less than its error by the check's own, a sixth of it or so; across
 # a kink both err by chance.
 _MARGIN = 2.0
+# Part of the steps of a first check that a second one takes.
+_THIRD = 0.8
+# Rounding of the moments at which a share stops for a thousandth of the run or less, and what grows from it.
+_AFTER_EVENTS = 1e-11
 # Relative change of the parameters by which it is tried how far a motion can be predicted at all, and the factor by
 # which a difference grows in one that cannot be to `TELLING`.
 _SHAKEN = 1e-12
@@ -119,11 +123,11 @@ def _automatic(case: Case, wanted: float) -> tuple[Followed, float]:
     if methods[0] == "dop853" and case.structure.stepped and not case.structure.kinked:
         methods = methods[1:]
         best, failure = _by_measured_steps(case, wanted)
-        if best is not None and best[1] <= wanted:
+        if best is not None and (best[1] <= wanted or _hopeless(case, *best, wanted)):
             return best
     for method in methods:
         aim = wanted
-        for _ in range(1 if method == "rosenbrock" else _TIGHTENINGS):
+        for tightened in range(1 if method == "rosenbrock" else _TIGHTENINGS):
             try:
                 found, error = _twice(case, *checked(method, aim, case.p, case.duration))
             except Escape:
@@ -138,11 +142,18 @@ def _automatic(case: Case, wanted: float) -> tuple[Followed, float]:
                 return found, error
             if best is None or error < best[1]:
                 best = found, error
+            if tightened and _hopeless(case, found, error, wanted):
+                return best
             aim *= min(_TIGHTER, 0.5 * wanted / error)
     if best is not None:
         return best
     assert failure is not None  # each method found a run or failed
     raise failure
+
+
+def _hopeless(case: Case, found: Followed, error: float, wanted: float) -> bool:
+    """Return whether rounding, some thousand times less than a shake, changes a motion by more than is wanted."""
+    return error > TELLING and _shaken(case, found) > _SENSITIVE * wanted
 
 
 def _by_measured_steps(case: Case, wanted: float) -> tuple[tuple[Followed, float] | None, IntegrationError | None]:
@@ -160,6 +171,8 @@ def _by_measured_steps(case: Case, wanted: float) -> tuple[tuple[Followed, float
     for _ in range(_MEASURED):
         try:
             found, error = _twice(case, *pair_of(steps))
+        except Escape:
+            raise
         except IntegrationError as failed:
             failure, steps = failed, longer_by(steps, _ANEW)
             continue
@@ -199,8 +212,19 @@ def _twice(case: Case, first: Accuracy, second: Accuracy) -> tuple[Followed, flo
     else:
         found = follow(case, first)
         check = _checking(case, first, second, found.sizes)
-    apart = difference(thinned(found.run, case.every), thinned(check.run, case.every))
-    return found, apart * (1.0 if _is_coarser(second, first) and not case.structure.kinked else _MARGIN)
+    apart = _apart(case, found, check)
+    coarser = _is_coarser(second, first)
+    if case.structure.kinked and coarser and second.steps:
+        # Two runs that err by chance may err alike; a third hardly does.
+        third = replace(second, steps=math.ceil(_THIRD * second.steps))
+        apart = max(apart, _apart(case, found, follow(case, third)))
+    return found, apart * (1.0 if coarser and not case.structure.kinked else _MARGIN)
+
+
+def _apart(case: Case, found: Followed, other: Followed) -> float:
+    """Return how far two motions of a case are apart; of motions with events, no less than those leave of digits."""
+    apart = difference(thinned(found.run, case.every), thinned(other.run, case.every))
+    return max(apart, _AFTER_EVENTS) if apart > 0.0 and case.structure.events else apart
 
 
 def _checking(case: Case, first: Accuracy, second: Accuracy, sizes: Array | None) -> Followed:
@@ -247,4 +271,4 @@ def _shaken(case: Case, found: Followed) -> float:
         other = follow(case, found.run.accuracy, found.sizes, shaken=_SHAKEN)
     except IntegrationError:
         return math.inf
-    return difference(thinned(found.run, case.every), thinned(other.run, case.every))
+    return _apart(case, found, other)

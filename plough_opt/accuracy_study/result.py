@@ -13,6 +13,7 @@ from plough_opt.accuracy_study.contest import AUTO, COMPILED, Entry, cheapest, e
 from plough_opt.accuracy_study.methods import MACHINE_CODE
 from plough_opt.accuracy_study.optimum import REPORTED, REQUIREMENTS, TRUE, VARIABLES
 from plough_opt.accuracy_study.scenes import CONTACT, COURSE, DERIVATIVES, LASTING, MOTION, PROFILE
+from plough_opt.accuracy_study.thoroughness import Thoroughness
 from plough_opt.files import write_file
 from plough_opt.results import SCHEMA, Saved, read_saved
 
@@ -68,6 +69,7 @@ class AccuracyStudy:
         notes: sentences on what has no reference.
         defaults: what is ranked, in the order of `questions`: method and setting that the toolkit takes unasked.
         versions: of packages, and the machine.
+        thoroughness: of a design, what each effort of a search finds, and in what time.
     """
 
     title: str
@@ -78,6 +80,7 @@ class AccuracyStudy:
     notes: tuple[str, ...] = ()
     defaults: Mapping[str, tuple[str, str]] = field(default_factory=dict)
     versions: Mapping[str, str] = field(default_factory=dict)
+    thoroughness: tuple[Thoroughness, ...] = ()
 
     @property
     def questions(self) -> tuple[Question, ...]:
@@ -280,6 +283,7 @@ class SavedStudy(Saved):
     notes: tuple[str, ...]
     defaults: dict[str, tuple[str, str]]
     advice: str
+    thoroughness: tuple[Thoroughness, ...] = ()
 
     @classmethod
     def of(cls, study: AccuracyStudy) -> SavedStudy:
@@ -290,7 +294,8 @@ class SavedStudy(Saved):
                        seconds=None if e.failure else e.seconds)
             for e in study.entries
         )  # fmt: skip
-        own = {name: getattr(study, name) for name in ("title", "duration", "wanted", "notes", "advice")}
+        names = ("title", "duration", "wanted", "notes", "advice", "thoroughness")
+        own = {name: getattr(study, name) for name in names}
         return cls(layout=SCHEMA, versions=dict(study.versions), floors=dict(study.floors),
                    defaults=dict(study.defaults), entries=entries, **own)  # fmt: skip
 
@@ -301,7 +306,7 @@ class SavedStudy(Saved):
             for e in self.entries
         )  # fmt: skip
         return AccuracyStudy(self.title, self.duration, self.wanted, entries, self.floors, self.notes, self.defaults,
-                             self.versions)  # fmt: skip
+                             self.versions, self.thoroughness)  # fmt: skip
 
 
 _FORCES = {"mean draft": "mean\ndraft", "RMS": "RMS", "last force": "last\nforce", "trajectory": "trajec-\ntory"}

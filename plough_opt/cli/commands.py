@@ -90,7 +90,11 @@ def optimise(options: argparse.Namespace) -> None:
         return
     with progress() as told:
         best, run = problem.optimise(
-            told, parameters=options.sensitivity, search=search_of(options.search), judge=options.judge
+            told,
+            parameters=options.sensitivity,
+            search=search_of(options.search),
+            judge=options.judge,
+            seed=options.seed,
         )
         asked = sensitivities_of(best, told) if options.sensitivity else ()
     if options.json:

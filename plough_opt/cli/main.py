@@ -132,6 +132,7 @@ def _parser() -> argparse.ArgumentParser:
                 help="auto, thorough (four times as much), near (the guess's basin), a number of designs, a time as"
                 ' "20 s", or keys of variables, with commas (default: auto)',
             )
+            verb.add_argument("--seed", type=int, default=0, metavar="N", help="of the search's samples (default: 0)")
             verb.add_argument(
                 "--judge",
                 choices=("tolerance", "bare"),

@@ -169,6 +169,9 @@ def print_accuracy(console: Console, study: AccuracyStudy) -> None:
     if study.duration is not None:
         timed = "a named method integrates once, auto is all of simulate, which checks itself"
     console.print(f"Times are medians after a warm-up: {timed}. Set-up is done once.", soft_wrap=True)
+    if study.thoroughness:
+        console.print(_thoroughness_table(study))
+        console.print("Found is the best design that any of these searches came to.")
     for refusal in study.refusals:
         console.print(escape(refusal), soft_wrap=True)
     for note in study.notes:
@@ -176,6 +179,16 @@ def print_accuracy(console: Console, study: AccuracyStudy) -> None:
     for question in study.questions:
         console.print(f"[bold]{escape(study.advise(question))}[/]", soft_wrap=True)
     console.print(", ".join(f"{name} {value}" for name, value in study.versions.items()), soft_wrap=True)
+
+
+def _thoroughness_table(study: AccuracyStudy) -> Table:
+    table = Table(title="What thoroughness costs")
+    table.add_column("search")
+    for heading in ("designs tried", "found the best", "time"):
+        table.add_column(heading, justify="right")
+    for row in study.thoroughness:
+        table.add_row(row.search, str(row.designs), f"{row.right} of {row.asked}", f"{row.seconds:.2f} s")
+    return table
 
 
 def _scene_table(problem: Problem, scene: Scene) -> Table:

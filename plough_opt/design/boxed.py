@@ -44,14 +44,14 @@ class Boxed:
         self._bare, self._over = bare, over
         self._built: dict[bytes, tuple[Program, tuple[float, float] | None]] = {}
 
-    def solve(self, p: Vector, search: Search, judge: Judge, progress: Progress, started: float) -> Optimum:
-        """Return the best optimum: see `plough_opt.Design.solve`."""
+    def solve(self, p: Vector, how: tuple[Search, Judge, int], progress: Progress, started: float) -> Optimum:
+        """Return the best optimum; ``how`` is search, judge and seed of `plough_opt.Design.solve`."""
         bounds = None
         if self._over == "worst":
             progress("looking at tolerances", 0.0)
             bounds = bounds_of_worst(self._bare, p)
         while True:
-            best = solve_program(self._program(p, bounds), p, search, judge, progress, started)
+            best = solve_program(self._program(p, bounds), p, how, progress, started)
             if bounds is None or best.objective > bounds[0] + _AT_THE_BOUND * (bounds[1] - bounds[0]):
                 return best
             # No sampled design was nearly as low.

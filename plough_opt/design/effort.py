@@ -77,6 +77,9 @@ def effort_of(search: Search, dimensions: int, runs: int, vectorised: bool) -> E
     designs = min(_DESIGNS.get(dimensions, _MOST_DESIGNS), max(_ONE_BY_ONE, _MOST_RUNS // max(runs, 1)))
     designs = 1 << (designs.bit_length() - 1)  # Sobol points are even in numbers that are powers of two
     islands = _ISLANDS.get(dimensions, _MOST_ISLANDS) if designs * runs < _MOST_RUNS else 0
+    if isinstance(search, int) and search < designs:
+        # Less than a round: a sample alone, of a power of two.
+        designs, islands = 1 << max(3, search.bit_length() - 1), 0
     many = dimensions > 3
     return Effort(
         designs=designs if vectorised else 1 << (max(_FEWEST, _ONE_BY_ONE // max(runs, 1)).bit_length() - 1),

@@ -60,6 +60,7 @@ class Explorer:
         vary: tuple[int, ...],
         judge: Callable[[Vector], Vector],
         progress: Progress,
+        seed: int = 0,
     ) -> None:
         """Take what to search.
 
@@ -69,7 +70,9 @@ class Explorer:
             vary: numbers of the variables that are searched.
             judge: scaled designs, a row each -> by what they are compared, in units of the merit.
             progress: called with what is being done.
+            seed: of the samples.
         """
+        self._seed = seed
         self._landscape, self._start, self._vary = landscape, start, list(vary)
         self._judge, self._progress = judge, progress
         self._samples: list[Seen] = []
@@ -89,7 +92,7 @@ class Explorer:
         return Explored(self._samples[0].joined(*self._samples[1:]), bottoms, len(reached), len(set(reached)))
 
     def _round(self, effort: Effort, number: int) -> None:
-        rng = np.random.default_rng([SEED, number])
+        rng = np.random.default_rng([SEED, self._seed, number])
         n = len(self._vary)
         self._progress(f"trying {effort.designs} designs", 0.0)
         points, uniform = sample(n, effort.designs, self._start[self._vary], rng)

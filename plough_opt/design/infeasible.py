@@ -8,7 +8,7 @@ import numpy as np
 
 from plough_opt.design.declarations import in_words
 from plough_opt.design.ipopt import Point, Vector
-from plough_opt.design.landscape import Landscape, Seen
+from plough_opt.design.landscape import MET, Landscape, Seen
 from plough_opt.design.program import Program
 from plough_opt.errors import InfeasibleDesign
 
@@ -40,7 +40,7 @@ def feasible_from(program: Program, landscape: Landscape, p: Vector, sample: See
     if landscape.vectorised:
         ends = [landscape.least_violation(one) for one in starts]
         ends = sorted(ends, key=lambda one: float(one.violation[0]))
-        if ends[0].feasible[0]:
+        if ends[0].violation[0] <= MET:
             found: Vector = ends[0].points[0]
             return found
         starts = [one.points[0] for one in ends]

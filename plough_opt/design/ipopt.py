@@ -110,11 +110,12 @@ class Point:
     curvatures: tuple[Vector, Vector] | None = None
 
     @classmethod
-    def of(cls, result: dict[str, ca.DM], stats: dict[str, Any]) -> Point:
-        """Take what CasADi's interface to IPOPT returned."""
+    def of(cls, result: dict[str, ca.DM], stats: dict[str, Any], enough: bool = False) -> Point:
+        """Take what CasADi's interface to IPOPT returned; ``enough`` as in `Solver.solve`."""
         y, lam_g, lam_y = (np.asarray(result[name]).ravel() for name in ("x", "lam_g", "lam_x"))
         status = stats["return_status"]
-        solved = status in ("Solve_Succeeded", "Solved_To_Acceptable_Level") and bool(np.all(np.isfinite(y)))
+        ends = ("Solve_Succeeded", "Solved_To_Acceptable_Level") if enough else ("Solve_Succeeded",)
+        solved = status in ends and bool(np.all(np.isfinite(y)))
         return cls(solved, status, y, float(result["f"]), lam_g, lam_y, int(stats["iter_count"]))
 
 
@@ -264,4 +265,4 @@ class Solver:
         if self._shared is not None and self._shared.interrupted:
             self._shared.interrupted = False
             raise KeyboardInterrupt
-        return Point.of(result, solver.stats())
+        return Point.of(result, solver.stats(), kind[2])

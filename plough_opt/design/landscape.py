@@ -11,7 +11,10 @@ from plough_opt.design.ipopt import Vector
 from plough_opt.design.program import Program
 
 FEASIBLE = 1e-6
-"""Scaled violation below which a design counts as meeting its requirements."""
+"""Scaled violation below which a search's design counts as meeting its requirements."""
+
+MET = 5e-10
+"""The same of a design that is given as an answer."""
 
 # A violated requirement must outweigh any gain in the scaled objective, which is of order 1.
 _PENALTY = 100.0

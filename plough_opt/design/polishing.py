@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from plough_opt.design.ipopt import Point, Vector
-from plough_opt.design.landscape import FEASIBLE
+from plough_opt.design.landscape import MET
 from plough_opt.design.program import Program
 
 # How far from a start, in parts of the range, an optimum may lie that is the start's own.
@@ -32,7 +32,13 @@ def polished(program: Program, p: Vector, start: Vector) -> Point:
         beside = box == 1.0 or np.max(np.abs(point.y - start)) < box
         if point.solved and beside and _not_worse(point, begins):
             return point
-    return begins
+    point = program.solve(start, p)
+    if point.solved and _not_worse(point, begins):
+        return point
+    if begins.solved or not program.declared.requirements:
+        return begins
+    # The search's rougher runs may have kept a limit by a hair which these do not.
+    return as_it_is(program, p, np.clip(program.solve_relaxed(start, p).y[: len(start)], 0.0, 1.0))
 
 
 def to_the_last_digit(program: Program, p: Vector, point: Point) -> Point:
@@ -47,7 +53,7 @@ def to_the_last_digit(program: Program, p: Vector, point: Point) -> Point:
 def as_it_is(program: Program, p: Vector, y: Vector) -> Point:
     """Return a scaled design as a point without multipliers, solved if it meets all requirements."""
     f, g = (np.asarray(result).ravel() for result in program.nlp.values(y, p))
-    meets = bool(np.all(np.isfinite(f)) and _excess(program, g) <= FEASIBLE)
+    meets = bool(np.all(np.isfinite(f)) and _excess(program, g) <= MET)
     return Point(meets, AS_FOUND, y, float(f[0]), np.zeros(len(g)), np.zeros(len(y)), 0)
 
 
@@ -56,7 +62,7 @@ def _not_worse(point: Point, begins: Point) -> bool:
 
 
 def _meets(program: Program, p: Vector, y: Vector) -> bool:
-    return _excess(program, np.asarray(program.nlp.values(y, p)[1]).ravel()) <= FEASIBLE
+    return _excess(program, np.asarray(program.nlp.values(y, p)[1]).ravel()) <= MET
 
 
 def _excess(program: Program, g: Vector) -> float:

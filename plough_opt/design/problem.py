@@ -160,6 +160,7 @@ class Design:
         parameters: Mapping[str, float] | None = None,
         search: Search = "auto",
         judge: Judge = "tolerance",
+        seed: int = 0,
         compiled: bool = False,
         progress: Progress | None = None,
     ) -> Optimum:
@@ -175,6 +176,7 @@ class Design:
                 bit, on any number of threads of a machine, one of a number of seconds excepted.
             judge: ``"tolerance"``: optima are compared by the median of their objective within the tolerances of the
                 variables, so that one which no workshop can hit is not called best; ``"bare"``: by the objective.
+            seed: of the samples; another one searches by others.
             compiled: translate the model into machine code first, by the system's C compiler. That takes seconds, once
                 for a model (it is kept in the user's cache folder), and each solve a fraction of its time: for
                 repeated solves. Without a compiler the model is interpreted, and a warning says so.
@@ -191,15 +193,17 @@ class Design:
         started = time.perf_counter()
         if judge not in ("tolerance", "bare"):
             raise InputError(f"judge = {judge!r} must be 'tolerance' or 'bare'")
+        if not isinstance(seed, int) or isinstance(seed, bool) or seed < 0:
+            raise InputError(f"seed = {seed!r} must be a whole number, not below 0")
         values = self._parameter_values({} if parameters is None else parameters)
         declared = self.declared
         if self._program is None or self._program.compiled != compiled:
             self._program, self._boxed = Program(declared, compiled=compiled), None
         report = progress or _silent
         if self._over is None:
-            return solve_program(self._program, values, search, judge, report, started)
+            return solve_program(self._program, values, (search, judge, seed), report, started)
         self._boxed = self._boxed or Boxed(self._program, self._over)
-        return self._boxed.solve(values, search, judge, report, started)
+        return self._boxed.solve(values, (search, judge, seed), report, started)
 
     @property
     def declared(self) -> Declarations:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 
 import casadi as ca
@@ -21,11 +21,10 @@ from plough_opt.design.infeasible import feasible_from
 from plough_opt.design.ipopt import Point, Vector, decides
 from plough_opt.design.landscape import Landscape, Seen
 from plough_opt.design.optimum import Limit, LocalOptimum, Optimum
-from plough_opt.design.polishing import AS_FOUND, polished, to_the_last_digit
+from plough_opt.design.polishing import AS_FOUND, as_it_is, polished, to_the_last_digit
 from plough_opt.design.program import Program
 from plough_opt.design.record import Search as SearchRecord
 from plough_opt.design.rounding import rounded
-from plough_opt.design.sampling import SEED
 from plough_opt.design.sensitivity import Sensitivities
 from plough_opt.design.tolerance import Judge, judgement, spread
 from plough_opt.design.verify import TightEvaluation
@@ -56,9 +55,10 @@ _NUMBER = re.compile(r"\d[\d.e+-]*")
 
 
 def solve_program(
-    program: Program, p: Vector, search: Search, judge: Judge, progress: Progress, started: float
+    program: Program, p: Vector, how: tuple[Search, Judge, int], progress: Progress, started: float
 ) -> Optimum:
-    """Return the best optimum of a program: see `Design.solve`."""
+    """Return the best optimum of a program; ``how`` is search, judge and seed of `Design.solve`."""
+    search, judge, seed = how
     variables = program.declared.variables
     vary = searched(search, variables)
     progress("preparing the model", 0.0)
@@ -69,7 +69,7 @@ def solve_program(
     vary = tuple(k for k in vary if k not in given) or vary
     explored: Explored | None = None
     if vary:
-        explored, points = _searched(program, landscape, p, search, vary, judge, progress)
+        explored, points = _searched(program, landscape, p, how, vary, progress)
     else:
         progress("solving from the guess", 0.0)
         points = [near_optimum(program, landscape, p, program.start())]
@@ -90,9 +90,15 @@ def solve_program(
         over=program.over,
         flat_directions=tuple(_in_units(program, points[0], d) for d in directions),
         local_optima=tuple(optima),
-        search=_record(program, landscape, search, vary, explored, len(points), time.perf_counter() - started),
+        search=_record(program, landscape, (search, seed), vary, explored, len(points), time.perf_counter() - started),
         seconds=time.perf_counter() - started,
-        warnings=(*missed, *_unconfirmed(points[0]), *_judged(best), *_warnings(program, points[0], p, scenes[0])),
+        warnings=(
+            *missed,
+            *_valueless(explored),
+            *_unconfirmed(points[0]),
+            *_judged(best),
+            *_warnings(program, points[0], p, scenes[0]),
+        ),
         evaluate=partial(_evaluated, program, p, program.values(points[0].y)),
         sensitivities=Sensitivities(program, p, points[0]),
         rounder=partial(
@@ -105,9 +111,8 @@ def _searched(
     program: Program,
     landscape: Landscape,
     p: Vector,
-    search: Search,
+    how: tuple[Search, Judge, int],
     vary: tuple[int, ...],
-    judge: Judge,
     progress: Progress,
 ) -> tuple[Explored, list[Point]]:
     """Return what a search over some variables saw, and the local optima of the basins that can be best.
@@ -116,31 +121,27 @@ def _searched(
         InfeasibleDesign: no design was found that meets the requirements.
         NotConverged: no design has a value, or IPOPT made none of those that were found an optimum.
     """
+    search, judge, seed = how
     start = program.start()
     effort = effort_of(search, len(vary), program.population.runs, landscape.vectorised)
     judged = judgement(landscape, judge)
-    explored = Explorer(landscape, start, vary, judged, progress).explored(effort)
+    explored = Explorer(landscape, start, vary, judged, progress, seed).explored(effort)
     if not len(explored.bottoms.f):
         raise NotConverged(
             f"none of {landscape.tried} designs between the bounds has a value: tighten the bounds, or shorten the"
             " duration",
             "no value",
         )
-    bottoms = explored.bottoms
-    if not np.any(bottoms.feasible) and program.declared.requirements:
+    bottoms, points = explored.bottoms, []
+    if np.any(bottoms.feasible) or not program.declared.requirements:
+        points = _optima(program, landscape, p, bottoms, (judged, len(vary), effort.rounds), progress)
+    if not points and program.declared.requirements:
         progress("looking for a design that meets the requirements", 0.0)
         y = feasible_from(program, landscape, p, explored.sample, start)
         bottoms = landscape.descend(y) if landscape.vectorised else landscape(y[None])
-    best = float(bottoms.f[np.argmin(bottoms.merit)]) * landscape.objective_scale
-    program.scale_by(best)
-    chosen = _that_can_win(judged(bottoms.points), len(vary) <= _FEW_VARIABLES, effort.rounds)
-    program.build(p, starts=list(bottoms.points[chosen]))
-    points: list[Point] = []
-    for number, k in enumerate(chosen):
-        progress(f"optimising basin {number + 1} of {len(chosen)}", number / len(chosen))
-        point = polished(program, p, bottoms.points[k])
-        if point.solved and not any(np.max(np.abs(point.y - other.y)) < _SAME for other in points):
-            points.append(point)
+        points = _optima(program, landscape, p, bottoms, (judged, len(vary), effort.rounds), progress)
+        if not points and (met := as_it_is(program, p, y)).solved:
+            points = [met]
     if not points:
         place = program.declared.describe(program.values(bottoms.points[0]))
         raise NotConverged(
@@ -149,6 +150,37 @@ def _searched(
             "no optimum",
         )
     return explored, points
+
+
+def _optima(
+    program: Program,
+    landscape: Landscape,
+    p: Vector,
+    bottoms: Seen,
+    size: tuple[Callable[[Vector], Vector], int, int],
+    progress: Progress,
+) -> list[Point]:
+    """Return the local optima of the bottoms that can be best.
+
+    Args:
+        program: the design's program.
+        landscape: in which the bottoms lie.
+        p: parameters.
+        bottoms: of basins.
+        size: what they are judged by, number of variables, and rounds of the search.
+        progress: called with what is being done.
+    """
+    judged, variables, rounds = size
+    program.scale_by(float(bottoms.f[np.argmin(bottoms.merit)]) * landscape.objective_scale)
+    chosen = _that_can_win(judged(bottoms.points), variables <= _FEW_VARIABLES, rounds)
+    program.build(p, starts=list(bottoms.points[chosen]))
+    points: list[Point] = []
+    for number, k in enumerate(chosen):
+        progress(f"optimising basin {number + 1} of {len(chosen)}", number / len(chosen))
+        point = polished(program, p, bottoms.points[k])
+        if point.solved and not any(np.max(np.abs(point.y - other.y)) < _SAME for other in points):
+            points.append(point)
+    return points
 
 
 def _that_can_win(judged: Vector, few: bool, rounds: int) -> list[int]:
@@ -170,7 +202,7 @@ def _ranked(landscape: Landscape, judge: Judge, points: list[Point]) -> list[Poi
 def _record(
     program: Program,
     landscape: Landscape,
-    search: Search,
+    asked: tuple[Search, int],
     vary: tuple[int, ...],
     explored: Explored | None,
     polished: int,
@@ -181,7 +213,7 @@ def _record(
     n = len(program.declared.variables)
     sample = explored.sample if explored else Seen(np.empty((0, n)), np.empty(0), np.empty(0))
     return SearchRecord(
-        asked=str(search),
+        asked=str(asked[0]),
         variables=tuple(program.declared.variables[k].name for k in vary),
         designs=landscape.tried if explored else 0,
         one_by_one=not landscape.vectorised,
@@ -189,11 +221,22 @@ def _record(
         polished=polished,
         followed=explored.followed if explored else 0,
         reached=explored.reached if explored else 0,
-        seed=SEED,
+        seed=asked[1],
         seconds=seconds,
         values=np.array([program.values(y) for y in sample.points]).reshape(-1, n)[:, own],
         objective=sample.f * landscape.objective_scale,
         violation=sample.violation,
+    )
+
+
+def _valueless(explored: Explored | None) -> tuple[str, ...]:
+    """Return what a reader must know of designs between the bounds that a search could not look at."""
+    if explored is None or not (part := np.mean(np.isnan(explored.sample.f))):
+        return ()
+    return (
+        f"{100.0 * part:.2g} % of the designs tried between the bounds have no value, and were passed over: the model"
+        " ends, the share runs away, or it oscillates too fast to be followed; tighten the bounds, shorten the"
+        " duration, or take the quasi-static scene",
     )
 
 

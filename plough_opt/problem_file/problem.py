@@ -254,10 +254,11 @@ class Problem:
         parameters: bool = False,
         search: Search = "auto",
         judge: Judge = "tolerance",
+        seed: int = 0,
     ) -> tuple[Optimum, Run]:
         """Return the optimum and its run of numbers: see `design` for ``parameters``, `Design.solve` for the rest."""
         design, run = self.design(parameters=parameters)
-        best = design.solve(search=search, judge=judge, progress=progress)
+        best = design.solve(search=search, judge=judge, seed=seed, progress=progress)
         return best, best(run)
 
     def trade_off(self, points: int | None = None, progress: Progress | None = None) -> TradeOff:

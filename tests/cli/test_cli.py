@@ -210,7 +210,7 @@ class TestOptimise:
     def test_it_finds_the_best_of_three_optima(self, optimised):
         assert (optimised.status, optimised.err) == (0, "")
         assert "Best design: objective 0.825005709 (solved)" in optimised.out
-        table = optimised.out.split("All local optima found")[1].split("Note:")[0]
+        table = optimised.out.split("Local optima found")[1].split("Note:")[0]
         rows = [line for line in table.splitlines() if line.startswith("│ s")]
         assert len(rows) == 3
         objectives = [float(row.split("│")[2]) for row in rows]

@@ -293,7 +293,7 @@ def test_steps_are_refined_until_the_objective_is_right(monkeypatch, build_r1):
 
 
 def test_steps_that_stay_too_coarse_are_owned_up_to(monkeypatch, build_r1):
-    monkeypatch.setattr(program_module, "_PHASE_PER_STEP", 40.0)
+    monkeypatch.setattr(program_module, "_PHASE_PER_STEP", 400.0)
     best = build_r1().design.solve(search="local")
     assert best.gap > 1e-8
     assert any("was not reached" in warning for warning in best.warnings)
@@ -307,7 +307,8 @@ def test_a_looser_wanted_error_takes_no_refinement(monkeypatch, build_r1):
     )
     monkeypatch.setattr(program_module, "_PHASE_PER_STEP", 1.5)
     best = build_r1(accuracy=po.Accuracy(error=1e-3)).design.solve(search="local")
-    assert len(builds) == 2  # the program, and a rough one of two fifths of its steps
+    # The program and a rough one of two fifths of its steps, for the guess and, faster, for the bottom of its basin.
+    assert len(builds) <= 4
     assert best.gap <= 1e-3
 
 

@@ -334,15 +334,10 @@ def test_what_is_beyond_the_ends_is_refused_in_words(simulated, sentence):
     assert sentence in str(caught.value)
 
 
-def test_a_design_that_reaches_for_a_wall_is_refused_with_the_number_of_oscillations():
+def test_a_design_that_reaches_for_a_wall_passes_over_what_is_too_fast_and_says_so():
     d = po.Design()
     stiffness = d.variable("stiffness", guess=1e6, lower=1e4, upper=1e12, unit="N/m", log=True)
     run = po.simulate(scene_of(ORDINARY | {"stiffness": stiffness}, start="rest"), 1.0, outputs=4)
     d.minimise(run.mean_draft / 1e3)
-    with pytest.raises(po.DomainError) as caught:
-        d.solve()
-    turns = math.sqrt(1e12 / scene_of(ORDINARY).inertia) / (2.0 * math.pi)
-    assert f"the share oscillates up to {turns:.3g} times in a run" in str(caught.value)
-    assert "tighten the bounds on stiffness and mass, shorten the duration, or take the quasi-static" in str(
-        caught.value
-    )
+    best = d.solve()
+    assert any("have no value, and were passed over" in warning and "too fast" in warning for warning in best.warnings)

@@ -130,7 +130,8 @@ def test_an_oscillation_of_next_to_nothing_may_be_required(most):
     best = d.solve()
     allowed = most * math.sqrt(2.0) / scene_of().reaction.static
     assert best.variables["amplitude"] == pytest.approx(allowed, rel=1e-5)
-    assert best.active[0] == "calm"
+    # Its pull is a millionth of the objective: the optimiser leaves next to no margin.
+    assert 0.0 <= best.margins["calm"] < 1e-5 * most
 
 
 @pytest.mark.parametrize("most", [0.0, pytest.param(1e-9, marks=pytest.mark.slow)])

@@ -10,6 +10,9 @@ from plough_opt.design.ipopt import Vector
 from plough_opt.design.landscape import Landscape, Seen
 from plough_opt.design.sampling import SEED, lowest_around
 
+# Keeps the arithmetic of an evolution finite where designs have no value.
+_WORST = 1e30
+
 # Designs at which all combinations together are looked at, beside those with the other variables held; and for each
 # combination at least and at most.
 _LOOKS, _FEWEST, _MOST = 2**16, 2, 128
@@ -19,6 +22,8 @@ _CLOSER, _DESCENDED = 256, 30
 _AROUND, _RADII = 16, (0.25, 0.12, 0.06, 0.03, 0.015)
 # Descents of all combinations together, and of each at most.
 _DESCENTS, _OF_EACH = 60, 8
+# Combinations that evolve, if their merit is so near the best, in parts of it; designs for each free variable, times.
+_EVOLVED, _CAN_WIN, _MEMBERS, _GENERATIONS = 8, 0.15, 12, 50
 # What a violation weighs where a combination that does not yet meet the requirements shall stay in view.
 _LIGHTLY = 1.0
 
@@ -60,7 +65,14 @@ def promising(
         return _ordered([Promising(int(k), seen.points[k], float(seen.merit[k])) for k in best])
     numbers, samples = view.sampled(kept)
     count = max(2, min(_OF_EACH, _DESCENTS // len(numbers)))
-    return _ordered([view.descended(int(k), own, count) for k, own in zip(numbers, samples, strict=True)])
+    looks = dict(zip(numbers.tolist(), samples, strict=True))
+    found = _ordered([view.descended(k, own, count) for k, own in looks.items()])
+    if len(view.free) == 1:
+        return found
+    # Of several variables a sample may miss the best basin of a combination that can win.
+    limit = found[0].merit + _CAN_WIN * abs(found[0].merit)
+    last = [view.evolved(one, looks[one.number]) for one in found[:_EVOLVED] if one.merit <= limit]
+    return _ordered([*last, *found[len(last) :]])
 
 
 class _View:
@@ -119,6 +131,37 @@ class _View:
         ends = [self._end(seen.points[k]) for k in starts] or [seen.of([0])]
         best = min(ends, key=lambda one: float(one.merit[0]))
         return Promising(number, best.points[0], float(best.merit[0]))
+
+    def evolved(self, known: Promising, seen: Seen) -> Promising:
+        """Return where SciPy's differential evolution leads from a combination's lowest designs, if that is lower."""
+        from scipy.optimize import differential_evolution  # slow to import
+
+        n = len(self.free)
+        lowest = np.argsort(seen.merit, kind="stable")[: _MEMBERS * n]
+        start = np.vstack([known.start[self.free], seen.points[lowest][:, self.free]])
+        if len(start) < _MEMBERS * n:
+            start = np.vstack([start, self._rng.random((_MEMBERS * n - len(start), n))])
+
+        def merit(x: Vector) -> Vector:
+            designs = self.designs(np.full(x.shape[1], known.number), x.T)
+            return np.minimum(self._landscape(designs).merit, _WORST)
+
+        found = differential_evolution(
+            merit,
+            [(0.0, 1.0)] * n,
+            strategy="best1bin" if n < 6 else "rand1bin",
+            init=start,
+            maxiter=_GENERATIONS,
+            tol=1e-6,
+            recombination=0.9,
+            rng=self._rng,
+            polish=False,
+            updating="deferred",
+            vectorized=True,
+        )
+        end = self._end(self.designs(np.array([known.number]), found.x[None])[0])
+        merit_there = float(end.merit[0])
+        return Promising(known.number, end.points[0], merit_there) if merit_there < known.merit else known
 
     def _end(self, start: Vector) -> Seen:
         lower, upper = np.zeros(len(start)), np.ones(len(start))

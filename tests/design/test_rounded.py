@@ -185,12 +185,12 @@ def test_cotton_against_designs_with_these_values_as_numbers():
     file = Path(__file__).parents[2] / "problems" / "cotton_subsoiler.toml"
     design, run = po.read_problem(file).design()
     found = design.solve(search="local").rounded(
-        stiffness=[4e4, 5e4, 6.3e4], wedge_angle=[po.deg(1.0) * k for k in range(34, 42)]
+        stiffness=[4e4, 5e4, 6.3e4], wedge_angle=[po.deg(1.0) * k for k in range(37, 41)]
     )
     assert found.variables["scene.stiffness"] == 5e4
     assert found.variables["share.wedge_angle"] == po.deg(1.0) * 39
     feasible = [choice for choice in found.tried if choice.objective is not None]
-    assert (found.combinations, len(found.tried)) == (8 * 3, 20)
+    assert (found.combinations, len(found.tried)) == (4 * 3, 12)
     assert found.objective == pytest.approx(feasible[0].objective, rel=1e-8)
     assert 0.0 < found.cost_percent < 1.0
     assert found(run).mean_draft == pytest.approx(found(run.mean_draft), rel=1e-9)

@@ -63,6 +63,8 @@ _AFTER_EVENTS = 1e-11
 # which a difference grows in one that cannot be to `TELLING`.
 _SHAKEN = 1e-12
 _SENSITIVE = 1e4
+# Relative difference from which on nothing is known of a motion.
+_LOST = 0.1
 
 
 def verified(case: Case, accuracy: Accuracy) -> tuple[Run, float, tuple[str, ...]]:
@@ -257,7 +259,8 @@ def _told(case: Case, found: Followed, error: float, wanted: float | None) -> tu
     if error > TELLING and found.run.accuracy.method != "rosenbrock":
         apart = _shaken(case, found)
         if apart > _SENSITIVE * _SHAKEN:
-            error = max(error, _MARGIN * apart)
+            # Differences of the size of the motion itself are bounded by nothing that two runs show.
+            error = max(error, _MARGIN * apart) if apart < _LOST else math.inf
             return error, (
                 f"{missed}: the motion is too sensitive to be predicted to better than {error:.1e}, for a change of the"
                 f" scene's numbers by {_SHAKEN:.0e} of themselves changes it by {apart:.1e}",

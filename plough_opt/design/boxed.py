@@ -9,13 +9,13 @@ from typing import Literal
 import casadi as ca
 import numpy as np
 
-from plough_opt.design.declarations import Requirement, Variable
+from plough_opt.design.declarations import Declarations, Requirement, Variable
 from plough_opt.design.effort import Search
 from plough_opt.design.exploring import Progress
 from plough_opt.design.ipopt import Vector
 from plough_opt.design.landscape import FEASIBLE, Landscape
 from plough_opt.design.optimum import Optimum
-from plough_opt.design.program import Declarations, Program
+from plough_opt.design.program import Program
 from plough_opt.design.sampling import sample_of
 from plough_opt.design.solving import solve_program
 from plough_opt.design.split import split

@@ -202,3 +202,28 @@ class Requirement:
     def margin(self, values: NDArray[np.float64]) -> float:
         """Return the distance of the worst value from its limit, positive inside."""
         return float(min(np.min(values - self.low), np.min(self.high - values)))
+
+
+@dataclass(frozen=True)
+class Declarations:
+    """Everything that was declared, in the order of declaration."""
+
+    variables: tuple[Variable, ...]
+    parameters: tuple[Parameter, ...]
+    objective: ca.MX
+    requirements: tuple[Requirement, ...]
+
+    def symbols(self) -> list[ca.MX]:
+        """Return the variables' and the parameters' symbols as two columns' worth of inputs."""
+        return [*(v.symbol for v in self.variables), *(p.symbol for p in self.parameters)]
+
+    def strangers(self, expression: ca.MX) -> list[str]:
+        """Return the names of an expression's symbols that were not declared here, namesakes included."""
+        known = {hash(symbol) for symbol in self.symbols()}
+        return sorted({s.name() for s in ca.symvar(expression) if hash(s) not in known})
+
+    def describe(self, values: NDArray[np.float64]) -> str:
+        """Return the variables at values in words."""
+        return ", ".join(
+            f"{v.name} = {in_words(float(x), v.unit)}" for v, x in zip(self.variables, values, strict=True)
+        )

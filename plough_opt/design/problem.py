@@ -10,11 +10,11 @@ import casadi as ca
 import numpy as np
 
 from plough_opt.design.boxed import Boxed, Over
-from plough_opt.design.declarations import EVERYWHERE, Parameter, Requirement, Variable
+from plough_opt.design.declarations import EVERYWHERE, Declarations, Parameter, Requirement, Variable
 from plough_opt.design.effort import Search
 from plough_opt.design.exploring import Progress
 from plough_opt.design.optimum import Optimum
-from plough_opt.design.program import Declarations, Program
+from plough_opt.design.program import Program
 from plough_opt.design.solving import solve_program
 from plough_opt.design.tolerance import Judge
 from plough_opt.domain import check_text, plain_number

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import casadi as ca
 import numpy as np
 
 from plough_opt.accuracy import DEFAULT_ERROR
 from plough_opt.design.active_rows import ActiveRows, chosen_rows
-from plough_opt.design.declarations import Parameter, Requirement, Variable, in_words
+from plough_opt.design.built import Built
+from plough_opt.design.declarations import Declarations, Requirement
+from plough_opt.design.domain import check_bounds, corners, values_at_guess
 from plough_opt.design.ipopt import Point, Solver, Vector
 from plough_opt.design.machine_code import as_machine_code
 from plough_opt.design.nlp import Nlp, build_nlp
@@ -21,8 +23,7 @@ from plough_opt.design.settled import Linear, linear_variables
 from plough_opt.design.split import split
 from plough_opt.design.verify import TightEvaluation
 from plough_opt.effects import MOST_HARMONICS
-from plough_opt.errors import DomainError, InputError, IntegrationError, PloughError
-from plough_opt.motion.judgement import refuse_drifting_own, refuse_stiff_orbit
+from plough_opt.errors import DomainError, InputError
 from plough_opt.motion.plan import steps_for, summed_rate
 
 # By `summed_rate`: a relative error of averages of some 3e-9, and finer steps where the check finds it wanting.
@@ -36,52 +37,6 @@ _SMALLEST_SCALE = 1e-12
 _MOST_KEPT = 6
 # Designs whose middle values set the scales where the guess has none.
 _SAMPLE, _SAMPLE_SEED = 256, 256
-
-
-@dataclass(frozen=True)
-class Declarations:
-    """Everything that was declared, in the order of declaration."""
-
-    variables: tuple[Variable, ...]
-    parameters: tuple[Parameter, ...]
-    objective: ca.MX
-    requirements: tuple[Requirement, ...]
-
-    def symbols(self) -> list[ca.MX]:
-        """Return the variables' and the parameters' symbols as two columns' worth of inputs."""
-        return [*(v.symbol for v in self.variables), *(p.symbol for p in self.parameters)]
-
-    def strangers(self, expression: ca.MX) -> list[str]:
-        """Return the names of an expression's symbols that were not declared here, namesakes included."""
-        known = {hash(symbol) for symbol in self.symbols()}
-        return sorted({s.name() for s in ca.symvar(expression) if hash(s) not in known})
-
-    def describe(self, values: Vector) -> str:
-        """Return the variables at values in words."""
-        return ", ".join(
-            f"{v.name} = {in_words(float(x), v.unit)}" for v, x in zip(self.variables, values, strict=True)
-        )
-
-
-@dataclass
-class Built:
-    """A program that is written for numbers of steps.
-
-    Attributes:
-        nlp: objective and requirements.
-        rough: the same with fewer steps.
-        interpreted: whether it is not in machine code.
-        solver: IPOPT on it.
-        of_rows: IPOPT on those of its rows that can decide; None where there are few.
-        relaxed: IPOPT on the sum of violations, once it was asked for.
-    """
-
-    nlp: Nlp
-    rough: Nlp
-    interpreted: bool
-    solver: Solver
-    of_rows: ActiveRows | None
-    relaxed: Solver | None = None
 
 
 class Program:
@@ -183,9 +138,9 @@ class Program:
             InputError: the objective or a requirement has no value at the guess, nor, if any will do, in a sample.
             DomainError: bounds that lead out of the model's domain.
         """
-        self._check_bounds(p)
+        check_bounds(self.declared, self.exact, p)
         try:
-            found = self._checked_start(p)
+            found = values_at_guess(self.declared, self.exact, self._implied, p)
         except InputError as error:
             if not any_guess:
                 raise
@@ -210,8 +165,8 @@ class Program:
             self.prepare(p)
         variables = self.declared.variables
         if starts is None:
-            corners = (values for _, values in self._corners())
-            starts = [np.array([v.scaled(x) for v, x in zip(variables, values, strict=True)]) for values in corners]
+            ends = (values for _, values in corners(self.declared))
+            starts = [np.array([v.scaled(x) for v, x in zip(variables, values, strict=True)]) for values in ends]
         self._steps = self._steps_at(starts, p, refinement)
         key = (tuple(self._steps), self.objective_scale, *self.scales)
         if key not in self._kept:
@@ -328,52 +283,6 @@ class Program:
             np.median(np.abs(f[sound])),
             *(rows[owner == k] for k in range(len(self.declared.requirements))),
         ]
-
-    def _checked_start(self, p: Vector) -> list[Vector]:
-        """Return the expressions at the guess, or say which of them has no value there."""
-        guess = np.array([v.guess for v in self.declared.variables])
-        place = self.declared.describe(guess)
-        try:
-            found, _ = self.exact([*guess, *p])
-        except (PloughError, RuntimeError) as error:
-            raise InputError(f"the model cannot be evaluated at the start ({place}): {error}") from error
-        for limit, value in zip(self._implied, found[len(found) - len(self._implied) :], strict=True):
-            if limit.margin(value) < 0.0:
-                raise InputError(
-                    f"at the start ({place}) '{limit.name}' is {float(np.max(value)):.6g}, where the theory ends at"
-                    f" {limit.high:.6g}: start below, and let the bounds reach below"
-                )
-        names = ["the objective", *(f"requirement '{r.name}'" for r in self.declared.requirements)]
-        for name, value in zip(names, found, strict=True):
-            if not np.all(np.isfinite(value)):
-                raise InputError(f"{name} is not a finite number at the start ({place}): start elsewhere")
-        return found
-
-    def _corners(self) -> list[tuple[str, list[float]]]:
-        """Return the guess, and the guess with each variable at each of its bounds, with a clause for each."""
-        variables = self.declared.variables
-        guess = [v.guess for v in variables]
-        corners = [("at the guess", guess)]
-        for k, v in enumerate(variables):
-            for side, bound in (("lower", v.lower), ("upper", v.upper)):
-                corners.append((f"at the {side} bound of '{v.name}'", [*guess[:k], bound, *guess[k + 1 :]]))
-        return corners
-
-    def _check_bounds(self, p: Vector) -> None:
-        """Refuse bounds between which a scene leaves the model's domain."""
-        for clause, values in self._corners():
-            try:
-                numbers = [*values, *p]
-                scenes = [self.exact.inputs(k, numbers)[1] for k in range(len(self.exact.runs))]
-                for scene in (*scenes, *self.exact.quasi_static_scenes(numbers)):
-                    scene.check_reaction()
-                for run, scene in zip(self.exact.runs, scenes, strict=True):
-                    own = run.integration
-                    if own.structure.orbit != "transient" and own.accuracy.method == "auto":
-                        refuse_drifting_own(scene)
-                        refuse_stiff_orbit(scene)
-            except (DomainError, IntegrationError) as error:
-                raise DomainError(f"{clause}: {error}") from None
 
     def _steps_at(self, points: Sequence[Vector], p: Vector, refinement: float) -> list[int | None]:
         """Return, for each run whose accuracy is automatic, the steps that the fastest of some designs needs."""

@@ -19,9 +19,9 @@ import casadi as ca
 import numpy as np
 
 from plough_opt.design import Design
-from plough_opt.design.declarations import Parameter, Requirement
+from plough_opt.design.declarations import Declarations, Parameter, Requirement
 from plough_opt.design.ipopt import Point, Vector
-from plough_opt.design.program import Declarations, Program
+from plough_opt.design.program import Program
 from plough_opt.design.verify import TightEvaluation
 from plough_opt.errors import InputError, PloughError
 from plough_opt.scene import Scene

@@ -1,0 +1,196 @@
+"""The report on a local optimum: its limits, its name, and what a reader of its numbers must know."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Sequence
+
+import numpy as np
+
+from plough_opt.design.declarations import in_words
+from plough_opt.design.exploring import Explored
+from plough_opt.design.ipopt import Point, Vector, decides
+from plough_opt.design.landscape import Landscape
+from plough_opt.design.optimum import Limit, LocalOptimum
+from plough_opt.design.polishing import AS_FOUND
+from plough_opt.design.program import Program
+from plough_opt.design.tolerance import spread
+from plough_opt.motion.judgement import remarks
+from plough_opt.motion.simulation import repeat
+from plough_opt.scene import Scene
+
+_NO_COMPILER = "no C compiler was found ($CC, cc, gcc, clang): the model is interpreted, which takes longer"
+# An objective below this part of the program's scale is next to nothing, and errors are relative to the scale.
+_SMALL = 0.25
+# Mounts whose frequencies differ by less than this part are named as one, and of more than so many the first.
+_ONE_MOUNT, _MOST_MOUNTS = 0.02, 4
+_NUMBER = re.compile(r"\d[\d.e+-]*")
+
+
+def designs_without_value(explored: Explored | None) -> tuple[str, ...]:
+    """Return what a reader must know of designs between the bounds that a search could not look at."""
+    if explored is None or not (part := np.mean(np.isnan(explored.sample.f))):
+        return ()
+    return (
+        f"{100.0 * part:.2g} % of the designs tried between the bounds have no value, and were passed over: the model"
+        " ends, the share runs away, or it oscillates too fast to be followed; tighten the bounds, shorten the"
+        " duration, or take the quasi-static scene",
+    )
+
+
+def unconfirmed(point: Point) -> tuple[str, ...]:
+    """Return what a reader must know of a design that the optimiser did not confirm."""
+    if point.status != AS_FOUND:
+        return ()
+    return (
+        "the design is the best that was seen, but the optimiser did not confirm it as an optimum: objective or"
+        " requirements are not smooth there (a kink, noise, a needle), or leave no room to move",
+    )
+
+
+def as_made(best: LocalOptimum) -> tuple[str, ...]:
+    """Return what a reader must know of the best design as it is made."""
+    spread = best.spread
+    if spread is None or not spread.needle:
+        return ()
+    return (
+        f"the best design is a needle: within its tolerances the objective is {spread.median:.6g} in the middle of the"
+        f" cases, where {best.objective:.6g} was found; no workshop can hit it",
+    )
+
+
+def local_optimum(program: Program, p: Vector, point: Point, name: str, landscape: Landscape) -> LocalOptimum:
+    """Return the report on a point, from the tightly integrated model."""
+    found, check = program.exact_values(point.y, p)
+    objective = float(found[0].item())
+    values = program.values(point.y)
+    return LocalOptimum(
+        name=name,
+        objective=objective,
+        variables={
+            v.name: float(x) for v, x in zip(program.declared.variables, values, strict=True) if not v.auxiliary
+        },
+        limits=(*_requirements(program, point, found[1:]), *_bounds(program, point, values)),
+        gap=gap_of(program, p, point),
+        error_estimate=abs(objective - float(check[0].item())) / max(abs(objective), _SMALL * program.objective_scale),
+        iterations=point.iterations,
+        spread=spread(landscape, point.y, objective),
+    )
+
+
+def _requirements(program: Program, point: Point, found: Sequence[Vector]) -> list[Limit]:
+    limits, owner, pulls = [], np.array(program.owner), np.abs(point.lam_g)
+    for k, (r, value) in enumerate(zip(program.declared.requirements, found, strict=True)):
+        if r.auxiliary:
+            continue
+        numbers, own = value.ravel(), pulls[owner == k]
+        margins = np.minimum(numbers - r.low, r.high - numbers)
+        worst = int(np.argmin(margins))
+        margin = float(margins[worst])
+        limits.append(
+            Limit(
+                name=r.name,
+                kind="requirement",
+                value=float(numbers[worst]),
+                limits=r.limits_text(),
+                margin=margin,
+                multiplier=float(np.sum(own) * program.objective_scale / program.scales[k]),
+                active=decides(margin / program.scales[k], float(np.max(own))),
+                unit=r.unit,
+            )
+        )
+    return limits
+
+
+def _bounds(program: Program, point: Point, values: Vector) -> list[Limit]:
+    limits = []
+    for v, value, y, multiplier in zip(program.declared.variables, values, point.y, point.lam_y, strict=True):
+        if v.auxiliary:
+            continue
+        slope = value * math.log(v.upper / v.lower) if v.log else v.upper - v.lower
+        limits.append(
+            Limit(
+                name=v.name,
+                kind="bound",
+                value=float(value),
+                limits=f"{in_words(v.lower, v.unit)} to {in_words(v.upper, v.unit)}",
+                margin=float(min(value - v.lower, v.upper - value)),
+                multiplier=float(abs(multiplier) * program.objective_scale / slope),
+                active=decides(float(min(y, 1.0 - y)), float(abs(multiplier))),
+                unit=v.unit,
+            )
+        )
+    return limits
+
+
+def scenes_at(program: Program, point: Point, p: Vector) -> list[tuple[Vector, Scene]]:
+    """Return the parameters, the duration last [s], and the scenes of the program's runs at a point, with numbers."""
+    numbers = [*program.values(point.y), *p]
+    return [program.exact.inputs(k, numbers) for k in range(len(program.exact.runs))]
+
+
+def warnings_at(program: Program, point: Point, p: Vector, scenes: Sequence[tuple[Vector, Scene]]) -> tuple[str, ...]:
+    """Return what a reader of the results at a point must know, each sentence once."""
+    moving: list[str] = []
+    for k, (parameters, scene) in enumerate(scenes):
+        if scene.effects.orbit == "transient":
+            moving += (*scene.warnings(), *remarks(program.exact.followed(k, parameters, scene)))
+        else:
+            moving += repeat(scene, float(parameters[-1])).warnings
+    still = program.exact.quasi_static_scenes([*program.values(point.y), *p])
+    slow = (_NO_COMPILER,) if program.compiled and program.interpreted else ()
+    return (*slow, *_alike_once([*moving, *(text for scene in still for text in scene.warnings())]))
+
+
+def _alike_once(sentences: Sequence[str]) -> list[str]:
+    """Return sentences each once; of those that differ in numbers only, the first, which says of how many it speaks."""
+    alike: dict[str, list[str]] = {}
+    for text in dict.fromkeys(sentences):
+        alike.setdefault(_NUMBER.sub("#", text), []).append(text)
+    return [
+        own[0] if len(own) == 1 else f"{own[0]}; and with other numbers in {len(own) - 1} further scenes of this design"
+        for own in alike.values()
+    ]
+
+
+def names_of(program: Program, scenes: Sequence[Sequence[Scene]]) -> list[str]:
+    """Return a name for each optimum, no two alike: under a strength wave its branch, soft or stiff beside resonance.
+
+    Args:
+        program: the design's program.
+        scenes: for each optimum, the scenes of its runs.
+    """
+    mounts = _mounts(program, scenes)
+    names = [
+        "; ".join(
+            f"{f'mount {number + 1}: ' if len(mounts) > 1 else ''}{branch} branch, {ratio:.2f} of the wave's frequency"
+            for number, (branch, ratio) in enumerate(own)
+        )
+        for own in zip(*mounts, strict=True)
+    ]
+    if not names:
+        return ["optimum"] if len(scenes) == 1 else [f"optimum {k + 1}" for k in range(len(scenes))]
+    return [name if names.count(name) == 1 else f"{name} ({names[:k].count(name) + 1})" for k, name in enumerate(names)]
+
+
+def _mounts(program: Program, scenes: Sequence[Sequence[Scene]]) -> list[list[tuple[str, float]]]:
+    """Return for each mount under a wave that differs from the others, of each optimum, its branch and frequency ratio.
+
+    Many samples of one share's soil have mounts that hardly differ; the first stands for them.
+    """
+    found: list[list[tuple[str, float]]] = []
+    for k, run in enumerate(program.exact.runs):
+        if not run.integration.structure.wave or not all(own[k].branch for own in scenes):
+            continue
+        ratios = [float(own[k].natural_frequency / own[k].wave_frequency) for own in scenes]
+        mount = [(str(own[k].branch), ratio) for own, ratio in zip(scenes, ratios, strict=True)]
+        if not any(np.allclose(ratios, [ratio for _, ratio in other], rtol=_ONE_MOUNT) for other in found):
+            found.append(mount)
+    return found if len(found) <= _MOST_MOUNTS else found[:1]
+
+
+def gap_of(program: Program, p: Vector, point: Point) -> float:
+    """Return the relative difference of the optimiser's objective at a point from the tightly integrated one."""
+    exact = float(program.exact_values(point.y, p)[0][0].item())
+    return abs(point.f * program.objective_scale - exact) / max(abs(exact), _SMALL * program.objective_scale)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from plough_opt.design.ipopt import Point, Vector
-from plough_opt.design.polishing import AS_FOUND
+from plough_opt.design.polishing import AS_FOUND, solved_again
 from plough_opt.design.program import Program
 from plough_opt.errors import DomainError
 from plough_opt.motion.derivative_error import derivative_error
@@ -40,8 +40,7 @@ def with_sure_derivatives(program: Program, p: Vector, points: list[Point]) -> t
         except DomainError:  # too many steps
             break
         if program.nlp is not before:
-            again = [program.solve(point.y, p, near=True) for point in points]
-            points = [new if new.solved else old for new, old in zip(again, points, strict=True)]
+            points = [solved_again(program, p, point) for point in points]
             error = error_of_derivatives(program, points[0].y, p)
     if error <= wanted:
         return points, ()

@@ -7,13 +7,14 @@ from dataclasses import replace
 import numpy as np
 
 from plough_opt.design.ipopt import Point, Vector
-from plough_opt.design.landscape import MET
+from plough_opt.design.landscape import FEASIBLE, MET
 from plough_opt.design.program import Program
 
-# How far from a start, in parts of the range, an optimum may lie that is the start's own.
-_BESIDE = 0.05
-# Part of the objective by which a polished design may be above its start: what the search's rougher runs are off by.
-_NOT_WORSE = 1e-5
+# How far from a start, in parts of the range, an optimum may lie that is the start's own, and that of a ripple.
+_BESIDE, _RIPPLE = 0.05, 0.005
+# Part of the objective by which a polished design may be above its start: what the search's rougher runs are off by;
+# and by how much more for each part of a limit by which the start breaks it.
+_NOT_WORSE, _FOR_VIOLATION = 1e-5, 100.0
 # IPOPT stops with these beside an optimum where the objective is rough, as a needle's is.
 _STALLED = ("Search_Direction_Becomes_Too_Small", "Maximum_Iterations_Exceeded")
 
@@ -24,21 +25,31 @@ AS_FOUND = "taken as found"
 
 def polished(program: Program, p: Vector, start: Vector) -> Point:
     """Return the local optimum of a search's bottom: the start as it is, where no better one lies beside it."""
-    begins = as_it_is(program, p, start)
-    for box, exact in ((1.0, False), (_BESIDE, True)):
+    begins, most = as_it_is(program, p, start), _most(program, p, start)
+    for box, exact in ((1.0, False), (_BESIDE, True), (_RIPPLE, True)):
         point = program.solve(start, p, box, near=True, exact=exact, enough=True)
-        if point.status in _STALLED and _meets(program, p, point.y):
+        if point.status in _STALLED and _violation(program, p, point.y)[1] <= MET:
             point = replace(point, solved=True, status=AS_FOUND)
         beside = box == 1.0 or np.max(np.abs(point.y - start)) < box
-        if point.solved and beside and _not_worse(point, begins):
+        if point.solved and beside and point.f <= most:
             return point
     point = program.solve(start, p)
-    if point.solved and _not_worse(point, begins):
+    if point.solved and point.f <= most:
         return point
     if begins.solved or not program.declared.requirements:
         return begins
     # The search's rougher runs may have kept a limit by a hair which these do not.
     return as_it_is(program, p, np.clip(program.solve_relaxed(start, p).y[: len(start)], 0.0, 1.0))
+
+
+def solved_again(program: Program, p: Vector, point: Point) -> Point:
+    """Return an optimum of a program that has been built anew since: the same one, with its new digits."""
+    most = _most(program, p, point.y)
+    for box, exact in ((_BESIDE, False), (_RIPPLE, False), (_RIPPLE, True)):
+        again = program.solve(point.y, p, box, near=True, exact=exact, enough=True)
+        if again.solved and np.max(np.abs(again.y - point.y)) < box and again.f <= most:
+            return again
+    return replace(point, f=_violation(program, p, point.y)[0])
 
 
 def to_the_last_digit(program: Program, p: Vector, point: Point) -> Point:
@@ -47,25 +58,25 @@ def to_the_last_digit(program: Program, p: Vector, point: Point) -> Point:
         return point
     again = program.solve(point.y, p, _BESIDE, near=True, exact=False)
     inside = np.max(np.abs(again.y - point.y)) < _BESIDE
-    return again if again.solved and inside and _not_worse(again, point) else point
+    return again if again.solved and inside and again.f <= _most(program, p, point.y) else point
 
 
 def as_it_is(program: Program, p: Vector, y: Vector) -> Point:
     """Return a scaled design as a point without multipliers, solved if it meets all requirements."""
+    f, violation = _violation(program, p, y)
+    count = len(program.owner)
+    return Point(bool(violation <= MET), AS_FOUND, y, f, np.zeros(count), np.zeros(len(y)), 0)
+
+
+def _most(program: Program, p: Vector, start: Vector) -> float:
+    """Return the largest scaled objective of an optimum that is not worse than its start."""
+    f, violation = _violation(program, p, start)
+    return f + _NOT_WORSE * abs(f) + _FOR_VIOLATION * violation if violation <= FEASIBLE else np.inf
+
+
+def _violation(program: Program, p: Vector, y: Vector) -> tuple[float, float]:
+    """Return the scaled objective, and the largest scaled violation, infinite without a value."""
     f, g = (np.asarray(result).ravel() for result in program.nlp.values(y, p))
-    meets = bool(np.all(np.isfinite(f)) and _excess(program, g) <= MET)
-    return Point(meets, AS_FOUND, y, float(f[0]), np.zeros(len(g)), np.zeros(len(y)), 0)
-
-
-def _not_worse(point: Point, begins: Point) -> bool:
-    return not begins.solved or point.f <= begins.f + _NOT_WORSE * abs(begins.f)
-
-
-def _meets(program: Program, p: Vector, y: Vector) -> bool:
-    return _excess(program, np.asarray(program.nlp.values(y, p)[1]).ravel()) <= MET
-
-
-def _excess(program: Program, g: Vector) -> float:
-    """Return the largest scaled violation, infinite without a value."""
     worst = np.max(np.maximum(program.low - g, g - program.high), initial=0.0)
-    return float(worst) if np.all(np.isfinite(g)) else np.inf
+    sound = np.all(np.isfinite(f)) and np.all(np.isfinite(g))
+    return float(f[0]), float(worst) if sound else np.inf

@@ -19,7 +19,7 @@ from plough_opt.design.infeasible import feasible_from
 from plough_opt.design.ipopt import Point, Vector
 from plough_opt.design.landscape import Landscape, Seen
 from plough_opt.design.optimum import LocalOptimum, Optimum
-from plough_opt.design.polishing import AS_FOUND, as_it_is, polished, to_the_last_digit
+from plough_opt.design.polishing import AS_FOUND, as_it_is, polished, solved_again, to_the_last_digit
 from plough_opt.design.program import Program
 from plough_opt.design.record import Search as SearchRecord
 from plough_opt.design.reporting import (
@@ -248,9 +248,8 @@ def _refined(
         progress(f"refining: error {max(gaps):.1e}", refinement / _REFINEMENTS)
         program.build(p, _FINER**refinement, [point.y for point in points])
         for k, gap in enumerate(gaps):
-            again = program.solve(points[k].y, p, near=True, exact=False, enough=True) if gap > wanted else points[k]
-            if again.solved:
-                points[k] = again
+            if gap > wanted:
+                points[k] = solved_again(program, p, points[k])
     gap = max(gap_of(program, p, point) for point in points)
     if gap <= wanted:
         return points, ()

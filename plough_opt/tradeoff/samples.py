@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 
 from plough_opt.design.basin import near_optimum
 from plough_opt.design.curvature import minimum_from
@@ -279,6 +280,10 @@ class Samples(ABC):
     def follow_all(self, sample: Sample) -> None:
         """Follow the branch of a sample wherever it leads."""
 
+    def uncovered(self, _own: Vector, at: Vector) -> NDArray[np.bool_]:
+        """Return which designs lie where the front has too few points; a curve has enough."""
+        return np.zeros(len(at), dtype=bool)
+
     def sample_at(self, p: Vector, y: Vector) -> Sample | Point:
         """Return the local optimum beside a design at a position, no worse than it, or where the optimiser stopped."""
         begins = as_it_is(self.front.program, p, y)
@@ -327,6 +332,7 @@ class Samples(ABC):
         while len(left):
             best = left[thinned(at[left], MATTERS)]
             gain = beyond_front(own, at[best], self.step)
+            gain[self.uncovered(own, at[best])] += self.matters
             order = np.argsort(-gain, kind="stable")
             order = order[gain[order] > self.matters][:_MOST_JUDGED]
             best, gain = best[order], gain[order]

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from itertools import permutations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from plough_opt.design.curvature import minimum_from
 from plough_opt.design.exploring import Progress
@@ -231,6 +232,16 @@ class SurfaceTracer(Samples):
     def position(self, at: Vector) -> Vector:
         """Return the parameters that ask for the front's design at the place of normalised objectives."""
         return self._question_at(at - np.mean(at) + 1.0 / 3.0)
+
+    def uncovered(self, own: Vector, at: Vector) -> NDArray[np.bool_]:
+        """Return which designs lie more than a step from every point, and at a place where none was sought.
+
+        A surface that is a narrow band has few nodes, or none.
+        """
+        apart = np.max(np.abs(at[:, None] - own[None]), axis=2).min(axis=1) > self.step
+        places, sought = (rows - rows.mean(axis=1, keepdims=True) for rows in (at, own))
+        away = np.max(np.abs(places[:, None] - sought[None]), axis=2).min(axis=1) > self.step / 2.0
+        return np.asarray(apart & away)
 
     def follow_all(self, sample: Sample) -> None:
         """Follow a branch from the node nearest to a sample."""

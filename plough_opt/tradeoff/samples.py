@@ -14,6 +14,7 @@ from plough_opt.design.curvature import minimum_from
 from plough_opt.design.exploring import Progress
 from plough_opt.design.ipopt import REMEDIES, Point, Vector
 from plough_opt.design.polishing import as_it_is, polished
+from plough_opt.design.sampling import SEED
 from plough_opt.scene import Scene
 from plough_opt.tradeoff.cloud import Cloud
 from plough_opt.tradeoff.missing import beyond_front, beyond_points, thinned
@@ -39,6 +40,8 @@ _BESIDE = 0.05
 _NOT_WORSE = 1e-5
 # Rounds of following missed designs, and how many in each.
 _ROUNDS, _AT_ONCE = 12, 6
+# How far from the best designs others are looked at, in parts of the variables' ranges.
+_SPREADS = 0.1, 0.03, 0.01, 0.003
 # Ratios of ranges that weights follow.
 _RATIOS = 1e-3, 1e3
 # Times that an anchor is sought anew from a better design, of how many such designs, and what is rounding.
@@ -93,10 +96,12 @@ class Samples(ABC):
     Attributes:
         step: distance of neighbouring positions in the normalised objectives.
         matters: of the range of an objective: a design that the front misses by less is not sought.
+        looks_beside: samples' worth of designs that are looked at beside the front, at each distance from it.
     """
 
     step: float
     matters: float
+    looks_beside: int
 
     def __init__(self, front: FrontProgram, searcher: Searcher, progress: Progress) -> None:
         """Take the program, and what searches over its variables."""
@@ -280,6 +285,16 @@ class Samples(ABC):
     def follow_all(self, sample: Sample) -> None:
         """Follow the branch of a sample wherever it leads."""
 
+    def _look_beside(self) -> None:
+        """Look at designs about those of the cloud that no other beats, at first far and then near."""
+        rng = np.random.default_rng(SEED)
+        for spread in _SPREADS:
+            y, scaled = self.cloud.feasible
+            best = y[thinned(self.front.normalised(scaled), MATTERS)]
+            best = np.vstack([best, *(sample.point.y for sample in self.ordered())])
+            parents = best[rng.integers(len(best), size=self.looks_beside * self.searcher.designs)]
+            self.cloud.look(np.clip(parents + spread * rng.standard_normal(parents.shape), 0.0, 1.0))
+
     def uncovered(self, _own: Vector, at: Vector) -> NDArray[np.bool_]:
         """Return which designs lie where the front has too few points; a curve has enough."""
         return np.zeros(len(at), dtype=bool)
@@ -300,8 +315,11 @@ class Samples(ABC):
     def reach_all(self) -> None:
         """Follow the designs that the cloud has beyond the front, until none is left that is no needle."""
         tried: set[bytes] = set()
+        if self.searcher.vary and self.cloud.vectorised:
+            self.told("looking beside the best designs", 0.0)
+            self._look_beside()
         for number in range(_ROUNDS):
-            missed = [(y, at) for y, at, _ in self.missed() if y.tobytes() not in tried]
+            missed = [(y, at) for y, at, _ in self.missed(sparse=True) if y.tobytes() not in tried]
             if not missed:
                 return
             for k, (y, at) in enumerate(missed[:_AT_ONCE]):
@@ -313,8 +331,11 @@ class Samples(ABC):
                     found.extra = True
                     self.follow_all(found)
 
-    def missed(self) -> list[tuple[Vector, Vector, float]]:
+    def missed(self, *, sparse: bool = False) -> list[tuple[Vector, Vector, float]]:
         """Return designs by which the front could be better, where it was to be searched, none beside another.
+
+        Args:
+            sparse: whether to add designs that lie where the front has too few points.
 
         Returns:
             Of each the scaled variables, the normalised objectives, and the gain.
@@ -332,7 +353,9 @@ class Samples(ABC):
         while len(left):
             best = left[thinned(at[left], MATTERS)]
             gain = beyond_front(own, at[best], self.step)
-            gain[self.uncovered(own, at[best])] += self.matters
+            if sparse:
+                few = self.uncovered(own, at[best])
+                gain[few] = np.maximum(gain[few], 2.0 * self.matters)
             order = np.argsort(-gain, kind="stable")
             order = order[gain[order] > self.matters][:_MOST_JUDGED]
             best, gain = best[order], gain[order]

@@ -34,6 +34,7 @@ class Searcher:
     Attributes:
         cloud: what was looked at.
         vary: numbers of the variables that are searched; none where only the basin of the guess is asked for.
+        designs: of a sample, in all rounds.
     """
 
     def __init__(self, cloud: Cloud, search: Search, progress: Progress) -> None:
@@ -48,6 +49,7 @@ class Searcher:
         self._start = program.start()
         effort = effort_of(search, len(self.vary), program.population.runs, cloud.vectorised)
         self._effort = _shared(effort, cloud.front.count)
+        self.designs = self._effort.designs * self._effort.rounds
         self._samples: dict[int, Vector] = {}
 
     def bottoms(self, p: Vector) -> Seen:

@@ -36,7 +36,7 @@ _SEARCHED = (-0.5, 0.0, 0.5)
 class Tracer(Samples):
     """The local optima of a front of two objectives."""
 
-    matters = MATTERS
+    matters, looks_beside = MATTERS, 1
 
     def __init__(self, front: FrontProgram, searcher: Searcher, positions: int, progress: Progress) -> None:
         """Take the program, what searches over its variables, and the number of positions."""

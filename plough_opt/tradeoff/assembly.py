@@ -28,6 +28,8 @@ _LAST = np.full(6, 1)
 _EDGE = 1e-3
 # Steps between points of a surface that are not on positions.
 _ROOM = 0.7
+# Normalised objectives that differ by less are equal.
+_SAME = 1e-4
 # Steps, in the objectives: no efficient design that was found is farther from a point of a surface.
 _COVERED = 1.0
 
@@ -107,7 +109,12 @@ def _certified(
     found: list[tuple[Sample, FrontPoint]] = []
     doubtful: list[tuple[Sample, FrontPoint]] = []
     failures = []
+    places = np.array([sample.at for sample in tracer.found])
     for failure in tracer.failures:
+        # Beside a design that another beats nothing is missing.
+        at = np.array(failure.objectives)
+        if np.any(np.all(places <= at + _SAME, axis=1) & np.any(places < at - MATTERS, axis=1)):
+            continue
         own = (np.array(failure.objectives) * front.span + front.low) * front.scales * signs
         failures.append(replace(failure, objectives=tuple(own.tolist())))
     for sample in tracer.found:

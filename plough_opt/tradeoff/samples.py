@@ -29,7 +29,7 @@ MATTERS = 1e-3
 NOT_REACHED = "Not_Reached"
 """Status of a design that was seen beyond the front, and beside which the optimiser found none."""
 
-# Steps of designs for which the program is written, in ranges.
+# Of ranges: designs are thinned to so much for which the program is written, or beside which others are looked at.
 _ROUGHLY = 1e-2
 # Two optima nearer than this, in normalised objectives and in scaled variables, are one.
 _SAME_OBJECTIVES = 1e-6
@@ -290,7 +290,7 @@ class Samples(ABC):
         rng = np.random.default_rng(SEED)
         for spread in _SPREADS:
             y, scaled = self.cloud.feasible
-            best = y[thinned(self.front.normalised(scaled), MATTERS)]
+            best = y[thinned(self.front.normalised(scaled), _ROUGHLY)]
             best = np.vstack([best, *(sample.point.y for sample in self.ordered())])
             parents = best[rng.integers(len(best), size=self.looks_beside * self.searcher.designs)]
             self.cloud.look(np.clip(parents + spread * rng.standard_normal(parents.shape), 0.0, 1.0))
@@ -351,7 +351,7 @@ class Samples(ABC):
         self._settled = np.r_[self._settled, open_ones[settled]]
         left, best, gain = open_ones[~settled], np.empty(0, dtype=int), np.empty(0)
         while len(left):
-            best = left[thinned(at[left], MATTERS)]
+            best = left[thinned(at[left], self.matters)]
             gain = beyond_front(own, at[best], self.step)
             if sparse:
                 few = self.uncovered(own, at[best])

@@ -54,7 +54,7 @@ class SurfaceTracer(Samples):
         matters: more than of a curve, for triangles lie beside what is curved between its points.
     """
 
-    matters, looks_beside = 5e-3, 4
+    matters, looks_beside = 5e-3, 2
 
     def __init__(self, front: FrontProgram, searcher: Searcher, count: int, progress: Progress) -> None:
         """Take the program, what searches over its variables, and the least number of positions in the triangle."""

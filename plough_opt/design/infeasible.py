@@ -10,6 +10,7 @@ from plough_opt.design.declarations import in_words
 from plough_opt.design.ipopt import Point, Vector
 from plough_opt.design.landscape import MET, Landscape, Seen
 from plough_opt.design.program import Program
+from plough_opt.design.sampling import SEED
 from plough_opt.errors import InfeasibleDesign
 
 # Scaled by each limit: violations below are rounding, multipliers below do not hold anything back.
@@ -17,6 +18,10 @@ _VIOLATED = 1e-7
 _HOLDS = 1e-6
 # Designs from which the least violation is looked for, no two of them nearer than this part of the range.
 _STARTS, _APART = 8, 0.1
+# Islands of an evolution towards less violation, designs on each of either kind, and generations.
+_ISLANDS, _LEAST, _GENERATIONS = 4, 20, 80
+# Keeps the arithmetic of an evolution finite where designs have no value.
+_WORST = 1e30
 # Of these the best go on to the optimiser.
 _POLISHED = 3
 # A requirement is to blame where the others are violated by so much less, in parts of the shortfall, without it.
@@ -39,6 +44,8 @@ def feasible_from(program: Program, landscape: Landscape, p: Vector, sample: See
     starts = [start, *_apart(sample)]
     if landscape.vectorised:
         ends = [landscape.least_violation(one) for one in starts]
+        if min(float(one.violation[0]) for one in ends) > MET:
+            ends += [landscape.least_violation(one) for one in _evolved(landscape, sample)]
         ends = sorted(ends, key=lambda one: float(one.violation[0]))
         if ends[0].violation[0] <= MET:
             found: Vector = ends[0].points[0]
@@ -53,6 +60,31 @@ def feasible_from(program: Program, landscape: Landscape, p: Vector, sample: See
     if is_feasible(best):
         return np.clip(best.y[:n], 0.0, 1.0)
     raise infeasible(program, best, landscape.tried, lambda k: _helps(landscape, best.y[:n], k))
+
+
+def _evolved(landscape: Landscape, sample: Seen) -> list[Vector]:
+    """Return the designs to which evolution towards the least violation comes, from parts of a sample."""
+    from scipy.optimize import differential_evolution  # slow to import
+
+    order = np.argsort(sample.violation, kind="stable")
+    found = []
+    for island in range(_ISLANDS):
+        # The least violated, and others for the sake of breadth.
+        part = np.r_[order[island : _LEAST * _ISLANDS : _ISLANDS], order[island::_ISLANDS][-_LEAST:]]
+        result = differential_evolution(
+            lambda x: np.minimum(landscape(np.ascontiguousarray(x.T)).violation, _WORST),
+            [(0.0, 1.0)] * landscape.dimensions,
+            init=sample.points[part],
+            strategy="best1bin" if island % 2 == 0 else "rand1bin",
+            maxiter=_GENERATIONS,
+            recombination=0.9,
+            rng=np.random.default_rng([SEED, island]),
+            polish=False,
+            updating="deferred",
+            vectorized=True,
+        )
+        found.append(result.x)
+    return found
 
 
 def _apart(sample: Seen) -> list[Vector]:

@@ -12,9 +12,9 @@ from plough_opt.design.program import Program
 
 # How far from a start, in parts of the range, an optimum may lie that is the start's own, and that of a ripple.
 _BESIDE, _RIPPLE = 0.05, 0.005
-# Part of the objective by which a polished design may be above its start: what the search's rougher runs are off by;
+# Part of the objective by which a polished design may be above its start: where the optimiser stops;
 # and by how much more for each part of a limit by which the start breaks it.
-_NOT_WORSE, _FOR_VIOLATION = 1e-5, 100.0
+_NOT_WORSE, _FOR_VIOLATION = 1e-8, 100.0
 # IPOPT stops with these beside an optimum where the objective is rough, as a needle's is.
 _STALLED = ("Search_Direction_Becomes_Too_Small", "Maximum_Iterations_Exceeded")
 

@@ -34,7 +34,7 @@ from plough_opt.design.reporting import (
 )
 from plough_opt.design.rounding import rounded
 from plough_opt.design.sensitivity import Sensitivities
-from plough_opt.design.tolerance import Judge, judgement
+from plough_opt.design.tolerance import Judge, judgement, ranked
 from plough_opt.design.verify import TightEvaluation
 from plough_opt.errors import InputError, NotConverged
 
@@ -51,6 +51,9 @@ _MOST_POLISHED = 8
 _MOST_OF_MANY, _FEW_VARIABLES, _CAN_WIN = 3, 3, 0.15
 # Two scaled optima nearer than this are one.
 _SAME = 1e-4
+# Positions along each variable alone through the lowest optimum, with finer steps, by what part another is lower, how
+# many of these are optimised, and how often.
+_ALONG, _FINER_LINES, _LOWER, _MOST_BETTER, _MOST_LINES = 256, 2.0, 1e-8, 2, 4
 
 
 def solve_program(
@@ -74,7 +77,8 @@ def solve_program(
         points = [near_optimum(program, landscape, p, program.start())]
     points, missed = _refined(program, p, points, progress)
     progress("checking", 0.0)
-    points, unsure = with_sure_derivatives(program, p, _ranked(landscape, judge, points))
+    order = ranked(landscape, judge, np.array([point.y for point in points]))
+    points, unsure = with_sure_derivatives(program, p, [points[k] for k in order])
     missed += unsure
     scenes = [scenes_at(program, point, p) for point in points]
     names = names_of(program, [[scene for _, scene in own] for own in scenes])
@@ -179,7 +183,7 @@ def _optima(
         point = polished(program, p, bottoms.points[k])
         if point.solved and not any(np.max(np.abs(point.y - other.y)) < _SAME for other in points):
             points.append(point)
-    return points
+    return _along_each_variable(program, landscape, p, points) if points and landscape.vectorised else points
 
 
 def _that_can_win(judged: Vector, few: bool, rounds: int) -> list[int]:
@@ -191,11 +195,28 @@ def _that_can_win(judged: Vector, few: bool, rounds: int) -> list[int]:
     return [int(k) for k in order if judged[k] <= limit][: _MOST_OF_MANY * rounds]
 
 
-def _ranked(landscape: Landscape, judge: Judge, points: list[Point]) -> list[Point]:
-    """Return optima by what they are judged by, the best first; of equal ones the lower objective."""
-    values = judgement(landscape, judge)(np.array([point.y for point in points]))
-    order = sorted(range(len(points)), key=lambda k: (round(float(values[k]), 9), points[k].f))
-    return [points[k] for k in order]
+def _along_each_variable(program: Program, landscape: Landscape, p: Vector, points: list[Point]) -> list[Point]:
+    """Return optima with those to which steps of one variable alone lead from the lowest: ripples of a flat valley."""
+    points = list(points)
+    for _ in range(_MOST_LINES):
+        best = min(points, key=lambda point: point.f)
+        n = len(best.y)
+        lines = np.repeat(best.y[None], _ALONG * n, axis=0)
+        for k in range(n):
+            lines[k * _ALONG : (k + 1) * _ALONG, k] = np.linspace(0.0, 1.0, _ALONG)
+        seen, own = landscape(lines, finer=_FINER_LINES), landscape(best.y[None], finer=_FINER_LINES)
+        merit = np.where(seen.feasible, seen.merit, np.inf).reshape(n, -1)
+        lowest = [k * _ALONG + int(np.argmin(row)) for k, row in enumerate(merit)]
+        level = own.merit[0] - _LOWER * abs(own.merit[0])
+        better = [
+            k for k in sorted(lowest, key=lambda k: float(seen.merit[k])) if seen.merit[k] < level and seen.feasible[k]
+        ]
+        found = [polished(program, p, landscape.descend(lines[k]).points[0]) for k in better[:_MOST_BETTER]]
+        lower = [point for point in found if point.solved and point.f < best.f - _LOWER * abs(best.f)]
+        if not lower:
+            return points
+        points.append(min(lower, key=lambda point: point.f))
+    return points
 
 
 def _record(

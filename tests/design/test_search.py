@@ -10,6 +10,7 @@ import pytest
 from scipy.optimize import differential_evolution, minimize_scalar
 
 import plough_opt as po
+from plough_opt.design import derivatives, solving
 from plough_opt.design import program as program_module
 from plough_opt.motion.integrators import integration
 from plough_opt.motion.terms import Structure, parameters
@@ -293,7 +294,9 @@ def test_steps_are_refined_until_the_objective_is_right(monkeypatch, build_r1):
 
 
 def test_steps_that_stay_too_coarse_are_owned_up_to(monkeypatch, build_r1):
-    monkeypatch.setattr(program_module, "_PHASE_PER_STEP", 400.0)
+    monkeypatch.setattr(program_module, "_PHASE_PER_STEP", 40.0)
+    for module in (solving, derivatives):
+        monkeypatch.setattr(module, "_REFINEMENTS", 0)
     best = build_r1().design.solve(search="local")
     assert best.gap > 1e-8
     assert any("was not reached" in warning for warning in best.warnings)

@@ -175,8 +175,8 @@ def test_orders(truth_of, method, name):
     assert_orders(measured(*truth_of(name, longest), method, steps), steps, orders, BANDS[method])
 
 
-def test_a_ramp_whose_end_is_a_symbol_leaves_order_3(r1_scene):
-    # No step can end there. The strut's acceleration leaves 0 like (t - ramp)^2: the step across is off by h^3.
+def test_a_step_ends_at_a_ramp_whose_end_is_a_symbol(r1_scene):
+    # Across the end, where the strut's acceleration leaves 0 like (t - ramp)^2, a step would be off by h^3: 1e-7 here.
     duration, ramp = 0.24, 0.08
     truth = gauss_motion.follow(r1_scene(strength_wave=WAVE, tow_ramp=ramp), duration)
     steps, errors = [96 * 2**k - 1 for k in range(4)], []
@@ -189,8 +189,8 @@ def test_a_ramp_whose_end_is_a_symbol_leaves_order_3(r1_scene):
         deflection, speed, mean, rms = ca.Function("results", [x], results).call([ca.DM(ramp)])
         end = (float(deflection[-1]) - truth.deflection) / truth.mean_deflection, float(speed[-1]) / truth.speed - 1.0
         errors.append((math.hypot(*end), float(mean) / truth.mean_draft - 1.0, float(rms) / truth.force_rms - 1.0))
-    # Every ramp ends at the same third of a step.
-    assert_orders(np.abs(errors), steps, [3, 3, 3], 0.05)
+    # What is left is the rounding of both runs, and of the RMS the reference's own error.
+    assert np.all(np.abs(errors) < 1e-12)
 
 
 # --- the smooth contact, whose step has a kink of its own ---
@@ -214,7 +214,7 @@ def crossing(request, r1_scene):
     return scene, brentq(lambda t: gauss_motion.follow(scene, t, steps=20).speed - width, *between, xtol=1e-15)
 
 
-@pytest.mark.parametrize(("method", "orders", "band"), [("dop853", (6, 6, 6), 0.15), ("rk", (4, 4, 3), 0.03)])
+@pytest.mark.parametrize(("method", "orders", "band"), [("dop853", (6, 6, 6), 0.2), ("rk", (4, 4, 3), 0.03)])
 def test_orders_across_the_step_of_the_smooth_contact(crossing, method, orders, band):
     # The step's fifth derivative jumps at the width, 126 (1 - u)^5 on one side and 0 on the other, and with it that of
     # the acceleration: the step across is off by h^6, whatever the method's order. The crossing lies at a third of the

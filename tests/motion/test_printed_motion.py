@@ -271,13 +271,14 @@ def test_a_design_finds_the_stiffness_of_a_wanted_deflection(r1_scene):
     assert any("not physics" in text for text in best.warnings)
 
 
-def test_a_design_with_a_wave_is_scanned_along_the_stiffness(r1_scene):
+def test_a_design_with_a_wave_is_searched_along_the_stiffness(r1_scene):
     design = po.Design()
     stiffness = design.variable("stiffness", guess=2e4, lower=5e3, upper=5e4, unit="N/m", log=True)
     wave = po.StrengthWave(0.3, 0.6)
     run = po.simulate(r1_scene(stiffness=stiffness, strength_wave=wave, formulation="printed"), 0.1, outputs=4)
     design.minimise(run.force_rms / 1e3)
     best = design.solve()
-    assert [scan.variable for scan in best.scans] == ["stiffness"]
-    assert best.objective <= np.nanmin(best.scans[0].objective)
+    assert best.search.variables == ("stiffness",)
+    # A search's runs are rougher, by some 1e-5.
+    assert best.objective <= np.nanmin(best.search.objective) * (1.0 + 1e-4)
     assert best.gap < 1e-8

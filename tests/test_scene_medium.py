@@ -139,6 +139,7 @@ def test_symbolic_scene_has_the_force_and_its_derivatives():
     assert second[1, 1] == pytest.approx(curvature, rel=1e-4)
 
 
+@pytest.mark.slow
 def test_problem_file_takes_the_medium_and_its_design_keeps_below_the_shear_wave(file, tmp_path):
     problem = read_problem(file)
     assert problem.scene().medium == "elastic"

@@ -144,6 +144,7 @@ def test_the_elastic_medium_gives_its_modulus():
     assert relative == pytest.approx(0.02 / 2**0.5, rel=0.01)
 
 
+@pytest.mark.slow
 def test_the_mass_of_a_scene_is_found_by_the_name_that_components_have():
     wave = po.Effects(strength_wave=po.StrengthWave(0.3, 0.2), damping=400.0)
     share = po.Wedge(po.deg(30), po.deg(15), 0.25)

@@ -184,7 +184,7 @@ class Explorer:
         self._progress(f"evolution, island {island + 1} of {effort.islands}", island / effort.islands)
         order = np.argsort(merit, kind="stable")
         part = order[island :: effort.islands][: effort.population]
-        # The middle of the best is where it begins; every second island takes random bases and forgets slowly.
+        # Islands begin from disjoint parts of the best; every second one mutates random designs, not the best one.
         found = differential_evolution(
             lambda x: np.minimum(self._landscape(self._whole(x.T)).merit, _WORST),
             [(0.0, 1.0)] * points.shape[1],

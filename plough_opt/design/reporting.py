@@ -8,6 +8,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from plough_opt.compiler import NO_COMPILER
 from plough_opt.design.declarations import in_words
 from plough_opt.design.exploring import Explored
 from plough_opt.design.ipopt import Point, Vector, decides
@@ -20,7 +21,6 @@ from plough_opt.motion.judgement import remarks
 from plough_opt.motion.simulation import repeat
 from plough_opt.scene import Scene
 
-_NO_COMPILER = "no C compiler was found ($CC, cc, gcc, clang): the model is interpreted, which takes longer"
 # An objective below this part of the program's scale is next to nothing, and errors are relative to the scale.
 _SMALL = 0.25
 # Mounts whose frequencies differ by less than this part are named as one, and of more than so many the first.
@@ -139,7 +139,7 @@ def warnings_at(program: Program, point: Point, p: Vector, scenes: Sequence[tupl
         else:
             moving += repeat(scene, float(parameters[-1])).warnings
     still = program.exact.quasi_static_scenes([*program.values(point.y), *p])
-    slow = (_NO_COMPILER,) if program.compiled and program.interpreted else ()
+    slow = (NO_COMPILER,) if program.compiled and program.interpreted else ()
     return (*slow, *_alike_once([*moving, *(text for scene in still for text in scene.warnings())]))
 
 

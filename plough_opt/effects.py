@@ -10,10 +10,10 @@ from typing import Any, Literal, Protocol, runtime_checkable
 
 import numpy as np
 
-from plough_opt.domain import check_domain
 from plough_opt.errors import InputError
 from plough_opt.expressions import COUNT, Expression, as_number, is_casadi, is_count, is_symbolic
 from plough_opt.printed import Formulation, Printed, errors_of
+from plough_opt.quantities import QUANTITIES
 
 MOST_HARMONICS = 64
 """Largest number of harmonics of a harmonic balance."""
@@ -35,14 +35,8 @@ class StrengthWave:
     wavelength: Expression
 
     def __post_init__(self) -> None:
-        check_domain(
-            "strength wave amplitude",
-            self.amplitude,
-            at_least=0.0,
-            at_most=1.0,
-            why="soil cannot push the share forward",
-        )
-        check_domain("strength wavelength", self.wavelength, "m", above=0.0)
+        QUANTITIES["effects.strength_wave.amplitude"].check(self.amplitude)
+        QUANTITIES["effects.strength_wave.wavelength"].check(self.wavelength)
 
 
 @dataclass(frozen=True)
@@ -60,7 +54,7 @@ class Smooth:
     width: Expression
 
     def __post_init__(self) -> None:
-        check_domain("width of the smooth contact", self.width, "m/s", above=0.0)
+        QUANTITIES["effects.contact_width"].check(self.width)
 
 
 @dataclass(frozen=True)
@@ -86,7 +80,7 @@ class StickSlip:
     breakaway: Expression = 1.0
 
     def __post_init__(self) -> None:
-        check_domain("breakaway ratio", self.breakaway, at_least=1.0)
+        QUANTITIES["effects.breakaway"].check(self.breakaway)
 
 
 @runtime_checkable
@@ -206,13 +200,9 @@ class Effects:
             raise InputError(f"contact = {self.contact!r} must be 'resisting', Smooth(width) or StickSlip(breakaway)")
         if self.start not in ("equilibrium", "rest", "towed"):
             raise InputError(f"start = {self.start!r} must be 'equilibrium', 'rest' or 'towed'")
-        for name, value, unit in (
-            ("tow ramp", self.tow_ramp, "s"),
-            ("damping", self.damping, "N s/m"),
-            ("rate term", self.rate_term, "s^2/m^2"),
-        ):
-            if value is not None:
-                check_domain(name, value, unit, at_least=0.0)
+        for name in ("tow_ramp", "damping", "rate_term"):
+            if getattr(self, name) is not None:
+                QUANTITIES[f"effects.{name}"].check(getattr(self, name))
         if not self.motion:
             self._refuse_without_motion()
         if self.entry and self.start == "equilibrium":

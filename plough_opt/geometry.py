@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from plough_opt.domain import check_domain
 from plough_opt.expressions import Expression, arctan, cos, sqrt, tan
+from plough_opt.quantities import BESIDE, QUANTITIES
 
 PLANE_SECTIONS_LIMIT = math.radians(20.0)
 """Half angle [rad] above which the hypothesis of plane sections is no longer credible."""
@@ -43,8 +44,8 @@ class Cone:
     height: Expression
 
     def __post_init__(self) -> None:
-        check_domain("half angle", self.half_angle, "rad", above=0.0, below=math.pi / 2)
-        check_domain("cone height", self.height, "m", above=0.0)
+        QUANTITIES["share.half_angle"].check(self.half_angle)
+        QUANTITIES["share.height"].check(self.height)
 
     @property
     def slope(self) -> Expression:
@@ -63,7 +64,7 @@ class Cone:
 
     def solid_mass(self, density: Expression) -> Expression:
         """Mass [kg] of a solid cone of the given density [kg/m^3]; steel has about 7850."""
-        check_domain("density of the share's material", density, "kg/m^3", at_least=0.0)
+        BESIDE["scene.steel_density"].check(density)
         return density * self.volume
 
 
@@ -87,9 +88,9 @@ class Wedge:
     height: Expression
 
     def __post_init__(self) -> None:
-        check_domain("wedge angle", self.angle, "rad", above=0.0, below=math.pi / 2)
-        check_domain("chisel angle", self.chisel_angle, "rad", at_least=0.0, below=math.pi / 2)
-        check_domain("share height", self.height, "m", above=0.0)
+        QUANTITIES["share.wedge_angle"].check(self.angle)
+        QUANTITIES["share.chisel_angle"].check(self.chisel_angle)
+        QUANTITIES["share.height"].check(self.height)
 
     @property
     def area(self) -> Expression:

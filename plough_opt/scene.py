@@ -8,13 +8,13 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Literal
 
-from plough_opt.domain import check_domain
 from plough_opt.effects import Effects
 from plough_opt.elastic import cone_force
 from plough_opt.errors import InputError
 from plough_opt.expressions import Expression, as_number, is_symbolic, sqrt
 from plough_opt.forces import SoilReaction, loosened_radius, soil_reaction
 from plough_opt.geometry import PLANE_SECTIONS_LIMIT, Cone, Wedge
+from plough_opt.quantities import QUANTITIES
 from plough_opt.soil import Soil
 
 # Overburden [Pa] of some 1.5 m of soil, below which no subsoiler works: more is the atmosphere's.
@@ -58,9 +58,8 @@ class Scene:
             raise InputError(f"medium = {self.medium!r} must be 'plastic' or 'elastic'")
         if self.medium == "elastic":
             self._refuse_plastic_effects()
-        check_domain("stiffness", self.stiffness, "N/m", above=0.0)
-        check_domain("mass", self.mass, "kg", above=0.0, why="the share itself moves")
-        check_domain("tow speed", self.tow_speed, "m/s", at_least=0.0)
+        for name in ("stiffness", "mass", "tow_speed"):
+            QUANTITIES[f"scene.{name}"].check(getattr(self, name))
 
     def _check_kinds(self) -> None:
         """Refuse something else in the place of the soil, the share or the effects."""

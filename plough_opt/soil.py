@@ -6,12 +6,14 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
-from plough_opt.domain import check_domain
 from plough_opt.errors import InputError, nearest, unprintable
 from plough_opt.expressions import COUNT, Expression, is_count
+from plough_opt.quantities import QUANTITIES
 
 STANDARD_ATMOSPHERE = 101325.0
 """Ambient pressure [Pa] of the named soils, as the source takes it."""
+
+_PROPERTIES = tuple(quantity for quantity in QUANTITIES.values() if quantity.owner == "soil")
 
 
 @dataclass(frozen=True)
@@ -86,22 +88,11 @@ class Soil:
     def __post_init__(self) -> None:
         if not isinstance(self.name, str) or unprintable(self.name, allowed=""):
             raise InputError(f"name = {self.name!r} must be a text that can be printed: it calls the soil in reports")
-        check_domain("soil density", self.density, "kg/m^3", above=0.0)
-        check_domain(
-            "density ratio b1",
-            self.density_ratio,
-            above=0.0,
-            below=1.0,
-            why="it is undisturbed over locked density, and the plastic gas needs soil that compacts",
-        )
-        check_domain("cohesion", self.cohesion, "Pa", at_least=0.0)
-        check_domain("friction angle", self.friction_angle, "rad", at_least=0.0, below=math.pi / 2)
-        check_domain("tool friction", self.tool_friction, at_least=0.0)
-        check_domain("ambient pressure", self.ambient_pressure, "Pa", at_least=0.0)
-        if self.youngs_modulus is not None:
-            check_domain("Young's modulus", self.youngs_modulus, "Pa", above=0.0)
-        if self.poisson_ratio is not None:
-            check_domain("Poisson's ratio", self.poisson_ratio, at_least=0.0, below=0.5)
+        for quantity in _PROPERTIES:
+            value = getattr(self, quantity.key)
+            # Only the elastic properties may be unknown.
+            if value is not None or quantity.key not in ("youngs_modulus", "poisson_ratio"):
+                quantity.check(value)
 
     def with_density_profile(
         self, density: Callable[..., Expression], *parameters: Expression, order: int = 16

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
@@ -12,60 +11,10 @@ from plough_opt.errors import InputError, nearest
 from plough_opt.expressions import Expression
 from plough_opt.forces import added_mass
 from plough_opt.motion import Run
+from plough_opt.quantities import QUANTITIES
 from plough_opt.scene import Scene
 
 U = TypeVar("U")
-
-
-@dataclass(frozen=True)
-class Quantity:
-    """A number that a scene holds.
-
-    Attributes:
-        unit: SI unit, "" for a pure number.
-        path: attributes that lead to it from the scene.
-        low: end of the model's domain, in that unit.
-        high: its other end.
-    """
-
-    unit: str
-    path: tuple[str, ...]
-    low: float = 0.0
-    high: float = math.inf
-
-
-QUANTITIES: dict[str, Quantity] = {
-    "soil.density": Quantity("kg/m^3", ("soil", "density")),
-    "soil.density_ratio": Quantity("", ("soil", "density_ratio"), high=1.0),
-    "soil.cohesion": Quantity("Pa", ("soil", "cohesion")),
-    "soil.friction_angle": Quantity("rad", ("soil", "friction_angle"), high=math.pi / 2),
-    "soil.tool_friction": Quantity("", ("soil", "tool_friction")),
-    "soil.ambient_pressure": Quantity("Pa", ("soil", "ambient_pressure")),
-    "soil.youngs_modulus": Quantity("Pa", ("soil", "youngs_modulus")),
-    "soil.poisson_ratio": Quantity("", ("soil", "poisson_ratio"), high=0.5),
-    "share.wedge_angle": Quantity("rad", ("share", "angle"), high=math.pi / 2),
-    "share.chisel_angle": Quantity("rad", ("share", "chisel_angle"), high=math.pi / 2),
-    "share.half_angle": Quantity("rad", ("share", "half_angle"), high=math.pi / 2),
-    "share.height": Quantity("m", ("share", "height")),
-    "scene.stiffness": Quantity("N/m", ("stiffness",)),
-    "scene.mass": Quantity("kg", ("mass",)),
-    "scene.tow_speed": Quantity("m/s", ("tow_speed",)),
-    "effects.strength_wave.amplitude": Quantity("", ("effects", "strength_wave", "amplitude"), high=1.0),
-    "effects.strength_wave.wavelength": Quantity("m", ("effects", "strength_wave", "wavelength")),
-    "effects.tow_ramp": Quantity("s", ("effects", "tow_ramp")),
-    "effects.damping": Quantity("N*s/m", ("effects", "damping")),
-    "effects.rate_term": Quantity("s^2/m^2", ("effects", "rate_term")),
-    "effects.contact_width": Quantity("m/s", ("effects", "contact", "width")),
-    "effects.breakaway": Quantity("", ("effects", "contact", "breakaway"), low=1.0),
-}
-"""Quantities of a scene by name; "share.half_angle" of a share that is given as a cone."""
-
-BESIDE: dict[str, Quantity] = {
-    "scene.duration": Quantity("s", ()),
-    "scene.frame_mass": Quantity("kg", ()),
-    "scene.steel_density": Quantity("kg/m^3", ()),
-}
-"""Quantities beside a scene: its duration, and what its mass is made of."""
 
 
 def quantity_of(scene: Scene, name: str) -> Expression:

@@ -8,7 +8,8 @@ import pytest
 
 import plough_opt as po
 from plough_opt.component.ports import Port, corners, inside
-from plough_opt.vocabulary import MEASURES, QUANTITIES
+from plough_opt.quantities import QUANTITIES
+from plough_opt.vocabulary import MEASURES
 
 WAVE = po.StrengthWave(0.3, 0.6)
 EVERYTHING = [*MEASURES]

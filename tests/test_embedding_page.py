@@ -8,7 +8,8 @@ from pathlib import Path
 import pytest
 
 from plough_opt.cli import main
-from plough_opt.vocabulary import BESIDE, MEASURES, QUANTITIES
+from plough_opt.quantities import BESIDE, QUANTITIES
+from plough_opt.vocabulary import MEASURES
 
 ROOT = Path(__file__).parents[1]
 TEXT = (ROOT / "docs" / "embedding.md").read_text(encoding="utf-8")

@@ -190,7 +190,7 @@ BAD = [
     *[(po.Wedge, WEDGE, "chisel_angle", "chisel angle", v) for v in (-1e-9, math.pi / 2, 2.0)],
     *[(po.Wedge, WEDGE, "height", "share height", v) for v in (0.0, -0.3)],
     *[(po.Cone, CONE, "half_angle", "half angle", v) for v in (0.0, -0.1, math.pi / 2, 2.0)],
-    *[(po.Cone, CONE, "height", "cone height", v) for v in (0.0, -0.3)],
+    *[(po.Cone, CONE, "height", "share height", v) for v in (0.0, -0.3)],
 ]
 NOT_FINITE = [
     (kind, good, argument, name, value)

@@ -79,7 +79,7 @@ def test_places_in_the_elastic_medium_may_be_lists():
 @pytest.mark.parametrize("kind", [np.int8, np.uint8, np.int16, np.uint16, np.float16])
 def test_numbers_of_few_bytes_are_refused(kind):
     # A cone of 10 m would have a negative volume of bytes.
-    with pytest.raises(po.DomainError, match=f"cone height is of type {np.dtype(kind)}, .* give it as float"):
+    with pytest.raises(po.DomainError, match=f"share height is of type {np.dtype(kind)}, .* give it as float"):
         po.Cone(0.2, np.array([1, 10], dtype=kind))
 
 

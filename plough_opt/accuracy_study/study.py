@@ -20,6 +20,7 @@ from plough_opt.errors import InputError
 from plough_opt.expressions import as_number, holds_casadi, is_count, map_expressions
 from plough_opt.motion.plan import forced_rate, numbers_of, steps_for
 from plough_opt.processors import available
+from plough_opt.quantities import BESIDE
 from plough_opt.results import versions
 from plough_opt.scene import Scene
 
@@ -72,7 +73,7 @@ def study_accuracy(
         duration = period_of(scene)
     if duration is None:
         raise InputError("the duration is missing: how long shall the scene be simulated, in seconds?")
-    check_domain("duration", duration, "s", above=0.0)
+    BESIDE["scene.duration"].check(duration)
     task = Task(scene, float(duration), int(outputs), float(allowance), thin, wanted)
     found = contest(task, derivatives=derivatives, told=progress)
     return AccuracyStudy(

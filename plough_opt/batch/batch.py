@@ -19,11 +19,11 @@ from plough_opt.batch.equations import RESULTS, Start, of_column, setup
 from plough_opt.batch.layout import Layout
 from plough_opt.batch.program import Array, Program
 from plough_opt.batch.result import BatchResult
-from plough_opt.domain import check_domain
 from plough_opt.effects import StickSlip
 from plough_opt.errors import InputError
 from plough_opt.expressions import Expression, as_number, is_casadi, is_count, is_symbolic, template_of
 from plough_opt.motion.terms import Structure
+from plough_opt.quantities import BESIDE
 from plough_opt.scene import Scene
 
 # Designs that are in memory at once.
@@ -69,7 +69,7 @@ class Batch:
         _refuse(scene)
         if not (isinstance(error, int | float | np.number) and 1e-11 <= error <= 1e-2):
             raise InputError(f"error = {error!r} must lie between 1e-11 and 1e-2")
-        check_domain("duration", duration, "s", above=0.0)
+        BESIDE["scene.duration"].check(duration)
         symbols = _symbols(inputs)
         self._error = error
         self._layout = Layout.of(Structure.of(scene))

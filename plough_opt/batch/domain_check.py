@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from plough_opt.batch.program import Array
-from plough_opt.domain import check_domain
 from plough_opt.errors import PloughError
 from plough_opt.expressions import is_quantity, map_expressions
+from plough_opt.quantities import BESIDE
 from plough_opt.scene import Scene
 
 # Designs among which one without a fault is looked for.
@@ -100,5 +100,5 @@ class DomainCheck:
             return value(next(varying)) if number is None else number
 
         scene: Scene = map_expressions(self._template, filled, is_quantity)
-        check_domain("duration", value(next(varying)), "s", above=0.0)
+        BESIDE["scene.duration"].check(value(next(varying)))
         return scene

@@ -14,13 +14,13 @@ from numpy.typing import NDArray
 from plough_opt.accuracy import DEFAULT_ERROR, Accuracy
 from plough_opt.component.graph import Resolution, Results, graph, motion
 from plough_opt.component.ports import Port, corners, inside
-from plough_opt.domain import check_domain
 from plough_opt.errors import DomainError, InputError, IntegrationError
 from plough_opt.expressions import Expression, as_number
 from plough_opt.geometry import PLANE_SECTIONS_LIMIT
 from plough_opt.motion.causes import refuse_runaway
 from plough_opt.motion.derivative_error import derivative_error
 from plough_opt.motion.plan import forced_rate, numbers_of, phase, steps_for
+from plough_opt.quantities import BESIDE
 from plough_opt.scene import Scene
 
 Make = Callable[[Mapping[str, Expression]], tuple[Scene, Expression | None]]
@@ -91,7 +91,7 @@ class Box:
         if scene.effects.orbit == "transient":
             if duration is None:
                 raise InputError("the duration is missing: how long shall the scene be simulated, in seconds?")
-            check_domain("duration", duration, "s", above=0.0)
+            BESIDE["scene.duration"].check(duration)
             return scene, duration
         if duration is not None:
             raise InputError("a lasting orbit has a duration of its own, one wavelength of the soil: leave it out")

@@ -13,11 +13,12 @@ from plough_opt.component.box import Box, Make
 from plough_opt.component.function import Component
 from plough_opt.component.graph import graph
 from plough_opt.component.ports import Input, Output, Port, check_names, measure_of, port_of
-from plough_opt.domain import check_domain, check_single, plain_number
+from plough_opt.domain import check_single, plain_number
 from plough_opt.errors import DomainError, InputError, nearest
 from plough_opt.expressions import Expression, as_number, holds_casadi, is_count, is_symbolic, map_expressions
+from plough_opt.quantities import BESIDE, EVERY, QUANTITIES, Quantity
 from plough_opt.scene import Scene
-from plough_opt.vocabulary import BESIDE, QUANTITIES, Quantity, quantity_of, with_quantities
+from plough_opt.vocabulary import quantity_of, with_quantities
 
 SAMPLES = 400
 """Default number of intervals between the output times of results at every output time."""
@@ -157,7 +158,7 @@ class _Base:
             return
         if holds_casadi((self.scene.mass, self.scene.share)):
             raise InputError("steel_density belongs to a scene of numbers: here the scene's mass says it already")
-        check_domain("steel density", self.steel, "kg/m^3", at_least=0.0)
+        BESIDE[_STEEL].check(self.steel)
         if self.frame < 0.0:
             raise InputError(
                 f"a share of {self.steel:g} kg/m^3 is {-self.frame:.4g} kg heavier than all that moves,"
@@ -176,9 +177,8 @@ class _Base:
         if self.steel is not None and name == "scene.mass":
             raise InputError(f"'scene.mass' follows from steel_density and '{_FRAME}': take that one")
         if name not in BESIDE:
-            valid = [*QUANTITIES, *BESIDE]
             if name not in QUANTITIES:
-                raise InputError(f"no quantity is named '{name}': {nearest(name, valid)}")
+                raise InputError(f"no quantity is named '{name}': {nearest(name, EVERY)}")
             return QUANTITIES[name], quantity_of(self.scene, name)
         value = {_DURATION: self.duration, _FRAME: self.frame if self.steel is not None else None, _STEEL: self.steel}
         if value[name] is None:
@@ -222,7 +222,7 @@ def _own_port(one: Input) -> Port:
             f"input '{one.name}' needs lower and upper: a symbol has no value from which they could follow"
         )
     middle = (one.lower + one.upper) / 2.0
-    return port_of(one, Quantity(one.unit or "", ()), middle)
+    return port_of(one, Quantity(one.name, one.name, "", one.unit or "", middle, ()), middle)
 
 
 def _maker(base: _Base, asked: Sequence[Input]) -> Make:

@@ -15,7 +15,8 @@ from plough_opt.domain import check_domain, plain_number
 from plough_opt.errors import InputError, nearest, unprintable
 from plough_opt.expressions import Expression
 from plough_opt.motion import Run
-from plough_opt.vocabulary import MEASURES, Quantity
+from plough_opt.quantities import Quantity
+from plough_opt.vocabulary import MEASURES
 
 # From this ratio of its bounds on an input is sampled by its logarithm.
 _WIDE = 10.0

@@ -13,7 +13,6 @@ from typing import Any, Final
 import numpy as np
 
 from plough_opt.compiler import compile_library, find_compiler
-from plough_opt.domain import check_domain
 from plough_opt.errors import InputError
 from plough_opt.export.fmu_description import build_description, documentation, model_description
 from plough_opt.export.fmu_equations import model_of
@@ -21,6 +20,7 @@ from plough_opt.export.fmu_share import StrutInput
 from plough_opt.export.fmu_source import c_source
 from plough_opt.expressions import as_number, is_casadi, is_symbolic, map_expressions
 from plough_opt.files import check_file, write_file
+from plough_opt.quantities import BESIDE
 from plough_opt.scene import Scene
 
 _NAME: Final = re.compile(r"[A-Za-z_]\w{0,62}", re.ASCII)
@@ -98,9 +98,9 @@ def _check(scene: Scene, strut: str, steel_density: float | None, duration: floa
             "a lasting orbit has no start to integrate from: an FMU needs effects with orbit = 'transient'"
         )
     if duration is not None:
-        check_domain("duration", duration, "s", above=0.0)
+        BESIDE["scene.duration"].check(duration)
     if steel_density is not None:
-        check_domain("steel density", steel_density, "kg/m^3", at_least=0.0)
+        BESIDE["scene.steel_density"].check(steel_density)
     scene.check_reaction()
 
 

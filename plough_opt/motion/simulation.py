@@ -31,6 +31,7 @@ from plough_opt.motion.run import Checks, Run, assemble
 from plough_opt.motion.settling import which_motion
 from plough_opt.motion.terms import Structure, parameters
 from plough_opt.motion.verified import interpreted, verified
+from plough_opt.quantities import BESIDE
 from plough_opt.scene import Scene
 
 
@@ -131,7 +132,7 @@ def _duration(scene: Scene, duration: Expression | None) -> Expression:
     if scene.effects.orbit == "transient":
         if duration is None:
             raise InputError("the duration is missing: how long shall the scene be simulated, in seconds?")
-        check_domain("duration", duration, "s", above=0.0)
+        BESIDE["scene.duration"].check(duration)
         if isinstance(duration, np.ndarray) and duration.ndim > 0:
             raise InputError(f"the duration is an array of {duration.size} values: simulate takes one at a time")
         return duration

@@ -13,7 +13,7 @@ from plough_opt.motion import Run
 from plough_opt.problem_file.front import front_of
 from plough_opt.problem_file.measures import MEASURES
 from plough_opt.problem_file.schema import ProblemTable
-from plough_opt.vocabulary import BESIDE, QUANTITIES
+from plough_opt.quantities import EVERY
 
 OBJECTIVE = "objective"
 """Name of the sum of the [minimise] table."""
@@ -36,13 +36,12 @@ def input_ports(
     keys = asked or tuple(bounds)
     if not keys:
         raise InputError(f"{name}: nothing to vary: name inputs, or give the file a [variables] table")
-    quantities = {**QUANTITIES, **BESIDE}
     for key in keys:
         if key not in values:
-            if key in quantities:
+            if key in EVERY:
                 raise InputError(f"{name} gives '{key}' no value, so it cannot be an input")
             raise InputError(f"no quantity is named '{key}': {nearest(key, values)}")
-    return [port_of(bounds.get(key, Input(key)), quantities[key], values[key]) for key in keys]
+    return [port_of(bounds.get(key, Input(key)), EVERY[key], values[key]) for key in keys]
 
 
 def wanted_outputs(

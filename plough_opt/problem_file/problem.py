@@ -11,7 +11,6 @@ from plough_opt.component import Component, Input, build
 from plough_opt.design import Design, Optimum, Over, Progress
 from plough_opt.design.effort import Search
 from plough_opt.design.tolerance import Judge
-from plough_opt.domain import check_domain
 from plough_opt.effects import Effects, HarmonicBalance, Smooth, StickSlip, StrengthWave
 from plough_opt.errors import InputError
 from plough_opt.expressions import Expression
@@ -22,10 +21,10 @@ from plough_opt.problem_file.interface import input_ports, wanted_outputs
 from plough_opt.problem_file.measures import MEASURES
 from plough_opt.problem_file.schema import ProblemTable, quantities
 from plough_opt.problem_file.units import Display
+from plough_opt.quantities import BESIDE, EVERY
 from plough_opt.scene import Scene
 from plough_opt.soil import Soil, named_soil
 from plough_opt.tradeoff import Goal, TradeOff, trade_off
-from plough_opt.vocabulary import BESIDE, QUANTITIES
 
 
 @dataclass(frozen=True)
@@ -85,7 +84,7 @@ class Problem:
             chisel_angle=values["share.chisel_angle"],
             height=values["share.height"],
         )
-        check_domain("frame mass", values["scene.frame_mass"], "kg", at_least=0.0)
+        BESIDE["scene.frame_mass"].check(values["scene.frame_mass"])
         steel = share.equivalent_cone().solid_mass(values["scene.steel_density"])
         return Scene(
             soil=self._soil(values),
@@ -286,7 +285,7 @@ class Problem:
 
 def _domain(key: str) -> tuple[float, float]:
     """Return the ends of the model's domain of a quantity."""
-    quantity = {**QUANTITIES, **BESIDE}[key]
+    quantity = EVERY[key]
     return quantity.low, quantity.high
 
 

@@ -14,15 +14,15 @@ from pydantic import ValidationError
 
 from plough_opt.accuracy import Accuracy
 from plough_opt.design import Over
-from plough_opt.domain import check_domain
 from plough_opt.errors import InputError, nearest, short
 from plough_opt.problem_file.front import check_front
 from plough_opt.problem_file.measures import MEASURES
 from plough_opt.problem_file.overrides import apply_override
 from plough_opt.problem_file.problem import FileVariable, Problem
 from plough_opt.problem_file.schema import (
-    EffectsTable,
+    EffectsFile,
     LimitTable,
+    ProblemFile,
     ProblemTable,
     TermTable,
     VariableTable,
@@ -31,30 +31,12 @@ from plough_opt.problem_file.schema import (
 from plough_opt.problem_file.source import Keys, Source
 from plough_opt.problem_file.uncertain import check_joint, check_uncertain, join_dotted
 from plough_opt.problem_file.units import Display, display_of
+from plough_opt.quantities import IN_FILES
 from plough_opt.soil import named_soil
 
-_REQUIRED = (
-    "share.wedge_angle",
-    "share.chisel_angle",
-    "share.height",
-    "scene.stiffness",
-    "scene.frame_mass",
-    "scene.tow_speed",
-    "scene.duration",
-)
 _DURATION = ("scene", "duration")
-_SOIL_REQUIRED = ("density", "density_ratio", "cohesion", "friction_angle", "tool_friction")
 _WAVE = ("effects.strength_wave.amplitude", "effects.strength_wave.wavelength")
 _PER_CENT = re.compile(r"\s*([0-9]+\.?[0-9]*|\.[0-9]+)\s*%\s*")
-# Values inside every domain, beside which a single value is checked.
-_PLAUSIBLE = {
-    "soil.density": 1350.0, "soil.density_ratio": 0.8, "soil.cohesion": 2e4, "soil.friction_angle": 0.5,
-    "soil.tool_friction": 0.5, "soil.ambient_pressure": 1e5, "soil.youngs_modulus": 1e7, "soil.poisson_ratio": 0.3,
-    "share.wedge_angle": 0.5, "share.chisel_angle": 0.25, "share.height": 0.25, "scene.tow_speed": 2.0,
-    "scene.frame_mass": 20.0, "scene.steel_density": 7850.0, "scene.stiffness": 5e4, "scene.duration": 2.0,
-    "effects.strength_wave.amplitude": 0.3, "effects.strength_wave.wavelength": 0.2, "effects.tow_ramp": 0.5,
-    "effects.damping": 400.0, "effects.rate_term": 0.01, "effects.contact_width": 0.1, "effects.breakaway": 1.2,
-}  # fmt: skip
 
 
 def read_problem(path: str | Path, overrides: Iterable[str] = ()) -> Problem:
@@ -74,7 +56,7 @@ def read_problem(path: str | Path, overrides: Iterable[str] = ()) -> Problem:
     join_dotted(source.data)
     over = _over(source)
     try:
-        table = ProblemTable.model_validate(source.data)
+        table = ProblemFile.model_validate(source.data)
     except ValidationError as error:
         source.note_schema(error, _valid_keys())
     source.raise_noted()
@@ -128,12 +110,12 @@ def _over(source: Source) -> Over | None:
 
 
 def _valid_keys() -> dict[str, list[str]]:
-    valid = {"": list(ProblemTable.model_fields)}
-    for name, field in ProblemTable.model_fields.items():
+    valid = {"": list(ProblemFile.model_fields)}
+    for name, field in ProblemFile.model_fields.items():
         model = field.annotation
         if isinstance(model, type) and hasattr(model, "model_fields"):
             valid[name] = list(model.model_fields)
-    valid["effects.strength_wave"] = ["amplitude", "wavelength"]
+    valid["effects.strength_wave"] = [IN_FILES[name].key for name in _WAVE]
     for table, model in (("variables", VariableTable), ("minimise", TermTable), ("require", LimitTable)):
         valid[table] = list(model.model_fields)
     return valid
@@ -232,9 +214,9 @@ def _check_complete(source: Source, table: ProblemTable, known: set[str]) -> Non
     if table.soil.name is not None:
         with source.noting(("soil", "name")):
             named_soil(table.soil.name)
-    elif missing := [name for name in _SOIL_REQUIRED if f"soil.{name}" not in known]:
+    elif missing := [name for name in _required("soil") if name not in known]:
         with source.noting(("soil",)):
-            names = ", ".join(f"'{name}'" for name in missing)
+            names = ", ".join(f"'{IN_FILES[name].key}'" for name in missing)
             verb = "is" if len(missing) == 1 else "are"
             raise InputError(f"{names} {verb} missing: give them in [soil], or the 'name' of a known soil")
     if table.effects.strength_wave is None and len(alone := known & {*_WAVE}) == 1:
@@ -254,12 +236,17 @@ def _check_complete(source: Source, table: ProblemTable, known: set[str]) -> Non
     if table.effects.orbit != "harmonic_balance" and "harmonics" in table.effects.model_fields_set:
         with source.noting(("effects", "harmonics")):
             raise InputError("'effects.harmonics' belongs to orbit = \"harmonic_balance\"")
-    required = [key for key in _REQUIRED if not (orbit and key == "scene.duration")]
+    required = [key for key in _required("share", "scene") if not (orbit and key == "scene.duration")]
     for key in (*required, *wave, *width):
         owner, _, name = key.rpartition(".")
         with source.noting(tuple(owner.split("."))):
             if key not in known:
                 raise InputError(f"'{name}' is missing: give it in [{owner}] or make '{key}' a variable")
+
+
+def _required(*owners: str) -> list[str]:
+    """Return the quantities that a file must have in some of its tables."""
+    return [name for name, quantity in IN_FILES.items() if quantity.required and quantity.owner in owners]
 
 
 def _check_measures(source: Source, table: ProblemTable, displays: dict[str, Display]) -> None:
@@ -323,11 +310,10 @@ def _check_values(source: Source, problem: Problem) -> None:
 
 def _check_value(problem: Problem, key: str, value: float) -> None:
     """Refuse a value outside its domain, whatever the others are."""
-    if key == "scene.duration":
-        check_domain("duration", value, "s", above=0.0)
-    alone = dataclasses.replace(problem, fixed={k: _PLAUSIBLE[k] for k in problem.values()}, variables={})
+    IN_FILES[key].check(value)
+    alone = dataclasses.replace(problem, fixed={k: IN_FILES[k].typical for k in problem.values()}, variables={})
     scene = problem.table.scene.model_copy(update={"medium": "plastic"})
-    plain = problem.table.model_copy(update={"effects": EffectsTable(), "scene": scene})
+    plain = problem.table.model_copy(update={"effects": EffectsFile(), "scene": scene})
     alone = dataclasses.replace(alone, table=plain)
     alone.scene({key: value})
 

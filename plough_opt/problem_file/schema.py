@@ -2,28 +2,19 @@
 
 from __future__ import annotations
 
-import typing
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, TypeVar
 
-from pydantic import BaseModel, ConfigDict, Field, StrictBool, StrictFloat, StrictInt, StrictStr
+from pydantic import BaseModel, ConfigDict, Field, StrictBool, StrictFloat, StrictInt, StrictStr, create_model
 
 from plough_opt.effects import MOST_HARMONICS, Effects, HarmonicBalance
 from plough_opt.problem_file.units import Unit
+from plough_opt.quantities import EVERY, IN_FILES
 from plough_opt.scene import Scene
-from plough_opt.vocabulary import QUANTITIES
 
-Length = Annotated[float, Unit("m")]
-Angle = Annotated[float, Unit("rad")]
-Mass = Annotated[float, Unit("kg")]
-Time = Annotated[float, Unit("s")]
-Speed = Annotated[float, Unit("m/s")]
-Stiffness = Annotated[float, Unit("N/m")]
-Damping = Annotated[float, Unit("N*s/m")]
-Pressure = Annotated[float, Unit("Pa")]
-Density = Annotated[float, Unit("kg/m^3")]
-RateTerm = Annotated[float, Unit("s^2/m^2")]
-Number = Annotated[float, Unit("")]
 Written = StrictStr | StrictFloat
+
+
+_T = TypeVar("_T", bound="Table")
 
 
 class Table(BaseModel):
@@ -36,41 +27,21 @@ class SoilTable(Table):
     """The soil: a name, the properties themselves, or a name and what differs from it."""
 
     name: str | None = None
-    density: Density | None = None
-    density_ratio: Number | None = None
-    cohesion: Pressure | None = None
-    friction_angle: Angle | None = None
-    tool_friction: Number | None = None
-    ambient_pressure: Pressure | None = None
-    youngs_modulus: Pressure | None = None
-    poisson_ratio: Number | None = None
 
 
 class ShareTable(Table):
     """The share; what is left out must be a variable."""
 
-    wedge_angle: Angle | None = None
-    chisel_angle: Angle | None = None
-    height: Length | None = None
-
 
 class SceneTable(Table):
     """Mount, masses, speed and time."""
 
-    tow_speed: Speed | None = None
-    frame_mass: Mass | None = None
-    steel_density: Density = 7850.0
-    stiffness: Stiffness | None = None
-    duration: Time | None = None
     medium: Literal["plastic", "elastic"] = Scene.medium
     outputs: Annotated[StrictInt, Field(ge=1, le=100_000)] = 400
 
 
 class StrengthWaveTable(Table):
     """Periodic soil strength along the path."""
-
-    amplitude: Number | None = None
-    wavelength: Length | None = None
 
 
 class EffectsTable(Table):
@@ -81,14 +52,9 @@ class EffectsTable(Table):
     added_mass: StrictBool = Effects.added_mass
     ambient_pressure: StrictBool = Effects.ambient_pressure
     contact: Literal["resisting", "smooth", "stick_slip"] = "resisting"
-    contact_width: Speed | None = None
-    breakaway: Number | None = None
     start: Literal["equilibrium", "rest", "towed"] = Effects.start
     entry: StrictBool = Effects.entry
     strength_wave: StrengthWaveTable | None = None
-    tow_ramp: Time | None = None
-    damping: Damping | None = None
-    rate_term: RateTerm | None = None
     orbit: Literal["transient", "periodic", "linearised", "harmonic_balance"] = "transient"
     harmonics: Annotated[StrictInt, Field(ge=1, le=MOST_HARMONICS)] = HarmonicBalance.harmonics
     formulation: Literal["derived", "printed"] = "derived"
@@ -138,13 +104,13 @@ class AccuracyTable(Table):
 
 
 class ProblemTable(Table):
-    """A whole problem file."""
+    """A whole problem file, the quantities of its tables apart."""
 
     title: str = "untitled problem"
     soil: SoilTable
-    share: ShareTable = ShareTable()
+    share: ShareTable
     scene: SceneTable
-    effects: EffectsTable = EffectsTable()
+    effects: EffectsTable
     accuracy: AccuracyTable = AccuracyTable()
     variables: dict[str, VariableTable] = {}
     minimise: dict[str, TermTable] = {}
@@ -153,26 +119,35 @@ class ProblemTable(Table):
     uncertain: dict[str, Any] | None = None  # read by plough_opt.problem_file.uncertain
 
 
-def unit_of(annotation: Any) -> Unit | None:
-    """Return the unit in a field's type, or None for a field that is no quantity."""
-    if isinstance(annotation, Unit):
-        return annotation
-    return next((unit for part in typing.get_args(annotation) if (unit := unit_of(part))), None)
+def _with_quantities(name: str, table: type[_T], owner: str = "", **fields: Any) -> type[_T]:
+    """Return a table with a field for each of its quantities; its name here is what other processes find it by."""
+    for quantity in IN_FILES.values():
+        if quantity.owner == owner:
+            fields[quantity.key] = (Annotated[float, Unit(quantity.unit)] | None, quantity.default)
+    return create_model(name, __base__=table, __module__=__name__, **fields)
 
 
-def every_quantity() -> dict[str, Unit]:
-    """Return every quantity of a scene by its one name: those of files, and what scenes of Python's alone have."""
-    return {**quantities(), **{name: Unit(quantity.unit) for name, quantity in QUANTITIES.items()}}
+SoilFile = _with_quantities("SoilFile", SoilTable, "soil")
+ShareFile = _with_quantities("ShareFile", ShareTable, "share")
+SceneFile = _with_quantities("SceneFile", SceneTable, "scene")
+StrengthWaveFile = _with_quantities("StrengthWaveFile", StrengthWaveTable, "effects.strength_wave")
+EffectsFile = _with_quantities("EffectsFile", EffectsTable, "effects", strength_wave=(StrengthWaveFile | None, None))
+ProblemFile = _with_quantities(
+    "ProblemFile",
+    ProblemTable,
+    soil=(SoilFile, ...),
+    share=(ShareFile, ShareFile()),
+    scene=(SceneFile, ...),
+    effects=(EffectsFile, EffectsFile()),
+)
+"""The schema that problem files are read by."""
 
 
 def quantities() -> dict[str, Unit]:
     """Return every key that a quantity can stand at, such as "share.height", with its unit."""
-    found: dict[str, Unit] = {}
-    for table, model in (("soil", SoilTable), ("share", ShareTable), ("scene", SceneTable), ("effects", EffectsTable)):
-        for name, annotation in typing.get_type_hints(model, include_extras=True).items():
-            if unit := unit_of(annotation):
-                found[f"{table}.{name}"] = unit
-    for name, annotation in typing.get_type_hints(StrengthWaveTable, include_extras=True).items():
-        if unit := unit_of(annotation):
-            found[f"effects.strength_wave.{name}"] = unit
-    return found
+    return {name: Unit(quantity.unit) for name, quantity in IN_FILES.items()}
+
+
+def every_quantity() -> dict[str, Unit]:
+    """Return every quantity of a scene by its one name: those of files, and what scenes of Python's alone have."""
+    return {name: Unit(quantity.unit) for name, quantity in EVERY.items()}

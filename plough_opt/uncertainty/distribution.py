@@ -15,21 +15,13 @@ from scipy.stats import qmc
 
 from plough_opt.errors import DomainError, InputError, nearest
 from plough_opt.expressions import is_casadi
+from plough_opt.quantities import QUANTITIES
 from plough_opt.soil import Soil
 from plough_opt.uncertainty.samples import SoilSamples
 
 Vector = NDArray[np.float64]
 
-PROPERTIES = (
-    "density",
-    "density_ratio",
-    "cohesion",
-    "friction_angle",
-    "tool_friction",
-    "ambient_pressure",
-    "youngs_modulus",
-    "poisson_ratio",
-)
+PROPERTIES = tuple(quantity.key for quantity in QUANTITIES.values() if quantity.owner == "soil")
 """Properties of a soil that can be uncertain."""
 
 # A distribution may reach out of the model's domain with this probability at either end, and no more.

@@ -83,7 +83,8 @@ def test_every_unit_of_every_quantity_is_known_to_openmdao():
     from openmdao.utils.units import valid_units
 
     from plough_opt.export.openmdao_client import units_of
-    from plough_opt.vocabulary import BESIDE, MEASURES, QUANTITIES
+    from plough_opt.quantities import BESIDE, QUANTITIES
+    from plough_opt.vocabulary import MEASURES
 
     for unit in {one.unit for one in (*QUANTITIES.values(), *BESIDE.values(), *MEASURES.values())}:
         assert units_of(unit) is None or valid_units(units_of(unit)), unit

@@ -9,17 +9,18 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Final
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from plough_opt.motion.timeline import Timeline
-
-# Ends of steps from which an output is read.
-_ENDS = 8
+from plough_opt.motion.timeline import READ_FROM, Timeline
 
 Array = NDArray[np.float64]
+
+# Rounding of times that are equal, as fractions of the duration.
+_SAME: Final = 4.0 * float(np.finfo(np.float64).eps)
 
 
 @dataclass(frozen=True)
@@ -75,7 +76,7 @@ def readings(timeline: Timeline) -> Readings:
     weights: list[tuple[Array, ...]] = []
     for first, last in zip([0, *inner], [*inner, len(nodes) - 1], strict=True):
         inside = outputs[(outputs <= nodes[last]) & ((first == 0) | (outputs > nodes[first]))]
-        count = min(_ENDS, last + 1 - first)
+        count = min(READ_FROM, last + 1 - first)
         around = np.searchsorted(nodes, inside, side="right") - count // 2
         ends = np.clip(around, first, last + 1 - count)[:, None] + np.arange(count)
         rows += list(ends)
@@ -87,6 +88,9 @@ def readings(timeline: Timeline) -> Readings:
 
 def _hermite(x: Array, t: Array) -> tuple[Array, Array, Array, Array]:
     """Return the weights of values and slopes at points x in the value, and in the slope, at t.
+
+    At a point itself they are those of the point alone: between steps much shorter than the others rounding of their
+    length, divided by it, would else count in the slope.
 
     Args:
         x: points, a row for each t.
@@ -105,9 +109,11 @@ def _hermite(x: Array, t: Array) -> tuple[Array, Array, Array, Array]:
     since = t[:, None] - x
     by_value, by_slope = 1.0 - 2.0 * since * steep, since
     grows = 2.0 * lagrange * slope
+    here = np.abs(since) <= _SAME
+    apart = ~here.any(axis=1, keepdims=True)
     return (
-        by_value * lagrange**2,
-        by_slope * lagrange**2,
-        by_value * grows - 2.0 * steep * lagrange**2,
-        by_slope * grows + lagrange**2,
+        np.where(apart, by_value * lagrange**2, here),
+        np.where(apart, by_slope * lagrange**2, 0.0),
+        np.where(apart, by_value * grows - 2.0 * steep * lagrange**2, 0.0),
+        np.where(apart, by_slope * grows + lagrange**2, here),
     )

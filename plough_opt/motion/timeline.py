@@ -5,9 +5,20 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
+
+READ_FROM: Final = 8
+"""Ends of steps from which an output is read that lies at none of them."""
+
+# Steps by which a part of fewer than that is divided further: the polynomial's lower degree then does no harm.
+_MORE: Final = 3
+
+# Part of the duration below which a kink is at rounding distance from the end of a step: it would make steps of no
+# length.
+_SHORT: Final = 1e-9
 
 
 @dataclass(frozen=True)
@@ -20,7 +31,8 @@ class Timeline:
         kink: fraction at which the right-hand side is not smooth (the end of a tow ramp), or None. A
             step ends there, so that the method keeps its order. Between 0 and 1.
         aligned: whether a step ends at each output; each output interval then takes the nearest whole number of
-            steps, at least one.
+            steps, at least one. Else outputs are read between the ends of `READ_FROM` steps: on either side of the kink
+            steps are of equal length, no longer than without it, and no fewer than these need.
         moving: whether steps of order 8 end at kinks too wherever the parameters put these: see
             `plough_opt.motion.breaks`. Then they are aligned, an output interval takes no fewer steps than its share,
             and ``kink`` is None.
@@ -40,10 +52,18 @@ class Timeline:
     @cached_property
     def nodes(self) -> NDArray[np.float64]:
         """Ends of the steps as fractions of the duration, both ends included."""
+        if not self.aligned:
+            return self._in_two() if self.kink and _SHORT <= self.kink <= 1.0 - _SHORT else _equal(self.steps)
         share = self.steps / self.outputs
         per_interval = max(1, math.ceil(share) if self.moving else round(share))
-        steps = self.outputs * per_interval if self.aligned else self.steps
-        return self._with_kink(np.linspace(0.0, 1.0, steps + 1))
+        return self._with_kink(_equal(self.outputs * per_interval))
+
+    def _in_two(self) -> NDArray[np.float64]:
+        """Return the ends of equal steps to the kink, and of equal steps from there."""
+        assert self.kink is not None  # else there is one part
+        needed = (math.ceil(part * self.steps) for part in (self.kink, 1.0 - self.kink))
+        before, after = (max(count, min(self.steps, count + _MORE, READ_FROM - 1)) for count in needed)
+        return np.concatenate([np.linspace(0.0, self.kink, before + 1), np.linspace(self.kink, 1.0, after + 1)[1:]])
 
     @cached_property
     def stops(self) -> NDArray[np.float64]:
@@ -51,8 +71,7 @@ class Timeline:
         return self._with_kink(self.output_fractions)
 
     def _with_kink(self, nodes: NDArray[np.float64]) -> NDArray[np.float64]:
-        # A kink at rounding distance from a node would make a step of no length.
-        if self.kink is None or np.min(np.abs(nodes - self.kink)) < 1e-9:
+        if self.kink is None or np.min(np.abs(nodes - self.kink)) < _SHORT:
             return nodes
         return np.sort(np.append(nodes, self.kink))
 
@@ -60,3 +79,8 @@ class Timeline:
     def output_columns(self) -> list[int]:
         """Index of each output time among the nodes of an aligned timeline."""
         return [int(i) for i in np.searchsorted(self.nodes, self.output_fractions - 1e-12)]
+
+
+def _equal(steps: int) -> NDArray[np.float64]:
+    """Return the ends of equal steps."""
+    return np.linspace(0.0, 1.0, steps + 1)

@@ -33,6 +33,18 @@ def test_a_kink_at_a_node_adds_no_step_without_length(kink):
     assert Timeline(outputs=4, steps=4, kink=kink).nodes == pytest.approx([0.0, 0.25, 0.5, 0.75, 1.0], rel=0, abs=0)
 
 
+@given(steps=st.integers(1, 400), kink=st.floats(1e-8, 1.0 - 1e-8))
+def test_on_either_side_of_a_kink_steps_are_many_enough_to_read_between(steps, kink):
+    timeline = Timeline(outputs=400, steps=steps, kink=kink, aligned=False)
+    (at,) = np.flatnonzero(timeline.nodes == kink)
+    before, after = np.diff(timeline.nodes[: at + 1]), np.diff(timeline.nodes[at:])
+    for part in (before, after):
+        assert len(part) >= min(steps, 4)
+        assert np.ptp(part) < 1e-15
+        assert np.max(part) < (1.0 + 1e-12) / steps
+    assert len(before) + len(after) <= steps + 7  # three more on one side, unless there are so few on both
+
+
 def test_steps_that_end_at_moving_kinks_are_no_fewer_than_their_share():
     assert len(Timeline(outputs=5, steps=12, moving=True).nodes) == 16
 

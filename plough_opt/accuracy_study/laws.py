@@ -24,6 +24,8 @@ GAP: Final = 2
 
 # Part of the smooth contact's width by which its step's polynomial is left late.
 _LATE = WIDE(1e-4)
+# Part of the tow speed below which a speed backwards is rounding: of a share that hardly begins to move.
+_STANDSTILL = WIDE(1e-16)
 
 
 @dataclass(frozen=True)
@@ -237,7 +239,7 @@ class Laws:
             return {"recapture": behind}
         found: dict[str, Callable[[Wide], Wide]] = {}
         if self.breakaway is not None:
-            found["stop"] = speed
+            found["stop"] = lambda t: speed(t) + _STANDSTILL * self.tow_speed
         if self.width is not None:
             found |= self._zone_ends(piece.zone, self.width, speed)
         if piece.following:

@@ -22,7 +22,7 @@ from plough_opt.motion.integrators import integration
 from plough_opt.motion.plan import MOST_ADAPTIVE, OUTPUTS, coarser, forced_rate, numbers_of, steps_for, timeline_of
 from plough_opt.motion.quasi_static import GAUSS_POINTS, MORE_POINTS
 from plough_opt.motion.runge_kutta import step
-from plough_opt.motion.terms import Structure, resistance_change, start_resistance
+from plough_opt.motion.terms import Structure, resistance
 from plough_opt.scene import Scene
 
 
@@ -145,9 +145,9 @@ def _operations(scene: Scene, duration: float | None) -> int:
 def _of_resistance(structure: Structure) -> int:
     """Return the operations of the resistance at one point of the path."""
     symbols = {name: ca.SX.sym(name) for name in structure.names}
-    travel, gain = ca.SX.sym("travel"), ca.SX.sym("gain")
-    force = start_resistance(structure, symbols) + resistance_change(structure, symbols, travel, gain)
-    return int(ca.Function("resistance", [*symbols.values(), travel, gain], [force]).n_instructions())
+    travel, speed = ca.SX.sym("travel"), ca.SX.sym("speed")
+    force = resistance(structure, symbols, travel, speed)
+    return int(ca.Function("resistance", [*symbols.values(), travel, speed], [force]).n_instructions())
 
 
 def _of_adaptive(scene: Scene, duration: float, accuracy: Accuracy) -> int:

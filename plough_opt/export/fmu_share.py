@@ -19,12 +19,10 @@ from plough_opt.motion.terms import (
     Structure,
     carried_mass,
     inertia_at,
-    resistance_change,
+    resistance,
     start_deflection,
     start_rate,
-    start_resistance,
     start_speed,
-    static_resistance,
     strut,
 )
 from plough_opt.scene import Scene
@@ -96,8 +94,7 @@ class Share:
     @property
     def steady(self) -> Expression:
         """Resistance [N] without the added mass's part."""
-        first = start_resistance(self.at_rest, self.p)
-        return first + resistance_change(self.at_rest, self.p, self.travel, self.speed)
+        return resistance(self.at_rest, self.p, self.travel, self.speed)
 
     @property
     def carried(self) -> Expression:
@@ -109,7 +106,7 @@ class Share:
     @property
     def hold(self) -> Expression:
         """Mount force [N] at which a sticking share moves."""
-        return self.q["breakaway"] * static_resistance(self.at_rest, self.p, self.travel)
+        return self.q["breakaway"] * resistance(self.at_rest, self.p, self.travel, 0.0)
 
     def by_mode(self, slip: Expression, stick: Expression, gap: Expression) -> Expression:
         """Choose by the mode."""
@@ -201,7 +198,7 @@ class Share:
         mode: Expression = SLIP
         if self.sticks:
             buried = {"entered": 0.0, "behind": 0.0} if structure.entry else {}
-            hold = p["breakaway"] * static_resistance(self.at_rest, p | buried, place - first)
+            hold = p["breakaway"] * resistance(self.at_rest, p | buried, place - first, 0.0)
             pull = p["stiffness"] * first
             if structure.damper:
                 pull = pull + p["damping"] * start_rate(structure, p)

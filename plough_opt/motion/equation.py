@@ -20,12 +20,12 @@ from plough_opt.motion.terms import (
     Strut,
     carried_mass,
     inertia_at,
+    resistance,
     resistance_change,
     start_deflection,
     start_rate,
     start_resistance,
     start_speed,
-    static_resistance,
     strut,
 )
 
@@ -97,7 +97,7 @@ def start_state(structure: Structure, p: dict[str, Expression]) -> Expression:
     pull = 0.0 if structure.relaxed else start_resistance(structure, p)
     if structure.damper:
         pull = pull + p["damping"] * start_rate(structure, p)
-    held = pull < p["breakaway"] * static_resistance(structure, p, -start_deflection(structure, p))
+    held = pull < p["breakaway"] * resistance(structure, p, -start_deflection(structure, p), 0.0)
     return ca.vertcat(first, 0.0, ca.if_else(speed > 0.0, SLIP, ca.if_else(held, STICK, SLIP)), *counted)
 
 
@@ -145,14 +145,16 @@ class _Now:
     @property
     def hold(self) -> Expression:
         """Mount force [N] at which a sticking share moves."""
-        return self.p["breakaway"] * static_resistance(self.structure, self.p, self.travel)
+        return self.p["breakaway"] * resistance(self.structure, self.p, self.travel, 0.0)
 
     def slipping(self) -> Expression:
         """Return w'' of a share that slips [m/s^2]."""
         structure, p = self.structure, self.p
-        force = resistance_change(structure, p, self.travel, self.mount.gain - self.rate) - p["stiffness"] * self.w
         if structure.relaxed:
-            force = force + start_resistance(structure, p)
+            soil = resistance(structure, p, self.travel, self.speed)
+        else:
+            soil = resistance_change(structure, p, self.travel, self.mount.gain - self.rate)
+        force = soil - p["stiffness"] * self.w
         if structure.damper:
             force = force - p["damping"] * self.rate
         acceleration = force / inertia_at(structure, p, self.travel)

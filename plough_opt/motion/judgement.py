@@ -26,7 +26,7 @@ from plough_opt.motion.plan import (
 )
 from plough_opt.motion.run import Run
 from plough_opt.motion.signals import signals
-from plough_opt.motion.terms import Structure, own_force, parameters, start_deflection, static_resistance
+from plough_opt.motion.terms import Structure, own_force, parameters, resistance, start_deflection
 from plough_opt.motion.timeline import Timeline
 from plough_opt.scene import Scene
 
@@ -142,7 +142,7 @@ def refuse_missed_event(run: Run) -> None:
         MissedEvent: an event was missed.
     """
     structure, p = Structure.of(run.scene), parameters(run.scene)
-    held = p["breakaway"] * static_resistance(structure, p, run.travel)
+    held = p["breakaway"] * resistance(structure, p, run.travel, 0.0)
     size = float(np.max(np.abs(run.mount_force)))
     late = (run.mode == STICK) & (run.mount_force > held + _MISSED * size)
     if np.any(late):
@@ -184,7 +184,10 @@ def grazing(run: Run) -> tuple[str, ...]:
         return ()
     before, here, after = run.speed[:-2], run.speed[1:-1], run.speed[2:]
     slips = (run.mode[:-2] == SLIP) & (run.mode[1:-1] == SLIP) & (run.mode[2:] == SLIP)
-    low = slips & (here <= before) & (here <= after) & (here < _GRAZES * float(np.max(run.speed)))
+    slow = _GRAZES * float(np.max(run.speed))
+    # A share that only begins to move does not stop.
+    moved = np.maximum.accumulate(before) >= slow
+    low = slips & moved & (here <= before) & (here <= after) & (here < slow)
     if not np.any(low):
         return ()
     first = int(np.argmax(low)) + 1

@@ -12,7 +12,7 @@ from plough_opt.expressions import Expression, column, holds_casadi, is_casadi
 from plough_opt.motion.breaks import ends
 from plough_opt.motion.embedding import labelled
 from plough_opt.motion.run import Averages, Run, rms
-from plough_opt.motion.terms import Structure, parameters, resistance_change, start_resistance, start_speed, strut
+from plough_opt.motion.terms import Structure, parameters, resistance, start_speed, strut
 from plough_opt.motion.timeline import Timeline
 from plough_opt.scene import Scene
 
@@ -96,7 +96,7 @@ def _course(
     known = not isinstance(fractions, np.ndarray)
     time = (fractions if known else column(fractions, holds_casadi((scene, duration)))) * duration
     mount = strut(structure, p, time)
-    force = start_resistance(structure, p) + resistance_change(structure, p, mount.path, mount.gain)
+    force = resistance(structure, p, mount.path, start_speed(structure, p) + mount.gain)
     everywhere = 0.0 * time
     return (
         time,

@@ -19,7 +19,7 @@ from plough_opt.motion.terms import (
     carried_mass,
     inertia_at,
     parameters,
-    resistance_change,
+    resistance,
     start_deflection,
     start_rate,
     start_resistance,
@@ -261,7 +261,7 @@ def assemble(
     deflection = start_deflection(structure, p) + w
     travel = mount.path - deflection
     force = mount_force(structure, p, states)
-    soil = start_resistance(structure, p) + resistance_change(structure, p, travel, gain)
+    soil = resistance(structure, p, travel, u0 + gain)
     acceleration = (force - soil) / inertia_at(structure, p, travel)
     carried = carried_mass(structure, p, travel) if structure.events else scene.reaction.added_mass
     soil = soil + carried * acceleration

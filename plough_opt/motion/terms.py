@@ -230,13 +230,36 @@ def start_rate(structure: Structure, p: dict[str, Expression]) -> Expression:
     return start_speed(structure, p) if structure.start == "rest" else 0.0
 
 
-def resistance_change(
-    structure: Structure, p: dict[str, Expression], travel: Expression, gain: Expression
-) -> Expression:
-    """Return how far the resistance is from the steady one at the start [N], the added mass's part excepted.
+def resistance(structure: Structure, p: dict[str, Expression], travel: Expression, speed: Expression) -> Expression:
+    """Return the resistance [N], the added mass's part excepted: to all its digits, however small it is.
 
     Args:
         structure: the terms that are on.
+        p: parameters by name.
+        travel: L of the share [m].
+        speed: L' of the share [m/s].
+    """
+    force = p["static"]
+    if structure.wave:
+        force = force + _wave(p, travel)
+    if structure.rate:
+        force = force * (1.0 + p["rate_term"] * speed**2)
+    if structure.drag:
+        force = force + p["drag"] * speed**2
+    if structure.entry:
+        force = buried(structure, p, travel) ** 2 * force
+    if structure.contact == "smooth":
+        force = _step(p, speed) * force
+    return force + own_force(structure, p, travel, speed) if structure.own else force
+
+
+def resistance_change(
+    structure: Structure, p: dict[str, Expression], travel: Expression, gain: Expression
+) -> Expression:
+    """Return how far the resistance is from the steady one of an equilibrium start [N]: see `resistance`.
+
+    Args:
+        structure: the terms that are on; a share that starts at equilibrium does not enter.
         p: parameters by name.
         travel: L of the share [m].
         gain: L' - s'(0), the share's speed above the strut's initial speed [m/s].
@@ -247,13 +270,10 @@ def resistance_change(
         factor = (p["static"] * p["rate_term"] if structure.rate else 0.0) + (p["drag"] if structure.drag else 0.0)
         change = factor * gain * (2.0 * u0 + gain)
     if structure.wave:
-        wave = p["static"] * p["wave_amplitude"] * sin(2.0 * math.pi / p["wavelength"] * travel)
+        wave = _wave(p, travel)
         if structure.rate:
             wave = wave * (1.0 + p["rate_term"] * (u0 + gain) ** 2)
         change = change + wave
-    if structure.entry:
-        section = buried(structure, p, travel) ** 2
-        change = section * change + (section - 1.0) * _steady(structure, p)
     if structure.contact == "smooth":
         step, first = _step(p, u0 + gain), _step(p, u0)
         change = step * change + (step - first) * _steady(structure, p)
@@ -262,10 +282,9 @@ def resistance_change(
     return change
 
 
-def static_resistance(structure: Structure, p: dict[str, Expression], travel: Expression) -> Expression:
-    """Return the resistance to a share at rest at a travel L [N]."""
-    at_rest = -start_speed(structure, p)
-    return start_resistance(structure, p) + resistance_change(structure, p, travel, at_rest)
+def _wave(p: dict[str, Expression], travel: Expression) -> Expression:
+    """Return the periodic part of the static resistance [N]."""
+    return p["static"] * p["wave_amplitude"] * sin(2.0 * math.pi / p["wavelength"] * travel)
 
 
 def buried(structure: Structure, p: dict[str, Expression], travel: Expression) -> Expression:

@@ -53,3 +53,14 @@ def test_a_motion_that_stops_or_keeps_going_is_not_flagged(changes):
 def test_other_contact_laws_have_no_grazing():
     resisting = po.Scene(po.named_soil("serozem"), SHARE, 5e4, 20.0, 2.0, po.Effects(start="rest", inertial_drag=False))
     assert not grazes(po.simulate(resisting, 1.0))
+
+
+def test_a_share_that_begins_to_move_behind_a_ramp_is_not_flagged():
+    # At its start the speed is rounding, below zero here.
+    soil = po.Soil(
+        density=1500, density_ratio=0.6, cohesion=3.0, friction_angle=0.3, tool_friction=0.5, ambient_pressure=0.0
+    )
+    effects = po.Effects(contact=po.StickSlip(), tow_ramp=0.0068, inertial_drag=False, added_mass=False)
+    for speed in np.linspace(0.6, 0.8, 9):
+        run = po.simulate(po.Scene(soil, SHARE, 2930.0, 59.2, float(speed), effects), 0.00473)
+        assert not grazes(run)

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 
+from plough_opt.design.effort import effort_of
+from plough_opt.design.exploring import Explorer
 from plough_opt.design.infeasible import feasible_from, infeasible, is_feasible
 from plough_opt.design.ipopt import Point, Vector
-from plough_opt.design.landscape import Landscape
+from plough_opt.design.landscape import Landscape, Seen
 from plough_opt.design.polishing import as_it_is, polished
 from plough_opt.design.program import Program
 from plough_opt.design.sampling import sample_of
+from plough_opt.design.tolerance import judgement
 
 # Part of the range by which a descent that stays in its basin moves at once, and how often.
 _BOX, _MOST_BOXES = 0.05, 60
@@ -37,7 +40,7 @@ def near_optimum(program: Program, landscape: Landscape, p: Vector, start: Vecto
     if not begin.feasible[0]:
         begin = landscape.nearest_feasible(start)
     if not begin.feasible[0]:
-        begin = landscape(feasible_from(program, landscape, p, sample_of(landscape), start)[None])
+        begin = _far_feasible(program, landscape, p, start)
     if point.solved and _downhill(landscape, begin.points[0], point.y):
         return point
     y = begin.points[0]
@@ -48,6 +51,22 @@ def near_optimum(program: Program, landscape: Landscape, p: Vector, start: Vecto
             break
     program.build(p, starts=[y])
     return polished(program, p, y)
+
+
+def _far_feasible(program: Program, landscape: Landscape, p: Vector, start: Vector) -> Seen:
+    """Return a feasible design near a start beside which there is none."""
+    seen = sample_of(landscape)
+    if np.any(seen.feasible):
+        others = seen.points[seen.feasible]
+        return landscape.nearest_feasible(start, others[np.argmin(np.sum((others - start) ** 2, axis=1))])
+    every = tuple(range(len(start)))
+    effort = effort_of("auto", len(start), program.population.runs, landscape.vectorised)
+    explored = Explorer(landscape, start, every, judgement(landscape, "bare"), lambda _stage, _part: None).explored(
+        effort
+    )
+    if len(explored.bottoms.f) and explored.bottoms.feasible[0]:
+        return explored.bottoms.of([0])
+    return landscape(feasible_from(program, landscape, p, explored, start)[None])
 
 
 def first_optimum(program: Program, p: Vector) -> Point:

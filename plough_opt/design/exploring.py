@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -12,6 +12,7 @@ from plough_opt.design.effort import Effort
 from plough_opt.design.ipopt import Vector
 from plough_opt.design.landscape import Landscape, Seen
 from plough_opt.design.sampling import SEED, lowest_around, sample
+from plough_opt.design.shortfall import Shortfall, without_objective
 
 Progress = Callable[[str, float], None]
 """Called with what is being done and the fraction done of it."""
@@ -27,6 +28,10 @@ _SAME = 1e-3
 _ALONG, _DIPS, _BESIDE = 128, 4, 0.01
 # Times that is looked closer, around how many designs, how far from them, at how many, and the gain that is one.
 _CLOSER, _CLOSELY, _NEAR, _AROUND, _BETTER = 4, 2, 0.06, 256, 1e-6
+# A variable nearer than this to a bound lies at it; and designs, islands and descents of a search among the others.
+_AT_A_BOUND, _ON_A_FACE, _FACE_ISLANDS, _FACE_DESCENTS = 1e-6, 1024, 2, 4
+# Distances, the largest first, by which the designs of an island differ where few meet the requirements.
+_SPREAD = (0.1, 0.03, 0.01, 0.003, 0.0)
 # An island on which all designs are this alike has converged.
 _CONVERGED = 1e-7
 # Points of the uniform part of a sample that are followed at most, once their basins are known.
@@ -42,12 +47,15 @@ class Explored:
         bottoms: of each basin found, the lowest design, by a judgement of their own the best first.
         followed: uniform points of the sample that were followed to their basins.
         reached: basins that they came to.
+        least: where no design of the sample meets the requirements nor any that was found from it, those that were
+            found with the least violation, the least first.
     """
 
     sample: Seen
     bottoms: Seen
     followed: int
     reached: int
+    least: Seen | None = None
 
 
 class Explorer:
@@ -55,12 +63,13 @@ class Explorer:
 
     def __init__(
         self,
-        landscape: Landscape,
+        landscape: Landscape | Shortfall,
         start: Vector,
         vary: tuple[int, ...],
         judge: Callable[[Vector], Vector],
         progress: Progress,
         seed: int = 0,
+        enough: Callable[[], bool] = lambda: False,
     ) -> None:
         """Take what to search.
 
@@ -71,10 +80,14 @@ class Explorer:
             judge: scaled designs, a row each -> by what they are compared, in units of the merit.
             progress: called with what is being done.
             seed: of the samples.
+            enough: whether to end at once.
         """
         self._seed = seed
         self._landscape, self._start, self._vary = landscape, start, list(vary)
-        self._judge, self._progress = judge, progress
+        self._judge, self._progress, self._enough = judge, progress, enough
+        # Whether so few designs meet the requirements that any of them is better than any other design.
+        self._narrow = False
+        self._least: Seen | None = None
         self._samples: list[Seen] = []
         self._found: list[Seen] = []
         # Of every followed point, the number of the descent that it led to.
@@ -89,7 +102,9 @@ class Explorer:
         self._progress("telling basins apart", 0.0)
         bottoms, basin = self._basins()
         reached = [basin[k] for k in self._followed if basin[k] is not None]
-        return Explored(self._samples[0].joined(*self._samples[1:]), bottoms, len(reached), len(set(reached)))
+        return Explored(
+            self._samples[0].joined(*self._samples[1:]), bottoms, len(reached), len(set(reached)), self._least
+        )
 
     def _round(self, effort: Effort, number: int) -> None:
         rng = np.random.default_rng([SEED, self._seed, number])
@@ -100,23 +115,99 @@ class Explorer:
         self._samples.append(seen)
         if not np.any(np.isfinite(seen.merit)):
             return
-        lowest, downhill = lowest_around(points, seen.merit)
-        islands = [self._evolved(effort, points, seen.merit, k, rng) for k in range(effort.islands if n > 1 else 0)]
-        starts = [*islands, *(seen.points[k] for k in lowest[: effort.descents])]
-        if not number:
-            starts.append(self._start)
+        few = np.count_nonzero(seen.feasible) < effort.population
+        if few and isinstance(self._landscape, Landscape) and self._landscape.vectorised:
+            met = self._met(self._landscape, effort, points, seen, rng)
+            if met is None:
+                return
+            points, seen = np.vstack([points, met.points[:, self._vary]]), seen.joined(met)
+        self._descend(effort, points, seen, rng, [] if number else [self._start], uniform)
+
+    def _met(
+        self, landscape: Landscape, effort: Effort, points: Vector, seen: Seen, rng: np.random.Generator
+    ) -> Seen | None:
+        """Return designs that meet the requirements, which hardly any design of a sample does; None without one."""
+        shortfall = Shortfall(landscape)
+        search = Explorer(
+            shortfall,
+            self._start,
+            tuple(self._vary),
+            lambda y: shortfall(y).merit,
+            self._progress,
+            self._seed,
+            lambda: shortfall.met >= effort.population,
+        )
+        search._descend(replace(effort, followed=0), points, without_objective(seen), rng, [self._start], None)
+        self._narrow = True
+        met = shortfall.designs()
+        if met is None and not np.any(seen.feasible):
+            least = search._basins()[0]
+            self._least = least if self._least is None else self._least.joined(least)
+        return met
+
+    def _descend(
+        self,
+        effort: Effort,
+        points: Vector,
+        seen: Seen,
+        rng: np.random.Generator,
+        further: list[Vector],
+        uniform: np.ndarray | None,
+    ) -> None:
+        """Descend from what evolution makes of designs, and from the lowest of them, and look around the ends.
+
+        Args:
+            effort: of the search.
+            points: the variables that are searched, a row for each design.
+            seen: the designs.
+            rng: of the evolution.
+            further: designs that are descended from, too.
+            uniform: numbers of the designs that are followed to their basins, in an order of chance.
+        """
+        merit = self._merit(seen)
+        lowest, downhill = lowest_around(points, merit)
+        n = len(self._vary)
+        islands = [self._evolved(effort, points, seen, k, rng) for k in range(effort.islands if n > 1 else 0)]
+        starts = [*islands, *(seen.points[k] for k in lowest[: effort.descents]), *further]
         first = len(self._found)
         for done, start in enumerate(starts):
+            if self._enough():
+                return
             self._progress(f"descending from {len(starts)} low designs", done / len(starts))
             self._found.append(self._descended(start))
         known = {int(k): first + len(islands) + j for j, k in enumerate(lowest[: effort.descents])}
         self._scan()
         self._look_closer(rng)
-        self._follow(seen, [int(downhill[k]) for k in uniform], known, effort.followed)
+        if self._narrow or isinstance(self._landscape, Shortfall):
+            self._search_face(effort, rng)
+        if uniform is not None:
+            self._follow(seen, [int(downhill[k]) for k in uniform], known, effort.followed)
+
+    def _merit(self, seen: Seen) -> Vector:
+        """Return by what designs are compared."""
+        return seen.strict_merit if self._narrow else seen.merit
+
+    def _search_face(self, effort: Effort, rng: np.random.Generator) -> None:
+        """Search again among the variables that the best design does not have at a bound, the others held."""
+        bottoms, _ = self._basins()
+        if not len(bottoms.f) or self._enough():
+            return
+        best = bottoms.points[0]
+        free = [k for k in self._vary if _AT_A_BOUND < best[k] < 1.0 - _AT_A_BOUND]
+        if not 2 <= len(free) < len(self._vary):
+            return
+        self._progress("searching among the variables that are at no bound", 0.0)
+        face = Explorer(self._landscape, best, tuple(free), self._judge, self._progress, self._seed, self._enough)
+        face._narrow = self._narrow
+        designs, islands = min(effort.designs, _ON_A_FACE), min(effort.islands, _FACE_ISLANDS)
+        effort = replace(effort, designs=designs, islands=islands, descents=_FACE_DESCENTS, followed=0)
+        points, _ = sample(len(free), designs, best[free], rng)
+        face._descend(effort, points, self._landscape(face._whole(points)), rng, [], None)
+        self._found += face._found
 
     def _scan(self) -> None:
         """Descend from the dips along each variable through the best design, for which a sample may be too thin."""
-        if not self._landscape.vectorised:
+        if not self._landscape.vectorised or self._enough():
             return
         bottoms, _ = self._basins()
         if not len(bottoms.f):
@@ -125,9 +216,9 @@ class Explorer:
         for k, variable in enumerate(self._vary):
             lines[k * _ALONG : (k + 1) * _ALONG, variable] = np.linspace(0.0, 1.0, _ALONG)
         seen = self._landscape(lines)
-        merit = np.pad(seen.merit.reshape(-1, _ALONG), ((0, 0), (1, 1)), constant_values=np.inf)
+        merit = np.pad(self._merit(seen).reshape(-1, _ALONG), ((0, 0), (1, 1)), constant_values=np.inf)
         dips = np.flatnonzero(((merit[:, 1:-1] < merit[:, :-2]) & (merit[:, 1:-1] <= merit[:, 2:])).ravel())
-        for k in dips[np.argsort(seen.merit[dips], kind="stable")][: _DIPS * len(self._vary)]:
+        for k in dips[np.argsort(self._merit(seen)[dips], kind="stable")][: _DIPS * len(self._vary)]:
             if np.isfinite(seen.merit[k]) and np.max(np.abs(lines[k] - bottoms.points[0])) > _BESIDE:
                 self._progress("descending from dips along each variable", 0.0)
                 self._found.append(self._descended(lines[k]))
@@ -137,6 +228,8 @@ class Explorer:
         if not self._landscape.vectorised or len(self._vary) < 2:
             return
         for _ in range(_CLOSER):
+            if self._enough():
+                return
             bottoms, _ = self._basins()
             before = len(self._found)
             for number, at in enumerate(bottoms.points[:_CLOSELY]):
@@ -144,12 +237,12 @@ class Explorer:
                 points, _ = sample(len(self._vary), _AROUND, np.full(len(self._vary), 0.5), rng)
                 around = np.repeat(at[None], len(points), axis=0)
                 around[:, self._vary] = np.clip(at[self._vary] + _NEAR * (2.0 * points - 1.0), 0.0, 1.0)
-                merit = self._landscape(around).merit
-                lowest, _ = lowest_around(points, merit)
+                seen = self._landscape(around)
+                lowest, _ = lowest_around(points, self._merit(seen))
                 for k in lowest[:_DIPS]:
-                    if np.isfinite(merit[k]):
+                    if np.isfinite(seen.merit[k]):
                         self._found.append(self._descended(around[k]))
-            merits = [float(one.merit[0]) for one in self._found]
+            merits = [float(self._merit(one)[0]) for one in self._found]
             best = min(merits[:before], default=np.inf)
             if not min(merits[before:], default=np.inf) < best - _BETTER * abs(best):
                 return
@@ -169,7 +262,15 @@ class Explorer:
     def _descended(self, start: Vector) -> Seen:
         """Return where a descent leads; runs that are integrated one by one are left to the optimiser."""
         landscape = self._landscape
-        return landscape.descend(start) if landscape.vectorised else landscape(start[None])
+        if not landscape.vectorised:
+            return landscape(start[None])
+        if self._narrow and isinstance(landscape, Landscape) and not landscape(start[None]).feasible[0]:
+            # Downhill lead many ways past the few designs that meet the requirements.
+            met = landscape.least_violation(start)
+            if not met.feasible[0]:
+                return met
+            start = met.points[0]
+        return landscape.descend(start)
 
     def _whole(self, points: Vector) -> Vector:
         """Return designs whose searched variables are given, the others at the start."""
@@ -177,16 +278,15 @@ class Explorer:
         whole[:, self._vary] = points
         return whole
 
-    def _evolved(self, effort: Effort, points: Vector, merit: Vector, island: int, rng: np.random.Generator) -> Vector:
+    def _evolved(self, effort: Effort, points: Vector, seen: Seen, island: int, rng: np.random.Generator) -> Vector:
         """Return the best design of SciPy's differential evolution that begins from a part of the sample."""
         from scipy.optimize import differential_evolution  # slow to import
 
         self._progress(f"evolution, island {island + 1} of {effort.islands}", island / effort.islands)
-        order = np.argsort(merit, kind="stable")
-        part = order[island :: effort.islands][: effort.population]
+        part = self._part(effort, points, seen, island)
         # Islands begin from disjoint parts of the best; every second one mutates random designs, not the best one.
         found = differential_evolution(
-            lambda x: np.minimum(self._landscape(self._whole(x.T)).merit, _WORST),
+            lambda x: np.minimum(self._merit(self._landscape(self._whole(x.T))), _WORST),
             [(0.0, 1.0)] * points.shape[1],
             strategy="best1bin" if island % 2 == 0 and points.shape[1] < 6 else "rand1bin",
             init=points[part],
@@ -200,6 +300,26 @@ class Explorer:
         )
         best: Vector = self._whole(found.x[None])[0]
         return best
+
+    def _part(self, effort: Effort, points: Vector, seen: Seen, island: int) -> np.ndarray:
+        """Return the numbers of the designs from which an island begins."""
+        order = np.argsort(self._merit(seen), kind="stable")[island :: effort.islands]
+        if not self._narrow:
+            part: np.ndarray = order[: effort.population]
+            return part
+        # Where evolution has found what meets the requirements, the best are many and nearly the same.
+        for apart in _SPREAD:
+            chosen: list[int] = []
+            for k in order[seen.feasible[order]]:
+                if len(chosen) < effort.population and (
+                    not chosen or np.min(np.max(np.abs(points[chosen] - points[k]), axis=1)) > apart
+                ):
+                    chosen.append(int(k))
+            if 2 * len(chosen) >= effort.population:
+                break
+        others = order[~np.isin(order, chosen)]
+        part = np.r_[np.array(chosen, dtype=int), others[: effort.population - len(chosen)]]
+        return part
 
     def _basins(self) -> tuple[Seen, list[int | None]]:
         """Return the lowest design of each basin, the best first, and the basin of each descent's end."""

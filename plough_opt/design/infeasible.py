@@ -7,50 +7,47 @@ from collections.abc import Callable
 import numpy as np
 
 from plough_opt.design.declarations import in_words
+from plough_opt.design.exploring import Explored
 from plough_opt.design.ipopt import Point, Vector
 from plough_opt.design.landscape import MET, Landscape, Seen
 from plough_opt.design.program import Program
-from plough_opt.design.sampling import SEED
 from plough_opt.errors import InfeasibleDesign
 
 # Scaled by each limit: violations below are rounding, multipliers below do not hold anything back.
 _VIOLATED = 1e-7
 _HOLDS = 1e-6
-# Designs from which the least violation is looked for, no two of them nearer than this part of the range.
+# Designs of a sample from which the least violation is looked for, no two of them nearer than this part of the range.
 _STARTS, _APART = 8, 0.1
-# Islands of an evolution towards less violation, designs on each of either kind, and generations.
-_ISLANDS, _LEAST, _GENERATIONS = 4, 20, 80
-# Keeps the arithmetic of an evolution finite where designs have no value.
-_WORST = 1e30
-# Of these the best go on to the optimiser.
-_POLISHED = 3
+# Of designs with little violation so many go on to the optimiser, which violate by so much more than the best at most.
+_POLISHED, _NEAR_LEAST = 3, 0.1
 # A requirement is to blame where the others are violated by so much less, in parts of the shortfall, without it.
 _HELPS = 1e-3
 
 
-def feasible_from(program: Program, landscape: Landscape, p: Vector, sample: Seen, start: Vector) -> Vector:
-    """Return a scaled design that meets all requirements, from a sample in which none does.
+def feasible_from(program: Program, landscape: Landscape, p: Vector, explored: Explored, start: Vector) -> Vector:
+    """Return a scaled design that meets all requirements, after a search that found none.
 
     Args:
         program: the design's program.
-        landscape: what was sampled.
+        landscape: what was searched.
         p: parameters.
-        sample: designs that were tried.
+        explored: what was seen.
         start: the guess, which is tried too.
 
     Raises:
-        InfeasibleDesign: the least violation that was found, from several designs of the sample, is one.
+        InfeasibleDesign: the least violation that was found, from several designs, is one.
     """
-    starts = [start, *_apart(sample)]
+    starts = [start, *_apart(explored.sample)]
     if landscape.vectorised:
-        ends = [landscape.least_violation(one) for one in starts]
-        if min(float(one.violation[0]) for one in ends) > MET:
-            ends += [landscape.least_violation(one) for one in _evolved(landscape, sample)]
-        ends = sorted(ends, key=lambda one: float(one.violation[0]))
-        if ends[0].violation[0] <= MET:
-            found: Vector = ends[0].points[0]
+        ends = explored.least
+        if ends is None:
+            several = [landscape.least_violation(one) for one in starts]
+            ends = several[0].joined(*several[1:])
+        ends = ends.of(np.argsort(ends.violation, kind="stable"))
+        if ends.violation[0] <= MET:
+            found: Vector = ends.points[0]
             return found
-        starts = [one.points[0] for one in ends]
+        starts = list(ends.points[ends.violation <= (1.0 + _NEAR_LEAST) * ends.violation[0]])
     starts = starts[:_POLISHED]
     program.build(p, starts=starts)
     points = [program.solve_relaxed(one, p) for one in starts]
@@ -60,31 +57,6 @@ def feasible_from(program: Program, landscape: Landscape, p: Vector, sample: See
     if is_feasible(best):
         return np.clip(best.y[:n], 0.0, 1.0)
     raise infeasible(program, best, landscape.tried, lambda k: _helps(landscape, best.y[:n], k))
-
-
-def _evolved(landscape: Landscape, sample: Seen) -> list[Vector]:
-    """Return the designs to which evolution towards the least violation comes, from parts of a sample."""
-    from scipy.optimize import differential_evolution  # slow to import
-
-    order = np.argsort(sample.violation, kind="stable")
-    found = []
-    for island in range(_ISLANDS):
-        # The least violated, and others for the sake of breadth.
-        part = np.r_[order[island : _LEAST * _ISLANDS : _ISLANDS], order[island::_ISLANDS][-_LEAST:]]
-        result = differential_evolution(
-            lambda x: np.minimum(landscape(np.ascontiguousarray(x.T)).violation, _WORST),
-            [(0.0, 1.0)] * landscape.dimensions,
-            init=sample.points[part],
-            strategy="best1bin" if island % 2 == 0 else "rand1bin",
-            maxiter=_GENERATIONS,
-            recombination=0.9,
-            rng=np.random.default_rng([SEED, island]),
-            polish=False,
-            updating="deferred",
-            vectorized=True,
-        )
-        found.append(result.x)
-    return found
 
 
 def _apart(sample: Seen) -> list[Vector]:

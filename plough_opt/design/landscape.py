@@ -18,6 +18,8 @@ MET = 5e-10
 
 # A violated requirement must outweigh any gain in the scaled objective, which is of order 1.
 _PENALTY = 100.0
+# Above every scaled objective, and little enough for violations to count behind it.
+_BEYOND = 1e8
 # Scaled step of differences, between the rounding of a run (some 1e-13) and its curvature.
 _STEP = 1e-6
 # Descents take finer steps than a sample, so that the few steps by which a count changes shift nothing that matters.
@@ -55,6 +57,12 @@ class Seen:
     def merit(self) -> Vector:
         """Objective and violations in one number, infinite without a value."""
         return np.where(np.isfinite(self.f), self.f + _PENALTY * self.violation, np.inf)
+
+    @property
+    def strict_merit(self) -> Vector:
+        """The same with which no design that breaks a requirement is better than one that meets all."""
+        beyond = _BEYOND + np.minimum(self.violation, _BEYOND)
+        return np.where(np.isfinite(self.f), np.where(self.feasible, self.f, beyond), np.inf)
 
     def joined(self, *others: Seen) -> Seen:
         """Return the designs of all."""
@@ -144,9 +152,9 @@ class Landscape:
         end, own = self.descend(start), self(design[None], finer=_FINER)
         return end.points[0] if end.merit[0] < own.merit[0] - _LOWER * abs(own.merit[0]) else None
 
-    def nearest_feasible(self, start: Vector) -> Seen:
-        """Return the feasible design that is nearest to a start, as far as a local search finds it."""
-        return _Nearest(self, start).from_(start)
+    def nearest_feasible(self, design: Vector, start: Vector | None = None) -> Seen:
+        """Return the feasible design nearest to another, as far as a local search from it or a start finds it."""
+        return _Nearest(self, design).from_(design if start is None else start)
 
     def least_violation(
         self,
@@ -173,7 +181,8 @@ class _Descent:
     def __init__(self, landscape: Landscape, box: tuple[Vector, Vector]) -> None:
         self._landscape, self._box = landscape, box
         self._known: tuple[bytes, tuple[float, Vector, Vector, Vector]] | None = None
-        self._best: tuple[float, Vector] = (np.inf, box[0])
+        # Whether it breaks a requirement, its merit, and the design.
+        self._best: tuple[tuple[bool, float], Vector] = ((True, np.inf), box[0])
 
     def from_(self, start: Vector) -> Seen:
         """Return the best design that a descent from a start comes to."""
@@ -183,12 +192,13 @@ class _Descent:
                 before, more = self._best[0], self._worst_rows(x[: len(start)], rows)
                 x = self._minimised(x, more)
                 # Begun anew it takes steps again where it had stalled in a bent valley.
-                if len(more) == len(rows) and not self._best[0] < before - _GAIN * abs(before):
+                gained = self._best[0] < (before[0], before[1] - _GAIN * abs(before[1]))
+                if len(more) == len(rows) and not gained:
                     break
                 rows = more
         except _NoValue:
             pass
-        best = start if np.isinf(self._best[0]) else self._best[1]
+        best = start if np.isinf(self._best[0][1]) else self._best[1]
         return self._landscape(best[None], finer=_FINER)
 
     def _begin(self, start: Vector) -> Vector:
@@ -232,9 +242,10 @@ class _Descent:
             for at in (limit[np.isfinite(limit)],)
         ]
 
-    def _merit(self, _y: Vector, f: float, violations: Vector) -> float:
-        """Return what the best design of a descent has least of."""
-        return f + _PENALTY * float(violations.sum())
+    def _merit(self, _y: Vector, f: float, violations: Vector) -> tuple[bool, float]:
+        """Return what the best design of a descent has least of: first of all, it meets the requirements."""
+        total = float(violations.sum())
+        return total > FEASIBLE, f + _PENALTY * total
 
     def _derivatives(self, x: Vector) -> tuple[float, Vector, Vector, Vector]:
         """Return objective, gradient, requirements and their Jacobian, by differences of runs of equal steps."""
@@ -284,8 +295,8 @@ class _Nearest(_Descent):
     def _gradient(self, x: Vector) -> Vector:
         return 2.0 * (x - self._design)
 
-    def _merit(self, y: Vector, _f: float, violations: Vector) -> float:
-        return self._objective(y) + _PENALTY * float(violations.sum())
+    def _merit(self, y: Vector, _f: float, violations: Vector) -> tuple[bool, float]:
+        return super()._merit(y, self._objective(y), violations)
 
 
 class _LeastViolation(_Descent):
@@ -304,8 +315,8 @@ class _LeastViolation(_Descent):
             return np.concatenate([start, np.zeros(self._count)])
         return np.concatenate([start, self._landscape.violations(g[None])[0]])
 
-    def _merit(self, _y: Vector, _f: float, violations: Vector) -> float:
-        return float(violations @ self._weights)
+    def _merit(self, _y: Vector, _f: float, violations: Vector) -> tuple[bool, float]:
+        return False, float(violations @ self._weights)
 
     def _objective(self, x: Vector) -> float:
         return float(self._weights @ x[self._n :])

@@ -129,7 +129,7 @@ def _searched(
     effort = effort_of(search, len(vary), program.population.runs, landscape.vectorised)
     judged = judgement(landscape, judge)
     explored = Explorer(landscape, start, vary, judged, progress, seed).explored(effort)
-    if not len(explored.bottoms.f):
+    if not len(explored.bottoms.f) and explored.least is None:
         raise NotConverged(
             f"none of {landscape.tried} designs between the bounds has a value: tighten the bounds, or shorten the"
             " duration",
@@ -140,7 +140,7 @@ def _searched(
         points = _optima(program, landscape, p, bottoms, (judged, len(vary), effort.rounds), progress)
     if not points and program.declared.requirements:
         progress("looking for a design that meets the requirements", 0.0)
-        y = feasible_from(program, landscape, p, explored.sample, start)
+        y = feasible_from(program, landscape, p, explored, start)
         bottoms = landscape.descend(y) if landscape.vectorised else landscape(y[None])
         points = _optima(program, landscape, p, bottoms, (judged, len(vary), effort.rounds), progress)
         if not points and (met := as_it_is(program, p, y)).solved:

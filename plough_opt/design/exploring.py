@@ -303,10 +303,9 @@ class Explorer:
 
     def _part(self, effort: Effort, points: Vector, seen: Seen, island: int) -> np.ndarray:
         """Return the numbers of the designs from which an island begins."""
-        order = np.argsort(self._merit(seen), kind="stable")[island :: effort.islands]
+        order: np.ndarray = np.argsort(self._merit(seen), kind="stable")[island :: effort.islands]
         if not self._narrow:
-            part: np.ndarray = order[: effort.population]
-            return part
+            return order[: effort.population]
         # Where evolution has found what meets the requirements, the best are many and nearly the same.
         for apart in _SPREAD:
             chosen: list[int] = []
@@ -318,7 +317,7 @@ class Explorer:
             if 2 * len(chosen) >= effort.population:
                 break
         others = order[~np.isin(order, chosen)]
-        part = np.r_[np.array(chosen, dtype=int), others[: effort.population - len(chosen)]]
+        part: np.ndarray = np.concatenate([np.array(chosen, dtype=int), others])[: effort.population]
         return part
 
     def _basins(self) -> tuple[Seen, list[int | None]]:

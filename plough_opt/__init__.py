@@ -28,6 +28,7 @@ from plough_opt.forces import (
 )
 from plough_opt.geometry import Cone, Wedge, deg
 from plough_opt.motion import Run, simulate
+from plough_opt.penetration import cone_index
 from plough_opt.printed import Printed
 from plough_opt.refinement import Refinement, refine
 from plough_opt.scene import Scene
@@ -49,6 +50,7 @@ if TYPE_CHECKING:
         read_measurements,
     )
     from plough_opt.problem_file import Problem, read_problem
+    from plough_opt.problem_file.penetrometer import Penetrometer, read_penetrometer
     from plough_opt.problem_file.sweeping import sweep
     from plough_opt.results import load
     from plough_opt.study.axes import Range
@@ -70,6 +72,8 @@ _LATER = {
     "calibrate": "plough_opt.calibration",
     "read_measurements": "plough_opt.calibration",
     "Problem": "plough_opt.problem_file",
+    "Penetrometer": "plough_opt.problem_file.penetrometer",
+    "read_penetrometer": "plough_opt.problem_file.penetrometer",
     "read_problem": "plough_opt.problem_file",
     "load": "plough_opt.results",
     "Range": "plough_opt.study.axes",
@@ -129,6 +133,7 @@ __all__ = [
     "Optimum",
     "Output",
     "OwnResistance",
+    "Penetrometer",
     "PloughError",
     "Printed",
     "Problem",
@@ -148,6 +153,7 @@ __all__ = [
     "added_mass",
     "calibrate",
     "component",
+    "cone_index",
     "crosscheck",
     "deg",
     "elastic",
@@ -157,6 +163,7 @@ __all__ = [
     "plastic",
     "plots",
     "read_measurements",
+    "read_penetrometer",
     "read_problem",
     "refine",
     "resistance",

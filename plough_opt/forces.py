@@ -36,6 +36,8 @@ class ResistanceCoefficients:
 def resistance_coefficients(cone: Cone, soil: Soil) -> ResistanceCoefficients:
     """Return A [Pa], B and C of equation (26); C with the factor 2/3 that the integral (24) gives.
 
+    A is multiplied by the soil's measured strength factor.
+
     Holds for a slender cone (half angle up to some 20 degrees, hypothesis of plane sections) wholly in the soil.
 
     Args:
@@ -50,7 +52,9 @@ def resistance_coefficients(cone: Cone, soil: Soil) -> ResistanceCoefficients:
     _check_kinds(cone, soil)
     p = _mean_wall_pressure(cone, soil)
     slope = cone.slope
-    return ResistanceCoefficients(A=slope**2 * p.strength, B=slope**4 * p.rate, C=2.0 / 3.0 * slope**4 * p.inertia)
+    return ResistanceCoefficients(
+        A=soil.strength_factor * slope**2 * p.strength, B=slope**4 * p.rate, C=2.0 / 3.0 * slope**4 * p.inertia
+    )
 
 
 def _check_kinds(cone: Cone, soil: Soil) -> None:
@@ -116,7 +120,7 @@ def soil_reaction(cone: Cone, soil: Soil) -> SoilReaction:
     slope = cone.slope
     face = math.pi * cone.height**2 * slope * (slope + soil.tool_friction)
     return SoilReaction(
-        static=face * p.strength,
+        static=soil.strength_factor * face * p.strength,
         drag=face * slope**2 * p.rate * soil.density,
         added_mass=face * slope**2 * (2.0 / 3.0) * p.inertia * soil.density * cone.height,
     )

@@ -15,9 +15,10 @@ import numpy as np
 from plough_opt.compaction import front, mean_ratio, ratio
 from plough_opt.domain import check_domain
 from plough_opt.errors import InputError
-from plough_opt.expressions import Expression, as_number, cos, exp, expm1_ratio, log1p, log1p_ratio, sin, sqrt
+from plough_opt.expressions import Expression, as_number, cos, exp, expm1_ratio, log1p, log1p_ratio, sqrt
 from plough_opt.quadrature import gauss_legendre
 from plough_opt.soil import Soil
+from plough_opt.yielding import Yielding
 
 
 @dataclass(frozen=True)
@@ -84,35 +85,20 @@ def wall_pressure(soil: Soil, radius: Expression | None = None) -> WallPressure:
         if radius is None:
             raise InputError("the wall pressure of a density profile depends on the cavity: give its radius")
         return _wall_pressure_of_profile(soil, radius)
-    yielding = _Yielding.of(soil)
+    yielding = _yielding(soil)
     nu, b1 = yielding.nu, soil.density_ratio
     log_a = -log1p(-b1)
     log_a_over_b1 = log1p_ratio(-b1)
     growth = expm1_ratio(nu * log_a / 2.0)
     return WallPressure(
-        strength=log_a / 2.0 * growth * yielding.strength(soil),
+        strength=log_a / 2.0 * growth * yielding.strength(soil.ambient_pressure),
         rate=log_a_over_b1 / 2.0 * (growth - expm1_ratio((nu / 2.0 - 1.0) * log_a)) + exp(nu * log_a / 2.0),
         inertia=log_a_over_b1 / 2.0 * growth,
     )
 
 
-@dataclass(frozen=True)
-class _Yielding:
-    """The yield condition (10): p_r - p_theta = tau0 + mu (p_r + p_theta), and nu = 2 mu/(1 + mu)."""
-
-    mu: Expression
-    nu: Expression
-    tau0: Expression
-
-    @classmethod
-    def of(cls, soil: Soil) -> _Yielding:
-        """Read it off a soil."""
-        mu = sin(soil.friction_angle)
-        return cls(mu, 2.0 * mu / (1.0 + mu), 2.0 * soil.cohesion * cos(soil.friction_angle))
-
-    def strength(self, soil: Soil) -> Expression:
-        """Return nu p_a + tau0/(1 + mu) [Pa]."""
-        return self.nu * soil.ambient_pressure + self.tau0 / (1.0 + self.mu)
+def _yielding(soil: Soil) -> Yielding:
+    return Yielding.of(soil.friction_angle, soil.cohesion)
 
 
 def surface_pressure(cavity: Cavity, soil: Soil) -> Expression:
@@ -242,7 +228,7 @@ def stress(r: Expression, cavity: Cavity, soil: Soil) -> Stress:
     r_front = front_radius(cavity, soil)
     _check_behind(r, r_front)
     pressure = _pressure(r, r_front, cavity, soil)
-    yielding = _Yielding.of(soil)
+    yielding = _yielding(soil)
     # (1 - mu)/(1 + mu), of which nothing is left beside 90 degrees if it is computed so.
     transferred = (cos(soil.friction_angle) / (1.0 + yielding.mu)) ** 2
     tangential = transferred * pressure - yielding.tau0 / (1.0 + yielding.mu)
@@ -286,7 +272,7 @@ def _current_radius(r: Expression, cavity: Cavity, soil: Soil) -> Expression:
 
 def _pressure(r: Expression, r_front: Expression, cavity: Cavity, soil: Soil) -> Expression:
     """Return the radial pressure [Pa] at Lagrangian radius r, equation (14) with (18) and (21)."""
-    yielding = _Yielding.of(soil)
+    yielding = _yielding(soil)
     y = _current_radius(r, cavity, soil)
     if soil.density_profile is None:
         # r*^2 - y^2 = b1 (r*^2 - r^2): the logarithm of a ratio beside one, without cancellation.
@@ -311,13 +297,13 @@ def _pressure(r: Expression, r_front: Expression, cavity: Cavity, soil: Soil) ->
 def _wall_pressure_of_profile(soil: Soil, radius: Expression) -> WallPressure:
     """Return the coefficients of the wall pressure around a cavity of radius R [m], by quadrature."""
     check_domain("cavity radius", radius, "m", above=0.0, why="the wall pressure of a density profile depends on it")
-    yielding = _Yielding.of(soil)
+    yielding = _yielding(soil)
     r_front = front(radius, soil)
     log = -log1p(-mean_ratio(r_front, soil)) / 2.0
     jump = (radius / r_front) ** 2 / (1.0 - ratio(r_front, soil))
     swelling, spreading = _inertia_of_profile(0.0, r_front, radius, soil)
     return WallPressure(
-        strength=log * expm1_ratio(yielding.nu * log) * yielding.strength(soil),
+        strength=log * expm1_ratio(yielding.nu * log) * yielding.strength(soil.ambient_pressure),
         rate=exp(yielding.nu * log) * jump + spreading,
         inertia=swelling,
     )
@@ -327,7 +313,7 @@ def _inertia_of_profile(
     r: Expression, r_front: Expression, radius: Expression, soil: Soil
 ) -> tuple[Expression, Expression]:
     """Return the integrals from r to r* of (y_s/y)^nu s/y_s^2 ds, and of the same times 2 psi(s)/y_s^2 [-]."""
-    nu = _Yielding.of(soil).nu
+    nu = _yielding(soil).nu
     wall = radius**2
     y_squared = wall + mean_ratio(r, soil) * r**2
     swelling: Expression = 0.0

@@ -112,7 +112,11 @@ def printed_coefficients(cone: Cone, soil: Soil) -> ResistanceCoefficients:
     growth, decay = a ** (nu / 2.0), a ** (nu / 2.0 - 1.0)
     bracket = (nu - 2.0) / nu * (growth - 1.0) + b1 * (nu - 2.0) * growth - (decay - 1.0)
     return ResistanceCoefficients(
-        A=math.pi * slope**2 * (soil.ambient_pressure + tau0 / (nu * (1.0 + mu))) * (growth - 1.0),
+        A=soil.strength_factor
+        * math.pi
+        * slope**2
+        * (soil.ambient_pressure + tau0 / (nu * (1.0 + mu)))
+        * (growth - 1.0),
         B=math.pi * slope**4 / (b1 * (nu - 2.0)) * bracket,
         C=math.pi * slope**4 / (3.0 * b1 * nu) * (growth - 1.0),
     )

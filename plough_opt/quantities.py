@@ -136,6 +136,10 @@ QUANTITIES: dict[str, Quantity] = {
             "soil.poisson_ratio", "Poisson's ratio", "Poisson's ratio", "", 0.3,
             ("soil", "poisson_ratio"), high=0.5, below=True,
         ),
+        Quantity(
+            "soil.strength_factor", "strength factor", "measured over computed static resistance", "", 1.0,
+            ("soil", "strength_factor"), above=True,
+        ),
         _angle(
             "share.wedge_angle", "wedge angle lambda at the top of the share", 0.5,
             ("share", "angle"), above=True, in_files=True,
@@ -216,7 +220,14 @@ BESIDE: dict[str, Quantity] = {
 }  # fmt: skip
 """Quantities beside a scene: its duration, and what its mass is made of."""
 
-EVERY: dict[str, Quantity] = {**QUANTITIES, **BESIDE}
+READINGS: dict[str, Quantity] = {
+    "soil.cone_index": Quantity(
+        "soil.cone_index", "cone index", "pressure that a penetrometer reads", "Pa", 1e6, (), above=True, shown="MPa"
+    )
+}
+"""Readings of a problem file that decide another property of its soil."""
+
+EVERY: dict[str, Quantity] = {**QUANTITIES, **BESIDE, **READINGS}
 """Every quantity by name."""
 
 IN_FILES: dict[str, Quantity] = {name: quantity for name, quantity in EVERY.items() if quantity.in_files}

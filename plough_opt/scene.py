@@ -212,6 +212,7 @@ class Scene:
                 "the elastic medium's force on a cone is an order of magnitude: strains on its face are of order one,"
                 " and its dependence on the speed is not to be trusted"
             )
+        found += self.soil.warnings() if self.medium == "plastic" else ()
         half_angle = float(as_number(self.cone.half_angle))
         if half_angle > PLANE_SECTIONS_LIMIT:
             found.append(

@@ -5,13 +5,28 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from typing import Any, Literal, TypeAlias, get_args
 
+import numpy as np
+
+from plough_opt.domain import check_domain
 from plough_opt.errors import InputError, nearest, unprintable
-from plough_opt.expressions import COUNT, Expression, is_count
+from plough_opt.expressions import COUNT, Expression, as_number, cos, is_count, is_symbolic
 from plough_opt.quantities import QUANTITIES
+from plough_opt.yielding import Yielding, density_ratio_of, growth
 
 STANDARD_ATMOSPHERE = 101325.0
 """Ambient pressure [Pa] of the named soils, as the source takes it."""
+
+CONE_HALF_ANGLE = math.radians(15.0)
+"""Half angle [rad] of a penetrometer's cone."""
+
+Adjust: TypeAlias = Literal["strength factor", "cohesion", "density ratio"]
+"""The property of a soil that a cone index decides."""
+
+# Beyond these no source in docs/soils.md has a soil: the front then runs ahead by 4.5 radii of the cone.
+_MOST_COHESION = 100e3
+_MOST_DENSITY_RATIO = 0.95
 
 _PROPERTIES = tuple(quantity for quantity in QUANTITIES.values() if quantity.owner == "soil")
 
@@ -65,6 +80,9 @@ class Soil:
         source: where the values come from.
         density_profile: density behind the compaction front, in the place of the constant one that b1 gives; see
             `with_density_profile`.
+        strength_factor: measured over computed static resistance [-], above 0. It multiplies A of equation (26), hence
+            F0 and what is made of it; not the stresses, the inertia, the front or other models. `from_cone_index` finds
+            it from a penetrometer's reading.
 
     Properties may be floats, NumPy arrays or CasADi expressions.
 
@@ -84,6 +102,7 @@ class Soil:
     name: str = "unnamed soil"
     source: str = "values given by the user"
     density_profile: DensityProfile | None = None
+    strength_factor: Expression = 1.0
 
     def __post_init__(self) -> None:
         if not isinstance(self.name, str) or unprintable(self.name, allowed=""):
@@ -114,6 +133,95 @@ class Soil:
             InputError: no function, or an order below 1.
         """
         return replace(self, density_profile=DensityProfile(density, parameters, order))
+
+    @classmethod
+    def from_cone_index(cls, cone_index: Expression, soil: Soil, adjust: Adjust = "strength factor") -> Soil:
+        """Return the soil in which a penetrometer reads a cone index.
+
+        Each way solves s (1 + mu0/tan 15 deg) phi (nu p_a + tau0/(1 + mu)) = cone index in closed form. The soil's
+        other properties stay, and `plough_opt.cone_index` of the result is the reading.
+
+        Args:
+            cone_index: pressure on the base of the 30 degree cone [Pa], above 0; a float, an array or an expression.
+            soil: the soil whose other properties are kept.
+            adjust: what follows from the reading: ``"strength factor"``, which scales the law's level and claims no
+                more; ``"cohesion"``; or ``"density ratio"``, which moves the compaction front too.
+
+        Raises:
+            InputError: an unknown ``adjust``, a soil with a density profile, or a reading below what the other
+                properties alone give, with the difference.
+            DomainError: a reading that is not above 0.
+
+        Example:
+            >>> import plough_opt as po
+            >>> soil = po.Soil.from_cone_index(1.5e6, soil=po.named_soil("serozem"))
+            >>> round(soil.strength_factor, 4)
+            5.7373
+        """
+        check_domain("cone index", cone_index, "Pa", above=0.0)
+        if not isinstance(soil, Soil):
+            raise InputError(f"soil = {soil!r} must be the Soil whose other properties are kept")
+        if soil.density_profile is not None:
+            raise InputError(
+                "a cone index does not adjust a soil with a density profile: set strength_factor to the reading over"
+                " po.cone_index of the soil"
+            )
+        if adjust not in get_args(Adjust):
+            raise InputError(f"adjust = {adjust!r}: {nearest(str(adjust), get_args(Adjust))}")
+        key = adjust.replace(" ", "_")
+        found: dict[str, Any] = {key: _adjusted(cone_index, soil, adjust)}
+        source = f"{soil.source}; {adjust} from a cone index"
+        return replace(soil, **found, name=f"{soil.name}, by cone index", source=source)
+
+    def warnings(self) -> tuple[str, ...]:
+        """Return, for a soil of numbers, what a reader of results must know about its properties."""
+        found = []
+        cohesion, ratio, factor = (
+            np.max(as_number(value)) for value in (self.cohesion, self.density_ratio, self.strength_factor)
+        )
+        if cohesion > _MOST_COHESION:
+            found.append(
+                f"a cohesion of {cohesion / 1e3:.4g} kPa is more than soils have, {_MOST_COHESION / 1e3:g} kPa"
+            )
+        if ratio > _MOST_DENSITY_RATIO and self.density_profile is None:
+            found.append(
+                f"a density ratio of {ratio:.6g} is nearer to 1 than soils are ({_MOST_DENSITY_RATIO:g}): the"
+                f" compaction front runs ahead by {(1.0 - ratio) ** -0.5:.3g} radii of the share"
+            )
+        if np.any(as_number(self.strength_factor) != 1.0):
+            found.append(f"the static resistance is {factor:.4g} times the law's, by the measured strength factor")
+        return tuple(found)
+
+
+def _adjusted(reading: Expression, soil: Soil, adjust: Adjust) -> Expression:
+    """Return the property of a soil that a cone index [Pa] decides."""
+    yielding = Yielding.of(soil.friction_angle, soil.cohesion)
+    friction = 1.0 + soil.tool_friction / math.tan(CONE_HALF_ANGLE)
+    phi = growth(soil.density_ratio, yielding.nu)
+    if adjust == "cohesion":
+        level = soil.strength_factor * friction * phi
+        without = yielding.nu * soil.ambient_pressure
+        _check_enough(reading, level * without)
+        return (reading / level - without) * (1.0 + yielding.mu) / (2.0 * cos(soil.friction_angle))
+    strength = yielding.strength(soil.ambient_pressure)
+    if not is_symbolic(strength) and np.any(as_number(strength) == 0.0):
+        raise InputError("a soil without cohesion, and without friction or pressure, has no strength to scale: adjust"
+                         " the cohesion")  # fmt: skip
+    if adjust == "strength factor":
+        return reading / (friction * phi * strength)
+    return density_ratio_of(reading / (soil.strength_factor * friction * strength), yielding.nu)
+
+
+def _check_enough(reading: Expression, least: Expression) -> None:
+    """Refuse a reading that is below what a soil without cohesion gives."""
+    if is_symbolic(reading) or is_symbolic(least):
+        return
+    short = float(np.max(as_number(least) - as_number(reading)))
+    if short > 0.0:
+        raise InputError(
+            f"friction and ambient pressure alone give a cone index {short / 1e3:.4g} kPa above the reading: no"
+            " cohesion meets it; adjust the strength factor, or lower the ambient pressure or the friction angle"
+        )
 
 
 _CHOICE = "engineering choice inside published brackets, not measured on one soil"

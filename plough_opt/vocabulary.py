@@ -11,6 +11,7 @@ from plough_opt.errors import InputError, nearest
 from plough_opt.expressions import Expression
 from plough_opt.forces import added_mass
 from plough_opt.motion import Run
+from plough_opt.penetration import cone_index
 from plough_opt.quantities import QUANTITIES
 from plough_opt.scene import Scene
 
@@ -89,6 +90,7 @@ MEASURES: dict[str, Measure[str]] = {
     "half_angle": Measure("rad", lambda run: run.scene.cone.half_angle),
     "moving_mass": Measure("kg", lambda run: run.scene.mass),
     "added_mass": Measure("kg", lambda run: added_mass(run.scene.cone, run.scene.soil), plastic=True),
+    "cone_index": Measure("Pa", lambda run: cone_index(run.scene.soil), plastic=True),
     "deflection": Measure("m", lambda run: run.deflection, everywhere=True),
     "mount_force": Measure("N", lambda run: run.mount_force, everywhere=True),
     "soil_resistance": Measure("N", lambda run: run.soil_resistance, everywhere=True),

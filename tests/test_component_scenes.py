@@ -86,7 +86,9 @@ def test_the_names_and_units_are_those_of_problem_files():
     files = {key: unit.symbol for key, unit in quantities().items()}
     beside = {"scene.duration": "s", "scene.frame_mass": "kg", "scene.steel_density": "kg/m^3"}
     own = {"scene.mass": "kg", "share.half_angle": "rad"}
-    assert {key: quantity.unit for key, quantity in QUANTITIES.items()} | beside == files | own
+    readings = {"soil.cone_index": "Pa"}
+    units = {key: quantity.unit for key, quantity in QUANTITIES.items()}
+    assert units | beside | readings == files | own
 
 
 def test_duration_and_masses_are_inputs_too(r1_scene):

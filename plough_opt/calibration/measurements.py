@@ -20,7 +20,7 @@ RECORD: Final = "mount_force"
 """The result that is measured over time, in one run for each set of conditions."""
 
 RESULTS: Final = ("mean_draft", RECORD, "force_rms", "mean_deflection", "displacement_rms", "tow_power",
-                  "loosened_radius", "added_mass")  # fmt: skip
+                  "loosened_radius", "added_mass", "cone_index")  # fmt: skip
 """What can be measured in the field and is compared with a run."""
 
 
@@ -37,7 +37,8 @@ class Measurements:
 
     Args:
         result: what was measured: mean_draft [N], mount_force [N] over time, force_rms [N], mean_deflection [m],
-            displacement_rms [m], tow_power [W], loosened_radius [m], added_mass [kg]; or one of the unknowns itself,
+            displacement_rms [m], tow_power [W], loosened_radius [m], added_mass [kg],
+            cone_index [Pa]; or one of the unknowns itself,
             such as "soil.friction_angle" [rad] from a shear test.
         values: measured values, SI.
         conditions: key of a problem file such as "scene.tow_speed" -> its value in every row, SI.

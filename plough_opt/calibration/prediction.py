@@ -20,6 +20,7 @@ from plough_opt.expressions import Expression, as_number
 from plough_opt.forces import added_mass
 from plough_opt.motion import simulate
 from plough_opt.motion.plan import numbers_of, phase
+from plough_opt.penetration import cone_index
 from plough_opt.problem_file.measures import MEASURES
 from plough_opt.scene import Scene
 
@@ -29,6 +30,7 @@ Vector = NDArray[np.float64]
 _OF_SCENE: dict[str, Callable[[Scene], Expression]] = {
     "loosened_radius": lambda scene: scene.loosened_radius,
     "added_mass": lambda scene: added_mass(scene.cone, scene.soil),
+    "cone_index": lambda scene: cone_index(scene.soil),
 }
 # Phase [rad] between output times, and nodes of the polynomial that reads a force between them: an error of 1e-8.
 _PHASE, _NODES, _OUTPUTS = 0.25, 8, 400

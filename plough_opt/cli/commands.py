@@ -18,6 +18,7 @@ from plough_opt.design.effort import Search
 from plough_opt.effect_costs import effect_costs
 from plough_opt.errors import InputError
 from plough_opt.files import write_new
+from plough_opt.penetration import cone_index
 from plough_opt.problem_file import TEMPLATE
 from plough_opt.soil import named_soil, soil_names
 
@@ -33,7 +34,7 @@ def soils(options: argparse.Namespace) -> None:
     """List the named soils."""
     found = [named_soil(name) for name in soil_names()]
     if options.json:
-        print(json.dumps([dataclasses.asdict(soil) for soil in found], indent=2))
+        print(json.dumps([{**dataclasses.asdict(soil), "cone_index": cone_index(soil)} for soil in found], indent=2))
     else:
         report.print_soils(console(), found)
 

@@ -15,6 +15,7 @@ from plough_opt.effect_costs import EffectCost
 from plough_opt.motion import Run
 from plough_opt.motion.equation import equation_of_motion
 from plough_opt.motion.terms import Structure
+from plough_opt.penetration import cone_index
 from plough_opt.problem_file import Problem
 from plough_opt.problem_file.measures import MEASURES
 from plough_opt.problem_file.schema import quantities
@@ -41,7 +42,8 @@ def shown(problem: Problem, key: str, value: float, unit: str) -> str:
 def print_soils(console: Console, soils: Sequence[Soil]) -> None:
     """Print the named soils, then where their values come from."""
     table = Table(title="Named soils (engineering choices inside published brackets; none measured as a set)")
-    for heading in ("name", "density", "locked density", "ratio b1", "cohesion", "friction angle", "tool friction"):
+    for heading in ("name", "density", "locked density", "ratio b1", "cohesion", "friction angle", "tool friction",
+                    "cone index"):  # fmt: skip
         table.add_column(heading, justify="left" if heading == "name" else "right")
     for soil in soils:
         table.add_row(
@@ -52,6 +54,7 @@ def print_soils(console: Console, soils: Sequence[Soil]) -> None:
             f"{soil.cohesion / 1e3:.0f} kPa",
             f"{math.degrees(soil.friction_angle):.0f} deg",
             f"{soil.tool_friction:.2f}",
+            f"{cone_index(soil) / 1e3:.0f} kPa",
         )
     console.print(table)
     for soil in soils:
@@ -196,6 +199,8 @@ def _scene_table(problem: Problem, scene: Scene) -> Table:
     table.add_column()
     table.add_column(justify="right")
     table.add_row("soil", escape(scene.soil.name))
+    if scene.medium == "plastic":
+        table.add_row("cone index", escape(problem.readings) or f"{float(cone_index(scene.soil)) / 1e3:.4g} kPa")
     for key, value in problem.values().items():
         if not key.startswith("soil."):
             table.add_row(key, shown(problem, key, float(value), quantities()[key].symbol))

@@ -21,10 +21,12 @@ from plough_opt.problem_file.interface import input_ports, wanted_outputs
 from plough_opt.problem_file.measures import MEASURES
 from plough_opt.problem_file.schema import ProblemTable, quantities
 from plough_opt.problem_file.units import Display
-from plough_opt.quantities import BESIDE, EVERY
+from plough_opt.quantities import BESIDE, EVERY, QUANTITIES
 from plough_opt.scene import Scene
 from plough_opt.soil import Soil, named_soil
 from plough_opt.tradeoff import Goal, TradeOff, trade_off
+
+_READING = "soil.cone_index"
 
 
 @dataclass(frozen=True)
@@ -52,6 +54,7 @@ class Problem:
         displays: key or measure -> the unit in which the file writes it.
         notes: what overrides changed beyond their own key.
         over: what is minimised within the tolerances, if not the design's own objective.
+        readings: which penetrometer readings decide the soil, in words.
     """
 
     name: str
@@ -61,6 +64,7 @@ class Problem:
     displays: Mapping[str, Display]
     notes: tuple[str, ...]
     over: Over | None = None
+    readings: str = ""
 
     @property
     def title(self) -> str:
@@ -73,8 +77,14 @@ class Problem:
         return Accuracy(**self.table.accuracy.model_dump())
 
     def values(self, changes: Mapping[str, Expression] | None = None) -> dict[str, Expression]:
-        """Return every quantity by key: fixed values, guesses of variables, and changes to either."""
-        return {**self.fixed, **{key: v.guess for key, v in self.variables.items()}, **(changes or {})}
+        """Return every quantity by key: fixed values, guesses of variables, and changes to either.
+
+        A change of the property that a cone index decides takes the place of the cone index.
+        """
+        found = {**self.fixed, **{key: v.guess for key, v in self.variables.items()}, **(changes or {})}
+        if self.table.soil.adjusted in (changes or {}):
+            found.pop(_READING, None)
+        return found
 
     def scene(self, changes: Mapping[str, Expression] | None = None) -> Scene:
         """Return the scene with the variables at their guesses, or with changed values, numbers or symbols."""
@@ -98,6 +108,15 @@ class Problem:
 
     def _soil(self, values: Mapping[str, Expression]) -> Soil:
         own = {key.removeprefix("soil."): value for key, value in values.items() if key.startswith("soil.")}
+        table, reading = self.table.soil, values.get(_READING)
+        if reading is None:
+            return self._soil_of(own)
+        del own[EVERY[_READING].key]
+        if table.name is None:  # what the reading decides needs a value to be replaced
+            own.setdefault(EVERY[table.adjusted].key, EVERY[table.adjusted].typical)
+        return Soil.from_cone_index(reading, self._soil_of(own), table.adjust)
+
+    def _soil_of(self, own: dict[str, Expression]) -> Soil:
         name = self.table.soil.name
         if name is None:
             return Soil(**own, name="the soil of this file", source=f"values in {self.name}")
@@ -242,8 +261,10 @@ class Problem:
     def _numbers(self) -> dict[str, float]:
         """Return every quantity that is no variable, by key, the properties of a named soil included."""
         soil = self.scene().soil
-        own = {key: getattr(soil, key.removeprefix("soil.")) for key in quantities() if key.startswith("soil.")}
+        own = {name: getattr(soil, one.key) for name, one in QUANTITIES.items() if one.owner == "soil"}
         every = {**own, **self.fixed}
+        if _READING in self.values():
+            del every[self.table.soil.adjusted]
         return {key: float(x) for key, x in every.items() if x is not None and key not in self.variables}
 
     def optimise(

@@ -18,6 +18,7 @@ from plough_opt.errors import InputError, nearest, short
 from plough_opt.problem_file.front import check_front
 from plough_opt.problem_file.measures import MEASURES
 from plough_opt.problem_file.overrides import apply_override
+from plough_opt.problem_file.penetrometer import average_readings
 from plough_opt.problem_file.problem import FileVariable, Problem
 from plough_opt.problem_file.schema import (
     EffectsFile,
@@ -31,7 +32,7 @@ from plough_opt.problem_file.schema import (
 from plough_opt.problem_file.source import Keys, Source
 from plough_opt.problem_file.uncertain import check_joint, check_uncertain, join_dotted
 from plough_opt.problem_file.units import Display, display_of
-from plough_opt.quantities import IN_FILES
+from plough_opt.quantities import IN_FILES, READINGS
 from plough_opt.soil import named_soil
 
 _DURATION = ("scene", "duration")
@@ -55,12 +56,13 @@ def read_problem(path: str | Path, overrides: Iterable[str] = ()) -> Problem:
     _join_dotted_variables(source.data)
     join_dotted(source.data)
     over = _over(source)
+    readings = average_readings(source, Path(path).parent)
     try:
         table = ProblemFile.model_validate(source.data)
     except ValidationError as error:
         source.note_schema(error, _valid_keys())
     source.raise_noted()
-    problem = dataclasses.replace(_checked(source, table, notes), over=over)
+    problem = dataclasses.replace(_checked(source, table, notes), over=over, readings=readings)
     source.raise_noted()
     _check_values(source, problem)
     source.raise_noted()
@@ -214,11 +216,14 @@ def _check_complete(source: Source, table: ProblemTable, known: set[str]) -> Non
     if table.soil.name is not None:
         with source.noting(("soil", "name")):
             named_soil(table.soil.name)
-    elif missing := [name for name in _required("soil") if name not in known]:
+    elif missing := [name for name in _required("soil") if name not in known | _decided(table, known)]:
         with source.noting(("soil",)):
             names = ", ".join(f"'{IN_FILES[name].key}'" for name in missing)
             verb = "is" if len(missing) == 1 else "are"
             raise InputError(f"{names} {verb} missing: give them in [soil], or the 'name' of a known soil")
+    for key in _decided(table, known) & known:
+        with source.noting(("variables", key) if key in table.variables else tuple(key.split("."))):
+            raise InputError(f"'{key}' follows from the cone index: leave it out, or let that adjust another property")
     if table.effects.strength_wave is None and len(alone := known & {*_WAVE}) == 1:
         key = alone.pop()
         with source.noting(("variables", key)):
@@ -242,6 +247,11 @@ def _check_complete(source: Source, table: ProblemTable, known: set[str]) -> Non
         with source.noting(tuple(owner.split("."))):
             if key not in known:
                 raise InputError(f"'{name}' is missing: give it in [{owner}] or make '{key}' a variable")
+
+
+def _decided(table: ProblemTable, known: set[str]) -> set[str]:
+    """Return the property that a cone index decides."""
+    return {table.soil.adjusted} if known & {*READINGS} else set()
 
 
 def _required(*owners: str) -> list[str]:

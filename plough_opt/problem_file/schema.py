@@ -10,6 +10,7 @@ from plough_opt.effects import MOST_HARMONICS, Effects, HarmonicBalance
 from plough_opt.problem_file.units import Unit
 from plough_opt.quantities import EVERY, IN_FILES
 from plough_opt.scene import Scene
+from plough_opt.soil import Adjust
 
 Written = StrictStr | StrictFloat
 
@@ -24,9 +25,17 @@ class Table(BaseModel):
 
 
 class SoilTable(Table):
-    """The soil: a name, the properties themselves, or a name and what differs from it."""
+    """The soil: a name, the properties themselves, or a name and what differs from it, or a cone index decides."""
 
     name: str | None = None
+    adjust: Adjust = "strength factor"
+    penetrometer: str | None = None
+    depth: str | None = None
+
+    @property
+    def adjusted(self) -> str:
+        """The quantity that a cone index decides."""
+        return f"soil.{self.adjust.replace(' ', '_')}"
 
 
 class ShareTable(Table):

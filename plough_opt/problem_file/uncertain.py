@@ -5,10 +5,12 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Literal
 
 from plough_opt.errors import InputError, nearest
+from plough_opt.expressions import as_number
+from plough_opt.penetration import cone_index
 from plough_opt.problem_file.measures import MEASURES
 from plough_opt.problem_file.schema import LimitTable, ProblemTable, quantities
 from plough_opt.problem_file.source import Keys, Source
@@ -28,6 +30,8 @@ _KINDS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {  # what each need
     "triangular": (("lower", "mode", "upper"), ()),
     "beta": (("mean", "std", "lower", "upper"), ()),
 }
+# Properties on which the cone index does not depend.
+_WITHOUT_LEVEL = ("density", "youngs_modulus", "poisson_ratio")
 _ASKED = re.compile(r"(nominal|expected|worst)|cvar\s+([\d.]+)|mean\s*([+-])\s*([\d.]+)\s*std")
 _ASKED_EXAMPLES = '"expected", "mean + 2 std", "cvar 0.9", "worst" or "nominal"'
 
@@ -103,6 +107,7 @@ def distribution_of(table: UncertainTable, soil: Soil) -> SoilDistribution:
     """
     from plough_opt.uncertainty import SoilDistribution  # scipy.stats is slow to import, and rarely needed
 
+    table = _of_strength_factor(table, soil)
     made = {name: _made(name, values) for name, values in table.distributions.items()}
     within = {
         name: (values.get("lower", -math.inf), values.get("upper", math.inf))
@@ -110,6 +115,27 @@ def distribution_of(table: UncertainTable, soil: Soil) -> SoilDistribution:
         if "lower" in values or "upper" in values
     }
     return SoilDistribution(soil, within=within, correlation=table.correlation, **made)
+
+
+def _of_strength_factor(table: UncertainTable, soil: Soil) -> UncertainTable:
+    """Return a distribution of the cone index as that of the strength factor, which is proportional to it."""
+    reading = table.distributions.get("cone_index")
+    if reading is None:
+        return table
+    others = [name for name in table.distributions if name not in ("cone_index", *_WITHOUT_LEVEL)]
+    if others:
+        raise InputError(
+            f"the cone index decides the soil's level, which 'soil.{others[0]}' is part of: make only one of them"
+            " uncertain"
+        )
+    per = float(as_number(soil.strength_factor / cone_index(soil)))
+    scaled = {key: value if key == "distribution" else value * per for key, value in reading.items()}
+    new = {"cone_index": "strength_factor"}
+    return replace(
+        table,
+        distributions={new.get(k, k): scaled if k in new else v for k, v in table.distributions.items()},
+        correlation={(new.get(a, a), new.get(b, b)): c for (a, b), c in table.correlation.items()},
+    )
 
 
 def join_dotted(data: dict[str, Any]) -> None:
@@ -139,6 +165,8 @@ def check_uncertain(source: Source, table: ProblemTable) -> None:
                 raise InputError(f"'{key}' cannot be uncertain: {nearest(key, [*properties, *_COUNTS, 'correlation'])}")
             elif key in table.variables:
                 raise InputError(f"'{key}' is a variable and cannot be uncertain too: remove one")
+            elif key == "soil.cone_index" and table.soil.adjust != "strength factor":
+                raise InputError(f"'{key}' can be uncertain with adjust = \"strength factor\" only")
             else:
                 _check_distribution(source, key, entry)
     with source.noting((TABLE,)):

@@ -106,6 +106,7 @@ def test_what_is_off_is_absent(tmp_path):
         *("share.half_angle", "share.loosened_radius", "share.static_resistance"),
         *("share.wedge_angle", "share.chisel_angle", "share.height", "scene.stiffness", "scene.mass"),
         *("soil.density_ratio", "soil.cohesion", "soil.friction_angle", "soil.tool_friction"),
+        "soil.strength_factor",
     }
 
 

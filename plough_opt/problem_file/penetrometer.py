@@ -1,0 +1,215 @@
+"""Readings of a penetrometer from a CSV file: cone index over depth, of one or several insertions."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from plough_opt.errors import InputError, nearest, short
+from plough_opt.problem_file.csv_rows import HEADING, factor_of, number_of, raise_listed, read_rows
+from plough_opt.problem_file.ranges import read_axis
+from plough_opt.problem_file.source import Source
+from plough_opt.problem_file.units import Unit
+from plough_opt.study.axes import Range
+
+Vector = NDArray[np.float64]
+
+_UNITS = {"depth": Unit("m"), "cone_index": Unit("Pa"), "insertion": Unit("")}
+_EXAMPLE = "'insertion, depth [cm], cone_index [kPa]', or 'depth [cm], cone_index [kPa], cone_index [kPa]'"
+# Insertions without which a spread between them is not worth a distribution.
+_FEWEST = 3
+
+
+@dataclass(frozen=True)
+class Penetrometer:
+    """Cone index over a range of depth, of each insertion.
+
+    Attributes:
+        name: the file.
+        insertions: mean cone index of each insertion over the range of depth [Pa].
+    """
+
+    name: str
+    insertions: Vector
+
+    @property
+    def mean(self) -> float:
+        """Mean of the insertions [Pa]."""
+        return float(np.mean(self.insertions))
+
+    @property
+    def spread(self) -> float:
+        """Standard deviation between the insertions [Pa].
+
+        Raises:
+            InputError: fewer than three insertions.
+        """
+        if len(self.insertions) < _FEWEST:
+            raise InputError(
+                f"{self.name} has {len(self.insertions)} insertions, and a spread needs {_FEWEST}: measure at further"
+                " places, or give a distribution"
+            )
+        return float(np.std(self.insertions, ddof=1))
+
+    def distribution(self) -> Any:
+        """Return the lognormal distribution of scipy.stats that has the insertions' mean and spread [Pa].
+
+        Raises:
+            InputError: fewer than three insertions, or no difference between them.
+        """
+        from scipy import stats  # slow to import, and rarely needed
+
+        if self.spread == 0.0:
+            raise InputError(f"{self.name}: all insertions have the same mean, so that nothing is uncertain")
+        width = math.sqrt(math.log1p((self.spread / self.mean) ** 2))
+        return stats.lognorm(width, scale=self.mean * math.exp(-0.5 * width**2))
+
+
+def read_penetrometer(path: str | Path, depth: tuple[float, float]) -> Penetrometer:
+    """Read a penetrometer's CSV file and average every insertion over a range of depth.
+
+    The first line that is neither empty nor begins with ``#`` names the columns with their units: ``depth``, and
+    ``cone_index``, either once with a column ``insertion`` of numbers that tell insertions apart (without it there is
+    one), or once for each insertion. Depths of an insertion rise; between readings the cone index is taken linear.
+
+    Args:
+        path: the file.
+        depth: from and to [m]; every insertion must reach over it.
+
+    Returns:
+        The mean cone index of every insertion; its ``mean`` goes to `Soil.from_cone_index`, its ``distribution()``
+        times ``strength_factor / mean`` to a `SoilDistribution`.
+
+    Raises:
+        InputError: no such file, a column or cell that cannot be, each with its line, or an insertion that does not
+            reach over the range.
+    """
+    low, high = depth
+    if not 0.0 <= low < high:
+        raise InputError(f"depth = {depth!r}: give two depths in metres, the shallower first, from 0 on")
+    rows = read_rows(Path(path), "penetrometer readings")
+    if len(rows) < 2:
+        raise InputError(f"{path}: there are no readings: write a first line that names the columns, as {_EXAMPLE}")
+    line, headings = rows[0]
+    columns = _columns(f"{path}, line {line}", headings)
+    table, errors = [], []
+    for number, cells in rows[1:]:
+        values, wrong = _values(f"{path}, line {number}", cells, columns)
+        table.append(values)
+        errors += wrong
+    raise_listed(errors)
+    curves = _curves([name for name, _ in columns], np.array(table))
+    means, errors = [], []
+    for label, z, pressure in curves:
+        try:
+            means.append(_mean(z, pressure, low, high))
+        except InputError as error:
+            errors.append(f"{path}, insertion {label:g}: {error}")
+    raise_listed(errors)
+    return Penetrometer(str(path), np.array(means))
+
+
+def average_readings(source: Source, folder: Path) -> str:
+    """Put the cone index of [soil] penetrometer and depth in the place of these, and return what was done in words.
+
+    A distribution "penetrometer" of the cone index becomes the lognormal one of its insertions.
+    """
+    soil = source.data.get("soil")
+    if not isinstance(soil, dict) or not {"penetrometer", "depth"} & {*soil}:
+        return ""
+    with source.noting(("soil", "penetrometer")):
+        if ("soil", "cone_index") in source.overridden:
+            return ""
+        if "cone_index" in soil:
+            raise InputError("a cone index and a penetrometer's file are given: leave one out")
+        written, depth = soil.get("penetrometer"), soil.get("depth")
+        if not isinstance(written, str) or not isinstance(depth, str):
+            raise InputError('penetrometer = "FILE.csv" and depth = "25..45 cm" belong together: give both')
+        between, _ = read_axis(depth, Unit("m"), sampled=True)
+        assert isinstance(between, Range)  # a sample's axis is one
+        found = read_penetrometer(folder / written, (between.lower, between.upper))
+        soil["cone_index"] = f"{found.mean / 1e6!r} MPa"
+        _spread_in(source.data.get("uncertain"), found)
+        return f"{found.mean / 1e6:.4g} MPa, mean of {len(found.insertions)} insertions over {depth} in {written}"
+    return ""
+
+
+def _spread_in(uncertain: Any, found: Penetrometer) -> None:
+    """Give the [uncertain] table the insertions' mean and spread where it asks for them."""
+    entry = uncertain.get("soil.cone_index") if isinstance(uncertain, dict) else None
+    if isinstance(entry, dict) and entry.get("distribution") == "penetrometer":
+        entry |= {"distribution": "lognormal", "mean": f"{found.mean!r} Pa", "std": f"{found.spread!r} Pa"}
+
+
+def _columns(place: str, headings: Sequence[str]) -> list[tuple[str, float]]:
+    """Return name and factor to SI of every column."""
+    found: list[tuple[str, float]] = []
+    errors = []
+    for text in headings:
+        match = HEADING.fullmatch(text)
+        try:
+            if match is None or match["name"] not in _UNITS:
+                raise InputError(f"no such column is known: {nearest(match['name'] if match else text, _UNITS)}")
+            found.append((match["name"], factor_of(match["name"], match["unit"], _UNITS[match["name"]])))
+        except InputError as error:
+            errors.append(f"{place}, column '{short(text.strip())}': {error}")
+    names = [name for name, _ in found]
+    if not errors and (names.count("depth") != 1 or "cone_index" not in names or names.count("insertion") > 1):
+        errors.append(f"{place}: one column depth and at least one column cone_index are needed, as {_EXAMPLE}")
+    if not errors and "insertion" in names and names.count("cone_index") > 1:
+        errors.append(f"{place}: a column insertion goes with one column cone_index: leave it out")
+    raise_listed(errors)
+    return found
+
+
+def _values(place: str, cells: Sequence[str], columns: Sequence[tuple[str, float]]) -> tuple[list[float], list[str]]:
+    """Return a row's numbers in SI, and what is wrong with it."""
+    if len(cells) != len(columns):
+        return [math.nan] * len(columns), [
+            f"{place}: the number of cells is {len(cells)}, and the header names {len(columns)} columns: give each one"
+        ]
+    values, errors = [], []
+    for cell, (name, factor) in zip(cells, columns, strict=True):
+        value = math.nan
+        try:
+            value = number_of(cell, factor)
+            if value < 0.0 and name != "insertion":
+                raise InputError(f"{cell.strip()} must be at least 0")
+        except InputError as error:
+            errors.append(f"{place}, column '{name}': {error}")
+        values.append(value)
+    return values, errors
+
+
+def _curves(names: Sequence[str], table: Vector) -> list[tuple[float, Vector, Vector]]:
+    """Return number, depths and cone indices of every insertion."""
+    depth = table[:, names.index("depth")]
+    pressures = [k for k, name in enumerate(names) if name == "cone_index"]
+    if "insertion" in names:
+        which = table[:, names.index("insertion")]
+        chosen = [(float(label), which == label) for label in dict.fromkeys(which)]
+        return [(label, depth[rows], table[rows, pressures[0]]) for label, rows in chosen]
+    return [(k + 1.0, depth, table[:, column]) for k, column in enumerate(pressures)]
+
+
+def _mean(depth: Vector, pressure: Vector, low: float, high: float) -> float:
+    """Return the mean of a curve between two depths [Pa]."""
+    if np.any(np.diff(depth) <= 0.0):
+        raise InputError("its depths must rise from row to row; another insertion has another number")
+    if not (depth[0] <= low and high <= depth[-1]):
+        raise InputError(
+            f"its readings reach from {100 * depth[0]:.4g} to {100 * depth[-1]:.4g} cm, and the depth asked for from"
+            f" {100 * low:.4g} to {100 * high:.4g} cm: narrow that, or leave this insertion out"
+        )
+    inner = (depth > low) & (depth < high)
+    places = np.r_[low, depth[inner], high]
+    mean = float(np.trapezoid(np.interp(places, depth, pressure), places) / (high - low))
+    if not mean > 0.0:
+        raise InputError("its mean cone index is 0: no soil resists there")
+    return mean

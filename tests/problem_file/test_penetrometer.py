@@ -1,0 +1,151 @@
+"""Penetrometer readings in problem files: averages, spreads, and what is wrong with its place."""
+
+import math
+
+import numpy as np
+import pytest
+
+import plough_opt as po
+from plough_opt.problem_file.template import TEMPLATE
+
+WIDE = """\
+# three places
+depth [cm], cone_index [kPa], cone_index [MPa], cone_index [kPa]
+0,100,0.12,90
+20,900,1.0,800
+30,1500,1.7,1400
+40,1600,1.9,1500
+50,1700,1.9,1600
+"""
+# Means over 25 to 45 cm by hand: the trapezoids 25-30, 30-40 and 40-45 cm.
+MEANS = [
+    (5 * (1200 + 1500) / 2 + 10 * 1550 + 5 * (1600 + 1650) / 2) * 1e3 / 20,
+    (5 * (1350 + 1700) / 2 + 10 * 1800 + 5 * 1900) * 1e3 / 20,
+    (5 * (1100 + 1400) / 2 + 10 * 1450 + 5 * (1500 + 1550) / 2) * 1e3 / 20,
+]
+
+
+@pytest.fixture
+def write(tmp_path):
+    """Write a CSV file and a problem file that reads it."""
+
+    def made(text=WIDE, depth='"25..45 cm"', more="", file='"field.csv"'):
+        (tmp_path / "field.csv").write_text(text, encoding="utf-8")
+        lines = f'name = "serozem"\npenetrometer = {file}\ndepth = {depth}\n{more}'
+        path = tmp_path / "problem.toml"
+        path.write_text(TEMPLATE.replace('name = "serozem" ', lines + "\n", 1), encoding="utf-8")
+        return path
+
+    return made
+
+
+def test_an_average_over_depth_of_each_insertion(write):
+    found = po.read_penetrometer(write().parent / "field.csv", (0.25, 0.45))
+    assert found.insertions == pytest.approx(MEANS, rel=1e-14)
+    assert found.mean == pytest.approx(np.mean(MEANS), rel=1e-14)
+    assert found.spread == pytest.approx(np.std(MEANS, ddof=1), rel=1e-12)
+    law = found.distribution()
+    assert [law.mean(), law.std()] == pytest.approx([found.mean, found.spread], rel=1e-12)
+
+
+def test_insertions_below_each_other_are_the_same(tmp_path):
+    rows = [line.split(",") for line in WIDE.splitlines()[2:]]
+    long = ["insertion; depth [m]; cone_index [kPa]"]
+    for k, factor in ((1, 1.0), (2, 1e3), (3, 1.0)):
+        long += [f"{k}; {float(row[0]) / 100}; {float(row[k]) * factor}" for row in rows]
+    (tmp_path / "long.csv").write_text("\n".join(long), encoding="utf-8")
+    found = po.read_penetrometer(tmp_path / "long.csv", (0.25, 0.45))
+    assert found.insertions == pytest.approx(MEANS, rel=1e-12)
+
+
+def test_a_file_takes_the_level_from_it(write):
+    problem = po.read_problem(write())
+    soil = problem.scene().soil
+    assert po.cone_index(soil) == pytest.approx(np.mean(MEANS), rel=1e-14)
+    assert (soil.cohesion, soil.density_ratio) == (20e3, 0.794)
+    assert "3 insertions" in problem.readings
+    adjusted = po.read_problem(write(more='adjust = "density ratio"')).scene().soil
+    assert adjusted.strength_factor == 1.0
+    assert po.cone_index(adjusted) == pytest.approx(np.mean(MEANS), rel=1e-12)
+    other = po.read_problem(write(), ['soil.cone_index="2 MPa"']).scene().soil
+    assert po.cone_index(other) == pytest.approx(2e6, rel=1e-14)
+
+
+def test_a_cone_index_takes_the_place_of_a_property(tmp_path):
+    path = tmp_path / "problem.toml"
+    own = (
+        'density = "1350 kg/m^3"\ndensity_ratio = 0.794\nfriction_angle = "28 deg"\ntool_friction = 0.5\n'
+        'cone_index = "900 kPa"\nadjust = "cohesion"\n'
+    )
+    path.write_text(TEMPLATE.replace('name = "serozem" ', own, 1), encoding="utf-8")
+    soil = po.read_problem(path).scene().soil
+    expected = po.Soil.from_cone_index(9e5, soil=po.named_soil("serozem"), adjust="cohesion")
+    assert soil.cohesion == pytest.approx(expected.cohesion, rel=1e-15)
+
+
+def test_the_insertions_spread_makes_the_design_robust(write):
+    path = write()
+    uncertain = '\n[uncertain]\n"soil.cone_index" = { distribution = "penetrometer" }\nsamples = 8\nfresh = 100\n'
+    text = "\n".join(line for line in path.read_text(encoding="utf-8").splitlines() if "deflection" not in line)
+    path.write_text(text + uncertain, encoding="utf-8")
+    problem = po.read_problem(path)
+    from plough_opt.problem_file.uncertain import distribution_of, uncertain_of
+
+    field = distribution_of(uncertain_of(problem.table.uncertain), problem.scene().soil)
+    assert field.names == ("strength_factor",)
+    mean, spread = field.moments["strength_factor"]
+    per = problem.scene().soil.strength_factor / np.mean(MEANS)
+    # The moments come by a quadrature over the quantiles.
+    assert [mean, spread] == pytest.approx([np.mean(MEANS) * per, np.std(MEANS, ddof=1) * per], rel=1e-8)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("", "there are no readings"),
+        ("depth [cm]\n1\n", "line 1: one column depth and at least one column cone_index"),
+        ("depth [cm], cone_index\n1, 2\n", "line 1, column 'cone_index': the unit is missing"),
+        ("depth [cm], pressure [kPa]\n1, 2\n", "line 1, column 'pressure .kPa.': no such column"),
+        ("depth [cm], cone_index [m]\n1, 2\n", "'m' is not a unit of Pa"),
+        ("depth [cm], cone_index [kPa]\n0, 1\n10, x\n", "line 3, column 'cone_index': 'x' is not a number"),
+        ("depth [cm], cone_index [kPa]\n0, 1\n10\n", "line 3: the number of cells is 1"),
+        ("depth [cm], cone_index [kPa]\n0, 1\n10, -5\n", "-5 must be at least 0"),
+        ("depth [cm], cone_index [kPa]\n0, 1\n60, nan\n", "not a finite number"),
+        ("depth [cm], cone_index [kPa]\n0, 1\n20, 5\n", "insertion 1: its readings reach from 0 to 20 cm"),
+        ("depth [cm], cone_index [kPa]\n0, 1\n60, 5\n30, 5\n", "depths must rise"),
+        ("depth [cm], cone_index [kPa]\n0, 0\n60, 0\n", "its mean cone index is 0"),
+        ("insertion, depth [cm], cone_index [kPa], cone_index [kPa]\n1, 0, 1, 2\n", "leave it out"),
+        ("depth [cm], cone_index [kPa]\n" + "1, 2, 3" * 2000, "line 2: it has 14000 characters"),
+    ],
+)
+def test_what_is_wrong_with_a_file_has_its_place(write, text, words):
+    path = write(text)
+    with pytest.raises(po.InputError, match=words):
+        po.read_penetrometer(path.parent / "field.csv", (0.25, 0.45))
+    with pytest.raises(po.InputError, match=r"problem\.toml, line \d+"):
+        po.read_problem(path)
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"depth": '"45..25 cm"'}, "45"),
+        ({"depth": '"25 cm"'}, "no two ends"),
+        ({"depth": "3"}, "belong together"),
+        ({"file": '"none.csv"'}, "there is no file"),
+        ({"more": 'cone_index = "1 MPa"'}, "leave one out"),
+        ({"more": "strength_factor = 2.0"}, "follows from the cone index"),
+        ({"more": 'adjust = "cohesian"'}, "'cohesion'"),
+    ],
+)
+def test_what_contradicts_itself_is_refused(write, changes, words):
+    with pytest.raises(po.InputError, match=words):
+        po.read_problem(write(**changes))
+
+
+def test_two_insertions_have_no_spread(write):
+    path = write("depth [cm], cone_index [kPa], cone_index [kPa]\n0, 1, 2\n60, 900, 1000\n")
+    found = po.read_penetrometer(path.parent / "field.csv", (0.25, 0.45))
+    assert math.isfinite(found.mean)
+    with pytest.raises(po.InputError, match="2 insertions, and a spread needs 3"):
+        found.distribution()

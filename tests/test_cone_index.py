@@ -1,0 +1,144 @@
+"""The cone index of a soil, and soils from a cone index."""
+
+import dataclasses
+import math
+
+import casadi as ca
+import mpmath as mp
+import numpy as np
+import pytest
+
+import plough_opt as po
+
+# Values of the named soils [kPa], as named and with 5 kPa of ambient pressure, computed apart from this package.
+TABLE = {
+    "loose sandy loam": (145.917971, 18.1231254),
+    "firm sandy loam": (266.645682, 61.7095802),
+    "serozem": (261.446126, 80.1888681),
+    "hardpan": (603.865432, 234.165708),
+    "heavy clay": (275.244269, 176.781123),
+}
+ADJUSTS = ("strength factor", "cohesion", "density ratio")
+
+
+def precise(soil, strength_factor=1.0):
+    """Return s (1 + mu0/tan b) (a^(nu/2) - 1)/nu (nu p_a + tau0/(1 + mu)) with 40 digits."""
+    with mp.workdps(40):
+        mu, beta = mp.sin(soil.friction_angle), mp.mpf(15) * mp.pi / 180
+        nu = 2 * mu / (1 + mu)
+        growth = ((1 / (1 - mp.mpf(soil.density_ratio))) ** (nu / 2) - 1) / nu
+        tau0 = 2 * mp.mpf(soil.cohesion) * mp.cos(soil.friction_angle)
+        strength = nu * soil.ambient_pressure + tau0 / (1 + mu)
+        return float(strength_factor * (1 + soil.tool_friction / mp.tan(beta)) * growth * strength)
+
+
+@pytest.mark.parametrize("name", TABLE)
+def test_the_named_soils_have_the_published_values(name):
+    soil = po.named_soil(name)
+    light = dataclasses.replace(soil, ambient_pressure=5e3)
+    # The table has nine digits.
+    assert [po.cone_index(soil) / 1e3, po.cone_index(light) / 1e3] == pytest.approx(TABLE[name], rel=5e-9)
+    # Of 53 bits a dozen operations leave all but the last few.
+    assert po.cone_index(soil) == pytest.approx(precise(soil), rel=2e-15)
+
+
+@pytest.mark.parametrize("adjust", ADJUSTS)
+@pytest.mark.parametrize("reading", [0.7e6, 1.5e6, 6e6])
+def test_there_and_back(adjust, reading):
+    for name in TABLE:
+        soil = po.Soil.from_cone_index(reading, soil=po.named_soil(name), adjust=adjust)
+        # A density ratio of 1 - 1e-4 has lost four of sixteen digits.
+        assert po.cone_index(soil) == pytest.approx(reading, rel=1e-12)
+        kept = dataclasses.asdict(po.named_soil(name))
+        changed = {key for key, value in dataclasses.asdict(soil).items() if value != kept[key]}
+        assert changed == {adjust.replace(" ", "_"), "name", "source"}
+
+
+def test_the_draft_of_a_share_follows_the_closed_ratio():
+    soil = po.Soil.from_cone_index(2e6, soil=po.named_soil("firm sandy loam"))
+    cone = po.Cone(po.deg(11.0), 0.3)
+    base = math.pi * (0.3 * math.tan(po.deg(11.0))) ** 2
+    ratio = (1 + 0.45 / math.tan(po.deg(11.0))) / (1 + 0.45 / math.tan(po.deg(15.0)))
+    assert po.resistance(cone, soil, 0.0, 0.0) == pytest.approx(2e6 * base * ratio, rel=1e-14)
+
+
+def test_a_strength_factor_scales_the_static_resistance_and_nothing_else():
+    soil = po.named_soil("hardpan")
+    strong = dataclasses.replace(soil, strength_factor=3.0)
+    cone = po.Cone(po.deg(12.0), 0.25)
+    weak, found = po.soil_reaction(cone, soil), po.soil_reaction(cone, strong)
+    assert found.static == pytest.approx(3.0 * weak.static, rel=1e-15)
+    assert (found.drag, found.added_mass) == (weak.drag, weak.added_mass)
+    coefficients = po.resistance_coefficients(cone, strong)
+    assert pytest.approx(3.0 * po.resistance_coefficients(cone, soil).A, rel=1e-15) == coefficients.A
+    assert po.loosened_radius(cone, strong) == po.loosened_radius(cone, soil)
+    cavity = po.plastic.Cavity(0.05, 0.5, 0.0)
+    assert po.plastic.surface_pressure(cavity, strong) == po.plastic.surface_pressure(cavity, soil)
+
+
+def test_arrays_and_symbols():
+    readings = np.array([1e6, 2e6])
+    soil = po.Soil.from_cone_index(readings, soil=po.named_soil("serozem"), adjust="density ratio")
+    assert po.cone_index(soil) == pytest.approx(readings, rel=1e-12)
+    x = ca.SX.sym("x")
+    for adjust in ADJUSTS:
+        symbolic = po.Soil.from_cone_index(x, soil=po.named_soil("serozem"), adjust=adjust)
+        back = ca.Function("back", [x], [po.cone_index(symbolic), ca.jacobian(po.cone_index(symbolic), x)])
+        assert [float(one) for one in back(1.5e6)] == pytest.approx([1.5e6, 1.0], rel=1e-12)
+
+
+def test_a_profile_has_the_index_of_a_cone_of_its_own_size():
+    flat = po.named_soil("serozem").with_density_profile(lambda r: 1350.0 / 0.794 + 0.0 * r)
+    # A constant profile is the constant density ratio; the quadrature is exact for it up to rounding.
+    assert po.cone_index(flat) == pytest.approx(po.cone_index(po.named_soil("serozem")), rel=1e-13)
+    with pytest.raises(po.InputError, match=r"density profile: set strength_factor"):
+        po.Soil.from_cone_index(1e6, soil=flat)
+
+
+@pytest.mark.parametrize(
+    ("reading", "soil", "adjust", "words"),
+    [
+        (0.0, "serozem", "cohesion", "cone index = 0 Pa must be above 0"),
+        (math.nan, "serozem", "cohesion", "cone index = nan"),
+        (1e5, "heavy clay", "cohesion", r"3\.574 kPa above the reading"),
+        (1e6, "serozem", "cohesian", "cohesion"),
+    ],
+)
+def test_readings_that_cannot_be_met_are_refused(reading, soil, adjust, words):
+    with pytest.raises((po.InputError, po.DomainError), match=words):
+        po.Soil.from_cone_index(reading, soil=po.named_soil(soil), adjust=adjust)
+
+
+def test_a_soil_without_strength_is_refused():
+    nothing = po.Soil(1350.0, 0.8, 0.0, 0.0, 0.5)
+    with pytest.raises(po.InputError, match="no strength to scale"):
+        po.Soil.from_cone_index(1e6, soil=nothing)
+    assert po.cone_index(po.Soil.from_cone_index(1e6, soil=nothing, adjust="cohesion")) == pytest.approx(1e6, rel=1e-14)
+    with pytest.raises(po.InputError, match="must be the Soil"):
+        po.Soil.from_cone_index(1e6, soil="serozem")
+
+
+def test_what_leaves_the_range_of_soils_is_said():
+    serozem = po.named_soil("serozem")
+    warned = {a: " ".join(po.Soil.from_cone_index(1.5e6, soil=serozem, adjust=a).warnings()) for a in ADJUSTS}
+    assert "5.737 times the law's" in warned["strength factor"]
+    assert "370 kPa" in warned["cohesion"]
+    assert "0.992465" in warned["density ratio"]
+    assert "11.5 radii" in warned["density ratio"]
+    assert serozem.warnings() == ()
+    scene = po.Scene(
+        po.Soil.from_cone_index(1.5e6, soil=serozem), po.Cone(0.2, 0.2), 1e5, 20.0, 2.0, po.Effects(motion=False)
+    )
+    assert any("strength factor" in text for text in po.simulate(scene, 1.0).warnings)
+
+
+def test_a_design_can_limit_it():
+    d = po.Design()
+    cohesion = d.variable("cohesion", guess=2e4, lower=1e3, upper=9e4, unit="Pa")
+    soil = dataclasses.replace(po.named_soil("serozem"), cohesion=cohesion)
+    d.minimise(cohesion / 1e4)
+    d.require("cone index", po.cone_index(soil), at_least=3e5, unit="Pa")
+    best = d.solve(judge="bare")
+    # The limit decides, and the way back is exact; limits hold to 5e-10 of their size.
+    exact = po.Soil.from_cone_index(3e5, soil=po.named_soil("serozem"), adjust="cohesion").cohesion
+    assert best.variables["cohesion"] == pytest.approx(exact, rel=1e-8)

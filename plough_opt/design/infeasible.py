@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -19,7 +19,9 @@ _HOLDS = 1e-6
 # Designs of a sample from which the least violation is looked for, no two of them nearer than this part of the range.
 _STARTS, _APART = 8, 0.1
 # Of designs with little violation so many go on to the optimiser, which violate by so much more than the best at most.
-_POLISHED, _NEAR_LEAST = 3, 0.1
+_POLISHED, _NEAR_LEAST = 3, 1e-3
+# How far from a design, in parts of the range, its polished one may lie, and by how much its violation may be larger.
+_BESIDE, _NOT_WORSE = 0.01, 1e-6
 # A requirement is to blame where the others are violated by so much less, in parts of the shortfall, without it.
 _HELPS = 1e-3
 
@@ -38,6 +40,7 @@ def feasible_from(program: Program, landscape: Landscape, p: Vector, explored: E
         InfeasibleDesign: the least violation that was found, from several designs, is one.
     """
     starts = [start, *_apart(explored.sample)]
+    known: Sequence[float] = [np.inf] * len(starts)
     if landscape.vectorised:
         ends = explored.least
         if ends is None:
@@ -47,16 +50,26 @@ def feasible_from(program: Program, landscape: Landscape, p: Vector, explored: E
         if ends.violation[0] <= MET:
             found: Vector = ends.points[0]
             return found
-        starts = list(ends.points[ends.violation <= (1.0 + _NEAR_LEAST) * ends.violation[0]])
+        ends = ends.of(ends.violation <= (1.0 + _NEAR_LEAST) * ends.violation[0])
+        starts, known = list(ends.points), ends.violation.tolist()
     starts = starts[:_POLISHED]
     program.build(p, starts=starts)
-    points = [program.solve_relaxed(one, p) for one in starts]
+    points = [_polished(program, p, one, violation) for one, violation in zip(starts, known, strict=False)]
     n = len(start)
     solved = [point for point in points if point.solved] or points
     best = min(solved, key=lambda point: point.f)
     if is_feasible(best):
         return np.clip(best.y[:n], 0.0, 1.0)
     raise infeasible(program, best, landscape.tried, lambda k: _helps(landscape, best.y[:n], k))
+
+
+def _polished(program: Program, p: Vector, y: Vector, violation: float) -> Point:
+    """Return the design of least violation beside another, whose violation is known, or else where it leads."""
+    if np.isfinite(violation):
+        point = program.solve_relaxed(y, p, box=_BESIDE)
+        if point.solved and point.f <= (1.0 + _NOT_WORSE) * violation + _VIOLATED:
+            return point
+    return program.solve_relaxed(y, p)
 
 
 def _apart(sample: Seen) -> list[Vector]:

@@ -351,10 +351,11 @@ class Program:
         lower[fixed] = upper[fixed] = start[fixed]
         return (self._now.of_rows or self._now.solver).solve(start, p, lower, upper, near=True)
 
-    def solve_relaxed(self, start: Vector, p: Vector, fixed: Sequence[int] = ()) -> Point:
+    def solve_relaxed(self, start: Vector, p: Vector, fixed: Sequence[int] = (), box: float = 1.0) -> Point:
         """Return the design near a start at which the requirements give way least; slacks follow y.
 
-        Variables number ``fixed`` are held at the start, which then lies near.
+        Variables number ``fixed`` are held at the start, and the others no further from it than ``box``; of either the
+        start then lies near.
         """
         count, n = len(self.declared.requirements), len(start)
         built = self._now
@@ -366,10 +367,12 @@ class Program:
         # Where a theory ends nothing gives way: beyond it the model has no value.
         gives = np.tile(np.arange(count) < count - len(self._implied), 2)
         slack[~gives] = 0.0
-        lower, upper = np.zeros(n + 2 * count), np.r_[np.ones(n), np.where(gives, np.inf, 0.0)]
+        lower = np.r_[np.maximum(start - box, 0.0), np.zeros(2 * count)]
+        upper = np.r_[np.minimum(start + box, 1.0), np.where(gives, np.inf, 0.0)]
         held = list(fixed)
         lower[held] = upper[held] = start[held]
-        return built.relaxed.solve(np.r_[start, slack], p, lower, upper, near=bool(held))
+        near = box < 1.0
+        return built.relaxed.solve(np.r_[start, slack], p, lower, upper, near=near or bool(held), exact=near or None)
 
 
 def _power_of_four(value: float) -> float:

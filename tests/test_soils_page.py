@@ -1,0 +1,50 @@
+"""docs/soils.md: its examples run, and its numbers are those of the code."""
+
+import re
+import shutil
+from pathlib import Path
+
+import pytest
+
+import plough_opt as po
+
+ROOT = Path(__file__).parents[1]
+TEXT = (ROOT / "docs" / "soils.md").read_text(encoding="utf-8")
+BLOCKS = re.findall(r"```(\w+)\n(.*?)```", TEXT, flags=re.DOTALL)
+
+
+def test_examples_run(capsys):
+    for language, text in BLOCKS:
+        if language == "python":
+            exec(compile(text, "soils.md", "exec"), {})  # the page's own text
+    printed = capsys.readouterr().out
+    assert "5.737" in printed
+    assert "0.992465" in printed
+
+
+def test_the_table_of_cone_indices_is_the_code_s():
+    rows = dict(re.findall(r"^\| ([a-z ]+) \| ([\d.]+) kPa \| [\d.]+ kPa \|$", TEXT, flags=re.MULTILINE))
+    assert tuple(rows) == po.soil_names()
+    for name, value in rows.items():
+        assert float(value) == pytest.approx(po.cone_index(po.named_soil(name)) / 1e3, rel=2e-4)  # four digits
+
+
+def test_its_tables_of_a_file_are_read(tmp_path):
+    (tables,) = (text for language, text in BLOCKS if language == "toml")
+    soil, uncertain = tables.split("\n\n")
+    file = (ROOT / "problems" / "cotton_subsoiler.toml").read_text(encoding="utf-8")
+    start = file.index("[soil]")
+    lines = [line for line in file[file.index("\n[", start) :].splitlines() if not line.startswith("deflection")]
+    path = tmp_path / "share.toml"
+    path.write_text(file[:start] + soil + "\n" + "\n".join(lines) + "\n" + uncertain, encoding="utf-8")
+    shutil.copy(ROOT / "problems" / "insertions.csv", tmp_path)
+    problem = po.read_problem(path)
+    readings = po.read_penetrometer(ROOT / "problems" / "insertions.csv", (0.25, 0.45))
+    assert po.cone_index(problem.scene().soil) == pytest.approx(readings.mean, rel=1e-12)
+
+
+def test_the_synthetic_readings_are_what_their_script_writes():
+    import runpy
+
+    made = runpy.run_path(str(ROOT / "problems" / "make_field_data.py"))["insertions"]()
+    assert (ROOT / "problems" / "insertions.csv").read_text(encoding="utf-8") == made

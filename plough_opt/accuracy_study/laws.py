@@ -25,7 +25,7 @@ GAP: Final = 2
 # Part of the smooth contact's width by which its step's polynomial is left late.
 _LATE = WIDE(1e-4)
 # Part of the tow speed below which a speed backwards is rounding: of a share that hardly begins to move.
-_STANDSTILL = WIDE(1e-16)
+_STANDSTILL = WIDE(1e-14)
 
 
 @dataclass(frozen=True)

@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 READ_FROM: Final = 8
 """Ends of steps from which an output is read that lies at none of them."""
 
-# Steps by which a part of fewer than that is divided further: the polynomial's lower degree then does no harm.
-_MORE: Final = 3
+# Of n steps so many times the root of n at least lie on either side of a kink. They are enough to read between, and
+# of a check with fewer steps they are fewer there too, so that what a short ramp leaves of error is seen.
+_LEAST: Final = 5.0 / 3.0
 
 # Part of the duration below which a kink is at rounding distance from the end of a step: it would make steps of no
 # length.
@@ -29,10 +30,10 @@ class Timeline:
         outputs: number of equal intervals between output times.
         steps: number of integration steps. Of an adaptive method the most that it takes.
         kink: fraction at which the right-hand side is not smooth (the end of a tow ramp), or None. A
-            step ends there, so that the method keeps its order. Between 0 and 1.
+            step ends there, so that the method keeps its order. Between 0 and 1. Where no step need end at the
+            outputs, steps are of equal length on either side of it, no longer than without it, and some on each.
         aligned: whether a step ends at each output; each output interval then takes the nearest whole number of
-            steps, at least one. Else outputs are read between the ends of `READ_FROM` steps: on either side of the kink
-            steps are of equal length, no longer than without it, and no fewer than these need.
+            steps, at least one. Else outputs are read between the ends of `READ_FROM` steps.
         moving: whether steps of order 8 end at kinks too wherever the parameters put these: see
             `plough_opt.motion.breaks`. Then they are aligned, an output interval takes no fewer steps than its share,
             and ``kink`` is None.
@@ -61,8 +62,8 @@ class Timeline:
     def _in_two(self) -> NDArray[np.float64]:
         """Return the ends of equal steps to the kink, and of equal steps from there."""
         assert self.kink is not None  # else there is one part
-        needed = (math.ceil(part * self.steps) for part in (self.kink, 1.0 - self.kink))
-        before, after = (max(count, min(self.steps, count + _MORE, READ_FROM - 1)) for count in needed)
+        least = min(self.steps, math.ceil(_LEAST * math.sqrt(self.steps)))
+        before, after = (max(math.ceil(part * self.steps), least) for part in (self.kink, 1.0 - self.kink))
         return np.concatenate([np.linspace(0.0, self.kink, before + 1), np.linspace(self.kink, 1.0, after + 1)[1:]])
 
     @cached_property

@@ -1,3 +1,5 @@
+import math
+
 import casadi as ca
 import numpy as np
 import pytest
@@ -5,6 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from plough_opt.motion.breaks import ends
+from plough_opt.motion.plan import coarser
 from plough_opt.motion.timeline import Timeline
 
 
@@ -39,10 +42,18 @@ def test_on_either_side_of_a_kink_steps_are_many_enough_to_read_between(steps, k
     (at,) = np.flatnonzero(timeline.nodes == kink)
     before, after = np.diff(timeline.nodes[: at + 1]), np.diff(timeline.nodes[at:])
     for part in (before, after):
-        assert len(part) >= min(steps, 4)
+        assert len(part) >= min(steps, 5 / 3 * math.sqrt(steps))
         assert np.ptp(part) < 1e-15
         assert np.max(part) < (1.0 + 1e-12) / steps
-    assert len(before) + len(after) <= steps + 7  # three more on one side, unless there are so few on both
+    assert len(before) + len(after) <= steps + max(5 / 3 * math.sqrt(steps), 7) + 2
+
+
+@pytest.mark.parametrize("kink", [1e-6, 0.01, 0.07, 0.24])
+def test_a_check_with_three_quarters_of_the_steps_takes_fewer_on_either_side_of_a_kink(kink):
+    for steps in range(20, 2000, 7):
+        nodes, check = (Timeline(100, n, kink, aligned=False).nodes for n in (steps, coarser(steps)))
+        assert np.sum(check < kink) < np.sum(nodes < kink), steps
+        assert np.sum(check > kink) < np.sum(nodes > kink), steps
 
 
 def test_steps_that_end_at_moving_kinks_are_no_fewer_than_their_share():

@@ -43,6 +43,7 @@ class Case:
         outputs: number of intervals between output times.
         structure: what its equation of motion contains.
         p: the equation's parameters by name.
+        closer: how many times as many outputs as usual are followed where events may go unnoticed.
         code: its steps of order 8 in machine code, where they are wanted and can be had.
     """
 
@@ -52,6 +53,7 @@ class Case:
     structure: Structure
     p: dict[str, float]
     code: CompiledSteps | None = None
+    closer: int = 1
 
     @classmethod
     def of(cls, scene: Scene, duration: float, outputs: int, *, compiled: bool = False) -> Case:
@@ -67,7 +69,7 @@ class Case:
     @property
     def every(self) -> int:
         """How many times as many outputs are followed: between few, events would go unnoticed."""
-        return -(-OUTPUTS // self.outputs) if self.structure.events else 1
+        return self.closer * -(-OUTPUTS // self.outputs) if self.structure.events else 1
 
     @property
     def phase(self) -> float:
@@ -130,8 +132,9 @@ def _assembled(case: Case, timeline: Timeline, found: tuple[Array, Array, Array]
     return assemble(case.scene, case.duration, fractions, *found, accuracy, known)
 
 
-def thinned(run: Run, every: int) -> Run:
-    """Return a run at every so many of its outputs."""
+def thinned(run: Run, outputs: int) -> Run:
+    """Return a run at so many equal intervals between outputs, of which it has a multiple."""
+    every = (len(run.time) - 1) // outputs
     if every == 1:
         return run
     arrays = ("time", "travel", "speed", "deflection", "mount_force", "soil_resistance", "opening", "mode")

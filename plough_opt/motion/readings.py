@@ -80,13 +80,13 @@ def readings(timeline: Timeline) -> Readings:
         around = np.searchsorted(nodes, inside, side="right") - count // 2
         ends = np.clip(around, first, last + 1 - count)[:, None] + np.arange(count)
         rows += list(ends)
-        weights += list(zip(*_hermite(nodes[ends], inside), strict=True))
+        weights += list(zip(*hermite(nodes[ends], inside), strict=True))
     starts = np.concatenate([[0], np.cumsum([len(row) for row in rows])])
     pattern = ca.Sparsity(len(nodes), len(outputs), starts.tolist(), np.concatenate(rows).tolist())
     return Readings(*(ca.DM(pattern, np.concatenate(values)) for values in zip(*weights, strict=True)))
 
 
-def _hermite(x: Array, t: Array) -> tuple[Array, Array, Array, Array]:
+def hermite(x: Array, t: Array) -> tuple[Array, Array, Array, Array]:
     """Return the weights of values and slopes at points x in the value, and in the slope, at t.
 
     At a point itself they are those of the point alone: between steps much shorter than the others rounding of their

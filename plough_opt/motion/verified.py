@@ -27,6 +27,7 @@ from plough_opt.motion.plan import (
     automatic,
     check_of,
     checked,
+    fastest_rate,
     finer,
     forced_rate,
     long_steps,
@@ -41,6 +42,7 @@ from plough_opt.motion.plan import (
 from plough_opt.motion.quasi_static import GAUSS_POINTS, MORE_POINTS, quasi_static
 from plough_opt.motion.run import Run
 from plough_opt.motion.settling import which_motion
+from plough_opt.motion.touches import unseen
 
 # How often, and by what factor, the tolerance is tightened until the wanted error is reached.
 _TIGHTENINGS = 3
@@ -48,6 +50,8 @@ _TIGHTENINGS = 3
 # the error is too large to tell, and up to where it is not.
 _MEASURED = 6
 _ANEW = 1.4
+# How many times more outputs are followed where a share may have stopped between them.
+_CLOSER = 4
 _KNOWN = 1e-3
 _TIGHTER = 0.03
 # Relative difference of a stand-in from the lasting orbit that a reader must know.
@@ -88,7 +92,7 @@ def verified(case: Case, accuracy: Accuracy) -> tuple[Run, float, tuple[str, ...
         refuse_countless_waves(case.scene, case.p, case.duration, MOST_FORCED)
         found, error = _automatic(case, wanted)
         error, notes = _told(case, found, error, wanted)
-    return thinned(found.run, case.every), error, (*notes, *remarks(found.run))
+    return thinned(found.run, case.outputs), error, (*notes, *remarks(found.run))
 
 
 def interpreted(case: Case, run: Run) -> tuple[str, ...]:
@@ -144,6 +148,9 @@ def _automatic(case: Case, wanted: float) -> tuple[Followed, float]:
                 return found, error
             if best is None or error < best[1]:
                 best = found, error
+            if unseen(found.run, fastest_rate(case.p), 0.0) > wanted:
+                case = replace(case, closer=_CLOSER * case.closer)
+                continue
             if tightened and _hopeless(case, found, error, wanted):
                 return best
             aim *= min(_TIGHTER, 0.5 * wanted / error)
@@ -220,12 +227,13 @@ def _twice(case: Case, first: Accuracy, second: Accuracy) -> tuple[Followed, flo
         # Two runs that err by chance may err alike; a third hardly does.
         third = replace(second, steps=math.ceil(_THIRD * second.steps))
         apart = max(apart, _apart(case, found, follow(case, third)))
-    return found, apart * (1.0 if coarser and not case.structure.kinked else _MARGIN)
+    error = apart * (1.0 if coarser and not case.structure.kinked else _MARGIN)
+    return found, max(error, unseen(found.run, fastest_rate(case.p), error))
 
 
 def _apart(case: Case, found: Followed, other: Followed) -> float:
     """Return how far two motions of a case are apart; of motions with events, no less than those leave of digits."""
-    apart = difference(thinned(found.run, case.every), thinned(other.run, case.every))
+    apart = difference(thinned(found.run, case.outputs), thinned(other.run, case.outputs))
     return max(apart, _AFTER_EVENTS) if apart > 0.0 and case.structure.events else apart
 
 
@@ -261,9 +269,10 @@ def _told(case: Case, found: Followed, error: float, wanted: float | None) -> tu
         if apart > _SENSITIVE * _SHAKEN:
             # Differences of the size of the motion itself are bounded by nothing that two runs show.
             error = max(error, _MARGIN * apart) if apart < _LOST else math.inf
+            told = f"to better than {error:.1e}" if error < math.inf else "at all"
             return error, (
-                f"{missed}: the motion is too sensitive to be predicted to better than {error:.1e}, for a change of the"
-                f" scene's numbers by {_SHAKEN:.0e} of themselves changes it by {apart:.1e}",
+                f"{missed}: the motion is too sensitive to be predicted {told}, for a change of the scene's numbers by"
+                f" {_SHAKEN:.0e} of themselves changes it by {apart:.1e}",
             )
     return error, (f"{missed}: the estimate is {error:.1e}",)
 

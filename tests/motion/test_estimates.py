@@ -142,6 +142,13 @@ def test_scenes_once_further_from_the_truth_than_three_estimates(seed):
     assert errors[FOUND[seed]] <= run.error_estimate < 2e-9
 
 
+def test_a_stop_that_the_integrator_passes_over_is_in_the_estimate():
+    # The mount pulls the share back from feeble soil for two parts in ten thousand of the run.
+    run, errors = by(940)
+    assert 1e-9 < max(errors.values()) <= run.error_estimate < 1e-6
+    assert [text for text in run.warnings if "all but stops" in text]
+
+
 def test_the_resistance_of_a_share_that_just_entered_has_all_its_digits():
     # A ten-thousandth of the height is in the soil: 1e-8 of the resistance, F0 (L/h)^2 with the wave on it.
     wave = po.StrengthWave(0.5, 0.1)
@@ -195,6 +202,14 @@ def test_a_motion_too_sensitive_to_be_predicted_says_so(contact, duration):
     assert run.error_estimate > 1e-6
     beside = dataclasses.replace(scene, stiffness=scene.stiffness * (1.0 + 1e-12))
     assert difference(run, po.simulate(beside, duration, outputs=50)) > 1e-8
+
+
+def test_a_motion_of_which_nothing_is_known_says_so():
+    # The soil drives the share away at a speed that its numbers decide beyond the last digit.
+    scene, duration, outputs = wild_scenes.sampled(548)
+    run = po.simulate(scene, duration, outputs=outputs)
+    assert run.error_estimate == np.inf
+    assert [text for text in run.warnings if "too sensitive to be predicted at all" in text]
 
 
 @pytest.mark.parametrize("accuracy", [po.Accuracy("erk", tolerance=1e-4), po.Accuracy("dop853", steps=24)])

@@ -25,8 +25,17 @@ def beyond_points(front: Array, designs: Array) -> Array:
     found = np.empty(len(designs))
     for first in range(0, len(designs), _CHUNK):
         part = designs[first : first + _CHUNK]
-        found[first : first + _CHUNK] = np.max(front[None] - part[:, None], axis=2).min(axis=1)
+        found[first : first + _CHUNK] = _behind(front, part).min(axis=1)
     return found
+
+
+def _behind(front: Array, designs: Array) -> Array:
+    """Return the largest objective that each point (a column) has more than each design (a row)."""
+    # Objective by objective: NumPy reduces a short axis slowly.
+    worst = front[:, 0] - designs[:, :1]
+    for k in range(1, front.shape[1]):
+        np.maximum(worst, front[:, k] - designs[:, k : k + 1], out=worst)
+    return worst
 
 
 def beyond_front(front: Array, designs: Array, step: float) -> Array:
@@ -57,10 +66,14 @@ def beaten(points: Array, designs: Array) -> Array:
 def thinned(designs: Array, tolerance: float) -> NDArray[np.intp]:
     """Return rows of which none is better than another by less than a tolerance, and that no row dominates."""
     left = np.argsort(designs.sum(axis=1), kind="stable")
+    columns = designs[left].T.copy()
     kept: list[int] = []
     while len(left):
         kept.append(int(left[0]))
-        left = left[np.any(designs[left] < designs[left[0]] - tolerance, axis=1)]
+        better = columns[0] < columns[0, 0] - tolerance
+        for own in columns[1:]:
+            better |= own < own[0] - tolerance
+        left, columns = left[better], columns[:, better]
     return np.array(kept, dtype=np.intp)
 
 

@@ -112,6 +112,7 @@ class Samples(ABC):
         self.found: list[Sample] = []
         self.failures: list[Failure] = []
         self._pricks: set[int] = set()
+        self._tried: set[bytes] = set()
         self._settled = np.empty(0, dtype=int)
         self._ranges = np.ones(front.count)
 
@@ -308,25 +309,43 @@ class Samples(ABC):
             point, level = self._to_the_last_digit(self._polished(p, y), p), 0
         return self.at_the_edge(p, point, level) if point.solved else point
 
+    def sample_beside(self, y: Vector) -> Sample | Point:
+        """Return the local optimum beside a design that the front misses, or where the optimiser stopped.
+
+        It is sought at the design's own place, as the program itself has it: a search integrates otherwise, and at the
+        bottom of a narrow dip nothing lies at a place that is better by a hair. In such a dip less of one objective, or
+        of another, is found where the others stay as they are.
+        """
+        front = self.front
+        at = front.normalised(front.objectives(y))
+        near = min(self.found, key=lambda sample: float(np.max(np.abs(sample.point.y - y))))
+        others = [{j: float(at[j]) for j in range(front.count) if j != k} for k in range(front.count)]
+        asked = [self.position(at), *(front.below(k, limits, OTHERS) for k, limits in enumerate(others))]
+        for p in asked:
+            begins = as_it_is(front.program, p, y)
+            point, level = self.optimum(near.point, y, p, 0, patient=False)
+            if point.solved and point.f <= begins.f + _NOT_WORSE * max(abs(begins.f), 1.0):
+                return self.at_the_edge(p, point, level)
+        return self.sample_at(asked[0], y)
+
     def at_the_edge(self, p: Vector, point: Point, level: int) -> Sample:
         """Return the sample of an optimum at a position; where the position does not hold it, that of the edge."""
         return self.kept(point, p, level)
 
     def reach_all(self) -> None:
         """Follow the designs that the cloud has beyond the front, until none is left that is no needle."""
-        tried: set[bytes] = set()
         if self.searcher.vary and self.cloud.vectorised:
             self.told("looking beside the best designs", 0.0)
             self._look_beside()
         for number in range(_ROUNDS):
-            missed = [(y, at) for y, at, _ in self.missed(sparse=True) if y.tobytes() not in tried]
+            missed = [y for y, _, _ in self.missed(sparse=True) if y.tobytes() not in self._tried]
             if not missed:
                 return
-            for k, (y, at) in enumerate(missed[:_AT_ONCE]):
+            for k, y in enumerate(missed[:_AT_ONCE]):
                 self.told("following designs that the front misses", (number + k / _AT_ONCE) / _ROUNDS)
-                tried.add(y.tobytes())
+                self._tried.add(y.tobytes())
                 known = len(self.found)
-                found = self.sample_at(self.position(at), y)
+                found = self.sample_beside(y)
                 if not isinstance(found, Point) and len(self.found) > known:
                     found.extra = True
                     self.follow_all(found)

@@ -15,7 +15,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 import numpy as np
 from independent import study
-from independent.build import as_design
+from independent.build import as_design, as_trade_off
 from independent.problem import evaluate
 
 import plough_opt as po
@@ -24,7 +24,7 @@ import plough_opt as po
 def main():
     """Print a line for each problem, and a summary."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--kind", default="search", help="search, edge, infeasible or front")
+    parser.add_argument("--kind", default="search", help="search, edge, infeasible, front or surface")
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--count", type=int, default=60)
     parser.add_argument("--only", type=int, nargs="*", help="numbers of problems")
@@ -68,7 +68,24 @@ def _front(problem, truth, search):
     return f"front of {len(front.points)} points in {took:.2f} s: {v} {' / '.join(truth['names'])}", right
 
 
+def _surface(problem, truth, search):
+    began = time.perf_counter()
+    design, goals = as_trade_off(problem, truth["names"])
+    try:
+        front = po.trade_off(design, *goals, points=60, search=search)
+    except Exception as error:  # whatever goes wrong is an answer, too
+        return f"{type(error).__name__}: {str(error)[:150]}", False
+    took = time.perf_counter() - began
+    v = study.judge_surface(problem, truth, [[p.variables[x.name] for x in problem.variables] for p in front.points])
+    missed = [f for f in front.failures if f.reason.startswith("Not_Reached")]
+    right = v.uncovered <= 0.15 and v.dominated <= 1e-3 and v.violation <= study.RELATIVE and not missed
+    text = f"surface of {len(front.points)} points in {took:.2f} s: {v}, {len(missed)} not reached"
+    return f"{text} {' / '.join(truth['names'])}", right
+
+
 def _answer(problem, truth, search):
+    if "range" in truth:
+        return _surface(problem, truth, search)
     if "names" in truth:
         return _front(problem, truth, search)
     began = time.perf_counter()

@@ -1,7 +1,7 @@
 """The same problems as designs of the package under test: the only module here that knows it."""
 
 import plough_opt as po
-from independent.problem import PATHS, UNITS
+from independent.problem import PATHS, UNITS, sign_of
 from independent.study import name_of
 
 _LIMIT_UNITS = {"loosened radius": "m", "half angle": "rad", "mean_deflection": "m", "deflection": "m",
@@ -10,6 +10,19 @@ _LIMIT_UNITS = {"loosened radius": "m", "half angle": "rad", "mean_deflection": 
 
 def as_design(problem):
     """Return a problem as a `po.Design`, and its run."""
+    d, run, _ = _built(problem)
+    return d, run
+
+
+def as_trade_off(problem, names):
+    """Return a problem as a `po.Design`, and its goals."""
+    d, run, geometry = _built(problem)
+    of = {name: geometry[name] if name in geometry else getattr(run, name) for name in names}
+    return d, [po.Goal(name, of[name], maximise=sign_of(name) < 0.0) for name in names]
+
+
+def _built(problem):
+    """Return a problem as a `po.Design`, its run, and what its geometry gives."""
     d = po.Design()
     x = dict(problem.fixed)
     for v in problem.variables:
@@ -37,4 +50,4 @@ def as_design(problem):
         if expression is None:
             expression = getattr(run, r.measure.replace(" ", "_") if r.measure in PATHS else r.measure)
         d.require(name_of(r), expression, **{r.side: r.limit}, unit=_LIMIT_UNITS[r.measure])
-    return d, run
+    return d, run, geometry

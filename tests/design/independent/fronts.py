@@ -7,7 +7,7 @@ import numpy as np
 
 from independent import fast
 from independent.generate import draw
-from independent.problem import PATHS, box_sample, evaluate, measure
+from independent.problem import PATHS, box_sample, evaluate, measure, sign_of
 from independent.truth import MET, optima, sample
 
 _FIRST_SEED = 90_000
@@ -32,10 +32,10 @@ def undominated(objectives):
 
 
 def objectives_of(problem, names, y, phase=_ROUGH):
-    """Return the two objectives of designs, a row each; infinite where a requirement is not met."""
+    """Return the objectives of designs to minimise, a row each; infinite where a requirement is not met."""
     measures = measure(problem, y, fast.simulate, phase)
     found = evaluate(problem, y, simulate=fast.simulate, phase=phase)
-    values = np.array([measures[name] for name in names]).T
+    values = np.array([sign_of(name) * measures[name] for name in names]).T
     values[~(found.worst <= MET) | ~np.all(np.isfinite(values), axis=1)] = np.inf
     return values
 

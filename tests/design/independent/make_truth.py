@@ -17,7 +17,7 @@ from pathlib import Path
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from independent import edges, fast, fronts, study, truth
+from independent import edges, fast, fronts, study, surfaces, truth
 from independent.generate import draw
 
 
@@ -27,7 +27,13 @@ def search(seed):
     return {"problem": problem.plain(), "truth": truth.truth_of(problem)}
 
 
-KINDS = {"search": search, "edge": edges.edge, "infeasible": edges.infeasible, "front": fronts.front}
+KINDS = {
+    "search": search,
+    "edge": edges.edge,
+    "infeasible": edges.infeasible,
+    "front": fronts.front,
+    "surface": surfaces.surface,
+}
 
 
 def main():

@@ -20,6 +20,11 @@ PATHS = ("deflection", "mount force")
 UNITS = dict(zip(QUANTITIES, ("rad", "m", "N/m", "m/s", "kg", "N s/m", "s", "rad"), strict=True))
 
 
+def sign_of(name):
+    """Return -1 for a measure of which an objective wants more."""
+    return -1.0 if name == "loosened radius" else 1.0
+
+
 @dataclass(frozen=True)
 class Variable:
     """A quantity to choose, between bounds."""

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from independent import fast, motion
-from independent.problem import Problem, box_quartiles, evaluate, measure
+from independent.problem import Problem, box_quartiles, evaluate, measure, sign_of
 
 RELATIVE = 1e-6
 """Part of the objective, and of each limit, to which an answer must agree with the truth."""
@@ -134,12 +134,42 @@ def judge_front(problem, truth, designs):
     """Return the verdict on the designs of a front, a row of variables in the order of the problem's for each."""
     wanted = np.array(truth["objectives"])
     size = np.ptp(wanted, axis=0)
-    y = problem.positions(designs)
-    measures = measure(problem, y, _SIMULATE)
-    found = np.array([measures[name] for name in truth["names"]]).T
+    found, violation = _objectives(problem, truth["names"], designs)
     behind = (found[:, None, :] - wanted[None, :, :]) / size
     return FrontVerdict(
         missing=float(np.max(np.min(np.max(behind, axis=2), axis=0))),
         dominated=float(np.max(np.min(behind, axis=2))),
-        violation=float(np.max(evaluate(problem, y, simulate=_SIMULATE).worst)),
+        violation=violation,
     )
+
+
+@dataclass(frozen=True)
+class SurfaceVerdict(FrontVerdict):
+    """The same of a surface.
+
+    Attributes:
+        uncovered: the largest distance of a design of the brute force from the nearest returned one.
+    """
+
+    uncovered: float
+
+
+def judge_surface(problem, truth, designs):
+    """Return the verdict on the designs of a surface, as `judge_front` does."""
+    wanted, size = np.array(truth["objectives"]), np.array(truth["range"])
+    found, violation = _objectives(problem, truth["names"], designs)
+    behind = (found[:, None, :] - wanted[None, :, :]) / size
+    return SurfaceVerdict(
+        missing=float(np.max(np.min(np.max(behind, axis=2), axis=0))),
+        dominated=float(np.max(np.min(behind, axis=2))),
+        violation=violation,
+        uncovered=float(np.max(np.min(np.max(np.abs(behind), axis=2), axis=0))),
+    )
+
+
+def _objectives(problem, names, designs):
+    """Return the objectives of designs, all minimised, and the largest violation, in parts of the limits."""
+    y = problem.positions(designs)
+    measures = measure(problem, y, _SIMULATE)
+    found = np.array([sign_of(name) * measures[name] for name in names]).T
+    return found, float(np.max(evaluate(problem, y, simulate=_SIMULATE).worst))

@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
 
 import numpy as np
 
@@ -14,24 +13,17 @@ from plough_opt.tradeoff.caveats import caveats
 from plough_opt.tradeoff.certificate import FrontPoint, certify
 from plough_opt.tradeoff.goal import Axis, Goal
 from plough_opt.tradeoff.notes import against_the_search, looked_at, notes_on
-from plough_opt.tradeoff.plane import Array, efficient, gaps, needed, spread
+from plough_opt.tradeoff.plane import Array
 from plough_opt.tradeoff.program import FrontProgram
 from plough_opt.tradeoff.result import Hole, TradeOff
-from plough_opt.tradeoff.samples import MATTERS, Failure, Sample, Samples
-from plough_opt.tradeoff.space import covering, lattice, parts_of, uncrowded, undominated
-from plough_opt.tradeoff.surface import IN_TURN, SurfaceTracer
+from plough_opt.tradeoff.samples import MATTERS, Failure, Sample
+from plough_opt.tradeoff.surface import SurfaceTracer
 from plough_opt.tradeoff.tracing import Tracer
 
-# Of six anchors none has to stay where it lies beside another.
-_LAST = np.full(6, 1)
 # Of a hole's size: nearer to its ends is at them.
 _EDGE = 1e-3
-# Steps between points of a surface that are not on positions.
-_ROOM = 0.7
 # Normalised objectives that differ by less are equal.
 _SAME = 1e-4
-# Steps, in the objectives: no efficient design that was found is farther from a point of a surface.
-_COVERED = 1.0
 
 
 @dataclass(frozen=True)
@@ -40,23 +32,6 @@ class Times:
 
     started: float
     building: float
-
-
-@dataclass(frozen=True)
-class Order:
-    """Rows of a front.
-
-    Attributes:
-        efficient: those that no other dominates.
-        kept: those of them that do not crowd, in order.
-        parts: numbers of kept rows.
-        holes: pairs of kept rows between which there is none.
-    """
-
-    efficient: frozenset[int]
-    kept: tuple[int, ...]
-    parts: tuple[tuple[int, ...], ...]
-    holes: tuple[tuple[int, int], ...]
 
 
 def assembled(
@@ -68,33 +43,28 @@ def assembled(
         NotConverged: no point could be certified.
     """
     signs = np.array([goal.sign for goal in goals])
-    every, failures = _certified(front, tracer, signs)
-    if not every:
+    certified = _Certified(front, tracer, signs)
+    order, samples, failures = certified.order, certified.kept, certified.failures()
+    if not samples:
         raise NotConverged(f"no point of the front could be certified: {failures[-1].reason}", "Not_Certified")
-    # A needle beats no design that can be made; where there is nothing else it is named.
-    certified = [own for own in every if not own[1].needle] or every
-    needles = tuple(point for _, point in every if point.needle)
-    at = np.array([front.normalised(np.array(point.objectives) * signs / front.scales) for _, point in certified])
-    if isinstance(tracer, SurfaceTracer):
-        order = _surface(at, [tracer.is_efficient(sample) for sample, _ in certified], tracer.step)
-    else:
-        order = _curve(at, [sample.extra for sample, _ in certified], tracer.step)
-    points = tuple(certified[k][1] for k in order.kept)
+    points = certified.points(samples)
+    at = np.array([front.normalised(np.array(point.objectives) * signs / front.scales) for point in points])
+    others = certified.points(certified.others())
     variables = front.program.declared.variables
     return TradeOff(
         title=title,
         goals=tuple(Axis(goal.name, goal.unit, goal.maximise) for goal in goals),
         variables=tuple(Axis(v.name, v.unit, log=v.log, lower=v.lower, upper=v.upper) for v in variables),
         points=points,
-        dominated=tuple(point for k, (_, point) in enumerate(certified) if k not in order.efficient),
-        needles=needles if certified is not every else (),
-        failures=tuple(failures),
+        dominated=tuple(point for point in others if not point.needle),
+        needles=tuple(point for point in others if point.needle),
+        failures=failures,
         parts=order.parts,
         holes=tuple(hole(points[a], points[b], failures, signs) for a, b in order.holes),
         notes=(
             *notes_on(tracer, goals, points),
-            *against_the_search(tracer, at[list(order.kept)]),
-            *_caveats(front, [certified[k][0] for k in order.kept]),
+            *against_the_search(tracer, at),
+            *_caveats(front, samples),
         ),
         search=looked_at(tracer),
         seconds=time.perf_counter() - times.started,
@@ -102,99 +72,82 @@ def assembled(
     )
 
 
-def _certified(
-    front: FrontProgram, tracer: Samples, signs: Array
-) -> tuple[list[tuple[Sample, FrontPoint]], list[Failure]]:
-    """Return samples with their certificates, and what failed, in the objectives' own units."""
-    found: list[tuple[Sample, FrontPoint]] = []
-    doubtful: list[tuple[Sample, FrontPoint]] = []
-    failures = []
-    places = np.array([sample.at for sample in tracer.found])
-    for failure in tracer.failures:
-        # Beside a design that another beats nothing is missing.
-        at = np.array(failure.objectives)
-        if np.any(np.all(places <= at + _SAME, axis=1) & np.any(places < at - MATTERS, axis=1)):
-            continue
-        own = (np.array(failure.objectives) * front.span + front.low) * front.scales * signs
-        failures.append(replace(failure, objectives=tuple(own.tolist())))
-    for sample in tracer.found:
-        sample.scenes = front.scenes(sample.point.y)
-        point = certify(front, sample, signs)
-        (doubtful if point.doubt else found).append((sample, point))
-    for sample, point in doubtful:
-        # One that a certified design is as good as leaves no place without one.
-        if not any(np.all(other.at <= sample.at + MATTERS) for other, _ in found):
-            failures.append(Failure(point.objectives, point.doubt))
-    return _with_medians(front, tracer, found, signs), failures
+class _Certified:
+    """The samples that make up a front, with their certificates.
 
+    Of the many that no other dominates, only those are certified that the front shows; where that casts doubt on one,
+    another takes its place.
 
-def _with_medians(
-    front: FrontProgram, tracer: Samples, found: list[tuple[Sample, FrontPoint]], signs: Array
-) -> list[tuple[Sample, FrontPoint]]:
-    """Return points with what becomes of them within their tolerances."""
-    y = np.array([sample.point.y for sample, _ in found]).reshape(len(found), -1)
-    medians = tracer.cloud.medians(y)
-    if medians is None:
-        return found
-    scaled = np.array([point.objectives for _, point in found]).reshape(len(found), -1) * signs / front.scales
-    needles = tracer.cloud.needles(y, scaled)
-    own = medians * np.array(front.scales) * signs
-    return [
-        (sample, replace(point, medians=tuple(row.tolist()), needle=bool(needle)))
-        for (sample, point), row, needle in zip(found, own, needles, strict=True)
-    ]
+    Attributes:
+        order: of `left`, how they make up the front.
+        kept: the samples of the front, in order.
+    """
+
+    def __init__(self, front: FrontProgram, tracer: Tracer | SurfaceTracer, signs: Array) -> None:
+        """Certify the samples that make up the front."""
+        self._front, self._tracer, self._signs = front, tracer, signs
+        self._points: dict[int, FrontPoint] = {}
+        self._doubtful: list[tuple[Sample, FrontPoint]] = []
+        self._left = tracer.sound()
+        while True:
+            self.order = tracer.order(self._left)
+            self.kept = [self._left[k] for k in self.order.kept]
+            if not (fresh := [sample for sample in self.kept if id(sample) not in self._points]):
+                break
+            tracer.to_the_last_digits(fresh)
+            self._certify(fresh)
+
+    def _certify(self, samples: Sequence[Sample]) -> None:
+        """Certify samples, and set those aside that are in doubt."""
+        for sample in samples:
+            sample.scenes = self._front.scenes(sample.point.y)
+            point = certify(self._front, sample, self._signs)
+            self._points[id(sample)] = point
+            if point.doubt:
+                self._doubtful.append((sample, point))
+        aside = {id(sample) for sample, _ in self._doubtful}
+        self._left = [sample for sample in self._left if id(sample) not in aside]
+
+    def others(self) -> list[Sample]:
+        """Return the needles, and the samples that others dominate, as far as they can be certified."""
+        shown = {id(self._left[k]) for k in self.order.efficient}
+        found = [sample for sample in self._tracer.found if id(sample) not in shown]
+        self._certify([sample for sample in found if id(sample) not in self._points])
+        return [sample for sample in found if not self._points[id(sample)].doubt]
+
+    def points(self, samples: Sequence[Sample]) -> tuple[FrontPoint, ...]:
+        """Return the certificates of samples, with what becomes of them within their tolerances."""
+        found = [self._points[id(sample)] for sample in samples]
+        medians = self._tracer.cloud.medians(np.array([sample.point.y for sample in samples])) if samples else None
+        if medians is None:
+            return tuple(found)
+        own = medians * np.array(self._front.scales) * self._signs
+        return tuple(
+            replace(point, medians=tuple(row.tolist()), needle=bool(sample.needle))
+            for sample, point, row in zip(samples, found, own, strict=True)
+        )
+
+    def failures(self) -> tuple[Failure, ...]:
+        """Return what failed, in the objectives' own units; beside a design that another beats nothing is missing."""
+        front = self._front
+        found = []
+        places = np.array([sample.at for sample in self._tracer.found])
+        for failure in self._tracer.failures:
+            at = np.array(failure.objectives)
+            if np.any(np.all(places <= at + _SAME, axis=1) & np.any(places < at - MATTERS, axis=1)):
+                continue
+            own = (at * front.span + front.low) * front.scales * self._signs
+            found.append(replace(failure, objectives=tuple(own.tolist())))
+        for sample, point in self._doubtful:
+            # One that a certified design is as good as leaves no place without one.
+            if not any(np.all(other.at <= sample.at + MATTERS) for other in self.kept):
+                found.append(Failure(point.objectives, point.doubt))
+        return tuple(found)
 
 
 def _caveats(front: FrontProgram, samples: Sequence[Sample]) -> tuple[str, ...]:
     still = [front.still_scenes(sample.point.y) for sample in samples]
     return caveats([sample.scenes for sample in samples], still)
-
-
-def _curve(at: Array, extra: Sequence[bool], step: float) -> Order:
-    """Return the order of the points between two objectives.
-
-    Args:
-        at: their normalised objectives.
-        extra: whether a point lies between positions.
-        step: between positions.
-    """
-    order = efficient(at)
-    own = order[needed(at[order], [extra[k] for k in order], step)]
-    kept = own[spread(at[own], step)]
-    breaks = gaps(at[kept], step)
-    bounds = [0, *(k + 1 for k in breaks), len(kept)]
-    return Order(
-        frozenset(order.tolist()),
-        tuple(kept.tolist()),
-        tuple(tuple(range(i, j)) for i, j in pairwise(bounds)),
-        tuple((k, k + 1) for k in breaks),
-    )
-
-
-def _surface(at: Array, willing: Sequence[bool], step: float) -> Order:
-    """Return the order of the points between three objectives, from the best in the first one on.
-
-    Args:
-        at: their normalised objectives.
-        willing: whether no objective of a point would rather be worse.
-        step: between positions.
-    """
-    own = np.flatnonzero(willing)
-    order = own[undominated(at[own])]
-    parts, ends = parts_of(at[order], step)
-    anchors = np.argmin(at[order] @ IN_TURN.T, axis=0)
-    rank = lattice(at[order], round(1.0 / step))
-    apart = anchors[uncrowded(at[order[anchors]], _LAST, _ROOM * step)]
-    rank[[*apart, *(row for pair in ends for row in pair)]] = 0
-    kept = covering(at[order], uncrowded(at[order], rank, _ROOM * step), _COVERED * step)
-    kept = kept[np.lexsort(at[order[kept]].T[::-1])]
-    number = {int(row): k for k, row in enumerate(kept)}
-    return Order(
-        frozenset(order.tolist()),
-        tuple(order[kept].tolist()),
-        tuple(tuple(sorted(number[row] for row in part if row in number)) for part in parts),
-        tuple((number[a], number[b]) for a, b in ends),
-    )
 
 
 def hole(before: FrontPoint, after: FrontPoint, failures: Sequence[Failure], signs: Array) -> Hole:

@@ -27,8 +27,6 @@ _WARM: Final[dict[str, Any]] = {
 _STEPS: Final = 15
 # Longest step in a scaled variable: beyond it a neighbour is none.
 _LONGEST: Final = 0.3
-# Of first-order conditions, scaled.
-_STATIONARY: Final = 1e-10
 # A scaled variable nearer to a bound is on it.
 _AT_BOUND: Final = 1e-9
 # Steps that do not shrink so often lead nowhere.
@@ -50,7 +48,10 @@ class Level(Solver):
 
     Attributes:
         nlp: its functions.
+        stationary: what is left of first-order conditions, scaled, at an optimum.
     """
+
+    stationary = 1e-10
 
     def __init__(self, nlp: Nlp, rough: Nlp, sizes: tuple[int, int], low: Vector, high: Vector) -> None:
         """Take the program, one of fewer steps for first curvatures, its sizes, and the limits of its requirements.
@@ -138,7 +139,7 @@ class Level(Solver):
         point = replace(at, solved=False, status="Search_Direction_Becomes_Too_Small", y=start)
         try:
             if self._curvature is None:
-                self._curvature = _convex(self._rough, start, p, at.lam_g)
+                self._curvature = self._first_curvature(start, p, at.lam_g)
             point = self._corrected(point, self._curvature, p)
         except (RuntimeError, ValueError):  # no orbit, no number, or no end of an integration
             pass
@@ -159,7 +160,7 @@ class Level(Solver):
                 return point
             step, lam_g, lam_y = found[0], found[1][: len(g)], found[1][len(g) :]
             point = replace(point, f=float(f[0]), lam_g=lam_g, lam_y=np.where(_inside(y), 0.0, lam_y))
-            if self.residual(point, p) <= _STATIONARY:
+            if self.residual(point, p) <= self.stationary:
                 self._curvature = curvature
                 return replace(point, solved=True, status="Solve_Succeeded", iterations=number)
             size = float(np.max(np.abs(step)))
@@ -173,6 +174,11 @@ class Level(Solver):
                 change = next_gradient - gradient + (next_jacobian - jacobian).T @ lam_g
                 curvature = _renewed(curvature, step, change)
         return point
+
+    def _first_curvature(self, y: Vector, p: Vector, lam_g: Vector) -> Vector:
+        """Return the Lagrangian's Hessian, roughly integrated, with its curvatures made positive."""
+        upper = np.asarray(self._rough.hess_lag(y, p, 1.0, lam_g))
+        return made_convex(upper + np.triu(upper, 1).T)
 
     def follow(self, at: Point, start: Vector, p: Vector) -> Point:
         """Return the optimum near a start by IPOPT, from the multipliers of a neighbour.
@@ -201,10 +207,9 @@ def _inside(y: Vector) -> NDArray[np.bool_]:
     return (y > _AT_BOUND) & (y < 1.0 - _AT_BOUND)
 
 
-def _convex(nlp: Nlp, y: Vector, p: Vector, lam_g: Vector) -> Vector:
-    """Return the Lagrangian's Hessian with its curvatures made positive."""
-    upper = np.asarray(nlp.hess_lag(y, p, 1.0, lam_g))
-    sizes, directions = np.linalg.eigh(upper + np.triu(upper, 1).T)
+def made_convex(hessian: Vector) -> Vector:
+    """Return a Hessian with its curvatures made positive."""
+    sizes, directions = np.linalg.eigh(hessian)
     return np.asarray((directions * np.maximum(np.abs(sizes), _LEAST_CURVATURE)) @ directions.T)
 
 

@@ -25,6 +25,7 @@ from plough_opt.design.program import Program
 from plough_opt.design.verify import TightEvaluation
 from plough_opt.errors import InputError, PloughError
 from plough_opt.scene import Scene
+from plough_opt.tradeoff.batch_level import BatchLevel
 from plough_opt.tradeoff.goal import Goal
 from plough_opt.tradeoff.level import Level
 
@@ -45,7 +46,8 @@ class FrontProgram:
         own_parameters: the design's.
         scales: sizes of the objectives, in their units.
         rows: numbers of the constraints that set the position.
-        levels: ways to solve it, the finest first: with all integration steps, and with two fifths of them.
+        levels: ways to solve it, the finest first: with all integration steps, with two fifths of them, and by the
+            steps of a batch.
         low: normalised objectives' zero, in scaled units.
         span: their range.
         building: time that was spent on writing it since it was last prepared [s].
@@ -90,6 +92,7 @@ class FrontProgram:
         self.rows = np.arange(first, first + self.count - 1)
         self._exact: dict[bytes, tuple[Vector, list[Vector]]] = {}
         self.levels: list[Level] = []
+        self._exact_ones = 0
         self.building = 0.0
         self.rounded_off = 0.0
         self._refinement = 1.0
@@ -146,6 +149,9 @@ class FrontProgram:
         self.levels = [fine]
         if program.interpreted and self.wanted_error:
             self.levels.append(Level(program.rough, program.rough, sizes, program.low, program.high))
+        self._exact_ones = len(self.levels)
+        if self.wanted_error and program.population.vectorised:
+            self.levels.append(BatchLevel(program, program.rough, sizes))
 
     def nowhere(self) -> Vector:
         """Return parameters without objective or position."""
@@ -216,9 +222,10 @@ class FrontProgram:
         point = self.levels[level].correct(at, start, p)
         if not point.solved:
             point = self.levels[level].follow(at, start, p)
-        if not point.solved and patient:
-            point = self.program.solve(start, p, near=True)
-        return point if point.solved or not patient else self.program.solve(start, p)
+        if point.solved or not patient or self.by_differences(level):
+            return point
+        point = self.program.solve(start, p, near=True)
+        return point if point.solved else self.program.solve(start, p)
 
     def objectives(self, y: Vector, level: int = 0) -> Vector:
         """Return the scaled objectives as the optimiser has them."""
@@ -270,14 +277,20 @@ class FrontProgram:
         return float(np.max(np.abs(self.objectives(y, level) - exact) / np.maximum(np.abs(exact), 1e-3)))
 
     def accurate(self, y: Vector, level: int = 0) -> bool:
-        """Return whether a level has enough integration steps at a design."""
+        """Return whether a level has enough integration steps at a design; a batch takes each design's own."""
         wanted = self.wanted_error
-        return wanted is None or self.gap(y, level) <= wanted
+        return wanted is None or self.by_differences(level) or self.gap(y, level) <= wanted
 
-    def level_for(self, y: Vector) -> int:
-        """Return the coarsest level that is accurate around a design."""
+    def by_differences(self, level: int) -> bool:
+        """Return whether a level has its slopes by differences."""
+        return level >= self._exact_ones
+
+    def level_for(self, y: Vector, *, exact: bool = False) -> int:
+        """Return the coarsest level that is accurate around a design; ``exact`` one with exact slopes."""
         wanted = self.wanted_error
-        levels = range(len(self.levels) - 1, 0, -1) if wanted is not None else ()
+        if not exact and self.by_differences(len(self.levels) - 1):
+            return len(self.levels) - 1
+        levels = range(self._exact_ones - 1, 0, -1) if wanted is not None else ()
         return next((k for k in levels if self.gap(y, k) <= _ROOM * (wanted or 0.0)), 0)
 
     def holds(self, point: Point) -> bool:

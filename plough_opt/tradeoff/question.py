@@ -159,14 +159,16 @@ def _normalise(front: FrontProgram, anchors: Sequence[Sequence[Point]]) -> list[
 
 
 def _refine(tracer: Tracer | SurfaceTracer, front: FrontProgram, told: Progress) -> None:
-    """Take more integration steps until the front is that of the tight integration."""
-    for refinement in range(1, _REFINEMENTS + 1):
-        coarse = [sample for sample in tracer.ordered() if not front.accurate(sample.point.y, sample.level)]
-        if not coarse:
+    """Solve what makes up the front to the last digits, by as many integration steps as the wanted error takes."""
+    for refinement in range(_REFINEMENTS + 1):
+        chosen = tracer.chosen()
+        tracer.to_the_last_digits(chosen)
+        coarse = [sample for sample in chosen if not front.accurate(sample.point.y, sample.level)]
+        if not coarse or refinement == _REFINEMENTS:
             return
-        told("refining", refinement / _REFINEMENTS)
+        told("refining", (refinement + 1) / _REFINEMENTS)
         front.refine()
-        tracer.solve_again(tracer.found)
+        tracer.solve_again()
 
 
 def _checked(front: FrontProgram, changed: Mapping[str, float]) -> dict[str, float]:

@@ -64,6 +64,7 @@ class Sample:
         extra: whether it was sought for a design that the front missed, and lies between positions.
         inward: at an end, an optimum and its parameters a little along the front, where the multipliers are unique.
         scenes: of its runs, with numbers, and how long each runs [s], once it is certified.
+        needle: whether no workshop can hit it; None until that is asked.
     """
 
     point: Point
@@ -75,6 +76,24 @@ class Sample:
     extra: bool = False
     inward: tuple[Point, Vector] | None = None
     scenes: list[tuple[Scene, float]] = field(default_factory=list)
+    needle: bool | None = None
+
+
+@dataclass(frozen=True)
+class Order:
+    """Rows of a front.
+
+    Attributes:
+        efficient: those that no other dominates.
+        kept: those of them that do not crowd, in order.
+        parts: numbers of kept rows.
+        holes: pairs of kept rows between which there is none.
+    """
+
+    efficient: frozenset[int]
+    kept: tuple[int, ...]
+    parts: tuple[tuple[int, ...], ...]
+    holes: tuple[tuple[int, int], ...]
 
 
 @dataclass(frozen=True)
@@ -205,6 +224,11 @@ class Samples(ABC):
 
     def _polished(self, p: Vector, y: Vector) -> Point:
         """Return the local optimum beside a design that a search found; never a worse one."""
+        begins = as_it_is(self.front.program, p, y)
+        if self.front.by_differences(level := len(self.front.levels) - 1):
+            point = self.front.solve(begins, y, p, level, patient=False)
+            if point.solved and point.f <= begins.f + _NOT_WORSE * max(abs(begins.f), 1.0):
+                return point
         return polished(self.front.program, p, y)
 
     def _to_the_last_digit(self, point: Point, p: Vector) -> Point:
@@ -257,9 +281,22 @@ class Samples(ABC):
         self.found.append(Sample(point, p, at, level, self.front.level_for(point.y)))
         return self.found[-1]
 
-    def solve_again(self, samples: Sequence[Sample]) -> None:
+    def to_the_last_digits(self, samples: Sequence[Sample]) -> None:
+        """Solve samples with exact slopes."""
+        samples = [sample for sample in samples if self.front.by_differences(sample.level)]
+        for number, sample in enumerate(samples):
+            self.told("solving to the last digits", number / len(samples))
+            level = self.front.level_for(sample.point.y, exact=True)
+            again = self.front.levels[level].correct(sample.point, sample.point.y, sample.p)
+            if again.solved and np.max(np.abs(again.y - sample.point.y)) < _BESIDE:
+                sample.point, sample.level = again, level
+                sample.at = self.front.normalised(self.front.objectives(again.y, level))
+
+    def solve_again(self) -> None:
         """Solve samples anew, from where they are, with all steps: the program has become finer."""
-        for sample in samples:
+        for sample in self.found:
+            if self.front.by_differences(sample.level):
+                continue
             again = self.front.solve(sample.point, sample.point.y, sample.p)
             if again.solved:
                 sample.point, sample.level = again, 0
@@ -273,6 +310,25 @@ class Samples(ABC):
             self.failures.append(failure)
 
     # --- searching ---------------------------------------------------------------------------------------
+
+    def sound(self) -> list[Sample]:
+        """Return the samples that are no needles, which beat no design that can be made; all where all are."""
+        fresh = [sample for sample in self.found if sample.needle is None]
+        if fresh:
+            scaled = np.array([sample.at for sample in fresh]) * self.front.span + self.front.low
+            needles = self.cloud.needles(np.array([sample.point.y for sample in fresh]), scaled)
+            for sample, needle in zip(fresh, needles, strict=True):
+                sample.needle = bool(needle)
+        return [sample for sample in self.found if not sample.needle] or self.found
+
+    @abstractmethod
+    def order(self, samples: Sequence[Sample]) -> Order:
+        """Return how samples make up a front."""
+
+    def chosen(self) -> list[Sample]:
+        """Return the samples that make up the front so far."""
+        sound = self.sound()
+        return [sound[k] for k in self.order(sound).kept]
 
     @abstractmethod
     def ordered(self) -> list[Sample]:
@@ -317,13 +373,13 @@ class Samples(ABC):
         of another, is found where the others stay as they are.
         """
         front = self.front
-        at = front.normalised(front.objectives(y))
         near = min(self.found, key=lambda sample: float(np.max(np.abs(sample.point.y - y))))
+        at = front.normalised(front.objectives(y, near.coarsest))
         others = [{j: float(at[j]) for j in range(front.count) if j != k} for k in range(front.count)]
         asked = [self.position(at), *(front.below(k, limits, OTHERS) for k, limits in enumerate(others))]
         for p in asked:
             begins = as_it_is(front.program, p, y)
-            point, level = self.optimum(near.point, y, p, 0, patient=False)
+            point, level = self.optimum(near.point, y, p, near.coarsest, patient=False)
             if point.solved and point.f <= begins.f + _NOT_WORSE * max(abs(begins.f), 1.0):
                 return self.at_the_edge(p, point, level)
         return self.sample_at(asked[0], y)

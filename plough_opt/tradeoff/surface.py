@@ -13,17 +13,20 @@ from plough_opt.design.curvature import minimum_from
 from plough_opt.design.exploring import Progress
 from plough_opt.design.ipopt import Point, Vector
 from plough_opt.tradeoff.program import FrontProgram
-from plough_opt.tradeoff.samples import Sample, Samples
+from plough_opt.tradeoff.samples import Order, Sample, Samples
 from plough_opt.tradeoff.searching import Searcher
 from plough_opt.tradeoff.space import (
     Node,
     between,
+    covering,
+    lattice,
     nearest,
     neighbours,
     off,
     parts_of,
     positions,
     triangle,
+    uncrowded,
     undominated,
 )
 
@@ -42,6 +45,12 @@ _EXACT = 1e-3
 _ROUNDS = 4
 # Decimals by which places are told apart.
 _PLACES = 4
+# Of six anchors none has to stay where it lies beside another.
+_LAST = np.full(6, 1)
+# Steps between points that are not on positions.
+_ROOM = 0.7
+# Steps, in the objectives: no efficient design that was found is farther from a point.
+_COVERED = 1.0
 # Nodes at which basins are searched, as fractions of the triangle's corners.
 _SEARCHED = ((1 / 3, 1 / 3, 1 / 3), (0.5, 0.5, 0.0), (0.5, 0.0, 0.5), (0.0, 0.5, 0.5))
 
@@ -109,15 +118,18 @@ class SurfaceTracer(Samples):
         """Return the first of either two orders that begin with the same objective."""
         return self.orders()[::2]
 
-    def all_anchors(self, starts: Sequence[Sequence[Vector]]) -> list[list[Point]]:
-        """Return local optima for each of `orders`, beside the starts of its first objective."""
+    def all_anchors(self, bottoms: Sequence[Sequence[Vector]]) -> list[list[Point]]:
+        """Return local optima for each of `orders`, beside the bottoms of its first objective."""
         orders, found = self.orders(), list[list[Point]]()
-        for number, own in enumerate(starts):
+        for number, own in enumerate(bottoms):
             points, beside = self.anchors(orders[2 * number], own), orders[2 * number + 1]
             if not points:
                 return [*found, [], []]
-            others = [self.front.solve(points[0], y, beside) for y in (*self._toward(IN_TURN[2 * number + 1]), *own)]
-            others += [self.front.solve(point, point.y, beside) for point in points]
+            # What differs by the level is made good below.
+            level = len(self.front.levels) - 1
+            starts = [*self._toward(IN_TURN[2 * number + 1]), *own]
+            others = [self.front.solve(points[0], y, beside, level) for y in starts]
+            others += [self.front.solve(point, point.y, beside, level) for point in points]
             others = [
                 self._to_the_last_digit(minimum_from(self.front.program, beside, point), beside)
                 for point in others
@@ -306,8 +318,28 @@ class SurfaceTracer(Samples):
 
     def efficient_ones(self) -> set[int]:
         """Return the identities of the samples that no other dominates."""
-        own = [sample for sample in self.found if self.is_efficient(sample)]
+        own = [sample for sample in self.sound() if self.is_efficient(sample)]
         return {id(own[k]) for k in undominated(np.array([sample.at for sample in own]).reshape(-1, 3))}
+
+    def order(self, samples: Sequence[Sample]) -> Order:
+        """Return how samples make up a front, from the best in the first objective on."""
+        at, step = np.array([sample.at for sample in samples]), self.step
+        own = np.flatnonzero([self.is_efficient(sample) for sample in samples])
+        order = own[undominated(at[own])]
+        parts, ends = parts_of(at[order], step)
+        anchors = np.argmin(at[order] @ IN_TURN.T, axis=0)
+        rank = lattice(at[order], self._steps)
+        apart = anchors[uncrowded(at[order[anchors]], _LAST, _ROOM * step)]
+        rank[[*apart, *(row for pair in ends for row in pair)]] = 0
+        kept = covering(at[order], uncrowded(at[order], rank, _ROOM * step), _COVERED * step)
+        kept = kept[np.lexsort(at[order[kept]].T[::-1])]
+        number = {int(row): k for k, row in enumerate(kept)}
+        return Order(
+            frozenset(order.tolist()),
+            tuple(order[kept].tolist()),
+            tuple(tuple(sorted(number[row] for row in part if row in number)) for part in parts),
+            tuple((number[a], number[b]) for a, b in ends),
+        )
 
     def ordered(self) -> list[Sample]:
         """Return the samples that no other dominates."""

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import pairwise
 from math import comb
 
 import numpy as np
 
 from plough_opt.design.exploring import Progress
 from plough_opt.design.ipopt import Point, Vector
-from plough_opt.tradeoff.plane import efficient, gaps
+from plough_opt.tradeoff.plane import efficient, gaps, needed, spread
 from plough_opt.tradeoff.program import FrontProgram
-from plough_opt.tradeoff.samples import MATTERS, OTHERS, Sample, Samples
+from plough_opt.tradeoff.samples import MATTERS, OTHERS, Order, Sample, Samples
 from plough_opt.tradeoff.searching import Searcher
 
 # A position farther from its limit is held by none: the branch has ended.
@@ -134,7 +135,23 @@ class Tracer(Samples):
 
     def ordered(self) -> list[Sample]:
         """Return the samples that no other dominates, in order."""
-        return [self.found[k] for k in efficient(np.array([sample.at for sample in self.found]))]
+        sound = self.sound()
+        return [sound[k] for k in efficient(np.array([sample.at for sample in sound]))]
+
+    def order(self, samples: Sequence[Sample]) -> Order:
+        """Return how samples make up a front: its points in order, its parts, and the gaps between them."""
+        at, step = np.array([sample.at for sample in samples]), self.step
+        order = efficient(at)
+        own = order[needed(at[order], [samples[k].extra for k in order], step)]
+        kept = own[spread(at[own], step)]
+        breaks = gaps(at[kept], step)
+        bounds = [0, *(k + 1 for k in breaks), len(kept)]
+        return Order(
+            frozenset(order.tolist()),
+            tuple(kept.tolist()),
+            tuple(tuple(range(i, j)) for i, j in pairwise(bounds)),
+            tuple((k, k + 1) for k in breaks),
+        )
 
     def _fill_gaps(self) -> None:
         """Look for efficient designs in every gap, and find where the parts beside it end."""

@@ -5,7 +5,7 @@ from itertools import combinations
 
 import numpy as np
 
-from independent import fast
+from independent import fast, study
 from independent.fronts import objectives_of
 from independent.generate import draw
 from independent.problem import PATHS, box_sample, measure, sign_of
@@ -14,6 +14,8 @@ from independent.truth import optima, sample
 _FIRST_SEED = 700_000
 _FEWEST_VARIABLES, _MOST_VARIABLES = 2, 4
 _NAMES = ("mean_draft", "force_rms", "displacement_rms", "mean_deflection", "tow_power", "loosened radius")
+# Fronts of the study with a third objective, by number.
+_OF_FRONTS = {8: (2, "mean_draft"), 9: (1, "displacement_rms")}
 _POWER = 17
 # Rounds of designs about the best ones, and how far from them.
 _NEAR = (0.1, 0.03, 0.01, 0.003, 0.001)
@@ -25,6 +27,8 @@ _BETTER = 5e-3
 _COVERED = 0.03
 # An objective that changes by less is none.
 _LEAST_RANGE = 1e-2
+# A sample with fewer designs that meet the requirements, and a surface of fewer, show no shape.
+_FEWEST = 30
 _NEEDLE = 0.05
 # Ends of each objective alone.
 _ENDS = 5
@@ -43,6 +47,10 @@ def best_of(objectives, tolerance):
 
 def surface(number):
     """Return a problem, three objectives that conflict in it, and designs of their surface, needles apart."""
+    if number in _OF_FRONTS:
+        of, third = _OF_FRONTS[number]
+        problem, truth = study.problems("front")[of]
+        return _described(number, problem, [*truth["names"], third], np.random.default_rng([number, 5]))
     for attempt in range(1000):
         seed = _FIRST_SEED + 1000 * number + attempt
         problem = draw(seed, fast.simulate)
@@ -57,19 +65,26 @@ def surface(number):
         random = np.random.default_rng([seed, 5])
         triples = list(combinations(_NAMES, 3))
         names = triples[int(random.integers(len(triples)))]
-        found = _surface(problem, names, random)
-        if found is not None:
-            # A design has an objective of its own, which takes no part.
-            own = {names[0]: 1.0}
-            plain = replace(problem, name=f"surface {number}", objective=own).plain()
-            return {"problem": plain, "truth": {"names": names, **found}}
+        described = _described(number, problem, names, random)
+        if described is not None:
+            return described
     raise AssertionError(f"number {number} draws no surface")
+
+
+def _described(number, problem, names, random):
+    """Return a problem and its surface as plain data, or None where there is none."""
+    found = _surface(problem, names, random)
+    # A design has an objective of its own, which takes no part.
+    plain = replace(problem, name=f"surface {number}", objective={names[0]: 1.0}).plain()
+    return found and {"problem": plain, "truth": {"names": names, **found}}
 
 
 def _surface(problem, names, random):
     y = sample(problem, _POWER, random)
     values = objectives_of(problem, names, y)
     sound = np.flatnonzero(np.all(np.isfinite(values), axis=1))
+    if len(sound) < _FEWEST or np.any(np.ptp(values[sound], axis=0) == 0.0):
+        return None
     size = np.ptp(values[sound[best_of(values[sound] / np.ptp(values[sound], axis=0), _BETTER)]], axis=0)
     if np.any(size < _LEAST_RANGE * np.abs(values[sound]).min(axis=0)):
         return None
@@ -88,7 +103,7 @@ def _surface(problem, names, random):
     kept = np.all(np.isfinite(values), axis=1)
     y, values = y[kept], values[kept]
     size = np.ptp(values, axis=0)
-    if len(y) < 30 or np.any(size < _LEAST_RANGE * np.abs(values).max(axis=0)):
+    if len(y) < _FEWEST or np.any(size < _LEAST_RANGE * np.abs(values).max(axis=0)):
         return None
     chosen = _covering(values / size)
     return {

@@ -56,11 +56,16 @@ def beyond_front(front: Array, designs: Array, step: float) -> Array:
     return np.where(np.isfinite(under), np.minimum(points, under), points - step / 2.0)
 
 
-def beaten(points: Array, designs: Array) -> Array:
-    """Return by how much some design is better than each point in all objectives, below 0 where none is."""
-    if not len(designs):
-        return np.full(len(points), -np.inf)
-    return np.array([np.min(point - designs, axis=1).max() for point in points])
+def beating(front: Array, designs: Array) -> Array:
+    """Return by how much each design is better in all objectives than the point that it beats most; below 0: none."""
+    found = np.empty(len(designs))
+    for first in range(0, len(designs), _CHUNK):
+        part = designs[first : first + _CHUNK]
+        least = front[:, 0] - part[:, :1]
+        for k in range(1, front.shape[1]):
+            np.minimum(least, front[:, k] - part[:, k : k + 1], out=least)
+        found[first : first + _CHUNK] = least.max(axis=1)
+    return found
 
 
 def thinned(designs: Array, tolerance: float) -> NDArray[np.intp]:

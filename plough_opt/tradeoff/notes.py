@@ -8,7 +8,7 @@ import numpy as np
 
 from plough_opt.tradeoff.certificate import FrontPoint
 from plough_opt.tradeoff.goal import Goal
-from plough_opt.tradeoff.missing import beaten
+from plough_opt.tradeoff.missing import beating
 from plough_opt.tradeoff.plane import Array
 from plough_opt.tradeoff.samples import MATTERS, NOT_REACHED, Samples
 
@@ -87,9 +87,10 @@ def by_how_much(tracer: Samples, at: Array) -> float:
     """Return by how much a design of the cloud that is no needle is better in all objectives than a point, or 0."""
     y, scaled = tracer.cloud.feasible
     designs = tracer.front.normalised(scaled)
-    better = np.flatnonzero(np.any([np.all(designs < point - MATTERS, axis=1) for point in at], axis=0))
+    much = beating(at, designs)
+    better = np.flatnonzero(much > MATTERS)
     sound = better[~tracer.cloud.needles(y[better], scaled[better])]
-    return max(0.0, float(np.max(beaten(at, designs[sound]))))
+    return float(np.max(much[sound], initial=0.0))
 
 
 def _listed(words: Sequence[str]) -> str:

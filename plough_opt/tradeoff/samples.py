@@ -17,7 +17,7 @@ from plough_opt.design.polishing import as_it_is, polished
 from plough_opt.design.sampling import SEED
 from plough_opt.scene import Scene
 from plough_opt.tradeoff.cloud import Cloud
-from plough_opt.tradeoff.missing import beyond_front, beyond_points, thinned
+from plough_opt.tradeoff.missing import beating, beyond_front, beyond_points, thinned
 from plough_opt.tradeoff.program import FrontProgram
 from plough_opt.tradeoff.searching import Searcher
 
@@ -431,6 +431,7 @@ class Samples(ABC):
             if sparse:
                 few = self.uncovered(own, at[best])
                 gain[few] = np.maximum(gain[few], 2.0 * self.matters)
+                best, gain = self._with_beating(own, at, left, best, gain)
             order = np.argsort(-gain, kind="stable")
             order = order[gain[order] > self.matters][:_MOST_JUDGED]
             best, gain = best[order], gain[order]
@@ -444,6 +445,17 @@ class Samples(ABC):
             if all(np.max(np.abs(at[k] - at[best[i]])) > self.step / 2.0 for i in chosen):
                 chosen.append(j)
         return [(y[best[j]], at[best[j]], float(gain[j])) for j in chosen]
+
+    def _with_beating(
+        self, own: Vector, at: Vector, left: NDArray[np.intp], best: NDArray[np.intp], gain: Vector
+    ) -> tuple[NDArray[np.intp], Vector]:
+        """Return designs and their gains, and with them those that are better than a point in all objectives."""
+        much = beating(own, at[left])
+        better = left[much > MATTERS]
+        better = better[thinned(at[better], MATTERS)]
+        fresh = np.setdiff1d(better, best)
+        gain[np.isin(best, better)] = np.maximum(gain[np.isin(best, better)], 2.0 * self.matters)
+        return np.r_[best, fresh], np.r_[gain, np.full(len(fresh), 2.0 * self.matters)]
 
     @property
     def needles_beyond(self) -> int:

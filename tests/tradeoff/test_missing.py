@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from plough_opt.tradeoff.missing import beaten, beyond_front, beyond_points, thinned
+from plough_opt.tradeoff.missing import beating, beyond_front, beyond_points, thinned
 
 LINE = np.column_stack([np.linspace(0.0, 1.0, 11), np.linspace(1.0, 0.0, 11)])
 
@@ -33,12 +33,12 @@ def test_designs_beyond_a_plane():
     assert beyond_front(plane, outside, 1.0 / 6.0)[0] < 0.0 < beyond_points(plane, outside)[0]
 
 
-def test_by_how_much_points_are_beaten():
-    designs = np.array([[0.4, 0.5], [0.1, 0.95]])
-    assert beaten(LINE, designs) == pytest.approx(
-        [max(min(a - c, b - d) for c, d in designs) for a, b in LINE], abs=1e-15
+def test_by_how_much_designs_beat_a_point():
+    designs = np.array([[0.4, 0.5], [0.1, 0.95], [0.5, 0.6]])
+    assert beating(LINE, designs) == pytest.approx(
+        [max(min(a - c, b - d) for a, b in LINE) for c, d in designs], abs=1e-15
     )
-    assert np.all(beaten(LINE, np.empty((0, 2))) == -np.inf)
+    assert beating(LINE, np.empty((0, 2))).shape == (0,)
 
 
 def test_thinned_designs_beat_all_others_to_a_tolerance():

@@ -9,7 +9,7 @@ from __future__ import annotations
 import dataclasses
 import math
 import numbers
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache, wraps
 from typing import Any, TypeAlias
 
@@ -152,6 +152,12 @@ def template_of(value: Any) -> tuple[Any, list[Any]]:
         return ca.SX.sym("quantity")
 
     return map_expressions(value, placeholder, is_quantity), quantities
+
+
+def with_numbers(template: Any, quantities: Sequence[float]) -> Any:
+    """Return a template with numbers for its quantities, in the order in which `template_of` returned them."""
+    numbers = iter(quantities)
+    return map_expressions(template, lambda _: float(next(numbers)), is_quantity)
 
 
 def column(values: NDArray[np.float64], symbolic: bool) -> Expression:

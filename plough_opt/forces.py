@@ -13,6 +13,7 @@ from plough_opt.domain import check_domain, check_single
 from plough_opt.errors import InputError
 from plough_opt.expressions import Expression, column, holds_casadi, is_casadi
 from plough_opt.geometry import Cone, Wedge
+from plough_opt.labels import checked_in_designs
 from plough_opt.plastic import Cavity, WallPressure, front_radius, wall_pressure
 from plough_opt.quadrature import gauss_legendre
 from plough_opt.soil import Soil
@@ -33,6 +34,7 @@ class ResistanceCoefficients:
     C: Expression
 
 
+@checked_in_designs
 def resistance_coefficients(cone: Cone, soil: Soil) -> ResistanceCoefficients:
     """Return A [Pa], B and C of equation (26); C with the factor 2/3 that the integral (24) gives.
 
@@ -109,6 +111,7 @@ class SoilReaction:
     added_mass: Expression
 
 
+@checked_in_designs
 def soil_reaction(cone: Cone, soil: Soil) -> SoilReaction:
     """Return F0 [N], Fd [N s^2/m^2] and the added mass [kg] of equations (25)-(27).
 
@@ -126,6 +129,7 @@ def soil_reaction(cone: Cone, soil: Soil) -> SoilReaction:
     )
 
 
+@checked_in_designs
 def resistance(cone: Cone, soil: Soil, speed: Expression, acceleration: Expression) -> Expression:
     """Return the total resistance F [N] of equation (25), friction on the face included.
 
@@ -145,6 +149,7 @@ def resistance(cone: Cone, soil: Soil, speed: Expression, acceleration: Expressi
     return f.static + f.drag * speed**2 + f.added_mass * acceleration
 
 
+@checked_in_designs
 def added_mass(cone: Cone, soil: Soil) -> Expression:
     """Return the mass of soil that the share carries along, pi (1 + mu0 cot(beta)) C rho0 h^3 [kg], equation (26).
 
@@ -153,6 +158,7 @@ def added_mass(cone: Cone, soil: Soil) -> Expression:
     return soil_reaction(cone, soil).added_mass
 
 
+@checked_in_designs
 def loosened_radius(cone: Cone, soil: Soil) -> Expression:
     """Return the radius r* of the compaction front at the base of the cone [m], equation (16).
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from plough_opt.domain import check_domain
 from plough_opt.expressions import Expression, arctan, cos, sqrt, tan
+from plough_opt.labels import checked_in_designs
 from plough_opt.quantities import BESIDE, QUANTITIES
 
 PLANE_SECTIONS_LIMIT = math.radians(20.0)
@@ -48,20 +49,24 @@ class Cone:
         QUANTITIES["share.height"].check(self.height)
 
     @property
+    @checked_in_designs
     def slope(self) -> Expression:
         """Tangent of the half angle [-]."""
         return tan(self.half_angle)
 
     @property
+    @checked_in_designs
     def area(self) -> Expression:
         """Lateral surface S = pi h^2 tan(beta) / cos(beta) [m^2], equation (6)."""
         return math.pi * self.height**2 * self.slope / cos(self.half_angle)
 
     @property
+    @checked_in_designs
     def volume(self) -> Expression:
         """Volume (pi/3) h^3 tan^2(beta) [m^3]."""
         return math.pi / 3.0 * self.height**3 * self.slope**2
 
+    @checked_in_designs
     def solid_mass(self, density: Expression) -> Expression:
         """Mass [kg] of a solid cone of the given density [kg/m^3]; steel has about 7850."""
         BESIDE["scene.steel_density"].check(density)
@@ -93,10 +98,12 @@ class Wedge:
         QUANTITIES["share.height"].check(self.height)
 
     @property
+    @checked_in_designs
     def area(self) -> Expression:
         """Surface S = h^2 tan(lambda) / cos^2(beta_pl) [m^2], equation (5)."""
         return self.height**2 * tan(self.angle) / cos(self.chisel_angle) ** 2
 
+    @checked_in_designs
     def equivalent_cone(self) -> Cone:
         """Return the cone of equal height and surface, equation (7).
 

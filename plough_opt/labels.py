@@ -4,15 +4,20 @@ from __future__ import annotations
 
 import threading
 from collections import OrderedDict
-from collections.abc import Callable, Hashable
+from collections.abc import Callable, Hashable, Iterator, Sequence
+from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import dataclass
-from typing import Final, Generic, TypeVar
+from functools import wraps
+from typing import Any, Final, Generic, ParamSpec, TypeVar
 
 import casadi as ca
 
-from plough_opt.expressions import Expression, is_symbolic
+from plough_opt.expressions import Expression, holds_casadi, is_symbolic, map_expressions, template_of, with_numbers
 
 Meaning = TypeVar("Meaning")
+_Given = ParamSpec("_Given")
+_Result = TypeVar("_Result")
 
 # Functions that are kept although nothing may call them any more: some designs' worth.
 _MOST_LATELY: Final = 64
@@ -44,6 +49,28 @@ class Limit:
     name: str
     at_most: float
     unit: str = ""
+
+
+@dataclass(frozen=True)
+class Call:
+    """A meaning: the labelled value is of a law, whose arguments' quantities are carried.
+
+    Attributes:
+        law: the function.
+        template: its arguments, and those with a name, with a placeholder for each quantity in them.
+    """
+
+    law: Callable[..., object]
+    template: tuple[tuple[Any, ...], dict[str, Any]]
+
+    def check(self, numbers: Sequence[float]) -> None:
+        """Refuse numbers of the quantities that are outside the law's domain.
+
+        Raises:
+            DomainError: they are.
+        """
+        arguments, named = with_numbers(self.template, numbers)
+        self.law(*arguments, **named)
 
 
 class Meanings(Generic[Meaning]):
@@ -114,3 +141,54 @@ def attach(value: Expression, carried: Expression, meaning: object, key: Hashabl
 def label_of(function: ca.Function) -> Label | None:
     """Return the label that a Function in a graph is, or None for any other Function."""
     return _LABELS.of(function)
+
+
+# Whether what is computed is part of something that is checked as a whole.
+_INSIDE: ContextVar[bool] = ContextVar("inside", default=False)
+
+
+@contextmanager
+def unlabelled() -> Iterator[None]:
+    """Let laws return their values without labels, for a value that is checked with what it becomes a part of."""
+    before = _INSIDE.set(True)
+    try:
+        yield
+    finally:
+        _INSIDE.reset(before)
+
+
+def checked_in_designs(
+    law: Callable[_Given, _Result], check: Callable[_Given, object] | None = None
+) -> Callable[_Given, _Result]:
+    """Decorate a law, so that a design that holds its values can refuse bounds beyond its domain.
+
+    Numbers a law refuses by itself. Symbols have no value yet: the values are then labelled with the call, which a
+    design repeats with its bounds.
+
+    Args:
+        law: the function.
+        check: what is called in its place with the bounds.
+    """
+
+    @wraps(law)
+    def labelled(*arguments: _Given.args, **named: _Given.kwargs) -> _Result:
+        if _INSIDE.get():
+            return law(*arguments, **named)
+        with unlabelled():
+            result = law(*arguments, **named)
+        if not holds_casadi(result):
+            return result
+        template, quantities = template_of((arguments, named))
+        carried = ca.vertcat(*quantities)
+        # An argument of several numbers has no placeholder of its own for each of them.
+        if not isinstance(carried, ca.MX) or carried.numel() != len(quantities):
+            return result
+        # Functions in arguments, as a density profile's, may print alike.
+        functions: list[int] = []
+        map_expressions(template, lambda value: functions.append(id(value)), callable)
+        key = law.__module__, law.__qualname__, repr(template), tuple(functions)
+        meaning = Call(check or law, template)
+        checked: _Result = map_expressions(result, lambda value: attach(value, carried, meaning, key))
+        return checked
+
+    return labelled

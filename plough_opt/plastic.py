@@ -16,6 +16,7 @@ from plough_opt.compaction import front, mean_ratio, ratio
 from plough_opt.domain import check_domain
 from plough_opt.errors import InputError
 from plough_opt.expressions import Expression, as_number, cos, exp, expm1_ratio, log1p, log1p_ratio, sqrt
+from plough_opt.labels import checked_in_designs
 from plough_opt.quadrature import gauss_legendre
 from plough_opt.soil import Soil
 from plough_opt.yielding import Yielding
@@ -61,6 +62,7 @@ class WallPressure:
     inertia: Expression
 
 
+@checked_in_designs
 def wall_pressure(soil: Soil, radius: Expression | None = None) -> WallPressure:
     """Return the coefficients of equation (23).
 
@@ -101,6 +103,7 @@ def _yielding(soil: Soil) -> Yielding:
     return Yielding.of(soil.friction_angle, soil.cohesion)
 
 
+@checked_in_designs
 def surface_pressure(cavity: Cavity, soil: Soil) -> Expression:
     """Return the gauge pressure p1 - p_a [Pa] of the soil on the cavity wall, equation (23).
 
@@ -119,6 +122,7 @@ def surface_pressure(cavity: Cavity, soil: Soil) -> Expression:
     return p.strength + soil.density * motion
 
 
+@checked_in_designs
 def front_radius(cavity: Cavity, soil: Soil) -> Expression:
     """Return the radius r* of the compaction front [m], equation (16).
 
@@ -130,6 +134,7 @@ def front_radius(cavity: Cavity, soil: Soil) -> Expression:
     return front(cavity.radius, soil)
 
 
+@checked_in_designs
 def front_speed(cavity: Cavity, soil: Soil) -> Expression:
     """Return the speed D = u*'/(1 - b*) of the compaction front [m/s], equations (19)-(21).
 
@@ -145,6 +150,7 @@ def front_speed(cavity: Cavity, soil: Soil) -> Expression:
     return cavity.radius * cavity.rate / (r * (1.0 - ratio(r, soil)))
 
 
+@checked_in_designs
 def density(r: Expression, cavity: Cavity, soil: Soil) -> Expression:
     """Return the density rho(r) [kg/m^3] of the compacted soil at Lagrangian radius r [m], equation (9).
 
@@ -155,6 +161,7 @@ def density(r: Expression, cavity: Cavity, soil: Soil) -> Expression:
     return soil.density / ratio(r, soil) + 0.0 * r
 
 
+@checked_in_designs
 def current_radius(r: Expression, cavity: Cavity, soil: Soil) -> Expression:
     """Return where a particle is now: y = r + u = sqrt(2 psi(r) + R^2) [m], equation (15).
 
@@ -173,6 +180,7 @@ def current_radius(r: Expression, cavity: Cavity, soil: Soil) -> Expression:
     return _current_radius(r, cavity, soil)
 
 
+@checked_in_designs
 def particle_velocity(r: Expression, cavity: Cavity, soil: Soil) -> Expression:
     """Return the radial velocity R R'/y of the particle at Lagrangian radius r [m/s], equation (17).
 
@@ -181,6 +189,7 @@ def particle_velocity(r: Expression, cavity: Cavity, soil: Soil) -> Expression:
     return cavity.radius * cavity.rate / current_radius(r, cavity, soil)
 
 
+@checked_in_designs
 def particle_acceleration(r: Expression, cavity: Cavity, soil: Soil) -> Expression:
     """Return (R'^2 + R R'')/y - R^2 R'^2/y^3 of the particle at Lagrangian radius r [m/s^2], equation (18).
 
@@ -204,6 +213,7 @@ class Stress:
     tangential: Expression
 
 
+@checked_in_designs
 def stress(r: Expression, cavity: Cavity, soil: Soil) -> Stress:
     """Return both stresses of the particle at Lagrangian radius r [m], equations (10), (14), (22) corrected.
 

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Literal
+from typing import Literal, TypeVar
 
 from plough_opt.effects import Effects
 from plough_opt.elastic import cone_force
@@ -14,11 +15,19 @@ from plough_opt.errors import InputError
 from plough_opt.expressions import Expression, as_number, is_symbolic, sqrt
 from plough_opt.forces import SoilReaction, loosened_radius, soil_reaction
 from plough_opt.geometry import PLANE_SECTIONS_LIMIT, Cone, Wedge
+from plough_opt.labels import checked_in_designs, unlabelled
 from plough_opt.quantities import QUANTITIES
 from plough_opt.soil import Soil
 
 # Overburden [Pa] of some 1.5 m of soil, below which no subsoiler works: more is the atmosphere's.
 _DEEPEST = 20e3
+
+_Property = TypeVar("_Property")
+
+
+def _checked_in_designs(law: Callable[[Scene], _Property]) -> Callable[[Scene], _Property]:
+    """Decorate a scene's property, which a design checks with the scene."""
+    return checked_in_designs(law, lambda scene: scene.check_reaction())
 
 
 @dataclass(frozen=True)
@@ -93,11 +102,19 @@ class Scene:
     @cached_property
     def cone(self) -> Cone:
         """The share's equivalent cone."""
-        return self.share.equivalent_cone() if isinstance(self.share, Wedge) else self.share
+        if isinstance(self.share, Cone):
+            return self.share
+        with unlabelled():
+            return self.share.equivalent_cone()
 
-    @cached_property
+    @property
+    @_checked_in_designs
     def reaction(self) -> SoilReaction:
         """F0 [N], Fd [N s^2/m^2] and added mass [kg], zero where the effect is off."""
+        return self._reaction
+
+    @cached_property
+    def _reaction(self) -> SoilReaction:
         soil = self.soil if self.effects.ambient_pressure else self._soil_without_pressure
         if self.medium == "elastic":
             return SoilReaction(static=cone_force(self.cone, soil, self.tow_speed), drag=0.0, added_mass=0.0)
@@ -117,7 +134,7 @@ class Scene:
             DomainError: a density profile with which there is no compaction front.
         """
         if self.medium == "plastic":
-            _ = self.reaction
+            _ = self._reaction
 
     @property
     def _soil_without_pressure(self) -> Soil:
@@ -125,9 +142,11 @@ class Scene:
 
     def _reaction_of(self, soil: Soil) -> SoilReaction:
         """Return the whole reaction of a soil to this share, in the scene's formulation."""
-        return self.effects.printed.reaction(soil_reaction(self.cone, soil))
+        with unlabelled():
+            return self.effects.printed.reaction(soil_reaction(self.cone, soil))
 
     @property
+    @_checked_in_designs
     def loosened_radius(self) -> Expression:
         """Radius r* of the compaction front at the share's base [m].
 
@@ -138,7 +157,8 @@ class Scene:
             raise InputError("the elastic medium has no compaction front and loosens nothing: take medium = 'plastic'")
         return loosened_radius(self.cone, self.soil)
 
-    @cached_property
+    @property
+    @_checked_in_designs
     def inertia(self) -> Expression:
         """M = m + m_a [kg]."""
         return self.mass + self.reaction.added_mass
@@ -149,6 +169,7 @@ class Scene:
         return -self.stiffness if self.effects.printed.repelling_spring else self.stiffness
 
     @property
+    @_checked_in_designs
     def steady_resistance(self) -> Expression:
         """Resistance F0 (1 + kappa V0^2) + Fd V0^2 [N] at the tow speed, without the strength wave."""
         rate = self.effects.rate_term if self.effects.rate_term is not None else 0.0
@@ -156,11 +177,13 @@ class Scene:
         return self.reaction.static * (1.0 + rate * self.tow_speed**2) + self.reaction.drag * self.tow_speed**2 + own
 
     @property
+    @_checked_in_designs
     def natural_frequency(self) -> Expression:
         """Undamped angular frequency sqrt(k0/M) [rad/s]; of the print's repelling spring the rate of growth."""
         return sqrt(self.stiffness / self.inertia)
 
     @property
+    @_checked_in_designs
     def wave_frequency(self) -> Expression:
         """Angular frequency 2 pi V0/ell [rad/s] at which the strength wave passes; 0 without a wave."""
         wave = self.effects.strength_wave
@@ -174,6 +197,7 @@ class Scene:
         return "soft" if float(as_number(self.natural_frequency / self.wave_frequency)) < 1.0 else "stiff"
 
     @property
+    @_checked_in_designs
     def ambient_share(self) -> Expression:
         """Part of the static resistance F0 that the ambient pressure carries [-]; 0 where F0 is 0.
 

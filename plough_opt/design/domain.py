@@ -67,6 +67,7 @@ def check_bounds(declared: Declarations, exact: TightEvaluation, p: Vector) -> N
             scenes = [exact.inputs(k, numbers)[1] for k in range(len(exact.runs))]
             for scene in (*scenes, *exact.quasi_static_scenes(numbers)):
                 scene.check_reaction()
+            exact.check_calls(numbers)
             for run, scene in zip(exact.runs, scenes, strict=True):
                 own = run.integration
                 if own.structure.orbit != "transient" and own.accuracy.method == "auto":

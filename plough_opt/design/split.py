@@ -8,9 +8,11 @@ import casadi as ca
 import numpy as np
 
 from plough_opt.errors import InputError
-from plough_opt.labels import Label, label_of
+from plough_opt.labels import Call, Label, label_of
 from plough_opt.motion.embedding import Embedding, embedding_of
 from plough_opt.motion.integrators import Integration
+
+_GIVEN_RESULTS = "a run of this design is given results of another run: a design takes runs side by side only"
 
 
 @dataclass(frozen=True)
@@ -58,7 +60,11 @@ def split(expressions: list[ca.MX], symbols: list[ca.MX]) -> Split:
     Raises:
         InputError: a run's parameters depend on the results of another run.
     """
-    found, labels = _calls(ca.Function("whole", symbols, expressions, {"never_inline": True}))
+    found, calls = _calls(ca.Function("whole", symbols, expressions, {"never_inline": True}))
+    labels = _carried(calls, symbols, bool(found))
+    if calls:
+        expressions = _without(expressions, [node for _, node in calls])
+        found, _ = _calls(ca.Function("whole", symbols, expressions, {"never_inline": True}))
     results = tuple(
         ca.MX.sym(f"results_{i}", sum(output.numel() for output in run.outputs)) for i, run in enumerate(found)
     )
@@ -69,24 +75,49 @@ def split(expressions: list[ca.MX], symbols: list[ca.MX]) -> Split:
         old += run.outputs
         new += [ca.reshape(result[i:j], o.shape) for o, i, j in zip(run.outputs, ends, ends[1:], strict=False)]
     inputs, quantities = [run.inputs for run in found], [run.quantities for run in found]
-    groups = [expressions, inputs, quantities, [carried for _, carried in labels]]
+    groups = [expressions, inputs, quantities]
     if found:
         flat = iter(ca.graph_substitute([item for group in groups for item in group], old, new))
         groups = [[next(flat) for _ in group] for group in groups]
-    expressions, inputs, quantities, carried = groups
-    taken, given = [ca.vertcat(*(ca.vec(item) for item in items)) for items in (results, [*inputs, *carried])]
+    expressions, inputs, quantities = groups
+    taken, given = [ca.vertcat(*(ca.vec(item) for item in items)) for items in (results, inputs)]
     if found and ca.depends_on(given, taken):
-        raise InputError("a run of this design is given results of another run: a design takes runs side by side only")
+        raise InputError(_GIVEN_RESULTS)
     independent = (
         replace(run, inputs=given, quantities=scene)
         for run, given, scene in zip(found, inputs, quantities, strict=True)
     )
-    named = zip((label for label, _ in labels), carried, strict=True)
-    return Split(tuple(independent), tuple(expressions), results, tuple(named))
+    return Split(tuple(independent), tuple(expressions), results, tuple(labels))
+
+
+def _carried(calls: list[tuple[Label, ca.MX]], symbols: list[ca.MX], runs: bool) -> list[tuple[Label, ca.MX]]:
+    """Return labels with what they carry, but for laws of runs' results, which have no value before the runs have one.
+
+    Raises:
+        InputError: something else than a law is given results of a run.
+    """
+    found = []
+    for label, node in calls:
+        if not runs or not _calls(ca.Function("carried", symbols, [node.dep(1)], {"never_inline": True}))[0]:
+            found.append((label, node.dep(1)))
+        elif not isinstance(label.meaning, Call):
+            raise InputError(_GIVEN_RESULTS)
+    return found
+
+
+def _without(expressions: list[ca.MX], labels: list[ca.MX]) -> list[ca.MX]:
+    """Return expressions with the labels' values in their place, which are computed faster; inner labels come first."""
+    old: list[ca.MX] = []
+    new: list[ca.MX] = []
+    for node in labels:
+        value = node.dep(0)
+        new.append(ca.graph_substitute([value], old, new)[0] if old else value)
+        old.append(node.get_output(0))
+    return list(ca.graph_substitute(expressions, old, new))
 
 
 def _calls(whole: ca.Function) -> tuple[list[EmbeddedRun], list[tuple[Label, ca.MX]]]:
-    """Return the runs and the labels that a Function's graph calls, each once."""
+    """Return the runs that a Function's graph calls, and its calls of labels, each once."""
     runs: dict[int, EmbeddedRun] = {}
     labels: dict[int, tuple[Label, ca.MX]] = {}
     for k in range(whole.n_instructions()):
@@ -94,7 +125,7 @@ def _calls(whole: ca.Function) -> tuple[list[EmbeddedRun], list[tuple[Label, ca.
             continue
         node = whole.instruction_MX(k)
         if (label := label_of(node.which_function())) is not None:
-            labels[hash(node)] = (label, node.dep(1))
+            labels[hash(node)] = (label, node)
         elif (run := embedding_of(node.which_function())) is not None:
             outputs = tuple(node.get_output(i) for i in range(run.integration.function.n_out()))
             runs[hash(node)] = EmbeddedRun(run, node.dep(0), node.dep(1), outputs)

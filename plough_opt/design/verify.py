@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from plough_opt.accuracy import ORDER_8, Accuracy
 from plough_opt.design.split import split
 from plough_opt.errors import IntegrationError
-from plough_opt.labels import Limit
+from plough_opt.labels import Call, Limit
 from plough_opt.motion.compiled_steps import compiled_steps
 from plough_opt.motion.embedding import with_numbers
 from plough_opt.motion.integrators import Integration, integration
@@ -69,6 +69,11 @@ class TightEvaluation:
             for label, carried in parts.labels
             if isinstance(label.meaning, Scene)
         ]
+        self._calls = [
+            (label.meaning, ca.Function("quantities", list(symbols), [carried]))
+            for label, carried in parts.labels
+            if isinstance(label.meaning, Call)
+        ]
         limits = {label.meaning for label, _ in parts.labels if isinstance(label.meaning, Limit)}
         self.limits = {
             limit: ca.vertcat(*(carried for label, carried in parts.labels if label.meaning == limit))
@@ -100,6 +105,15 @@ class TightEvaluation:
             with_numbers(template, np.asarray(quantities(*numbers)).ravel().tolist())
             for template, quantities in self._scenes
         ]
+
+    def check_calls(self, numbers: Sequence[float]) -> None:
+        """Refuse numbers that lead a law in the expressions beyond its domain.
+
+        Raises:
+            DomainError: they do.
+        """
+        for call, quantities in self._calls:
+            call.check(np.asarray(quantities(*numbers)).ravel().tolist())
 
     def followed(self, run: int, parameters: Vector, scene: Scene) -> Run:
         """Return a run from a start, as it was re-integrated.

@@ -8,7 +8,7 @@ from typing import Any
 from plough_opt.domain import check_domain
 from plough_opt.errors import InputError
 from plough_opt.expressions import Expression, is_symbolic, map_expressions, sqrt, where
-from plough_opt.labels import Limit, attach
+from plough_opt.labels import Limit, attach, checked_in_designs, unlabelled
 from plough_opt.soil import Soil
 
 # At the shear wave's speed the fields are finite, but their slope is infinite: a design ends a little below.
@@ -17,6 +17,7 @@ _SUBSONIC = Limit("elastic medium: speed over shear wave speed", at_most=0.9999)
 _RAYLEIGH_STEPS = 5
 
 
+@checked_in_designs
 def shear_modulus(soil: Soil) -> Expression:
     """Return the shear modulus mu = E/(2 (1 + nu)) [Pa].
 
@@ -27,6 +28,7 @@ def shear_modulus(soil: Soil) -> Expression:
     return modulus / (2.0 * (1.0 + ratio))
 
 
+@checked_in_designs
 def shear_wave_speed(soil: Soil) -> Expression:
     """Return c2 = sqrt(mu/rho) [m/s], below which every function of the elastic medium holds.
 
@@ -36,6 +38,7 @@ def shear_wave_speed(soil: Soil) -> Expression:
     return sqrt(shear_modulus(soil) / soil.density)
 
 
+@checked_in_designs
 def longitudinal_wave_speed(soil: Soil) -> Expression:
     """Return c1 = c2/sqrt(kappa) [m/s] with kappa = (1 - 2 nu)/(2 (1 - nu)).
 
@@ -45,6 +48,7 @@ def longitudinal_wave_speed(soil: Soil) -> Expression:
     return shear_wave_speed(soil) / sqrt(_kappa(soil.poisson_ratio))
 
 
+@checked_in_designs
 def rayleigh_speed(soil: Soil) -> Expression:
     """Return the Rayleigh speed c_R [m/s], at which a wedge feels no pressure.
 
@@ -123,7 +127,8 @@ def medium(soil: Soil, speed: Expression) -> Medium:
         InputError: the soil's Young's modulus or Poisson's ratio is not given.
         DomainError: a speed below 0 or above the shear wave's.
     """
-    modulus, fastest = shear_modulus(soil), shear_wave_speed(soil)
+    with unlabelled():
+        modulus, fastest = shear_modulus(soil), shear_wave_speed(soil)
     check_domain("speed", speed, "m/s", at_least=0.0)
     mach = speed / fastest
     check_domain(

@@ -7,9 +7,10 @@ from dataclasses import dataclass
 
 import casadi as ca
 
+from plough_opt import expressions
 from plough_opt.accuracy import ORDER_8
 from plough_opt.errors import InputError
-from plough_opt.expressions import Expression, is_quantity, is_symbolic, map_expressions, template_of
+from plough_opt.expressions import Expression, is_symbolic, template_of
 from plough_opt.labels import Meanings, attach
 from plough_opt.motion.integrators import Integration
 from plough_opt.scene import Scene
@@ -39,8 +40,7 @@ def with_numbers(template: Scene, quantities: Sequence[float]) -> Scene:
     Raises:
         DomainError: a number lies outside the model's domain.
     """
-    numbers = iter(quantities)
-    scene: Scene = map_expressions(template, lambda _: float(next(numbers)), is_quantity)
+    scene: Scene = expressions.with_numbers(template, quantities)
     return scene
 
 

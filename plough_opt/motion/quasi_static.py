@@ -9,6 +9,7 @@ import numpy as np
 
 from plough_opt.accuracy import Accuracy
 from plough_opt.expressions import Expression, column, holds_casadi, is_casadi
+from plough_opt.labels import unlabelled
 from plough_opt.motion.breaks import ends
 from plough_opt.motion.embedding import labelled
 from plough_opt.motion.run import Averages, Run, rms
@@ -47,7 +48,8 @@ def quasi_static(
     mean_change = _average(change, shares)
     mean_draft = inner_force[0] + mean_change
     variance = _average((change - mean_change) ** 2, shares)
-    force_rms = rms(variance, scene.steady_resistance)
+    with unlabelled():
+        force_rms = rms(variance, scene.steady_resistance)
     stiffness = scene.stiffness
     return Run(
         scene=scene,

@@ -12,6 +12,7 @@ from plough_opt.accuracy import Accuracy
 from plough_opt.domain import check_domain
 from plough_opt.errors import InputError
 from plough_opt.expressions import Expression, column, is_casadi, sqrt, where
+from plough_opt.labels import unlabelled
 from plough_opt.motion.equation import GAP, SLIP, STICK
 from plough_opt.motion.settled import Settled
 from plough_opt.motion.terms import (
@@ -263,7 +264,7 @@ def assemble(
     force = mount_force(structure, p, states)
     soil = resistance(structure, p, travel, u0 + gain)
     acceleration = (force - soil) / inertia_at(structure, p, travel)
-    carried = carried_mass(structure, p, travel) if structure.events else scene.reaction.added_mass
+    carried = carried_mass(structure, p, travel) if structure.events else _added_mass(scene)
     soil = soil + carried * acceleration
     speed, opening = u0 + gain, 0.0 * w + 0.0
     mode = opening
@@ -290,6 +291,11 @@ def assemble(
     )
 
 
+def _added_mass(scene: Scene) -> Expression:
+    with unlabelled():
+        return scene.reaction.added_mass
+
+
 def mount_force(structure: Structure, p: dict[str, Expression], states: Expression) -> Expression:
     """Return P at the outputs [N] from (w; w') as two columns over them."""
     first = 0.0 if structure.relaxed else start_resistance(structure, p)
@@ -302,7 +308,8 @@ def averages_of(
 ) -> Averages:
     """Add the values at the start back to the averages of the changes since then: see `assemble`."""
     stiffness, first = p["stiffness"], 0.0 if structure.relaxed else start_resistance(structure, p)
-    scale = scene.steady_resistance
+    with unlabelled():
+        scale = scene.steady_resistance
     displacement_rms = rms(variances[0], scale / scene.stiffness)
     if structure.damper:
         mean_draft = first + p["damping"] * start_rate(structure, p) + means[1]

@@ -20,6 +20,7 @@ import numpy as np
 
 from plough_opt.effects import HarmonicBalance, Smooth, StickSlip
 from plough_opt.expressions import Expression, as_number, maximum, minimum, sin, template_of, where
+from plough_opt.labels import unlabelled
 from plough_opt.motion.own import OwnTerm
 from plough_opt.scene import Scene
 
@@ -119,14 +120,16 @@ class Structure:
 def parameters(scene: Scene) -> dict[str, Expression]:
     """Return the numbers that the equation of motion may need, by name, in SI units."""
     effects = scene.effects
+    with unlabelled():  # a run is checked with its scene
+        inertia, reaction = scene.inertia, scene.reaction
     values = {
-        "inertia": scene.inertia,
+        "inertia": inertia,
         "stiffness": scene.restoring_stiffness,
-        "static": scene.reaction.static,
+        "static": reaction.static,
         "tow_speed": scene.tow_speed,
     }
     if effects.inertial_drag:
-        values["drag"] = scene.reaction.drag
+        values["drag"] = reaction.drag
     if effects.strength_wave is not None:
         values["wave_amplitude"] = effects.strength_wave.amplitude
         values["wavelength"] = effects.strength_wave.wavelength
@@ -147,7 +150,7 @@ def parameters(scene: Scene) -> dict[str, Expression]:
     if effects.events:
         values["mass"] = scene.mass
         if effects.added_mass:
-            values["added_mass"] = scene.reaction.added_mass
+            values["added_mass"] = reaction.added_mass
     return values
 
 

@@ -217,3 +217,60 @@ def test_force_and_mass_conflict_where_they_do():
     assert min(found[:, 1]) == pytest.approx(10.0, rel=1e-9)
     assert found[found[:, 1].argmin(), 0] == pytest.approx(33.453368242, rel=1e-6)
     assert any(force <= 19.1936 * 1.001 and at <= 60.0 + 20.0 for force, at in found)
+
+
+SOIL = (1300.0, 0.8, 5e3, 0.5, 0.4)
+
+
+def _soil(**changed):
+    return po.Soil(*SOIL) if not changed else replace(po.Soil(*SOIL), **changed)
+
+
+def _standing(**changed):
+    given = {"soil": _soil(), "share": po.Cone(0.2, 0.3), "stiffness": 5e4, "mass": 80.0, "tow_speed": 1.0}
+    return po.Scene(**given | changed)
+
+
+# Name of a quantity, bounds that reach beyond its domain, and a law of it that no run holds.
+BEYOND = [
+    ("density ratio", 0.1, 1.2, lambda x: po.loosened_radius(po.Cone(0.2, 0.3), _soil(density_ratio=x))),
+    ("density ratio", 0.1, 1.2, lambda x: po.added_mass(po.Cone(0.2, 0.3), _soil(density_ratio=x))),
+    ("density ratio", 0.1, 1.2, lambda x: po.soil_reaction(po.Cone(0.2, 0.3), _soil(density_ratio=x)).static),
+    ("density ratio", 0.1, 1.2, lambda x: po.plastic.wall_pressure(_soil(density_ratio=x)).strength),
+    ("density ratio", 0.1, 1.2, lambda x: _standing(soil=_soil(density_ratio=x)).steady_resistance),
+    ("density ratio", 0.1, 1.2, lambda x: _standing(soil=_soil(density_ratio=x)).reaction.static),
+    (
+        "friction angle",
+        0.1,
+        math.pi / 2.0,
+        lambda x: po.resistance_coefficients(po.Cone(0.2, 0.3), _soil(friction_angle=x)).A,
+    ),
+    ("share height", -0.1, 0.6, lambda x: po.Cone(0.2, x).volume),
+    ("half angle", 0.1, 1.7, lambda x: po.Cone(x, 0.3).solid_mass(7850.0)),
+    ("wedge angle", 0.1, 1.7, lambda x: po.Wedge(x, 0.3, 0.3).equivalent_cone().half_angle),
+    ("speed", -0.1, 1.7, lambda x: po.resistance(po.Cone(0.2, 0.3), _soil(), x, 0.0)),
+    ("stiffness", -1.0, 1e5, lambda x: _standing(stiffness=x).natural_frequency),
+    ("Poisson's ratio", 0.1, 0.6, lambda x: po.elastic.shear_modulus(_soil(youngs_modulus=1e7, poisson_ratio=x))),
+]
+
+
+@pytest.mark.parametrize(
+    ("name", "lower", "upper", "law"), BEYOND, ids=[f"{k}-{name}" for k, (name, *_) in enumerate(BEYOND)]
+)
+def test_bounds_beyond_the_domain_are_refused_without_a_run(name, lower, upper, law):
+    d = po.Design()
+    x = d.variable("x", guess=0.3, lower=lower, upper=upper)
+    d.minimise(law(x))
+    with pytest.raises(po.DomainError, match=rf"at the (lower|upper) bound of 'x': {name}"):
+        d.solve()
+
+
+def test_a_law_of_a_runs_result_is_no_obstacle():
+    d = po.Design()
+    height = d.variable("height", guess=0.3, lower=0.1, upper=0.5)
+    share = po.Cone(0.2, height)
+    scene = po.Scene(_soil(), share, 5e4, 80.0, 1.5, po.Effects(strength_wave=po.StrengthWave(0.3, 0.4)))
+    run = po.simulate(scene, 0.5)
+    d.minimise(po.resistance(share, _soil(), run.mean_deflection * 10.0, 0.0))
+    # The smallest share has the least resistance at any speed.
+    assert d.solve().variables["height"] == pytest.approx(0.1, abs=1e-9)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -20,8 +21,10 @@ _HOLDS = 1e-6
 _STARTS, _APART = 8, 0.1
 # Of designs with little violation so many go on to the optimiser, which violate by so much more than the best at most.
 _POLISHED, _NEAR_LEAST = 3, 1e-3
-# How far from a design, in parts of the range, its polished one may lie, and by how much its violation may be larger.
-_BESIDE, _NOT_WORSE = 0.01, 1e-6
+# How far from a design, in parts of the range, its polished one may lie, by which derivatives, and by how much its
+# violation may be larger; and steps by which that is compared.
+_BESIDE = ((0.01, False), (0.01, True), (1e-3, False), (3e-4, True))
+_NOT_WORSE, _FINER = 1e-6, 2.0
 # A requirement is to blame where the others are violated by so much less, in parts of the shortfall, without it.
 _HELPS = 1e-3
 
@@ -54,7 +57,7 @@ def feasible_from(program: Program, landscape: Landscape, p: Vector, explored: E
         starts, known = list(ends.points), ends.violation.tolist()
     starts = starts[:_POLISHED]
     program.build(p, starts=starts)
-    points = [_polished(program, p, one, violation) for one, violation in zip(starts, known, strict=False)]
+    points = [_polished(program, landscape, p, one, violation) for one, violation in zip(starts, known, strict=False)]
     n = len(start)
     solved = [point for point in points if point.solved] or points
     best = min(solved, key=lambda point: point.f)
@@ -63,13 +66,19 @@ def feasible_from(program: Program, landscape: Landscape, p: Vector, explored: E
     raise infeasible(program, best, landscape.tried, lambda k: _helps(landscape, best.y[:n], k))
 
 
-def _polished(program: Program, p: Vector, y: Vector, violation: float) -> Point:
-    """Return the design of least violation beside another, whose violation is known, or else where it leads."""
-    if np.isfinite(violation):
-        point = program.solve_relaxed(y, p, box=_BESIDE)
+def _polished(program: Program, landscape: Landscape, p: Vector, y: Vector, violation: float) -> Point:
+    """Return the design of least violation beside another, whose violation is known, or else where it leads.
+
+    Where paths kink the optimiser may come to no better design: then it is the other with its violations.
+    """
+    if not np.isfinite(violation):
+        return program.solve_relaxed(y, p)
+    for box, exact in _BESIDE:
+        point = program.solve_relaxed(y, p, box=box, exact=exact)
         if point.solved and point.f <= (1.0 + _NOT_WORSE) * violation + _VIOLATED:
             return point
-    return program.solve_relaxed(y, p)
+    short = landscape.violations(landscape.rows(y[None], finer=_FINER)[1])[0]
+    return replace(point, solved=True, y=np.r_[y, short, 0.0 * short], f=float(short.sum()))
 
 
 def _apart(sample: Seen) -> list[Vector]:

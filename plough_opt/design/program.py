@@ -351,11 +351,13 @@ class Program:
         lower[fixed] = upper[fixed] = start[fixed]
         return (self._now.of_rows or self._now.solver).solve(start, p, lower, upper, near=True)
 
-    def solve_relaxed(self, start: Vector, p: Vector, fixed: Sequence[int] = (), box: float = 1.0) -> Point:
+    def solve_relaxed(
+        self, start: Vector, p: Vector, fixed: Sequence[int] = (), box: float = 1.0, *, exact: bool | None = None
+    ) -> Point:
         """Return the design near a start at which the requirements give way least; slacks follow y.
 
         Variables number ``fixed`` are held at the start, and the others no further from it than ``box``; of either the
-        start then lies near.
+        start then lies near. Of ``exact`` see `plough_opt.design.ipopt.Solver.solve`.
         """
         count, n = len(self.declared.requirements), len(start)
         built = self._now
@@ -371,8 +373,8 @@ class Program:
         upper = np.r_[np.minimum(start + box, 1.0), np.where(gives, np.inf, 0.0)]
         held = list(fixed)
         lower[held] = upper[held] = start[held]
-        near = box < 1.0
-        return built.relaxed.solve(np.r_[start, slack], p, lower, upper, near=near or bool(held), exact=near or None)
+        near = bool(held) or box < 1.0
+        return built.relaxed.solve(np.r_[start, slack], p, lower, upper, near=near, exact=exact)
 
 
 def _power_of_four(value: float) -> float:

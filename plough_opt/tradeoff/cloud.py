@@ -10,6 +10,9 @@ from plough_opt.design.landscape import FEASIBLE, Landscape
 from plough_opt.design.tolerance import NEEDLE, boxes
 from plough_opt.tradeoff.program import FrontProgram
 
+# Factor on the steps of a search. Where a share oscillates fast on a stiff mount, those leave an error of a few parts
+# in a thousand, which along a front is much; twice as many leave 1e-5.
+_FINER = 2.0
 # Looks at so many designs and more are kept whole: searches of several objectives begin with the same sample.
 _A_SAMPLE = 200
 
@@ -46,10 +49,11 @@ class Cloud:
 
         Args:
             points: scaled variables.
-            finer: factor on the steps of the runs.
+            finer: factor on the steps of the runs; less than 2 is 2.
             together: designs whose runs take equal numbers of steps.
         """
-        key = points.tobytes() if len(points) >= _A_SAMPLE and finer == together == 1 else b""
+        finer = max(finer, _FINER)
+        key = points.tobytes() if len(points) >= _A_SAMPLE and finer == _FINER and together == 1 else b""
         if key in self._samples:
             return self._samples[key]
         found = self.front.look(points, finer, together)

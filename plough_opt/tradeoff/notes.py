@@ -10,14 +10,15 @@ from plough_opt.tradeoff.certificate import FrontPoint
 from plough_opt.tradeoff.goal import Goal
 from plough_opt.tradeoff.missing import beating
 from plough_opt.tradeoff.plane import Array
-from plough_opt.tradeoff.samples import MATTERS, NOT_REACHED, Samples
+from plough_opt.tradeoff.reaching import NOT_REACHED, Reaching
+from plough_opt.tradeoff.samples import MATTERS
 
 # Relative ranges of all objectives below this are hardly a conflict, of one of them below the second too small to act
 # on; below the third they are rounding.
 _HARDLY, _SMALL, _ROUNDING = 0.02, 1e-3, 1e-8
 
 
-def notes_on(tracer: Samples, goals: Sequence[Goal], points: Sequence[FrontPoint]) -> tuple[str, ...]:
+def notes_on(tracer: Reaching, goals: Sequence[Goal], points: Sequence[FrontPoint]) -> tuple[str, ...]:
     """Return sentences on objectives that hardly conflict, on needles, and on an error that is larger than wanted."""
     front = tracer.front
     notes = []
@@ -57,7 +58,7 @@ def notes_on(tracer: Samples, goals: Sequence[Goal], points: Sequence[FrontPoint
     return tuple(notes)
 
 
-def looked_at(tracer: Samples) -> str:
+def looked_at(tracer: Reaching) -> str:
     """Return what was looked at."""
     cloud, vary = tracer.cloud, tracer.searcher.vary
     if not vary:
@@ -67,7 +68,7 @@ def looked_at(tracer: Samples) -> str:
     return f"{cloud.tried} designs tried over {over}{slow}."
 
 
-def against_the_search(tracer: Samples, at: Array) -> tuple[str, ...]:
+def against_the_search(tracer: Reaching, at: Array) -> tuple[str, ...]:
     """Return a sentence where some design that was looked at is better than points of the front.
 
     Args:
@@ -83,7 +84,7 @@ def against_the_search(tracer: Samples, at: Array) -> tuple[str, ...]:
     )
 
 
-def by_how_much(tracer: Samples, at: Array) -> float:
+def by_how_much(tracer: Reaching, at: Array) -> float:
     """Return by how much a design of the cloud that is no needle is better in all objectives than a point, or 0."""
     y, scaled = tracer.cloud.feasible
     designs = tracer.front.normalised(scaled)

@@ -1,4 +1,4 @@
-"""Local optima of a trade-off: kept once each, and sought wherever the cloud has designs that the front misses."""
+"""Local optima of a trade-off: those of each objective alone, and others from neighbours, kept once each."""
 
 from __future__ import annotations
 
@@ -7,17 +7,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from plough_opt.design.basin import near_optimum
 from plough_opt.design.curvature import minimum_from
 from plough_opt.design.exploring import Progress
 from plough_opt.design.ipopt import REMEDIES, Point, Vector
 from plough_opt.design.polishing import as_it_is, polished
-from plough_opt.design.sampling import SEED
 from plough_opt.scene import Scene
 from plough_opt.tradeoff.cloud import Cloud
-from plough_opt.tradeoff.missing import beating, beyond_front, beyond_points, thinned
+from plough_opt.tradeoff.missing import thinned
 from plough_opt.tradeoff.program import FrontProgram
 from plough_opt.tradeoff.searching import Searcher
 
@@ -26,28 +24,24 @@ OTHERS = 1e-4
 MATTERS = 1e-3
 """Of the range of an objective: a design that is better by less is no better."""
 
-NOT_REACHED = "Not_Reached"
-"""Status of a design that was seen beyond the front, and beside which the optimiser found none."""
+ROUGHLY = 1e-2
+"""Of ranges: designs are thinned to so much for which the program is written, or beside which others are looked at."""
 
-# Of ranges: designs are thinned to so much for which the program is written, or beside which others are looked at.
-_ROUGHLY = 1e-2
+NOT_WORSE = 1e-5
+"""Of the scaled objective: an optimum above its start by less is no worse, for searches integrate roughly."""
+
+MOST_JUDGED = 100
+"""Designs that are held against their tolerances at once."""
+
 # Two optima nearer than this, in normalised objectives and in scaled variables, are one.
 _SAME_OBJECTIVES = 1e-6
 _SAME_DESIGN = 1e-4
 # An optimum with its last digits is no further from where it was without them.
 _BESIDE = 0.05
-# Of the scaled objective: an optimum above its start by less is no worse, for searches integrate roughly.
-_NOT_WORSE = 1e-5
-# Rounds of following missed designs, and how many in each.
-_ROUNDS, _AT_ONCE = 12, 6
-# How far from the best designs others are looked at, in parts of the variables' ranges.
-_SPREADS = 0.1, 0.03, 0.01, 0.003
 # Ratios of ranges that weights follow.
 _RATIOS = 1e-3, 1e3
 # Times that an anchor is sought anew from a better design, of how many such designs, and what is rounding.
 _OVERLOOKED, _MOST_SEEN, _ROUNDING = 3, 1000, 1e-5
-# Missed designs that are held against their tolerances in a round.
-_MOST_JUDGED = 100
 
 
 @dataclass
@@ -110,17 +104,13 @@ class Failure:
 
 
 class Samples(ABC):
-    """All local optima found, and how to find more.
+    """All local optima found, and how to find one beside another.
 
     Attributes:
         step: distance of neighbouring positions in the normalised objectives.
-        matters: of the range of an objective: a design that the front misses by less is not sought.
-        looks_beside: samples' worth of designs that are looked at beside the front, at each distance from it.
     """
 
     step: float
-    matters: float
-    looks_beside: int
 
     def __init__(self, front: FrontProgram, searcher: Searcher, progress: Progress) -> None:
         """Take the program, and what searches over its variables."""
@@ -130,9 +120,6 @@ class Samples(ABC):
         self.told = progress
         self.found: list[Sample] = []
         self.failures: list[Failure] = []
-        self._pricks: set[int] = set()
-        self._tried: set[bytes] = set()
-        self._settled = np.empty(0, dtype=int)
         self._ranges = np.ones(front.count)
 
     # --- anchors -----------------------------------------------------------------------------------------
@@ -168,7 +155,7 @@ class Samples(ABC):
 
     def _normalise_roughly(self, ends: Sequence[Vector]) -> None:
         """Normalise by the starts, so that needles can be told from others."""
-        at = self.front.look(np.array(ends), 1.0, 1)[0]
+        at = self.cloud.look(np.array(ends))[0]
         low, high = at.min(axis=0), at.max(axis=0)
         self._ranges = np.maximum(high - low, _SAME_OBJECTIVES * np.maximum(np.abs(at).max(axis=0), 1.0))
         self.front.normalise(low, self._ranges)
@@ -176,7 +163,7 @@ class Samples(ABC):
     def _best_seen(self) -> list[Vector]:
         """Return the designs of the cloud that no other beats by more than a hundredth of a range."""
         y, scaled = self.cloud.feasible
-        return list(y[thinned(self.front.normalised(scaled), _ROUGHLY)])
+        return list(y[thinned(self.front.normalised(scaled), ROUGHLY)])
 
     def anchors(self, p: Vector, starts: Sequence[Vector]) -> list[Point]:
         """Return the local optima beside starts, needles last, of the others the best first.
@@ -215,8 +202,8 @@ class Samples(ABC):
         margin = max(MATTERS * float(np.min(self._ranges)), _ROUNDING * abs(best.f))
         better = np.flatnonzero(values < best.f * self.front.program.objective_scale - margin)
         better = better[np.argsort(values[better], kind="stable")][:_MOST_SEEN]
-        for first in range(0, len(better), _MOST_JUDGED):
-            part = better[first : first + _MOST_JUDGED]
+        for first in range(0, len(better), MOST_JUDGED):
+            part = better[first : first + MOST_JUDGED]
             sound = part[~self.cloud.needles(y[part], scaled[part])]
             if len(sound):
                 return np.asarray(y[sound[0]])
@@ -227,14 +214,14 @@ class Samples(ABC):
         begins = as_it_is(self.front.program, p, y)
         if self.front.by_differences(level := len(self.front.levels) - 1):
             point = self.front.solve(begins, y, p, level, patient=False)
-            if point.solved and point.f <= begins.f + _NOT_WORSE * max(abs(begins.f), 1.0):
+            if point.solved and point.f <= begins.f + NOT_WORSE * max(abs(begins.f), 1.0):
                 return point
         return polished(self.front.program, p, y)
 
     def _to_the_last_digit(self, point: Point, p: Vector) -> Point:
         """Return an optimum solved to rounding, where that can be had beside it."""
         again = self.front.solve(point, point.y, p, patient=False)
-        beside = np.max(np.abs(again.y - point.y)) < _BESIDE and again.f <= point.f + _NOT_WORSE * abs(point.f)
+        beside = np.max(np.abs(again.y - point.y)) < _BESIDE and again.f <= point.f + NOT_WORSE * abs(point.f)
         return again if again.solved and beside else point
 
     # --- solving -----------------------------------------------------------------------------------------
@@ -321,6 +308,10 @@ class Samples(ABC):
                 sample.needle = bool(needle)
         return [sample for sample in self.found if not sample.needle] or self.found
 
+    def is_efficient(self, sample: Sample) -> bool:
+        """Return whether no objective would rather be worse: a local optimum may be held back by its position."""
+        return bool(np.all(self.front.slopes(sample.point, sample.p) > 0.0))
+
     @abstractmethod
     def order(self, samples: Sequence[Sample]) -> Order:
         """Return how samples make up a front."""
@@ -333,140 +324,3 @@ class Samples(ABC):
     @abstractmethod
     def ordered(self) -> list[Sample]:
         """Return the samples that no other dominates, of two objectives in order."""
-
-    @abstractmethod
-    def position(self, at: Vector) -> Vector:
-        """Return the parameters that ask for the front's design at the place of normalised objectives."""
-
-    @abstractmethod
-    def follow_all(self, sample: Sample) -> None:
-        """Follow the branch of a sample wherever it leads."""
-
-    def _look_beside(self) -> None:
-        """Look at designs about those of the cloud that no other beats, at first far and then near."""
-        rng = np.random.default_rng(SEED)
-        for spread in _SPREADS:
-            y, scaled = self.cloud.feasible
-            best = y[thinned(self.front.normalised(scaled), _ROUGHLY)]
-            best = np.vstack([best, *(sample.point.y for sample in self.ordered())])
-            parents = best[rng.integers(len(best), size=self.looks_beside * self.searcher.designs)]
-            self.cloud.look(np.clip(parents + spread * rng.standard_normal(parents.shape), 0.0, 1.0))
-
-    def uncovered(self, _own: Vector, at: Vector) -> NDArray[np.bool_]:
-        """Return which designs lie where the front has too few points; a curve has enough."""
-        return np.zeros(len(at), dtype=bool)
-
-    def sample_at(self, p: Vector, y: Vector) -> Sample | Point:
-        """Return the local optimum beside a design at a position, no worse than it, or where the optimiser stopped."""
-        begins = as_it_is(self.front.program, p, y)
-        near = min(self.found, key=lambda sample: float(np.max(np.abs(sample.point.y - y))))
-        point, level = self.optimum(near.point, y, p, near.coarsest, patient=False)
-        if not point.solved or point.f > begins.f + _NOT_WORSE * max(abs(begins.f), 1.0):
-            point, level = self._to_the_last_digit(self._polished(p, y), p), 0
-        return self.at_the_edge(p, point, level) if point.solved else point
-
-    def sample_beside(self, y: Vector) -> Sample | Point:
-        """Return the local optimum beside a design that the front misses, or where the optimiser stopped.
-
-        It is sought at the design's own place, as the program itself has it: a search integrates otherwise, and at the
-        bottom of a narrow dip nothing lies at a place that is better by a hair. In such a dip less of one objective, or
-        of another, is found where the others stay as they are.
-        """
-        front = self.front
-        near = min(self.found, key=lambda sample: float(np.max(np.abs(sample.point.y - y))))
-        at = front.normalised(front.objectives(y, near.coarsest))
-        others = [{j: float(at[j]) for j in range(front.count) if j != k} for k in range(front.count)]
-        asked = [self.position(at), *(front.below(k, limits, OTHERS) for k, limits in enumerate(others))]
-        for p in asked:
-            begins = as_it_is(front.program, p, y)
-            point, level = self.optimum(near.point, y, p, near.coarsest, patient=False)
-            if point.solved and point.f <= begins.f + _NOT_WORSE * max(abs(begins.f), 1.0):
-                return self.at_the_edge(p, point, level)
-        return self.sample_at(asked[0], y)
-
-    def at_the_edge(self, p: Vector, point: Point, level: int) -> Sample:
-        """Return the sample of an optimum at a position; where the position does not hold it, that of the edge."""
-        return self.kept(point, p, level)
-
-    def reach_all(self) -> None:
-        """Follow the designs that the cloud has beyond the front, until none is left that is no needle."""
-        if self.searcher.vary and self.cloud.vectorised:
-            self.told("looking beside the best designs", 0.0)
-            self._look_beside()
-        for number in range(_ROUNDS):
-            missed = [y for y, _, _ in self.missed(sparse=True) if y.tobytes() not in self._tried]
-            if not missed:
-                return
-            for k, y in enumerate(missed[:_AT_ONCE]):
-                self.told("following designs that the front misses", (number + k / _AT_ONCE) / _ROUNDS)
-                self._tried.add(y.tobytes())
-                known = len(self.found)
-                found = self.sample_beside(y)
-                if not isinstance(found, Point) and len(self.found) > known:
-                    found.extra = True
-                    self.follow_all(found)
-
-    def missed(self, *, sparse: bool = False) -> list[tuple[Vector, Vector, float]]:
-        """Return designs by which the front could be better, where it was to be searched, none beside another.
-
-        Args:
-            sparse: whether to add designs that lie where the front has too few points.
-
-        Returns:
-            Of each the scaled variables, the normalised objectives, and the gain.
-        """
-        if not self.searcher.vary:
-            return []
-        y, scaled = self.cloud.feasible
-        at = self.front.normalised(scaled)
-        own = np.array([sample.at for sample in self.ordered()])
-        # Designs only join the cloud, and the front only gets better.
-        open_ones = np.setdiff1d(np.arange(len(at)), self._settled)
-        settled = beyond_points(own, at[open_ones]) <= MATTERS
-        self._settled = np.r_[self._settled, open_ones[settled]]
-        left, best, gain = open_ones[~settled], np.empty(0, dtype=int), np.empty(0)
-        while len(left):
-            best = left[thinned(at[left], self.matters)]
-            gain = beyond_front(own, at[best], self.step)
-            if sparse:
-                few = self.uncovered(own, at[best])
-                gain[few] = np.maximum(gain[few], 2.0 * self.matters)
-                best, gain = self._with_beating(own, at, left, best, gain)
-            order = np.argsort(-gain, kind="stable")
-            order = order[gain[order] > self.matters][:_MOST_JUDGED]
-            best, gain = best[order], gain[order]
-            needles = self.cloud.needles(y[best], scaled[best])
-            if not np.any(needles):
-                break
-            self._pricks |= {int(k) for k in best[needles]}
-            left, best = np.setdiff1d(left, best[needles]), best[:0]
-        chosen: list[int] = []
-        for j, k in enumerate(best):
-            if all(np.max(np.abs(at[k] - at[best[i]])) > self.step / 2.0 for i in chosen):
-                chosen.append(j)
-        return [(y[best[j]], at[best[j]], float(gain[j])) for j in chosen]
-
-    def _with_beating(
-        self, own: Vector, at: Vector, left: NDArray[np.intp], best: NDArray[np.intp], gain: Vector
-    ) -> tuple[NDArray[np.intp], Vector]:
-        """Return designs and their gains, and with them those that are better than a point in all objectives."""
-        much = beating(own, at[left])
-        better = left[much > MATTERS]
-        better = better[thinned(at[better], MATTERS)]
-        fresh = np.setdiff1d(better, best)
-        gain[np.isin(best, better)] = np.maximum(gain[np.isin(best, better)], 2.0 * self.matters)
-        return np.r_[best, fresh], np.r_[gain, np.full(len(fresh), 2.0 * self.matters)]
-
-    @property
-    def needles_beyond(self) -> int:
-        """How many needles were seen beyond the front, those that others beat apart."""
-        return len(self._pricks)
-
-    def confess(self) -> None:
-        """Keep as failures the missed designs beside which no optimum was found."""
-        for _, at, gain in self.missed():
-            reason = (
-                f"{NOT_REACHED}: a design of the search is better here than the front by {100.0 * gain:.2g} % of its"
-                " range, and the optimiser found no optimum beside it"
-            )
-            self.failures.append(Failure(tuple(at.tolist()), reason))

@@ -13,7 +13,8 @@ from plough_opt.design.curvature import minimum_from
 from plough_opt.design.exploring import Progress
 from plough_opt.design.ipopt import Point, Vector
 from plough_opt.tradeoff.program import FrontProgram
-from plough_opt.tradeoff.samples import Order, Sample, Samples
+from plough_opt.tradeoff.reaching import Reaching
+from plough_opt.tradeoff.samples import Order, Sample
 from plough_opt.tradeoff.searching import Searcher
 from plough_opt.tradeoff.space import (
     Node,
@@ -55,7 +56,7 @@ _COVERED = 1.0
 _SEARCHED = ((1 / 3, 1 / 3, 1 / 3), (0.5, 0.5, 0.0), (0.5, 0.0, 0.5), (0.0, 0.5, 0.5))
 
 
-class SurfaceTracer(Samples):
+class SurfaceTracer(Reaching):
     """The local optima of a front of three objectives.
 
     Attributes:
@@ -236,10 +237,6 @@ class SurfaceTracer(Samples):
                 if (behind := visited.get((i, j, k))) is not None:
                     return np.clip(2.0 * near.point.y - behind.point.y, 0.0, 1.0)
         return near.point.y
-
-    def is_efficient(self, sample: Sample) -> bool:
-        """Return whether no objective would rather be worse: a local optimum may be held back by its position."""
-        return bool(np.all(self.front.slopes(sample.point, sample.p) > 0.0))
 
     def position(self, at: Vector) -> Vector:
         """Return the parameters that ask for the front's design at the place of normalised objectives."""

@@ -12,7 +12,8 @@ from plough_opt.design.exploring import Progress
 from plough_opt.design.ipopt import Point, Vector
 from plough_opt.tradeoff.plane import efficient, gaps, needed, spread
 from plough_opt.tradeoff.program import FrontProgram
-from plough_opt.tradeoff.samples import MATTERS, OTHERS, Order, Sample, Samples
+from plough_opt.tradeoff.reaching import Reaching
+from plough_opt.tradeoff.samples import MATTERS, OTHERS, Order, Sample
 from plough_opt.tradeoff.searching import Searcher
 
 # A position farther from its limit is held by none: the branch has ended.
@@ -34,7 +35,7 @@ _PLACES = 4
 _SEARCHED = (-0.5, 0.0, 0.5)
 
 
-class Tracer(Samples):
+class Tracer(Reaching):
     """The local optima of a front of two objectives."""
 
     matters, looks_beside = MATTERS, 1

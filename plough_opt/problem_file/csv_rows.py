@@ -41,7 +41,7 @@ def read_rows(path: Path, what: str) -> list[tuple[int, list[str]]]:
         text = content.decode("utf-8-sig")
     except FileNotFoundError:
         there = sorted(p.name for p in path.parent.glob("*.csv")) if path.parent.is_dir() else []
-        hint = nearest(path.name, there) if there else "in that folder is no .csv file"
+        hint = nearest(path.name, there) if there else "that folder holds no .csv file: give the path of one"
         raise InputError(f"there is no file '{path}': {hint}") from None
     except IsADirectoryError:
         raise InputError(f"'{path}' is a folder: name a file of {what} in it") from None

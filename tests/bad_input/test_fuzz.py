@@ -6,6 +6,7 @@ Warnings are errors in these tests, so that a warning is no answer either. Every
 import contextlib
 import io
 import random
+import shutil
 import re
 import time
 from pathlib import Path
@@ -89,6 +90,8 @@ def thinned(few, many):
 
 @thinned(120, 2000)
 def test_problem_files(count, tmp_path):
+    shutil.copy(PROBLEMS / "insertions.csv", tmp_path)
+
     def answer(rng, path):
         path.write_text(mutated(rng.choice(TEXTS), rng), encoding="utf-8", errors="surrogatepass", newline="")
         return checked(path)

@@ -10,7 +10,7 @@ from plough_opt import elastic, plastic
 from plough_opt.accuracy import Accuracy
 from plough_opt.component import Component, Input, Output, component
 from plough_opt.design import Design, LocalOptimum, Optimum
-from plough_opt.effects import Effects, HarmonicBalance, OwnResistance, Smooth, StickSlip, StrengthWave
+from plough_opt.effects import Effects, HarmonicBalance, OwnResistance, Smooth, StickSlip
 from plough_opt.errors import (
     DomainError,
     InfeasibleDesign,
@@ -33,6 +33,7 @@ from plough_opt.printed import Printed
 from plough_opt.refinement import Refinement, refine
 from plough_opt.scene import Scene
 from plough_opt.soil import Soil, named_soil, soil_names
+from plough_opt.strength_waves import StrengthWave
 
 if TYPE_CHECKING:
     __version__: str

@@ -13,7 +13,7 @@ from typing import Any
 import casadi as ca
 
 from plough_opt.accuracy import ORDER_8, Accuracy
-from plough_opt.effects import Effects, Smooth, StickSlip, StrengthWave
+from plough_opt.effects import Effects, Smooth, StickSlip
 from plough_opt.errors import InputError, IntegrationError
 from plough_opt.expressions import as_number
 from plough_opt.motion import simulate
@@ -24,6 +24,7 @@ from plough_opt.motion.quasi_static import GAUSS_POINTS, MORE_POINTS
 from plough_opt.motion.runge_kutta import step
 from plough_opt.motion.terms import Structure, resistance
 from plough_opt.scene import Scene
+from plough_opt.strength_waves import StrengthWave
 
 
 @dataclass(frozen=True)
@@ -122,12 +123,11 @@ def _size(scene: Scene) -> tuple[int, int, int]:
 
 def _operations(scene: Scene, duration: float | None) -> int:
     """Return the operations in a run and in what checks it; of an orbit, in going through one wavelength."""
-    wave, structure = scene.effects.strength_wave, Structure.of(scene)
+    structure = Structure.of(scene)
     if scene.effects.orbit != "transient":
         duration = None
     elif duration is None:
-        assert wave is not None  # the scene's own orbit has one
-        duration = 10.0 * float(as_number(wave.wavelength)) / float(as_number(scene.tow_speed))
+        duration = 10.0 * float(as_number(scene.wave_period))  # the scene's own orbit has one
     if not scene.effects.motion:
         assert duration is not None  # an orbit has motion
         panels = steps_for(forced_rate(numbers_of(scene)) * duration)

@@ -13,30 +13,14 @@ import numpy as np
 from plough_opt.errors import InputError
 from plough_opt.expressions import COUNT, Expression, as_number, is_casadi, is_count, is_symbolic
 from plough_opt.printed import Formulation, Printed, errors_of
-from plough_opt.quantities import QUANTITIES
+from plough_opt.quantities import MOST_WAVES, QUANTITIES
+from plough_opt.strength_waves import StrengthWave, turns_of
 
 MOST_HARMONICS = 64
 """Largest number of harmonics of a harmonic balance."""
 
 # What prints all that it is, or its own place in memory, beside single numbers and expressions.
 _DISTINCT = (str, bool, int, float, type(None), np.generic, Enum, type, FunctionType, BuiltinFunctionType, np.ufunc)
-
-
-@dataclass(frozen=True)
-class StrengthWave:
-    """Soil strength that varies along the path: F0 is multiplied by 1 + amplitude sin(2 pi L / wavelength).
-
-    Args:
-        amplitude: epsilon [-], from 0 to 1.
-        wavelength: ell [m], above 0.
-    """
-
-    amplitude: Expression
-    wavelength: Expression
-
-    def __post_init__(self) -> None:
-        QUANTITIES["effects.strength_wave.amplitude"].check(self.amplitude)
-        QUANTITIES["effects.strength_wave.wavelength"].check(self.wavelength)
 
 
 @dataclass(frozen=True)
@@ -163,7 +147,8 @@ class Effects:
             speed of the share zero, spring relaxed; ``"towed"``: travel zero, spring relaxed, at the strut's speed.
         entry: the share enters at travel 0: its resistance is that of the buried length H = min(max L, h), F0 and
             Fd with H^2 and the added mass with H^3. Starts at ``"rest"`` or ``"towed"``.
-        strength_wave: periodic soil strength along the path, or None.
+        strength_wave: periodic soil strength along the path; a tuple of several waves, whose sum multiplies F0 and must
+            leave it at least 0 along the path; or None.
         tow_ramp: time [s] in which the strut's speed rises from 0 by a C2 smoothstep; None or 0: none.
         damping: viscous damper c in the mount [N s/m], or None.
         rate_term: kappa [s^2/m^2] of F0 (1 + kappa L'^2), for calibration, or None. Not in the source.
@@ -186,7 +171,7 @@ class Effects:
     contact: Literal["resisting"] | Smooth | StickSlip = "resisting"
     start: Literal["equilibrium", "rest", "towed"] = "equilibrium"
     entry: bool = False
-    strength_wave: StrengthWave | None = None
+    strength_wave: StrengthWave | tuple[StrengthWave, ...] | None = None
     tow_ramp: Expression | None = None
     damping: Expression | None = None
     rate_term: Expression | None = None
@@ -220,11 +205,14 @@ class Effects:
             if not isinstance(value, bool | np.bool_):
                 raise InputError(f"{name} = {value!r} must be True or False")
             object.__setattr__(self, name, bool(value))
-        if self.strength_wave is not None and not isinstance(self.strength_wave, StrengthWave):
+        several = isinstance(self.strength_wave, tuple)
+        if (several and not self.strength_wave) or not all(isinstance(wave, StrengthWave) for wave in self.waves):
             raise InputError(
                 f"strength_wave = {self.strength_wave!r} must be None or a StrengthWave, as StrengthWave(amplitude=0.3,"
-                " wavelength=0.2)"
+                " wavelength=0.2), or a tuple of several"
             )
+        if len(self.waves) > MOST_WAVES:
+            raise InputError(f"strength_wave has {len(self.waves)} waves: give the {MOST_WAVES} largest at most")
 
     def _check_own(self) -> None:
         """Refuse own resistances that are none, or that a contact law would not know what to do with."""
@@ -256,6 +244,14 @@ class Effects:
             raise InputError("an orbit needs motion: a quasi-static share repeats itself from the start")
         if self.strength_wave is None:
             raise InputError("an orbit needs a strength_wave: without one the share comes to slide steadily")
+        turns = self.turns
+        if len(self.waves) > 1 and self.own:
+            raise InputError("an orbit under several strength waves takes no own resistances: simulate from a start")
+        if isinstance(self.orbit, HarmonicBalance) and self.orbit.harmonics < max(turns):
+            raise InputError(
+                f"the shortest strength wave turns {max(turns)} times in the period of all: take"
+                f" HarmonicBalance({max(turns)}) or more"
+            )
         if self.contact != "resisting":
             raise InputError("an orbit takes contact = 'resisting': simulate other contact laws from a start, for long")
         if self.start != "equilibrium" or self.tow_ramp is not None or self.entry:
@@ -278,6 +274,18 @@ class Effects:
                 "the print's repelling spring needs motion: a share that it repels never follows the strut, so there"
                 " is no quasi-static limit; take formulation = 'derived'"
             )
+
+    @property
+    def waves(self) -> tuple[StrengthWave, ...]:
+        """The strength waves: none, one or several."""
+        if self.strength_wave is None:
+            return ()
+        return self.strength_wave if isinstance(self.strength_wave, tuple) else (self.strength_wave,)
+
+    @property
+    def turns(self) -> tuple[int, ...]:
+        """How often each strength wave turns before all repeat themselves together: see `turns_of`."""
+        return turns_of(self.waves)
 
     @property
     def printed(self) -> Printed:

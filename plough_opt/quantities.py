@@ -23,7 +23,7 @@ class Quantity:
         meaning: what it is, with its symbol.
         unit: SI unit, "" for a pure number.
         typical: a value inside the domain.
-        path: attributes that lead to it from a scene; () for a number beside the scene.
+        path: attributes, and places in tuples, that lead to it from a scene; () for a number beside the scene.
         low: lower end of the model's domain.
         high: upper end of the domain.
         above: whether the lower end is excluded.
@@ -40,7 +40,7 @@ class Quantity:
     meaning: str
     unit: str
     typical: float
-    path: tuple[str, ...]
+    path: tuple[str | int, ...]
     low: float = 0.0
     high: float = math.inf
     above: bool = False
@@ -53,7 +53,7 @@ class Quantity:
 
     @property
     def owner(self) -> str:
-        """The table of a problem file that holds it, as "soil" or "effects.strength_wave"."""
+        """The table of a problem file that holds it, as "soil" or "effects.strength_wave_2"."""
         return self.name.rpartition(".")[0]
 
     @property
@@ -99,7 +99,34 @@ def _angle(name: str, meaning: str, typical: float, path: tuple[str, ...], *, ab
 
 
 _COMPACTS = "it is undisturbed over locked density, and the plastic gas needs soil that compacts"
-_WAVE = ("effects", "strength_wave")
+MOST_WAVES = 8
+"""Most strength waves of a scene."""
+
+
+def wave_table(number: int) -> str:
+    """Return the table of a problem file that holds a strength wave, counted from 1."""
+    return "effects.strength_wave" if number == 1 else f"effects.strength_wave_{number}"
+
+
+def _wave(number: int) -> tuple[Quantity, ...]:
+    """Return the quantities of a strength wave."""
+    table, path = wave_table(number), ("effects", "strength_wave", number - 1)
+    which = "" if number == 1 else f" {number}"
+    return (
+        Quantity(
+            f"{table}.amplitude", f"strength wave amplitude{which}", "amplitude epsilon of the soil's strength", "",
+            0.3, (*path, "amplitude"), high=1.0, why="soil cannot push the share forward",
+        ),
+        Quantity(
+            f"{table}.wavelength", f"strength wavelength{which}", "wavelength of the soil's strength along the path",
+            "m", 0.2, (*path, "wavelength"), above=True,
+        ),
+        Quantity(
+            f"{table}.phase", f"strength wave phase{which}", "phase of the soil's strength at travel 0", "rad", 0.0,
+            (*path, "phase"), low=-2.0 * math.pi, high=2.0 * math.pi, shown="deg",
+        ),
+    )  # fmt: skip
+
 
 QUANTITIES: dict[str, Quantity] = {
     quantity.name: quantity
@@ -168,16 +195,7 @@ QUANTITIES: dict[str, Quantity] = {
             "scene.tow_speed", "tow speed", "speed V0 of the strut", "m/s", 2.0,
             ("tow_speed",), shown="km/h", required=True,
         ),
-        Quantity(
-            "effects.strength_wave.amplitude", "strength wave amplitude",
-            "amplitude epsilon of the soil's strength", "", 0.3,
-            (*_WAVE, "amplitude"), high=1.0, why="soil cannot push the share forward",
-        ),
-        Quantity(
-            "effects.strength_wave.wavelength", "strength wavelength",
-            "wavelength of the soil's strength along the path", "m", 0.2,
-            (*_WAVE, "wavelength"), above=True,
-        ),
+        *(quantity for number in range(1, MOST_WAVES + 1) for quantity in _wave(number)),
         Quantity(
             "effects.tow_ramp", "tow ramp", "time in which the strut's speed rises from 0", "s", 0.5,
             ("effects", "tow_ramp"),

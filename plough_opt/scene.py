@@ -18,6 +18,7 @@ from plough_opt.geometry import PLANE_SECTIONS_LIMIT, Cone, Wedge
 from plough_opt.labels import checked_in_designs, unlabelled
 from plough_opt.quantities import QUANTITIES
 from plough_opt.soil import Soil
+from plough_opt.strength_waves import check_strength
 
 # Overburden [Pa] of some 1.5 m of soil, below which no subsoiler works: more is the atmosphere's.
 _DEEPEST = 20e3
@@ -126,13 +127,15 @@ class Scene:
         )
 
     def check_reaction(self) -> None:
-        """Refuse a scene of numbers whose soil has no reaction to the share.
+        """Refuse a scene of numbers whose soil has no reaction to the share, or a strength below 0 somewhere.
 
         The elastic medium is left out: a design limits its speed by a requirement.
 
         Raises:
-            DomainError: a density profile with which there is no compaction front.
+            DomainError: a density profile with which there is no compaction front, or strength waves whose amplitudes
+                exceed 1 in sum.
         """
+        check_strength(self.effects.waves)
         if self.medium == "plastic":
             _ = self._reaction
 
@@ -185,9 +188,21 @@ class Scene:
     @property
     @_checked_in_designs
     def wave_frequency(self) -> Expression:
-        """Angular frequency 2 pi V0/ell [rad/s] at which the strength wave passes; 0 without a wave."""
-        wave = self.effects.strength_wave
-        return 0.0 if wave is None else 2.0 * math.pi * self.tow_speed / wave.wavelength
+        """Angular frequency 2 pi V0/ell [rad/s] at which the first strength wave passes; 0 without a wave."""
+        waves = self.effects.waves
+        return 2.0 * math.pi * self.tow_speed / waves[0].wavelength if waves else 0.0
+
+    @property
+    def wave_period(self) -> Expression:
+        """Time [s] in which a share passes one wavelength, or of several waves the length common to all.
+
+        Raises:
+            InputError: no wave, or several without a common length.
+        """
+        waves = self.effects.waves
+        if not waves:
+            raise InputError("the scene has no strength_wave, and so no period")
+        return waves[0].wavelength * self.effects.turns[0] / self.tow_speed
 
     @property
     def branch(self) -> str:

@@ -37,9 +37,13 @@ def quantities_of(scene: Scene) -> dict[str, Expression | None]:
     return {name: _at(scene, quantity.path) for name, quantity in QUANTITIES.items()}
 
 
-def _at(value: Any, path: tuple[str, ...]) -> Any:
-    for attribute in path:
-        value = getattr(value, attribute, None)
+def _at(value: Any, path: tuple[str | int, ...]) -> Any:
+    for step in path:
+        if isinstance(step, int):  # one wave stands by itself, several in a tuple
+            several = value if isinstance(value, tuple) else (value,)
+            value = several[step] if step < len(several) else None
+        else:
+            value = getattr(value, step, None)
     return value
 
 
@@ -56,10 +60,15 @@ def with_quantities(scene: Scene, changes: Mapping[str, Expression]) -> Scene:
     return scene
 
 
-def _replaced(value: Any, path: tuple[str, ...], new: Expression) -> Any:
+def _replaced(value: Any, path: tuple[str | int, ...], new: Expression) -> Any:
     if not path:
         return new
-    return dataclasses.replace(value, **{path[0]: _replaced(getattr(value, path[0]), path[1:], new)})
+    step, rest = path[0], path[1:]
+    if isinstance(step, int):
+        if not isinstance(value, tuple):
+            return _replaced(value, rest, new)
+        return (*value[:step], _replaced(value[step], rest, new), *value[step + 1 :])
+    return dataclasses.replace(value, **{step: _replaced(getattr(value, step), rest, new)})
 
 
 @dataclass(frozen=True)

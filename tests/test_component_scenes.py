@@ -58,6 +58,7 @@ def test_every_quantity_can_be_an_input(r1_soil):
     effects = {
         "strength_wave": WAVE, "tow_ramp": 0.5, "damping": 250.0, "rate_term": 0.05, "contact": po.Smooth(0.05),
     }  # fmt: skip
+    effects["strength_wave"] = tuple(po.StrengthWave(0.1, 0.2 + 0.05 * k, 0.3 * k - 1.0) for k in range(8))
     scene = po.Scene(r1_soil, po.Wedge(0.5, 0.25, 0.25), 5e4, 25.0, 2.0, po.Effects(**effects))
     elastic = {"soil.youngs_modulus", "soil.poisson_ratio"}
     names = [name for name in QUANTITIES if name not in {"share.half_angle", "effects.breakaway"} | elastic]

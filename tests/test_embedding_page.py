@@ -23,7 +23,8 @@ def test_there_are_commands_and_examples():
 def test_the_tables_hold_every_name_and_no_other():
     rows = re.findall(r"^\| ([^|]*`[^|]*) \| ([^|]*) \|$", TEXT, flags=re.MULTILINE)
     named = {name for names, _ in rows for name in re.findall(r"`([\w.]+)`", names)} - {"steel_density"}
-    assert named == {*EVERY, *MEASURES}
+    # Further strength waves are named in a sentence.
+    assert named == {name for name in (*EVERY, *MEASURES) if not re.search(r"wave_\d", name)}
     units = {unit.strip() for _, column in rows for unit in column.split(";")}
     assert {one.unit or "1" for one in (*EVERY.values(), *MEASURES.values())} == units
 

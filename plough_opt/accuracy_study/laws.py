@@ -51,7 +51,10 @@ class Piece:
 
 @dataclass(frozen=True)
 class Laws:
-    """Numbers of a scene, in SI units, and the laws of each `Piece`; ``width`` and ``breakaway`` may be None."""
+    """Numbers of a scene, in SI units, and the laws of each `Piece`; ``width`` and ``breakaway`` may be None.
+
+    ``waves`` has amplitude, wave number [rad/m] and phase [rad] of each strength wave.
+    """
 
     stiffness: Wide
     damping: Wide
@@ -62,8 +65,7 @@ class Laws:
     rate: Wide
     tow_speed: Wide
     ramp: Wide
-    amplitude: Wide
-    wavenumber: Wide
+    waves: tuple[tuple[Wide, Wide, Wide], ...]
     height: Wide
     width: Wide | None
     breakaway: Wide | None
@@ -78,7 +80,7 @@ class Laws:
         Raises:
             InputError: no motion, or an own resistance that loses digits.
         """
-        effects, reaction, wave = scene.effects, scene.reaction, scene.effects.strength_wave
+        effects, reaction = scene.effects, scene.reaction
         if not effects.motion:
             raise InputError("a quasi-static scene has no motion to follow")
         contact = effects.contact
@@ -92,8 +94,9 @@ class Laws:
             rate=_wide(effects.rate_term),
             tow_speed=_wide(scene.tow_speed),
             ramp=_wide(effects.tow_ramp),
-            amplitude=_wide(wave.amplitude if wave else None),
-            wavenumber=2 * PI / _wide(wave.wavelength) if wave else WIDE(0),
+            waves=tuple(
+                (_wide(wave.amplitude), 2 * PI / _wide(wave.wavelength), _wide(wave.phase)) for wave in effects.waves
+            ),
             height=_wide(scene.cone.height),
             width=_wide(contact.width) if isinstance(contact, Smooth) else None,
             breakaway=_wide(contact.breakaway) if isinstance(contact, StickSlip) else None,
@@ -113,6 +116,11 @@ class Laws:
                 raise InputError(f"own resistance {effect!r} takes no wide floats: {error}") from None
             if found.ndim and found.dtype != WIDE:
                 raise InputError(f"own resistance {effect!r} computes in {found.dtype}, not in the widest floats")
+
+    @property
+    def wavenumber(self) -> Wide:
+        """Of the shortest strength wave [rad/m], 0 without one."""
+        return max((turn for _, turn, _ in self.waves), default=WIDE(0))
 
     @property
     def steady(self) -> bool:
@@ -148,8 +156,8 @@ class Laws:
     def resistance(self, travel: Wide, speed: Wide, piece: Piece) -> Wide:
         """Return the soil's force on a share that slips, without the added mass."""
         force = self.static * (1 + self.rate * speed**2)
-        if self.amplitude != 0.0:
-            force = force * (1 + self.amplitude * np.sin(self.wavenumber * travel))
+        if self.waves:
+            force = force * (1 + sum(size * np.sin(turn * travel + shift) for size, turn, shift in self.waves))
         force = self.step(speed, piece.zone) * self.buried(travel, piece) ** 2 * (force + self.drag * speed**2)
         for effect in self.own:
             force = force + effect.force(travel, speed)
@@ -208,7 +216,7 @@ class Laws:
         z = nothing
         if self.start == "equilibrium":
             # The strength wave has no part in the state that a start takes for steady.
-            steady = replace(self, amplitude=nothing)
+            steady = replace(self, waves=())
             z = steady.resistance(nothing, tow, replace(piece, zone=self._zone(tow))) / self.stiffness
         piece = replace(piece, zone=self._zone(speed), depth=nothing if self.entry else self.height, furthest=-z)
         rate = tow - speed

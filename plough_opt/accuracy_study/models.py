@@ -42,9 +42,9 @@ class References:
 
 
 def lasting_orbit(scene: Scene) -> Scene | None:
-    """Return the scene of the lasting orbit of a scene with a strength wave, or None where it can have none."""
+    """Return the scene of the lasting orbit of a scene with one strength wave, or None where it can have none."""
     effects = scene.effects
-    if effects.strength_wave is None or not effects.motion:
+    if len(effects.waves) != 1 or not effects.motion:
         return None
     try:
         return replace(scene, effects=replace(effects, orbit="periodic", start="equilibrium", tow_ramp=None))
@@ -54,9 +54,7 @@ def lasting_orbit(scene: Scene) -> Scene | None:
 
 def period_of(scene: Scene) -> float:
     """Return the time [s] in which a share passes one wavelength."""
-    wave = scene.effects.strength_wave
-    assert wave is not None  # else there is no orbit
-    return float(as_number(wave.wavelength)) / float(as_number(scene.tow_speed))
+    return float(as_number(scene.wave_period))
 
 
 def models(task: Task, references: References) -> list[Entry]:

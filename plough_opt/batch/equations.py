@@ -16,7 +16,7 @@ from plough_opt.batch.program import Array
 from plough_opt.errors import InputError
 from plough_opt.expressions import Expression, minimum
 from plough_opt.motion.equation import equation_of_motion
-from plough_opt.motion.terms import parameters, start_deflection, start_rate, start_resistance
+from plough_opt.motion.terms import parameters, start_deflection, start_rate, start_resistance, wave_names
 from plough_opt.scene import Scene
 
 RESULTS = ("mean_draft", "force_rms", "mean_deflection", "displacement_rms", "tow_power")
@@ -150,6 +150,7 @@ def _fastest(layout: Layout, known: dict[str, ca.SX], p: ca.SX) -> ca.SX:
     if "width" in known:
         decay = decay + 2.0 * known["static"] / known["width"]
     rate = layout.own_frequency(p) + decay / known["inertia"]
-    if "wavelength" in known:
-        rate = rate + 2.0 * math.pi * speed / known["wavelength"]
-    return rate + (2.0 * math.pi / known["ramp_time"] if "ramp_time" in known else 0.0)
+    passing = zero
+    for k in range(layout.structure.waves):
+        passing = ca.fmax(passing, 2.0 * math.pi * speed / known[wave_names(k)[1]])
+    return rate + passing + (2.0 * math.pi / known["ramp_time"] if "ramp_time" in known else 0.0)

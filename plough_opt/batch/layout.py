@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import casadi as ca
 
 from plough_opt.motion.signals import signals
-from plough_opt.motion.terms import Structure
+from plough_opt.motion.terms import Structure, wave_names
 
 
 @dataclass(frozen=True)
@@ -68,8 +68,9 @@ class Layout:
         return ca.sqrt(ca.fabs(self.value(p, "stiffness")) / self.value(p, "inertia"))
 
     def fastest_frequency(self, p: ca.SX) -> ca.SX:
-        """Return the sum of the mount's own frequency and the wave's [rad/s]."""
-        rate = self.own_frequency(p)
-        if self.structure.wave:
-            rate = rate + 2.0 * math.pi * self.value(p, "tow_speed") / self.value(p, "wavelength")
-        return rate
+        """Return the sum of the mount's own frequency and the fastest wave's [rad/s]."""
+        passing = ca.SX(0)
+        for k in range(self.structure.waves):
+            length = self.value(p, wave_names(k)[1])
+            passing = ca.fmax(passing, 2.0 * math.pi * self.value(p, "tow_speed") / length)
+        return self.own_frequency(p) + passing

@@ -227,7 +227,7 @@ def is_closed(scene: Scene, result: str) -> bool:
     if result in _OF_SCENE or result not in RESULTS:
         return True
     effects = scene.effects
-    steady = effects.strength_wave is None and not effects.ramps and not effects.entry and not effects.own
+    steady = not effects.waves and not effects.ramps and not effects.entry and not effects.own
     from_steady = not effects.motion or effects.start == "equilibrium"
     return result == "mean_draft" and steady and from_steady and not effects.printed.repelling_spring
 

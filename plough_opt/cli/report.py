@@ -114,8 +114,8 @@ def print_check(console: Console, problem: Problem) -> None:
             table.add_row("natural frequency", f"{frequency:.4g} Hz")
     else:
         table.add_row("quasi-static", "no equation of motion")
-    if scene.effects.strength_wave is not None:
-        table.add_row("frequency of the strength wave", f"{float(scene.wave_frequency) / (2.0 * math.pi):.4g} Hz")
+    for wave in scene.effects.waves:
+        table.add_row("frequency of the strength wave", f"{float(scene.tow_speed / wave.wavelength):.4g} Hz")
     console.print(table)
     if problem.variables:
         verb = "optimise" if problem.table.minimise or problem.table.trade_off is None else "tradeoff"

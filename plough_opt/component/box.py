@@ -95,9 +95,7 @@ class Box:
             return scene, duration
         if duration is not None:
             raise InputError("a lasting orbit has a duration of its own, one wavelength of the soil: leave it out")
-        wave = scene.effects.strength_wave
-        assert wave is not None  # an orbit without one is refused
-        return scene, wave.wavelength / scene.tow_speed
+        return scene, scene.wave_period
 
     def _at(self, x: NDArray[np.float64]) -> tuple[Scene, float]:
         scene, duration = self.make_of_column([float(value) for value in x])
@@ -122,7 +120,7 @@ class Box:
         effects = self.scene.effects
         moves = effects.motion
         # A draft that does not vary in time has no error of steps or panels.
-        varies = moves or effects.strength_wave is not None or effects.tow_ramp is not None or effects.own
+        varies = moves or bool(effects.waves) or effects.tow_ramp is not None or effects.own
         points = [*corners(self.inputs), *(inside(self.inputs) if varies else ())]
         needed = self._steps(corners(self.inputs), _MOST_STEPS if accuracy.steps is None else math.inf)
         steps = accuracy.steps or needed

@@ -123,7 +123,9 @@ def port_of(one: Input, quantity: Quantity, value: float) -> Port:
     """
     value = value if one.value is None else one.value
     lower = quantity.low + (value - quantity.low) / 2.0 if one.lower is None else one.lower
-    upper = min(2.0 * value, (value + quantity.high) / 2.0) if one.upper is None else one.upper
+    # Halfway to the ends of its domain, and of what cannot be negative at most twice the value.
+    twice = 2.0 * value if quantity.low >= 0.0 else math.inf
+    upper = min(twice, (value + quantity.high) / 2.0) if one.upper is None else one.upper
     if one.unit is not None and one.unit != quantity.unit:
         raise InputError(f"'{one.name}' is in {quantity.unit or 'no unit'}, not in {one.unit}")
     for side, bound in (("lower", lower), ("upper", upper), ("value", value)):

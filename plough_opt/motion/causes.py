@@ -42,10 +42,12 @@ def waves_in_flight(scene: Scene, p: Mapping[str, float], duration: float) -> fl
     if not scene.effects.printed.repelling_spring or "wavelength" not in p or "drag" in p or "rate_term" in p:
         return 0.0
     growth, steady = _growth(scene), p["static"] / abs(p["stiffness"])
-    off = p["wave_amplitude"] * steady if scene.effects.start == "equilibrium" else steady + p["tow_speed"] / growth
+    amplitude = sum(value for name, value in p.items() if name.startswith("wave_amplitude"))
+    shortest = min(value for name, value in p.items() if name.startswith("wavelength"))
+    off = amplitude * steady if scene.effects.start == "equilibrium" else steady + p["tow_speed"] / growth
     # Half the offset from the equilibrium grows; a wave is passed twice as finely as its sine turns: see `forced_rate`.
     travel = 0.5 * off * math.exp(min(growth * duration, _MOST_GROWTH))
-    return 4.0 * math.pi * travel / p["wavelength"]
+    return 4.0 * math.pi * travel / shortest
 
 
 def failed_by(scene: Scene, duration: float, solver: Integration, last: Run | None, pause: float) -> IntegrationError:

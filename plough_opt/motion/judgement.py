@@ -95,8 +95,7 @@ def refuse_stiff_orbit(scene: Scene) -> None:
     Raises:
         IntegrationError: it is beyond what is sought unasked.
     """
-    turn = float(as_number(scene.wave_frequency))
-    total = phase(numbers_of(scene), 2.0 * math.pi / turn) if turn > 0.0 else 0.0
+    total = phase(numbers_of(scene), float(as_number(scene.wave_period))) if scene.effects.waves else 0.0
     if total <= MOST_SHOT:
         return
     stands = "" if scene.effects.orbit == "periodic" else ", from which this stand-in's error is told,"

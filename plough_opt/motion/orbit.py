@@ -1,9 +1,9 @@
-"""The lasting orbit under a strength wave: one wavelength of it, by shooting, and two cheap stand-ins for it.
+"""The lasting orbit under strength waves: one period of it, by shooting, and two cheap stand-ins for it.
 
-Under a wave of the soil's strength a share comes to repeat itself with the period T = ell/V0 (where that orbit is
-stable). Shooting finds the state to which one period of steps of order 8 returns; CasADi differentiates the root by the
-implicit function theorem. Both stand-ins see the share's motion as a Fourier series: of one term, in closed form,
-about steady sliding; or of several that balance the equation of motion.
+Under a wave of the soil's strength, or several with a common length ell, a share comes to repeat itself with the
+period T = ell/V0 (where that orbit is stable). Shooting finds the state to which one period of steps of order 8
+returns; CasADi differentiates the root by the implicit function theorem. Both stand-ins see the share's motion as a
+Fourier series: of the waves' own terms, in closed form, about steady sliding; or of several that balance the equation.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from plough_opt.expressions import Expression
 from plough_opt.motion.equation import equation_of_motion
 from plough_opt.motion.runge_kutta import run_from
 from plough_opt.motion.signals import signals
-from plough_opt.motion.terms import Structure, own_force, start_deflection
+from plough_opt.motion.terms import Structure, own_force, repeat_length, start_deflection, wave_names
 from plough_opt.motion.timeline import Timeline
 
 # The residual is in units of `_size`. CasADi prints every input of a root that it fails to find; here such a root
@@ -53,31 +53,38 @@ def monodromy(structure: Structure, timeline: Timeline) -> ca.Function:
 def _response(structure: Structure, p: dict[str, Expression]) -> tuple[Expression, Expression, Expression]:
     """Return mean, sine and cosine coefficients [m] of w in the linear forced response about steady sliding.
 
-    M w'' + d w' + k0 w = F0 + Fs sin(theta) + Fc cos(theta), theta = omega t - 2 pi z0/ell,
-    d = c + 2 V0 (F0 kappa + Fd) + dO/dL', where own resistances O(L, L') on the steady path are a series in theta too,
-    of which this is the first harmonic.
+    For each wave M w'' + d w' + k0 w = F0 + Fs sin(theta) + Fc cos(theta), theta = n (omega t - 2 pi z0/ell) + phi,
+    with its n turns in the common length; d = c + 2 V0 (F0 kappa + Fd) + dO/dL', where own resistances O(L, L') on the
+    steady path are a series in theta too, of which this is the first harmonic. Coefficients are columns by n.
     """
     speed = p["tow_speed"]
-    omega = 2.0 * math.pi * speed / p["wavelength"]
+    omega = 2.0 * math.pi * speed / repeat_length(structure, p)
     rate = p["static"] * p["rate_term"] if structure.rate else 0.0
     drag = p["drag"] if structure.drag else 0.0
     damping = (p["damping"] if structure.damper else 0.0) + 2.0 * speed * (rate + drag)
-    along_sine = p["wave_amplitude"] * (p["static"] + rate * speed**2)
     mean: Expression = 0.0
-    along_cosine: Expression = 0.0
+    own_sine: Expression = 0.0
+    own_cosine: Expression = 0.0
     if structure.own:
-        mean, own_sine, along_cosine, slope = ca.vertsplit(_own_series(structure)(_own_parameters(structure, p)))
-        along_sine, damping = along_sine + own_sine, damping + slope
-    spring = p["stiffness"] - p["inertia"] * omega**2
-    size = 1.0 / (spring**2 + (damping * omega) ** 2)
-    sine = size * (spring * along_sine + damping * omega * along_cosine)
-    cosine = size * (spring * along_cosine - damping * omega * along_sine)
-    lag = 2.0 * math.pi / p["wavelength"] * start_deflection(structure, p)
-    return (
-        mean / p["stiffness"],
-        sine * ca.cos(lag) + cosine * ca.sin(lag),
-        cosine * ca.cos(lag) - sine * ca.sin(lag),
-    )
+        mean, own_sine, own_cosine, slope = ca.vertsplit(_own_series(structure)(_own_parameters(structure, p)))
+        damping = damping + slope
+    lag = 2.0 * math.pi / repeat_length(structure, p) * start_deflection(structure, p)
+    sines, cosines = ([0.0] * max(structure.turns or (1,)) for _ in range(2))
+    for k in range(structure.waves):
+        amplitude, _, shift = wave_names(k)
+        n = structure.turns[k] if structure.turns else 1
+        strength = p[amplitude] * (p["static"] + rate * speed**2)
+        along_sine, along_cosine = strength + own_sine, own_cosine
+        if structure.phased:
+            along_sine = strength * ca.cos(p[shift]) + own_sine
+            along_cosine = strength * ca.sin(p[shift]) + own_cosine
+        spring, damped = p["stiffness"] - p["inertia"] * (n * omega) ** 2, damping * n * omega
+        size = 1.0 / (spring**2 + damped**2)
+        sine = size * (spring * along_sine + damped * along_cosine)
+        cosine = size * (spring * along_cosine - damped * along_sine)
+        sines[n - 1] = sines[n - 1] + sine * ca.cos(n * lag) + cosine * ca.sin(n * lag)
+        cosines[n - 1] = cosines[n - 1] + cosine * ca.cos(n * lag) - sine * ca.sin(n * lag)
+    return mean / p["stiffness"], ca.vertcat(*sines), ca.vertcat(*cosines)
 
 
 def _own_parameters(structure: Structure, p: dict[str, Expression]) -> Expression:
@@ -105,9 +112,9 @@ def _own_series(structure: Structure) -> ca.Function:
     return ca.Function("own_series", [given], [ca.vertcat(series, ca.sum2(slopes) / _OWN_SAMPLES)])
 
 
-def _size(p: dict[str, Expression]) -> Expression:
-    """Return the unit [m] of an orbit's unknowns: the wave's deflection of the spring."""
-    amplitude = ca.sqrt(p["wave_amplitude"] ** 2 + _LEAST_AMPLITUDE**2)
+def _size(structure: Structure, p: dict[str, Expression]) -> Expression:
+    """Return the unit [m] of an orbit's unknowns: the waves' deflection of the spring."""
+    amplitude = ca.sqrt(sum(p[wave_names(k)[0]] ** 2 for k in range(structure.waves)) + _LEAST_AMPLITUDE**2)
     return amplitude * p["static"] / p["stiffness"] + 1e-30
 
 
@@ -115,13 +122,13 @@ def _shooting(structure: Structure, timeline: Timeline) -> ca.Function:
     """Return the orbit to which one period of steps returns."""
     x, p = ca.MX.sym("x", 2), ca.MX.sym("p", len(signals(structure).parameters) + 1)
     known = signals(structure).named(p)
-    mean, sine, cosine = _response(structure, known)
-    omega = 2.0 * math.pi * known["tow_speed"] / known["wavelength"]
-    size = _size(known)
+    mean, sines, cosines = _response(structure, known)
+    omega = 2.0 * math.pi * known["tow_speed"] / repeat_length(structure, known)
+    size = _size(structure, known)
     unit = ca.vertcat(size, size * omega)
     once = run_from(structure, Timeline(1, timeline.steps))
     miss = (once(x * unit, p)[0][:, -1] - x * unit) / unit
-    first = _root(x, p, miss, ca.vertcat(mean + cosine, sine * omega) / unit) * unit
+    first = _root(x, p, miss, ca.vertcat(mean + ca.sum1(cosines), omega * ca.dot(_turns(sines), sines)) / unit) * unit
     results = run_from(structure, timeline)(first, p)
     return ca.Function("orbit", [p], list(results), {"never_inline": True})
 
@@ -129,8 +136,8 @@ def _shooting(structure: Structure, timeline: Timeline) -> ca.Function:
 def _linear(structure: Structure) -> ca.Function:
     """Return the Fourier coefficients of the linear response: mean, cosines, sines."""
     p = ca.MX.sym("p", len(signals(structure).parameters) + 1)
-    mean, sine, cosine = _response(structure, signals(structure).named(p))
-    return ca.Function("linear", [p], [ca.vertcat(mean, cosine, sine)])
+    mean, sines, cosines = _response(structure, signals(structure).named(p))
+    return ca.Function("linear", [p], [ca.vertcat(mean, cosines, sines)])
 
 
 @lru_cache(maxsize=32)
@@ -142,9 +149,9 @@ def _balanced(structure: Structure) -> ca.Function:
     basis, slope, bend = _basis(count, phases)
     x, p = ca.MX.sym("x", 2 * count + 1), ca.MX.sym("p", len(signals(structure).parameters) + 1)
     known = signals(structure).named(p)
-    mean, sine, cosine = _response(structure, known)
-    omega = 2.0 * math.pi * known["tow_speed"] / known["wavelength"]
-    size = _size(known)
+    mean, sines, cosines = _response(structure, known)
+    omega = 2.0 * math.pi * known["tow_speed"] / repeat_length(structure, known)
+    size = _size(structure, known)
     w, rate, acceleration = (size * ca.mtimes(ca.DM(b), x) for b in (basis, slope, bend))
     rate, acceleration = rate * omega, acceleration * omega**2
     motion = equation_of_motion(structure)
@@ -155,8 +162,14 @@ def _balanced(structure: Structure) -> ca.Function:
     # Scaled by the spring, whose force on the response is of order one.
     stiff = known["stiffness"] / known["inertia"] + omega**2
     out_of_balance = ca.mtimes(ca.DM(weights), acceleration - forced) / (size * stiff)
-    guess = ca.vertcat(mean / size, cosine / size, ca.MX.zeros(count - 1), sine / size, ca.MX.zeros(count - 1))
+    rest = ca.MX.zeros(count - sines.numel())
+    guess = ca.vertcat(mean / size, cosines / size, rest, sines / size, rest)
     return ca.Function("balanced", [p], [_root(x, p, out_of_balance, guess) * size])
+
+
+def _turns(coefficients: Expression) -> ca.DM:
+    """Return 1, 2, ... for the coefficients of as many harmonics."""
+    return ca.DM(np.arange(1.0, coefficients.numel() + 1.0))
 
 
 def _root(x: ca.MX, p: ca.MX, residual: ca.MX, guess: ca.MX) -> ca.MX:
@@ -183,7 +196,7 @@ def _from_series(structure: Structure, timeline: Timeline, series: ca.Function) 
     """Return states at the outputs, means and variances of a Fourier series."""
     p = ca.MX.sym("p", len(signals(structure).parameters) + 1)
     known = signals(structure).named(p)
-    omega = 2.0 * math.pi * known["tow_speed"] / known["wavelength"]
+    omega = 2.0 * math.pi * known["tow_speed"] / repeat_length(structure, known)
     x = series(p)
     count = (x.numel() - 1) // 2
     basis, slope, _ = _basis(count, 2.0 * math.pi * timeline.output_fractions)

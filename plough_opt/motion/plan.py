@@ -33,9 +33,6 @@ TIGHTEST = 1e-13
 STIFF_TOLERANCE = 1e-9
 """Tightest tolerance for an implicit method; below it the steps follow every oscillation of a stiff mount."""
 
-IMPOSED = ("tow_speed", "wavelength", "ramp_time")
-"""Names of the parameters on which `forced_rate` depends."""
-
 PHASE_PER_STEP = 0.5
 """Phase [rad] of the fastest oscillation in one step of order 8 that leaves a relative error of some 1e-10."""
 
@@ -100,9 +97,16 @@ def _number(name: str, value: Expression) -> float:
 def forced_rate(p: Mapping[str, Any]) -> Any:
     """Return the fastest angular frequency [rad/s] that the strut and the soil impose."""
     # The wave is a sine of the travel, to which the share's own oscillation adds harmonics.
-    wave = 4.0 * math.pi * p["tow_speed"] / p["wavelength"] if "wavelength" in p else 0.0
-    ramp = 2.0 * math.pi / p["ramp_time"] if "ramp_time" in p else 0.0
-    return maximum(wave, ramp)
+    fastest = 2.0 * math.pi / p["ramp_time"] if "ramp_time" in p else 0.0
+    for name, value in p.items():
+        if name.startswith("wavelength"):
+            fastest = maximum(fastest, 4.0 * math.pi * p["tow_speed"] / value)
+    return fastest
+
+
+def is_imposed(name: str) -> bool:
+    """Return whether `forced_rate` depends on a parameter."""
+    return name in ("tow_speed", "ramp_time") or name.startswith("wavelength")
 
 
 def fastest_rate(p: Mapping[str, float]) -> float:
@@ -125,7 +129,8 @@ def _rates(p: Mapping[str, Any]) -> tuple[Any, Any, Any]:
     inertia = lightest_mass(p)
     drag = 2.0 * p.get("drag", 0.0) * p.get("tow_speed", 0.0)
     # Steepest slope of the smooth contact's step, at its strongest soil.
-    creep = 315.0 / 128.0 * p["static"] * (1.0 + p.get("wave_amplitude", 0.0)) / p["width"] if "width" in p else 0.0
+    strongest = 1.0 + sum(value for name, value in p.items() if name.startswith("wave_amplitude"))
+    creep = 315.0 / 128.0 * p["static"] * strongest / p["width"] if "width" in p else 0.0
     decay = (p.get("damping", 0.0) + p.get("own_damping", 0.0) + drag + creep) / inertia
     stiffness = abs(p["stiffness"]) + p.get("own_stiffness", 0.0)
     return sqrt(stiffness / inertia), decay, forced_rate(p)

@@ -16,11 +16,11 @@ from plough_opt.motion.embedding import embed
 from plough_opt.motion.following import Case
 from plough_opt.motion.integrators import integration
 from plough_opt.motion.plan import (
-    IMPOSED,
     MOST_ADAPTIVE,
     OUTPUTS,
     TIGHTEST,
     forced_rate,
+    is_imposed,
     steps_for,
     timeline_of,
     unknown_steps,
@@ -33,6 +33,7 @@ from plough_opt.motion.terms import Structure, parameters
 from plough_opt.motion.verified import interpreted, verified
 from plough_opt.quantities import BESIDE
 from plough_opt.scene import Scene
+from plough_opt.strength_waves import check_strength
 
 
 def simulate(
@@ -102,11 +103,13 @@ def simulate(
         if any(map(is_symbolic, (*parameters(scene).values(), scene.mass, duration))):
             if compiled:
                 raise InputError("a symbolic run is no machine code: what it becomes part of is compiled as a whole")
+            check_strength(scene.effects.waves)
             return _symbolic(scene, duration, accuracy, outputs)
         scene, duration = map_expressions((scene, duration), lambda value: float(as_number(value)))
     started = time.perf_counter()
     case = Case.of(scene, float(duration), outputs, compiled=compiled)
     run, error, notes = verified(case, accuracy)
+    check_strength(scene.effects.waves, (float(np.min(run.travel)), float(np.max(run.travel))))
     multipliers, found, lasting = which_motion(run) if scene.effects.orbit == "periodic" else ((), None, ())
     notes = (*notes, *lasting, *(interpreted(case, run) if compiled else ()))
     return replace(run, checks=Checks(error, time.perf_counter() - started, notes, multipliers, found))
@@ -128,7 +131,7 @@ def repeat(scene: Scene, duration: Expression, *, outputs: int = OUTPUTS) -> Run
 
 
 def _duration(scene: Scene, duration: Expression | None) -> Expression:
-    """Return the simulated time, of an orbit one wavelength."""
+    """Return the simulated time, of an orbit its period."""
     if scene.effects.orbit == "transient":
         if duration is None:
             raise InputError("the duration is missing: how long shall the scene be simulated, in seconds?")
@@ -139,15 +142,13 @@ def _duration(scene: Scene, duration: Expression | None) -> Expression:
     if duration is not None:
         raise InputError("a lasting orbit has a duration of its own, one wavelength of the soil: leave it out")
     check_domain("tow speed", scene.tow_speed, "m/s", above=0.0, why="a share that stands still has no orbit")
-    wave = scene.effects.strength_wave
-    assert wave is not None  # an orbit without one is refused
-    return wave.wavelength / scene.tow_speed
+    return scene.wave_period
 
 
 def _symbolic(scene: Scene, duration: Expression, accuracy: Accuracy, outputs: int) -> Run:
     """Return the run as expressions of the scene's symbols."""
     if not scene.effects.motion:
-        imposed = {name: value for name, value in parameters(scene).items() if name in IMPOSED}
+        imposed = {name: value for name, value in parameters(scene).items() if is_imposed(name)}
         panels = max(outputs, OUTPUTS)
         if not any(map(is_symbolic, (*imposed.values(), duration))):
             rate = forced_rate({name: float(as_number(value)) for name, value in imposed.items()})

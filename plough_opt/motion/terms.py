@@ -12,17 +12,18 @@ is then -k0, the equilibrium lies at z = -F/k0, and a deviation from it grows li
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
 
 from plough_opt.effects import HarmonicBalance, Smooth, StickSlip
-from plough_opt.expressions import Expression, as_number, maximum, minimum, sin, template_of, where
+from plough_opt.expressions import Expression, as_number, is_symbolic, maximum, minimum, sin, template_of, where
 from plough_opt.labels import unlabelled
 from plough_opt.motion.own import OwnTerm
 from plough_opt.scene import Scene
+from plough_opt.strength_waves import StrengthWave
 
 # Differences of travel [m] and speed [m/s] by which slopes that only choose steps are measured.
 _DIFFERENCE = 1e-4
@@ -53,7 +54,7 @@ class Structure:
 
     drag: bool
     rate: bool
-    wave: bool
+    waves: int
     ramp: bool
     damper: bool
     start: Literal["equilibrium", "rest", "towed"]
@@ -64,6 +65,8 @@ class Structure:
     harmonics: int = 0
     own: tuple[OwnTerm, ...] = ()
     tells_ramp: bool = False
+    phased: bool = False
+    turns: tuple[int, ...] = ()
 
     @classmethod
     def of(cls, scene: Scene) -> Structure:
@@ -73,7 +76,9 @@ class Structure:
         return cls(
             drag=effects.inertial_drag,
             rate=effects.rate_term is not None,
-            wave=effects.strength_wave is not None,
+            waves=len(effects.waves),
+            phased=is_phased(effects.waves),
+            turns=effects.turns if effects.orbit != "transient" and len(effects.waves) > 1 else (),
             ramp=effects.ramps,
             damper=effects.damping is not None,
             start=effects.start,
@@ -89,7 +94,13 @@ class Structure:
     def names(self) -> tuple[str, ...]:
         """Names of everything that its terms may need, in order."""
         told = ("ramped",) if self.tells_ramp else ()
-        return (*PARAMETERS, *(name for k, term in enumerate(self.own) for name in term.names(k)), *told)
+        waves = (name for k in range(self.waves) for name in wave_names(k) if name not in PARAMETERS)
+        return (*PARAMETERS, *waves, *(name for k, term in enumerate(self.own) for name in term.names(k)), *told)
+
+    @property
+    def wave(self) -> bool:
+        """Whether the soil's strength varies along the path."""
+        return self.waves > 0
 
     @property
     def relaxed(self) -> bool:
@@ -130,9 +141,11 @@ def parameters(scene: Scene) -> dict[str, Expression]:
     }
     if effects.inertial_drag:
         values["drag"] = reaction.drag
-    if effects.strength_wave is not None:
-        values["wave_amplitude"] = effects.strength_wave.amplitude
-        values["wavelength"] = effects.strength_wave.wavelength
+    for k, wave in enumerate(effects.waves):
+        amplitude, length, phase = wave_names(k)
+        values |= {amplitude: wave.amplitude, length: wave.wavelength}
+        if is_phased(effects.waves):
+            values[phase] = wave.phase
     if effects.ramps:
         values["ramp_time"] = effects.tow_ramp
     if effects.damping is not None:
@@ -244,7 +257,7 @@ def resistance(structure: Structure, p: dict[str, Expression], travel: Expressio
     """
     force = p["static"]
     if structure.wave:
-        force = force + _wave(p, travel)
+        force = force + _wave(structure, p, travel)
     if structure.rate:
         force = force * (1.0 + p["rate_term"] * speed**2)
     if structure.drag:
@@ -273,7 +286,7 @@ def resistance_change(
         factor = (p["static"] * p["rate_term"] if structure.rate else 0.0) + (p["drag"] if structure.drag else 0.0)
         change = factor * gain * (2.0 * u0 + gain)
     if structure.wave:
-        wave = _wave(p, travel)
+        wave = _wave(structure, p, travel)
         if structure.rate:
             wave = wave * (1.0 + p["rate_term"] * (u0 + gain) ** 2)
         change = change + wave
@@ -285,9 +298,36 @@ def resistance_change(
     return change
 
 
-def _wave(p: dict[str, Expression], travel: Expression) -> Expression:
-    """Return the periodic part of the static resistance [N]."""
-    return p["static"] * p["wave_amplitude"] * sin(2.0 * math.pi / p["wavelength"] * travel)
+def _wave(structure: Structure, p: dict[str, Expression], travel: Expression) -> Expression:
+    """Return the periodic part of the static resistance [N].
+
+    On an orbit under several waves all lengths follow from the first one's, so that they stay commensurate.
+    """
+    total: Expression = 0.0
+    for k in range(structure.waves):
+        amplitude, length, phase = wave_names(k)
+        turn = 2.0 * math.pi / p[length]
+        if structure.turns:
+            turn = 2.0 * math.pi * structure.turns[k] / repeat_length(structure, p)
+        angle = turn * travel + p[phase] if structure.phased else turn * travel
+        total = total + p["static"] * p[amplitude] * sin(angle)
+    return total
+
+
+def repeat_length(structure: Structure, p: dict[str, Expression]) -> Expression:
+    """Return the length [m] after which the soil of an orbit repeats itself."""
+    return p["wavelength"] * structure.turns[0] if structure.turns else p["wavelength"]
+
+
+def is_phased(waves: Sequence[StrengthWave]) -> bool:
+    """Return whether any strength wave has a phase."""
+    return any(is_symbolic(wave.phase) or bool(np.any(as_number(wave.phase) != 0.0)) for wave in waves)
+
+
+def wave_names(k: int) -> tuple[str, str, str]:
+    """Return the names of amplitude, wavelength and phase of a strength wave, counted from 0."""
+    number = "" if k == 0 else f"_{k + 1}"
+    return f"wave_amplitude{number}", f"wavelength{number}", f"wave_phase{number}"
 
 
 def buried(structure: Structure, p: dict[str, Expression], travel: Expression) -> Expression:

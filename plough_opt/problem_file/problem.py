@@ -11,7 +11,7 @@ from plough_opt.component import Component, Input, build
 from plough_opt.design import Design, Optimum, Over, Progress
 from plough_opt.design.effort import Search
 from plough_opt.design.tolerance import Judge
-from plough_opt.effects import Effects, HarmonicBalance, Smooth, StickSlip, StrengthWave
+from plough_opt.effects import Effects, HarmonicBalance, Smooth, StickSlip
 from plough_opt.errors import InputError
 from plough_opt.expressions import Expression
 from plough_opt.geometry import Wedge
@@ -21,9 +21,10 @@ from plough_opt.problem_file.interface import input_ports, wanted_outputs
 from plough_opt.problem_file.measures import MEASURES
 from plough_opt.problem_file.schema import ProblemTable, quantities
 from plough_opt.problem_file.units import Display
-from plough_opt.quantities import BESIDE, EVERY, QUANTITIES
+from plough_opt.quantities import BESIDE, EVERY, MOST_WAVES, QUANTITIES, wave_table
 from plough_opt.scene import Scene
 from plough_opt.soil import Soil, named_soil
+from plough_opt.strength_waves import StrengthWave
 from plough_opt.tradeoff import Goal, TradeOff, trade_off
 
 _READING = "soil.cone_index"
@@ -130,12 +131,11 @@ class Problem:
 
     def _effects(self, values: Mapping[str, Expression]) -> Effects:
         table = self.table.effects
-        wave = None
-        if "effects.strength_wave.amplitude" in values:
-            wave = StrengthWave(
-                amplitude=values["effects.strength_wave.amplitude"],
-                wavelength=values["effects.strength_wave.wavelength"],
-            )
+        tables = [name for name in map(wave_table, range(1, MOST_WAVES + 1)) if f"{name}.amplitude" in values]
+        waves = [
+            StrengthWave(values[f"{name}.amplitude"], values[f"{name}.wavelength"], values.get(f"{name}.phase", 0.0))
+            for name in tables
+        ]
         return Effects(
             motion=table.motion,
             inertial_drag=table.inertial_drag,
@@ -144,7 +144,7 @@ class Problem:
             contact=_contact(table.contact, values),
             start=table.start,
             entry=table.entry,
-            strength_wave=wave,
+            strength_wave=waves[0] if len(waves) == 1 else tuple(waves) or None,
             tow_ramp=values.get("effects.tow_ramp"),
             damping=values.get("effects.damping"),
             rate_term=values.get("effects.rate_term"),

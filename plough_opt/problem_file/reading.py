@@ -21,10 +21,12 @@ from plough_opt.problem_file.overrides import apply_override
 from plough_opt.problem_file.penetrometer import average_readings
 from plough_opt.problem_file.problem import FileVariable, Problem
 from plough_opt.problem_file.schema import (
+    WAVES,
     EffectsFile,
     LimitTable,
     ProblemFile,
     ProblemTable,
+    StrengthWaveFile,
     TermTable,
     VariableTable,
     quantities,
@@ -36,7 +38,6 @@ from plough_opt.quantities import IN_FILES, READINGS
 from plough_opt.soil import named_soil
 
 _DURATION = ("scene", "duration")
-_WAVE = ("effects.strength_wave.amplitude", "effects.strength_wave.wavelength")
 _PER_CENT = re.compile(r"\s*([0-9]+\.?[0-9]*|\.[0-9]+)\s*%\s*")
 
 
@@ -95,7 +96,8 @@ def _join_dotted_variables(data: dict[str, Any]) -> None:
         if isinstance(place, dict) and name in place:
             variables[key] = place.pop(name)
     for table in ("soil", "share", "scene", "effects"):
-        if variables.get(table) in ({}, {"strength_wave": {}}):
+        left = variables.get(table)
+        if isinstance(left, dict) and not any(left.values()):
             del variables[table]
 
 
@@ -117,7 +119,7 @@ def _valid_keys() -> dict[str, list[str]]:
         model = field.annotation
         if isinstance(model, type) and hasattr(model, "model_fields"):
             valid[name] = list(model.model_fields)
-    valid["effects.strength_wave"] = [IN_FILES[name].key for name in _WAVE]
+    valid |= {name: list(StrengthWaveFile.model_fields) for name in WAVES}
     for table, model in (("variables", VariableTable), ("minimise", TermTable), ("require", LimitTable)):
         valid[table] = list(model.model_fields)
     return valid
@@ -224,11 +226,7 @@ def _check_complete(source: Source, table: ProblemTable, known: set[str]) -> Non
     for key in _decided(table, known) & known:
         with source.noting(("variables", key) if key in table.variables else tuple(key.split("."))):
             raise InputError(f"'{key}' follows from the cone index: leave it out, or let that adjust another property")
-    if table.effects.strength_wave is None and len(alone := known & {*_WAVE}) == 1:
-        key = alone.pop()
-        with source.noting(("variables", key)):
-            raise InputError(f"'{key}' has no effects.strength_wave to belong to: give that in [effects]")
-    wave = _WAVE if table.effects.strength_wave is not None else ()
+    wave = _wave_keys(source, table, known)
     width = ("effects.contact_width",) if table.effects.contact == "smooth" else ()
     for key, law in (("effects.contact_width", "smooth"), ("effects.breakaway", "stick_slip")):
         if key in known and table.effects.contact != law:
@@ -247,6 +245,26 @@ def _check_complete(source: Source, table: ProblemTable, known: set[str]) -> Non
         with source.noting(tuple(owner.split("."))):
             if key not in known:
                 raise InputError(f"'{name}' is missing: give it in [{owner}] or make '{key}' a variable")
+
+
+def _wave_keys(source: Source, table: ProblemTable, known: set[str]) -> list[str]:
+    """Return the quantities that the file's strength waves must have; note a wave that misses those before it."""
+    keys: list[str] = []
+    missing = ""
+    for name in WAVES:
+        own = sorted(key for key in known if IN_FILES[key].owner == name)
+        given = _at(table, name) is not None
+        needed = [f"{name}.amplitude", f"{name}.wavelength"]
+        if own and not given and not {*needed} <= {*own}:
+            with source.noting(("variables", own[0])):
+                raise InputError(f"'{own[0]}' has no {name} to belong to: give that in [effects]")
+            continue
+        if (own or given) and missing:
+            with source.noting(tuple(name.split("."))):
+                raise InputError(f"'{name}' is there without '{missing}': number strength waves from the first on")
+        missing = missing or ("" if own or given else name)
+        keys += needed if own or given else []
+    return keys
 
 
 def _decided(table: ProblemTable, known: set[str]) -> set[str]:

@@ -8,7 +8,7 @@ from pydantic import BaseModel, ConfigDict, Field, StrictBool, StrictFloat, Stri
 
 from plough_opt.effects import MOST_HARMONICS, Effects, HarmonicBalance
 from plough_opt.problem_file.units import Unit
-from plough_opt.quantities import EVERY, IN_FILES
+from plough_opt.quantities import EVERY, IN_FILES, MOST_WAVES, wave_table
 from plough_opt.scene import Scene
 from plough_opt.soil import Adjust
 
@@ -49,10 +49,6 @@ class SceneTable(Table):
     outputs: Annotated[StrictInt, Field(ge=1, le=100_000)] = 400
 
 
-class StrengthWaveTable(Table):
-    """Periodic soil strength along the path."""
-
-
 class EffectsTable(Table):
     """Effects beside the default ones."""
 
@@ -63,7 +59,6 @@ class EffectsTable(Table):
     contact: Literal["resisting", "smooth", "stick_slip"] = "resisting"
     start: Literal["equilibrium", "rest", "towed"] = Effects.start
     entry: StrictBool = Effects.entry
-    strength_wave: StrengthWaveTable | None = None
     orbit: Literal["transient", "periodic", "linearised", "harmonic_balance"] = "transient"
     harmonics: Annotated[StrictInt, Field(ge=1, le=MOST_HARMONICS)] = HarmonicBalance.harmonics
     formulation: Literal["derived", "printed"] = "derived"
@@ -139,8 +134,15 @@ def _with_quantities(name: str, table: type[_T], owner: str = "", **fields: Any)
 SoilFile = _with_quantities("SoilFile", SoilTable, "soil")
 ShareFile = _with_quantities("ShareFile", ShareTable, "share")
 SceneFile = _with_quantities("SceneFile", SceneTable, "scene")
-StrengthWaveFile = _with_quantities("StrengthWaveFile", StrengthWaveTable, "effects.strength_wave")
-EffectsFile = _with_quantities("EffectsFile", EffectsTable, "effects", strength_wave=(StrengthWaveFile | None, None))
+StrengthWaveFile = _with_quantities("StrengthWaveFile", Table, wave_table(1))
+WAVES = tuple(map(wave_table, range(1, MOST_WAVES + 1)))
+"""The tables of strength waves, in order; all hold the same keys."""
+EffectsFile = _with_quantities(
+    "EffectsFile",
+    EffectsTable,
+    "effects",
+    **{name.removeprefix("effects."): (StrengthWaveFile | None, None) for name in WAVES},
+)
 ProblemFile = _with_quantities(
     "ProblemFile",
     ProblemTable,

@@ -6,8 +6,8 @@ Warnings are errors in these tests, so that a warning is no answer either. Every
 import contextlib
 import io
 import random
-import shutil
 import re
+import shutil
 import time
 from pathlib import Path
 

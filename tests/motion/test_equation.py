@@ -13,7 +13,7 @@ from plough_opt.motion.equation import equation_of_motion, start_state
 from plough_opt.motion.signals import signals
 from plough_opt.motion.terms import Structure, parameters, strut
 
-FLAGS = ("drag", "rate", "wave", "ramp", "damper", "relaxed")
+FLAGS = ("drag", "rate", "waves", "ramp", "damper", "relaxed")
 STRUCTURES = [
     Structure(
         *flags[:-1], start="rest" if flags[-1] else "equilibrium", contact="resisting", entry=False, carries=False
@@ -26,7 +26,7 @@ BARE = STRUCTURES[0]
 OWN = {
     "drag": {"drag"},
     "rate": {"rate_term"},
-    "wave": {"wave_amplitude", "wavelength"},
+    "waves": {"wave_amplitude", "wavelength"},
     "ramp": {"ramp_time"},
     "damper": {"damping"},
     "relaxed": set(),
@@ -52,9 +52,9 @@ def on(structure):
 def expected_parameters(structure):
     names = {"inertia", "stiffness"}.union(*(OWN[name] for name in on(structure)))
     # In deviations from the start the static resistance cancels unless something varies with it.
-    if on(structure) & {"rate", "wave", "relaxed"}:
+    if on(structure) & {"rate", "waves", "relaxed"}:
         names.add("static")
-    if on(structure) & {"drag", "rate", "wave", "ramp"}:
+    if on(structure) & {"drag", "rate", "waves", "ramp"}:
         names.add("tow_speed")
     return names
 
@@ -132,7 +132,7 @@ def test_an_effect_adds_nodes_to_every_graph_without_it(effect):
 @pytest.mark.parametrize(
     ("effect", "signal_nodes"),
     # Without damper and ramp the deflection is the only signal, whatever else is on.
-    [("drag", 1), ("rate", 1), ("wave", 1), ("relaxed", 1)],
+    [("drag", 1), ("rate", 1), ("waves", 1), ("relaxed", 1)],
 )
 def test_effects_that_leave_mount_and_strut_alone_add_no_signal(effect, signal_nodes):
     assert (
@@ -148,7 +148,7 @@ def test_effects_that_leave_mount_and_strut_alone_add_no_signal(effect, signal_n
     [
         ({"inertial_drag": False}, "drag", {"inertial_drag": True}),
         ({"rate_term": None}, "rate", {"rate_term": 0.1}),
-        ({"strength_wave": None}, "wave", {"strength_wave": po.StrengthWave(0.3, 0.6)}),
+        ({"strength_wave": None}, "waves", {"strength_wave": po.StrengthWave(0.3, 0.6)}),
         ({"tow_ramp": None}, "ramp", {"tow_ramp": 0.2}),
         ({"damping": None}, "damper", {"damping": 100.0}),
         ({"start": "equilibrium"}, "relaxed", {"start": "rest"}),
@@ -204,7 +204,7 @@ def resistance(structure, travel, speed):
 @pytest.mark.parametrize("structure", STRUCTURES, ids=label)
 def test_acceleration_is_that_of_equation_27(structure):
     motion = equation_of_motion(structure)
-    n, still = NUMBERS, dataclasses.replace(structure, wave=False)
+    n, still = NUMBERS, dataclasses.replace(structure, waves=0)
     for time, w, rate in [(0.0, 0.0, 0.0), (0.1, 3e-3, 0.4), (0.37, -8e-3, 2.5), (0.4, 1e-3, -0.3), (1.7, 0.02, 1.0)]:
         path, speed, acceleration = strut_path(structure, time)
         start = 0.0 if structure.relaxed else resistance(still, 0.0, 0.0 if structure.ramp else n["tow_speed"])
@@ -232,7 +232,7 @@ def test_a_share_at_rest_deflects_the_spring_at_the_struts_speed(structure):
 @pytest.mark.parametrize("structure", STRUCTURES, ids=label)
 def test_signals_are_changes_of_deflection_and_force_and_the_tow_power(structure):
     observed, n = signals(structure), NUMBERS
-    still = dataclasses.replace(structure, wave=False)
+    still = dataclasses.replace(structure, waves=0)
     for time, w, rate in [(0.0, 0.0, 0.0), (0.2, 4e-3, 0.7), (1.3, -2e-2, -0.4)]:
         speed = strut_path(structure, time)[1]
         first_rate = n["tow_speed"] if structure.relaxed and not structure.ramp else 0.0

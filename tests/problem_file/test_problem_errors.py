@@ -35,7 +35,7 @@ MISSPELT = [
     case("share", "chisel_angle", "chisel_angel", "angel", "'share.chisel_angel' is not", "mean 'chisel_angle'?"),
     case("scene", "tow_speed", "tow_sped", "tow_sped", "'scene.tow_sped' is not", "did you mean 'tow_speed'?"),
     case("effects", "damping", "dampin", "dampin", "'effects.dampin' is not", "did you mean 'damping'?"),
-    case("wave", "{ amp", "{ phase = 1, amp", "phase", "'effects.strength_wave.phase'", "names: amplitude, wavelength"),
+    case("wave", "{ amp", "{ phose = 1, amp", "phose", "'effects.strength_wave.phose'", "did you mean 'phase'"),
     case("accuracy", ACCURACY, f"[accuracy]\nmetod = 'rk'\n{ACCURACY}", "metod", "'accuracy.metod'", "mean 'method'?"),
     case("variable", 'guess = "25', 'gues = "25', "gues =", "'variables.share.wedge_angle.gues'", "mean 'guess'?"),
     case("term", MEAN, f"{MEAN}, power = 2", "power", "'minimise.mean_draft.power'", "did you mean 'per'?"),

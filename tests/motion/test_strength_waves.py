@@ -1,0 +1,150 @@
+"""Several strength waves: their sum in every kind of run, beside solvers and series that share no code."""
+
+import math
+
+import casadi as ca
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+import plough_opt as po
+from plough_opt.accuracy_study.laws import Laws
+from plough_opt.accuracy_study.reference import follow
+
+WAVES = (po.StrengthWave(0.2, 0.2), po.StrengthWave(0.1, 0.3, 0.7), po.StrengthWave(0.05, 0.12, -2.0))
+SHARE = po.Wedge(po.deg(30), po.deg(15), 0.25)
+
+
+def scene(waves=WAVES, **effects):
+    """Return a damped share on serozem under some waves."""
+    own = po.Effects(**{"strength_wave": waves, "damping": 400.0, **effects})
+    return po.Scene(po.named_soil("serozem"), SHARE, 5e4, 20.0, 2.0, own)
+
+
+def strength(travel, waves=WAVES):
+    """Return soil strength over its mean."""
+    return 1.0 + sum(w.amplitude * np.sin(2 * math.pi * travel / w.wavelength + w.phase) for w in waves)
+
+
+def test_a_motion_is_that_of_scipy():
+    made = scene()
+    run = po.simulate(made, 2.0)
+    f, m, z0 = made.reaction, float(made.inertia), float(made.steady_resistance) / 5e4
+
+    def rates(t, y):
+        speed = 2.0 - y[1]
+        soil = f.static * strength(2.0 * t - y[0]) + f.drag * speed**2
+        return [y[1], (soil - 5e4 * y[0] - 400.0 * y[1]) / m]
+
+    found = solve_ivp(rates, (0.0, 2.0), [z0, 0.0], method="DOP853", rtol=1e-12, atol=1e-14, t_eval=run.time)
+    # Both to some 1e-11 of the deflection.
+    assert run.deflection == pytest.approx(found.y[0], rel=0, abs=1e-10 * np.max(np.abs(found.y[0])))
+
+
+def test_two_halves_are_the_whole():
+    whole, half = po.StrengthWave(0.3, 0.2, 0.4), po.StrengthWave(0.15, 0.2, 0.4)
+    for orbit in ("transient", "periodic", "linearised", po.HarmonicBalance(6)):
+        duration = 1.0 if orbit == "transient" else None
+        one, two = (po.simulate(scene(w, orbit=orbit), duration) for w in (whole, (half, half)))
+        # Roots are found to 1e-12 of the orbit's size.
+        assert two.force_rms == pytest.approx(one.force_rms, rel=1e-11)
+
+
+def test_a_phase_is_a_shift_of_the_path():
+    """A share towed from rest by its spring: the soil of phase phi is that of phase 0, shifted by phi/2 pi waves."""
+    later = po.simulate(scene(po.StrengthWave(0.3, 0.2, 1.0), motion=False, damping=None), 1.0, outputs=400)
+    shift = 1.0 / (2 * math.pi) * 0.2
+    force = scene().reaction.static * (1 + 0.3 * np.sin(2 * math.pi * (later.travel + shift) / 0.2))
+    drag = scene().reaction.drag * 4.0
+    assert later.soil_resistance == pytest.approx(force + drag, rel=1e-13)
+
+
+def test_the_lasting_orbit_is_what_a_long_run_comes_to():
+    orbit = po.simulate(scene(orbit="periodic"))
+    # 0.2, 0.3 and 0.12 m repeat themselves together after 0.6 m.
+    assert orbit.duration == pytest.approx(0.3, rel=1e-15)
+    long = po.simulate(scene(), 12.0, outputs=4800)
+    last = long.mount_force[-121:-1]  # 0.3 s of them
+    assert np.std(last) == pytest.approx(orbit.force_rms, rel=1e-5)  # by 120 points
+    balanced = po.simulate(scene(orbit=po.HarmonicBalance(20)))
+    assert balanced.force_rms == pytest.approx(orbit.force_rms, rel=1e-6)
+
+
+def test_small_waves_add_up_in_the_linear_response():
+    small = tuple(po.StrengthWave(1e-5 * w.amplitude, w.wavelength, w.phase) for w in WAVES)
+    together = po.simulate(scene(small, orbit="linearised"))
+    alone = [po.simulate(scene(w, orbit="linearised")) for w in small]
+    squares = sum(run.force_rms**2 for run in alone)
+    assert together.force_rms == pytest.approx(math.sqrt(squares), rel=1e-12)
+    orbit = po.simulate(scene(small, orbit="periodic"))
+    # What is left is of second order in the amplitude.
+    assert orbit.force_rms == pytest.approx(together.force_rms, rel=1e-4)
+
+
+def test_the_wide_reference_and_events_agree():
+    for effects in ({"contact": po.StickSlip(1.1)}, {"entry": True, "start": "rest"}):
+        made = scene(**effects)
+        reference = follow(Laws.of(made), np.longdouble(1.0), 200, 12)
+        run = po.simulate(made, 1.0, outputs=200)
+        size = float(np.max(np.abs(reference.deflection)))
+        assert run.deflection == pytest.approx(reference.deflection.astype(float), rel=0, abs=1e-7 * size)
+
+
+@pytest.mark.parametrize("name", ["amplitude", "wavelength", "phase"])
+def test_derivatives_by_each_number(name):
+    x = ca.MX.sym("x")
+    value = getattr(WAVES[1], name)
+
+    def changed(new):
+        numbers = {key: getattr(WAVES[1], key) for key in ("amplitude", "wavelength", "phase")}
+        return scene((WAVES[0], po.StrengthWave(**{**numbers, name: new}), WAVES[2]))
+
+    rms = po.simulate(changed(x), 1.0).force_rms
+    slope = float(ca.Function("slope", [x], [ca.jacobian(rms, x)])(value))
+    step = 1e-3 * value
+    runs = [float(po.simulate(changed(value + k * step), 1.0).force_rms) for k in (-2, -1, 1, 2)]
+    # Differences of order 4 with steps of 1e-3 leave some 1e-9.
+    assert slope == pytest.approx((runs[0] - 8 * runs[1] + 8 * runs[2] - runs[3]) / (12 * step), rel=1e-6)
+
+
+def test_a_batch_is_the_runs_one_by_one():
+    k = ca.MX.sym("k")
+    effects = scene().effects
+    made = po.Scene(po.named_soil("serozem"), SHARE, k, 20.0, 2.0, effects)
+    stiffness = np.array([2e4, 5e4, 2e5])
+    found = po.Batch(made, 1.0, [k])(stiffness[:, None])
+    for one, rms in zip(stiffness, found.force_rms, strict=True):
+        run = po.simulate(po.Scene(po.named_soil("serozem"), SHARE, float(one), 20.0, 2.0, effects), 1.0)
+        assert rms == pytest.approx(run.force_rms, rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("waves", "words"),
+    [
+        ((), "strength_wave = ()"),
+        ((0.3,), "must be None or a StrengthWave"),
+        ((WAVES[0],) * 9, "9 waves"),
+    ],
+)
+def test_what_is_no_sum_of_waves_is_refused(waves, words):
+    with pytest.raises(po.InputError, match=words.replace("(", r"\(").replace(")", r"\)")):
+        scene(waves)
+
+
+def test_strength_stays_above_zero_along_the_path():
+    deep = (po.StrengthWave(0.8, 0.2), po.StrengthWave(0.5, 0.3, 0.7))
+    with pytest.raises(po.DomainError, match=r"leave the soil -0\.156\d of its strength at a travel of 0\.15[78]\d m"):
+        po.simulate(scene(deep), 1.0)
+    # Before that place nothing is wrong.
+    assert po.simulate(scene(deep, motion=False, damping=None), 0.07).mean_draft > 0.0
+    symbol = ca.MX.sym("k")
+    made = po.Scene(po.named_soil("serozem"), SHARE, symbol, 20.0, 2.0, po.Effects(strength_wave=deep))
+    with pytest.raises(po.DomainError, match=r"1\.3 in sum"):
+        po.simulate(made, 1.0)
+
+
+def test_orbits_without_a_common_length_are_refused():
+    with pytest.raises(po.InputError, match="no common length within 100"):
+        scene((po.StrengthWave(0.2, 0.2), po.StrengthWave(0.1, 0.2 * math.sqrt(2))), orbit="periodic")
+    with pytest.raises(po.InputError, match=r"HarmonicBalance\(5\)"):
+        scene(orbit=po.HarmonicBalance(3))

@@ -30,8 +30,12 @@ _ALONG, _DIPS, _BESIDE = 128, 4, 0.01
 _CLOSER, _CLOSELY, _NEAR, _AROUND, _BETTER = 4, 2, 0.06, 256, 1e-6
 # A variable nearer than this to a bound lies at it; and designs, islands and descents of a search among the others.
 _AT_A_BOUND, _ON_A_FACE, _FACE_ISLANDS, _FACE_DESCENTS = 1e-6, 1024, 2, 4
+# Designs that break a requirement, where few meet all, from which feasible ones are looked for.
+_FEW = 4
 # Distances, the largest first, by which the designs of an island differ where few meet the requirements.
 _SPREAD = (0.1, 0.03, 0.01, 0.003, 0.0)
+# How far is looked around a design where few meet the requirements, in regions of any size.
+_NARROWER = (0.06, 0.015, 0.004)
 # An island on which all designs are this alike has converged.
 _CONVERGED = 1e-7
 # Points of the uniform part of a sample that are followed at most, once their basins are known.
@@ -87,6 +91,8 @@ class Explorer:
         self._judge, self._progress, self._enough = judge, progress, enough
         # Whether so few designs meet the requirements that any of them is better than any other design.
         self._narrow = False
+        # Then only designs that break the requirements by no more are descended from.
+        self._least_of_sample = np.inf
         self._least: Seen | None = None
         self._samples: list[Seen] = []
         self._found: list[Seen] = []
@@ -138,7 +144,7 @@ class Explorer:
             lambda: shortfall.met >= effort.population,
         )
         search._descend(replace(effort, followed=0), points, without_objective(seen), rng, [self._start], None)
-        self._narrow = True
+        self._narrow, self._least_of_sample = True, float(seen.violation.min())
         met = shortfall.designs()
         if met is None and not np.any(seen.feasible):
             least = search._basins()[0]
@@ -166,6 +172,8 @@ class Explorer:
         """
         merit = self._merit(seen)
         lowest, downhill = lowest_around(points, merit)
+        if self._narrow:
+            lowest = np.r_[lowest[seen.feasible[lowest]], lowest[~seen.feasible[lowest]][:_FEW]]
         n = len(self._vary)
         islands = [self._evolved(effort, points, seen, k, rng) for k in range(effort.islands if n > 1 else 0)]
         starts = [*islands, *(seen.points[k] for k in lowest[: effort.descents]), *further]
@@ -180,12 +188,17 @@ class Explorer:
         self._look_closer(rng)
         if self._narrow or isinstance(self._landscape, Shortfall):
             self._search_face(effort, rng)
-        if uniform is not None:
+        if uniform is not None and not self._narrow:
             self._follow(seen, [int(downhill[k]) for k in uniform], known, effort.followed)
 
     def _merit(self, seen: Seen) -> Vector:
         """Return by what designs are compared."""
         return seen.strict_merit if self._narrow else seen.merit
+
+    def _promises(self, seen: Seen) -> np.ndarray:
+        """Return whether it is worth while to descend from each design."""
+        promising: np.ndarray = (seen.violation <= self._least_of_sample) & np.isfinite(seen.f)
+        return promising
 
     def _search_face(self, effort: Effort, rng: np.random.Generator) -> None:
         """Search again among the variables that the best design does not have at a bound, the others held."""
@@ -198,7 +211,7 @@ class Explorer:
             return
         self._progress("searching among the variables that are at no bound", 0.0)
         face = Explorer(self._landscape, best, tuple(free), self._judge, self._progress, self._seed, self._enough)
-        face._narrow = self._narrow
+        face._narrow, face._least_of_sample = self._narrow, self._least_of_sample
         designs, islands = min(effort.designs, _ON_A_FACE), min(effort.islands, _FACE_ISLANDS)
         effort = replace(effort, designs=designs, islands=islands, descents=_FACE_DESCENTS, followed=0)
         points, _ = sample(len(free), designs, best[free], rng)
@@ -216,10 +229,11 @@ class Explorer:
         for k, variable in enumerate(self._vary):
             lines[k * _ALONG : (k + 1) * _ALONG, variable] = np.linspace(0.0, 1.0, _ALONG)
         seen = self._landscape(lines)
+        promising = self._promises(seen)
         merit = np.pad(self._merit(seen).reshape(-1, _ALONG), ((0, 0), (1, 1)), constant_values=np.inf)
         dips = np.flatnonzero(((merit[:, 1:-1] < merit[:, :-2]) & (merit[:, 1:-1] <= merit[:, 2:])).ravel())
         for k in dips[np.argsort(self._merit(seen)[dips], kind="stable")][: _DIPS * len(self._vary)]:
-            if np.isfinite(seen.merit[k]) and np.max(np.abs(lines[k] - bottoms.points[0])) > _BESIDE:
+            if promising[k] and np.max(np.abs(lines[k] - bottoms.points[0])) > _BESIDE:
                 self._progress("descending from dips along each variable", 0.0)
                 self._found.append(self._descended(lines[k]))
 
@@ -232,15 +246,19 @@ class Explorer:
                 return
             bottoms, _ = self._basins()
             before = len(self._found)
-            for number, at in enumerate(bottoms.points[:_CLOSELY]):
-                self._progress("looking closer at the best designs", number / _CLOSELY)
+            looks = [
+                (at, near) for at in bottoms.points[:_CLOSELY] for near in (_NARROWER if self._narrow else (_NEAR,))
+            ]
+            for number, (at, near) in enumerate(looks):
+                self._progress("looking closer at the best designs", number / len(looks))
                 points, _ = sample(len(self._vary), _AROUND, np.full(len(self._vary), 0.5), rng)
                 around = np.repeat(at[None], len(points), axis=0)
-                around[:, self._vary] = np.clip(at[self._vary] + _NEAR * (2.0 * points - 1.0), 0.0, 1.0)
+                around[:, self._vary] = np.clip(at[self._vary] + near * (2.0 * points - 1.0), 0.0, 1.0)
                 seen = self._landscape(around)
                 lowest, _ = lowest_around(points, self._merit(seen))
+                promising = self._promises(seen)
                 for k in lowest[:_DIPS]:
-                    if np.isfinite(seen.merit[k]):
+                    if promising[k]:
                         self._found.append(self._descended(around[k]))
             merits = [float(self._merit(one)[0]) for one in self._found]
             best = min(merits[:before], default=np.inf)

@@ -24,6 +24,23 @@ def test_files_are_about_one_idea(source):
     assert len(source.read_text(encoding="utf-8").splitlines()) <= 400
 
 
+# What holds for all threads of a process -> where it is switched all the same: in processes that are the toolkit's own.
+SWITCHES = {
+    r"catch_warnings|simplefilter|filterwarnings|chdir\(|redirect_std|setrecursionlimit|set_printoptions": set(),
+    r"seterr\(|random\.seed|rcParams|rc_context|setlocale|umask|set_int_max|putenv|environ\[[^]]*\] *=": set(),
+    r"dup2\(": {"cli/main.py", "study/worker.py"},
+    r"sys\.std\w+ *=(?!=)": {"notices.py", "study/worker.py"},
+}
+
+
+@pytest.mark.parametrize("switch", SWITCHES)
+def test_nothing_is_switched_for_the_whole_process(switch):
+    found = {
+        path.relative_to(ROOT / "plough_opt").as_posix() for path in SOURCES if re.search(switch, path.read_text())
+    }
+    assert found == SWITCHES[switch]
+
+
 @pytest.mark.parametrize("page", PAGES, ids=lambda path: path.name)
 def test_links_and_named_tests_exist(page):
     text = page.read_text(encoding="utf-8")

@@ -7,8 +7,9 @@ from typing import Final, Literal, get_args
 
 import numpy as np
 
-from plough_opt.errors import InputError, nearest
+from plough_opt.errors import InputError
 from plough_opt.expressions import is_count
+from plough_opt.kinds import check_named, shown
 
 Method = Literal["auto", "dop853", "cvodes", "idas", "erk", "rosenbrock", "collocation", "rk"]
 FIXED_STEP: Final = ("dop853", "collocation", "rk")
@@ -61,8 +62,7 @@ class Accuracy:
 
     def __post_init__(self) -> None:
         methods = get_args(Method)
-        if self.method not in methods:
-            raise InputError(f"no integration method is named '{self.method}': {nearest(self.method, methods)}")
+        check_named("no integration method is named {}", self.method, methods)
         self._check_setting("error", self.error, ("auto",), 1e-12, 1e-1)
         self._check_setting("steps", self.steps, FIXED_STEP, 1, 10**7)
         self._check_setting("derivatives", self.derivatives, ("auto",), 1e-10, 1e-1)
@@ -81,5 +81,5 @@ class Accuracy:
         whole = name == "steps"
         sound = is_count(value) if whole else isinstance(value, int | float | np.number) and not isinstance(value, bool)
         if not (sound and low <= value <= high):
-            kind, shown = ", as a whole number" if whole else "", f"{min(value, 1e300):g}" if sound else repr(value)
-            raise InputError(f"accuracy {name} = {shown} must lie between {low:g} and {high:g}{kind}")
+            kind, told = ", as a whole number" if whole else "", f"{min(value, 1e300):g}" if sound else shown(value)
+            raise InputError(f"accuracy {name} = {told} must lie between {low:g} and {high:g}{kind}")

@@ -23,7 +23,7 @@ from plough_opt.expressions import (
     where,
 )
 from plough_opt.quadrature import gauss_legendre
-from plough_opt.soil import Soil
+from plough_opt.soil import Soil, check_soil
 
 # Newton's method for the front converges from the cavity outwards, at once where the density hardly varies.
 _FRONT_STEPS = 14
@@ -36,12 +36,14 @@ _FURTHEST = 1e13
 
 def ratio(r: Expression, soil: Soil) -> Expression:
     """Return b = rho0/rho(r) of compacted soil [-] at a Lagrangian radius [m]."""
+    check_soil(soil)
     profile = soil.density_profile
     return soil.density_ratio if profile is None else soil.density / profile.at(r)
 
 
 def mean_ratio(r: Expression, soil: Soil) -> Expression:
     """Return 2 psi(r)/r^2, the mean of b over the section inside a Lagrangian radius [-]."""
+    check_soil(soil)
     profile = soil.density_profile
     if profile is None:
         return soil.density_ratio
@@ -58,6 +60,8 @@ def front(radius: Expression, soil: Soil) -> Expression:
         DomainError: a density profile with which no front carries all the soil of the cavity, or one that lies
             below the undisturbed density somewhere behind the front.
     """
+    check_soil(soil)
+    check_domain("cavity radius", radius, "m", at_least=0.0)
     if soil.density_profile is None:
         return radius * exp(-log1p(-soil.density_ratio) / 2.0)
     square = _front_square(radius**2, soil)

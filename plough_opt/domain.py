@@ -7,8 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from plough_opt.errors import DomainError, InputError, short, unprintable
+from plough_opt.errors import DomainError, InputError, unprintable
 from plough_opt.expressions import Expression, as_number, holds_several, is_casadi, is_symbolic
+from plough_opt.kinds import shown
 
 # Numbers of fewer bytes overflow, or have three digits.
 _LEAST_BYTES = 4
@@ -75,10 +76,10 @@ def _check_kind(name: str, value: Expression, unit: str) -> None:
     if is_casadi(value):
         return
     if isinstance(value, list | tuple):
-        raise DomainError(f"{name} = {value!r} must be a number or a NumPy array of them, in {unit or 'no unit'}")
+        raise DomainError(f"{name} = {shown(value)} must be a number or a NumPy array of them, in {unit or 'no unit'}")
     kind = np.asarray(value).dtype
     if kind.kind not in "iuf":
-        raise DomainError(f"{name} = {value!r} must be a number, in {unit or 'no unit'}")
+        raise DomainError(f"{name} = {shown(value)} must be a number, in {unit or 'no unit'}")
     if kind.itemsize < _LEAST_BYTES:
         raise DomainError(f"{name} is of type {kind}, in which squares and cubes overflow: give it as float")
 
@@ -98,12 +99,12 @@ def plain_number(what: str, value: Any) -> float:
             raise TypeError
         number = float(value)
     except (TypeError, ValueError, RuntimeError):  # the last is CasADi's of a column or a symbol
-        text = f"{what}: {short(repr(value))} is not a number (in SI units; po.deg converts degrees)"
+        text = f"{what}: {shown(value)} is not a number (in SI units; po.deg converts degrees)"
         raise InputError(text) from None
     except OverflowError:
         number = math.inf
     if not math.isfinite(number):
-        raise InputError(f"{what}: {short(str(value))} must be a finite number")
+        raise InputError(f"{what}: {shown(value)} must be a finite number")
     return number
 
 
@@ -114,7 +115,7 @@ def check_text(what: str, value: Any) -> None:
         InputError: as said.
     """
     if not isinstance(value, str) or unprintable(value, allowed=""):
-        raise InputError(f"{what} = {short(repr(value))} must be a text that can be printed")
+        raise InputError(f"{what} = {shown(value)} must be a text that can be printed")
 
 
 def check_single(what: str, values: Any) -> None:

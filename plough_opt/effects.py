@@ -12,6 +12,7 @@ import numpy as np
 
 from plough_opt.errors import InputError
 from plough_opt.expressions import COUNT, Expression, as_number, is_casadi, is_count, is_symbolic
+from plough_opt.kinds import check_choice, check_switch, shown
 from plough_opt.printed import Formulation, Printed, errors_of
 from plough_opt.quantities import MOST_WAVES, QUANTITIES
 from plough_opt.strength_waves import StrengthWave, turns_of
@@ -127,7 +128,7 @@ class HarmonicBalance:
 
     def __post_init__(self) -> None:
         if not is_count(self.harmonics) or self.harmonics > MOST_HARMONICS:
-            raise InputError(f"harmonics = {self.harmonics!r} must be a whole number from 1 to {MOST_HARMONICS}")
+            raise InputError(f"harmonics = {shown(self.harmonics)} must be a whole number from 1 to {MOST_HARMONICS}")
 
 
 @dataclass(frozen=True)
@@ -181,10 +182,15 @@ class Effects:
 
     def __post_init__(self) -> None:
         self._check_kinds()
-        if self.contact != "resisting" and not isinstance(self.contact, Smooth | StickSlip):
-            raise InputError(f"contact = {self.contact!r} must be 'resisting', Smooth(width) or StickSlip(breakaway)")
-        if self.start not in ("equilibrium", "rest", "towed"):
-            raise InputError(f"start = {self.start!r} must be 'equilibrium', 'rest' or 'towed'")
+        laws = isinstance(self.contact, Smooth | StickSlip)
+        if not (laws or (isinstance(self.contact, str) and self.contact == "resisting")):
+            raise InputError(
+                f"contact = {shown(self.contact)} must be 'resisting', Smooth(width) or StickSlip(breakaway)"
+            )
+        if not isinstance(self.orbit, HarmonicBalance):
+            words = ("transient", "periodic", "linearised")
+            check_choice("orbit", self.orbit, words, ", or HarmonicBalance(harmonics)")
+        check_choice("start", self.start, ("equilibrium", "rest", "towed"))
         for name in ("tow_ramp", "damping", "rate_term"):
             if getattr(self, name) is not None:
                 QUANTITIES[f"effects.{name}"].check(getattr(self, name))
@@ -202,14 +208,13 @@ class Effects:
         """Refuse a switch that is neither on nor off, and a strength wave that is none."""
         for name in ("motion", "inertial_drag", "added_mass", "ambient_pressure", "entry"):
             value = getattr(self, name)
-            if not isinstance(value, bool | np.bool_):
-                raise InputError(f"{name} = {value!r} must be True or False")
+            check_switch(name, value)
             object.__setattr__(self, name, bool(value))
         several = isinstance(self.strength_wave, tuple)
         if (several and not self.strength_wave) or not all(isinstance(wave, StrengthWave) for wave in self.waves):
             raise InputError(
-                f"strength_wave = {self.strength_wave!r} must be None or a StrengthWave, as StrengthWave(amplitude=0.3,"
-                " wavelength=0.2), or a tuple of several"
+                f"strength_wave = {shown(self.strength_wave)} must be None or a StrengthWave, as"
+                " StrengthWave(amplitude=0.3, wavelength=0.2), or a tuple of several"
             )
         if len(self.waves) > MOST_WAVES:
             raise InputError(f"strength_wave has {len(self.waves)} waves: give the {MOST_WAVES} largest at most")
@@ -217,11 +222,12 @@ class Effects:
     def _check_own(self) -> None:
         """Refuse own resistances that are none, or that a contact law would not know what to do with."""
         if not isinstance(self.own, tuple):
-            raise InputError(f"own = {self.own!r} must be a tuple of effects, as (Shank(150.0, 80.0),)")
+            raise InputError(f"own = {shown(self.own)} must be a tuple of effects, as (Shank(150.0, 80.0),)")
         for effect in self.own:
             if isinstance(effect, type) or not (is_dataclass(effect) and isinstance(effect, OwnResistance)):
                 raise InputError(
-                    f"own effect {effect!r} must be a frozen dataclass with a method force(travel, speed) in newtons"
+                    f"own effect {shown(effect)} must be a frozen dataclass with a method force(travel, speed) in"
+                    " newtons"
                 )
             if (found := _indistinct(effect)) is not None:
                 raise InputError(
@@ -236,10 +242,6 @@ class Effects:
 
     def _refuse_on_an_orbit(self) -> None:
         """Refuse what a lasting orbit cannot have."""
-        if self.orbit not in ("periodic", "linearised") and not isinstance(self.orbit, HarmonicBalance):
-            raise InputError(
-                f"orbit = {self.orbit!r} must be 'transient', 'periodic', 'linearised' or HarmonicBalance(harmonics)"
-            )
         if not self.motion:
             raise InputError("an orbit needs motion: a quasi-static share repeats itself from the start")
         if self.strength_wave is None:

@@ -13,10 +13,11 @@ from plough_opt.domain import check_domain, check_single
 from plough_opt.errors import InputError
 from plough_opt.expressions import Expression, column, holds_casadi, is_casadi
 from plough_opt.geometry import Cone, Wedge
+from plough_opt.kinds import shown
 from plough_opt.labels import checked_in_designs
 from plough_opt.plastic import Cavity, WallPressure, front_radius, wall_pressure
 from plough_opt.quadrature import gauss_legendre
-from plough_opt.soil import Soil
+from plough_opt.soil import Soil, check_soil
 
 
 @dataclass(frozen=True)
@@ -67,9 +68,8 @@ def _check_kinds(cone: Cone, soil: Soil) -> None:
     """
     if not isinstance(cone, Cone):
         remedy = ": take its equivalent_cone()" if isinstance(cone, Wedge) else ""
-        raise InputError(f"the cone = {cone!r} must be a Cone{remedy}")
-    if not isinstance(soil, Soil):
-        raise InputError(f"the soil = {soil!r} must be a Soil, for instance named_soil('serozem')")
+        raise InputError(f"the cone = {shown(cone)} must be a Cone{remedy}")
+    check_soil(soil)
 
 
 def _mean_wall_pressure(cone: Cone, soil: Soil) -> WallPressure:

@@ -16,9 +16,10 @@ from plough_opt.compaction import front, mean_ratio, ratio
 from plough_opt.domain import check_domain
 from plough_opt.errors import InputError
 from plough_opt.expressions import Expression, as_number, cos, exp, expm1_ratio, log1p, log1p_ratio, sqrt
+from plough_opt.kinds import check_kind
 from plough_opt.labels import checked_in_designs
 from plough_opt.quadrature import gauss_legendre
-from plough_opt.soil import Soil
+from plough_opt.soil import Soil, check_soil
 from plough_opt.yielding import Yielding
 
 
@@ -83,6 +84,7 @@ def wall_pressure(soil: Soil, radius: Expression | None = None) -> WallPressure:
     Raises:
         InputError: a density profile and no radius.
     """
+    check_soil(soil)
     if soil.density_profile is not None:
         if radius is None:
             raise InputError("the wall pressure of a density profile depends on the cavity: give its radius")
@@ -117,6 +119,7 @@ def surface_pressure(cavity: Cavity, soil: Soil) -> Expression:
     Raises:
         DomainError: a density profile and a cavity without radius, or one with which there is no front.
     """
+    _check_cavity(cavity)
     p = wall_pressure(soil, cavity.radius)
     motion = p.rate * cavity.rate**2 + p.inertia * cavity.radius * cavity.acceleration
     return p.strength + soil.density * motion
@@ -131,6 +134,7 @@ def front_radius(cavity: Cavity, soil: Soil) -> Expression:
     Raises:
         DomainError: a density profile with which no front carries all the soil of the cavity.
     """
+    _check_cavity(cavity)
     return front(cavity.radius, soil)
 
 
@@ -143,6 +147,8 @@ def front_speed(cavity: Cavity, soil: Soil) -> Expression:
     Raises:
         DomainError: a density profile and a cavity without radius, or one with which there is no front.
     """
+    check_soil(soil)
+    _check_cavity(cavity)
     if soil.density_profile is None:
         return cavity.rate * exp(-log1p(-soil.density_ratio) / 2.0)
     r = front_radius(cavity, soil)
@@ -186,7 +192,8 @@ def particle_velocity(r: Expression, cavity: Cavity, soil: Soil) -> Expression:
 
     Arguments and errors are those of `current_radius`.
     """
-    return cavity.radius * cavity.rate / current_radius(r, cavity, soil)
+    y = current_radius(r, cavity, soil)
+    return cavity.radius * cavity.rate / y
 
 
 @checked_in_designs
@@ -234,6 +241,7 @@ def stress(r: Expression, cavity: Cavity, soil: Soil) -> Stress:
     Raises:
         DomainError: a radius below 0 or ahead of the front, or a cavity without radius.
     """
+    _check_cavity(cavity)
     check_domain("cavity radius", cavity.radius, "m", above=0.0, why="at the tip itself the stress has no one value")
     r_front = front_radius(cavity, soil)
     _check_behind(r, r_front)
@@ -255,6 +263,7 @@ def quadrature_error(r: Expression, cavity: Cavity, soil: Soil) -> float:
         DomainError: as `stress`.
         InputError: symbols.
     """
+    check_soil(soil)
     profile = soil.density_profile
     if profile is None:
         return 0.0
@@ -264,6 +273,11 @@ def quadrature_error(r: Expression, cavity: Cavity, soil: Soil) -> float:
     places = np.minimum(as_number(r), nearer)
     own, better = (as_number(stress(places, cavity, ground).radial) for ground in (soil, finer))
     return float(np.max(np.abs(own - better)) / np.max(np.abs(better)))
+
+
+def _check_cavity(cavity: Cavity) -> None:
+    """Refuse something else in the place of a cavity."""
+    check_kind("the cavity", cavity, Cavity, "a plastic.Cavity, made of radius, rate and acceleration")
 
 
 def _check_behind(r: Expression, r_front: Expression) -> None:

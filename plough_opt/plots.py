@@ -15,6 +15,7 @@ from plough_opt.design.landscape import FEASIBLE
 from plough_opt.elastic import wedge_stress
 from plough_opt.elastic.profile import Profile, body
 from plough_opt.geometry import Wedge
+from plough_opt.kinds import check_kind
 from plough_opt.motion import Run
 from plough_opt.motion.equation import GAP, STICK
 from plough_opt.motion.terms import Structure, parameters, start_speed, strut
@@ -45,7 +46,12 @@ _STEEL, _SOIL, _FORCE, _ACCENT, _MUTED = "#4a5a68", "#b98b5e", "#1f5f8b", "#c039
 
 
 def plot_share(scene: Scene) -> Figure:
-    """Draw the share's faces laid flat beside its equivalent cone in the soil, to one scale."""
+    """Draw the share's faces laid flat beside its equivalent cone in the soil, to one scale.
+
+    Raises:
+        InputError: no scene of numbers.
+    """
+    check_kind("the scene", scene, Scene, "a Scene of numbers")
     figure = Figure(figsize=(13, 4.4), layout="constrained")
     left, right = figure.subplots(1, 2, sharey=True, width_ratios=(1.0, 1.24))
     draw_cone(right, scene)
@@ -89,7 +95,12 @@ def plot_wedge_field(profile: Profile, soil: Soil, speed: float) -> Figure:
 
 
 def plot_run(run: Run) -> Figure:
-    """Draw forces, deflection and speed of a run of numbers over time."""
+    """Draw forces, deflection and speed of a run of numbers over time.
+
+    Raises:
+        InputError: no run.
+    """
+    check_kind("the run", run, Run, "a Run of numbers, as po.simulate returns one")
     figure = Figure(figsize=(9, 7.5), layout="constrained")
     upper, middle, lower = figure.subplots(3, 1, sharex=True)
     draw_force(upper, run)
@@ -106,6 +117,8 @@ def plot_optimum(best: Optimum, run: Run) -> Figure:
         best: the optimum.
         run: its run of numbers.
     """
+    check_kind("the optimum", best, Optimum, "an Optimum, as Design.solve returns one")
+    check_kind("the run", run, Run, "a Run of numbers, as po.simulate returns one")
     panels = list(best.variables) if best.search is not None and len(best.search.objective) > 0 else []
     rows = -(-len(panels) // _PANELS)
     figure = Figure(figsize=(12, 7.0 + 3.0 * rows), layout="constrained")

@@ -17,6 +17,7 @@ from plough_opt.errors import InputError, nearest
 from plough_opt.expressions import Expression, cos, sin
 from plough_opt.forces import ResistanceCoefficients, SoilReaction
 from plough_opt.geometry import Cone
+from plough_opt.kinds import shown
 from plough_opt.soil import Soil
 
 _IN_WORDS = {
@@ -50,7 +51,7 @@ class Printed:
         for field in fields(self):
             value = getattr(self, field.name)
             if not isinstance(value, bool):
-                raise InputError(f"{field.name} = {value!r} must be True or False")
+                raise InputError(f"{field.name} = {shown(value)} must be True or False")
 
     @property
     def errors(self) -> tuple[str, ...]:
@@ -89,7 +90,7 @@ def errors_of(formulation: Formulation) -> Printed:
         return formulation
     if not isinstance(formulation, str) or formulation not in FORMULATIONS:
         hint = nearest(str(formulation), FORMULATIONS)
-        raise InputError(f"formulation = {formulation!r} is neither a Printed(...) nor the name of one: {hint}")
+        raise InputError(f"formulation = {shown(formulation)} is neither a Printed(...) nor the name of one: {hint}")
     return FORMULATIONS[formulation]
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 
 from plough_opt.errors import InputError
 from plough_opt.expressions import Expression, as_number, is_count
+from plough_opt.kinds import check_callable, check_kind, shown
 
 _REPEATS = 5
 # Below this relative error differences are rounding, and further refinement gains nothing.
@@ -43,6 +45,8 @@ class Refinement:
         Raises:
             InputError: none of the sizes reaches it.
         """
+        if not isinstance(error, int | float | np.number) or isinstance(error, bool) or not 0.0 <= error < math.inf:
+            raise InputError(f"error = {shown(error)} must be a number, not below 0")
         for size, own in zip(self.sizes, self.errors, strict=True):
             if own <= error:
                 return size
@@ -74,10 +78,12 @@ def refine(quantity: Callable[[int], Expression], sizes: Sequence[int]) -> Refin
     Raises:
         InputError: no sizes, sizes below 1, or a result that is not finite.
     """
-    tried = tuple(dict.fromkeys(sizes))
+    check_callable("the quantity", quantity, "of the size")
+    check_kind("sizes", sizes, Sequence | np.ndarray, "a list of whole numbers from 1 on")
+    tried = tuple(sizes)
     if not tried or not all(map(is_count, tried)):
-        raise InputError(f"sizes = {list(sizes)} must be one or more whole numbers from 1 on")
-    tried = tuple(sorted(map(int, tried)))
+        raise InputError(f"sizes = {shown(list(sizes))} must be one or more whole numbers from 1 on")
+    tried = tuple(sorted(set(map(int, tried))))
     reference = _value(quantity, 2 * tried[-1])
     largest = float(np.max(np.abs(reference)))
     errors, seconds = [], []
@@ -88,7 +94,13 @@ def refine(quantity: Callable[[int], Expression], sizes: Sequence[int]) -> Refin
 
 
 def _value(quantity: Callable[[int], Expression], size: int) -> NDArray[np.float64]:
-    value = as_number(quantity(size))
+    found = quantity(size)
+    try:
+        value = as_number(found)
+    except InputError:
+        raise
+    except (TypeError, ValueError):
+        raise InputError(f"the quantity returned {shown(found)} at size {size}, and must return numbers") from None
     if not np.all(np.isfinite(value)):
         raise InputError(f"the result at size {size} is not finite: refine a result that has a value")
     return value

@@ -18,6 +18,7 @@ from plough_opt.accuracy import Accuracy
 from plough_opt.design import LocalOptimum, Optimum, Sensitivity
 from plough_opt.errors import InputError, short
 from plough_opt.files import ascii_json
+from plough_opt.kinds import path_of, shown
 from plough_opt.motion import Averages, Run
 
 SCHEMA: Final = 1
@@ -159,7 +160,8 @@ def load(path: str | Path) -> Any:
     Raises:
         InputError: no such file, or not a result of this layout.
     """
-    if _is_store(Path(path)):
+    path = path_of("the result", path)
+    if _is_store(path):
         raise InputError(f"'{path}' is the store of a sweep: po.Sweep.load reads it")
     kind = read_saved(path, "result", "a result", _Kind.model_validate_json).kind
     if kind in _LATER:
@@ -205,7 +207,7 @@ def read_saved(path: str | Path, name: str, kind: str, validate: Callable[[str],
             content = file.read(_MOST_BYTES + 1)
         text = content.decode("utf-8")
     except (OSError, ValueError) as error:
-        raise InputError(f"the {name} '{path}' cannot be read: {short(str(error), 200)}") from None
+        raise InputError(f"the {name} {shown(str(path), 200)} cannot be read: {short(str(error), 200)}") from None
     if len(content) > _MOST_BYTES:
         raise InputError(f"the {name} '{path}' is too long: at most {_MOST_BYTES // 1_000_000} MB can be read")
     try:

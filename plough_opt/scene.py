@@ -15,6 +15,7 @@ from plough_opt.errors import InputError
 from plough_opt.expressions import Expression, as_number, is_symbolic, sqrt
 from plough_opt.forces import SoilReaction, loosened_radius, soil_reaction
 from plough_opt.geometry import PLANE_SECTIONS_LIMIT, Cone, Wedge
+from plough_opt.kinds import check_choice, shown
 from plough_opt.labels import checked_in_designs, unlabelled
 from plough_opt.quantities import QUANTITIES
 from plough_opt.soil import Soil
@@ -64,8 +65,7 @@ class Scene:
 
     def __post_init__(self) -> None:
         self._check_kinds()
-        if self.medium not in ("plastic", "elastic"):
-            raise InputError(f"medium = {self.medium!r} must be 'plastic' or 'elastic'")
+        check_choice("medium", self.medium, ("plastic", "elastic"))
         if self.medium == "elastic":
             self._refuse_plastic_effects()
         for name in ("stiffness", "mass", "tow_speed"):
@@ -79,7 +79,7 @@ class Scene:
             ("effects", "an Effects", Effects),
         ):
             if not isinstance(getattr(self, name), kinds):
-                raise InputError(f"the scene's {name} = {getattr(self, name)!r} must be {wanted}")
+                raise InputError(f"the scene's {name} = {shown(getattr(self, name))} must be {wanted}")
 
     def _refuse_plastic_effects(self) -> None:
         """Refuse effects that have no meaning in the elastic medium."""

@@ -12,6 +12,7 @@ import numpy as np
 from plough_opt.domain import check_domain
 from plough_opt.errors import InputError, nearest, unprintable
 from plough_opt.expressions import COUNT, Expression, as_number, cos, is_count, is_symbolic
+from plough_opt.kinds import check_kind, check_named, shown
 from plough_opt.quantities import QUANTITIES
 from plough_opt.yielding import Yielding, density_ratio_of, growth
 
@@ -51,10 +52,10 @@ class DensityProfile:
 
     def __post_init__(self) -> None:
         if not callable(self.density):
-            raise InputError(f"the density profile {self.density!r} must be a function of the radius, in kg/m^3")
+            raise InputError(f"the density profile {shown(self.density)} must be a function of the radius, in kg/m^3")
         if not is_count(self.order):
             raise InputError(
-                f"order = {self.order!r} of the density profile's quadrature must be a whole number from 1 on"
+                f"order = {shown(self.order)} of the density profile's quadrature must be a whole number from 1 on"
             )
 
     def at(self, r: Expression) -> Expression:
@@ -106,7 +107,9 @@ class Soil:
 
     def __post_init__(self) -> None:
         if not isinstance(self.name, str) or unprintable(self.name, allowed=""):
-            raise InputError(f"name = {self.name!r} must be a text that can be printed: it calls the soil in reports")
+            raise InputError(
+                f"name = {shown(self.name)} must be a text that can be printed: it calls the soil in reports"
+            )
         for quantity in _PROPERTIES:
             value = getattr(self, quantity.key)
             # Only the elastic properties may be unknown.
@@ -298,6 +301,14 @@ def named_soil(name: str) -> Soil:
     Raises:
         InputError: no soil of that name; the message suggests the nearest.
     """
-    if not isinstance(name, str) or name not in _NAMED:
-        raise InputError(f"no soil is named '{name}': {nearest(name, _NAMED)}")
+    check_named("no soil is named {}", name, _NAMED)
     return _NAMED[name]
+
+
+def check_soil(soil: object) -> None:
+    """Refuse something else in the place of a soil, such as its name.
+
+    Raises:
+        InputError: as said.
+    """
+    check_kind("the soil", soil, Soil, "a Soil, for instance named_soil('serozem')")

@@ -8,6 +8,7 @@ from importlib.resources import files
 import casadi as ca
 import numpy as np
 import pytest
+from scipy import stats
 
 import plough_opt as po
 from plough_opt.expressions import exp, holds_several
@@ -208,6 +209,8 @@ def _traded(**changes):
     return po.trade_off(d, po.simulate(scene, 1.0).mean_draft, radius, **changes)
 
 
+FIELD = po.SoilDistribution(SOIL, cohesion=stats.norm(2e4, 1e3))
+ROBUST = po.Robust(FIELD, lambda soil: {"strength": soil.cohesion}, samples=2)
 SYMBOL = ca.MX.sym("x")
 NO_NUMBER = ("3", None, [1.0], {}, 1j, b"3", object(), np.array([1.0, 2.0]), SYMBOL, True)
 NO_COUNT = ("3", 2.5, 64.0, None, [], 0, -1, 1j, object(), np.array([1.0, 2.0]), SYMBOL, True)
@@ -235,16 +238,10 @@ VERBS = {
     "level of a quantile": (lambda wrong: po.uncertainty.quantile([1.0, 2.0], wrong), (*NO_NUMBER, *NO_FINITE, 0.0)),
     "kappa": (lambda wrong: po.uncertainty.mean_plus([1.0, 2.0], wrong), (*NO_NUMBER, *NO_FINITE)),
     "samples of a measure": (lambda wrong: po.uncertainty.expected(wrong), ("a", [None, "x"], [], [10**400])),
-    "fresh samples": (lambda wrong: po.uncertainty.verify(None, {}, samples=wrong), (*NO_COUNT, 99)),
-    "samples of Sobol": (lambda wrong: po.uncertainty.sobol_indices(_Alone, {}, samples=wrong), (*NO_COUNT, 1, 65)),
+    "fresh samples": (lambda wrong: po.uncertainty.verify(ROBUST, {}, samples=wrong), (*NO_COUNT, 99)),
+    "samples of Sobol": (lambda wrong: po.uncertainty.sobol_indices(ROBUST, {}, samples=wrong), (*NO_COUNT, 1, 65)),
     "end of a range": (lambda wrong: po.Range(wrong, 2.0), (*NO_NUMBER, *NO_FINITE)),
 }  # fmt: skip
-
-
-class _Alone:
-    """In the place of results, which are looked at only after the samples."""
-
-    field = None
 
 
 @pytest.mark.parametrize("verb", VERBS)

@@ -15,10 +15,11 @@ from plough_opt.accuracy_study.result import OPTIMUM, AccuracyStudy
 from plough_opt.accuracy_study.scenes import CONTACT, COURSE, DERIVATIVES, MOTION, PROFILE, Told, contest
 from plough_opt.accuracy_study.thoroughness import thoroughness
 from plough_opt.design import Design
-from plough_opt.domain import check_domain
+from plough_opt.domain import check_domain, check_text, plain_number
 from plough_opt.errors import InputError
 from plough_opt.expressions import as_number, holds_casadi, is_count, map_expressions
-from plough_opt.motion.plan import forced_rate, numbers_of, steps_for
+from plough_opt.kinds import check_callable, check_kind, check_switch, shown
+from plough_opt.motion.plan import MOST_OUTPUTS, forced_rate, numbers_of, steps_for
 from plough_opt.processors import available
 from plough_opt.quantities import BESIDE
 from plough_opt.results import versions
@@ -60,12 +61,14 @@ def study_accuracy(
         InputError: symbols in the scene, or a setting outside its range.
         DomainError: the duration is not positive.
     """
+    check_kind("the scene", scene, Scene, "a Scene of numbers")
+    _check_said(title, progress, derivatives=derivatives, thin=thin)
     if holds_casadi(scene):
         scene = map_expressions(scene, lambda value: float(as_number(value)))
-    check_domain("wanted error", wanted, at_least=1e-15, at_most=0.1)
-    check_domain("time allowed to a contestant", allowance, "s", above=0.0)
-    if not is_count(outputs):
-        raise InputError(f"outputs = {outputs!r} must be a whole number from 1 on")
+    check_domain("wanted error", plain_number("wanted", wanted), at_least=1e-15, at_most=0.1)
+    check_domain("time allowed to a contestant", plain_number("allowance", allowance), "s", above=0.0)
+    if not is_count(outputs) or outputs > MOST_OUTPUTS:
+        raise InputError(f"outputs = {shown(outputs)} must be a whole number from 1 to {MOST_OUTPUTS}")
     if scene.effects.orbit != "transient":
         if duration is not None:
             raise InputError("a lasting orbit has a duration of its own, one wavelength of the soil: leave it out")
@@ -73,7 +76,7 @@ def study_accuracy(
         duration = period_of(scene)
     if duration is None:
         raise InputError("the duration is missing: how long shall the scene be simulated, in seconds?")
-    BESIDE["scene.duration"].check(duration)
+    BESIDE["scene.duration"].check(plain_number("duration", duration))
     task = Task(scene, float(duration), int(outputs), float(allowance), thin, wanted)
     found = contest(task, derivatives=derivatives, told=progress)
     return AccuracyStudy(
@@ -119,8 +122,10 @@ def study_design(
         InfeasibleDesign: no design meets the requirements.
         NotConverged: the reference was not found.
     """
-    check_domain("wanted error", wanted, at_least=1e-15, at_most=0.1)
-    check_domain("time allowed to a solve", limit, "s", above=0.0)
+    check_kind("the design", design, Design, "a Design")
+    _check_said(title, progress, near=near, thin=thin)
+    check_domain("wanted error", plain_number("wanted", wanted), at_least=1e-15, at_most=0.1)
+    check_domain("time allowed to a solve", plain_number("limit", limit), "s", above=0.0)
     found = design_contest(design, limit=limit, near=near, thin=thin, progress=progress)
     ours = [(e.method, e.setting) for e in found.entries if (e.family, e.method) == ("derivatives", GRADIENT)]
     return AccuracyStudy(
@@ -156,3 +161,12 @@ def _versions() -> dict[str, str]:
         "platform": platform.platform(),
         "processors": str(available()),
     }
+
+
+def _check_said(title: str, progress: Told | None, **switches: bool) -> None:
+    """Refuse what is no title, no function to tell, or neither on nor off."""
+    check_text("title", title)
+    if progress is not None:
+        check_callable("progress", progress, "of what is done and the part done")
+    for name, value in switches.items():
+        check_switch(name, value)

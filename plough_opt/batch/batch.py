@@ -22,6 +22,7 @@ from plough_opt.batch.result import BatchResult
 from plough_opt.effects import StickSlip
 from plough_opt.errors import InputError
 from plough_opt.expressions import Expression, as_number, is_casadi, is_count, is_symbolic, template_of
+from plough_opt.kinds import check_kind, shown
 from plough_opt.motion.terms import Structure
 from plough_opt.quantities import BESIDE
 from plough_opt.scene import Scene
@@ -68,7 +69,7 @@ class Batch:
     ) -> None:
         _refuse(scene)
         if not (isinstance(error, int | float | np.number) and 1e-11 <= error <= 1e-2):
-            raise InputError(f"error = {error!r} must lie between 1e-11 and 1e-2")
+            raise InputError(f"error = {shown(error)} must lie between 1e-11 and 1e-2")
         BESIDE["scene.duration"].check(duration)
         symbols = _symbols(inputs)
         self._error = error
@@ -114,7 +115,7 @@ class Batch:
             InputError: values that are no numbers or of another shape, or a number of threads that is none.
         """
         if not is_count(threads):
-            raise InputError(f"threads = {threads!r} must be a whole number from 1 on")
+            raise InputError(f"threads = {shown(threads)} must be a whole number from 1 on")
         began = time.perf_counter()
         rows = self._rows(values)
         starts = range(0, rows.shape[1], _CHUNK)
@@ -150,7 +151,17 @@ class Batch:
         )
 
     def stream(self, chunks: Iterable[ArrayLike], *, threads: int = 1) -> Iterator[BatchResult]:
-        """Yield the results of chunks of designs, one after the other: memory then does not grow with their number."""
+        """Yield the results of chunks of designs, one after the other: memory then does not grow with their number.
+
+        Args:
+            chunks: arrays as a call takes them.
+            threads: as of a call.
+
+        Raises:
+            InputError: nothing that yields arrays, or as a call raises.
+        """
+        if is_casadi(chunks) or not isinstance(chunks, Iterable):
+            raise InputError(f"the chunks = {shown(chunks)} must be arrays one after the other: a list or a generator")
         for chunk in chunks:
             yield self(chunk, threads=threads)
 
@@ -158,7 +169,7 @@ class Batch:
         """Return values with a row for each input."""
         try:
             array = np.asarray(values, dtype=float)
-        except (TypeError, ValueError) as error:
+        except (TypeError, ValueError, OverflowError) as error:
             raise InputError(f"the values of a batch must be numbers, in SI units: {error}") from None
         if array.ndim != 2 or array.shape[1] != self._inputs:
             raise InputError(
@@ -251,6 +262,7 @@ def _symbols(inputs: Sequence[Expression]) -> list[Expression]:
 
 def _refuse(scene: Scene) -> None:
     """Refuse scenes whose motion is not followed by steps from a start."""
+    check_kind("the scene", scene, Scene, "a Scene, made of soil, share, stiffness, mass and tow speed")
     effects = scene.effects
     if not effects.motion:
         raise InputError(

@@ -13,6 +13,7 @@ from plough_opt.calibration.measurements import RECORD, RESULTS
 from plough_opt.calibration.program import Program
 from plough_opt.errors import InputError
 from plough_opt.expressions import is_count
+from plough_opt.kinds import shown
 
 Vector = NDArray[np.float64]
 
@@ -59,7 +60,7 @@ def cross_validate(
     if folds is None:
         folds = (count if count <= _MOST_LEFT_OUT else 20) if program.predictor.closed else min(5, count)
     if not is_count(folds) or not 2 <= folds <= count:
-        raise InputError(f"folds = {folds!r} must be a whole number from 2 to {count}, the number of rows")
+        raise InputError(f"folds = {shown(folds)} must be a whole number from 2 to {count}, the number of rows")
     if RECORD not in results and folds < count:
         np.random.default_rng(seed).shuffle(order)
     errors = np.zeros(len(data.observed))

@@ -11,6 +11,7 @@ import numpy as np
 
 from plough_opt.calibration.measurements import RECORD, RESULTS, Measurements
 from plough_opt.errors import InputError, nearest, short
+from plough_opt.kinds import path_of
 from plough_opt.problem_file.csv_rows import HEADING, factor_of, number_of, raise_listed, read_rows
 from plough_opt.problem_file.measures import MEASURES
 from plough_opt.problem_file.schema import quantities
@@ -40,7 +41,7 @@ def read_measurements(path: str | Path) -> Measurements:
         InputError: no such file, or a column or cell that cannot be; the message lists each with line, column, what
             was expected and the nearest valid name.
     """
-    path = Path(path)
+    path = path_of("the file of measurements", path)
     rows = read_rows(path, "measurements")
     if not rows:
         raise InputError(f"{path}: the file is empty: write a first line that names the columns, as {_example()}")

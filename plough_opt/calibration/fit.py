@@ -25,6 +25,7 @@ from plough_opt.calibration.prediction import Rows
 from plough_opt.calibration.unknown import Unknown
 from plough_opt.errors import InputError
 from plough_opt.files import write_file
+from plough_opt.kinds import check_choice
 from plough_opt.results import SCHEMA, Saved, read_saved, versions
 from plough_opt.scene import Scene
 from plough_opt.soil import Soil
@@ -160,8 +161,7 @@ class Fit:
             InputError: a level or a kind that cannot be, or one that a saved fit does not hold.
         """
         level = check_level(level)
-        if kind not in ("profile", "linearised"):
-            raise InputError(f"kind = {kind!r} must be 'profile' or 'linearised'")
+        check_choice("kind", kind, ("profile", "linearised"))
         if self.source is None:
             held = {i.name: i.interval for i in self.saved_intervals if (i.level, i.asked) == (level, kind)}
             if len(held) < len(self.unknowns):

@@ -13,6 +13,7 @@ from plough_opt.calibration.estimate import Data, Estimate
 from plough_opt.calibration.program import Program
 from plough_opt.calibration.unknown import Unknown
 from plough_opt.errors import InputError
+from plough_opt.kinds import shown
 
 Vector = NDArray[np.float64]
 Kind = Literal["profile", "linearised"]
@@ -49,7 +50,7 @@ class Interval:
 def check_level(level: float) -> float:
     """Return a level between 0 and 1, or refuse it."""
     if not isinstance(level, int | float) or not 0.0 < level < 1.0:
-        raise InputError(f"level = {level!r} must lie between 0 and 1, such as 0.95")
+        raise InputError(f"level = {shown(level)} must lie between 0 and 1, such as 0.95")
     return float(level)
 
 

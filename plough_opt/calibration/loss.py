@@ -6,8 +6,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final
 
-from plough_opt.errors import InputError, nearest
 from plough_opt.expressions import Expression, absolute, log1p, maximum, minimum, sqrt, where
+from plough_opt.kinds import check_named
 
 
 @dataclass(frozen=True)
@@ -69,6 +69,5 @@ def loss_of(name: str) -> Loss:
     Raises:
         InputError: no loss of that name.
     """
-    if name not in LOSSES:
-        raise InputError(f"no loss is named '{name}': {nearest(str(name), LOSSES)}")
+    check_named("no loss is named {}", name, LOSSES)
     return LOSSES[name]

@@ -9,7 +9,9 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from plough_opt.errors import InputError, nearest
+from plough_opt.domain import check_text
+from plough_opt.errors import InputError
+from plough_opt.kinds import check_kind, check_named, mapping_of, shown
 from plough_opt.problem_file.measures import MEASURES
 from plough_opt.problem_file.schema import every_quantity
 from plough_opt.problem_file.units import Unit
@@ -75,13 +77,16 @@ class Measurements:
         lines: Sequence[int] = (),
     ) -> None:
         keep = object.__setattr__
+        check_text("the name of measurements", name)
+        check_kind(f"{name}: lines", lines, Sequence, "a list of the rows' line numbers")
+        conditions = mapping_of(f"{name}: conditions", conditions, "a quantity's key -> its values")
         for key, value in (("result", result), ("name", name), ("lines", tuple(lines))):
             keep(self, key, value)
-        self._check_names(conditions or {})
+        self._check_names(conditions)
         keep(self, "values", self._column(result, values))
         if not self.rows:
             raise InputError(f"{name}: there are no measurements")
-        columns = {key: self._column(key, column) for key, column in (conditions or {}).items()}
+        columns = {key: self._column(key, column) for key, column in conditions.items()}
         keep(self, "conditions", columns)
         for key, given in (("sigma", sigma), ("weights", weights), ("time", time)):
             keep(self, key, None if given is None else self._column(key, given))
@@ -93,28 +98,44 @@ class Measurements:
         return len(self.values)
 
     def row(self, number: int) -> str:
-        """Return what messages call a row."""
-        return f"{self.name}, line {self.lines[number]}" if self.lines else f"{self.name}, row {number + 1}"
+        """Return what messages call a row.
+
+        Raises:
+            InputError: there is no such row.
+        """
+        self._check_row(number)
+        return self._place(number)
 
     def at(self, number: int) -> dict[str, float]:
-        """Return the conditions of a row."""
+        """Return the conditions of a row, SI.
+
+        Raises:
+            InputError: there is no such row.
+        """
+        self._check_row(number)
         return {key: float(column[number]) for key, column in self.conditions.items()}
 
     def _check_names(self, conditions: Mapping[str, Any]) -> None:
         known = every_quantity()
-        if self.result not in RESULTS and self.result not in known:
-            raise InputError(f"{self.name}: '{self.result}' is no measured result: {nearest(self.result, RESULTS)}")
+        if not (isinstance(self.result, str) and self.result in known):
+            check_named(f"{self.name}: {{}} is no measured result", self.result, RESULTS)
         for key in conditions:
-            if key not in known:
-                raise InputError(f"{self.name}: '{key}' is no quantity of a scene: {nearest(key, known)}")
+            check_named(f"{self.name}: {{}} is no quantity of a scene", key, known)
             if key == self.result:
                 raise InputError(f"{self.name}: '{key}' is both measured and a condition")
+
+    def _place(self, number: int) -> str:
+        return f"{self.name}, line {self.lines[number]}" if self.lines else f"{self.name}, row {number + 1}"
+
+    def _check_row(self, number: int) -> None:
+        if isinstance(number, bool) or not isinstance(number, int | np.integer) or not 0 <= number < self.rows:
+            raise InputError(f"{self.name}: row {shown(number)} must be a whole number from 0 to {self.rows - 1}")
 
     def _column(self, key: str, given: Any) -> Vector:
         """Return a column of finite numbers; one number stands for all rows."""
         try:
             column = np.array(given, dtype=float)
-        except (TypeError, ValueError):
+        except (TypeError, ValueError, OverflowError):
             raise InputError(f"{self.name}: '{key}' must be a column of numbers, SI units") from None
         if column.ndim == 0 and hasattr(self, "values"):
             column = np.full(self.rows, float(column))
@@ -144,4 +165,4 @@ class Measurements:
     def _refuse(self, key: str, column: Vector, bad: NDArray[np.bool_], expected: str) -> None:
         if np.any(bad):
             number = int(np.argmax(bad))
-            raise InputError(f"{self.row(number)}: {key} = {column[number]:g} must be {expected}")
+            raise InputError(f"{self._place(number)}: {key} = {column[number]:g} must be {expected}")

@@ -9,6 +9,7 @@ from typing import TypeAlias
 from plough_opt.accuracy import Accuracy
 from plough_opt.errors import InputError, nearest
 from plough_opt.expressions import Expression, as_number, is_symbolic
+from plough_opt.kinds import shown
 from plough_opt.problem_file import Problem
 from plough_opt.problem_file.schema import quantities
 from plough_opt.scene import Scene
@@ -38,7 +39,10 @@ class Model:
 
     def scene(self, values: Mapping[str, Expression]) -> Scene:
         """Return the scene with changed values; a duration among them is none of the scene's."""
-        return self.build({key: value for key, value in values.items() if key != _DURATION})
+        found = self.build({key: value for key, value in values.items() if key != _DURATION})
+        if not isinstance(found, Scene):
+            raise InputError(f"the function of values returned {shown(found)}, and must return a Scene")
+        return found
 
     def duration_of(self, values: Mapping[str, Expression]) -> Expression | None:
         """Return the simulated time [s]."""
@@ -66,7 +70,7 @@ def model_of(given: Problem | Scene | SceneOf, duration: float | None = None) ->
         return Model(given.soil.name, build, _current(given), duration, Accuracy())
     if callable(given):
         return Model("calibration", given, {}, duration, Accuracy())
-    raise InputError(f"{given!r} must be a Problem, a Scene, or a function of values by key that returns a Scene")
+    raise InputError(f"{shown(given)} must be a Problem, a Scene, or a function of values by key that returns a Scene")
 
 
 def _of_file(problem: Problem, values: Mapping[str, Expression]) -> Scene:

@@ -21,8 +21,10 @@ from plough_opt.calibration.model import Model, SceneOf, model_of
 from plough_opt.calibration.prediction import Rows, joined, row_functions
 from plough_opt.calibration.program import Program
 from plough_opt.calibration.unknown import Unknown, unknowns_of
+from plough_opt.domain import check_text
 from plough_opt.errors import DomainError, InputError
 from plough_opt.expressions import is_count
+from plough_opt.kinds import check_kind, shown
 from plough_opt.problem_file import Problem
 from plough_opt.scene import Scene
 
@@ -81,6 +83,7 @@ class Calibration:
     ) -> None:
         """Take the arguments of `calibrate`, check them and build the model."""
         several = data if isinstance(data, Sequence) else ()
+        check_text("title", title)
         self.measured = (data,) if isinstance(data, Measurements) else tuple(several)
         if not self.measured or not all(isinstance(m, Measurements) for m in self.measured):
             raise InputError("the data must be Measurements, one set or several: po.read_measurements reads a file")
@@ -89,7 +92,7 @@ class Calibration:
                 f"{self.measured[0].name}: every measured value is 0, of which no soil follows: check the column"
             )
         if not is_count(starts) or starts > 16:
-            raise InputError(f"starts = {starts!r} must be a whole number from 1 to 16")
+            raise InputError(f"starts = {shown(starts)} must be a whole number from 1 to 16")
         self.loss, self.starts = loss_of(loss), starts
         self.model: Model = model_of(given, duration)
         self.title = title or self.model.title
@@ -159,7 +162,13 @@ class Calibration:
         self, found: Estimate, candidates: Sequence[Candidate] | None = None
     ) -> tuple[NextMeasurement, ...]:
         """Return candidates by what they would tell beside the data, the best first."""
-        chosen = proposals(self.model, self.measured, self.unknowns) if candidates is None else list(candidates)
+        if candidates is None:
+            chosen = proposals(self.model, self.measured, self.unknowns)
+        else:
+            check_kind("the candidates", candidates, Sequence, "a list of po.Candidate")
+            chosen = list(candidates)
+            for one in chosen:
+                check_kind("a candidate", one, Candidate, "a po.Candidate")
         weighted = found.slope * found.weights[:, None]
         error = self._relative_error(found)
         known = evaluated(chosen, self.unknowns, found.y, error, lambda one: self._row(one, found.y))

@@ -8,8 +8,9 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 from plough_opt.domain import check_domain
-from plough_opt.errors import InputError, nearest
+from plough_opt.errors import InputError
 from plough_opt.expressions import Expression, exp
+from plough_opt.kinds import check_named, mapping_of, shown
 from plough_opt.problem_file.schema import every_quantity
 
 _CUSTOMARY: Final = {"rad": ("deg", math.pi / 180.0), "Pa": ("kPa", 1e3), "N": ("kN", 1e3), "N/m": ("kN/m", 1e3)}
@@ -72,17 +73,16 @@ def unknowns_of(given: Mapping[str, Any], current: Mapping[str, float]) -> tuple
     Raises:
         InputError: an unknown name, or bounds that cannot be.
     """
-    if not given:
+    if not mapping_of("unknown", given, "{'soil.cohesion': (1e3, 80e3)}"):
         raise InputError("nothing is unknown: name what to find with its bounds, as {'soil.cohesion': (1e3, 80e3)}")
     return tuple(_unknown(name, bounds, current.get(name)) for name, bounds in given.items())
 
 
 def _unknown(name: str, bounds: Any, current: float | None) -> Unknown:
     units = every_quantity()
-    if name not in units:
-        raise InputError(f"'{name}' cannot be an unknown: {nearest(name, units)}")
+    check_named("{} cannot be an unknown", name, units)
     if isinstance(bounds, str) or not isinstance(bounds, Sequence) or len(bounds) not in (2, 3):
-        raise InputError(f"'{name}' = {bounds!r} must be (lower, upper) or (lower, upper, guess)")
+        raise InputError(f"'{name}' = {shown(bounds)} must be (lower, upper) or (lower, upper, guess)")
     numbers = []
     for side, written in zip(("lower", "upper", "guess"), bounds, strict=False):
         try:

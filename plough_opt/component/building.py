@@ -16,6 +16,7 @@ from plough_opt.component.ports import Input, Output, Port, check_names, measure
 from plough_opt.domain import check_single, plain_number
 from plough_opt.errors import DomainError, InputError, nearest
 from plough_opt.expressions import Expression, as_number, holds_casadi, is_count, is_symbolic, map_expressions
+from plough_opt.kinds import shown
 from plough_opt.quantities import BESIDE, EVERY, QUANTITIES, Quantity
 from plough_opt.scene import Scene
 from plough_opt.vocabulary import quantity_of, with_quantities
@@ -90,20 +91,22 @@ def build(
         notes: warnings beside those of the scenes.
     """
     if not isinstance(name, str) or not ca.Function.check_name(name):
-        raise InputError(f"name = {name!r} cannot be that of a CasADi Function: take letters, digits and underscores")
+        raise InputError(
+            f"name = {shown(name)} cannot be that of a CasADi Function: take letters, digits and underscores"
+        )
     wanted = _several(outputs, Output)
     check_names("output", [one.name for one in wanted])
     check_names("input or output", [*(port.name for port in inputs), *(one.name for one in wanted)])
     accuracy = Accuracy() if accuracy is None else accuracy
     if not isinstance(accuracy, Accuracy):
-        raise InputError(f"accuracy = {accuracy!r} must be a po.Accuracy(...)")
+        raise InputError(f"accuracy = {shown(accuracy)} must be a po.Accuracy(...)")
     if accuracy.method not in ORDER_8:
         raise InputError(
             f"accuracy method '{accuracy.method}' cannot be part of a component, which holds its steps as a plain"
             " graph: take 'auto', or 'dop853' with a number of steps"
         )
     if not is_count(samples):
-        raise InputError(f"samples = {samples!r} must be a whole number from 1 on: intervals between output times")
+        raise InputError(f"samples = {shown(samples)} must be a whole number from 1 on: intervals between output times")
     box = Box(tuple(inputs), make, name)
     measures = [measure_of(one, box.scene.medium) for one in wanted]
     results = [of for _, of in measures]
@@ -136,12 +139,12 @@ def _several(asked: Any, kind: type[_T]) -> list[_T]:
     """Return what is asked for; a name alone is one, and not its letters."""
     if not isinstance(asked, str | Sequence):
         word = kind.__name__
-        raise InputError(f"{word.lower()}s = {asked!r} must be a list of names, or of po.{word}(name, ...)")
+        raise InputError(f"{word.lower()}s = {shown(asked)} must be a list of names, or of po.{word}(name, ...)")
     found = [kind(one) if isinstance(one, str) else one for one in ([asked] if isinstance(asked, str) else asked)]
     for one in found:
         if not isinstance(one, kind):
             word = kind.__name__
-            raise InputError(f"{word.lower()} {one!r} must be a name, or po.{word}(name, ...) with more about it")
+            raise InputError(f"{word.lower()} {shown(one)} must be a name, or po.{word}(name, ...) with more about it")
     return found
 
 

@@ -14,6 +14,7 @@ from plough_opt.accuracy import Accuracy
 from plough_opt.component.ports import Port
 from plough_opt.errors import DomainError, InputError, nearest
 from plough_opt.expressions import Expression, as_number, is_casadi, is_symbolic
+from plough_opt.kinds import shown
 
 # Part of the width between bounds by which a number may lie outside: the rounding of whoever computed it.
 _SLACK = 1e-9
@@ -101,7 +102,7 @@ class Component(ca.Function):
     def _number(self, port: Port, value: Expression) -> float:
         number = as_number(value) if is_casadi(value) else np.asarray(value)
         if number.dtype.kind not in "iuf":
-            raise InputError(f"'{port.name}' = {value!r} must be a number or a CasADi expression")
+            raise InputError(f"'{port.name}' = {shown(value)} must be a number or a CasADi expression")
         if number.size != 1:
             raise InputError(f"'{port.name}' is an array of {number.size} values: component.map takes many at a time")
         plain, slack = float(number.reshape(())), _SLACK * (port.upper - port.lower)

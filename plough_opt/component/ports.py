@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from plough_opt.domain import check_domain, plain_number
 from plough_opt.errors import InputError, nearest, unprintable
 from plough_opt.expressions import Expression
+from plough_opt.kinds import shown
 from plough_opt.motion import Run
 from plough_opt.quantities import Quantity
 from plough_opt.vocabulary import MEASURES
@@ -152,10 +153,10 @@ def check_names(kind: str, names: Sequence[str]) -> None:
         raise InputError(f"a component needs {kind}s: name at least one")
     seen: dict[str, str] = {}
     for name in names:
-        own = identifier(name)
+        own = identifier(name) if isinstance(name, str) else ""
         if not own.isidentifier() or unprintable(name, allowed=""):
             raise InputError(
-                f"{kind} {name!r} must be a name that begins with a letter, of characters that are printed"
+                f"{kind} {shown(name)} must be a name that begins with a letter, of characters that are printed"
             )
         if own in seen:
             raise InputError(

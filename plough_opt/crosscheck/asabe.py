@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Final
 
 from plough_opt.domain import check_domain
-from plough_opt.errors import InputError, nearest
 from plough_opt.expressions import Expression
+from plough_opt.kinds import check_named
 
 SOURCE: Final = "ASABE D497.7, Agricultural machinery management data"
 STANDING: Final = "coefficients not verified against the standard's text, which is said to allow +-50 %"
@@ -40,10 +40,8 @@ def asabe_draft(
         InputError: an unknown texture or point.
         DomainError: a depth, speed or number of shanks outside its domain.
     """
-    if texture not in TEXTURES:
-        raise InputError(f"no soil texture of D497 is named '{texture}': {nearest(texture, TEXTURES)}")
-    if point not in POINTS:
-        raise InputError(f"no subsoiler point of D497 is named '{point}': {nearest(point, POINTS)}")
+    check_named("no soil texture of D497 is named {}", texture, TEXTURES)
+    check_named("no subsoiler point of D497 is named {}", point, POINTS)
     check_domain("working depth", depth, "m", above=0.0)
     check_domain("speed", speed, "m/s", at_least=0.0)
     check_domain("number of shanks", shanks, above=0.0)

@@ -14,9 +14,10 @@ from plough_opt.crosscheck.comparison import Comparison
 from plough_opt.crosscheck.reasons import reasons
 from plough_opt.crosscheck.rows import ModelDraft, model_draft
 from plough_opt.crosscheck.tools import KM_PER_H, ToolSet, tool_set
-from plough_opt.domain import check_domain
-from plough_opt.errors import InputError, nearest
+from plough_opt.domain import check_domain, check_single
+from plough_opt.errors import InputError
 from plough_opt.expressions import holds_casadi
+from plough_opt.kinds import check_kind, check_named
 from plough_opt.scene import Scene
 from plough_opt.soil import Soil
 
@@ -57,11 +58,13 @@ def compare(
         InputError: a scene with symbols, or an unknown texture or point.
         DomainError: an argument that is outside every model's domain.
     """
-    if holds_casadi(scene):
+    check_kind("the scene", scene, Scene, "a Scene of numbers")
+    if holds_casadi((scene, depth, width, rake_angle, speeds, rupture_ratio, surcharge, adhesion)):
         raise InputError("a comparison is of numbers: evaluate the scene with best(scene) first")
     for name, value, known in (("texture", texture, asabe.TEXTURES), ("point", point, asabe.POINTS)):
-        if value is not None and value not in known:
-            raise InputError(f"{name} = {value!r} is none of D497: {nearest(str(value), known)}")
+        if not (value is None and name == "texture"):
+            check_named(f"{name} = {{}} is none of D497", value, known)
+    check_single("a comparison", [x for x in (width, rake_angle, rupture_ratio, surcharge, adhesion) if x is not None])
     if rupture_ratio is not None:
         check_domain("rupture distance ratio m", rupture_ratio, at_least=1.0)
     tools = tool_set(scene, depth, width, rake_angle, surcharge, adhesion)
@@ -98,7 +101,7 @@ def _own_draft(scene: Scene, speed: float) -> float:
 
 
 def _speeds(scene: Scene, speeds: float | Sequence[float] | None) -> tuple[float, ...]:
-    given = (*_USUAL_SPEEDS, float(scene.tow_speed)) if speeds is None else np.atleast_1d(speeds)
+    given = (*_USUAL_SPEEDS, float(scene.tow_speed)) if speeds is None else np.ravel(np.asarray(speeds))
     check_domain("speed", np.asarray(given), "m/s", at_least=0.0)
     if not len(given):
         raise InputError("speeds = () must name at least one speed, in m/s")

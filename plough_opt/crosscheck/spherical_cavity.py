@@ -10,7 +10,8 @@ from plough_opt.domain import check_domain
 from plough_opt.errors import InputError
 from plough_opt.expressions import Expression, cos, expm1_ratio, log, sin, sqrt, tan
 from plough_opt.geometry import Cone, Wedge
-from plough_opt.soil import Soil
+from plough_opt.kinds import shown
+from plough_opt.soil import Soil, check_soil
 
 SOURCE: Final = "M. J. Forrestal and V. K. Luk, Int. J. Impact Engineering 12 (1992) 427-444"
 STANDING: Final = "derived anew in that form; made for projectiles, no test against tillage known"
@@ -44,6 +45,7 @@ def spherical_cavity(soil: Soil) -> CavityPressure:
     Raises:
         DomainError: tau0/2E above 0.05, beyond small strains.
     """
+    check_soil(soil)
     s, eta = sin(soil.friction_angle), 1.0 - soil.density_ratio
     slope = 6.0 * s / (3.0 - s)
     tau = 6.0 * soil.cohesion * cos(soil.friction_angle) / (3.0 - s) + slope * soil.ambient_pressure
@@ -85,7 +87,7 @@ def spherical_cavity_draft(cone: Cone, soil: Soil, speed: Expression) -> Express
     """
     if not isinstance(cone, Cone):
         remedy = ": take its equivalent_cone()" if isinstance(cone, Wedge) else ""
-        raise InputError(f"the cone = {cone!r} must be a Cone{remedy}")
+        raise InputError(f"the cone = {shown(cone)} must be a Cone{remedy}")
     check_domain("speed", speed, "m/s", at_least=0.0)
     cavity = spherical_cavity(soil)
     normal = speed * sin(cone.half_angle)

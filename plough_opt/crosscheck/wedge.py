@@ -13,7 +13,8 @@ from typing import Final
 
 from plough_opt.domain import check_domain
 from plough_opt.expressions import Expression, arctan, arctan2, cos, sin, sqrt, tan
-from plough_opt.soil import Soil
+from plough_opt.kinds import check_kind
+from plough_opt.soil import Soil, check_soil
 
 GRAVITY: Final = 9.80665
 """Standard acceleration of gravity [m/s^2]."""
@@ -88,6 +89,8 @@ def wedge_angles(soil: Soil, tine: Tine, speed: Expression) -> WedgeAngles:
     Raises:
         DomainError: a soil without friction, angles that sum up to 180 degrees, or a speed outside 0 to 5 m/s.
     """
+    check_soil(soil)
+    check_kind("the tine", tine, Tine, "a crosscheck.Tine")
     check_domain(
         "friction angle", soil.friction_angle, "rad", above=0.0,
         why="the weight alone determines no wedge in soil without friction",

@@ -10,6 +10,7 @@ import numpy as np
 
 from plough_opt.design.declarations import Variable, in_words
 from plough_opt.errors import InputError, nearest
+from plough_opt.kinds import shown
 
 Catalogue = float | Sequence[float]
 """Values that a variable may take, or the step of which it may take multiples."""
@@ -107,10 +108,10 @@ def _number_of(variables: Sequence[Variable], name: str) -> int:
 def _allowed(number: int, v: Variable, catalogue: Catalogue) -> Allowed:
     try:
         values = np.atleast_1d(np.asarray(catalogue, dtype=float)).ravel()
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         values = np.array([])
     if not values.size or not np.all(np.isfinite(values)):
-        raise InputError(f"the catalogue of '{v.name}' must hold finite numbers, not {catalogue!r}")
+        raise InputError(f"the catalogue of '{v.name}' must hold finite numbers, not {shown(catalogue)}")
     if np.ndim(catalogue) == 0:
         step = float(values[0])
         if step <= 0.0:

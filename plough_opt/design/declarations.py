@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import math
 import re
+import sys
 from dataclasses import dataclass
+from typing import cast
 
 import casadi as ca
 import numpy as np
@@ -12,6 +14,7 @@ from numpy.typing import NDArray
 
 from plough_opt.errors import InputError
 from plough_opt.expressions import Expression, absolute, exp, log, maximum, minimum
+from plough_opt.kinds import shown
 
 # The domain of a quantity of which no end is known.
 EVERYWHERE = (-math.inf, math.inf)
@@ -51,7 +54,7 @@ class Variable:
         numbers = (self.guess, self.lower, self.upper)
         text = f"variable '{self.name}'"
         if not isinstance(self.log, bool | np.bool_):
-            raise InputError(f"{text}: log = {self.log!r} must be True or False")
+            raise InputError(f"{text}: log = {shown(self.log)} must be True or False")
         if not all(math.isfinite(number) for number in numbers):
             raise InputError(f"{text}: guess, lower and upper must be finite numbers, not {numbers}")
         if not self.lower < self.upper:
@@ -123,10 +126,10 @@ class Variable:
         else:
             part = 1.0
         sound = isinstance(given, int | float | np.number) and not isinstance(given, bool)
-        if self.tolerance is not None and not (sound and math.isfinite(float(given or 0.0)) and float(given or 0) >= 0):
+        if self.tolerance is not None and not (sound and 0.0 <= cast(float, given) <= sys.float_info.max):
             raise InputError(
-                f"variable '{self.name}': tolerance = {self.tolerance!r} must be a half width in {self.unit or '1'},"
-                " not below 0, or a part of the value such as '0.5 %'"
+                f"variable '{self.name}': tolerance = {shown(self.tolerance)} must be a half width in"
+                f" {self.unit or '1'}, not below 0, or a part of the value such as '0.5 %'"
             )
         return float(given or 0.0) * part
 

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 from plough_opt.design.declarations import Variable
 from plough_opt.errors import InputError, nearest
+from plough_opt.kinds import shown
 
 Search = str | int | Sequence[str]
 """Words, names of variables, a number of designs, or a text such as "20 s"."""
@@ -20,6 +21,8 @@ WORDS = ("auto", "thorough", "near", "local")
 # evolution in two to four misses the best basin of a problem of four and more variables, so there are several.
 _DESIGNS = {1: 512, 2: 1024, 3: 2048, 4: 4096}
 _MOST_DESIGNS = 8192
+# Designs that a search may be asked to try: days of them.
+_MOST_TRIED = 1_000_000_000
 _ISLANDS = {1: 0, 2: 1, 3: 2}
 _MOST_ISLANDS = 4
 # Runs, of all designs of a round together, where a design has many: some seconds' worth.
@@ -109,11 +112,11 @@ def searched(search: Search, variables: Sequence[Variable]) -> tuple[int, ...]:
     names = [v.name for v in variables]
     every = tuple(range(len(names)))
     if isinstance(search, bool) or not isinstance(search, str | int | Sequence):
-        raise InputError(f"search = {search!r} must be 'auto', 'thorough', 'near', a number of designs, a text such as"
-                         " '20 s', or names of variables")  # fmt: skip
+        raise InputError(f"search = {shown(search)} must be 'auto', 'thorough', 'near', a number of designs, a text"
+                         " such as '20 s', or names of variables")  # fmt: skip
     if isinstance(search, int):
-        if search < 1:
-            raise InputError(f"search = {search} must be a number of designs, at least 1")
+        if not 1 <= search <= _MOST_TRIED:
+            raise InputError(f"search = {shown(search)} must be a number of designs, from 1 to {_MOST_TRIED}")
         return every
     if search in ("near", "local"):
         return ()
@@ -123,5 +126,5 @@ def searched(search: Search, variables: Sequence[Variable]) -> tuple[int, ...]:
     for name in wanted:
         if name not in names:
             known = nearest(str(name), [*WORDS, *names])
-            raise InputError(f"search = {name!r} is not a variable of this design: {known}")
+            raise InputError(f"search = {shown(name)} is not a variable of this design: {known}")
     return tuple(names.index(name) for name in dict.fromkeys(wanted))

@@ -15,6 +15,7 @@ from plough_opt.design.sensitivity import Sensitivities, Sensitivity
 from plough_opt.design.tolerance import Spread
 from plough_opt.errors import InputError
 from plough_opt.expressions import as_number, is_casadi, map_expressions
+from plough_opt.kinds import mapping_of
 from plough_opt.motion.run import Run
 from plough_opt.motion.simulation import repeat
 
@@ -172,7 +173,7 @@ class Optimum(LocalOptimum):
         """
         if self.rounder is None:
             raise InputError("this optimum is rounded already" if isinstance(self, Rounded) else _LEFT_BEHIND)
-        return self.rounder({**(catalogues or {}), **more})
+        return self.rounder({**mapping_of("catalogues", catalogues, "a variable's name -> its values"), **more})
 
     def _asked(self) -> Sensitivities:
         if self.flat_directions:

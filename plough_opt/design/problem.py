@@ -18,8 +18,9 @@ from plough_opt.design.program import Program
 from plough_opt.design.solving import solve_program
 from plough_opt.design.tolerance import Judge
 from plough_opt.domain import check_text, plain_number
-from plough_opt.errors import InputError, nearest, short, unprintable
+from plough_opt.errors import InputError, nearest, unprintable
 from plough_opt.expressions import Expression, is_casadi
+from plough_opt.kinds import check_callable, check_choice, check_switch, shown
 
 
 class Design:
@@ -115,8 +116,8 @@ class Design:
         Raises:
             InputError: not a scalar CasADi expression, or another word.
         """
-        if over not in (None, "worst", "mean"):
-            raise InputError(f"over = {over!r} must be 'worst' or 'mean', within the tolerances, or None")
+        if over is not None:
+            check_choice("over", over, ("worst", "mean"), ", within the tolerances, or None")
         self._objective = _expression("the objective", objective)
         if self._objective.numel() != 1:
             raise InputError(f"the objective must be one number, not {self._objective.numel()}: sum or average it")
@@ -191,10 +192,12 @@ class Design:
             NotConverged: the optimiser stopped without an optimum; it says why and what to do.
         """
         started = time.perf_counter()
-        if judge not in ("tolerance", "bare"):
-            raise InputError(f"judge = {judge!r} must be 'tolerance' or 'bare'")
+        check_choice("judge", judge, ("tolerance", "bare"))
+        check_switch("compiled", compiled)
+        if progress is not None:
+            check_callable("progress", progress, "of what is done and the fraction done")
         if not isinstance(seed, int) or isinstance(seed, bool) or seed < 0:
-            raise InputError(f"seed = {seed!r} must be a whole number, not below 0")
+            raise InputError(f"seed = {shown(seed)} must be a whole number, not below 0")
         values = self._parameter_values({} if parameters is None else parameters)
         declared = self.declared
         if self._program is None or self._program.compiled != compiled:
@@ -227,7 +230,7 @@ class Design:
     def _parameter_values(self, changed: Mapping[str, float]) -> np.ndarray:
         names = [p.name for p in self._parameters]
         if not isinstance(changed, Mapping):
-            raise InputError(f"parameters = {short(repr(changed))} must be a dictionary: name -> value")
+            raise InputError(f"parameters = {shown(changed)} must be a dictionary: name -> value")
         for name in changed:
             if name not in names:
                 raise InputError(f"'{name}' is no parameter of this design: {nearest(name, names)}")
@@ -241,7 +244,7 @@ def _silent(_stage: str, _fraction: float) -> None:
 def _ends(name: str, domain: Any) -> tuple[float, float]:
     """Return the ends of a domain, in order."""
     if not (isinstance(domain, tuple) and len(domain) == 2 and all(isinstance(end, int | float) for end in domain)):
-        raise InputError(f"domain of '{name}' = {short(repr(domain))} must be its two ends, as (0.0, math.inf)")
+        raise InputError(f"domain of '{name}' = {shown(domain)} must be its two ends, as (0.0, math.inf)")
     low, high = map(float, domain)
     if not low < high:
         raise InputError(f"domain of '{name}': its first end {low:g} must be below its second {high:g}")
@@ -251,7 +254,7 @@ def _ends(name: str, domain: Any) -> tuple[float, float]:
 def _check_name(name: Any) -> None:
     """Refuse what reports could not call anything by."""
     if not isinstance(name, str) or not name.strip() or unprintable(name, allowed=""):
-        raise InputError(f"name = {short(repr(name))} must be a text that says what it is, as 'share height'")
+        raise InputError(f"name = {shown(name)} must be a text that says what it is, as 'share height'")
 
 
 def _expression(what: str, value: Expression) -> ca.MX:
@@ -263,4 +266,4 @@ def _expression(what: str, value: Expression) -> ca.MX:
     try:
         return ca.MX(ca.DM(np.atleast_1d(np.asarray(value, dtype=float))))
     except (TypeError, ValueError, OverflowError):
-        raise InputError(f"{what}: {short(repr(value))} is neither an expression nor a number") from None
+        raise InputError(f"{what}: {shown(value)} is neither an expression nor a number") from None

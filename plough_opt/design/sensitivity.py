@@ -14,6 +14,7 @@ from plough_opt.design.declarations import EVERYWHERE, in_words
 from plough_opt.design.ipopt import Point, Solver, Vector
 from plough_opt.design.program import Program
 from plough_opt.errors import InputError, NotConverged, nearest
+from plough_opt.kinds import check_kind, check_switch, shown
 
 # Of the value asked for: differences leave its square, and the optimiser's 1e-10 divided by it.
 _CHECK_STEP = 2e-4
@@ -115,6 +116,7 @@ class Sensitivities:
 
     def __call__(self, name: str, *, check: bool = False) -> Sensitivity:
         """Return the sensitivity to a parameter or a limit: see `Optimum.sensitivity`."""
+        check_switch("check", check)
         target = self._target(name)
         change = self._active.change(target.parameter, target.side)
         up, down = self._active.move(change, 1.0), self._active.move(change, -1.0)
@@ -152,6 +154,7 @@ class Sensitivities:
     # --- what can be asked -------------------------------------------------------------------------------
 
     def _target(self, name: str) -> _Target:
+        check_kind("the name", name, str, "that of a parameter or a limit")
         for k, (parameter, value) in enumerate(zip(self._program.declared.parameters, self._p, strict=True)):
             if parameter.name == name:
                 return _Target(float(value), parameter.unit, parameter=k, domain=parameter.domain)
@@ -162,7 +165,7 @@ class Sensitivities:
         hint = f"did you mean {' or '.join(map(repr, own))}?" if own else nearest(name, [*parameters, *self._limits])
         end = "" if hint.endswith("?") else "."
         raise InputError(
-            f"'{name}' is neither a parameter nor a limit of this design: {hint}{end} Parameters:"
+            f"{shown(name)} is neither a parameter nor a limit of this design: {hint}{end} Parameters:"
             f" {', '.join(parameters) or 'none'}; limits: {', '.join(self._limits)}. A quantity that was given as a"
             " number is no part of the design: declare it with design.parameter"
         )

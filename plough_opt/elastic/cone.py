@@ -131,6 +131,7 @@ def cone_pressure(
         DomainError: as `cone_displacement`, or x beside the body.
         InputError: as `cone_displacement`.
     """
+    check_domain("section factor", section_factor, above=0.0)
     state, cone = state_of(soil, speed), body(profile)
     x, _ = points(x, 0.0, cone, state, section_factor)
     check_domain("x from the first node", x - cone.places[0], "m", above=0.0, why="the face begins there")

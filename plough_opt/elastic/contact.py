@@ -36,6 +36,7 @@ from plough_opt.expressions import (
     minimum,
     where,
 )
+from plough_opt.kinds import check_switch
 from plough_opt.quadrature import gauss_legendre
 from plough_opt.soil import Soil
 
@@ -180,6 +181,7 @@ def wedge_force(profile: Profile, soil: Soil, speed: Expression, *, separation: 
         DomainError: as `wedge_stress`.
         InputError: as `wedge_stress`.
     """
+    check_switch("separation", separation)
     state, face = medium(soil, speed), body(profile)
     check_single("the contact force of the elastic medium", (face, soil, speed))
     force = 2.0 * soil.tool_friction * _face_integral(face, state)
@@ -240,6 +242,7 @@ def cone_force(
         DomainError: as `cone_displacement`, or a body without radius.
         InputError: as `cone_displacement`.
     """
+    check_switch("separation", separation)
     check_domain("section factor", section_factor, above=0.0)
     state, face = cones.state_of(soil, speed), body(profile)
     check_single("the contact force of the elastic medium", (face, soil, speed, section_factor))

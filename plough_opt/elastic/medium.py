@@ -9,7 +9,7 @@ from plough_opt.domain import check_domain
 from plough_opt.errors import InputError
 from plough_opt.expressions import Expression, is_symbolic, map_expressions, sqrt, where
 from plough_opt.labels import Limit, attach, checked_in_designs, unlabelled
-from plough_opt.soil import Soil
+from plough_opt.soil import Soil, check_soil
 
 # At the shear wave's speed the fields are finite, but their slope is infinite: a design ends a little below.
 _SUBSONIC = Limit("elastic medium: speed over shear wave speed", at_most=0.9999)
@@ -155,6 +155,7 @@ def medium(soil: Soil, speed: Expression) -> Medium:
 
 def _constants(soil: Soil) -> tuple[Expression, Expression]:
     """Return Young's modulus [Pa] and Poisson's ratio."""
+    check_soil(soil)
     for name in ("youngs_modulus", "poisson_ratio"):
         if getattr(soil, name) is None:
             raise InputError(f"the elastic medium needs {name}, which {soil.name} does not give: set soil.{name}")

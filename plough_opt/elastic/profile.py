@@ -6,17 +6,21 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any, TypeAlias
+from typing import Any, Final, TypeAlias
 
 import numpy as np
 
-from plough_opt.domain import check_domain
+from plough_opt.domain import check_domain, plain_number
 from plough_opt.errors import DomainError, InputError
 from plough_opt.expressions import Expression, as_number, column, holds_casadi, is_count, is_symbolic, maximum, minimum
 from plough_opt.geometry import Cone, Wedge
+from plough_opt.kinds import check_callable, shown
 
 Profile: TypeAlias = Sequence[tuple[Expression, Expression]] | Wedge | Cone
 """Nodes (x, half thickness or radius) [m], or a share: the straight profile of its (equivalent) cone."""
+
+# Straight pieces of a profile: each is a term of every stress.
+_MOST_PIECES: Final = 100_000
 
 
 @dataclass(frozen=True)
@@ -112,9 +116,13 @@ def knots(profile: Callable[[float], float], length: float, count: int) -> list[
         InputError: no pieces, or a profile that is no function of one number.
         DomainError: a length that is not positive, or a height that is not finite.
     """
+    length = plain_number("length of the profile", length)
     check_domain("length of the profile", length, "m", above=0.0)
-    if not is_count(count):
-        raise InputError(f"count = {count!r} must be a whole number from 1 on: the number of straight pieces")
+    check_callable("the profile", profile, "of x that returns a number, in metres")
+    if not is_count(count) or count > _MOST_PIECES:
+        raise InputError(
+            f"count = {shown(count)} must be a whole number from 1 to {_MOST_PIECES}: the number of straight pieces"
+        )
     places = [length * math.sin(math.pi * k / (2 * count)) ** 2 for k in range(count)] + [length]
     try:
         heights = [float(profile(place)) for place in places]
@@ -163,10 +171,10 @@ def _pairs(profile: Any) -> list[tuple[Expression, Expression]]:
     try:
         pairs = [tuple(node) for node in profile]
     except TypeError:
-        raise InputError(f"{wanted}, not {profile!r}") from None
+        raise InputError(f"{wanted}, not {shown(profile)}") from None
     if len(pairs) < 2:
         raise InputError(f"{wanted}, with at least two nodes, not {len(pairs)}")
     for pair in pairs:
         if len(pair) != 2:
-            raise InputError(f"{wanted}: {pair!r} is no pair")
+            raise InputError(f"{wanted}: {shown(pair)} is no pair")
     return [(pair[0], pair[1]) for pair in pairs]

@@ -60,6 +60,9 @@ MOST_PANELLED = 4e5
 MOST_SHOT = 1e4
 """Phase [rad] of the fastest part of a motion over one wavelength whose lasting orbit is sought unasked."""
 
+MOST_OUTPUTS = 10_000_000
+"""Output intervals of a run, whose arrays are in memory at once."""
+
 # Phase [rad] over a run that steps of order 8 follow within seconds.
 _ORDER_8_PHASE = 4e5
 # exp(-30) is the rounding of the first swing.

@@ -12,11 +12,13 @@ from plough_opt.domain import check_domain, check_single
 from plough_opt.effects import Smooth
 from plough_opt.errors import InputError
 from plough_opt.expressions import Expression, as_number, holds_casadi, is_count, is_symbolic, map_expressions
+from plough_opt.kinds import check_kind, check_switch, shown
 from plough_opt.motion.embedding import embed
 from plough_opt.motion.following import Case
 from plough_opt.motion.integrators import integration
 from plough_opt.motion.plan import (
     MOST_ADAPTIVE,
+    MOST_OUTPUTS,
     OUTPUTS,
     TIGHTEST,
     forced_rate,
@@ -85,6 +87,7 @@ def simulate(
         IntegrationError: the method failed; the message says for which scene, when and the likely cause.
     """
     _check_kinds(scene, accuracy, outputs)
+    check_switch("compiled", compiled)
     duration = _duration(scene, duration)
     accuracy = accuracy or Accuracy()
     if accuracy.method != "auto" and not scene.effects.motion:
@@ -117,12 +120,11 @@ def simulate(
 
 def _check_kinds(scene: Scene, accuracy: Accuracy | None, outputs: int) -> None:
     """Refuse something else in the place of a scene, an accuracy or a number of outputs."""
-    if not isinstance(scene, Scene):
-        raise InputError(f"the scene = {scene!r} must be a Scene, made of soil, share, stiffness, mass and tow speed")
+    check_kind("the scene", scene, Scene, "a Scene, made of soil, share, stiffness, mass and tow speed")
     if not (accuracy is None or isinstance(accuracy, Accuracy)):
-        raise InputError(f"accuracy = {accuracy!r} must be an Accuracy, as Accuracy(error=1e-6) or Accuracy('erk')")
-    if not is_count(outputs):
-        raise InputError(f"outputs = {outputs!r} must be a whole number from 1 on: of intervals between output times")
+        raise InputError(f"accuracy = {shown(accuracy)} must be an Accuracy, as Accuracy('erk')")
+    if not is_count(outputs) or outputs > MOST_OUTPUTS:
+        raise InputError(f"outputs = {shown(outputs)} must be a whole number from 1 to {MOST_OUTPUTS}: of intervals")
 
 
 def repeat(scene: Scene, duration: Expression, *, outputs: int = OUTPUTS) -> Run:

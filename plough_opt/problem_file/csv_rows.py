@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Final
 
 from plough_opt.errors import InputError, nearest, short
+from plough_opt.kinds import shown
 from plough_opt.problem_file.units import Unit
 
 HEADING: Final = re.compile(r"\s*(?P<name>[\w.]+)\s*(?:\[(?P<unit>[^\]]*)\])?\s*")
@@ -42,11 +43,11 @@ def read_rows(path: Path, what: str) -> list[tuple[int, list[str]]]:
     except FileNotFoundError:
         there = sorted(p.name for p in path.parent.glob("*.csv")) if path.parent.is_dir() else []
         hint = nearest(path.name, there) if there else "that folder holds no .csv file: give the path of one"
-        raise InputError(f"there is no file '{path}': {hint}") from None
+        raise InputError(f"there is no file {shown(str(path), 200)}: {hint}") from None
     except IsADirectoryError:
-        raise InputError(f"'{path}' is a folder: name a file of {what} in it") from None
+        raise InputError(f"{shown(str(path), 200)} is a folder: name a file of {what} in it") from None
     except UnicodeDecodeError:
-        raise InputError(f"'{path}' cannot be read as text: it is not UTF-8") from None
+        raise InputError(f"{shown(str(path), 200)} cannot be read as text: it is not UTF-8") from None
     except OSError as error:
         raise InputError(f"'{path}' cannot be read: {error.strerror}") from None
     if len(content) > _MOST_BYTES:

@@ -7,8 +7,9 @@ from collections.abc import Callable, Mapping, Sequence
 
 from plough_opt.component import Input, Output, Port
 from plough_opt.component.ports import port_of
-from plough_opt.errors import InputError, nearest
+from plough_opt.errors import InputError
 from plough_opt.expressions import Expression
+from plough_opt.kinds import check_kind, check_named
 from plough_opt.motion import Run
 from plough_opt.problem_file.front import front_of
 from plough_opt.problem_file.measures import MEASURES
@@ -33,14 +34,15 @@ def input_ports(
     Raises:
         InputError: nothing to vary, or a key that is unknown or has no value.
     """
+    check_kind("inputs", asked, list | tuple, "a list of keys")
     keys = asked or tuple(bounds)
     if not keys:
         raise InputError(f"{name}: nothing to vary: name inputs, or give the file a [variables] table")
     for key in keys:
-        if key not in values:
-            if key in EVERY:
+        if not (isinstance(key, str) and key in values):
+            if isinstance(key, str) and key in EVERY:
                 raise InputError(f"{name} gives '{key}' no value, so it cannot be an input")
-            raise InputError(f"no quantity is named '{key}': {nearest(key, values)}")
+            check_named("no quantity is named {}", key, values)
     return [port_of(bounds.get(key, Input(key)), EVERY[key], values[key]) for key in keys]
 
 
@@ -60,6 +62,7 @@ def wanted_outputs(
     """
     traded = front_of(table.trade_off).maximise if table.trade_off is not None else {}
     everything = dict.fromkeys([*table.minimise, *traded, *table.require])
+    check_kind("outputs", asked, list | tuple, "a list of names")
     names = asked or [*([OBJECTIVE] if table.minimise else []), *everything]
     if not names:
         raise InputError(f"{name} minimises and requires nothing: name outputs")
@@ -67,6 +70,7 @@ def wanted_outputs(
 
 
 def _output(name: str, table: ProblemTable, objective: Callable[[Run], Expression]) -> Output:
+    check_kind("an output", name, str, "the name of a result")
     if name == OBJECTIVE and table.minimise:
         return Output(name, of=objective)
     limit = table.require.get(name)

@@ -6,6 +6,7 @@ import tomllib
 from typing import Any, Final
 
 from plough_opt.errors import InputError, nearest, short
+from plough_opt.kinds import check_kind
 from plough_opt.problem_file.lines import nested_line
 from plough_opt.problem_file.schema import ProblemTable, quantities
 from plough_opt.problem_file.source import TOO_DEEP, Source, unreadable
@@ -26,6 +27,7 @@ def apply_override(source: Source, text: str) -> str:
     Raises:
         InputError: no ``=``, or a key that the file cannot have.
     """
+    check_kind("a change", text, str, "a text such as 'scene.tow_speed=\"2.5 m/s\"'")
     if len(text) > _LONGEST:
         raise InputError(f"--set {short(text)}: at most {_LONGEST} characters can be read")
     if "\n" in text:

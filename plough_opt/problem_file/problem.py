@@ -15,6 +15,7 @@ from plough_opt.effects import Effects, HarmonicBalance, Smooth, StickSlip
 from plough_opt.errors import InputError
 from plough_opt.expressions import Expression
 from plough_opt.geometry import Wedge
+from plough_opt.kinds import check_switch, mapping_of
 from plough_opt.motion import Run, simulate
 from plough_opt.problem_file.front import EXAMPLE, front_of
 from plough_opt.problem_file.interface import input_ports, wanted_outputs
@@ -82,8 +83,9 @@ class Problem:
 
         A change of the property that a cone index decides takes the place of the cone index.
         """
-        found = {**self.fixed, **{key: v.guess for key, v in self.variables.items()}, **(changes or {})}
-        if self.table.soil.adjusted in (changes or {}):
+        changed = mapping_of("changes", changes, "a quantity's key -> its value")
+        found = {**self.fixed, **{key: v.guess for key, v in self.variables.items()}, **changed}
+        if self.table.soil.adjusted in changed:
             found.pop(_READING, None)
         return found
 
@@ -169,6 +171,7 @@ class Problem:
         Raises:
             InputError: the file has no variables or nothing to minimise.
         """
+        check_switch("parameters", parameters)
         self._refuse_without_variables()
         if not self.table.minimise:
             raise InputError(f"{self.name}: nothing to minimise: a [minimise] table is missing")

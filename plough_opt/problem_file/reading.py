@@ -15,6 +15,7 @@ from pydantic import ValidationError
 from plough_opt.accuracy import Accuracy
 from plough_opt.design import Over
 from plough_opt.errors import InputError, nearest, short
+from plough_opt.kinds import check_kind, path_of
 from plough_opt.problem_file.front import check_front
 from plough_opt.problem_file.measures import MEASURES
 from plough_opt.problem_file.overrides import apply_override
@@ -52,7 +53,8 @@ def read_problem(path: str | Path, overrides: Iterable[str] = ()) -> Problem:
         InputError: the file does not exist, is not TOML, or holds something that cannot be; the message gives file,
             line, key, what was expected and the nearest valid name, for everything that is wrong in a table.
     """
-    source = Source.read(Path(path))
+    source = Source.read(path_of("the problem file", path))
+    check_kind("overrides", overrides, list | tuple, "a list of texts such as 'scene.tow_speed=\"2.5 m/s\"'")
     notes = tuple(note for text in overrides if (note := apply_override(source, text)))
     _join_dotted_variables(source.data)
     join_dotted(source.data)

@@ -14,6 +14,7 @@ from typing import Any, Final
 from pydantic import ValidationError
 
 from plough_opt.errors import DomainError, InputError, nearest, short, unprintable
+from plough_opt.kinds import shown
 from plough_opt.problem_file.lines import MOST_TABLES, lines_of, nested_line
 
 Keys = tuple[str, ...]
@@ -85,11 +86,11 @@ class Source:
         except FileNotFoundError:
             there = sorted(p.name for p in path.parent.glob("*.toml")) if path.parent.is_dir() else []
             hint = _nearest_file(path, there) if there else "plough-opt init FILE writes one"
-            raise InputError(f"there is no file '{path}': {hint}") from None
+            raise InputError(f"there is no file {shown(str(path), 200)}: {hint}") from None
         except IsADirectoryError:
-            raise InputError(f"'{path}' is a folder: name a problem file in it") from None
+            raise InputError(f"{shown(str(path), 200)} is a folder: name a problem file in it") from None
         except UnicodeDecodeError:
-            raise InputError(f"'{path}' cannot be read as text: it is not UTF-8") from None
+            raise InputError(f"{shown(str(path), 200)} cannot be read as text: it is not UTF-8") from None
         except OSError as error:
             raise InputError(f"'{path}' cannot be read: {error.strerror}") from None
 

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, Final, Literal
 
 from plough_opt.errors import InputError, nearest
+from plough_opt.kinds import check_named, shown
 from plough_opt.problem_file.evaluations import Optimisation, Simulation, SimulationOfMany, fixed_at
 from plough_opt.problem_file.problem import Problem
 from plough_opt.problem_file.ranges import read_axis
@@ -149,15 +150,14 @@ def sweep(
             raise InputError("units are of a function: a problem file has its own")
         asked = ProblemSweep.of(what_to_sweep, over, what, method, samples, seed)
         return study.sweep(asked.evaluation, asked.axes, question=asked.question, units=asked.units, **rest)
-    if (what, method) != ("simulate", "auto"):
+    if not (isinstance(what, str) and isinstance(method, str) and (what, method) == ("simulate", "auto")):
         raise InputError("what and method are of a problem file: a function says itself what it computes")
     return study.sweep(what_to_sweep, over, units=units, **rest)
 
 
 def _refuse_unknown(what: str, method: str) -> None:
     for name, given, valid in (("what", what, ("simulate", "optimise")), ("method", method, ("auto", "each", "batch"))):
-        if given not in valid:
-            raise InputError(f"{name} = {given!r} is unknown: {nearest(str(given), valid)}")
+        check_named(f"{name} = {{}} is unknown", given, valid)
     if what == "optimise" and method == "batch":
         raise InputError("a batch simulates; it does not optimise: leave one of the two out")
 
@@ -165,7 +165,7 @@ def _refuse_unknown(what: str, method: str) -> None:
 def _axes(over: Mapping[str, object], sampled: bool) -> tuple[dict[str, Axis], dict[str, Display]]:
     """Return what each quantity runs over, and the units of those that are written as texts."""
     if not isinstance(over, Mapping):
-        raise InputError(f"over = {over!r} must be a dictionary, like {{'soil.cohesion': '5..45 kPa:9'}}")
+        raise InputError(f"over = {shown(over)} must be a dictionary, like {{'soil.cohesion': '5..45 kPa:9'}}")
     units = quantities()
     axes: dict[str, Axis] = {}
     displays: dict[str, Display] = {}

@@ -12,6 +12,7 @@ import numpy as np
 from plough_opt.domain import plain_number
 from plough_opt.errors import InputError
 from plough_opt.expressions import is_count
+from plough_opt.kinds import check_switch, shown
 
 MOST_VALUES: Final = 1_000_000
 """Most values of one quantity of a grid: they are held in memory, as the points of a grid and a sample are not."""
@@ -44,12 +45,13 @@ class Range:
             object.__setattr__(self, side, float(getattr(self, side)))
         if not self.lower < self.upper:
             raise InputError(f"the range from {self.lower:g} to {self.upper:g} is empty: its first end must be lower")
+        check_switch("log", self.log)
         if self.log and not self.lower > 0.0:
             raise InputError(f"a logarithmic range begins above 0, not at {self.lower:g}")
         if self.count is not None and (not is_count(self.count) or self.count < 2):
-            raise InputError(f"the number of values is {self.count!r}: it must be a whole number from 2 on")
+            raise InputError(f"the number of values is {shown(self.count)}: it must be a whole number from 2 on")
         if self.count is not None and self.count > MOST_VALUES:
-            raise InputError(f"the number of values is {self.count!r}: it can be {MOST_VALUES} at most; take a sample")
+            raise InputError(f"the number of values is {shown(self.count)}: at most {MOST_VALUES}; take a sample")
 
     def values(self) -> tuple[float, ...]:
         """Return the values of a grid, the ends exactly."""
@@ -61,7 +63,12 @@ class Range:
         return tuple(steps(self.lower, self.upper, self.count).tolist())
 
     def at(self, fraction: float) -> float:
-        """Return the value at a fraction of the range, from 0 to 1."""
+        """Return the value at a fraction of the range, from 0 to 1.
+
+        Raises:
+            InputError: no number.
+        """
+        fraction = plain_number("the fraction of a range", fraction)
         if self.log:
             return float(self.lower * (self.upper / self.lower) ** fraction)
         # In the order in which scipy.stats.qmc.scale computes it.
@@ -84,10 +91,10 @@ def axis_of(name: str, given: object) -> Axis:
     if isinstance(given, Range):
         return given
     if isinstance(given, str) or not isinstance(given, Iterable):
-        raise InputError(f"'{name}' runs over {given!r}: give a po.Range or a list of numbers")
+        raise InputError(f"'{name}' runs over {shown(given)}: give a po.Range or a list of numbers")
     found = list(given)
     if not all(isinstance(x, int | float | np.number) and not isinstance(x, bool) for x in found):
-        raise InputError(f"'{name}' runs over {found!r}, which are not all numbers")
+        raise InputError(f"'{name}' runs over {shown(found)}, which are not all numbers")
     values = tuple(float(x) for x in found)
     if bad := [x for x in values if not math.isfinite(x)]:
         raise InputError(f"'{name}' runs over {bad[0]}: every value must be finite")

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from plough_opt.errors import InputError
+from plough_opt.kinds import path_of, shown
 from plough_opt.study import tables
 from plough_opt.study.layout import State
 from plough_opt.study.store import Store
@@ -66,8 +67,9 @@ class Sweep:
         Raises:
             InputError: no such file, or no store of this layout.
         """
-        if not Path(path).is_file():
-            raise InputError(f"there is no store '{path}'")
+        path = path_of("the store", path)
+        if not path.is_file():
+            raise InputError(f"there is no store {shown(str(path), 200)}")
         store = Store(path, write=False)
         try:
             store.verify()

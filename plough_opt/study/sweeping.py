@@ -17,6 +17,7 @@ from rich.console import Console
 
 from plough_opt.errors import InputError
 from plough_opt.expressions import is_count
+from plough_opt.kinds import path_of, shown
 from plough_opt.processors import available
 from plough_opt.results import versions
 from plough_opt.study.axes import axis_of
@@ -78,6 +79,7 @@ def sweep(
     if executor is None:
         _refuse_unpicklable(evaluation)
     asked = {**points.question(), **(question or _identity(evaluation)), **_versions()}
+    store = None if store is None else path_of("the store", store)
     if not retry and store is not None and (finished := _finished(store, asked)) is not None:
         return finished
     kept = Store(store)
@@ -124,14 +126,14 @@ def _finished(path: str | Path, question: Mapping[str, str]) -> Sweep | None:
 def _refuse_arguments(evaluation: object, over: object, executor: object, workers: object, units: object) -> None:
     """Refuse arguments of another kind before anything is computed."""
     if not callable(evaluation) and not isinstance(evaluation, ManyPoints):
-        raise InputError(f"{evaluation!r} cannot be swept: give a problem, or a function of named numbers")
+        raise InputError(f"{shown(evaluation)} cannot be swept: give a problem, or a function of named numbers")
     for name, given in (("over", over), ("units", {} if units is None else units)):
         if not isinstance(given, Mapping):
-            raise InputError(f"{name} = {given!r} must be a dictionary, by the names of the quantities")
+            raise InputError(f"{name} = {shown(given)} must be a dictionary, by the names of the quantities")
     if executor is not None and not callable(getattr(executor, "submit", None)):
-        raise InputError(f"executor = {executor!r} must be one of concurrent.futures, or have their submit")
+        raise InputError(f"executor = {shown(executor)} must be one of concurrent.futures, or have their submit")
     if workers is not None and not is_count(workers):
-        raise InputError(f"workers = {workers!r} must be 1 or more")
+        raise InputError(f"workers = {shown(workers)} must be 1 or more")
 
 
 def _refuse_unpicklable(evaluation: Evaluation) -> None:
@@ -140,14 +142,14 @@ def _refuse_unpicklable(evaluation: Evaluation) -> None:
         pickle.dumps(evaluation)
     except Exception as error:
         raise InputError(
-            f"{evaluation!r} cannot be sent to other processes ({error}): take a function of a module, not one inside"
-            " another, or an instance of a class of one; or an executor that needs no copy"
+            f"{shown(evaluation)} cannot be sent to other processes ({error}): take a function of a module, not one"
+            " inside another, or an instance of a class of one; or an executor that needs no copy"
         ) from None
     module = sys.modules.get(getattr(evaluation, "__module__", ""))
     if getattr(module, "__name__", "") == "__main__" and not hasattr(module, "__file__"):
         raise InputError(
-            f"{evaluation!r} was typed at a prompt, from where other processes cannot import it: write it to a file and"
-            " import it, or give an executor"
+            f"{shown(evaluation)} was typed at a prompt, from where other processes cannot import it: write it to a"
+            " file and import it, or give an executor"
         )
 
 

@@ -8,6 +8,7 @@ import casadi as ca
 
 from plough_opt.errors import InputError
 from plough_opt.expressions import Expression, is_casadi
+from plough_opt.kinds import shown
 
 
 @dataclass(frozen=True)
@@ -28,7 +29,9 @@ class Goal:
 
     def __post_init__(self) -> None:
         if not isinstance(self.name, str) or not self.name.strip():
-            raise InputError(f"an objective's name = {self.name!r} must be a text that says what it is, as 'draft'")
+            raise InputError(
+                f"an objective's name = {shown(self.name)} must be a text that says what it is, as 'draft'"
+            )
         if not is_casadi(self.expression) or isinstance(self.expression, ca.SX):
             raise InputError(f"the objective '{self.name}' is no expression of a design's variables")
         if self.expression.numel() != 1:

@@ -13,9 +13,10 @@ import numpy as np
 from plough_opt.design import Design, Progress
 from plough_opt.design.effort import Search
 from plough_opt.design.ipopt import Point
-from plough_opt.domain import plain_number
+from plough_opt.domain import check_text, plain_number
 from plough_opt.errors import InputError, NotConverged, nearest
 from plough_opt.expressions import Expression, is_count
+from plough_opt.kinds import check_callable, check_kind, check_switch, mapping_of, shown
 from plough_opt.tradeoff.assembly import Times, assembled
 from plough_opt.tradeoff.cloud import Cloud
 from plough_opt.tradeoff.goal import Goal
@@ -84,12 +85,18 @@ def trade_off(
     """
     started = time.perf_counter()
     if not is_count(points) or not _FEWEST <= points <= _MOST:
-        raise InputError(f"points = {points!r} must be a whole number from {_FEWEST} to {_MOST}")
+        raise InputError(f"points = {shown(points)} must be a whole number from {_FEWEST} to {_MOST}")
+    check_kind("the design", design, Design, "a Design")
+    check_switch("compiled", compiled)
+    check_text("title", title)
+    parameters = mapping_of("parameters", parameters, "name -> value")
+    if progress is not None:
+        check_callable("progress", progress, "of what is done and the fraction done")
     goals = _goals((first, second, *others))
     told = progress or _silent
     told("building the model", 0.0)
     front = _built(design, goals, compiled)
-    front.prepare(_checked(front, parameters or {}))
+    front.prepare(_checked(front, parameters))
     building = time.perf_counter() - started
     kind = Tracer if len(goals) == 2 else SurfaceTracer
     tracer = kind(front, Searcher(Cloud(front), search, told), int(points), told)

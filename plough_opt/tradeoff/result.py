@@ -13,6 +13,7 @@ import numpy as np
 
 from plough_opt.errors import InputError
 from plough_opt.files import write_file
+from plough_opt.kinds import shown
 from plough_opt.results import SCHEMA, Saved, read_saved, versions
 from plough_opt.tradeoff import plane, space
 from plough_opt.tradeoff.certificate import FrontPoint
@@ -107,12 +108,9 @@ class TradeOff:
             by: number of the objective that changes.
 
         Raises:
-            InputError: an objective that there is not, or one by itself.
+            InputError: a point or an objective that there is not, or an objective by itself.
         """
-        if of == by or not {of, by} <= set(range(len(self.goals))):
-            raise InputError(
-                f"of = {of} and by = {by} must be two different objectives, from 0 to {len(self.goals) - 1}"
-            )
+        self._check(number, of, by)
         return _rate(self.points[number], of, by)
 
     @property
@@ -131,9 +129,7 @@ class TradeOff:
             InputError: another number of objectives.
         """
         front = self._minimised()
-        if reference is not None and len(reference) != len(self.goals):
-            raise InputError(f"reference = {reference} must have {len(self.goals)} objectives")
-        corner = front.max(axis=0) if reference is None else np.asarray(reference, dtype=float) * self._signs()
+        corner = front.max(axis=0) if reference is None else self._corner(reference) * self._signs()
         return plane.area(front, corner) if len(self.goals) == 2 else space.volume(front, corner)
 
     def cost(self, number: int, of: int = 1, by: int = 0) -> float | None:
@@ -145,7 +141,11 @@ class TradeOff:
             number: of the point.
             of: number of the objective that gives way; default the second.
             by: number of the objective that gains; default the first.
+
+        Raises:
+            InputError: as `rate`.
         """
+        self._check(number, of, by)
         rate, objectives = self.rate(number, of, by), self.points[number].objectives
         if rate is None or not (objectives[of] and objectives[by]) or self._change(by) < _ONE_PER_CENT:
             return None
@@ -158,7 +158,11 @@ class TradeOff:
             number: of the point.
             of: number of the objective that gives way; default the second.
             by: number of the objective that gains; default the first.
+
+        Raises:
+            InputError: as `rate`.
         """
+        self._check(number, of, by)
         gains, gives = self.goals[by], self.goals[of]
         at, cost = self.points[number].objectives, self.cost(number, of, by)
         values = [_value(x, goal) for x, goal in zip(at, self.goals, strict=True)]
@@ -170,10 +174,30 @@ class TradeOff:
         more, costs = ("more" if gains.maximise else "less"), ("less" if gives.maximise else "more")
         return f"{place}: 1 % {more} {gains.name} costs {cost:.3g} % {costs} {gives.name}"
 
+    def _check(self, number: int, of: int, by: int) -> None:
+        """Refuse numbers that are none of a point, or of two objectives."""
+        whole = all(isinstance(k, int | np.integer) and not isinstance(k, bool) for k in (number, of, by))
+        if not (whole and -len(self.points) <= number < len(self.points)):
+            raise InputError(f"number = {shown(number)} must be that of a point, from 0 to {len(self.points) - 1}")
+        if of == by or not {of, by} <= set(range(len(self.goals))):
+            raise InputError(
+                f"of = {shown(of)} and by = {shown(by)} must be two different objectives,"
+                f" from 0 to {len(self.goals) - 1}"
+            )
+
     def _change(self, objective: int) -> float:
         """Return by what part of its largest value an objective changes along the front."""
         values = self.objectives[:, objective]
         return float(np.ptp(values) / max(float(np.max(np.abs(values))), np.finfo(float).tiny))
+
+    def _corner(self, reference: Sequence[float]) -> Array:
+        try:
+            found = np.asarray(reference, dtype=float)
+        except (TypeError, ValueError, OverflowError):
+            found = np.empty(0)
+        if found.shape != (len(self.goals),) or not np.all(np.isfinite(found)):
+            raise InputError(f"reference = {shown(reference)} must be {len(self.goals)} objectives, finite numbers")
+        return found
 
     def _signs(self) -> Array:
         return np.array([goal.sign for goal in self.goals])

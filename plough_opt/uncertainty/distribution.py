@@ -13,8 +13,10 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import special
 from scipy.stats import qmc
 
+from plough_opt.domain import plain_number
 from plough_opt.errors import DomainError, InputError, nearest
 from plough_opt.expressions import is_casadi
+from plough_opt.kinds import shown
 from plough_opt.quantities import QUANTITIES
 from plough_opt.soil import Soil
 from plough_opt.uncertainty.samples import SoilSamples
@@ -55,10 +57,14 @@ class Marginal:
     def __post_init__(self) -> None:
         if not callable(getattr(self.distribution, "cdf", None)) or self._inverse is None:
             raise InputError(
-                f"{self.name}: {self.distribution!r} is no distribution: give a frozen one of scipy.stats, such as"
+                f"{self.name}: {shown(self.distribution)} is no distribution: give a frozen one of scipy.stats, such as"
                 " stats.lognorm(0.3, scale=20e3)"
             )
-        if math.isnan(self.lower) or math.isnan(self.upper) or not self.lower < self.upper:
+        for side, bound in (("lower", self.lower), ("upper", self.upper)):
+            infinite = isinstance(bound, float) and math.isinf(bound)
+            if not infinite:
+                plain_number(f"{self.name}: its {side} bound", bound)
+        if not self.lower < self.upper:
             raise InputError(
                 f"{self.name}: its bounds contradict each other: {self.lower:g} is not below {self.upper:g}"
             )
@@ -88,14 +94,31 @@ class Marginal:
         return (1.0 if self.upper == math.inf else float(self.distribution.cdf(self.upper))) - self._below
 
     def quantile(self, probability: ArrayLike) -> Vector:
-        """Return the values below which a part of the distribution lies."""
-        inner = self._below + np.asarray(probability, dtype=float) * self._mass
+        """Return the values below which a part of the distribution lies.
+
+        Args:
+            probability: the parts, from 0 to 1: numbers or an array of them.
+
+        Raises:
+            InputError: what is no number, or outside.
+        """
+        parts = _numbers("a probability", probability)
+        if not np.all((parts >= 0.0) & (parts <= 1.0)):
+            raise InputError(f"a probability = {shown(probability)} must lie from 0 to 1")
+        inner = self._below + parts * self._mass
         values: Vector = np.clip(np.asarray(self._inverse(inner), dtype=float), self.lower, self.upper)
         return values
 
     def cdf(self, value: ArrayLike) -> Vector:
-        """Return the part of the distribution below values."""
-        below: Vector = np.asarray(self.distribution.cdf(value), dtype=float)
+        """Return the part of the distribution below values.
+
+        Args:
+            value: numbers or an array of them, in the property's unit.
+
+        Raises:
+            InputError: what is no number.
+        """
+        below: Vector = np.asarray(self.distribution.cdf(_numbers("a value", value)), dtype=float)
         part: Vector = np.clip((below - self._below) / self._mass, 0.0, 1.0)
         return part
 
@@ -161,10 +184,10 @@ class SoilDistribution:
         if not properties:
             raise InputError("nothing is uncertain: give a property a distribution, such as cohesion=stats.norm(...)")
         if not isinstance(soil, Soil):
-            raise InputError(f"{soil!r} is no soil: po.named_soil(...) or po.Soil(...) makes one")
+            raise InputError(f"{shown(soil)} is no soil: po.named_soil(...) or po.Soil(...) makes one")
         for what, given in (("within", within), ("correlation", correlation)):
             if given is not None and not isinstance(given, Mapping):
-                raise InputError(f"{what} = {given!r} must be a dictionary, by the properties")
+                raise InputError(f"{what} = {shown(given)} must be a dictionary, by the properties")
         bounds = {name: _pair_of(name, ends) for name, ends in (within or {}).items()}
         for name in bounds:
             if name not in properties:
@@ -195,7 +218,9 @@ class SoilDistribution:
         for pair, value in self.correlation.items():
             a, b = self._pair(pair)
             if not isinstance(value, int | float | np.number) or not -1.0 < value < 1.0:
-                raise InputError(f"the correlation of {pair[0]} and {pair[1]}, {value!r}, must lie between -1 and 1")
+                raise InputError(
+                    f"the correlation of {pair[0]} and {pair[1]}, {shown(value)}, must lie between -1 and 1"
+                )
             if matrix[a, b] != 0.0:
                 raise InputError(f"the correlation of {pair[0]} and {pair[1]} is given twice")
             matrix[a, b] = matrix[b, a] = value
@@ -243,8 +268,8 @@ class SoilDistribution:
         Raises:
             InputError: a part that is not between 0 and 1.
         """
-        if not 0.0 < part < 1.0:
-            raise InputError(f"the part {part!r} of each distribution within the box must lie between 0 and 1")
+        if not 0.0 < plain_number("the part of each distribution", part) < 1.0:
+            raise InputError(f"the part {shown(part)} of each distribution within the box must lie between 0 and 1")
         ends = [own.quantile([(1.0 - part) / 2.0, (1.0 + part) / 2.0]) for own in self.marginals.values()]
         grid = np.stack([axis.ravel() for axis in np.meshgrid(*ends, indexing="ij")], axis=1)
         return SoilSamples(self.soil, self.names, grid)
@@ -254,7 +279,7 @@ class SoilDistribution:
 
         The first property follows the first coordinate, each further one what the correlations leave to its own.
         """
-        inner: NDArray[Any] = np.clip(np.asarray(uniforms, dtype=float), _INSIDE, 1.0 - 2.0 * _INSIDE)
+        inner: NDArray[Any] = np.clip(_numbers("points of the unit cube", uniforms), _INSIDE, 1.0 - 2.0 * _INSIDE)
         if inner.ndim != 2 or inner.shape[1] != len(self.names):
             raise InputError(f"points of the shape {inner.shape} do not have a column for each of {self.names}")
         if self.correlated:
@@ -273,7 +298,7 @@ class SoilDistribution:
 
     def _pair(self, pair: Sequence[str]) -> tuple[int, int]:
         if isinstance(pair, str) or len(pair) != 2 or pair[0] == pair[1]:
-            raise InputError(f"a correlation is of a pair of two properties, not of {pair!r}")
+            raise InputError(f"a correlation is of a pair of two properties, not of {shown(pair)}")
         for name in pair:
             if name not in self.names:
                 raise InputError(f"the correlation names '{name}', which has no distribution: "
@@ -302,18 +327,31 @@ def _pair_of(name: str, ends: Any) -> tuple[float, float]:
         lower, upper = map(float, ends)
     except (TypeError, ValueError):
         raise InputError(
-            f"within: the bounds of {name} are {ends!r}: give two numbers, SI units, either may be infinite"
+            f"within: the bounds of {name} are {shown(ends)}: give two numbers, SI units, either may be infinite"
         ) from None
     return lower, upper
 
 
+def _numbers(what: str, values: ArrayLike) -> Vector:
+    """Return numbers as an array; refuse what is none, and NaN."""
+    found: Vector | None = None
+    if not isinstance(values, str | bytes | bool | None):
+        try:
+            found = np.asarray(values, dtype=float)
+        except (TypeError, ValueError, OverflowError, RuntimeError, NotImplementedError):
+            found = None
+    if found is None or np.any(np.isnan(found)):
+        raise InputError(f"{what} = {shown(values)} must be a number, or an array of them")
+    return found
+
+
 def _seed(seed: int) -> int:
     if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
-        raise InputError(f"the seed {seed!r} must be a whole number from 0 on")
+        raise InputError(f"the seed {shown(seed)} must be a whole number from 0 on")
     return int(seed)
 
 
 def _count(count: int) -> int:
     if isinstance(count, bool) or not isinstance(count, int | np.integer) or not 1 <= count <= _MOST_SAMPLES:
-        raise InputError(f"{count!r} samples must be a whole number from 1 to {_MOST_SAMPLES}")
+        raise InputError(f"{shown(count)} samples must be a whole number from 1 to {_MOST_SAMPLES}")
     return int(count)

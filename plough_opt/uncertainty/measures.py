@@ -13,8 +13,9 @@ import casadi as ca
 import numpy as np
 
 from plough_opt.domain import plain_number
-from plough_opt.errors import InputError, short
+from plough_opt.errors import InputError
 from plough_opt.expressions import Expression, is_casadi, sqrt, where
+from plough_opt.kinds import shown
 from plough_opt.uncertainty import smoothing
 
 # Halvings of a range of a million widths leave its last 1e-9, which one step of Newton's method squares.
@@ -66,7 +67,7 @@ def cvar(values: Expression, level: float, *, width: float = 0.0) -> Expression:
     """
     level = plain_number("the level of a CVaR", level)
     if not 0.0 <= level < 1.0:
-        raise InputError(f"the level {level!r} of a CVaR must lie from 0 to below 1: 0.9 means the worst tenth")
+        raise InputError(f"the level {shown(level)} of a CVaR must lie from 0 to below 1: 0.9 means the worst tenth")
     column = _column(values)
     part = 1.0 - level
     if not _smooth("CVaR", column, width):
@@ -145,7 +146,7 @@ def quantile(values: Expression, level: float, *, width: float = 0.0) -> Express
     """
     level = plain_number("the level of a quantile", level)
     if not 0.0 < level < 1.0:
-        raise InputError(f"the level {level!r} of a quantile must lie between 0 and 1")
+        raise InputError(f"the level {shown(level)} of a quantile must lie between 0 and 1")
     column = _column(values)
     if not _smooth("quantile", column, width):
         return float(np.quantile(column, level, method="inverted_cdf"))
@@ -183,7 +184,9 @@ def _sharp_cvar(values: np.ndarray, part: float) -> float:
 def _smooth(what: str, column: Expression, width: float) -> bool:
     """Return whether a width rounds the measure off, which it must do of expressions."""
     if plain_number(f"the width of a {what}", width) < 0.0:
-        raise InputError(f"the width {width!r} of a {what} must be a number of at least 0, in the unit of the values")
+        raise InputError(
+            f"the width {shown(width)} of a {what} must be a number of at least 0, in the unit of the values"
+        )
     if width == 0.0 and is_casadi(column):
         raise InputError(
             f"in a design a {what} needs a width, in the unit of its values, over which it is rounded off: a few"
@@ -202,7 +205,7 @@ def _column(values: Expression) -> Expression:
     try:
         numbers = np.asarray(values, dtype=float).ravel()
     except (TypeError, ValueError, OverflowError):
-        raise InputError(f"{short(repr(values))} are no samples: give a column of numbers") from None
+        raise InputError(f"{shown(values)} are no samples: give a column of numbers") from None
     if not len(numbers):
         raise InputError("there are no samples to take a measure of")
     if not np.all(np.isfinite(numbers)):

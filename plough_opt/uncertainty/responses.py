@@ -20,8 +20,10 @@ from plough_opt.batch.domain_check import DomainCheck
 from plough_opt.design import Optimum
 from plough_opt.design.nlp import averages_only
 from plough_opt.design.split import EmbeddedRun, split
+from plough_opt.domain import plain_number
 from plough_opt.errors import InputError, nearest
 from plough_opt.expressions import Expression, is_quantity, map_expressions
+from plough_opt.kinds import check_kind
 from plough_opt.motion.integrators import integration
 from plough_opt.motion.plan import phase, steps_for
 from plough_opt.motion.terms import Structure, parameters, start_deflection, start_rate, start_resistance
@@ -191,9 +193,10 @@ def _start_values(scene: Scene, symbols: Sequence[ca.MX]) -> ca.Function:
 
 
 def _number(at: Optimum | Mapping[str, float], symbol: ca.MX) -> float:
+    check_kind("the design", at, Optimum | Mapping, "an Optimum, or its values by name")
     values = at.variables if isinstance(at, Optimum) else at
     if symbol.name() in values:
-        return float(values[symbol.name()])
+        return plain_number(f"'{symbol.name()}'", values[symbol.name()])
     if isinstance(at, Optimum):
         return float(at(symbol))
     raise InputError(f"the design has no value for '{symbol.name()}': {nearest(symbol.name(), values)}")

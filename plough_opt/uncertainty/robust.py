@@ -11,8 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from plough_opt.design import Design, Optimum
-from plough_opt.errors import InputError, nearest
+from plough_opt.domain import plain_number
+from plough_opt.errors import InputError
 from plough_opt.expressions import Expression
+from plough_opt.kinds import check_callable, check_choice, check_kind, check_named, shown
 from plough_opt.uncertainty import measures
 from plough_opt.uncertainty.distribution import SoilDistribution
 from plough_opt.uncertainty.responses import Response, Responses
@@ -78,9 +80,8 @@ class Robust:
         self, field: SoilDistribution, response: Response, *, samples: int | SoilSamples = 64, seed: int = 1
     ) -> None:
         if not isinstance(field, SoilDistribution):
-            raise InputError(f"{field!r} is no distribution of soils: po.SoilDistribution(...) makes one")
-        if not callable(response):
-            raise InputError(f"the response {response!r} must be a function: soil -> results by name")
+            raise InputError(f"{shown(field)} is no distribution of soils: po.SoilDistribution(...) makes one")
+        check_callable("the response", response, "of a soil that returns results by name")
         self.field = field
         self.samples = samples if isinstance(samples, SoilSamples) else field.sample(samples, seed=seed)
         if self.samples.names != field.names:
@@ -92,8 +93,7 @@ class Robust:
 
     def __getitem__(self, name: str) -> Expression:
         """Return a result's values, a column over the samples: in a requirement it is limited in every one of them."""
-        if name not in self.columns:
-            raise InputError(f"'{name}' is no result of the response: {nearest(name, self.columns)}")
+        check_named("{} is no result of the response", name, self.columns)
         return self.columns[name]
 
     def expected(self, name: str) -> Expression:
@@ -102,6 +102,7 @@ class Robust:
 
     def mean_plus(self, name: str, kappa: float) -> Expression:
         """Return mean + kappa * standard deviation of a result."""
+        kappa = plain_number("kappa", kappa)
         sign = "+" if kappa >= 0.0 else "-"
         text = f"mean {sign} {abs(kappa):g} standard deviations"
         return self._ask(name, text, "mean", partial(measures.mean_plus, kappa=kappa))
@@ -111,11 +112,14 @@ class Robust:
 
         The worst are the largest, or with ``tail="lower"`` the smallest.
         """
+        check_choice("tail", tail, tuple(_WORST))
+        level = plain_number("the level of a CVaR", level)
         text = f"mean of the {_WORST[tail]} {100.0 * (1.0 - level):.4g} %"
         return self._ask(name, text, "mean", _in_tail(partial(measures.cvar, level=level), tail), width)
 
     def worst(self, name: str, *, width: float, tail: Tail = "upper") -> Expression:
         """Return the largest value of a result over the samples, or the smallest: see `measures.worst`."""
+        check_choice("tail", tail, tuple(_WORST))
         kind: Kind = "largest" if tail == "upper" else "smallest"
         return self._ask(name, f"{kind} of the samples", kind, _in_tail(measures.worst, tail), width)
 
@@ -161,6 +165,7 @@ class Robust:
         Raises:
             InputError: not one limit, or a probability that cannot be.
         """
+        check_kind("the design", design, Design, "a Design")
         if (at_least is None) == (at_most is None):
             raise InputError(f"'{requirement}': give one limit, at_least or at_most; two limits are two requirements")
         self.probability(name, at_least=at_least, at_most=at_most, width=width)
@@ -185,6 +190,7 @@ class Robust:
             guess: where it starts; by default its upper bound, below which all samples are then.
             unit: of the result, for reports.
         """
+        check_kind("the design", design, Design, "a Design")
         values, start = self[name], upper if guess is None else guess
         bound = design.variable(f"worst {name}", guess=start, lower=lower, upper=upper, unit=unit)
         design.require(f"{name} below its worst", values - bound, at_most=0.0, unit=unit)
@@ -202,6 +208,8 @@ class Robust:
         Raises:
             InputError: a soil has no results.
         """
+        if samples is not None:
+            check_kind("samples", samples, SoilSamples, "SoilSamples, as a SoilDistribution gives them")
         found = self.responses(at, self.samples if samples is None else samples)
         for number, reason in found.failures.items():
             raise InputError(f"sample {number} of the soil has no result: {reason}")
@@ -210,6 +218,7 @@ class Robust:
     def _ask(
         self, name: str, text: str, kind: Kind, measure: Callable[..., Expression], width: float = 0.0
     ) -> Expression:
+        width = plain_number("width", width)
         rounded = partial(measure, width=width) if width else measure
         value = rounded(self[name])
         self.asked.append(Asked(name, text, kind, measure, rounded, width))
@@ -218,7 +227,7 @@ class Robust:
 
 def _keeping(name: str, at_least: float | None, at_most: float | None, width: float) -> Asked:
     """Return the probability that a result keeps limits, as a measure."""
-    sides = [f"{word} {limit:.6g}" for word, limit in (("at least", at_least), ("at most", at_most))
+    sides = [f"{word} {plain_number(word, limit):.6g}" for word, limit in (("at least", at_least), ("at most", at_most))
              if limit is not None]  # fmt: skip
     keeps = partial(measures.probability, at_least=at_least, at_most=at_most)
     return Asked(

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from plough_opt.errors import InputError
 from plough_opt.expressions import Expression, is_casadi
+from plough_opt.kinds import check_callable, check_named
 from plough_opt.soil import Soil
 
 Vector = NDArray[np.float64]
@@ -45,7 +46,12 @@ class SoilSamples:
         return tuple(replace(self.soil, **dict(zip(self.names, row, strict=True))) for row in rows)
 
     def property(self, name: str) -> Vector:
-        """Return the values of a property."""
+        """Return the values of a property, SI.
+
+        Raises:
+            InputError: none of the uncertain properties.
+        """
+        check_named("{} is no uncertain property", name, self.names)
         column: Vector = self.values[:, self.names.index(name)]
         return column
 
@@ -58,6 +64,7 @@ class SoilSamples:
         Raises:
             InputError: no results by name, or one that is no scalar.
         """
+        check_callable("the response", response, "of a soil that returns results by name")
         found = [response(soil) for soil in self.soils]
         if not found or not all(isinstance(results, Mapping) and results for results in found):
             raise InputError('the response to a soil must be results by name, like {"draft": run.mean_draft}')

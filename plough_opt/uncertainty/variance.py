@@ -12,6 +12,7 @@ from scipy.stats import qmc
 from plough_opt.design import Optimum
 from plough_opt.errors import InputError
 from plough_opt.expressions import is_count
+from plough_opt.kinds import check_kind, shown
 from plough_opt.uncertainty.distribution import SoilDistribution
 from plough_opt.uncertainty.robust import Robust
 
@@ -81,9 +82,10 @@ def sobol_indices(
     Raises:
         InputError: correlated properties, a number that is no power of two, or soils without result.
     """
+    check_kind("the results", robust, Robust, "a Robust")
     field = robust.field
     if not is_count(samples) or samples < 2 or samples & (samples - 1):
-        raise InputError(f"samples = {samples!r} must be a power of two, as the Sobol sequence needs")
+        raise InputError(f"samples = {shown(samples)} must be a power of two, as the Sobol sequence needs")
     if field.correlated and not correlated:
         raise InputError(
             "correlated properties share variance, which Sobol indices cannot split between them: leave the correlation"

@@ -17,6 +17,7 @@ from scipy import stats
 from plough_opt.design import Optimum
 from plough_opt.errors import InputError
 from plough_opt.expressions import is_count
+from plough_opt.kinds import check_kind, shown
 from plough_opt.uncertainty.robust import Asked, Robust
 
 Vector = NDArray[np.float64]
@@ -152,9 +153,10 @@ def verify(
     Raises:
         InputError: too few samples, or too many soils without result.
     """
+    check_kind("the results", robust, Robust, "a Robust")
     started = time.perf_counter()
     if not is_count(samples) or samples < 100:
-        raise InputError(f"samples = {samples!r} must be a whole number of at least 100, for confidence intervals")
+        raise InputError(f"samples = {shown(samples)} must be a whole number of at least 100, for confidence intervals")
     own = robust.values(at)
     found = robust.responses(at, robust.field.draw(samples, seed=seed))
     kept = samples - len(found.failures)

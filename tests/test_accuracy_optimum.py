@@ -210,6 +210,7 @@ def test_a_design_without_an_objective_or_without_a_solution_is_refused():
         design_entries(d)
 
 
+@pytest.mark.slow
 def test_an_orbit_is_solved_by_harmonics_and_by_shooting(r1_soil, r1_wave, monkeypatch):
     monkeypatch.setattr(local_solve, "find_compiler", lambda: None)
     monkeypatch.setattr(optimum, "_FIXED", (("dop853", (0.8,)),))

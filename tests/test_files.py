@@ -195,7 +195,7 @@ def test_signals_are_as_they_were_afterwards(tmp_path):
     assert [signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGHUP)] == before
 
 
-@pytest.mark.parametrize("encoding", ["ascii", "cp1252", "utf-8"])
+@pytest.mark.parametrize("encoding", ["ascii", *(pytest.param(x, marks=pytest.mark.slow) for x in ("cp1252", "utf-8"))])
 def test_json_is_the_same_whatever_the_streams_encoding(tmp_path, encoding):
     title = 'Grubber für Шымкент, ≤ 40 \N{TRACTOR} "quoted"'
     text = (PROBLEMS / "cotton_subsoiler.toml").read_text(encoding="utf-8")

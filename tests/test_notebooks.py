@@ -7,8 +7,8 @@ import pytest
 from nbclient import NotebookClient
 
 NOTEBOOKS = sorted((Path(__file__).parents[1] / "notebooks").glob("*.ipynb"))
-# Take longest; what they call is tested elsewhere: in test_accuracy*.py and test_subsoiler_frame.py.
-LONGEST = ("04_accuracy_and_cost", "06_larger_machine")
+# The quickest, which calls what the others call; the others run with the slow tests.
+QUICKEST = "02_from_paper_to_code"
 
 
 # ipykernel and its event loop warn about themselves at start-up and shut-down; the notebook's own warnings
@@ -16,7 +16,7 @@ LONGEST = ("04_accuracy_and_cost", "06_larger_machine")
 @pytest.mark.filterwarnings("default")
 @pytest.mark.parametrize(
     "path",
-    [pytest.param(path, marks=pytest.mark.slow if path.stem in LONGEST else (), id=path.stem) for path in NOTEBOOKS],
+    [pytest.param(path, marks=() if path.stem == QUICKEST else pytest.mark.slow, id=path.stem) for path in NOTEBOOKS],
 )
 def test_notebook_runs(path):
     notebook = nbformat.read(path, as_version=4)

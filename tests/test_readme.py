@@ -52,10 +52,16 @@ def test_python_block_runs(block, capsys):
     assert capsys.readouterr().out
 
 
-def test_shell_lines_run_in_order(tmp_path):
+# The longest lines, which other tests run thinned: of sweeps and of the study of accuracy.
+LONG = ("plough-opt sweep", "plough-opt accuracy")
+QUICK = [line for line in LINES if not line.startswith(LONG)]
+
+
+@pytest.mark.parametrize("lines", [QUICK, pytest.param(LINES, marks=pytest.mark.slow)], ids=["quick", "all"])
+def test_shell_lines_run_in_order(tmp_path, lines):
     work = tmp_path / "clone"
     shutil.copytree(ROOT, work, ignore=shutil.ignore_patterns(".git", ".venv", ".*_cache", "out", "__pycache__"))
-    for line in LINES:
+    for line in lines:
         done = shell(rehearsed(line), work)
         assert done.returncode == 0, f"{line}\n{done.stdout}\n{done.stderr}"
     assert (work / "out" / "cotton_subsoiler.png").stat().st_size > 10_000

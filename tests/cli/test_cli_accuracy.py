@@ -43,6 +43,7 @@ def test_files(done):
     assert f"wrote {picture}" in outcome.err.replace("\n", "")
 
 
+@pytest.mark.slow
 def test_a_lasting_orbit_needs_no_duration(cli, cotton, tmp_path):
     path = tmp_path / "orbit.toml"
     text = cotton.read_text(encoding="utf-8").replace("[effects]", '[effects]\norbit = "linearised"')

@@ -461,6 +461,7 @@ def test_automatic_values_agree_with_the_tight_integration(r1, program_of):
         assert found == pytest.approx(float(exact[0].item()), rel=1e-8)
 
 
+@pytest.mark.slow
 def test_motions_that_need_too_many_steps_are_passed_over_and_refused(r1_scene, r1_wave):
     d = po.Design()
     # 2e5 rad/s for a second at the upper bound, at 0.8 rad a step.

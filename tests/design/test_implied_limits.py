@@ -28,11 +28,11 @@ RESULTS = {
     "cone pressure": lambda soil, v: elastic.cone_pressure(0.1, NODES, soil, v),
     "cone force": lambda soil, v: elastic.cone_force(NODES, soil, v),
 }
-# The cone's force is a graph of its own size, and like the others in what matters here.
+# The forces are graphs of their own size, and like the others in what matters here.
 results = pytest.mark.parametrize(
     "result",
     [
-        pytest.param(result, id=name, marks=[pytest.mark.slow] if name == "cone force" else [])
+        pytest.param(result, id=name, marks=[pytest.mark.slow] if name.endswith("force") else [])
         for name, result in RESULTS.items()
     ],
 )

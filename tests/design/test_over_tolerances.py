@@ -105,6 +105,7 @@ def test_a_narrow_valley_is_left_for_a_broad_one():
         assert d.solve().variables["x"] == pytest.approx(0.75, abs=1e-3)
 
 
+@pytest.mark.slow
 def test_runs_under_a_wave_keep_their_limits_in_the_whole_box():
     d = po.Design()
     stiffness = d.variable("stiffness", guess=2e4, lower=5e3, upper=1e5, unit="N/m", log=True, tolerance="5 %")

@@ -186,6 +186,7 @@ def test_cotton_without_a_damper_has_several_optima(cotton):
     assert [o.objective for o in optima] == sorted(o.objective for o in optima)
 
 
+@pytest.mark.slow
 def test_cotton_is_no_worse_than_a_fine_scan(cotton):
     scene = cotton.best(cotton.run.scene)
 

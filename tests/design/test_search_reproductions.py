@@ -148,7 +148,17 @@ def _with_guess(problem, *guess):
     return replace(problem, variables=tuple(variables))
 
 
-@pytest.mark.parametrize(("problem", "truth"), TRUTHS, ids=[problem.name for problem, _ in TRUTHS])
+# Longest: seconds to half a minute each.
+LONG = (RIPPLED, SPEED_AND_MASS)
+
+
+@pytest.mark.parametrize(
+    ("problem", "truth"),
+    [
+        pytest.param(problem, truth, id=problem.name, marks=pytest.mark.slow if problem in LONG else ())
+        for problem, truth in TRUTHS
+    ],
+)
 def test_the_best_is_found(problem, truth):
     best = as_design(problem)[0].solve()
     verdict = study.judge(problem, truth, best.variables)
@@ -195,6 +205,7 @@ def test_a_guess_that_is_the_optimum_already_is_solved():
     assert best.objective == pytest.approx(0.0, abs=1e-15)
 
 
+@pytest.mark.slow
 def test_force_and_mass_conflict_where_they_do():
     soil = po.Soil(1300.0, 0.722, 5e3, po.deg(30.0), 0.4, 5e3)
     d = po.Design()

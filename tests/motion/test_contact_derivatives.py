@@ -70,7 +70,9 @@ def test_values_are_those_of_numbers(r1_soil, case):
         assert (2.0 if case == "gap" else 1.0) in seen
 
 
-@pytest.mark.parametrize("case", ["sticks", "gap", pytest.param("smooth", marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "case", ["sticks", *(pytest.param(case, marks=pytest.mark.slow) for case in ("gap", "smooth"))]
+)
 def test_gradients_and_hessians_equal_high_order_differences(r1_soil, case):
     x, values = symbolic(r1_soil, case)
     size = np.abs(ca.Function("values", [x], [values])(AT).full().ravel())
@@ -91,7 +93,13 @@ def test_gradients_and_hessians_equal_high_order_differences(r1_soil, case):
         assert found == pytest.approx(found.T, rel=0, abs=1e-6 * np.max(np.abs(found)))
 
 
-@pytest.mark.parametrize("contact", [po.StickSlip(1.2), po.Smooth(0.2)], ids=["stick_slip", "smooth"])
+@pytest.mark.parametrize(
+    "contact",
+    [
+        pytest.param(po.StickSlip(1.2), marks=pytest.mark.slow, id="stick_slip"),
+        pytest.param(po.Smooth(0.2), id="smooth"),
+    ],
+)
 def test_a_design_finds_what_brute_force_finds(r1_soil, contact):
     effects = po.Effects(contact=contact, start="rest", strength_wave=WAVE, damping=200.0)
     lower, upper = 5e3, 5e4

@@ -15,7 +15,7 @@ PLACES = {
     "beside resonance": (1.3e4, 25.0, 2.0, 0.6, 0.3, 250.0),
 }
 # The others are of one kind with these, and slow.
-FEW = [pytest.param(name, marks=() if name in ("between", "stiff, strongest") else pytest.mark.slow) for name in PLACES]
+FEW = [pytest.param(name, marks=() if name == "stiff, strongest" else pytest.mark.slow) for name in PLACES]
 OUTPUTS = 48
 
 

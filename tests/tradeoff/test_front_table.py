@@ -32,6 +32,7 @@ def printed(front, width=120):
     return out.getvalue().splitlines()
 
 
+@pytest.mark.slow
 def test_a_surface_fits_into_120_characters_with_every_number_whole(surface):
     lines = printed(surface)
     table = [line for line in lines if line.startswith("│")]

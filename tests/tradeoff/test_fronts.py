@@ -124,6 +124,7 @@ def test_an_objective_that_one_variable_does_not_touch_leaves_it_to_the_other(pl
     assert front.designs[:, 1] == pytest.approx(0.25, abs=1e-5)
 
 
+@pytest.mark.slow
 def test_a_maximised_objective_is_its_negative(plane):
     d, x, y = plane
     first, second = x**2 + y**2, (x - 1.0) ** 2 + y**2

@@ -143,6 +143,29 @@ def label_of(function: ca.Function) -> Label | None:
     return _LABELS.of(function)
 
 
+def without_labels(expressions: list[ca.MX], labels: list[ca.MX]) -> list[ca.MX]:
+    """Return expressions with the labels' values in their place, which are computed faster.
+
+    Args:
+        expressions: of a graph.
+        labels: the calls of labels in it, inner ones first, as a Function of the expressions lists them.
+    """
+    old: list[ca.MX] = []
+    new: list[ca.MX] = []
+    for node in labels:
+        value = node.dep(0)
+        new.append(ca.graph_substitute([value], old, new)[0] if old else value)
+        old.append(node.get_output(0))
+    return list(ca.graph_substitute(expressions, old, new))
+
+
+def labels_in(function: ca.Function) -> list[ca.MX]:
+    """Return the calls of labels in a Function's graph of MX, inner ones first."""
+    places = [k for k in range(function.n_instructions()) if function.instruction_id(k) == ca.OP_CALL]
+    calls = {hash(node): node for node in map(function.instruction_MX, places)}
+    return [node for node in calls.values() if label_of(node.which_function()) is not None]
+
+
 # Whether what is computed is part of something that is checked as a whole.
 _INSIDE: ContextVar[bool] = ContextVar("inside", default=False)
 
@@ -180,8 +203,9 @@ def checked_in_designs(
             return result
         template, quantities = template_of((arguments, named))
         carried = ca.vertcat(*quantities)
-        # An argument of several numbers has no placeholder of its own for each of them.
-        if not isinstance(carried, ca.MX) or carried.numel() != len(quantities):
+        # An argument of several numbers has no placeholder of its own for each of them; CasADi's numbers need no label.
+        several = not isinstance(carried, ca.MX) or carried.numel() != len(quantities)
+        if several or not any(map(is_symbolic, quantities)):
             return result
         # Functions in arguments, as a density profile's, may print alike.
         functions: list[int] = []

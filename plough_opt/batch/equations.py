@@ -6,6 +6,7 @@ import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -15,6 +16,7 @@ from plough_opt.batch.layout import Layout
 from plough_opt.batch.program import Array
 from plough_opt.errors import InputError
 from plough_opt.expressions import Expression, minimum
+from plough_opt.labels import labels_in, without_labels
 from plough_opt.motion.equation import equation_of_motion
 from plough_opt.motion.terms import parameters, start_deflection, start_rate, start_resistance, wave_names
 from plough_opt.scene import Scene
@@ -102,9 +104,12 @@ def of_column(name: str, inputs: Sequence[Expression], result: Expression) -> ca
     Raises:
         InputError: the result depends on other symbols than the inputs.
     """
-    inner = ca.Function(name, list(inputs), [ca.densify(result)], {"allow_free": True})
+    found: Any = ca.densify(result)
+    inner = ca.Function(name, list(inputs), [found], {"allow_free": True})
     if inner.has_free():
         raise InputError(f"the scene depends on {', '.join(inner.get_free())}: name it among the inputs of the batch")
+    if inner.is_a("MXFunction") and (labels := labels_in(inner)):
+        inner = ca.Function(name, list(inputs), without_labels([found], labels))
     kind: type[Expression] = ca.SX
     try:
         inner = inner.expand()

@@ -8,7 +8,7 @@ import casadi as ca
 import numpy as np
 
 from plough_opt.errors import InputError
-from plough_opt.labels import Call, Label, label_of
+from plough_opt.labels import Call, Label, label_of, without_labels
 from plough_opt.motion.embedding import Embedding, embedding_of
 from plough_opt.motion.integrators import Integration
 
@@ -63,7 +63,7 @@ def split(expressions: list[ca.MX], symbols: list[ca.MX]) -> Split:
     found, calls = _calls(ca.Function("whole", symbols, expressions, {"never_inline": True}))
     labels = _carried(calls, symbols, bool(found))
     if calls:
-        expressions = _without(expressions, [node for _, node in calls])
+        expressions = without_labels(expressions, [node for _, node in calls])
         found, _ = _calls(ca.Function("whole", symbols, expressions, {"never_inline": True}))
     results = tuple(
         ca.MX.sym(f"results_{i}", sum(output.numel() for output in run.outputs)) for i, run in enumerate(found)
@@ -103,17 +103,6 @@ def _carried(calls: list[tuple[Label, ca.MX]], symbols: list[ca.MX], runs: bool)
         elif not isinstance(label.meaning, Call):
             raise InputError(_GIVEN_RESULTS)
     return found
-
-
-def _without(expressions: list[ca.MX], labels: list[ca.MX]) -> list[ca.MX]:
-    """Return expressions with the labels' values in their place, which are computed faster; inner labels come first."""
-    old: list[ca.MX] = []
-    new: list[ca.MX] = []
-    for node in labels:
-        value = node.dep(0)
-        new.append(ca.graph_substitute([value], old, new)[0] if old else value)
-        old.append(node.get_output(0))
-    return list(ca.graph_substitute(expressions, old, new))
 
 
 def _calls(whole: ca.Function) -> tuple[list[EmbeddedRun], list[tuple[Label, ca.MX]]]:

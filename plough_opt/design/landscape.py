@@ -18,6 +18,8 @@ MET = 5e-10
 
 # A violated requirement must outweigh any gain in the scaled objective, which is of order 1.
 _PENALTY = 100.0
+# The same within the tolerance of what meets the requirements, of which an objective may not make use.
+_WITHIN = 1e4
 # Above every scaled objective, and little enough for violations to count behind it.
 _BEYOND = 1e8
 # Scaled step of differences, between the rounding of a run (some 1e-13) and its curvature.
@@ -245,7 +247,8 @@ class _Descent:
     def _merit(self, _y: Vector, f: float, violations: Vector) -> tuple[bool, float]:
         """Return what the best design of a descent has least of: first of all, it meets the requirements."""
         total = float(violations.sum())
-        return total > FEASIBLE, f + _PENALTY * total
+        met = total <= FEASIBLE
+        return not met, f + (_WITHIN if met else _PENALTY) * total
 
     def _derivatives(self, x: Vector) -> tuple[float, Vector, Vector, Vector]:
         """Return objective, gradient, requirements and their Jacobian, by differences of runs of equal steps."""

@@ -62,11 +62,12 @@ def simulate(
     Returns:
         A `Run` of numbers or of expressions. A run of numbers is integrated a second time, more coarsely, of a method
         that is named more finely, and ``error_estimate`` is the largest difference of the two, twice that where the
-        second run is not the coarser or the contact has kinks (`Smooth` is checked by two runs), and after events no
-        less than 1e-11. It covers every result, each relative to its own size:
-        mount force, soil resistance, deflection and speed at the outputs, and so their peaks, relative to the largest
-        of each; travel and opening to the largest deflection too; both RMS to themselves; mean draft and deflection
-        to themselves or the RMS, whichever is larger; the tow power to itself or that force at the strut's mean speed.
+        second run is not the coarser or the contact has kinks, and after events no less than 1e-11, or than what a stop
+        between the outputs may change that the integrator may have passed over. It covers every result, each relative
+        to its own size: mount force, soil resistance, deflection and speed at the outputs, and so their peaks, relative
+        to the largest of each; travel and opening to the largest deflection too; both RMS to themselves; mean draft and
+        deflection to themselves or the RMS, whichever is larger; the tow power to itself or that force at the strut's
+        mean speed.
         A size below 1e-7 of what the motion's forces, deflections or speeds reach counts as that. Soil resistance and
         speed jump at an event, and count where both runs are in the same mode. What is left of double precision, some
         1e-13 of those, is not in it, nor what the model leaves out. An estimate above the wanted error, or of a
@@ -161,7 +162,7 @@ def _symbolic(scene: Scene, duration: Expression, accuracy: Accuracy, outputs: i
         accuracy = with_setting(accuracy, max(outputs, OUTPUTS), outputs)
     elif scene.effects.events:
         # Events are located, the ends of smooth contact's step beside them are not.
-        part = 1e-3 if isinstance(scene.effects.contact, Smooth) else 1e-2
+        part = 1e-4 if isinstance(scene.effects.contact, Smooth) else 1e-2
         wanted = min(accuracy.error or DEFAULT_ERROR, part * accuracy.wanted_derivatives)
         accuracy = Accuracy("erk", tolerance=max(0.01 * wanted, TIGHTEST))
     return _embedded(scene, duration, accuracy, outputs)

@@ -30,15 +30,16 @@ def test_polynomials_up_to_degree_15_are_read_exactly(steps, power):
 
 
 def test_degree_16_is_beyond_them():
-    timeline = Timeline(outputs=50, steps=7, aligned=False)
+    timeline = Timeline(outputs=50, steps=5, aligned=False)
+    assert len(timeline.nodes) == 8
     found = read(timeline, [timeline.nodes**16, 16 * timeline.nodes**15])
     # (t - t_0)^2 ... (t - t_7)^2, the error of Hermite interpolation of t^16.
     error = np.prod((timeline.output_fractions[:, None] - timeline.nodes) ** 2, axis=1)
-    assert timeline.output_fractions**16 - found[0] == pytest.approx(error, rel=0, abs=64 * EPS)
+    assert timeline.output_fractions**16 - found[0] == pytest.approx(error, rel=0, abs=128 * EPS)
     assert np.max(error) > 1e4 * 64 * EPS
 
 
-@pytest.mark.parametrize(("steps", "degree"), [(1, 3), (3, 7)])
+@pytest.mark.parametrize(("steps", "degree"), [(1, 5), (2, 9), (3, 11)])
 def test_few_steps_make_polynomials_of_lower_degree(steps, degree):
     timeline = Timeline(outputs=9, steps=steps, aligned=False)
     ends, at = timeline.nodes, timeline.output_fractions
@@ -51,7 +52,7 @@ def test_no_polynomial_reaches_across_a_kink(kink):
     timeline = Timeline(outputs=40, steps=30, kink=kink, aligned=False)
     ends, at = timeline.nodes, timeline.output_fractions
     found = read(timeline, [np.maximum(ends - kink, 0.0) ** 3, 3.0 * np.maximum(ends - kink, 0.0) ** 2])
-    assert found[0] == pytest.approx(np.maximum(at - kink, 0.0) ** 3, rel=0, abs=64 * EPS)
+    assert found[0] == pytest.approx(np.maximum(at - kink, 0.0) ** 3, rel=0, abs=128 * EPS)
     assert found[1] == pytest.approx(3.0 * np.maximum(at - kink, 0.0) ** 2, rel=0, abs=64 * EPS * 30)
 
 
@@ -61,18 +62,18 @@ def test_wherever_the_kink_lies_an_oscillation_is_read_on_both_sides(kink):
     timeline, rate = Timeline(outputs=400, steps=20, kink=kink, aligned=False), 10.0
     ends, at = timeline.nodes, timeline.output_fractions
     found = read(timeline, [np.cos(rate * ends), -rate * np.sin(rate * ends)])
-    # At the ends of each part the polynomial over eight ends of steps is up to 3e-13 off, its slope 3e-12.
-    assert found[0] == pytest.approx(np.cos(rate * at), rel=0, abs=4e-13)
-    assert found[1] == pytest.approx(-rate * np.sin(rate * at), rel=0, abs=4e-12 * rate)
+    # Of slopes the spacing of the outputs divides the rounding.
+    assert found[0] == pytest.approx(np.cos(rate * at), rel=0, abs=128 * EPS)
+    assert found[1] == pytest.approx(-rate * np.sin(rate * at), rel=0, abs=2000 * EPS * rate)
 
 
 def test_outputs_at_the_ends_of_steps_are_the_states_there():
+    # Thirty equal steps, and the first and the last in two.
     timeline, random = Timeline(outputs=10, steps=30, aligned=False), np.random.default_rng(3)
-    states = random.normal(size=(2, 31))
-    found = read(timeline, states)
-    # An output is off its end by rounding; random states make slopes of some hundreds, which change by some 1e4.
-    assert found[0] == pytest.approx(states[0, ::3], rel=0, abs=300 * EPS)
-    assert found[1] == pytest.approx(states[1, ::3], rel=0, abs=1e4 * EPS)
+    states = random.normal(size=(2, 33))
+    at = [0, *range(4, 31, 3), 32]
+    assert timeline.nodes[at] == pytest.approx(timeline.output_fractions, rel=0, abs=EPS)
+    assert np.all(read(timeline, states) == states[:, at])
 
 
 def test_a_run_between_few_steps_is_that_of_many(r1_scene, r1_wave):

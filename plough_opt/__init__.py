@@ -33,7 +33,7 @@ from plough_opt.printed import Printed
 from plough_opt.refinement import Refinement, refine
 from plough_opt.scene import Scene
 from plough_opt.soil import Soil, named_soil, soil_names
-from plough_opt.strength_waves import StrengthWave
+from plough_opt.waves import StrengthWave
 
 if TYPE_CHECKING:
     __version__: str
@@ -52,8 +52,11 @@ if TYPE_CHECKING:
     )
     from plough_opt.problem_file import Problem, read_problem
     from plough_opt.problem_file.penetrometer import Penetrometer, read_penetrometer
+    from plough_opt.problem_file.strength_file import read_strength_record
     from plough_opt.problem_file.sweeping import sweep
     from plough_opt.results import load
+    from plough_opt.rig import Rig
+    from plough_opt.strength_record import RecordWaves, StrengthRecord, strength_waves
     from plough_opt.study.axes import Range
     from plough_opt.study.result import Sweep
     from plough_opt.tradeoff import Goal, TradeOff, trade_off
@@ -76,6 +79,11 @@ _LATER = {
     "Penetrometer": "plough_opt.problem_file.penetrometer",
     "read_penetrometer": "plough_opt.problem_file.penetrometer",
     "read_problem": "plough_opt.problem_file",
+    "read_strength_record": "plough_opt.problem_file.strength_file",
+    "RecordWaves": "plough_opt.strength_record",
+    "Rig": "plough_opt.rig",
+    "StrengthRecord": "plough_opt.strength_record",
+    "strength_waves": "plough_opt.strength_record",
     "load": "plough_opt.results",
     "Range": "plough_opt.study.axes",
     "Sweep": "plough_opt.study.result",
@@ -139,7 +147,9 @@ __all__ = [
     "Printed",
     "Problem",
     "Range",
+    "RecordWaves",
     "Refinement",
+    "Rig",
     "Robust",
     "Run",
     "Scene",
@@ -147,6 +157,7 @@ __all__ = [
     "Soil",
     "SoilDistribution",
     "StickSlip",
+    "StrengthRecord",
     "StrengthWave",
     "Sweep",
     "TradeOff",
@@ -166,12 +177,14 @@ __all__ = [
     "read_measurements",
     "read_penetrometer",
     "read_problem",
+    "read_strength_record",
     "refine",
     "resistance",
     "resistance_coefficients",
     "simulate",
     "soil_names",
     "soil_reaction",
+    "strength_waves",
     "study_accuracy",
     "study_design",
     "sweep",

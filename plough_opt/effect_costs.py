@@ -24,7 +24,7 @@ from plough_opt.motion.quasi_static import GAUSS_POINTS, MORE_POINTS
 from plough_opt.motion.runge_kutta import step
 from plough_opt.motion.terms import Structure, resistance
 from plough_opt.scene import Scene
-from plough_opt.strength_waves import StrengthWave
+from plough_opt.waves import StrengthWave
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ from plough_opt.expressions import COUNT, Expression, as_number, is_casadi, is_c
 from plough_opt.kinds import check_choice, check_switch, shown
 from plough_opt.printed import Formulation, Printed, errors_of
 from plough_opt.quantities import MOST_WAVES, QUANTITIES
-from plough_opt.strength_waves import StrengthWave, turns_of
+from plough_opt.waves import StrengthWave, turns_of
 
 MOST_HARMONICS = 64
 """Largest number of harmonics of a harmonic balance."""

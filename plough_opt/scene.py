@@ -19,7 +19,7 @@ from plough_opt.kinds import check_choice, shown
 from plough_opt.labels import checked_in_designs, unlabelled
 from plough_opt.quantities import QUANTITIES
 from plough_opt.soil import Soil
-from plough_opt.strength_waves import check_strength
+from plough_opt.waves import check_strength
 
 # Overburden [Pa] of some 1.5 m of soil, below which no subsoiler works: more is the atmosphere's.
 _DEEPEST = 20e3

@@ -30,17 +30,21 @@ def test_the_table_of_cone_indices_is_the_code_s():
 
 
 def test_its_tables_of_a_file_are_read(tmp_path):
-    (tables,) = (text for language, text in BLOCKS if language == "toml")
+    tables, waves = (text for language, text in BLOCKS if language == "toml")
     soil, uncertain = tables.split("\n\n")
     file = (ROOT / "problems" / "cotton_subsoiler.toml").read_text(encoding="utf-8")
     start = file.index("[soil]")
-    lines = [line for line in file[file.index("\n[", start) :].splitlines() if not line.startswith("deflection")]
+    rest = file[file.index("\n[", start) :].replace("[effects]", waves, 1)
+    lines = [
+        line for line in rest.splitlines() if not line.startswith(("deflection", "strength_wave = { amplitude = 0.3"))
+    ]
     path = tmp_path / "share.toml"
     path.write_text(file[:start] + soil + "\n" + "\n".join(lines) + "\n" + uncertain, encoding="utf-8")
     shutil.copy(ROOT / "problems" / "insertions.csv", tmp_path)
     problem = po.read_problem(path)
     readings = po.read_penetrometer(ROOT / "problems" / "insertions.csv", (0.25, 0.45))
     assert po.cone_index(problem.scene().soil) == pytest.approx(readings.mean, rel=1e-12)
+    assert [wave.wavelength for wave in problem.scene().effects.waves] == [0.73, 2.1]
 
 
 def test_the_synthetic_readings_are_what_their_script_writes():

@@ -21,6 +21,7 @@ from plough_opt.cli import calibrate as calibrations
 from plough_opt.cli import commands
 from plough_opt.cli import export as exports
 from plough_opt.cli import sweep as sweeps
+from plough_opt.cli import waves as strengths
 from plough_opt.cli.terminal import interruptible, printable, what_was_written
 from plough_opt.errors import DomainError, InputError, PloughError
 from plough_opt.notices import without_notices
@@ -83,6 +84,10 @@ def _parser() -> argparse.ArgumentParser:
     soils = verbs.add_parser("soils", help="list the named soils and where their values come from")
     soils.add_argument("--json", action="store_true", help="print JSON instead of a table")
     soils.set_defaults(run=commands.soils)
+
+    verb = verbs.add_parser("waves", help="find the strength waves that a record along a field holds")
+    strengths.add_options(verb)
+    verb.set_defaults(run=strengths.waves)
 
     for name, run, text in (
         ("check", commands.check, "check a problem file and say what its scene contains"),

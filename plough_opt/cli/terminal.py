@@ -31,12 +31,7 @@ def read(options: argparse.Namespace) -> Problem:
         InputError: a mistake in the file, an output that cannot be written, or one that would overwrite what is read.
     """
     problem = read_problem(options.file, options.set)
-    _check_outputs(options)
-    if getattr(options, "plot", None) is not None:
-        _check_matplotlib()
-        from plough_opt import plots
-
-        plots.check_format(options.plot)
+    check_outputs(options)
     for note in problem.notes:
         Console(stderr=True).print(f"note: {note}", markup=False)
     return problem
@@ -53,8 +48,17 @@ def _check_matplotlib() -> None:
         ) from None
 
 
-def _check_outputs(options: argparse.Namespace) -> None:
-    """Refuse outputs that are an input or the same file twice, or that have no folder to stand in."""
+def check_outputs(options: argparse.Namespace) -> None:
+    """Refuse outputs that are an input or the same file twice, have no folder to stand in, or are no pictures.
+
+    Raises:
+        InputError: as said.
+    """
+    if getattr(options, "plot", None) is not None:
+        _check_matplotlib()
+        from plough_opt import plots
+
+        plots.check_format(options.plot)
     taken = {_place(options.file): "the problem file"}
     taken |= {_place(data): "a file of data" for data in getattr(options, "data", ())}
     for name in _OUTPUTS:

@@ -35,7 +35,7 @@ from plough_opt.motion.terms import Structure, parameters
 from plough_opt.motion.verified import interpreted, verified
 from plough_opt.quantities import BESIDE
 from plough_opt.scene import Scene
-from plough_opt.strength_waves import check_strength
+from plough_opt.waves import check_strength
 
 
 def simulate(

@@ -23,7 +23,7 @@ from plough_opt.expressions import Expression, as_number, is_symbolic, maximum, 
 from plough_opt.labels import unlabelled
 from plough_opt.motion.own import OwnTerm
 from plough_opt.scene import Scene
-from plough_opt.strength_waves import StrengthWave
+from plough_opt.waves import StrengthWave
 
 # Differences of travel [m] and speed [m/s] by which slopes that only choose steps are measured.
 _DIFFERENCE = 1e-4

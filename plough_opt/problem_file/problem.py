@@ -25,8 +25,8 @@ from plough_opt.problem_file.units import Display
 from plough_opt.quantities import BESIDE, EVERY, MOST_WAVES, QUANTITIES, wave_table
 from plough_opt.scene import Scene
 from plough_opt.soil import Soil, named_soil
-from plough_opt.strength_waves import StrengthWave
 from plough_opt.tradeoff import Goal, TradeOff, trade_off
+from plough_opt.waves import StrengthWave
 
 _READING = "soil.cone_index"
 

@@ -1,0 +1,78 @@
+"""Records of soil strength from a CSV file: cone index along a path, or a force with the rig that felt it."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+
+from plough_opt.errors import InputError, nearest, short
+from plough_opt.problem_file.csv_rows import HEADING, factor_of, number_of, raise_listed, read_rows
+from plough_opt.problem_file.units import Unit
+from plough_opt.rig import Rig
+from plough_opt.strength_record import StrengthRecord
+
+_UNITS = {"position": Unit("m"), "time": Unit("s"), "cone_index": Unit("Pa"), "force": Unit("N")}
+_EXAMPLE = "'position [m], cone_index [kPa]', or 'time [s], force [kN]'"
+
+
+def read_strength_record(path: str | Path, rig: Rig | None = None, *, tow_speed: float | None = None) -> StrengthRecord:
+    """Read a record of soil strength from a CSV file.
+
+    The first line that is neither empty nor begins with ``#`` names two columns with their units: ``position`` or
+    ``time``, and ``cone_index`` or ``force``.
+
+    Args:
+        path: the file.
+        rig: the mount on which a force was felt, without which a force does not tell the soil's strength.
+        tow_speed: of a penetrometer or load cell whose readings are over time [m/s]; default: the rig's.
+
+    Raises:
+        InputError: no such file, a column or cell that cannot be, each with its line, a force without a rig, or times
+            without a speed.
+    """
+    rows = read_rows(Path(path), "readings")
+    if len(rows) < 2:
+        raise InputError(f"{path}: there are no readings: write a first line that names the columns, as {_EXAMPLE}")
+    line, headings = rows[0]
+    columns, errors = [], []
+    for text in headings:
+        match = HEADING.fullmatch(text)
+        try:
+            if match is None or match["name"] not in _UNITS:
+                raise InputError(f"no such column is known: {nearest(match['name'] if match else text, _UNITS)}")
+            columns.append((match["name"], factor_of(match["name"], match["unit"], _UNITS[match["name"]])))
+        except InputError as error:
+            errors.append(f"{path}, line {line}, column '{short(text.strip())}': {error}")
+    raise_listed(errors)
+    names = [name for name, _ in columns]
+    along = [name for name in names if name in ("position", "time")]
+    if len(names) != 2 or len(along) != 1:
+        raise InputError(f"{path}, line {line}: a place and a strength are needed, as {_EXAMPLE}")
+    table = []
+    for number, cells in rows[1:]:
+        if len(cells) != 2:
+            errors.append(f"{path}, line {number}: the number of cells is {len(cells)}: give two")
+            continue
+        values = [math.nan, math.nan]
+        for k, (cell, (name, factor)) in enumerate(zip(cells, columns, strict=True)):
+            try:
+                values[k] = number_of(cell, factor)
+            except InputError as error:
+                errors.append(f"{path}, line {number}, column '{name}': {error}")
+        table.append(values)
+    raise_listed(errors)
+    found = dict(zip(names, np.array(table).T, strict=True))
+    if "force" in found and rig is None:
+        raise InputError(
+            f"{path}: a force is the response of the mount that felt it: give the rig's mass, stiffness, damping and"
+            " tow speed, by which its own oscillation is divided out"
+        )
+    if "cone_index" in found:
+        rig = None
+    speed = tow_speed if tow_speed is not None else rig.tow_speed if rig is not None else None
+    if "time" in found and speed is None:
+        raise InputError(f"{path}: readings over time need the tow speed, for waves are lengths along the path")
+    position = found["position"] if "position" in found else found["time"] * (speed or 1.0)
+    return StrengthRecord(position, found["force" if "force" in found else "cone_index"], rig, str(path))

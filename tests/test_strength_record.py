@@ -1,0 +1,149 @@
+"""Strength waves from records: known waves are found within their intervals, and rigs are divided out."""
+
+import json
+import math
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+import plough_opt as po
+
+TRUE = ((0.2, 0.73, 0.4), (0.1, 2.1, -1.2))
+
+
+def record(seed, noise=0.15, even=True, waves=TRUE):
+    """Return a record of known waves (amplitude, wavelength, phase at its first position) in white noise."""
+    rng = np.random.default_rng(seed)
+    x = np.arange(0.0, 40.0, 0.05) if even else np.sort(rng.uniform(0.0, 40.0, 800))
+    strength = 1.0 + sum(a * np.sin(2 * math.pi * (x - x[0]) / length + p) for a, length, p in waves)
+    return po.StrengthRecord(x, 1.5e6 * (strength + noise * rng.standard_normal(len(x))))
+
+
+@pytest.mark.parametrize("count", [40, pytest.param(500, marks=pytest.mark.slow)])
+def test_known_waves_lie_within_their_intervals(count):
+    inside = np.zeros((len(TRUE), 3))
+    for seed in range(count):
+        found = po.strength_waves(record(seed), 1.0).found
+        assert len(found) >= len(TRUE)
+        for k, (a, length, p) in enumerate(TRUE):
+            one = found[k]
+            inside[k] += (
+                abs(one.wave.amplitude - a) <= one.amplitude,
+                abs(one.wave.wavelength - length) <= one.wavelength,
+                abs(math.remainder(one.wave.phase - p, 2 * math.pi)) <= one.phase,
+            )
+    # Of 95 %; three standard deviations of the number found, and the 3 % that short records may err.
+    margin = 3.0 * math.sqrt(0.95 * 0.05 / count) if count < 500 else 0.03
+    assert np.all(np.abs(inside / count - 0.95) <= margin), inside / count
+
+
+def test_a_record_at_uneven_places_holds_the_same_waves():
+    for one, (a, length, _) in zip(po.strength_waves(record(3, even=False), 0.5).found, TRUE, strict=False):
+        assert one.wave.amplitude == pytest.approx(a, abs=3 * one.amplitude)
+        assert one.wave.wavelength == pytest.approx(length, abs=3 * one.wavelength)
+
+
+def test_noise_alone_holds_no_wave():
+    """One in a hundred may: of fifty records at most four, with a probability of 0.998."""
+    found = [po.strength_waves(record(seed, waves=()), 1.0) for seed in range(50)]
+    assert sum(bool(one.found) for one in found) <= 4
+    assert any("stands out of noise" in note for note in found[0].notes)
+
+
+def test_the_spectrum_holds_the_variance():
+    """Parseval: what segments' windows leave of it is a few per cent."""
+    made = po.strength_waves(record(1, waves=()), 0.5)
+    assert made.spectrum.variance == pytest.approx(made.variance, rel=0.05)
+    lower, density, upper = made.spectrum.lower, made.spectrum.density, made.spectrum.upper
+    assert np.all((lower < density) & (density < upper))
+    # White noise has one density; 95 % of the bands hold it, neighbours being alike.
+    level = made.variance / (math.pi / 0.05)
+    assert np.mean((lower < level) & (level < upper)) > 0.85
+
+
+def test_a_force_is_freed_of_its_rig():
+    """The force on a damped rig in a soil with known waves, integrated by SciPy, holds the soil's waves."""
+    rig = po.Rig(mass=25.0, stiffness=4e4, damping=500.0, tow_speed=2.0)
+    waves = ((0.1, 1.3, 0.3), (0.06, 0.5, -0.9))
+
+    def rates(t, y):
+        strength = 1.0 + sum(a * math.sin(2 * math.pi * 2.0 * t / length + p) for a, length, p in waves)
+        return [y[1], (2e3 * strength - 4e4 * y[0] - 500.0 * y[1]) / 25.0]
+
+    times = np.linspace(0.0, 22.0, 4401)
+    run = solve_ivp(rates, (0.0, 22.0), [2e3 / 4e4, 0.0], t_eval=times, rtol=1e-10, atol=1e-12, method="DOP853")
+    late = times >= 2.0  # when the start is forgotten
+    force = 4e4 * run.y[0] + 500.0 * run.y[1]
+    found = po.strength_waves(po.StrengthRecord(2.0 * times[late], force[late], rig), 0.99)
+    for one, (a, length, p) in zip(found.found, waves, strict=True):
+        first = p + 2 * math.pi * 4.0 / length
+        # What is left is the detrending of a record that holds no whole number of waves.
+        assert one.wave.amplitude == pytest.approx(a, rel=2e-3)
+        assert one.wave.wavelength == pytest.approx(length, rel=1e-4)
+        assert math.remainder(one.wave.phase - first, 2 * math.pi) == pytest.approx(0.0, abs=2e-2)
+    assert any("rig resonates" in note for note in found.notes)
+
+
+def test_the_waves_go_into_a_scene():
+    found = po.strength_waves(record(5), 0.5)
+    effects = po.Effects(strength_wave=found.waves, damping=400.0)
+    scene = po.Scene(po.named_soil("serozem"), po.Cone(0.2, 0.2), 1e5, 20.0, 2.0, effects)
+    assert po.simulate(scene, 1.0).force_rms > 0.0
+
+
+@pytest.mark.parametrize(
+    ("text", "options", "words"),
+    [
+        ("", (), "there are no readings"),
+        ("position [m]\n1\n", (), "a place and a strength are needed"),
+        ("position [m], cone_index [kPa]\n1, x\n", (), "line 2, column 'cone_index': 'x' is not a number"),
+        ("position [m], cone_index [kPa]\n1, 2, 3\n", (), "line 2: the number of cells is 3"),
+        ("position [m], strength [kPa]\n1, 2\n", (), "column 'strength .kPa.': no such column"),
+        ("position [m], cone_index [kPa]\n1, 2\n2, 3\n", (), "2 points"),
+        ("position [m], force [kN]\n1, 2\n", (), "a force is the response of the mount"),
+        ("time [s], cone_index [kPa]\n1, 2\n", (), "need the tow speed"),
+        (None, ("--mass", "20 kg"), "a rig needs --stiffness, --tow-speed too"),
+        (None, ("--part", "2"), "part = 2.0"),
+        (None, ("--mass", "20"), "--mass = .*20.* has no unit"),
+        (None, ("--plot", "x.bmp"), "no known picture format"),
+    ],
+)
+def test_what_is_wrong_is_said_with_its_place(cli_waves, text, options, words):
+    done = cli_waves(text, *options)
+    assert done.status == 2
+    assert done.out == ""
+    import re
+
+    assert re.search(words, done.err.replace("\n", " ")), done.err
+
+
+def test_the_command_prints_what_a_file_takes(cli_waves, tmp_path):
+    done = cli_waves(None, "--plot", str(tmp_path / "waves.png"))
+    assert done.status == 0, done.err
+    assert "strength_wave = { amplitude = 0." in done.out
+    assert "strength_wave_2 = { amplitude = 0.1" in done.out
+    assert (tmp_path / "waves.png").stat().st_size > 10_000
+    plain = json.loads(cli_waves(None, "--json").out)
+    assert len(plain["waves"]) == 2
+
+
+@pytest.fixture
+def cli_waves(tmp_path, capsys):
+    """Run `plough-opt waves` on a file of a text, or of known waves."""
+    from types import SimpleNamespace
+
+    from plough_opt.cli import main
+
+    def run(text, *options):
+        if text is None:
+            made = record(2, noise=0.05)
+            rows = [f"{x:.2f}, {y / 1e3:.1f}" for x, y in zip(made.position, made.value, strict=True)]
+            text = "\n".join(["position [m], cone_index [kPa]", *rows])
+        path = tmp_path / "record.csv"
+        path.write_text(text, encoding="utf-8")
+        status = main(["waves", str(path), *options])
+        captured = capsys.readouterr()
+        return SimpleNamespace(status=status, out=captured.out, err=captured.err)
+
+    return run

@@ -6,6 +6,7 @@ import numpy as np
 
 from plough_opt.design.ipopt import Vector
 from plough_opt.design.landscape import Landscape, Seen
+from plough_opt.design.sobol import sobol_points
 
 SEED = 2008
 """Of every sample and evolution: the same question has the same answer."""
@@ -31,9 +32,7 @@ def sample(n: int, count: int, start: Vector, rng: np.random.Generator) -> tuple
         # In one variable nothing is more even than a grid.
         grid = np.linspace(0.0, 1.0, count)[:, None]
         return np.vstack([grid, start[None]]), rng.permutation(count)
-    from scipy.stats.qmc import Sobol  # slow to import
-
-    points = Sobol(n, rng=rng).random(count)
+    points = sobol_points(n, count, rng)
     half = count // 2
     points[half:] = np.clip((1.0 + 2.0 * _STRETCH) * points[half:] - _STRETCH, 0.0, 1.0)
     return np.vstack([points, start[None], np.full((1, n), 0.5)]), rng.permutation(half)

@@ -9,6 +9,7 @@ import numpy as np
 from plough_opt.design.ipopt import Vector
 from plough_opt.design.landscape import Landscape, Seen
 from plough_opt.design.sampling import SEED, lowest_around
+from plough_opt.design.sobol import sobol_points
 
 # Keeps the arithmetic of an evolution finite where designs have no value.
 _WORST = 1e30
@@ -92,14 +93,11 @@ class _View:
 
     def sampled(self, kept: list[int]) -> tuple[np.ndarray, list[Seen]]:
         """Return the lowest combinations, and the designs of each that were looked at, that of the optimum first."""
-        from scipy.stats.qmc import Sobol  # slow to import
-
         count, n = len(self._combinations), len(self.free)
         numbers = np.arange(count)
         held = self._landscape(self.designs(numbers, np.tile(self._optimum[self.free], (count, 1))))
         each = int(np.clip(_LOOKS // count, _FEWEST, _MOST))
-        power = int(np.ceil(np.log2(count * each)))
-        points = Sobol(n, rng=self._rng).random_base2(power)[: count * each]
+        points = sobol_points(n, count * each, self._rng)
         # Neighbouring points of the sequence fill the space evenly: each combination has its own.
         seen = self._landscape(self.designs(np.repeat(numbers, each), points))
         best = _best_of_each(held, seen, each)

@@ -12,6 +12,7 @@ import numpy as np
 from plough_opt.design.declarations import Variable
 from plough_opt.design.ipopt import Vector
 from plough_opt.design.landscape import FEASIBLE, Landscape
+from plough_opt.design.sobol import sobol_points
 
 Judge = Literal["tolerance", "bare"]
 """By what optima are compared: the median objective over the tolerances, or the objective itself."""
@@ -85,6 +86,8 @@ def ranked(landscape: Landscape, judge: Judge, points: Vector) -> list[int]:
     Medians of samples differ by chance: designs whose medians 64 designs cannot tell apart are compared by their own
     objectives, needles excepted.
     """
+    if len(points) == 1:
+        return [0]
     own = landscape(points, finer=_FINER).f
     if judge == "bare" or not landscape.vectorised:
         return [int(k) for k in np.argsort(own, kind="stable")]
@@ -134,7 +137,4 @@ def spread(landscape: Landscape, y: Vector, objective: float) -> Spread | None:
 @lru_cache(maxsize=16)
 def unit_box(n: int) -> Vector:
     """Return the designs of a box between 0 and 1, a row each; the first of them, a power of two, are even too."""
-    from scipy.stats.qmc import Sobol  # slow to import
-
-    points: Vector = Sobol(n, rng=np.random.default_rng(_SEED)).random(BOX_DESIGNS)
-    return points
+    return sobol_points(n, BOX_DESIGNS, np.random.default_rng(_SEED))

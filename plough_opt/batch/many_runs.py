@@ -137,7 +137,14 @@ class ManyRuns:
         states = 2 * (self._outputs + 1) if self._outputs else 0
         return states + self._observed.count + self._observed.squared
 
-    def __call__(self, p: Array, *, finer: float = 1.0, together: int = 1, threads: int = 1) -> Array:
+    @property
+    def compiled(self) -> bool:
+        """Whether the runs are followed in machine code."""
+        return not isinstance(self._run, _ByArrays)
+
+    def __call__(
+        self, p: Array, *, finer: float = 1.0, together: int = 1, threads: int = 1, count: int | None = None
+    ) -> Array:
         """Return the results, a row for each run; NaN where a motion has no end or is too fast to follow.
 
         Args:
@@ -146,15 +153,18 @@ class ManyRuns:
             together: runs, of rows one after the other, that take equal numbers of steps: their differences are then
                 those of their parameters alone. It divides the number of rows.
             threads: of this process; the results do not depend on their number.
+            count: of the steps, in place of each run's own.
         """
         columns = np.ascontiguousarray(p.T)
         found = np.full((len(p), self.size), np.nan)
         with np.errstate(all="ignore"):
             known = dict(zip(self._observed.parameters, columns, strict=False))
-            steps = np.ceil(finer * summed_rate(known) * columns[-1] / self._phase)
-            if together > 1:
-                steps = np.repeat(steps.reshape(-1, together).max(axis=1), together)
-            steps = np.maximum(steps, _FEWEST_STEPS)
+            if count is None:
+                steps = np.maximum(np.ceil(finer * summed_rate(known) * columns[-1] / self._phase), _FEWEST_STEPS)
+                if together > 1:
+                    steps = np.repeat(steps.reshape(-1, together).max(axis=1), together)
+            else:
+                steps = np.full(len(p), float(count))
             none = np.zeros_like(steps)
             early, kink = _before_kink(known, columns[-1], steps) if self._structure.ramp else (none, none)
         sound = np.flatnonzero((steps <= _MOST_STEPS) & np.all(np.isfinite(columns), axis=0))

@@ -2,23 +2,160 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
+from collections.abc import Sequence
 
+import numpy as np
+
+from plough_opt.accuracy import ORDER_8
+from plough_opt.batch.many_runs import ManyRuns
+from plough_opt.design.alike_runs import Alike
 from plough_opt.design.ipopt import Point, Vector
 from plough_opt.design.polishing import AS_FOUND, solved_again
 from plough_opt.design.program import Program
-from plough_opt.errors import DomainError
-from plough_opt.motion.derivative_error import derivative_error
+from plough_opt.errors import DomainError, InputError
+from plough_opt.motion.derivative_error import derivative_error, difference_of_jets, finer_than
+from plough_opt.motion.plan import summed_rate
+from plough_opt.motion.pooling import pairs
 
 _REFINEMENTS = 4
 # Steps to an error are more by this power of how far it was missed, and at once by no more than this factor.
 _ORDER, _COARSER_BY = 0.125, 3.0
+# Relative change of a parameter by which derivatives are taken as differences: by so much of the run's phase [rad], and
+# no more than the second. What differences miss is a hundredth of an error, and rounding 1e-12 of the derivatives.
+_OF_PHASE, _MOST_CHANGE = 0.3, 0.03
+# Scaled designs nearer than this have the same error.
+_NEAR = 1e-3
+# Runs of a structure that are compared, of however many there are.
+_MOST_RUNS = 8
 
 
 def error_of_derivatives(program: Program, y: Vector, p: Vector) -> float:
     """Return the largest error of the derivatives of a program's runs at a scaled design."""
-    pairs = [(own, own.inputs(y, p).full()) for own in program.nlp.alike]
-    return max((derivative_error(own.solver, own.first, own.varying, theta) for own, theta in pairs), default=0.0)
+    return _error_of_all(program.nlp.alike, y, p)
+
+
+def _error_of_all(runs: Sequence[Alike], y: Vector, p: Vector) -> float:
+    given = [(own, own.inputs(y, p).full()) for own in runs]
+    return max((_error(own, theta) for own, theta in given), default=0.0)
+
+
+def _error(own: Alike, theta: Vector) -> float:
+    """Return the largest error of the derivatives of alike runs, from their parameters, a column for each."""
+    many = _side_by_side(own)
+    found = math.nan
+    if many is not None:
+        chosen = np.unique(np.linspace(0, theta.shape[1] - 1, _MOST_RUNS).round().astype(int))
+        found = max(error_by_differences(own, p, many) for p in theta.T[chosen])
+    return derivative_error(own.solver, own.first, own.varying, theta) if math.isnan(found) else found
+
+
+def _side_by_side(own: Alike) -> ManyRuns | None:
+    """Return what follows very many of alike runs by their own steps in machine code, if anything does.
+
+    Equal steps are all the same to both where nothing is read between them and none ends at a kink.
+    """
+    solver = own.solver
+    structure = solver.structure
+    if not (own.first and own.varying and structure.stepped and solver.accuracy.method in ORDER_8):
+        return None
+    if structure.kinked or structure.ramp:
+        return None
+    try:
+        many = ManyRuns(structure, 0)
+    except InputError:  # an operation without a vector form
+        return None
+    return many if many.compiled else None
+
+
+def error_by_differences(own: Alike, p: Vector, many: ManyRuns) -> float:
+    """Return what `derivative_error` does of one run, its derivatives as differences of runs; NaN without a value.
+
+    Differences of runs of equal steps are those of the steps' own derivatives, so that what they miss of these is
+    nearly the same for few steps as for more.
+
+    Args:
+        own: the run's kind; of it no more than averages is asked for.
+        p: its parameters, the duration last.
+        many: follows runs of its structure.
+    """
+    count = len(own.varying)
+    phase = float(summed_rate(dict(zip(own.solver.names, map(float, p), strict=False)))) * float(p[-1])
+    step = min(_MOST_CHANGE, _OF_PHASE / max(phase, _OF_PHASE))
+    both = pairs(count)
+    directions = np.zeros((1 + 2 * len(both), count))
+    for k, (a, b) in enumerate(both):
+        directions[1 + 2 * k, [a, b]], directions[2 + 2 * k, [a, b]] = 1.0, -1.0
+    given = np.repeat(p[None], len(directions), axis=0)
+    given[:, list(own.varying)] *= 1.0 + step * directions
+    used, better = (
+        _jet(many(given, count=len(solver.timeline.nodes) - 1), both, step, own.first)
+        for solver in (own.solver, finer_than(own.solver))
+    )
+    if not (np.all(np.isfinite(used)) and np.all(np.isfinite(better))):
+        return math.nan
+    return difference_of_jets(own.solver, p, used, better, own.first)
+
+
+def _jet(results: Vector, both: list[tuple[int, int]], step: float, missing: int) -> Vector:
+    """Return value, first and second derivatives of results, columns as those of `plough_opt.motion.jets`.
+
+    Args:
+        results: at a place, then upwards and downwards along the sum of each pair of parameters, a row each.
+        both: the pairs; those of a parameter with itself are along it alone.
+        step: the change of each.
+        missing: rows of zeros that come before those of the results.
+    """
+    value, up, down = results[0], results[1::2], results[2::2]
+    alone = {a: k for k, (a, b) in enumerate(both) if a == b}
+    slopes = [(up[k] - down[k]) / (2.0 * step) for k in alone.values()]
+    bends = (up - 2.0 * value + down) / step**2
+    mixed = [
+        bends[k] if a == b else 0.5 * (bends[k] - bends[alone[a]] - bends[alone[b]]) for k, (a, b) in enumerate(both)
+    ]
+    jet = np.column_stack([value, *slopes, *mixed])
+    return np.vstack([np.zeros((missing, jet.shape[1])), jet])
+
+
+def build_surely(program: Program, p: Vector, starts: Sequence[Vector]) -> None:
+    """Write the program for designs, with so many steps that derivatives at the first of them reach the wanted error.
+
+    Args:
+        program: prepared.
+        p: parameters.
+        starts: scaled designs.
+
+    Raises:
+        InputError, DomainError: as `Program.build`.
+    """
+    error, wanted = _error_of_all(program.runs_at(starts, p), starts[0], p), _wanted(program)
+    if error > wanted:
+        with contextlib.suppress(DomainError):  # too many steps
+            program.build(p, _times(error / wanted), starts)
+            return
+    program.build(p, starts=starts)
+    program.derivative_errors.append((program.nlp, starts[0], error))
+
+
+def _wanted(program: Program) -> float:
+    """Return the wanted error of a program's derivatives."""
+    return min((run.integration.accuracy.wanted_derivatives for run in program.exact.runs), default=math.inf)
+
+
+def _times(missed: float) -> float:
+    """Return by what factor more steps there are to be where an error is so many times what it should be."""
+    return min(_COARSER_BY, 1.1 * missed**_ORDER) if missed < math.inf else _COARSER_BY
+
+
+def _known_error(program: Program, y: Vector, p: Vector) -> float:
+    """Return `error_of_derivatives`, or what that was beside the design in the same solve."""
+    for nlp, place, error in program.derivative_errors:
+        if nlp is program.nlp and np.max(np.abs(place - y)) < _NEAR:
+            return error
+    error = error_of_derivatives(program, y, p)
+    program.derivative_errors.append((program.nlp, y, error))
+    return error
 
 
 def with_sure_derivatives(program: Program, p: Vector, points: list[Point]) -> tuple[list[Point], tuple[str, ...]]:
@@ -28,12 +165,12 @@ def with_sure_derivatives(program: Program, p: Vector, points: list[Point]) -> t
     """
     if points[0].status == AS_FOUND:  # which IPOPT could not follow to an optimum
         return points, ()
-    wanted = min((run.integration.accuracy.wanted_derivatives for run in program.exact.runs), default=math.inf)
-    error, factor = error_of_derivatives(program, points[0].y, p), 1.0
+    wanted = _wanted(program)
+    error, factor = _known_error(program, points[0].y, p), program.refinement
     for _ in range(_REFINEMENTS):
         if error <= wanted:
             return points, ()
-        factor *= min(_COARSER_BY, 1.1 * (error / wanted) ** _ORDER)
+        factor *= _times(error / wanted)
         before = program.nlp
         try:
             program.build(p, factor, [point.y for point in points])
@@ -41,7 +178,7 @@ def with_sure_derivatives(program: Program, p: Vector, points: list[Point]) -> t
             break
         if program.nlp is not before:
             points = [solved_again(program, p, point) for point in points]
-            error = error_of_derivatives(program, points[0].y, p)
+            error = _known_error(program, points[0].y, p)
     if error <= wanted:
         return points, ()
     return points, (

@@ -137,11 +137,8 @@ def build_nlp(parts: Split, y: ca.MX, p: ca.MX, steps: list[int | None]) -> Nlp:
         p: parameters.
         steps: for each run, the number of steps, or None for the method it was written with.
     """
-    full = ca.Function("full", [y, p, *parts.results], list(parts.expressions))
-    if not holds_maps(full):
-        full = full.expand()
-    only_averages = [averages_only(run, full, 2 + k) for k, run in enumerate(parts.runs)]
-    alike = alike_runs(parts.runs, only_averages, y, p, steps)
+    full = _full(parts, y, p)
+    alike = _alike(parts, full, y, p, steps)
     algebra = _algebra(parts, full, alike, (y.numel(), p.numel()))
     given = [own.inputs(y, p) for own in alike]
 
@@ -158,6 +155,21 @@ def build_nlp(parts: Split, y: ca.MX, p: ca.MX, steps: list[int | None]) -> Nlp:
         return ca.Function("hess_lag", [y, p, lam_f, lam_g], [upper], names, result)
 
     return Nlp(ca.Function("values", [y, p], [f, g]), first, second, alike=tuple(alike))
+
+
+def runs_of(parts: Split, y: ca.MX, p: ca.MX, steps: list[int | None]) -> list[Alike]:
+    """Return the runs that `build_nlp` would give a program."""
+    return _alike(parts, _full(parts, y, p), y, p, steps)
+
+
+def _full(parts: Split, y: ca.MX, p: ca.MX) -> ca.Function:
+    full = ca.Function("full", [y, p, *parts.results], list(parts.expressions))
+    return full if holds_maps(full) else full.expand()
+
+
+def _alike(parts: Split, full: ca.Function, y: ca.MX, p: ca.MX, steps: list[int | None]) -> list[Alike]:
+    only_averages = [averages_only(run, full, 2 + k) for k, run in enumerate(parts.runs)]
+    return alike_runs(parts.runs, only_averages, y, p, steps)
 
 
 def _algebra(parts: Split, full: ca.Function, alike: list[Alike], sizes: tuple[int, int]) -> Algebra:

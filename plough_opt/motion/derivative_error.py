@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -10,7 +11,7 @@ from numpy.typing import NDArray
 
 from plough_opt.accuracy import ORDER_8
 from plough_opt.motion.integrators import Integration, integration
-from plough_opt.motion.jets import jets_of
+from plough_opt.motion.jets import Along, jets, jets_of
 from plough_opt.motion.plan import finer
 from plough_opt.motion.signals import signals
 from plough_opt.motion.terms import start_deflection
@@ -23,13 +24,17 @@ _MOST_RUNS, _FEWEST_RUNS, _MOST_STEPS = 8, 2, 10_000
 _FINER = 1.5
 # An RMS below this part of the mean counts as that part: what swings less is rounding.
 _LEAST_SWING = 1e-3
+# By how much less each further parameter changes along a direction, so that no two effects cancel by symmetry.
+_TAPER = 0.2
 
 
 def derivative_error(solver: Integration, first: int, varying: tuple[int, ...], given: Vector) -> float:
     """Return the largest error of first and second derivatives of runs, those of an orbit excepted, which is 0.
 
-    Derivatives are by relative changes of the parameters. They are compared with those of half as many steps again, or
-    of a tenth of the tolerance; through events the first ones only, for the second ones take as long as a solve.
+    Derivatives are by relative changes of the parameters, of steps of order 8 along two directions in which all of them
+    change, for by all pairs they take several times as long; across kinks, or where the duration is one of them, by all
+    pairs. They are compared with those of half as many steps again, or of a tenth of the tolerance; through events the
+    first ones only, for the second ones take as long as a solve.
 
     Args:
         solver: integrates the runs.
@@ -44,29 +49,61 @@ def derivative_error(solver: Integration, first: int, varying: tuple[int, ...], 
     own, count = solver.structure, len(varying)
     if own.orbit != "transient" or not varying:
         return 0.0
-    order = 2 if solver.accuracy.method in ORDER_8 else 1
-    both = [jets_of(one, varying, order) for one in (solver, _finer(solver))]
+    both = solver, finer_than(solver)
+    if solver.accuracy.method in ORDER_8 and not own.kinked and len(given) - 1 not in varying:
+        pairs = [tuple(_by_changes(one, varying, along) for one in both) for along in _directions(count)]
+    else:
+        order = 2 if solver.accuracy.method in ORDER_8 else 1
+        pairs = [tuple(_by_each(one, varying, order) for one in both)]
     most = max(_FEWEST_RUNS, min(_MOST_RUNS, _MOST_STEPS // solver.timeline.steps))
     chosen = np.unique(np.linspace(0, given.shape[1] - 1, most).round().astype(int))
     worst = 0.0
     for p in given.T[chosen]:
-        scales = [p[position] for position in varying]
-        pairs = [scales[a] * scales[b] for a in range(count) for b in range(a, count)] if order == 2 else []
-        try:
-            used, better = (np.asarray(jet(p)) * np.array([1.0, *scales, *pairs]) for jet in both)
-        except RuntimeError:  # no end of the finer integration
-            return math.inf
-        found = _difference(solver, p, used, better, first)
-        if not math.isfinite(found):
-            return math.inf
-        worst = max(worst, found)
+        for used, better in pairs:
+            try:
+                found = difference_of_jets(solver, p, used(p), better(p), first)
+            except RuntimeError:  # no end of the finer integration
+                return math.inf
+            if not math.isfinite(found):
+                return math.inf
+            worst = max(worst, found)
     return worst
 
 
-def _finer(solver: Integration) -> Integration:
-    """Return what checks an integration."""
+def _by_each(solver: Integration, varying: tuple[int, ...], order: int) -> Callable[[Vector], Vector]:
+    """Return parameters -> results with derivatives by relative changes of each parameter, and of each pair."""
+    jet = jets_of(solver, varying, order)
+
+    def found(p: Vector) -> Vector:
+        scales = [p[position] for position in varying]
+        both = [a * b for k, a in enumerate(scales) for b in scales[k:]] if order == 2 else []
+        columns: Vector = np.asarray(jet(p)) * np.array([1.0, *scales, *both])
+        return columns
+
+    return found
+
+
+def _by_changes(solver: Integration, varying: tuple[int, ...], along: Along) -> Callable[[Vector], Vector]:
+    """Return parameters -> results with first and second derivative along a direction."""
+    jet = jets(solver.structure, solver.timeline, varying, 2, along)
+    return lambda p: np.asarray(jet(p))
+
+
+def _directions(count: int) -> tuple[Along, ...]:
+    """Return relative changes of parameters: of all in the same sense, and of every second one in the other.
+
+    What cancels along one of them, as changes of inertia and stiffness do in the mount's frequency, adds up along the
+    other.
+    """
+    same = tuple(1.0 / (1.0 + _TAPER * k) for k in range(count))
+    return (same,) if count == 1 else (same, tuple((-1.0) ** k * part for k, part in enumerate(same)))
+
+
+def finer_than(solver: Integration) -> Integration:
+    """Return what checks an integration: more steps, or a tighter tolerance."""
     if solver.accuracy.method in ORDER_8:
-        timeline = replace(solver.timeline, steps=math.ceil(_FINER * solver.timeline.steps))
+        # Outputs at which steps end may call for more than were asked for.
+        timeline = replace(solver.timeline, steps=math.ceil(_FINER * (len(solver.timeline.nodes) - 1)))
         return integration(solver.structure, solver.accuracy, timeline)
     if solver.accuracy.tolerance is not None:
         return integration(solver.structure, finer(solver.accuracy), solver.timeline)
@@ -77,8 +114,16 @@ def _finer(solver: Integration) -> Integration:
     return integration(solver.structure, replace(solver.accuracy, steps=steps), timeline)
 
 
-def _difference(solver: Integration, p: Vector, used: Vector, better: Vector, asked: int) -> float:
-    """Return the largest relative difference of two jets with a row for each result, from the first asked for on."""
+def difference_of_jets(solver: Integration, p: Vector, used: Vector, better: Vector, asked: int) -> float:
+    """Return the largest relative difference of two jets with a row for each result, from the first asked for on.
+
+    Args:
+        solver: what the jets are of.
+        p: the parameters, the duration last.
+        used: results, with their derivatives by relative changes of the parameters as columns.
+        better: the same, closer to the truth.
+        asked: number of the first result that matters.
+    """
     observed = signals(solver.structure)
     # A parameter that nothing in the equation needs moves nothing, and counts as zero here.
     known = dict.fromkeys(solver.structure.names, 0.0) | dict(zip(solver.names, map(float, p), strict=False))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from plough_opt.design.derivatives import build_surely
 from plough_opt.design.effort import effort_of
 from plough_opt.design.exploring import Explorer
 from plough_opt.design.infeasible import feasible_from, infeasible, is_feasible
@@ -16,6 +17,8 @@ from plough_opt.design.tolerance import judgement
 
 # Part of the range by which a descent that stays in its basin moves at once, and how often.
 _BOX, _MOST_BOXES = 0.05, 60
+# Factor on the steps with which an optimum is sought from the guess, roughly as a search does, and then polished.
+_ROUGHLY = 0.5
 # Positions on the straight way to an optimum at which a barrier is looked for, and the rise of the merit that is one.
 _BETWEEN, _BARRIER = 40, 1e-3
 
@@ -32,24 +35,27 @@ def near_optimum(program: Program, landscape: Landscape, p: Vector, start: Vecto
     Raises:
         InfeasibleDesign: no design was found that meets the requirements.
     """
-    program.build(p, starts=[start])
-    point = program.solve(start, p)
     if not landscape.vectorised:
+        program.build(p, starts=[start])
+        point = program.solve(start, p)
         return point if point.solved else _from_least_violation(program, p, start)
+    program.build(p, _ROUGHLY, [start])
+    point = program.solve(start, p)
     begin = landscape(start[None])
     if not begin.feasible[0]:
         begin = landscape.nearest_feasible(start)
     if not begin.feasible[0]:
         begin = _far_feasible(program, landscape, p, start)
     if point.solved and _downhill(landscape, begin.points[0], point.y):
-        return point
+        build_surely(program, p, [point.y])
+        return polished(program, p, point.y)
     y = begin.points[0]
     for _ in range(_MOST_BOXES):
         end = landscape.descend(y, np.maximum(y - _BOX, 0.0), np.minimum(y + _BOX, 1.0)).points[0]
         moved, y = np.max(np.abs(end - y)), end
         if moved < 0.9 * _BOX:
             break
-    program.build(p, starts=[y])
+    build_surely(program, p, [y])
     return polished(program, p, y)
 
 

@@ -30,6 +30,8 @@ _MOST_RUNS = 60_000
 # Designs whose runs are integrated one by one, each for milliseconds: fewer where a design has several, but so many.
 _ONE_BY_ONE, _FEWEST = 256, 32
 _THOROUGH = 4
+# Up to so many variables a sample is dense: of more, ripples that it does not show lead descents apart.
+_FEW = 3
 _SECONDS = re.compile(r"\s*([0-9.]+(?:e[+-]?[0-9]+)?)\s*s\s*")
 
 
@@ -44,6 +46,8 @@ class Effort:
         generations: of an evolution.
         descents: from the lowest designs of the sample.
         followed: further descents, from where designs drawn at random lead.
+        dense: whether the sample shows the ways between its designs: then none is descended from that falls straight to
+            an end of another descent, and there is no evolution where what was followed settles which basins there are.
         rounds: number of them, where neither of the following says.
         most_designs: after how many designs to stop, or None.
         seconds: after what time to stop, or None.
@@ -55,6 +59,7 @@ class Effort:
     generations: int
     descents: int
     followed: int
+    dense: bool = False
     rounds: int = 1
     most_designs: int | None = None
     seconds: float | None = None
@@ -91,6 +96,7 @@ def effort_of(search: Search, dimensions: int, runs: int, vectorised: bool) -> E
         generations=60 if many else 30,
         descents=4 + 3 * dimensions,
         followed=4 + 2 * dimensions,
+        dense=dimensions <= _FEW and search != "thorough",
         rounds=_THOROUGH if search == "thorough" else 1,
         most_designs=search if isinstance(search, int) else None,
         seconds=seconds_of(search),

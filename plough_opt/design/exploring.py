@@ -13,16 +13,11 @@ from plough_opt.design.ipopt import Vector
 from plough_opt.design.landscape import Landscape, Seen
 from plough_opt.design.sampling import SEED, lowest_around, sample
 from plough_opt.design.shortfall import Shortfall, without_objective
+from plough_opt.design.ways import SAME, barriers, straight_below
 
 Progress = Callable[[str, float], None]
 """Called with what is being done and the fraction done of it."""
 
-# Positions on the straight way between two designs at which a barrier is looked for.
-_BETWEEN = 24
-# A rise by less than this part of the merit is a ripple within a basin.
-_RIPPLE = 1e-3
-# Two scaled designs nearer than this are one.
-_SAME = 1e-3
 # Positions along each variable through the best design, dips for each variable that are followed, and how far from that
 # design a dip is another.
 _ALONG, _DIPS, _BESIDE = 128, 4, 0.01
@@ -40,6 +35,8 @@ _NARROWER = (0.06, 0.015, 0.004)
 _CONVERGED = 1e-7
 # Points of the uniform part of a sample that are followed at most, once their basins are known.
 _MOST_FOLLOWED = 256
+# Basins that are expected unseen, of which evolution could find one, where it is done without.
+_EXPECTED = 0.1
 
 
 @dataclass(frozen=True)
@@ -94,8 +91,12 @@ class Explorer:
         # Then only designs that break the requirements by no more are descended from.
         self._least_of_sample = np.inf
         self._least: Seen | None = None
+        self._dense = False
         self._samples: list[Seen] = []
+        # Ends of descents, by what they are compared, and of pairs of them whether a barrier lies between.
         self._found: list[Seen] = []
+        self._judged: list[float] = []
+        self._parted: dict[tuple[int, int], bool] = {}
         # Of every followed point, the number of the descent that it led to.
         self._followed: list[int] = []
 
@@ -107,10 +108,7 @@ class Explorer:
             rounds += 1
         self._progress("telling basins apart", 0.0)
         bottoms, basin = self._basins()
-        reached = [basin[k] for k in self._followed if basin[k] is not None]
-        return Explored(
-            self._samples[0].joined(*self._samples[1:]), bottoms, len(reached), len(set(reached)), self._least
-        )
+        return Explored(self._samples[0].joined(*self._samples[1:]), bottoms, *self._reached(basin), self._least)
 
     def _round(self, effort: Effort, number: int) -> None:
         rng = np.random.default_rng([SEED, self._seed, number])
@@ -160,7 +158,7 @@ class Explorer:
         further: list[Vector],
         uniform: np.ndarray | None,
     ) -> None:
-        """Descend from what evolution makes of designs, and from the lowest of them, and look around the ends.
+        """Descend from the lowest of designs, and from what evolution makes of them, and look around the ends.
 
         Args:
             effort: of the search.
@@ -170,26 +168,49 @@ class Explorer:
             further: designs that are descended from, too.
             uniform: numbers of the designs that are followed to their basins, in an order of chance.
         """
+        self._dense = effort.dense and not self._narrow
         merit = self._merit(seen)
         lowest, downhill = lowest_around(points, merit)
         if self._narrow:
             lowest = np.r_[lowest[seen.feasible[lowest]], lowest[~seen.feasible[lowest]][:_FEW]]
-        n = len(self._vary)
-        islands = [self._evolved(effort, points, seen, k, rng) for k in range(effort.islands if n > 1 else 0)]
-        starts = [*islands, *(seen.points[k] for k in lowest[: effort.descents]), *further]
-        first = len(self._found)
+        starts = [*(seen.points[k] for k in lowest[: effort.descents]), *further]
+        ends: list[int] = []
         for done, start in enumerate(starts):
             if self._enough():
                 return
             self._progress(f"descending from {len(starts)} low designs", done / len(starts))
-            self._found.append(self._descended(start))
-        known = {int(k): first + len(islands) + j for j, k in enumerate(lowest[: effort.descents])}
+            ends.append(self._end_of(start))
+        known = {int(k): end for k, end in zip(lowest[: effort.descents], ends, strict=False)}
+        chance = [] if uniform is None or self._narrow else [int(downhill[k]) for k in uniform]
+        if self._dense:
+            # What was followed may settle which basins there are.
+            self._follow(seen, chance, known, effort.followed)
+        if not (self._dense and self._settled()):
+            for island in range(effort.islands if len(self._vary) > 1 else 0):
+                if self._enough():
+                    return
+                self._end_of(self._evolved(effort, points, seen, island, rng))
         self._scan()
         self._look_closer(rng)
         if self._narrow or isinstance(self._landscape, Shortfall):
             self._search_face(effort, rng)
-        if uniform is not None and not self._narrow:
-            self._follow(seen, [int(downhill[k]) for k in uniform], known, effort.followed)
+        if not self._dense:
+            self._follow(seen, chance, known, effort.followed)
+
+    def _settled(self) -> bool:
+        """Return whether designs drawn at random have shown so few basins that hardly any more are expected.
+
+        By the rule of Boender and Rinnooy Kan: see `plough_opt.design.record`.
+        """
+        if not self._followed:
+            return False
+        followed, reached = self._reached(self._basins()[1])
+        return followed > reached + 2 and reached * (reached + 1) / (followed - reached - 2) <= _EXPECTED
+
+    def _reached(self, basin: list[int | None]) -> tuple[int, int]:
+        """Return how many designs drawn at random were followed, and to how many basins, of those of all descents."""
+        reached = [basin[k] for k in self._followed if basin[k] is not None]
+        return len(reached), len(set(reached))
 
     def _merit(self, seen: Seen) -> Vector:
         """Return by what designs are compared."""
@@ -235,7 +256,7 @@ class Explorer:
         for k in dips[np.argsort(self._merit(seen)[dips], kind="stable")][: _DIPS * len(self._vary)]:
             if promising[k] and np.max(np.abs(lines[k] - bottoms.points[0])) > _BESIDE:
                 self._progress("descending from dips along each variable", 0.0)
-                self._found.append(self._descended(lines[k]))
+                self._end_of(lines[k])
 
     def _look_closer(self, rng: np.random.Generator) -> None:
         """Look around the best designs, and again around a better one: basins with ripples have their own basins."""
@@ -259,7 +280,7 @@ class Explorer:
                 promising = self._promises(seen)
                 for k in lowest[:_DIPS]:
                     if promising[k]:
-                        self._found.append(self._descended(around[k]))
+                        self._end_of(around[k])
             merits = [float(self._merit(one)[0]) for one in self._found]
             best = min(merits[:before], default=np.inf)
             if not min(merits[before:], default=np.inf) < best - _BETTER * abs(best):
@@ -273,9 +294,18 @@ class Explorer:
                     return
                 most -= 1
                 self._progress("following designs drawn at random", number / min(len(ends), _MOST_FOLLOWED))
-                known[end] = len(self._found)
-                self._found.append(self._descended(seen.points[end]))
+                known[end] = self._end_of(seen.points[end])
             self._followed.append(known[end])
+
+    def _end_of(self, start: Vector) -> int:
+        """Return the number of the end to which a start leads, in a dense sample of a known one if it falls there."""
+        landscape = self._landscape
+        if self._found and self._dense and isinstance(landscape, Landscape) and landscape.vectorised:
+            below = straight_below(landscape, start, self._found[0].joined(*self._found[1:]))
+            if below is not None:
+                return below
+        self._found.append(self._descended(start))
+        return len(self._found) - 1
 
     def _descended(self, start: Vector) -> Seen:
         """Return where a descent leads; runs that are integrated one by one are left to the optimiser."""
@@ -345,7 +375,9 @@ class Explorer:
         sound = np.flatnonzero(np.isfinite(found.merit))
         if np.any(found.feasible):
             sound = np.flatnonzero(found.feasible)
-        judged = self._judge(found.points[sound])
+        if len(found.f) > len(self._judged):
+            self._judged += self._judge(found.points[len(self._judged) :]).tolist()
+        judged = np.array(self._judged)[sound]
         bottoms: list[int] = []
         for k in sound[np.argsort(judged, kind="stable")]:
             same = self._without_barrier(found, int(k), bottoms)
@@ -359,17 +391,15 @@ class Explorer:
         if not bottoms:
             return None
         own, others = found.points[k], found.points[bottoms]
-        near = np.flatnonzero(np.max(np.abs(others - own), axis=1) < _SAME)
+        near = np.flatnonzero(np.max(np.abs(others - own), axis=1) < SAME)
         if len(near):
             return int(near[0])
-        parts = np.linspace(0.0, 1.0, _BETWEEN + 2)[1:-1]
-        way = own + parts[:, None, None] * (others - own)
         if not self._landscape.vectorised:
             return None
-        merit = self._landscape(way.reshape(-1, len(own))).merit.reshape(_BETWEEN, -1)
-        higher = np.maximum(found.merit[bottoms], found.merit[k])
-        level = np.flatnonzero(merit.max(axis=0) <= higher + _RIPPLE * np.abs(higher))
-        return int(level[0]) if len(level) else None
+        if new := [j for j in bottoms if (k, j) not in self._parted]:
+            for j, parted in zip(new, barriers(self._landscape, found.of([k]), found.of(new)).tolist(), strict=True):
+                self._parted[k, j] = self._parted[j, k] = parted
+        return next((number for number, j in enumerate(bottoms) if not self._parted[k, j]), None)
 
 
 # Keeps the arithmetic of an evolution finite where designs have no value.

@@ -27,6 +27,8 @@ _STEP = 1e-6
 # Descents take finer steps than a sample, so that the few steps by which a count changes shift nothing that matters.
 _FINER = 2.0
 _ITERATIONS = 60
+# Iterations of a descent without a bend, of which others stall when they have taken more.
+_LONG = 20
 # Of a column of a requirement, as a deflection at every output, only the worst values enter a descent.
 _MOST_ROWS = 6
 # Part of the merit by which a design is lower than another, and not just differently rounded.
@@ -114,19 +116,19 @@ class Landscape:
         worst = np.maximum.reduceat(excess, self.first_rows, axis=1)
         return np.where(np.isfinite(worst), np.maximum(worst, 0.0), np.inf)
 
-    def __call__(self, points: Vector, *, finer: float = 1.0) -> Seen:
+    def __call__(self, points: Vector, *, finer: float = 1.0, together: int = 1) -> Seen:
         """Look at designs, a row each; variables that can be are solved for, given the others."""
         if not len(points):
             return Seen(points, np.empty(0), np.empty(0))
         with np.errstate(all="ignore"):
-            points, f, g = self.settled_rows(points, finer=finer)
+            points, f, g = self.settled_rows(points, finer=finer, together=together)
             violation = self.violations(g).sum(axis=1)
         f = np.where(np.isfinite(f), f, np.nan)
         return Seen(points, f, np.where(np.isnan(f), np.inf, violation))
 
-    def settled_rows(self, points: Vector, *, finer: float = 1.0) -> tuple[Vector, Vector, Vector]:
+    def settled_rows(self, points: Vector, *, finer: float = 1.0, together: int = 1) -> tuple[Vector, Vector, Vector]:
         """Return designs with the variables that can be solved for so solved, their objective and requirements."""
-        f, g = self.rows(points, finer=finer)
+        f, g = self.rows(points, finer=finer, together=together)
         size, low, high = self.objective_scale, self.program.low * self._scale, self.program.high * self._scale
         for variable in self.settled:
             points, f, g = variable.settled(points, f * size, g * self._scale, low, high)
@@ -180,8 +182,11 @@ class _NoValue(Exception):
 class _Descent:
     """Runs of SLSQP on the worst rows of each requirement, repeated when others turn out to be broken."""
 
+    # Whether it is always begun anew; else where it may have stalled in a bent valley, from which it then takes steps.
+    _twice = False
+
     def __init__(self, landscape: Landscape, box: tuple[Vector, Vector]) -> None:
-        self._landscape, self._box = landscape, box
+        self._landscape, self._box, self._stalled = landscape, box, False
         self._known: tuple[bytes, tuple[float, Vector, Vector, Vector]] | None = None
         # Whether it breaks a requirement, its merit, and the design.
         self._best: tuple[tuple[bool, float], Vector] = ((True, np.inf), box[0])
@@ -192,8 +197,9 @@ class _Descent:
         try:
             for _ in range(_ROUNDS):
                 before, more = self._best[0], self._worst_rows(x[: len(start)], rows)
+                if len(more) == len(rows) > 0 and not (self._stalled or self._twice):
+                    break
                 x = self._minimised(x, more)
-                # Begun anew it takes steps again where it had stalled in a bent valley.
                 gained = self._best[0] < (before[0], before[1] - _GAIN * abs(before[1]))
                 if len(more) == len(rows) and not gained:
                     break
@@ -220,6 +226,7 @@ class _Descent:
             method="SLSQP",
             options={"maxiter": _ITERATIONS, "ftol": 1e-11},
         )
+        self._stalled = not found.success or found.nit > _LONG
         clipped: Vector = np.clip(found.x, *self._box)
         return clipped
 
@@ -304,6 +311,8 @@ class _Nearest(_Descent):
 
 class _LeastViolation(_Descent):
     """The same for the sum of what the requirements give way, each a further unknown."""
+
+    _twice = True
 
     def __init__(self, landscape: Landscape, ignored: frozenset[int], box: tuple[Vector, Vector]) -> None:
         n, count = landscape.dimensions, len(landscape.program.declared.requirements)

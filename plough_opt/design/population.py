@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from typing import Any
 
 import casadi as ca
@@ -21,6 +20,8 @@ from plough_opt.processors import available
 
 # Numbers of results that are in memory at once.
 _MOST_RESULTS = 4_000_000
+# Rows of the largest map of algebra over designs: many beside what a call costs, few to make.
+_MOST_MAPPED = 256
 # Of runs that are integrated one by one, for a look at them: of some 1e-5.
 _TOLERANCE = 1e-7
 _HARMONICS = 8
@@ -135,23 +136,35 @@ class _OfRows:
     def __init__(self, function: ca.Function) -> None:
         """Take the Function."""
         self.function = function
-        # A search asks for few numbers of designs, most of them again and again.
-        self._mapped = lru_cache(maxsize=16)(lambda count: function.map(count))
+        self._sizes_in = [function.numel_in(k) for k in range(function.n_in())]
+        self._sizes = [function.numel_out(k) for k in range(function.n_out())]
+        # By number of rows: its map with what evaluates it. Maps take long to make, the longer the more rows they have.
+        self._buffers: dict[int, tuple[Any, Callable[[], None]]] = {}
 
     def __call__(self, *arguments: Vector) -> list[Vector]:
         """Return the results."""
         count = len(arguments[0])
-        mapped = self._mapped(count) if count > 1 else self.function
-        made: Any = mapped.buffer()  # its stubs know no arrays
-        buffer, evaluate = made
-        kept = [np.ascontiguousarray(argument, dtype=float) for argument in arguments]
-        results = [np.empty((count, self.function.numel_out(k))) for k in range(self.function.n_out())]
-        for k, array in enumerate(kept):
-            buffer.set_arg(k, array.reshape(-1).data)
-        for k, array in enumerate(results):
-            buffer.set_res(k, array.reshape(-1).data)
-        evaluate()
+        kept = [np.ascontiguousarray(argument, dtype=float).reshape(-1) for argument in arguments]
+        results = [np.empty((count, size)) for size in self._sizes]
+        flat = [result.reshape(-1) for result in results]
+        first = 0
+        while first < count:
+            rows = _MOST_MAPPED if count - first >= _MOST_MAPPED else 1 << ((count - first).bit_length() - 1)
+            buffer, evaluate = self._buffer(rows)
+            for k, (array, size) in enumerate(zip(kept, self._sizes_in, strict=True)):
+                buffer.set_arg(k, array[first * size : (first + rows) * size].data)
+            for k, (array, size) in enumerate(zip(flat, self._sizes, strict=True)):
+                buffer.set_res(k, array[first * size : (first + rows) * size].data)
+            evaluate()
+            first += rows
         return results
+
+    def _buffer(self, rows: int) -> tuple[Any, Callable[[], None]]:
+        if rows not in self._buffers:
+            mapped = self.function.map(rows) if rows > 1 else self.function
+            made: Any = mapped.buffer()  # its stubs know no arrays
+            self._buffers[rows] = made
+        return self._buffers[rows]
 
 
 def _of_groups(full: ca.Function, parts: Split, groups: list[_Group]) -> ca.Function:

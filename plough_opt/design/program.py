@@ -11,12 +11,13 @@ import numpy as np
 
 from plough_opt.accuracy import DEFAULT_ERROR
 from plough_opt.design.active_rows import ActiveRows, chosen_rows
+from plough_opt.design.alike_runs import Alike
 from plough_opt.design.built import Built
 from plough_opt.design.declarations import Declarations, Requirement
 from plough_opt.design.domain import check_bounds, corners, values_at_guess
 from plough_opt.design.ipopt import Point, Solver, Vector
 from plough_opt.design.machine_code import as_machine_code
-from plough_opt.design.nlp import Nlp, build_nlp
+from plough_opt.design.nlp import Nlp, build_nlp, runs_of
 from plough_opt.design.population import Population
 from plough_opt.design.relaxation import first_slack, relaxed
 from plough_opt.design.settled import Linear, linear_variables
@@ -74,12 +75,18 @@ class Program:
         self._built: Built | None = None
         # The same question is solved by the same program again, whatever was asked in between.
         self._kept: dict[tuple[object, ...], Built] = {}
+        self._runs: dict[tuple[int | None, ...], list[Alike]] = {}
         self._prepared: bytes | None = None
+        # Values that objective and requirements have at the guess, with the parameters of the last solve.
+        self._at_guess: dict[bytes, list[Vector]] = {}
         self.compiled = compiled
         self.bare, self.over = bare, over
         self._steps: list[int | None] = []
         self._population: Population | None = None
         self._linear: dict[bytes, list[Linear]] = {}
+        self.refinement = 1.0
+        # Errors of derivatives that were found at designs of this solve, with the program that has them.
+        self.derivative_errors: list[tuple[Nlp, Vector, float]] = []
         # A report asks several times for the values at its point.
         self._exact_at: dict[tuple[bytes, bytes], tuple[list[Vector], list[Vector]]] = {}
 
@@ -118,6 +125,14 @@ class Program:
         """Return the variables in their own units."""
         return np.array([v.value(float(x)) for v, x in zip(self.declared.variables, y, strict=True)])
 
+    def values_of(self, points: Vector) -> Vector:
+        """Return the same of many designs, a row each."""
+        columns = [
+            np.select([y <= 0.0, y >= 1.0], [v.lower, v.upper], v.unscaled(y))
+            for v, y in zip(self.declared.variables, points.T, strict=True)
+        ]
+        return np.column_stack(columns)
+
     def exact_values(self, y: Vector, p: Vector) -> tuple[list[Vector], list[Vector]]:
         """Return objective and requirements, tightly integrated, and the same by the checking method."""
         at = y.tobytes(), p.tobytes()
@@ -138,14 +153,19 @@ class Program:
             InputError: the objective or a requirement has no value at the guess, nor, if any will do, in a sample.
             DomainError: bounds that lead out of the model's domain.
         """
-        check_bounds(self.declared, self.exact, p)
-        try:
-            found = values_at_guess(self.declared, self.exact, self._implied, p)
-        except InputError as error:
-            if not any_guess:
-                raise
-            found = self._typical(p, error)
-        self._set_scales(found)
+        self.derivative_errors.clear()
+        if p.tobytes() not in self._at_guess:
+            check_bounds(self.declared, self.exact, p)
+            try:
+                found = values_at_guess(self.declared, self.exact, self._implied, p)
+            except InputError as error:
+                if not any_guess:
+                    raise
+                self._set_scales(self._typical(p, error))
+                self._prepared = p.tobytes()
+                return
+            self._at_guess = {p.tobytes(): found}
+        self._set_scales(self._at_guess[p.tobytes()])
         self._prepared = p.tobytes()
 
     def build(self, p: Vector, refinement: float = 1.0, starts: Sequence[Vector] | None = None) -> None:
@@ -167,13 +187,23 @@ class Program:
         if starts is None:
             ends = (values for _, values in corners(self.declared))
             starts = [np.array([v.scaled(x) for v, x in zip(variables, values, strict=True)]) for values in ends]
-        self._steps = self._steps_at(starts, p, refinement)
+        self._steps, self.refinement = self._steps_at(starts, p, refinement), refinement
         key = (tuple(self._steps), self.objective_scale, *self.scales)
         if key not in self._kept:
             while len(self._kept) >= _MOST_KEPT:
                 self._kept.pop(next(iter(self._kept)))
             self._kept[key] = self._write(self._steps)
         self._built = self._kept[key]
+
+    def runs_at(self, starts: Sequence[Vector], p: Vector) -> list[Alike]:
+        """Return the runs of the program that `build` would write for some designs."""
+        steps = self._steps_at(starts, p, 1.0)
+        if tuple(steps) not in self._runs:
+            while len(self._runs) >= _MOST_KEPT:
+                self._runs.pop(next(iter(self._runs)))
+            parts = split(self._scaled(self._y, self._p), [self._y, self._p])
+            self._runs[tuple(steps)] = runs_of(parts, self._y, self._p, steps)
+        return self._runs[tuple(steps)]
 
     def _write(self, steps: Sequence[int | None]) -> Built:
         """Return the program with numbers of steps, and what solves it."""
@@ -296,7 +326,7 @@ class Program:
                 continue
             fastest = 0.0
             for y in points:
-                numbers, _ = self.exact.inputs(k, [*self.values(y), *p])
+                numbers = self.exact.parameters(k, [*self.values(y), *p])
                 rate = summed_rate(dict(zip(run.integration.names, numbers, strict=False)))
                 fastest = max(fastest, rate * float(numbers[-1]))
             count = math.ceil(refinement * steps_for(fastest, _PHASE_PER_STEP))

@@ -12,7 +12,7 @@ import numpy as np
 
 from plough_opt.design.basin import near_optimum
 from plough_opt.design.curvature import flat_directions, minimum_from
-from plough_opt.design.derivatives import with_sure_derivatives
+from plough_opt.design.derivatives import build_surely, with_sure_derivatives
 from plough_opt.design.effort import Search, effort_of, searched
 from plough_opt.design.exploring import Explored, Explorer, Progress
 from plough_opt.design.infeasible import feasible_from
@@ -176,7 +176,7 @@ def _optima(
     judged, variables, rounds = size
     program.scale_by(float(bottoms.f[np.argmin(bottoms.merit)]) * landscape.objective_scale)
     chosen = _that_can_win(judged(bottoms.points), variables <= _FEW_VARIABLES, rounds)
-    program.build(p, starts=list(bottoms.points[chosen]))
+    build_surely(program, p, list(bottoms.points[chosen]))
     points: list[Point] = []
     for number, k in enumerate(chosen):
         progress(f"optimising basin {number + 1} of {len(chosen)}", number / len(chosen))
@@ -243,7 +243,7 @@ def _record(
         reached=explored.reached if explored else 0,
         seed=asked[1],
         seconds=seconds,
-        values=np.array([program.values(y) for y in sample.points]).reshape(-1, n)[:, own],
+        values=program.values_of(sample.points)[:, own],
         objective=sample.f * landscape.objective_scale,
         violation=sample.violation,
     )
@@ -258,7 +258,7 @@ def _refined(
         gap = max(gap_of(program, p, point) for point in points)
         coarse = f"the optimiser's objective is off by a relative {gap:.1e}: take more steps or a tighter tolerance"
         return points, (coarse,) if gap > _COARSE else ()
-    last = math.inf
+    last, begin = math.inf, program.refinement
     for refinement in range(1, _REFINEMENTS + 1):
         gaps = [gap_of(program, p, point) for point in points]
         if max(gaps) <= wanted:
@@ -267,7 +267,7 @@ def _refined(
             break
         last = max(gaps)
         progress(f"refining: error {max(gaps):.1e}", refinement / _REFINEMENTS)
-        program.build(p, _FINER**refinement, [point.y for point in points])
+        program.build(p, begin * _FINER**refinement, [point.y for point in points])
         for k, gap in enumerate(gaps):
             if gap > wanted:
                 points[k] = solved_again(program, p, points[k])

@@ -90,6 +90,10 @@ class TightEvaluation:
         parameters, quantities = self._numbers(run, numbers)
         return parameters, with_numbers(self.runs[run].embedding.template, quantities.tolist())
 
+    def parameters(self, run: int, numbers: Sequence[float]) -> Vector:
+        """Return a run's parameters, the duration last, at numbers."""
+        return self._numbers(run, numbers)[0]
+
     def _numbers(self, run: int, numbers: Sequence[float]) -> tuple[Vector, Vector]:
         """Return a run's parameters and its scene's quantities at numbers."""
         parameters, quantities = (result.full().ravel() for result in self._inputs[run](*map(float, numbers)))

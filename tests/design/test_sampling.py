@@ -1,0 +1,67 @@
+"""The points of a search's samples, and the ways between designs by which its basins are told apart."""
+
+import warnings
+
+import numpy as np
+import pytest
+from scipy.stats.qmc import Sobol
+
+import plough_opt as po
+from plough_opt.design.landscape import Landscape
+from plough_opt.design.sobol import MOST_DIMENSIONS, sobol_points
+from plough_opt.design.ways import barriers, straight_below
+
+
+@pytest.mark.parametrize("n", range(1, MOST_DIMENSIONS + 2))
+def test_unscrambled_points_are_those_of_scipy(n, monkeypatch):
+    class Zeros:
+        """Scrambles nothing: the shift is 0 and the mixing matrix 1."""
+
+        def spawn(self, _count):
+            return [self]
+
+        def integers(self, _high, size, dtype):
+            return np.zeros(size, dtype)
+
+    if n > MOST_DIMENSIONS:
+        monkeypatch.setattr("scipy.stats.qmc.Sobol", lambda n, **_: Sobol(n, scramble=False))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # a hundred is no power of two
+        assert np.array_equal(sobol_points(n, 100, Zeros()), Sobol(n, scramble=False).random(100))
+
+
+@pytest.mark.parametrize("n", [1, 3, MOST_DIMENSIONS])
+def test_scrambled_points_fill_every_slice_of_every_dimension_once(n):
+    points = sobol_points(n, 256, np.random.default_rng(5))
+    assert np.array_equal(np.sort(np.floor(256.0 * points), axis=0), np.tile(np.arange(256.0)[:, None], n))
+    assert not np.array_equal(points, sobol_points(n, 256, np.random.default_rng(6)))
+
+
+@pytest.fixture(scope="module")
+def two_valleys():
+    """Return the landscape of ((x^2 - 1)^2 + y^2)/2 + x/10, with valleys at x near 1 and -1."""
+    d = po.Design()
+    x, y = (d.variable(name, guess=0.5, lower=-2.0, upper=2.0) for name in "xy")
+    d.minimise(0.5 * ((x**2 - 1.0) ** 2 + y**2) + 0.1 * x + 1.0)
+    d.solve(search="near")
+    return Landscape(d._program, np.empty(0))
+
+
+def at(x, y):
+    return np.array([0.25 * x + 0.5, 0.25 * y + 0.5])
+
+
+def test_a_barrier_parts_valleys_and_nothing_else(two_valleys):
+    left, right, beside = (two_valleys(at(*place)[None]) for place in ((-1.0, 0.0), (1.0, 0.0), (1.2, 0.3)))
+    assert barriers(two_valleys, right, left.joined(beside)).tolist() == [True, False]
+
+
+def test_a_design_belongs_to_the_end_to_which_it_falls_straight(two_valleys):
+    # Where the slope 2 x (x^2 - 1) + 0.1 is none.
+    left, _, right = np.sort(np.roots([2.0, 0.0, -2.0, 0.1]).real)
+    ends = two_valleys(np.array([at(left, 0.0), at(right, 0.0)]))
+    assert straight_below(two_valleys, at(1.5, 1.0), ends) == 1
+    assert straight_below(two_valleys, at(-0.5, -1.9), ends) == 0
+    # Beyond the ridge at x = 0.05 the other valley is nearer, and behind it.
+    assert straight_below(two_valleys, at(-0.01, 0.0), ends) == 0
+    assert straight_below(two_valleys, at(1.5, 1.0), ends.of([0])) is None

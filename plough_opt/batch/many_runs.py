@@ -167,8 +167,8 @@ class ManyRuns:
                 steps = np.full(len(p), float(count))
             none = np.zeros_like(steps)
             early, kink = _before_kink(known, columns[-1], steps) if self._structure.ramp else (none, none)
-        sound = np.flatnonzero((steps <= _MOST_STEPS) & np.all(np.isfinite(columns), axis=0))
-        given = np.vstack([columns, steps, early, kink])
+        sound = np.flatnonzero((steps <= _MOST_STEPS) & np.isfinite(columns).all(axis=0))
+        given = np.concatenate([columns, [steps, early, kink]])
         # Designs of like numbers of steps wait little for each other.
         order = sound[np.argsort(steps[sound], kind="stable")]
         chunks = [order[k : k + _CHUNK] for k in range(0, len(order), _CHUNK)]
@@ -203,15 +203,15 @@ def _runner(structure: Structure) -> Runner:
     if path is None:
         return _ByArrays(begin, one, observed.count, observed.squared)
     function = ctypes.CDLL(str(path)).many_runs
+    whole, address = ctypes.c_int64, ctypes.c_void_p
+    function.argtypes = [whole, whole, address, address, address, whole, whole, address]
 
     def run(given: Array, which: NDArray[np.int64], outputs: int, found: Array) -> None:
-        ends = np.empty(3 * int(given[-3, which].max() + 2.0) * _WIDEST + _WIDEST)
+        ends = np.empty(3 * int(given[-3, which[-1]] + 2.0) * _WIDEST + _WIDEST)
         # Vectors lie at addresses that are multiples of their size.
-        shift = (-ends.ctypes.data // 8) % _WIDEST
-        counts = (ctypes.c_int64(number) for number in (given.shape[1], len(which)))
-        arrays = (ctypes.c_void_p(array.ctypes.data) for array in (which, given, found))
-        sizes = (ctypes.c_int64(found.shape[1]), ctypes.c_int64(outputs))
-        function(*counts, *arrays, *sizes, ctypes.c_void_p(ends[shift:].ctypes.data))
+        begin = -(-ends.ctypes.data // (8 * _WIDEST)) * (8 * _WIDEST)
+        arrays = which.ctypes.data, given.ctypes.data, found.ctypes.data
+        function(given.shape[1], len(which), *arrays, found.shape[1], outputs, begin)
 
     return run
 

@@ -20,8 +20,9 @@ from plough_opt.processors import available
 
 # Numbers of results that are in memory at once.
 _MOST_RESULTS = 4_000_000
-# Rows of the largest map of algebra over designs: many beside what a call costs, few to make.
-_MOST_MAPPED = 256
+# Rows of the largest map of algebra over designs: many beside what a call costs, few to make; and up to how many, as
+# descents take, there is a map for each number of them.
+_MOST_MAPPED, _FEW = 256, 12
 # Of runs that are integrated one by one, for a look at them: of some 1e-5.
 _TOLERANCE = 1e-7
 _HARMONICS = 8
@@ -114,7 +115,7 @@ class Population:
 
     def _values(self, points: Vector, p: Vector, finer: float, together: int) -> tuple[Vector, Vector]:
         n = len(points)
-        given = [points, np.broadcast_to(p, (n, len(p)))]
+        given = [points, np.repeat(p[None], n, axis=0)]
         results = []
         for group, theta in zip(self._groups, self._inputs(*given), strict=True):
             count = len(group.members)
@@ -149,7 +150,8 @@ class _OfRows:
         flat = [result.reshape(-1) for result in results]
         first = 0
         while first < count:
-            rows = _MOST_MAPPED if count - first >= _MOST_MAPPED else 1 << ((count - first).bit_length() - 1)
+            left = count - first
+            rows = left if left <= _FEW else min(_MOST_MAPPED, 1 << (left.bit_length() - 1))
             buffer, evaluate = self._buffer(rows)
             for k, (array, size) in enumerate(zip(kept, self._sizes_in, strict=True)):
                 buffer.set_arg(k, array[first * size : (first + rows) * size].data)

@@ -22,17 +22,10 @@ from plough_opt.design.population import Population
 from plough_opt.design.relaxation import first_slack, relaxed
 from plough_opt.design.settled import Linear, linear_variables
 from plough_opt.design.split import split
+from plough_opt.design.steps import fewer, steps_at
 from plough_opt.design.verify import TightEvaluation
-from plough_opt.effects import MOST_HARMONICS
-from plough_opt.errors import DomainError, InputError
-from plough_opt.motion.plan import steps_for, summed_rate
+from plough_opt.errors import InputError
 
-# By `summed_rate`: a relative error of averages of some 3e-9, and finer steps where the check finds it wanting.
-_PHASE_PER_STEP = 1.15
-_MOST_STEPS = 50_000
-_FEWEST_STEPS = 20
-# Of a periodic orbit, whose harmonics fall off exponentially.
-_HARMONICS = 12
 _SMALLEST_SCALE = 1e-12
 # Programs that are kept, of other numbers of steps or scales.
 _MOST_KEPT = 6
@@ -205,12 +198,15 @@ class Program:
             self._runs[tuple(steps)] = runs_of(parts, self._y, self._p, steps)
         return self._runs[tuple(steps)]
 
+    def _steps_at(self, points: Sequence[Vector], p: Vector, refinement: float) -> list[int | None]:
+        return steps_at(self.exact, [[*self.values(y), *p] for y in points], refinement)
+
     def _write(self, steps: Sequence[int | None]) -> Built:
         """Return the program with numbers of steps, and what solves it."""
         parts = split(self._scaled(self._y, self._p), [self._y, self._p])
         nlp = build_nlp(parts, self._y, self._p, list(steps))
         # Where basins lie and which way they curve shows at two fifths of the steps.
-        rough = build_nlp(parts, self._y, self._p, [self._fewer(k) for k in range(len(steps))])
+        rough = build_nlp(parts, self._y, self._p, fewer(self.exact, steps))
         translated = as_machine_code(nlp, rough) if self.compiled else None
         if translated is not None:
             nlp, rough = translated
@@ -314,39 +310,6 @@ class Program:
             *(rows[owner == k] for k in range(len(self.declared.requirements))),
         ]
 
-    def _steps_at(self, points: Sequence[Vector], p: Vector, refinement: float) -> list[int | None]:
-        """Return, for each run whose accuracy is automatic, the steps that the fastest of some designs needs."""
-        steps: list[int | None] = []
-        for k, run in enumerate(self.exact.runs):
-            if run.integration.accuracy.method != "auto":
-                steps.append(None)
-                continue
-            if self._holds_orbit(k):
-                steps.append(min(math.ceil(_HARMONICS * refinement), MOST_HARMONICS))
-                continue
-            fastest = 0.0
-            for y in points:
-                numbers = self.exact.parameters(k, [*self.values(y), *p])
-                rate = summed_rate(dict(zip(run.integration.names, numbers, strict=False)))
-                fastest = max(fastest, rate * float(numbers[-1]))
-            count = math.ceil(refinement * steps_for(fastest, _PHASE_PER_STEP))
-            if count > _MOST_STEPS:
-                raise DomainError(
-                    f"between the bounds the share oscillates up to {fastest / (2 * math.pi):.3g} times in a run,"
-                    f" which would take {count} integration steps: tighten the bounds on stiffness and mass,"
-                    " shorten the duration, or take the quasi-static scene"
-                )
-            steps.append(_with_reserve(count))
-        return steps
-
-    def _fewer(self, run: int) -> int | None:
-        """Return the number of steps, or harmonics, with which a run is roughly right."""
-        steps = self._steps[run]
-        return steps if steps is None or self._holds_orbit(run) else max(_FEWEST_STEPS, 2 * steps // 5)
-
-    def _holds_orbit(self, run: int) -> bool:
-        return self.exact.runs[run].integration.structure.orbit == "periodic"
-
     @property
     def wanted_error(self) -> float | None:
         """Tightest relative error that an automatic run of this program is to reach; None without such a run."""
@@ -410,10 +373,3 @@ class Program:
 def _power_of_four(value: float) -> float:
     """Return the power of four nearest to a size: questions that differ a little are scaled alike."""
     return float(4.0 ** round(math.log(max(abs(value), _SMALLEST_SCALE), 4.0)))
-
-
-def _with_reserve(steps: int) -> int:
-    """Return at least a tenth more, to two binary digits: where an optimiser goes from a start differs little."""
-    enough = math.ceil(1.1 * steps)
-    unit = 1 << max(0, enough.bit_length() - 3)
-    return -(-enough // unit) * unit

@@ -152,6 +152,7 @@ def _unconfirmed(d):
 
 def test_too_few_iterations_confirm_no_optimum(monkeypatch):
     monkeypatch.setitem(ipopt.OPTIONS, "ipopt.max_iter", 1)
+    monkeypatch.setitem(ipopt.NEAR, "ipopt.max_iter", 1)
     monkeypatch.setitem(ipopt.FROM_BOTTOM, "ipopt.max_iter", 1)
     d, _, _ = _rosenbrock()
     _unconfirmed(d)
@@ -160,6 +161,7 @@ def test_too_few_iterations_confirm_no_optimum(monkeypatch):
 def test_too_few_iterations_with_requirements_are_not_called_infeasible(monkeypatch):
     monkeypatch.setitem(ipopt.OPTIONS, "ipopt.max_iter", 1)
     d, x, y = _rosenbrock()
+    monkeypatch.setitem(ipopt.NEAR, "ipopt.max_iter", 1)
     monkeypatch.setitem(ipopt.FROM_BOTTOM, "ipopt.max_iter", 1)
     d.require("sum", x + y, at_least=1.0)
     _unconfirmed(d)

@@ -12,6 +12,7 @@ from scipy.optimize import differential_evolution, minimize_scalar
 import plough_opt as po
 from plough_opt.design import derivatives, solving
 from plough_opt.design import program as program_module
+from plough_opt.design import steps as steps_module
 from plough_opt.motion.integrators import integration
 from plough_opt.motion.terms import Structure, parameters
 from plough_opt.motion.timeline import Timeline
@@ -283,7 +284,7 @@ def test_steps_are_refined_until_the_objective_is_right(monkeypatch, build_r1):
         return build_nlp(parts, y, p, steps)
 
     monkeypatch.setattr(program_module, "build_nlp", counted)
-    monkeypatch.setattr(program_module, "_PHASE_PER_STEP", 2.5)
+    monkeypatch.setattr(steps_module, "_PHASE_PER_STEP", 2.5)
     best = build_r1(wavelength=0.6).design.solve()
     # A build is followed by a rough one of two fifths of its steps.
     assert len(builds) > 2
@@ -295,7 +296,7 @@ def test_steps_are_refined_until_the_objective_is_right(monkeypatch, build_r1):
 
 
 def test_steps_that_stay_too_coarse_are_owned_up_to(monkeypatch, build_r1):
-    monkeypatch.setattr(program_module, "_PHASE_PER_STEP", 40.0)
+    monkeypatch.setattr(steps_module, "_PHASE_PER_STEP", 40.0)
     for module in (solving, derivatives):
         monkeypatch.setattr(module, "_REFINEMENTS", 0)
     best = build_r1().design.solve(search="local")
@@ -309,7 +310,7 @@ def test_a_looser_wanted_error_takes_no_refinement(monkeypatch, build_r1):
     monkeypatch.setattr(
         program_module, "build_nlp", lambda *arguments: builds.append(arguments) or build_nlp(*arguments)
     )
-    monkeypatch.setattr(program_module, "_PHASE_PER_STEP", 1.5)
+    monkeypatch.setattr(steps_module, "_PHASE_PER_STEP", 1.5)
     best = build_r1(accuracy=po.Accuracy(error=1e-3)).design.solve(search="local")
     # The program and a rough one of two fifths of its steps, for the guess and, faster, for the bottom of its basin.
     assert len(builds) <= 4

@@ -11,7 +11,7 @@ import numpy as np
 from plough_opt.design.effort import Effort
 from plough_opt.design.ipopt import Vector
 from plough_opt.design.landscape import Landscape, Seen
-from plough_opt.design.sampling import SEED, lowest_around, sample
+from plough_opt.design.sampling import SEED, lowest_around, sample, spread_out
 from plough_opt.design.shortfall import Shortfall, without_objective
 from plough_opt.design.ways import SAME, barriers, straight_below
 
@@ -27,8 +27,6 @@ _CLOSER, _CLOSELY, _NEAR, _AROUND, _BETTER = 4, 2, 0.06, 256, 1e-6
 _AT_A_BOUND, _ON_A_FACE, _FACE_ISLANDS, _FACE_DESCENTS = 1e-6, 1024, 2, 4
 # Designs that break a requirement, where few meet all, from which feasible ones are looked for.
 _FEW = 4
-# Distances, the largest first, by which the designs of an island differ where few meet the requirements.
-_SPREAD = (0.1, 0.03, 0.01, 0.003, 0.0)
 # How far is looked around a design where few meet the requirements, in regions of any size.
 _NARROWER = (0.06, 0.015, 0.004)
 # An island on which all designs are this alike has converged.
@@ -354,19 +352,7 @@ class Explorer:
         order: np.ndarray = np.argsort(self._merit(seen), kind="stable")[island :: effort.islands]
         if not self._narrow:
             return order[: effort.population]
-        # Where evolution has found what meets the requirements, the best are many and nearly the same.
-        for apart in _SPREAD:
-            chosen: list[int] = []
-            for k in order[seen.feasible[order]]:
-                if len(chosen) < effort.population and (
-                    not chosen or np.min(np.max(np.abs(points[chosen] - points[k]), axis=1)) > apart
-                ):
-                    chosen.append(int(k))
-            if 2 * len(chosen) >= effort.population:
-                break
-        others = order[~np.isin(order, chosen)]
-        part: np.ndarray = np.concatenate([np.array(chosen, dtype=int), others])[: effort.population]
-        return part
+        return spread_out(points, order, seen.feasible, effort.population)
 
     def _basins(self) -> tuple[Seen, list[int | None]]:
         """Return the lowest design of each basin, the best first, and the basin of each descent's end."""

@@ -245,7 +245,7 @@ class Solver:
         asked = {"x0": start, "p": p, "lbg": low, "ubg": high, **bounds}
         if not exact:
             point = self._attempt(asked, ("bottom" if near else "far", False, enough))
-            if near and point.status == "Maximum_Iterations_Exceeded":
+            if near and enough and point.status == "Maximum_Iterations_Exceeded":
                 # Along what is flat, steps from a low barrier are short.
                 point = self._attempt(asked, ("near", False, enough))
             if point.solved or exact is False:

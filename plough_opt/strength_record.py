@@ -293,20 +293,20 @@ def _design(x: Vector, numbers: Sequence[float]) -> Vector:
 
 
 def _coefficients(x: Vector, y: Vector, numbers: Sequence[float]) -> Vector:
-    found: Vector = np.linalg.lstsq(_design(x, numbers), y, rcond=None)[0]
+    found: Vector = np.asarray(np.linalg.lstsq(_design(x, numbers), y, rcond=None)[0], dtype=float)
     return found
 
 
 def _peak(record: StrengthRecord, x: Vector, y: Vector, grid: Vector) -> tuple[float, float]:
     """Return the wave number at which a least-squares spectrum peaks, and its height over the mean."""
-    power: NDArray[np.floating[Any]]
+    power: NDArray[Any]
     if record.even:
         step = 2.0 * math.pi / (_FINE * record.spacing * len(x))
         power = np.abs(np.fft.rfft(y, _FINE * len(x)))[np.round(grid / step).astype(int)] ** 2
     else:
         from scipy import signal  # as above
 
-        power = signal.lombscargle(x, y, grid)
+        power = np.asarray(signal.lombscargle(x, y, grid))
     best = int(np.argmax(power))
     return float(grid[best]), float(power[best] / np.mean(power))
 

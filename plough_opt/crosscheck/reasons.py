@@ -61,6 +61,12 @@ def _of_soil(scene: Scene, tools: ToolSet) -> Iterable[str]:
             "the spherical cavity pushes soil aside in three directions, and soil ahead of its front bears elastically"
             " until it yields; in this model soil moves in two directions and bears p_a alone until the front comes"
         )
+    factor = float(soil.strength_factor)
+    if factor != 1.0:
+        yield (
+            f"this model's static draft is {factor:.3g} times what its law makes of cohesion, friction and density"
+            " ratio, by the measured strength factor; the other models compute with those properties themselves"
+        )
     if scene.medium == "elastic":
         yield "the scene's medium is elastic, without strength; the other models take the soil's strength all the same"
     if soil.density_profile is not None:

@@ -243,3 +243,16 @@ def test_the_page_tells_what_speed_adds():
         assert 3.0 < more["universal earthmoving equation"] < 5.0
         assert 53.0 < more["ASABE D497, narrow, medium"] < 54.0
     assert 3.0 < more["McKyes-Ali"] < 5.0  # refuses a rake of 30 degrees
+
+
+def test_a_measured_level_is_named_and_stays_this_model_s_own():
+    soil = po.Soil.from_cone_index(2e6, soil=po.named_soil("firm sandy loam"))
+    pair = [
+        compare(po.Scene(one, po.Cone(po.deg(15), 0.254), 5e5, 40.0, 2.0), depth=[0.45])
+        for one in (po.named_soil("firm sandy loam"), soil)
+    ]
+    assert any("strength factor" in text for text in pair[1].reasons)
+    assert not any("strength factor" in text for text in pair[0].reasons)
+    drafts = [[row.drafts for row in found.others] for found in pair]
+    assert str(drafts[0]) == str(drafts[1])
+    assert pair[1].own.drafts[0] > 5.0 * pair[0].own.drafts[0]

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import platform
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import is_dataclass
 from importlib import import_module
 from importlib.metadata import version
 from pathlib import Path
@@ -213,6 +214,7 @@ def read_saved(path: str | Path, name: str, kind: str, validate: Callable[[str],
     try:
         found = validate(text)
         _refuse_infinite(from_json(text, allow_inf_nan=False))
+        _refuse_nan(found)
     except ValueError as error:
         place, why = "its beginning", str(error)
         if isinstance(error, ValidationError):
@@ -242,3 +244,22 @@ def _refuse_infinite(data: Any) -> None:
 
 def _floats(averages: Averages) -> Averages:
     return Averages(**{name: float(getattr(averages, name)) for name in Averages.__dataclass_fields__})
+
+
+def _refuse_nan(found: object) -> None:
+    """Refuse a result with a number that is none, for which a text may stand in JSON.
+
+    Raises:
+        ValueError: as said.
+    """
+    rest = [found]
+    while rest:
+        value = rest.pop()
+        if isinstance(value, float | np.ndarray) and np.any(np.isnan(value)):
+            raise ValueError("a number is NaN")
+        if isinstance(value, BaseModel) or is_dataclass(value):
+            rest += vars(value).values()
+        elif isinstance(value, Mapping):
+            rest += value.values()
+        elif isinstance(value, list | tuple):
+            rest += value

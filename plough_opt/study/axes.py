@@ -51,7 +51,8 @@ class Range:
         if self.count is not None and (not is_count(self.count) or self.count < 2):
             raise InputError(f"the number of values is {shown(self.count)}: it must be a whole number from 2 on")
         if self.count is not None and self.count > MOST_VALUES:
-            raise InputError(f"the number of values is {shown(self.count)}: at most {MOST_VALUES}; take a sample")
+            given = shown(self.count)
+            raise InputError(f"the number of values is {given}: it can be {MOST_VALUES} at most; take a sample")
 
     def values(self) -> tuple[float, ...]:
         """Return the values of a grid, the ends exactly."""

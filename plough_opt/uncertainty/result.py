@@ -8,6 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
+from pydantic import FiniteFloat
+
 from plough_opt.design import LocalOptimum, Optimum
 from plough_opt.motion import Run
 from plough_opt.results import SCHEMA, Saved, SavedRun, read_saved, versions
@@ -54,7 +56,7 @@ class SavedRobust(Saved):
     nominal: LocalOptimum
     checks: tuple[Check, ...]
     nominal_checks: tuple[Check, ...]
-    indices: dict[str, dict[str, Any]]
+    indices: dict[str, dict[str, str | list[FiniteFloat] | list[str]]]
     warnings: tuple[str, ...]
     seconds: float
     run: SavedRun

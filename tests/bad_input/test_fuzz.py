@@ -5,6 +5,7 @@ Warnings are errors in these tests, so that a warning is no answer either. Every
 
 import contextlib
 import io
+import json
 import random
 import re
 import shutil
@@ -135,16 +136,50 @@ SAVED = [
 ]
 
 
+def numbers_in(data, path=()):
+    """Yield the place of every number inside JSON."""
+    for key, value in data.items() if isinstance(data, dict) else enumerate(data):
+        if isinstance(value, dict | list):
+            yield from numbers_in(value, (*path, key))
+        elif isinstance(value, int | float) and not isinstance(value, bool):
+            yield (*path, key)
+
+
+def printed_by(verb, name, *options):
+    out = io.StringIO()
+    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(io.StringIO()):
+        assert main([verb, str(PROBLEMS / name), *options]) == 0
+    return out.getvalue()
+
+
+@pytest.mark.parametrize(
+    "command",
+    [pytest.param(one, marks=() if one[0] in ("simulate", "calibrate") else pytest.mark.slow) for one in SAVED],
+    ids=lambda command: " ".join(command[:2]),
+)
+def test_a_text_for_nan_is_no_number_of_a_saved_result(command, tmp_path):
+    text = printed_by(*command)
+    path, kinds = tmp_path / "saved.json", {}
+    path.write_text(text, encoding="utf-8")
+    po.load(path)
+    for place in numbers_in(json.loads(text)):
+        kinds.setdefault(tuple("#" if isinstance(key, int) else key for key in place), place)
+    for place in kinds.values():
+        data = json.loads(text)
+        inner = data
+        for key in place[:-1]:
+            inner = inner[key]
+        inner[place[-1]] = "NaN"
+        path.write_text(json.dumps(data), encoding="utf-8")
+        with pytest.raises(po.InputError, match=r"is not an? .* of this version"):
+            po.load(path)
+
+
 @pytest.mark.parametrize(
     ("count", "commands"), [(40, [RUN]), pytest.param(200, SAVED, marks=pytest.mark.slow)], ids=["run", "all kinds"]
 )
 def test_saved_results(count, commands, tmp_path):
-    texts = []
-    for verb, name, *options in commands:
-        out = io.StringIO()
-        with contextlib.redirect_stdout(out), contextlib.redirect_stderr(io.StringIO()):
-            assert main([verb, str(PROBLEMS / name), *options]) == 0
-        texts.append(out.getvalue())
+    texts = [printed_by(*command) for command in commands]
 
     def answer(rng, path):
         text = rng.choice(texts)

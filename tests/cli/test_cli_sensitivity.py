@@ -96,6 +96,7 @@ def test_the_table_has_every_quantity_that_matters_in_order_of_size(cli, file, s
         "soil.friction_angle",
         "soil.tool_friction",
         "soil.ambient_pressure",
+        "soil.strength_factor",
         "share.chisel_angle",
         "scene.tow_speed",
         "scene.stiffness",

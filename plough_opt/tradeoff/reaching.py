@@ -23,6 +23,8 @@ NOT_REACHED = "Not_Reached"
 _ROUNDS, _AT_ONCE = 12, 6
 # How far from the best designs others are looked at, in parts of the variables' ranges.
 _SPREADS = 0.1, 0.03, 0.01, 0.003
+# Of two variables a sample is small, but between the ripples of a force it must see the dips.
+_FEWEST_LOOKS = 4096
 
 
 class Reaching(Samples):
@@ -41,6 +43,7 @@ class Reaching(Samples):
         super().__init__(front, searcher, progress)
         self._pricks: set[int] = set()
         self._tried: set[bytes] = set()
+        self._looks = 0
         self._settled = np.empty(0, dtype=int)
 
     @abstractmethod
@@ -53,12 +56,14 @@ class Reaching(Samples):
 
     def _look_beside(self) -> None:
         """Look at designs about those of the cloud that no other beats, at first far and then near."""
-        rng = np.random.default_rng(SEED)
+        self._looks += 1
+        rng = np.random.default_rng([SEED, self._looks])
+        count = self.looks_beside * max(self.searcher.designs, _FEWEST_LOOKS)
         for spread in _SPREADS:
             y, scaled = self.cloud.feasible
             best = y[thinned(self.front.normalised(scaled), ROUGHLY)]
             best = np.vstack([best, *(sample.point.y for sample in self.ordered())])
-            parents = best[rng.integers(len(best), size=self.looks_beside * self.searcher.designs)]
+            parents = best[rng.integers(len(best), size=count)]
             self.cloud.look(np.clip(parents + spread * rng.standard_normal(parents.shape), 0.0, 1.0))
 
     def uncovered(self, _own: Vector, at: Vector) -> NDArray[np.bool_]:
@@ -106,7 +111,7 @@ class Reaching(Samples):
             self.told("looking beside the best designs", 0.0)
             self._look_beside()
         for number in range(_ROUNDS):
-            missed = [y for y, _, _ in self.missed(sparse=True) if y.tobytes() not in self._tried]
+            missed = [y for y, _, _ in self.missed(sparse=True)]
             if not missed:
                 return
             for k, y in enumerate(missed[:_AT_ONCE]):
@@ -122,7 +127,8 @@ class Reaching(Samples):
         """Return designs by which the front could be better, where it was to be searched, none beside another.
 
         Args:
-            sparse: whether to add designs that lie where the front has too few points.
+            sparse: whether to add designs that lie where the front has too few points, or that beat one of its points,
+                and to leave out those that were tried in vain, which would hide others beside them.
 
         Returns:
             Of each the scaled variables, the normalised objectives, and the gain.
@@ -154,6 +160,8 @@ class Reaching(Samples):
             left, best = np.setdiff1d(left, best[needles]), best[:0]
         chosen: list[int] = []
         for j, k in enumerate(best):
+            if sparse and y[k].tobytes() in self._tried:
+                continue
             if all(np.max(np.abs(at[k] - at[best[i]])) > self.step / 2.0 for i in chosen):
                 chosen.append(j)
         return [(y[best[j]], at[best[j]], float(gain[j])) for j in chosen]

@@ -82,12 +82,11 @@ def undominated(objectives: Array) -> NDArray[np.intp]:
         objectives: normalised, all minimised, a row each.
     """
     kept: list[int] = []
-    for k, own in enumerate(objectives):
-        better = np.all(objectives <= own + EQUAL, axis=1)
-        same = better & np.all(objectives >= own - EQUAL, axis=1)
-        if not np.any(better & ~same) and not np.any(same[:k]):
-            kept.append(k)
-    return np.array(kept, dtype=np.intp)
+    # The best come first, and rows give way to kept ones only: of three that beat each other by rounding one must stay.
+    for k in np.argsort(objectives.sum(axis=1), kind="stable"):
+        if not np.any(np.all(objectives[kept] <= objectives[k] + EQUAL, axis=1)):
+            kept.append(int(k))
+    return np.array(sorted(kept), dtype=np.intp)
 
 
 def distances(objectives: Array) -> Array:

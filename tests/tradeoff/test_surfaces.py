@@ -109,6 +109,14 @@ def test_points_are_even(sphere):
     assert np.max(np.min(apart, axis=1)) < 1.3 / STEPS
 
 
+def test_of_rows_that_beat_each_other_by_rounding_one_stays():
+    # Each is better than the next by 1.7e-7 in one objective and worse by 0.9e-7 in two: less than 1e-7 is none.
+    turn = np.array([[0.0, 0.8, -0.9], [-0.9, 0.0, 0.8], [0.8, -0.9, 0.0]]) * 1e-7
+    assert undominated(np.vstack([turn, turn[0] + 1e-3])).tolist() == [0, 2]
+    twice = np.array([[0.0, 1.0, 0.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [1.0, 1.0, 0.0]])
+    assert undominated(twice).tolist() == [0, 2]
+
+
 # --- rates --------------------------------------------------------------------------------------------------
 
 

@@ -25,16 +25,22 @@ class BatchLevel(Level):
     """A program whose designs and their neighbours are integrated side by side.
 
     What it cannot do, such as IPOPT's search from afar, is done by the program of few steps.
-    """
 
-    stationary = _STATIONARY
+    Attributes:
+        stationary: as of any level; in units of short ranges the rounding of objectives is larger.
+    """
 
     def __init__(self, program: Program, rough: Nlp, sizes: tuple[int, int]) -> None:
         """Take the scaled program, the one of few steps, and the numbers of variables and of parameters."""
         super().__init__(rough, rough, sizes, program.low, program.high)
+        self.stationary = _STATIONARY
         self._program = program
         self._objective_scale = program.objective_scale
         self._scale = np.array(program.scales)[np.array(program.owner, dtype=int)]
+
+    def normalised(self, sizes: float) -> None:
+        """Set the largest size of an objective in units of its range."""
+        self.stationary = _STATIONARY * max(1.0, sizes)
 
     def values(self, y: Vector, p: Vector) -> tuple[Vector, Vector]:
         """Return objective and requirements; they are kept."""

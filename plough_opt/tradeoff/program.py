@@ -152,6 +152,7 @@ class FrontProgram:
         self._exact_ones = len(self.levels)
         if self.wanted_error and program.population.vectorised:
             self.levels.append(BatchLevel(program, program.rough, sizes))
+            self._tell_batch()
 
     def nowhere(self) -> Vector:
         """Return parameters without objective or position."""
@@ -167,6 +168,12 @@ class FrontProgram:
     def normalise(self, low: Vector, span: Vector) -> None:
         """Set the scaled objectives that are 0, and the range that is 1."""
         self.low, self.span = low, span
+        self._tell_batch()
+
+    def _tell_batch(self) -> None:
+        for level in self.levels:
+            if isinstance(level, BatchLevel):
+                level.normalised(float(np.max((np.abs(self.low) + self.span) / self.span)))
 
     # --- questions ---------------------------------------------------------------------------------------
 

@@ -18,7 +18,7 @@ _NAMES = ("mean_draft", "force_rms", "displacement_rms", "mean_deflection", "tow
 _OF_FRONTS = {8: (2, "mean_draft"), 9: (1, "displacement_rms")}
 _POWER = 17
 # Rounds of designs about the best ones, and how far from them.
-_NEAR = (0.1, 0.03, 0.01, 0.003, 0.001)
+_NEAR = (0.1, 0.03, 0.01, 0.003, 0.001, 0.1, 0.03, 0.01, 0.003, 0.001)
 _IN_A_ROUND = 2**15
 _ROUGH, _FINE = 1.6, 0.5
 # Of a range: what is better than others by less is left out, for it stretches a surface along which nothing happens.

@@ -149,7 +149,7 @@ def test_words_on_three_objectives(sphere):
     assert sphere.points[number].objectives == pytest.approx([1.0 / math.sqrt(3.0)] * 3, abs=0.02)
     with pytest.raises(po.InputError, match="of = 1 and by = 1 must be two different objectives, from 0 to 2"):
         sphere.rate(number, 1, 1)
-    with pytest.raises(po.InputError, match="must have 3 objectives"):
+    with pytest.raises(po.InputError, match="must be 3 objectives, finite numbers"):
         sphere.hypervolume((1.0, 1.0))
 
 

@@ -328,7 +328,7 @@ def test_effects_that_no_orbit_has_are_refused(choice, changes, message):
 
 @pytest.mark.parametrize("choice", ["steady", "Periodic", None, 3, po.HarmonicBalance, ["periodic"]])
 def test_an_unknown_orbit_is_refused(choice):
-    with pytest.raises(po.InputError, match="must be 'transient', 'periodic', 'linearised' or HarmonicBalance"):
+    with pytest.raises(po.InputError, match="must be 'transient', 'periodic' or 'linearised', or HarmonicBalance"):
         effects(orbit=choice)
 
 

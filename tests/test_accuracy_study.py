@@ -44,7 +44,9 @@ def linear(request):
     with pytest.MonkeyPatch.context() as patch:
         for module in (methods, tracks):
             patch.setattr(module, "median_time", lambda _once, **_: 1e-3)
-        study = po.study_accuracy(plain, 0.3, wanted=1e-6, outputs=10, allowance=1e3, title="from rest", thin=request.param == "thin")
+        study = po.study_accuracy(
+            plain, 0.3, wanted=1e-6, outputs=10, allowance=1e3, title="from rest", thin=request.param == "thin"
+        )
     return plain, study
 
 

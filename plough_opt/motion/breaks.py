@@ -20,7 +20,7 @@ from plough_opt.expressions import Expression
 from plough_opt.motion.equation import equation_of_motion
 from plough_opt.motion.pooling import pooled
 from plough_opt.motion.signals import signals
-from plough_opt.motion.terms import Structure, start_speed, strut
+from plough_opt.motion.terms import Structure, ramp_time, start_speed, strut
 from plough_opt.motion.timeline import Timeline
 
 # A kink is missed by 1e-3 of a step, and what it leaves of a second derivative by the fourth power of that.
@@ -58,7 +58,7 @@ def start_and_size(span: ca.SX, duration: ca.SX, known: dict[str, ca.SX]) -> tup
     start, size = span[0] * duration, span[1] * duration
     if span.numel() == 2:
         return start, size
-    return start + span[2] * known["ramp_time"], size + span[3] * known["ramp_time"]
+    return start + span[2] * ramp_time(known), size + span[3] * ramp_time(known)
 
 
 def told(known: dict[str, ca.SX], span: ca.SX) -> dict[str, ca.SX]:
@@ -68,7 +68,7 @@ def told(known: dict[str, ca.SX], span: ca.SX) -> dict[str, ca.SX]:
 
 def moving_ramp(structure: Structure, timeline: Timeline, p: ca.MX) -> ca.MX | None:
     """Return the time of a ramp [s] at whose end a step ends wherever that is, or None. The duration is last in p."""
-    return signals(structure).named(p)["ramp_time"] if timeline.moving and structure.ramp else None
+    return ramp_time(signals(structure).named(p)) if timeline.moving and structure.ramp else None
 
 
 def spans_of(timeline: Timeline, duration: ca.MX, ramp: ca.MX | None) -> ca.MX | ca.DM:

@@ -20,6 +20,7 @@ from plough_opt.motion.terms import (
     Strut,
     carried_mass,
     inertia_at,
+    ramp_time,
     resistance,
     resistance_change,
     start_deflection,
@@ -201,7 +202,7 @@ class _Now:
         if self.structure.entry:
             yield self.entered, self.p["height"] - self.travel
         if self.structure.ends_ramp:
-            yield self.ramped, self.p["ramp_time"] - self.time
+            yield self.ramped, ramp_time(self.p) - self.time
 
     def _by_mode(self, slip: Expression, stick: Expression, gap: Expression) -> Expression:
         """Choose by the mode, element by element."""

@@ -21,7 +21,7 @@ from plough_opt.motion.integrators import Integration
 from plough_opt.motion.pooling import Average, pairs, pooled, product
 from plough_opt.motion.readings import at_outputs
 from plough_opt.motion.signals import signals
-from plough_opt.motion.terms import Structure
+from plough_opt.motion.terms import Structure, ramp_time
 from plough_opt.motion.timeline import Timeline
 
 Along = tuple[float, ...]
@@ -190,7 +190,7 @@ def _start_jet(structure: Structure, varying: tuple[int, ...], order: int, along
 def _ramp_part(structure: Structure, varying: tuple[int, ...], order: int, along: Along | None) -> ca.Function:
     """Return the jet of the ramp's part of the duration as a Function of the parameters."""
     p, e, shifted, known = _at_start(structure, varying, along)
-    return ca.Function("ramp_part", [p], [ca.densify(_expand(known["ramp_time"] / shifted[-1], e, order))])
+    return ca.Function("ramp_part", [p], [ca.densify(_expand(ramp_time(known) / shifted[-1], e, order))])
 
 
 @lru_cache(maxsize=64)

@@ -13,7 +13,7 @@ from plough_opt.labels import unlabelled
 from plough_opt.motion.breaks import ends
 from plough_opt.motion.embedding import labelled
 from plough_opt.motion.run import Averages, Run, rms
-from plough_opt.motion.terms import Structure, parameters, resistance, start_speed, strut
+from plough_opt.motion.terms import Structure, parameters, ramp_time, resistance, start_speed, strut
 from plough_opt.motion.timeline import Timeline
 from plough_opt.scene import Scene
 
@@ -38,7 +38,7 @@ def quasi_static(
     Averages are composite Gauss-Legendre quadratures over the timeline's steps.
     """
     p = parameters(scene)
-    inner, shares = _quadrature(timeline, points, duration, p.get("ramp_time", 0.0))
+    inner, shares = _quadrature(timeline, points, duration, ramp_time(p) if "ramp_time" in p else 0.0)
     p["static"] = labelled(p["static"], scene)
     course = partial(_course, scene, p, duration)
     time, path, speed, force = course(timeline.output_fractions)

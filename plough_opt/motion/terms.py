@@ -27,6 +27,8 @@ from plough_opt.waves import StrengthWave
 
 # Differences of travel [m] and speed [m/s] by which slopes that only choose steps are measured.
 _DIFFERENCE = 1e-4
+# Time [s] in which no mount moves: forces change by 1e-11 of themselves or so.
+_SHORTEST_RAMP = 1e-9
 
 PARAMETERS = (
     "inertia",
@@ -185,13 +187,19 @@ def strut(structure: Structure, p: dict[str, Expression], time: Expression) -> S
     speed = p["tow_speed"]
     if not structure.ramp:
         return Strut(path=speed * time, gain=0.0, acceleration=0.0)
-    ramp = p["ramp_time"]
+    ramp = ramp_time(p)
     u = where(p["ramped"] > 0.5, 1.0, time / ramp) if "ramped" in p else minimum(time / ramp, 1.0)
     return Strut(
         path=speed * (ramp * u**4 * (2.5 + u * (u - 3.0)) + (time - ramp * u)),
         gain=speed * u**3 * (10.0 + u * (6.0 * u - 15.0)),
         acceleration=speed / ramp * 30.0 * u**2 * (1.0 - u) ** 2,
     )
+
+
+def ramp_time(p: Mapping[str, Any]) -> Any:
+    """Return the time of the strut's ramp [s]: of one that symbols make 0, one so short that it changes nothing."""
+    time = p["ramp_time"]
+    return where(time > 0.0, time, time + _SHORTEST_RAMP)
 
 
 def start_speed(structure: Structure, p: dict[str, Expression]) -> Expression:

@@ -18,9 +18,11 @@ from plough_opt.expressions import as_number, is_casadi, map_expressions
 from plough_opt.kinds import mapping_of
 from plough_opt.motion.run import Run
 from plough_opt.motion.simulation import repeat
+from plough_opt.tables import text_table
 
 # Per cent of an objective below which a cost is the rounding of none.
 _ROUNDING = 1e-9
+_DECIDES = {True: "decides", False: ""}
 _LEFT_BEHIND = "this optimum was pickled without its design: evaluate expressions before, or solve again"
 
 
@@ -73,6 +75,24 @@ class LocalOptimum:
     iterations: int
     spread: Spread | None = None
 
+    def __str__(self) -> str:
+        """Return the design as tables: variables with their bounds, requirements with their margins."""
+        bounds = [
+            (one.name, in_words(one.value, one.unit), one.limits, "at its bound" if one.active else "")
+            for one in self.limits
+            if one.kind == "bound"
+        ]
+        required = [
+            (one.name, one.limits, in_words(one.value, one.unit), in_words(one.margin, one.unit), _DECIDES[one.active])
+            for one in self.limits
+            if one.kind == "requirement"
+        ]
+        text = f"{self.name}: objective {self.objective:.9g}\n"
+        text += text_table([("variable", "best", "bounds", ""), *bounds])
+        if required:
+            text += "\n" + text_table([("requirement", "limits", "value", "margin", ""), *required])
+        return text
+
     @property
     def margins(self) -> dict[str, float]:
         """Margin of each requirement, positive inside, in its unit."""
@@ -124,6 +144,13 @@ class Optimum(LocalOptimum):
             DomainError: the numbers lie outside the model's domain.
         """
         return map_expressions(item, self._with_numbers, _is_run_or_expression)
+
+    def __str__(self) -> str:
+        """Return the best design as tables, what was searched, and what a reader must know."""
+        others = "".join(f"\n{one.name}: objective {one.objective:.9g}" for one in self.local_optima[1:])
+        notes = "".join(f"\nNote: {text}." for text in self.warnings)
+        searched = f"\n{self.search}" if self.search is not None else ""
+        return f"Best design ({self.status}), {super().__str__()}{others}{searched}{notes}"
 
     def sensitivity(self, name: str, *, check: bool = False) -> Sensitivity:
         """Return how the best objective and the best variables change with a parameter or a limit.

@@ -28,6 +28,7 @@ from plough_opt.motion.terms import (
     strut,
 )
 from plough_opt.scene import Scene
+from plough_opt.tables import text_table
 
 # In a symbolic run the RMS is rounded off below this fraction of the steady force, where the square
 # root has no derivative; the RMS is changed by no more than that.
@@ -119,6 +120,24 @@ class Run:
             f"<Run: {self.duration:g} s in {len(self.time) - 1} intervals by {self.accuracy.method}, mean draft"
             f" {self.mean_draft:.6g} N, RMS {self.force_rms:.6g} N, error estimate {self.error_estimate:.1e}>"
         )
+
+    def __str__(self) -> str:
+        """Return the results of a run of numbers as a table, with what a reader must know."""
+        if self.checks is None:
+            return repr(self)
+        rows = [
+            ("mean draft", f"{self.mean_draft:.6g} N"),
+            ("RMS of the mount force", f"{self.force_rms:.6g} N"),
+            ("mean deflection", f"{self.mean_deflection:.6g} m"),
+            ("RMS of the deflection", f"{self.displacement_rms:.6g} m"),
+            ("tow power", f"{self.tow_power:.6g} W"),
+            ("peak mount force", f"{self.peak_force:.6g} N"),
+            ("peak deflection", f"{self.peak_deflection:.6g} m"),
+            ("estimated error", f"{self.error_estimate:.1e}"),
+        ]
+        notes = "".join(f"\nNote: {text}." for text in self.warnings)
+        head = f"{self.duration:g} s of a {self.scene.describe()}, by {self.accuracy.method}"
+        return f"{head}\n{text_table(rows)}{notes}"
 
     @property
     def mean_draft(self) -> Expression:

@@ -11,7 +11,7 @@ FAST   := $(addprefix tests/,problem_file cli export study calibration/test_line
           motion/test_simulate.py uncertainty/test_distribution.py test_layout.py test_geometry.py test_soil.py \
           test_forces.py test_scene.py test_component.py test_plots.py test_results.py test_source_equations.py)
 
-.PHONY: run test slow bench lowest clean
+.PHONY: run test slow bench lowest lines clean
 
 run: $(READY)
 	$(BIN)/plough-opt optimise problems/cotton_subsoiler.toml --plot out/cotton_subsoiler.png
@@ -34,6 +34,10 @@ lowest:
 	$(LOWEST)/bin/python -m pip install --quiet uv
 	$(LOWEST)/bin/uv pip install --quiet --python $(LOWEST)/bin/python --compile-bytecode --resolution lowest-direct --editable ".[test]"
 	$(LOWEST)/bin/pytest -n auto --dist worksteal $(FAST)
+
+# Lines of code by room, without docstrings, comments and blank lines.
+lines:
+	$(PYTHON) .ci/lines.py plough_opt tests
 
 $(READY): pyproject.toml
 	$(PYTHON) -m venv $(VENV)

@@ -19,6 +19,8 @@ _RIPPLE = 1e-3
 # Positions on a way down to an end, denser towards both of its ends, where narrow basins would show; by what part of
 # the merit it may rise, as rounding and the end's own digits do; and how many ends, the nearest first, are tried.
 _DOWN, _RISE, _NEAREST = 40, 1e-6, 4
+# Each of how many positions is tried first.
+_COARSE = 5
 
 
 def barriers(landscape: Landscape | Shortfall, one: Seen, others: Seen) -> NDArray[np.bool_]:
@@ -44,13 +46,20 @@ def straight_below(landscape: Landscape, start: Vector, ends: Seen) -> int | Non
             near.append(int(k))
         if len(near) == _NEAREST:
             break
-    if not near:
-        return None
     parts = 0.5 - 0.5 * np.cos(np.linspace(0.0, np.pi, _DOWN))
-    ways = start + parts[:, None] * (ends.points[near] - start)[:, None]
+    # Most ways rise at once or not at all: a few positions tell of most that they do.
+    for some in (parts[::_COARSE], parts):
+        if near:
+            near = [k for k, falls in zip(near, _fall(landscape, start, ends.points[near], some), strict=True) if falls]
+    return near[0] if near else None
+
+
+def _fall(landscape: Landscape, start: Vector, ends: Vector, parts: Vector) -> list[bool]:
+    """Return for each of some ends whether the merit does nothing but fall at parts of the way from a start."""
+    ways = start + parts[:, None] * (ends - start)[:, None]
     # Equal numbers of steps along a way, so that it rises by nothing that changes of these bring.
-    merit = landscape(ways.reshape(-1, len(start)), together=_DOWN).merit.reshape(-1, _DOWN)
-    sound = np.flatnonzero(np.isfinite(merit).all(axis=1))
-    rise = np.max(merit[sound, 1:] - np.minimum.accumulate(merit[sound], axis=1)[:, :-1], axis=1)
-    falls = sound[rise <= _RISE * np.abs(merit[sound, -1])]
-    return near[falls[0]] if len(falls) else None
+    merit = landscape(ways.reshape(-1, len(start)), together=len(parts)).merit.reshape(-1, len(parts))
+    with np.errstate(invalid="ignore"):
+        rise = np.max(merit[:, 1:] - np.minimum.accumulate(merit, axis=1)[:, :-1], axis=1)
+        falls: list[bool] = (np.isfinite(merit).all(axis=1) & (rise <= _RISE * np.abs(merit[:, -1]))).tolist()
+    return falls

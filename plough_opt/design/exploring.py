@@ -217,7 +217,8 @@ class Explorer:
     def _promises(self, seen: Seen) -> np.ndarray:
         """Return whether it is worth while to descend from each design."""
         promising: np.ndarray = (seen.violation <= self._least_of_sample) & np.isfinite(seen.f)
-        return promising
+        # What a dense sample has of designs beyond the requirements has been descended from.
+        return promising & seen.feasible if self._dense else promising
 
     def _search_face(self, effort: Effort, rng: np.random.Generator) -> None:
         """Search again among the variables that the best design does not have at a bound, the others held."""

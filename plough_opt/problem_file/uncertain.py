@@ -78,7 +78,7 @@ def asked_of(text: str) -> Asked:
         if match[2]:
             level = float(match[2])
             if not 0.0 < level < 1.0:
-                raise InputError(f'"{text}": the level of a cvar lies between 0 and 1, 0.9 being the worst tenth')
+                raise InputError(f'"{text}": the level of a cvar must lie between 0 and 1, 0.9 being the worst tenth')
             return Asked("cvar", level)
         return Asked("mean_plus", float(match[3] + match[4]))
     except ValueError as error:

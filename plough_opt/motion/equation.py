@@ -70,7 +70,7 @@ def equation_of_motion(structure: Structure) -> EquationOfMotion:
         rates, zeros, after = now.rates_of_entry(), [now.until_it_turns()], [now.after_it_turned()]
     else:
         rates, zeros, after = ca.vertcat(now.rate, now.slipping()), [], []
-    counted = now.state[4:]
+    counted = now.state[4 if structure.events else 2 :]
     rates, after = ca.vertcat(rates, ca.SX.zeros(counted.numel())), [ca.vertcat(state, counted) for state in after]
     for what, until in now.until_counted():
         zeros.append(ca.if_else(what < 0.5, until, 1.0))
@@ -92,7 +92,7 @@ def start_state(structure: Structure, p: dict[str, Expression]) -> Expression:
     first = ca.vertcat(0.0, start_rate(structure, p))
     counted = (0.0,) * (structure.entry + structure.ends_ramp)
     if structure.contact != "stick_slip":
-        return ca.vertcat(first, 0.0, SLIP, *counted) if structure.entry else first
+        return ca.vertcat(first, *((0.0, SLIP) if structure.entry else ()), *counted)
     # A share without speed sticks, unless the mount already pulls enough.
     speed = 0.0 if structure.start == "rest" else start_speed(structure, p)
     pull = 0.0 if structure.relaxed else start_resistance(structure, p)

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
-from plough_opt.accuracy import ADAPTIVE, FIXED_STEP, ORDER_8, Accuracy
+from plough_opt.accuracy import ADAPTIVE, FIXED_STEP, LOCATE_EVENTS, ORDER_8, Accuracy
 from plough_opt.motion.equation import equation_of_motion, start_state
 from plough_opt.motion.orbit import orbit_map
 from plough_opt.motion.runge_kutta import run_map
@@ -82,7 +82,9 @@ def integration(structure: Structure, accuracy: Accuracy, timeline: Timeline) ->
         return Integration(structure, accuracy, timeline, orbit_map(structure, timeline))
     if accuracy.method in ORDER_8:
         return Integration(structure, accuracy, timeline, run_map(structure, timeline))
-    sized = _by_casadi(structure, accuracy, timeline)
+    # Where symbols end a ramp no output can be put, and a step across the end errs in derivatives by it.
+    locates = timeline.moving and accuracy.method in LOCATE_EVENTS
+    sized = _by_casadi(replace(structure, locates_ramp=locates and structure.ramp), accuracy, timeline)
     p = ca.MX.sym("p", sized.expected.size1_in(0))
     results = sized.function.call([p, sized.expected(p)])
     function = ca.Function(f"run_{accuracy.method}", [p], results, {"never_inline": True})

@@ -67,6 +67,7 @@ class Structure:
     harmonics: int = 0
     own: tuple[OwnTerm, ...] = ()
     tells_ramp: bool = False
+    locates_ramp: bool = False
     phased: bool = False
     turns: tuple[int, ...] = ()
 
@@ -126,8 +127,8 @@ class Structure:
 
     @property
     def ends_ramp(self) -> bool:
-        """Whether the end of the strut's ramp is one of them."""
-        return self.events and self.ramp
+        """Whether an integrator must find the end of the strut's ramp."""
+        return self.ramp and (self.events or self.locates_ramp)
 
 
 def parameters(scene: Scene) -> dict[str, Expression]:

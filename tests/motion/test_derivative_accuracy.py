@@ -124,6 +124,22 @@ def test_second_derivatives_through_events_are_those_of_a_gradient(case):
         ca.jacobian(ca.jacobian(draft, t), t)
 
 
+@pytest.mark.parametrize("method", ["erk", "rosenbrock"])
+def test_named_adaptive_methods_find_the_end_of_a_ramp(method):
+    x = ca.MX.sym("x")
+    scene = scene_of(PLAIN | {"ramp": x}, start="rest")
+    draft = po.simulate(scene, 1.0, accuracy=po.Accuracy(method, tolerance=1e-11), outputs=7).mean_draft
+    run = po.simulate(scene, 1.0, outputs=7)
+    first, second = ca.gradient(draft, x), ca.gradient(ca.gradient(draft, x), x)
+    expected = ca.gradient(run.mean_draft, x), ca.gradient(ca.gradient(run.mean_draft, x), x)
+    found = ca.Function("found", [x], [draft, first, second, run.mean_draft, *expected])(0.301)
+    value, slope, bend, *truth = (float(part) for part in found)
+    assert value == pytest.approx(truth[0], rel=1e-10)
+    # Without a step that ends there the slope is 1e-5 off.
+    assert slope == pytest.approx(truth[1], rel=1e-7)
+    assert bend == pytest.approx(truth[2], rel=1e-5)
+
+
 SUDDEN = {
     "motion": {"damping": 400.0},
     "stick and slip": {"damping": 400.0, "start": "rest", "contact": po.StickSlip(1.2)},

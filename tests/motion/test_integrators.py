@@ -108,7 +108,7 @@ def test_averages_keep_order_8_too(r1_scene):
     scene = r1_scene(strength_wave=WAVE, tow_ramp=0.371234, damping=300.0)
     fine = po.simulate(scene, 2.0, accuracy=po.Accuracy("dop853", steps=4000), outputs=10)
     # So many that steps double on both sides of the ramp's end, where few would be too few.
-    coarse, finer = (po.simulate(scene, 2.0, accuracy=po.Accuracy("dop853", steps=n), outputs=10) for n in (160, 320))
+    coarse, finer = (po.simulate(scene, 2.0, accuracy=po.Accuracy("dop853", steps=n), outputs=10) for n in (120, 240))
     for average in AVERAGES:
         errors = [abs(getattr(run, average) - getattr(fine, average)) for run in (coarse, finer)]
         assert np.log2(errors[0] / errors[1]) >= 7.8, average

@@ -12,7 +12,7 @@ from typing import Final
 
 import numpy as np
 
-from plough_opt.accuracy_study.picard import PI, WIDE, Acceleration, Step, Wide
+from plough_opt.accuracy_study.picard import EPS, PI, WIDE, Acceleration, Step, Wide
 from plough_opt.effects import OwnResistance, Smooth, StickSlip
 from plough_opt.errors import InputError
 from plough_opt.expressions import as_number
@@ -25,7 +25,7 @@ GAP: Final = 2
 # Part of the smooth contact's width by which its step's polynomial is left late.
 _LATE = WIDE(1e-4)
 # Part of the tow speed below which a speed backwards is rounding: of a share that hardly begins to move.
-_STANDSTILL = WIDE(1e-14)
+_STANDSTILL = 2 * EPS
 
 
 @dataclass(frozen=True)

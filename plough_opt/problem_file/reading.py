@@ -263,7 +263,7 @@ def _wave_keys(source: Source, table: ProblemTable, known: set[str]) -> list[str
             continue
         if (own or given) and missing:
             with source.noting(tuple(name.split("."))):
-                raise InputError(f"'{name}' is there without '{missing}': give strength waves numbers from the first on")
+                raise InputError(f"'{name}' is there without '{missing}': give that one first")
         missing = missing or ("" if own or given else name)
         keys += needed if own or given else []
     return keys

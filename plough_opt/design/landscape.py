@@ -26,7 +26,7 @@ _BEYOND = 1e8
 _STEP = 1e-6
 # Descents take finer steps than a sample, so that the few steps by which a count changes shift nothing that matters.
 _FINER = 2.0
-_ITERATIONS = 60
+_ITERATIONS = 25
 # Iterations of a descent without a bend, of which others stall when they have taken more.
 _LONG = 20
 # Of a column of a requirement, as a deflection at every output, only the worst values enter a descent.

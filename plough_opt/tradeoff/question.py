@@ -30,6 +30,8 @@ _FEWEST, _MOST = 5, 1000
 _REFINEMENTS = 4
 # Relative range of an objective below which it is rounding.
 _NONE = 1e-5
+# Of the size at the guess: what an objective near zero is measured by where one design is best in all.
+_SMALLEST = 0.01
 _NAMES = ("first objective", "second objective", "third objective")
 
 # The program last built for a design, with what it was built from.
@@ -112,7 +114,7 @@ def trade_off(
         # An objective that conflicts with none leaves the design to one that may.
         number = next((k for k in range(len(anchors)) if k // (len(anchors) // len(goals)) not in idle), 0)
         sizes = np.abs(front.objectives(anchors[number][0].y))
-        front.normalise(np.zeros(len(goals)), np.where(sizes > 0.0, sizes, 1.0))
+        front.normalise(np.zeros(len(goals)), np.maximum(sizes, _SMALLEST))
         tracer.kept(anchors[number][0], tracer.orders()[number])
     else:
         tracer.trace(anchors)

@@ -65,3 +65,15 @@ def test_a_conflict_below_what_is_solved_for_is_none_to_within_its_size():
         == "'first objective' and 'second objective' do not conflict: one design is best in both, to within 0.0002 %"
     )
     assert front.designs[0] == pytest.approx([1.0, 0.0], abs=1e-3)
+
+
+def test_objectives_near_zero_make_no_needle():
+    # At its best an objective is 0, of which every change is more than 5 %: by that measure all designs were needles.
+    d = po.Design()
+    x, y = (d.variable(name, guess=0.4, lower=0.0, upper=1.0) for name in "xy")
+    both = (x - 0.3) ** 2 + (y - 0.2) ** 2
+    front = po.trade_off(d, both, 2.0 * both + 3.0)
+    assert front.notes == ("'first objective' and 'second objective' do not conflict: one design is best in both",)
+    front = po.trade_off(d, 100.0 + 1e-3 * x, (1.0 - x) ** 2 + y**2)
+    assert len(front.notes) == 1
+    assert front.notes[0].endswith("do not conflict: one design is best in both, to within 0.001 %")

@@ -40,7 +40,9 @@ class Accuracy:
             scale, as in its ``error_estimate``; default 1e-8.
         steps: for a fixed-step method, steps over the whole duration; default: as many as the scene's
             fastest oscillation needs for 1e-8, or of a symbolic scene, whose time scales are unknown, at
-            least 400 of order 8. Under ``"auto"`` a design chooses and refines them by itself.
+            least 400 of order 8. Under ``"auto"`` a design chooses and refines them by itself. In a run of numbers
+            order 8 takes a few more: the outermost in two, for what is read between them, and some on either side of
+            the end of a ramp.
         derivatives: for ``"auto"``, the wanted error of the first and second derivatives of a symbolic scene's averages
             by relative changes of its numbers, relative to the largest of average, first and second derivatives;
             default 1e-6. Where smooth contact calls for it there are more than 400 steps, and events are located

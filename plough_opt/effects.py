@@ -150,7 +150,8 @@ class Effects:
             Fd with H^2 and the added mass with H^3. Starts at ``"rest"`` or ``"towed"``.
         strength_wave: periodic soil strength along the path; a tuple of several waves, whose sum multiplies F0 and must
             leave it at least 0 along the path; or None.
-        tow_ramp: time [s] in which the strut's speed rises from 0 by a C2 smoothstep; None or 0: none.
+        tow_ramp: time [s] in which the strut's speed rises from 0 by a C2 smoothstep; None or 0: none. Of
+            an expression 0 is a ramp too short to matter, 1e-9 s, so that it has derivatives.
         damping: viscous damper c in the mount [N s/m], or None.
         rate_term: kappa [s^2/m^2] of F0 (1 + kappa L'^2), for calibration, or None. Not in the source.
         own: resistances of the user's own classes, added to the soil's: see `OwnResistance`.

@@ -26,7 +26,10 @@ def test_an_equation_has_its_function_and_its_test(number, what, function, file,
     assert what.strip()
     defined = reduce(getattr, function.split("."), po)
     source = (ROOT / file).read_text(encoding="utf-8")
-    assert inspect.getsourcefile(getattr(defined, "fget", defined)) == str(ROOT / file) or f"({number})" in source
+    assert (
+        inspect.getsourcefile(inspect.unwrap(getattr(defined, "fget", defined))) == str(ROOT / file)
+        or f"({number})" in source
+    )
     assert re.search(rf"def test_equation_{number}(_|\()", LETTER)
     assert (ROOT / test).exists()
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import math
+import sys
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -45,7 +45,11 @@ class Refinement:
         Raises:
             InputError: none of the sizes reaches it.
         """
-        if not isinstance(error, int | float | np.number) or isinstance(error, bool) or not 0.0 <= error < math.inf:
+        if (
+            not isinstance(error, int | float | np.number)
+            or isinstance(error, bool)
+            or not 0.0 <= error <= sys.float_info.max
+        ):
             raise InputError(f"error = {shown(error)} must be a number, not below 0")
         for size, own in zip(self.sizes, self.errors, strict=True):
             if own <= error:

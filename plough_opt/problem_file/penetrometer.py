@@ -11,7 +11,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from plough_opt.domain import plain_number
 from plough_opt.errors import InputError, nearest, short
+from plough_opt.kinds import path_of, shown
 from plough_opt.problem_file.csv_rows import HEADING, factor_of, number_of, raise_listed, read_rows
 from plough_opt.problem_file.ranges import read_axis
 from plough_opt.problem_file.source import Source
@@ -90,10 +92,12 @@ def read_penetrometer(path: str | Path, depth: tuple[float, float]) -> Penetrome
         InputError: no such file, a column or cell that cannot be, each with its line, or an insertion that does not
             reach over the range.
     """
-    low, high = depth
+    path = path_of("the file of readings", path)
+    ends = depth if isinstance(depth, Sequence) and not isinstance(depth, str | bytes) else ()
+    low, high = (plain_number("depth", end) for end in ends) if len(ends) == 2 else (0.0, 0.0)
     if not 0.0 <= low < high:
-        raise InputError(f"depth = {depth!r}: give two depths in metres, the shallower first, from 0 on")
-    rows = read_rows(Path(path), "penetrometer readings")
+        raise InputError(f"depth = {shown(depth)}: give two depths in metres, the shallower first, from 0 on")
+    rows = read_rows(path, "penetrometer readings")
     if len(rows) < 2:
         raise InputError(f"{path}: there are no readings: write a first line that names the columns, as {_EXAMPLE}")
     line, headings = rows[0]

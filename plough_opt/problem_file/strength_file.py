@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from plough_opt.errors import InputError, nearest, short
+from plough_opt.kinds import path_of
 from plough_opt.problem_file.csv_rows import HEADING, factor_of, number_of, raise_listed, read_rows
 from plough_opt.problem_file.units import Unit
 from plough_opt.rig import Rig
@@ -32,7 +33,8 @@ def read_strength_record(path: str | Path, rig: Rig | None = None, *, tow_speed:
         InputError: no such file, a column or cell that cannot be, each with its line, a force without a rig, or times
             without a speed.
     """
-    rows = read_rows(Path(path), "readings")
+    path = path_of("the file of readings", path)
+    rows = read_rows(path, "readings")
     if len(rows) < 2:
         raise InputError(f"{path}: there are no readings: write a first line that names the columns, as {_EXAMPLE}")
     line, headings = rows[0]

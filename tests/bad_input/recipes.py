@@ -2,6 +2,7 @@
 
 import functools
 import math
+from concurrent.futures import Executor, Future
 from pathlib import Path
 
 import casadi as ca
@@ -65,10 +66,16 @@ def robust():
     return po.Robust(field(), lambda soil: {"reach": po.loosened_radius(CONE, soil)}, samples=8)
 
 
+STIFFNESS = ca.MX.sym("stiffness")
+
+
+def moving(stiffness):
+    return po.Scene(SOIL, WEDGE, stiffness, 45.0, 2.0, po.Effects(damping=400.0))
+
+
 @functools.cache
 def batch():
-    stiffness = ca.MX.sym("stiffness")
-    return po.Batch(po.Scene(SOIL, WEDGE, stiffness, 45.0, 2.0, po.Effects(damping=400.0)), 0.1, [stiffness])
+    return po.Batch(moving(STIFFNESS), 0.1, [STIFFNESS])
 
 
 def measured():
@@ -95,6 +102,26 @@ def run():
     return po.simulate(SCENE, 1.0)
 
 
+FRESH = po.Design()
+
+
+def anew(design):
+    """Return a design of its own for every call in the place of FRESH, and whatever else is given."""
+    return po.Design() if design is FRESH else design
+
+
+class Inline(Executor):
+    """Does everything at once, in this process: a sweep that is asked wrongly may run, but begins no processes."""
+
+    def submit(self, function, /, *arguments, **named):
+        done = Future()
+        try:
+            done.set_result(function(*arguments, **named))
+        except BaseException as error:
+            done.set_exception(error)
+        return done
+
+
 def over(values):
     """Return the first point of a sweep's results."""
     return {"twice": 2.0 * values["x"]}
@@ -106,7 +133,7 @@ def recipes():
     return {
         "Accuracy": (po.Accuracy, {"method": "auto", "error": 1e-6, "steps": None, "tolerance": None,
             "derivatives": 1e-6}),
-        "Batch": (po.Batch, {"scene": SCENE, "duration": 1.0, "inputs": [ca.MX.sym("x")], "error": 1e-6}),
+        "Batch": (po.Batch, {"scene": moving(STIFFNESS), "duration": 1.0, "inputs": [STIFFNESS], "error": 1e-6}),
         "Batch()": (lambda **a: batch()(**a), {"values": [[5e4]], "threads": 1}),
         "Batch.stream": (lambda chunks, threads: list(batch().stream(chunks, threads=threads)),
                          {"chunks": [[[5e4]]], "threads": 1}),
@@ -115,6 +142,10 @@ def recipes():
         "Candidate": (po.Candidate, {"result": "mean_draft", "conditions": {"scene.tow_speed": 2.0}, "sigma": 1.0,
                                      "why": ""}),
         "Component()": (lambda **a: made()(**a), {"share_height": 0.2}),
+        "Rig": (po.Rig, {"mass": 100.0, "stiffness": 1e5, "damping": 300.0, "tow_speed": 1.0}),
+        "cone_index": (po.cone_index, {"soil": SOIL}),
+        "read_penetrometer": (po.read_penetrometer, {"path": "none.csv", "depth": (0.1, 0.3)}),
+        "read_strength_record": (po.read_strength_record, {"path": "none.csv", "rig": None, "tow_speed": None}),
         "Cone": (po.Cone, {"half_angle": 0.2, "height": 0.3}),
         "Cone.solid_mass": (CONE.solid_mass, {"density": 7850.0}),
         "Design.variable": (lambda **a: po.Design().variable(**a),
@@ -171,8 +202,8 @@ def recipes():
         "Robust.every": (lambda **a: robust().every(**a), {"name": "reach", "at_least": 0.1, "at_most": None}),
         "Robust.probability": (lambda **a: robust().probability(**a),
                                {"name": "reach", "at_least": 0.1, "at_most": None, "width": 0.01}),
-        "Robust.require_probability": (lambda **a: robust().require_probability(**{"design": po.Design()} | a), {
-            "design": po.Design(), "requirement": "a", "name": "reach", "probability": 0.9, "at_least": 0.1,
+        "Robust.require_probability": (lambda design, **a: robust().require_probability(anew(design), **a), {
+            "design": FRESH, "requirement": "a", "name": "reach", "probability": 0.9, "at_least": 0.1,
             "at_most": None, "width": 0.01, "unit": "m"}),
         "Robust.bound_from_above": (lambda **a: robust().bound_from_above(**{"design": po.Design()} | a), {
             "name": "reach", "lower": 0.0, "upper": 1.0, "guess": 0.5, "unit": "m"}),
@@ -293,7 +324,7 @@ def recipes():
             "duration": None, "starts": 1, "title": ""}),
         "sweep": (po.sweep, {
             "what_to_sweep": over, "over": {"x": [1.0, 2.0]}, "what": "simulate", "method": "auto", "samples": None,
-            "seed": 0, "store": None, "executor": None, "workers": 1, "retry": False, "progress": False,
+            "seed": 0, "store": None, "executor": Inline(), "workers": 1, "retry": False, "progress": False,
                 "units": None}),
         "study_accuracy": (po.study_accuracy, {
             "scene": SCENE, "duration": 0.1, "wanted": 1e-6, "outputs": 4, "allowance": 0.01, "derivatives": False,

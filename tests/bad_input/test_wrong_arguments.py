@@ -16,6 +16,8 @@ import plough_opt as po
 LEFT_OUT = {
     # Returns what holds no expression as it is.
     *(("Optimum()", "item", wrong) for wrong in WRONG),
+    # Processes of its own, which tests of sweeps begin.
+    ("sweep", "executor", "None"),
     # Expressions that take minutes to build: of SX the force's quadratures are written out.
     *(("elastic.cone_force", argument, "SX") for argument in ("speed", "section_factor")),
 }
@@ -61,21 +63,29 @@ def test_wrong_arguments_are_told(count, tmp_path, monkeypatch):
 
 
 def test_right_arguments_are_taken():
-    missing = ("load", "read_measurements", "Sweep.load")  # whose files there are none
+    missing = (
+        "load",
+        "read_measurements",
+        "read_penetrometer",
+        "read_strength_record",
+        "Sweep.load",
+    )  # whose files there are none
+    elsewhere = ("trade_off", "calibrate", "sweep", "study_accuracy", "study_design", "uncertainty.verify")
     for name, (function, arguments) in recipes().items():
         if name in missing:
             with pytest.raises(po.InputError, match=r"there is no|cannot be read"):
                 function(**arguments)
-        elif name not in ("trade_off", "calibrate", "sweep", "study_accuracy", "study_design"):  # tested elsewhere
+        elif name not in elsewhere:
             function(**arguments)
 
 
 def test_every_public_name_has_a_recipe():
-    """Classes of results, errors and plain records of what was found are made by the package alone."""
+    """But for errors, results that the package alone makes, and records of strength, which have tests of their own."""
     results = {
         "AccuracyStudy", "BatchResult", "Component", "Design", "DomainError", "Fit", "InfeasibleDesign", "InputError",
-        "IntegrationError", "LocalOptimum", "NotConverged", "Optimum", "OwnResistance", "PloughError", "Problem",
-        "Refinement", "Run", "Sweep", "TradeOff", "crosscheck", "elastic", "plastic", "plots", "soil_names",
+        "IntegrationError", "LocalOptimum", "NotConverged", "Optimum", "OwnResistance", "Penetrometer", "PloughError",
+        "Problem", "RecordWaves", "Refinement", "Run", "StrengthRecord", "strength_waves",
+        "Sweep", "TradeOff", "crosscheck", "elastic", "plastic", "plots", "soil_names",
         "uncertainty",
     }  # fmt: skip
     covered = {name.partition(".")[0].rstrip("[]()") for name in recipes()}

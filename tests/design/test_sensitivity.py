@@ -291,7 +291,7 @@ def test_cotton_solved_again_with_other_parameters(cotton_parameters, name):
 
 def test_cotton_has_every_quantity_and_check_solves_it_again(cotton_parameters):
     found = cotton_parameters.best.every_sensitivity()
-    assert len(found) == 16
+    assert len(found) == 17  # the strength factor among them
     checked = cotton_parameters.best.sensitivity("half_angle at_most", check=True)
     # A relative step of 2e-4 leaves its square times third derivatives of order one, the optimiser's 1e-10 over it.
     assert checked.difference < 5e-6

@@ -89,7 +89,7 @@ def errors_of(formulation: Formulation) -> Printed:
     if isinstance(formulation, Printed):
         return formulation
     if not isinstance(formulation, str) or formulation not in FORMULATIONS:
-        hint = nearest(str(formulation), FORMULATIONS)
+        hint = nearest(formulation if isinstance(formulation, str) else shown(formulation), FORMULATIONS)
         raise InputError(f"formulation = {shown(formulation)} is neither a Printed(...) nor the name of one: {hint}")
     return FORMULATIONS[formulation]
 

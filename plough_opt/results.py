@@ -163,7 +163,7 @@ def load(path: str | Path) -> Any:
     """
     path = path_of("the result", path)
     if _is_store(path):
-        raise InputError(f"'{path}' is the store of a sweep: po.Sweep.load reads it")
+        raise InputError(f"{shown(str(path), 200)} is the store of a sweep: po.Sweep.load reads it")
     kind = read_saved(path, "result", "a result", _Kind.model_validate_json).kind
     if kind in _LATER:
         module, name = _LATER[kind]

@@ -19,6 +19,7 @@ from plough_opt.batch.equations import RESULTS, Start, of_column, setup
 from plough_opt.batch.layout import Layout
 from plough_opt.batch.program import Array, Program
 from plough_opt.batch.result import BatchResult
+from plough_opt.domain import check_single
 from plough_opt.effects import StickSlip
 from plough_opt.errors import InputError
 from plough_opt.expressions import Expression, as_number, is_casadi, is_count, is_symbolic, template_of
@@ -71,6 +72,7 @@ class Batch:
         if not (isinstance(error, int | float | np.number) and 1e-11 <= error <= 1e-2):
             raise InputError(f"error = {shown(error)} must lie between 1e-11 and 1e-2")
         BESIDE["scene.duration"].check(duration)
+        check_single("the duration of a batch", duration)
         symbols = _symbols(inputs)
         self._error = error
         self._layout = Layout.of(Structure.of(scene))
@@ -249,7 +251,7 @@ class Batch:
 
 def _symbols(inputs: Sequence[Expression]) -> list[Expression]:
     """Return the inputs, each a symbol and none twice."""
-    symbols = [] if is_casadi(inputs) else list(inputs)
+    symbols = list(inputs) if isinstance(inputs, Sequence) else []
     if not symbols or not all(is_symbolic(one) and one.is_valid_input() for one in symbols):
         raise InputError("the inputs of a batch are the CasADi symbols of which its scene is made, as a list")
     if len({type(one) for one in symbols}) > 1:

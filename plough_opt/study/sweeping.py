@@ -17,7 +17,7 @@ from rich.console import Console
 
 from plough_opt.errors import InputError
 from plough_opt.expressions import is_count
-from plough_opt.kinds import path_of, shown
+from plough_opt.kinds import check_switch, path_of, shown
 from plough_opt.processors import available
 from plough_opt.results import versions
 from plough_opt.study.axes import axis_of
@@ -79,6 +79,7 @@ def sweep(
     if executor is None:
         _refuse_unpicklable(evaluation)
     asked = {**points.question(), **(question or _identity(evaluation)), **_versions()}
+    check_switch("retry", retry)
     store = None if store is None else path_of("the store", store)
     if not retry and store is not None and (finished := _finished(store, asked)) is not None:
         return finished

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import special
 from scipy.stats import qmc
 
-from plough_opt.domain import plain_number
+from plough_opt.domain import check_text, plain_number
 from plough_opt.errors import DomainError, InputError, nearest
 from plough_opt.expressions import is_casadi
 from plough_opt.kinds import shown
@@ -55,6 +55,7 @@ class Marginal:
     name: str = "the property"
 
     def __post_init__(self) -> None:
+        check_text("the name of a distribution", self.name)
         if not callable(getattr(self.distribution, "cdf", None)) or self._inverse is None:
             raise InputError(
                 f"{self.name}: {shown(self.distribution)} is no distribution: give a frozen one of scipy.stats, such as"

@@ -18,6 +18,11 @@ LEFT_OUT = {
     *(("Optimum()", "item", wrong) for wrong in WRONG),
     # Processes of its own, which tests of sweeps begin.
     ("sweep", "executor", "None"),
+    # Whole numbers of more digits than Python writes, for a name or a number of samples.
+    ("Output", "name", "vaster"),
+    ("sweep", "samples", "vaster"),
+    # An expression of SX beside a scene of MX.
+    ("Batch", "duration", "SX"),
     # Expressions that take minutes to build: of SX the force's quadratures are written out.
     *(("elastic.cone_force", argument, "SX") for argument in ("speed", "section_factor")),
 }

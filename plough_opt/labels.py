@@ -209,7 +209,12 @@ def checked_in_designs(
             return result
         # Functions in arguments, as a density profile's, may print alike.
         functions: list[int] = []
-        map_expressions(template, lambda value: functions.append(id(value)), callable)
+
+        def noted(function: object) -> object:
+            functions.append(id(function))
+            return function
+
+        map_expressions(template, noted, callable)
         key = law.__module__, law.__qualname__, repr(template), tuple(functions)
         meaning = Call(check or law, template)
         checked: _Result = map_expressions(result, lambda value: attach(value, carried, meaning, key))

@@ -191,8 +191,8 @@ def test_what_the_integrals_cannot_do_is_refused(field, change, sentence):
 @pytest.mark.parametrize(
     ("profile", "length", "count", "sentence"),
     [
-        (PROFILES["straight"], 0.5, 0, "count = 0 must be a whole number from 1 on"),
-        (PROFILES["straight"], 0.5, 2.5, r"count = 2\.5 must be a whole number from 1 on"),
+        (PROFILES["straight"], 0.5, 0, "count = 0 must be a whole number from 1 to"),
+        (PROFILES["straight"], 0.5, 2.5, r"count = 2\.5 must be a whole number from 1 to"),
         (PROFILES["straight"], 0.0, 4, "length of the profile = 0 m"),
         (lambda x: -x, 0.5, 4, "half thickness or radius at x"),
         (lambda x: math.nan * x, 0.5, 4, "= nan m must be finite"),

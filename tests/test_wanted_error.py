@@ -52,10 +52,16 @@ def sampled(seed):
     return po.Scene(soil, share, stiffness, mass, speed, effects), random.uniform(0.1, 0.6), wanted
 
 
-@pytest.mark.parametrize("count", [15, pytest.param(2000, marks=pytest.mark.slow)])
+# A scene whose reference takes half a minute: left to the whole set.
+LONG = {9}
+
+
+@pytest.mark.parametrize("count", [34, pytest.param(2000, marks=pytest.mark.slow)])
 def test_the_wanted_error_is_met(count, capsys):
     met, estimated, methods, missed, refused = 0, 0, {}, [], 0
-    for seed in range(count):
+    seeds = [seed for seed in range(count) if count == 2000 or seed not in LONG]
+    count = len(seeds)
+    for seed in seeds:
         scene, duration, wanted = sampled(seed)
         try:
             truth = reference_run(scene, duration, outputs=OUTPUTS)

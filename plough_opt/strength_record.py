@@ -233,6 +233,8 @@ def strength_waves(record: StrengthRecord, part: float = 0.8, *, base_diameter: 
         left = y - _design(x, numbers) @ _coefficients(x, y, numbers)
     carried = 1.0 - float(np.mean(left**2)) / variance
     found = _found(record, x, y, left, numbers, variance)
+    if any(one.wave.amplitude == 1.0 for one in found):
+        notes.append("an amplitude above 1, more than all the strength there is, is given as 1: look at the record")
     if carried < part:
         notes.append(f"these {len(found)} waves carry {carried:.3g} of the variance, and {part:g} was asked for")
     return RecordWaves(found, spectrum_of(record), variance, 1.0 - carried, tuple(notes))

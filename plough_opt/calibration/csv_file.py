@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,7 +11,7 @@ import numpy as np
 from plough_opt.calibration.measurements import RECORD, RESULTS, Measurements
 from plough_opt.errors import InputError, nearest, short
 from plough_opt.kinds import path_of
-from plough_opt.problem_file.csv_rows import HEADING, factor_of, number_of, raise_listed, read_rows
+from plough_opt.problem_file.csv_rows import HEADING, factor_of, raise_listed, read_rows, table_of
 from plough_opt.problem_file.measures import MEASURES
 from plough_opt.problem_file.schema import quantities
 from plough_opt.problem_file.units import Unit
@@ -49,13 +48,9 @@ def read_measurements(path: str | Path) -> Measurements:
     columns = _columns(str(path), line, headings)
     if len(rows) == 1:
         raise InputError(f"{path}, line {line}: there is no row below the header: add what was measured")
-    table, errors = [], []
-    for number, cells in rows[1:]:
-        values, wrong = _values(f"{path}, line {number}", cells, columns)
-        table.append(values)
-        errors += wrong
-    raise_listed(errors)
-    return _measurements(str(path), columns, np.array(table), [number for number, _ in rows[1:]])
+    named = [(column.heading, column.factor) for column in columns]
+    table = table_of(path, rows[1:], named, lambda k, value, cell: _check(columns[k].name, value, cell))
+    return _measurements(str(path), columns, table, [number for number, _ in rows[1:]])
 
 
 def _columns(name: str, line: int, headings: Sequence[str]) -> list[_Column]:
@@ -115,25 +110,12 @@ def _unit_of(name: str, measured: str | None) -> Unit:
     return known[name]
 
 
-def _values(place: str, cells: Sequence[str], columns: Sequence[_Column]) -> tuple[list[float], list[str]]:
-    """Return a row's numbers in SI, and what is wrong with it."""
-    if len(cells) != len(columns):
-        return [math.nan] * len(columns), [
-            f"{place}: the number of cells is {len(cells)}, and the header names {len(columns)} columns: give each one"
-        ]
-    values, errors = [], []
-    for cell, column in zip(cells, columns, strict=True):
-        value = math.nan
-        try:
-            value = number_of(cell, column.factor)
-            if column.name == "sigma" and value <= 0.0:
-                raise InputError(f"{cell.strip()} must be above 0: it is a standard deviation")
-            if column.name in ("weight", "time") and value < 0.0:
-                raise InputError(f"{cell.strip()} must be at least 0")
-        except InputError as error:
-            errors.append(f"{place}, column '{column.heading}': {error}")
-        values.append(value)
-    return values, errors
+def _check(name: str, value: float, cell: str) -> None:
+    """Refuse a number that its column cannot have."""
+    if name == "sigma" and value <= 0.0:
+        raise InputError(f"{cell} must be above 0: it is a standard deviation")
+    if name in ("weight", "time") and value < 0.0:
+        raise InputError(f"{cell} must be at least 0")
 
 
 def _measurements(name: str, columns: Sequence[_Column], table: np.ndarray, lines: Sequence[int]) -> Measurements:

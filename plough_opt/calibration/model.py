@@ -66,8 +66,9 @@ def model_of(given: Problem | Scene | SceneOf, duration: float | None = None) ->
         return Model(given.title, lambda values: _of_file(given, values), values, duration, given.accuracy)
     if isinstance(given, Scene):
         scene = given
-        build: SceneOf = lambda values: with_quantities(scene, values)  # noqa: E731
-        return Model(given.soil.name, build, _current(given), duration, Accuracy())
+        return Model(
+            given.soil.name, lambda values: with_quantities(scene, values), _current(given), duration, Accuracy()
+        )
     if callable(given):
         return Model("calibration", given, {}, duration, Accuracy())
     raise InputError(f"{shown(given)} must be a Problem, a Scene, or a function of values by key that returns a Scene")

@@ -5,9 +5,12 @@ from __future__ import annotations
 import csv
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
 
 from plough_opt.errors import InputError, nearest, short
 from plough_opt.kinds import shown
@@ -97,6 +100,68 @@ def number_of(cell: str, factor: float) -> float:
     if not math.isfinite(value):
         raise InputError(f"'{short(text)}' is not a finite number; leave the whole row out if it was not measured")
     return value
+
+
+def columns_of(place: str, headings: Sequence[str], units: Mapping[str, Unit]) -> list[tuple[str, float]]:
+    """Return name and factor to SI of every column.
+
+    Args:
+        place: file and line of the headings, for messages.
+        headings: as written, a name with its unit in brackets each.
+        units: names that are known, and their SI units.
+
+    Raises:
+        InputError: an unknown name or a wrong unit; every one is listed.
+    """
+    found: list[tuple[str, float]] = []
+    errors = []
+    for text in headings:
+        match = HEADING.fullmatch(text)
+        try:
+            if match is None or match["name"] not in units:
+                raise InputError(f"no such column is known: {nearest(match['name'] if match else text, units)}")
+            found.append((match["name"], factor_of(match["name"], match["unit"], units[match["name"]])))
+        except InputError as error:
+            errors.append(f"{place}, column '{short(text.strip())}': {error}")
+    raise_listed(errors)
+    return found
+
+
+def table_of(
+    path: str | Path,
+    rows: Sequence[tuple[int, Sequence[str]]],
+    columns: Sequence[tuple[str, float]],
+    check: Callable[[int, float, str], None],
+) -> NDArray[np.float64]:
+    """Return the rows' numbers in SI, a row each.
+
+    Args:
+        path: the file, for messages.
+        rows: line number and cells of each row below the headings.
+        columns: what messages call each column, and its factor to SI.
+        check: (column, value, cell as written) -> raises InputError where the value cannot be.
+
+    Raises:
+        InputError: a cell that is no number or cannot be, or a row of another length; every one is listed.
+    """
+    table, errors = [], []
+    for number, cells in rows:
+        place, values = f"{path}, line {number}", []
+        if len(cells) != len(columns):
+            errors.append(
+                f"{place}: the number of cells is {len(cells)}, and the header names {len(columns)} columns: give each"
+                " one"
+            )
+            continue
+        for k, (cell, (name, factor)) in enumerate(zip(cells, columns, strict=True)):
+            try:
+                values.append(number_of(cell, factor))
+                check(k, values[-1], cell.strip())
+            except InputError as error:
+                errors.append(f"{place}, column '{name}': {error}")
+        table.append(values)
+    raise_listed(errors)
+    return np.array(table)
 
 
 def raise_listed(errors: Sequence[str]) -> None:

@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from plough_opt.domain import plain_number
-from plough_opt.errors import InputError, nearest, short
+from plough_opt.errors import InputError
 from plough_opt.kinds import path_of, shown
-from plough_opt.problem_file.csv_rows import HEADING, factor_of, number_of, raise_listed, read_rows
+from plough_opt.problem_file.csv_rows import columns_of, raise_listed, read_rows, table_of
 from plough_opt.problem_file.ranges import read_axis
 from plough_opt.problem_file.source import Source
 from plough_opt.problem_file.units import Unit
@@ -102,13 +102,8 @@ def read_penetrometer(path: str | Path, depth: tuple[float, float]) -> Penetrome
         raise InputError(f"{path}: there are no readings: write a first line that names the columns, as {_EXAMPLE}")
     line, headings = rows[0]
     columns = _columns(f"{path}, line {line}", headings)
-    table, errors = [], []
-    for number, cells in rows[1:]:
-        values, wrong = _values(f"{path}, line {number}", cells, columns)
-        table.append(values)
-        errors += wrong
-    raise_listed(errors)
-    curves = _curves([name for name, _ in columns], np.array(table))
+    table = table_of(path, rows[1:], columns, lambda k, value, cell: _check(columns[k][0], value, cell))
+    curves = _curves([name for name, _ in columns], table)
     means, errors = [], []
     for label, z, pressure in curves:
         try:
@@ -153,42 +148,18 @@ def _spread_in(uncertain: Any, found: Penetrometer) -> None:
 
 def _columns(place: str, headings: Sequence[str]) -> list[tuple[str, float]]:
     """Return name and factor to SI of every column."""
-    found: list[tuple[str, float]] = []
-    errors = []
-    for text in headings:
-        match = HEADING.fullmatch(text)
-        try:
-            if match is None or match["name"] not in _UNITS:
-                raise InputError(f"no such column is known: {nearest(match['name'] if match else text, _UNITS)}")
-            found.append((match["name"], factor_of(match["name"], match["unit"], _UNITS[match["name"]])))
-        except InputError as error:
-            errors.append(f"{place}, column '{short(text.strip())}': {error}")
+    found = columns_of(place, headings, _UNITS)
     names = [name for name, _ in found]
-    if not errors and (names.count("depth") != 1 or "cone_index" not in names or names.count("insertion") > 1):
-        errors.append(f"{place}: one column depth and at least one column cone_index are needed, as {_EXAMPLE}")
-    if not errors and "insertion" in names and names.count("cone_index") > 1:
-        errors.append(f"{place}: a column insertion goes with one column cone_index: leave it out")
-    raise_listed(errors)
+    if names.count("depth") != 1 or "cone_index" not in names or names.count("insertion") > 1:
+        raise InputError(f"{place}: one column depth and at least one column cone_index are needed, as {_EXAMPLE}")
+    if "insertion" in names and names.count("cone_index") > 1:
+        raise InputError(f"{place}: a column insertion goes with one column cone_index: leave it out")
     return found
 
 
-def _values(place: str, cells: Sequence[str], columns: Sequence[tuple[str, float]]) -> tuple[list[float], list[str]]:
-    """Return a row's numbers in SI, and what is wrong with it."""
-    if len(cells) != len(columns):
-        return [math.nan] * len(columns), [
-            f"{place}: the number of cells is {len(cells)}, and the header names {len(columns)} columns: give each one"
-        ]
-    values, errors = [], []
-    for cell, (name, factor) in zip(cells, columns, strict=True):
-        value = math.nan
-        try:
-            value = number_of(cell, factor)
-            if value < 0.0 and name != "insertion":
-                raise InputError(f"{cell.strip()} must be at least 0")
-        except InputError as error:
-            errors.append(f"{place}, column '{name}': {error}")
-        values.append(value)
-    return values, errors
+def _check(name: str, value: float, cell: str) -> None:
+    if value < 0.0 and name != "insertion":
+        raise InputError(f"{cell} must be at least 0")
 
 
 def _curves(names: Sequence[str], table: Vector) -> list[tuple[float, Vector, Vector]]:

@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 
-import numpy as np
-
-from plough_opt.errors import InputError, nearest, short
+from plough_opt.errors import InputError
 from plough_opt.kinds import path_of
-from plough_opt.problem_file.csv_rows import HEADING, factor_of, number_of, raise_listed, read_rows
+from plough_opt.problem_file.csv_rows import columns_of, read_rows, table_of
 from plough_opt.problem_file.units import Unit
 from plough_opt.rig import Rig
 from plough_opt.strength_record import StrengthRecord
@@ -38,34 +35,13 @@ def read_strength_record(path: str | Path, rig: Rig | None = None, *, tow_speed:
     if len(rows) < 2:
         raise InputError(f"{path}: there are no readings: write a first line that names the columns, as {_EXAMPLE}")
     line, headings = rows[0]
-    columns, errors = [], []
-    for text in headings:
-        match = HEADING.fullmatch(text)
-        try:
-            if match is None or match["name"] not in _UNITS:
-                raise InputError(f"no such column is known: {nearest(match['name'] if match else text, _UNITS)}")
-            columns.append((match["name"], factor_of(match["name"], match["unit"], _UNITS[match["name"]])))
-        except InputError as error:
-            errors.append(f"{path}, line {line}, column '{short(text.strip())}': {error}")
-    raise_listed(errors)
+    columns = columns_of(f"{path}, line {line}", headings, _UNITS)
     names = [name for name, _ in columns]
     along = [name for name in names if name in ("position", "time")]
     if len(names) != 2 or len(along) != 1:
         raise InputError(f"{path}, line {line}: a place and a strength are needed, as {_EXAMPLE}")
-    table = []
-    for number, cells in rows[1:]:
-        if len(cells) != 2:
-            errors.append(f"{path}, line {number}: the number of cells is {len(cells)}: give two")
-            continue
-        values = [math.nan, math.nan]
-        for k, (cell, (name, factor)) in enumerate(zip(cells, columns, strict=True)):
-            try:
-                values[k] = number_of(cell, factor)
-            except InputError as error:
-                errors.append(f"{path}, line {number}, column '{name}': {error}")
-        table.append(values)
-    raise_listed(errors)
-    found = dict(zip(names, np.array(table).T, strict=True))
+    table = table_of(path, rows[1:], columns, lambda _k, _value, _cell: None)
+    found = dict(zip(names, table.T, strict=True))
     if "force" in found and rig is None:
         raise InputError(
             f"{path}: a force is the response of the mount that felt it: give the rig's mass, stiffness, damping and"

@@ -14,7 +14,7 @@ from plough_opt.kinds import path_of
 from plough_opt.problem_file.csv_rows import HEADING, factor_of, raise_listed, read_rows, table_of
 from plough_opt.problem_file.measures import MEASURES
 from plough_opt.problem_file.schema import quantities
-from plough_opt.problem_file.units import Unit
+from plough_opt.units import Unit
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ from plough_opt.errors import InputError
 from plough_opt.kinds import check_kind, check_named, mapping_of, shown
 from plough_opt.problem_file.measures import MEASURES
 from plough_opt.problem_file.schema import every_quantity
-from plough_opt.problem_file.units import Unit
+from plough_opt.units import Unit
 
 Vector = NDArray[np.float64]
 

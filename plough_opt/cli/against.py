@@ -6,7 +6,7 @@ import argparse
 from typing import Any, Final
 
 from plough_opt.errors import InputError
-from plough_opt.problem_file.units import Unit
+from plough_opt.units import Unit
 
 # Option -> argument of `compare` and its unit; None: text as it is.
 _ARGUMENTS: Final[dict[str, tuple[str, str | None]]] = {

@@ -17,7 +17,7 @@ from plough_opt.cli.terminal import console, progress, read, wrote
 from plough_opt.errors import InputError, NotConverged, nearest
 from plough_opt.problem_file import Problem
 from plough_opt.problem_file.schema import quantities
-from plough_opt.problem_file.units import Display
+from plough_opt.units import Display
 
 if TYPE_CHECKING:
     from plough_opt.calibration import Fit, Measurements

@@ -17,7 +17,7 @@ from plough_opt.errors import InputError
 from plough_opt.problem_file import Problem
 from plough_opt.problem_file.measures import MEASURES
 from plough_opt.problem_file.schema import quantities
-from plough_opt.problem_file.units import Display
+from plough_opt.units import Display
 
 if TYPE_CHECKING:
     from plough_opt.uncertainty.picture import Panel

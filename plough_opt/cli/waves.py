@@ -11,8 +11,8 @@ from rich.table import Table
 
 from plough_opt.cli.terminal import check_outputs, console, wrote
 from plough_opt.errors import InputError
-from plough_opt.problem_file.units import Unit
 from plough_opt.quantities import wave_table
+from plough_opt.units import Unit
 
 if TYPE_CHECKING:
     from plough_opt.rig import Rig

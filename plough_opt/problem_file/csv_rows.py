@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from plough_opt.errors import InputError, nearest, short
 from plough_opt.kinds import shown
-from plough_opt.problem_file.units import Unit
+from plough_opt.units import Unit
 
 HEADING: Final = re.compile(r"\s*(?P<name>[\w.]+)\s*(?:\[(?P<unit>[^\]]*)\])?\s*")
 """A column's name and its unit in brackets."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from plough_opt import vocabulary
-from plough_opt.problem_file.units import Unit
+from plough_opt.units import Unit
 from plough_opt.vocabulary import Measure
 
 MEASURES: dict[str, Measure[Unit]] = {

@@ -17,8 +17,8 @@ from plough_opt.kinds import path_of, shown
 from plough_opt.problem_file.csv_rows import columns_of, raise_listed, read_rows, table_of
 from plough_opt.problem_file.ranges import read_axis
 from plough_opt.problem_file.source import Source
-from plough_opt.problem_file.units import Unit
 from plough_opt.study.axes import Range
+from plough_opt.units import Unit
 
 Vector = NDArray[np.float64]
 

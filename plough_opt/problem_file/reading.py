@@ -34,9 +34,9 @@ from plough_opt.problem_file.schema import (
 )
 from plough_opt.problem_file.source import Keys, Source
 from plough_opt.problem_file.uncertain import check_joint, check_uncertain, join_dotted
-from plough_opt.problem_file.units import Display, display_of
 from plough_opt.quantities import IN_FILES, READINGS
 from plough_opt.soil import named_soil
+from plough_opt.units import Display, display_of
 
 _DURATION = ("scene", "duration")
 _PER_CENT = re.compile(r"\s*([0-9]+\.?[0-9]*|\.[0-9]+)\s*%\s*")

@@ -7,10 +7,10 @@ from typing import Annotated, Any, Literal, TypeVar
 from pydantic import BaseModel, ConfigDict, Field, StrictBool, StrictFloat, StrictInt, StrictStr, create_model
 
 from plough_opt.effects import MOST_HARMONICS, Effects, HarmonicBalance
-from plough_opt.problem_file.units import Unit
 from plough_opt.quantities import EVERY, IN_FILES, MOST_WAVES, wave_table
 from plough_opt.scene import Scene
 from plough_opt.soil import Adjust
+from plough_opt.units import Unit
 
 Written = StrictStr | StrictFloat
 

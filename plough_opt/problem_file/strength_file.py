@@ -7,9 +7,9 @@ from pathlib import Path
 from plough_opt.errors import InputError
 from plough_opt.kinds import path_of
 from plough_opt.problem_file.csv_rows import columns_of, read_rows, table_of
-from plough_opt.problem_file.units import Unit
 from plough_opt.rig import Rig
 from plough_opt.strength_record import StrengthRecord
+from plough_opt.units import Unit
 
 _UNITS = {"position": Unit("m"), "time": Unit("s"), "cone_index": Unit("Pa"), "force": Unit("N")}
 _EXAMPLE = "'position [m], cone_index [kPa]', or 'time [s], force [kN]'"

@@ -15,13 +15,13 @@ from plough_opt.problem_file.problem import Problem
 from plough_opt.problem_file.ranges import read_axis
 from plough_opt.problem_file.reading import check_changed
 from plough_opt.problem_file.schema import quantities
-from plough_opt.problem_file.units import Display
 from plough_opt.study import sweeping as study
 from plough_opt.study.axes import Axis, Range, axis_of
 from plough_opt.study.engine import Told
 from plough_opt.study.points import points_of
 from plough_opt.study.result import Sweep
 from plough_opt.study.work import Evaluation
+from plough_opt.units import Display
 
 What = Literal["simulate", "optimise"]
 Method = Literal["auto", "each", "batch"]

@@ -6,13 +6,16 @@ import math
 import re
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any, Final, cast
-
-import pint
-from pydantic import GetCoreSchemaHandler
-from pydantic_core import CoreSchema, core_schema
+from typing import TYPE_CHECKING, Any, Final, cast
 
 from plough_opt.errors import InputError, nearest, short
+
+if TYPE_CHECKING:
+    import pint
+    from pydantic import GetCoreSchemaHandler
+    from pydantic_core import CoreSchema
+
+# pint and pydantic are slow to import, and most programs give numbers: both are imported when they are first needed.
 
 _QUANTITY = re.compile(
     r"\s*(?P<number>[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?)\s*"
@@ -36,6 +39,8 @@ _EXAMPLES = {
 @lru_cache(maxsize=1)
 def registry() -> pint.UnitRegistry[Any]:
     """Return the one registry of units, made when first needed."""
+    import pint
+
     return pint.UnitRegistry()
 
 
@@ -47,6 +52,8 @@ class Unit:
 
     def __get_pydantic_core_schema__(self, source: object, handler: GetCoreSchemaHandler) -> CoreSchema:
         """Let ``Annotated[float, Unit("m")]`` be the type of a field that parses quantities."""
+        from pydantic_core import core_schema
+
         return core_schema.no_info_before_validator_function(self.parse, handler(float))
 
     def example(self) -> str:
@@ -121,11 +128,13 @@ def _root(written: str, value: object) -> tuple[float, str]:
     """Return a unit's factor to root units and those units; unlike dimensions, they tell an angle from a number."""
     try:
         factor, root = registry().get_root_units(registry().parse_units(written.replace("%", "percent")))
-    except pint.UndefinedUnitError as error:
-        names = error.unit_names if isinstance(error.unit_names, str) else ", ".join(error.unit_names)
+    except Exception as error:  # pint's parser raises whatever it stumbles over
+        names = getattr(error, "unit_names", None)  # of a unit that it does not know
+        if names is None:
+            text = f'= "{value}" is not a quantity: its unit cannot be read; one is like "kN*s/m"'
+            raise InputError(text) from None
+        names = names if isinstance(names, str) else ", ".join(names)
         raise InputError(f"= \"{value}\" has an unknown unit '{names}': {nearest(names, _COMMON)}") from None
-    except Exception:  # pint's parser raises whatever it stumbles over
-        raise InputError(f'= "{value}" is not a quantity: its unit cannot be read; one is like "kN*s/m"') from None
     return float(cast(float, factor)), str(root)
 
 

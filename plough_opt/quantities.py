@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 from plough_opt.domain import check_domain
 from plough_opt.expressions import Expression
+from plough_opt.units import Unit
 
 
 @dataclass(frozen=True)
@@ -250,3 +251,13 @@ EVERY: dict[str, Quantity] = {**QUANTITIES, **BESIDE, **READINGS}
 
 IN_FILES: dict[str, Quantity] = {name: quantity for name, quantity in EVERY.items() if quantity.in_files}
 """Quantities of a problem file by name."""
+
+
+def quantities() -> dict[str, Unit]:
+    """Return every key that a quantity can stand at, such as "share.height", with its unit."""
+    return {name: Unit(quantity.unit) for name, quantity in IN_FILES.items()}
+
+
+def every_quantity() -> dict[str, Unit]:
+    """Return every quantity of a scene by its one name: those of files, and what scenes of Python's alone have."""
+    return {name: Unit(quantity.unit) for name, quantity in EVERY.items()}

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any, Generic, TypeVar
+from typing import Any
 
 from plough_opt.errors import InputError, nearest
 from plough_opt.expressions import Expression
@@ -14,8 +14,7 @@ from plough_opt.motion import Run
 from plough_opt.penetration import cone_index
 from plough_opt.quantities import QUANTITIES
 from plough_opt.scene import Scene
-
-U = TypeVar("U")
+from plough_opt.units import Unit
 
 
 def quantity_of(scene: Scene, name: str) -> Expression:
@@ -72,37 +71,37 @@ def _replaced(value: Any, path: tuple[str | int, ...], new: Expression) -> Any:
 
 
 @dataclass(frozen=True)
-class Measure(Generic[U]):
+class Measure:
     """A result of a run that can be named.
 
     Attributes:
-        unit: SI unit, as text or as what reads quantities in it.
+        unit: SI unit.
         of: run -> value, a column where ``everywhere``.
         everywhere: a value at every output time; it can be limited, and not minimised.
         plastic: belongs to the plastic gas alone.
     """
 
-    unit: U
+    unit: Unit
     of: Callable[[Run], Expression]
     everywhere: bool = False
     plastic: bool = False
 
 
-MEASURES: dict[str, Measure[str]] = {
-    "mean_draft": Measure("N", lambda run: run.mean_draft),
-    "force_rms": Measure("N", lambda run: run.force_rms),
-    "mean_deflection": Measure("m", lambda run: run.mean_deflection),
-    "displacement_rms": Measure("m", lambda run: run.displacement_rms),
-    "tow_power": Measure("W", lambda run: run.tow_power),
-    "specific_draft": Measure("Pa", lambda run: run.specific_draft, plastic=True),
-    "loosened_radius": Measure("m", lambda run: run.scene.loosened_radius, plastic=True),
-    "half_angle": Measure("rad", lambda run: run.scene.cone.half_angle),
-    "moving_mass": Measure("kg", lambda run: run.scene.mass),
-    "added_mass": Measure("kg", lambda run: added_mass(run.scene.cone, run.scene.soil), plastic=True),
-    "cone_index": Measure("Pa", lambda run: cone_index(run.scene.soil), plastic=True),
-    "deflection": Measure("m", lambda run: run.deflection, everywhere=True),
-    "mount_force": Measure("N", lambda run: run.mount_force, everywhere=True),
-    "soil_resistance": Measure("N", lambda run: run.soil_resistance, everywhere=True),
-    "speed": Measure("m/s", lambda run: run.speed, everywhere=True),
+MEASURES: dict[str, Measure] = {
+    "mean_draft": Measure(Unit("N"), lambda run: run.mean_draft),
+    "force_rms": Measure(Unit("N"), lambda run: run.force_rms),
+    "mean_deflection": Measure(Unit("m"), lambda run: run.mean_deflection),
+    "displacement_rms": Measure(Unit("m"), lambda run: run.displacement_rms),
+    "tow_power": Measure(Unit("W"), lambda run: run.tow_power),
+    "specific_draft": Measure(Unit("Pa"), lambda run: run.specific_draft, plastic=True),
+    "loosened_radius": Measure(Unit("m"), lambda run: run.scene.loosened_radius, plastic=True),
+    "half_angle": Measure(Unit("rad"), lambda run: run.scene.cone.half_angle),
+    "moving_mass": Measure(Unit("kg"), lambda run: run.scene.mass),
+    "added_mass": Measure(Unit("kg"), lambda run: added_mass(run.scene.cone, run.scene.soil), plastic=True),
+    "cone_index": Measure(Unit("Pa"), lambda run: cone_index(run.scene.soil), plastic=True),
+    "deflection": Measure(Unit("m"), lambda run: run.deflection, everywhere=True),
+    "mount_force": Measure(Unit("N"), lambda run: run.mount_force, everywhere=True),
+    "soil_resistance": Measure(Unit("N"), lambda run: run.soil_resistance, everywhere=True),
+    "speed": Measure(Unit("m/s"), lambda run: run.speed, everywhere=True),
 }
 """Results by name; an angle in rad."""

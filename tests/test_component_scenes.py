@@ -85,7 +85,7 @@ def test_the_elastic_medium_can_be_a_component():
 
 
 def test_the_names_and_units_are_those_of_problem_files():
-    from plough_opt.problem_file.schema import quantities
+    from plough_opt.quantities import quantities
 
     files = {key: unit.symbol for key, unit in quantities().items()}
     beside = {"scene.duration": "s", "scene.frame_mass": "kg", "scene.steel_density": "kg/m^3"}

@@ -26,7 +26,8 @@ def test_the_tables_hold_every_name_and_no_other():
     # Further strength waves are named in a sentence.
     assert named == {name for name in (*EVERY, *MEASURES) if not re.search(r"wave_\d", name)}
     units = {unit.strip() for _, column in rows for unit in column.split(";")}
-    assert {one.unit or "1" for one in (*EVERY.values(), *MEASURES.values())} == units
+    known = {one.unit for one in EVERY.values()} | {one.unit.symbol for one in MEASURES.values()}
+    assert {unit or "1" for unit in known} == units
 
 
 def test_commands_and_examples_run_in_order(tmp_path, monkeypatch, capsys):

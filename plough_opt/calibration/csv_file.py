@@ -9,12 +9,12 @@ from pathlib import Path
 import numpy as np
 
 from plough_opt.calibration.measurements import RECORD, RESULTS, Measurements
+from plough_opt.csv_rows import HEADING, factor_of, raise_listed, read_rows, table_of
 from plough_opt.errors import InputError, nearest, short
 from plough_opt.kinds import path_of
-from plough_opt.problem_file.csv_rows import HEADING, factor_of, raise_listed, read_rows, table_of
-from plough_opt.problem_file.measures import MEASURES
-from plough_opt.problem_file.schema import quantities
+from plough_opt.quantities import quantities
 from plough_opt.units import Unit
+from plough_opt.vocabulary import MEASURES
 
 
 @dataclass(frozen=True)

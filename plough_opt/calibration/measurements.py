@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from plough_opt.domain import check_text
 from plough_opt.errors import InputError
 from plough_opt.kinds import check_kind, check_named, mapping_of, shown
-from plough_opt.problem_file.measures import MEASURES
-from plough_opt.problem_file.schema import every_quantity
+from plough_opt.quantities import every_quantity
 from plough_opt.units import Unit
+from plough_opt.vocabulary import MEASURES
 
 Vector = NDArray[np.float64]
 

@@ -4,16 +4,55 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import TypeAlias
+from typing import Protocol, TypeAlias, runtime_checkable
 
 from plough_opt.accuracy import Accuracy
 from plough_opt.errors import InputError, nearest
 from plough_opt.expressions import Expression, as_number, is_symbolic
 from plough_opt.kinds import shown
-from plough_opt.problem_file import Problem
-from plough_opt.problem_file.schema import quantities
+from plough_opt.quantities import quantities
 from plough_opt.scene import Scene
 from plough_opt.vocabulary import quantities_of, with_quantities
+
+
+class Bounded(Protocol):
+    """A quantity between bounds."""
+
+    @property
+    def lower(self) -> float:
+        """Least value."""
+
+    @property
+    def upper(self) -> float:
+        """Largest value."""
+
+    @property
+    def guess(self) -> float:
+        """Value where a search begins."""
+
+
+@runtime_checkable
+class Described(Protocol):
+    """A scene with its quantities by name, as `read_problem` returns it."""
+
+    @property
+    def title(self) -> str:
+        """Title for reports."""
+
+    @property
+    def accuracy(self) -> Accuracy:
+        """Method and setting of runs."""
+
+    @property
+    def variables(self) -> Mapping[str, Bounded]:
+        """Quantities that a design may change."""
+
+    def values(self) -> dict[str, Expression]:
+        """Return the quantities that are given, by name."""
+
+    def scene(self, changes: Mapping[str, Expression] | None = None) -> Scene:
+        """Return the scene, with other values of some quantities."""
+
 
 SceneOf: TypeAlias = Callable[[Mapping[str, Expression]], Scene]
 _DURATION = "scene.duration"
@@ -49,7 +88,7 @@ class Model:
         return values.get(_DURATION, self.duration)
 
 
-def model_of(given: Problem | Scene | SceneOf, duration: float | None = None) -> Model:
+def model_of(given: Described | Scene | SceneOf, duration: float | None = None) -> Model:
     """Return what is calibrated.
 
     Args:
@@ -59,7 +98,7 @@ def model_of(given: Problem | Scene | SceneOf, duration: float | None = None) ->
     Raises:
         InputError: none of these.
     """
-    if isinstance(given, Problem):
+    if isinstance(given, Described):
         own = given.values()
         values = {**_current(given.scene()), **{key: float(value) for key, value in own.items()}}
         duration = values.get(_DURATION) if duration is None else duration
@@ -74,7 +113,7 @@ def model_of(given: Problem | Scene | SceneOf, duration: float | None = None) ->
     raise InputError(f"{shown(given)} must be a Problem, a Scene, or a function of values by key that returns a Scene")
 
 
-def _of_file(problem: Problem, values: Mapping[str, Expression]) -> Scene:
+def _of_file(problem: Described, values: Mapping[str, Expression]) -> Scene:
     """Return a file's scene, whose quantities are those that a file gives: no mass but those of frame and steel."""
     for name in values:
         if name not in quantities():

@@ -14,7 +14,7 @@ from scipy import stats
 
 from plough_opt.calibration.parts import Row
 from plough_opt.picture_files import COLOURS
-from plough_opt.problem_file.schema import every_quantity
+from plough_opt.quantities import every_quantity
 
 Vector = NDArray[np.float64]
 

@@ -21,8 +21,8 @@ from plough_opt.forces import added_mass
 from plough_opt.motion import simulate
 from plough_opt.motion.plan import numbers_of, phase
 from plough_opt.penetration import cone_index
-from plough_opt.problem_file.measures import MEASURES
 from plough_opt.scene import Scene
+from plough_opt.vocabulary import MEASURES
 
 Vector = NDArray[np.float64]
 

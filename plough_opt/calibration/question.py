@@ -17,7 +17,7 @@ from plough_opt.calibration.fit import Fit, reported
 from plough_opt.calibration.intervals import Interval, Kind, interval
 from plough_opt.calibration.loss import loss_of
 from plough_opt.calibration.measurements import RESULTS, Measurements
-from plough_opt.calibration.model import Model, SceneOf, model_of
+from plough_opt.calibration.model import Described, Model, SceneOf, model_of
 from plough_opt.calibration.prediction import Rows, joined, row_functions
 from plough_opt.calibration.program import Program
 from plough_opt.calibration.unknown import Unknown, unknowns_of
@@ -25,14 +25,13 @@ from plough_opt.domain import check_text
 from plough_opt.errors import DomainError, InputError
 from plough_opt.expressions import is_count
 from plough_opt.kinds import check_kind, shown
-from plough_opt.problem_file import Problem
 from plough_opt.scene import Scene
 
 Vector = NDArray[np.float64]
 
 
 def calibrate(
-    given: Problem | Scene | SceneOf,
+    given: Described | Scene | SceneOf,
     data: Measurements | Sequence[Measurements],
     unknown: Mapping[str, Any] | None = None,
     *,
@@ -72,7 +71,7 @@ class Calibration:
 
     def __init__(
         self,
-        given: Problem | Scene | SceneOf,
+        given: Described | Scene | SceneOf,
         data: Measurements | Sequence[Measurements],
         unknown: Mapping[str, Any] | None = None,
         *,
@@ -252,12 +251,12 @@ class Calibration:
 
 
 def _declared(
-    given: Problem | Scene | SceneOf, unknown: Mapping[str, Any] | None, measured: Sequence[Measurements]
+    given: Described | Scene | SceneOf, unknown: Mapping[str, Any] | None, measured: Sequence[Measurements]
 ) -> Mapping[str, Any]:
     """Return the unknowns with their bounds, by default the variables of a problem."""
     if unknown is not None:
         return unknown
-    if not isinstance(given, Problem):
+    if not isinstance(given, Described):
         return {}
     columns = {key for m in measured for key in m.conditions}
     return {key: (v.lower, v.upper, v.guess) for key, v in given.variables.items() if key not in columns}

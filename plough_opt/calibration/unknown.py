@@ -11,7 +11,7 @@ from plough_opt.domain import check_domain
 from plough_opt.errors import InputError
 from plough_opt.expressions import Expression, exp
 from plough_opt.kinds import check_named, mapping_of, shown
-from plough_opt.problem_file.schema import every_quantity
+from plough_opt.quantities import every_quantity
 
 _CUSTOMARY: Final = {"rad": ("deg", math.pi / 180.0), "Pa": ("kPa", 1e3), "N": ("kN", 1e3), "N/m": ("kN/m", 1e3)}
 # Bounds further apart than by this factor are scaled logarithmically.

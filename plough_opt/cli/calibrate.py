@@ -16,7 +16,7 @@ from rich.table import Table
 from plough_opt.cli.terminal import console, progress, read, wrote
 from plough_opt.errors import InputError, NotConverged, nearest
 from plough_opt.problem_file import Problem
-from plough_opt.problem_file.schema import quantities
+from plough_opt.quantities import quantities
 from plough_opt.units import Display
 
 if TYPE_CHECKING:

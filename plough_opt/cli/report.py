@@ -17,11 +17,11 @@ from plough_opt.motion.equation import equation_of_motion
 from plough_opt.motion.terms import Structure
 from plough_opt.penetration import cone_index
 from plough_opt.problem_file import Problem
-from plough_opt.problem_file.measures import MEASURES
-from plough_opt.problem_file.schema import quantities
+from plough_opt.quantities import quantities
 from plough_opt.scene import Scene
 from plough_opt.soil import Soil
 from plough_opt.units import Display
+from plough_opt.vocabulary import MEASURES
 
 if TYPE_CHECKING:
     from plough_opt.accuracy_study.result import AccuracyStudy

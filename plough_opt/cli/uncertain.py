@@ -15,9 +15,9 @@ from plough_opt.cli.report import shown
 from plough_opt.cli.terminal import console, progress, wrote
 from plough_opt.errors import InputError
 from plough_opt.problem_file import Problem
-from plough_opt.problem_file.measures import MEASURES
-from plough_opt.problem_file.schema import quantities
+from plough_opt.quantities import quantities
 from plough_opt.units import Display
+from plough_opt.vocabulary import MEASURES
 
 if TYPE_CHECKING:
     from plough_opt.uncertainty.picture import Panel

@@ -182,7 +182,7 @@ def measure_of(output: Output, medium: str) -> tuple[str, Callable[[Run], Expres
     measure = MEASURES[output.name]
     if measure.plastic and medium == "elastic":
         raise InputError(f"'{output.name}' has no meaning in the elastic medium: leave it out")
-    return measure.unit, measure.of
+    return measure.unit.symbol, measure.of
 
 
 def corners(inputs: Sequence[Port]) -> list[NDArray[np.float64]]:

@@ -18,10 +18,10 @@ from plough_opt.expressions import Expression
 from plough_opt.forces import added_mass
 from plough_opt.geometry import PLANE_SECTIONS_LIMIT
 from plough_opt.motion import Run
-from plough_opt.problem_file.measures import MEASURES
 from plough_opt.problem_file.problem import Problem
 from plough_opt.scene import Scene
 from plough_opt.study.work import Array, Noted
+from plough_opt.vocabulary import MEASURES
 
 # CasADi's graphs are built by one thread at a time.
 _building = threading.Lock()

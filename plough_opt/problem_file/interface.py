@@ -12,9 +12,9 @@ from plough_opt.expressions import Expression
 from plough_opt.kinds import check_kind, check_named
 from plough_opt.motion import Run
 from plough_opt.problem_file.front import front_of
-from plough_opt.problem_file.measures import MEASURES
 from plough_opt.problem_file.schema import ProblemTable
 from plough_opt.quantities import EVERY
+from plough_opt.vocabulary import MEASURES
 
 OBJECTIVE = "objective"
 """Name of the sum of the [minimise] table."""

@@ -8,8 +8,9 @@ from typing import Any, Final
 from plough_opt.errors import InputError, nearest, short
 from plough_opt.kinds import check_kind
 from plough_opt.problem_file.lines import nested_line
-from plough_opt.problem_file.schema import ProblemTable, quantities
+from plough_opt.problem_file.schema import ProblemTable
 from plough_opt.problem_file.source import TOO_DEEP, Source, unreadable
+from plough_opt.quantities import quantities
 
 # Characters of a change: a table in one line, and more.
 _LONGEST: Final = 2_000

@@ -19,13 +19,13 @@ from plough_opt.kinds import check_switch, mapping_of
 from plough_opt.motion import Run, simulate
 from plough_opt.problem_file.front import EXAMPLE, front_of
 from plough_opt.problem_file.interface import input_ports, wanted_outputs
-from plough_opt.problem_file.measures import MEASURES
-from plough_opt.problem_file.schema import ProblemTable, quantities
-from plough_opt.quantities import BESIDE, EVERY, MOST_WAVES, QUANTITIES, wave_table
+from plough_opt.problem_file.schema import ProblemTable
+from plough_opt.quantities import BESIDE, EVERY, MOST_WAVES, QUANTITIES, quantities, wave_table
 from plough_opt.scene import Scene
 from plough_opt.soil import Soil, named_soil
 from plough_opt.tradeoff import Goal, TradeOff, trade_off
 from plough_opt.units import Display
+from plough_opt.vocabulary import MEASURES
 from plough_opt.waves import StrengthWave
 
 _READING = "soil.cone_index"

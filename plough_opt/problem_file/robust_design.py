@@ -11,7 +11,6 @@ from plough_opt.design import Design, Progress
 from plough_opt.errors import InputError
 from plough_opt.expressions import Expression
 from plough_opt.motion import Run, simulate
-from plough_opt.problem_file.measures import MEASURES
 from plough_opt.problem_file.problem import Problem
 from plough_opt.problem_file.schema import LimitTable, TermTable
 from plough_opt.problem_file.uncertain import Asked, UncertainTable, asked_of, distribution_of, uncertain_of
@@ -19,6 +18,7 @@ from plough_opt.soil import Soil
 from plough_opt.uncertainty import Robust, SoilDistribution, sobol_indices, verify
 from plough_opt.uncertainty.result import RobustOptimum
 from plough_opt.uncertainty.search import Spreads, best_robust
+from plough_opt.vocabulary import MEASURES
 
 # Of a result's standard deviation over the samples: the width over which its measures are rounded off.
 _WIDTH = 0.5

@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal, TypeVar
 from pydantic import BaseModel, ConfigDict, Field, StrictBool, StrictFloat, StrictInt, StrictStr, create_model
 
 from plough_opt.effects import MOST_HARMONICS, Effects, HarmonicBalance
-from plough_opt.quantities import EVERY, IN_FILES, MOST_WAVES, wave_table
+from plough_opt.quantities import IN_FILES, MOST_WAVES, wave_table
 from plough_opt.scene import Scene
 from plough_opt.soil import Adjust
 from plough_opt.units import Unit
@@ -152,13 +152,3 @@ ProblemFile = _with_quantities(
     effects=(EffectsFile, EffectsFile()),
 )
 """The schema that problem files are read by."""
-
-
-def quantities() -> dict[str, Unit]:
-    """Return every key that a quantity can stand at, such as "share.height", with its unit."""
-    return {name: Unit(quantity.unit) for name, quantity in IN_FILES.items()}
-
-
-def every_quantity() -> dict[str, Unit]:
-    """Return every quantity of a scene by its one name: those of files, and what scenes of Python's alone have."""
-    return {name: Unit(quantity.unit) for name, quantity in EVERY.items()}

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from plough_opt.csv_rows import columns_of, read_rows, table_of
 from plough_opt.errors import InputError
 from plough_opt.kinds import path_of
-from plough_opt.problem_file.csv_rows import columns_of, read_rows, table_of
 from plough_opt.rig import Rig
 from plough_opt.strength_record import StrengthRecord
 from plough_opt.units import Unit

@@ -14,7 +14,7 @@ from plough_opt.problem_file.evaluations import Optimisation, Simulation, Simula
 from plough_opt.problem_file.problem import Problem
 from plough_opt.problem_file.ranges import read_axis
 from plough_opt.problem_file.reading import check_changed
-from plough_opt.problem_file.schema import quantities
+from plough_opt.quantities import quantities
 from plough_opt.study import sweeping as study
 from plough_opt.study.axes import Axis, Range, axis_of
 from plough_opt.study.engine import Told

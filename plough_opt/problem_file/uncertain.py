@@ -11,10 +11,11 @@ from typing import TYPE_CHECKING, Any, Literal
 from plough_opt.errors import InputError, nearest
 from plough_opt.expressions import as_number
 from plough_opt.penetration import cone_index
-from plough_opt.problem_file.measures import MEASURES
-from plough_opt.problem_file.schema import LimitTable, ProblemTable, quantities
+from plough_opt.problem_file.schema import LimitTable, ProblemTable
 from plough_opt.problem_file.source import Keys, Source
+from plough_opt.quantities import quantities
 from plough_opt.soil import Soil
+from plough_opt.vocabulary import MEASURES
 
 if TYPE_CHECKING:
     from plough_opt.uncertainty import SoilDistribution

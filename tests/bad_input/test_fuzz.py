@@ -17,7 +17,7 @@ from mutations import NUMBERS, UNITS, mutated, mutated_json
 
 import plough_opt as po
 from plough_opt.cli import main
-from plough_opt.problem_file.schema import quantities
+from plough_opt.quantities import quantities
 
 PROBLEMS = Path(__file__).parents[2] / "problems"
 TEXTS = [path.read_text(encoding="utf-8") for path in sorted(PROBLEMS.glob("*.toml"))]

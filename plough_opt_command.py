@@ -6,7 +6,7 @@ import sys
 def main() -> int:
     """Import the command line and run it; return the exit status."""
     try:
-        from plough_opt.cli import main as run  # what may take seconds
+        from plough_opt.app import main as run  # what may take seconds
 
         return run()
     except KeyboardInterrupt:

@@ -6,12 +6,7 @@ sense, or CasADi expressions, and returns the like.
 
 from typing import TYPE_CHECKING, Any
 
-from plough_opt import elastic, plastic
-from plough_opt.accuracy import Accuracy
-from plough_opt.component import Component, Input, Output, component
-from plough_opt.design import Design, LocalOptimum, Optimum
-from plough_opt.effects import Effects, HarmonicBalance, OwnResistance, Smooth, StickSlip
-from plough_opt.errors import (
+from plough_opt.core.errors import (
     DomainError,
     InfeasibleDesign,
     InputError,
@@ -19,30 +14,43 @@ from plough_opt.errors import (
     NotConverged,
     PloughError,
 )
-from plough_opt.forces import (
+from plough_opt.core.refinement import Refinement, refine
+from plough_opt.design import Design, LocalOptimum, Optimum
+from plough_opt.exchange.component import Component, Input, Output, component
+from plough_opt.laws.forces import (
     added_mass,
     loosened_radius,
     resistance,
     resistance_coefficients,
     soil_reaction,
 )
-from plough_opt.geometry import Cone, Wedge, deg
+from plough_opt.laws.penetration import cone_index
+from plough_opt.laws.printed import Printed
 from plough_opt.motion import Run, simulate
-from plough_opt.penetration import cone_index
-from plough_opt.printed import Printed
-from plough_opt.refinement import Refinement, refine
-from plough_opt.scene import Scene
-from plough_opt.soil import Soil, named_soil, soil_names
-from plough_opt.waves import StrengthWave
+from plough_opt.motion.accuracy import Accuracy
+from plough_opt.motion.effects import Effects, HarmonicBalance, OwnResistance, Smooth, StickSlip
+from plough_opt.motion.scene import Scene
+from plough_opt.soil import elastic, plastic
+from plough_opt.soil.geometry import Cone, Wedge, deg
+from plough_opt.soil.soil import Soil, named_soil, soil_names
+from plough_opt.soil.waves import StrengthWave
 
 if TYPE_CHECKING:
     __version__: str
 
-    from plough_opt import crosscheck, plots, uncertainty
-    from plough_opt.accuracy_study.result import AccuracyStudy
-    from plough_opt.accuracy_study.study import study_accuracy, study_design
-    from plough_opt.batch import Batch, BatchResult
-    from plough_opt.calibration import (
+    from plough_opt.app import plots
+    from plough_opt.exchange.results import load
+    from plough_opt.motion.batch import Batch, BatchResult
+    from plough_opt.problem_file import Problem, read_problem
+    from plough_opt.problem_file.penetrometer import Penetrometer, read_penetrometer
+    from plough_opt.problem_file.strength_file import read_strength_record
+    from plough_opt.problem_file.sweeping import sweep
+    from plough_opt.soil.rig import Rig
+    from plough_opt.soil.strength_record import RecordWaves, StrengthRecord, strength_waves
+    from plough_opt.studies import crosscheck, uncertainty
+    from plough_opt.studies.accuracy.result import AccuracyStudy
+    from plough_opt.studies.accuracy.study import study_accuracy, study_design
+    from plough_opt.studies.calibration import (
         Calibration,
         Candidate,
         Fit,
@@ -50,49 +58,42 @@ if TYPE_CHECKING:
         calibrate,
         read_measurements,
     )
-    from plough_opt.problem_file import Problem, read_problem
-    from plough_opt.problem_file.penetrometer import Penetrometer, read_penetrometer
-    from plough_opt.problem_file.strength_file import read_strength_record
-    from plough_opt.problem_file.sweeping import sweep
-    from plough_opt.results import load
-    from plough_opt.rig import Rig
-    from plough_opt.strength_record import RecordWaves, StrengthRecord, strength_waves
-    from plough_opt.study.axes import Range
-    from plough_opt.study.result import Sweep
-    from plough_opt.tradeoff import Goal, TradeOff, trade_off
-    from plough_opt.uncertainty import Robust, SoilDistribution
+    from plough_opt.studies.sweep.axes import Range
+    from plough_opt.studies.sweep.result import Sweep
+    from plough_opt.studies.tradeoff import Goal, TradeOff, trade_off
+    from plough_opt.studies.uncertainty import Robust, SoilDistribution
 
 # What only files, pictures and batches need is imported when it is first used: pint, pydantic and matplotlib are slow.
 _LATER = {
-    "Batch": "plough_opt.batch",
-    "BatchResult": "plough_opt.batch",
-    "AccuracyStudy": "plough_opt.accuracy_study.result",
-    "study_accuracy": "plough_opt.accuracy_study.study",
-    "study_design": "plough_opt.accuracy_study.study",
-    "Calibration": "plough_opt.calibration",
-    "Candidate": "plough_opt.calibration",
-    "Fit": "plough_opt.calibration",
-    "Measurements": "plough_opt.calibration",
-    "calibrate": "plough_opt.calibration",
-    "read_measurements": "plough_opt.calibration",
+    "Batch": "plough_opt.motion.batch",
+    "BatchResult": "plough_opt.motion.batch",
+    "AccuracyStudy": "plough_opt.studies.accuracy.result",
+    "study_accuracy": "plough_opt.studies.accuracy.study",
+    "study_design": "plough_opt.studies.accuracy.study",
+    "Calibration": "plough_opt.studies.calibration",
+    "Candidate": "plough_opt.studies.calibration",
+    "Fit": "plough_opt.studies.calibration",
+    "Measurements": "plough_opt.studies.calibration",
+    "calibrate": "plough_opt.studies.calibration",
+    "read_measurements": "plough_opt.studies.calibration",
     "Problem": "plough_opt.problem_file",
     "Penetrometer": "plough_opt.problem_file.penetrometer",
     "read_penetrometer": "plough_opt.problem_file.penetrometer",
     "read_problem": "plough_opt.problem_file",
     "read_strength_record": "plough_opt.problem_file.strength_file",
-    "RecordWaves": "plough_opt.strength_record",
-    "Rig": "plough_opt.rig",
-    "StrengthRecord": "plough_opt.strength_record",
-    "strength_waves": "plough_opt.strength_record",
-    "load": "plough_opt.results",
-    "Range": "plough_opt.study.axes",
-    "Sweep": "plough_opt.study.result",
+    "RecordWaves": "plough_opt.soil.strength_record",
+    "Rig": "plough_opt.soil.rig",
+    "StrengthRecord": "plough_opt.soil.strength_record",
+    "strength_waves": "plough_opt.soil.strength_record",
+    "load": "plough_opt.exchange.results",
+    "Range": "plough_opt.studies.sweep.axes",
+    "Sweep": "plough_opt.studies.sweep.result",
     "sweep": "plough_opt.problem_file.sweeping",
-    "Goal": "plough_opt.tradeoff",
-    "TradeOff": "plough_opt.tradeoff",
-    "trade_off": "plough_opt.tradeoff",
-    "Robust": "plough_opt.uncertainty",
-    "SoilDistribution": "plough_opt.uncertainty",
+    "Goal": "plough_opt.studies.tradeoff",
+    "TradeOff": "plough_opt.studies.tradeoff",
+    "trade_off": "plough_opt.studies.tradeoff",
+    "Robust": "plough_opt.studies.uncertainty",
+    "SoilDistribution": "plough_opt.studies.uncertainty",
 }
 _MODULES_LATER = ("crosscheck", "plots", "uncertainty")
 

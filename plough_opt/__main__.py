@@ -2,6 +2,6 @@
 
 import sys
 
-from plough_opt.cli import main
+from plough_opt.app import main
 
 sys.exit(main())

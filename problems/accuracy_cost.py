@@ -23,7 +23,7 @@ from rich.console import Console
 
 import plough_opt as po
 from plough_opt import plots
-from plough_opt.accuracy_study import picture
+from plough_opt.studies.accuracy import picture
 
 WANTED = 1e-6
 SHARE = po.Wedge(po.deg(30.0), po.deg(15.0), 0.25)

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 import plough_opt as po
-from plough_opt.calibration.coverage import Coverage, coverage
+from plough_opt.studies.calibration.coverage import Coverage, coverage
 
 BOUNDS = {
     "soil.cohesion": (1e3, 80e3),

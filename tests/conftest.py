@@ -6,7 +6,7 @@ import signal
 import pytest
 
 import plough_opt as po
-from plough_opt import heartbeat
+from plough_opt.core import heartbeat
 
 
 @pytest.fixture

@@ -6,7 +6,7 @@ import high_precision as hp
 import precise_field as pf
 
 import plough_opt as po
-from plough_opt.expressions import exp
+from plough_opt.core.expressions import exp
 
 DENSITY = 1400.0
 """Of the undisturbed soil [kg/m^3]."""

@@ -3,7 +3,7 @@ import numpy as np
 import pytest
 
 import plough_opt as po
-from plough_opt.accuracy import ADAPTIVE, FIXED_STEP
+from plough_opt.motion.accuracy import ADAPTIVE, FIXED_STEP
 
 METHODS = ("auto", *FIXED_STEP, *ADAPTIVE)
 

@@ -5,8 +5,8 @@ import math
 
 import pytest
 
-from plough_opt.accuracy_study import contest
-from plough_opt.accuracy_study.contest import Entry, cheapest, efficient, median_time
+from plough_opt.studies.accuracy import contest
+from plough_opt.studies.accuracy.contest import Entry, cheapest, efficient, median_time
 
 
 def entry(seconds, error, method="m", failure=None, setting=""):

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 import plough_opt as po
-from plough_opt.accuracy_study import local_solve, optimum
-from plough_opt.accuracy_study.optimum import REPORTED, REQUIREMENTS, TRUE, VARIABLES, design_contest, design_entries
-from plough_opt.errors import InfeasibleDesign, InputError
+from plough_opt.core.errors import InfeasibleDesign, InputError
+from plough_opt.studies.accuracy import local_solve, optimum
+from plough_opt.studies.accuracy.optimum import REPORTED, REQUIREMENTS, TRUE, VARIABLES, design_contest, design_entries
 
 FAMILIES = ["transcription", "integrator", "derivatives", "compiled"]
 

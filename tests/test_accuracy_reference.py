@@ -12,12 +12,12 @@ import pytest
 import three_modes
 
 import plough_opt as po
-from plough_opt.accuracy_study import picard
-from plough_opt.accuracy_study.gradients import QUANTITIES, reference_gradient
-from plough_opt.accuracy_study.laws import Laws
-from plough_opt.accuracy_study.picard import EPS, Basis, first_end, gauss
-from plough_opt.accuracy_study.picard import WIDE as W
-from plough_opt.accuracy_study.reference import errors_of, reference_run
+from plough_opt.studies.accuracy import picard
+from plough_opt.studies.accuracy.gradients import QUANTITIES, reference_gradient
+from plough_opt.studies.accuracy.laws import Laws
+from plough_opt.studies.accuracy.picard import EPS, Basis, first_end, gauss
+from plough_opt.studies.accuracy.picard import WIDE as W
+from plough_opt.studies.accuracy.reference import errors_of, reference_run
 
 mp = precise_motion.mp
 SOIL = po.named_soil("serozem")

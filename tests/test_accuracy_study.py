@@ -14,15 +14,15 @@ from matplotlib.figure import Figure
 from rich.console import Console
 
 import plough_opt as po
-from plough_opt.accuracy_study import methods, picture, quadratures, scenes, tracks
-from plough_opt.accuracy_study.contest import AUTO, BARE, COMPILED, Entry, cheapest, efficient
-from plough_opt.accuracy_study.methods import Task, prepared
-from plough_opt.accuracy_study.picard import EPS
-from plough_opt.accuracy_study.profile_reference import profile_reaction
-from plough_opt.accuracy_study.result import AccuracyStudy, duration_text
-from plough_opt.compiler import find_compiler
-from plough_opt.expressions import exp
-from plough_opt.forces import soil_reaction
+from plough_opt.core.compiler import find_compiler
+from plough_opt.core.expressions import exp
+from plough_opt.laws.forces import soil_reaction
+from plough_opt.studies.accuracy import methods, picture, quadratures, scenes, tracks
+from plough_opt.studies.accuracy.contest import AUTO, BARE, COMPILED, Entry, cheapest, efficient
+from plough_opt.studies.accuracy.methods import Task, prepared
+from plough_opt.studies.accuracy.picard import EPS
+from plough_opt.studies.accuracy.profile_reference import profile_reaction
+from plough_opt.studies.accuracy.result import AccuracyStudy, duration_text
 
 SOIL = po.named_soil("serozem")
 WAVE = po.StrengthWave(amplitude=0.3, wavelength=0.2)

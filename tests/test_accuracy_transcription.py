@@ -9,16 +9,16 @@ import numpy as np
 import pytest
 
 import plough_opt as po
-from plough_opt.accuracy_study.local_solve import Start, solve_transcribed
-from plough_opt.accuracy_study.transcription import (
+from plough_opt.core.errors import InputError
+from plough_opt.design.program import Program
+from plough_opt.studies.accuracy.local_solve import Start, solve_transcribed
+from plough_opt.studies.accuracy.transcription import (
     Collocation,
     MultipleShooting,
     Question,
     SingleShooting,
     transcribe,
 )
-from plough_opt.design.program import Program
-from plough_opt.errors import InputError
 
 # Wedge angle [deg], height [m], stiffness [N/m], objective.
 L1 = (39.11469851, 0.2002828632, 5000.0, 0.8250057092)

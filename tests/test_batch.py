@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import plough_opt as po
-from plough_opt.expressions import arctan, exp, log1p, maximum, minimum, sin, sqrt, where
+from plough_opt.core.expressions import arctan, exp, log1p, maximum, minimum, sin, sqrt, where
 
 NAMES = ("mean_draft", "force_rms", "mean_deflection", "displacement_rms", "tow_power")
 DESIGNS = np.array([[po.deg(25.0), 0.25, 5e4], [po.deg(45.0), 0.15, 8e3], [po.deg(10.0), 0.4, 3e5]])

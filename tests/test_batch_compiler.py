@@ -7,7 +7,7 @@ import casadi as ca
 import pytest
 
 import plough_opt as po
-from plough_opt.compiler import find_compiler
+from plough_opt.core.compiler import find_compiler
 
 SCRIPT = """
 import sys

@@ -5,12 +5,12 @@ import mpmath as mp
 import numpy as np
 import pytest
 
-from plough_opt.batch.c_source import Kernels
-from plough_opt.batch.engine import engine_of
-from plough_opt.batch.program import MEANING, Program
-from plough_opt.batch.rules import series_of
-from plough_opt.batch.series import Graph
-from plough_opt.expressions import as_number
+from plough_opt.core.expressions import as_number
+from plough_opt.motion.batch.c_source import Kernels
+from plough_opt.motion.batch.engine import engine_of
+from plough_opt.motion.batch.program import MEANING, Program
+from plough_opt.motion.batch.rules import series_of
+from plough_opt.motion.batch.series import Graph
 
 ORDER = 12
 # x(t): within the domain of all functions, and with all coefficients other than zero.

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 import plough_opt as po
-from plough_opt.component.ports import Port, corners, inside
-from plough_opt.quantities import QUANTITIES
-from plough_opt.vocabulary import MEASURES
+from plough_opt.core.quantities import QUANTITIES
+from plough_opt.exchange.component.ports import Port, corners, inside
+from plough_opt.motion.vocabulary import MEASURES
 
 WAVE = po.StrengthWave(0.3, 0.6)
 EVERYTHING = [*MEASURES]
@@ -85,7 +85,7 @@ def test_the_elastic_medium_can_be_a_component():
 
 
 def test_the_names_and_units_are_those_of_problem_files():
-    from plough_opt.quantities import quantities
+    from plough_opt.core.quantities import quantities
 
     files = {key: unit.symbol for key, unit in quantities().items()}
     beside = {"scene.duration": "s", "scene.frame_mass": "kg", "scene.steel_density": "kg/m^3"}

@@ -14,8 +14,8 @@ from high_precision import mp
 from scipy.integrate import solve_ivp
 
 import plough_opt as po
-from plough_opt import plastic
-from plough_opt.plastic import Cavity
+from plough_opt.soil import plastic
+from plough_opt.soil.plastic import Cavity
 
 CAVITIES = {
     "steady": Cavity(0.05, 0.5, 0.0),

@@ -8,8 +8,8 @@ from density_profiles import DENSITIES, Ground
 from high_precision import mp
 
 import plough_opt as po
-from plough_opt import plastic
-from plough_opt.plastic import Cavity
+from plough_opt.soil import plastic
+from plough_opt.soil.plastic import Cavity
 
 NAMES = ("c", "w", "r", "radius", "rate", "acceleration", "friction_angle", "cohesion")
 STATE = {"r": 0.06, "radius": 0.05, "rate": 0.5, "acceleration": 3.0, "friction_angle": 0.5, "cohesion": 2e4}

@@ -7,9 +7,9 @@ import pytest
 from density_profiles import ground
 
 import plough_opt as po
-from plough_opt import plastic
-from plough_opt.expressions import exp, is_quantity, map_expressions
-from plough_opt.plastic import Cavity
+from plough_opt.core.expressions import exp, is_quantity, map_expressions
+from plough_opt.soil import plastic
+from plough_opt.soil.plastic import Cavity
 
 PLAIN = po.Soil(1350.0, 0.5, 2e4, 0.5, 0.45, 1e4)
 CAVITY = Cavity(0.05, 0.5, 0.0)

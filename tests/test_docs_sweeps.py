@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from plough_opt.cli import main
+from plough_opt.app import main
 
 ROOT = Path(__file__).parents[1]
 BLOCKS = re.findall(r"```(\w+)\n(.*?)```", (ROOT / "docs" / "sweeps.md").read_text(encoding="utf-8"), flags=re.DOTALL)

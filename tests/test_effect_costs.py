@@ -6,8 +6,8 @@ from dataclasses import replace
 import pytest
 
 import plough_opt as po
-from plough_opt.cli import main
-from plough_opt.effect_costs import _operations, effect_costs
+from plough_opt.app import main
+from plough_opt.motion.effect_costs import _operations, effect_costs
 from plough_opt.motion.equation import equation_of_motion
 from plough_opt.motion.runge_kutta import step
 from plough_opt.motion.terms import Structure

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from plough_opt.cli import main
-from plough_opt.quantities import EVERY
-from plough_opt.vocabulary import MEASURES
+from plough_opt.app import main
+from plough_opt.core.quantities import EVERY
+from plough_opt.motion.vocabulary import MEASURES
 
 ROOT = Path(__file__).parents[1]
 TEXT = (ROOT / "docs" / "embedding.md").read_text(encoding="utf-8")

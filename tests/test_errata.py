@@ -33,8 +33,8 @@ from test_source_equations import (
 )
 
 import plough_opt as po
-from plough_opt import elastic, plastic
-from plough_opt.printed import printed_coefficients, printed_resistance
+from plough_opt.laws.printed import printed_coefficients, printed_resistance
+from plough_opt.soil import elastic, plastic
 
 NODES = [(0.0, 0.0), (LENGTH, SLOPE * LENGTH)]
 

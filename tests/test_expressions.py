@@ -9,7 +9,7 @@ import pytest
 from high_precision import assert_close, derivatives, mp
 
 import plough_opt as po
-from plough_opt import expressions as ex
+from plough_opt.core import expressions as ex
 
 
 def precise_expm1_ratio(x):

@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 
 import plough_opt as po
-from plough_opt.cli import main
-from plough_opt.files import ascii_json, write_file, write_files, write_folder, write_new
+from plough_opt.app import main
+from plough_opt.core.files import ascii_json, write_file, write_files, write_folder, write_new
 
 PROBLEMS = Path(__file__).parents[1] / "problems"
 
@@ -129,7 +129,7 @@ class TestANewFile:
 # The program may write files of 1,000 bytes at most, which is what a full disk is like.
 FULL = """
 import resource, sys
-from plough_opt.cli import main
+from plough_opt.app import main
 resource.setrlimit(resource.RLIMIT_FSIZE, (1000, 1000))
 sys.exit(main(sys.argv[1:]))
 """
@@ -160,7 +160,7 @@ def test_a_full_disk_leaves_nothing_new(tmp_path, line, name):
 # Stops in the middle of a file until a signal ends it.
 SLOW = """
 import sys, time
-from plough_opt.files import write_file, write_folder
+from plough_opt.core.files import write_file, write_folder
 def slow(file):
     file.write(b"half of")
     file.flush()

@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from scipy.integrate import quad
 
 import plough_opt as po
-from plough_opt.plastic import Cavity, surface_pressure
+from plough_opt.soil.plastic import Cavity, surface_pressure
 
 # Fixed examples, so that a run can be repeated.
 repeatable = settings(deadline=None, derandomize=True, max_examples=60)

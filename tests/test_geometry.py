@@ -11,8 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import plough_opt as po
-from plough_opt import expressions as ex
-from plough_opt.geometry import PLANE_SECTIONS_LIMIT
+from plough_opt.core import expressions as ex
+from plough_opt.soil.geometry import PLANE_SECTIONS_LIMIT
 
 # Fixed examples, so that a run can be repeated.
 repeatable = settings(deadline=None, derandomize=True, max_examples=60)

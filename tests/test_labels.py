@@ -4,7 +4,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from plough_opt.labels import Limit, Meanings, attach, label_of
+from plough_opt.core.labels import Limit, Meanings, attach, label_of
 
 LOW = Limit("something", at_most=2.0, unit="m")
 HIGH = Limit("something else", at_most=3.0)

@@ -5,15 +5,16 @@ from pathlib import Path
 
 import pytest
 
-from plough_opt import quantities, results
+from plough_opt.core import quantities
 from plough_opt.design import effort
-from plough_opt.effects import MOST_HARMONICS
-from plough_opt.elastic import profile
+from plough_opt.exchange import results
 from plough_opt.motion import plan
+from plough_opt.motion.effects import MOST_HARMONICS
 from plough_opt.problem_file import csv_rows, lines, overrides, schema, source, uncertain, units
-from plough_opt.study import axes, points
-from plough_opt.tradeoff import question
-from plough_opt.uncertainty import distribution
+from plough_opt.soil.elastic import profile
+from plough_opt.studies.sweep import axes, points
+from plough_opt.studies.tradeoff import question
+from plough_opt.studies.uncertainty import distribution
 
 PAGE = (Path(__file__).parents[1] / "docs" / "limits.md").read_text(encoding="utf-8")
 

@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import plough_opt as po
-from plough_opt.plastic import Cavity, front_radius, surface_pressure, wall_pressure
+from plough_opt.soil.plastic import Cavity, front_radius, surface_pressure, wall_pressure
 
 # Fixed examples, so that a run can be repeated.
 repeatable = settings(deadline=None, derandomize=True, max_examples=60)

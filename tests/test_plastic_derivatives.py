@@ -11,7 +11,7 @@ import precise_field as pf
 import pytest
 
 import plough_opt as po
-from plough_opt import plastic
+from plough_opt.soil import plastic
 
 # Every entry is some fifty roundings of 1.1e-16, of both signs, away from the truth; the worst found is 1.6e-15.
 DIGITS = 4e-15

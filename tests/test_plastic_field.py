@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import plough_opt as po
-from plough_opt import plastic
+from plough_opt.soil import plastic
 
 SOILS = [po.named_soil(name) for name in po.soil_names()] + [
     po.Soil(1400.0, 0.8, 15e3, 0.0, 0.5, 1e4, name="no internal friction"),

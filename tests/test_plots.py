@@ -12,7 +12,7 @@ import pytest
 from matplotlib.figure import Figure
 
 import plough_opt as po
-from plough_opt import plots
+from plough_opt.app import plots
 
 
 @pytest.fixture(scope="module")

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import plough_opt as po
-from plough_opt.printed import FORMULATIONS, errors_of, printed_coefficients, printed_resistance
+from plough_opt.laws.printed import FORMULATIONS, errors_of, printed_coefficients, printed_resistance
 
 CONES = [po.Cone(po.deg(half_angle), height) for half_angle, height in ((3.0, 0.4), (11.0, 0.25), (19.0, 0.1))]
 NONE = {"pi_twice": False, "one_third": False, "repelling_spring": False}

@@ -6,7 +6,7 @@ import mpmath
 import numpy as np
 import pytest
 
-from plough_opt.quadrature import gauss_legendre
+from plough_opt.core.quadrature import gauss_legendre
 
 mp = mpmath.mp.clone()
 mp.dps = 50

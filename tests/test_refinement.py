@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 import plough_opt as po
-from plough_opt import refinement
-from plough_opt.quadrature import gauss_legendre
-from plough_opt.refinement import Refinement
+from plough_opt.core import refinement
+from plough_opt.core.quadrature import gauss_legendre
+from plough_opt.core.refinement import Refinement
 
 
 def gauss(function, order):

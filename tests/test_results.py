@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import plough_opt as po
-from plough_opt.results import SavedOptimum, SavedRun
+from plough_opt.exchange.results import SavedOptimum, SavedRun
 
 
 @pytest.fixture(scope="module")

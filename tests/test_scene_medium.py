@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 import plough_opt as po
-from plough_opt import elastic, plots
+from plough_opt.app import plots
+from plough_opt.exchange.results import SavedRun
 from plough_opt.problem_file import read_problem
-from plough_opt.results import SavedRun
+from plough_opt.soil import elastic
 
 SOIL = po.named_soil("serozem")
 SHARE = po.Wedge(po.deg(30), po.deg(15), 0.25)

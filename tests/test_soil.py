@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import plough_opt as po
-from plough_opt.soil import STANDARD_ATMOSPHERE
+from plough_opt.soil.soil import STANDARD_ATMOSPHERE
 
 # density, locked density [kg/m^3], b1, cohesion [kPa], friction angle [deg], mu0, E [MPa], Poisson's ratio
 TABLE = {

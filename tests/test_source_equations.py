@@ -13,7 +13,7 @@ import pytest
 from scipy.special import k0, k1
 
 import plough_opt as po
-from plough_opt import elastic, plastic
+from plough_opt.soil import elastic, plastic
 
 SOIL = po.Soil(1350.0, 0.6, 20e3, po.deg(28), 0.5, 30e3, youngs_modulus=10e6, poisson_ratio=0.33)
 CAVITY = plastic.Cavity(0.05, 0.7, 3.0)

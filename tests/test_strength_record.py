@@ -133,7 +133,7 @@ def cli_waves(tmp_path, capsys):
     """Run `plough-opt waves` on a file of a text, or of known waves."""
     from types import SimpleNamespace
 
-    from plough_opt.cli import main
+    from plough_opt.app import main
 
     def run(text, *options):
         if text is None:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import plough_opt as po
-from plough_opt.accuracy_study.reference import errors_of, reference_run
+from plough_opt.studies.accuracy.reference import errors_of, reference_run
 
 OUTPUTS = 20
 

@@ -11,7 +11,7 @@ import pytest
 from scipy import stats
 
 import plough_opt as po
-from plough_opt.expressions import exp, holds_several
+from plough_opt.core.expressions import exp, holds_several
 
 SOIL = po.named_soil("serozem")
 CONE = po.Cone(0.2, 0.25)

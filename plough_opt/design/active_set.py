@@ -21,9 +21,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from plough_opt.core.errors import InputError, NotConverged
 from plough_opt.design.ipopt import PULLS, Point, Vector
 from plough_opt.design.program import Program
-from plough_opt.errors import InputError, NotConverged
 
 Mask = NDArray[np.bool_]
 

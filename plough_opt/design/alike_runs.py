@@ -14,13 +14,13 @@ from typing import Any
 
 import casadi as ca
 
-from plough_opt.accuracy import ORDER_8
+from plough_opt.core.processors import available
 from plough_opt.design.split import EmbeddedRun
+from plough_opt.motion.accuracy import ORDER_8
 from plough_opt.motion.integrators import Integration, integration
 from plough_opt.motion.jets import jets_of, weighted_curvature
 from plough_opt.motion.pooling import pairs
 from plough_opt.motion.signals import signals
-from plough_opt.processors import available
 
 
 @dataclass(frozen=True)

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from plough_opt.core.errors import InputError, nearest
+from plough_opt.core.kinds import shown
 from plough_opt.design.declarations import Variable, in_words
-from plough_opt.errors import InputError, nearest
-from plough_opt.kinds import shown
 
 Catalogue = float | Sequence[float]
 """Values that a variable may take, or the step of which it may take multiples."""

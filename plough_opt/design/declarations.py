@@ -12,9 +12,9 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from plough_opt.errors import InputError
-from plough_opt.expressions import Expression, absolute, exp, log, maximum, minimum
-from plough_opt.kinds import shown
+from plough_opt.core.errors import InputError
+from plough_opt.core.expressions import Expression, absolute, exp, log, maximum, minimum
+from plough_opt.core.kinds import shown
 
 # The domain of a quantity of which no end is known.
 EVERYWHERE = (-math.inf, math.inf)

@@ -8,13 +8,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from plough_opt.accuracy import ORDER_8
-from plough_opt.batch.many_runs import ManyRuns
+from plough_opt.core.errors import DomainError, InputError
 from plough_opt.design.alike_runs import Alike
 from plough_opt.design.ipopt import Point, Vector
 from plough_opt.design.polishing import AS_FOUND, solved_again
 from plough_opt.design.program import Program
-from plough_opt.errors import DomainError, InputError
+from plough_opt.motion.accuracy import ORDER_8
+from plough_opt.motion.batch.many_runs import ManyRuns
 from plough_opt.motion.derivative_error import derivative_error, difference_of_jets, finer_than
 from plough_opt.motion.plan import summed_rate
 from plough_opt.motion.pooling import pairs

@@ -6,9 +6,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from plough_opt.core.errors import DomainError, InputError, IntegrationError, PloughError
 from plough_opt.design.declarations import Declarations, Requirement
 from plough_opt.design.verify import TightEvaluation, Vector
-from plough_opt.errors import DomainError, InputError, IntegrationError, PloughError
 from plough_opt.motion.judgement import refuse_drifting_own, refuse_stiff_orbit
 
 

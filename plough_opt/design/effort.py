@@ -7,9 +7,9 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from plough_opt.core.errors import InputError, nearest
+from plough_opt.core.kinds import shown
 from plough_opt.design.declarations import Variable
-from plough_opt.errors import InputError, nearest
-from plough_opt.kinds import shown
 
 Search = str | int | Sequence[str]
 """Words, names of variables, a number of designs, or a text such as "20 s"."""

@@ -7,12 +7,12 @@ from dataclasses import replace
 
 import numpy as np
 
+from plough_opt.core.errors import InfeasibleDesign
 from plough_opt.design.declarations import in_words
 from plough_opt.design.exploring import Explored
 from plough_opt.design.ipopt import Point, Vector
 from plough_opt.design.landscape import MET, Landscape, Seen
 from plough_opt.design.program import Program
-from plough_opt.errors import InfeasibleDesign
 
 # Scaled by each limit: violations below are rounding, multipliers below do not hold anything back.
 _VIOLATED = 1e-7

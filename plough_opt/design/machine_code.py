@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import casadi as ca
 
-from plough_opt.compiler import Variant, library
+from plough_opt.core.compiler import Variant, library
 from plough_opt.design.nlp import PARTS, Nlp
 
 # The reciprocal of what divides often, as the inertia, is taken once.

@@ -9,16 +9,16 @@ from typing import Any
 
 import numpy as np
 
+from plough_opt.core.errors import InputError
+from plough_opt.core.expressions import as_number, is_casadi, map_expressions
+from plough_opt.core.kinds import mapping_of
+from plough_opt.core.tables import text_table
 from plough_opt.design.declarations import in_words
 from plough_opt.design.record import Search
 from plough_opt.design.sensitivity import Sensitivities, Sensitivity
 from plough_opt.design.tolerance import Spread
-from plough_opt.errors import InputError
-from plough_opt.expressions import as_number, is_casadi, map_expressions
-from plough_opt.kinds import mapping_of
 from plough_opt.motion.run import Run
 from plough_opt.motion.simulation import repeat
-from plough_opt.tables import text_table
 
 # Per cent of an objective below which a cost is the rounding of none.
 _ROUNDING = 1e-9

@@ -9,14 +9,14 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from plough_opt.accuracy import ADAPTIVE
-from plough_opt.batch.many_runs import ManyRuns
+from plough_opt.core.errors import InputError
+from plough_opt.core.processors import available
 from plough_opt.design.nlp import averages_only, holds_maps
 from plough_opt.design.split import EmbeddedRun, Split
 from plough_opt.design.verify import Vector
-from plough_opt.errors import InputError
+from plough_opt.motion.accuracy import ADAPTIVE
+from plough_opt.motion.batch.many_runs import ManyRuns
 from plough_opt.motion.integrators import Integration, integration
-from plough_opt.processors import available
 
 # Numbers of results that are in memory at once.
 _MOST_RESULTS = 4_000_000

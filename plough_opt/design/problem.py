@@ -9,6 +9,10 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from plough_opt.core.domain import check_text, plain_number
+from plough_opt.core.errors import InputError, nearest, unprintable
+from plough_opt.core.expressions import Expression, is_casadi
+from plough_opt.core.kinds import check_callable, check_choice, check_switch, shown
 from plough_opt.design.boxed import Boxed, Over
 from plough_opt.design.declarations import EVERYWHERE, Declarations, Parameter, Requirement, Variable
 from plough_opt.design.effort import Search
@@ -17,10 +21,6 @@ from plough_opt.design.optimum import Optimum
 from plough_opt.design.program import Program
 from plough_opt.design.solving import solve_program
 from plough_opt.design.tolerance import Judge
-from plough_opt.domain import check_text, plain_number
-from plough_opt.errors import InputError, nearest, unprintable
-from plough_opt.expressions import Expression, is_casadi
-from plough_opt.kinds import check_callable, check_choice, check_switch, shown
 
 
 class Design:

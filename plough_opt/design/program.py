@@ -9,7 +9,7 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 
-from plough_opt.accuracy import DEFAULT_ERROR
+from plough_opt.core.errors import InputError
 from plough_opt.design.active_rows import ActiveRows, chosen_rows
 from plough_opt.design.alike_runs import Alike
 from plough_opt.design.built import Built
@@ -24,7 +24,7 @@ from plough_opt.design.settled import Linear, linear_variables
 from plough_opt.design.split import split
 from plough_opt.design.steps import fewer, steps_at
 from plough_opt.design.verify import TightEvaluation
-from plough_opt.errors import InputError
+from plough_opt.motion.accuracy import DEFAULT_ERROR
 
 _SMALLEST_SCALE = 1e-12
 # Programs that are kept, of other numbers of steps or scales.

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from plough_opt.compiler import NO_COMPILER
+from plough_opt.core.compiler import NO_COMPILER
 from plough_opt.design.declarations import in_words
 from plough_opt.design.exploring import Explored
 from plough_opt.design.ipopt import Point, Vector, decides
@@ -18,8 +18,8 @@ from plough_opt.design.polishing import AS_FOUND
 from plough_opt.design.program import Program
 from plough_opt.design.tolerance import spread
 from plough_opt.motion.judgement import remarks
+from plough_opt.motion.scene import Scene
 from plough_opt.motion.simulation import repeat
-from plough_opt.scene import Scene
 
 # An objective below this part of the program's scale is next to nothing, and errors are relative to the scale.
 _SMALL = 0.25

@@ -11,6 +11,7 @@ from functools import partial
 
 import numpy as np
 
+from plough_opt.core.errors import InfeasibleDesign, InputError
 from plough_opt.design.catalogue import Allowed, Catalogue, allowed
 from plough_opt.design.declarations import in_words
 from plough_opt.design.infeasible import infeasible, is_feasible
@@ -22,7 +23,6 @@ from plough_opt.design.program import Program
 from plough_opt.design.screening import promising
 from plough_opt.design.sensitivity import Sensitivities
 from plough_opt.design.tolerance import Judge, judgement, spread
-from plough_opt.errors import InfeasibleDesign, InputError
 
 # Combinations from which on only an optimum's neighbours are tried: a look at each takes some seconds by then.
 _MOST_SCREENED = 100_000

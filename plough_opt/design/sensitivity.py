@@ -9,12 +9,12 @@ from functools import cached_property
 
 import numpy as np
 
+from plough_opt.core.errors import InputError, NotConverged, nearest
+from plough_opt.core.kinds import check_kind, check_switch, shown
 from plough_opt.design.active_set import ActiveSet, Move, slope
 from plough_opt.design.declarations import EVERYWHERE, in_words
 from plough_opt.design.ipopt import Point, Solver, Vector
 from plough_opt.design.program import Program
-from plough_opt.errors import InputError, NotConverged, nearest
-from plough_opt.kinds import check_kind, check_switch, shown
 
 # Of the value asked for: differences leave its square, and the optimiser's 1e-10 divided by it.
 _CHECK_STEP = 2e-4

@@ -10,6 +10,7 @@ from functools import partial
 import casadi as ca
 import numpy as np
 
+from plough_opt.core.errors import InputError, NotConverged
 from plough_opt.design.basin import near_optimum
 from plough_opt.design.curvature import flat_directions, minimum_from
 from plough_opt.design.derivatives import build_surely, with_sure_derivatives
@@ -36,7 +37,6 @@ from plough_opt.design.rounding import rounded
 from plough_opt.design.sensitivity import Sensitivities
 from plough_opt.design.tolerance import Judge, judgement, ranked
 from plough_opt.design.verify import TightEvaluation
-from plough_opt.errors import InputError, NotConverged
 
 _REFINEMENTS = 4
 # Of the gap before, to which half as many steps more bring it at least, by a method of order 8.

@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 import casadi as ca
 import numpy as np
 
-from plough_opt.errors import InputError
-from plough_opt.labels import Call, Label, label_of, without_labels
+from plough_opt.core.errors import InputError
+from plough_opt.core.labels import Call, Label, label_of, without_labels
 from plough_opt.motion.embedding import Embedding, embedding_of
 from plough_opt.motion.integrators import Integration
 

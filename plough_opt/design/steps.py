@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+from plough_opt.core.errors import DomainError
 from plough_opt.design.verify import TightEvaluation
-from plough_opt.effects import MOST_HARMONICS
-from plough_opt.errors import DomainError
+from plough_opt.motion.effects import MOST_HARMONICS
 from plough_opt.motion.plan import steps_for, summed_rate
 
 # By `summed_rate`: a relative error of averages of some 3e-9, and finer steps where the check finds it wanting.

@@ -10,18 +10,18 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from plough_opt.accuracy import ORDER_8, Accuracy
+from plough_opt.core.errors import IntegrationError
+from plough_opt.core.labels import Call, Limit
 from plough_opt.design.split import split
-from plough_opt.errors import IntegrationError
-from plough_opt.labels import Call, Limit
+from plough_opt.motion.accuracy import ORDER_8, Accuracy
 from plough_opt.motion.compiled_steps import compiled_steps
 from plough_opt.motion.embedding import with_numbers
 from plough_opt.motion.integrators import Integration, integration
 from plough_opt.motion.plan import checked, kink_of, most_steps, phase, suited
 from plough_opt.motion.run import Run, assemble
+from plough_opt.motion.scene import Scene
 from plough_opt.motion.signals import signals
 from plough_opt.motion.timeline import Timeline
-from plough_opt.scene import Scene
 
 Vector = NDArray[np.float64]
 

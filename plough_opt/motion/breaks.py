@@ -16,7 +16,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from plough_opt.expressions import Expression
+from plough_opt.core.expressions import Expression
 from plough_opt.motion.equation import equation_of_motion
 from plough_opt.motion.pooling import pooled
 from plough_opt.motion.signals import signals

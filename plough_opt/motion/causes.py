@@ -9,14 +9,14 @@ from typing import Final
 
 import numpy as np
 
-from plough_opt.accuracy import ADAPTIVE, FIXED_STEP
-from plough_opt.errors import IntegrationError
-from plough_opt.expressions import as_number
+from plough_opt.core.errors import IntegrationError
+from plough_opt.core.expressions import as_number
+from plough_opt.motion.accuracy import ADAPTIVE, FIXED_STEP
 from plough_opt.motion.integrators import Integration
 from plough_opt.motion.plan import STIFF_PHASE, numbers_of, phase, steps_for, with_setting
 from plough_opt.motion.run import Run
+from plough_opt.motion.scene import Scene
 from plough_opt.motion.terms import Structure, parameters, start_deflection
-from plough_opt.scene import Scene
 
 # Exponents of growth above this overflow, squared as they are in an RMS sooner than by themselves.
 _MOST_GROWTH: Final = 700.0

@@ -11,7 +11,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from plough_opt.compiler import Variant, library
+from plough_opt.core.compiler import Variant, library
 from plough_opt.motion.equation import start_state
 from plough_opt.motion.readings import readings
 from plough_opt.motion.runge_kutta import step

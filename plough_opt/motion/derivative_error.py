@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from plough_opt.accuracy import ORDER_8
+from plough_opt.motion.accuracy import ORDER_8
 from plough_opt.motion.integrators import Integration, integration
 from plough_opt.motion.jets import Along, jets, jets_of
 from plough_opt.motion.plan import finer

@@ -7,13 +7,13 @@ from dataclasses import dataclass
 
 import casadi as ca
 
-from plough_opt import expressions
-from plough_opt.accuracy import ORDER_8
-from plough_opt.errors import InputError
-from plough_opt.expressions import Expression, is_symbolic, template_of
-from plough_opt.labels import Meanings, attach
+from plough_opt.core import expressions
+from plough_opt.core.errors import InputError
+from plough_opt.core.expressions import Expression, is_symbolic, template_of
+from plough_opt.core.labels import Meanings, attach
+from plough_opt.motion.accuracy import ORDER_8
 from plough_opt.motion.integrators import Integration
-from plough_opt.scene import Scene
+from plough_opt.motion.scene import Scene
 
 
 @dataclass(frozen=True)

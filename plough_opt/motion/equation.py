@@ -14,7 +14,7 @@ from typing import Final
 
 import casadi as ca
 
-from plough_opt.expressions import Expression
+from plough_opt.core.expressions import Expression
 from plough_opt.motion.terms import (
     Structure,
     Strut,

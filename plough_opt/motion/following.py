@@ -8,19 +8,19 @@ from typing import Any, NoReturn
 import numpy as np
 from numpy.typing import NDArray
 
-from plough_opt.accuracy import ADAPTIVE, ORDER_8, Accuracy, Method
-from plough_opt.effects import StickSlip
-from plough_opt.errors import IntegrationError
+from plough_opt.core.errors import IntegrationError
+from plough_opt.motion.accuracy import ADAPTIVE, ORDER_8, Accuracy, Method
 from plough_opt.motion.causes import failed_by, refuse_runaway
 from plough_opt.motion.compiled_steps import CompiledSteps, compiled_steps
+from plough_opt.motion.effects import StickSlip
 from plough_opt.motion.integrators import Integration, Sized, integration
 from plough_opt.motion.judgement import refuse_missed_event
 from plough_opt.motion.plan import OUTPUTS, STIFF_PHASE, most_steps, numbers_of, phase, timeline_of
 from plough_opt.motion.run import Run, assemble
+from plough_opt.motion.scene import Scene
 from plough_opt.motion.signals import signals
 from plough_opt.motion.terms import Structure
 from plough_opt.motion.timeline import Timeline
-from plough_opt.scene import Scene
 
 Array = NDArray[np.float64]
 

@@ -9,7 +9,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from plough_opt.accuracy import ADAPTIVE, FIXED_STEP, LOCATE_EVENTS, ORDER_8, Accuracy
+from plough_opt.motion.accuracy import ADAPTIVE, FIXED_STEP, LOCATE_EVENTS, ORDER_8, Accuracy
 from plough_opt.motion.equation import equation_of_motion, start_state
 from plough_opt.motion.orbit import orbit_map
 from plough_opt.motion.runge_kutta import run_map

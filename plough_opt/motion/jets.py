@@ -13,7 +13,7 @@ from functools import lru_cache
 
 import casadi as ca
 
-from plough_opt.accuracy import ORDER_8
+from plough_opt.motion.accuracy import ORDER_8
 from plough_opt.motion.breaks import moving_ramp, spans_of, start_and_size, telling, unbroken
 from plough_opt.motion.dop853 import NODES, STAGES, WEIGHTS
 from plough_opt.motion.equation import equation_of_motion, start_state

@@ -8,10 +8,10 @@ from collections.abc import Mapping
 import casadi as ca
 import numpy as np
 
-from plough_opt.effects import StickSlip
-from plough_opt.errors import InputError, IntegrationError
-from plough_opt.expressions import as_number
+from plough_opt.core.errors import InputError, IntegrationError
+from plough_opt.core.expressions import as_number
 from plough_opt.motion.causes import waves_in_flight
+from plough_opt.motion.effects import StickSlip
 from plough_opt.motion.equation import SLIP, STICK
 from plough_opt.motion.orbit import monodromy
 from plough_opt.motion.plan import (
@@ -25,10 +25,10 @@ from plough_opt.motion.plan import (
     steps_for,
 )
 from plough_opt.motion.run import Run
+from plough_opt.motion.scene import Scene
 from plough_opt.motion.signals import signals
 from plough_opt.motion.terms import Structure, own_force, parameters, resistance, start_deflection
 from plough_opt.motion.timeline import Timeline
-from plough_opt.scene import Scene
 
 # Exponents of growth above this overflow, squared as they are in an RMS sooner than by themselves.
 _MOST_GROWTH = 700.0

@@ -14,7 +14,7 @@ from functools import lru_cache
 import casadi as ca
 import numpy as np
 
-from plough_opt.expressions import Expression
+from plough_opt.core.expressions import Expression
 from plough_opt.motion.equation import equation_of_motion
 from plough_opt.motion.runge_kutta import run_from
 from plough_opt.motion.signals import signals

@@ -9,9 +9,9 @@ from dataclasses import dataclass, field
 import casadi as ca
 import numpy as np
 
-from plough_opt.effects import OwnResistance
-from plough_opt.errors import InputError
-from plough_opt.expressions import Expression, as_number, is_casadi, is_quantity, map_expressions, template_of
+from plough_opt.core.errors import InputError
+from plough_opt.core.expressions import Expression, as_number, is_casadi, is_quantity, map_expressions, template_of
+from plough_opt.motion.effects import OwnResistance
 
 
 @dataclass(frozen=True)

@@ -10,13 +10,13 @@ from typing import Any
 
 import numpy as np
 
-from plough_opt.accuracy import ADAPTIVE, DEFAULT_DERIVATIVES, DEFAULT_TOLERANCE, ORDER_8, Accuracy, Method
-from plough_opt.effects import Smooth
-from plough_opt.errors import InputError
-from plough_opt.expressions import Expression, as_number, is_symbolic, maximum, sqrt
+from plough_opt.core.errors import InputError
+from plough_opt.core.expressions import Expression, as_number, is_symbolic, maximum, sqrt
+from plough_opt.motion.accuracy import ADAPTIVE, DEFAULT_DERIVATIVES, DEFAULT_TOLERANCE, ORDER_8, Accuracy, Method
+from plough_opt.motion.effects import Smooth
+from plough_opt.motion.scene import Scene
 from plough_opt.motion.terms import Structure, lightest_mass, own_slopes, parameters
 from plough_opt.motion.timeline import Timeline
-from plough_opt.scene import Scene
 
 OUTPUTS = 400
 """Default number of intervals between output times."""

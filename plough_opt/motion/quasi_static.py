@@ -7,15 +7,15 @@ from functools import partial
 import casadi as ca
 import numpy as np
 
-from plough_opt.accuracy import Accuracy
-from plough_opt.expressions import Expression, column, holds_casadi, is_casadi
-from plough_opt.labels import unlabelled
+from plough_opt.core.expressions import Expression, column, holds_casadi, is_casadi
+from plough_opt.core.labels import unlabelled
+from plough_opt.motion.accuracy import Accuracy
 from plough_opt.motion.breaks import ends
 from plough_opt.motion.embedding import labelled
 from plough_opt.motion.run import Averages, Run, rms
+from plough_opt.motion.scene import Scene
 from plough_opt.motion.terms import Structure, parameters, ramp_time, resistance, start_speed, strut
 from plough_opt.motion.timeline import Timeline
-from plough_opt.scene import Scene
 
 GAUSS_POINTS = 10
 """Gauss-Legendre nodes in each panel of the averages of a run of numbers."""

@@ -8,12 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from plough_opt.accuracy import Accuracy
-from plough_opt.domain import check_domain
-from plough_opt.errors import InputError
-from plough_opt.expressions import Expression, column, is_casadi, sqrt, where
-from plough_opt.labels import unlabelled
+from plough_opt.core.domain import check_domain
+from plough_opt.core.errors import InputError
+from plough_opt.core.expressions import Expression, column, is_casadi, sqrt, where
+from plough_opt.core.labels import unlabelled
+from plough_opt.core.tables import text_table
+from plough_opt.motion.accuracy import Accuracy
 from plough_opt.motion.equation import GAP, SLIP, STICK
+from plough_opt.motion.scene import Scene
 from plough_opt.motion.settled import Settled
 from plough_opt.motion.terms import (
     Structure,
@@ -27,8 +29,6 @@ from plough_opt.motion.terms import (
     start_speed,
     strut,
 )
-from plough_opt.scene import Scene
-from plough_opt.tables import text_table
 
 # In a symbolic run the RMS is rounded off below this fraction of the steady force, where the square
 # root has no derivative; the RMS is changed by no more than that.

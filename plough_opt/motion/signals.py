@@ -7,7 +7,7 @@ from functools import lru_cache
 
 import casadi as ca
 
-from plough_opt.expressions import Expression
+from plough_opt.core.expressions import Expression
 from plough_opt.motion.equation import equation_of_motion
 from plough_opt.motion.terms import Structure, start_deflection, start_rate, start_speed, strut
 

@@ -7,12 +7,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from plough_opt.accuracy import ADAPTIVE, DEFAULT_ERROR, LOCATE_EVENTS, ORDER_8, Accuracy
-from plough_opt.domain import check_domain, check_single
-from plough_opt.effects import Smooth
-from plough_opt.errors import InputError
-from plough_opt.expressions import Expression, as_number, holds_casadi, is_count, is_symbolic, map_expressions
-from plough_opt.kinds import check_kind, check_switch, shown
+from plough_opt.core.domain import check_domain, check_single
+from plough_opt.core.errors import InputError
+from plough_opt.core.expressions import Expression, as_number, holds_casadi, is_count, is_symbolic, map_expressions
+from plough_opt.core.kinds import check_kind, check_switch, shown
+from plough_opt.core.quantities import BESIDE
+from plough_opt.motion.accuracy import ADAPTIVE, DEFAULT_ERROR, LOCATE_EVENTS, ORDER_8, Accuracy
+from plough_opt.motion.effects import Smooth
 from plough_opt.motion.embedding import embed
 from plough_opt.motion.following import Case
 from plough_opt.motion.integrators import integration
@@ -30,12 +31,11 @@ from plough_opt.motion.plan import (
 )
 from plough_opt.motion.quasi_static import SYMBOLIC_GAUSS_POINTS, quasi_static
 from plough_opt.motion.run import Checks, Run, assemble
+from plough_opt.motion.scene import Scene
 from plough_opt.motion.settling import which_motion
 from plough_opt.motion.terms import Structure, parameters
 from plough_opt.motion.verified import interpreted, verified
-from plough_opt.quantities import BESIDE
-from plough_opt.scene import Scene
-from plough_opt.waves import check_strength
+from plough_opt.soil.waves import check_strength
 
 
 def simulate(

@@ -18,12 +18,12 @@ from typing import Any, Literal
 
 import numpy as np
 
-from plough_opt.effects import HarmonicBalance, Smooth, StickSlip
-from plough_opt.expressions import Expression, as_number, is_symbolic, maximum, minimum, sin, template_of, where
-from plough_opt.labels import unlabelled
+from plough_opt.core.expressions import Expression, as_number, is_symbolic, maximum, minimum, sin, template_of, where
+from plough_opt.core.labels import unlabelled
+from plough_opt.motion.effects import HarmonicBalance, Smooth, StickSlip
 from plough_opt.motion.own import OwnTerm
-from plough_opt.scene import Scene
-from plough_opt.waves import StrengthWave
+from plough_opt.motion.scene import Scene
+from plough_opt.soil.waves import StrengthWave
 
 # Differences of travel [m] and speed [m/s] by which slopes that only choose steps are measured.
 _DIFFERENCE = 1e-4

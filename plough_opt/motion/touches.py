@@ -13,7 +13,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from plough_opt.effects import StickSlip
+from plough_opt.motion.effects import StickSlip
 from plough_opt.motion.equation import SLIP
 from plough_opt.motion.readings import hermite
 from plough_opt.motion.run import Run

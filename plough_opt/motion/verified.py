@@ -7,9 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from plough_opt.accuracy import ADAPTIVE, DEFAULT_ERROR, ORDER_8, Accuracy
-from plough_opt.compiler import NO_COMPILER
-from plough_opt.errors import IntegrationError
+from plough_opt.core.compiler import NO_COMPILER
+from plough_opt.core.errors import IntegrationError
+from plough_opt.motion.accuracy import ADAPTIVE, DEFAULT_ERROR, ORDER_8, Accuracy
 from plough_opt.motion.causes import Escape, unsound_own
 from plough_opt.motion.estimate import TELLING, difference
 from plough_opt.motion.following import Array, Case, Followed, follow, thinned

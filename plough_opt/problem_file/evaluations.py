@@ -11,17 +11,17 @@ from typing import TypeVar
 import casadi as ca
 import numpy as np
 
-from plough_opt.accuracy import DEFAULT_ERROR
-from plough_opt.batch import Batch
-from plough_opt.errors import IntegrationError, PloughError
-from plough_opt.expressions import Expression
-from plough_opt.forces import added_mass
-from plough_opt.geometry import PLANE_SECTIONS_LIMIT
+from plough_opt.core.errors import IntegrationError, PloughError
+from plough_opt.core.expressions import Expression
+from plough_opt.laws.forces import added_mass
 from plough_opt.motion import Run
+from plough_opt.motion.accuracy import DEFAULT_ERROR
+from plough_opt.motion.batch import Batch
+from plough_opt.motion.scene import Scene
+from plough_opt.motion.vocabulary import MEASURES
 from plough_opt.problem_file.problem import Problem
-from plough_opt.scene import Scene
-from plough_opt.study.work import Array, Noted
-from plough_opt.vocabulary import MEASURES
+from plough_opt.soil.geometry import PLANE_SECTIONS_LIMIT
+from plough_opt.studies.sweep.work import Array, Noted
 
 # CasADi's graphs are built by one thread at a time.
 _building = threading.Lock()
@@ -125,7 +125,7 @@ class SimulationOfMany:
         return self._built
 
     def many(self, values: Array) -> tuple[Array, dict[int, str], list[tuple[int, int, tuple[str, ...]]]]:
-        """Simulate at points: see `plough_opt.study.work.ManyPoints`."""
+        """Simulate at points: see `plough_opt.studies.sweep.work.ManyPoints`."""
         batch, of_scene = self.build()
         found = batch(values)
         averages = [getattr(found, name) for name in _AVERAGES]

@@ -6,10 +6,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from plough_opt.errors import InputError, nearest
-from plough_opt.expressions import is_count
+from plough_opt.core.errors import InputError, nearest
+from plough_opt.core.expressions import is_count
+from plough_opt.motion.vocabulary import MEASURES
 from plough_opt.problem_file.source import Source
-from plough_opt.vocabulary import MEASURES
 
 TABLE = "trade_off"
 EXAMPLE = "[trade_off] with two or three results, such as mean_draft = {} and loosened_radius = { maximise = true }"

@@ -5,16 +5,16 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 
-from plough_opt.component import Input, Output, Port
-from plough_opt.component.ports import port_of
-from plough_opt.errors import InputError
-from plough_opt.expressions import Expression
-from plough_opt.kinds import check_kind, check_named
+from plough_opt.core.errors import InputError
+from plough_opt.core.expressions import Expression
+from plough_opt.core.kinds import check_kind, check_named
+from plough_opt.core.quantities import EVERY
+from plough_opt.exchange.component import Input, Output, Port
+from plough_opt.exchange.component.ports import port_of
 from plough_opt.motion import Run
+from plough_opt.motion.vocabulary import MEASURES
 from plough_opt.problem_file.front import front_of
 from plough_opt.problem_file.schema import ProblemTable
-from plough_opt.quantities import EVERY
-from plough_opt.vocabulary import MEASURES
 
 OBJECTIVE = "objective"
 """Name of the sum of the [minimise] table."""

@@ -5,12 +5,12 @@ from __future__ import annotations
 import tomllib
 from typing import Any, Final
 
-from plough_opt.errors import InputError, nearest, short
-from plough_opt.kinds import check_kind
+from plough_opt.core.errors import InputError, nearest, short
+from plough_opt.core.kinds import check_kind
+from plough_opt.core.quantities import quantities
 from plough_opt.problem_file.lines import nested_line
 from plough_opt.problem_file.schema import ProblemTable
 from plough_opt.problem_file.source import TOO_DEEP, Source, unreadable
-from plough_opt.quantities import quantities
 
 # Characters of a change: a table in one line, and more.
 _LONGEST: Final = 2_000

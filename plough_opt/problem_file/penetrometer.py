@@ -11,14 +11,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from plough_opt.csv_rows import columns_of, raise_listed, read_rows, table_of
-from plough_opt.domain import plain_number
-from plough_opt.errors import InputError
-from plough_opt.kinds import path_of, shown
+from plough_opt.core.csv_rows import columns_of, raise_listed, read_rows, table_of
+from plough_opt.core.domain import plain_number
+from plough_opt.core.errors import InputError
+from plough_opt.core.kinds import path_of, shown
+from plough_opt.core.units import Unit
 from plough_opt.problem_file.ranges import read_axis
 from plough_opt.problem_file.source import Source
-from plough_opt.study.axes import Range
-from plough_opt.units import Unit
+from plough_opt.studies.sweep.axes import Range
 
 Vector = NDArray[np.float64]
 

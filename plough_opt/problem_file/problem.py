@@ -6,27 +6,27 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
-from plough_opt.accuracy import Accuracy
-from plough_opt.component import Component, Input, build
+from plough_opt.core.errors import InputError
+from plough_opt.core.expressions import Expression
+from plough_opt.core.kinds import check_switch, mapping_of
+from plough_opt.core.quantities import BESIDE, EVERY, MOST_WAVES, QUANTITIES, quantities, wave_table
+from plough_opt.core.units import Display
 from plough_opt.design import Design, Optimum, Over, Progress
 from plough_opt.design.effort import Search
 from plough_opt.design.tolerance import Judge
-from plough_opt.effects import Effects, HarmonicBalance, Smooth, StickSlip
-from plough_opt.errors import InputError
-from plough_opt.expressions import Expression
-from plough_opt.geometry import Wedge
-from plough_opt.kinds import check_switch, mapping_of
+from plough_opt.exchange.component import Component, Input, build
 from plough_opt.motion import Run, simulate
+from plough_opt.motion.accuracy import Accuracy
+from plough_opt.motion.effects import Effects, HarmonicBalance, Smooth, StickSlip
+from plough_opt.motion.scene import Scene
+from plough_opt.motion.vocabulary import MEASURES
 from plough_opt.problem_file.front import EXAMPLE, front_of
 from plough_opt.problem_file.interface import input_ports, wanted_outputs
 from plough_opt.problem_file.schema import ProblemTable
-from plough_opt.quantities import BESIDE, EVERY, MOST_WAVES, QUANTITIES, quantities, wave_table
-from plough_opt.scene import Scene
-from plough_opt.soil import Soil, named_soil
-from plough_opt.tradeoff import Goal, TradeOff, trade_off
-from plough_opt.units import Display
-from plough_opt.vocabulary import MEASURES
-from plough_opt.waves import StrengthWave
+from plough_opt.soil.geometry import Wedge
+from plough_opt.soil.soil import Soil, named_soil
+from plough_opt.soil.waves import StrengthWave
+from plough_opt.studies.tradeoff import Goal, TradeOff, trade_off
 
 _READING = "soil.cone_index"
 
@@ -232,7 +232,7 @@ class Problem:
         name: str = "share",
         samples: int | None = None,
     ) -> Component:
-        """Return the file's scene as one CasADi Function: see `plough_opt.component`.
+        """Return the file's scene as one CasADi Function: see `plough_opt.exchange.component`.
 
         Args:
             inputs: keys of quantities; default: the file's variables. These have their bounds, others half to twice the

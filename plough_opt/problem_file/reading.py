@@ -12,10 +12,13 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from plough_opt.accuracy import Accuracy
+from plough_opt.core.errors import InputError, nearest, short
+from plough_opt.core.kinds import check_kind, path_of
+from plough_opt.core.quantities import IN_FILES, READINGS, quantities
+from plough_opt.core.units import Display, display_of
 from plough_opt.design import Over
-from plough_opt.errors import InputError, nearest, short
-from plough_opt.kinds import check_kind, path_of
+from plough_opt.motion.accuracy import Accuracy
+from plough_opt.motion.vocabulary import MEASURES
 from plough_opt.problem_file.front import check_front
 from plough_opt.problem_file.overrides import apply_override
 from plough_opt.problem_file.penetrometer import average_readings
@@ -32,10 +35,7 @@ from plough_opt.problem_file.schema import (
 )
 from plough_opt.problem_file.source import Keys, Source
 from plough_opt.problem_file.uncertain import check_joint, check_uncertain, join_dotted
-from plough_opt.quantities import IN_FILES, READINGS, quantities
-from plough_opt.soil import named_soil
-from plough_opt.units import Display, display_of
-from plough_opt.vocabulary import MEASURES
+from plough_opt.soil.soil import named_soil
 
 _DURATION = ("scene", "duration")
 _PER_CENT = re.compile(r"\s*([0-9]+\.?[0-9]*|\.[0-9]+)\s*%\s*")

@@ -7,18 +7,18 @@ from functools import cached_property
 
 import numpy as np
 
+from plough_opt.core.errors import InputError
+from plough_opt.core.expressions import Expression
 from plough_opt.design import Design, Progress
-from plough_opt.errors import InputError
-from plough_opt.expressions import Expression
 from plough_opt.motion import Run, simulate
+from plough_opt.motion.vocabulary import MEASURES
 from plough_opt.problem_file.problem import Problem
 from plough_opt.problem_file.schema import LimitTable, TermTable
 from plough_opt.problem_file.uncertain import Asked, UncertainTable, asked_of, distribution_of, uncertain_of
-from plough_opt.soil import Soil
-from plough_opt.uncertainty import Robust, SoilDistribution, sobol_indices, verify
-from plough_opt.uncertainty.result import RobustOptimum
-from plough_opt.uncertainty.search import Spreads, best_robust
-from plough_opt.vocabulary import MEASURES
+from plough_opt.soil.soil import Soil
+from plough_opt.studies.uncertainty import Robust, SoilDistribution, sobol_indices, verify
+from plough_opt.studies.uncertainty.result import RobustOptimum
+from plough_opt.studies.uncertainty.search import Spreads, best_robust
 
 # Of a result's standard deviation over the samples: the width over which its measures are rounded off.
 _WIDTH = 0.5

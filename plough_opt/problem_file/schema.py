@@ -6,11 +6,11 @@ from typing import Annotated, Any, Literal, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, StrictBool, StrictFloat, StrictInt, StrictStr, create_model
 
-from plough_opt.effects import MOST_HARMONICS, Effects, HarmonicBalance
-from plough_opt.quantities import IN_FILES, MOST_WAVES, wave_table
-from plough_opt.scene import Scene
-from plough_opt.soil import Adjust
-from plough_opt.units import Unit
+from plough_opt.core.quantities import IN_FILES, MOST_WAVES, wave_table
+from plough_opt.core.units import Unit
+from plough_opt.motion.effects import MOST_HARMONICS, Effects, HarmonicBalance
+from plough_opt.motion.scene import Scene
+from plough_opt.soil.soil import Adjust
 
 Written = StrictStr | StrictFloat
 

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from plough_opt.csv_rows import columns_of, read_rows, table_of
-from plough_opt.errors import InputError
-from plough_opt.kinds import path_of
-from plough_opt.rig import Rig
-from plough_opt.strength_record import StrengthRecord
-from plough_opt.units import Unit
+from plough_opt.core.csv_rows import columns_of, read_rows, table_of
+from plough_opt.core.errors import InputError
+from plough_opt.core.kinds import path_of
+from plough_opt.core.units import Unit
+from plough_opt.soil.rig import Rig
+from plough_opt.soil.strength_record import StrengthRecord
 
 _UNITS = {"position": Unit("m"), "time": Unit("s"), "cone_index": Unit("Pa"), "force": Unit("N")}
 _EXAMPLE = "'position [m], cone_index [kPa]', or 'time [s], force [kN]'"

@@ -8,20 +8,20 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, Literal
 
-from plough_opt.errors import InputError, nearest
-from plough_opt.kinds import check_named, shown
+from plough_opt.core.errors import InputError, nearest
+from plough_opt.core.kinds import check_named, shown
+from plough_opt.core.quantities import quantities
+from plough_opt.core.units import Display
 from plough_opt.problem_file.evaluations import Optimisation, Simulation, SimulationOfMany, fixed_at
 from plough_opt.problem_file.problem import Problem
 from plough_opt.problem_file.ranges import read_axis
 from plough_opt.problem_file.reading import check_changed
-from plough_opt.quantities import quantities
-from plough_opt.study import sweeping as study
-from plough_opt.study.axes import Axis, Range, axis_of
-from plough_opt.study.engine import Told
-from plough_opt.study.points import points_of
-from plough_opt.study.result import Sweep
-from plough_opt.study.work import Evaluation
-from plough_opt.units import Display
+from plough_opt.studies.sweep import sweeping as study
+from plough_opt.studies.sweep.axes import Axis, Range, axis_of
+from plough_opt.studies.sweep.engine import Told
+from plough_opt.studies.sweep.points import points_of
+from plough_opt.studies.sweep.result import Sweep
+from plough_opt.studies.sweep.work import Evaluation
 
 What = Literal["simulate", "optimise"]
 Method = Literal["auto", "each", "batch"]

@@ -8,17 +8,17 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Literal
 
-from plough_opt.errors import InputError, nearest
-from plough_opt.expressions import as_number
-from plough_opt.penetration import cone_index
+from plough_opt.core.errors import InputError, nearest
+from plough_opt.core.expressions import as_number
+from plough_opt.core.quantities import quantities
+from plough_opt.laws.penetration import cone_index
+from plough_opt.motion.vocabulary import MEASURES
 from plough_opt.problem_file.schema import LimitTable, ProblemTable
 from plough_opt.problem_file.source import Keys, Source
-from plough_opt.quantities import quantities
-from plough_opt.soil import Soil
-from plough_opt.vocabulary import MEASURES
+from plough_opt.soil.soil import Soil
 
 if TYPE_CHECKING:
-    from plough_opt.uncertainty import SoilDistribution
+    from plough_opt.studies.uncertainty import SoilDistribution
 
 TABLE = "uncertain"
 SAMPLES, FEWEST, MOST = 64, 8, 1024
@@ -106,7 +106,7 @@ def distribution_of(table: UncertainTable, soil: Soil) -> SoilDistribution:
         InputError: values that no distribution of the kind has, or correlations that cannot hold together.
         DomainError: a distribution that reaches out of the model's domain.
     """
-    from plough_opt.uncertainty import SoilDistribution  # scipy.stats is slow to import, and rarely needed
+    from plough_opt.studies.uncertainty import SoilDistribution  # scipy.stats is slow to import, and rarely needed
 
     table = _of_strength_factor(table, soil)
     made = {name: _made(name, values) for name, values in table.distributions.items()}

@@ -10,8 +10,17 @@ import numpy as np
 from scipy import stats
 
 import plough_opt as po
-from plough_opt.uncertainty import cvar, expected, mean_plus, probability, quantile, sobol_indices, verify, worst
-from plough_opt.uncertainty import standard_deviation as deviation
+from plough_opt.studies.uncertainty import (
+    cvar,
+    expected,
+    mean_plus,
+    probability,
+    quantile,
+    sobol_indices,
+    verify,
+    worst,
+)
+from plough_opt.studies.uncertainty import standard_deviation as deviation
 
 PROBLEMS = Path(__file__).parents[2] / "problems"
 SOIL = po.named_soil("serozem")

@@ -16,8 +16,8 @@ import pytest
 from mutations import NUMBERS, UNITS, mutated, mutated_json
 
 import plough_opt as po
-from plough_opt.cli import main
-from plough_opt.quantities import quantities
+from plough_opt.app import main
+from plough_opt.core.quantities import quantities
 
 PROBLEMS = Path(__file__).parents[2] / "problems"
 TEXTS = [path.read_text(encoding="utf-8") for path in sorted(PROBLEMS.glob("*.toml"))]

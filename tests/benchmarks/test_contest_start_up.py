@@ -18,7 +18,7 @@ IMPORTS = {
     "import numba, scipy.optimize": "import numba, scipy.optimize",
     "import jax, diffrax, scipy.optimize": "import jax, diffrax, scipy.optimize",
 }
-SCRIPT = "import sys; from plough_opt.cli import main; sys.exit(main(sys.argv[1:]))"
+SCRIPT = "import sys; from plough_opt.app import main; sys.exit(main(sys.argv[1:]))"
 
 
 def _python(code, *arguments):

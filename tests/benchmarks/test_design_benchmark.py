@@ -57,7 +57,7 @@ def test_import(benchmark):
 
 @pytest.mark.parametrize("name", FILES)
 def test_optimise_from_the_command_line(benchmark, name):
-    script = "import sys; from plough_opt.cli import main; sys.exit(main(sys.argv[1:]))"
+    script = "import sys; from plough_opt.app import main; sys.exit(main(sys.argv[1:]))"
     command = [sys.executable, "-c", script, "optimise", str(PROBLEMS / name)]
     benchmark.pedantic(
         subprocess.run, (command,), {"check": True, "stdout": subprocess.DEVNULL}, rounds=3, warmup_rounds=1

@@ -9,7 +9,7 @@ from types import SimpleNamespace
 import pytest
 
 import plough_opt as po
-from plough_opt.cli import main
+from plough_opt.app import main
 
 PROBLEMS = Path(__file__).resolve().parents[2] / "problems"
 FILE, DATA = PROBLEMS / "calibration.toml", PROBLEMS / "synthetic_draft.csv"

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from plough_opt.calibration.loss import CAUCHY, HUBER, SOFT_L1
-from plough_opt.cli import main
+from plough_opt.app import main
+from plough_opt.studies.calibration.loss import CAUCHY, HUBER, SOFT_L1
 
 ROOT = Path(__file__).resolve().parents[2]
 TEXT = (ROOT / "docs" / "calibration.md").read_text(encoding="utf-8")

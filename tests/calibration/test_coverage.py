@@ -10,7 +10,7 @@ import pytest
 from scipy import stats
 
 import plough_opt as po
-from plough_opt.calibration.coverage import coverage
+from plough_opt.studies.calibration.coverage import coverage
 
 ROOT = Path(__file__).resolve().parents[2]
 

@@ -6,7 +6,7 @@ from known_soil import TRUTH, steady_scene
 from scipy import optimize
 
 import plough_opt as po
-from plough_opt.calibration.loss import CAUCHY, HUBER, LOSSES, SOFT_L1
+from plough_opt.studies.calibration.loss import CAUCHY, HUBER, LOSSES, SOFT_L1
 
 
 def residuals(measured):

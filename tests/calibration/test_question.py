@@ -7,7 +7,7 @@ import pytest
 from known_soil import steady_scene
 
 import plough_opt as po
-from plough_opt.vocabulary import with_quantities
+from plough_opt.motion.vocabulary import with_quantities
 
 PROBLEMS = Path(__file__).resolve().parents[2] / "problems"
 
@@ -108,7 +108,7 @@ def test_a_fit_refuses_what_it_cannot_say(fitted):
 
 
 def test_no_start_that_converges_is_said(measured, three, monkeypatch):
-    from plough_opt.calibration import program
+    from plough_opt.studies.calibration import program
 
     calibration = po.Calibration(steady_scene(), measured, three)
     monkeypatch.setattr(program, "_DECREMENT", -1.0)

@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 
 import plough_opt as po
-from plough_opt.cli import commands, main
+from plough_opt.app import commands, main
 from plough_opt.problem_file import TEMPLATE
 
 

@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from plough_opt.accuracy_study.result import AccuracyStudy
+from plough_opt.studies.accuracy.result import AccuracyStudy
 
 # Short, damped by the file, every other setting.
 BRIEF = ("--set", "scene.duration=0.1 s", "--thin", "--seconds", "0.2")

@@ -9,7 +9,7 @@ import time
 
 import pytest
 
-from plough_opt.cli import commands, terminal
+from plough_opt.app import commands, terminal
 
 FRONT = "draft_against_loosening.toml"
 SWEEP = ("--over", "soil.cohesion=5..45 kPa:3")
@@ -69,7 +69,7 @@ def test_an_output_in_a_folder_that_is_a_file_is_refused_before_anything_is_comp
 
 
 def test_a_closed_output_is_no_traceback(cotton):
-    line = 'exec "$0" -c "import sys; from plough_opt.cli import main; sys.exit(main())" check "$1" >&-'
+    line = 'exec "$0" -c "import sys; from plough_opt.app import main; sys.exit(main())" check "$1" >&-'
     done = subprocess.run(["sh", "-c", line, sys.executable, str(cotton)], capture_output=True, text=True, check=False)
     assert (done.returncode, done.stderr) == (0, "")
 

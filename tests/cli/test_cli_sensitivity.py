@@ -8,9 +8,9 @@ import pytest
 from test_cli import cells
 
 import plough_opt as po
-from plough_opt.cli import main
+from plough_opt.app import main
+from plough_opt.core.quantities import QUANTITIES
 from plough_opt.problem_file import read_problem
-from plough_opt.quantities import QUANTITIES
 
 
 @pytest.fixture(scope="module")

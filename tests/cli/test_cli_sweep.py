@@ -52,7 +52,7 @@ def test_ctrl_c_leaves_a_store_that_goes_on(cli, tmp_path):
     cli("init", file)
     store, table = tmp_path / "sweep.db", tmp_path / "table.csv"
     over = ("--over", "soil.cohesion=5..45 kPa:100", "--over", "scene.tow_speed=1..3 m/s:100", "--method", "each")
-    line = "import sys; from plough_opt.cli import main; sys.exit(main())"
+    line = "import sys; from plough_opt.app import main; sys.exit(main())"
     command = ("sweep", file, *over, "--workers", "1", "--store", str(store))
     process = subprocess.Popen(
         [sys.executable, "-c", line, *command], stderr=subprocess.PIPE, text=True, env=os.environ
@@ -94,7 +94,7 @@ def stored(path):
 
 
 def test_failures_are_told(cli, reference, tmp_path, monkeypatch):
-    monkeypatch.setattr("plough_opt.cli.sweep._SHOWN_FAILURES", 1)
+    monkeypatch.setattr("plough_opt.app.sweep._SHOWN_FAILURES", 1)
     over = ("--over", "share.height=0.12..0.13 m", "--samples", "3", "--set", "effects.motion=false", "--optimise")
     store, table = tmp_path / "sweep.db", tmp_path / "table.csv"
     done = cli("sweep", reference, *over, "--workers", "1", "--store", store, "--csv", table)
@@ -134,7 +134,7 @@ WRONG = {
 @pytest.mark.parametrize("name", WRONG)
 def test_what_is_wrong_is_refused_before_anything_is_computed(cli, cotton, tmp_path, monkeypatch, name):
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("plough_opt.study.engine.Engine.run", None)
+    monkeypatch.setattr("plough_opt.studies.sweep.engine.Engine.run", None)
     options, expected = WRONG[name]
     done = cli("sweep", cotton, *options)
     assert done.status == 2

@@ -6,10 +6,10 @@ import time
 import pytest
 from rich.console import Console
 
-from plough_opt import heartbeat as module
-from plough_opt.cli import commands
-from plough_opt.heartbeat import heartbeat
-from plough_opt.study.bar import bar
+from plough_opt.app import commands
+from plough_opt.core import heartbeat as module
+from plough_opt.core.heartbeat import heartbeat
+from plough_opt.studies.sweep.bar import bar
 
 
 def until(true):

@@ -11,7 +11,14 @@ import pytest
 from rich.console import Console
 
 import plough_opt as po
-from plough_opt.crosscheck import Tine, asabe_draft, compare, godwin_draft, mckyes_ali_draft, spherical_cavity_draft
+from plough_opt.studies.crosscheck import (
+    Tine,
+    asabe_draft,
+    compare,
+    godwin_draft,
+    mckyes_ali_draft,
+    spherical_cavity_draft,
+)
 
 PROBLEMS = Path(__file__).parents[2] / "problems"
 SPEEDS = [3.0 / 3.6, 9.0 / 3.6]

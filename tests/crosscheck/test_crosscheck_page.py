@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 import plough_opt as po
-from plough_opt.crosscheck.asabe import POINTS, TEXTURES
+from plough_opt.laws.asabe import POINTS, TEXTURES
 
 TEXT = (Path(__file__).parents[2] / "docs" / "crosscheck.md").read_text(encoding="utf-8")
 

@@ -10,8 +10,8 @@ import pytest
 from scipy.integrate import quad, solve_ivp
 
 import plough_opt as po
-from plough_opt.crosscheck import spherical_cavity_draft
-from plough_opt.crosscheck.spherical_cavity import spherical_cavity
+from plough_opt.laws.spherical_cavity import spherical_cavity
+from plough_opt.studies.crosscheck import spherical_cavity_draft
 
 NAMED = [po.named_soil(name) for name in po.soil_names()]
 

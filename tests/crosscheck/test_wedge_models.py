@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 
 import plough_opt as po
-from plough_opt.crosscheck import Tine, godwin_draft, mckyes_ali_draft, swick_perumpral_draft
-from plough_opt.crosscheck.godwin import plane_rupture_ratio
-from plough_opt.crosscheck.mckyes_ali import rupture_angle
-from plough_opt.crosscheck.wedge import GRAVITY, plane_rupture_angle, wedge_angles, wedge_factors
+from plough_opt.laws.godwin import plane_rupture_ratio
+from plough_opt.laws.mckyes_ali import rupture_angle
+from plough_opt.laws.wedge import GRAVITY, plane_rupture_angle, wedge_angles, wedge_factors
+from plough_opt.studies.crosscheck import Tine, godwin_draft, mckyes_ali_draft, swick_perumpral_draft
 
 # Unit weight 15 kN/m^3, cohesion 15 kPa, internal friction 32 deg, tool friction 22 deg.
 SOIL = po.Soil(15e3 / GRAVITY, 0.8, 15e3, po.deg(32.0), math.tan(po.deg(22.0)))

@@ -8,7 +8,7 @@ import pytest
 from scipy.optimize import brentq, minimize_scalar
 
 import plough_opt as po
-from plough_opt.expressions import exp
+from plough_opt.core.expressions import exp
 
 SHARE = po.Wedge(po.deg(25.0), po.deg(15.0), 0.25)
 ORDER = 8

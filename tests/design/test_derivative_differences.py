@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from plough_opt.compiler import find_compiler
+from plough_opt.core.compiler import find_compiler
 from plough_opt.design.derivatives import error_of_derivatives
 from plough_opt.motion.derivative_error import difference_of_jets, finer_than
 from plough_opt.motion.jets import jets

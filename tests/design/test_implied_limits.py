@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import plough_opt as po
-from plough_opt import elastic
+from plough_opt.soil import elastic
 
 NAME = "elastic medium: speed over shear wave speed"
 NODES = [(0.0, 0.0), (0.3, 0.03), (0.5, 0.0)]

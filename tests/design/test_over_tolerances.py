@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import plough_opt as po
-from plough_opt.cli import main
+from plough_opt.app import main
 from plough_opt.design import boxed
 from plough_opt.design.landscape import Landscape
 from plough_opt.design.program import Program

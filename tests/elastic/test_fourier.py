@@ -10,7 +10,7 @@ import pytest
 from field_cases import MU, ground, inputs, slow
 
 import plough_opt as po
-from plough_opt.elastic import fourier
+from plough_opt.soil.elastic import fourier
 
 mp = oracle.mp
 LENGTH, HALF_THICKNESS = 0.5, 0.05

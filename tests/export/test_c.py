@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 import plough_opt as po
-from plough_opt.compiler import find_compiler
-from plough_opt.export import write_c
-from plough_opt.expressions import log
+from plough_opt.core.compiler import find_compiler
+from plough_opt.core.expressions import log
+from plough_opt.exchange.export import write_c
 
 COMPILER = find_compiler()
 pytestmark = pytest.mark.skipif(COMPILER is None, reason="no C compiler")

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 import plough_opt as po
-import plough_opt.export
-from plough_opt.export import PloughComponent, write_openmdao
-from plough_opt.expressions import log
+import plough_opt.exchange.export
+from plough_opt.core.expressions import log
+from plough_opt.exchange.export import PloughComponent, write_openmdao
 
 om = pytest.importorskip("openmdao.api")
 
@@ -82,9 +82,9 @@ def test_units_are_openmdaos(around_r1):
 def test_every_unit_of_every_quantity_is_known_to_openmdao():
     from openmdao.utils.units import valid_units
 
-    from plough_opt.export.openmdao_client import units_of
-    from plough_opt.quantities import BESIDE, QUANTITIES
-    from plough_opt.vocabulary import MEASURES
+    from plough_opt.core.quantities import BESIDE, QUANTITIES
+    from plough_opt.exchange.export.openmdao_client import units_of
+    from plough_opt.motion.vocabulary import MEASURES
 
     quantities = {one.unit for one in (*QUANTITIES.values(), *BESIDE.values())}
     for unit in quantities | {one.unit.symbol for one in MEASURES.values()}:
@@ -188,12 +188,12 @@ def test_an_objective_that_is_no_output_is_refused(around_r1):
 
 def test_without_openmdao_the_extra_is_named(monkeypatch):
     for name in [*sys.modules]:
-        if name.startswith(("openmdao", "plough_opt.export.openmdao")):
+        if name.startswith(("openmdao", "plough_opt.exchange.export.openmdao")):
             monkeypatch.delitem(sys.modules, name)
-    monkeypatch.delattr(plough_opt.export, "openmdao_client")
+    monkeypatch.delattr(plough_opt.exchange.export, "openmdao_client")
     monkeypatch.setitem(sys.modules, "openmdao", None)
     with pytest.raises(po.InputError, match=r"pip install 'plough_opt\[openmdao\]'"):
-        importlib.import_module("plough_opt.export.openmdao")
+        importlib.import_module("plough_opt.exchange.export.openmdao")
 
 
 @pytest.mark.parametrize("name", ["openmdao", "json", "class"])

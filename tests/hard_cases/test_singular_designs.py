@@ -8,7 +8,7 @@ import pytest
 from scipy.optimize import minimize_scalar
 
 import plough_opt as po
-from plough_opt import elastic
+from plough_opt.soil import elastic
 
 SOIL = po.Soil(1400.0, 0.8, 15e3, po.deg(30.0), 0.5, 1e4)
 SHARE = po.Wedge(po.deg(25.0), po.deg(15.0), 0.25)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import plough_opt as po
-from plough_opt.expressions import Expression
+from plough_opt.core.expressions import Expression
 from plough_opt.motion.compiled_steps import compiled_steps
 
 ARRAYS = ("time", "travel", "speed", "deflection", "mount_force", "soil_resistance")

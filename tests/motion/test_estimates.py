@@ -8,8 +8,8 @@ import pytest
 import wild_scenes
 
 import plough_opt as po
-from plough_opt.accuracy_study.reference import reference_run
 from plough_opt.motion.estimate import difference
+from plough_opt.studies.accuracy.reference import reference_run
 
 SOIL = po.named_soil("serozem")
 SHARE = po.Wedge(po.deg(30), po.deg(15), 0.25)

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 import plough_opt as po
-from plough_opt.expressions import as_number
+from plough_opt.core.expressions import as_number
 from plough_opt.motion.integrators import integration
 from plough_opt.motion.jets import jets, jets_of
 from plough_opt.motion.pooling import pairs

@@ -5,7 +5,7 @@ import dataclasses
 import pytest
 
 import plough_opt as po
-from plough_opt.expressions import cos, sin
+from plough_opt.core.expressions import cos, sin
 
 ORBITS = ["periodic", "linearised", po.HarmonicBalance(3)]
 SLIGHT = 1e-4

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import plough_opt as po
-from plough_opt.expressions import Expression
+from plough_opt.core.expressions import Expression
 from plough_opt.motion.equation import equation_of_motion
 from plough_opt.motion.terms import Structure
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import plough_opt as po
-from plough_opt.expressions import Expression
+from plough_opt.core.expressions import Expression
 
 
 @dataclass(frozen=True)

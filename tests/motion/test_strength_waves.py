@@ -8,8 +8,8 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import plough_opt as po
-from plough_opt.accuracy_study.laws import Laws
-from plough_opt.accuracy_study.reference import follow
+from plough_opt.studies.accuracy.laws import Laws
+from plough_opt.studies.accuracy.reference import follow
 
 WAVES = (po.StrengthWave(0.2, 0.2), po.StrengthWave(0.1, 0.3, 0.7), po.StrengthWave(0.05, 0.12, -2.0))
 SHARE = po.Wedge(po.deg(30), po.deg(15), 0.25)

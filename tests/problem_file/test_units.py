@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 
 import plough_opt as po
-from plough_opt.units import Unit, display_of
+from plough_opt.core.units import Unit, display_of
 
 # SI unit, what a user writes, the value in SI worked out by hand.
 READ = [
@@ -147,7 +147,7 @@ def test_a_whole_number_beyond_all_floats_is_refused():
 
 
 def test_a_tower_of_powers_is_refused_and_not_worked_out():
-    code = "from plough_opt.units import Unit; Unit('m').parse('9**9**9**9 m')"
+    code = "from plough_opt.core.units import Unit; Unit('m').parse('9**9**9**9 m')"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=10, check=False)
     assert "is not a quantity" in done.stderr
 

@@ -15,9 +15,9 @@ import pytest
 import swept
 
 import plough_opt as po
-from plough_opt.study import pool as pools
-from plough_opt.study.pool import ProcessPool, WorkerDied
-from plough_opt.study.worker import environment
+from plough_opt.studies.sweep import pool as pools
+from plough_opt.studies.sweep.pool import ProcessPool, WorkerDied
+from plough_opt.studies.sweep.worker import environment
 
 PROCESSES = Path("/proc")
 by_proc = pytest.mark.skipif(not PROCESSES.is_dir(), reason="finds the workers in /proc")
@@ -29,7 +29,7 @@ def workers_here():
     for entry in PROCESSES.iterdir():
         try:
             parent = int((entry / "stat").read_text().rpartition(")")[2].split()[1])
-            if parent == os.getpid() and "plough_opt.study.worker" in (entry / "cmdline").read_text():
+            if parent == os.getpid() and "plough_opt.studies.sweep.worker" in (entry / "cmdline").read_text():
                 found.append(int(entry.name))
         except (OSError, ValueError, IndexError):  # what is no process, or gone already
             continue

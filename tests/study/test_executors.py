@@ -14,9 +14,9 @@ import pytest
 import swept
 
 import plough_opt as po
-from plough_opt.cli import main
-from plough_opt.study import cluster as clusters
-from plough_opt.study.pool import WorkerDied
+from plough_opt.app import main
+from plough_opt.studies.sweep import cluster as clusters
+from plough_opt.studies.sweep.pool import WorkerDied
 
 OVER = {"a": po.Range(0.0, 1.0, 30), "b": [1.0, 2.0]}
 

@@ -11,8 +11,8 @@ import pytest
 import swept
 
 import plough_opt as po
-from plough_opt.study import store as stores
-from plough_opt.study.store import Store
+from plough_opt.studies.sweep import store as stores
+from plough_opt.studies.sweep.store import Store
 
 PROCESSES = Path("/proc")
 VALUES = 60

@@ -7,7 +7,7 @@ import pytest
 from scipy.stats import qmc
 
 import plough_opt as po
-from plough_opt.study.points import Grid, Sample, points_of
+from plough_opt.studies.sweep.points import Grid, Sample, points_of
 
 
 def test_a_grid_has_all_combinations_and_the_last_quantity_changes_fastest():

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 import plough_opt as po
+from plough_opt.core.units import Unit
 from plough_opt.problem_file.evaluations import Optimisation, SimulationOfMany
 from plough_opt.problem_file.ranges import read_axis
 from plough_opt.problem_file.sweeping import ProblemSweep
-from plough_opt.units import Unit
 
 PROBLEMS = Path(__file__).resolve().parents[2] / "problems"
 COTTON = PROBLEMS / "cotton_subsoiler.toml"

@@ -15,8 +15,8 @@ import pytest
 import swept
 
 import plough_opt as po
-from plough_opt.cli import main
-from plough_opt.study.store import Store
+from plough_opt.app import main
+from plough_opt.studies.sweep.store import Store
 
 REFERENCE = Path(__file__).parents[2] / "problems" / "reference.toml"
 OVER = {"a": [1.0, 2.0, 5.0], "b": [1.0, 2.0]}

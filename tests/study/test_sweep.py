@@ -14,8 +14,8 @@ import pytest
 import swept
 
 import plough_opt as po
-from plough_opt.study import engine
-from plough_opt.study.work import work
+from plough_opt.studies.sweep import engine
+from plough_opt.studies.sweep.work import work
 
 OVER = {"a": po.Range(0.0, 3.0, 40), "b": [1.0, 2.0, 5.0]}
 
@@ -272,7 +272,7 @@ def test_a_worker_gives_back_what_it_has_when_its_time_is_up():
 
 
 UNGUARDED = """
-from plough_opt.study.sweeping import sweep
+from plough_opt.studies.sweep.sweeping import sweep
 def own(values):
     return {"x": values["a"]}
 sweep(own, {"a": [1.0, 2.0]}, workers=1)

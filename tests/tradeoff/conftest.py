@@ -9,7 +9,7 @@ import casadi as ca
 import pytest
 
 import plough_opt as po
-from plough_opt.cli import main
+from plough_opt.app import main
 
 PROBLEMS = Path(__file__).resolve().parents[2] / "problems"
 

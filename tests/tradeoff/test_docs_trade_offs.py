@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from plough_opt.cli import main
+from plough_opt.app import main
 
 ROOT = Path(__file__).parents[2]
 TEXT = (ROOT / "docs" / "trade_offs.md").read_text(encoding="utf-8")

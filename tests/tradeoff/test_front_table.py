@@ -8,8 +8,8 @@ import pytest
 from rich.console import Console
 
 import plough_opt as po
-from plough_opt.cli.front_table import print_front
-from plough_opt.tradeoff.samples import Failure
+from plough_opt.app.front_table import print_front
+from plough_opt.studies.tradeoff.samples import Failure
 
 
 @pytest.fixture(scope="module")

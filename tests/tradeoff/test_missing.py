@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from plough_opt.tradeoff.missing import beating, beyond_front, beyond_points, thinned
+from plough_opt.studies.tradeoff.missing import beating, beyond_front, beyond_points, thinned
 
 LINE = np.column_stack([np.linspace(0.0, 1.0, 11), np.linspace(1.0, 0.0, 11)])
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import plough_opt as po
-from plough_opt.tradeoff.plane import efficient
+from plough_opt.studies.tradeoff.plane import efficient
 
 
 @pytest.fixture(scope="module")

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from plough_opt.tradeoff.plane import area, efficient, gaps, knee, spread
+from plough_opt.studies.tradeoff.plane import area, efficient, gaps, knee, spread
 
 
 def test_efficient_rows_are_those_that_brute_force_finds():

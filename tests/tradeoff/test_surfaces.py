@@ -9,7 +9,7 @@ import pytest
 from matplotlib.figure import Figure
 
 import plough_opt as po
-from plough_opt.tradeoff.space import distances, undominated
+from plough_opt.studies.tradeoff.space import distances, undominated
 
 POINTS, STEPS = 28, 6
 

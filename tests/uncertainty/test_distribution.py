@@ -7,7 +7,7 @@ import pytest
 from scipy import stats
 
 import plough_opt as po
-from plough_opt.uncertainty import Marginal
+from plough_opt.studies.uncertainty import Marginal
 
 SEROZEM = po.named_soil("serozem")
 

@@ -10,7 +10,7 @@ import pytest
 from scipy import stats
 
 import plough_opt as po
-from plough_opt.uncertainty import measures
+from plough_opt.studies.uncertainty import measures
 
 MEAN, STD = 20e3, 4e3
 # A normal distribution in units of 10 kPa, and its cohesion as that number.

@@ -7,7 +7,7 @@ import pytest
 from scipy import integrate, optimize, stats
 
 import plough_opt as po
-from plough_opt.uncertainty import measures, smoothing
+from plough_opt.studies.uncertainty import measures, smoothing
 
 _WEIGHTS = np.array([4 / 5, -1 / 5, 4 / 105, -1 / 280])
 SAMPLES = stats.lognorm(0.3, scale=4.0).ppf((np.arange(64) + 0.5) / 64)[np.random.default_rng(3).permutation(64)]

@@ -6,8 +6,8 @@ import pytest
 from scipy import stats
 
 import plough_opt as po
-from plough_opt.uncertainty import measures
-from plough_opt.uncertainty.search import best_robust
+from plough_opt.studies.uncertainty import measures
+from plough_opt.studies.uncertainty.search import best_robust
 
 MEAN, STD = 20e3, 4e3
 FIELD = po.SoilDistribution(po.named_soil("serozem"), cohesion=stats.norm(MEAN, STD), within={"cohesion": (1.0, 1e6)})

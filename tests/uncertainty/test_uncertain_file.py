@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 import plough_opt as po
-from plough_opt.cli import main
+from plough_opt.app import main
 from plough_opt.problem_file.robust_design import optimise_robust
 from plough_opt.problem_file.uncertain import Asked, asked_of
-from plough_opt.uncertainty import measures
-from plough_opt.uncertainty.picture import Panel, plot_spread
-from plough_opt.uncertainty.result import SavedRobust
+from plough_opt.studies.uncertainty import measures
+from plough_opt.studies.uncertainty.picture import Panel, plot_spread
+from plough_opt.studies.uncertainty.result import SavedRobust
 
 matplotlib.use("Agg")
 FIELD = Path(__file__).parents[2] / "problems" / "uncertain_field.toml"

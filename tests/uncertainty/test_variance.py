@@ -7,8 +7,8 @@ import pytest
 from scipy import stats
 
 import plough_opt as po
-from plough_opt.expressions import sin
-from plough_opt.uncertainty import sobol_indices
+from plough_opt.core.expressions import sin
+from plough_opt.studies.uncertainty import sobol_indices
 
 SEROZEM = po.named_soil("serozem")
 

@@ -5,7 +5,7 @@ import pytest
 from scipy import stats
 
 import plough_opt as po
-from plough_opt.uncertainty import verify
+from plough_opt.studies.uncertainty import verify
 
 FIELD = po.SoilDistribution(
     po.named_soil("serozem"),

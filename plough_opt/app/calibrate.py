@@ -1,0 +1,262 @@
+"""`plough-opt calibrate`: a file's unknowns from measurements."""
+
+from __future__ import annotations
+
+import argparse
+import math
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+
+from plough_opt.app.terminal import console, progress, read, wrote
+from plough_opt.core.errors import InputError, NotConverged, nearest
+from plough_opt.core.quantities import quantities
+from plough_opt.core.units import Display
+from plough_opt.problem_file import Problem
+
+if TYPE_CHECKING:
+    from plough_opt.studies.calibration import Fit, Measurements
+    from plough_opt.studies.calibration.intervals import Interval
+    from plough_opt.studies.calibration.parts import Found
+
+_LOSSES: Final = ("squares", "huber", "soft_l1", "cauchy")
+_NUMBER: Final = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
+# Before the two dots of a range a number has no dot at its end.
+_DECIMAL: Final = r"[+-]?(?:\d+(?:\.\d+)?|\.\d+)(?:[eE][+-]?\d+)?"
+_PAIR: Final = (
+    rf"\s*(?P<first>{{0}})\s*(?P<unit>[^.\d\s+±][^.±]*?)?\s*(?:{{1}})\s*(?P<second>{_NUMBER}\s*(?P<own>\S.*?)?)\s*"
+)
+_RANGE: Final = re.compile(_PAIR.format(_DECIMAL, r"\.\."))
+_KNOWN: Final = re.compile(_PAIR.format(_NUMBER, r"\+-|±"))
+# Correlations above this are worth a line.
+_CORRELATED: Final = 0.5
+_MOST_CANDIDATES: Final = 6
+_CUSTOMARY: Final = {"rad": Display("deg", math.pi / 180.0)} | {
+    unit: Display(f"k{unit}", 1e3) for unit in ("N", "W", "Pa", "N/m")
+}
+
+
+def add_options(verb: argparse.ArgumentParser) -> None:
+    """Add the options of a calibration."""
+    verb.add_argument(
+        "--data",
+        action="append",
+        required=True,
+        metavar="FILE.csv",
+        help="measurements, with names and units in the header; repeatable, one measured result in each",
+    )
+    verb.add_argument(
+        "--unknown",
+        action="append",
+        default=[],
+        metavar='KEY="RANGE"',
+        help='what to find, and its bounds: soil.cohesion="1..80 kPa"; repeatable (default: the [variables] of the file'
+        " that are no column of the data)",
+    )
+    verb.add_argument(
+        "--known",
+        action="append",
+        default=[],
+        metavar='KEY="VALUE"',
+        help='an unknown that was measured by itself too: soil.friction_angle="28 +- 1 deg", one standard deviation',
+    )
+    verb.add_argument("--loss", choices=_LOSSES, default="squares", help="robust losses let outliers pull less")
+    verb.add_argument("--level", type=float, default=0.95, metavar="P", help="of the intervals (default: 0.95)")
+    verb.add_argument("--folds", type=int, metavar="N", help="of the cross-validation (default: each row by itself)")
+    verb.add_argument("--json", action="store_true", help="print JSON (SI units) instead of tables")
+    verb.add_argument("--plot", metavar="FILE", help="write a picture of the residuals: .png, .svg or .pdf")
+    verb.add_argument("--output", metavar="FILE", help="write everything as JSON")
+
+
+def calibrate(options: argparse.Namespace) -> None:
+    """Find a file's unknowns from measurements, and say what these can and cannot tell."""
+    problem = read(options)
+    if options.output is not None and Path(options.output).is_dir():
+        raise InputError(f"the output '{options.output}' is a folder: name a file in it")
+    from plough_opt.studies.calibration import calibrate as run
+    from plough_opt.studies.calibration import read_measurements
+    from plough_opt.studies.calibration.intervals import check_level
+
+    check_level(options.level)
+    _refuse_twice(options.data)
+    data = [read_measurements(path) for path in options.data]
+    unknown = _unknowns(options.unknown)
+    if unknown is None and not problem.variables:
+        raise InputError(
+            f'{problem.name}: nothing is unknown: give the file [variables], or --unknown soil.cohesion="1..80 kPa"'
+        )
+    _note_guesses(problem, unknown, data)
+    data += [_known(text, [m.sigma is not None for m in data]) for text in options.known]
+    with progress() as told:
+        told("calibrating", 0.0)
+        fit = run(problem, data, unknown, loss=options.loss)
+        told("intervals", 0.5)
+        intervals = fit.intervals(options.level)
+        told("what to measure next", 0.8)
+        text = fit.to_json() if options.json or options.output is not None else ""
+        quality = "" if options.json else _quality(fit, options.folds)
+        fit.next_measurements()
+    if options.json:
+        print(text)
+    else:
+        _print(console(), problem, fit, intervals, quality, options)
+    if options.plot is not None:
+        from plough_opt.app import plots
+
+        wrote(plots.save(fit.plot(), options.plot))
+    if options.output is not None:
+        from plough_opt.core.files import write_file
+
+        wrote(write_file(options.output, "fit", text + "\n"))
+
+
+def _refuse_twice(paths: Sequence[str]) -> None:
+    """Refuse data that would count twice, and make the intervals too narrow."""
+    places = [Path(path).resolve() for path in paths]
+    for path, place in zip(paths, places, strict=True):
+        if places.count(place) > 1:
+            raise InputError(f"--data {path} is given twice: its rows would count twice; leave one of the two out")
+
+
+def _unknowns(written: list[str]) -> dict[str, tuple[str, str]] | None:
+    """Return the bounds that the command line gives, or None."""
+    found = {}
+    for text in written:
+        key, match = _matched("--unknown", text, _RANGE, 'soil.cohesion="1..80 kPa"')
+        if key in found:
+            raise InputError(f"--unknown {text}: '{key}' is given twice")
+        found[key] = _both(match)
+    return found or None
+
+
+def _note_guesses(problem: Problem, unknown: Mapping[str, object] | None, data: Sequence[Measurements]) -> None:
+    """Say which variables of the file are neither sought nor measured, and so stand at their guesses."""
+    columns = {key for m in data for key in m.conditions}
+    left = [] if unknown is None else [key for key in problem.variables if key not in unknown and key not in columns]
+    if left:
+        Console(stderr=True).print(f"note: variables of the file at their guesses: {', '.join(left)}", markup=False)
+
+
+def _known(text: str, stated: list[bool]) -> Measurements:
+    """Return an unknown that was measured by itself as a set of one row."""
+    from plough_opt.studies.calibration import Measurements
+
+    key, match = _matched("--known", text, _KNOWN, 'soil.friction_angle="28 +- 1 deg"')
+    if not all(stated):
+        raise InputError(
+            f"--known {text}: its error is weighed against that of the data, which state none: add a column 'sigma'"
+        )
+    unit = quantities()[key]
+    try:
+        value, sigma = map(unit.parse, _both(match))
+    except InputError as error:
+        raise InputError(f"--known {text}: '{key}' {error}") from None
+    return Measurements(key, [value], sigma=sigma, name=f"--known {key}")
+
+
+def _matched(option: str, text: str, pattern: re.Pattern[str], example: str) -> tuple[str, re.Match[str]]:
+    key, separator, written = text.partition("=")
+    key = key.strip()
+    match = pattern.fullmatch(written.strip().strip("\"'"))
+    if not separator or match is None:
+        raise InputError(f"{option} {text}: expected KEY=..., like {example}")
+    if key not in quantities():
+        raise InputError(f"{option} {text}: '{key}' cannot be an unknown: {nearest(key, quantities())}")
+    return key, match
+
+
+def _both(match: re.Match[str]) -> tuple[str, str]:
+    """Return two quantities; a unit that the first lacks is that of the second."""
+    return f"{match['first']} {match['unit'] or match['own'] or ''}".strip(), match["second"].strip()
+
+
+def _print(
+    screen: Console,
+    problem: Problem,
+    fit: Fit,
+    intervals: Mapping[str, Interval],
+    quality: str,
+    options: argparse.Namespace,
+) -> None:
+    """Print what was found, what the data cannot tell, what would, and how well the model follows the data."""
+    screen.print(f"[bold]{escape(problem.title)}[/]: {len(fit.rows)} rows of {escape(', '.join(options.data))}")
+    screen.print(_unknown_table(problem, fit, intervals, options.level))
+    correlated = [c for c in fit.correlations_found if abs(c.value) >= _CORRELATED]
+    for c in sorted(correlated, key=lambda c: -abs(c.value)):
+        screen.print(f"Errors of {c.first} and {c.second} are correlated: {c.value:+.3f}.", markup=False)
+    for item in fit.unidentifiable:
+        screen.print(f"[yellow]Not determined:[/] {escape(item.words)}.")
+    screen.print(_next_table(problem, fit))
+    screen.print(quality, markup=False)
+    for warning in fit.warnings:
+        screen.print(f"[yellow]Note:[/] {escape(warning)}.")
+    screen.print(f"Converged: no step lowers the loss (IPOPT: {fit.status}); {fit.seconds:.2f} s", markup=False)
+
+
+def _unknown_table(problem: Problem, fit: Fit, intervals: Mapping[str, Interval], level: float) -> Table:
+    table = Table(title="Calibrated")
+    for heading in ("unknown", "value", "standard error", f"{100 * level:g} % interval", "bounds", ""):
+        table.add_column(
+            heading, justify="left" if heading in ("unknown", "") else "right", no_wrap=heading == "unknown"
+        )
+    for found in fit.unknowns:
+        interval = intervals[found.name]
+        value, error, told = "not determined", "infinite", "infinite"
+        if found.determined:
+            value, error = _shown(problem, found, found.value), _shown(problem, found, found.standard_error, 3)
+            told = f"{_shown(problem, found, interval.lower, 4)} to {_shown(problem, found, interval.upper, 4)}"
+        bounds = f"{_shown(problem, found, found.lower, 3)} to {_shown(problem, found, found.upper, 3)}"
+        notes = [f"{side} end is the bound" for side in interval.clipped]
+        if found.determined and interval.kind == "linearised":
+            notes.append("linearised")
+        table.add_row(found.name, value, error, told, bounds, "; ".join(notes))
+    return table
+
+
+def _next_table(problem: Problem, fit: Fit) -> Table:
+    """Return the candidates that would tell most, by the standard errors that they would leave."""
+    table = Table(title="What to measure next: standard errors now, and with one more measurement of the same quality")
+    table.add_column("measurement", overflow="fold")
+    for found in fit.unknowns:
+        table.add_column(found.name.rpartition(".")[2], justify="right")
+    now = fit.next_measurements()[0].errors
+    table.add_row("now", *(_shown(problem, found, now[found.name][0], 3) for found in fit.unknowns))
+    for item in fit.next_measurements()[:_MOST_CANDIDATES]:
+        cells = [_shown(problem, found, item.errors[found.name][1], 3) for found in fit.unknowns]
+        table.add_row(escape(item.candidate.describe()), *cells)
+    return table
+
+
+def _quality(fit: Fit, folds: int | None) -> str:
+    """Return a sentence on scatter and cross-validation."""
+    kind = "times the stated sigma" if fit.stated else "of the mean measured value"
+    told = f"Scatter about the fit: {fit.scatter:.3g} {kind}, {fit.freedom} degrees of freedom."
+    try:
+        found = fit.cross_validation(folds)
+    except NotConverged as error:
+        return f"{told} No cross-validation: {error}."
+    except InputError as error:
+        if folds is not None:
+            raise
+        return f"{told} No cross-validation: {error}."
+    units = {row.result: row.unit for row in fit.rows}
+    errors = "; ".join(f"{name} {_told(x, units[name])} (of the fit {_told(found.rms_fitted[name], units[name])})"
+                       for name, x in found.rms.items())  # fmt: skip
+    return f"{told} RMS error of rows that took no part, {found.folds} folds: {errors}."
+
+
+def _shown(problem: Problem, found: Found, value: float, digits: int = 5) -> str:
+    """Return an SI value in the unit that the file gives the unknown in, or in a customary one."""
+    if math.isinf(value):
+        return "infinite"
+    display = problem.displays.get(found.name) or _CUSTOMARY.get(found.unit) or Display(found.unit, 1.0)
+    return display.text(value, digits)
+
+
+def _told(value: float, unit: str) -> str:
+    return (_CUSTOMARY.get(unit) or Display(unit, 1.0)).text(value, 3)

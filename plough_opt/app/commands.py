@@ -1,0 +1,168 @@
+"""What each command does: read, compute, report; files are written last, when nothing can fail any more."""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import json
+import shlex
+from pathlib import Path
+
+from plough_opt.app import report
+from plough_opt.app.against import asked_of
+from plough_opt.app.front_table import print_front
+from plough_opt.app.sensitivity_table import print_sensitivities, sensitivities_of
+from plough_opt.app.terminal import console, printable, progress, read, wrote
+from plough_opt.app.uncertain import optimise_uncertain
+from plough_opt.core.errors import InputError
+from plough_opt.core.files import write_new
+from plough_opt.design.effort import Search
+from plough_opt.laws.penetration import cone_index
+from plough_opt.motion.effect_costs import effect_costs
+from plough_opt.problem_file import TEMPLATE
+from plough_opt.soil.soil import named_soil, soil_names
+
+
+def init(options: argparse.Namespace) -> None:
+    """Write the template; an existing file is left alone."""
+    path = write_new(options.file, "problem file", TEMPLATE)
+    line = f"wrote {path}; next: plough-opt optimise {shlex.quote(str(path))}"
+    console().print(printable(line), markup=False, soft_wrap=True)
+
+
+def soils(options: argparse.Namespace) -> None:
+    """List the named soils."""
+    found = [named_soil(name) for name in soil_names()]
+    if options.json:
+        print(json.dumps([{**dataclasses.asdict(soil), "cone_index": cone_index(soil)} for soil in found], indent=2))
+    else:
+        report.print_soils(console(), found)
+
+
+def check(options: argparse.Namespace) -> None:
+    """Say whether a file is right, what its scene contains and what its guess is like."""
+    against = asked_of(options)
+    problem = read(options)
+    comparison = None
+    if options.against:
+        from plough_opt.studies.crosscheck import compare
+
+        comparison = compare(problem.scene(), **against)
+    report.print_check(console(), problem)
+    if options.effects:
+        with progress() as told:
+            told("measuring the effects", 0.0)
+            found = effect_costs(problem.scene(), problem.values().get("scene.duration"))
+        report.print_effects(console(), found)
+    if comparison is not None:
+        if problem.variables:
+            guess = ", ".join(f"{key} = {v.display.text(v.guess)}" for key, v in problem.variables.items())
+            line = f"Compared at the file's guess, {guess}; --set gives another design, such as the optimum."
+            console().print(line, markup=False, soft_wrap=True)
+        report.print_comparison(console(), comparison)
+        if options.plot is not None:
+            comparison.plot(options.plot)
+            wrote(Path(options.plot))
+
+
+def simulate(options: argparse.Namespace) -> None:
+    """Simulate a file's scene with every variable at its guess."""
+    problem = read(options)
+    with progress() as told:
+        told("simulating", 0.0)
+        run = problem.simulate()
+    if options.json:
+        from plough_opt.exchange.results import SavedRun
+
+        print(SavedRun.of(run, problem.title).to_json())
+    else:
+        report.print_run(console(), problem, run)
+    if options.plot:
+        from plough_opt.app import plots
+
+        wrote(plots.save(plots.plot_run(run), options.plot))
+
+
+def optimise(options: argparse.Namespace) -> None:
+    """Find the best share of a file."""
+    problem = read(options)
+    if problem.table.uncertain is not None:
+        optimise_uncertain(problem, options)
+        return
+    with progress() as told:
+        best, run = problem.optimise(
+            told,
+            parameters=options.sensitivity,
+            search=search_of(options.search),
+            judge=options.judge,
+            seed=options.seed,
+        )
+        asked = sensitivities_of(best, told) if options.sensitivity else ()
+    if options.json:
+        from plough_opt.exchange.results import SavedOptimum
+
+        print(SavedOptimum.of(best, run, problem.title, asked).to_json())
+    else:
+        report.print_optimum(console(), problem, best, run)
+        if options.sensitivity:
+            print_sensitivities(console(), problem, asked)
+    if options.plot:
+        from plough_opt.app import plots
+
+        wrote(plots.save(plots.plot_optimum(best, run), options.plot))
+
+
+def search_of(text: str) -> Search:
+    """Return what a text of the command line says of a search: a word, a number of designs, a time, or keys."""
+    if text.strip().isdigit():
+        return int(text)
+    return tuple(part.strip() for part in text.split(",")) if "," in text else text
+
+
+def tradeoff(options: argparse.Namespace) -> None:
+    """Draw the front of the two or three results that a file trades."""
+    problem = read(options)
+    for kind, name in (("table", options.csv), ("output", options.output)):
+        if name is not None and Path(name).is_dir():
+            raise InputError(f"the {kind} '{name}' is a folder: name a file in it")
+    with progress() as told:
+        front = problem.trade_off(options.points, told)
+    if options.json:
+        print(front.to_json())
+    else:
+        print_front(console(), problem, front)
+    if options.plot is not None:
+        from plough_opt.app import plots
+
+        wrote(plots.save(front.plot(), options.plot))
+    if options.csv is not None:
+        wrote(front.to_csv(options.csv))
+    if options.output is not None:
+        wrote(front.save(options.output))
+
+
+def accuracy(options: argparse.Namespace) -> None:
+    """Show what accuracy costs in time on a file's scene, with every variable at its guess, or on its design."""
+    problem = read(options)
+    if options.output is not None and Path(options.output).is_dir():
+        raise InputError(f"the output '{options.output}' is a folder: name a file in it")
+    from plough_opt.studies.accuracy.study import study_accuracy, study_design
+
+    with progress() as told:
+        common = {"wanted": options.error, "title": problem.title, "progress": told, "thin": options.thin}
+        if options.design:
+            study = study_design(problem.design()[0], limit=10.0 * options.seconds, **common)
+        else:
+            duration = problem.values().get("scene.duration")
+            study = study_accuracy(problem.scene(), duration, allowance=options.seconds, **common)
+    if problem.table.uncertain is not None:
+        study = dataclasses.replace(
+            study, notes=(*study.notes, "the soil is the nominal one: its uncertainty takes no part")
+        )
+    report.print_accuracy(console(), study)
+    if options.plot is not None:
+        from plough_opt.app import plots
+
+        wrote(plots.save(study.plot(), options.plot))
+    if options.output is not None:
+        wrote(study.save(options.output))

@@ -1,0 +1,292 @@
+"""Pictures: the share with its equivalent cone, the response over time, the search for an optimum."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
+from numpy.typing import NDArray
+
+from plough_opt.core.kinds import check_kind
+from plough_opt.core.picture_files import FORMATS, check_format, save
+from plough_opt.design import Optimum
+from plough_opt.design.landscape import FEASIBLE
+from plough_opt.motion import Run
+from plough_opt.motion.equation import GAP, STICK
+from plough_opt.motion.scene import Scene
+from plough_opt.motion.terms import Structure, parameters, start_speed, strut
+from plough_opt.soil.elastic import wedge_stress
+from plough_opt.soil.elastic.profile import Profile, body
+from plough_opt.soil.geometry import Wedge
+from plough_opt.soil.soil import Soil
+
+__all__ = [
+    "FORMATS",
+    "check_format",
+    "draw_cone",
+    "draw_deflection",
+    "draw_force",
+    "draw_search",
+    "draw_speed",
+    "draw_wedge",
+    "plot_optimum",
+    "plot_run",
+    "plot_share",
+    "plot_wedge_field",
+    "save",
+]
+
+# Panels of the search beside each other.
+_PANELS = 3
+_SURFACE = "#cfd4d8"
+_STEEL, _SOIL, _FORCE, _ACCENT, _MUTED = "#4a5a68", "#b98b5e", "#1f5f8b", "#c0392b", "#8a8a8a"
+
+
+def plot_share(scene: Scene) -> Figure:
+    """Draw the share's faces laid flat beside its equivalent cone in the soil, to one scale.
+
+    Raises:
+        InputError: no scene of numbers.
+    """
+    check_kind("the scene", scene, Scene, "a Scene of numbers")
+    figure = Figure(figsize=(13, 4.4), layout="constrained")
+    left, right = figure.subplots(1, 2, sharey=True, width_ratios=(1.0, 1.24))
+    draw_cone(right, scene)
+    right.set_ylabel("")
+    half_width = right.get_ylim()[1]
+    draw_wedge(left, scene)
+    half_width = max(half_width, left.get_ylim()[1])
+    left.set_ylim(-half_width, half_width)
+    return figure
+
+
+def plot_wedge_field(profile: Profile, soil: Soil, speed: float) -> Figure:
+    """Draw the stresses across and along which a thin wedge puts an elastic soil, sigma_yy and sigma_xy.
+
+    Args:
+        profile: nodes (x, half thickness) [m], or a share, as in `plough_opt.soil.elastic.wedge_stress`.
+        soil: with elastic constants.
+        speed: of the wedge [m/s], up to the shear wave's.
+    """
+    wedge = body(profile)
+    length = wedge.places[-1] - wedge.places[0]
+    x = wedge.places[0] + length * np.linspace(-0.6, 1.6, 221)
+    y = length * np.linspace(-0.8, 0.8, 162)  # an even number: the nodes lie between two rows
+    along, across = np.meshgrid(x, y)
+    field = wedge_stress(along, across, profile, soil, speed)
+    figure = Figure(figsize=(12, 4.8), layout="constrained")
+    for axes, name, values in zip(figure.subplots(1, 2), ("yy", "xy"), (field.yy, field.xy), strict=True):
+        # Stresses are infinite at the nodes: the scale ends where all but the last hundredth of the field does.
+        largest = float(np.quantile(np.abs(values), 0.99)) / 1e3
+        levels = MaxNLocator(20, symmetric=True).tick_values(-largest, largest)
+        filled = axes.contourf(x, y, values / 1e3, levels, cmap="RdBu", extend="both")
+        figure.colorbar(filled, ax=axes, label=f"$\\sigma_{{{name}}}$ [kPa], tension positive")
+        heights = np.array(wedge.heights)
+        axes.fill_between(wedge.places, -heights, heights, facecolor=_STEEL, edgecolor="black")
+        axes.annotate("", xy=(x[0] + 0.06 * length, 0), xytext=(x[0] + 0.3 * length, 0),
+                      arrowprops={"arrowstyle": "->", "color": "black"})  # fmt: skip
+        axes.set_aspect("equal")
+        axes.set_xlabel("x behind the tip [m]")
+        axes.set_ylabel("y across [m]")
+    return figure
+
+
+def plot_run(run: Run) -> Figure:
+    """Draw forces, deflection and speed of a run of numbers over time.
+
+    Raises:
+        InputError: no run.
+    """
+    check_kind("the run", run, Run, "a Run of numbers, as po.simulate returns one")
+    figure = Figure(figsize=(9, 7.5), layout="constrained")
+    upper, middle, lower = figure.subplots(3, 1, sharex=True)
+    draw_force(upper, run)
+    draw_deflection(middle, run)
+    draw_speed(lower, run)
+    lower.set_xlabel("time [s]")
+    return figure
+
+
+def plot_optimum(best: Optimum, run: Run) -> Figure:
+    """Draw an optimum: the share, its equivalent cone, the response, and what the search saw.
+
+    Args:
+        best: the optimum.
+        run: its run of numbers.
+    """
+    check_kind("the optimum", best, Optimum, "an Optimum, as Design.solve returns one")
+    check_kind("the run", run, Run, "a Run of numbers, as po.simulate returns one")
+    panels = list(best.variables) if best.search is not None and len(best.search.objective) > 0 else []
+    rows = -(-len(panels) // _PANELS)
+    figure = Figure(figsize=(12, 7.0 + 3.0 * rows), layout="constrained")
+    grid = figure.add_gridspec(2 + rows, 12, height_ratios=(1.15, 1.0, *[0.95] * rows))
+    draw_wedge(figure.add_subplot(grid[0, :6]), run.scene)
+    draw_cone(figure.add_subplot(grid[0, 6:]), run.scene)
+    for draw, columns in ((draw_force, slice(0, 6)), (draw_deflection, slice(6, 12))):
+        axes = figure.add_subplot(grid[1, columns])
+        draw(axes, run)
+        axes.set_xlabel("time [s]")
+        axes.legend(loc="upper right", ncols=2, fontsize="x-small")
+    for row in range(rows):
+        own = panels[_PANELS * row : _PANELS * (row + 1)]
+        width = 12 // len(own)
+        for k in range(len(own)):
+            axes = figure.add_subplot(grid[2 + row, k * width : (k + 1) * width])
+            draw_search(axes, best, _PANELS * row + k)
+            if row == k == 0:
+                figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=5, fontsize="small")
+    return figure
+
+
+def draw_wedge(axes: Axes, scene: Scene) -> None:
+    """Draw the two triangular faces of a wedge, laid flat along the edge that they share."""
+    share = scene.share
+    axes.set_title("Share: its two faces laid flat")
+    if not isinstance(share, Wedge):
+        axes.text(0.5, 0.5, "the share is given as a cone", ha="center", transform=axes.transAxes)
+        axes.set_axis_off()
+        return
+    edge = share.height / math.cos(share.chisel_angle)
+    width = edge * math.tan(share.angle)
+    for side in (1.0, -1.0):
+        axes.fill([0, edge, edge], [0, 0, side * width], facecolor=_STEEL, alpha=0.75 if side > 0 else 0.55,
+                  edgecolor="black", linewidth=0.8)  # fmt: skip
+    angles = np.linspace(0.0, share.angle, 30)
+    axes.plot(0.3 * edge * np.cos(angles), 0.3 * edge * np.sin(angles), color="white", linewidth=1.2)
+    axes.text(0.34 * edge * math.cos(share.angle / 2), 0.34 * edge * math.sin(share.angle / 2),
+              f"λ = {math.degrees(share.angle):.1f}°", color="white", ha="left", va="center")  # fmt: skip
+    axes.set_xlabel(
+        f"along the edge h/cos β_pl = {edge:.3f} m   (h = {share.height:.3f} m,"
+        f" β_pl = {math.degrees(share.chisel_angle):.0f}°)"
+    )
+    axes.set_ylabel("[m]")
+    _pad(axes, edge, width)
+
+
+def draw_cone(axes: Axes, scene: Scene) -> None:
+    """Draw the equivalent cone in longitudinal section, with the compaction front around it."""
+    cone = scene.cone
+    radius = cone.height * cone.slope
+    front = scene.loosened_radius if scene.medium == "plastic" else radius
+    if scene.medium == "plastic":
+        axes.fill([0, cone.height, cone.height], [0, front, -front], facecolor=_SOIL, alpha=0.35, edgecolor="none",
+                  label=f"compacted soil, r* = {front:.3f} m")  # fmt: skip
+        for side in (1.0, -1.0):
+            axes.plot([0, cone.height], [0, side * front], color=_SOIL, linestyle="--", linewidth=1.2)
+        axes.legend(loc="upper left", fontsize="small")
+    axes.fill([0, cone.height, cone.height], [0, radius, -radius], facecolor=_STEEL, alpha=0.85, edgecolor="black",
+              linewidth=0.8)  # fmt: skip
+    axes.annotate("", xy=(-0.28 * cone.height, 0), xytext=(-0.05 * cone.height, 0),
+                  arrowprops={"arrowstyle": "->", "color": "black"})  # fmt: skip
+    axes.text(-0.165 * cone.height, 0.04 * front, "travel", ha="center", va="bottom")
+    axes.text(0.6 * cone.height, 0, f"β = {math.degrees(cone.half_angle):.1f}°", color="white", ha="left", va="center")
+    axes.set_title("Cone of equal height and surface, in section")
+    axes.set_xlabel(f"along the axis [m]   (h = {cone.height:.3f} m, base radius {radius:.3f} m)")
+    axes.set_ylabel("[m]")
+    _pad(axes, cone.height, front, ahead=0.35 * cone.height)
+
+
+def draw_force(axes: Axes, run: Run) -> None:
+    """Draw mount force and soil resistance, with mean draft and RMS."""
+    axes.plot(run.time, run.soil_resistance / 1e3, color=_SOIL, linewidth=1.0, label="soil resistance")
+    axes.plot(run.time, run.mount_force / 1e3, color=_FORCE, linewidth=1.4, label="mount force")
+    mean, rms = run.mean_draft / 1e3, run.force_rms / 1e3
+    axes.axhline(mean, color=_ACCENT, linewidth=1.0, label=f"mean draft {mean:.3g} kN")
+    axes.axhspan(mean - rms, mean + rms, color=_ACCENT, alpha=0.12, label=f"± RMS {rms:.3g} kN")
+    _shade_modes(axes, run)
+    axes.set_ylabel("force [kN]")
+    axes.set_xlim(float(run.time[0]), float(run.time[-1]))
+    low, high = axes.get_ylim()
+    # A force that stays the same would have its rounding magnified.
+    axes.set_ylim(min(low, 0.95 * mean), max(high, 1.05 * mean))
+    _legend_above(axes)
+
+
+def draw_deflection(axes: Axes, run: Run) -> None:
+    """Draw the spring's deflection."""
+    axes.plot(run.time, 1e3 * run.deflection, color=_FORCE, linewidth=1.2)
+    mean = 1e3 * run.mean_deflection
+    axes.axhline(mean, color=_MUTED, linewidth=1.0, linestyle="--", label=f"mean {mean:.3g} mm")
+    axes.set_ylabel("deflection [mm]")
+    axes.set_xlim(float(run.time[0]), float(run.time[-1]))
+    _legend_above(axes)
+
+
+def draw_speed(axes: Axes, run: Run) -> None:
+    """Draw the share's speed beside the strut's."""
+    structure, p = Structure.of(run.scene), parameters(run.scene)
+    own = start_speed(structure, p) + strut(structure, p, run.time).gain + 0.0 * run.time
+    axes.plot(run.time, own, color=_MUTED, linewidth=1.0, linestyle="--", label="strut")
+    axes.plot(run.time, run.speed, color=_FORCE, linewidth=1.2, label="share")
+    axes.set_ylabel("speed [m/s]")
+    _legend_above(axes)
+
+
+def draw_search(axes: Axes, best: Optimum, variable: int) -> None:
+    """Draw the objective of the designs that a search tried over a variable, with the local optima and their spread.
+
+    Args:
+        axes: where.
+        best: an optimum whose search tried designs.
+        variable: number of the variable.
+    """
+    search, name = best.search, list(best.variables)[variable]
+    assert search is not None  # the caller has looked
+    values, feasible = search.values[:, variable], search.violation <= FEASIBLE
+    for which, color, label in (
+        (np.isfinite(search.objective) & ~feasible, _SURFACE, "tried, fails a requirement"),
+        (feasible, _FORCE, "tried, meets all requirements"),
+    ):
+        if np.any(which):
+            axes.plot(values[which], search.objective[which], ".", markersize=2, color=color, label=label, zorder=1)
+    for k, optimum in enumerate(best.local_optima):
+        at = optimum.variables[name]
+        if optimum.spread is not None:
+            axes.plot([at, at], [optimum.objective, optimum.spread.worst], color=_ACCENT, linewidth=1.2, zorder=2,
+                      label=None if k else "within the tolerances, up to the worst")  # fmt: skip
+        named = None if k > 1 else ("best" if k == 0 else "other local optima")
+        axes.plot(at, optimum.objective, "o" if k else "*", markersize=6 if k else 13, color=_ACCENT, zorder=3,
+                  markeredgecolor="white", label=named)  # fmt: skip
+    if np.min(values) > 0 and np.max(values) / np.min(values) > 20:
+        axes.set_xscale("log")
+    _show_low_objectives(axes, search.objective[feasible if np.any(feasible) else np.isfinite(search.objective)], best)
+    limit = next(limit for limit in best.limits if limit.name == name and limit.kind == "bound")
+    axes.set_xlabel(f"{name} [{limit.unit}]" if limit.unit else name)
+    if variable % _PANELS == 0:
+        axes.set_ylabel("objective")
+
+
+def _show_low_objectives(axes: Axes, seen: NDArray[np.float64], best: Optimum) -> None:
+    """Leave out of sight what is far above the optima, which would press them into a line."""
+    lows = [optimum.objective for optimum in best.local_optima]
+    low = min([*lows, *seen.tolist()])
+    high = max([*lows, float(np.quantile(seen, 0.75)) if len(seen) else low])
+    room = 0.08 * (high - low) or 0.1 * abs(low) or 1.0
+    axes.set_ylim(low - room, high + room)
+
+
+def _legend_above(axes: Axes) -> None:
+    """Give the legend room above all lines."""
+    low, high = axes.get_ylim()
+    axes.set_ylim(low, high + 0.22 * (high - low))
+    axes.legend(loc="upper right", ncols=6, fontsize="small")
+
+
+def _shade_modes(axes: Axes, run: Run) -> None:
+    """Shade the times in which a share under stick and slip sticks or has a gap ahead."""
+    for mode, label, color in ((STICK, "sticks", _MUTED), (GAP, "gap", _ACCENT)):
+        inside = np.asarray(run.mode) == mode
+        if np.any(inside):
+            axes.fill_between(run.time, 0, 1, where=inside.tolist(), transform=axes.get_xaxis_transform(),
+                              color=color, alpha=0.18, linewidth=0.0, label=label)  # fmt: skip
+
+
+def _pad(axes: Axes, length: float, half_width: float, ahead: float = 0.0) -> None:
+    """Show lengths to scale, with a margin around the drawing."""
+    axes.set_aspect("equal")
+    axes.locator_params(nbins=4)
+    axes.set_xlim(-ahead - 0.06 * length, 1.08 * length)
+    axes.set_ylim(-1.2 * half_width, 1.2 * half_width)

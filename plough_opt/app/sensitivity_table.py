@@ -1,0 +1,64 @@
+"""The table of what an optimum owes to every quantity of its file, and to the limits that decide it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+
+from plough_opt.app.report import shown
+from plough_opt.core.errors import InputError, NotConverged
+from plough_opt.design import Optimum, Progress, Sensitivity
+from plough_opt.problem_file import Problem
+
+# Smaller elasticities are the rounding of none.
+_NONE = 1e-9
+
+
+def sensitivities_of(best: Optimum, told: Progress) -> tuple[Sensitivity, ...]:
+    """Return all sensitivities of an optimum, or none and a note that says why it has none."""
+    told("sensitivities", 1.0)
+    try:
+        return best.every_sensitivity()
+    except (InputError, NotConverged) as error:
+        Console(stderr=True).print(f"note: no sensitivities: {error}", markup=False)
+        return ()
+
+
+def print_sensitivities(console: Console, problem: Problem, found: Sequence[Sensitivity]) -> None:
+    """Print elasticities of the best objective and of the variables, in order of size, and how far they hold."""
+    if not found:
+        return
+    table = Table(
+        title="Change in per cent for one per cent more, solved again; the same limits decide from ... to ..."
+    )
+    table.add_column("quantity or limit", overflow="fold")
+    for heading in (
+        "value",
+        "objective",
+        *(key.rpartition(".")[2] for key in problem.variables),
+        "same limits from",
+        "to",
+    ):
+        table.add_column(heading, justify="right")
+    for item in found:
+        moves = [_percent(item.elasticity), *(_percent(item.elasticities[key]) for key in problem.variables)]
+        key = item.name.partition(" ")[0]
+        ends = [_end(problem, key, item, end) for end in (item.valid_from, item.valid_to)]
+        table.add_row(escape(item.name), shown(problem, key, item.value, item.unit), *moves, *ends)
+    console.print(table)
+    for name in dict.fromkeys(name for item in found for name in item.touching):
+        console.print(f"[yellow]Note:[/] {escape(name)} is just met: the figures are for values that grow.")
+
+
+def _percent(elasticity: float | None) -> str:
+    if elasticity is None:
+        return "value 0"
+    return "0" if abs(elasticity) < _NONE else f"{elasticity:+.3g}"
+
+
+def _end(problem: Problem, key: str, item: Sensitivity, end: float | None) -> str:
+    """Return an end of a range; none where it is beyond zero, where no quantity of a file can go."""
+    return "" if end is None or end * item.value <= 0.0 else shown(problem, key, end, item.unit)

@@ -1,0 +1,195 @@
+"""`plough-opt sweep`: a file's scene or design over a grid or a sample."""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import itertools
+import json
+from collections.abc import Iterator
+from concurrent.futures import Executor
+from contextlib import contextmanager
+from pathlib import Path
+
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+
+from plough_opt.app.report import shown
+from plough_opt.app.terminal import console, printable, read, wrote
+from plough_opt.core.errors import InputError, NotConverged
+from plough_opt.problem_file import Problem
+from plough_opt.problem_file.sweeping import ProblemSweep, What
+from plough_opt.studies.sweep.result import Sweep
+from plough_opt.studies.sweep.sweeping import sweep as run_sweep
+
+_PLACES = ("store", "csv", "npz")
+_SHOWN_FAILURES = 3
+
+
+def add_options(verb: argparse.ArgumentParser) -> None:
+    """Add the options of a sweep."""
+    verb.add_argument(
+        "--over",
+        action="append",
+        required=True,
+        metavar='KEY="RANGE"',
+        help='quantity and what it runs over: soil.cohesion="5..45 kPa:9", scene.stiffness="10..1000 kN/m:7 log",'
+        ' scene.tow_speed="1 m/s, 2 m/s"; repeatable: all combinations',
+    )
+    verb.add_argument("--samples", type=int, metavar="N", help="a Sobol sample of the ranges; best a power of two")
+    verb.add_argument("--seed", type=int, default=0, metavar="N", help="seed of the sample (default: 0)")
+    verb.add_argument("--optimise", action="store_true", help="optimise at every point in the place of simulating")
+    verb.add_argument(
+        "--method",
+        choices=("auto", "each", "batch"),
+        default="auto",
+        help="simulate each point alone, or many at once by po.Batch (default: by their number)",
+    )
+    verb.add_argument("--workers", type=int, metavar="N", help="processes on this machine (default: all cores)")
+    verb.add_argument("--scheduler", metavar="ADDRESS", help="the workers of a dask scheduler, like tcp://host:8786")
+    verb.add_argument("--store", metavar="FILE", help="where finished points are kept (default: named after the sweep)")
+    verb.add_argument("--retry", action="store_true", help="try the points again that failed or are undetermined")
+    verb.add_argument("--csv", metavar="FILE", help="write a table of all points")
+    verb.add_argument("--npz", metavar="FILE", help="write an array for each column")
+
+
+def sweep(options: argparse.Namespace) -> None:
+    """Simulate or optimise a file at every point of a grid or a sample; an interrupted sweep goes on."""
+    _check_places(options)
+    if options.workers is not None and options.workers < 1:
+        raise InputError(f"--workers {options.workers}: a sweep takes one or more")
+    if options.scheduler is not None and options.workers is not None:
+        raise InputError("--workers are processes of this machine, --scheduler has its own: leave one of the two out")
+    over = _over(options)
+    problem = read(options)
+    what: What = "optimise" if options.optimise else "simulate"
+    asked = ProblemSweep.of(problem, over, what, options.method, options.samples, options.seed)
+    store = options.store or _store_of(options.file, asked)
+    notes = list(asked.notes)
+    if options.samples is not None and options.samples & (options.samples - 1):
+        notes.append(f"{options.samples} samples are no power of two: a Sobol sample is even at 64, 128, 256, ...")
+    for note in notes:
+        Console(stderr=True).print(f"note: {note}", markup=False)
+    with _executor(options.scheduler) as (executor, workers):
+        found = run_sweep(
+            asked.evaluation,
+            asked.axes,
+            samples=options.samples,
+            seed=options.seed,
+            store=store,
+            executor=executor,
+            workers=workers or options.workers,
+            retry=options.retry,
+            progress=True,
+            question=asked.question,
+            units=asked.units,
+        )
+    try:
+        _report(console(), problem, asked, found)
+        for name, write in (("csv", found.to_csv), ("npz", found.to_npz)):
+            if getattr(options, name) is not None:
+                wrote(write(getattr(options, name)))
+        if found.failed == len(found):
+            raise NotConverged("every point failed; the reasons stand above and in the tables", "failed")
+        if undetermined := len(list(found.undetermined)):
+            raise NotConverged(
+                f"{undetermined} of {len(found)} points are undetermined: workers ended while they computed them; the"
+                " same command with --retry tries them again",
+                "undetermined",
+            )
+    finally:
+        found.close()
+
+
+def _check_places(options: argparse.Namespace) -> None:
+    """Refuse folders in the place of files."""
+    for name in _PLACES:
+        path = getattr(options, name)
+        if path is not None and Path(path).is_dir():
+            raise InputError(f"--{name} '{path}' is a folder: name a file in it")
+
+
+def _over(options: argparse.Namespace) -> dict[str, object]:
+    """Return quantity -> what it runs over, as text."""
+    fixed = {text.partition("=")[0].strip() for text in options.set}
+    over: dict[str, object] = {}
+    for text in options.over:
+        name, separator, written = (part.strip() for part in text.partition("="))
+        if not (name and separator and written):
+            raise InputError(f'--over {text}: expected KEY=RANGE, like soil.cohesion="5..45 kPa:9"')
+        if name in over:
+            raise InputError(f"--over {text}: '{name}' is swept twice")
+        if name in fixed:
+            raise InputError(f"--over {text}: '{name}' is fixed by --set too: leave one of the two out")
+        quoted = len(written) > 1 and written[0] == written[-1] and written[0] in "\"'"
+        over[name] = written[1:-1] if quoted else written
+    return over
+
+
+def _store_of(file: str, asked: ProblemSweep) -> Path:
+    """Return a store of its own for every question, so that the same command finds it again."""
+    text = json.dumps([dict(asked.question), {name: repr(axis) for name, axis in asked.axes.items()}, asked.count])
+    return Path(f"{Path(file).stem}-{hashlib.sha256(text.encode()).hexdigest()[:8]}.sweep.db")
+
+
+@contextmanager
+def _executor(address: str | None) -> Iterator[tuple[Executor | None, int | None]]:
+    """Yield the executor of a dask scheduler and the number of its workers' threads; nothing without an address."""
+    if address is None:
+        yield None, None
+        return
+    try:
+        from distributed import Client
+    except ImportError:
+        raise InputError("--scheduler needs dask.distributed: pip install 'plough_opt[cluster]'") from None
+    try:
+        client = Client(address, timeout="10s")
+    except (OSError, ValueError) as error:
+        raise InputError(f"--scheduler {address}: no dask scheduler answers there ({error})") from None
+    with client:
+        threads = sum(client.ncores().values())
+        if threads == 0:
+            raise InputError(f"--scheduler {address}: it has no workers; start some: dask worker {address}")
+        yield client.get_executor(pure=False), threads
+
+
+def _name(key: str) -> str:
+    """Return a key without its table, so that it is narrow."""
+    return key.rpartition(".")[2]
+
+
+def _report(out: Console, problem: Problem, asked: ProblemSweep, found: Sweep) -> None:
+    """Print what the sweep found: the range of every result, where it lies, and what failed."""
+    failed, undetermined = found.failed, list(found.undetermined)
+    also = f", {len(undetermined)} undetermined" if undetermined else ""
+    table = Table(title=f"{escape(problem.title)}: {len(found)} points, {failed} failed{also}")
+    for heading in ("result", "least", "at", "largest", "at"):
+        table.add_column(heading, justify="left" if heading in ("result", "at") else "right")
+    for name in found.results:
+        cells = []
+        for largest in (False, True):
+            extreme = found.extreme(name, largest=largest)
+            if extreme is None:
+                continue
+            place = (f"{_name(key)} {asked.displays[key].text(value)}" for key, value in extreme.values.items())
+            cells += [shown(problem, name, extreme.value, found.units.get(name, "")), "\n".join(place)]
+        if cells and cells[0] == cells[2]:
+            cells = [cells[0], "everywhere", cells[2], ""]
+        table.add_row(_name(name), *cells)
+    if found.results:
+        out.print(table)
+    else:
+        out.print(table.title)
+    for state, count, points in (("failed", failed, found.failures), ("undetermined", len(undetermined), undetermined)):
+        for point in itertools.islice(points, _SHOWN_FAILURES):
+            values = ", ".join(f"{key} = {asked.displays[key].text(value)}" for key, value in point.values.items())
+            out.print(f"{state} at {escape(values)}: {escape(printable(point.reason))}", soft_wrap=True)
+        if count > _SHOWN_FAILURES:
+            out.print(f"... and {count - _SHOWN_FAILURES} more {state}: --csv writes all reasons")
+    for note in found.notes:
+        out.print(f"[yellow]Note:[/] {escape(note)}.")
+    there = f"; {found.already} points were there already" if found.already else ""
+    out.print(
+        f"{asked.how[0].upper()}{asked.how[1:]}; stored in {escape(printable(str(found.path)))}{there}", soft_wrap=True
+    )

@@ -1,0 +1,169 @@
+"""Where commands read from and write to: the problem file, the two streams, progress."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import signal
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from types import FrameType
+from typing import NoReturn
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+from plough_opt import design as designs
+from plough_opt.core.errors import InputError, short, unprintable
+from plough_opt.core.heartbeat import heartbeat
+from plough_opt.problem_file import Problem, read_problem
+
+# Options that name a file to be written.
+_OUTPUTS = ("plot", "csv", "npz", "output", "description", "store")
+
+
+def read(options: argparse.Namespace) -> Problem:
+    """Read the problem file; refuse outputs that cannot be written before anything is computed.
+
+    Raises:
+        InputError: a mistake in the file, an output that cannot be written, or one that would overwrite what is read.
+    """
+    problem = read_problem(options.file, options.set)
+    check_outputs(options)
+    for note in problem.notes:
+        Console(stderr=True).print(f"note: {note}", markup=False)
+    return problem
+
+
+def _check_matplotlib() -> None:
+    """Refuse a picture where matplotlib cannot be imported, as with a $MPLBACKEND that it does not know."""
+    try:
+        import matplotlib  # noqa: F401
+    except ValueError as error:
+        raise InputError(
+            f"--plot: matplotlib does not start: {short(str(error), 100)}: mend $MPLBACKEND or matplotlibrc, or leave"
+            " the picture out"
+        ) from None
+
+
+def check_outputs(options: argparse.Namespace) -> None:
+    """Refuse outputs that are an input or the same file twice, have no folder to stand in, or are no pictures.
+
+    Raises:
+        InputError: as said.
+    """
+    if getattr(options, "plot", None) is not None:
+        _check_matplotlib()
+        from plough_opt.app import plots
+
+        plots.check_format(options.plot)
+    taken = {_place(options.file): "the problem file"}
+    taken |= {_place(data): "a file of data" for data in getattr(options, "data", ())}
+    for name in _OUTPUTS:
+        if (written := getattr(options, name, None)) is None:
+            continue
+        place = _place(written)
+        if other := taken.get(place):
+            raise InputError(f"--{name} '{written}' is {other}, which it would overwrite: name another file")
+        taken[place] = f"the file of --{name} too"
+        around = next(folder for folder in (place.parent, *place.parents) if folder.exists())
+        if not around.is_dir():
+            raise InputError(f"--{name} '{written}' cannot be written: '{around}' is no folder")
+        if name == "store" and place.is_file():
+            continue  # a complete one is only read
+        # A file is replaced by a whole one, so its folder must take a new file too.
+        if not os.access(around, os.W_OK) or (place.is_file() and not os.access(place, os.W_OK)):
+            raise InputError(f"--{name} '{written}' cannot be written: permission denied")
+
+
+def _place(path: str) -> Path:
+    """Return where a path leads, links followed; unlike `Path.resolve` also where they go round in a circle."""
+    return Path(os.path.realpath(path))
+
+
+_interrupted = threading.Event()
+_written: list[Path] = []
+
+
+@contextmanager
+def interruptible() -> Iterator[None]:
+    """Remember a Ctrl-C, so that `progress` stops too where CasADi took it for an evaluation that failed."""
+    _interrupted.clear()
+    _written.clear()
+    main, before = threading.current_thread() is threading.main_thread(), signal.getsignal(signal.SIGINT)
+    if not main or before is not signal.default_int_handler:
+        yield
+        return
+    signal.signal(signal.SIGINT, _interrupt)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+def _interrupt(_number: int, _frame: FrameType | None) -> NoReturn:
+    _interrupted.set()
+    raise KeyboardInterrupt
+
+
+def _stop_if_interrupted() -> None:
+    if _interrupted.is_set():
+        raise KeyboardInterrupt
+
+
+def what_was_written() -> str:
+    """Say which files an interrupted command left."""
+    return "no other file was written" if _written else "no file was written"
+
+
+def console() -> Console:
+    """Return where results go; as wide as its tables need when it is no terminal."""
+    terminal = _Console(highlight=False)
+    return terminal if terminal.is_terminal else _Console(highlight=False, width=120)
+
+
+class _Console(Console):
+    """A console that leaves a closed pipe to `main`, which knows the exit status."""
+
+    def on_broken_pipe(self) -> None:
+        """Let the error pass."""
+        raise BrokenPipeError
+
+
+def wrote(path: Path) -> None:
+    """Say which file was written, on the error stream."""
+    _written.append(path)
+    Console(stderr=True, highlight=False, soft_wrap=True).print(f"wrote {printable(str(path))}", markup=False)
+
+
+def printable(text: str) -> str:
+    """Return a text of a user with what a terminal would take for a command written as Python writes it."""
+    return "".join(repr(character)[1:-1] if unprintable(character) else character for character in text)
+
+
+@contextmanager
+def progress() -> Iterator[designs.Progress]:
+    """Show on the error stream what is being done, and how long it has taken: a bar on a terminal, else lines."""
+    stream = Console(stderr=True, highlight=False)
+    if not stream.is_terminal:
+        with heartbeat(lambda line: stream.print(line, markup=False, soft_wrap=True)) as said:
+
+            def say(stage: str, _fraction: float) -> None:
+                _stop_if_interrupted()
+                said(stage)
+
+            yield say
+        _stop_if_interrupted()
+        return
+    columns = (TextColumn("{task.description}"), BarColumn(bar_width=24), TimeElapsedColumn())
+    with Progress(*columns, console=stream, transient=True) as bar:
+        task = bar.add_task("reading", total=1.0)
+
+        def told(stage: str, fraction: float) -> None:
+            _stop_if_interrupted()
+            bar.update(task, description=stage, completed=fraction)
+
+        yield told
+    _stop_if_interrupted()

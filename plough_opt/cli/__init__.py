@@ -1,5 +1,0 @@
-"""Command line: plough-opt init, check, simulate, optimise, tradeoff, sweep, accuracy, soils."""
-
-from plough_opt.cli.main import main
-
-__all__ = ["main"]

@@ -1,0 +1,1 @@
+"""Ground: expressions, quantities and their units, domains, errors, files, the compiler."""

@@ -1,0 +1,171 @@
+"""Rows of CSV files whose headings name columns and their units, with limits on size and every mistake's place."""
+
+from __future__ import annotations
+
+import csv
+import math
+import re
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from plough_opt.core.errors import InputError, nearest, short
+from plough_opt.core.kinds import shown
+from plough_opt.core.units import Unit
+
+HEADING: Final = re.compile(r"\s*(?P<name>[\w.]+)\s*(?:\[(?P<unit>[^\]]*)\])?\s*")
+"""A column's name and its unit in brackets."""
+
+# Units in which fields are measured, for the message that asks for one.
+_CUSTOMARY: Final = {"N": "kN", "rad": "deg", "m/s": "km/h", "Pa": "kPa", "N/m": "kN/m", "W": "kW"}
+# Also what is no finite number, for a message of its own.
+_NUMBER: Final = re.compile(r"[+-]?(?:(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:e[+-]?[0-9]+)?|nan|inf(?:inity)?)", re.IGNORECASE)
+_MOST_LISTED: Final = 8
+# What a file may be: some 300,000 rows, each of which may be a run of the model.
+_MOST_BYTES: Final = 10_000_000
+_LONGEST_LINE: Final = 10_000
+
+
+def read_rows(path: Path, what: str) -> list[tuple[int, list[str]]]:
+    """Return the rows with their line numbers, without comments and empty lines.
+
+    Args:
+        path: the file.
+        what: what it holds, for messages, like "measurements".
+
+    Raises:
+        InputError: no such file, one that is too long, or not text.
+    """
+    try:
+        with path.open("rb") as file:
+            content = file.read(_MOST_BYTES + 1)
+        text = content.decode("utf-8-sig")
+    except FileNotFoundError:
+        there = sorted(p.name for p in path.parent.glob("*.csv")) if path.parent.is_dir() else []
+        hint = nearest(path.name, there) if there else "that folder holds no .csv file: give the path of one"
+        raise InputError(f"there is no file {shown(str(path), 200)}: {hint}") from None
+    except IsADirectoryError:
+        raise InputError(f"{shown(str(path), 200)} is a folder: name a file of {what} in it") from None
+    except UnicodeDecodeError:
+        raise InputError(f"{shown(str(path), 200)} cannot be read as text: it is not UTF-8") from None
+    except OSError as error:
+        raise InputError(f"'{path}' cannot be read: {error.strerror}") from None
+    if len(content) > _MOST_BYTES:
+        raise InputError(f"'{path}' is too long: at most {_MOST_BYTES // 1_000_000} MB of {what} can be read")
+    lines = [(k, line) for k, line in enumerate(text.splitlines(), 1) if line.strip() and not line.startswith("#")]
+    for number, line in lines:
+        if len(line) > _LONGEST_LINE:
+            raise InputError(
+                f"{path}, line {number}: it has {len(line)} characters, and at most {_LONGEST_LINE} can be read: write"
+                " a row in each line"
+            )
+    delimiter = next((mark for mark in "\t;" if lines and mark in lines[0][1]), ",")
+    return [(k, next(csv.reader([line], delimiter=delimiter, skipinitialspace=True))) for k, line in lines]
+
+
+def factor_of(name: str, written: str | None, unit: Unit) -> float:
+    """Return the factor to SI of a column's unit as its heading writes it.
+
+    Raises:
+        InputError: a unit that is missing, unknown or of another kind.
+    """
+    written = "" if written is None or written.strip() in ("-", "1") else written.strip()
+    customary = _CUSTOMARY.get(unit.symbol, unit.symbol)
+    if unit.symbol and not written:
+        raise InputError(f"the unit is missing: write it like '{name} [{customary}]'")
+    try:
+        return unit.split(f"1 {written}".strip())[1]
+    except InputError:
+        wrong = f"is not a unit of {unit.symbol}" if unit.symbol else "is a unit, and a pure number is expected"
+        example = f"{name} [{customary}]" if unit.symbol else name
+        raise InputError(f"'{written}' {wrong}: write it like '{example}'") from None
+
+
+def number_of(cell: str, factor: float) -> float:
+    """Return a cell's number in SI.
+
+    Raises:
+        InputError: no number.
+    """
+    text = cell.strip()
+    if not text:
+        raise InputError("the cell is empty: a number is expected; leave the whole row out if it was not measured")
+    if _NUMBER.fullmatch(text) is None:
+        hint = "a decimal point" if re.fullmatch(r"[+-]?\d+,\d+", text) else "it as 12.5 or 1.25e1, without its unit"
+        raise InputError(f"'{short(text)}' is not a number: write {hint}")
+    value = float(text) * factor
+    if not math.isfinite(value):
+        raise InputError(f"'{short(text)}' is not a finite number; leave the whole row out if it was not measured")
+    return value
+
+
+def columns_of(place: str, headings: Sequence[str], units: Mapping[str, Unit]) -> list[tuple[str, float]]:
+    """Return name and factor to SI of every column.
+
+    Args:
+        place: file and line of the headings, for messages.
+        headings: as written, a name with its unit in brackets each.
+        units: names that are known, and their SI units.
+
+    Raises:
+        InputError: an unknown name or a wrong unit; every one is listed.
+    """
+    found: list[tuple[str, float]] = []
+    errors = []
+    for text in headings:
+        match = HEADING.fullmatch(text)
+        try:
+            if match is None or match["name"] not in units:
+                raise InputError(f"no such column is known: {nearest(match['name'] if match else text, units)}")
+            found.append((match["name"], factor_of(match["name"], match["unit"], units[match["name"]])))
+        except InputError as error:
+            errors.append(f"{place}, column '{short(text.strip())}': {error}")
+    raise_listed(errors)
+    return found
+
+
+def table_of(
+    path: str | Path,
+    rows: Sequence[tuple[int, Sequence[str]]],
+    columns: Sequence[tuple[str, float]],
+    check: Callable[[int, float, str], None],
+) -> NDArray[np.float64]:
+    """Return the rows' numbers in SI, a row each.
+
+    Args:
+        path: the file, for messages.
+        rows: line number and cells of each row below the headings.
+        columns: what messages call each column, and its factor to SI.
+        check: (column, value, cell as written) -> raises InputError where the value cannot be.
+
+    Raises:
+        InputError: a cell that is no number or cannot be, or a row of another length; every one is listed.
+    """
+    table, errors = [], []
+    for number, cells in rows:
+        place, values = f"{path}, line {number}", []
+        if len(cells) != len(columns):
+            errors.append(
+                f"{place}: the number of cells is {len(cells)}, and the header names {len(columns)} columns: give each"
+                " one"
+            )
+            continue
+        for k, (cell, (name, factor)) in enumerate(zip(cells, columns, strict=True)):
+            try:
+                values.append(number_of(cell, factor))
+                check(k, values[-1], cell.strip())
+            except InputError as error:
+                errors.append(f"{place}, column '{name}': {error}")
+        table.append(values)
+    raise_listed(errors)
+    return np.array(table)
+
+
+def raise_listed(errors: Sequence[str]) -> None:
+    """Raise InputError with the first of several mistakes, if there are any."""
+    if errors:
+        more = [f"... and {len(errors) - _MOST_LISTED} more"] if len(errors) > _MOST_LISTED else []
+        raise InputError("\n".join([*errors[:_MOST_LISTED], *more]))

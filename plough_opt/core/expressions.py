@@ -1,0 +1,301 @@
+"""Operations that work alike on floats, NumPy arrays and CasADi expressions, without cancellation.
+
+CasADi symbols must never meet ``math.*`` or ``np.*`` (``math.sin`` of a symbol is a silent NaN), so
+every formula of the toolkit is written with the functions of this file.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import numbers
+from collections.abc import Callable, Mapping, Sequence
+from functools import lru_cache, wraps
+from typing import Any, TypeAlias
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from plough_opt.core.errors import InputError
+
+Expression: TypeAlias = Any
+"""A float, a NumPy array, or a CasADi ``SX``, ``MX`` or ``DM``: what every physical function takes."""
+
+_SYMBOLIC = (ca.SX, ca.MX)
+_CASADI = (ca.SX, ca.MX, ca.DM)
+_MATRICES = (np.ndarray, *_CASADI)
+# In which no expression is nested.
+_PLAIN = frozenset((float, int, str, bool, type(None)))
+# Terms kept in the two power series: enough for a relative 1e-17 in the value and 1e-14 in the second
+# derivative at the far end of the interval on which each series is used.
+_EXPM1_TERMS = 24
+_ATANH_TERMS = 32
+_SERIES_BELOW = 0.5
+# Characters of an expression that a message quotes.
+_LONGEST_SHOWN = 80
+
+
+COUNT = {"quantity": False}
+"""Metadata of a dataclass's field that counts something, and is no quantity that a design could vary."""
+
+
+def is_symbolic(value: Expression) -> bool:
+    """Return whether ``value`` is a CasADi expression without a number in it yet (``SX`` or ``MX``)."""
+    return isinstance(value, _SYMBOLIC) and not value.is_constant()
+
+
+def is_casadi(value: Expression) -> bool:
+    """Return whether ``value`` is any CasADi matrix type: ``SX``, ``MX`` or ``DM``."""
+    return isinstance(value, _CASADI)
+
+
+def as_number(value: Expression) -> NDArray[np.float64]:
+    """Return a number, an array or a constant CasADi matrix as a NumPy array without superfluous axes.
+
+    Raises:
+        InputError: the expression still holds symbols.
+    """
+    if isinstance(value, float):
+        return np.asarray(value)
+    if is_symbolic(value):
+        text = str(value)
+        shown = text if len(text) <= _LONGEST_SHOWN else f"{text[:_LONGEST_SHOWN]}..."
+        raise InputError(f"'{shown}' holds symbols and so has no value yet: evaluate it with best(...)")
+    if isinstance(value, ca.SX):
+        value = ca.DM(value)
+    elif isinstance(value, ca.MX):
+        value = value.to_DM()
+    return np.squeeze(np.asarray(value, dtype=float))
+
+
+def holds_casadi(value: Any) -> bool:
+    """Return whether any CasADi expression is nested in dataclasses, lists, tuples or dictionaries."""
+    return _holds(value, is_casadi)
+
+
+def holds_several(value: Any) -> bool:
+    """Return whether an array or CasADi matrix of other than one element is nested in these, or is ``value``."""
+    return _holds(value, _is_several)
+
+
+def _is_several(value: Any) -> bool:
+    return isinstance(value, _MATRICES) and math.prod(value.shape) != 1
+
+
+def _holds(value: Any, leaf: Callable[[Any], bool]) -> bool:
+    waiting = [value]
+    while waiting:
+        item = waiting.pop()
+        if type(item) in _PLAIN:
+            continue
+        if leaf(item):
+            return True
+        kind: type = type(item)
+        if names := _own_fields(kind):
+            waiting += [getattr(item, name) for name in names]
+        elif isinstance(item, Mapping):
+            waiting += item.values()
+        elif isinstance(item, list | tuple):
+            waiting += item
+    return False
+
+
+@lru_cache(maxsize=256)
+def _own_fields(kind: type) -> tuple[str, ...]:
+    """Return the names of a dataclass's fields that its maker is given; none of another type."""
+    fields = dataclasses.fields(kind) if dataclasses.is_dataclass(kind) else ()
+    return tuple(field.name for field in fields if field.init)
+
+
+def is_quantity(value: Any) -> bool:
+    """Return whether a value is a number or a CasADi expression, and no switch."""
+    return is_casadi(value) or (isinstance(value, int | float | np.number) and not isinstance(value, bool))
+
+
+def is_count(value: Any) -> bool:
+    """Return whether a value is a whole number from 1 on."""
+    return isinstance(value, numbers.Integral) and not isinstance(value, bool) and int(value) >= 1
+
+
+def map_expressions(value: Any, function: Callable[[Any], Any], leaf: Callable[[Any], bool] = is_casadi) -> Any:
+    """Return the like of ``value`` with ``function`` applied to every CasADi expression nested in it.
+
+    Looks into dataclasses (by their fields), dictionaries, lists and tuples; anything else stays as it
+    is. With ``leaf=is_quantity`` plain numbers are replaced too, but for fields that are `COUNT`s.
+    """
+    if leaf(value):
+        return function(value)
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        changed = {
+            field.name: map_expressions(getattr(value, field.name), function, leaf)
+            for field in dataclasses.fields(value)
+            if field.init and field.metadata != COUNT
+        }
+        return dataclasses.replace(value, **changed)
+    if isinstance(value, Mapping):
+        return {key: map_expressions(item, function, leaf) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return type(value)(map_expressions(item, function, leaf) for item in value)
+    return value
+
+
+def template_of(value: Any) -> tuple[Any, list[Any]]:
+    """Return the like of ``value`` with a placeholder for every quantity nested in it, and those quantities in order.
+
+    Placeholders print alike, so that values that differ in numbers only have templates that print alike.
+    """
+    quantities: list[Any] = []
+
+    def placeholder(quantity: Any) -> ca.SX:
+        quantities.append(quantity)
+        return ca.SX.sym("quantity")
+
+    return map_expressions(value, placeholder, is_quantity), quantities
+
+
+def with_numbers(template: Any, quantities: Sequence[float]) -> Any:
+    """Return a template with numbers for its quantities, in the order in which `template_of` returned them."""
+    numbers = iter(quantities)
+    return map_expressions(template, lambda _: float(next(numbers)), is_quantity)
+
+
+def column(values: NDArray[np.float64], symbolic: bool) -> Expression:
+    """Return an array as it is, or as a CasADi column that may meet symbols."""
+    return ca.DM(values) if symbolic else values
+
+
+def one_node(function: Callable[..., tuple[Expression, ...]]) -> Callable[..., tuple[Expression, ...]]:
+    """Decorate a function of scalars so that a graph of MX holds it as one node instead of its every operation.
+
+    Of numbers, arrays and SX it stays as it is. Of MX each argument is a scalar or a column, and a scalar counts
+    for all elements of the columns.
+    """
+
+    @lru_cache(maxsize=1)
+    def graph(count: int) -> ca.Function:
+        arguments = [ca.SX.sym(f"x{k}") for k in range(count)]
+        return ca.Function(function.__name__.strip("_"), arguments, list(function(*arguments)))
+
+    @wraps(function)
+    def apply(*arguments: Expression) -> tuple[Expression, ...]:
+        if not any(isinstance(argument, ca.MX) for argument in arguments):
+            return function(*arguments)
+        columns = [ca.MX(argument) for argument in arguments]
+        count = max(argument.numel() for argument in columns)
+        rows = [a.T if a.numel() > 1 else ca.repmat(a, 1, count) for a in columns]
+        return tuple(result.T for result in graph(len(rows)).map(count).call(rows))
+
+    return apply
+
+
+def _unary(casadi_function: Any, numpy_function: Any) -> Any:
+    def apply(x: Expression) -> Expression:
+        return casadi_function(x) if is_casadi(x) else numpy_function(x)
+
+    apply.__name__ = apply.__qualname__ = numpy_function.__name__
+    apply.__doc__ = f"{numpy_function.__name__} of a float, an array or a CasADi expression."
+    return apply
+
+
+sin = _unary(ca.sin, np.sin)
+cos = _unary(ca.cos, np.cos)
+tan = _unary(ca.tan, np.tan)
+arctan = _unary(ca.atan, np.arctan)
+sqrt = _unary(ca.sqrt, np.sqrt)
+arcsinh = _unary(ca.asinh, np.arcsinh)
+arctanh = _unary(ca.atanh, np.arctanh)
+exp = _unary(ca.exp, np.exp)
+log = _unary(ca.log, np.log)
+log1p = _unary(ca.log1p, np.log1p)
+expm1 = _unary(ca.expm1, np.expm1)
+absolute = _unary(ca.fabs, np.abs)
+
+
+def where(condition: Expression, yes: Expression, no: Expression) -> Expression:
+    """Choose ``yes`` where ``condition`` holds, else ``no``; both are evaluated, so both must be finite."""
+    if isinstance(condition, bool) and isinstance(yes, float) and isinstance(no, float):
+        return yes if condition else no
+    if is_casadi(condition) or is_casadi(yes) or is_casadi(no):
+        return ca.if_else(condition, yes, no)
+    chosen: Any = np.where(condition, yes, no)
+    return chosen if chosen.ndim else chosen.item()
+
+
+def minimum(x: Expression, y: Expression) -> Expression:
+    """Return the smaller of two values, element by element."""
+    return ca.fmin(x, y) if is_casadi(x) or is_casadi(y) else np.minimum(x, y)
+
+
+def maximum(x: Expression, y: Expression) -> Expression:
+    """Return the larger of two values, element by element."""
+    return ca.fmax(x, y) if is_casadi(x) or is_casadi(y) else np.maximum(x, y)
+
+
+def arctan2(y: Expression, x: Expression) -> Expression:
+    """Return the angle of the point (x, y) in its plane [rad], from -pi to pi."""
+    return ca.atan2(y, x) if is_casadi(x) or is_casadi(y) else np.arctan2(y, x)
+
+
+def expm1_ratio(x: Expression) -> Expression:
+    """Return E(x) = (exp(x) - 1)/x with E(0) = 1.
+
+    A power series serves for |x| < 1, because automatic differentiation of ``expm1(x)/x`` loses up to
+    half the digits beside zero. Relative accuracy 1e-15 in the value, 1e-13 in gradient and Hessian.
+    """
+    near_zero = absolute(x) < 1.0
+    small = where(near_zero, x, 0.0)
+    large = where(near_zero, 1.0, x)
+    series: Expression = 1.0 / math.factorial(_EXPM1_TERMS)
+    for n in range(_EXPM1_TERMS - 1, 0, -1):
+        series = 1.0 / math.factorial(n) + small * series
+    return where(near_zero, series, expm1(large) / large)
+
+
+def log1p_ratio(x: Expression) -> Expression:
+    """Return log(1 + x)/x with the value 1 at x = 0, for x > -1.
+
+    For |x| < 0.5 it is the series of 2 artanh(x/(2 + x))/x, for the reason given in `expm1_ratio` and
+    with the same accuracy.
+    """
+    near_zero = absolute(x) < _SERIES_BELOW
+    small = where(near_zero, x, 0.0)
+    large = where(near_zero, _SERIES_BELOW, x)
+    series = 2.0 * _arctanh_series((small / (2.0 + small)) ** 2) / (2.0 + small)
+    return where(near_zero, series, log1p(large) / large)
+
+
+def arctanh_ratio(x: Expression) -> Expression:
+    """Return artanh(x)/x with the value 1 at x = 0, for |x| < 1; accurate as `expm1_ratio`."""
+    near_zero, small, large = _split(x)
+    return where(near_zero, _arctanh_series(small**2), arctanh(large) / large)
+
+
+def arctan_ratio(x: Expression) -> Expression:
+    """Return arctan(x)/x with the value 1 at x = 0; accurate as `expm1_ratio`."""
+    near_zero, small, large = _split(x)
+    return where(near_zero, _arctanh_series(-(small**2)), arctan(large) / large)
+
+
+def arcsinh_ratio(x: Expression) -> Expression:
+    """Return arsinh(x)/x with the value 1 at x = 0; accurate as `expm1_ratio`.
+
+    Beside zero it is artanh(t)/x with t = x/sqrt(1 + x^2).
+    """
+    near_zero, small, large = _split(x)
+    scale = 1.0 / (1.0 + small**2)
+    return where(near_zero, sqrt(scale) * _arctanh_series(small**2 * scale), arcsinh(large) / large)
+
+
+def _split(x: Expression) -> tuple[Expression, Expression, Expression]:
+    """Return whether x lies where the series serves, x there and 0 elsewhere, x elsewhere and a safe value there."""
+    near_zero = absolute(x) < _SERIES_BELOW
+    return near_zero, where(near_zero, x, 0.0), where(near_zero, _SERIES_BELOW, x)
+
+
+def _arctanh_series(square: Expression) -> Expression:
+    """Return artanh(t)/t from t^2 of at most a quarter in size; of -t^2 it is arctan(t)/t."""
+    series: Expression = 1.0 / (2 * _ATANH_TERMS + 1)
+    for n in range(_ATANH_TERMS - 1, -1, -1):
+        series = 1.0 / (2 * n + 1) + square * series
+    return series

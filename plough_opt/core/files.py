@@ -1,0 +1,245 @@
+"""Files, written whole or not at all: beside their places first, and moved there when nothing can fail any more."""
+
+from __future__ import annotations
+
+import os
+import re
+import secrets
+import shutil
+import signal
+import stat
+import tempfile
+import threading
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from types import FrameType
+from typing import IO, Final, TypeAlias
+
+from plough_opt.core.errors import InputError
+
+Content: TypeAlias = str | bytes | Callable[[IO[bytes]], object]
+"""What a file shall hold: text (written as UTF-8), bytes, or what writes them into a binary file."""
+
+# Signals that end a process at once, and would leave what is half written.
+_ENDING: Final = tuple(getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name))
+_LONGEST_STEM: Final = 100
+
+
+def write_file(path: str | Path, kind: str, content: Content) -> Path:
+    """Write a file whole or not at all, making its folder; return its path as it was given.
+
+    Links are followed: the file that they lead to is replaced, and they stay. Its permissions stay too. What is no
+    file, such as a pipe or a device, is written to as it is.
+
+    Args:
+        path: the file; what is there is replaced.
+        kind: what messages call it, like "table".
+        content: what it shall hold.
+
+    Raises:
+        InputError: a place that cannot be written, or a disk that is full; what was there is untouched.
+    """
+    write_files({Path(path): content}, kind)
+    return Path(path)
+
+
+def write_files(files: Mapping[Path, Content], kind: str) -> None:
+    """Write several files as `write_file` does; none is moved to its place before all are written.
+
+    Raises:
+        InputError: as `write_file`.
+    """
+    target = next(iter(files))
+    unfinished: list[Path] = []
+    try:
+        with _tidied(unfinished):
+            moves: list[tuple[Path, Path]] = []
+            for target, content in files.items():
+                if _is_stream(target):
+                    with target.open("wb") as stream:
+                        _fill(stream, content)
+                    continue
+                place = _place(target)
+                _make_folder(place.parent)
+                moves.append((_written_beside(place, content, unfinished), place))
+            for beside, place in moves:
+                beside.replace(place)
+    except OSError as error:
+        raise _refused(kind, target, error) from None
+
+
+def write_new(path: str | Path, kind: str, content: Content) -> Path:
+    """Write a file that must not exist yet, whole or not at all, into a folder that does; return its path.
+
+    Raises:
+        InputError: it exists, or cannot be written.
+    """
+    target = Path(path)
+    unfinished: list[Path] = []
+    try:
+        with _tidied(unfinished):
+            beside = _written_beside(target, content, unfinished)
+            try:
+                os.link(beside, target)  # which, unlike a move, fails where something is
+            except FileExistsError:
+                raise
+            except OSError:  # a file system without links
+                if os.path.lexists(target):
+                    raise FileExistsError from None
+                beside.replace(target)
+    except FileExistsError:
+        raise InputError(f"'{target}' exists already and is left as it is: name another file") from None
+    except OSError as error:
+        raise _refused(kind, target, error) from None
+    return target
+
+
+def write_folder(target: Path, kind: str, files: Mapping[str, Content]) -> Path:
+    """Write files into a new folder, whole or not at all, making the folders around it; return its path.
+
+    Raises:
+        InputError: it exists, or cannot be written.
+    """
+    unfinished: list[Path] = []
+    try:
+        _make_folder(target.parent)
+        with _tidied(unfinished):
+            scratch = Path(tempfile.mkdtemp(prefix=f".{target.name[:_LONGEST_STEM]}.", dir=target.parent))
+            unfinished.append(scratch)
+            inner = scratch / "made"  # with the rights of any new folder: those of mkdtemp are the user's alone
+            inner.mkdir()
+            for name, content in files.items():
+                with (inner / name).open("xb") as file:
+                    _fill(file, content)
+            if os.path.lexists(target):
+                raise InputError(f"'{target}' exists already and is left as it is: name a new folder for the {kind}")
+            inner.rename(target)
+    except OSError as error:
+        raise _refused(kind, target, error) from None
+    return target
+
+
+def check_new_folder(path: str | Path, kind: str) -> Path:
+    """Return the path of a folder to be written.
+
+    Raises:
+        InputError: it is there already.
+    """
+    target = Path(path)
+    if os.path.lexists(target):
+        raise InputError(f"'{target}' exists already and is left as it is: name a new folder for the {kind}")
+    return target
+
+
+def check_file(path: str | Path, ending: str, kind: str) -> Path:
+    """Return the path of a file to be written.
+
+    Raises:
+        InputError: another ending, or a folder.
+    """
+    target = Path(path)
+    if target.suffix.lower() != ending:
+        raise InputError(f"'{target}' is no name for the {kind}: end it in {ending}")
+    if target.is_dir():
+        raise InputError(f"'{target}' is a folder: name a file in it")
+    return target
+
+
+def ascii_json(text: str) -> str:
+    """Return JSON with everything beyond ASCII escaped, so that it is the same in every encoding."""
+    return re.sub(r"[^\x00-\x7f]", lambda found: _escaped(found[0]), text)
+
+
+def _escaped(character: str) -> str:
+    """Return a character as JSON escapes it: in UTF-16, as two surrogates where it needs them."""
+    units = character.encode("utf-16-be", "surrogatepass").hex()
+    return "".join(f"\\u{units[k : k + 4]}" for k in range(0, len(units), 4))
+
+
+def _is_stream(target: Path) -> bool:
+    """Return whether something is there that is no file: a pipe, a terminal, a device."""
+    try:
+        mode = target.stat().st_mode
+    except OSError:
+        return False
+    return not (stat.S_ISREG(mode) or stat.S_ISDIR(mode))
+
+
+def _place(target: Path) -> Path:
+    """Return where a file stands, links followed.
+
+    Raises:
+        OSError: a folder, a file that may not be written, or links that go round in a circle.
+    """
+    place = Path(os.path.realpath(target))
+    if place.is_symlink():
+        raise OSError(0, "the link leads round in a circle")
+    if place.is_dir():
+        raise IsADirectoryError(0, "it is a folder")
+    if place.exists() and not os.access(place, os.W_OK):
+        raise PermissionError(0, "permission denied")
+    return place
+
+
+def _make_folder(folder: Path) -> None:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except FileExistsError:
+        raise NotADirectoryError(0, f"'{folder}' is no folder") from None
+
+
+def _written_beside(place: Path, content: Content, unfinished: list[Path]) -> Path:
+    """Write a file of a name of its own beside its place, with the rights of what is there; return its path."""
+    beside = place.with_name(f".{place.name[:_LONGEST_STEM]}.{secrets.token_hex(4)}")
+    unfinished.append(beside)
+    with beside.open("xb") as file:
+        if place.exists() and hasattr(os, "fchmod"):
+            os.fchmod(file.fileno(), stat.S_IMODE(place.stat().st_mode))
+        _fill(file, content)
+        file.flush()
+        os.fsync(file.fileno())  # a disk may say only now that it is full
+    return beside
+
+
+def _fill(file: IO[bytes], content: Content) -> None:
+    if callable(content):
+        content(file)
+    else:
+        file.write(content.encode() if isinstance(content, str) else content)
+
+
+@contextmanager
+def _tidied(unfinished: Sequence[Path]) -> Iterator[None]:
+    """Remove what is unfinished however the writing ends: done, by an error, or by a signal that ends the process."""
+
+    def remove() -> None:
+        for path in unfinished:
+            if path.is_dir():
+                shutil.rmtree(path, ignore_errors=True)
+            else:
+                path.unlink(missing_ok=True)
+
+    def end(number: int, _frame: FrameType | None) -> None:
+        remove()
+        signal.signal(number, signal.SIG_DFL)
+        os.kill(os.getpid(), number)
+
+    here = threading.current_thread() is threading.main_thread()  # only there Python lets signals be caught
+    caught = [number for number in _ENDING if here and signal.getsignal(number) is signal.SIG_DFL]
+    for number in caught:
+        signal.signal(number, end)
+    try:
+        yield
+    finally:
+        remove()
+        for number in caught:
+            signal.signal(number, signal.SIG_DFL)
+
+
+def _refused(kind: str, target: Path, error: OSError) -> InputError:
+    why = error.strerror or str(error)
+    return InputError(
+        f"the {kind} '{target}' cannot be written: {why[:1].lower()}{why[1:]}; nothing was changed: name another place,"
+        " or make room there"
+    )

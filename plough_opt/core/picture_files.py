@@ -1,0 +1,41 @@
+"""Pictures as files: known formats, written whole or not at all; and their colours."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from plough_opt.core.errors import InputError
+from plough_opt.core.files import write_file
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+FORMATS = ("png", "svg", "pdf")
+
+COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#8A8A8A")
+"""Of Okabe and Ito (2008), which the colour-blind can tell apart, and a grey."""
+
+
+def save(figure: Figure, path: str | Path) -> Path:
+    """Write a figure to a file whole or not at all, making its folder; the ending chooses the format.
+
+    Raises:
+        InputError: an ending that is no known format, or a place that cannot be written.
+    """
+    check_format(path)
+    ending = Path(path).suffix[1:].lower()
+    return write_file(path, "plot", lambda file: figure.savefig(file, dpi=130, format=ending))
+
+
+def check_format(path: str | Path) -> None:
+    """Refuse a file whose ending is no picture format, or that is a folder.
+
+    Raises:
+        InputError: as said.
+    """
+    if Path(path).suffix[1:].lower() not in FORMATS:
+        endings = ", ".join(f".{ending}" for ending in FORMATS)
+        raise InputError(f"the plot '{path}' has no known picture format: end its name in one of {endings}")
+    if Path(path).is_dir():
+        raise InputError(f"the plot '{path}' is a folder: name a file in it")

@@ -1,0 +1,263 @@
+"""The registry of quantities: name, unit, domain and meaning of every number that a scene is made of.
+
+Files, designs, components, exports, calibration, distributions, sweeps and the documentation's table read it here. A
+quantity's name is its key in problem files, such as "soil.cohesion".
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from plough_opt.core.domain import check_domain
+from plough_opt.core.expressions import Expression
+from plough_opt.core.units import Unit
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """A number that a scene holds, or that its mass and duration follow from.
+
+    Attributes:
+        name: key in problem files.
+        called: what messages call it.
+        meaning: what it is, with its symbol.
+        unit: SI unit, "" for a pure number.
+        typical: a value inside the domain.
+        path: attributes, and places in tuples, that lead to it from a scene; () for a number beside the scene.
+        low: lower end of the model's domain.
+        high: upper end of the domain.
+        above: whether the lower end is excluded.
+        below: whether the upper end is excluded.
+        shown: unit in which a reader expects it, if not the SI one.
+        why: where the limits come from, added to messages.
+        required: whether a problem file must give it or make it a variable.
+        in_files: whether problem files have it.
+        default: value in a problem file that leaves it out.
+    """
+
+    name: str
+    called: str
+    meaning: str
+    unit: str
+    typical: float
+    path: tuple[str | int, ...]
+    low: float = 0.0
+    high: float = math.inf
+    above: bool = False
+    below: bool = False
+    shown: str = ""
+    why: str = ""
+    required: bool = False
+    in_files: bool = True
+    default: float | None = None
+
+    @property
+    def owner(self) -> str:
+        """The table of a problem file that holds it, as "soil" or "effects.strength_wave_2"."""
+        return self.name.rpartition(".")[0]
+
+    @property
+    def key(self) -> str:
+        """Its name within that table."""
+        return self.name.rpartition(".")[2]
+
+    def check(self, value: Expression) -> None:
+        """Refuse a number outside the domain; a symbol passes.
+
+        Raises:
+            DomainError: not a number, or one that is not finite or lies outside.
+        """
+        check_domain(
+            self.called,
+            value,
+            self.unit,
+            above=self.low if self.above else -math.inf,
+            at_least=-math.inf if self.above else self.low,
+            below=self.high if self.below else math.inf,
+            at_most=math.inf if self.below else self.high,
+            why=self.why,
+        )
+
+
+def _angle(name: str, meaning: str, typical: float, path: tuple[str, ...], *, above: bool, in_files: bool) -> Quantity:
+    """Return an angle below 90 degrees, which a file that has it must give."""
+    called = name.rpartition(".")[2].replace("_", " ")
+    return Quantity(
+        name,
+        called,
+        meaning,
+        "rad",
+        typical,
+        path,
+        high=math.pi / 2,
+        above=above,
+        below=True,
+        shown="deg",
+        required=in_files,
+        in_files=in_files,
+    )
+
+
+_COMPACTS = "it is undisturbed over locked density, and the plastic gas needs soil that compacts"
+MOST_WAVES = 8
+"""Most strength waves of a scene."""
+
+
+def wave_table(number: int) -> str:
+    """Return the table of a problem file that holds a strength wave, counted from 1."""
+    return "effects.strength_wave" if number == 1 else f"effects.strength_wave_{number}"
+
+
+def _wave(number: int) -> tuple[Quantity, ...]:
+    """Return the quantities of a strength wave."""
+    table, path = wave_table(number), ("effects", "strength_wave", number - 1)
+    which = "" if number == 1 else f" {number}"
+    return (
+        Quantity(
+            f"{table}.amplitude", f"strength wave amplitude{which}", "amplitude epsilon of the soil's strength", "",
+            0.3, (*path, "amplitude"), high=1.0, why="soil cannot push the share forward",
+        ),
+        Quantity(
+            f"{table}.wavelength", f"strength wavelength{which}", "wavelength of the soil's strength along the path",
+            "m", 0.2, (*path, "wavelength"), above=True,
+        ),
+        Quantity(
+            f"{table}.phase", f"strength wave phase{which}", "phase of the soil's strength at travel 0", "rad", 0.0,
+            (*path, "phase"), low=-2.0 * math.pi, high=2.0 * math.pi, shown="deg",
+        ),
+    )  # fmt: skip
+
+
+QUANTITIES: dict[str, Quantity] = {
+    quantity.name: quantity
+    for quantity in (
+        Quantity(
+            "soil.density", "soil density", "density rho0 of the undisturbed soil", "kg/m^3", 1350.0,
+            ("soil", "density"), above=True, required=True,
+        ),
+        Quantity(
+            "soil.density_ratio", "density ratio b1", "undisturbed over locked density b1", "", 0.8,
+            ("soil", "density_ratio"), high=1.0, above=True, below=True, why=_COMPACTS, required=True,
+        ),
+        Quantity(
+            "soil.cohesion", "cohesion", "cohesion k", "Pa", 2e4,
+            ("soil", "cohesion"), shown="kPa", required=True,
+        ),
+        _angle(
+            "soil.friction_angle", "angle of internal friction theta", 0.5,
+            ("soil", "friction_angle"), above=False, in_files=True,
+        ),
+        Quantity(
+            "soil.tool_friction", "tool friction", "friction mu0 of soil on metal", "", 0.5,
+            ("soil", "tool_friction"), required=True,
+        ),
+        Quantity(
+            "soil.ambient_pressure", "ambient pressure", "pressure p_a ahead of the compaction front", "Pa", 1e5,
+            ("soil", "ambient_pressure"), shown="kPa",
+        ),
+        Quantity(
+            "soil.youngs_modulus", "Young's modulus", "Young's modulus E", "Pa", 1e7,
+            ("soil", "youngs_modulus"), above=True, shown="MPa",
+        ),
+        Quantity(
+            "soil.poisson_ratio", "Poisson's ratio", "Poisson's ratio", "", 0.3,
+            ("soil", "poisson_ratio"), high=0.5, below=True,
+        ),
+        Quantity(
+            "soil.strength_factor", "strength factor", "measured over computed static resistance", "", 1.0,
+            ("soil", "strength_factor"), above=True,
+        ),
+        _angle(
+            "share.wedge_angle", "wedge angle lambda at the top of the share", 0.5,
+            ("share", "angle"), above=True, in_files=True,
+        ),
+        _angle(
+            "share.chisel_angle", "angle beta_pl of the chisel point to the base", 0.25,
+            ("share", "chisel_angle"), above=False, in_files=True,
+        ),
+        _angle(
+            "share.half_angle", "half angle beta of the cone", 0.25,
+            ("share", "half_angle"), above=True, in_files=False,
+        ),
+        Quantity(
+            "share.height", "share height", "height h of the share", "m", 0.25,
+            ("share", "height"), above=True, required=True,
+        ),
+        Quantity(
+            "scene.stiffness", "stiffness", "stiffness k0 of the mount", "N/m", 5e4,
+            ("stiffness",), above=True, shown="kN/m", required=True,
+        ),
+        Quantity(
+            "scene.mass", "mass", "mass m of all that moves but the soil", "kg", 20.0,
+            ("mass",), above=True, why="the share itself moves", in_files=False,
+        ),
+        Quantity(
+            "scene.tow_speed", "tow speed", "speed V0 of the strut", "m/s", 2.0,
+            ("tow_speed",), shown="km/h", required=True,
+        ),
+        *(quantity for number in range(1, MOST_WAVES + 1) for quantity in _wave(number)),
+        Quantity(
+            "effects.tow_ramp", "tow ramp", "time in which the strut's speed rises from 0", "s", 0.5,
+            ("effects", "tow_ramp"),
+        ),
+        Quantity(
+            "effects.damping", "damping", "viscous damper c in the mount", "N*s/m", 400.0,
+            ("effects", "damping"),
+        ),
+        Quantity(
+            "effects.rate_term", "rate term", "kappa of the static resistance F0 (1 + kappa L'^2)", "s^2/m^2", 0.01,
+            ("effects", "rate_term"),
+        ),
+        Quantity(
+            "effects.contact_width", "width of the smooth contact",
+            "speed of the share above which the soil resists fully", "m/s", 0.1,
+            ("effects", "contact", "width"), above=True,
+        ),
+        Quantity(
+            "effects.breakaway", "breakaway ratio",
+            "resistance at which a sticking share moves over the static one", "", 1.2,
+            ("effects", "contact", "breakaway"), low=1.0,
+        ),
+    )
+}  # fmt: skip
+"""Quantities of a scene by name; "share.half_angle" of a share that is given as a cone."""
+
+BESIDE: dict[str, Quantity] = {
+    quantity.name: quantity
+    for quantity in (
+        Quantity("scene.duration", "duration", "simulated time", "s", 2.0, (), above=True, required=True),
+        Quantity(
+            "scene.frame_mass", "frame mass", "mass of all that moves but the share and the soil", "kg", 20.0, (),
+            required=True,
+        ),
+        Quantity(
+            "scene.steel_density", "density of the share's material",
+            "density of the share's material, whose mass moves too", "kg/m^3", 7850.0, (), default=7850.0,
+        ),
+    )
+}  # fmt: skip
+"""Quantities beside a scene: its duration, and what its mass is made of."""
+
+READINGS: dict[str, Quantity] = {
+    "soil.cone_index": Quantity(
+        "soil.cone_index", "cone index", "pressure that a penetrometer reads", "Pa", 1e6, (), above=True, shown="MPa"
+    )
+}
+"""Readings of a problem file that decide another property of its soil."""
+
+EVERY: dict[str, Quantity] = {**QUANTITIES, **BESIDE, **READINGS}
+"""Every quantity by name."""
+
+IN_FILES: dict[str, Quantity] = {name: quantity for name, quantity in EVERY.items() if quantity.in_files}
+"""Quantities of a problem file by name."""
+
+
+def quantities() -> dict[str, Unit]:
+    """Return every key that a quantity can stand at, such as "share.height", with its unit."""
+    return {name: Unit(quantity.unit) for name, quantity in IN_FILES.items()}
+
+
+def every_quantity() -> dict[str, Unit]:
+    """Return every quantity of a scene by its one name: those of files, and what scenes of Python's alone have."""
+    return {name: Unit(quantity.unit) for name, quantity in EVERY.items()}

@@ -1,0 +1,116 @@
+"""What a finer quadrature, or more knots, gains and costs: error against time for any result of a size."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from plough_opt.core.errors import InputError
+from plough_opt.core.expressions import Expression, as_number, is_count
+from plough_opt.core.kinds import check_callable, check_kind, shown
+
+_REPEATS = 5
+# Below this relative error differences are rounding, and further refinement gains nothing.
+_ROUNDING = 1e-14
+
+
+@dataclass(frozen=True)
+class Refinement:
+    """Error and time of a result at several sizes; `str` of it is a table.
+
+    Attributes:
+        sizes: orders, or numbers of knots, ascending.
+        errors: largest difference from the result at twice the largest size, relative to the largest value of that.
+        seconds: median time of one evaluation, after a warm-up [s].
+    """
+
+    sizes: tuple[int, ...]
+    errors: NDArray[np.float64]
+    seconds: NDArray[np.float64]
+
+    @property
+    def cost(self) -> NDArray[np.float64]:
+        """Times as multiples of the fastest."""
+        ratios: NDArray[np.float64] = self.seconds / np.min(self.seconds)
+        return ratios
+
+    def size_for(self, error: float) -> int:
+        """Return the smallest size whose relative error is at most the wanted one.
+
+        Raises:
+            InputError: none of the sizes reaches it.
+        """
+        if (
+            not isinstance(error, int | float | np.number)
+            or isinstance(error, bool)
+            or not 0.0 <= error <= sys.float_info.max
+        ):
+            raise InputError(f"error = {shown(error)} must be a number, not below 0")
+        for size, own in zip(self.sizes, self.errors, strict=True):
+            if own <= error:
+                return size
+        raise InputError(f"no size up to {self.sizes[-1]} reaches a relative error of {error:g}: try larger ones")
+
+    def __str__(self) -> str:
+        """Return the table, with a sentence on where refinement ends to pay."""
+        rows = [f"{'size':>6} {'relative error':>16} {'time, fastest = 1':>18}"]
+        for size, error, cost in zip(self.sizes, self.errors, self.cost, strict=True):
+            rows.append(f"{size:>6} {error:>16.1e} {cost:>18.1f}")
+        enough = [size for size, error in zip(self.sizes, self.errors, strict=True) if error <= _ROUNDING]
+        if enough:
+            rows.append(f"{enough[0]} reaches rounding; more costs time and gains nothing.")
+        return "\n".join(rows)
+
+
+def refine(quantity: Callable[[int], Expression], sizes: Sequence[int]) -> Refinement:
+    """Evaluate a result at several sizes, and at twice the largest of them to judge them by.
+
+    For instance the order of a density profile's quadrature, or the knots on a smooth profile::
+
+        refine(lambda order: resistance(cone, soil.with_density_profile(rho, order=order), 2.0, 0.0), [4, 8, 16])
+        refine(lambda n: elastic.wedge_stress(0.1, 0.1, elastic.knots(h, 0.5, n), soil, 2.0).yy, [8, 16, 32])
+
+    Args:
+        quantity: number or array of numbers as a function of the size.
+        sizes: sizes to try, at least one, each 1 or larger.
+
+    Raises:
+        InputError: no sizes, sizes below 1, or a result that is not finite.
+    """
+    check_callable("the quantity", quantity, "of the size")
+    check_kind("sizes", sizes, Sequence | np.ndarray, "a list of whole numbers from 1 on")
+    tried = tuple(sizes)
+    if not tried or not all(map(is_count, tried)):
+        raise InputError(f"sizes = {shown(list(sizes))} must be one or more whole numbers from 1 on")
+    tried = tuple(sorted(set(map(int, tried))))
+    reference = _value(quantity, 2 * tried[-1])
+    largest = float(np.max(np.abs(reference)))
+    errors, seconds = [], []
+    for size in tried:
+        errors.append(float(np.max(np.abs(_value(quantity, size) - reference))) / (largest or 1.0))
+        seconds.append(float(np.median([_timed(quantity, size) for _ in range(_REPEATS)])))
+    return Refinement(tried, np.array(errors), np.array(seconds))
+
+
+def _value(quantity: Callable[[int], Expression], size: int) -> NDArray[np.float64]:
+    found = quantity(size)
+    try:
+        value = as_number(found)
+    except InputError:
+        raise
+    except (TypeError, ValueError):
+        raise InputError(f"the quantity returned {shown(found)} at size {size}, and must return numbers") from None
+    if not np.all(np.isfinite(value)):
+        raise InputError(f"the result at size {size} is not finite: refine a result that has a value")
+    return value
+
+
+def _timed(quantity: Callable[[int], Expression], size: int) -> float:
+    started = time.perf_counter()
+    quantity(size)
+    return time.perf_counter() - started

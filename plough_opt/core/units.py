@@ -1,0 +1,151 @@
+"""Quantities with units, read by pint and kept in SI."""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import TYPE_CHECKING, Any, Final, cast
+
+from plough_opt.core.errors import InputError, nearest, short
+
+if TYPE_CHECKING:
+    import pint
+    from pydantic import GetCoreSchemaHandler
+    from pydantic_core import CoreSchema
+
+# pint and pydantic are slow to import, and most programs give numbers: both are imported when they are first needed.
+
+_QUANTITY = re.compile(
+    r"\s*(?P<number>[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?)\s*"
+    r"(?P<unit>(?:[^\W\d_]|[°%])(?:[\w°%/*^.·³²()-]| (?=\S))*|)\s*"
+)
+# Characters of a quantity, and powers of its unit: pint would compute 9^9^9 before it says that it is no unit.
+_LONGEST: Final = 100
+_POWER = re.compile(r"(?:\^|\*\*)(?!\s*-?[0-9](?:\.[0-9])?(?![\w.^]|\s*(?:\^|\*\*)))")
+# What users write; the nearest of these is suggested for a unit that pint does not know.
+_COMMON = (
+    "m", "cm", "mm", "km", "deg", "rad", "kg", "g", "t", "s", "ms", "min", "h", "N", "kN", "Pa", "kPa", "MPa",
+    "m/s", "km/h", "mph", "N/m", "kN/m", "N/mm", "N*s/m", "kN*s/m", "kg/m^3", "g/cm^3", "W", "kW", "s^2/m^2", "%",
+)  # fmt: skip
+_EXAMPLES = {
+    "m": '"0.3 m"', "rad": '"25 deg"', "kg": '"20 kg"', "s": '"2 s"', "m/s": '"7.2 km/h"', "N/m": '"50 kN/m"',
+    "N*s/m": '"400 N*s/m"', "Pa": '"20 kPa"', "kg/m^3": '"1350 kg/m^3"', "N": '"1 kN"', "W": '"1 kW"',
+    "s^2/m^2": '"0.01 s^2/m^2"', "": "0.3",
+}  # fmt: skip
+
+
+@lru_cache(maxsize=1)
+def registry() -> pint.UnitRegistry[Any]:
+    """Return the one registry of units, made when first needed."""
+    import pint
+
+    return pint.UnitRegistry()
+
+
+@dataclass(frozen=True)
+class Unit:
+    """The SI unit that a key is kept in; "" for a pure number."""
+
+    symbol: str
+
+    def __get_pydantic_core_schema__(self, source: object, handler: GetCoreSchemaHandler) -> CoreSchema:
+        """Let ``Annotated[float, Unit("m")]`` be the type of a field that parses quantities."""
+        from pydantic_core import core_schema
+
+        return core_schema.no_info_before_validator_function(self.parse, handler(float))
+
+    def example(self) -> str:
+        """Return a quantity of this kind as one would write it."""
+        return _EXAMPLES[self.symbol]
+
+    def parse(self, value: object) -> float:
+        """Return a quantity as a number in this unit.
+
+        Args:
+            value: text with a number and a unit, or a plain number where the unit is "".
+
+        Raises:
+            InputError: not a quantity, an unknown unit, or one of another kind.
+        """
+        number, factor = self.split(value)
+        return _finite(number * factor, str(value))
+
+    def split(self, value: object) -> tuple[float, float]:
+        """Return a quantity's number as written, and the factor from the unit it is written in to this one.
+
+        Raises:
+            InputError: as `parse`.
+        """
+        if isinstance(value, bool) or not isinstance(value, int | float | str):
+            raise InputError(f"is not a quantity: write it like {self.example()}")
+        if not isinstance(value, str):
+            if self.symbol:
+                raise InputError(f"= {value} has no unit: write it like {self.example()}")
+            return _as_float(value), 1.0
+        if len(value) > _LONGEST:
+            raise InputError(
+                f'= "{short(value)}" has {len(value)} characters, and a quantity at most {_LONGEST}: write it like'
+                f" {self.example()}"
+            )
+        match = _QUANTITY.fullmatch(value)
+        if match is None:
+            raise InputError(f'= "{value}" is not a quantity: write it like {self.example()}')
+        number, written = float(match["number"]), match["unit"]
+        if _POWER.search(written):
+            raise InputError(f'= "{value}" has a unit that cannot be read: its powers are one digit each, as "kg/m^3"')
+        if not written and self.symbol:
+            raise InputError(f'= "{value}" has no unit: write it like {self.example()}')
+        factor, kind = _root(written, value)
+        own_factor, own_kind = _root(self.symbol, value)
+        if kind != own_kind:
+            expected = f"a quantity in {self.symbol}" if self.symbol else "a pure number"
+            raise InputError(f'= "{value}" has the wrong unit: expected {expected}, like {self.example()}')
+        return number, factor / own_factor
+
+
+@dataclass(frozen=True)
+class Display:
+    """The unit that a user wrote, to give results back in it: value in SI = factor times value displayed."""
+
+    symbol: str
+    factor: float
+
+    def text(self, value: float, digits: int = 5) -> str:
+        """Return an SI value in this unit as text."""
+        return f"{value / self.factor:.{digits}g} {self.symbol}".rstrip()
+
+
+def display_of(value: object, unit: Unit) -> Display:
+    """Return the unit in which a quantity that can be parsed was written."""
+    _, factor = unit.split(value)
+    match = _QUANTITY.fullmatch(value) if isinstance(value, str) else None
+    return Display(match["unit"] if match else unit.symbol, factor)
+
+
+def _root(written: str, value: object) -> tuple[float, str]:
+    """Return a unit's factor to root units and those units; unlike dimensions, they tell an angle from a number."""
+    try:
+        factor, root = registry().get_root_units(registry().parse_units(written.replace("%", "percent")))
+    except Exception as error:  # pint's parser raises whatever it stumbles over
+        names = getattr(error, "unit_names", None)  # of a unit that it does not know
+        if names is None:
+            text = f'= "{value}" is not a quantity: its unit cannot be read; one is like "kN*s/m"'
+            raise InputError(text) from None
+        names = names if isinstance(names, str) else ", ".join(names)
+        raise InputError(f"= \"{value}\" has an unknown unit '{names}': {nearest(names, _COMMON)}") from None
+    return float(cast(float, factor)), str(root)
+
+
+def _as_float(value: float) -> float:
+    try:
+        return _finite(float(value), str(value))
+    except OverflowError:
+        raise InputError("must be finite: it is too large") from None
+
+
+def _finite(number: float, text: str) -> float:
+    if not math.isfinite(number):
+        raise InputError(f"= {text} must be finite")
+    return number

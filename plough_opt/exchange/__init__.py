@@ -1,0 +1,1 @@
+"""Scenes and results for other tools: components, exports, saved results."""

@@ -1,0 +1,277 @@
+"""`component`: from a scene and names to a Function, with as many steps as the bounds on its inputs call for."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, TypeVar
+
+import casadi as ca
+
+from plough_opt.core.domain import check_single, plain_number
+from plough_opt.core.errors import DomainError, InputError, nearest
+from plough_opt.core.expressions import Expression, as_number, holds_casadi, is_count, is_symbolic, map_expressions
+from plough_opt.core.kinds import shown
+from plough_opt.core.quantities import BESIDE, EVERY, QUANTITIES, Quantity
+from plough_opt.exchange.component.box import Box, Make
+from plough_opt.exchange.component.function import Component
+from plough_opt.exchange.component.graph import graph
+from plough_opt.exchange.component.ports import Input, Output, Port, check_names, measure_of, port_of
+from plough_opt.motion.accuracy import ORDER_8, Accuracy
+from plough_opt.motion.scene import Scene
+from plough_opt.motion.vocabulary import quantity_of, with_quantities
+
+SAMPLES = 400
+"""Default number of intervals between the output times of results at every output time."""
+
+_DURATION, _FRAME, _STEEL = BESIDE
+_T = TypeVar("_T", Input, Output)
+
+
+def component(
+    scene: Scene,
+    duration: Expression | None = None,
+    *,
+    inputs: Sequence[str | Input],
+    outputs: Sequence[str | Output],
+    steel_density: float | None = None,
+    accuracy: Accuracy | None = None,
+    samples: int = SAMPLES,
+    name: str = "share",
+) -> Component:
+    """Return a scene as one named CasADi Function of some of its quantities.
+
+    Args:
+        scene: of numbers, some of which become inputs; or with CasADi symbols, each of which is an `Input`'s.
+        duration: simulated time [s]; of a lasting orbit it is one wavelength and must be left out.
+        inputs: names of quantities, as in problem files ("share.height", "soil.cohesion", "scene.duration"), or
+            `Input`s with bounds. The number of steps follows from the bounds.
+        outputs: names of results, as in problem files ("mean_draft", "deflection"), or `Output`s.
+        steel_density: of the share [kg/m^3]; the mass then follows the share's volume, what is left of the scene's mass
+            being the frame's, and "scene.frame_mass" and "scene.steel_density" are names too. Default: the mass stays.
+        accuracy: an error to reach, or ``"dop853"`` with a number of steps; default: a relative error of 1e-8, of
+            derivatives 1e-6, checked at corners of the bounds and points inside.
+        samples: number of equal intervals between output times of results at every output time.
+        name: the Function's name.
+
+    Raises:
+        InputError: an unknown name, an input without bounds, or a scene that no such Function can hold; the message
+            says why.
+        DomainError: bounds outside the model's domain.
+    """
+    check_single("a component", (scene, duration))
+    steel = None if steel_density is None else plain_number("steel_density", steel_density)
+    base = _Base(scene, duration, steel)
+    asked = _several(inputs, Input)
+    check_names("input", [one.name for one in asked])
+    ports = [_own_port(one) if one.symbol is not None else _port(one, base) for one in asked]
+    make, notes = _maker(base, asked), base.notes(ports)
+    return build(make, ports, outputs, accuracy=accuracy, samples=samples, name=name, notes=notes)
+
+
+def build(
+    make: Make,
+    inputs: Sequence[Port],
+    outputs: Sequence[str | Output],
+    *,
+    accuracy: Accuracy | None = None,
+    samples: int = SAMPLES,
+    name: str = "share",
+    notes: Sequence[str] = (),
+) -> Component:
+    """Return the component of whatever makes scenes of its inputs; the rest as `component`.
+
+    Args:
+        make: values of the inputs by name, numbers or symbols -> scene and duration.
+        inputs: names, units, bounds and values.
+        outputs: what is asked for.
+        accuracy: error to reach, or steps.
+        samples: number of equal intervals between output times.
+        name: the Function's name.
+        notes: warnings beside those of the scenes.
+    """
+    if not isinstance(name, str) or not ca.Function.check_name(name):
+        raise InputError(
+            f"name = {shown(name)} cannot be that of a CasADi Function: take letters, digits and underscores"
+        )
+    wanted = _several(outputs, Output)
+    check_names("output", [one.name for one in wanted])
+    check_names("input or output", [*(port.name for port in inputs), *(one.name for one in wanted)])
+    accuracy = Accuracy() if accuracy is None else accuracy
+    if not isinstance(accuracy, Accuracy):
+        raise InputError(f"accuracy = {shown(accuracy)} must be a po.Accuracy(...)")
+    if accuracy.method not in ORDER_8:
+        raise InputError(
+            f"accuracy method '{accuracy.method}' cannot be part of a component, which holds its steps as a plain"
+            " graph: take 'auto', or 'dop853' with a number of steps"
+        )
+    if not is_count(samples):
+        raise InputError(f"samples = {shown(samples)} must be a whole number from 1 on: intervals between output times")
+    box = Box(tuple(inputs), make, name)
+    measures = [measure_of(one, box.scene.medium) for one in wanted]
+    results = [of for _, of in measures]
+    # Two output times tell which results are columns, and whether there are any.
+    columns = any(size > 1 for size in box.sizes(results))
+    found = box.resolved(accuracy, samples if columns else 1)
+    arguments = [port.argument for port in inputs]
+    function = graph(name, arguments, box.make_of_column, results, found.resolution)
+    ends = [
+        Port(one.name, unit, one.lower, one.upper, value=0.0, size=function.numel_out(k))
+        for k, (one, (unit, _)) in enumerate(zip(wanted, measures, strict=True))
+    ]
+    names = [port.argument for port in ends]
+    values = [port.value for port in inputs]
+    symbols = function.mx_in()
+    function = ca.Function(name, symbols, function.call(symbols), arguments, names, {"default_in": values})
+    ends = [replace(port, value=_largest(port, value)) for port, value in zip(ends, function.call(values), strict=True)]
+    own = Accuracy("dop853", steps=found.resolution.steps) if box.scene.effects.motion else Accuracy()
+    return Component(function, tuple(inputs), tuple(ends), own, found.error, (*found.warnings, *notes))
+
+
+def _largest(port: Port, values: ca.DM) -> float:
+    """Return the largest value of an output."""
+    if not values.is_regular():
+        raise DomainError(f"'{port.name}' has no finite value at the inputs' values: check what it computes")
+    return float(ca.mmax(values))
+
+
+def _several(asked: Any, kind: type[_T]) -> list[_T]:
+    """Return what is asked for; a name alone is one, and not its letters."""
+    if not isinstance(asked, str | Sequence):
+        word = kind.__name__
+        raise InputError(f"{word.lower()}s = {shown(asked)} must be a list of names, or of po.{word}(name, ...)")
+    found = [kind(one) if isinstance(one, str) else one for one in ([asked] if isinstance(asked, str) else asked)]
+    for one in found:
+        if not isinstance(one, kind):
+            word = kind.__name__
+            raise InputError(f"{word.lower()} {shown(one)} must be a name, or po.{word}(name, ...) with more about it")
+    return found
+
+
+@dataclass(frozen=True)
+class _Base:
+    """A scene with its duration, and the steel of which its share is made."""
+
+    scene: Scene
+    duration: Expression | None
+    steel: float | None
+
+    def __post_init__(self) -> None:
+        if self.steel is None:
+            return
+        if holds_casadi((self.scene.mass, self.scene.share)):
+            raise InputError("steel_density belongs to a scene of numbers: here the scene's mass says it already")
+        BESIDE[_STEEL].check(self.steel)
+        if self.frame < 0.0:
+            raise InputError(
+                f"a share of {self.steel:g} kg/m^3 is {-self.frame:.4g} kg heavier than all that moves,"
+                f" {self.scene.mass:.4g} kg: raise the scene's mass, or leave steel_density out"
+            )
+
+    @property
+    def frame(self) -> float:
+        """Mass that moves beside the share [kg]."""
+        return float(self.scene.mass - self.scene.cone.solid_mass(self.steel))
+
+    def value(self, name: str) -> tuple[Quantity, Expression]:
+        """Return a quantity and its value."""
+        if self.steel is None and name in (_FRAME, _STEEL):
+            raise InputError(f"'{name}' needs a steel_density, for the frame is what is not share: give that too")
+        if self.steel is not None and name == "scene.mass":
+            raise InputError(f"'scene.mass' follows from steel_density and '{_FRAME}': take that one")
+        if name not in BESIDE:
+            if name not in QUANTITIES:
+                raise InputError(f"no quantity is named '{name}': {nearest(name, EVERY)}")
+            return QUANTITIES[name], quantity_of(self.scene, name)
+        value = {_DURATION: self.duration, _FRAME: self.frame if self.steel is not None else None, _STEEL: self.steel}
+        if value[name] is None:
+            raise InputError(f"'{name}' cannot be an input: the duration is missing")
+        return BESIDE[name], value[name]
+
+    def notes(self, ports: Sequence[Port]) -> tuple[str, ...]:
+        """Return what a reader must know of the mass."""
+        names = {port.name for port in ports}
+        follows = self.steel is not None or holds_casadi(self.scene.mass) or "scene.mass" in names
+        if follows or not self.scene.effects.motion or not any(name.startswith("share.") for name in names):
+            return ()
+        return (
+            f"the moving mass stays {self.scene.mass:.4g} kg whatever the share's size; a steel_density lets it follow",
+        )
+
+    def changed(self, changes: Mapping[str, Expression]) -> tuple[Scene, Expression | None]:
+        """Return scene and duration with other values."""
+        scene = with_quantities(self.scene, {key: value for key, value in changes.items() if key not in BESIDE})
+        if self.steel is not None:
+            steel = scene.cone.solid_mass(changes.get(_STEEL, self.steel))
+            scene = replace(scene, mass=changes.get(_FRAME, self.frame) + steel)
+        return scene, changes.get(_DURATION, self.duration)
+
+
+def _port(one: Input, base: _Base) -> Port:
+    """Return the port of a quantity of the scene."""
+    quantity, found = base.value(one.name)
+    if is_symbolic(found) and one.value is None:
+        raise InputError(f"'{one.name}' is an expression of the scene: make its symbol the input, or give it a value")
+    return port_of(one, quantity, float(as_number(found)) if one.value is None else one.value)
+
+
+def _own_port(one: Input) -> Port:
+    """Return the port of a symbol."""
+    symbol: Any = one.symbol
+    if not (is_symbolic(symbol) and symbol.is_valid_input() and symbol.numel() == 1):
+        raise InputError(f"input '{one.name}': its symbol must be a scalar CasADi symbol, of which the scene is made")
+    if one.lower is None or one.upper is None:
+        raise InputError(
+            f"input '{one.name}' needs lower and upper: a symbol has no value from which they could follow"
+        )
+    middle = (one.lower + one.upper) / 2.0
+    return port_of(one, Quantity(one.name, one.name, "", one.unit or "", middle, ()), middle)
+
+
+def _maker(base: _Base, asked: Sequence[Input]) -> Make:
+    """Return what makes scenes of inputs: symbols are replaced first, then quantities by name."""
+    own = [one for one in asked if one.symbol is not None]
+    names = [one.name for one in own]
+    replaced = _substitution(base, own)
+
+    def make(changes: Mapping[str, Expression]) -> tuple[Scene, Expression | None]:
+        rest = {key: value for key, value in changes.items() if key not in names}
+        return replaced([changes[name] for name in names]).changed(rest)
+
+    return make
+
+
+def _substitution(base: _Base, own: Sequence[Input]) -> Callable[[Sequence[Expression]], _Base]:
+    """Return what puts values, numbers or expressions, in the place of a scene's symbols."""
+    expressions: list[Any] = []
+
+    def collected(found: Expression) -> Expression:
+        expressions.append(found)
+        return found
+
+    map_expressions((base.scene, base.duration), collected)
+    if not expressions:
+        if own:
+            raise InputError(f"the scene does not hold the symbol of input '{own[0].name}': it is made of numbers")
+        return lambda _: base
+    symbols: list[Any] = [one.symbol for one in own]
+    known = {hash(symbol) for symbol in symbols}
+    strangers = sorted({s.name() for e in expressions for s in ca.symvar(e) if hash(s) not in known and is_symbolic(e)})
+    if strangers:
+        raise InputError(
+            f"the scene holds symbols that are no inputs ({', '.join(strangers)}): ask for each as an Input with its"
+            " symbol"
+        )
+    function = ca.Function("quantities", symbols, expressions)
+    function = function if function.is_a("SXFunction") else function.expand()
+
+    def replaced(values: Sequence[Expression]) -> _Base:
+        found = iter(function.call(list(values)))
+        scene, duration = map_expressions((base.scene, base.duration), lambda _: _simple(next(found)))
+        return replace(base, scene=scene, duration=duration)
+
+    return replaced
+
+
+def _simple(value: Expression) -> Expression:
+    return value if is_symbolic(value) else float(as_number(value))

@@ -1,0 +1,176 @@
+"""Component: one CasADi Function with the names, units and bounds of what goes in and comes out."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from functools import cached_property
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from plough_opt.core.errors import DomainError, InputError, nearest
+from plough_opt.core.expressions import Expression, as_number, is_casadi, is_symbolic
+from plough_opt.core.kinds import shown
+from plough_opt.exchange.component.ports import Port
+from plough_opt.motion.accuracy import Accuracy
+
+# Part of the width between bounds by which a number may lie outside: the rounding of whoever computed it.
+_SLACK = 1e-9
+
+
+class Component(ca.Function):
+    """A scene as a CasADi Function that knows what goes in and comes out, and takes numbers only between its bounds.
+
+    Called with numbers it gives floats and arrays, with SX or MX symbols expressions with exact derivatives::
+
+        draft, rms = component(0.4, 0.25, 5e4)          # in the order of the inputs
+        component(scene_stiffness=4e4)["mean_draft"]    # by name, the others at their values
+
+    Everything else is as of any Function: ``map``, ``jacobian``, ``save``, and ``call``, which does not look at bounds.
+    Its inputs and outputs are scalars and columns, named by `Port.argument`. It pickles.
+
+    Attributes:
+        inputs: names, units, bounds and values.
+        outputs: names, units, limits, and values where the inputs have theirs.
+        accuracy: method and steps.
+        error_estimate: largest relative error [-] found at corners of the bounds and points inside: of mean draft and
+            RMS force relative to the larger of them, of the mount force relative to its peak.
+        warnings: what a reader of its results must know.
+    """
+
+    inputs: tuple[Port, ...]
+    outputs: tuple[Port, ...]
+    accuracy: Accuracy
+    error_estimate: float
+    warnings: tuple[str, ...]
+
+    def __init__(
+        self,
+        function: ca.Function,
+        inputs: tuple[Port, ...],
+        outputs: tuple[Port, ...],
+        accuracy: Accuracy,
+        error_estimate: float,
+        warnings: tuple[str, ...],
+    ) -> None:
+        super().__init__(function)
+        self.inputs, self.outputs, self.accuracy = inputs, outputs, accuracy
+        self.error_estimate, self.warnings = error_estimate, warnings
+
+    def __call__(self, *values: Expression, **named: Expression) -> Any:
+        """Return the outputs of inputs in order, as a tuple or alone; or of inputs by name, as a dictionary.
+
+        Args:
+            values: every input, in order: floats, or SX or MX expressions.
+            named: inputs by name, with dots or underscores; those left out have their values.
+
+        Raises:
+            InputError: too many or too few inputs, an unknown name, an array (``map`` takes many values).
+            DomainError: a number outside the bounds, for which steps and checks were not chosen; ``call`` takes it.
+        """
+        if named and values:
+            raise InputError("give the inputs in order or by name, not both")
+        if not named and len(values) != len(self.inputs):
+            names = ", ".join(port.name for port in self.inputs)
+            raise InputError(f"'{self.name()}' takes {len(self.inputs)} inputs ({names}), not {len(values)}")
+        given = self._complete(named) if named else list(values)
+        numbers = not any(map(is_symbolic, given))
+        if numbers:
+            given = [self._number(port, value) for port, value in zip(self.inputs, given, strict=True)]
+        found: list[Any] = self.call(given)
+        if numbers:
+            found = [_plain(value) for value in found]
+            self._refuse_nothing(found, given)
+        if named:
+            return dict(zip((port.name for port in self.outputs), found, strict=True))
+        return found[0] if len(found) == 1 else tuple(found)
+
+    def _complete(self, named: Mapping[str, Expression]) -> list[Expression]:
+        known = {name for port in self.inputs for name in (port.name, port.argument)}
+        for name in named:
+            if name not in known:
+                raise InputError(
+                    f"'{self.name()}' has no input '{name}': {nearest(name, [p.name for p in self.inputs])}"
+                )
+        for port in self.inputs:
+            if port.name != port.argument and {port.name, port.argument} <= {*named}:
+                raise InputError(f"'{port.name}' is given twice, as '{port.argument}' too: leave one of the two out")
+        return [named.get(p.name, named.get(p.argument, p.value)) for p in self.inputs]
+
+    def _number(self, port: Port, value: Expression) -> float:
+        number = as_number(value) if is_casadi(value) else np.asarray(value)
+        if number.dtype.kind not in "iuf":
+            raise InputError(f"'{port.name}' = {shown(value)} must be a number or a CasADi expression")
+        if number.size != 1:
+            raise InputError(f"'{port.name}' is an array of {number.size} values: component.map takes many at a time")
+        plain, slack = float(number.reshape(())), _SLACK * (port.upper - port.lower)
+        if not port.lower - slack <= plain <= port.upper + slack:
+            unit = f" {port.unit}" if port.unit else ""
+            raise DomainError(
+                f"{port.name} = {plain:g}{unit} must lie between {port.lower:g} and {port.upper:g}{unit}, the bounds"
+                " for which this component was made: make it with wider ones"
+            )
+        return plain
+
+    def _refuse_nothing(self, found: Sequence[Any], given: Sequence[float]) -> None:
+        for port, value in zip(self.outputs, found, strict=True):
+            if not np.all(np.isfinite(value)):
+                place = ", ".join(
+                    f"{p.name} = {x:g} {p.unit}".rstrip() for p, x in zip(self.inputs, given, strict=True)
+                )
+                raise DomainError(f"'{port.name}' has no finite value at {place}: narrow the component's bounds")
+
+    @cached_property
+    def slopes(self) -> ca.Function:
+        """Function of the same inputs: derivatives of all outputs, stacked, by all inputs, a dense matrix."""
+        x = [ca.MX.sym(port.argument) for port in self.inputs]
+        column = ca.MX.sym("inputs", len(x))
+        stacked = ca.vertcat(*self.call(ca.vertsplit(column)))
+        jacobian = ca.Function("jacobian", [column], [ca.densify(ca.jacobian(stacked, column))])
+        options = {"default_in": [port.value for port in self.inputs]}
+        names = [port.argument for port in self.inputs]
+        return ca.Function(f"{self.name()}_slopes", x, [jacobian(ca.vertcat(*x))], names, ["slopes"], options)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return what is pickled; the slopes are built again when they are asked for."""
+        told = {key: value for key, value in self.__dict__.items() if key not in ("this", "slopes")}
+        return {**super().__getstate__(), "told": told}
+
+    def __setstate__(self, state: Mapping[str, Any]) -> None:
+        """Take what was pickled."""
+        Component.__init__(self, ca.Function.deserialize(state["serialization"]), **state["told"])
+
+    def __copy__(self) -> Component:
+        """Return itself: nothing in it can change."""
+        return self
+
+    def __deepcopy__(self, memo: Any = None) -> Component:
+        """Return itself."""
+        return self
+
+    def __str__(self) -> str:
+        """Return names, units, bounds and accuracy as text."""
+        lines = [f"{self.name()}: {len(self.inputs)} inputs, {len(self.outputs)} outputs, SI units"]
+        for kind, ports in (("in ", self.inputs), ("out", self.outputs)):
+            for port in ports:
+                shape = f"[{port.size}]" if port.size > 1 else ""
+                lines.append(f"{kind} {port.name}{shape} [{port.unit or '1'}]{_limits(port)}, value {port.value:g}")
+        steps = f", {self.accuracy.steps} steps" if self.accuracy.steps else ""
+        lines.append(f"{self.accuracy.method}{steps}, relative error at most {self.error_estimate:.1e} where tried")
+        return "\n".join([*lines, *self.warnings])
+
+
+def _limits(port: Port) -> str:
+    """Return the bounds of a port in words."""
+    if np.isfinite(port.lower) and np.isfinite(port.upper):
+        return f" {port.lower:g} to {port.upper:g}"
+    if np.isfinite(port.lower):
+        return f" at least {port.lower:g}"
+    return f" at most {port.upper:g}" if np.isfinite(port.upper) else ""
+
+
+def _plain(value: Any) -> float | NDArray[np.float64]:
+    array = np.asarray(value, dtype=float).ravel()
+    return float(array[0]) if array.size == 1 else array

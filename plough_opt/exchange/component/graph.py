@@ -1,0 +1,103 @@
+"""A scene of symbols as one Function of its inputs: small scalar graphs around one loop over steps."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import casadi as ca
+
+from plough_opt.core.expressions import Expression
+from plough_opt.motion import Run
+from plough_opt.motion.accuracy import Accuracy, Method
+from plough_opt.motion.integrators import Integration, integration
+from plough_opt.motion.plan import timeline_of
+from plough_opt.motion.quasi_static import quasi_static
+from plough_opt.motion.run import assemble
+from plough_opt.motion.scene import Scene
+from plough_opt.motion.terms import Structure, parameters
+from plough_opt.motion.timeline import Timeline
+
+OfColumn = Callable[[Sequence[Expression]], tuple[Scene, Expression]]
+"""Inputs in order, numbers or symbols -> scene and duration [s]."""
+
+Results = Sequence[Callable[[Run], Expression]]
+
+GAUSS_POINTS = 10
+"""Nodes in each panel of a quasi-static average."""
+
+
+@dataclass(frozen=True)
+class Resolution:
+    """How finely a run is resolved.
+
+    Attributes:
+        steps: of order 8, or panels of a quasi-static average.
+        outputs: equal intervals between output times.
+        points: nodes in a panel.
+    """
+
+    steps: int
+    outputs: int
+    points: int = GAUSS_POINTS
+
+    def finer(self, motion: bool) -> Resolution:
+        """Return what checks this resolution."""
+        return replace(self, steps=2 * self.steps) if motion else replace(self, points=self.points + 6)
+
+
+def graph(name: str, arguments: Sequence[str], make: OfColumn, results: Results, resolution: Resolution) -> ca.Function:
+    """Return results of a run as a Function of the inputs, each a dense column.
+
+    Args:
+        name: the Function's name.
+        arguments: names of the inputs.
+        make: the scene of inputs.
+        results: of a symbolic run, a scalar or a column each.
+        resolution: steps and outputs.
+    """
+    scene, duration = make([ca.SX.sym(argument) for argument in arguments])
+    # The elastic medium's force is a large sum, which MX holds as one node.
+    kind: Any = ca.MX if scene.medium == "elastic" else ca.SX
+    x = [kind.sym(argument) for argument in arguments]
+    scene, duration = make(x)
+    # Of the two ends of a run no output needs to be read between steps.
+    method: Method | None = "dop853" if scene.effects.motion and resolution.outputs > 1 else None
+    timeline = timeline_of(scene, duration, resolution.outputs, resolution.steps, method, symbolic=True)
+    if not scene.effects.motion:
+        run = quasi_static(scene, duration, timeline, Accuracy(), resolution.points)
+        return ca.Function(name, x, _columns(run, results, kind))
+    solver, given = _integrated(scene, duration, x, timeline)
+    accuracy, moved = solver.accuracy, solver.function
+    states, means, variances = found = [ca.SX.sym(f"o{k}", *moved.size_out(k)) for k in range(moved.n_out())]
+    run = assemble(scene, duration, timeline.output_fractions, states.T, means, variances, accuracy)
+    around = ca.Function("results", [*x, *found], _columns(run, results, kind))
+    symbols = [ca.MX.sym(argument) for argument in arguments]
+    return ca.Function(name, symbols, around.call([*symbols, *moved.call([given(*symbols)])]))
+
+
+def motion(arguments: Sequence[str], make: OfColumn, resolution: Resolution) -> tuple[Integration, ca.Function]:
+    """Return what integrates a run, and its parameters, the duration last, as a Function of a column of the inputs."""
+    inputs: Any = ca.SX.sym("inputs", len(arguments))
+    scene, duration = make(ca.vertsplit(inputs))
+    if scene.medium == "elastic":
+        inputs = ca.MX.sym("inputs", len(arguments))
+        scene, duration = make(ca.vertsplit(inputs))
+    method: Method | None = "dop853" if resolution.outputs > 1 else None
+    timeline = timeline_of(scene, duration, resolution.outputs, resolution.steps, method, symbolic=True)
+    return _integrated(scene, duration, [inputs], timeline)
+
+
+def _integrated(
+    scene: Scene, duration: Expression, inputs: Sequence[Any], timeline: Timeline
+) -> tuple[Integration, ca.Function]:
+    """Return what integrates a run of symbols, and its parameters as a Function of these."""
+    solver = integration(Structure.of(scene), Accuracy("dop853", steps=timeline.steps), timeline)
+    p = parameters(scene)
+    given = ca.vertcat(*(p[key] for key in solver.names), duration)
+    return solver, ca.Function("parameters", list(inputs), [given])
+
+
+def _columns(run: Run, results: Results, kind: Any) -> list[Any]:
+    return [ca.densify(ca.vec(kind(result(run)))) for result in results]

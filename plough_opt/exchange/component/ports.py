@@ -1,0 +1,213 @@
+"""Inputs and outputs of a component: what was asked for, and what it has."""
+
+from __future__ import annotations
+
+import itertools
+import math
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from plough_opt.core.domain import check_domain, plain_number
+from plough_opt.core.errors import InputError, nearest, unprintable
+from plough_opt.core.expressions import Expression
+from plough_opt.core.kinds import shown
+from plough_opt.core.quantities import Quantity
+from plough_opt.motion import Run
+from plough_opt.motion.vocabulary import MEASURES
+
+# From this ratio of its bounds on an input is sampled by its logarithm.
+_WIDE = 10.0
+# Inputs up to which every corner of the box is sampled; of more, each input at its bounds, the others at their values.
+_ALL_CORNERS = 6
+_INSIDE = 32
+BEYOND = 1e-6
+"""Part of the width between its bounds by which an input of an export may lie outside: optimisers relax bounds."""
+
+_PEAKS = {"peak_force": "mount_force", "peak_deflection": "deflection"}
+
+
+@dataclass(frozen=True)
+class Input:
+    """An input that is asked for: a quantity of the scene by its name, or a symbol that the scene holds.
+
+    Args:
+        name: a quantity's name in problem files, as "share.height"; with ``symbol`` any name.
+        lower: least value for which the component is meant; default: half the scene's value.
+        upper: largest value; default: twice the scene's value. Both stay within the model's domain.
+        value: value that stands for an input left out; default: the scene's.
+        unit: SI unit; known for a quantity of the scene.
+        symbol: the CasADi symbol, where the scene holds symbols; it needs bounds.
+    """
+
+    name: str
+    lower: float | None = None
+    upper: float | None = None
+    value: float | None = None
+    unit: str | None = None
+    symbol: Expression | None = None
+
+
+@dataclass(frozen=True)
+class Output:
+    """An output that is asked for: a result by its name in problem files, or a function of the run.
+
+    Args:
+        name: a result's name, as "mean_draft"; with ``of`` any name.
+        lower: limit of the result, if it has one, for whoever optimises; the component does not enforce it.
+        upper: the same.
+        of: run -> value, by arithmetic and the functions of `plough_opt.core.expressions`, for the run holds symbols.
+        unit: SI unit; known for a named result.
+
+    Raises:
+        InputError: limits that contradict each other.
+    """
+
+    name: str
+    lower: float = -math.inf
+    upper: float = math.inf
+    of: Callable[[Run], Expression] | None = None
+    unit: str | None = None
+
+    def __post_init__(self) -> None:
+        for side in ("lower", "upper"):
+            limit = getattr(self, side)
+            if not (isinstance(limit, float) and math.isinf(limit)):  # there is none
+                object.__setattr__(self, side, plain_number(f"'{self.name}': {side}", limit))
+        if not self.lower <= self.upper:
+            raise InputError(
+                f"the limits of '{self.name}' contradict each other: {self.lower:g} is above {self.upper:g}"
+            )
+
+
+@dataclass(frozen=True)
+class Port:
+    """An input or output that a component has.
+
+    Attributes:
+        name: its name, as "share.height".
+        unit: SI unit, "" for a pure number.
+        lower: lower bound of an input; limit of an output, or minus infinity.
+        upper: upper bound or limit.
+        value: of an input the value that stands for it where it is left out; of an output its value there, the largest
+            of a column.
+        size: number of values: 1, or of an output at every output time as many as these.
+    """
+
+    name: str
+    unit: str
+    lower: float
+    upper: float
+    value: float
+    size: int = 1
+
+    @property
+    def argument(self) -> str:
+        """The name as an identifier, as "share_height"."""
+        return identifier(self.name)
+
+
+def port_of(one: Input, quantity: Quantity, value: float) -> Port:
+    """Return an input's port.
+
+    Args:
+        one: what is asked for; its own value goes before the scene's.
+        quantity: unit and domain.
+        value: the scene's value.
+
+    Raises:
+        InputError: bounds that contradict each other or the value, or another unit.
+        DomainError: a number that is not finite.
+    """
+    value = value if one.value is None else one.value
+    lower = quantity.low + (value - quantity.low) / 2.0 if one.lower is None else one.lower
+    # Halfway to the ends of its domain, and of what cannot be negative at most twice the value.
+    twice = 2.0 * value if quantity.low >= 0.0 else math.inf
+    upper = min(twice, (value + quantity.high) / 2.0) if one.upper is None else one.upper
+    if one.unit is not None and one.unit != quantity.unit:
+        raise InputError(f"'{one.name}' is in {quantity.unit or 'no unit'}, not in {one.unit}")
+    for side, bound in (("lower", lower), ("upper", upper), ("value", value)):
+        check_domain(f"{side} of '{one.name}'", bound, quantity.unit)
+    if not lower < upper:
+        raise InputError(f"'{one.name}': lower {lower:g} is not below upper {upper:g} {quantity.unit}: give bounds")
+    if not lower <= value <= upper:
+        raise InputError(f"'{one.name}' = {value:g} lies outside its bounds {lower:g} to {upper:g}")
+    return Port(one.name, quantity.unit, float(lower), float(upper), float(value))
+
+
+def identifier(name: str) -> str:
+    """Return a name as an identifier of Python, C and CasADi."""
+    return re.sub(r"\W+|_{2,}", "_", name, flags=re.ASCII).strip("_")
+
+
+def check_names(kind: str, names: Sequence[str]) -> None:
+    """Refuse names that are no names, or that clash as identifiers.
+
+    Raises:
+        InputError: as said.
+    """
+    if not names:
+        raise InputError(f"a component needs {kind}s: name at least one")
+    seen: dict[str, str] = {}
+    for name in names:
+        own = identifier(name) if isinstance(name, str) else ""
+        if not own.isidentifier() or unprintable(name, allowed=""):
+            raise InputError(
+                f"{kind} {shown(name)} must be a name that begins with a letter, of characters that are printed"
+            )
+        if own in seen:
+            raise InputError(
+                f"{kind} '{name}' is there twice" if seen[own] == name else f"'{seen[own]}' and '{name}' clash"
+            )
+        seen[own] = name
+
+
+def measure_of(output: Output, medium: str) -> tuple[str, Callable[[Run], Expression]]:
+    """Return unit and function of an output.
+
+    Raises:
+        InputError: no such result, or one that this scene does not have.
+    """
+    if output.of is not None:
+        return output.unit or "", output.of
+    if output.name in _PEAKS:
+        raise InputError(
+            f"'{output.name}' has no derivative: take '{_PEAKS[output.name]}', which is a value at every output time"
+        )
+    if output.name not in MEASURES:
+        raise InputError(f"no result is named '{output.name}': {nearest(output.name, MEASURES)}")
+    measure = MEASURES[output.name]
+    if measure.plastic and medium == "elastic":
+        raise InputError(f"'{output.name}' has no meaning in the elastic medium: leave it out")
+    return measure.unit.symbol, measure.of
+
+
+def corners(inputs: Sequence[Port]) -> list[NDArray[np.float64]]:
+    """Return the values, and the corners of the box of the bounds, or of many inputs each bound with others' values."""
+    values = np.array([port.value for port in inputs])
+    if len(inputs) <= _ALL_CORNERS:
+        return [values, *map(np.array, itertools.product(*((port.lower, port.upper) for port in inputs)))]
+    found = [values]
+    for k, port in enumerate(inputs):
+        for bound in (port.lower, port.upper):
+            found.append(np.concatenate([values[:k], [bound], values[k + 1 :]]))
+    return found
+
+
+def inside(inputs: Sequence[Port]) -> list[NDArray[np.float64]]:
+    """Return some points spread evenly inside the box of the bounds."""
+    # Roberts's additive recurrence: powers of the root of x^(n + 1) = x + 1.
+    root = 2.0
+    for _ in range(60):
+        root = (1.0 + root) ** (1.0 / (len(inputs) + 1))
+    fractions = (0.5 + np.outer(np.arange(1, _INSIDE + 1), root ** -np.arange(1.0, len(inputs) + 1))) % 1.0
+    return [np.array([_between(port, f) for port, f in zip(inputs, row, strict=True)]) for row in fractions]
+
+
+def _between(port: Port, fraction: float) -> float:
+    if port.lower > 0.0 and port.upper > _WIDE * port.lower:
+        return float(port.lower * (port.upper / port.lower) ** fraction)
+    return float(port.lower + (port.upper - port.lower) * fraction)

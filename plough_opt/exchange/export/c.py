@@ -1,0 +1,302 @@
+"""A component as C: source, header, and a test that holds it against the values that Python finds."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Sequence
+from importlib.metadata import version
+from pathlib import Path
+
+import casadi as ca
+
+from plough_opt.core.errors import InputError
+from plough_opt.core.files import check_new_folder, write_folder
+from plough_opt.exchange.component import Component, Port
+from plough_opt.exchange.component.ports import BEYOND, corners, inside
+
+ULP = 4
+"""Units in the last place by which a compiled result may differ from Python's."""
+
+# Points at which the test holds values and derivatives against Python's, beside the corners of the bounds.
+_POINTS = 6
+
+
+def write_c(component: Component, path: str | Path) -> Path:
+    """Write a component as C99 without dependencies, into a new folder.
+
+    The folder holds, of a component named ``share``: ``share.h`` and ``share.c`` with the values and the Jacobian;
+    ``share_test.c``, which fails where a compiled result differs from Python's by more than 4 units in the last place;
+    and a Makefile that runs it. Compile with ``-ffp-contract=off``: a compiler that fuses products and sums rounds
+    otherwise than Python.
+
+    Args:
+        component: what to write; its name is that of the C functions.
+        path: of the folder, which must not exist.
+
+    Returns:
+        The path.
+
+    Raises:
+        InputError: the folder exists or cannot be written, or a component that has no C.
+    """
+    target = check_new_folder(path, "C source")
+    name = component.name()
+    files = {
+        f"{name}.h": _header(component),
+        f"{name}.c": _source(component),
+        f"{name}_test.c": _test(component),
+        "Makefile": _MAKEFILE.replace("NAME", name),
+    }
+    return write_folder(target, "C source", files)
+
+
+def _header(component: Component) -> str:
+    """Return the header: what goes in, what comes out, and two functions."""
+    name, upper = component.name(), component.name().upper()
+    told = "\n".join(f" * {line}".rstrip() for line in _commented(str(component)).splitlines())
+    values = sum(port.size for port in component.outputs)
+    return f"""/* Written by plough_opt {version("plough_opt")}.
+{told}
+ *
+ * Inputs in this order, outputs in this order, columns of several values without gaps.
+ * Compile with -ffp-contract=off for the numbers that Python gives.
+ */
+#ifndef {upper}_H
+#define {upper}_H
+
+#ifdef __cplusplus
+extern "C" {{
+#endif
+
+#define {upper}_INPUTS {len(component.inputs)}
+#define {upper}_OUTPUTS {values}
+
+extern const char *const {name}_input_names[{upper}_INPUTS];
+extern const char *const {name}_input_units[{upper}_INPUTS];
+extern const double {name}_input_lower[{upper}_INPUTS];
+extern const double {name}_input_upper[{upper}_INPUTS];
+extern const double {name}_input_values[{upper}_INPUTS];
+extern const char *const {name}_output_names[{upper}_OUTPUTS];
+extern const char *const {name}_output_units[{upper}_OUTPUTS];
+
+/* {upper}_OUTPUTS outputs of {upper}_INPUTS inputs. Safe in threads.
+ * Returns 0; or 1 where memory is short; 2 where an input lies outside its bounds, for which steps and checks were not
+ * chosen; 3 where a result is not finite. Unless it returns 0 the results are NaN. */
+int {name}_evaluate(const double *inputs, double *outputs);
+
+/* Derivatives of all outputs by all inputs, row by row: jacobian[i * {upper}_INPUTS + j] = d output i / d input j.
+ * Returns the same. */
+int {name}_jacobian(const double *inputs, double *jacobian);
+
+#ifdef __cplusplus
+}}
+#endif
+#endif
+"""
+
+
+def _source(component: Component) -> str:
+    """Return what CasADi writes of the Functions, and around it the header's two and its tables."""
+    name = component.name()
+    functions = {"values": _values(component), "slopes": _slopes(component)}
+    outputs = [(port, k) for port in component.outputs for k in range(port.size)]
+    parts = [
+        f'#include <float.h>\n#include <math.h>\n#include <stdlib.h>\n\n#include "{name}.h"\n',
+        _UNUSED,
+        _graph(name, list(functions.values())),
+        _strings(f"{name}_input_names", (port.name for port in component.inputs)),
+        _strings(f"{name}_input_units", (port.unit for port in component.inputs)),
+        _doubles(f"{name}_input_lower", [port.lower for port in component.inputs]),
+        _doubles(f"{name}_input_upper", [port.upper for port in component.inputs]),
+        _doubles(f"{name}_input_values", [port.value for port in component.inputs]),
+        _strings(f"{name}_output_names", (_element(port, k) for port, k in outputs)),
+        _strings(f"{name}_output_units", (port.unit for port, _ in outputs)),
+        _OUTSIDE.format(name=name, count=len(component.inputs), beyond=float(BEYOND).hex()),
+        _call(name, "evaluate", functions["values"]),
+        _call(name, "jacobian", functions["slopes"]),
+    ]
+    return "\n".join(parts)
+
+
+def _values(component: Component) -> ca.Function:
+    """Return the Function of all inputs, a column, to all outputs, a column."""
+    x = ca.MX.sym("x", len(component.inputs))
+    stacked = ca.vertcat(*component.call(ca.vertsplit(x)))
+    return ca.Function(f"{component.name()}_values", [x], [stacked])
+
+
+def _slopes(component: Component) -> ca.Function:
+    """Return the Function of all inputs to the Jacobian, transposed, for CasADi's matrices run column by column."""
+    x = ca.MX.sym("x", len(component.inputs))
+    return ca.Function(f"{component.name()}_slopes", [x], [component.slopes(*ca.vertsplit(x)).T])
+
+
+def _graph(name: str, functions: Sequence[ca.Function]) -> str:
+    """Return CasADi's C of Functions.
+
+    Raises:
+        InputError: a part of which there is no C.
+    """
+    if any(inner.class_name() == "Newton" for function in functions for inner in function.find_functions()):
+        raise InputError(
+            "CasADi has no C for the root of an equation, which a lasting orbit is: export it to casadi instead, take"
+            " orbit = 'linearised', or simulate from a start"
+        )
+    generator = ca.CodeGenerator(f"{name}_graph.c")
+    for function in functions:
+        generator.add(function)
+    return str(generator.dump())
+
+
+def _call(name: str, verb: str, function: ca.Function) -> str:
+    """Return a function of the header that calls one of CasADi's with memory to work in."""
+    sizes = [int(size) for size in (function.sz_arg(), function.sz_res(), function.sz_iw() + 1, function.sz_w() + 1)]
+    return f"""int {name}_{verb}(const double *inputs, double *results) {{
+  const casadi_real *arg[{sizes[0]}];
+  casadi_real *res[{sizes[1]}];
+  casadi_int iw[{sizes[2]}];
+  casadi_real *w;
+  int k, failed = {name}_outside(inputs) ? 2 : 0;
+  if (!failed) {{
+    w = (casadi_real *) malloc({sizes[3]} * sizeof *w);
+    arg[0] = inputs;
+    res[0] = results;
+    failed = w && !{function.name()}(arg, res, iw, w, 0) ? 0 : 1;
+    free(w);
+  }}
+  for (k = 0; k < {function.numel_out(0)} && !failed; ++k)
+    if (!(fabs(results[k]) <= DBL_MAX)) failed = 3;
+  for (k = 0; k < {function.numel_out(0)} && failed; ++k) results[k] = NAN;
+  return failed;
+}}
+"""
+
+
+def _test(component: Component) -> str:
+    """Return a program that compares values and derivatives with those that Python finds now."""
+    name, upper = component.name(), component.name().upper()
+    points = [*inside(component.inputs)[:_POINTS], *corners(component.inputs)[: _POINTS + 3]]
+    values, slopes = _values(component), _slopes(component)
+    wanted = [values(x).full().ravel() for x in points]
+    derivatives = [slopes(x).full().ravel(order="F") for x in points]
+    return _TEST.format(
+        name=name,
+        upper=upper,
+        count=len(points),
+        points=_rows(points),
+        values=_rows(wanted),
+        derivatives=_rows(derivatives),
+        most=ULP,
+    )
+
+
+def _commented(text: str) -> str:
+    return text.replace("*/", "* /")
+
+
+def _element(port: Port, k: int) -> str:
+    return f"{port.name}[{k}]" if port.size > 1 else port.name
+
+
+def _strings(name: str, values: Iterable[str]) -> str:
+    quoted = ",\n  ".join(json.dumps(value, ensure_ascii=False) for value in values)
+    return f"const char *const {name}[] = {{\n  {quoted}\n}};"
+
+
+def _doubles(name: str, values: Iterable[float]) -> str:
+    return f"const double {name}[] = {{{_row(values)}}};"
+
+
+def _row(values: Iterable[float]) -> str:
+    return ", ".join(float(value).hex() for value in values)
+
+
+def _rows(values: Iterable[Iterable[float]]) -> str:
+    return ",\n".join(f"  {{{_row(row)}}}" for row in values)
+
+
+# What CasADi writes has parameters of one form, used or not.
+_UNUSED = """\
+#ifdef __GNUC__
+#pragma GCC diagnostic ignored "-Wunused-parameter"
+#endif
+"""
+
+_OUTSIDE = """\
+/* Whether an input lies outside its bounds by more than the rounding of an optimiser, or is no number. */
+static int {name}_outside(const double *inputs) {{
+  int k;
+  for (k = 0; k < {count}; ++k) {{
+    double slack = {beyond} * ({name}_input_upper[k] - {name}_input_lower[k]);
+    if (!(inputs[k] >= {name}_input_lower[k] - slack && inputs[k] <= {name}_input_upper[k] + slack)) return 1;
+  }}
+  return 0;
+}}
+"""
+
+_MAKEFILE = """\
+test: NAME_test
+\t./NAME_test
+
+NAME_test: NAME_test.c NAME.c NAME.h
+\t$(CC) -std=c99 -O2 -ffp-contract=off NAME_test.c NAME.c -o NAME_test -lm
+"""
+
+_TEST = """\
+/* Holds the compiled component against the values that Python found when it was written. */
+#include <stdint.h>
+#include <stdio.h>
+#include <string.h>
+
+#include "{name}.h"
+
+#define POINTS {count}
+#define SLOPES ({upper}_OUTPUTS * {upper}_INPUTS)
+
+static const double inputs[POINTS][{upper}_INPUTS] = {{
+{points}
+}};
+static const double outputs[POINTS][{upper}_OUTPUTS] = {{
+{values}
+}};
+static const double slopes[POINTS][SLOPES] = {{
+{derivatives}
+}};
+
+/* The number of doubles from one to another. */
+static uint64_t ulps(double a, double b) {{
+  uint64_t one, other;
+  const uint64_t sign = (uint64_t) 1 << 63;
+  memcpy(&one, &a, sizeof one);
+  memcpy(&other, &b, sizeof other);
+  one = one & sign ? sign - (one & ~sign) : sign + one;
+  other = other & sign ? sign - (other & ~sign) : sign + other;
+  return one > other ? one - other : other - one;
+}}
+
+static void compare(const char *what, int point, int count, const double *found, const double *wanted,
+                    uint64_t *worst) {{
+  int k;
+  for (k = 0; k < count; ++k) {{
+    uint64_t apart = ulps(found[k], wanted[k]);
+    if (apart > {most})
+      printf("%s %d at point %d: %.17g, and %.17g in Python\\n", what, k, point, found[k], wanted[k]);
+    if (apart > *worst) *worst = apart;
+  }}
+}}
+
+int main(void) {{
+  static double found[SLOPES];
+  uint64_t worst = 0;
+  int k;
+  for (k = 0; k < POINTS; ++k) {{
+    if ({name}_evaluate(inputs[k], found)) return 2;
+    compare("output", k, {upper}_OUTPUTS, found, outputs[k], &worst);
+    if ({name}_jacobian(inputs[k], found)) return 2;
+    compare("derivative", k, SLOPES, found, slopes[k], &worst);
+  }}
+  printf("%d values, %d derivatives: at most %.0f ulp from Python\\n", POINTS * {upper}_OUTPUTS, POINTS * SLOPES,
+         (double) worst);
+  return worst > {most};
+}}
+"""

@@ -1,0 +1,265 @@
+"""Results as JSON files: written with versions and a schema number, read back by `load`."""
+
+from __future__ import annotations
+
+import platform
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import is_dataclass
+from importlib import import_module
+from importlib.metadata import version
+from pathlib import Path
+from typing import Annotated, Any, Final, Literal, TypeVar
+
+import numpy as np
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, FiniteFloat, TypeAdapter, ValidationError
+from pydantic_core import from_json
+
+from plough_opt.core.errors import InputError, short
+from plough_opt.core.files import ascii_json
+from plough_opt.core.kinds import path_of, shown
+from plough_opt.design import LocalOptimum, Optimum, Sensitivity
+from plough_opt.motion import Averages, Run
+from plough_opt.motion.accuracy import Accuracy
+
+SCHEMA: Final = 1
+"""Number of the layout of saved results; it rises when a key changes its meaning."""
+
+_T = TypeVar("_T")
+
+
+def versions() -> dict[str, str]:
+    """Return the versions that a result depends on."""
+    packages = {name: version(name) for name in ("plough_opt", "casadi", "numpy")}
+    return {**packages, "python": platform.python_version(), "machine": platform.machine()}
+
+
+class Saved(BaseModel):
+    """What every saved result says about itself."""
+
+    model_config = ConfigDict(
+        frozen=True, arbitrary_types_allowed=True, populate_by_name=True, ser_json_inf_nan="strings"
+    )
+
+    layout: Annotated[Literal[1], Field(alias="schema")]
+    title: str
+    versions: dict[str, str]
+
+    def to_json(self) -> str:
+        """Return the result as JSON text of ASCII characters; infinite numbers as "Infinity"."""
+        return ascii_json(self.model_dump_json(indent=2, by_alias=True))
+
+
+def _checked(averages: Averages) -> Averages:
+    """Return averages, which a scene of symbols has too, as those of numbers.
+
+    Raises:
+        ValueError: one is no finite number.
+    """
+    for name in Averages.__dataclass_fields__:
+        value = getattr(averages, name)
+        if isinstance(value, bool) or not isinstance(value, int | float) or not np.isfinite(value):
+            raise ValueError(f"{name} must be a finite number")
+    return averages
+
+
+class SavedRun(Saved):
+    """A run of numbers: SI units; arrays over the output times."""
+
+    kind: Literal["run"] = "run"
+    accuracy: Accuracy
+    error_estimate: float
+    seconds: FiniteFloat
+    warnings: tuple[str, ...]
+    ambient_share: FiniteFloat
+    averages: Annotated[Averages, AfterValidator(_checked)]
+    peak_force: FiniteFloat
+    peak_deflection: FiniteFloat
+    specific_draft: FiniteFloat | None
+    time: list[FiniteFloat]
+    travel: list[FiniteFloat]
+    speed: list[FiniteFloat]
+    deflection: list[FiniteFloat]
+    mount_force: list[FiniteFloat]
+    soil_resistance: list[FiniteFloat]
+
+    @classmethod
+    def of(cls, run: Run, title: str) -> SavedRun:
+        """Take what is worth keeping of a run."""
+        arrays = {name: np.asarray(getattr(run, name)).tolist() for name in _ARRAYS}
+        own = {name: getattr(run, name) for name in _RUN}
+        return cls(
+            layout=SCHEMA,
+            title=title,
+            versions=versions(),
+            averages=_floats(run.averages),
+            ambient_share=float(run.scene.ambient_share),
+            specific_draft=run.specific_draft if run.scene.medium == "plastic" else None,
+            **own,
+            **arrays,
+        )
+
+
+_ARRAYS = ("time", "travel", "speed", "deflection", "mount_force", "soil_resistance")
+_RUN = ("accuracy", "error_estimate", "seconds", "warnings", "peak_force", "peak_deflection")
+
+
+class SavedOptimum(Saved):
+    """An optimum: variables in SI units, limits, all local optima, and the run at the best one."""
+
+    kind: Literal["optimum"] = "optimum"
+    status: str
+    seconds: float
+    warnings: tuple[str, ...]
+    flat_directions: tuple[dict[str, float], ...]
+    best: LocalOptimum
+    local_optima: tuple[LocalOptimum, ...]
+    run: SavedRun
+    sensitivities: tuple[Sensitivity, ...] = ()
+    search: str = ""
+    over: str = ""
+
+    @classmethod
+    def of(cls, best: Optimum, run: Run, title: str, sensitivities: Sequence[Sensitivity] = ()) -> SavedOptimum:
+        """Take what is worth keeping of an optimum, its run and what it was asked."""
+        return cls(
+            layout=SCHEMA,
+            title=title,
+            versions=versions(),
+            status=best.status,
+            seconds=best.seconds,
+            warnings=best.warnings,
+            flat_directions=best.flat_directions,
+            best=best.local_optima[0],
+            local_optima=best.local_optima,
+            run=SavedRun.of(run, title),
+            sensitivities=tuple(sensitivities),
+            search=str(best.search or ""),
+            over=best.over,
+        )
+
+
+# Characters of a saved result, some hundred times the longest that the commands write.
+_MOST_BYTES: Final = 100_000_000
+# First bytes of an SQLite file.
+_STORE: Final = b"SQLite format 3"
+# Kinds of results that are built upon this module -> where what reads them is, imported when such a file is read.
+_LATER: Final = {
+    "trade-off": ("plough_opt.studies.tradeoff.result", "TradeOff"),
+    "accuracy study": ("plough_opt.studies.accuracy.result", "AccuracyStudy"),
+    "calibration": ("plough_opt.studies.calibration.fit", "Fit"),
+    "robust optimum": ("plough_opt.studies.uncertainty.result", "SavedRobust"),
+}
+
+
+def load(path: str | Path) -> Any:
+    """Read a result that the command line or ``to_json`` wrote, of whatever kind.
+
+    Returns:
+        A `SavedRun`, a `SavedOptimum`, a `TradeOff`, an `AccuracyStudy`, a `Fit` of a calibration, or a `SavedRobust`.
+
+    Raises:
+        InputError: no such file, or not a result of this layout.
+    """
+    path = path_of("the result", path)
+    if _is_store(path):
+        raise InputError(f"{shown(str(path), 200)} is the store of a sweep: po.Sweep.load reads it")
+    kind = read_saved(path, "result", "a result", _Kind.model_validate_json).kind
+    if kind in _LATER:
+        module, name = _LATER[kind]
+        found = getattr(import_module(module), name)
+        if hasattr(found, "load"):
+            return found.load(path)
+        return read_saved(path, "result", "a result", found.model_validate_json)
+    either: TypeAdapter[SavedRun | SavedOptimum] = TypeAdapter(
+        Annotated[SavedRun | SavedOptimum, Field(discriminator="kind")]
+    )
+    return read_saved(path, "result", "a result", either.validate_json)
+
+
+def _is_store(path: Path) -> bool:
+    try:
+        with path.open("rb") as file:
+            return file.read(len(_STORE)) == _STORE
+    except OSError:  # which `read_saved` tells
+        return False
+
+
+class _Kind(BaseModel):
+    """What every result says first."""
+
+    kind: str
+
+
+def read_saved(path: str | Path, name: str, kind: str, validate: Callable[[str], _T]) -> _T:
+    """Return what a JSON file holds.
+
+    Args:
+        path: the file.
+        name: what messages call its content, like "study".
+        kind: what it must be, like "an accuracy study".
+        validate: pydantic's reader of that kind.
+
+    Raises:
+        InputError: no such file, or another kind or layout.
+    """
+    try:
+        with Path(path).open("rb") as file:
+            content = file.read(_MOST_BYTES + 1)
+        text = content.decode("utf-8")
+    except (OSError, ValueError) as error:
+        raise InputError(f"the {name} {shown(str(path), 200)} cannot be read: {short(str(error), 200)}") from None
+    if len(content) > _MOST_BYTES:
+        raise InputError(f"the {name} '{path}' is too long: at most {_MOST_BYTES // 1_000_000} MB can be read")
+    try:
+        found = validate(text)
+        _refuse_infinite(from_json(text, allow_inf_nan=False))
+        _refuse_nan(found)
+    except ValueError as error:
+        place, why = "its beginning", str(error)
+        if isinstance(error, ValidationError):
+            first = error.errors()[0]
+            place, why = ".".join(map(str, first["loc"])) or place, first["msg"]
+        raise InputError(
+            f"'{path}' is not {kind} of this version (schema {SCHEMA}): at {short(place)}: {short(why, 200)}; name"
+            " another file, or write it anew"
+        ) from None
+    return found
+
+
+def _refuse_infinite(data: Any) -> None:
+    """Refuse parsed JSON with numbers that are beyond all floats; what is infinite on purpose is the text "Infinity".
+
+    Raises:
+        ValueError: as said.
+    """
+    rest = [data]
+    while rest:
+        value = rest.pop()
+        if isinstance(value, dict | list):
+            rest += value.values() if isinstance(value, dict) else value
+        elif isinstance(value, int | float) and not abs(value) <= sys.float_info.max:
+            raise ValueError("a number is beyond all floats")
+
+
+def _floats(averages: Averages) -> Averages:
+    return Averages(**{name: float(getattr(averages, name)) for name in Averages.__dataclass_fields__})
+
+
+def _refuse_nan(found: object) -> None:
+    """Refuse a result with a number that is none, for which a text may stand in JSON.
+
+    Raises:
+        ValueError: as said.
+    """
+    rest = [found]
+    while rest:
+        value = rest.pop()
+        if isinstance(value, float | np.ndarray) and np.any(np.isnan(value)):
+            raise ValueError("a number is NaN")
+        if isinstance(value, BaseModel) or is_dataclass(value):
+            rest += vars(value).values()
+        elif isinstance(value, Mapping):
+            rest += value.values()
+        elif isinstance(value, list | tuple):
+            rest += value

@@ -1,0 +1,57 @@
+"""Draft of a subsoiler by ASABE D497, from depth, speed and soil texture."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from plough_opt.core.domain import check_domain
+from plough_opt.core.expressions import Expression
+from plough_opt.core.kinds import check_named
+
+SOURCE: Final = "ASABE D497.7, Agricultural machinery management data"
+STANDING: Final = "coefficients not verified against the standard's text, which is said to allow +-50 %"
+
+POINTS: Final = {"narrow": (226.0, 0.0, 1.8), "winged": (294.0, 0.0, 2.4)}
+"""Point -> A, B, C of D497's subsoiler rows, for N, km/h and cm; winged: 30 cm wide. Not verified."""
+
+TEXTURES: Final = {"fine": 1.0, "medium": 0.70, "coarse": 0.45}
+"""Soil texture -> factor F: clay, loam, sand. Not verified."""
+
+_KM_PER_H, _CM = 3.6, 100.0
+
+
+def asabe_draft(
+    depth: Expression, speed: Expression, texture: str, *, point: str = "narrow", shanks: Expression = 1.0
+) -> Expression:
+    """Return the draft [N] F (A + B S + C S^2) N T of a subsoiler, S in km/h and T in cm.
+
+    Source: ASABE D497.7. The form and its units agree with a published worked example of a chisel plough; the
+    coefficients of the subsoiler's rows are not verified against the standard's text. Tool width, rake angle, density
+    and strength of the soil do not enter.
+
+    Args:
+        depth: T of tillage [m], above 0.
+        speed: S [m/s], at least 0.
+        texture: ``"fine"`` (clay), ``"medium"`` (loam) or ``"coarse"`` (sand).
+        point: ``"narrow"`` or ``"winged"``.
+        shanks: their number N.
+
+    Raises:
+        InputError: an unknown texture or point.
+        DomainError: a depth, speed or number of shanks outside its domain.
+    """
+    check_named("no soil texture of D497 is named {}", texture, TEXTURES)
+    check_named("no subsoiler point of D497 is named {}", point, POINTS)
+    check_domain("working depth", depth, "m", above=0.0)
+    check_domain("speed", speed, "m/s", at_least=0.0)
+    check_domain("number of shanks", shanks, above=0.0)
+    return draft_of_row(POINTS[point], TEXTURES[texture], depth, speed, shanks)
+
+
+def draft_of_row(
+    row: tuple[float, float, float], texture: float, depth: Expression, speed: Expression, size: Expression
+) -> Expression:
+    """Return the draft [N] of any row of D497: coefficients, texture factor, depth [m], speed [m/s], width or tools."""
+    a, b, c = row
+    s = _KM_PER_H * speed
+    return texture * (a + b * s + c * s**2) * size * (_CM * depth)

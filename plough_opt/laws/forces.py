@@ -1,0 +1,177 @@
+"""Resistance of the soil to a moving share: equations (24)-(26), each with the factor pi once."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from plough_opt.core.domain import check_domain, check_single
+from plough_opt.core.errors import InputError
+from plough_opt.core.expressions import Expression, column, holds_casadi, is_casadi
+from plough_opt.core.kinds import shown
+from plough_opt.core.labels import checked_in_designs
+from plough_opt.core.quadrature import gauss_legendre
+from plough_opt.soil.geometry import Cone, Wedge
+from plough_opt.soil.plastic import Cavity, WallPressure, front_radius, wall_pressure
+from plough_opt.soil.soil import Soil, check_soil
+
+
+@dataclass(frozen=True)
+class ResistanceCoefficients:
+    """Coefficients of F = pi (1 + mu0 cot(beta)) h^2 (A + B rho0 L'^2 + C rho0 h L''), equation (25).
+
+    Attributes:
+        A: static part [Pa].
+        B: coefficient of the squared speed [-].
+        C: coefficient of the acceleration [-].
+    """
+
+    A: Expression
+    B: Expression
+    C: Expression
+
+
+@checked_in_designs
+def resistance_coefficients(cone: Cone, soil: Soil) -> ResistanceCoefficients:
+    """Return A [Pa], B and C of equation (26); C with the factor 2/3 that the integral (24) gives.
+
+    A is multiplied by the soil's measured strength factor.
+
+    Holds for a slender cone (half angle up to some 20 degrees, hypothesis of plane sections) wholly in the soil.
+
+    Args:
+        cone: the share's equivalent cone.
+        soil: the soil. Numbers of both may be floats, arrays or CasADi expressions; of a density profile single
+            numbers or expressions, and the coefficients are then quadratures over the cone's height too.
+
+    Raises:
+        InputError: no cone or no soil, or arrays with a density profile.
+        DomainError: a density profile without a compaction front.
+    """
+    _check_kinds(cone, soil)
+    p = _mean_wall_pressure(cone, soil)
+    slope = cone.slope
+    return ResistanceCoefficients(
+        A=soil.strength_factor * slope**2 * p.strength, B=slope**4 * p.rate, C=2.0 / 3.0 * slope**4 * p.inertia
+    )
+
+
+def _check_kinds(cone: Cone, soil: Soil) -> None:
+    """Refuse something else in the place of the cone or the soil.
+
+    Raises:
+        InputError: a wedge, whose forces are those of its equivalent cone, the name of a soil, or anything else.
+    """
+    if not isinstance(cone, Cone):
+        remedy = ": take its equivalent_cone()" if isinstance(cone, Wedge) else ""
+        raise InputError(f"the cone = {shown(cone)} must be a Cone{remedy}")
+    check_soil(soil)
+
+
+def _mean_wall_pressure(cone: Cone, soil: Soil) -> WallPressure:
+    """Return the wall pressure's coefficients, of a density profile their means over the cone's face.
+
+    Strength and rate are weighted with x, the inertia with x^2, as they are in the integral (24).
+    """
+    profile = soil.density_profile
+    if profile is None:
+        return wall_pressure(soil)
+    # The nodes are a column of their own, which an array would meet element by element.
+    check_single("the resistance of a soil with a density profile", (cone, soil))
+    nodes, weights = (np.array(values) for values in gauss_legendre(profile.order))
+    shares = column(nodes, holds_casadi((cone, soil)))
+    p = wall_pressure(soil, cone.height * cone.slope * shares)
+    return WallPressure(
+        strength=_dot(2.0 * weights * nodes, p.strength),
+        rate=_dot(2.0 * weights * nodes, p.rate),
+        inertia=_dot(3.0 * weights * nodes**2, p.inertia),
+    )
+
+
+def _dot(weights: NDArray[np.float64], values: Expression) -> Expression:
+    return ca.dot(ca.DM(weights), values) if is_casadi(values) else float(weights @ values)
+
+
+@dataclass(frozen=True)
+class SoilReaction:
+    """The same force in the form that moves the share: F = static + drag L'^2 + added_mass L''.
+
+    Attributes:
+        static: F0 [N].
+        drag: Fd [N s^2/m^2].
+        added_mass: m_a [kg].
+    """
+
+    static: Expression
+    drag: Expression
+    added_mass: Expression
+
+
+@checked_in_designs
+def soil_reaction(cone: Cone, soil: Soil) -> SoilReaction:
+    """Return F0 [N], Fd [N s^2/m^2] and the added mass [kg] of equations (25)-(27).
+
+    (1 + mu0 cot(beta)) tan^2(beta) is taken as tan(beta) (tan(beta) + mu0), so nothing is singular for a
+    slender cone. Domain, arguments and errors are those of `resistance_coefficients`.
+    """
+    _check_kinds(cone, soil)
+    p = _mean_wall_pressure(cone, soil)
+    slope = cone.slope
+    face = math.pi * cone.height**2 * slope * (slope + soil.tool_friction)
+    return SoilReaction(
+        static=soil.strength_factor * face * p.strength,
+        drag=face * slope**2 * p.rate * soil.density,
+        added_mass=face * slope**2 * (2.0 / 3.0) * p.inertia * soil.density * cone.height,
+    )
+
+
+@checked_in_designs
+def resistance(cone: Cone, soil: Soil, speed: Expression, acceleration: Expression) -> Expression:
+    """Return the total resistance F [N] of equation (25), friction on the face included.
+
+    Args:
+        cone: the share's equivalent cone.
+        soil: the soil; its ambient pressure counts, F is the force of the gauge pressure p - p_a.
+        speed: L' of the share [m/s], at least 0.
+        acceleration: L'' [m/s^2].
+
+    Raises:
+        DomainError: a speed below 0, which the plastic gas does not follow, or a number that is not finite.
+        InputError: as `resistance_coefficients`.
+    """
+    check_domain("speed", speed, "m/s", at_least=0.0, why="the plastic gas does not follow a share that retreats")
+    check_domain("acceleration", acceleration, "m/s^2")
+    f = soil_reaction(cone, soil)
+    return f.static + f.drag * speed**2 + f.added_mass * acceleration
+
+
+@checked_in_designs
+def added_mass(cone: Cone, soil: Soil) -> Expression:
+    """Return the mass of soil that the share carries along, pi (1 + mu0 cot(beta)) C rho0 h^3 [kg], equation (26).
+
+    Arguments and errors are those of `resistance_coefficients`.
+    """
+    return soil_reaction(cone, soil).added_mass
+
+
+@checked_in_designs
+def loosened_radius(cone: Cone, soil: Soil) -> Expression:
+    """Return the radius r* of the compaction front at the base of the cone [m], equation (16).
+
+    For a constant density it is h tan(beta) sqrt(a) with a = 1/(1 - b1).
+
+    Args:
+        cone: the share's equivalent cone.
+        soil: the soil; its density ratio or density profile counts. Floats, arrays or CasADi expressions.
+
+    Raises:
+        InputError: no cone or no soil.
+        DomainError: a density profile without a compaction front.
+    """
+    _check_kinds(cone, soil)
+    at_base = Cavity(radius=cone.height * cone.slope, rate=0.0, acceleration=0.0)
+    return front_radius(at_base, soil)

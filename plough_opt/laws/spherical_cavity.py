@@ -1,0 +1,109 @@
+"""Spherical cavity in soil that locks, after Forrestal and Luk: pressure on the face of a cone."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Final
+
+from plough_opt.core.domain import check_domain
+from plough_opt.core.errors import InputError
+from plough_opt.core.expressions import Expression, cos, expm1_ratio, log, sin, sqrt, tan
+from plough_opt.core.kinds import shown
+from plough_opt.soil.geometry import Cone, Wedge
+from plough_opt.soil.soil import Soil, check_soil
+
+SOURCE: Final = "M. J. Forrestal and V. K. Luk, Int. J. Impact Engineering 12 (1992) 427-444"
+STANDING: Final = "derived anew in that form; made for projectiles, no test against tillage known"
+
+
+@dataclass(frozen=True)
+class CavityPressure:
+    """Gauge pressure sigma - p_a = static + inertia rho0 V^2 on the wall of a cavity that grows at V.
+
+    Attributes:
+        static: tau0 A [Pa].
+        inertia: B [-].
+        front: radius of the compaction front over the cavity's [-].
+        front_speed: speed of that front over V, measured in the soil at rest [-].
+    """
+
+    static: Expression
+    inertia: Expression
+    front: Expression
+    front_speed: Expression
+
+
+def spherical_cavity(soil: Soil) -> CavityPressure:
+    """Return the pressure's coefficients for a spherical cavity that grows steadily from nothing.
+
+    Soil locks at rho1 behind the front and obeys sigma_r - sigma_t = lambda p + tau0 with Mohr and Coulomb's
+    lambda = 6 sin(theta)/(3 - sin(theta)) and tau0 = 6 k cos(theta)/(3 - sin(theta)) + lambda p_a. Ahead of the front
+    it is elastic and incompressible, with Young's modulus, or rigid where the soil has none. Source: form of Forrestal
+    and Luk 1992, derived anew; terms of the order of eta tau0/E differ from theirs.
+
+    Raises:
+        DomainError: tau0/2E above 0.05, beyond small strains.
+    """
+    check_soil(soil)
+    s, eta = sin(soil.friction_angle), 1.0 - soil.density_ratio
+    slope = 6.0 * s / (3.0 - s)
+    tau = 6.0 * soil.cohesion * cos(soil.friction_angle) / (3.0 - s) + slope * soil.ambient_pressure
+    alpha = 3.0 * slope / (3.0 + 2.0 * slope)
+    strain: Expression = 0.0
+    ahead: Expression = 0.0
+    if soil.youngs_modulus is not None:
+        strain, ahead = tau / (2.0 * soil.youngs_modulus), 2.0 / 3.0 * tau
+        check_domain("strain tau0/2E at the front", strain, at_most=0.05, why="the soil ahead is linear elastic")
+    cube = strain * (3.0 + strain * (3.0 + strain)) + eta  # (1 + strain)^3 - 1 + eta
+    g = cube ** (1.0 / 3.0)
+    x = (1.0 + strain) / g
+    grown = x ** (2.0 * alpha)
+    # Momentum through the front, and the inertia of the elastic soil ahead of it.
+    jump = g / (1.0 + strain) ** 2 + 3.0 * strain / g**2
+    behind = 2.0 / soil.density_ratio * (_power(x, 2.0 * alpha - 1.0) - _power(x, 2.0 * alpha - 4.0))
+    return CavityPressure(
+        static=ahead * grown + tau * 6.0 / (3.0 + 2.0 * slope) * _power(x, 2.0 * alpha),
+        inertia=grown * jump + behind,
+        front=x,
+        front_speed=1.0 / g,
+    )
+
+
+def spherical_cavity_draft(cone: Cone, soil: Soil, speed: Expression) -> Expression:
+    """Return the draft [N] pi R^2 (tau0 A + B rho0 (V sin beta)^2)(1 + mu0 cot beta) of a cone, R = h tan(beta).
+
+    The face pushes the soil at V sin(beta) along its normal, as in penetration mechanics. Like this toolkit's own
+    model it knows no depth, no free surface and no shank.
+
+    Args:
+        cone: the share's equivalent cone.
+        soil: its ambient pressure counts; the force is that of the gauge pressure.
+        speed: V [m/s], at least 0.
+
+    Raises:
+        InputError: no cone.
+        DomainError: a negative speed, large elastic strains, or a front as fast as elastic waves sqrt(E/rho0).
+    """
+    if not isinstance(cone, Cone):
+        remedy = ": take its equivalent_cone()" if isinstance(cone, Wedge) else ""
+        raise InputError(f"the cone = {shown(cone)} must be a Cone{remedy}")
+    check_domain("speed", speed, "m/s", at_least=0.0)
+    cavity = spherical_cavity(soil)
+    normal = speed * sin(cone.half_angle)
+    if soil.youngs_modulus is not None:
+        check_domain(
+            "speed of the compaction front over sqrt(E/rho0)",
+            cavity.front_speed * normal / sqrt(soil.youngs_modulus / soil.density),
+            below=1.0,
+            why="the soil ahead would feel no elastic wave",
+        )
+    pressure = cavity.static + cavity.inertia * soil.density * normal**2
+    slope = tan(cone.half_angle)
+    return math.pi * cone.height**2 * slope * (slope + soil.tool_friction) * pressure
+
+
+def _power(x: Expression, q: Expression) -> Expression:
+    """Return (x^q - 1)/q, which is log(x) at q = 0."""
+    length = log(x)
+    return length * expm1_ratio(q * length)

@@ -1,0 +1,148 @@
+"""A tine and the wedge of soil that it shears off: what the earth-pressure models share.
+
+With omega = alpha + delta + phi (rake, tool friction, internal friction) and a rupture plane at the angle beta to
+the surface, balance of forces on the wedge gives every factor over sin(omega + beta); the published cotangents are the
+same.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Final
+
+from plough_opt.core.domain import check_domain
+from plough_opt.core.expressions import Expression, arctan, arctan2, cos, sin, sqrt, tan
+from plough_opt.core.kinds import check_kind
+from plough_opt.soil.soil import Soil, check_soil
+
+GRAVITY: Final = 9.80665
+"""Standard acceleration of gravity [m/s^2]."""
+
+LARGEST_SPEED: Final = 5.0
+"""Speed [m/s] beyond which the term with its square is refused."""
+
+
+@dataclass(frozen=True)
+class Tine:
+    """A flat tine that cuts soil up to its surface.
+
+    Args:
+        width: w [m], above 0.
+        depth: d of its lower edge below the surface [m], above 0.
+        rake_angle: alpha of its face to the horizontal, ahead [rad], above 0 and at most 90 degrees.
+        surcharge: pressure q on the soil's surface [Pa], at least 0.
+        adhesion: c_a of soil on the face [Pa], at least 0.
+
+    Raises:
+        DomainError: a number outside its domain.
+    """
+
+    width: Expression
+    depth: Expression
+    rake_angle: Expression
+    surcharge: Expression = 0.0
+    adhesion: Expression = 0.0
+
+    def __post_init__(self) -> None:
+        check_domain("tool width", self.width, "m", above=0.0)
+        check_domain("working depth", self.depth, "m", above=0.0)
+        check_domain("rake angle", self.rake_angle, "rad", above=0.0, at_most=math.pi / 2)
+        check_domain("surcharge", self.surcharge, "Pa", at_least=0.0)
+        check_domain("adhesion", self.adhesion, "Pa", at_least=0.0)
+
+
+@dataclass(frozen=True)
+class WedgeAngles:
+    """The angles of a wedge [rad] that do not depend on its rupture plane.
+
+    Attributes:
+        rake: alpha.
+        tool_friction: delta = atan(mu0).
+        friction: phi of the soil.
+    """
+
+    rake: Expression
+    tool_friction: Expression
+    friction: Expression
+
+    @property
+    def total(self) -> Expression:
+        """Their sum omega."""
+        return self.rake + self.tool_friction + self.friction
+
+
+@dataclass(frozen=True)
+class WedgeFactors:
+    """Dimensionless factors of the force on a tine per width: gamma d^2 Ng + (c Nc + q Nq + c_a Nca + rho v^2 Na) d."""
+
+    weight: Expression
+    cohesion: Expression
+    surcharge: Expression
+    adhesion: Expression
+    inertia: Expression
+
+
+def wedge_angles(soil: Soil, tine: Tine, speed: Expression) -> WedgeAngles:
+    """Return the angles; refuse what no wedge of soil can follow.
+
+    Raises:
+        DomainError: a soil without friction, angles that sum up to 180 degrees, or a speed outside 0 to 5 m/s.
+    """
+    check_soil(soil)
+    check_kind("the tine", tine, Tine, "a crosscheck.Tine")
+    check_domain(
+        "friction angle", soil.friction_angle, "rad", above=0.0,
+        why="the weight alone determines no wedge in soil without friction",
+    )  # fmt: skip
+    check_domain(
+        "speed", speed, "m/s", at_least=0.0, at_most=LARGEST_SPEED,
+        why="draft grows less than with the square of the speed above 3 to 5 m/s",
+    )  # fmt: skip
+    angles = WedgeAngles(tine.rake_angle, arctan(soil.tool_friction), soil.friction_angle)
+    check_domain(
+        "rake angle, tool friction and internal friction together", angles.total, "rad", below=math.pi,
+        why="no wedge of soil then moves up the face",
+    )  # fmt: skip
+    return angles
+
+
+def wedge_factors(angles: WedgeAngles, beta: Expression) -> WedgeFactors:
+    """Return the factors of a plane wedge whose rupture plane rises at beta [rad], McKyes's N-factors.
+
+    Source: E. McKyes, Soil Cutting and Tillage, 1985, as given by A. Wilkinson and A. DeGennaro, J. Terramechanics 44
+    (2007) 133-152. Holds for beta above 0 and below 180 degrees less omega.
+    """
+    alpha, phi = angles.rake, angles.friction
+    share = 1.0 / sin(angles.total + beta)
+    weight = (1.0 / tan(alpha) + cos(beta) / sin(beta)) * sin(beta + phi) * share / 2.0
+    return WedgeFactors(
+        weight=weight,
+        cohesion=cos(phi) / sin(beta) * share,
+        surcharge=2.0 * weight,
+        adhesion=-cos(alpha + beta + phi) / sin(alpha) * share,
+        inertia=sin(alpha) * cos(phi) / sin(alpha + beta) * share,
+    )
+
+
+def plane_rupture_angle(angles: WedgeAngles) -> Expression:
+    """Return the beta [rad] that makes the weight's factor of a plane wedge least: Coulomb's passive wedge.
+
+    With u = sin(omega + beta)/sin(beta) the factor is a + b u + c/u; it is least where
+    u^2 = sin(delta + phi) sin(alpha + delta) / (sin(alpha) sin(phi)), from which cot(beta) = (u - cos omega)/sin omega.
+    """
+    alpha, delta, phi = angles.rake, angles.tool_friction, angles.friction
+    u = sqrt(sin(delta + phi) * sin(alpha + delta) / (sin(alpha) * sin(phi)))
+    return arctan2(sin(angles.total), u - cos(angles.total))
+
+
+def pressure(soil: Soil, tine: Tine, speed: Expression, n: WedgeFactors) -> Expression:
+    """Return the mean pressure on the face's projection, force over w d [Pa]: no crescents at the sides."""
+    still = soil.density * GRAVITY * tine.depth * n.weight + soil.cohesion * n.cohesion
+    return still + tine.surcharge * n.surcharge + tine.adhesion * n.adhesion + soil.density * speed**2 * n.inertia
+
+
+def horizontal(force: Expression, tine: Tine, angles: WedgeAngles) -> Expression:
+    """Return the draft [N] of a force at delta to the face's normal, with the adhesion along the face."""
+    along = tine.adhesion * tine.width * tine.depth / tan(tine.rake_angle)
+    return force * sin(angles.rake + angles.tool_friction) + along

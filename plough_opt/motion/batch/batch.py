@@ -1,0 +1,284 @@
+"""`Batch`: simulation of very many designs."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Iterable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike
+
+from plough_opt.core.domain import check_single
+from plough_opt.core.errors import InputError
+from plough_opt.core.expressions import Expression, as_number, is_casadi, is_count, is_symbolic, template_of
+from plough_opt.core.kinds import check_kind, shown
+from plough_opt.core.quantities import BESIDE
+from plough_opt.motion.batch.advance import advance
+from plough_opt.motion.batch.c_source import Kernels
+from plough_opt.motion.batch.domain_check import DomainCheck
+from plough_opt.motion.batch.engine import engine_of
+from plough_opt.motion.batch.equations import RESULTS, Start, of_column, setup
+from plough_opt.motion.batch.layout import Layout
+from plough_opt.motion.batch.program import Array, Program
+from plough_opt.motion.batch.result import BatchResult
+from plough_opt.motion.effects import StickSlip
+from plough_opt.motion.scene import Scene
+from plough_opt.motion.terms import Structure
+
+# Designs that are in memory at once.
+_CHUNK = 16384
+_MOST_STEPS = 200_000
+# How often, and with what reserve, designs that miss the wanted error are repeated.
+_REPETITIONS = 4
+_RESERVE = 0.3
+_LARGEST_CUT = 1e-6
+_NO_RAMP = "a tow ramp of no duration is no ramp: make a batch of a scene without tow_ramp for such designs"
+
+
+class Batch:
+    """Mean and RMS force of very many designs of one scene, each to a wanted accuracy.
+
+    For example::
+
+        angle, height, k0 = (ca.MX.sym(name) for name in ("angle", "height", "k0"))
+        share = po.Wedge(angle, po.deg(15.0), height)
+        mass = 20.0 + share.equivalent_cone().solid_mass(7850.0)
+        batch = po.Batch(po.Scene(soil, share, k0, mass, 2.0, effects), 2.0, inputs=[angle, height, k0])
+        result = batch(values)  # values: a row for each design
+        result.mean_draft, result.force_rms, result.error_estimate
+
+    The motion is followed by its Taylor series in time, of an order that the wanted error sets, in steps that each
+    design chooses by the series' last terms. The right-hand side's own graph becomes the recurrences of the
+    coefficients, in C that the system's compiler translates for its vector registers, once for every kind of scene.
+
+    Args:
+        scene: with CasADi expressions of the inputs; transient motion under contact ``"resisting"`` or `Smooth`.
+        duration: simulated time [s], above 0; a float or an expression of the inputs.
+        inputs: symbols, in the order of the columns of values.
+        error: wanted error of mean draft and RMS force, relative to the larger of them, from 1e-11 to 1e-2.
+
+    Raises:
+        InputError: a scene of another kind, inputs that are no symbols or twice the same, or others in the scene.
+        DomainError: a duration that is a number, and not above 0.
+    """
+
+    def __init__(
+        self, scene: Scene, duration: Expression, inputs: Sequence[Expression], *, error: float = 1e-6
+    ) -> None:
+        _refuse(scene)
+        if not (isinstance(error, int | float | np.number) and 1e-11 <= error <= 1e-2):
+            raise InputError(f"error = {shown(error)} must lie between 1e-11 and 1e-2")
+        BESIDE["scene.duration"].check(duration)
+        check_single("the duration of a batch", duration)
+        symbols = _symbols(inputs)
+        self._error = error
+        self._layout = Layout.of(Structure.of(scene))
+        template, quantities = template_of(scene)
+        self._check = DomainCheck(template, [None if is_symbolic(q) else float(as_number(q)) for q in quantities])
+        varying = [q for q in quantities if is_symbolic(q)]
+        functions = {
+            "quantities": of_column("quantities", symbols, ca.vertcat(*varying, duration)),
+            "setup": setup(self._layout, scene, duration, symbols, error),
+        }
+        self._inputs = functions["setup"].numel_in(0)
+        # Of a wanted error a step may make a small part: an order more for every digit.
+        order = round(10.0 - math.log10(error))
+        ends = self._layout.ends
+        parts = tuple((Program.of(advance(self._layout, order, part)), end) for part, end in enumerate(ends))
+        maps = {name: Program.of(one) for name, one in functions.items() if one.is_a("SXFunction")}
+        self._engine = engine_of(functions, Kernels(maps, parts, self._layout.allowed + 1))
+
+    @property
+    def compiled(self) -> bool:
+        """Whether a C compiler was found; without one NumPy does the same operations: see `warnings`."""
+        return self._engine.compiled
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What a reader must know of the batch as a whole."""
+        if self.compiled:
+            return ()
+        return (
+            "no C compiler was found ($CC, cc, gcc, clang): the batch is carried out by NumPy, with the same results"
+            " but 20 to 40 times slower for thousands of designs, and more than 100 times for hundreds",
+        )
+
+    def __call__(self, values: ArrayLike, *, threads: int = 1) -> BatchResult:
+        """Simulate designs.
+
+        Args:
+            values: a row for each design, a column for each input.
+            threads: of this process, each on a part of the designs.
+
+        Raises:
+            InputError: values that are no numbers or of another shape, or a number of threads that is none.
+        """
+        if not is_count(threads):
+            raise InputError(f"threads = {shown(threads)} must be a whole number from 1 on")
+        began = time.perf_counter()
+        rows = self._rows(values)
+        starts = range(0, rows.shape[1], _CHUNK)
+        found = np.full((len(RESULTS) + 2, rows.shape[1]), np.nan)
+        reasons: dict[int, str] = {}
+
+        def simulate(start: int) -> dict[int, str]:
+            part = slice(start, start + _CHUNK)
+            found[:, part], why = self._simulate(np.ascontiguousarray(rows[:, part]))
+            return {start + k: reason for k, reason in why.items()}
+
+        if threads == 1:
+            for start in starts:
+                reasons |= simulate(start)
+        else:
+            with ThreadPoolExecutor(threads) as pool:
+                for why in pool.map(simulate, starts):
+                    reasons |= why
+        seconds = time.perf_counter() - began
+        mean_draft, force_rms, mean_deflection, displacement_rms, tow_power, error_estimate, steps = found
+        return BatchResult(
+            mean_draft=mean_draft,
+            force_rms=force_rms,
+            mean_deflection=mean_deflection,
+            displacement_rms=displacement_rms,
+            tow_power=tow_power,
+            error_estimate=error_estimate,
+            steps=steps,
+            reasons=reasons,
+            wanted=self._error,
+            seconds=seconds,
+            warnings=self.warnings,
+        )
+
+    def stream(self, chunks: Iterable[ArrayLike], *, threads: int = 1) -> Iterator[BatchResult]:
+        """Yield the results of chunks of designs, one after the other: memory then does not grow with their number.
+
+        Args:
+            chunks: arrays as a call takes them.
+            threads: as of a call.
+
+        Raises:
+            InputError: nothing that yields arrays, or as a call raises.
+        """
+        if is_casadi(chunks) or not isinstance(chunks, Iterable):
+            raise InputError(f"the chunks = {shown(chunks)} must be arrays one after the other: a list or a generator")
+        for chunk in chunks:
+            yield self(chunk, threads=threads)
+
+    def _rows(self, values: ArrayLike) -> Array:
+        """Return values with a row for each input."""
+        try:
+            array = np.asarray(values, dtype=float)
+        except (TypeError, ValueError, OverflowError) as error:
+            raise InputError(f"the values of a batch must be numbers, in SI units: {error}") from None
+        if array.ndim != 2 or array.shape[1] != self._inputs:
+            raise InputError(
+                f"the values have the shape {array.shape}: a batch takes a row for each design and a column for each of"
+                f" its {self._inputs} inputs"
+            )
+        return array.T
+
+    def _simulate(self, rows: Array) -> tuple[Array, dict[int, str]]:
+        """Return (results, errors, steps) of some designs, and why some have none."""
+        layout = self._layout
+        found = np.full((len(RESULTS) + 2, rows.shape[1]), np.nan)
+        quantities = self._engine.evaluate("quantities", rows)
+        reasons = self._check.reasons(quantities)
+        prepared = self._engine.evaluate("setup", rows)
+        if layout.structure.ramp:
+            ends = prepared[layout.parameters.index("ramp_time")]
+            reasons |= {int(k): _NO_RAMP for k in np.flatnonzero(~(ends > 0.0)) if int(k) not in reasons}
+        which = np.delete(np.arange(rows.shape[1]), list(reasons))
+        # Designs of like phase take like numbers of steps, and so wait little for each other.
+        prepared = prepared if len(which) == rows.shape[1] else prepared[:, which]
+        results = self._integrate(prepared, Start(*prepared[layout.allowed + 1 :]).phase)
+        found[:, which] = results
+        for _ in range(_REPETITIONS):
+            again = results[-2] > self._error
+            if not np.any(again):
+                break
+            which, before = which[again], results[:, again]
+            cut = np.clip(_RESERVE * self._error / before[-2], _LARGEST_CUT, _RESERVE)
+            prepared = prepared[:, again]
+            prepared[layout.allowed] *= cut
+            results = self._integrate(prepared, before[-1])
+            # An error that cut steps hardly lower is that of rounding, or of a motion that forgets its start.
+            gained = results[-2] <= np.sqrt(cut) * before[-2]
+            better = results[-2] < before[-2]
+            found[:, which[better]] = results[:, better]
+            which, prepared, results = which[gained], prepared[:, gained], results[:, gained]
+        for k in np.flatnonzero(~np.isfinite(found[:-2]).all(axis=0)):
+            found[:-1, k] = np.nan
+            if int(k) not in reasons:
+                reasons[int(k)] = self._why(quantities[:, k], found[-1, k])
+        return found, reasons
+
+    def _integrate(self, prepared: Array, key: Array) -> Array:
+        """Return (results, errors, steps) of designs; NaN where the steps did not suffice.
+
+        Args:
+            prepared: what `setup` gives.
+            key: designs with a like one are carried out together.
+        """
+        count = self._layout.allowed + 1
+        p, start = np.ascontiguousarray(prepared[:count]), Start(*prepared[count:])
+        states = np.zeros((self._layout.state, p.shape[1]))
+        states[2] = start.rate
+        steps = self._engine.run(p, states, np.argsort(key), _MOST_STEPS)
+        results = np.empty((len(RESULTS) + 2, p.shape[1]))
+        with np.errstate(all="ignore"):
+            results[:-1] = start.averages(self._layout, states[3:])
+        results[-1] = steps
+        results[:-1, ~(states[0] >= p[self._layout.ends[-1]])] = np.nan
+        return results
+
+    def _why(self, quantities: Array, steps: float) -> str:
+        """Return why a design within the domain has no results."""
+        scene = self._check.scene(lambda k: float(quantities[k]))
+        try:
+            told = scene.describe()
+        except OverflowError:
+            return "its forces are beyond what floating point holds: take numbers of a share"
+        if steps >= _MOST_STEPS:
+            return (
+                f"the motion of a {told} takes more than {_MOST_STEPS} steps: take the quasi-static scene"
+                " (Effects(motion=False)), a softer or a damped mount, or a shorter duration"
+            )
+        return f"the motion of a {told} has no finite mean: something drives the share away; po.simulate tells when"
+
+
+def _symbols(inputs: Sequence[Expression]) -> list[Expression]:
+    """Return the inputs, each a symbol and none twice."""
+    symbols = list(inputs) if isinstance(inputs, Sequence) else []
+    if not symbols or not all(is_symbolic(one) and one.is_valid_input() for one in symbols):
+        raise InputError("the inputs of a batch are the CasADi symbols of which its scene is made, as a list")
+    if len({type(one) for one in symbols}) > 1:
+        raise InputError("the inputs of a batch are all SX, or all MX")
+    distinct = ca.symvar(ca.veccat(*symbols))
+    if sum(one.numel() for one in distinct) < sum(one.numel() for one in symbols):
+        raise InputError("an input of the batch is named twice: each symbol has one column")
+    return symbols
+
+
+def _refuse(scene: Scene) -> None:
+    """Refuse scenes whose motion is not followed by steps from a start."""
+    check_kind("the scene", scene, Scene, "a Scene, made of soil, share, stiffness, mass and tow speed")
+    effects = scene.effects
+    if not effects.motion:
+        raise InputError(
+            "a batch follows a motion, and a quasi-static scene has none: its averages are expressions that cost next"
+            " to nothing; take po.simulate(scene, duration) with symbols, and a casadi.Function of its averages"
+        )
+    if effects.orbit != "transient":
+        raise InputError(
+            "a batch follows a motion from its start: take orbit = 'transient' and a long duration, or po.simulate for"
+            " the orbit of each design"
+        )
+    if effects.events:
+        what = "StickSlip" if isinstance(effects.contact, StickSlip) else "the entry of a share"
+        raise InputError(
+            f"a batch finds no events, which {what} has: take Smooth(width) as contact and a share that is buried from"
+            " the start, or po.simulate for each design"
+        )

@@ -1,0 +1,308 @@
+"""Runs of one structure at very many parameters, side by side, each by its own number of steps of order 8.
+
+A search asks for what a design's program asks for, states at the outputs and averages, of thousands of designs and
+roughly. The steps are those of `plough_opt.motion.runge_kutta`, in C for a vector register of designs at a time, or in
+NumPy where there is no compiler. Outputs between the ends of a step are read from the polynomial of degree 5 through
+deflection, rate and acceleration at both ends.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from functools import lru_cache
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from plough_opt.core.compiler import Variant, library
+from plough_opt.motion.batch.c_source import Text, head
+from plough_opt.motion.batch.program import Array, Program
+from plough_opt.motion.equation import equation_of_motion, start_state
+from plough_opt.motion.plan import summed_rate
+from plough_opt.motion.runge_kutta import step
+from plough_opt.motion.signals import signals
+from plough_opt.motion.terms import Structure
+
+PHASE_PER_STEP = 2.6
+"""Phase [rad] by `summed_rate` in one step: averages are then right to some 1e-5 of an oscillation."""
+
+PHASE_PER_STEP_READ = 1.6
+"""The same where outputs are read between steps, by a polynomial of a lower order than the method's."""
+
+# Higher optimisation takes a compiler twice as long and makes nothing faster.
+_FLAGS = ("-O2", "-ffp-contract=fast", "-fno-signed-zeros", "-fno-trapping-math", "-fno-math-errno")
+_VARIANTS: tuple[Variant, ...] = (
+    ((*_FLAGS, "-march=native", "-DVECTOR_LIBRARY"), ("-lmvec", "-lm")),
+    ((*_FLAGS, "-march=native"), ("-lm",)),
+    (_FLAGS, ("-lm",)),
+)
+_FEWEST_STEPS = 16
+_MOST_STEPS = 20_000
+# Designs that one thread takes at once: enough to fill vector registers many times, few enough for little memory.
+_CHUNK = 1024
+
+_SOURCE = """
+/* Follows designs in an order, rows of n of them: parameters, number of steps, number of those before the kink and
+   fraction of the duration at which it lies. Writes states at the outputs, means and mean squares about them. */
+int many_runs(int64_t n, int64_t count, const int64_t *order, const double *in, double *out, int64_t size,
+              int64_t outputs, V *ends) {{
+  for (int64_t first = 0; first < count; first += LANES) {{
+    int64_t which[LANES];
+    choose(count, order, first, which);
+    V p[{given}], x[2], y[{width}], mean[{count}], square[{squared} + 1], time = {{0}};
+    for (int j = 0; j < {given}; j++) p[j] = gather(in + j * n, which);
+    const V total = gather(in + {given} * n, which), early = gather(in + ({given} + 1) * n, which);
+    const V kink = gather(in + ({given} + 2) * n, which);
+    const V before = kink / v_max(early, (V){{0}} + 1.0), late = v_max(total - early, (V){{0}} + 1.0);
+    const V after = (1.0 - kink) / late;
+    double most = 0.0;
+    for (int k = 0; k < LANES; k++) if (total[k] > most) most = total[k];
+    {{
+      V y[2];
+{start}
+      x[0] = y[0]; x[1] = y[1];
+    }}
+    for (int j = 0; j < {count}; j++) mean[j] = (V){{0}};
+    for (int j = 0; j < {squared}; j++) square[j] = (V){{0}};
+{once}
+    for (double k = 0.0; k <= most; k += 1.0) {{
+      const V now = (V){{0}} + k;
+      const M open = now < total, first_part = now < early;
+      V s[2];
+      s[0] = v_pick(first_part, now * before, kink + (now - early) * after);
+      s[1] = v_pick(first_part, before, after);
+{each}
+      V *end = ends + 3 * (int64_t)k;
+      end[0] = x[0]; end[1] = x[1]; end[2] = y[2];
+      for (int j = 0; j < 2; j++) x[j] = v_pick(open, y[j], x[j]);
+      const V part = s[1] / (time + s[1]);
+      for (int j = 0; j < {count}; j++) {{
+        const V distance = y[3 + j] - mean[j];
+        if (j < {squared})
+          square[j] = v_pick(open, (1.0 - part) * (square[j] + part * distance * distance) + part * y[3 + {count} + j],
+                             square[j]);
+        mean[j] = v_pick(open, mean[j] + part * distance, mean[j]);
+      }}
+      time = v_pick(open, time + s[1], time);
+    }}
+    for (int l = 0; l < LANES && first + l < count; l++) {{
+      double *to = out + size * which[l];
+      const double kink_at = kink[l], early_steps = early[l], all = total[l], duration = p[{given} - 1][l];
+      for (int64_t o = 0; o <= outputs && outputs > 0; o++) {{
+        const double t = (double)o / outputs;
+        const int in_first = t < kink_at;
+        double at = in_first ? t / before[l] : early_steps + (t - kink_at) / after[l];
+        int64_t k = at;
+        if (k > all - 1.0) k = all - 1.0;
+        const double u = at - k, h = (in_first ? before[l] : after[l]) * duration;
+        const V *a = ends + 3 * k, *b = a + 3;
+        const double w = a[0][l], r = h * a[1][l], c = 0.5 * h * h * a[2][l];
+        const double d = b[0][l] - w - r - c, e = h * b[1][l] - r - 2.0 * c, g = 0.5 * h * h * b[2][l] - c;
+        const double c3 = 10.0 * d - 4.0 * e + g, c4 = -15.0 * d + 7.0 * e - 2.0 * g, c5 = 6.0 * d - 3.0 * e + g;
+        *to++ = w + u * (r + u * (c + u * (c3 + u * (c4 + u * c5))));
+        *to++ = (r + u * (2.0 * c + u * (3.0 * c3 + u * (4.0 * c4 + u * 5.0 * c5)))) / h;
+      }}
+      for (int j = 0; j < {count}; j++) *to++ = mean[j][l];
+      for (int j = 0; j < {squared}; j++) *to++ = square[j][l];
+    }}
+  }}
+  return 0;
+}}
+"""
+
+
+class ManyRuns:
+    """Runs of one structure, at very many parameters.
+
+    Args:
+        structure: of a motion that steps can follow from its start.
+        outputs: number of intervals between output times; 0 where averages are all that is asked for.
+
+    Raises:
+        InputError: an operation of an own effect that has no vector form.
+    """
+
+    def __init__(self, structure: Structure, outputs: int) -> None:
+        self._structure, self._outputs = structure, outputs
+        self._observed = signals(structure)
+        self._phase = PHASE_PER_STEP_READ if outputs else PHASE_PER_STEP
+        self._run = _runner(structure)
+
+    @property
+    def size(self) -> int:
+        """Number of results of a run: states at the outputs, column by column, means, mean squares about them."""
+        states = 2 * (self._outputs + 1) if self._outputs else 0
+        return states + self._observed.count + self._observed.squared
+
+    @property
+    def compiled(self) -> bool:
+        """Whether the runs are followed in machine code."""
+        return not isinstance(self._run, _ByArrays)
+
+    def __call__(
+        self, p: Array, *, finer: float = 1.0, together: int = 1, threads: int = 1, count: int | None = None
+    ) -> Array:
+        """Return the results, a row for each run; NaN where a motion has no end or is too fast to follow.
+
+        Args:
+            p: parameters of `plough_opt.motion.integrators.Integration`, the duration last: a row for each run.
+            finer: factor on the number of steps.
+            together: runs, of rows one after the other, that take equal numbers of steps: their differences are then
+                those of their parameters alone. It divides the number of rows.
+            threads: of this process; the results do not depend on their number.
+            count: of the steps, in place of each run's own.
+        """
+        columns = np.ascontiguousarray(p.T)
+        found = np.full((len(p), self.size), np.nan)
+        with np.errstate(all="ignore"):
+            known = dict(zip(self._observed.parameters, columns, strict=False))
+            if count is None:
+                steps = np.maximum(np.ceil(finer * summed_rate(known) * columns[-1] / self._phase), _FEWEST_STEPS)
+                if together > 1:
+                    steps = np.repeat(steps.reshape(-1, together).max(axis=1), together)
+            else:
+                steps = np.full(len(p), float(count))
+            none = np.zeros_like(steps)
+            early, kink = _before_kink(known, columns[-1], steps) if self._structure.ramp else (none, none)
+        sound = np.flatnonzero((steps <= _MOST_STEPS) & np.isfinite(columns).all(axis=0))
+        given = np.concatenate([columns, [steps, early, kink]])
+        # Designs of like numbers of steps wait little for each other.
+        order = sound[np.argsort(steps[sound], kind="stable")]
+        chunks = [order[k : k + _CHUNK] for k in range(0, len(order), _CHUNK)]
+        if threads > 1 and len(chunks) > 1:
+            with ThreadPoolExecutor(threads) as pool:
+                list(pool.map(lambda chunk: self._run(given, chunk, self._outputs, found), chunks))
+        else:
+            for chunk in chunks:
+                self._run(given, chunk, self._outputs, found)
+        return found
+
+
+def _before_kink(known: dict[str, Array], duration: Array, steps: Array) -> tuple[Array, Array]:
+    """Return how many steps lie before the end of a tow ramp, and the fraction of the duration at which it lies."""
+    kink = np.clip(known["ramp_time"] / duration, 0.0, 1.0)
+    early = np.ceil(kink * np.maximum(steps, _FEWEST_STEPS))
+    # A ramp that outlasts the run, or nearly so, has no end in it.
+    inside = kink < 1.0 - 1e-9
+    early = np.where(inside, np.minimum(early, np.maximum(steps, _FEWEST_STEPS) - 1.0), 0.0)
+    return early, np.where(inside & (early > 0.0), kink, 0.0)
+
+
+Runner = Callable[[Array, NDArray[np.int64], int, Array], None]
+
+
+@lru_cache(maxsize=32)
+def _runner(structure: Structure) -> Runner:
+    """Return what follows runs: (parameters and steps, a column each; which; outputs; results, a row each, to fill)."""
+    begin, one = _programs(structure)
+    observed = signals(structure)
+    path = library(_source(structure, begin, one), _VARIANTS)
+    if path is None:
+        return _ByArrays(begin, one, observed.count, observed.squared)
+    function = ctypes.CDLL(str(path)).many_runs
+    whole, address = ctypes.c_int64, ctypes.c_void_p
+    function.argtypes = [whole, whole, address, address, address, whole, whole, address]
+
+    def run(given: Array, which: NDArray[np.int64], outputs: int, found: Array) -> None:
+        ends = np.empty(3 * int(given[-3, which[-1]] + 2.0) * _WIDEST + _WIDEST)
+        # Vectors lie at addresses that are multiples of their size.
+        begin = -(-ends.ctypes.data // (8 * _WIDEST)) * (8 * _WIDEST)
+        arrays = which.ctypes.data, given.ctypes.data, found.ctypes.data
+        function(given.shape[1], len(which), *arrays, found.shape[1], outputs, begin)
+
+    return run
+
+
+class _ByArrays:
+    """The same in NumPy, operation by operation, for machines without a compiler."""
+
+    def __init__(self, begin: Program, one: Program, count: int, squared: int) -> None:
+        """Take the programs of `_programs`, and the numbers of signals and of those with an RMS."""
+        self._begin, self._one, self._count, self._squared = begin, one, count, squared
+
+    def __call__(self, given: Array, which: NDArray[np.int64], outputs: int, found: Array) -> None:
+        """Fill in the results of runs whose numbers of steps ascend."""
+        given = given[:, which]
+        p, (total, early, kink) = given[:-3], given[-3:]
+        with np.errstate(all="ignore"):
+            before, after = kink / np.maximum(early, 1.0), (1.0 - kink) / np.maximum(total - early, 1.0)
+            x = self._begin([p])
+            ends = np.empty((int(total[-1]) + 1, 3, p.shape[1]))
+            mean, square = np.zeros((self._count, p.shape[1])), np.zeros((self._squared, p.shape[1]))
+            time = np.zeros(p.shape[1])
+            for k in range(len(ends)):
+                # Runs that are at their end still need their acceleration there.
+                on = slice(int(np.searchsorted(total, k)), None)
+                first = k < early[on]
+                size_now = np.where(first, before[on], after[on])
+                now = np.where(first, k * before[on], kink[on] + (k - early[on]) * after[on])
+                y = self._one([x[:, on], np.stack([now, size_now]), p[:, on]])
+                ends[k, :2, on], ends[k, 2, on] = x[:, on], y[2]
+                going = total[on] > k
+                x[:, on] = np.where(going, y[:2], x[:, on])
+                part = size_now / (time[on] + size_now)
+                distance = y[3 : 3 + self._count] - mean[:, on]
+                spread = square[:, on] + part * distance[: self._squared] ** 2
+                pooled = (1.0 - part) * spread + part * y[3 + self._count :]
+                square[:, on] = np.where(going, pooled, square[:, on])
+                mean[:, on] = np.where(going, mean[:, on] + part * distance, mean[:, on])
+                time[on] += np.where(going, size_now, 0.0)
+            read = _read(ends, given, outputs) if outputs else np.empty((0, p.shape[1]))
+        found[which] = np.vstack([read, mean, square]).T
+
+
+def _read(ends: Array, given: Array, outputs: int) -> Array:
+    """Return the states at the outputs, two rows for each, from deflection, rate and acceleration at ends of steps."""
+    duration, total, early, kink = given[-4:]
+    before, after = kink / np.maximum(early, 1.0), (1.0 - kink) / np.maximum(total - early, 1.0)
+    t = np.linspace(0.0, 1.0, outputs + 1)[:, None]
+    first = t < kink
+    at = np.where(first, t / np.where(before > 0.0, before, 1.0), early + (t - kink) / after)
+    k = np.minimum(at.astype(int), total.astype(int) - 1)
+    u, h = at - k, np.where(first, before, after) * duration
+    column = np.arange(given.shape[1])
+    (w, r, c), (w1, r1, c1) = (np.moveaxis(ends[k + j, :, column], 2, 0) for j in (0, 1))
+    r, c, r1, c1 = h * r, 0.5 * h**2 * c, h * r1, 0.5 * h**2 * c1
+    d, e, g = w1 - w - r - c, r1 - r - 2.0 * c, c1 - c
+    c3, c4, c5 = 10.0 * d - 4.0 * e + g, -15.0 * d + 7.0 * e - 2.0 * g, 6.0 * d - 3.0 * e + g
+    value = w + u * (r + u * (c + u * (c3 + u * (c4 + u * c5))))
+    slope = (r + u * (2.0 * c + u * (3.0 * c3 + u * (4.0 * c4 + u * 5.0 * c5)))) / h
+    return np.stack([value, slope], axis=1).reshape(-1, given.shape[1])
+
+
+_WIDEST = 8
+"""Doubles in the widest vector register."""
+
+
+def _programs(structure: Structure) -> tuple[Program, Program]:
+    """Return parameters -> state at the start, and (state, span, parameters) -> (state after a step, w'', moments)."""
+    motion, observed = equation_of_motion(structure), signals(structure)
+    state, span, p = ca.SX.sym("state", 2), ca.SX.sym("span", 2), ca.SX.sym("p", len(observed.parameters) + 1)
+    known = observed.named(p)
+    own = ca.vertcat(*(known[name] for name in motion.names))
+    following, moments = step(structure)(state, span, p)
+    acceleration = motion.function(span[0] * p[-1], state, own)[1]
+    result = ca.cse(ca.densify(ca.vertcat(following, acceleration, moments)))
+    first = ca.densify(ca.SX(start_state(structure, known)))
+    return (
+        Program.of(ca.Function("begin", [p], [first])),
+        Program.of(ca.Function("advance", [state, span, p], [result])),
+    )
+
+
+def _source(structure: Structure, begin: Program, one: Program) -> str:
+    observed = signals(structure)
+    text = Text(one, ("x", "s", "p"))
+    body = _SOURCE.format(
+        given=len(observed.parameters) + 1,
+        width=len(one.results),
+        count=observed.count,
+        squared=observed.squared,
+        start=Text(begin, ("p",)).body(None),
+        once=text.body(True),
+        each=text.body(False),
+    )
+    return "\n".join([*head([begin, one]), body])

@@ -1,0 +1,161 @@
+"""The cost of each effect: nodes, states and events of the differential equation, and operations of a run.
+
+Operations are counted, not clocked: they are the same at every repetition and on every machine.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import casadi as ca
+
+from plough_opt.core.errors import InputError, IntegrationError
+from plough_opt.core.expressions import as_number
+from plough_opt.motion import simulate
+from plough_opt.motion.accuracy import ORDER_8, Accuracy
+from plough_opt.motion.effects import Effects, Smooth, StickSlip
+from plough_opt.motion.equation import equation_of_motion
+from plough_opt.motion.integrators import integration
+from plough_opt.motion.plan import MOST_ADAPTIVE, OUTPUTS, coarser, forced_rate, numbers_of, steps_for, timeline_of
+from plough_opt.motion.quasi_static import GAUSS_POINTS, MORE_POINTS
+from plough_opt.motion.runge_kutta import step
+from plough_opt.motion.scene import Scene
+from plough_opt.motion.terms import Structure, resistance
+from plough_opt.soil.waves import StrengthWave
+
+
+@dataclass(frozen=True)
+class EffectCost:
+    """What one effect adds to a scene.
+
+    Attributes:
+        name: the effect.
+        on: whether the scene has it.
+        nodes: of the differential equation and its events.
+        states: of the differential equation.
+        events: that an integrator must find.
+        operations: in a run with the effect, and in what checks it, over those without it [-]; None of an orbit, which
+            is sought by going through one wavelength again and again, beside a run from a start.
+        refused: why it does not go with the rest of the scene, or "".
+    """
+
+    name: str
+    on: bool
+    nodes: int = 0
+    states: int = 0
+    events: int = 0
+    operations: float | None = 1.0
+    refused: str = ""
+
+
+def effect_costs(scene: Scene, duration: float | None) -> list[EffectCost]:
+    """Count every effect on a scene of numbers; one that the scene lacks is tried with a strength of its own order.
+
+    Args:
+        scene: the scene.
+        duration: simulated time [s]; None for a lasting orbit, whose like from a start is ten wavelengths.
+    """
+    found: dict[Effects, int] = {}
+
+    def counted(effects: Effects) -> int:
+        if effects not in found:
+            found[effects] = _operations(replace(scene, effects=effects), duration)
+        return found[effects]
+
+    return [_cost(name, scene, pair, counted) for name, pair in _pairs(scene, duration).items()]
+
+
+def _cost(
+    name: str, scene: Scene, pair: tuple[dict[str, Any], dict[str, Any]], counted: Callable[[Effects], int]
+) -> EffectCost:
+    """Return what an effect costs, from the changes that switch it on and off."""
+    present = all(getattr(scene.effects, field) == value for field, value in pair[0].items())
+    try:
+        both = [replace(scene.effects, **changes) for changes in pair]
+        sizes = [_size(replace(scene, effects=effects)) for effects in both]
+        totals = [counted(effects) for effects in both]
+    except (InputError, IntegrationError) as error:
+        return EffectCost(name, present, refused=str(error))
+    nodes, states, events = (on - off for on, off in zip(*sizes, strict=True))
+    alike = both[0].orbit == both[1].orbit
+    return EffectCost(name, present, nodes, states, events, totals[0] / totals[1] if alike else None)
+
+
+def _pairs(scene: Scene, duration: float | None) -> dict[str, tuple[dict[str, Any], dict[str, Any]]]:
+    """Return, for every effect, the changes that switch it on and off."""
+    own = scene.effects
+    speed = float(as_number(scene.tow_speed)) or 1.0
+    critical = 2.0 * math.sqrt(float(as_number(scene.stiffness)) * float(as_number(scene.inertia)))
+    start = own.start if own.start != "equilibrium" else "towed"
+    smooth = own.contact if isinstance(own.contact, Smooth) else Smooth(0.1 * speed)
+    slip = own.contact if isinstance(own.contact, StickSlip) else StickSlip()
+    wave = own.strength_wave or StrengthWave(0.3, 0.2)
+    return {
+        "equation of motion": ({"motion": True}, {"motion": False}),
+        "inertial drag": ({"inertial_drag": True}, {"inertial_drag": False}),
+        "added mass": ({"added_mass": True}, {"added_mass": False}),
+        "ambient pressure": ({"ambient_pressure": True}, {"ambient_pressure": False}),
+        "start at rest": ({"start": "rest"}, {"start": "equilibrium"}),
+        "strength wave": ({"strength_wave": wave}, {"strength_wave": None}),
+        "tow ramp": ({"tow_ramp": own.tow_ramp or 0.1 * (duration or 1.0)}, {"tow_ramp": None}),
+        "damping": ({"damping": own.damping or 0.1 * critical}, {"damping": None}),
+        "rate term": ({"rate_term": own.rate_term or 0.01}, {"rate_term": None}),
+        "smooth contact": ({"contact": smooth}, {"contact": "resisting"}),
+        "stick and slip": ({"contact": slip}, {"contact": "resisting"}),
+        "entry": ({"entry": True, "start": start}, {"entry": False, "start": start}),
+        "periodic orbit": ({"orbit": "periodic"}, {"orbit": "transient"}),
+    }
+
+
+def _size(scene: Scene) -> tuple[int, int, int]:
+    """Return nodes, states and events of a scene's differential equation; none without motion."""
+    if not scene.effects.motion:
+        return 0, 0, 0
+    equation = equation_of_motion(Structure.of(scene))
+    nodes = int(equation.function.n_nodes())
+    if equation.events is None:
+        return nodes, equation.states, 0
+    return nodes + int(equation.events.n_nodes()), equation.states, int(equation.events.numel_out(0))
+
+
+def _operations(scene: Scene, duration: float | None) -> int:
+    """Return the operations in a run and in what checks it; of an orbit, in going through one wavelength."""
+    structure = Structure.of(scene)
+    if scene.effects.orbit != "transient":
+        duration = None
+    elif duration is None:
+        duration = 10.0 * float(as_number(scene.wave_period))  # the scene's own orbit has one
+    if not scene.effects.motion:
+        assert duration is not None  # an orbit has motion
+        panels = steps_for(forced_rate(numbers_of(scene)) * duration)
+        return panels * (2 * GAUSS_POINTS + MORE_POINTS) * _of_resistance(structure)
+    accuracy = simulate(scene, duration).accuracy
+    if accuracy.method in ORDER_8:
+        steps = accuracy.steps or 1
+        return (steps + coarser(steps)) * int(step(structure).n_instructions())
+    assert duration is not None
+    assert accuracy.tolerance is not None
+    both = accuracy, replace(accuracy, tolerance=10.0 * accuracy.tolerance)  # and its check: see `plan.checked`
+    return sum(_of_adaptive(scene, duration, one) for one in both)
+
+
+def _of_resistance(structure: Structure) -> int:
+    """Return the operations of the resistance at one point of the path."""
+    symbols = {name: ca.SX.sym(name) for name in structure.names}
+    travel, speed = ca.SX.sym("travel"), ca.SX.sym("speed")
+    force = resistance(structure, symbols, travel, speed)
+    return int(ca.Function("resistance", [*symbols.values(), travel, speed], [force]).n_instructions())
+
+
+def _of_adaptive(scene: Scene, duration: float, accuracy: Accuracy) -> int:
+    """Return the operations of an adaptive method: its evaluations of the equation, and of what events are found by."""
+    p, timeline = numbers_of(scene), timeline_of(scene, duration, OUTPUTS, MOST_ADAPTIVE, accuracy.method)
+    solver = integration(Structure.of(scene), accuracy, timeline)
+    assert solver.sized is not None  # adaptive methods are CasADi's
+    equation = equation_of_motion(solver.structure)
+    rates, events = solver.sized.evaluations([*(p[name] for name in solver.names), duration])
+    each = int(equation.function.n_instructions())
+    return rates * each + (events * int(equation.events.n_instructions()) if equation.events is not None else 0)

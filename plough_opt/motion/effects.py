@@ -1,0 +1,306 @@
+"""Effects: what a scene contains, and what excludes what."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields, is_dataclass
+from enum import Enum
+from types import BuiltinFunctionType, FunctionType
+from typing import Any, Literal, Protocol, runtime_checkable
+
+import numpy as np
+
+from plough_opt.core.errors import InputError
+from plough_opt.core.expressions import COUNT, Expression, as_number, is_casadi, is_count, is_symbolic
+from plough_opt.core.kinds import check_choice, check_switch, shown
+from plough_opt.core.quantities import MOST_WAVES, QUANTITIES
+from plough_opt.laws.printed import Formulation, Printed, errors_of
+from plough_opt.soil.waves import StrengthWave, turns_of
+
+MOST_HARMONICS = 64
+"""Largest number of harmonics of a harmonic balance."""
+
+# What prints all that it is, or its own place in memory, beside single numbers and expressions.
+_DISTINCT = (str, bool, int, float, type(None), np.generic, Enum, type, FunctionType, BuiltinFunctionType, np.ufunc)
+
+
+@dataclass(frozen=True)
+class Smooth:
+    """One-sided contact without memory: the resistance is multiplied by a smooth step of the share's speed.
+
+    The step is 0 for L' <= 0 and 1 above the width w, u^5 (126 - 420 u + 540 u^2 - 315 u^3 + 70 u^4) with u = L'/w
+    between, smooth enough at both ends that second derivatives of a run keep their digits. It tends to `StickSlip`
+    for a width that tends to 0, but only where no gap opens.
+
+    Args:
+        width: speed [m/s] above which the soil resists fully, above 0.
+    """
+
+    width: Expression
+
+    def __post_init__(self) -> None:
+        QUANTITIES["effects.contact_width"].check(self.width)
+
+
+@dataclass(frozen=True)
+class StickSlip:
+    """Soil that keeps its density on unloading, and so cannot push: the share slips, sticks, or leaves a gap.
+
+    * Slip, L' > 0 at the furthest point: the resistance of (25). Where L' falls to 0 the share sticks if the mount
+      force P lies between 0 and ``breakaway`` times the static resistance, leaves a gap if P < 0, and else slips on.
+    * Stick, L' = 0: until P reaches ``breakaway`` F0(L), or 0.
+    * Gap, behind the furthest point: no soil and no added mass; at the furthest point the share takes up the added
+      mass, m v = (m + m_a) v', and slips on.
+
+    CasADi says on the error stream, whenever an integrator with events or a derivative of one is built, that its
+    support of them is experimental; a library leaves a program's streams alone. Every run is checked by a second one.
+
+    Derivatives are those through the times at which it moves and stops; CasADi has the second ones of a gradient only:
+    see `plough_opt.simulate`.
+
+    Args:
+        breakaway: resistance at which a sticking share moves, over the static resistance [-], at least 1.
+    """
+
+    breakaway: Expression = 1.0
+
+    def __post_init__(self) -> None:
+        QUANTITIES["effects.breakaway"].check(self.breakaway)
+
+
+@runtime_checkable
+class OwnResistance(Protocol):
+    """A resistance that the toolkit does not know, such as that of the shank: a frozen dataclass with this method.
+
+    Its fields are what it needs: single numbers or expressions, tuples of them, text, switches or functions. Effects of
+    one class are told apart by what these print, so that arrays and tables are refused. For example::
+
+        @dataclass(frozen=True)
+        class Shank:
+            static: float
+            viscous: float
+
+            def force(self, travel, speed):
+                return self.static + self.viscous * speed
+    """
+
+    def force(self, travel: Expression, speed: Expression) -> Expression:
+        """Return the force [N] against the motion at a travel L [m] and a speed L' [m/s].
+
+        Written with arithmetic and the functions of `plough_opt.core.expressions`, so that it takes symbols.
+        """
+
+
+def _indistinct(effect: OwnResistance) -> str | None:
+    """Return the type of something in an own effect's fields that two different effects may print alike, if any."""
+    waiting: list[Any] = [effect]
+    while waiting:
+        item = waiting.pop()
+        if is_dataclass(item) and not isinstance(item, type):
+            waiting += [getattr(item, each.name) for each in fields(item)]
+        elif isinstance(item, Mapping):
+            waiting += item.values()
+        elif isinstance(item, list | tuple):
+            waiting += item
+        elif is_casadi(item):
+            if item.numel() != 1:
+                return f"a column of type {type(item).__name__}"
+        elif not isinstance(item, _DISTINCT) and not _prints_its_place(item):
+            return f"a value of type {type(item).__name__}"
+    return None
+
+
+def _prints_its_place(item: Any) -> bool:
+    """Return whether something prints by its place in memory, as objects do unless they say otherwise."""
+    printed: object = type(item).__repr__
+    return printed is object.__repr__
+
+
+@dataclass(frozen=True)
+class HarmonicBalance:
+    """The lasting orbit approximated by a mean and harmonics of the strength wave's frequency.
+
+    Args:
+        harmonics: their number, from 1 to 64.
+    """
+
+    harmonics: int = field(default=3, metadata=COUNT)
+
+    def __post_init__(self) -> None:
+        if not is_count(self.harmonics) or self.harmonics > MOST_HARMONICS:
+            raise InputError(f"harmonics = {shown(self.harmonics)} must be a whole number from 1 to {MOST_HARMONICS}")
+
+
+@dataclass(frozen=True)
+class Effects:
+    """Which effects a scene contains. What is off adds no node, state or parameter to the equation of motion.
+
+    Args:
+        motion: integrate the equation of motion; False: quasi-static, the share follows the strut rigidly
+            and the draft is the soil's resistance to it, without the force M s'' that a ramp takes.
+        inertial_drag: the resistance's part B rho0 L'^2.
+        added_mass: the soil that the share carries along, C rho0 h L''.
+        ambient_pressure: the soil's ambient pressure p_a in A; False takes p_a = 0.
+        contact: ``"resisting"``: the resistance always points backwards, as printed in (27). It would
+            push a resting or retreating share, so a run in which that happens carries a warning. `Smooth` and
+            `StickSlip` only ever resist.
+        start: ``"equilibrium"``: at the steady deflection for the strut's initial speed; ``"rest"``: travel and
+            speed of the share zero, spring relaxed; ``"towed"``: travel zero, spring relaxed, at the strut's speed.
+        entry: the share enters at travel 0: its resistance is that of the buried length H = min(max L, h), F0 and
+            Fd with H^2 and the added mass with H^3. Starts at ``"rest"`` or ``"towed"``.
+        strength_wave: periodic soil strength along the path; a tuple of several waves, whose sum multiplies F0 and must
+            leave it at least 0 along the path; or None.
+        tow_ramp: time [s] in which the strut's speed rises from 0 by a C2 smoothstep; None or 0: none. Of
+            an expression 0 is a ramp too short to matter, 1e-9 s, so that it has derivatives.
+        damping: viscous damper c in the mount [N s/m], or None.
+        rate_term: kappa [s^2/m^2] of F0 (1 + kappa L'^2), for calibration, or None. Not in the source.
+        own: resistances of the user's own classes, added to the soil's: see `OwnResistance`.
+        orbit: ``"transient"``: from the start over the duration; ``"periodic"``: the lasting orbit under the strength
+            wave, one wavelength of it, which needs no duration; ``"linearised"``: its linear forced response in
+            closed form; `HarmonicBalance`: its first harmonics.
+        formulation: ``"derived"``; ``"printed"``: equations (25)-(27) with the print's errors, to show what
+            they do; or a `Printed` with some of them. It is not physics, and a run says so.
+
+    Raises:
+        InputError: an unknown choice, or effects that exclude each other; the message says why.
+        DomainError: a value outside its domain.
+    """
+
+    motion: bool = True
+    inertial_drag: bool = True
+    added_mass: bool = True
+    ambient_pressure: bool = True
+    contact: Literal["resisting"] | Smooth | StickSlip = "resisting"
+    start: Literal["equilibrium", "rest", "towed"] = "equilibrium"
+    entry: bool = False
+    strength_wave: StrengthWave | tuple[StrengthWave, ...] | None = None
+    tow_ramp: Expression | None = None
+    damping: Expression | None = None
+    rate_term: Expression | None = None
+    own: tuple[OwnResistance, ...] = ()
+    orbit: Literal["transient", "periodic", "linearised"] | HarmonicBalance = "transient"
+    formulation: Formulation = "derived"
+
+    def __post_init__(self) -> None:
+        self._check_kinds()
+        laws = isinstance(self.contact, Smooth | StickSlip)
+        if not (laws or (isinstance(self.contact, str) and self.contact == "resisting")):
+            raise InputError(
+                f"contact = {shown(self.contact)} must be 'resisting', Smooth(width) or StickSlip(breakaway)"
+            )
+        if not isinstance(self.orbit, HarmonicBalance):
+            words = ("transient", "periodic", "linearised")
+            check_choice("orbit", self.orbit, words, ", or HarmonicBalance(harmonics)")
+        check_choice("start", self.start, ("equilibrium", "rest", "towed"))
+        for name in ("tow_ramp", "damping", "rate_term"):
+            if getattr(self, name) is not None:
+                QUANTITIES[f"effects.{name}"].check(getattr(self, name))
+        if not self.motion:
+            self._refuse_without_motion()
+        if self.entry and self.start == "equilibrium":
+            raise InputError("entry begins at first contact, where nothing is steady: take start = 'rest' or 'towed'")
+        self._check_own()
+        if self.orbit != "transient":
+            self._refuse_on_an_orbit()
+        if self.printed.repelling_spring and self.contact != "resisting":
+            raise InputError("the print knows no contact law: its repelling spring goes with contact = 'resisting'")
+
+    def _check_kinds(self) -> None:
+        """Refuse a switch that is neither on nor off, and a strength wave that is none."""
+        for name in ("motion", "inertial_drag", "added_mass", "ambient_pressure", "entry"):
+            value = getattr(self, name)
+            check_switch(name, value)
+            object.__setattr__(self, name, bool(value))
+        several = isinstance(self.strength_wave, tuple)
+        if (several and not self.strength_wave) or not all(isinstance(wave, StrengthWave) for wave in self.waves):
+            raise InputError(
+                f"strength_wave = {shown(self.strength_wave)} must be None or a StrengthWave, as"
+                " StrengthWave(amplitude=0.3, wavelength=0.2), or a tuple of several"
+            )
+        if len(self.waves) > MOST_WAVES:
+            raise InputError(f"strength_wave has {len(self.waves)} waves: give the {MOST_WAVES} largest at most")
+
+    def _check_own(self) -> None:
+        """Refuse own resistances that are none, or that a contact law would not know what to do with."""
+        if not isinstance(self.own, tuple):
+            raise InputError(f"own = {shown(self.own)} must be a tuple of effects, as (Shank(150.0, 80.0),)")
+        for effect in self.own:
+            if isinstance(effect, type) or not (is_dataclass(effect) and isinstance(effect, OwnResistance)):
+                raise InputError(
+                    f"own effect {shown(effect)} must be a frozen dataclass with a method force(travel, speed) in"
+                    " newtons"
+                )
+            if (found := _indistinct(effect)) is not None:
+                raise InputError(
+                    f"own effect {type(effect).__name__} holds {found}, which may print as another does, and effects"
+                    " are told apart by what they print: give single numbers, or tuples of them; a table as a function"
+                    " that looks it up, as lambda travel: table(travel)"
+                )
+        if self.own and isinstance(self.contact, StickSlip):
+            raise InputError(
+                "an own resistance does not say what it is at rest or in a gap: take contact = 'resisting' or Smooth"
+            )
+
+    def _refuse_on_an_orbit(self) -> None:
+        """Refuse what a lasting orbit cannot have."""
+        if not self.motion:
+            raise InputError("an orbit needs motion: a quasi-static share repeats itself from the start")
+        if self.strength_wave is None:
+            raise InputError("an orbit needs a strength_wave: without one the share comes to slide steadily")
+        turns = self.turns
+        if len(self.waves) > 1 and self.own:
+            raise InputError("an orbit under several strength waves takes no own resistances: simulate from a start")
+        if isinstance(self.orbit, HarmonicBalance) and self.orbit.harmonics < max(turns):
+            raise InputError(
+                f"the shortest strength wave turns {max(turns)} times in the period of all: take"
+                f" HarmonicBalance({max(turns)}) or more"
+            )
+        if self.contact != "resisting":
+            raise InputError("an orbit takes contact = 'resisting': simulate other contact laws from a start, for long")
+        if self.start != "equilibrium" or self.tow_ramp is not None or self.entry:
+            raise InputError("an orbit has no start: leave start, tow_ramp and entry out")
+        if self.printed.repelling_spring:
+            raise InputError("the print's repelling spring has no lasting orbit: take formulation = 'derived'")
+
+    def _refuse_without_motion(self) -> None:
+        """Refuse what a quasi-static scene cannot have."""
+        if self.start != "equilibrium":
+            raise InputError(
+                f"start = '{self.start}' needs motion: a quasi-static share follows the strut from the start"
+            )
+        if self.damping is not None:
+            raise InputError("damping needs motion: in a quasi-static scene the mount never moves, so leave it out")
+        if self.contact != "resisting":
+            raise InputError("a contact law needs motion: a quasi-static share never stops or retreats")
+        if self.printed.repelling_spring:
+            raise InputError(
+                "the print's repelling spring needs motion: a share that it repels never follows the strut, so there"
+                " is no quasi-static limit; take formulation = 'derived'"
+            )
+
+    @property
+    def waves(self) -> tuple[StrengthWave, ...]:
+        """The strength waves: none, one or several."""
+        if self.strength_wave is None:
+            return ()
+        return self.strength_wave if isinstance(self.strength_wave, tuple) else (self.strength_wave,)
+
+    @property
+    def turns(self) -> tuple[int, ...]:
+        """How often each strength wave turns before all repeat themselves together: see `turns_of`."""
+        return turns_of(self.waves)
+
+    @property
+    def printed(self) -> Printed:
+        """Which errors of the print are kept: none, unless the formulation says so."""
+        return errors_of(self.formulation)
+
+    @property
+    def events(self) -> bool:
+        """Whether the motion has events that an integrator must find: stick and slip, or the end of entry."""
+        return self.entry or isinstance(self.contact, StickSlip)
+
+    @property
+    def ramps(self) -> bool:
+        """Whether the strut's speed ramps up; a ramp of zero duration is no ramp."""
+        return self.tow_ramp is not None and (is_symbolic(self.tow_ramp) or bool(np.any(as_number(self.tow_ramp) > 0)))

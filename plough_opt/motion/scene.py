@@ -1,0 +1,271 @@
+"""Scene: a share on its mount in the soil, with the effects that are simulated and no others."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Literal, TypeVar
+
+from plough_opt.core.errors import InputError
+from plough_opt.core.expressions import Expression, as_number, is_symbolic, sqrt
+from plough_opt.core.kinds import check_choice, shown
+from plough_opt.core.labels import checked_in_designs, unlabelled
+from plough_opt.core.quantities import QUANTITIES
+from plough_opt.laws.forces import SoilReaction, loosened_radius, soil_reaction
+from plough_opt.motion.effects import Effects
+from plough_opt.soil.elastic import cone_force
+from plough_opt.soil.geometry import PLANE_SECTIONS_LIMIT, Cone, Wedge
+from plough_opt.soil.soil import Soil
+from plough_opt.soil.waves import check_strength
+
+# Overburden [Pa] of some 1.5 m of soil, below which no subsoiler works: more is the atmosphere's.
+_DEEPEST = 20e3
+
+_Property = TypeVar("_Property")
+
+
+def _checked_in_designs(law: Callable[[Scene], _Property]) -> Callable[[Scene], _Property]:
+    """Decorate a scene's property, which a design checks with the scene."""
+    return checked_in_designs(law, lambda scene: scene.check_reaction())
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A share on an elastic mount, towed through soil.
+
+    Args:
+        soil: the soil.
+        share: a `Wedge`, of which only the equivalent cone enters, or that `Cone` itself.
+        stiffness: k0 of the mount [N/m], above 0.
+        mass: m of all that moves but the soil [kg], above 0: frame part and share (`Cone.solid_mass`).
+        tow_speed: V0 of the strut [m/s], at least 0.
+        effects: what to simulate.
+        medium: ``"plastic"``: the plastic gas; ``"elastic"``: the linear elastic medium, which gives the steady
+            contact force on the equivalent cone (`plough_opt.soil.elastic.cone_force`, an order of magnitude) and no motion:
+            it takes ``Effects(motion=False)`` and none of the effects that vary the force along the path or in time.
+
+    Every number may be a float or a CasADi expression.
+
+    Raises:
+        DomainError: a number outside its domain.
+        InputError: an unknown medium, an effect that has no meaning in the elastic one, or something else in the place
+            of soil, share or effects.
+    """
+
+    soil: Soil
+    share: Wedge | Cone
+    stiffness: Expression
+    mass: Expression
+    tow_speed: Expression
+    effects: Effects = field(default_factory=Effects)
+    medium: Literal["plastic", "elastic"] = "plastic"
+
+    def __post_init__(self) -> None:
+        self._check_kinds()
+        check_choice("medium", self.medium, ("plastic", "elastic"))
+        if self.medium == "elastic":
+            self._refuse_plastic_effects()
+        for name in ("stiffness", "mass", "tow_speed"):
+            QUANTITIES[f"scene.{name}"].check(getattr(self, name))
+
+    def _check_kinds(self) -> None:
+        """Refuse something else in the place of the soil, the share or the effects."""
+        for name, wanted, kinds in (
+            ("soil", "a Soil, for instance named_soil('serozem')", Soil),
+            ("share", "a Wedge or a Cone", Wedge | Cone),
+            ("effects", "an Effects", Effects),
+        ):
+            if not isinstance(getattr(self, name), kinds):
+                raise InputError(f"the scene's {name} = {shown(getattr(self, name))} must be {wanted}")
+
+    def _refuse_plastic_effects(self) -> None:
+        """Refuse effects that have no meaning in the elastic medium."""
+        effects = self.effects
+        if effects.motion:
+            raise InputError(
+                "motion has no meaning in the elastic medium, which is solved for steady sliding only, and so has no"
+                " oscillation: take effects = Effects(motion=False), or medium = 'plastic'"
+            )
+        for name in ("strength_wave", "tow_ramp", "rate_term"):
+            if getattr(effects, name) is not None:
+                raise InputError(
+                    f"{name} has no meaning in the elastic medium, which has no strength and is solved for steady"
+                    " sliding only: leave it out, or take medium = 'plastic'"
+                )
+        if effects.own:
+            raise InputError("own resistances belong to the plastic gas: take medium = 'plastic' for them")
+        if effects.printed.errors:
+            raise InputError("the printed formulation belongs to the plastic gas: take medium = 'plastic' for it")
+
+    @cached_property
+    def cone(self) -> Cone:
+        """The share's equivalent cone."""
+        if isinstance(self.share, Cone):
+            return self.share
+        with unlabelled():
+            return self.share.equivalent_cone()
+
+    @property
+    @_checked_in_designs
+    def reaction(self) -> SoilReaction:
+        """F0 [N], Fd [N s^2/m^2] and added mass [kg], zero where the effect is off."""
+        return self._reaction
+
+    @cached_property
+    def _reaction(self) -> SoilReaction:
+        soil = self.soil if self.effects.ambient_pressure else self._soil_without_pressure
+        if self.medium == "elastic":
+            return SoilReaction(static=cone_force(self.cone, soil, self.tow_speed), drag=0.0, added_mass=0.0)
+        full = self._reaction_of(soil)
+        return SoilReaction(
+            static=full.static,
+            drag=full.drag if self.effects.inertial_drag else 0.0,
+            added_mass=full.added_mass if self.effects.added_mass else 0.0,
+        )
+
+    def check_reaction(self) -> None:
+        """Refuse a scene of numbers whose soil has no reaction to the share, or a strength below 0 somewhere.
+
+        The elastic medium is left out: a design limits its speed by a requirement.
+
+        Raises:
+            DomainError: a density profile with which there is no compaction front, or strength waves whose amplitudes
+                exceed 1 in sum.
+        """
+        check_strength(self.effects.waves)
+        if self.medium == "plastic":
+            _ = self._reaction
+
+    @property
+    def _soil_without_pressure(self) -> Soil:
+        return dataclasses.replace(self.soil, ambient_pressure=0.0)
+
+    def _reaction_of(self, soil: Soil) -> SoilReaction:
+        """Return the whole reaction of a soil to this share, in the scene's formulation."""
+        with unlabelled():
+            return self.effects.printed.reaction(soil_reaction(self.cone, soil))
+
+    @property
+    @_checked_in_designs
+    def loosened_radius(self) -> Expression:
+        """Radius r* of the compaction front at the share's base [m].
+
+        Raises:
+            InputError: the medium is elastic, and nothing is compacted for good.
+        """
+        if self.medium == "elastic":
+            raise InputError("the elastic medium has no compaction front and loosens nothing: take medium = 'plastic'")
+        return loosened_radius(self.cone, self.soil)
+
+    @property
+    @_checked_in_designs
+    def inertia(self) -> Expression:
+        """M = m + m_a [kg]."""
+        return self.mass + self.reaction.added_mass
+
+    @property
+    def restoring_stiffness(self) -> Expression:
+        """Force of the spring on the share per deflection [N/m]: k0, or -k0 as equation (27) is printed."""
+        return -self.stiffness if self.effects.printed.repelling_spring else self.stiffness
+
+    @property
+    @_checked_in_designs
+    def steady_resistance(self) -> Expression:
+        """Resistance F0 (1 + kappa V0^2) + Fd V0^2 [N] at the tow speed, without the strength wave."""
+        rate = self.effects.rate_term if self.effects.rate_term is not None else 0.0
+        own = sum(effect.force(0.0, self.tow_speed) for effect in self.effects.own)
+        return self.reaction.static * (1.0 + rate * self.tow_speed**2) + self.reaction.drag * self.tow_speed**2 + own
+
+    @property
+    @_checked_in_designs
+    def natural_frequency(self) -> Expression:
+        """Undamped angular frequency sqrt(k0/M) [rad/s]; of the print's repelling spring the rate of growth."""
+        return sqrt(self.stiffness / self.inertia)
+
+    @property
+    @_checked_in_designs
+    def wave_frequency(self) -> Expression:
+        """Angular frequency 2 pi V0/ell [rad/s] at which the first strength wave passes; 0 without a wave."""
+        waves = self.effects.waves
+        return 2.0 * math.pi * self.tow_speed / waves[0].wavelength if waves else 0.0
+
+    @property
+    def wave_period(self) -> Expression:
+        """Time [s] in which a share passes one wavelength, or of several waves the length common to all.
+
+        Raises:
+            InputError: no wave, or several without a common length.
+        """
+        waves = self.effects.waves
+        if not waves:
+            raise InputError("the scene has no strength_wave, and so no period")
+        return waves[0].wavelength * self.effects.turns[0] / self.tow_speed
+
+    @property
+    def branch(self) -> str:
+        """Of a scene of numbers "soft" or "stiff", its mount below or above resonance with the wave; else ""."""
+        if not float(as_number(self.wave_frequency)) > 0.0:
+            return ""
+        return "soft" if float(as_number(self.natural_frequency / self.wave_frequency)) < 1.0 else "stiff"
+
+    @property
+    @_checked_in_designs
+    def ambient_share(self) -> Expression:
+        """Part of the static resistance F0 that the ambient pressure carries [-]; 0 where F0 is 0.
+
+        In the elastic medium it is 0: the force there is gauge, and the pressure only keeps the contact.
+        """
+        if not self.effects.ambient_pressure or self.medium == "elastic":
+            return 0.0
+        bare = self._reaction_of(self._soil_without_pressure).static
+        total = self.reaction.static
+        if not is_symbolic(total) and not float(as_number(total)) > 0.0:
+            return 0.0
+        return 1.0 - bare / total
+
+    def describe(self) -> str:
+        """Return, for a scene of numbers, a clause that tells which it is."""
+        spring = " of a repelling spring, as printed," if self.effects.printed.repelling_spring else ""
+        angle, height, stiffness, inertia, speed = (
+            float(as_number(value))
+            for value in (self.cone.half_angle, self.cone.height, self.stiffness, self.inertia, self.tow_speed)
+        )
+        return (
+            f"share of half angle {math.degrees(angle):.3g} deg and height {height:.3g} m in {self.soil.name}, on"
+            f" {stiffness:.3g} N/m{spring} with {inertia:.3g} kg at {speed:.3g} m/s"
+        )
+
+    def warnings(self) -> tuple[str, ...]:
+        """Return, for a scene of numbers, what a reader of its results must know about the theory's limits."""
+        found = []
+        if errors := self.effects.printed.errors:
+            found.append(
+                f"these are the source's equations as printed ({', '.join(errors)}), not physics: their results only"
+                " show what the print's errors do; for all else take formulation = 'derived'"
+            )
+        if self.medium == "elastic":
+            found.append(
+                "the elastic medium's force on a cone is an order of magnitude: strains on its face are of order one,"
+                " and its dependence on the speed is not to be trusted"
+            )
+        found += self.soil.warnings() if self.medium == "plastic" else ()
+        half_angle = float(as_number(self.cone.half_angle))
+        if half_angle > PLANE_SECTIONS_LIMIT:
+            found.append(
+                f"the equivalent cone's half angle is {math.degrees(half_angle):.1f} deg: above"
+                f" {math.degrees(PLANE_SECTIONS_LIMIT):.0f} deg the hypothesis of plane sections does not hold"
+            )
+        share = float(as_number(self.ambient_share))
+        if share > 0.0:
+            pressure = float(as_number(self.soil.ambient_pressure))
+            text = f"ambient pressure ({pressure / 1e3:.4g} kPa) carries {100 * share:.0f} % of the static draft"
+            if pressure > _DEEPEST:
+                text += (
+                    "; soil with open pores would feel only the overburden, a few kPa: set soil.ambient_pressure for"
+                    " that reading"
+                )
+            found.append(text)
+        return tuple(found)

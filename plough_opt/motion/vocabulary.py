@@ -1,0 +1,107 @@
+"""Quantities and results by the names that problem files give them, such as "share.height" and "mean_draft"."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from plough_opt.core.errors import InputError, nearest
+from plough_opt.core.expressions import Expression
+from plough_opt.core.quantities import QUANTITIES
+from plough_opt.core.units import Unit
+from plough_opt.laws.forces import added_mass
+from plough_opt.laws.penetration import cone_index
+from plough_opt.motion import Run
+from plough_opt.motion.scene import Scene
+
+
+def quantity_of(scene: Scene, name: str) -> Expression:
+    """Return a scene's quantity by name.
+
+    Raises:
+        InputError: an unknown name, or a quantity that the scene does not have.
+    """
+    if name not in QUANTITIES:
+        raise InputError(f"a scene has no quantity '{name}': {nearest(name, QUANTITIES)}")
+    value = _at(scene, QUANTITIES[name].path)
+    if value is None:
+        raise InputError(f"the scene has no '{name}': give it one, or leave the name out")
+    return value
+
+
+def quantities_of(scene: Scene) -> dict[str, Expression | None]:
+    """Return a scene's quantities by name, None for those that it does not have."""
+    return {name: _at(scene, quantity.path) for name, quantity in QUANTITIES.items()}
+
+
+def _at(value: Any, path: tuple[str | int, ...]) -> Any:
+    for step in path:
+        if isinstance(step, int):  # one wave stands by itself, several in a tuple
+            several = value if isinstance(value, tuple) else (value,)
+            value = several[step] if step < len(several) else None
+        else:
+            value = getattr(value, step, None)
+    return value
+
+
+def with_quantities(scene: Scene, changes: Mapping[str, Expression]) -> Scene:
+    """Return a scene with other values of some quantities, by name, numbers or expressions.
+
+    Raises:
+        InputError: an unknown name, or a quantity that the scene does not have.
+        DomainError: a number outside the model's domain.
+    """
+    for name, value in changes.items():
+        quantity_of(scene, name)
+        scene = _replaced(scene, QUANTITIES[name].path, value)
+    return scene
+
+
+def _replaced(value: Any, path: tuple[str | int, ...], new: Expression) -> Any:
+    if not path:
+        return new
+    step, rest = path[0], path[1:]
+    if isinstance(step, int):
+        if not isinstance(value, tuple):
+            return _replaced(value, rest, new)
+        return (*value[:step], _replaced(value[step], rest, new), *value[step + 1 :])
+    return dataclasses.replace(value, **{step: _replaced(getattr(value, step), rest, new)})
+
+
+@dataclass(frozen=True)
+class Measure:
+    """A result of a run that can be named.
+
+    Attributes:
+        unit: SI unit.
+        of: run -> value, a column where ``everywhere``.
+        everywhere: a value at every output time; it can be limited, and not minimised.
+        plastic: belongs to the plastic gas alone.
+    """
+
+    unit: Unit
+    of: Callable[[Run], Expression]
+    everywhere: bool = False
+    plastic: bool = False
+
+
+MEASURES: dict[str, Measure] = {
+    "mean_draft": Measure(Unit("N"), lambda run: run.mean_draft),
+    "force_rms": Measure(Unit("N"), lambda run: run.force_rms),
+    "mean_deflection": Measure(Unit("m"), lambda run: run.mean_deflection),
+    "displacement_rms": Measure(Unit("m"), lambda run: run.displacement_rms),
+    "tow_power": Measure(Unit("W"), lambda run: run.tow_power),
+    "specific_draft": Measure(Unit("Pa"), lambda run: run.specific_draft, plastic=True),
+    "loosened_radius": Measure(Unit("m"), lambda run: run.scene.loosened_radius, plastic=True),
+    "half_angle": Measure(Unit("rad"), lambda run: run.scene.cone.half_angle),
+    "moving_mass": Measure(Unit("kg"), lambda run: run.scene.mass),
+    "added_mass": Measure(Unit("kg"), lambda run: added_mass(run.scene.cone, run.scene.soil), plastic=True),
+    "cone_index": Measure(Unit("Pa"), lambda run: cone_index(run.scene.soil), plastic=True),
+    "deflection": Measure(Unit("m"), lambda run: run.deflection, everywhere=True),
+    "mount_force": Measure(Unit("N"), lambda run: run.mount_force, everywhere=True),
+    "soil_resistance": Measure(Unit("N"), lambda run: run.soil_resistance, everywhere=True),
+    "speed": Measure(Unit("m/s"), lambda run: run.speed, everywhere=True),
+}
+"""Results by name; an angle in rad."""

@@ -1,0 +1,113 @@
+"""How dense the soil is behind the compaction front, and where the front is: equations (9), (15) and (16).
+
+With b = rho0/rho(r) at the Lagrangian radius r, a particle's radius is y^2 = R^2 + 2 psi(r), psi = int_0^r b s ds, and
+at the front y = r. Of a density profile psi is a Gauss-Legendre quadrature; a constant density has it in closed form.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from plough_opt.core.domain import check_domain
+from plough_opt.core.errors import DomainError
+from plough_opt.core.expressions import (
+    Expression,
+    absolute,
+    as_number,
+    exp,
+    is_symbolic,
+    log1p,
+    maximum,
+    minimum,
+    sqrt,
+    where,
+)
+from plough_opt.core.quadrature import gauss_legendre
+from plough_opt.soil.soil import Soil, check_soil
+
+# Newton's method for the front converges from the cavity outwards, at once where the density hardly varies.
+_FRONT_STEPS = 14
+# What it must leave of the front's equation, relative to R^2, and the rounding of its terms, relative to r*^2.
+_FRONT_RESIDUAL = 1e-12
+_FRONT_ROUNDING = 4e-15
+# (r*/R)^2 beyond which there is no front: a density ratio b1 of 1 - 1e-13.
+_FURTHEST = 1e13
+
+
+def ratio(r: Expression, soil: Soil) -> Expression:
+    """Return b = rho0/rho(r) of compacted soil [-] at a Lagrangian radius [m]."""
+    check_soil(soil)
+    profile = soil.density_profile
+    return soil.density_ratio if profile is None else soil.density / profile.at(r)
+
+
+def mean_ratio(r: Expression, soil: Soil) -> Expression:
+    """Return 2 psi(r)/r^2, the mean of b over the section inside a Lagrangian radius [-]."""
+    check_soil(soil)
+    profile = soil.density_profile
+    if profile is None:
+        return soil.density_ratio
+    total: Expression = 0.0
+    for node, weight in zip(*gauss_legendre(profile.order), strict=True):
+        total = total + 2.0 * weight * node * ratio(r * node, soil)
+    return total
+
+
+def front(radius: Expression, soil: Soil) -> Expression:
+    """Return the radius r* of the compaction front [m] around a cavity of radius R [m], equation (16).
+
+    Raises:
+        DomainError: a density profile with which no front carries all the soil of the cavity, or one that lies
+            below the undisturbed density somewhere behind the front.
+    """
+    check_soil(soil)
+    check_domain("cavity radius", radius, "m", at_least=0.0)
+    if soil.density_profile is None:
+        return radius * exp(-log1p(-soil.density_ratio) / 2.0)
+    square = _front_square(radius**2, soil)
+    found = sqrt(square)
+    if not is_symbolic(found):
+        _check_profile(as_number(found), soil)
+    return found
+
+
+def _front_square(square: Expression, soil: Soil) -> Expression:
+    """Return r*^2 from R^2: the root of x (1 - mean b(sqrt(x))) - R^2, by Newton's method between bounds.
+
+    The function rises with the slope 1 - b, and R^2 lies below its root.
+    """
+    low, high = square, 10.0 * _FURTHEST * square
+    x = square
+    for _ in range(_FRONT_STEPS):
+        r = sqrt(x)
+        short = x * (1.0 - mean_ratio(r, soil)) - square
+        low, high = where(short < 0.0, maximum(low, x), low), where(short < 0.0, high, minimum(high, x))
+        slope = 1.0 - ratio(r, soil)
+        step = x - short / where(slope > 0.0, slope, 1.0)
+        inside = (step >= low) * (step <= high) * (slope > 0.0)
+        x = where(inside, step, sqrt(low * high))
+    residual = absolute(x * (1.0 - mean_ratio(sqrt(x), soil)) - square)
+    missed = maximum(residual - _FRONT_RESIDUAL * square - _FRONT_ROUNDING * x, x - _FURTHEST * square) > 0.0
+    if not is_symbolic(missed) and np.any(as_number(missed)):
+        widest = float(np.sqrt(np.max(as_number(square))))
+        raise DomainError(
+            f"the compaction front around a cavity of {widest:.4g} m was not found: with"
+            " this density profile no front carries all the soil of the cavity, so let it compact more, or further"
+            " out; a quadrature of low order may also miss one"
+        )
+    # An expression has nobody to tell: what it evaluates to without a front must not look like one.
+    return where(missed, np.nan, x) if is_symbolic(missed) else x
+
+
+def _check_profile(front_radius: np.ndarray, soil: Soil) -> None:
+    """Refuse a profile of numbers that is no compaction behind the front."""
+    profile = soil.density_profile
+    assert profile is not None
+    places = np.linspace(0.0, 1.0, 2 * profile.order + 1)
+    for place in places:
+        check_domain(
+            f"density profile at {place:.2g} of the front radius over the undisturbed density",
+            profile.at(front_radius * place) / soil.density,
+            above=1.0,
+            why="behind the front the soil is denser than before; the profile returns rho(r) in kg/m^3",
+        )

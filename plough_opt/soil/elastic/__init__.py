@@ -1,0 +1,50 @@
+"""Linear elastic medium around a share that moves steadily below the shear wave's speed: equations (1)-(4).
+
+The thin wedge (plane strain) and the slender cone (axisymmetry) in closed form for piecewise-linear
+profiles, as floats, arrays or CasADi expressions; the Fourier integrals themselves, for a profile of any
+form, are in `plough_opt.soil.elastic.fourier`.
+
+Coordinates move with the body: its tip is at x = 0, the medium streams towards +x. Tension is positive.
+"""
+
+from plough_opt.soil.elastic import fourier
+from plough_opt.soil.elastic.cone import (
+    ConeDisplacement,
+    ConeStress,
+    cone_displacement,
+    cone_pressure,
+    cone_stress,
+)
+from plough_opt.soil.elastic.contact import cone_force, wedge_force
+from plough_opt.soil.elastic.medium import longitudinal_wave_speed, rayleigh_speed, shear_modulus, shear_wave_speed
+from plough_opt.soil.elastic.profile import knots
+from plough_opt.soil.elastic.wedge import (
+    WedgeGradient,
+    WedgeStress,
+    wedge_displacement,
+    wedge_gradient,
+    wedge_pressure,
+    wedge_stress,
+)
+
+__all__ = [
+    "ConeDisplacement",
+    "ConeStress",
+    "WedgeGradient",
+    "WedgeStress",
+    "cone_displacement",
+    "cone_force",
+    "cone_pressure",
+    "cone_stress",
+    "fourier",
+    "knots",
+    "longitudinal_wave_speed",
+    "rayleigh_speed",
+    "shear_modulus",
+    "shear_wave_speed",
+    "wedge_displacement",
+    "wedge_force",
+    "wedge_gradient",
+    "wedge_pressure",
+    "wedge_stress",
+]

@@ -1,0 +1,267 @@
+"""Contact force of the elastic medium, with friction and with the soil letting go where it would be pulled.
+
+Forces are gauge, as in equation (24): of the pressure p - p_a, where the ambient pressure p_a decides only where
+contact is lost. With w dx the weight of a piece of the face::
+
+    F = int p w dx - int over {p + p_a < 0} of (p + p_a) w dx
+
+This truncates the solution in which the soil clings to the face; the true problem, with a crack ahead and a cavity
+behind, is a mixed one that the source's formulas do not cover. The force is an estimate.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import partial
+
+import casadi as ca
+import numpy as np
+
+from plough_opt.core.domain import check_domain, check_single
+from plough_opt.core.expressions import (
+    Expression,
+    absolute,
+    column,
+    exp,
+    holds_casadi,
+    is_casadi,
+    log,
+    maximum,
+    minimum,
+    where,
+)
+from plough_opt.core.kinds import check_switch
+from plough_opt.core.quadrature import gauss_legendre
+from plough_opt.soil.elastic import cone as cones
+from plough_opt.soil.elastic import wedge as wedges
+from plough_opt.soil.elastic.medium import Medium, medium
+from plough_opt.soil.elastic.profile import Body, Profile, Segment, body
+from plough_opt.soil.soil import Soil
+
+# Each half of a straight piece is x = node +- (length/2) exp(-tau): in tau the pressure, with its logarithm at the
+# node, is nearly straight, so few cells with few nodes serve.
+_CELLS = (0.0, 1.0, 2.5, 5.0, 9.0, 15.0, 24.0, 38.0)
+_ORDER = 12
+_ROOT_STEPS = 9
+
+
+@dataclass(frozen=True)
+class _Half:
+    """Half of a straight piece of a face, from one of its nodes to its middle.
+
+    Attributes:
+        body: the body.
+        segment: the piece.
+        node: index of the node.
+        towards: 1 where the half lies behind the node, -1 where ahead.
+    """
+
+    body: Body
+    segment: Segment
+    node: int
+    towards: float
+
+    def distance(self, tau: Expression) -> Expression:
+        """Return the distance from the node [m]."""
+        return self.segment.length / 2.0 * exp(-tau)
+
+    def offsets(self, tau: Expression) -> list[Expression]:
+        """Return the distances from all nodes [m], that from the own node to all its digits."""
+        own = self.body.places[self.node]
+        return [(own - place) + self.towards * self.distance(tau) for place in self.body.places]
+
+    def height(self, tau: Expression) -> Expression:
+        """Return half thickness or radius [m]."""
+        return self.body.heights[self.node] + self.towards * self.segment.slope * self.distance(tau)
+
+
+def _halves(face: Body) -> Iterator[_Half]:
+    """Yield the halves of all pieces."""
+    for segment in face.segments:
+        yield _Half(face, segment, segment.start, 1.0)
+        yield _Half(face, segment, segment.start + 1, -1.0)
+
+
+Field = Callable[[_Half, Expression], Expression]
+"""Pressure [Pa] or weight at places tau of a half."""
+
+
+def _ends(symbolic: bool) -> tuple[Expression, Expression]:
+    """Return where the cells of a half begin and end."""
+    cells = np.array(_CELLS)
+    return column(cells[:-1], symbolic), column(cells[1:], symbolic)
+
+
+def _over(half: _Half, first: Expression, last: Expression, integrand: Field) -> Expression:
+    """Return the integral along the face over parts of the cells, from first to last in tau."""
+    total: Expression = 0.0
+    for node, weight in zip(*gauss_legendre(_ORDER), strict=True):
+        tau = first + (last - first) * node
+        total = total + weight * (last - first) * half.distance(tau) * integrand(half, tau)
+    return ca.sum1(total) if is_casadi(total) else float(np.sum(total))
+
+
+def _lost(face: Body, pressure: Field, weight: Field, symbolic: bool) -> Expression:
+    """Return - int p w dx over the part of the face on which an absolute pressure p is negative."""
+    first, last = _ends(symbolic)
+    total: Expression = 0.0
+    for half in _halves(face):
+        along = partial(pressure, half)
+        for begin, end in _monotonic(along, (first, last), len(face.segments)):
+            at_begin, at_end = along(begin), along(end)
+            turn = _root(along, (begin, end), (at_begin, at_end))
+            turn = where((at_begin < 0.0) != (at_end < 0.0), turn, end)
+            lost_from, lost_to = where(at_begin < 0.0, begin, turn), where(at_begin < 0.0, turn, end)
+            total = total - _over(half, lost_from, lost_to, lambda part, tau: pressure(part, tau) * weight(part, tau))
+    return total
+
+
+def _monotonic(
+    function: Callable[[Expression], Expression], ends: tuple[Expression, Expression], pieces: int
+) -> list[tuple[Expression, Expression]]:
+    """Return the parts of a cell in which the pressure of so many pieces changes its sign once at most.
+
+    Between two shoulders it has an extremum, beside which it may change its sign twice. The place of the extremum only
+    has to part the two, so that differences serve as slopes.
+    """
+    if pieces == 1:
+        return [ends]
+    step = 1e-3 * (ends[1] - ends[0])
+
+    def slope(tau: Expression) -> Expression:
+        return function(tau + step) - function(tau - step)
+
+    at_first, at_last = slope(ends[0]), slope(ends[1])
+    top = where(at_first * at_last < 0.0, _root(slope, ends, (at_first, at_last)), ends[1])
+    return [(ends[0], top), (top, ends[1])]
+
+
+def _root(
+    function: Callable[[Expression], Expression],
+    ends: tuple[Expression, Expression],
+    values: tuple[Expression, Expression],
+) -> Expression:
+    """Return where a function changes its sign between two places, by regula falsi with halved ends (Illinois)."""
+    low, high = ends
+    at_low, at_high = values
+    guess = low
+    for _ in range(_ROOT_STEPS):
+        span = at_high - at_low
+        # Both values are zero once the root is found to all its digits.
+        open_ = absolute(span) > 0.0
+        crossing = where(open_, (low * at_high - high * at_low) / where(open_, span, 1.0), high)
+        # Cells without a change of sign have no root; there the guess must only stay finite.
+        guess = minimum(maximum(crossing, ends[0]), ends[1])
+        found = function(guess)
+        same = found * at_high > 0.0
+        # The end that is kept counts half, lest the other never moves.
+        low, at_low = where(same, low, high), where(same, at_low / 2.0, at_high)
+        high, at_high = guess, found
+    return guess
+
+
+def wedge_force(profile: Profile, soil: Soil, speed: Expression, *, separation: bool = True) -> Expression:
+    """Return the contact force on both faces of a thin wedge, friction included [N per metre of its width].
+
+    Symbols are best MX: of SX every operation of the quadrature is written out, which takes minutes to differentiate.
+    Of a soil that clings to the face the signed drag is zero for every profile (nothing is radiated below the shear
+    wave's speed), and so is the friction of a single straight wedge. What resists is the compressed part of the face
+    once the rest has let go: for a straight wedge of slope t and length l 2 (t + mu0) l A ln(1 + exp(-p_a/A)) with
+    A = mu |K| t/pi.
+
+    Args:
+        profile: nodes (x, half thickness) [m], or a share, as in `wedge_stress`.
+        soil: its elastic constants, density, tool friction and ambient pressure count.
+        speed: V0 [m/s].
+        separation: whether the soil lets go where it would be pulled.
+
+    Raises:
+        DomainError: as `wedge_stress`.
+        InputError: as `wedge_stress`.
+    """
+    check_switch("separation", separation)
+    state, face = medium(soil, speed), body(profile)
+    check_single("the contact force of the elastic medium", (face, soil, speed))
+    force = 2.0 * soil.tool_friction * _face_integral(face, state)
+    if separation:
+        ambient = soil.ambient_pressure
+
+        def pressure(half: _Half, tau: Expression) -> Expression:
+            return wedges.face_pressure(half.offsets(tau), face, state) + ambient
+
+        def weight(half: _Half, _tau: Expression) -> Expression:
+            return half.segment.slope + soil.tool_friction
+
+        force = force + 2.0 * _lost(face, pressure, weight, holds_casadi((face, soil, speed)))
+    return state.limited(force)
+
+
+def _face_integral(face: Body, state: Medium) -> Expression:
+    """Return int p dx over one face of a wedge [N/m]; exactly 0 for a single straight piece."""
+
+    def moment(node: int, end: int) -> Expression:
+        distance = face.places[end] - face.places[node]
+        return 0.0 if node == end else distance * log(absolute(distance))
+
+    first, last = 0, len(face.places) - 1
+    total: Expression = 0.0
+    for segment in face.segments:
+        k = segment.start
+        change = moment(k, last) - moment(k, first) - moment(k + 1, last) + moment(k + 1, first)
+        total = total + segment.slope / math.pi * change
+    return -state.shear_modulus * state.rayleigh / state.alpha * total
+
+
+def cone_force(
+    profile: Profile,
+    soil: Soil,
+    speed: Expression,
+    *,
+    section_factor: Expression = cones.SECTION_FACTOR,
+    separation: bool = True,
+) -> Expression:
+    """Return the contact force on a slender cone, friction included [N], equation (24) with the elastic pressure.
+
+    Symbols are best MX, as for `wedge_force`.
+
+    An order of magnitude: frictionless it is near pi mu (t l)^2 for a cone of slope t and length l with the default
+    section factor, and twice that for a factor of 1. Its dependence on the speed is of the order that linear
+    elasticity neglects.
+
+    Args:
+        profile: nodes (x, radius) [m], or a share, as in `cone_displacement`; only the first and the last radius
+            may be 0.
+        soil: its elastic constants, density, tool friction and ambient pressure count.
+        speed: V0 [m/s], below the shear wave's.
+        section_factor: as in `cone_displacement`.
+        separation: whether the soil lets go where it would be pulled.
+
+    Raises:
+        DomainError: as `cone_displacement`, or a body without radius.
+        InputError: as `cone_displacement`.
+    """
+    check_switch("separation", separation)
+    check_domain("section factor", section_factor, above=0.0)
+    state, face = cones.state_of(soil, speed), body(profile)
+    check_single("the contact force of the elastic medium", (face, soil, speed, section_factor))
+    for radius in face.heights[1:-1] or face.heights[-1:]:
+        check_domain("radius at a node between the first and the last", radius, "m", above=0.0)
+    symbolic = holds_casadi((face, soil, speed, section_factor))
+
+    def pressure(half: _Half, tau: Expression) -> Expression:
+        return cones.face_pressure(half.offsets(tau), half.height(tau), face, state, section_factor)
+
+    def absolute_pressure(half: _Half, tau: Expression) -> Expression:
+        return pressure(half, tau) + soil.ambient_pressure
+
+    def weight(half: _Half, tau: Expression) -> Expression:
+        return 2.0 * math.pi * (half.segment.slope + soil.tool_friction) * half.height(tau)
+
+    force: Expression = 0.0
+    for half in _halves(face):
+        force = force + _over(half, *_ends(symbolic), lambda part, tau: pressure(part, tau) * weight(part, tau))
+    if separation:
+        force = force + _lost(face, absolute_pressure, weight, symbolic)
+    return state.limited(force)

@@ -1,0 +1,167 @@
+"""The elastic soil at a speed: wave speeds, and the numbers of the speed that every formula shares."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from plough_opt.core.domain import check_domain
+from plough_opt.core.errors import InputError
+from plough_opt.core.expressions import Expression, is_symbolic, map_expressions, sqrt, where
+from plough_opt.core.labels import Limit, attach, checked_in_designs, unlabelled
+from plough_opt.soil.soil import Soil, check_soil
+
+# At the shear wave's speed the fields are finite, but their slope is infinite: a design ends a little below.
+_SUBSONIC = Limit("elastic medium: speed over shear wave speed", at_most=0.9999)
+# Newton's method for the cubic of the Rayleigh speed doubles its digits; it starts with three.
+_RAYLEIGH_STEPS = 5
+
+
+@checked_in_designs
+def shear_modulus(soil: Soil) -> Expression:
+    """Return the shear modulus mu = E/(2 (1 + nu)) [Pa].
+
+    Raises:
+        InputError: the soil's Young's modulus or Poisson's ratio is not given.
+    """
+    modulus, ratio = _constants(soil)
+    return modulus / (2.0 * (1.0 + ratio))
+
+
+@checked_in_designs
+def shear_wave_speed(soil: Soil) -> Expression:
+    """Return c2 = sqrt(mu/rho) [m/s], below which every function of the elastic medium holds.
+
+    Raises:
+        InputError: the soil's Young's modulus or Poisson's ratio is not given.
+    """
+    return sqrt(shear_modulus(soil) / soil.density)
+
+
+@checked_in_designs
+def longitudinal_wave_speed(soil: Soil) -> Expression:
+    """Return c1 = c2/sqrt(kappa) [m/s] with kappa = (1 - 2 nu)/(2 (1 - nu)).
+
+    Raises:
+        InputError: the soil's Young's modulus or Poisson's ratio is not given.
+    """
+    return shear_wave_speed(soil) / sqrt(_kappa(soil.poisson_ratio))
+
+
+@checked_in_designs
+def rayleigh_speed(soil: Soil) -> Expression:
+    """Return the Rayleigh speed c_R [m/s], at which a wedge feels no pressure.
+
+    The root of (1 + eta^2)^2 = 4 alpha eta, as that of the cubic m^3 - 8 m^2 + 8 (3 - 2 kappa) m - 16 (1 - kappa)
+    in m = (c_R/c2)^2.
+
+    Raises:
+        InputError: the soil's Young's modulus or Poisson's ratio is not given.
+    """
+    speed = shear_wave_speed(soil)
+    _, ratio = _constants(soil)
+    kappa = _kappa(ratio)
+    m = ((0.87 + 1.12 * ratio) / (1.0 + ratio)) ** 2
+    for _ in range(_RAYLEIGH_STEPS):
+        value = ((m - 8.0) * m + 8.0 * (3.0 - 2.0 * kappa)) * m - 16.0 * (1.0 - kappa)
+        m = m - value / ((3.0 * m - 16.0) * m + 8.0 * (3.0 - 2.0 * kappa))
+    return speed * sqrt(m)
+
+
+@dataclass(frozen=True)
+class Medium:
+    """An elastic soil that streams past the body.
+
+    Attributes:
+        shear_modulus: mu [Pa].
+        m: (V0/c2)^2 [-], from 0 to 1.
+        kappa: (c2/c1)^2 [-].
+        stiffening: 1 - 2 kappa = nu/(1 - nu) = lambda/(lambda + 2 mu) [-].
+        alpha: sqrt(1 - V0^2/c1^2) [-].
+        eta: sqrt(1 - V0^2/c2^2) [-].
+        mach: V0/c2 [-].
+    """
+
+    shear_modulus: Expression
+    m: Expression
+    kappa: Expression
+    stiffening: Expression
+    alpha: Expression
+    eta: Expression
+    mach: Expression
+
+    @property
+    def lateral(self) -> Expression:
+        """Return 1 + eta^2 = 2 - m."""
+        return 2.0 - self.m
+
+    @property
+    def slowing(self) -> Expression:
+        """Return c = (alpha - eta)/m = (1 - kappa)/(alpha + eta)."""
+        return (1.0 - self.kappa) / (self.alpha + self.eta)
+
+    @property
+    def product(self) -> Expression:
+        """Return q1 = (1 - alpha eta)/m = (1 + kappa - kappa m)/(1 + alpha eta)."""
+        return (1.0 + self.kappa - self.kappa * self.m) / (1.0 + self.alpha * self.eta)
+
+    @property
+    def rayleigh(self) -> Expression:
+        """Return R/m = ((1 + eta^2)^2 - 4 alpha eta)/m, which changes its sign at the Rayleigh speed."""
+        return 4.0 * self.product - 4.0 + self.m
+
+    def limited(self, result: Any) -> Any:
+        """Return a result; where it is symbolic, with the limit on the speed that a design must keep.
+
+        Applies to every expression in a dataclass of results.
+        """
+        if not is_symbolic(self.mach):
+            return result
+        return map_expressions(result, lambda value: attach(value, self.mach, _SUBSONIC, _SUBSONIC))
+
+
+def medium(soil: Soil, speed: Expression) -> Medium:
+    """Return the medium at a speed [m/s].
+
+    Raises:
+        InputError: the soil's Young's modulus or Poisson's ratio is not given.
+        DomainError: a speed below 0 or above the shear wave's.
+    """
+    with unlabelled():
+        modulus, fastest = shear_modulus(soil), shear_wave_speed(soil)
+    check_domain("speed", speed, "m/s", at_least=0.0)
+    mach = speed / fastest
+    check_domain(
+        "speed over shear wave speed",
+        mach,
+        at_most=1.0,
+        why="the elastic medium is solved for speeds up to the shear wave's; see elastic.shear_wave_speed(soil)",
+    )
+    _, ratio = _constants(soil)
+    kappa = _kappa(ratio)
+    m = mach**2
+    # Beside the shear wave's speed 1 - m keeps the digits of m only; at low speed the product's derivative cancels.
+    eta_squared = where(m < 0.5, 1.0 - m, (fastest - speed) * (fastest + speed) / fastest**2)
+    return Medium(
+        shear_modulus=modulus,
+        m=m,
+        kappa=kappa,
+        stiffening=ratio / (1.0 - ratio),
+        alpha=sqrt(1.0 - kappa * m),
+        eta=sqrt(eta_squared),
+        mach=mach,
+    )
+
+
+def _constants(soil: Soil) -> tuple[Expression, Expression]:
+    """Return Young's modulus [Pa] and Poisson's ratio."""
+    check_soil(soil)
+    for name in ("youngs_modulus", "poisson_ratio"):
+        if getattr(soil, name) is None:
+            raise InputError(f"the elastic medium needs {name}, which {soil.name} does not give: set soil.{name}")
+    return soil.youngs_modulus, soil.poisson_ratio
+
+
+def _kappa(poisson_ratio: Expression) -> Expression:
+    """Return (c2/c1)^2 = (1 - 2 nu)/(2 (1 - nu))."""
+    return (1.0 - 2.0 * poisson_ratio) / (2.0 * (1.0 - poisson_ratio))

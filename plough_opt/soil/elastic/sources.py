@@ -1,0 +1,257 @@
+"""Potentials of a line of sources on the axis, from which the fields around a slender body are made.
+
+With the source s = S' on each straight piece, X = x - xi and rho_k^2 = X^2 + k^2 r^2, for k = alpha and eta::
+
+    N_k = 1/2 int s/rho_k dxi,    M_k = -1/(2r) int s (1 + X/rho_k) dxi
+
+Differences of the two over m are formed without cancellation, in closed form, and far from a piece by quadrature. The
+part S(x)/r of the radial displacement 2 (M_alpha - M_eta)/m - M_alpha is split off, so that no digits are lost beside
+the axis.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from functools import cached_property
+
+from plough_opt.core.expressions import Expression, arcsinh, arcsinh_ratio, one_node, sqrt, where
+from plough_opt.core.quadrature import gauss_legendre
+from plough_opt.soil.elastic.differences import FAR, FAR_NODES
+from plough_opt.soil.elastic.medium import Medium
+from plough_opt.soil.elastic.profile import Body, Segment
+
+
+@dataclass(frozen=True)
+class Potentials:
+    """What the fields of a cone are made of.
+
+    Attributes:
+        n: N_alpha.
+        n_change: (N_alpha - N_eta)/m.
+        n_x: derivative of N_alpha along x.
+        n_x_change: derivative of n_change along x.
+        n_r_change: derivative of n_change along r.
+        outward: u_r - S(x)/r.
+    """
+
+    n: Expression
+    n_change: Expression
+    n_x: Expression
+    n_x_change: Expression
+    n_r_change: Expression
+    outward: Expression
+
+    @classmethod
+    def zero(cls) -> Potentials:
+        """Return the potentials of no body."""
+        return cls(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+
+    def plus(self, other: Potentials, weight: Expression = 1.0) -> Potentials:
+        """Return the sum with other potentials times a weight."""
+        return Potentials(*(getattr(self, f.name) + weight * getattr(other, f.name) for f in fields(self)))
+
+    def where(self, condition: Expression, other: Potentials) -> Potentials:
+        """Return these potentials where a condition holds, and the others elsewhere."""
+        return Potentials(*(where(condition, getattr(self, f.name), getattr(other, f.name)) for f in fields(self)))
+
+
+@dataclass(frozen=True)
+class _State:
+    """What the potentials need of the medium: see `plough_opt.soil.elastic.medium.Medium`."""
+
+    m: Expression
+    kappa: Expression
+    stiffening: Expression
+    alpha: Expression
+    eta: Expression
+
+
+@dataclass(frozen=True)
+class _Point:
+    """A point as seen from a place on the axis: distances and their differences over m, without cancellation."""
+
+    x: Expression
+    r: Expression
+    soil: _State
+
+    @cached_property
+    def distance(self) -> Expression:
+        """|X|, on the side of X > 0 at 0, as the section S(x) is: their kinks cancel."""
+        return where(self.x < 0.0, -self.x, self.x)
+
+    @cached_property
+    def fast(self) -> Expression:
+        """rho_alpha."""
+        return sqrt(self.x**2 + (self.soil.alpha * self.r) ** 2)
+
+    @cached_property
+    def slow(self) -> Expression:
+        """rho_eta."""
+        return sqrt(self.x**2 + (self.soil.eta * self.r) ** 2)
+
+    @cached_property
+    def change(self) -> Expression:
+        """(rho_alpha - rho_eta)/(m r^2)."""
+        return (1.0 - self.soil.kappa) / (self.fast + self.slow)
+
+    @cached_property
+    def inverse_change(self) -> Expression:
+        """(1/rho_alpha - 1/rho_eta)/m."""
+        return -(self.r**2) * self.change / (self.fast * self.slow)
+
+    @cached_property
+    def scaled_inverse_change(self) -> Expression:
+        """(alpha^2/rho_alpha - eta^2/rho_eta)/m."""
+        return (1.0 - self.soil.kappa) / self.fast + self.soil.eta**2 * self.inverse_change
+
+    @cached_property
+    def beyond_fast(self) -> Expression:
+        """rho_alpha - |X|, of which nothing is left beside the axis if it is computed so."""
+        return (self.soil.alpha * self.r) ** 2 / (self.fast + self.distance)
+
+    @cached_property
+    def beyond_slow(self) -> Expression:
+        """rho_eta - |X|."""
+        return (self.soil.eta * self.r) ** 2 / (self.slow + self.distance)
+
+    @cached_property
+    def gap(self) -> Expression:
+        """2 (rho_alpha - rho_eta)/(m r^2) - (rho_alpha - |X|)/r^2."""
+        upper = (2.0 * self.distance + self.beyond_fast) * _stiffness(self.soil)
+        upper = upper - self.soil.alpha**2 * self.beyond_slow
+        return upper / ((self.fast + self.slow) * (self.fast + self.distance))
+
+
+def _stiffness(soil: _State) -> Expression:
+    """Return 2 (1 - kappa) - alpha^2 = 1 - 2 kappa + kappa m, in which nothing cancels."""
+    return soil.stiffening + soil.kappa * soil.m
+
+
+def sources(segment: Segment, section_factor: Expression) -> tuple[Expression, Expression]:
+    """Return S' [m] at the first node of a piece and its slope along x [-]."""
+    slope = 2.0 * section_factor * segment.slope
+    return slope * segment.first, slope * segment.slope
+
+
+def potentials(
+    offsets: list[Expression], r: Expression, cone: Body, soil: Medium, section_factor: Expression
+) -> Potentials:
+    """Return the potentials at distances from the nodes and from the axis: in closed form, or far off by quadrature."""
+    total = Potentials.zero()
+    state = (soil.m, soil.kappa, soil.stiffening, soil.alpha, soil.eta)
+    for segment in cone.segments:
+        place = (offsets[segment.start], offsets[segment.start + 1], r)
+        arguments = (*place, segment.length, *sources(segment, section_factor), *state)
+        total = total.plus(Potentials(*_piece(*arguments)))
+    return total
+
+
+@one_node
+def _piece(
+    x0: Expression,
+    x1: Expression,
+    r: Expression,
+    length: Expression,
+    at_first: Expression,
+    slope: Expression,
+    *state: Expression,
+) -> tuple[Expression, ...]:
+    """Return the potentials of one piece, from the distances from its ends and the axis, its source and the medium."""
+    soil = _State(*state)
+    first, last = _Point(x0, r, soil), _Point(x1, r, soil)
+    far = first.slow + last.slow > FAR * length
+    found = _far(first, last, length, (at_first, slope)).where(far, _near(first, last, (at_first, slope)))
+    return tuple(getattr(found, f.name) for f in fields(found))
+
+
+def _near(first: _Point, last: _Point, source: tuple[Expression, Expression]) -> Potentials:
+    """Return the potentials of a piece in closed form."""
+    at_first, slope = source
+    soil, r = first.soil, first.r
+    here = at_first + slope * first.x
+    at_last = here - slope * last.x
+    log, log_change = _logarithm(first, last)
+    inverse = first.inverse_change, last.inverse_change
+    scaled = first.scaled_inverse_change - last.scaled_inverse_change
+    moments = last.x * last.gap - first.x * first.gap + _stiffness(soil) * log + 2.0 * soil.eta**2 * log_change
+    return Potentials(
+        n=(here * log - slope * (first.fast - last.fast)) / 2.0,
+        n_change=(here * log_change - slope * r**2 * (first.change - last.change)) / 2.0,
+        n_x=(slope * log + at_first / first.fast - at_last / last.fast) / 2.0,
+        n_x_change=(slope * log_change + at_first * inverse[0] - at_last * inverse[1]) / 2.0,
+        n_r_change=-(here / r * (first.x * inverse[0] - last.x * inverse[1]) + slope * r * scaled) / 2.0,
+        outward=r / 2.0 * (here * (last.gap - first.gap) - slope * moments / 2.0),
+    )
+
+
+def _logarithm(first: _Point, last: _Point) -> tuple[Expression, Expression]:
+    """Return ln((X0 + rho0)/(X1 + rho1)) for alpha, and its difference to that for eta over m."""
+    soil, r = first.soil, first.r
+    log = arcsinh(first.x / (soil.alpha * r)) - arcsinh(last.x / (soil.alpha * r))
+    shift = (1.0 - soil.kappa) / (soil.alpha * soil.eta)
+    z0, z1 = (shift * point.x / (point.fast + point.slow) for point in (first, last))
+    root0, root1 = (sqrt(1.0 + (soil.m * z) ** 2) for z in (z0, z1))
+    # On one side of the piece both terms of z0 root1 - z1 root0 are alike: their difference is that of the squares.
+    beside = first.x * last.x > 0.0
+    crossings = (
+        k**2 / where(beside, first.x * last_rho + last.x * first_rho, 1.0)
+        for k, first_rho, last_rho in ((soil.alpha, first.fast, last.fast), (soil.eta, first.slow, last.slow))
+    )
+    span = (first.x - last.x) * (first.x + last.x) * r**2
+    apart = shift * span * sum(crossings) / ((first.fast + first.slow) * (last.fast + last.slow))
+    alike = apart * (z0 + z1) / where(beside, z0 * root1 + z1 * root0, 1.0)
+    turn = where(beside, alike, z0 * root1 - z1 * root0)
+    return log, -turn * arcsinh_ratio(soil.m * turn)
+
+
+def _far(first: _Point, last: _Point, length: Expression, source: tuple[Expression, Expression]) -> Potentials:
+    """Return the potentials of a piece by Gauss-Legendre over it."""
+    at_first, slope = source
+    soil, r = first.soil, first.r
+    above = (first.x >= 0.0) * (last.x < 0.0)
+    total = Potentials.zero()
+    for node, weight in zip(*gauss_legendre(FAR_NODES), strict=True):
+        point = _Point(first.x - node * length, r, soil)
+        cubed = 1.0 / point.fast**2 + 1.0 / (point.fast * point.slow) + 1.0 / point.slow**2
+        cubed_change = point.inverse_change * cubed
+        share = length * weight * (at_first + slope * node * length) / 2.0
+        side = where(point.x < 0.0, -1.0, 1.0)
+        # Above the piece the whole u_r, ahead of it and behind what is left of it without S/r.
+        radial = (
+            where(point.x < 0.0, point.beyond_fast, point.fast + point.x) / (r * point.fast)
+            - 2.0 * point.x * point.inverse_change / r
+        )
+        kernel = Potentials(
+            n=1.0 / point.fast,
+            n_change=point.inverse_change,
+            n_x=-point.x / point.fast**3,
+            n_x_change=-point.x * cubed_change,
+            n_r_change=-r * ((1.0 - soil.kappa) / point.fast**3 + soil.eta**2 * cubed_change),
+            outward=where(above, radial, side * _outward(point)),
+        )
+        total = total.plus(kernel, share)
+    passed = _passed(first.x, last.x, length, source)
+    return total.plus(Potentials(0.0, 0.0, 0.0, 0.0, 0.0, where(above, -passed / r, 0.0)))
+
+
+def _passed(x0: Expression, x1: Expression, length: Expression, source: tuple[Expression, Expression]) -> Expression:
+    """Return the part of S(x) that a piece contributes, from the distances from its ends."""
+    over = where(x0 < 0.0, 0.0, where(x1 < 0.0, x0, length))
+    return over * (source[0] + source[1] * over / 2.0)
+
+
+def _outward(point: _Point) -> Expression:
+    """Return the kernel of u_r - S/r ahead of a source, with the sign it has behind it."""
+    distance, fast, slow = point.distance, point.beyond_fast, point.beyond_slow
+    upper = _stiffness(point.soil) * distance * (2.0 * distance + fast)
+    upper = upper - point.soil.alpha**2 * slow * (3.0 * distance + fast + slow)
+    return point.r * upper / (point.fast * point.slow * (point.fast + point.slow) * (point.fast + distance))
+
+
+def displaced(offsets: list[Expression], cone: Body, section_factor: Expression) -> Expression:
+    """Return S(x) = section_factor R^2 [m^2] at distances from the nodes."""
+    total: Expression = 0.0
+    for segment in cone.segments:
+        place = offsets[segment.start], offsets[segment.start + 1]
+        total = total + _passed(*place, segment.length, sources(segment, section_factor))
+    return total

@@ -1,0 +1,258 @@
+"""Thin wedge in plane strain: equations (1) and (2), in closed form for a piecewise-linear profile.
+
+The face moves the soil aside by its half thickness, v(x, 0) = h(x), and is smooth. With the slope g of each
+straight piece between a and b, X0 = x - a, X1 = x - b, L = b - a, the potentials are::
+
+    Q_k = (g/2 pi) ln((X0^2 + k^2 y^2)/(X1^2 + k^2 y^2)),   P_k = (g/pi) arg(k^2 y^2 + X0 X1, k y L)
+
+for k = alpha and eta, and stresses need Q_alpha, P_alpha and the differences (Q_alpha - Q_eta)/m and
+(P_eta - P_alpha)/m, which lose no digits here at low speed (m -> 0).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from plough_opt.core.domain import check_domain
+from plough_opt.core.expressions import Expression, arctan2, one_node, sqrt, where
+from plough_opt.core.quadrature import gauss_legendre
+from plough_opt.soil.elastic.differences import FAR, FAR_NODES, angle_difference, log_difference
+from plough_opt.soil.elastic.medium import Medium, medium
+from plough_opt.soil.elastic.profile import Body, Profile, body, points, refuse_nodes
+from plough_opt.soil.soil import Soil
+
+# Keeps y ln(distance from a node) at its limit 0 on the node itself.
+_TINY = 1e-300
+
+
+@dataclass(frozen=True)
+class WedgeStress:
+    """Stresses around a thin wedge [Pa], tension positive: x along the motion, y across, z along the edge."""
+
+    xx: Expression
+    yy: Expression
+    xy: Expression
+    zz: Expression
+
+
+@dataclass(frozen=True)
+class WedgeGradient:
+    """Gradient of the displacement (ux, uy) around a thin wedge [-]."""
+
+    ux_x: Expression
+    ux_y: Expression
+    uy_x: Expression
+    uy_y: Expression
+
+
+@dataclass(frozen=True)
+class Potentials:
+    """What the fields of a wedge are made of, for y >= 0.
+
+    Attributes:
+        q: Q_alpha.
+        q_change: (Q_alpha - Q_eta)/m.
+        p: P_alpha.
+        p_change: (P_eta - P_alpha)/m.
+    """
+
+    q: Expression
+    q_change: Expression
+    p: Expression
+    p_change: Expression
+
+
+def potentials(offsets: list[Expression], y: Expression, wedge: Body, soil: Medium) -> Potentials:
+    """Return the potentials in closed form, at distances from the nodes and at y >= 0."""
+    q: Expression = 0.0
+    q_change: Expression = 0.0
+    p: Expression = 0.0
+    p_change: Expression = 0.0
+    for segment in wedge.segments:
+        place = offsets[segment.start], offsets[segment.start + 1], y, segment.length
+        log, log_change, angle, angle_change = _piece(*place, soil.m, soil.kappa, soil.alpha, soil.eta)
+        gain = segment.slope / math.pi
+        q, q_change = q + gain / 2.0 * log, q_change + gain / 2.0 * log_change
+        p, p_change = p + gain * angle, p_change + gain * angle_change
+    return Potentials(q, q_change, p, p_change)
+
+
+@one_node
+def _piece(
+    x0: Expression, x1: Expression, y: Expression, length: Expression, *state: Expression
+) -> tuple[Expression, ...]:
+    """Return 2 pi/g times Q_alpha and its difference, pi/g times P_alpha and its difference, of a piece of slope g."""
+    m, kappa, alpha, eta = state
+    product, slowing = alpha * eta * y**2, (1.0 - kappa) / (alpha + eta)
+    slow, fast = ((x0**2 + (k * y) ** 2, x1**2 + (k * y) ** 2) for k in (eta, alpha))
+    change = length * (x0 + x1)
+    # A_alpha B_eta - A_eta B_alpha = -m (1 - kappa) y^2 L (X0 + X1)
+    crossed = fast[0] * slow[1], slow[0] * fast[1]
+    rise = slowing * y * length * (product - x0 * x1)
+    run = (product + x0**2) * (product + x1**2) + (m * slowing * y) ** 2 * x0 * x1
+    return (
+        log_difference(*fast, change),
+        log_difference(*crossed, -(1.0 - kappa) * y**2 * change, m),
+        arctan2(alpha * y * length, (alpha * y) ** 2 + x0 * x1),
+        angle_difference(rise, run, m),
+    )
+
+
+def stress_of(found: Potentials, soil: Medium) -> WedgeStress:
+    """Return the stresses that belong to potentials, for y >= 0; equations (1) and (2) in units of rho V0^2 = mu m."""
+    alpha, eta = soil.alpha, soil.eta
+    difference = 4.0 * alpha * eta * found.q_change
+    # 4 kappa - 4 q1 + m (1 - 2 kappa)
+    along = 4.0 * soil.kappa - 4.0 * soil.product + soil.m * soil.stiffening
+    return WedgeStress(
+        xx=soil.shear_modulus * (along * found.q - difference) / alpha,
+        yy=soil.shear_modulus * (soil.rayleigh * found.q + difference) / alpha,
+        xy=2.0 * soil.shear_modulus * soil.lateral * found.p_change,
+        zz=-soil.shear_modulus * soil.stiffening * soil.lateral * found.q / alpha,
+    )
+
+
+def wedge_stress(x: Expression, y: Expression, profile: Profile, soil: Soil, speed: Expression) -> WedgeStress:
+    """Return the stresses around a thin wedge that moves steadily, equations (1) and (2) corrected.
+
+    Exact within linear elasticity for every speed from 0 to the shear wave's. The print's (2) lacks a factor 2,
+    and both lack the unit rho V0^2.
+
+    Args:
+        x: behind the tip [m]; a float, an array, or a CasADi column.
+        y: across [m], of the same shape; y < 0 is the mirror image, and y = 0 the upper face.
+        profile: nodes (x, half thickness) [m] from the tip, where the half thickness is 0; behind the last the
+            body keeps its thickness. A `Wedge` or `Cone` stands for a straight profile with the slope tan(beta)
+            of its equivalent cone.
+        soil: its density, Young's modulus and Poisson's ratio count.
+        speed: V0 [m/s], from 0 to `shear_wave_speed`. Of an MX expression the limit is a requirement that a
+            `Design` adds by itself.
+
+    Raises:
+        DomainError: a speed beyond the shear wave's, a point on a node, or a number outside its domain.
+        InputError: a profile that is none, or a soil without elastic constants.
+    """
+    state = medium(soil, speed)
+    found, side = _potentials_at(x, y, profile, state)
+    upper = stress_of(found, state)
+    stress: WedgeStress = state.limited(WedgeStress(upper.xx, upper.yy, side * upper.xy, upper.zz))
+    return stress
+
+
+def wedge_gradient(x: Expression, y: Expression, profile: Profile, soil: Soil, speed: Expression) -> WedgeGradient:
+    """Return the gradient of the displacement around a thin wedge: arguments and errors as of `wedge_stress`.
+
+    The displacement ux itself is known but for a constant, which for an open body has no natural value.
+    """
+    state = medium(soil, speed)
+    found, side = _potentials_at(x, y, profile, state)
+    alpha, eta = state.alpha, state.eta
+    slip = 2.0 * found.p_change + found.p
+    gradient: WedgeGradient = state.limited(
+        WedgeGradient(
+            ux_x=-(2.0 * alpha * eta * found.q_change + (2.0 * state.product - 1.0) * found.q) / alpha,
+            ux_y=side * (slip - 2.0 * (found.p + state.m * found.p_change)),
+            uy_x=side * slip,
+            uy_y=2.0 * eta * found.q_change + (2.0 * state.slowing - alpha) * found.q,
+        )
+    )
+    return gradient
+
+
+def wedge_displacement(x: Expression, y: Expression, profile: Profile, soil: Soil, speed: Expression) -> Expression:
+    """Return how far a thin wedge moves the soil aside, uy [m]: arguments and errors as of `wedge_stress`.
+
+    On the face it is the half thickness; far ahead it vanishes.
+    """
+    state = medium(soil, speed)
+    offsets, y, side, wedge = _place(x, y, profile, state)
+    total: Expression = 0.0
+    for segment in wedge.segments:
+        place = offsets[segment.start], offsets[segment.start + 1], y, segment.length
+        (shift,) = _shift(*place, state.m, state.kappa, state.alpha, state.eta)
+        total = total + segment.slope / math.pi * shift
+    return state.limited(side * total)
+
+
+def wedge_pressure(x: Expression, profile: Profile, soil: Soil, speed: Expression) -> Expression:
+    """Return the pressure -sigma_yy [Pa] that the soil adds to its ambient pressure on the face of a thin wedge.
+
+    Per straight piece it is mu K (g/pi) ln|X0/X1| with K = -R/(alpha m): infinite at the nodes, tension at the
+    tip, compression at the shoulder; 0 at the Rayleigh speed, beyond which it changes sign.
+
+    Args:
+        x: behind the tip [m], between the first and the last node; a float, an array, or a CasADi column.
+        profile: nodes (x, half thickness) [m], or a share, as in `wedge_stress`.
+        soil: its density, Young's modulus and Poisson's ratio count.
+        speed: V0 [m/s].
+
+    Raises:
+        DomainError: as `wedge_stress`, or x beside the body.
+        InputError: as `wedge_stress`.
+    """
+    state, wedge = medium(soil, speed), body(profile)
+    x, _ = points(x, 0.0, wedge, state)
+    check_domain("x from the first node", x - wedge.places[0], "m", at_least=0.0, why="the face begins there")
+    check_domain("x beyond the last node", x - wedge.places[-1], "m", at_most=0.0, why="the face ends there")
+    offsets = wedge.offsets(x)
+    refuse_nodes(offsets, 0.0)
+    return state.limited(face_pressure(offsets, wedge, state))
+
+
+def face_pressure(offsets: list[Expression], wedge: Body, soil: Medium) -> Expression:
+    """Return the pressure on the face at distances from the nodes [Pa]."""
+    q: Expression = 0.0
+    for segment in wedge.segments:
+        (log,) = _face_log(offsets[segment.start], offsets[segment.start + 1], segment.length)
+        q = q + segment.slope / (2.0 * math.pi) * log
+    return -soil.shear_modulus * soil.rayleigh / soil.alpha * q
+
+
+@one_node
+def _face_log(x0: Expression, x1: Expression, length: Expression) -> tuple[Expression, ...]:
+    """Return ln(X0^2/X1^2)."""
+    return (log_difference(x0**2, x1**2, length * (x0 + x1)),)
+
+
+def _place(
+    x: Expression, y: Expression, profile: Profile, soil: Medium
+) -> tuple[list[Expression], Expression, Expression, Body]:
+    """Return distances from the nodes, distance from the axis, the side of it (1 or -1), and the body."""
+    wedge = body(profile)
+    x, y = points(x, y, wedge, soil)
+    side = where(y < 0.0, -1.0, 1.0)
+    return wedge.offsets(x), side * y, side, wedge
+
+
+def _potentials_at(x: Expression, y: Expression, profile: Profile, soil: Medium) -> tuple[Potentials, Expression]:
+    """Return the potentials at a point of either side, and the side."""
+    offsets, y, side, wedge = _place(x, y, profile, soil)
+    refuse_nodes(offsets, y)
+    return potentials(offsets, y, wedge, soil), side
+
+
+@one_node
+def _shift(
+    x0: Expression, x1: Expression, y: Expression, length: Expression, *state: Expression
+) -> tuple[Expression, ...]:
+    """Return uy of a piece of slope pi: the integral of uy_x from far ahead."""
+    m, kappa, alpha, eta = state
+    slowing, product, change = (1.0 - kappa) / (alpha + eta), alpha * eta * y**2, length * (x0 + x1)
+
+    def turn(x: Expression) -> Expression:
+        """Return by how much the angles of x + i alpha y and x + i eta y differ, over m."""
+        return angle_difference(slowing * y * x, x**2 + product + _TINY, m)
+
+    fast0, fast1, slow0, slow1 = (x**2 + (k * y) ** 2 + _TINY for k in (alpha, eta) for x in (x0, x1))
+    log_fast = log_difference(fast0, fast1, change)
+    log_change = log_difference(fast0 * slow1, slow0 * fast1, -(1.0 - kappa) * y**2 * change, m)
+    near_by = x0 * (arctan2(alpha * y, -x0) + 2.0 * turn(x0)) - x1 * (arctan2(alpha * y, -x1) + 2.0 * turn(x1))
+    near_by = near_by + y * ((slowing - alpha / 2.0) * log_fast + eta * log_change)
+
+    from_far: Expression = 0.0
+    for node, weight in zip(*gauss_legendre(FAR_NODES), strict=True):
+        x = x0 - node * length
+        from_far = from_far + weight * length * (arctan2(alpha * y, -x) + 2.0 * turn(x))
+    far = sqrt(slow0) + sqrt(slow1) > FAR * length
+    return (where(far, from_far, near_by),)

@@ -1,0 +1,370 @@
+"""Rakhmatulin's plastic gas around an expanding cylindrical cavity: equations (8)-(23).
+
+Soil that the share displaces is compacted at a front that runs ahead of the cavity wall, and keeps its density.
+Stresses behind the front obey Mohr and Coulomb. A constant locked density has everything in closed form; of a density
+profile (`Soil.with_density_profile`) it is a Gauss-Legendre quadrature of the profile's order.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from plough_opt.core.domain import check_domain
+from plough_opt.core.errors import InputError
+from plough_opt.core.expressions import Expression, as_number, cos, exp, expm1_ratio, log1p, log1p_ratio, sqrt
+from plough_opt.core.kinds import check_kind
+from plough_opt.core.labels import checked_in_designs
+from plough_opt.core.quadrature import gauss_legendre
+from plough_opt.soil.compaction import front, mean_ratio, ratio
+from plough_opt.soil.soil import Soil, check_soil
+from plough_opt.soil.yielding import Yielding
+
+
+@dataclass(frozen=True)
+class Cavity:
+    """State of the cavity in one cross-section of the soil.
+
+    Args:
+        radius: cavity radius R [m], at least 0.
+        rate: R' [m/s], at least 0: the plastic gas does not follow a wall that retreats.
+        acceleration: R'' [m/s^2].
+
+    Raises:
+        DomainError: a number outside its domain.
+    """
+
+    radius: Expression
+    rate: Expression
+    acceleration: Expression
+
+    def __post_init__(self) -> None:
+        check_domain("cavity radius", self.radius, "m", at_least=0.0)
+        check_domain("cavity rate", self.rate, "m/s", at_least=0.0)
+        check_domain("cavity acceleration", self.acceleration, "m/s^2")
+
+
+@dataclass(frozen=True)
+class WallPressure:
+    """Coefficients of the gauge pressure on the wall, p1 - p_a = strength + rho0 (rate R'^2 + inertia R R'').
+
+    Attributes:
+        strength: phi (nu p_a + tau0/(1 + mu)) [Pa].
+        rate: the bracket {...} of equation (23) [-].
+        inertia: phi/b1 [-].
+
+    Of a density profile they are what takes the place of these terms, and depend on the cavity's radius.
+    """
+
+    strength: Expression
+    rate: Expression
+    inertia: Expression
+
+
+@checked_in_designs
+def wall_pressure(soil: Soil, radius: Expression | None = None) -> WallPressure:
+    """Return the coefficients of equation (23).
+
+    For a constant locked density, with nu = 2 mu/(1 + mu), mu = sin(theta), a = 1/(1 - b1), l = ln a and
+    E(x) = (exp(x) - 1)/x::
+
+        phi   = (l/2) E(nu l/2)
+        {...} = (l/(2 b1)) (E(nu l/2) - E((nu/2 - 1) l)) + a^(nu/2)
+
+    which is regular without internal friction (nu = 0) and for soil that locks at once (b1 = 0). Value,
+    gradient and Hessian are accurate to a relative 1e-12 for b1 in (0, 1 - 1e-9) and every friction
+    angle below 90 degrees.
+
+    Args:
+        soil: the soil.
+        radius: R of the cavity [m], above 0; a density profile needs it.
+
+    Raises:
+        InputError: a density profile and no radius.
+    """
+    check_soil(soil)
+    if soil.density_profile is not None:
+        if radius is None:
+            raise InputError("the wall pressure of a density profile depends on the cavity: give its radius")
+        return _wall_pressure_of_profile(soil, radius)
+    yielding = _yielding(soil)
+    nu, b1 = yielding.nu, soil.density_ratio
+    log_a = -log1p(-b1)
+    log_a_over_b1 = log1p_ratio(-b1)
+    growth = expm1_ratio(nu * log_a / 2.0)
+    return WallPressure(
+        strength=log_a / 2.0 * growth * yielding.strength(soil.ambient_pressure),
+        rate=log_a_over_b1 / 2.0 * (growth - expm1_ratio((nu / 2.0 - 1.0) * log_a)) + exp(nu * log_a / 2.0),
+        inertia=log_a_over_b1 / 2.0 * growth,
+    )
+
+
+def _yielding(soil: Soil) -> Yielding:
+    return Yielding.of(soil.friction_angle, soil.cohesion)
+
+
+@checked_in_designs
+def surface_pressure(cavity: Cavity, soil: Soil) -> Expression:
+    """Return the gauge pressure p1 - p_a [Pa] of the soil on the cavity wall, equation (23).
+
+    On a cone that moves with speed L' the cavity at distance x behind the tip has R = x tan(beta),
+    R' = L' tan(beta), R'' = L'' tan(beta). Positive is compression.
+
+    Args:
+        cavity: its state there; floats, arrays or CasADi expressions.
+        soil: the soil.
+
+    Raises:
+        DomainError: a density profile and a cavity without radius, or one with which there is no front.
+    """
+    _check_cavity(cavity)
+    p = wall_pressure(soil, cavity.radius)
+    motion = p.rate * cavity.rate**2 + p.inertia * cavity.radius * cavity.acceleration
+    return p.strength + soil.density * motion
+
+
+@checked_in_designs
+def front_radius(cavity: Cavity, soil: Soil) -> Expression:
+    """Return the radius r* of the compaction front [m], equation (16).
+
+    For a constant density it is R sqrt(a) with a = 1/(1 - b1).
+
+    Raises:
+        DomainError: a density profile with which no front carries all the soil of the cavity.
+    """
+    _check_cavity(cavity)
+    return front(cavity.radius, soil)
+
+
+@checked_in_designs
+def front_speed(cavity: Cavity, soil: Soil) -> Expression:
+    """Return the speed D = u*'/(1 - b*) of the compaction front [m/s], equations (19)-(21).
+
+    For a constant density it is R' sqrt(a) with a = 1/(1 - b1).
+
+    Raises:
+        DomainError: a density profile and a cavity without radius, or one with which there is no front.
+    """
+    check_soil(soil)
+    _check_cavity(cavity)
+    if soil.density_profile is None:
+        return cavity.rate * exp(-log1p(-soil.density_ratio) / 2.0)
+    r = front_radius(cavity, soil)
+    check_domain("front radius", r, "m", above=0.0, why="a density profile has no front speed at the tip")
+    return cavity.radius * cavity.rate / (r * (1.0 - ratio(r, soil)))
+
+
+@checked_in_designs
+def density(r: Expression, cavity: Cavity, soil: Soil) -> Expression:
+    """Return the density rho(r) [kg/m^3] of the compacted soil at Lagrangian radius r [m], equation (9).
+
+    Raises:
+        DomainError: a radius below 0 or ahead of the front, where the soil has its undisturbed density.
+    """
+    _check_behind(r, front_radius(cavity, soil))
+    return soil.density / ratio(r, soil) + 0.0 * r
+
+
+@checked_in_designs
+def current_radius(r: Expression, cavity: Cavity, soil: Soil) -> Expression:
+    """Return where a particle is now: y = r + u = sqrt(2 psi(r) + R^2) [m], equation (15).
+
+    For a constant density 2 psi = b1 r^2.
+
+    Args:
+        r: Lagrangian radius, the particle's distance from the axis before the share came [m], from 0 on the
+            wall to the front radius r*. An array for a cavity of floats.
+        cavity: state of the cavity.
+        soil: the soil.
+
+    Raises:
+        DomainError: a radius below 0 or ahead of the front, where the soil is undisturbed.
+    """
+    _check_behind(r, front_radius(cavity, soil))
+    return _current_radius(r, cavity, soil)
+
+
+@checked_in_designs
+def particle_velocity(r: Expression, cavity: Cavity, soil: Soil) -> Expression:
+    """Return the radial velocity R R'/y of the particle at Lagrangian radius r [m/s], equation (17).
+
+    Arguments and errors are those of `current_radius`.
+    """
+    y = current_radius(r, cavity, soil)
+    return cavity.radius * cavity.rate / y
+
+
+@checked_in_designs
+def particle_acceleration(r: Expression, cavity: Cavity, soil: Soil) -> Expression:
+    """Return (R'^2 + R R'')/y - R^2 R'^2/y^3 of the particle at Lagrangian radius r [m/s^2], equation (18).
+
+    As y^2 - R^2 = 2 psi, that is (R R'' + 2 psi R'^2/y^2)/y, which does not cancel for soil that locks at once.
+    Arguments and errors are those of `current_radius`.
+    """
+    y = current_radius(r, cavity, soil)
+    return (cavity.radius * cavity.acceleration + cavity.rate**2 * mean_ratio(r, soil) * (r / y) ** 2) / y
+
+
+@dataclass(frozen=True)
+class Stress:
+    """Stresses behind the front, tension positive as in the source.
+
+    Attributes:
+        radial: sigma_r [Pa].
+        tangential: sigma_theta [Pa].
+    """
+
+    radial: Expression
+    tangential: Expression
+
+
+@checked_in_designs
+def stress(r: Expression, cavity: Cavity, soil: Soil) -> Stress:
+    """Return both stresses of the particle at Lagrangian radius r [m], equations (10), (14), (22) corrected.
+
+    With y the particle's radius and l = ln(r*/y), the radial pressure for a constant density is::
+
+        p = e^(nu l) (p_a + rho0 R'^2) + tau0/(1 + mu) l E(nu l)
+            + (rho0/b1) l ((R'^2 + R R'') E(nu l) - (R R'/y)^2 E((nu - 2) l))
+
+    and the tangential one follows from the yield condition p - p_theta = tau0 + mu (p + p_theta). The form is
+    regular without internal friction and for b1 -> 0, and at r = 0 gives `surface_pressure`. Of a density profile
+    the two inertial terms are quadratures.
+
+    Args:
+        r: Lagrangian radius [m], from 0 to the front radius; an array for a cavity of floats.
+        cavity: state of the cavity, of radius above 0.
+        soil: the soil.
+
+    Raises:
+        DomainError: a radius below 0 or ahead of the front, or a cavity without radius.
+    """
+    _check_cavity(cavity)
+    check_domain("cavity radius", cavity.radius, "m", above=0.0, why="at the tip itself the stress has no one value")
+    r_front = front_radius(cavity, soil)
+    _check_behind(r, r_front)
+    pressure = _pressure(r, r_front, cavity, soil)
+    yielding = _yielding(soil)
+    # (1 - mu)/(1 + mu), of which nothing is left beside 90 degrees if it is computed so.
+    transferred = (cos(soil.friction_angle) / (1.0 + yielding.mu)) ** 2
+    tangential = transferred * pressure - yielding.tau0 / (1.0 + yielding.mu)
+    return Stress(radial=-pressure, tangential=-tangential)
+
+
+def quadrature_error(r: Expression, cavity: Cavity, soil: Soil) -> float:
+    """Return an estimate of the relative error that the order of a density profile's quadrature leaves in `stress`.
+
+    It is the largest difference from the stress with half as many nodes again, relative to the largest stress; 0 for a
+    constant density. For numbers. A radius between the fronts of the two is taken at the nearer one.
+
+    Raises:
+        DomainError: as `stress`.
+        InputError: symbols.
+    """
+    check_soil(soil)
+    profile = soil.density_profile
+    if profile is None:
+        return 0.0
+    finer = replace(soil, density_profile=replace(profile, order=profile.order + profile.order // 2 + 1))
+    nearer = min(float(as_number(front_radius(cavity, ground))) for ground in (soil, finer))
+    _check_behind(r, front_radius(cavity, soil))
+    places = np.minimum(as_number(r), nearer)
+    own, better = (as_number(stress(places, cavity, ground).radial) for ground in (soil, finer))
+    return float(np.max(np.abs(own - better)) / np.max(np.abs(better)))
+
+
+def _check_cavity(cavity: Cavity) -> None:
+    """Refuse something else in the place of a cavity."""
+    check_kind("the cavity", cavity, Cavity, "a plastic.Cavity, made of radius, rate and acceleration")
+
+
+def _check_behind(r: Expression, r_front: Expression) -> None:
+    """Refuse numbers that are no Lagrangian radius behind the front."""
+    check_domain("Lagrangian radius", r, "m", at_least=0.0)
+    check_domain("front radius", r_front, "m", above=0.0, why="around a cavity without radius no soil has moved")
+    # Rounding, or the tolerance of the front's equation, may put the front itself ahead of itself.
+    check_domain(
+        "Lagrangian radius over front radius", r / r_front, at_most=1.0 + 1e-11, why="ahead of the front nothing moves"
+    )
+
+
+def _current_radius(r: Expression, cavity: Cavity, soil: Soil) -> Expression:
+    return sqrt(mean_ratio(r, soil) * r**2 + cavity.radius**2)
+
+
+def _pressure(r: Expression, r_front: Expression, cavity: Cavity, soil: Soil) -> Expression:
+    """Return the radial pressure [Pa] at Lagrangian radius r, equation (14) with (18) and (21)."""
+    yielding = _yielding(soil)
+    y = _current_radius(r, cavity, soil)
+    if soil.density_profile is None:
+        # r*^2 - y^2 = b1 (r*^2 - r^2): the logarithm of a ratio beside one, without cancellation.
+        spread = (r_front - r) * (r_front + r) / y**2
+        log_over_b1 = spread * log1p_ratio(soil.density_ratio * spread) / 2.0
+        log = soil.density_ratio * log_over_b1
+        growth, jump = expm1_ratio(yielding.nu * log), cavity.rate**2
+        spreading = cavity.rate**2 + cavity.radius * cavity.acceleration
+        slowing = (cavity.radius * cavity.rate / y) ** 2 * expm1_ratio((yielding.nu - 2.0) * log)
+        inertial = log_over_b1 * (spreading * growth - slowing)
+    else:
+        # The difference of the squares of front and particle, both of which hold R^2.
+        log = log1p((mean_ratio(r_front, soil) * r_front**2 - mean_ratio(r, soil) * r**2) / y**2) / 2.0
+        growth = expm1_ratio(yielding.nu * log)
+        jump = (cavity.radius * cavity.rate / r_front) ** 2 / (1.0 - ratio(r_front, soil))
+        swelling, spreading = _inertia_of_profile(r, r_front, cavity.radius, soil)
+        inertial = swelling * cavity.radius * cavity.acceleration + spreading * cavity.rate**2
+    strength = yielding.tau0 / (1.0 + yielding.mu) * log * growth
+    return exp(yielding.nu * log) * (soil.ambient_pressure + soil.density * jump) + strength + soil.density * inertial
+
+
+def _wall_pressure_of_profile(soil: Soil, radius: Expression) -> WallPressure:
+    """Return the coefficients of the wall pressure around a cavity of radius R [m], by quadrature."""
+    check_domain("cavity radius", radius, "m", above=0.0, why="the wall pressure of a density profile depends on it")
+    yielding = _yielding(soil)
+    r_front = front(radius, soil)
+    log = -log1p(-mean_ratio(r_front, soil)) / 2.0
+    jump = (radius / r_front) ** 2 / (1.0 - ratio(r_front, soil))
+    swelling, spreading = _inertia_of_profile(0.0, r_front, radius, soil)
+    return WallPressure(
+        strength=log * expm1_ratio(yielding.nu * log) * yielding.strength(soil.ambient_pressure),
+        rate=exp(yielding.nu * log) * jump + spreading,
+        inertia=swelling,
+    )
+
+
+def _inertia_of_profile(
+    r: Expression, r_front: Expression, radius: Expression, soil: Soil
+) -> tuple[Expression, Expression]:
+    """Return the integrals from r to r* of (y_s/y)^nu s/y_s^2 ds, and of the same times 2 psi(s)/y_s^2 [-]."""
+    nu = _yielding(soil).nu
+    wall = radius**2
+    y_squared = wall + mean_ratio(r, soil) * r**2
+    swelling: Expression = 0.0
+    spreading: Expression = 0.0
+    for square, weight in _squares(r, r_front, radius, soil):
+        compacted = mean_ratio(sqrt(square), soil) * square
+        here = wall + compacted
+        share = weight * exp(nu * log1p((here - y_squared) / y_squared) / 2.0) / here
+        swelling, spreading = swelling + share, spreading + share * compacted / here
+    return swelling, spreading
+
+
+def _squares(
+    r: Expression, r_front: Expression, radius: Expression, soil: Soil
+) -> Iterator[tuple[Expression, Expression]]:
+    """Yield s^2 and the weight of s ds of Gauss-Legendre nodes between r and the front.
+
+    The nodes are even in sigma, s^2 = R^2 (e^(2 l sigma^2) - 1)/b with l = ln(r*/R) and b its mean 1 - (R/r*)^2: for a
+    constant density the integrands are then entire functions, and profiles in r and in r^2 are both smooth.
+    """
+    profile = soil.density_profile
+    assert profile is not None
+    mean = mean_ratio(r_front, soil)
+    per_mean = log1p_ratio(-mean)
+    first = r / radius * sqrt(log1p_ratio(mean * (r / radius) ** 2) / per_mean)
+    for node, weight in zip(*gauss_legendre(profile.order), strict=True):
+        sigma = first + (1.0 - first) * node
+        exponent = mean * per_mean * sigma**2
+        square = radius**2 * per_mean * sigma**2 * expm1_ratio(exponent)
+        yield square, weight * (1.0 - first) * radius**2 * per_mean * sigma * exp(exponent)

@@ -1,0 +1,314 @@
+"""Soil properties, and named soils with the sources of their values."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from typing import Any, Literal, TypeAlias, get_args
+
+import numpy as np
+
+from plough_opt.core.domain import check_domain
+from plough_opt.core.errors import InputError, nearest, unprintable
+from plough_opt.core.expressions import COUNT, Expression, as_number, cos, is_count, is_symbolic
+from plough_opt.core.kinds import check_kind, check_named, shown
+from plough_opt.core.quantities import QUANTITIES
+from plough_opt.soil.yielding import Yielding, density_ratio_of, growth
+
+STANDARD_ATMOSPHERE = 101325.0
+"""Ambient pressure [Pa] of the named soils, as the source takes it."""
+
+CONE_HALF_ANGLE = math.radians(15.0)
+"""Half angle [rad] of a penetrometer's cone."""
+
+Adjust: TypeAlias = Literal["strength factor", "cohesion", "density ratio"]
+"""The property of a soil that a cone index decides."""
+
+# Beyond these no source in docs/soils.md has a soil: the front then runs ahead by 4.5 radii of the cone.
+_MOST_COHESION = 100e3
+_MOST_DENSITY_RATIO = 0.95
+
+_PROPERTIES = tuple(quantity for quantity in QUANTITIES.values() if quantity.owner == "soil")
+
+
+@dataclass(frozen=True)
+class DensityProfile:
+    """Density of the soil behind the compaction front as a function of the Lagrangian radius.
+
+    Args:
+        density: rho(r, *parameters) [kg/m^3] of the radius r [m], a float, an array or a CasADi expression as r is:
+            write it with arithmetic and the functions of `plough_opt.core.expressions`.
+        parameters: what the function needs beside r. Design variables belong here, where a design finds them.
+        order: number of Gauss-Legendre nodes in every quadrature over the profile.
+
+    Raises:
+        InputError: no function, or an order below 1.
+    """
+
+    density: Callable[..., Expression]
+    parameters: tuple[Expression, ...] = ()
+    order: int = field(default=16, metadata=COUNT)
+
+    def __post_init__(self) -> None:
+        if not callable(self.density):
+            raise InputError(f"the density profile {shown(self.density)} must be a function of the radius, in kg/m^3")
+        if not is_count(self.order):
+            raise InputError(
+                f"order = {shown(self.order)} of the density profile's quadrature must be a whole number from 1 on"
+            )
+
+    def at(self, r: Expression) -> Expression:
+        """Return the density [kg/m^3] at a Lagrangian radius [m]."""
+        return self.density(r, *self.parameters)
+
+
+@dataclass(frozen=True)
+class Soil:
+    """A dense soil in front of the share.
+
+    Args:
+        density: rho0 of the undisturbed soil [kg/m^3], above 0.
+        density_ratio: b1 = rho0/rho1, undisturbed over locked density [-], between 0 and 1.
+        cohesion: k [Pa], at least 0.
+        friction_angle: theta of internal friction [rad], from 0 to below 90 degrees.
+        tool_friction: mu0 of soil on metal [-], at least 0.
+        ambient_pressure: p_a ahead of the compaction front [Pa], at least 0. The source takes the
+            atmosphere; for soil with open pores the overburden, a few kPa, is the other reading.
+        youngs_modulus: E [Pa], above 0, or None when unknown. The plastic gas does not use it.
+        poisson_ratio: from 0 to below 0.5, or None when unknown. The plastic gas does not use it.
+        name: what to call the soil in reports.
+        source: where the values come from.
+        density_profile: density behind the compaction front, in the place of the constant one that b1 gives; see
+            `with_density_profile`.
+        strength_factor: measured over computed static resistance [-], above 0. It multiplies A of equation (26), hence
+            F0 and what is made of it; not the stresses, the inertia, the front or other models. `from_cone_index` finds
+            it from a penetrometer's reading.
+
+    Properties may be floats, NumPy arrays or CasADi expressions.
+
+    Raises:
+        DomainError: a property outside its domain.
+        InputError: a name that cannot be printed.
+    """
+
+    density: Expression
+    density_ratio: Expression
+    cohesion: Expression
+    friction_angle: Expression
+    tool_friction: Expression
+    ambient_pressure: Expression = STANDARD_ATMOSPHERE
+    youngs_modulus: Expression | None = None
+    poisson_ratio: Expression | None = None
+    name: str = "unnamed soil"
+    source: str = "values given by the user"
+    density_profile: DensityProfile | None = None
+    strength_factor: Expression = 1.0
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.name, str) or unprintable(self.name, allowed=""):
+            raise InputError(
+                f"name = {shown(self.name)} must be a text that can be printed: it calls the soil in reports"
+            )
+        for quantity in _PROPERTIES:
+            value = getattr(self, quantity.key)
+            # Only the elastic properties may be unknown.
+            if value is not None or quantity.key not in ("youngs_modulus", "poisson_ratio"):
+                quantity.check(value)
+
+    def with_density_profile(
+        self, density: Callable[..., Expression], *parameters: Expression, order: int = 16
+    ) -> Soil:
+        """Return the soil with a density that varies behind the compaction front, equations (9)-(22).
+
+        The density ratio b1 then counts no longer. Everything that follows from the profile is a Gauss-Legendre
+        quadrature of the given order, written into the graph; `plough_opt.soil.plastic.quadrature_error` estimates
+        its error and `plough_opt.refine` shows it against its cost.
+
+        Args:
+            density: rho(r, *parameters) [kg/m^3] of the Lagrangian radius r [m], above the undisturbed density up to
+                the front; for instance ``lambda r, width: 1350.0 + 250.0 * exp(-(r / width) ** 2)`` with the ``exp``
+                of `plough_opt.core.expressions`, which takes numbers and symbols.
+            parameters: what the function needs beside r; design variables among them.
+            order: number of nodes, at least 1.
+
+        Raises:
+            InputError: no function, or an order below 1.
+        """
+        return replace(self, density_profile=DensityProfile(density, parameters, order))
+
+    @classmethod
+    def from_cone_index(cls, cone_index: Expression, soil: Soil, adjust: Adjust = "strength factor") -> Soil:
+        """Return the soil in which a penetrometer reads a cone index.
+
+        Each way solves s (1 + mu0/tan 15 deg) phi (nu p_a + tau0/(1 + mu)) = cone index in closed form. The soil's
+        other properties stay, and `plough_opt.cone_index` of the result is the reading.
+
+        Args:
+            cone_index: pressure on the base of the 30 degree cone [Pa], above 0; a float, an array or an expression.
+            soil: the soil whose other properties are kept.
+            adjust: what follows from the reading: ``"strength factor"``, which scales the law's level and claims no
+                more; ``"cohesion"``; or ``"density ratio"``, which moves the compaction front too.
+
+        Raises:
+            InputError: an unknown ``adjust``, a soil with a density profile, or a reading below what the other
+                properties alone give, with the difference.
+            DomainError: a reading that is not above 0.
+
+        Example:
+            >>> import plough_opt as po
+            >>> soil = po.Soil.from_cone_index(1.5e6, soil=po.named_soil("serozem"))
+            >>> round(soil.strength_factor, 4)
+            5.7373
+        """
+        check_domain("cone index", cone_index, "Pa", above=0.0)
+        if not isinstance(soil, Soil):
+            raise InputError(f"soil = {soil!r} must be the Soil whose other properties are kept")
+        if soil.density_profile is not None:
+            raise InputError(
+                "a cone index does not adjust a soil with a density profile: set strength_factor to the reading over"
+                " po.cone_index of the soil"
+            )
+        if adjust not in get_args(Adjust):
+            raise InputError(f"adjust = {adjust!r}: {nearest(str(adjust), get_args(Adjust))}")
+        key = adjust.replace(" ", "_")
+        found: dict[str, Any] = {key: _adjusted(cone_index, soil, adjust)}
+        source = f"{soil.source}; {adjust} from a cone index"
+        return replace(soil, **found, name=f"{soil.name}, by cone index", source=source)
+
+    def warnings(self) -> tuple[str, ...]:
+        """Return, for a soil of numbers, what a reader of results must know about its properties."""
+        found = []
+        cohesion, ratio, factor = (
+            np.max(as_number(value)) for value in (self.cohesion, self.density_ratio, self.strength_factor)
+        )
+        if cohesion > _MOST_COHESION:
+            found.append(
+                f"a cohesion of {cohesion / 1e3:.4g} kPa is more than soils have, {_MOST_COHESION / 1e3:g} kPa"
+            )
+        if ratio > _MOST_DENSITY_RATIO and self.density_profile is None:
+            found.append(
+                f"a density ratio of {ratio:.6g} is nearer to 1 than soils are ({_MOST_DENSITY_RATIO:g}): the"
+                f" compaction front runs ahead by {(1.0 - ratio) ** -0.5:.3g} radii of the share"
+            )
+        if np.any(as_number(self.strength_factor) != 1.0):
+            found.append(f"the static resistance is {factor:.4g} times the law's, by the measured strength factor")
+        return tuple(found)
+
+
+def _adjusted(reading: Expression, soil: Soil, adjust: Adjust) -> Expression:
+    """Return the property of a soil that a cone index [Pa] decides."""
+    yielding = Yielding.of(soil.friction_angle, soil.cohesion)
+    friction = 1.0 + soil.tool_friction / math.tan(CONE_HALF_ANGLE)
+    phi = growth(soil.density_ratio, yielding.nu)
+    if adjust == "cohesion":
+        level = soil.strength_factor * friction * phi
+        without = yielding.nu * soil.ambient_pressure
+        _check_enough(reading, level * without)
+        return (reading / level - without) * (1.0 + yielding.mu) / (2.0 * cos(soil.friction_angle))
+    strength = yielding.strength(soil.ambient_pressure)
+    if not is_symbolic(strength) and np.any(as_number(strength) == 0.0):
+        raise InputError("a soil without cohesion, and without friction or pressure, has no strength to scale: adjust"
+                         " the cohesion")  # fmt: skip
+    if adjust == "strength factor":
+        return reading / (friction * phi * strength)
+    return density_ratio_of(reading / (soil.strength_factor * friction * strength), yielding.nu)
+
+
+def _check_enough(reading: Expression, least: Expression) -> None:
+    """Refuse a reading that is below what a soil without cohesion gives."""
+    if is_symbolic(reading) or is_symbolic(least):
+        return
+    short = float(np.max(as_number(least) - as_number(reading)))
+    if short > 0.0:
+        raise InputError(
+            f"friction and ambient pressure alone give a cone index {short / 1e3:.4g} kPa above the reading: no"
+            " cohesion meets it; adjust the strength factor, or lower the ambient pressure or the friction angle"
+        )
+
+
+_CHOICE = "engineering choice inside published brackets, not measured on one soil"
+_FRICTION = "tool friction: soil on steel 0.13-0.85 by moisture (Manuwa 2012, Mod. Appl. Sci. 6(4):117)"
+
+
+def _preset(
+    name: str,
+    density: float,
+    density_ratio: float,
+    cohesion: float,
+    friction_angle: float,
+    tool_friction: float,
+    youngs_modulus: float,
+    poisson_ratio: float,
+    brackets: str,
+) -> Soil:
+    """Build a named soil from kPa, degrees and MPa, the units of the table it is read from."""
+    return Soil(
+        density=density,
+        density_ratio=density_ratio,
+        cohesion=cohesion * 1e3,
+        friction_angle=math.radians(friction_angle),
+        tool_friction=tool_friction,
+        ambient_pressure=STANDARD_ATMOSPHERE,
+        youngs_modulus=youngs_modulus * 1e6,
+        poisson_ratio=poisson_ratio,
+        name=name,
+        source=f"{_CHOICE}; {brackets}; {_FRICTION}",
+    )
+
+
+_NAMED = {
+    soil.name: soil
+    for soil in (
+        _preset(
+            "loose sandy loam", 1300, 0.722, 5, 30, 0.40, 3, 0.30,
+            "density: light loam after subsoiling 1300 kg/m^3 (zzs.ujs.edu.cn, abstract 948)",
+        ),
+        _preset(
+            "firm sandy loam", 1500, 0.815, 15, 32, 0.45, 8, 0.30,
+            "locked density: Proctor maximum 1840 kg/m^3 of a savanna sandy loam (Hossne Garcia et al. 2012)",
+        ),
+        _preset(
+            "serozem", 1350, 0.794, 20, 28, 0.50, 10, 0.33,
+            "density: Syrdarya grey-meadow soils 1280-1370 kg/m^3 (tjabs 3738); modulus: compacted loess"
+            " 18-34 MPa at small strain (Adv. Civ. Eng. 2021, 9574548)",
+        ),
+        _preset(
+            "hardpan", 1600, 0.914, 35, 32, 0.50, 20, 0.35,
+            "density: critical for roots in clay loam 1450-1550 kg/m^3 (Harris 1990; Morris and Lowery 1988);"
+            " strength: Kenyan sandy clay loam 22-39 kPa (Mwonga et al. 2019, doi 10.4236/ojop.2019.83008)",
+        ),
+        _preset(
+            "heavy clay", 1300, 0.812, 45, 15, 0.40, 8, 0.40,
+            "density: growth-restricting above 1470 kg/m^3 in clay; cohesion of a clay at 1550 kg/m^3 30 kPa"
+            " (Horn and Fleige 2003)",
+        ),
+    )
+}  # fmt: skip
+
+
+def soil_names() -> tuple[str, ...]:
+    """Return the names that `named_soil` knows."""
+    return tuple(_NAMED)
+
+
+def named_soil(name: str) -> Soil:
+    """Return one of the named soils: loose sandy loam, firm sandy loam, serozem, hardpan, heavy clay.
+
+    Their values are engineering choices inside published brackets, and say so in ``source``; none of
+    them was measured as a set on one soil. Ambient pressure is the standard atmosphere.
+
+    Raises:
+        InputError: no soil of that name; the message suggests the nearest.
+    """
+    check_named("no soil is named {}", name, _NAMED)
+    return _NAMED[name]
+
+
+def check_soil(soil: object) -> None:
+    """Refuse something else in the place of a soil, such as its name.
+
+    Raises:
+        InputError: as said.
+    """
+    check_kind("the soil", soil, Soil, "a Soil, for instance named_soil('serozem')")

@@ -1,0 +1,1 @@
+"""Studies of many designs: fronts, uncertain soil, calibration, sweeps, accuracy, other laws beside."""

@@ -1,0 +1,368 @@
+"""What a study found: entries, the efficient front, advice in a sentence, tables, pictures and files."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+from pydantic import BaseModel, ConfigDict
+
+from plough_opt.core.files import write_file
+from plough_opt.exchange.results import SCHEMA, Saved, read_saved
+from plough_opt.studies.accuracy.contest import AUTO, COMPILED, Entry, cheapest, efficient, error_text
+from plough_opt.studies.accuracy.methods import MACHINE_CODE
+from plough_opt.studies.accuracy.optimum import REPORTED, REQUIREMENTS, TRUE, VARIABLES
+from plough_opt.studies.accuracy.scenes import CONTACT, COURSE, DERIVATIVES, LASTING, MOTION, PROFILE
+from plough_opt.studies.accuracy.thoroughness import Thoroughness
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+    from rich.table import Table
+
+OPTIMUM = "optimum"
+"""Name of the reference of a design."""
+
+# Ratio of times that says nothing.
+_NOISE = 1.15
+
+
+@dataclass(frozen=True)
+class Question:
+    """One error by which contestants are ranked.
+
+    Attributes:
+        title: what is computed.
+        error: key of `Entry.errors`.
+        families: of the entries that take part.
+        reference: name of the reference, a key of `AccuracyStudy.floors`.
+        columns: of a table: keys of `Entry.errors`, and what stands above them.
+        ranked: what the error is, if it is none of the columns.
+        default: method and setting that the toolkit takes unasked.
+    """
+
+    title: str
+    error: str
+    families: tuple[str, ...]
+    reference: str
+    columns: Mapping[str, str]
+    ranked: str = ""
+    default: tuple[str, str] = ("", "")
+
+
+@dataclass(frozen=True)
+class AccuracyStudy:
+    """Error against time of everything that can do a scene.
+
+    Times are those of this machine at this hour: their ratios say more than they do.
+
+    Attributes:
+        title: of the scene.
+        duration: simulated time [s]; None of a design.
+        wanted: relative error that the advice is about [-].
+        entries: every contestant with every setting; failures with the reason.
+        floors: name of a reference -> its own estimated relative error [-]; of a motion that of its averages, and
+            by the key "motion, trajectory" that of its mount forces, of an optimum that of the objective, and by
+            "optimum, variables" that of the variables.
+        notes: sentences on what has no reference.
+        defaults: what is ranked, in the order of `questions`: method and setting that the toolkit takes unasked.
+        versions: of packages, and the machine.
+        thoroughness: of a design, what each effort of a search finds, and in what time.
+    """
+
+    title: str
+    duration: float | None
+    wanted: float
+    entries: tuple[Entry, ...]
+    floors: Mapping[str, float]
+    notes: tuple[str, ...] = ()
+    defaults: Mapping[str, tuple[str, str]] = field(default_factory=dict)
+    versions: Mapping[str, str] = field(default_factory=dict)
+    thoroughness: tuple[Thoroughness, ...] = ()
+
+    @property
+    def questions(self) -> tuple[Question, ...]:
+        """What the scene's contestants are ranked by."""
+        found = (replace(question, default=self.defaults.get(question.reference, ("", ""))) for question in _QUESTIONS)
+        return tuple(question for question in found if question.reference in self.floors and self.of(question))
+
+    def of(self, question: Question) -> list[Entry]:
+        """Return the entries that answer a question: those of another optimum than the reference's do not."""
+        return [entry for entry in self._listed(question) if not entry.elsewhere]
+
+    def _listed(self, question: Question) -> list[Entry]:
+        return [e for e in self.entries if e.family in question.families and question.error in e.errors]
+
+    @property
+    def failures(self) -> list[Entry]:
+        """Contestants without a result."""
+        return [entry for entry in self.entries if entry.failure is not None]
+
+    @property
+    def refusals(self) -> tuple[str, ...]:
+        """A sentence for each reason for which contestants have no result, or are not ranked."""
+        labels: dict[str, list[str]] = {}
+        for entry in self.entries:
+            if entry.failure is not None:
+                labels.setdefault(f"no result of {{}}: {entry.failure}", []).append(entry.label)
+            elif entry.elsewhere:
+                labels.setdefault(f"not ranked, {{}}: {entry.elsewhere}", []).append(entry.label)
+        return tuple(sentence.replace("{}", "; ".join(who), 1) for sentence, who in labels.items())
+
+    def front(self, question: Question) -> list[Entry]:
+        """Return the entries that no other beats in both time and error, the reference's own error counted as none."""
+        return efficient(self.of(question), question.error, self.floors[question.reference])
+
+    def advise(self, question: Question) -> str:
+        """Return in a sentence what to take for the wanted error, and what the default does."""
+        entries, key = self.of(question), question.error
+        best = cheapest(entries, key, self.wanted)
+        if best is None:
+            nearest = min(entries, key=lambda entry: entry.errors[key])
+            advice = (
+                f"nothing tried reaches {error_text(self.wanted)}; nearest comes {nearest.label} with"
+                f" {nearest.errors[key]:.0e} in {duration_text(nearest.seconds)}"
+            )
+        else:
+            advice = f"for {error_text(self.wanted)} take {best.label}: {_result(best, key)}"
+            # "auto" integrates twice by what stands here once, and is told of below.
+            twice = () if best.checked is None else (AUTO, COMPILED)
+            others = [entry for entry in entries if entry.method not in (best.method, *twice)]
+            second = cheapest(others, key, self.wanted)
+            if second is not None:
+                advice += f", {_cheaper(second.seconds / best.seconds)} {second.label}"
+            elif others:
+                advice += ", the only method that reaches it"
+            if best.checked is not None:
+                advice += f"; {duration_text(best.checked)} by simulate, which checks it"
+        return f"{question.title}: {advice}{self._unasked(question, best)}."
+
+    def _unasked(self, question: Question, best: Entry | None) -> str:
+        """Return clauses on what `simulate` takes when it is given the wanted error, and when it is given nothing."""
+        found = {(entry.method, entry.setting): entry for entry in self.of(question)}
+        setting = f"error {error_text(self.wanted)}"
+        asked = found.get((AUTO, setting)) or found.get((COMPILED, setting))
+        default = found.get(question.default)
+        clauses = ""
+        if asked is not None and asked is not default:
+            name = f"Accuracy(error={error_text(self.wanted)})"
+            name += ", compiled=True" if asked.method == COMPILED else ""
+            clauses += f"; that is {name}" if asked is best else f"; {name} takes {_beside(asked, best, question)}"
+        if default is not None and default is best:
+            return f"{clauses}; that is the default"
+        if default is not None:
+            clauses += f"; the default, {default.label}, takes {_beside(default, best, question)}"
+        return clauses
+
+    @property
+    def advice(self) -> str:
+        """A sentence for each question."""
+        return "\n".join(self.advise(question) for question in self.questions)
+
+    def table(self, question: Question) -> Table:
+        """Return the entries of a question from the fastest to the slowest, the efficient ones marked: 80 wide."""
+        from rich.box import SIMPLE_HEAD
+        from rich.table import Table
+
+        reference = f"reference: {self.floors[question.reference]:.0e}"
+        for name, floor in self.floors.items():
+            if name.startswith(f"{question.reference}, "):
+                reference += f", its {name.removeprefix(f'{question.reference}, ')} {floor:.0e}"
+        ranked = question.ranked or question.error
+        table = Table(
+            title=f"{question.title}: relative error against time\n({reference})",
+            caption=f"* efficient: nothing else is both faster and more exact in {ranked}",
+            caption_justify="left",
+            box=SIMPLE_HEAD,
+            show_edge=False,
+            pad_edge=False,
+            padding=(0, 1, 0, 0),
+        )
+        table.add_column("")
+        table.add_column("\nmethod and setting")
+        for heading in ("time", "set-up", *question.columns.values()):
+            table.add_column(heading if "\n" in heading else f"\n{heading}", justify="right")
+        front = self.front(question)
+        for entry in sorted(self._listed(question), key=lambda entry: entry.seconds):
+            errors = (f"{entry.errors[key]:.0e}".replace("0e+00", "0") if key in entry.errors else ""
+                      for key in question.columns)  # fmt: skip
+            table.add_row(
+                "≠" if entry.elsewhere else "*" if entry in front else "",
+                entry.label + (" (default)" if (entry.method, entry.setting) == question.default else ""),
+                duration_text(entry.seconds),
+                duration_text(float(f"{entry.setup:.2g}")) if entry.setup > 0.0 else "",
+                *errors,
+            )
+        return table
+
+    def plot(self, target: Axes | str | Path | None = None) -> Figure:
+        """Draw error against time: into axes (the first question), into a file, or into a new figure.
+
+        Raises:
+            InputError: a file of no known picture format, or one that cannot be written.
+        """
+        from matplotlib.axes import Axes
+        from matplotlib.figure import Figure
+
+        from plough_opt.core.picture_files import save
+        from plough_opt.studies.accuracy.picture import draw, figure_of
+
+        panels = [self.panel(question) for question in self.questions]
+        if isinstance(target, Axes):
+            draw(target, panels[0])
+            whole = target.get_figure(root=True)
+            assert isinstance(whole, Figure)  # axes that were removed from theirs have none
+            return whole
+        figure = figure_of(panels, self.title)
+        if target is not None:
+            save(figure, target)
+        return figure
+
+    def panel(self, question: Question) -> Any:
+        """Return what a picture of a question shows."""
+        from plough_opt.studies.accuracy.picture import Panel
+
+        return Panel(
+            title=question.title,
+            error=question.error,
+            entries=self.of(question),
+            front=self.front(question),
+            floor=self.floors[question.reference],
+            wanted=self.wanted,
+            default=question.default,
+        )
+
+    def to_json(self) -> str:
+        """Return the study as JSON text, with versions and a schema number."""
+        return SavedStudy.of(self).to_json()
+
+    def save(self, path: str | Path) -> Path:
+        """Write `to_json` to a file.
+
+        Raises:
+            InputError: a place that cannot be written.
+        """
+        return write_file(path, "study", self.to_json() + "\n")
+
+    @staticmethod
+    def load(path: str | Path) -> AccuracyStudy:
+        """Read a study that `save` or the command line wrote.
+
+        Raises:
+            InputError: no such file, or not a study of this layout.
+        """
+        return read_saved(path, "study", "an accuracy study", SavedStudy.model_validate_json).study()
+
+
+class SavedEntry(BaseModel):
+    """An entry as JSON, in which a failure has no time."""
+
+    model_config = ConfigDict(frozen=True)
+
+    family: str
+    method: str
+    setting: str
+    seconds: float | None
+    setup: float
+    errors: dict[str, float]
+    failure: str | None
+    elsewhere: str = ""
+    checked: float | None = None
+
+
+class SavedStudy(Saved):
+    """A study as JSON: SI units."""
+
+    kind: Literal["accuracy study"] = "accuracy study"
+    duration: float | None
+    wanted: float
+    entries: tuple[SavedEntry, ...]
+    floors: dict[str, float]
+    notes: tuple[str, ...]
+    defaults: dict[str, tuple[str, str]]
+    advice: str
+    thoroughness: tuple[Thoroughness, ...] = ()
+
+    @classmethod
+    def of(cls, study: AccuracyStudy) -> SavedStudy:
+        """Take a study."""
+        same = ("family", "method", "setting", "setup", "failure", "elsewhere", "checked")
+        entries = tuple(
+            SavedEntry(**{name: getattr(e, name) for name in same}, errors=dict(e.errors),
+                       seconds=None if e.failure else e.seconds)
+            for e in study.entries
+        )  # fmt: skip
+        names = ("title", "duration", "wanted", "notes", "advice", "thoroughness")
+        own = {name: getattr(study, name) for name in names}
+        return cls(layout=SCHEMA, versions=dict(study.versions), floors=dict(study.floors),
+                   defaults=dict(study.defaults), entries=entries, **own)  # fmt: skip
+
+    def study(self) -> AccuracyStudy:
+        """Return the study."""
+        entries = tuple(
+            Entry(**(e.model_dump() | {"seconds": float("inf") if e.seconds is None else e.seconds}))
+            for e in self.entries
+        )  # fmt: skip
+        return AccuracyStudy(self.title, self.duration, self.wanted, entries, self.floors, self.notes, self.defaults,
+                             self.versions, self.thoroughness)  # fmt: skip
+
+
+_FORCES = {"mean draft": "mean\ndraft", "RMS": "RMS", "last force": "last\nforce", "trajectory": "trajec-\ntory"}
+_OF_OPTIMA = {REPORTED: "reported\nvalue", TRUE: "true\nvalue", VARIABLES: "varia-\nbles",
+              REQUIREMENTS: "broken\nlimits"}  # fmt: skip
+_VALUE = "the reported value; the true one is integrated tightly anew"
+_LARGER = "the larger of mean draft and RMS"
+_QUESTIONS = (
+    Question("averages of the motion", "averages", ("integrator", "model"), MOTION, _FORCES, _LARGER),
+    Question("averages of the motion, in machine code", "averages", (MACHINE_CODE,), MOTION, _FORCES, _LARGER),
+    Question("averages of the lasting orbit", "lasting averages", ("integrator", "model"), LASTING,
+             {f"lasting {key}": heading for key, heading in _FORCES.items()}, _LARGER),
+    Question("gradients of the averages", "gradient", ("derivatives",), DERIVATIVES,
+             {"gradient of mean draft": "of mean\ndraft", "gradient of RMS": "of\nRMS"}, _LARGER),
+    Question("quasi-static averages", "averages", ("quadrature",), COURSE, _FORCES, _LARGER),
+    Question("resistance by a density profile", "reaction", ("quadrature",), PROFILE,
+             {"static resistance": "static\nresistance", "drag": "drag", "added mass": "added\nmass"},
+             "the largest of these"),
+    Question("elastic contact force", "contact force", ("quadrature",), CONTACT, {"contact force": "contact\nforce"},
+             "that"),
+    Question("optimum of the design", REPORTED, ("transcription", "integrator", "derivatives"), OPTIMUM, _OF_OPTIMA,
+             _VALUE),
+    Question("optimum of the design, in machine code", REPORTED, ("compiled",), OPTIMUM, _OF_OPTIMA, _VALUE),
+)  # fmt: skip
+
+
+def _times(ratio: float) -> str:
+    """Return a ratio in words; times are too noisy for what is near one."""
+    if 1.0 / _NOISE < ratio < _NOISE:
+        return ""
+    return f"{ratio:.0f} times " if ratio >= 9.5 else f"{ratio:.1f} times "
+
+
+def _cheaper(ratio: float) -> str:
+    return f"{_times(ratio)}cheaper than" if _times(ratio) else "about as cheap as"
+
+
+def _result(entry: Entry, key: str) -> str:
+    return f"{duration_text(entry.seconds)}, error {entry.errors[key]:.0e}"
+
+
+def _beside(entry: Entry, best: Entry | None, question: Question) -> str:
+    """Return what an entry takes, and how long that is beside the best, of a named integrator with its check."""
+    checks = entry.method in (AUTO, COMPILED) and question.reference == MOTION
+    text = _result(entry, question.error) + (", checked" if checks else "")
+    if best is None:
+        return text
+    ratio = entry.seconds / (best.seconds if best.checked is None else best.checked)
+    if not _times(ratio):
+        return f"{text}, about as long"
+    return f"{text}, {_times(ratio)}as long" if ratio > 1.0 else f"{text}, {_times(1.0 / ratio)}faster"
+
+
+def duration_text(seconds: float) -> str:
+    """Return a time with its unit."""
+    for limit, factor, unit in ((1e-3, 1e6, "µs"), (1.0, 1e3, "ms")):
+        if seconds < limit:
+            return f"{seconds * factor:.3g} {unit}"
+    return f"{seconds:.3g} s"

@@ -1,0 +1,134 @@
+"""The optimum by which contestants are judged: Newton's method on the optimality conditions, by derivatives of its own.
+
+IPOPT, which every contestant uses, stops a little inside the limits that decide. From there Newton's method leads onto
+them; its gradients are those of an adaptive integrator with a tolerance that no contestant has.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+
+from plough_opt.design.ipopt import Point, Vector, decides
+from plough_opt.design.program import Program
+from plough_opt.motion.accuracy import Accuracy
+from plough_opt.motion.plan import steps_for
+from plough_opt.studies.accuracy.transcription import Question, SingleShooting, transcribe
+
+# Tolerance of the adaptive method; and phase [rad] in a step of order 8, which takes its place where a lasting orbit is
+# to be found.
+_TOLERANCE = 1e-12
+_PHASE = 0.1
+_MOST_STEPS = 6
+# Scaled variables further than this from where IPOPT stopped are those of another point.
+_NEAR = 1e-4
+# Singular values below this part of the largest: directions in which the optimum is not unique.
+_FLAT = 1e-10
+
+
+@dataclass(frozen=True)
+class TightOptimum:
+    """A local optimum found and checked much more tightly than any contestant's.
+
+    Attributes:
+        variables: name -> value, SI units.
+        objective: tightly re-integrated.
+        check: relative difference of two tight integrations of the objective, of which one checks the other [-].
+        residual: largest component of the scaled optimality conditions, by the derivatives of another integrator [-].
+        y: scaled variables.
+        off: by how much the last of Newton's steps, which is rounding, would move them [-].
+    """
+
+    variables: dict[str, float]
+    objective: float
+    check: float
+    residual: float
+    y: Vector
+    off: float
+
+    @property
+    def floor(self) -> float:
+        """Relative error of the objective below which contestants cannot be told apart [-]."""
+        # At an optimum on its limits the objective is off by the residual times the error of the variables.
+        return max(self.check, self.residual * max(self.off, self.residual), float(np.finfo(float).eps))
+
+
+class Certificate:
+    """Derivatives of a design's program through an integrator that shares nothing with those of contestants."""
+
+    def __init__(self, question: Question) -> None:
+        """Take a design's program."""
+        self._question, self._program, self._p = question, question.program, question.p
+        self._built: ca.Function | None = None
+
+    def _derivatives(self, y: Vector) -> tuple[Vector, ...]:
+        """Return the objective's gradient, the requirements and their Jacobian, by steps that suit the first point."""
+        if self._built is None:
+            steps = self._question.intervals(steps_for(self._question.phase(y), _PHASE))
+            accuracy = (
+                Accuracy("dop853", steps=steps) if self._question.orbits else Accuracy("erk", tolerance=_TOLERANCE)
+            )
+            own = transcribe(self._question, SingleShooting(accuracy))
+            results = [ca.gradient(own.f, own.x), own.g[0], ca.jacobian(own.g[0], own.x)]
+            self._built = ca.Function("certificate", [own.x], results)
+        return tuple(np.asarray(result) for result in self._built(y))
+
+    def tight(self, point: Point) -> TightOptimum:
+        """Return the optimum beside where IPOPT stopped on the tight program."""
+        program = self._program
+        y, residual, off = self._polished(point)
+        found, check = (float(values[0].item()) for values in program.exact_values(y, self._p))
+        return TightOptimum(
+            variables={v.name: float(x) for v, x in zip(program.declared.variables, program.values(y), strict=True)},
+            objective=found,
+            check=abs(found - check) / max(abs(found), program.objective_scale * 1e-12),
+            residual=residual,
+            y=y,
+            off=off,
+        )
+
+    def _polished(self, point: Point) -> tuple[Vector, float, float]:
+        """Return scaled variables on the limits that decide, what is left of the conditions, and the next step."""
+        program, y, n = self._program, point.y, len(point.y)
+        sides = _Sides.of(program, point, np.asarray(program.nlp.g(y, self._p)).ravel())
+        upper = np.asarray(program.nlp.hess_lag(y, self._p, 1.0, point.lam_g))
+        hessian = upper + np.triu(upper, 1).T
+        best = (y, np.inf, np.inf)
+        for _ in range(_MOST_STEPS):
+            gradient, g, jacobian = self._derivatives(y)
+            rows = np.vstack([jacobian, np.eye(n)])[sides.rows]
+            margins = np.r_[g.ravel(), y][sides.rows] - sides.limits
+            system = np.block([[hessian, rows.T], [rows, np.zeros((len(rows), len(rows)))]])
+            solution = np.linalg.lstsq(system, -np.r_[gradient.ravel(), margins], rcond=_FLAT)[0]
+            left = np.r_[gradient.ravel() + rows.T @ solution[n:], margins]
+            residual, step = float(np.max(np.abs(left))), float(np.max(np.abs(solution[:n])))
+            if step < best[2]:
+                best = (y, residual, step)
+            y = y + solution[:n]
+            if not step < best[2] * 1e3 or np.max(np.abs(y - point.y)) > _NEAR:
+                break
+        return best
+
+
+@dataclass(frozen=True)
+class _Sides:
+    """The limits that decide: rows of requirements and, after them, variables; and the values that these take."""
+
+    rows: Vector
+    limits: Vector
+
+    @classmethod
+    def of(cls, program: Program, point: Point, g: Vector) -> _Sides:
+        """Read them off where IPOPT stopped: a multiplier is negative at a lower limit."""
+        low = np.r_[program.low, np.zeros(len(point.y))]
+        high = np.r_[program.high, np.ones(len(point.y))]
+        values, pulls = np.r_[g, point.y], np.r_[point.lam_g, point.lam_y]
+        rows, limits = [], []
+        for row, (value, pull) in enumerate(zip(values, pulls, strict=True)):
+            limit = low[row] if pull < 0.0 else high[row]
+            if decides(abs(value - limit), abs(pull)) or low[row] == high[row]:
+                rows.append(row)
+                limits.append(limit)
+        return cls(np.array(rows, int), np.array(limits))

@@ -1,0 +1,384 @@
+"""A design's program in other forms: every run shot once, shot by segments, or collocated.
+
+The runs that stand in a design's expressions are taken out; in their place come results that are expressions of the
+design's variables alone (single shooting), or of further unknowns that equalities tie to the equation of motion
+(direct multiple shooting, direct collocation). Betts: Practical Methods for Optimal Control and Estimation Using
+Nonlinear Programming, 2nd ed., 2010, chapters 3 and 4.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import casadi as ca
+import numpy as np
+
+from plough_opt.core.errors import InputError
+from plough_opt.design.ipopt import Vector
+from plough_opt.design.nlp import averages_only
+from plough_opt.design.program import Program
+from plough_opt.design.split import EmbeddedRun, Split, split
+from plough_opt.motion.accuracy import LOCATE_EVENTS, ORDER_8, Accuracy, Method
+from plough_opt.motion.equation import equation_of_motion, start_state
+from plough_opt.motion.integrators import integration
+from plough_opt.motion.plan import MOST_ADAPTIVE, phase, with_setting
+from plough_opt.motion.runge_kutta import step
+from plough_opt.motion.signals import signals
+from plough_opt.motion.terms import Structure
+from plough_opt.motion.timeline import Timeline
+
+Points = Literal["radau", "legendre"]
+
+# Steps of order 8 whose states start the further unknowns; between them they are interpolated.
+_START_STEPS = 2000
+
+
+@dataclass(frozen=True)
+class SingleShooting:
+    """Every run is a function of the design's variables, by a named method with its setting."""
+
+    accuracy: Accuracy
+
+
+@dataclass(frozen=True)
+class MultipleShooting:
+    """The states at the ends of segments are unknowns; within each segment go steps of order 8.
+
+    Args:
+        segments: number wanted over the duration; at least one for each output that the design uses.
+        steps: steps in each segment.
+    """
+
+    segments: int
+    steps: int
+
+
+@dataclass(frozen=True)
+class Collocation:
+    """The states at all points of a mesh are unknowns; at them a polynomial satisfies the equation of motion.
+
+    Args:
+        intervals: number wanted over the duration; at least one for each output that the design uses.
+        degree: of the polynomial in an interval; order 2 degree - 1 of Radau's points, 2 degree of Legendre's.
+        points: ``"radau"`` or ``"legendre"``.
+    """
+
+    intervals: int
+    degree: int
+    points: Points = "radau"
+
+
+Transcription = SingleShooting | MultipleShooting | Collocation
+
+
+@dataclass(frozen=True)
+class Question:
+    """A design's scaled program before its runs have a form.
+
+    Attributes:
+        program: the program, which knows scales, bounds and the tight model.
+        p: values of the design's parameters.
+        y: symbol of the scaled variables.
+        parts: scaled objective (first) and requirements (second, a column) over y, split around their runs.
+        steps: of each run what `Design.solve` takes: steps of order 8, of a lasting orbit harmonics, None of events.
+    """
+
+    program: Program
+    p: Vector
+    y: ca.MX
+    parts: Split
+    steps: tuple[int | None, ...]
+
+    @classmethod
+    def of(cls, program: Program, p: Vector) -> Question:
+        """Take a program that is built, not yet finer, and the values of its parameters."""
+        declared = program.declared
+        y = ca.MX.sym("y", len(declared.variables))
+        unscaled = [v.unscaled(own) for v, own in zip(declared.variables, ca.vertsplit(y), strict=True)]
+        scaled = [r.expression / scale for r, scale in zip(declared.requirements, program.scales, strict=True)]
+        expressions = [declared.objective / program.objective_scale, ca.vertcat(ca.MX(0, 1), *scaled)]
+        given = [*unscaled, *(ca.MX(float(value)) for value in p)]
+        parts = split(ca.graph_substitute(expressions, declared.symbols(), given), [y])
+        return cls(program, p, y, parts, tuple(program._steps))
+
+    def uses_averages_only(self, run: int) -> bool:
+        """Return whether objective and requirements use no more of a run than its averages."""
+        full = ca.Function("full", [self.y, *self.parts.results], list(self.parts.expressions))
+        return averages_only(self.parts.runs[run], full, 1 + run)
+
+    @property
+    def events(self) -> bool:
+        """Whether the motion of any run has events."""
+        return any(run.integration.structure.events for run in self.parts.runs)
+
+    @property
+    def orbits(self) -> bool:
+        """Whether any run is a lasting orbit."""
+        return any(run.integration.structure.orbit != "transient" for run in self.parts.runs)
+
+    def refusal(self, method: Method) -> str:
+        """Return why a method of integration cannot do the runs, or nothing."""
+        if self.orbits and method not in ORDER_8:
+            return "finds no lasting orbit"
+        if self.events and method not in LOCATE_EVENTS:
+            return "finds no events, which stick and slip and the entry of a share have"
+        return ""
+
+    def phase(self, y: Vector) -> float:
+        """Return the phase [rad] of the fastest oscillation of any run at scaled variables."""
+        exact = self.program.exact
+        found = [0.0]
+        for k, run in enumerate(exact.runs):
+            inputs, _ = exact.inputs(k, [*self.program.values(y), *self.p])
+            found.append(phase(dict(zip(run.integration.names, inputs[:-1], strict=True)), inputs[-1]))
+        return max(found)
+
+    def outputs_used(self, run: int) -> int:
+        """Return the number of intervals between the outputs of a run that the design uses: one for averages alone."""
+        return 1 if self.uses_averages_only(run) else self.parts.runs[run].integration.timeline.outputs
+
+    def intervals(self, wanted: int) -> int:
+        """Return how many steps, segments or intervals a wanted number becomes, for they end at every output used."""
+        outputs = max((self.outputs_used(k) for k in range(len(self.parts.runs))), default=1)
+        return len(Timeline(outputs, wanted).nodes) - 1
+
+
+@dataclass(frozen=True)
+class Transcribed:
+    """A nonlinear program: minimise f over x with low <= g <= high and lower <= x <= upper.
+
+    Attributes:
+        x: unknowns: the scaled variables, then those that the transcription adds, of order 1.
+        f: scaled objective.
+        g: in blocks one below the other: scaled requirements; what ties the further unknowns, zeros: for each run
+            its motion, of which a row depends on few unknowns, and its averages, of which a row depends on all.
+        low: lower limits of g.
+        high: upper limits of g.
+        lower: lower bounds of x.
+        upper: upper bounds of x.
+        start: where to start: the design, and the run that belongs to it.
+        variables: number of scaled variables at the front of x.
+    """
+
+    x: ca.MX
+    f: ca.MX
+    g: tuple[ca.MX, ...]
+    low: Vector
+    high: Vector
+    lower: Vector
+    upper: Vector
+    start: Vector
+    variables: int
+
+
+def transcribe(question: Question, form: Transcription, first: Vector | None = None) -> Transcribed:
+    """Write a design's program with its runs in one form.
+
+    Args:
+        question: the program.
+        form: how its runs enter it.
+        first: scaled variables to start from; default: the guesses.
+
+    Raises:
+        InputError: a run with events, or a lasting orbit, in a form that adds unknowns.
+    """
+    first = question.program.start() if first is None else first
+    lifts = [_lifted(question, k, form, first) for k in range(len(question.parts.runs))]
+    full = ca.Function("full", [question.y, *question.parts.results], list(question.parts.expressions))
+    f, g = full(question.y, *(lift.results for lift in lifts))
+    ties = [block for lift in lifts for block in lift.ties]
+    start = np.concatenate([first, *(lift.start for lift in lifts)])
+    free = np.full(len(start) - len(first), np.inf)
+    zeros = np.zeros(sum(block.numel() for block in ties))
+    return Transcribed(
+        x=ca.vertcat(question.y, *(lift.unknowns for lift in lifts)),
+        f=f,
+        g=(g, *ties),
+        low=np.r_[question.program.low, zeros],
+        high=np.r_[question.program.high, zeros],
+        lower=np.r_[np.zeros(len(first)), -free],
+        upper=np.r_[np.ones(len(first)), free],
+        start=start,
+        variables=len(first),
+    )
+
+
+@dataclass(frozen=True)
+class _Lift:
+    """A run's results, stacked, as expressions of the variables and of further unknowns that ties hold at zero."""
+
+    results: ca.MX
+    unknowns: ca.MX
+    ties: tuple[ca.MX, ...]
+    start: Vector
+
+
+def _lifted(question: Question, run: int, form: Transcription, first: Vector) -> _Lift:
+    own, outputs = question.parts.runs[run], question.outputs_used(run)
+    structure, timeline = own.integration.structure, own.integration.timeline
+    if isinstance(form, SingleShooting):
+        return _shot_once(own, form.accuracy, outputs)
+    if structure.events or structure.orbit != "transient":
+        what = "events" if structure.events else "a lasting orbit"
+        raise InputError(f"a run with {what} is only shot as a whole: its states are no unknowns of a mesh")
+    if isinstance(form, MultipleShooting):
+        mesh, piece = Timeline(outputs, form.segments, timeline.kink), _segment(structure, form.steps)
+    else:
+        mesh = Timeline(outputs, form.intervals, timeline.kink)
+        piece = _collocated(structure, form.degree, form.points)
+    path = _Path.of(own, ca.Function("inputs", [question.y], [own.inputs])(first), timeline.kink)
+    return _tied(own, mesh, piece, path)
+
+
+def _shot_once(run: EmbeddedRun, accuracy: Accuracy, outputs: int) -> _Lift:
+    """Return the results of a run that is integrated from its start to its end; without unknowns."""
+    own = run.integration
+    accuracy = with_setting(accuracy, 1, outputs)
+    timeline = Timeline(outputs, accuracy.steps or MOST_ADAPTIVE, own.timeline.kink)
+    results = integration(own.structure, accuracy, timeline).function.call([run.inputs])
+    stacked = ca.vertcat(*(ca.vec(result) for result in results))
+    missing = sum(output.numel() for output in run.outputs) - stacked.numel()
+    return _Lift(ca.vertcat(ca.MX.zeros(missing), stacked), ca.MX(0, 1), (), np.zeros(0))
+
+
+@dataclass(frozen=True)
+class _Piece:
+    """One interval of a mesh.
+
+    Attributes:
+        function: (state, states at the points, (start, size) as fractions, parameters with the duration last) ->
+            (following state, what vanishes at the points, mean of each signal, mean square about that mean of each
+            signal with an RMS).
+        points: where further states are unknowns, as fractions of the interval.
+    """
+
+    function: ca.Function
+    points: Vector
+
+
+def _segment(structure: Structure, steps: int) -> _Piece:
+    """Return a segment of so many steps of order 8; it has no inner unknowns."""
+    observed = signals(structure)
+    state, inner, span = ca.MX.sym("state", 2), ca.MX.sym("inner", 0), ca.MX.sym("span", 2)
+    p = ca.MX.sym("p", len(observed.parameters) + 1)
+    fractions = ca.DM(np.arange(steps) / steps).T
+    spans = ca.vertcat(span[0] + span[1] * fractions, ca.repmat(span[1] / steps, 1, steps))
+    states, moments = step(structure).mapaccum(steps)(state, spans, ca.repmat(p, 1, steps))
+    means = moments[: observed.count, :]
+    mean = ca.sum2(means) / steps
+    drift = means[: observed.squared, :] - ca.repmat(mean[: observed.squared], 1, steps)
+    spread = ca.sum2(moments[observed.count :, :] + drift**2) / steps
+    function = ca.Function("segment", [state, inner, span, p], [states[:, -1], ca.MX(0, 1), mean, spread])
+    return _Piece(function, np.zeros(0))
+
+
+def _collocated(structure: Structure, degree: int, points: Points) -> _Piece:
+    """Return an interval of collocation; its inner unknowns are the states at the points, one after another."""
+    motion, observed = equation_of_motion(structure), signals(structure)
+    nodes = ca.collocation_points(degree, points)
+    slopes, ends, weights = ca.collocation_coeff(nodes)
+    state, inner, span = ca.SX.sym("state", 2), ca.SX.sym("inner", 2 * degree), ca.SX.sym("span", 2)
+    p = ca.SX.sym("p", len(observed.parameters) + 1)
+    known = observed.named(p)
+    own = ca.vertcat(*(known[name] for name in motion.names))
+    size = span[1] * p[-1]
+    states = ca.reshape(inner, 2, degree)
+    rates, values = [], []
+    for k, node in enumerate(nodes):
+        time = span[0] * p[-1] + node * size
+        rates.append(motion.function(time, states[:, k], own))
+        values.append(observed.function(time, states[:, k], p[:-1]))
+    polynomial = ca.horzcat(state, states)
+    residual = size * ca.horzcat(*rates) - ca.mtimes(polynomial, slopes)
+    signal = ca.horzcat(*values)
+    mean = ca.mtimes(signal, weights)
+    spread = ca.mtimes((signal - ca.repmat(mean, 1, degree))[: observed.squared, :] ** 2, weights)
+    following = ca.mtimes(polynomial, ends)
+    results = [following, ca.vec(residual), mean, spread]
+    return _Piece(ca.Function("interval", [state, inner, span, p], results), np.array(nodes))
+
+
+@dataclass(frozen=True)
+class _Path:
+    """The run of the start design, from which the further unknowns start and take their units.
+
+    Attributes:
+        fractions: times, as fractions of the duration.
+        states: states at them, a column each.
+        means: of the signals.
+        variances: of those with an RMS.
+    """
+
+    fractions: Vector
+    states: Vector
+    means: Vector
+    variances: Vector
+
+    @classmethod
+    def of(cls, run: EmbeddedRun, inputs: ca.DM, kink: float | None) -> _Path:
+        """Integrate a run at numbers."""
+        timeline = Timeline(_START_STEPS, _START_STEPS, kink)
+        solver = integration(run.integration.structure, Accuracy("dop853", steps=_START_STEPS), timeline)
+        states, means, variances = (np.asarray(result) for result in solver.function.call([inputs]))
+        return cls(timeline.output_fractions, states, means.ravel(), variances.ravel())
+
+    @property
+    def units(self) -> Vector:
+        """Largest value of each state; 1 of one that stays zero."""
+        return _or_one(np.max(np.abs(self.states), axis=1))
+
+    @property
+    def sizes(self) -> Vector:
+        """Size of each signal's mean and spread; 1 of one that stays zero."""
+        spread = np.r_[self.variances, np.zeros(len(self.means) - len(self.variances))]
+        return _or_one(np.sqrt(self.means**2 + spread))
+
+    def at(self, fractions: Vector) -> Vector:
+        """Return the states at times, in their units, one time after another."""
+        rows = [np.interp(fractions, self.fractions, row) for row in self.states]
+        return (np.array(rows) / self.units[:, None]).ravel(order="F")
+
+
+def _or_one(values: Vector) -> Vector:
+    return np.where(values > 0.0, values, 1.0)
+
+
+def _tied(run: EmbeddedRun, mesh: Timeline, piece: _Piece, path: _Path) -> _Lift:
+    """Lift a run on a mesh: unknowns are the nodes' states but the first, the inner ones, means and variances.
+
+    Means and variances, one sum over the whole run each, are unknowns so that the Hessian stays sparse.
+    """
+    observed = signals(run.integration.structure)
+    count, inner = len(mesh.nodes) - 1, 2 * len(piece.points)
+    nodes, within = ca.MX.sym("nodes", 2 * count), ca.MX.sym("within", inner * count)
+    mean, variance = ca.MX.sym("mean", observed.count), ca.MX.sym("variance", observed.squared)
+
+    unit, inner_unit = ca.DM(path.units), ca.DM(np.tile(path.units, len(piece.points)))
+    lengths = np.diff(mesh.nodes)
+    states = ca.horzcat(
+        start_state(run.integration.structure, observed.named(run.inputs)),
+        ca.reshape(nodes, 2, count) * ca.repmat(unit, 1, count),
+    )
+    following, residual, means, spreads = piece.function.map(count)(
+        states[:, :count],
+        ca.reshape(within, inner, count) * ca.repmat(inner_unit, 1, count),
+        ca.DM(np.vstack([mesh.nodes[:-1], lengths])),
+        ca.repmat(run.inputs, 1, count),
+    )
+    size, square = ca.DM(path.sizes), ca.DM(path.sizes[: observed.squared] ** 2)
+    drift = means[: observed.squared, :] - ca.repmat((mean * size)[: observed.squared], 1, count)
+    gaps = (following - states[:, 1:]) / ca.repmat(unit, 1, count)
+    motion = ca.vertcat(ca.vec(gaps), ca.vec(residual / ca.repmat(inner_unit, 1, count)))
+    pooled = [means @ ca.DM(lengths) / size - mean, (spreads + drift**2) @ ca.DM(lengths) / square - variance]
+    at_outputs = ca.vec(states[:, mesh.output_columns])
+    results = ca.vertcat(at_outputs, mean * size, variance * square)
+    missing = sum(output.numel() for output in run.outputs) - results.numel()
+    points = (mesh.nodes[:-1, None] + lengths[:, None] * piece.points).ravel()
+    averages = [path.means / path.sizes, path.variances / path.sizes[: observed.squared] ** 2]
+    return _Lift(
+        results=ca.vertcat(ca.MX.zeros(missing), results),
+        unknowns=ca.vertcat(nodes, within, mean, variance),
+        ties=(motion, ca.vertcat(*pooled)),
+        start=np.concatenate([path.at(mesh.nodes[1:]), path.at(points), *averages]),
+    )

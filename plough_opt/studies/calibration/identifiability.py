@@ -1,0 +1,154 @@
+"""Identifiability: which combinations of unknowns the data determine, by the singular values of the Jacobian."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import linalg
+
+from plough_opt.studies.calibration.unknown import Unknown, amount
+
+Vector = NDArray[np.float64]
+
+UNIFORM: Final = 12.0**-0.5
+"""Standard deviation of a number of which only the bounds, 0 and 1, are known."""
+
+# Singular values below this part of the largest are rounding: nothing in the model tells such directions apart.
+_STRUCTURAL: Final = 1e-9
+# Parts of a direction below this are rounding, or too small to be worth a word.
+_ROUNDING: Final = 1e-6
+_WORTH: Final = 0.02
+
+
+@dataclass(frozen=True)
+class Undetermined:
+    """A combination of unknowns along which the predictions do not change, or by less than the data could tell.
+
+    Attributes:
+        changes: unknown -> its change along the direction, SI, at the fit; the first is one per cent of its bounds.
+        structural: whether the model itself, with these conditions, cannot tell; else the data are too coarse.
+        words: a sentence.
+    """
+
+    changes: Mapping[str, float]
+    structural: bool
+    words: str
+
+
+@dataclass(frozen=True)
+class Spread:
+    """How far the data determine the scaled unknowns.
+
+    Attributes:
+        covariance: of the scaled unknowns (p, p), of those that are determined; rows of others are 0.
+        determined: whether the data tell more of an unknown than its bounds do (p).
+        free: directions of the scaled unknowns that are not determined, as columns (p, d).
+        structural: whether nothing in the model determines each of them (d).
+        rank: number of directions that the model determines.
+    """
+
+    covariance: Vector
+    determined: NDArray[np.bool_]
+    free: Vector
+    structural: NDArray[np.bool_]
+    rank: int
+
+
+def spread_of(slope: Vector, noise: float) -> Spread:
+    """Return how far a Jacobian of weighted residuals (n, p) determines scaled unknowns.
+
+    Args:
+        slope: the Jacobian.
+        noise: standard deviation of a weighted residual.
+    """
+    count = slope.shape[1]
+    _, sizes, right = np.linalg.svd(slope, full_matrices=True)
+    sizes = np.concatenate([sizes, np.zeros(max(0, count - len(sizes)))])
+    directions = right.T
+    structural = sizes <= _STRUCTURAL * max(float(sizes[0]), np.finfo(float).tiny)
+    deviation = np.full(count, np.inf)
+    deviation[~structural] = noise / sizes[~structural]
+    loose = deviation >= UNIFORM
+    parts = np.where(np.abs(directions) > np.where(structural, _ROUNDING, 0.0), directions, 0.0)
+    with np.errstate(invalid="ignore"):
+        variance = np.where(parts != 0.0, parts**2 * deviation**2, 0.0).sum(axis=1)
+    determined = variance < UNIFORM**2
+    finite = np.where(np.isfinite(deviation), deviation, 0.0)
+    covariance = (directions * finite**2) @ directions.T
+    known = determined.astype(float)
+    return Spread(
+        covariance=covariance * np.outer(known, known),
+        determined=determined,
+        free=directions[:, loose],
+        structural=structural[loose],
+        rank=int(np.sum(~structural)),
+    )
+
+
+def undetermined(unknowns: Sequence[Unknown], y: Vector, spread: Spread) -> tuple[Undetermined, ...]:
+    """Return the undetermined combinations, each with as few unknowns as they can be told with."""
+    never, coarse = spread.free[:, spread.structural], spread.free[:, ~spread.structural]
+    never, own = _sparse(never)
+    # What the model cannot tell at all may be added to what is only coarse: it is told with as few unknowns.
+    coarse, _ = _sparse(coarse - never @ coarse[own, :])
+    found = [_told(unknowns, y, direction, structural=True) for direction in never.T]
+    found += [_told(unknowns, y, direction, structural=False) for direction in coarse.T]
+    # An unknown may be left open by no direction alone, but by two that each nearly are.
+    named = {name for item in found for name in item.changes}
+    for k, unknown in enumerate(unknowns):
+        if not spread.determined[k] and unknown.name not in named:
+            alone = np.zeros(len(unknowns))
+            alone[k] = 1.0
+            found.append(_told(unknowns, y, alone, structural=False))
+    return tuple(found)
+
+
+def _sparse(free: Vector) -> tuple[Vector, NDArray[np.intp]]:
+    """Return a basis of the same directions in which each has an unknown of its own, and these unknowns."""
+    if free.shape[1] == 0:
+        return free, np.zeros(0, dtype=np.intp)
+    _, _, order = linalg.qr(free.T, pivoting=True, mode="economic")
+    own = order[: free.shape[1]]
+    basis = np.linalg.solve(free[own, :].T, free.T).T
+    return np.where(np.abs(basis) > _WORTH * np.max(np.abs(basis), axis=0), basis, 0.0), own
+
+
+def _told(unknowns: Sequence[Unknown], y: Vector, direction: Vector, structural: bool) -> Undetermined:
+    """Return a direction in the unknowns' own units and words."""
+    order = np.argsort(-np.abs(direction), kind="stable")
+    members = [k for k in order if direction[k] != 0.0]
+    size = 0.01 / direction[members[0]]
+    changes = {unknowns[k].name: float(size * direction[k] * unknowns[k].slope(float(y[k]))) for k in members}
+    return Undetermined(changes, structural, _words([unknowns[k] for k in members], changes, structural))
+
+
+def _words(members: Sequence[Unknown], changes: Mapping[str, float], structural: bool) -> str:
+    names = [unknown.name for unknown in members]
+    if len(names) == 1:
+        if structural:
+            return f"{names[0]} has no effect on what was measured: the data say nothing of it"
+        return f"{names[0]} is hardly determined: the data say no more of it than its bounds"
+    first = changes[names[0]]
+    moves = ", ".join(f"{_amount(u, changes[u.name])} {'less' if changes[u.name] * first < 0.0 else 'more'} {u.name}"
+                      for u in members[1:])  # fmt: skip
+    told = "cannot be told apart" if structural else "can hardly be told apart, with this scatter"
+    sentence = f"{_list(names)} {told}: {_amount(members[0], first)} more {names[0]} is made good by {moves}"
+    if len(names) == 2:
+        ratio = -first / changes[names[1]]
+        units = [f" [{u.unit}]" if u.unit else "" for u in members]
+        sign = "+" if ratio > 0.0 else "-"
+        held = f"{names[0]}{units[0]} {sign} {abs(ratio):.4g} x {names[1]}{units[1]}"
+        sentence += f"; near the fit the data hold {held}, not each"
+    return sentence
+
+
+def _amount(unknown: Unknown, change: float) -> str:
+    return amount(abs(change), unknown.unit)
+
+
+def _list(names: Sequence[str]) -> str:
+    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"

@@ -1,0 +1,129 @@
+"""What is calibrated: a scene as a function of its quantities by name."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Protocol, TypeAlias, runtime_checkable
+
+from plough_opt.core.errors import InputError, nearest
+from plough_opt.core.expressions import Expression, as_number, is_symbolic
+from plough_opt.core.kinds import shown
+from plough_opt.core.quantities import quantities
+from plough_opt.motion.accuracy import Accuracy
+from plough_opt.motion.scene import Scene
+from plough_opt.motion.vocabulary import quantities_of, with_quantities
+
+
+class Bounded(Protocol):
+    """A quantity between bounds."""
+
+    @property
+    def lower(self) -> float:
+        """Least value."""
+
+    @property
+    def upper(self) -> float:
+        """Largest value."""
+
+    @property
+    def guess(self) -> float:
+        """Value where a search begins."""
+
+
+@runtime_checkable
+class Described(Protocol):
+    """A scene with its quantities by name, as `read_problem` returns it."""
+
+    @property
+    def title(self) -> str:
+        """Title for reports."""
+
+    @property
+    def accuracy(self) -> Accuracy:
+        """Method and setting of runs."""
+
+    @property
+    def variables(self) -> Mapping[str, Bounded]:
+        """Quantities that a design may change."""
+
+    def values(self) -> dict[str, Expression]:
+        """Return the quantities that are given, by name."""
+
+    def scene(self, changes: Mapping[str, Expression] | None = None) -> Scene:
+        """Return the scene, with other values of some quantities."""
+
+
+SceneOf: TypeAlias = Callable[[Mapping[str, Expression]], Scene]
+_DURATION = "scene.duration"
+
+
+@dataclass(frozen=True)
+class Model:
+    """A scene by the names of its quantities.
+
+    Attributes:
+        title: for reports.
+        build: values by key, numbers or symbols, of those that differ from the scene's own -> scene.
+        current: key -> value of the scene's own.
+        duration: simulated time [s] where a result needs one, or None.
+        accuracy: method and setting of runs.
+    """
+
+    title: str
+    build: SceneOf
+    current: Mapping[str, float]
+    duration: float | None
+    accuracy: Accuracy
+
+    def scene(self, values: Mapping[str, Expression]) -> Scene:
+        """Return the scene with changed values; a duration among them is none of the scene's."""
+        found = self.build({key: value for key, value in values.items() if key != _DURATION})
+        if not isinstance(found, Scene):
+            raise InputError(f"the function of values returned {shown(found)}, and must return a Scene")
+        return found
+
+    def duration_of(self, values: Mapping[str, Expression]) -> Expression | None:
+        """Return the simulated time [s]."""
+        return values.get(_DURATION, self.duration)
+
+
+def model_of(given: Described | Scene | SceneOf, duration: float | None = None) -> Model:
+    """Return what is calibrated.
+
+    Args:
+        given: a problem, a scene of numbers, or a function of values by key that returns a scene.
+        duration: simulated time [s], if not the problem's.
+
+    Raises:
+        InputError: none of these.
+    """
+    if isinstance(given, Described):
+        own = given.values()
+        values = {**_current(given.scene()), **{key: float(value) for key, value in own.items()}}
+        duration = values.get(_DURATION) if duration is None else duration
+        return Model(given.title, lambda values: _of_file(given, values), values, duration, given.accuracy)
+    if isinstance(given, Scene):
+        scene = given
+        return Model(
+            given.soil.name, lambda values: with_quantities(scene, values), _current(given), duration, Accuracy()
+        )
+    if callable(given):
+        return Model("calibration", given, {}, duration, Accuracy())
+    raise InputError(f"{shown(given)} must be a Problem, a Scene, or a function of values by key that returns a Scene")
+
+
+def _of_file(problem: Described, values: Mapping[str, Expression]) -> Scene:
+    """Return a file's scene, whose quantities are those that a file gives: no mass but those of frame and steel."""
+    for name in values:
+        if name not in quantities():
+            raise InputError(f"a problem file has no '{name}': {nearest(name, quantities())}")
+    return problem.scene(values)
+
+
+def _current(scene: Scene) -> dict[str, float]:
+    """Return the quantities of a scene of numbers by name, as far as it has them."""
+    found = {name: value for name, value in quantities_of(scene).items() if value is not None}
+    if any(map(is_symbolic, found.values())):
+        raise InputError("the scene holds symbols: calibrate a scene of numbers, and name what is unknown in it")
+    return {name: float(as_number(value)) for name, value in found.items()}

@@ -1,0 +1,133 @@
+"""A fit as a picture: measured against predicted, residuals over the fit and over what was varied, their quantiles."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+from scipy import stats
+
+from plough_opt.core.picture_files import COLOURS
+from plough_opt.core.quantities import every_quantity
+from plough_opt.studies.calibration.parts import Row
+
+Vector = NDArray[np.float64]
+
+_CUSTOMARY: Final = {"rad": ("deg", math.pi / 180.0), "N": ("kN", 1e3), "Pa": ("kPa", 1e3), "W": ("kW", 1e3)}
+_MUTED: Final = "#8A8A8A"
+
+
+def figure_of(title: str, rows: Sequence[Row]) -> Figure:
+    """Return four panels: measured against predicted, residuals against both, and their quantiles."""
+    counted = [row for row in rows if math.isfinite(row.sigma) and row.sigma > 0.0]
+    kinds = list(dict.fromkeys((row.result, row.unit) for row in counted))
+    figure = Figure(figsize=(11, 8.4), layout="constrained")
+    axes = figure.subplots(2, 2)
+    _draw_fit(axes[0, 0], counted, kinds)
+    _draw_residuals(axes[0, 1], counted, kinds, [row.predicted / _scale(row, counted) for row in counted],
+                    _predicted_label(kinds))  # fmt: skip
+    shown, values, label = _varied(counted)
+    _draw_residuals(axes[1, 0], shown, kinds, values, label)
+    _draw_quantiles(axes[1, 1], counted)
+    if title:
+        figure.suptitle(title)
+    return figure
+
+
+def _draw_fit(axes: Axes, rows: Sequence[Row], kinds: Sequence[tuple[str, str]]) -> None:
+    """Draw measured over predicted values with their errors; several results each over its largest value."""
+    low, high = math.inf, -math.inf
+    for number, (result, _) in enumerate(kinds):
+        own = [row for row in rows if row.result == result]
+        scale = np.array([_scale(row, rows) for row in own])
+        predicted, observed = (
+            np.array([getattr(row, key) for row in own]) / scale for key in ("predicted", "observed")
+        )
+        bars = np.array([1.96 * row.sigma for row in own]) / scale
+        across = np.array([1.96 * row.standard_error for row in own]) / scale
+        axes.errorbar(predicted, observed, yerr=bars, xerr=across, fmt="o", markersize=4, linewidth=0.8,
+                      color=COLOURS[number % len(COLOURS)], label=f"{result}, n = {len(own)}")  # fmt: skip
+        low, high = min(low, predicted.min(), observed.min()), max(high, predicted.max(), observed.max())
+    pad = 0.04 * (high - low)
+    axes.plot(
+        [low - pad, high + pad], [low - pad, high + pad], color="black", linewidth=0.9, label="measured = predicted"
+    )
+    axes.set(xlabel=_predicted_label(kinds), ylabel=_predicted_label(kinds).replace("predicted", "measured"))
+    axes.set_title("bars: 95 % of the measuring error; across: of the prediction", fontsize="small")
+    axes.grid(alpha=0.25)
+    axes.legend(fontsize="small")
+
+
+def _draw_residuals(axes: Axes, rows: Sequence[Row], kinds: Sequence[tuple[str, str]], places: Sequence[float],
+                    label: str) -> None:  # fmt: skip
+    names = [result for result, _ in kinds]
+    for number, result in enumerate(names):
+        own = [k for k, row in enumerate(rows) if row.result == result]
+        axes.plot([places[k] for k in own], [_standardised(rows[k]) for k in own], "o", markersize=4,
+                  color=COLOURS[number % len(COLOURS)], label=result)  # fmt: skip
+    axes.axhline(0.0, color="black", linewidth=0.9)
+    for size in (-1.96, 1.96):
+        axes.axhline(size, color=_MUTED, linewidth=0.9, linestyle="--")
+    axes.set(xlabel=label, ylabel="(predicted - measured) / sigma")
+    axes.grid(alpha=0.25)
+
+
+def _draw_quantiles(axes: Axes, rows: Sequence[Row]) -> None:
+    """Draw the ordered residuals over the normal quantiles that they would have."""
+    (theory, ordered), _ = stats.probplot([_standardised(row) for row in rows])
+    axes.plot(theory, ordered, "o", markersize=4, color=COLOURS[0])
+    ends = [float(theory[0]), float(theory[-1])]
+    axes.plot(ends, ends, color="black", linewidth=0.9, label="normal")
+    axes.set(xlabel="normal quantile", ylabel="(predicted - measured) / sigma, ordered")
+    axes.grid(alpha=0.25)
+    axes.legend(fontsize="small")
+
+
+def _standardised(row: Row) -> float:
+    return row.residual / row.sigma
+
+
+def _scale(like: Row, rows: Sequence[Row]) -> float:
+    """Return what a result is divided by: its customary unit, or of several results its largest value."""
+    if len({row.result for row in rows}) == 1:
+        return _CUSTOMARY.get(like.unit, ("", 1.0))[1]
+    return max(abs(row.predicted) for row in rows if row.result == like.result)
+
+
+def _predicted_label(kinds: Sequence[tuple[str, str]]) -> str:
+    if len(kinds) > 1:
+        return "predicted, over the largest of its kind"
+    result, unit = kinds[0]
+    symbol = _CUSTOMARY.get(unit, (unit, 1.0))[0]
+    return f"predicted {result} [{symbol}]" if symbol else f"predicted {result}"
+
+
+def _coordinates(row: Row) -> dict[str, float]:
+    own = dict(row.conditions)
+    return own if row.time is None else {"time": row.time, **own}
+
+
+def _varied(rows: Sequence[Row]) -> tuple[Sequence[Row], list[float], str]:
+    """Return rows and what their residuals are drawn over: time, the speed if it varies, or what varies most."""
+    counts: dict[str, set[float]] = {}
+    for row in rows:
+        for key, value in _coordinates(row).items():
+            counts.setdefault(key, set()).add(value)
+    preferred = [key for key in ("time", "scene.tow_speed") if len(counts.get(key, ())) > 1]
+    name = preferred[0] if preferred else max(counts, key=lambda key: len(counts[key]), default="")
+    if not name:
+        return rows, [float(k) for k in range(1, len(rows) + 1)], "number of the row"
+    unit, scale = ("s", 1.0) if name == "time" else _unit(name)
+    shown = [row for row in rows if name in _coordinates(row)]
+    values = [_coordinates(row)[name] / scale for row in shown]
+    return shown, values, f"{name} [{unit}]" if unit else name
+
+
+def _unit(name: str) -> tuple[str, float]:
+    symbol = every_quantity()[name].symbol
+    return _CUSTOMARY.get(symbol, (symbol, 1.0))

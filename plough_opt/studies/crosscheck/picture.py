@@ -1,0 +1,54 @@
+"""Draft over speed by every model: one panel for each depth, in colours that the colour-blind can tell apart."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+
+from plough_opt.core.picture_files import COLOURS
+from plough_opt.studies.crosscheck.rows import ModelDraft
+
+_MARKERS = "os^vDPX"
+# Spread of drafts beyond which the lower ones could not be told apart on a linear axis.
+_WIDE = 8.0
+
+
+def figure_of(
+    own: ModelDraft, others: Sequence[ModelDraft], speeds: Sequence[float], depths: Sequence[float]
+) -> Figure:
+    """Return the picture; speeds in km/h."""
+    panels = depths or (None,)
+    figure = Figure(figsize=(5.2 * len(panels) + 3.6, 5.0), layout="constrained")
+    grid = figure.subplots(1, len(panels), sharey=True, squeeze=False)[0]
+    for axes, depth in zip(grid, panels, strict=True):
+        rows = [row for row in others if row.depth in (depth, None)]
+        _draw(axes, own, rows, speeds)
+        axes.set_title("" if depth is None else f"working depth {depth:.3g} m")
+    drafts = [d for row in (own, *others) for d in row.drafts if math.isfinite(d) and d > 0.0]
+    if drafts and max(drafts) > _WIDE * min(drafts):
+        grid[0].set_yscale("log")
+        plain = FuncFormatter(lambda value, _: f"{value:g}")
+        grid[0].yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        grid[0].yaxis.set_major_formatter(plain)
+        grid[0].yaxis.set_minor_formatter(NullFormatter())
+    else:
+        grid[0].set_ylim(bottom=0.0)
+    grid[0].set_ylabel("mean draft [kN]")
+    handles, names = grid[0].get_legend_handles_labels()
+    figure.legend(handles, names, loc="outside right upper", fontsize="small")
+    return figure
+
+
+def _draw(axes: Axes, own: ModelDraft, rows: Sequence[ModelDraft], speeds: Sequence[float]) -> None:
+    axes.plot(speeds, [draft / 1e3 for draft in own.drafts], color="black", linewidth=2.2, label=own.model)
+    for k, row in enumerate(rows):
+        if all(map(math.isnan, row.drafts)):
+            continue
+        axes.plot(speeds, [draft / 1e3 for draft in row.drafts], color=COLOURS[k % len(COLOURS)],
+                  marker=_MARKERS[k % len(_MARKERS)], markersize=5, linewidth=1.2, label=row.model)  # fmt: skip
+    axes.set_xlabel("speed [km/h]")
+    axes.grid(visible=True, alpha=0.3)

@@ -1,0 +1,54 @@
+"""What one draft model says at several speeds."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from plough_opt.core.errors import DomainError
+
+
+@dataclass(frozen=True)
+class ModelDraft:
+    """Drafts of one model at the speeds of a comparison.
+
+    Attributes:
+        model: its name.
+        depth: working depth [m], or None of a model that knows none.
+        drafts: draft at each speed [N]; NaN outside the model's domain.
+        refusal: why there are NaNs, or "".
+        source: where its equations come from.
+        standing: what of it is not verified.
+    """
+
+    model: str
+    depth: float | None
+    drafts: tuple[float, ...]
+    refusal: str
+    source: str
+    standing: str
+
+    @property
+    def rise(self) -> float:
+        """Growth of the draft from the lowest to the highest speed, relative [-]; NaN where one has no value."""
+        return self.drafts[-1] / self.drafts[0] - 1.0 if self.drafts[0] else math.nan
+
+
+def model_draft(
+    model: str,
+    depth: float | None,
+    draft: Callable[[float], float],
+    speeds: Sequence[float],
+    source: str,
+    standing: str,
+) -> ModelDraft:
+    """Evaluate ``draft(speed)`` at every speed; what lies outside its domain becomes NaN with the first reason."""
+    found, refusal = [], ""
+    for speed in speeds:
+        try:
+            found.append(float(draft(speed)))
+        except DomainError as error:
+            found.append(math.nan)
+            refusal = refusal or str(error)
+    return ModelDraft(model, depth, tuple(found), refusal, source, standing)

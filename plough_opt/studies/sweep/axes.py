@@ -1,0 +1,106 @@
+"""What a quantity of a sweep runs over: a range, or values one by one."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from plough_opt.core.domain import plain_number
+from plough_opt.core.errors import InputError
+from plough_opt.core.expressions import is_count
+from plough_opt.core.kinds import check_switch, shown
+
+MOST_VALUES: Final = 1_000_000
+"""Most values of one quantity of a grid: they are held in memory, as the points of a grid and a sample are not."""
+
+
+@dataclass(frozen=True)
+class Range:
+    """A range of a quantity, for a grid or for a sample.
+
+    Args:
+        lower: first value, SI.
+        upper: last value, above ``lower``.
+        count: values of a grid, ends included, 2 to a million; None for a sample, which fills the range.
+        log: equal steps of the logarithm in the place of equal steps; both ends above 0.
+
+    Raises:
+        InputError: ends that are no finite numbers or not in order, one value, or a logarithm of what is not above 0.
+    """
+
+    lower: float
+    upper: float
+    count: int | None = None
+    log: bool = False
+
+    def __post_init__(self) -> None:
+        for end in (self.lower, self.upper):
+            plain_number("the end of a range", end)
+        for side in ("lower", "upper"):
+            # 1, 1.0 and NumPy's 1.0 are the same question.
+            object.__setattr__(self, side, float(getattr(self, side)))
+        if not self.lower < self.upper:
+            raise InputError(f"the range from {self.lower:g} to {self.upper:g} is empty: its first end must be lower")
+        check_switch("log", self.log)
+        if self.log and not self.lower > 0.0:
+            raise InputError(f"a logarithmic range begins above 0, not at {self.lower:g}")
+        if self.count is not None and (not is_count(self.count) or self.count < 2):
+            raise InputError(f"the number of values is {shown(self.count)}: it must be a whole number from 2 on")
+        if self.count is not None and self.count > MOST_VALUES:
+            given = shown(self.count)
+            raise InputError(f"the number of values is {given}: it can be {MOST_VALUES} at most; take a sample")
+
+    def values(self) -> tuple[float, ...]:
+        """Return the values of a grid, the ends exactly."""
+        if self.count is None:
+            raise InputError(
+                f"the range from {self.lower:g} to {self.upper:g} has no number of values: a grid needs one"
+            )
+        steps = np.geomspace if self.log else np.linspace
+        return tuple(steps(self.lower, self.upper, self.count).tolist())
+
+    def at(self, fraction: float) -> float:
+        """Return the value at a fraction of the range, from 0 to 1.
+
+        Raises:
+            InputError: no number.
+        """
+        fraction = plain_number("the fraction of a range", fraction)
+        if self.log:
+            return float(self.lower * (self.upper / self.lower) ** fraction)
+        # In the order in which scipy.stats.qmc.scale computes it.
+        return fraction * (self.upper - self.lower) + self.lower
+
+
+Axis = Range | tuple[float, ...]
+
+
+def axis_of(name: str, given: object) -> Axis:
+    """Return what a quantity runs over, checked.
+
+    Args:
+        name: of the quantity.
+        given: a `Range` or numbers, SI.
+
+    Raises:
+        InputError: neither, fewer than two numbers, the same one twice, or one that is not finite.
+    """
+    if isinstance(given, Range):
+        return given
+    if isinstance(given, str) or not isinstance(given, Iterable):
+        raise InputError(f"'{name}' runs over {shown(given)}: give a po.Range or a list of numbers")
+    found = list(given)
+    if not all(isinstance(x, int | float | np.number) and not isinstance(x, bool) for x in found):
+        raise InputError(f"'{name}' runs over {shown(found)}, which are not all numbers")
+    values = tuple(float(x) for x in found)
+    if bad := [x for x in values if not math.isfinite(x)]:
+        raise InputError(f"'{name}' runs over {bad[0]}: every value must be finite")
+    if len(values) < 2:
+        raise InputError(f"'{name}' runs over {len(values)} value(s): a sweep takes two or more; fix it instead")
+    if len(set(values)) < len(values):
+        raise InputError(f"'{name}' runs over the same value twice")
+    return values

@@ -1,0 +1,96 @@
+"""The workers of a dask cluster: what becomes of tasks whose workers die, and of clusters that lose all of theirs.
+
+dask's own executor can leave a future open for ever whose task failed while its result was being fetched, and says
+nothing where no worker is left.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from concurrent.futures import CancelledError, Executor, Future
+from typing import TYPE_CHECKING, Any, Final
+
+from plough_opt.core.errors import InputError
+from plough_opt.studies.sweep.pool import WorkerDied
+
+if TYPE_CHECKING:
+    import distributed
+
+# How long [s] a cluster may be without workers: they may be about to come back.
+_PATIENCE: Final = 40.0
+# How often to ask for them, and how long to wait for the answer [s].
+_ASKED: Final = 3.0
+_STORED: Final = "what is stored is stored, and the same sweep goes on from there"
+
+
+class Cluster(Executor):
+    """The executor of a dask client."""
+
+    def __init__(self, client: distributed.Client, options: dict[str, Any]) -> None:
+        """Take a client, and what its executor was made with."""
+        self._client, self._options = client, options
+        self._asked = self._seen = time.monotonic()
+
+    @classmethod
+    def of(cls, executor: Executor) -> Cluster | None:
+        """Return the cluster behind an executor, if it is one of dask's."""
+        if type(executor).__module__ != "distributed.cfexecutor":
+            return None
+        # It has no public name for either.
+        return cls(executor._client, executor._kwargs)  # type: ignore[attr-defined]
+
+    def submit(self, fn: Any, /, *args: Any, **kwargs: Any) -> Future[Any]:
+        """Submit a call, as every executor."""
+        future: Future[Any] = Future()
+        task = self._client.submit(fn, *args, **self._options, **kwargs)
+        assert self._client.loop is not None
+        self._client.loop.add_callback(_carry, task, future)
+        future.add_done_callback(lambda future: task.cancel() if future.cancelled() else None)
+        return future
+
+    def check(self) -> None:
+        """See whether there are workers, now and then.
+
+        Raises:
+            InputError: there have been none for long, or the scheduler does not answer.
+        """
+        now = time.monotonic()
+        if now - self._asked < _ASKED:
+            return
+        try:
+            workers = self._client.sync(_workers, self._client, callback_timeout=_ASKED)
+        except (OSError, TimeoutError):
+            workers = {}
+        now = self._asked = time.monotonic()
+        if workers:
+            self._seen = now
+        elif now - self._seen > _PATIENCE:
+            raise InputError(f"the cluster has had no workers for {now - self._seen:.0f} s: start some; {_STORED}")
+
+
+async def _workers(client: distributed.Client) -> dict[str, int]:
+    """Return the threads of each worker."""
+    assert client.scheduler is not None
+    found: dict[str, int] = await client.scheduler.ncores()
+    return found
+
+
+async def _carry(task: distributed.Future[Any], future: Future[Any]) -> None:
+    """Give a future what becomes of a task."""
+    error: BaseException
+    try:
+        found = await task
+    except (asyncio.CancelledError, CancelledError):
+        error = InputError(f"the cluster's scheduler is gone, or has dropped a task; {_STORED}")
+    except Exception as reason:
+        error = reason
+        if type(reason).__name__ == "KilledWorker":  # workers died of it, more of them than dask allows
+            allowed: int = reason.allowed_failures  # type: ignore[attr-defined]
+            error = WorkerDied("dask does not say how", allowed + 1)
+    else:
+        if future.set_running_or_notify_cancel():
+            future.set_result(found)
+        return
+    if future.set_running_or_notify_cancel():
+        future.set_exception(error)

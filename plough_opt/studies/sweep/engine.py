@@ -1,0 +1,233 @@
+"""The loop of a sweep: claims points, keeps workers busy, stores what comes back, and goes on where workers die."""
+
+from __future__ import annotations
+
+import time
+import uuid
+from collections import deque
+from collections.abc import Callable
+from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, Executor, Future, wait
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from plough_opt.core.errors import InputError
+from plough_opt.studies.sweep.cluster import Cluster
+from plough_opt.studies.sweep.layout import State
+from plough_opt.studies.sweep.points import Points
+from plough_opt.studies.sweep.pool import ProcessPool, WorkerDied
+from plough_opt.studies.sweep.store import Store
+from plough_opt.studies.sweep.work import Array, Done, Evaluation, ManyPoints, work
+
+Told = Callable[[int, int, int], None]
+"""Called with the points that are stored, those of the whole sweep, and those that failed."""
+
+# Seconds of work that a task is to take, and after which a worker gives back what it has.
+_WANTED, _BUDGET = 0.25, 0.5
+# Points of the first task, and at most: of single points, and of many at once.
+_FIRST, _MOST = (1, 64), (4096, 2048)
+_GROWTH: Final = 4
+# How long to wait before looking at the clock, and at what other runs do [s]; how often to renew claims.
+_GLANCE, _RENEWAL = 0.25, 3.0
+# How often a task is tried whole of which a worker died; then its halves are, and at last a point, with no other.
+_TRIED_WHOLE: Final = 2
+# How many workers may die of a point that is tried alone.
+_TRIED_ALONE: Final = 3
+
+
+@dataclass
+class _Task:
+    """Points of one claim.
+
+    Attributes:
+        claim: first point of the claim.
+        numbers: of the points.
+        values: of the quantities, a row for each point.
+        deaths: how many workers died while it was under way.
+        alone: whether it is one point and is tried with no other under way.
+    """
+
+    claim: int
+    numbers: NDArray[np.int64]
+    values: Array
+    deaths: int = 0
+    alone: bool = False
+
+    def part(self, which: slice, deaths: int = 0, alone: bool = False) -> _Task:
+        """Return some of the points."""
+        return _Task(self.claim, self.numbers[which], self.values[which], deaths, alone)
+
+
+class Engine:
+    """A sweep under way."""
+
+    def __init__(
+        self, evaluation: Evaluation, points: Points, store: Store, executor: Executor, workers: int, told: Told
+    ) -> None:
+        """Take what to evaluate, where, into what store, by how many workers, and whom to tell."""
+        self._evaluation, self._points, self._store, self._executor = evaluation, points, store, executor
+        self._most_under_way = 2 * workers + 2
+        self._told = told
+        self._key = uuid.uuid4().hex
+        self._kind = int(isinstance(evaluation, ManyPoints))
+        self._size = _FIRST[self._kind]
+        self._under_way: dict[Future[Done], _Task] = {}
+        self._again: deque[_Task] = deque()
+        self._alone: deque[_Task] = deque()
+        self._open: dict[int, int] = {}
+        self._stored, self._failed, _ = store.stored()
+        self._renewed = time.monotonic()
+        self._returned = False
+
+    def run(self) -> None:
+        """Evaluate every point that is not stored.
+
+        Raises:
+            InputError: the executor cannot carry out the work, or results have different names.
+        """
+        self._tell()
+        try:
+            while self._fill():
+                if self._under_way:
+                    done = wait(self._under_way, timeout=_GLANCE, return_when=FIRST_COMPLETED).done
+                    self._collect(done)
+                    if isinstance(self._executor, Cluster):
+                        self._executor.check()
+                else:
+                    time.sleep(_GLANCE)
+                    self._count()
+                    self._tell()
+                self._renew()
+        finally:
+            self._leave()
+
+    def _fill(self) -> bool:
+        """Submit tasks; return whether there is anything to wait for."""
+        while len(self._under_way) < self._most_under_way and (task := self._following()) is not None:
+            self._submit(task)
+        return bool(self._under_way) or self._store.waiting()
+
+    def _following(self) -> _Task | None:
+        """Return the task that is to be submitted now, if there is one."""
+        if any(task.alone for task in self._under_way.values()):
+            return None
+        task = self._again.popleft() if self._again else self._claimed()
+        if task is None and self._alone and not self._under_way:
+            task = self._alone.popleft()
+        return task
+
+    def _claimed(self) -> _Task | None:
+        """Return a task of points that nobody works on, or None."""
+        while (claim := self._store.claim(self._size)) is not None:
+            numbers = self._store.missing(*claim)
+            if len(numbers) > 0:
+                self._open[claim[0]] = len(numbers)
+                first = int(numbers[0])
+                return _Task(claim[0], numbers, self._points.block(first, int(numbers[-1]) + 1)[numbers - first])
+            self._store.keep(numbers, np.empty((0, len(self._points.names))), None, {}, finished=claim[0])
+        return None
+
+    def _submit(self, task: _Task) -> None:
+        try:
+            future = self._executor.submit(work, self._key, self._evaluation, self._points.names, task.values, _BUDGET)
+        except BrokenExecutor as error:
+            future = Future()
+            future.set_exception(error)
+        self._under_way[future] = task
+
+    def _collect(self, done: set[Future[Done]]) -> None:
+        """Store what came back."""
+        for future in sorted(done, key=lambda future: self._under_way[future].claim):
+            task = self._under_way.pop(future)
+            error = CancelledError("cancelled") if future.cancelled() else future.exception()
+            if error is None:
+                self._take(task, future.result())
+            elif isinstance(error, WorkerDied):
+                self._suspect(task, error.deaths, str(error))
+            elif isinstance(error, InputError):
+                raise error
+            elif isinstance(error, BrokenExecutor):
+                raise InputError(
+                    f"the executor is broken: {error}; what is stored is stored, and the same sweep goes on from there"
+                    " with a new one"
+                ) from error
+            else:
+                raise InputError(
+                    f"the executor could not carry out a task: {type(error).__name__}: {error}; what is stored is"
+                    " stored, and the same sweep goes on from there"
+                ) from error
+
+    def _take(self, task: _Task, done: Done) -> None:
+        """Store what a worker found, and put the rest of its points back."""
+        if done.names and done.names != self._store.results:
+            self._store.name_results(done.names)
+        self._keep(task.part(slice(done.points)), done)
+        if done.points < len(task.numbers):
+            self._again.appendleft(task.part(slice(done.points, None)))
+        self._returned = True
+        each = done.seconds / done.points
+        wanted = int(min(_WANTED / max(each, 1e-9), _GROWTH * self._size))
+        self._size = max(1, min(wanted, _MOST[self._kind]))
+
+    def _keep(self, task: _Task, done: Done, without: State = "failed") -> None:
+        """Store finished points, and give up their claim where they are the last of it."""
+        notes = [
+            (kind, text, int(task.numbers[place]), points) for kind, (text, place, points) in sorted(done.notes.items())
+        ]
+        left = self._open[task.claim] - len(task.numbers)
+        finished = task.claim if left == 0 else None
+        new = self._store.keep(task.numbers, task.values, done.results, done.reasons, notes, finished, without)
+        # An interruption before this line leaves the claim to whoever resumes.
+        self._open[task.claim] = left
+        self._stored += new
+        if without == "failed" and new == len(task.numbers):
+            self._failed += len(done.reasons)
+        self._tell()
+
+    def _suspect(self, task: _Task, deaths: int, how: str) -> None:
+        """Try a task again of which workers died: whole, then its halves, at last a point with no other under way."""
+        task.deaths += deaths
+        half = len(task.numbers) // 2
+        if task.alone and task.deaths >= _TRIED_ALONE:
+            self._leave_open(task, how)
+        elif task.alone:
+            self._alone.append(task)
+        elif task.deaths < _TRIED_WHOLE:
+            self._again.append(task)
+        elif half:
+            parts = (slice(half), slice(half, None))
+            self._again.extend(task.part(which, deaths=_TRIED_WHOLE - 1) for which in parts)
+        else:
+            self._alone.append(task.part(slice(None), alone=True))
+
+    def _leave_open(self, task: _Task, how: str) -> None:
+        """Enter a point as undetermined."""
+        reason = f"{task.deaths} workers ended while each worked at this point alone; {how}"
+        self._keep(task, Done(1, reasons={0: reason}), without="undetermined")
+        if self._returned and isinstance(self._executor, ProcessPool):
+            # Workers can work: it is the point that is deadly.
+            self._executor.proceed()
+
+    def _renew(self) -> None:
+        if time.monotonic() - self._renewed > _RENEWAL:
+            self._store.renew()
+            if self._store.waiting():
+                self._count()
+            self._renewed = time.monotonic()
+
+    def _count(self) -> None:
+        self._stored, self._failed, _ = self._store.stored()
+
+    def _tell(self) -> None:
+        self._told(self._stored, self._points.count, self._failed)
+
+    def _leave(self) -> None:
+        """Store what has come back by now, and leave the rest to whoever resumes."""
+        try:
+            for future, task in self._under_way.items():
+                if not future.cancel() and future.done() and future.exception() is None:
+                    self._take(task, future.result())
+        finally:
+            self._store.release()

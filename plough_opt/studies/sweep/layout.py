@@ -1,0 +1,166 @@
+"""How the store of a sweep is laid out: its tables, and whether those of a file are as they were written.
+
+Points are claimed in ranges. Every point below ``next`` is either stored or lies in a range of ``claims``, whose owner
+renews it while it lives. Every row of ``points`` carries a checksum of all that it says.
+"""
+
+from __future__ import annotations
+
+import json
+import struct
+import zlib
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Annotated, Final, Literal
+
+from pydantic import BaseModel, Field, Json, ValidationError
+
+from plough_opt.core.errors import InputError
+from plough_opt.studies.sweep.database import Database, quoted
+
+LAYOUT: Final = 2
+"""Number of the layout of a store."""
+
+State = Literal["computed", "failed", "undetermined"]
+"""What a point is: with results, or without them for a reason that is its own, or for none that is known."""
+
+FIXED: Final = ("point", "state", "reason", "checksum")
+"""Columns that every table of points has."""
+
+# What tables have besides quantities and results.
+_RESERVED: Final = (*FIXED, "failed", "reasons", "undetermined")
+_TABLES: Final = """
+CREATE TABLE meta (key TEXT PRIMARY KEY, value TEXT NOT NULL);
+CREATE TABLE claims (first INTEGER PRIMARY KEY, last INTEGER NOT NULL, owner TEXT NOT NULL, expires REAL NOT NULL);
+CREATE INDEX oldest ON claims (expires);
+CREATE TABLE notes (kind TEXT PRIMARY KEY, text TEXT NOT NULL, first INTEGER NOT NULL, points INTEGER NOT NULL);
+"""
+# Rows that no sweep writes.
+_WRONG: Final = {
+    "claims": "typeof(first) != 'integer' OR typeof(last) != 'integer' OR typeof(owner) != 'text' OR first < 0"
+    " OR typeof(expires) != 'real' OR last <= first",
+    "notes": "typeof(text) != 'text' OR typeof(first) != 'integer' OR typeof(points) != 'integer'",
+}
+
+
+class About(BaseModel):
+    """What a store says about itself.
+
+    Attributes:
+        names: the quantities that are swept.
+        results: names of the results, empty until a point has some.
+        units: name -> unit, of quantities and results that have one.
+        question: everything that the results depend on.
+        count: number of points of the whole sweep.
+        next: first point that no run has claimed yet.
+    """
+
+    names: Json[tuple[str, ...]]
+    results: Json[tuple[str, ...]]
+    units: Json[dict[str, str]]
+    question: Json[dict[str, str]]
+    count: Annotated[int, Field(ge=1)]
+    next: Annotated[int, Field(ge=0)]
+
+
+def create(
+    database: Database, question: Mapping[str, str], names: Sequence[str], units: Mapping[str, str], count: int
+) -> None:
+    """Make the tables in an empty file."""
+    for statement in filter(str.strip, _TABLES.split(";")):
+        database.run(statement)
+    columns = ", ".join(f"{quoted(name)} REAL NOT NULL" for name in names)
+    database.run(
+        "CREATE TABLE points (point INTEGER PRIMARY KEY, state TEXT NOT NULL, reason TEXT, checksum INTEGER NOT NULL,"
+        f" {columns})"
+    )
+    values = {
+        "layout": str(LAYOUT), "next": "0", "count": str(count), "names": json.dumps(list(names)), "results": "[]",
+        "units": json.dumps(dict(units)), "question": json.dumps(dict(question)),
+    }  # fmt: skip
+    database.run_many("INSERT INTO meta VALUES (?, ?)", iter(values.items()))
+
+
+def read(database: Database) -> About:
+    """Return what a file says about itself.
+
+    Raises:
+        InputError: the file is no store of this layout, or its tables are damaged.
+    """
+    path = database.path
+    if not {"meta", "claims", "notes", "points"} <= database.tables():
+        raise InputError(f"'{path}' is a database, but no store of a sweep: name another file")
+    meta = dict(database.run("SELECT key, value FROM meta"))
+    if (layout := meta.get("layout")) != str(LAYOUT):
+        raise InputError(
+            f"the store '{path}' has layout {layout}, and this version reads {LAYOUT}: sweep into another file"
+        )
+    try:
+        about = About.model_validate(meta)
+    except ValidationError as error:
+        first = error.errors()[0]
+        raise damaged(path, f"{'.'.join(map(str, first['loc']))}: {first['msg']}") from None
+    columns = [row[1] for row in database.run("PRAGMA table_info(points)")]
+    expected = [*FIXED, *about.names, *about.results]
+    if columns != expected:
+        raise damaged(path, f"its table of points has the columns {', '.join(columns)}, not {', '.join(expected)}")
+    for table, condition in _WRONG.items():
+        if database.run(f"SELECT 1 FROM {table} WHERE {condition} LIMIT 1"):
+            raise damaged(path, f"its table of {table} holds what no sweep writes")
+    return about
+
+
+def damaged(path: Path | None, how: str) -> InputError:
+    """Return the error that says that a file is damaged, and how."""
+    return InputError(f"the store '{path}' is damaged: {how}")
+
+
+def spoilt_points(database: Database, about: About) -> Iterator[int]:
+    """Yield the points whose rows differ from their checksums, or that are none of the sweep."""
+    columns = ", ".join(map(quoted, (*FIXED, *about.names, *about.results)))
+    for point, state, reason, kept, *numbers in database.rows(f"SELECT {columns} FROM points ORDER BY point"):
+        right = checksum(point, state, reason, numbers, len(about.names))
+        if kept != right or not 0 <= point < about.count:
+            yield point
+
+
+def checksum(point: int, state: str, reason: str | None, numbers: Sequence[object], swept: int) -> int | None:
+    """Return the CRC-32 of a row, or None for what is no row of a sweep.
+
+    It covers the number of the point and its quantities and results, 8 bytes each, little-endian; then, as UTF-8, its
+    state, a line feed, and its reason. Rows without results may be older than the names of the results, and have none.
+
+    Args:
+        point: its number.
+        state: what it is.
+        reason: why it has no results.
+        numbers: quantities and results.
+        swept: how many of these are quantities.
+    """
+    if state != "computed":
+        numbers, rest = numbers[:swept], numbers[swept:]
+        if any(number is not None for number in rest):
+            return None
+    try:
+        packed = struct.pack(f"<q{len(numbers)}d", point, *numbers)
+        return zlib.crc32(packed + f"{state}\n{reason or ''}".encode())
+    except (struct.error, UnicodeError):
+        return None
+
+
+def check_columns(names: Sequence[str]) -> None:
+    """Refuse names that cannot stand side by side in a table.
+
+    Raises:
+        InputError: an empty name, the same one twice, or one that the tables need themselves.
+    """
+    for name in names:
+        if not isinstance(name, str) or not name.isprintable() or not name.strip():
+            raise InputError(f"{name!r} cannot name a quantity or a result: take printable text")
+    folded = [name.casefold() for name in (*_RESERVED, *names)]
+    for name in names:
+        if folded.count(name.casefold()) > 1:
+            raise InputError(
+                f"'{name}' cannot name a column: there are two of that name, whatever their case"
+                f" ({', '.join(_RESERVED)} are the tables' own)"
+            )

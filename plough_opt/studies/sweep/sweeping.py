@@ -1,0 +1,170 @@
+"""`sweep`: a function of named numbers over a grid or a sample."""
+
+from __future__ import annotations
+
+import hashlib
+import inspect
+import pickle
+import sys
+from collections.abc import Mapping
+from concurrent.futures import Executor
+from contextlib import ExitStack
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+
+from plough_opt.core.errors import InputError
+from plough_opt.core.expressions import is_count
+from plough_opt.core.kinds import check_switch, path_of, shown
+from plough_opt.core.processors import available
+from plough_opt.exchange.results import versions
+from plough_opt.studies.sweep.axes import axis_of
+from plough_opt.studies.sweep.bar import bar, silent
+from plough_opt.studies.sweep.cluster import Cluster
+from plough_opt.studies.sweep.engine import Engine, Told
+from plough_opt.studies.sweep.layout import check_columns
+from plough_opt.studies.sweep.points import points_of
+from plough_opt.studies.sweep.pool import ProcessPool
+from plough_opt.studies.sweep.result import Sweep
+from plough_opt.studies.sweep.store import Store
+from plough_opt.studies.sweep.work import Evaluation, ManyPoints
+
+
+def sweep(
+    evaluation: Evaluation,
+    over: Mapping[str, object],
+    *,
+    samples: int | None = None,
+    seed: int = 0,
+    store: str | Path | None = None,
+    executor: Executor | None = None,
+    workers: int | None = None,
+    retry: bool = False,
+    progress: bool | Told = False,
+    question: Mapping[str, str] | None = None,
+    units: Mapping[str, str] | None = None,
+) -> Sweep:
+    """Evaluate a function at every point of a grid or a sample, and store what it returns.
+
+    The numbers are the same, bit for bit on one machine, whatever the executor and the number of workers: a point is
+    computed from its own values alone.
+
+    Args:
+        evaluation: called with a dictionary of the quantities at a point; returns named finite numbers, the same names
+            at every point. What it raises becomes the reason of a point that failed. It must be picklable.
+        over: name -> `Range`, or numbers one by one. All SI, if the function's arguments are.
+        samples: in the place of a grid, a scrambled Sobol sample of so many points of the ranges, best a power of two.
+        seed: of the sample.
+        store: an SQLite file, in which every finished point is at once. If it holds points of the same question these
+            are not repeated; several runs may fill it at the same time. None: a file that goes with the result.
+        executor: any `concurrent.futures.Executor`, such as that of a dask client or of mpi4py; it is left running.
+            Default: processes on all cores of this machine, which end with the sweep.
+        workers: how many the executor has, so that all have work (default: the cores of this machine).
+        retry: try the points again that failed, are undetermined, or whose rows in the store are damaged.
+        progress: True: a bar on the error stream, if that is a terminal; or what is called with the points that are
+            stored, all points, and those that failed.
+        question: what else the results depend on, as texts; a store with other ones is refused.
+        units: name -> unit, of quantities and results, for the headings of tables.
+
+    Raises:
+        InputError: something that cannot be swept; a store of another question, or one that is damaged or loses rows; a
+            broken executor, or workers none of which lives long enough.
+        KeyboardInterrupt: interrupted; the message says what is stored.
+    """
+    _refuse_arguments(evaluation, over, executor, workers, units)
+    points = points_of({name: axis_of(name, given) for name, given in over.items()}, samples, seed)
+    check_columns(points.names)
+    if executor is None:
+        _refuse_unpicklable(evaluation)
+    asked = {**points.question(), **(question or _identity(evaluation)), **_versions()}
+    check_switch("retry", retry)
+    store = None if store is None else path_of("the store", store)
+    if not retry and store is not None and (finished := _finished(store, asked)) is not None:
+        return finished
+    kept = Store(store)
+    try:
+        kept.prepare(asked, points.names, units or {}, points.count)
+        kept.reopen(retry)
+        already = kept.stored()[0]
+        count = workers or available()
+        if already < points.count:
+            with ExitStack() as stack:
+                told = progress if callable(progress) else silent
+                if progress is True:
+                    told = stack.enter_context(bar(Console(stderr=True)))
+                if executor is None:
+                    used: Executor = stack.enter_context(ProcessPool(count, evaluation))
+                else:
+                    used = Cluster.of(executor) or executor
+                Engine(evaluation, points, kept, used, count, told).run()
+            kept.read()  # what another run entered meanwhile
+        kept.finish()
+    except KeyboardInterrupt:
+        done = kept.stored()[0]
+        kept.close()
+        where = "gone, as they had no store" if store is None else f"in '{store}': the same sweep goes on from there"
+        raise KeyboardInterrupt(f"{done} of {points.count} points are {where}") from None
+    except BaseException:
+        kept.close()
+        raise
+    return Sweep(kept, already)
+
+
+def _finished(path: str | Path, question: Mapping[str, str]) -> Sweep | None:
+    """Return what a complete store of the same question holds; it may stand on a medium that cannot be written."""
+    if not Path(path).is_file() or not Path(path).stat().st_size:
+        return None
+    kept = Store(path, write=False)
+    if kept.question == dict(question) and kept.stored()[0] == kept.count:
+        kept.verify()
+        return Sweep(kept, kept.count)
+    kept.close()
+    return None
+
+
+def _refuse_arguments(evaluation: object, over: object, executor: object, workers: object, units: object) -> None:
+    """Refuse arguments of another kind before anything is computed."""
+    if not callable(evaluation) and not isinstance(evaluation, ManyPoints):
+        raise InputError(f"{shown(evaluation)} cannot be swept: give a problem, or a function of named numbers")
+    for name, given in (("over", over), ("units", {} if units is None else units)):
+        if not isinstance(given, Mapping):
+            raise InputError(f"{name} = {shown(given)} must be a dictionary, by the names of the quantities")
+    if executor is not None and not callable(getattr(executor, "submit", None)):
+        raise InputError(f"executor = {shown(executor)} must be one of concurrent.futures, or have their submit")
+    if workers is not None and not is_count(workers):
+        raise InputError(f"workers = {shown(workers)} must be 1 or more")
+
+
+def _refuse_unpicklable(evaluation: Evaluation) -> None:
+    """Refuse what cannot be sent to another process."""
+    try:
+        pickle.dumps(evaluation)
+    except Exception as error:
+        raise InputError(
+            f"{shown(evaluation)} cannot be sent to other processes ({error}): take a function of a module, not one"
+            " inside another, or an instance of a class of one; or an executor that needs no copy"
+        ) from None
+    module = sys.modules.get(getattr(evaluation, "__module__", ""))
+    if getattr(module, "__name__", "") == "__main__" and not hasattr(module, "__file__"):
+        raise InputError(
+            f"{shown(evaluation)} was typed at a prompt, from where other processes cannot import it: write it to a"
+            " file and import it, or give an executor"
+        )
+
+
+def _identity(evaluation: Evaluation) -> dict[str, str]:
+    """Return what tells a function from others: its name, and its text or what it is made of."""
+    written: Any = evaluation if hasattr(evaluation, "__qualname__") else None
+    try:
+        content = pickle.dumps(evaluation) if written is None else inspect.getsource(written).encode()
+    except Exception:  # whatever hinders a pickle; text that is nowhere to be read
+        content = b""
+    name = getattr(evaluation, "__qualname__", type(evaluation).__qualname__)
+    return {"function": name, "text of the function": f"digest {hashlib.sha256(content).hexdigest()[:16]}"}
+
+
+def _versions() -> dict[str, str]:
+    found = {**versions(), "scipy": version("scipy")}
+    return {f"version of {name}": text for name, text in found.items()}

@@ -1,0 +1,179 @@
+"""What a worker does: evaluate points until its time is up. Nothing that it learns at a point is used at another."""
+
+from __future__ import annotations
+
+import math
+import re
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Final, Protocol, runtime_checkable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from plough_opt.core.errors import InputError, PloughError
+from plough_opt.core.processors import one_of_several
+
+Array = NDArray[np.float64]
+
+_NUMBER = re.compile(r"[-+]?[0-9]+\.?[0-9]*(?:e[-+]?[0-9]+)?")
+_MOST_KEPT: Final = 4
+_kept: dict[str, Evaluation] = {}
+
+
+class Noted(dict[str, float]):
+    """Results of a point, with sentences for whoever reads them.
+
+    Attributes:
+        notes: the sentences; those that differ in their numbers alone are counted as one.
+    """
+
+    def __init__(self, results: Mapping[str, float], notes: Sequence[str] = ()) -> None:
+        super().__init__(results)
+        self.notes = tuple(notes)
+
+
+@runtime_checkable
+class ManyPoints(Protocol):
+    """An evaluation that takes many points at once, each with the same numbers as alone."""
+
+    @property
+    def results(self) -> tuple[str, ...]:
+        """Names of the results."""
+
+    def many(self, values: Array) -> tuple[Array, dict[int, str], Sequence[tuple[int, int, Sequence[str]]]]:
+        """Return the results, a row for each row of values; place -> why it has none; and notes.
+
+        A note is on the first of some points and on how many there are: (place, number, sentences).
+        """
+
+
+Evaluation = Callable[[dict[str, float]], Mapping[str, float]] | ManyPoints
+
+
+@dataclass
+class Done:
+    """What a worker found.
+
+    Attributes:
+        points: how many of the points it was given it did, from the first on.
+        results: a row for each; of those that failed meaningless. None where all failed.
+        names: of the results.
+        reasons: place -> why a point failed.
+        notes: kind -> text, place of the first point, number of points.
+        seconds: that it took.
+    """
+
+    points: int
+    results: Array | None = None
+    names: tuple[str, ...] = ()
+    reasons: dict[int, str] = field(default_factory=dict)
+    notes: dict[str, tuple[str, int, int]] = field(default_factory=dict)
+    seconds: float = 0.0
+
+    def note(self, place: int, texts: Sequence[str], points: int = 1) -> None:
+        """Count notes on a point."""
+        for text in dict.fromkeys(texts):
+            kind = _NUMBER.sub("", text)
+            first, start, count = self.notes.get(kind, (text, place, 0))
+            self.notes[kind] = (first, start, count + points)
+
+
+def work(key: str, evaluation: Evaluation, names: tuple[str, ...], values: Array, budget: float) -> Done:
+    """Evaluate points.
+
+    Args:
+        key: tells this evaluation from others; the first of a key is kept, with what it built.
+        evaluation: what to evaluate.
+        names: of the quantities.
+        values: a row for each point.
+        budget: seconds after which no further point is begun.
+
+    Raises:
+        InputError: points whose results have different names.
+    """
+    began = time.perf_counter()
+    evaluation = _kept.setdefault(key, evaluation)
+    while len(_kept) > _MOST_KEPT:
+        _kept.pop(next(iter(_kept)))
+    with one_of_several():
+        if isinstance(evaluation, ManyPoints):
+            done = _together(evaluation, values)
+        else:
+            done = _one_by_one(evaluation, names, values, began + budget)
+    if done.results is not None:
+        # SQLite stores the negative zero as zero.
+        done.results += 0.0
+    done.seconds = time.perf_counter() - began
+    return done
+
+
+def _together(evaluation: ManyPoints, values: Array) -> Done:
+    done = Done(len(values))
+    results, reasons, notes = evaluation.many(values)
+    done.results, done.names, done.reasons = np.asarray(results, dtype=float), tuple(evaluation.results), dict(reasons)
+    for k in np.flatnonzero(~np.isfinite(done.results).all(axis=1)).tolist():
+        if k not in done.reasons:
+            column = int(np.flatnonzero(~np.isfinite(done.results[k]))[0])
+            done.reasons[k] = _not_finite(done.names[column], float(done.results[k, column]))
+    for place, points, texts in notes:
+        done.note(place, texts, points)
+    return done
+
+
+def _one_by_one(
+    evaluation: Callable[[dict[str, float]], Mapping[str, float]],
+    names: tuple[str, ...],
+    values: Array,
+    until: float,
+) -> Done:
+    done = Done(0)
+    rows: list[list[float] | None] = []
+    for k, row in enumerate(values.tolist()):
+        try:
+            found = evaluation(dict(zip(names, row, strict=True)))
+            numbers = _numbers(found)
+        except Exception as error:
+            done.reasons[k] = str(error) if isinstance(error, PloughError) else f"{type(error).__name__}: {error}"
+            rows.append(None)
+        else:
+            done.names = done.names or tuple(numbers)
+            if tuple(numbers) != done.names:
+                raise InputError(
+                    f"the results of one point are {', '.join(numbers)}, those of another {', '.join(done.names)}:"
+                    " return the same names, in the same order, at every point"
+                )
+            rows.append(list(numbers.values()))
+            if bad := [name for name, number in numbers.items() if not math.isfinite(number)]:
+                done.reasons[k] = _not_finite(bad[0], numbers[bad[0]])
+            else:
+                done.note(k, getattr(found, "notes", ()))
+        done.points += 1
+        if time.perf_counter() > until:
+            break
+    if done.names:
+        empty = [math.nan] * len(done.names)
+        done.results = np.array([empty if row is None else row for row in rows])
+    return done
+
+
+def _numbers(found: Mapping[str, float]) -> dict[str, float]:
+    """Return what an evaluation gave as named floats.
+
+    Raises:
+        InputError: something else; the message says what.
+    """
+    if not isinstance(found, Mapping):
+        raise InputError(f"the function returned {found!r}: return a dictionary of named numbers")
+    numbers = {}
+    for name, number in found.items():
+        try:
+            numbers[name] = float(number)
+        except (TypeError, ValueError, OverflowError) as error:
+            raise InputError(f"{name} = {str(number)[:80]!r} is no number: {error}") from None
+    return numbers
+
+
+def _not_finite(name: str, number: float) -> str:
+    return f"{name} = {number} is not finite"

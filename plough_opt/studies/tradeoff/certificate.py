@@ -1,0 +1,126 @@
+"""Certificates: what a front's points are, and how far each can be trusted."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from plough_opt.design.ipopt import PULLS, Vector, decides
+from plough_opt.motion.scene import Scene
+from plough_opt.studies.tradeoff.program import FrontProgram
+from plough_opt.studies.tradeoff.samples import Sample
+
+# Scaled by objective and limits: residuals above are no optimum, violations above no design.
+_RESIDUAL = 1e-6
+_VIOLATED = 1e-6
+# Relative curvatures above are none, or the rounding of none.
+_BENDS_DOWN = -1e-6
+
+
+@dataclass(frozen=True)
+class FrontPoint:
+    """A design on the front, or one that others dominate: a local optimum of the one objective beside the other.
+
+    Attributes:
+        objectives: all, by the tightly integrated model, in their units.
+        variables: name -> value, SI units.
+        margins: name of each requirement -> distance of its worst value from its limit, positive inside, in its unit.
+        active: names of the requirements and variables whose limits decide the design.
+        rate: of two objectives, change of the second per change of the first along the front, in their units; None of
+            a design that stands alone or is not on the front.
+        branch: under a strength wave "soft" or "stiff", by the natural frequency beside the wave's; else "".
+        residual: of the first-order conditions, scaled.
+        violation: largest violation of a requirement by the tightly integrated model, relative to its limit.
+        gap: largest relative difference of the optimiser's objectives from the tightly integrated ones.
+        curvature: least one of the Lagrangian where limits leave a direction, relative to the largest and roughly
+            integrated; None where they leave none.
+        weights: of the objectives per their units, by the multipliers: along the front changes so weighted add up to
+            nothing. None of a design that stands alone.
+        medians: of each objective over the design's tolerances, as a search integrates; None where runs are integrated
+            one by one, which takes too long.
+        needle: whether the median of some objective is worse than its own by more than 5 % of it and of its range over
+            the front: no workshop can hit such a design.
+    """
+
+    objectives: tuple[float, ...]
+    variables: dict[str, float]
+    margins: dict[str, float]
+    active: tuple[str, ...]
+    rate: float | None
+    branch: str
+    residual: float
+    violation: float
+    gap: float
+    curvature: float | None = None
+    weights: tuple[float, ...] | None = None
+    medians: tuple[float, ...] | None = None
+    needle: bool = False
+
+    @property
+    def doubt(self) -> str:
+        """Why this is no certified optimum; empty for one that is."""
+        if not self.residual <= _RESIDUAL:
+            return f"the first-order conditions are met to {self.residual:.1e} only"
+        if self.curvature is not None and not self.curvature >= _BENDS_DOWN:
+            return f"it is no minimum: in a direction that no limit holds the curvature is {self.curvature:.1e}"
+        if not self.violation <= _VIOLATED:
+            return f"integrated tightly it violates a requirement by a relative {self.violation:.1e}"
+        return ""
+
+
+def certify(front: FrontProgram, sample: Sample, signs: Vector) -> FrontPoint:
+    """Return a sample's report from the tightly integrated model.
+
+    Args:
+        front: the program.
+        sample: a local optimum.
+        signs: of the objectives, -1 for one that is maximised.
+    """
+    program, point = front.program, sample.point
+    scaled, found = front.exact(point.y)
+    margins, violation, active = {}, 0.0, []
+    own_requirements = program.declared.requirements[:-1]  # the last one is the position on the front
+    for k, (r, value) in enumerate(zip(own_requirements, found[:-1], strict=True)):
+        margin = r.margin(value.ravel())
+        pull = float(np.max(np.abs(point.lam_g[np.array(program.owner) == k])))
+        margins[r.name] = margin
+        violation = max(violation, -margin / program.scales[k])
+        if decides(margin / program.scales[k], pull):
+            active.append(r.name)
+    for v, y, multiplier in zip(program.declared.variables, point.y, point.lam_y, strict=True):
+        if decides(float(min(y, 1.0 - y)), float(abs(multiplier))):
+            active.append(v.name)
+    own = scaled * np.array(front.scales) * signs
+    weights = _weights(front, sample, signs)
+    return FrontPoint(
+        objectives=tuple(own.tolist()),
+        variables={v.name: float(x) for v, x in zip(program.declared.variables, program.values(point.y), strict=True)},
+        margins=margins,
+        active=tuple(active),
+        rate=-weights[0] / weights[1] if weights is not None and front.count == 2 else None,
+        branch=_branch(front, sample.scenes),
+        residual=front.levels[sample.level].residual(point, sample.p),
+        violation=violation,
+        gap=front.gap(point.y, sample.level),
+        curvature=front.levels[sample.level].least_curvature(point, sample.p),
+        weights=weights,
+    )
+
+
+def _weights(front: FrontProgram, sample: Sample, signs: Vector) -> tuple[float, ...] | None:
+    """Return how much each objective weighs per its unit, those on a range of the front together 1."""
+    point, p = sample.inward or (sample.point, sample.p)
+    own = front.slopes(point, p) * front.span
+    # Where positions do not decide, the weights are those of the question.
+    if not front.holds(point) or np.any(own < -PULLS) or not own[-1] > PULLS:
+        return None
+    return tuple((own / np.sum(own) / (front.span * front.scales * signs)).tolist())
+
+
+def _branch(front: FrontProgram, scenes: Sequence[tuple[Scene, float]]) -> str:
+    for run, (scene, _) in zip(front.program.exact.runs, scenes, strict=True):
+        if run.integration.structure.wave and scene.branch:
+            return scene.branch
+    return ""

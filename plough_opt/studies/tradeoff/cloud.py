@@ -1,0 +1,137 @@
+"""Every design that a front's searches looked at, with all its objectives: what the front is held against."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from plough_opt.design.ipopt import Vector
+from plough_opt.design.landscape import FEASIBLE, Landscape
+from plough_opt.design.tolerance import NEEDLE, boxes
+from plough_opt.studies.tradeoff.program import FrontProgram
+
+# Factor on the steps of a search. Where a share oscillates fast on a stiff mount, those leave an error of a few parts
+# in a thousand, which along a front is much; twice as many leave 1e-5.
+_FINER = 2.0
+# Looks at so many designs and more are kept whole: searches of several objectives begin with the same sample.
+_A_SAMPLE = 200
+
+
+class Cloud:
+    """All designs that were looked at.
+
+    Attributes:
+        front: the program.
+        tried: number of designs.
+    """
+
+    def __init__(self, front: FrontProgram) -> None:
+        """Take a program whose scales are set."""
+        self.front = front
+        self.tried = 0
+        self._bare = Landscape(front.program, front.nowhere())
+        self._position = front.program.owner[front.rows[0]]
+        self._parts: list[tuple[Vector, Vector]] = []
+        self._samples: dict[bytes, tuple[Vector, Vector]] = {}
+        self._medians: dict[bytes, Vector] = {}
+
+    @property
+    def vectorised(self) -> bool:
+        """Whether designs are looked at side by side."""
+        return self._bare.vectorised
+
+    def landscape(self, p: Vector) -> FrontLandscape:
+        """Return what parameters of the front's program ask for, as a landscape whose designs are kept here."""
+        return FrontLandscape(self, p)
+
+    def look(self, points: Vector, *, finer: float = 1.0, together: int = 1) -> tuple[Vector, Vector]:
+        """Return scaled objectives and all rows of requirements, in their units, of designs, a row for each.
+
+        Args:
+            points: scaled variables.
+            finer: factor on the steps of the runs; less than 2 is 2.
+            together: designs whose runs take equal numbers of steps.
+        """
+        finer = max(finer, _FINER)
+        key = points.tobytes() if len(points) >= _A_SAMPLE and finer == _FINER and together == 1 else b""
+        if key in self._samples:
+            return self._samples[key]
+        found = self.front.look(points, finer, together)
+        self.tried += len(points)
+        if key:
+            self._samples[key] = found
+        if together == 1:
+            self._keep(points, *found)
+        return found
+
+    def _keep(self, points: Vector, objectives: Vector, rows: Vector) -> None:
+        """Keep the designs that have a value and meet the design's own requirements."""
+        program = self.front.program
+        with np.errstate(all="ignore"):
+            each = self._bare.violations(rows / np.array(program.scales)[np.array(program.owner)])
+            each[:, self._position] = 0.0
+            good = np.all(np.isfinite(objectives), axis=1) & (each.sum(axis=1) <= FEASIBLE)
+        self._parts.append((points[good], objectives[good]))
+
+    @property
+    def feasible(self) -> tuple[Vector, Vector]:
+        """Scaled variables, and scaled objectives, of all designs that meet the requirements."""
+        count = self.front.count
+        empty = np.empty((0, self._bare.dimensions)), np.empty((0, count))
+        parts = [empty, *self._parts]
+        return np.concatenate([y for y, _ in parts]), np.concatenate([f for _, f in parts])
+
+    # --- designs as they are made --------------------------------------------------------------------------
+
+    def medians(self, points: Vector) -> Vector | None:
+        """Return the median of each scaled objective over the tolerances of designs, a row for each.
+
+        Half of the designs without a value make it infinite; None where runs are integrated one by one, which takes
+        too long.
+        """
+        if not self.vectorised:
+            return None
+        keys = [point.tobytes() for point in points]
+        fresh = [k for k, key in enumerate(keys) if key not in self._medians]
+        if fresh:
+            around = boxes(self.front.program.declared.variables, points[fresh])
+            found = self.front.look(around, 1.0, 1)[0]
+            self.tried += len(around)
+            found = np.where(np.isfinite(found), found, np.inf).reshape(len(fresh), -1, self.front.count)
+            self._medians |= {keys[k]: median for k, median in zip(fresh, np.median(found, axis=1), strict=True)}
+        return np.array([self._medians[key] for key in keys]).reshape(-1, self.front.count)
+
+    def needles(self, points: Vector, objectives: Vector) -> NDArray[np.bool_]:
+        """Return which designs no workshop can hit, none where that takes too long to look at.
+
+        They are those whose median of some objective over the tolerances is above its own by more than 5 % of it and
+        of its range over the front: less changes no decision.
+
+        Args:
+            points: scaled variables, a row for each.
+            objectives: their scaled objectives.
+        """
+        medians = self.medians(points)
+        if medians is None:
+            return np.zeros(len(points), dtype=bool)
+        much = NEEDLE * np.maximum(np.abs(objectives), self.front.span)
+        needles: NDArray[np.bool_] = np.any(medians - objectives > much, axis=1)
+        return needles
+
+
+class FrontLandscape(Landscape):
+    """A question of the front's program over the scaled variables, its designs kept with all their objectives."""
+
+    def __init__(self, cloud: Cloud, p: Vector) -> None:
+        """Take the cloud that keeps the designs, and the parameters that ask."""
+        super().__init__(cloud.front.program, p)
+        self._cloud, self._asked = cloud, cloud.front.asked(p)
+
+    def rows(self, points: Vector, *, finer: float = 1.0, together: int = 1) -> tuple[Vector, Vector]:
+        """Return the scaled objective and requirements, a row for each design."""
+        self.tried += len(points)
+        objectives, g = self._cloud.look(points, finer=finer, together=together)
+        weights, normals, limits = self._asked
+        g = g.copy()
+        g[:, self._cloud.front.rows] = objectives @ normals.T - limits
+        return (weights[0] + objectives @ weights[1:]) / self.objective_scale, g / self._scale

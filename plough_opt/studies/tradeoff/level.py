@@ -1,0 +1,227 @@
+"""Ways to solve the program of a trade-off with a given number of integration steps, from a neighbouring optimum."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any, Final
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from plough_opt.design.ipopt import OPTIONS, PULLS, Point, Solver, Vector
+from plough_opt.design.nlp import Nlp
+from plough_opt.studies.tradeoff.quadratic import least
+
+_WARM: Final[dict[str, Any]] = {
+    "ipopt.warm_start_init_point": "yes",
+    "ipopt.warm_start_bound_push": 1e-9,
+    "ipopt.warm_start_bound_frac": 1e-9,
+    "ipopt.warm_start_slack_bound_push": 1e-9,
+    "ipopt.warm_start_slack_bound_frac": 1e-9,
+    "ipopt.warm_start_mult_bound_push": 1e-9,
+    "ipopt.mu_init": 1e-6,
+    "ipopt.hessian_approximation": "limited-memory",
+    "ipopt.max_iter": 40,
+}
+_STEPS: Final = 15
+# Longest step in a scaled variable: beyond it a neighbour is none.
+_LONGEST: Final = 0.3
+# A scaled variable nearer to a bound is on it.
+_AT_BOUND: Final = 1e-9
+# Steps that do not shrink so often lead nowhere.
+_PATIENCE: Final = 4
+# Curvatures below are made so large: quadratic programs stay convex.
+_LEAST_CURVATURE: Final = 1e-4
+# Scaled margins below this leave no room.
+_TOUCHING: Final = 1e-7
+# Of slopes, relative to the largest: below this one repeats the others.
+_INDEPENDENT: Final = 1e-9
+# Of Powell's damping.
+_DAMPED: Final = 0.2
+# Changes of gradients over shorter steps are rounding.
+_TELLING: Final = 1e-9
+
+
+class Level(Solver):
+    """A program with a number of integration steps.
+
+    Attributes:
+        nlp: its functions.
+        stationary: what is left of first-order conditions, scaled, at an optimum.
+    """
+
+    stationary = 1e-10
+
+    def __init__(self, nlp: Nlp, rough: Nlp, sizes: tuple[int, int], low: Vector, high: Vector) -> None:
+        """Take the program, one of fewer steps for first curvatures, its sizes, and the limits of its requirements.
+
+        Args:
+            nlp: the program.
+            rough: the same with fewer steps.
+            sizes: numbers of variables and of parameters.
+            low: lower limits of the requirements, scaled.
+            high: upper limits.
+        """
+        variables, parameters = sizes
+        super().__init__(nlp, variables, parameters, low, high)
+        self._least, self._largest = low, high  # as NumPy has them; the solver's own are CasADi's
+        self.nlp, self._rough = nlp, rough
+        self._warm: ca.Function | None = None
+        self._curvature: Vector | None = None
+        self._slopes: dict[bytes, tuple[Vector, Vector, Vector, Vector]] = {}
+        self._values: dict[bytes, tuple[Vector, Vector]] = {}
+
+    def forget(self) -> None:
+        """Drop kept evaluations."""
+        self._slopes.clear()
+        self._values.clear()
+
+    def values(self, y: Vector, p: Vector) -> tuple[Vector, Vector]:
+        """Return objective and requirements; they are kept."""
+        key = y.tobytes() + p.tobytes()
+        if key not in self._values:
+            f, g = self.nlp.values(y, p)
+            self._values[key] = np.array(f.nonzeros()), np.array(g.nonzeros())
+        return self._values[key]
+
+    def slopes(self, y: Vector, p: Vector) -> tuple[Vector, Vector, Vector, Vector]:
+        """Return objective, requirements, gradient and Jacobian; they are kept."""
+        key = y.tobytes() + p.tobytes()
+        if key not in self._slopes:
+            f, g, gradient, jacobian = (np.asarray(result) for result in self.nlp.slopes(y, p))
+            self._slopes[key] = f.ravel(), g.ravel(), gradient.ravel(), jacobian
+        return self._slopes[key]
+
+    def residual(self, point: Point, p: Vector) -> float:
+        """Return by how much an optimum misses the first-order conditions: slopes, limits, and one of two at each."""
+        _, g, gradient, jacobian = self.slopes(point.y, p)
+        pulls = np.concatenate([point.lam_g, point.lam_y])
+        slope = gradient + jacobian.T @ point.lam_g + point.lam_y
+        beyond = np.max(np.maximum(self._least - g, g - self._largest), initial=0.0)
+        rooms = np.concatenate([
+            np.where(point.lam_g > 0.0, self._largest - g, g - self._least),
+            np.where(point.lam_y > 0.0, 1.0 - point.y, point.y),
+        ])  # fmt: skip
+        # A limit that is not there, at infinity, must have no multiplier.
+        both = np.max(np.abs(pulls) * np.where(np.isfinite(rooms), np.abs(rooms), 1.0))
+        return float(max(np.max(np.abs(slope)), both) / max(1.0, np.max(np.abs(pulls))) + beyond)
+
+    def least_curvature(self, point: Point, p: Vector) -> float | None:
+        """Return the least curvature of the Lagrangian along directions that leave every limit in place.
+
+        Returns:
+            Relative to the largest of the Lagrangian, roughly integrated; None where limits leave no direction.
+        """
+        _, g, _, jacobian = self.slopes(point.y, p)
+        touching = _touches(np.minimum(g - self._least, self._largest - g), point.lam_g)
+        bounds = _touches(np.minimum(point.y, 1.0 - point.y), point.lam_y)
+        rows = np.concatenate([jacobian[touching], np.eye(len(point.y))[bounds]])
+        _, sizes, right = np.linalg.svd(rows) if len(rows) else (None, np.zeros(0), np.eye(len(point.y)))
+        free = right[int(np.sum(sizes > _INDEPENDENT * max(1.0, np.max(sizes, initial=0.0)))) :].T
+        if not free.size:
+            return None
+        upper = np.asarray(self._rough.hess_lag(point.y, p, 1.0, point.lam_g))
+        whole = upper + np.triu(upper, 1).T
+        return float(np.linalg.eigvalsh(free.T @ whole @ free)[0] / max(np.max(np.abs(whole)), 1.0))
+
+    def correct(self, at: Point, start: Vector, p: Vector) -> Point:
+        """Return the optimum near a start by sequential quadratic programming from the multipliers of a neighbour.
+
+        The curvature of the Lagrangian is kept from solve to solve, and renewed by its gradients (Powell 1978): along a
+        front it hardly changes, so that a few steps do.
+
+        Args:
+            at: the neighbour.
+            start: scaled variables.
+            p: parameters.
+        """
+        point = replace(at, solved=False, status="Search_Direction_Becomes_Too_Small", y=start)
+        try:
+            if self._curvature is None:
+                self._curvature = self._first_curvature(start, p, at.lam_g)
+            point = self._corrected(point, self._curvature, p)
+        except (RuntimeError, ValueError):  # no orbit, no number, or no end of an integration
+            pass
+        if not point.solved:
+            self._curvature = None
+        return point
+
+    def _corrected(self, point: Point, curvature: Vector, p: Vector) -> Point:
+        """Take steps until the first-order conditions hold; the point is not solved where they lead nowhere."""
+        stalled, shortest = 0, np.inf
+        for number in range(_STEPS):
+            f, g, gradient, jacobian = self.slopes(point.y, p)
+            y = point.y
+            low = np.concatenate([self._least - g, np.maximum(-y, -_LONGEST)])
+            high = np.concatenate([self._largest - g, np.minimum(1.0 - y, _LONGEST)])
+            found = least(curvature, gradient, np.concatenate([jacobian, np.eye(len(y))]), (low, high))
+            if found is None:
+                return point
+            step, lam_g, lam_y = found[0], found[1][: len(g)], found[1][len(g) :]
+            point = replace(point, f=float(f[0]), lam_g=lam_g, lam_y=np.where(_inside(y), 0.0, lam_y))
+            if self.residual(point, p) <= self.stationary:
+                self._curvature = curvature
+                return replace(point, solved=True, status="Solve_Succeeded", iterations=number)
+            size = float(np.max(np.abs(step)))
+            stalled = 0 if size < 0.7 * shortest else stalled + 1
+            shortest = min(size, shortest)
+            if stalled >= _PATIENCE:
+                return point
+            point = replace(point, y=np.clip(y + step, 0.0, 1.0), lam_y=lam_y)
+            if size > _TELLING:
+                _, _, next_gradient, next_jacobian = self.slopes(point.y, p)
+                change = next_gradient - gradient + (next_jacobian - jacobian).T @ lam_g
+                curvature = _renewed(curvature, step, change)
+        return point
+
+    def _first_curvature(self, y: Vector, p: Vector, lam_g: Vector) -> Vector:
+        """Return the Lagrangian's Hessian, roughly integrated, with its curvatures made positive."""
+        upper = np.asarray(self._rough.hess_lag(y, p, 1.0, lam_g))
+        return made_convex(upper + np.triu(upper, 1).T)
+
+    def follow(self, at: Point, start: Vector, p: Vector) -> Point:
+        """Return the optimum near a start by IPOPT, from the multipliers of a neighbour.
+
+        Args:
+            at: the neighbour.
+            start: scaled variables.
+            p: parameters.
+        """
+        if self._warm is None:
+            self._warm = ca.nlpsol("follow", "ipopt", self._problem, OPTIONS | self._derivatives | _WARM)
+        result = self._warm(
+            x0=start, p=p, lbx=0.0, ubx=1.0, lbg=self._low, ubg=self._high, lam_x0=at.lam_y, lam_g0=at.lam_g
+        )
+        return Point.of(result, self._warm.stats())
+
+
+def _touches(margins: Vector, multipliers: Vector) -> NDArray[np.bool_]:
+    """Return which limits leave no room: by their scaled margins, or because they pull harder than they are far."""
+    pulls = np.abs(multipliers)
+    return (margins < _TOUCHING) | ((pulls > PULLS) & (pulls > margins))
+
+
+def _inside(y: Vector) -> NDArray[np.bool_]:
+    """Return where no bound is near."""
+    return (y > _AT_BOUND) & (y < 1.0 - _AT_BOUND)
+
+
+def made_convex(hessian: Vector) -> Vector:
+    """Return a Hessian with its curvatures made positive."""
+    sizes, directions = np.linalg.eigh(hessian)
+    return np.asarray((directions * np.maximum(np.abs(sizes), _LEAST_CURVATURE)) @ directions.T)
+
+
+def _renewed(curvature: Vector, step: Vector, change: Vector) -> Vector:
+    """Return the curvature that has met a change of the gradient over a step, damped so that it stays convex."""
+    along = curvature @ step
+    weight = float(step @ along)
+    if weight <= np.finfo(float).tiny:
+        return curvature
+    met = float(step @ change)
+    if met < _DAMPED * weight:
+        share = (1.0 - _DAMPED) * weight / (weight - met)
+        change = share * change + (1.0 - share) * along
+        met = float(step @ change)
+    return np.asarray(curvature - np.outer(along, along) / weight + np.outer(change, change) / met)

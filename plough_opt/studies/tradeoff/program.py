@@ -1,0 +1,336 @@
+"""The one program of a trade-off: its parameters say which objective is minimised and where the others must stay.
+
+With weights w, and for each further objective a normal n and a position c, all of them parameters, it is
+
+    minimise  w0 + sum_i w_i f_i/s_i   subject to   sum_i n_ki f_i/s_i - c_k <= 0   and the requirements,
+
+which is an objective alone (n = 0), the normalised normal constraint (Messac, Ismail-Yahaya and Mattson 2003; of three
+objectives Messac and Mattson 2004) with w and n in units of the objectives' ranges, or limits of the others beside one.
+"""
+
+from __future__ import annotations
+
+import copy
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import casadi as ca
+import numpy as np
+
+from plough_opt.core.errors import InputError, PloughError
+from plough_opt.design import Design
+from plough_opt.design.declarations import Declarations, Parameter, Requirement
+from plough_opt.design.ipopt import Point, Vector
+from plough_opt.design.program import Program
+from plough_opt.design.verify import TightEvaluation
+from plough_opt.motion.scene import Scene
+from plough_opt.studies.tradeoff.batch_level import BatchLevel
+from plough_opt.studies.tradeoff.goal import Goal
+from plough_opt.studies.tradeoff.level import Level
+
+_POSITION = "position on the front"
+_FINER = 1.5
+# Multipliers below this pull at nothing.
+_PULLS = 1e-6
+# Of the wanted error: around a design that reaches it with so much less, neighbours do too.
+_ROOM = 0.5
+
+
+class FrontProgram:
+    """A design's program with several objectives.
+
+    Attributes:
+        program: the program.
+        count: number of objectives.
+        own_parameters: the design's.
+        scales: sizes of the objectives, in their units.
+        rows: numbers of the constraints that set the position.
+        levels: ways to solve it, the finest first: with all integration steps, with two fifths of them, and by the
+            steps of a batch.
+        low: normalised objectives' zero, in scaled units.
+        span: their range.
+        building: time that was spent on writing it since it was last prepared [s].
+        rounded_off: largest part of an objective by which it changes and is taken to change by nothing.
+    """
+
+    def __init__(self, declared: Declarations, goals: Sequence[Goal], *, compiled: bool = False) -> None:
+        """Declare the program of a design's `declarations`.
+
+        Raises:
+            InputError: a symbol of another design.
+        """
+        for goal in goals:
+            if strangers := declared.strangers(ca.MX(goal.expression)):
+                raise InputError(
+                    f"the objective '{goal.name}' holds symbols that this design did not declare"
+                    f" ({', '.join(strangers)}): make them with design.variable or design.parameter of this design"
+                )
+        self.count = len(goals)
+        self.own_parameters = tuple(declared.parameters)
+        self._values = [parameter.value for parameter in self.own_parameters]
+        self.scales = _sizes([goal.sign * ca.MX(goal.expression) for goal in goals], declared.symbols(),
+                             [*(v.guess for v in declared.variables), *self._values])  # fmt: skip
+        scaled = ca.vertcat(
+            *(goal.sign * ca.MX(goal.expression) / s for goal, s in zip(goals, self.scales, strict=True))
+        )
+        weights = [ca.MX.sym(f"w{k}") for k in range(self.count + 1)]
+        normals = [[ca.MX.sym(f"n{k}{i}") for i in range(self.count)] for k in range(1, self.count)]
+        limits = [ca.MX.sym(f"c{k}") for k in range(1, self.count)]
+        extra = [*weights, *(symbol for normal in normals for symbol in normal), *limits]
+        rows = [ca.dot(ca.vertcat(*n), scaled) - c for n, c in zip(normals, limits, strict=True)]
+        self.program = Program(
+            replace(
+                declared,
+                parameters=(*self.own_parameters, *(Parameter(symbol.name(), symbol, 0.0, "") for symbol in extra)),
+                objective=weights[0] + ca.dot(ca.vertcat(*weights[1:]), scaled),
+                requirements=(*declared.requirements, Requirement(_POSITION, ca.vertcat(*rows), None, 0.0, "")),
+            ),
+            compiled=compiled,
+        )
+        first = self.program.owner.index(len(declared.requirements))
+        self.rows = np.arange(first, first + self.count - 1)
+        self._exact: dict[bytes, tuple[Vector, list[Vector]]] = {}
+        self.levels: list[Level] = []
+        self._exact_ones = 0
+        self.building = 0.0
+        self.rounded_off = 0.0
+        self._refinement = 1.0
+        self._starts: list[Vector] = []
+
+    def prepare(self, changed: Mapping[str, float]) -> None:
+        """Check the program for values of the design's parameters.
+
+        Args:
+            changed: values that differ from the declared ones, by name.
+
+        Raises:
+            InputError: a model without a value at the guess and in a sample.
+            DomainError: bounds that lead out of the model's domain.
+        """
+        self._values = [changed.get(parameter.name, parameter.value) for parameter in self.own_parameters]
+        self._exact.clear()
+        for level in self.levels:
+            level.forget()
+        self.normalise(np.zeros(self.count), np.ones(self.count))
+        # With these parameters objective and positions are the scaled objectives.
+        count = self.count
+        self._all = self.parameters((0.0, 1.0, *np.zeros(count - 1)), np.eye(count)[1:], np.zeros(count - 1).tolist())
+        self._refinement, self.building = 1.0, 0.0
+        self.program.prepare(self.nowhere())
+
+    def parameters(self, weights: Sequence[float], normals: Vector, positions: Sequence[float]) -> Vector:
+        """Return the program's parameters for w, n (a row for each position) and c, in scaled units."""
+        return np.array([*self._values, *weights, *np.ravel(normals), *positions])
+
+    def build(self, starts: Sequence[Vector]) -> None:
+        """Write the program with enough integration steps at some designs, or keep what is written.
+
+        Args:
+            starts: scaled designs.
+        """
+        self._starts = list(starts)
+        self._build()
+
+    def refine(self) -> None:
+        """Take more integration steps."""
+        self._refinement *= _FINER
+        self._build()
+
+    def _build(self) -> None:
+        program, began = self.program, time.perf_counter()
+        program.build(self.nowhere(), self._refinement, self._starts)
+        self.building += time.perf_counter() - began
+        if self.levels and self.levels[0].nlp is program.nlp:
+            return
+        # Fewer steps of machine code save less than their derivatives cost, which are interpreted.
+        sizes = (len(program.declared.variables), len(program.declared.parameters))
+        fine = Level(program.nlp, program.rough, sizes, program.low, program.high)
+        self.levels = [fine]
+        if program.interpreted and self.wanted_error:
+            self.levels.append(Level(program.rough, program.rough, sizes, program.low, program.high))
+        self._exact_ones = len(self.levels)
+        if self.wanted_error and program.population.vectorised:
+            self.levels.append(BatchLevel(program, program.rough, sizes))
+            self._tell_batch()
+
+    def nowhere(self) -> Vector:
+        """Return parameters without objective or position."""
+        nothing = self.weighted(np.zeros(self.count))
+        nothing[len(self._values)] = 1.0
+        return nothing
+
+    @property
+    def wanted_error(self) -> float | None:
+        """Largest gap that is wanted; None where no run chooses its own steps."""
+        return self.program.wanted_error
+
+    def normalise(self, low: Vector, span: Vector) -> None:
+        """Set the scaled objectives that are 0, and the range that is 1."""
+        self.low, self.span = low, span
+        self._tell_batch()
+
+    def _tell_batch(self) -> None:
+        for level in self.levels:
+            if isinstance(level, BatchLevel):
+                level.normalised(float(np.max((np.abs(self.low) + self.span) / self.span)))
+
+    # --- questions ---------------------------------------------------------------------------------------
+
+    def weighted(self, weights: Vector) -> Vector:
+        """Return the parameters for a weighted sum of the scaled objectives."""
+        count = self.count
+        return self.parameters((0.0, *weights), np.zeros((count - 1, count)), np.ones(count - 1).tolist())
+
+    def beside(self, objective: int, differences: Mapping[int, float], others: float = 0.0) -> Vector:
+        """Return the parameters for one normalised objective where others exceed it by at most so much.
+
+        Args:
+            objective: which is minimised.
+            differences: largest value of each other one minus this one, normalised.
+            others: weight of the others, which decides what the limits leave open.
+        """
+        normals = [{k: 1.0, objective: -1.0} for k in differences]
+        return self._question(objective, normals, list(differences.values()), others)
+
+    def below(self, objective: int, limits: Mapping[int, float], others: float = 0.0) -> Vector:
+        """Return the parameters for one normalised objective with the others at most at limits."""
+        return self._question(objective, [{k: 1.0} for k in limits], list(limits.values()), others)
+
+    def _question(
+        self, objective: int, normals: list[dict[int, float]], positions: list[float], others: float
+    ) -> Vector:
+        weights, along = np.full(self.count, others), np.zeros((self.count - 1, self.count))
+        weights[objective] = 1.0
+        for row, normal in enumerate(normals):
+            for k, value in normal.items():
+                along[row, k] = value
+        offset = -float(np.sum(weights * self.low / self.span))
+        shifts = along @ (self.low / self.span)
+        return self.parameters((offset, *(weights / self.span)), along / self.span, (positions + shifts).tolist())
+
+    def asked(self, p: Vector) -> tuple[Vector, Vector, Vector]:
+        """Return w, n and c of parameters."""
+        count, own = self.count, p[len(self._values) :]
+        return own[: 1 + count], own[1 + count : 1 - count].reshape(count - 1, count), own[1 - count :]
+
+    # --- answers -----------------------------------------------------------------------------------------
+
+    def solve(self, at: Point, start: Vector, p: Vector, level: int = 0, *, patient: bool = True) -> Point:
+        """Return the optimum near a start: from a neighbour's multipliers, without these, or from afar.
+
+        Args:
+            at: the neighbour.
+            start: scaled variables.
+            p: parameters.
+            level: number of the level.
+            patient: whether to look from afar, which takes long where there is no design.
+        """
+        point = self.levels[level].correct(at, start, p)
+        if not point.solved:
+            point = self.levels[level].follow(at, start, p)
+        if point.solved or not patient or self.by_differences(level):
+            return point
+        point = self.program.solve(start, p, near=True)
+        return point if point.solved else self.program.solve(start, p)
+
+    def objectives(self, y: Vector, level: int = 0) -> Vector:
+        """Return the scaled objectives as the optimiser has them."""
+        f, g = self.levels[level].values(y, self._all)
+        return np.concatenate([f * self.program.objective_scale, g[self.rows] * self._row_scale])
+
+    def look(self, points: Vector, finer: float, together: int) -> tuple[Vector, Vector]:
+        """Return scaled objectives and all rows of requirements, in their units, of designs, a row for each.
+
+        Args:
+            points: scaled variables.
+            finer: as in `Population`.
+            together: as in `Population`.
+        """
+        with np.errstate(all="ignore"):
+            f, g = self.program.population(points, self._all, finer=finer, together=together)
+        return np.column_stack([f, g[:, self.rows]]), g
+
+    def exact(self, y: Vector) -> tuple[Vector, list[Vector]]:
+        """Return the scaled objectives and all requirements, integrated tightly."""
+        key = y.tobytes()
+        if key not in self._exact:
+            found, _ = self.program.exact_values(y, self._all)
+            row = 1 + self.program.owner[self.rows[0]]
+            self._exact[key] = np.concatenate([found[0].ravel(), found[row].ravel()]), found[1:]
+        return self._exact[key]
+
+    def scenes(self, y: Vector) -> list[tuple[Scene, float]]:
+        """Return the scenes of the runs at a design, with numbers, and how long each runs [s]."""
+        exact, numbers = self.program.exact, self._numbers(y)
+        found = [exact.inputs(k, numbers) for k in range(len(exact.runs))]
+        return [(scene, float(parameters[-1])) for parameters, scene in found]
+
+    def still_scenes(self, y: Vector) -> list[Scene]:
+        """Return the scenes at a design, with numbers, that are not integrated."""
+        return self.program.exact.quasi_static_scenes(self._numbers(y))
+
+    def _numbers(self, y: Vector) -> list[float]:
+        """Return the values of all symbols at a design."""
+        return [*self.program.values(y), *self.nowhere()]
+
+    def normalised(self, scaled: Vector) -> Vector:
+        """Return scaled objectives in units of the front's range."""
+        return np.asarray((scaled - self.low) / self.span)
+
+    def gap(self, y: Vector, level: int = 0) -> float:
+        """Return the largest relative difference of the optimiser's objectives from the tightly integrated ones."""
+        exact = self.exact(y)[0]
+        return float(np.max(np.abs(self.objectives(y, level) - exact) / np.maximum(np.abs(exact), 1e-3)))
+
+    def accurate(self, y: Vector, level: int = 0) -> bool:
+        """Return whether a level has enough integration steps at a design; a batch takes each design's own."""
+        wanted = self.wanted_error
+        return wanted is None or self.by_differences(level) or self.gap(y, level) <= wanted
+
+    def by_differences(self, level: int) -> bool:
+        """Return whether a level has its slopes by differences."""
+        return level >= self._exact_ones
+
+    def level_for(self, y: Vector, *, exact: bool = False) -> int:
+        """Return the coarsest level that is accurate around a design; ``exact`` one with exact slopes."""
+        wanted = self.wanted_error
+        if not exact and self.by_differences(len(self.levels) - 1):
+            return len(self.levels) - 1
+        levels = range(self._exact_ones - 1, 0, -1) if wanted is not None else ()
+        return next((k for k in levels if self.gap(y, k) <= _ROOM * (wanted or 0.0)), 0)
+
+    def holds(self, point: Point) -> bool:
+        """Return whether it is the position that decides where on the front an optimum lies."""
+        return bool(np.all(point.lam_g[self.rows] > _PULLS))
+
+    @property
+    def _row_scale(self) -> float:
+        return float(self.program.scales[self.program.owner[self.rows[0]]])
+
+    def slopes(self, point: Point, p: Vector) -> Vector:
+        """Return how strongly an optimum weighs each scaled objective: their gradients so weighted balance."""
+        weights, normals, _ = self.asked(p)
+        pulls = point.lam_g[self.rows] / self._row_scale
+        return np.asarray(weights[1:] / self.program.objective_scale + pulls @ normals)
+
+
+def declarations(design: Design, goals: Sequence[Goal]) -> Declarations:
+    """Return what a design declares, with an objective in the place of its own.
+
+    Raises:
+        InputError: nothing to vary.
+    """
+    own = copy.copy(design)
+    own.minimise(goals[0].expression)
+    return own.declared
+
+
+def _sizes(expressions: list[ca.MX], symbols: list[ca.MX], numbers: list[float]) -> list[float]:
+    """Return the sizes of the objectives at the guess, 1 for one that is zero or has no value there."""
+    try:
+        found, _ = TightEvaluation(expressions, symbols)(numbers)
+    except (PloughError, RuntimeError):  # building the program says which of them, and why
+        return [1.0] * len(expressions)
+    sizes = (abs(float(value.item())) for value in found)
+    return [size if np.isfinite(size) and size > 0.0 else 1.0 for size in sizes]

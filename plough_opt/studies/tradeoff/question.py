@@ -1,0 +1,216 @@
+"""`trade_off`: two or three objectives of a design in, their front out."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from operator import is_
+from weakref import WeakKeyDictionary
+
+import numpy as np
+
+from plough_opt.core.domain import check_text, plain_number
+from plough_opt.core.errors import InputError, NotConverged, nearest
+from plough_opt.core.expressions import Expression, is_count
+from plough_opt.core.kinds import check_callable, check_kind, check_switch, mapping_of, shown
+from plough_opt.design import Design, Progress
+from plough_opt.design.effort import Search
+from plough_opt.design.ipopt import Point
+from plough_opt.studies.tradeoff.assembly import Times, assembled
+from plough_opt.studies.tradeoff.cloud import Cloud
+from plough_opt.studies.tradeoff.goal import Goal
+from plough_opt.studies.tradeoff.program import FrontProgram, declarations
+from plough_opt.studies.tradeoff.result import TradeOff
+from plough_opt.studies.tradeoff.searching import Searcher
+from plough_opt.studies.tradeoff.surface import SurfaceTracer
+from plough_opt.studies.tradeoff.tracing import Tracer
+
+_FEWEST, _MOST = 5, 1000
+_REFINEMENTS = 4
+# Relative range of an objective below which it is rounding.
+_NONE = 1e-5
+# Of the size at the guess: what an objective near zero is measured by where one design is best in all.
+_SMALLEST = 0.01
+_NAMES = ("first objective", "second objective", "third objective")
+
+# The program last built for a design, with what it was built from.
+_BUILT: WeakKeyDictionary[Design, tuple[tuple[object, ...], tuple[object, ...], FrontProgram]] = WeakKeyDictionary()
+
+
+def trade_off(
+    design: Design,
+    first: Goal | Expression,
+    second: Goal | Expression,
+    *others: Goal | Expression,
+    points: int = 40,
+    parameters: Mapping[str, float] | None = None,
+    search: Search = "auto",
+    compiled: bool = False,
+    title: str = "",
+    progress: Progress | None = None,
+) -> TradeOff:
+    """Return the designs of which none is better in one objective without being worse in another.
+
+    By the normalised normal constraint (Messac, Ismail-Yahaya and Mattson 2003; Messac and Mattson 2004): from the
+    optima of each objective alone, at positions that are evenly spread in the normalised objectives, on a line for two
+    of them and on a lattice for three, which goes on beyond the anchors' triangle to the edges of the surface. Unlike a
+    weighted sum it finds the concave parts of a front. Ends and branches come from a sample of
+    all variables, evolution and descents, for each objective alone and at positions between them; then every design
+    that was looked at and is better than the front, by 0.1 % of the ranges and of a surface by 0.5 % or half a step at
+    its edges, is followed, unless it is a needle. What no search saw stays unknown. For example::
+
+        radius = po.Goal("loosened radius", po.loosened_radius(cone, soil), unit="m", maximise=True)
+        front = po.trade_off(d, po.Goal("draft", run.mean_draft, unit="N"), radius)
+
+    Args:
+        design: variables, parameters and requirements; its own objective takes no part.
+        first: an objective: an expression to minimise, or a `Goal` with a name, a unit and a direction.
+        second: another objective.
+        others: a third one, or none; more are refused.
+        points: number of positions, from 5 to 1000: of two objectives the anchors included, of three at least so many
+            between the anchors. Parts that end between positions get their ends beside these.
+        parameters: values of parameters that differ from the declared ones, by name. The program is built once for a
+            design and its objectives, and kept for further fronts.
+        search: as in `Design.solve`: "auto", "thorough", names of variables, a number of designs, or a text such as
+            "20 s", which the objectives share. With "near" the ends are those to which the guess leads, and parts of
+            the front that lie elsewhere stay unknown.
+        compiled: as in `Design.solve`.
+        title: of the question, for reports.
+        progress: called with what is being done and the fraction done.
+
+    Raises:
+        InputError: more than three objectives, one that is no scalar expression of this design, an unknown parameter,
+            or nothing to vary.
+        InfeasibleDesign: no design was found that meets the requirements.
+        NotConverged: an objective alone has no optimum that the optimiser finds, or no point could be certified.
+    """
+    started = time.perf_counter()
+    if not is_count(points) or not _FEWEST <= points <= _MOST:
+        raise InputError(f"points = {shown(points)} must be a whole number from {_FEWEST} to {_MOST}")
+    check_kind("the design", design, Design, "a Design")
+    check_switch("compiled", compiled)
+    check_text("title", title)
+    parameters = mapping_of("parameters", parameters, "name -> value")
+    if progress is not None:
+        check_callable("progress", progress, "of what is done and the fraction done")
+    goals = _goals((first, second, *others))
+    told = progress or _silent
+    told("building the model", 0.0)
+    front = _built(design, goals, compiled)
+    front.prepare(_checked(front, parameters))
+    building = time.perf_counter() - started
+    kind = Tracer if len(goals) == 2 else SurfaceTracer
+    tracer = kind(front, Searcher(Cloud(front), search, told), int(points), told)
+    anchors = _anchors(front, tracer)
+    idle = _normalise(front, anchors)
+    if len(idle) == 1 and len(goals) == 3:
+        kept = [goal for k, goal in enumerate(goals) if k not in idle]
+        found = trade_off(design, *kept, points=points, parameters=parameters, search=search, compiled=compiled,
+                          title=title, progress=progress)  # fmt: skip
+        note = f"'{goals[idle[0]].name}' does not conflict with the others: it is at its best all along their front"
+        return replace(found, notes=(note, *found.notes), seconds=time.perf_counter() - started)
+    if idle:
+        # An objective that conflicts with none leaves the design to one that may.
+        number = next((k for k in range(len(anchors)) if k // (len(anchors) // len(goals)) not in idle), 0)
+        sizes = np.abs(front.objectives(anchors[number][0].y))
+        front.normalise(np.zeros(len(goals)), np.maximum(sizes, _SMALLEST))
+        tracer.kept(anchors[number][0], tracer.orders()[number])
+    else:
+        tracer.trace(anchors)
+        _refine(tracer, front, told)
+        tracer.look_inward()
+    tracer.confess()
+    told("checking", 0.0)
+    return assembled(front, tracer, goals, title, Times(started, building))
+
+
+def _built(design: Design, goals: Sequence[Goal], compiled: bool) -> FrontProgram:
+    """Return the program of a design and objectives: the one built before, if it was of the same."""
+    declared = declarations(design, goals)
+    parts = (*declared.variables, *declared.parameters, *declared.requirements, *(goal.expression for goal in goals))
+    flags = (compiled, *((goal.name, goal.maximise) for goal in goals))
+    if design in _BUILT:
+        known, known_flags, front = _BUILT[design]
+        if known_flags == flags and len(known) == len(parts) and all(map(is_, known, parts)):
+            return front
+    front = FrontProgram(declared, goals, compiled=compiled)
+    _BUILT[design] = (parts, flags, front)
+    return front
+
+
+def _anchors(front: FrontProgram, tracer: Tracer | SurfaceTracer) -> list[list[Point]]:
+    """Return all local optima of each objective alone, with enough integration steps for the wanted error."""
+    starts = tracer.begin()
+    for _ in range(_REFINEMENTS):
+        found = tracer.all_anchors(starts)
+        for number, points in enumerate(found):
+            if not points:
+                raise NotConverged(
+                    f"objective number {1 + number * front.count // len(found)} alone has no optimum that the optimiser"
+                    " finds: check the bounds, or search more thoroughly",
+                    "no optimum",
+                )
+        if all(front.accurate(point.y) for points in found for point in points):
+            break
+        front.refine()
+    return found
+
+
+def _normalise(front: FrontProgram, anchors: Sequence[Sequence[Point]]) -> list[int]:
+    """Normalise the objectives by their anchors; return those that are at their best at every anchor."""
+    ends = np.array([front.objectives(points[0].y) for points in anchors])
+    low, high = ends.min(axis=0), ends.max(axis=0)
+    front.normalise(low, high - low)
+    apart = (high - low) / np.maximum(1e-3, np.max(np.abs(ends), axis=0))
+    front.rounded_off = float(np.max(apart[apart < _NONE], initial=0.0))
+    return [int(k) for k in np.flatnonzero(apart < _NONE)]
+
+
+def _refine(tracer: Tracer | SurfaceTracer, front: FrontProgram, told: Progress) -> None:
+    """Solve what makes up the front to the last digits, by as many integration steps as the wanted error takes."""
+    for refinement in range(_REFINEMENTS + 1):
+        chosen = tracer.chosen()
+        tracer.to_the_last_digits(chosen)
+        coarse = [sample for sample in chosen if not front.accurate(sample.point.y, sample.level)]
+        if not coarse or refinement == _REFINEMENTS:
+            return
+        told("refining", (refinement + 1) / _REFINEMENTS)
+        front.refine()
+        tracer.solve_again()
+
+
+def _checked(front: FrontProgram, changed: Mapping[str, float]) -> dict[str, float]:
+    """Return changed parameters as floats.
+
+    Raises:
+        InputError: a name that is no parameter, or a value that is no finite number.
+    """
+    names = [parameter.name for parameter in front.own_parameters]
+    found = {}
+    for name, value in changed.items():
+        if name not in names:
+            raise InputError(f"'{name}' is no parameter of this design: {nearest(name, names)}")
+        found[name] = plain_number(f"parameter '{name}'", value)
+    return found
+
+
+def _goals(given: Sequence[Goal | Expression]) -> list[Goal]:
+    """Return objectives with names.
+
+    Raises:
+        InputError: too many, or two of one name.
+    """
+    if len(given) > len(_NAMES):
+        raise InputError(
+            f"{len(given)} objectives were given: a front is drawn of two or three; put the others into requirements"
+        )
+    goals = [g if isinstance(g, Goal) else Goal(name, g) for g, name in zip(given, _NAMES, strict=False)]
+    for k, goal in enumerate(goals):
+        if goal.name in [other.name for other in goals[:k]]:
+            raise InputError(f"two objectives are named '{goal.name}': give each its own name")
+    return goals
+
+
+def _silent(_stage: str, _fraction: float) -> None:
+    """Report nothing."""

@@ -1,0 +1,201 @@
+"""Local optima wherever the cloud has designs that a front misses: ends, branches and basins."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+
+import numpy as np
+from numpy.typing import NDArray
+
+from plough_opt.design.exploring import Progress
+from plough_opt.design.ipopt import Point, Vector
+from plough_opt.design.polishing import as_it_is
+from plough_opt.design.sampling import SEED
+from plough_opt.studies.tradeoff.missing import beating, beyond_front, beyond_points, thinned
+from plough_opt.studies.tradeoff.program import FrontProgram
+from plough_opt.studies.tradeoff.samples import (
+    MATTERS,
+    MOST_JUDGED,
+    NOT_WORSE,
+    OTHERS,
+    ROUGHLY,
+    Failure,
+    Sample,
+    Samples,
+)
+from plough_opt.studies.tradeoff.searching import Searcher
+
+NOT_REACHED = "Not_Reached"
+"""Status of a design that was seen beyond the front, and beside which the optimiser found none."""
+
+# Rounds of following missed designs, and how many in each.
+_ROUNDS, _AT_ONCE = 12, 6
+# How far from the best designs others are looked at, in parts of the variables' ranges.
+_SPREADS = 0.1, 0.03, 0.01, 0.003
+# Of two variables a sample is small, but between the ripples of a force it must see the dips.
+_FEWEST_LOOKS = 4096
+
+
+class Reaching(Samples):
+    """All local optima found, and how to find those that are missing.
+
+    Attributes:
+        matters: of the range of an objective: a design that the front misses by less is not sought.
+        looks_beside: samples' worth of designs that are looked at beside the front, at each distance from it.
+    """
+
+    matters: float
+    looks_beside: int
+
+    def __init__(self, front: FrontProgram, searcher: Searcher, progress: Progress) -> None:
+        """Take the program, and what searches over its variables."""
+        super().__init__(front, searcher, progress)
+        self._pricks: set[int] = set()
+        self._tried: set[bytes] = set()
+        self._looks = 0
+        self._settled = np.empty(0, dtype=int)
+
+    @abstractmethod
+    def position(self, at: Vector) -> Vector:
+        """Return the parameters that ask for the front's design at the place of normalised objectives."""
+
+    @abstractmethod
+    def follow_all(self, sample: Sample) -> None:
+        """Follow the branch of a sample wherever it leads."""
+
+    def _look_beside(self) -> None:
+        """Look at designs about those of the cloud that no other beats, at first far and then near."""
+        self._looks += 1
+        rng = np.random.default_rng([SEED, self._looks])
+        count = self.looks_beside * max(self.searcher.designs, _FEWEST_LOOKS)
+        for spread in _SPREADS:
+            y, scaled = self.cloud.feasible
+            best = y[thinned(self.front.normalised(scaled), ROUGHLY)]
+            best = np.vstack([best, *(sample.point.y for sample in self.ordered())])
+            parents = best[rng.integers(len(best), size=count)]
+            self.cloud.look(np.clip(parents + spread * rng.standard_normal(parents.shape), 0.0, 1.0))
+
+    def uncovered(self, _own: Vector, at: Vector) -> NDArray[np.bool_]:
+        """Return which designs lie where the front has too few points; a curve has enough."""
+        return np.zeros(len(at), dtype=bool)
+
+    def sample_at(self, p: Vector, y: Vector) -> Sample | Point:
+        """Return the local optimum beside a design at a position, no worse than it, or where the optimiser stopped."""
+        begins = as_it_is(self.front.program, p, y)
+        near = min(self.found, key=lambda sample: float(np.max(np.abs(sample.point.y - y))))
+        point, level = self.optimum(near.point, y, p, near.coarsest, patient=False)
+        if not point.solved or point.f > begins.f + NOT_WORSE * max(abs(begins.f), 1.0):
+            point, level = self._to_the_last_digit(self._polished(p, y), p), 0
+        return self.at_the_edge(p, point, level) if point.solved else point
+
+    def sample_beside(self, y: Vector) -> Sample | Point:
+        """Return the local optimum beside a design that the front misses, or where the optimiser stopped.
+
+        It is sought at the design's own place, as the program itself has it: a search integrates otherwise, and at the
+        bottom of a narrow dip nothing lies at a place that is better by a hair. In such a dip less of one objective, or
+        of another, is found where the others stay as they are; so it is where the place holds an optimum back.
+        """
+        front, held = self.front, None
+        near = min(self.found, key=lambda sample: float(np.max(np.abs(sample.point.y - y))))
+        at = front.normalised(front.objectives(y, near.coarsest))
+        others = [{j: float(at[j]) for j in range(front.count) if j != k} for k in range(front.count)]
+        asked = [self.position(at), *(front.below(k, limits, OTHERS) for k, limits in enumerate(others))]
+        for p in asked:
+            begins = as_it_is(front.program, p, y)
+            point, level = self.optimum(near.point, y, p, near.coarsest, patient=False)
+            if point.solved and point.f <= begins.f + NOT_WORSE * max(abs(begins.f), 1.0):
+                found = self.at_the_edge(p, point, level)
+                if self.is_efficient(found):
+                    return found
+                held = held or found
+        return held or self.sample_at(asked[0], y)
+
+    def at_the_edge(self, p: Vector, point: Point, level: int) -> Sample:
+        """Return the sample of an optimum at a position; where the position does not hold it, that of the edge."""
+        return self.kept(point, p, level)
+
+    def reach_all(self) -> None:
+        """Follow the designs that the cloud has beyond the front, until none is left that is no needle."""
+        if self.searcher.vary and self.cloud.vectorised:
+            self.told("looking beside the best designs", 0.0)
+            self._look_beside()
+        for number in range(_ROUNDS):
+            missed = [y for y, _, _ in self.missed(sparse=True)]
+            if not missed:
+                return
+            for k, y in enumerate(missed[:_AT_ONCE]):
+                self.told("following designs that the front misses", (number + k / _AT_ONCE) / _ROUNDS)
+                self._tried.add(y.tobytes())
+                known = len(self.found)
+                found = self.sample_beside(y)
+                if not isinstance(found, Point) and len(self.found) > known:
+                    found.extra = True
+                    self.follow_all(found)
+
+    def missed(self, *, sparse: bool = False) -> list[tuple[Vector, Vector, float]]:
+        """Return designs by which the front could be better, where it was to be searched, none beside another.
+
+        Args:
+            sparse: whether to add designs that lie where the front has too few points, or that beat one of its points,
+                and to leave out those that were tried in vain, which would hide others beside them.
+
+        Returns:
+            Of each the scaled variables, the normalised objectives, and the gain.
+        """
+        if not self.searcher.vary:
+            return []
+        y, scaled = self.cloud.feasible
+        at = self.front.normalised(scaled)
+        own = np.array([sample.at for sample in self.ordered()])
+        # Designs only join the cloud, and the front only gets better.
+        open_ones = np.setdiff1d(np.arange(len(at)), self._settled)
+        settled = beyond_points(own, at[open_ones]) <= MATTERS
+        self._settled = np.r_[self._settled, open_ones[settled]]
+        left, best, gain = open_ones[~settled], np.empty(0, dtype=int), np.empty(0)
+        while len(left):
+            best = left[thinned(at[left], self.matters)]
+            gain = beyond_front(own, at[best], self.step)
+            if sparse:
+                few = self.uncovered(own, at[best])
+                gain[few] = np.maximum(gain[few], 2.0 * self.matters)
+                best, gain = self._with_beating(own, at, left, best, gain)
+            order = np.argsort(-gain, kind="stable")
+            order = order[gain[order] > self.matters][:MOST_JUDGED]
+            best, gain = best[order], gain[order]
+            needles = self.cloud.needles(y[best], scaled[best])
+            if not np.any(needles):
+                break
+            self._pricks |= {int(k) for k in best[needles]}
+            left, best = np.setdiff1d(left, best[needles]), best[:0]
+        chosen: list[int] = []
+        for j, k in enumerate(best):
+            if sparse and y[k].tobytes() in self._tried:
+                continue
+            if all(np.max(np.abs(at[k] - at[best[i]])) > self.step / 2.0 for i in chosen):
+                chosen.append(j)
+        return [(y[best[j]], at[best[j]], float(gain[j])) for j in chosen]
+
+    def _with_beating(
+        self, own: Vector, at: Vector, left: NDArray[np.intp], best: NDArray[np.intp], gain: Vector
+    ) -> tuple[NDArray[np.intp], Vector]:
+        """Return designs and their gains, and with them those that are better than a point in all objectives."""
+        much = beating(own, at[left])
+        better = left[much > MATTERS]
+        better = better[thinned(at[better], MATTERS)]
+        fresh = np.setdiff1d(better, best)
+        gain[np.isin(best, better)] = np.maximum(gain[np.isin(best, better)], 2.0 * self.matters)
+        return np.r_[best, fresh], np.r_[gain, np.full(len(fresh), 2.0 * self.matters)]
+
+    @property
+    def needles_beyond(self) -> int:
+        """How many needles were seen beyond the front, those that others beat apart."""
+        return len(self._pricks)
+
+    def confess(self) -> None:
+        """Keep as failures the missed designs beside which no optimum was found."""
+        for _, at, gain in self.missed():
+            reason = (
+                f"{NOT_REACHED}: a design of the search is better here than the front by {100.0 * gain:.2g} % of its"
+                " range, and the optimiser found no optimum beside it"
+            )
+            self.failures.append(Failure(tuple(at.tolist()), reason))

@@ -1,0 +1,35 @@
+"""Designs for uncertain soil: distributions, robust measures over common samples, verified on fresh ones."""
+
+from plough_opt.studies.uncertainty.distribution import Marginal, SoilDistribution
+from plough_opt.studies.uncertainty.measures import (
+    cvar,
+    expected,
+    mean_plus,
+    probability,
+    quantile,
+    standard_deviation,
+    worst,
+)
+from plough_opt.studies.uncertainty.robust import Robust
+from plough_opt.studies.uncertainty.samples import SoilSamples
+from plough_opt.studies.uncertainty.variance import SobolIndices, sobol_indices
+from plough_opt.studies.uncertainty.verification import Check, Verification, verify
+
+__all__ = [
+    "Check",
+    "Marginal",
+    "Robust",
+    "SobolIndices",
+    "SoilDistribution",
+    "SoilSamples",
+    "Verification",
+    "cvar",
+    "expected",
+    "mean_plus",
+    "probability",
+    "quantile",
+    "sobol_indices",
+    "standard_deviation",
+    "verify",
+    "worst",
+]

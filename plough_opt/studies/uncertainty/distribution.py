@@ -1,0 +1,358 @@
+"""Distributions of soil properties: marginals from scipy.stats, truncated, correlated by a Gaussian copula."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy import special
+from scipy.stats import qmc
+
+from plough_opt.core.domain import check_text, plain_number
+from plough_opt.core.errors import DomainError, InputError, nearest
+from plough_opt.core.expressions import is_casadi
+from plough_opt.core.kinds import shown
+from plough_opt.core.quantities import QUANTITIES
+from plough_opt.soil.soil import Soil
+from plough_opt.studies.uncertainty.samples import SoilSamples
+
+Vector = NDArray[np.float64]
+
+PROPERTIES = tuple(quantity.key for quantity in QUANTITIES.values() if quantity.owner == "soil")
+"""Properties of a soil that can be uncertain."""
+
+# A distribution may reach out of the model's domain with this probability at either end, and no more.
+_OUTSIDE = 1e-9
+# Between bounds with less probability than this the quantiles lose their digits.
+_LEAST_MASS = 1e-9
+_LEAST_EIGENVALUE = 1e-8
+_MOST_SAMPLES = 1 << 20
+_INSIDE = 2.0**-54
+
+
+@dataclass(frozen=True)
+class Marginal:
+    """A distribution between bounds.
+
+    Args:
+        distribution: a frozen distribution of scipy.stats, or anything with `cdf` and `ppf` (or `icdf`).
+        lower: its lower bound, or minus infinity; what is below is cut off, and the rest made to count as one.
+        upper: its upper bound, or infinity.
+        name: what it is, for messages.
+
+    Raises:
+        InputError: not a distribution, or bounds that hardly leave anything of it.
+    """
+
+    distribution: Any
+    lower: float = -math.inf
+    upper: float = math.inf
+    name: str = "the property"
+
+    def __post_init__(self) -> None:
+        check_text("the name of a distribution", self.name)
+        if not callable(getattr(self.distribution, "cdf", None)) or self._inverse is None:
+            raise InputError(
+                f"{self.name}: {shown(self.distribution)} is no distribution: give a frozen one of scipy.stats, such as"
+                " stats.lognorm(0.3, scale=20e3)"
+            )
+        for side, bound in (("lower", self.lower), ("upper", self.upper)):
+            infinite = isinstance(bound, float) and math.isinf(bound)
+            if not infinite:
+                plain_number(f"{self.name}: its {side} bound", bound)
+        if not self.lower < self.upper:
+            raise InputError(
+                f"{self.name}: its bounds contradict each other: {self.lower:g} is not below {self.upper:g}"
+            )
+        with np.errstate(invalid="ignore"):
+            middle = float(self._inverse(0.5))
+        if not math.isfinite(middle):
+            raise InputError(
+                f"{self.name}: its distribution has no middle: its parameters cannot be, such as a scale of 0; what is"
+                " certain belongs to the soil"
+            )
+        if not self._mass > _LEAST_MASS:
+            raise InputError(
+                f"{self.name}: between its bounds {self.lower:g} and {self.upper:g} lies a part {self._mass:.1g} of its"
+                f" distribution, whose middle is {middle:g}: set bounds around that"
+            )
+
+    @property
+    def _inverse(self) -> Any:
+        return getattr(self.distribution, "ppf", None) or getattr(self.distribution, "icdf", None)
+
+    @cached_property
+    def _below(self) -> float:
+        return 0.0 if self.lower == -math.inf else float(self.distribution.cdf(self.lower))
+
+    @cached_property
+    def _mass(self) -> float:
+        return (1.0 if self.upper == math.inf else float(self.distribution.cdf(self.upper))) - self._below
+
+    def quantile(self, probability: ArrayLike) -> Vector:
+        """Return the values below which a part of the distribution lies.
+
+        Args:
+            probability: the parts, from 0 to 1: numbers or an array of them.
+
+        Raises:
+            InputError: what is no number, or outside.
+        """
+        parts = _numbers("a probability", probability)
+        if not np.all((parts >= 0.0) & (parts <= 1.0)):
+            raise InputError(f"a probability = {shown(probability)} must lie from 0 to 1")
+        inner = self._below + parts * self._mass
+        values: Vector = np.clip(np.asarray(self._inverse(inner), dtype=float), self.lower, self.upper)
+        return values
+
+    def cdf(self, value: ArrayLike) -> Vector:
+        """Return the part of the distribution below values.
+
+        Args:
+            value: numbers or an array of them, in the property's unit.
+
+        Raises:
+            InputError: what is no number.
+        """
+        below: Vector = np.asarray(self.distribution.cdf(_numbers("a value", value)), dtype=float)
+        part: Vector = np.clip((below - self._below) / self._mass, 0.0, 1.0)
+        return part
+
+    @cached_property
+    def moments(self) -> tuple[float, float]:
+        """Mean and standard deviation between the bounds, by a Gauss-Legendre rule over the probability in panels."""
+        nodes, weights = np.polynomial.legendre.leggauss(24)
+        # Panels that halve towards the ends, where quantiles may rise without limit.
+        ends = np.r_[0.0, 0.5 ** np.arange(40, 0, -1)]
+        panels = np.r_[ends, (1.0 - ends[::-1])[1:]]
+        sizes = np.diff(panels)
+        values = self.quantile(panels[:-1, None] + sizes[:, None] * (nodes + 1.0) / 2.0)
+        shares = sizes[:, None] * weights / 2.0
+        mean = float(np.sum(shares * values))
+        return mean, math.sqrt(float(np.sum(shares * (values - mean) ** 2)))
+
+
+@dataclass(frozen=True, init=False)
+class SoilDistribution:
+    """A soil some of whose properties are uncertain.
+
+    For example::
+
+        field = po.SoilDistribution(
+            po.named_soil("serozem"),
+            cohesion=stats.lognorm(0.3, scale=20e3),
+            friction_angle=stats.norm(po.deg(28), po.deg(3)),
+            within={"friction_angle": (po.deg(20), po.deg(36))},
+            correlation={("cohesion", "friction_angle"): -0.4},
+        )
+        soils = field.sample(64, seed=1)
+
+    Correlated properties are joined by a Gaussian copula: the correlation given is that of their normal scores, so that
+    the rank correlations are Spearman's 6/pi arcsin(c/2) and Kendall's 2/pi arcsin(c), whatever the marginals.
+
+    Args:
+        soil: the soil; its own values count for every property that is not uncertain.
+        within: property -> (lower, upper) bounds at which its distribution is truncated; either may be infinite.
+        correlation: pair of properties -> correlation of their normal scores, between -1 and 1; others are independent.
+        **properties: property of `Soil` -> a frozen distribution of scipy.stats, in SI units and radians.
+
+    Raises:
+        InputError: no such property, nothing uncertain, no distribution, bounds that leave nothing of one, or
+            correlations that cannot hold together.
+        DomainError: a distribution that reaches out of the model's domain.
+    """
+
+    soil: Soil
+    marginals: Mapping[str, Marginal]
+    correlation: Mapping[tuple[str, str], float] = field(default_factory=dict)
+
+    def __init__(
+        self,
+        soil: Soil,
+        *,
+        within: Mapping[str, tuple[float, float]] | None = None,
+        correlation: Mapping[tuple[str, str], float] | None = None,
+        **properties: Any,
+    ) -> None:
+        for name in properties:
+            if name not in PROPERTIES:
+                raise InputError(f"'{name}' is no property of a soil: {nearest(name, PROPERTIES)}")
+        if not properties:
+            raise InputError("nothing is uncertain: give a property a distribution, such as cohesion=stats.norm(...)")
+        if not isinstance(soil, Soil):
+            raise InputError(f"{shown(soil)} is no soil: po.named_soil(...) or po.Soil(...) makes one")
+        for what, given in (("within", within), ("correlation", correlation)):
+            if given is not None and not isinstance(given, Mapping):
+                raise InputError(f"{what} = {shown(given)} must be a dictionary, by the properties")
+        bounds = {name: _pair_of(name, ends) for name, ends in (within or {}).items()}
+        for name in bounds:
+            if name not in properties:
+                raise InputError(f"within names '{name}', which has no distribution: {nearest(name, properties)}")
+        marginals = {
+            name: Marginal(own, *bounds.get(name, (-math.inf, math.inf)), name) for name, own in properties.items()
+        }
+        object.__setattr__(self, "soil", soil)
+        object.__setattr__(self, "marginals", marginals)
+        object.__setattr__(self, "correlation", dict(correlation or {}))
+        self._check_domain()
+        _ = self.factor
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The uncertain properties, in the order in which they were given."""
+        return tuple(self.marginals)
+
+    @property
+    def correlated(self) -> bool:
+        """Whether any two properties are correlated."""
+        return any(value != 0.0 for value in self.correlation.values())
+
+    @cached_property
+    def matrix(self) -> Vector:
+        """Correlations of the normal scores, in the order of `names`."""
+        matrix = np.eye(len(self.names))
+        for pair, value in self.correlation.items():
+            a, b = self._pair(pair)
+            if not isinstance(value, int | float | np.number) or not -1.0 < value < 1.0:
+                raise InputError(
+                    f"the correlation of {pair[0]} and {pair[1]}, {shown(value)}, must lie between -1 and 1"
+                )
+            if matrix[a, b] != 0.0:
+                raise InputError(f"the correlation of {pair[0]} and {pair[1]} is given twice")
+            matrix[a, b] = matrix[b, a] = value
+        return matrix
+
+    @cached_property
+    def factor(self) -> Vector:
+        """Lower triangle whose product with its transpose is `matrix`."""
+        least = float(np.linalg.eigvalsh(self.matrix)[0])
+        if least < _LEAST_EIGENVALUE:
+            pairs = ", ".join(f"{a} and {b} {value:g}" for (a, b), value in self.correlation.items())
+            raise InputError(
+                f"these correlations cannot hold together ({pairs}): their matrix is not positive definite, its"
+                f" smallest eigenvalue is {least:.3g}; weaken one of them"
+            )
+        return np.asarray(np.linalg.cholesky(self.matrix), dtype=np.float64)
+
+    def sample(self, count: int, *, seed: int = 0) -> SoilSamples:
+        """Return samples that cover the distribution evenly: of a scrambled Sobol sequence (scipy.stats.qmc).
+
+        With the same seed they are the same, and the first ones of a larger sample: what is optimised over them is
+        a smooth function of the design. Best a power of two.
+
+        Raises:
+            InputError: a count or a seed that cannot be.
+        """
+        power = math.ceil(math.log2(_count(count)))
+        sequence = qmc.Sobol(len(self.names), scramble=True, rng=np.random.default_rng(_seed(seed)))
+        return self.at(sequence.random_base2(power)[:count])
+
+    def draw(self, count: int, *, seed: int) -> SoilSamples:
+        """Return samples drawn independently of each other, from which confidence intervals follow.
+
+        Raises:
+            InputError: a count or a seed that cannot be.
+        """
+        return self.at(np.random.default_rng(_seed(seed)).random((_count(count), len(self.names))))
+
+    def corners(self, part: float = 0.9) -> SoilSamples:
+        """Return the corners of a box, for the worst case over a set.
+
+        Args:
+            part: of each property's distribution that lies within the box, between its quantiles (1 -+ part)/2.
+
+        Raises:
+            InputError: a part that is not between 0 and 1.
+        """
+        if not 0.0 < plain_number("the part of each distribution", part) < 1.0:
+            raise InputError(f"the part {shown(part)} of each distribution within the box must lie between 0 and 1")
+        ends = [own.quantile([(1.0 - part) / 2.0, (1.0 + part) / 2.0]) for own in self.marginals.values()]
+        grid = np.stack([axis.ravel() for axis in np.meshgrid(*ends, indexing="ij")], axis=1)
+        return SoilSamples(self.soil, self.names, grid)
+
+    def at(self, uniforms: ArrayLike) -> SoilSamples:
+        """Return the samples at points of the unit cube, a row for each: its inverse Rosenblatt transform.
+
+        The first property follows the first coordinate, each further one what the correlations leave to its own.
+        """
+        inner: NDArray[Any] = np.clip(_numbers("points of the unit cube", uniforms), _INSIDE, 1.0 - 2.0 * _INSIDE)
+        if inner.ndim != 2 or inner.shape[1] != len(self.names):
+            raise InputError(f"points of the shape {inner.shape} do not have a column for each of {self.names}")
+        if self.correlated:
+            inner = np.asarray(special.ndtr(special.ndtri(inner) @ self.factor.T))
+        columns = [own.quantile(column) for own, column in zip(self.marginals.values(), inner.T, strict=True)]
+        return SoilSamples(self.soil, self.names, np.stack(columns, axis=1))
+
+    def in_words(self) -> str:
+        """Return mean and standard deviation of every property in words, SI units."""
+        return ", ".join(f"{name} {mean:.4g} +- {spread:.2g}" for name, (mean, spread) in self.moments.items())
+
+    @property
+    def moments(self) -> dict[str, tuple[float, float]]:
+        """Mean and standard deviation of every property."""
+        return {name: own.moments for name, own in self.marginals.items()}
+
+    def _pair(self, pair: Sequence[str]) -> tuple[int, int]:
+        if isinstance(pair, str) or len(pair) != 2 or pair[0] == pair[1]:
+            raise InputError(f"a correlation is of a pair of two properties, not of {shown(pair)}")
+        for name in pair:
+            if name not in self.names:
+                raise InputError(f"the correlation names '{name}', which has no distribution: "
+                                 f"{nearest(str(name), self.names)}")  # fmt: skip
+        return self.names.index(pair[0]), self.names.index(pair[1])
+
+    def _check_domain(self) -> None:
+        for name, own in self.marginals.items():
+            if is_casadi(getattr(self.soil, name)):
+                raise InputError(f"'{name}' is an expression in the soil and cannot be uncertain too: give it a number")
+            for end in (_OUTSIDE, 1.0 - _OUTSIDE):
+                value = float(own.quantile(end))
+                changed: dict[str, Any] = {name: value}
+                try:
+                    replace(self.soil, **changed)
+                except DomainError as error:
+                    raise DomainError(
+                        f"the distribution of {name} reaches {value:.4g}, out of the model's domain: {error}; truncate"
+                        f' it: within={{"{name}": (lower, upper)}}, in a file lower = ... and upper = ...'
+                    ) from None
+
+
+def _pair_of(name: str, ends: Any) -> tuple[float, float]:
+    """Return bounds, checked to be two numbers."""
+    try:
+        lower, upper = map(float, ends)
+    except (TypeError, ValueError):
+        raise InputError(
+            f"within: the bounds of {name} are {shown(ends)}: give two numbers, SI units, either may be infinite"
+        ) from None
+    return lower, upper
+
+
+def _numbers(what: str, values: ArrayLike) -> Vector:
+    """Return numbers as an array; refuse what is none, and NaN."""
+    found: Vector | None = None
+    if not isinstance(values, str | bytes | bool | None):
+        try:
+            found = np.asarray(values, dtype=float)
+        except (TypeError, ValueError, OverflowError, RuntimeError, NotImplementedError):
+            found = None
+    if found is None or np.any(np.isnan(found)):
+        raise InputError(f"{what} = {shown(values)} must be a number, or an array of them")
+    return found
+
+
+def _seed(seed: int) -> int:
+    if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
+        raise InputError(f"the seed {shown(seed)} must be a whole number from 0 on")
+    return int(seed)
+
+
+def _count(count: int) -> int:
+    if isinstance(count, bool) or not isinstance(count, int | np.integer) or not 1 <= count <= _MOST_SAMPLES:
+        raise InputError(f"{shown(count)} samples must be a whole number from 1 to {_MOST_SAMPLES}")
+    return int(count)

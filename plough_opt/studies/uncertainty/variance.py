@@ -1,0 +1,152 @@
+"""Which uncertain property a result owes its spread to: Sobol indices."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import qmc
+
+from plough_opt.core.errors import InputError
+from plough_opt.core.expressions import is_count
+from plough_opt.core.kinds import check_kind, shown
+from plough_opt.design import Optimum
+from plough_opt.studies.uncertainty.distribution import SoilDistribution
+from plough_opt.studies.uncertainty.robust import Robust
+
+Vector = NDArray[np.float64]
+
+_CONFIDENCE = 0.95
+_RESAMPLES = 200
+# Relative spread that is none.
+_NONE = 1e-9
+
+
+@dataclass(frozen=True)
+class SobolIndices:
+    """Parts of the variance of one result at one design.
+
+    Attributes:
+        result: name of the result.
+        names: the uncertain properties; where they are correlated, "b given a" is what a leaves to b.
+        first: part of the variance that each explains by itself.
+        total: part that would go with it alone: with what it explains together with others.
+        first_low: lower ends of the confidence intervals (95 %, bootstrap) of `first`.
+        first_high: upper ends.
+        total_low: lower ends of those of `total`.
+        total_high: upper ends.
+        note: what a reader must know, or "".
+    """
+
+    result: str
+    names: tuple[str, ...]
+    first: Vector
+    total: Vector
+    first_low: Vector
+    first_high: Vector
+    total_low: Vector
+    total_high: Vector
+    note: str
+
+    def __str__(self) -> str:
+        """Say what each property explains, the largest first."""
+        order = np.argsort(-self.total)
+        parts = [
+            f"{self.names[k]} {100 * self.first[k]:.3g} % alone ({100 * self.first_low[k]:.2g} to"
+            f" {100 * self.first_high[k]:.2g}), {100 * self.total[k]:.3g} % with others"
+            for k in order
+        ]
+        return f"variance of {self.result}: {'; '.join(parts)}{'. ' + self.note if self.note else ''}"
+
+
+def sobol_indices(
+    robust: Robust, at: Optimum | Mapping[str, float], *, samples: int = 1024, seed: int = 1, correlated: bool = False
+) -> dict[str, SobolIndices]:
+    """Return, for each result, what part of its variance each uncertain property explains.
+
+    Sobol indices (Sobol 1993; estimators of Saltelli et al. 2010, table 2, b and f) split a variance among independent
+    inputs. Correlated properties are therefore refused, unless it is said that the indices may be those of the
+    independent coordinates behind the copula (Mara and Tarantola 2012): the first property in full, with all that it
+    shares with the others, and each further one only as far as the earlier ones leave it open. A result that does not
+    vary has no indices. Intervals lie between percentiles of the indices of resampled points (Efron 1979).
+
+    Args:
+        robust: the results.
+        at: an optimum, or a design by the names of its variables and parameters.
+        samples: a power of two; the response is evaluated samples (properties + 2) times.
+        seed: of the samples and of the bootstrap.
+        correlated: accept the coordinates behind the copula.
+
+    Raises:
+        InputError: correlated properties, a number that is no power of two, or soils without result.
+    """
+    check_kind("the results", robust, Robust, "a Robust")
+    field = robust.field
+    if not is_count(samples) or samples < 2 or samples & (samples - 1):
+        raise InputError(f"samples = {shown(samples)} must be a power of two, as the Sobol sequence needs")
+    if field.correlated and not correlated:
+        raise InputError(
+            "correlated properties share variance, which Sobol indices cannot split between them: leave the correlation"
+            " out, or say correlated=True for the independent coordinates behind the copula"
+        )
+
+    own = robust.values(at)
+    results = [name for name, value in own.items() if np.ptp(value) > _NONE * np.max(np.abs(value))]
+    if not results:
+        return {}
+
+    # Two independent samples, and one more for each property: the first, with that property as in the second.
+    count, generator = len(field.names), np.random.default_rng(seed)
+    both = qmc.Sobol(2 * count, bits=64, rng=generator).random(samples)
+    designs = np.repeat(both[None, :, :count], count + 2, axis=0)
+    designs[-1] = both[:, count:]
+    for k in range(count):
+        designs[1 + k, :, k] = both[:, count + k]
+    values = robust.values(at, field.at(designs.reshape(-1, count)))
+    answers = np.stack([values[name] for name in results]).reshape(len(results), count + 2, samples)
+    first, total = _indices(answers)
+    again = [_indices(answers[..., generator.integers(samples, size=samples)]) for _ in range(_RESAMPLES)]
+    tail = (1.0 - _CONFIDENCE) / 2.0
+    (first_low, total_low), (first_high, total_high) = np.quantile(again, (tail, 1.0 - tail), axis=0)
+    note = "the properties are correlated: each counts as far as the ones before it leave it open"
+    return {
+        name: SobolIndices(
+            result=name,
+            names=_names(field),
+            first=first[k],
+            total=total[k],
+            first_low=first_low[k],
+            first_high=first_high[k],
+            total_low=total_low[k],
+            total_high=total_high[k],
+            note=note if field.correlated else "",
+        )
+        for k, name in enumerate(results)
+    }
+
+
+def _indices(answers: Vector) -> tuple[Vector, Vector]:
+    """Return first and total indices, (results, properties).
+
+    Args:
+        answers: (results, properties + 2, samples): of the first sample, of those with one property of the second, and
+            of the second.
+    """
+    variance = np.var(answers[:, [0, -1]], axis=(1, 2))[:, None]
+    variance[variance == 0.0] = 1.0  # few points, resampled, may be one: it explains nothing
+    # Without their mean the products lose fewer digits (Sobol and Levitan 1999).
+    other = answers[:, -1] - np.mean(answers[:, [0, -1]], axis=(1, 2))[:, None]
+    change = answers[:, 1:-1] - answers[:, :1]
+    first = np.mean(other[:, None] * change, axis=-1) / variance
+    return first, np.mean(change**2, axis=-1) / (2.0 * variance)
+
+
+def _names(field: SoilDistribution) -> tuple[str, ...]:
+    """Return the properties' names, each with those before it on which it depends."""
+    found = []
+    for k, name in enumerate(field.names):
+        before = [other for other, weight in zip(field.names, field.factor[k, :k], strict=False) if weight != 0.0]
+        found.append(f"{name} given {' and '.join(before)}" if before else name)
+    return tuple(found)

@@ -1,7 +1,0 @@
-"""Trade-offs: the curve of designs of which none is better in one objective without being worse in another."""
-
-from plough_opt.tradeoff.goal import Goal
-from plough_opt.tradeoff.question import trade_off
-from plough_opt.tradeoff.result import TradeOff
-
-__all__ = ["Goal", "TradeOff", "trade_off"]

@@ -38,6 +38,7 @@ from plough_opt.soil.waves import StrengthWave
 if TYPE_CHECKING:
     __version__: str
 
+    from plough_opt import uncertainty
     from plough_opt.app import plots
     from plough_opt.exchange.results import load
     from plough_opt.motion.batch import Batch, BatchResult
@@ -47,7 +48,7 @@ if TYPE_CHECKING:
     from plough_opt.problem_file.sweeping import sweep
     from plough_opt.soil.rig import Rig
     from plough_opt.soil.strength_record import RecordWaves, StrengthRecord, strength_waves
-    from plough_opt.studies import crosscheck, uncertainty
+    from plough_opt.studies import crosscheck
     from plough_opt.studies.accuracy.result import AccuracyStudy
     from plough_opt.studies.accuracy.study import study_accuracy, study_design
     from plough_opt.studies.calibration import (
@@ -95,7 +96,11 @@ _LATER = {
     "Robust": "plough_opt.studies.uncertainty",
     "SoilDistribution": "plough_opt.studies.uncertainty",
 }
-_MODULES_LATER = ("crosscheck", "plots", "uncertainty")
+_MODULES_LATER = {
+    "crosscheck": "plough_opt.studies.crosscheck",
+    "plots": "plough_opt.app.plots",
+    "uncertainty": "plough_opt.uncertainty",
+}
 
 
 def __getattr__(name: str) -> Any:
@@ -107,7 +112,7 @@ def __getattr__(name: str) -> Any:
 
         return version("plough_opt")
     if name in _MODULES_LATER:
-        return importlib.import_module(f"plough_opt.{name}")
+        return importlib.import_module(_MODULES_LATER[name])
     if name not in _LATER:
         raise AttributeError(f"module 'plough_opt' has no attribute '{name}'")
     return getattr(importlib.import_module(_LATER[name]), name)

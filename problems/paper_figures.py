@@ -26,12 +26,12 @@ from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
-from plough_opt.expressions import Expression
 from rich.console import Console
 from rich.table import Table
 
 import plough_opt as po
 from plough_opt import plots
+from plough_opt.expressions import Expression
 
 DENSITY_RATIOS = (0.2, 0.4, 0.6, 0.8, 0.95)
 CHISEL_ANGLES = (5.0, 10.0, 15.0, 20.0)

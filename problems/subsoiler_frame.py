@@ -24,9 +24,9 @@ from types import SimpleNamespace
 from typing import Any
 
 import casadi as ca
-from plough_opt.expressions import Expression, exp, maximum, sqrt
 
 import plough_opt as po
+from plough_opt.expressions import Expression, exp, maximum, sqrt
 
 GRAVITY, STEEL, DEPTH = 9.81, 7850.0, 0.45  # m/s^2, kg/m^3, m*
 SHANK, HITCH, WHEEL_DRAG = 60.0, 150.0, 0.10  # kg each*, kg*, rolling resistance of the frame over its weight*

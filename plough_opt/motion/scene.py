@@ -44,8 +44,9 @@ class Scene:
         tow_speed: V0 of the strut [m/s], at least 0.
         effects: what to simulate.
         medium: ``"plastic"``: the plastic gas; ``"elastic"``: the linear elastic medium, which gives the steady
-            contact force on the equivalent cone (`plough_opt.soil.elastic.cone_force`, an order of magnitude) and no motion:
-            it takes ``Effects(motion=False)`` and none of the effects that vary the force along the path or in time.
+            contact force on the equivalent cone (`po.elastic.cone_force`, an order of magnitude)
+            and no motion: it takes ``Effects(motion=False)`` and none of the effects that vary the
+            force along the path or in time.
 
     Every number may be a float or a CasADi expression.
 

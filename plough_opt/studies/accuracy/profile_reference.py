@@ -1,6 +1,6 @@
 """The resistance by a density profile in the widest floats, from equations (14) to (24) as they stand.
 
-The quadratures of `plough_opt.soil.plastic` and `plough_opt.laws.forces` are nested Gauss rules in variables of their own. Here
+The quadratures of `soil.plastic` and `laws.forces` are nested Gauss rules in variables of their own. Here
 psi is a chain of Chebyshev polynomials over the radius, the front its root, and what remains are integrals over the
 particles s and over the cone's face x, each in several panels.
 """

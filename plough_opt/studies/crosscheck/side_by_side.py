@@ -13,9 +13,9 @@ from plough_opt.core.domain import check_domain, check_single
 from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import holds_casadi
 from plough_opt.core.kinds import check_kind, check_named
+from plough_opt.laws import asabe, godwin, mckyes_ali, spherical_cavity, swick_perumpral
 from plough_opt.motion.scene import Scene
 from plough_opt.soil.soil import Soil
-from plough_opt.studies.crosscheck import asabe, godwin, mckyes_ali, spherical_cavity, swick_perumpral
 from plough_opt.studies.crosscheck.comparison import Comparison
 from plough_opt.studies.crosscheck.reasons import reasons
 from plough_opt.studies.crosscheck.rows import ModelDraft, model_draft

@@ -1,4 +1,4 @@
 """Sweeps: a function, a simulation or a whole optimisation at every point of a grid or a sample, resumable.
 
-Workers import this package for `plough_opt.studies.sweep.work` alone: what only the sweep itself needs is not imported here.
+Workers import this package for its module `work` alone: what only the sweep itself needs is not imported here.
 """

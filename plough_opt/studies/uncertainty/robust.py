@@ -35,7 +35,7 @@ class Asked:
         result: name of the result that it is of.
         text: the measure in words.
         kind: how it is verified on fresh samples.
-        sharp: values of the samples, along the last axis -> measure, as `plough_opt.studies.uncertainty.measures` takes them.
+        sharp: values of the samples, along the last axis -> measure, as `po.uncertainty.cvar` takes them.
         rounded: values -> the same, rounded off as the optimiser sees it.
         width: over which it is rounded off, in the unit of the values; 0 where it is not.
     """

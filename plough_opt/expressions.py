@@ -1,0 +1,37 @@
+"""Mathematics of numbers, arrays and CasADi expressions alike, for effects and objectives of one's own."""
+
+from plough_opt.core.expressions import (
+    Expression,
+    absolute,
+    arcsinh,
+    arctan,
+    arctan2,
+    arctanh,
+    cos,
+    exp,
+    log,
+    maximum,
+    minimum,
+    sin,
+    sqrt,
+    tan,
+    where,
+)
+
+__all__ = [
+    "Expression",
+    "absolute",
+    "arcsinh",
+    "arctan",
+    "arctan2",
+    "arctanh",
+    "cos",
+    "exp",
+    "log",
+    "maximum",
+    "minimum",
+    "sin",
+    "sqrt",
+    "tan",
+    "where",
+]

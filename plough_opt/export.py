@@ -1,11 +1,21 @@
-"""Scenes for other tools: C, a serialised CasADi Function, OpenMDAO, and an FMU; each imported when it is used."""
+"""Scenes for other tools: C, a serialised CasADi Function, OpenMDAO, and an FMU; and shares as parts.
+
+Each is imported when it is used.
+"""
 
 from typing import TYPE_CHECKING, Any
 
 from plough_opt.exchange import export
 
 if TYPE_CHECKING:
-    from plough_opt.exchange.export import PloughComponent, write_c, write_casadi, write_fmu, write_openmdao
+    from plough_opt.exchange.export import (
+        PloughComponent,
+        write_c,
+        write_casadi,
+        write_fmu,
+        write_openmdao,
+        write_part,
+    )
 
 
 def __getattr__(name: str) -> Any:
@@ -13,4 +23,4 @@ def __getattr__(name: str) -> Any:
     return getattr(export, name)
 
 
-__all__ = ["PloughComponent", "write_c", "write_casadi", "write_fmu", "write_openmdao"]
+__all__ = ["PloughComponent", "write_c", "write_casadi", "write_fmu", "write_openmdao", "write_part"]

@@ -1,4 +1,4 @@
-"""`plough-opt export`: a file's scene for other tools."""
+"""`plough-opt export`: a file's scene for other tools, or its share for a workshop."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import shlex
 from pathlib import Path
 from typing import Final
 
+from plough_opt.app import part
 from plough_opt.app.terminal import console, progress, read, wrote
 from plough_opt.core.errors import InputError
 from plough_opt.core.files import check_file, check_new_folder
@@ -18,6 +19,7 @@ FORMATS: Final = {
     "casadi": "a serialised CasADi Function, .casadi",
     "openmdao": "a new folder with a Python module",
     "fmu": "an FMU for model exchange, FMI 3.0, .fmu",
+    **part.FORMATS,
 }
 
 
@@ -38,12 +40,16 @@ def add_options(verb: argparse.ArgumentParser) -> None:
     verb.add_argument("--name", metavar="NAME", help="name of the function or model (default: share)")
     verb.add_argument("--strut", choices=("speed", "position"), help="of an FMU: its input (default: speed)")
     verb.add_argument("--sources", action="store_true", help="of an FMU: its C source only, which needs no compiler")
+    part.add_options(verb)
 
 
 def export(options: argparse.Namespace) -> None:
     """Write a file's scene for another tool; nothing is written unless everything is right."""
     _check_options(options)
     problem = read(options)
+    if options.to in part.FORMATS:
+        part.write(problem, options)
+        return
     if options.to == "fmu":
         wrote(_fmu(problem, options))
         console().print(f"next: fmpy simulate {shlex.quote(options.output)} --show-plot", markup=False, soft_wrap=True)
@@ -67,16 +73,24 @@ def _check_options(options: argparse.Namespace) -> None:
     """Refuse a place that cannot be written to, and options of another format, before anything is computed."""
     if options.to in ("c", "openmdao"):
         check_new_folder(options.output, FORMATS[options.to].removeprefix("a new folder with "))
-    else:
+    elif options.to not in part.FORMATS:
         check_file(options.output, f".{options.to}", FORMATS[options.to].partition(",")[0].partition(" ")[2])
     if options.description is not None and options.to == "casadi":
         check_file(options.description, ".json", "description")
     elif options.description is not None:
         raise InputError(f"--description does not go with --to {options.to}: what it says stands in that format itself")
-    others = ("inputs", "outputs") if options.to == "fmu" else ("strut", "sources")
-    for name in others:
+    of_parts, of_fmus = ("opening", "thickness", "body", "at"), ("strut", "sources")
+    if options.to in part.FORMATS:
+        others = dict.fromkeys(("inputs", "outputs", "name", *of_fmus), "a part has a shape only")
+        part.check_options(options)
+    elif options.to == "fmu":
+        others = dict.fromkeys(("inputs", "outputs"), "an FMU has the strut's motion as input")
+    else:
+        others = dict.fromkeys(of_fmus, "it belongs to an FMU")
+    if options.to not in part.FORMATS:
+        others |= dict.fromkeys(of_parts, f"it belongs to a part, {', '.join(part.FORMATS)}")
+    for name, reason in others.items():
         if getattr(options, name):
-            reason = "an FMU has the strut's motion as input" if options.to == "fmu" else "it belongs to an FMU"
             raise InputError(f"--{name} does not go with --to {options.to}: {reason}")
 
 

@@ -1,6 +1,7 @@
 """plough-opt export: each format from a problem file, and what wrong options are told."""
 
 import json
+import math
 import os
 import subprocess
 import sys
@@ -8,7 +9,9 @@ import zipfile
 from pathlib import Path
 
 import casadi as ca
+import ezdxf
 import pytest
+import trimesh
 
 import plough_opt as po
 from plough_opt.core.compiler import find_compiler
@@ -79,6 +82,33 @@ def test_what_to_do_next_can_be_pasted_whatever_the_folder_is_called(cli, cotton
     assert "next: plough-opt optimise '" in done.out
 
 
+def test_parts_are_of_the_best_design_or_of_the_guesses(cli, reference, tmp_path):
+    still = ("--set", "effects={motion=false}", "--set", "scene.duration=0.1 s")
+    best = po.read_problem(reference, still[1::2]).optimise()[0].variables
+    for at, angle in (([], best["share.wedge_angle"]), (["--at", "guess"], po.deg(25))):
+        out = tmp_path / "a.dxf"
+        done = cli("export", reference, "--to", "dxf", "--output", out, *still, *at)
+        assert (done.status, done.err) == (0, f"wrote {out}\n")
+        assert f"wedge angle {math.degrees(angle):.4g} deg" in done.out
+        (outline,) = ezdxf.readfile(out).modelspace().query("LWPOLYLINE")
+        (_, _), (x, y), _ = outline.get_points("xy")
+        assert math.atan2(-y, x) == pytest.approx(angle, rel=1e-9)
+
+
+def test_parts_have_units_and_bodies(cli, reference, tmp_path):
+    bent = ("--opening", "60 deg", "--thickness", "1 cm", "--at", "guess")
+    done = cli("export", reference, "--to", "gltf", "--output", tmp_path / "a.glb", *bent)
+    assert done.status == 0, done.err
+    share = po.read_problem(reference).scene().share
+    made = share.mesh(opening=po.deg(60), thickness=0.01)
+    assert f"60 deg between the faces, plate of 10 mm, {1e6 * made.volume:.4g} cm^3" in done.out
+    assert trimesh.load_scene(tmp_path / "a.glb").to_mesh().volume == pytest.approx(made.volume, rel=1e-6)
+    done = cli("export", reference, "--to", "stl", "--output", tmp_path / "a.stl", "--body", "cone", "--at", "guess")
+    assert "Cone of the guesses: half angle" in done.out
+    cone = share.equivalent_cone()
+    assert trimesh.load_mesh(tmp_path / "a.stl").volume == pytest.approx(1e9 * cone.volume, rel=1e-6)
+
+
 def test_overrides_count(cli, reference, tmp_path):
     changes = ["--set", "scene.tow_speed=1 m/s", "--set", "share.height=0.3 m"]
     done = cli("export", reference, "--to", "casadi", "--output", tmp_path / "a.casadi", *changes)
@@ -107,6 +137,13 @@ def test_overrides_count(cli, reference, tmp_path):
         (["--outputs", "mean_drft"], "no result is named 'mean_drft': did you mean 'mean_draft'"),
         (["--outputs", "peak_force"], "take 'mount_force'"),
         (["--name", "2nd"], "name = '2nd' cannot be that of a CasADi Function"),
+        (["--to", "stl", "--output", "a.obj"], "end it in .stl"),
+        (["--to", "gltf", "--output", "a.stl"], "end it in .gltf or .glb"),
+        (["--to", "stl", "--output", "a.stl", "--inputs", "share.height"], "--inputs does not go with --to stl"),
+        (["--opening", "60 deg"], "--opening does not go with --to casadi"),
+        (["--to", "stl", "--output", "a.stl", "--opening", "60 mm"], '--opening = "60 mm" has the wrong unit'),
+        (["--to", "stl", "--output", "a.stl", "--at", "guess", "--thickness", "1 m"], "leaves nothing of the faces"),
+        (["--to", "dxf", "--output", "a.dxf", "--body", "cone", "--thickness", "1 mm"], "which is solid"),
         (["--set", "accuracy.method=cvodes"], "method 'cvodes' cannot be part of a component"),
         (["--set", "effects.contact=stick_slip"], "stick and slip cannot be a component"),
         (["--set", "variables.share.height.upper=0.6 mm"], "lower"),

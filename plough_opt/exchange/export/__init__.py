@@ -1,4 +1,7 @@
-"""Scenes for other tools: C, a serialised CasADi Function, OpenMDAO, and an FMU; each imported when it is used."""
+"""Scenes for other tools: C, a serialised CasADi Function, OpenMDAO, an FMU; and shares as parts.
+
+Each is imported when it is used.
+"""
 
 from typing import TYPE_CHECKING, Any
 
@@ -6,6 +9,7 @@ if TYPE_CHECKING:
     from plough_opt.exchange.export.c import write_c
     from plough_opt.exchange.export.fmu import write_fmu
     from plough_opt.exchange.export.openmdao import PloughComponent, write_openmdao
+    from plough_opt.exchange.export.part import write_part
     from plough_opt.exchange.export.serialised import write_casadi
 
 _LATER = {
@@ -14,6 +18,7 @@ _LATER = {
     "write_casadi": "plough_opt.exchange.export.serialised",
     "write_fmu": "plough_opt.exchange.export.fmu",
     "write_openmdao": "plough_opt.exchange.export.openmdao",
+    "write_part": "plough_opt.exchange.export.part",
 }
 
 
@@ -26,4 +31,4 @@ def __getattr__(name: str) -> Any:
     return getattr(importlib.import_module(_LATER[name]), name)
 
 
-__all__ = ["PloughComponent", "write_c", "write_casadi", "write_fmu", "write_openmdao"]
+__all__ = ["PloughComponent", "write_c", "write_casadi", "write_fmu", "write_openmdao", "write_part"]

@@ -1,0 +1,172 @@
+"""The share as a part: STL, glTF, DXF and STEP, each written by the library that knows the format."""
+
+from __future__ import annotations
+
+import io
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from importlib import import_module
+from pathlib import Path
+from typing import Any, Final
+
+from plough_opt.core.errors import InputError
+from plough_opt.core.files import write_file
+from plough_opt.core.kinds import check_kind, path_of
+from plough_opt.soil.geometry import Cone, Wedge
+from plough_opt.soil.solid import Solid
+
+_MM: Final = 1e3
+# Layers of a pattern, with the line that each is drawn in and its colour: 7 is black or white, 5 blue, 8 grey.
+_LAYERS: Final = {"CUT": ("CONTINUOUS", 7), "BEND": ("DASHED", 5), "NOTES": ("CONTINUOUS", 8)}
+# Height of the notes beside the length of the part.
+_LETTERS: Final = 0.03
+
+
+@dataclass(frozen=True)
+class _Part:
+    """A share of numbers, the body that it is, and how a wedge is bent."""
+
+    share: Wedge | Cone
+    body: Solid
+    opening: float
+    thickness: float | None
+
+
+def write_part(
+    share: Wedge | Cone, path: str | Path, *, opening: float | None = None, thickness: float | None = None
+) -> Path:
+    """Write a share of numbers as a part for a workshop; the file's ending chooses the format.
+
+    * ``.stl``: triangles in millimetres, for printing and milling (trimesh).
+    * ``.gltf``, ``.glb``: triangles in metres with y up, as the format wants them, for viewing (trimesh).
+    * ``.dxf``: the outer faces laid flat in millimetres, a cutting pattern with the bending line of a wedge, or the
+      sector that rolls up to a cone; without bend allowance (ezdxf).
+    * ``.step``, ``.stp``: exact faces in millimetres, for CAD (build123d).
+
+    Args:
+        share: a wedge, or the cone in its place.
+        path: the file; what is there is replaced.
+        opening: angle between a wedge's faces [rad], see `Wedge.mesh`.
+        thickness: of its plate [m].
+
+    Returns:
+        The path.
+
+    Raises:
+        InputError: another ending, a share of symbols, a library that is not installed, an option that a cone does not
+            have, or a place that cannot be written.
+        DomainError: as `Wedge.mesh`.
+    """
+    check_kind("the share", share, Wedge | Cone, "a Wedge or a Cone")
+    ending = path_of("the part", path).suffix.lower()
+    if ending not in WRITERS:
+        raise InputError(f"the part '{path}' has no known format: end its name in one of {', '.join(WRITERS)}")
+    if isinstance(share, Wedge):
+        body = share.mesh(opening=opening, thickness=thickness)
+        part = _Part(share, body, share.opening if opening is None else opening, thickness)
+    elif opening is None and thickness is None:
+        part = _Part(share, share.mesh(), 0.0, None)
+    else:
+        raise InputError("opening and thickness belong to a wedge: leave them out for a cone, which is solid")
+    return write_file(path, "part", WRITERS[ending](part))
+
+
+def _library(name: str, extra: str) -> Any:
+    try:
+        return import_module(name)
+    except ModuleNotFoundError as missing:
+        if missing.name != name:
+            raise
+        raise InputError(f"{name} is not installed: pip install 'plough_opt[{extra}]'") from None
+
+
+def _stl(part: _Part) -> bytes:
+    trimesh = _library("trimesh", "parts")
+    body = trimesh.Trimesh(_MM * part.body.vertices, part.body.triangles, process=False)
+    return bytes(body.export(file_type="stl"))
+
+
+def _scene(part: _Part) -> Any:
+    trimesh = _library("trimesh", "parts")
+    x, y, z = part.body.vertices.T
+    return trimesh.Scene({"share": trimesh.Trimesh([*zip(x, z, -y, strict=True)], part.body.triangles, process=False)})
+
+
+def _glb(part: _Part) -> bytes:
+    return bytes(_scene(part).export(file_type="glb"))
+
+
+def _gltf(part: _Part) -> bytes:
+    files = _scene(part).export(file_type="gltf", embed_buffers=True)
+    return bytes(files["model.gltf"])
+
+
+def _dxf(part: _Part) -> str:
+    ezdxf = _library("ezdxf", "parts")
+    drawing = ezdxf.new("R2010", setup=True, units=ezdxf.units.MM)
+    for name, (line, colour) in _LAYERS.items():
+        drawing.layers.add(name, linetype=line, color=colour)
+    page = drawing.modelspace()
+    if isinstance(part.share, Wedge):
+        length, depth, notes = _wedge_pattern(page, part.share, part.opening, part.thickness)
+    else:
+        length, depth, notes = _cone_pattern(page, part.share)
+    letters = _LETTERS * length
+    for k, note in enumerate(notes):
+        text = page.add_text(note, height=letters, dxfattribs={"layer": "NOTES"})
+        text.set_placement((0.0, -depth - (2.0 + 1.6 * k) * letters))
+    written = io.StringIO()
+    drawing.write(written)
+    return written.getvalue()
+
+
+def _wedge_pattern(page: Any, share: Wedge, opening: float, thickness: float | None) -> tuple[float, float, list[str]]:
+    """Draw the two faces, beside each other along the ridge; return length and half width [mm], and notes."""
+    ridge = _MM * share.height / math.cos(share.chisel_angle)
+    width = ridge * math.tan(share.angle)
+    page.add_lwpolyline([(0.0, 0.0), (ridge, -width), (ridge, width)], close=True, dxfattribs={"layer": "CUT"})
+    page.add_line((0.0, 0.0), (ridge, 0.0), dxfattribs={"layer": "BEND"})
+    plate = "a block: faces only" if thickness is None else f"plate {_MM * thickness:g} mm"
+    notes = [
+        f"Outer faces of the share, {plate}; all lengths in mm",
+        f"Bend by {180.0 - math.degrees(opening):.2f} deg along the dashed ridge; no bend allowance",
+    ]
+    return ridge, width, notes
+
+
+def _cone_pattern(page: Any, cone: Cone) -> tuple[float, float, list[str]]:
+    """Draw the sector that rolls up to a cone; return length and half width [mm], and notes."""
+    slant, half = _MM * cone.height / math.cos(cone.half_angle), math.pi * math.sin(cone.half_angle)
+    x, y = slant * math.cos(half), slant * math.sin(half)
+    # The bulge of an edge is the tangent of a quarter of its arc.
+    corners = [(0.0, 0.0, 0.0), (x, -y, math.tan(half / 2.0)), (x, y, 0.0)]
+    page.add_lwpolyline(corners, format="xyb", close=True, dxfattribs={"layer": "CUT"})
+    notes = [f"Lateral surface of the cone, half angle {math.degrees(cone.half_angle):.3f} deg; all lengths in mm"]
+    return slant, slant * math.sin(min(half, math.pi / 2.0)), notes
+
+
+def _step(part: _Part) -> bytes:
+    cad = _library("build123d", "step")
+    if isinstance(part.share, Cone):
+        height = _MM * part.share.height
+        solid = cad.Solid.make_cone(0.0, height * math.tan(part.share.half_angle), height, plane=cad.Plane.YZ)
+    else:
+        corners = [cad.Vector(*place) for place in _MM * part.body.vertices]
+        wires = [cad.Wire.make_polygon([corners[k] for k in polygon]) for polygon in part.body.polygons]
+        solid = cad.Solid(cad.Shell([cad.Face(wire) for wire in wires]))
+    solid.label = "share"
+    written = io.BytesIO()
+    cad.export_step(solid, written)
+    return written.getvalue()
+
+
+WRITERS: Final[dict[str, Callable[[_Part], str | bytes]]] = {
+    ".stl": _stl,
+    ".gltf": _gltf,
+    ".glb": _glb,
+    ".dxf": _dxf,
+    ".step": _step,
+    ".stp": _step,
+}
+"""Ending of a file -> what it holds of a part."""

@@ -7,9 +7,8 @@ from dataclasses import dataclass
 import casadi as ca
 import mpmath
 import numpy as np
-import precise_motion
 import pytest
-import three_modes
+from helpers import precise_motion, three_modes
 
 import plough_opt as po
 from plough_opt.studies.accuracy import picard

@@ -6,11 +6,11 @@ import math
 from itertools import pairwise
 
 import casadi as ca
-import high_precision as hp
 import numpy as np
 import pytest
-from density_profiles import DENSITIES, DENSITY, ground
-from high_precision import mp
+from helpers import high_precision as hp
+from helpers.density_profiles import DENSITIES, DENSITY, ground
+from helpers.high_precision import mp
 from scipy.integrate import solve_ivp
 
 import plough_opt as po

@@ -1,11 +1,11 @@
 """A density profile in symbols: values, gradients and Hessians against 75 digits, the profile's parameters included."""
 
 import casadi as ca
-import high_precision as hp
 import numpy as np
 import pytest
-from density_profiles import DENSITIES, Ground
-from high_precision import mp
+from helpers import high_precision as hp
+from helpers.density_profiles import DENSITIES, Ground
+from helpers.high_precision import mp
 
 import plough_opt as po
 from plough_opt.soil import plastic

@@ -4,7 +4,7 @@ import math
 
 import casadi as ca
 import pytest
-from density_profiles import ground
+from helpers.density_profiles import ground
 
 import plough_opt as po
 from plough_opt.core.expressions import exp, is_quantity, map_expressions

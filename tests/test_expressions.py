@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 import pytest
-from high_precision import assert_close, derivatives, mp
+from helpers.high_precision import assert_close, derivatives, mp
 
 import plough_opt as po
 from plough_opt.core import expressions as ex

@@ -7,10 +7,10 @@ from functools import cache
 from pathlib import Path
 
 import casadi as ca
-import high_precision as hp
 import numpy as np
 import pytest
-from high_precision import FIRM, NAMES, assert_close, assert_derivatives, in_order
+from helpers import high_precision as hp
+from helpers.high_precision import FIRM, NAMES, assert_close, assert_derivatives, in_order
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import quad

@@ -3,10 +3,10 @@
 import math
 
 import casadi as ca
-import high_precision as hp
 import numpy as np
 import pytest
-from high_precision import assert_close, assert_derivatives
+from helpers import high_precision as hp
+from helpers.high_precision import assert_close, assert_derivatives
 from hypothesis import given, settings
 from hypothesis import strategies as st
 

@@ -5,10 +5,10 @@ import math
 from functools import cache
 
 import casadi as ca
-import high_precision as hp
 import numpy as np
-import precise_field as pf
 import pytest
+from helpers import high_precision as hp
+from helpers import precise_field as pf
 
 import plough_opt as po
 from plough_opt.soil import plastic

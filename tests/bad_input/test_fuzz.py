@@ -13,7 +13,7 @@ import time
 from pathlib import Path
 
 import pytest
-from mutations import NUMBERS, UNITS, mutated, mutated_json
+from helpers.mutations import NUMBERS, UNITS, mutated, mutated_json
 
 import plough_opt as po
 from plough_opt.app import main

@@ -8,7 +8,7 @@ import random
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
-from recipes import WRONG, recipes
+from helpers.recipes import WRONG, recipes
 
 import plough_opt as po
 

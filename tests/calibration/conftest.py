@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from known_soil import BOUNDS, drafts, steady_scene
+from helpers.known_soil import BOUNDS, drafts, steady_scene
 
 import plough_opt as po
 

@@ -4,7 +4,7 @@ import json
 import math
 
 import pytest
-from known_soil import BOUNDS, steady_scene
+from helpers.known_soil import BOUNDS, steady_scene
 
 import plough_opt as po
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from known_soil import TRUTH, steady_scene
+from helpers.known_soil import TRUTH, steady_scene
 from scipy import optimize
 
 import plough_opt as po

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from known_soil import BOUNDS, TRUTH, drafts, steady_scene
+from helpers.known_soil import BOUNDS, TRUTH, drafts, steady_scene
 from scipy import optimize, stats
 
 import plough_opt as po

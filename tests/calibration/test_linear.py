@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from known_soil import steady_scene
+from helpers.known_soil import steady_scene
 from scipy import stats
 
 import plough_opt as po

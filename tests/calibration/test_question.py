@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from known_soil import steady_scene
+from helpers.known_soil import steady_scene
 
 import plough_opt as po
 from plough_opt.motion.vocabulary import with_quantities

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import casadi as ca
 import numpy as np
 import pytest
-from differences import differences
+from helpers.differences import differences
 
 import plough_opt as po
 from plough_opt.design.nlp import averages_only

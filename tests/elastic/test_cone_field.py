@@ -5,9 +5,9 @@ import math
 
 import casadi as ca
 import numpy as np
-import oracle
 import pytest
-from field_cases import (
+from helpers import oracle
+from helpers.field_cases import (
     BODIES,
     EPS,
     MU,

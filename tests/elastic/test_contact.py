@@ -4,11 +4,11 @@ import itertools
 import math
 
 import casadi as ca
-import high_precision as hp
 import numpy as np
-import oracle
 import pytest
-from field_cases import (
+from helpers import high_precision as hp
+from helpers import oracle
+from helpers.field_cases import (
     BODIES,
     EPS,
     MU,

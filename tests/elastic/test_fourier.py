@@ -5,9 +5,9 @@ import math
 
 import casadi as ca
 import numpy as np
-import oracle
 import pytest
-from field_cases import MU, ground, inputs, slow
+from helpers import oracle
+from helpers.field_cases import MU, ground, inputs, slow
 
 import plough_opt as po
 from plough_opt.soil.elastic import fourier

@@ -1,9 +1,9 @@
 """The precise numbers are themselves judged: Fourier integrals, kernel integrals and antiderivatives agree."""
 
-import high_precision as hp
-import oracle
 import pytest
-from field_cases import slow, thinned
+from helpers import high_precision as hp
+from helpers import oracle
+from helpers.field_cases import slow, thinned
 
 mp = hp.mp
 

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import casadi as ca
 import pytest
-from field_cases import EPS
+from helpers.field_cases import EPS
 
 import plough_opt as po
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from fmpy.fmi3 import FMU3Model
 from fmpy.validation import validate_fmu
-from fmu_tools import ARRAYS, CLOSELY, WITHIN, Stepped, differences, instance_of, simulated
+from helpers.fmu_tools import ARRAYS, CLOSELY, WITHIN, Stepped, differences, instance_of, simulated
 
 import plough_opt as po
 from plough_opt.exchange.export.fmu import write_fmu

@@ -17,7 +17,7 @@ import pytest
 from fmpy.build import build_platform_binary
 from fmpy.fmi1 import FMICallException
 from fmpy.validation import validate_fmu
-from fmu_tools import WITHIN, differences, instance_of, simulated
+from helpers.fmu_tools import WITHIN, differences, instance_of, simulated
 
 import plough_opt as po
 from plough_opt.core.expressions import exp

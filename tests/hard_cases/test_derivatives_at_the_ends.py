@@ -9,9 +9,9 @@ import math
 from functools import cache
 
 import casadi as ca
-import high_precision as hp
 import numpy as np
 import pytest
+from helpers import high_precision as hp
 
 import plough_opt as po
 

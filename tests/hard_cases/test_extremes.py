@@ -7,7 +7,7 @@ import signal
 
 import numpy as np
 import pytest
-import three_modes
+from helpers import three_modes
 
 import plough_opt as po
 

@@ -5,8 +5,7 @@ import math
 
 import numpy as np
 import pytest
-from scipy.optimize import minimize, minimize_scalar
-from shares_by_hand import (
+from helpers.shares_by_hand import (
     CHISEL,
     NAMES,
     SOIL,
@@ -22,6 +21,7 @@ from shares_by_hand import (
     half_angle,
     radius,
 )
+from scipy.optimize import minimize, minimize_scalar
 
 import plough_opt as po
 

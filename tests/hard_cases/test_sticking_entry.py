@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-import three_modes
-from three_modes import GAP, SLIP, STICK
+from helpers import three_modes
+from helpers.three_modes import GAP, SLIP, STICK
 
 import plough_opt as po
 

@@ -1,11 +1,10 @@
 """First and second derivatives at default accuracy, against differences of simulators that share no code with it."""
 
 import casadi as ca
-import gauss_motion
 import numpy as np
 import pytest
-import three_modes
-from differences import WEIGHTS
+from helpers import gauss_motion, three_modes
+from helpers.differences import WEIGHTS
 
 import plough_opt as po
 

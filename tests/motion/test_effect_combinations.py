@@ -5,7 +5,7 @@ import itertools
 import casadi as ca
 import numpy as np
 import pytest
-import three_modes
+from helpers import three_modes
 
 import plough_opt as po
 from plough_opt.motion.equation import equation_of_motion

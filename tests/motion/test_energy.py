@@ -8,9 +8,9 @@ import dataclasses
 
 import numpy as np
 import pytest
-import three_modes
+from helpers import three_modes
+from helpers.three_modes import GAP, SLIP
 from test_effect_combinations import COVERING, covering, label, refused, scene_of
-from three_modes import GAP, SLIP
 
 import plough_opt as po
 

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-import three_modes
+from helpers import three_modes
 
 import plough_opt as po
 

@@ -5,7 +5,7 @@ import dataclasses
 
 import numpy as np
 import pytest
-import wild_scenes
+from helpers import wild_scenes
 
 import plough_opt as po
 from plough_opt.motion.estimate import difference

@@ -6,7 +6,7 @@ import math
 import casadi as ca
 import numpy as np
 import pytest
-import three_modes
+from helpers import three_modes
 
 import plough_opt as po
 

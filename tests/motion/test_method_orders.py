@@ -8,10 +8,9 @@ import dataclasses
 import math
 
 import casadi as ca
-import gauss_motion
 import numpy as np
 import pytest
-import three_modes
+from helpers import gauss_motion, three_modes
 from scipy.optimize import brentq
 
 import plough_opt as po

@@ -5,7 +5,7 @@ import math
 
 import numpy as np
 import pytest
-from orbit_oracle import follow, monodromy, orbit, period
+from helpers.orbit_oracle import follow, monodromy, orbit, period
 from scipy.integrate import solve_bvp
 
 import plough_opt as po

@@ -5,7 +5,7 @@ import dataclasses
 import casadi as ca
 import numpy as np
 import pytest
-from orbit_oracle import follow, period
+from helpers.orbit_oracle import follow, period
 
 import plough_opt as po
 from plough_opt.motion import settling

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-import three_modes
+from helpers import three_modes
 
 import plough_opt as po
 

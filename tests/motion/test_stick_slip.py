@@ -6,9 +6,9 @@ import math
 import casadi as ca
 import numpy as np
 import pytest
-import three_modes
+from helpers import three_modes
+from helpers.three_modes import GAP, SLIP, STICK
 from scipy.integrate import simpson
-from three_modes import GAP, SLIP, STICK
 
 import plough_opt as po
 

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-HERE = Path(__file__).parent
-ROOT = HERE.parents[1]
+TESTS = Path(__file__).parents[1]
+ROOT = TESTS.parent
 
 
 @pytest.fixture(scope="session")
@@ -20,13 +20,13 @@ def inline():
 
 @pytest.fixture
 def script(tmp_path):
-    """Start a Python text as a process of its own, with this folder's modules; it is killed at the end."""
+    """Start a Python text as a process of its own, with the tests' helpers; it is killed at the end."""
     started = []
 
     def start(text, *command, **options):
         path = tmp_path / f"script{len(started)}.py"
         path.write_text(text, encoding="utf-8")
-        environment = os.environ | {"PYTHONPATH": f"{HERE}{os.pathsep}{ROOT}"}
+        environment = os.environ | {"PYTHONPATH": f"{TESTS}{os.pathsep}{ROOT}"}
         line = [*command, str(path)] if command else [sys.executable, str(path)]
         pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
         started.append(subprocess.Popen(line, env=environment, **(pipes | options)))
@@ -40,7 +40,7 @@ def script(tmp_path):
 
 @pytest.fixture
 def counted_text():
-    """Return a script that sweeps `swept.Counted` into a store."""
+    """Return a script that sweeps `helpers.swept.Counted` into a store."""
 
     def text(store, file, pause, values, executor="None"):
         return (
@@ -48,7 +48,7 @@ def counted_text():
             "from plough_opt.studies.sweep.sweeping import sweep\n"  # what files need is not imported
             "from concurrent.futures import ThreadPoolExecutor\n"
             "from pathlib import Path\n"
-            "from swept import Counted\n"
+            "from helpers.swept import Counted\n"
             "if __name__ == '__main__':\n"
             f"    counted = Counted(Path({json.dumps(str(file))}), {pause})\n"
             f"    over = {{'a': Range(0.0, 1.0, {values}), 'b': [1.0, 2.0]}}\n"

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import swept
+from helpers import swept
 
 import plough_opt as po
 from plough_opt.studies.sweep import pool as pools

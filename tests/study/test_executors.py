@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import swept
+from helpers import swept
 
 import plough_opt as po
 from plough_opt.app import main

@@ -11,7 +11,7 @@ from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 
 import numpy as np
 import pytest
-import swept
+from helpers import swept
 
 import plough_opt as po
 from plough_opt.studies.sweep import engine

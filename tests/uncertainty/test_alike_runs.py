@@ -5,7 +5,7 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 import pytest
-from differences import differences
+from helpers.differences import differences
 from scipy import stats
 
 import plough_opt as po

@@ -9,12 +9,12 @@ import itertools
 import math
 
 import casadi as ca
-import high_precision as hp
 import numpy as np
-import oracle
 import pytest
 
 import plough_opt as po
+from helpers import high_precision as hp
+from helpers import oracle
 
 mp = hp.mp
 EPS = 2.0**-52

@@ -7,8 +7,9 @@ from collections.abc import Callable
 from functools import cache
 from typing import Any, NamedTuple
 
-from high_precision import mp
 from mpmath.calculus.quadrature import GaussLegendre
+
+from helpers.high_precision import mp
 
 # Digits of integrals and roots of a profile: second differences with a step of 1e-25 leave 20 of them.
 _DIGITS = 75

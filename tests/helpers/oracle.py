@@ -15,8 +15,9 @@ the potentials coincide and every formula here is 0/0. The field is even in V0 a
 import itertools
 from collections import namedtuple
 
-import high_precision as hp
 from mpmath.calculus.quadrature import GaussLegendre
+
+from helpers import high_precision as hp
 
 mp = hp.mp
 HALF = mp.mpf(1) / 2

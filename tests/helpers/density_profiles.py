@@ -2,10 +2,9 @@
 
 from typing import NamedTuple
 
-import high_precision as hp
-import precise_field as pf
-
 import plough_opt as po
+from helpers import high_precision as hp
+from helpers import precise_field as pf
 from plough_opt.core.expressions import exp
 
 DENSITY = 1400.0

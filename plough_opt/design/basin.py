@@ -17,8 +17,6 @@ from plough_opt.design.tolerance import judgement
 
 # Part of the range by which a descent that stays in its basin moves at once, and how often.
 _BOX, _MOST_BOXES = 0.05, 60
-# Factor on the steps with which an optimum is sought from the guess, roughly as a search does, and then polished.
-_ROUGHLY = 0.5
 # Positions on the straight way to an optimum at which a barrier is looked for, and the rise of the merit that is one.
 _BETWEEN, _BARRIER = 40, 1e-3
 
@@ -39,24 +37,26 @@ def near_optimum(program: Program, landscape: Landscape, p: Vector, start: Vecto
         program.build(p, starts=[start])
         point = program.solve(start, p)
         return point if point.solved else _from_least_violation(program, p, start)
-    program.build(p, _ROUGHLY, [start])
-    point = program.solve(start, p)
     begin = landscape(start[None])
     if not begin.feasible[0]:
         begin = landscape.nearest_feasible(start)
     if not begin.feasible[0]:
         begin = _far_feasible(program, landscape, p, start)
-    if point.solved and _downhill(landscape, begin.points[0], point.y):
-        build_surely(program, p, [point.y])
-        return polished(program, p, point.y)
     y = begin.points[0]
+    end = landscape.descend(y).points[0]
+    y = end if _downhill(landscape, y, end) else _descended_in_steps(landscape, y)
+    build_surely(program, p, [y])
+    return polished(program, p, y)
+
+
+def _descended_in_steps(landscape: Landscape, y: Vector) -> Vector:
+    """Return where descents lead that go no further than a part of the range at once."""
     for _ in range(_MOST_BOXES):
         end = landscape.descend(y, np.maximum(y - _BOX, 0.0), np.minimum(y + _BOX, 1.0)).points[0]
         moved, y = np.max(np.abs(end - y)), end
         if moved < 0.9 * _BOX:
             break
-    build_surely(program, p, [y])
-    return polished(program, p, y)
+    return y
 
 
 def _far_feasible(program: Program, landscape: Landscape, p: Vector, start: Vector) -> Seen:

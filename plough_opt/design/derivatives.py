@@ -83,14 +83,14 @@ def error_by_differences(own: Alike, p: Vector, many: ManyRuns) -> float:
     count = len(own.varying)
     phase = float(summed_rate(dict(zip(own.solver.names, map(float, p), strict=False)))) * float(p[-1])
     step = min(_MOST_CHANGE, _OF_PHASE / max(phase, _OF_PHASE))
-    both = pairs(count)
-    directions = np.zeros((1 + 2 * len(both), count))
-    for k, (a, b) in enumerate(both):
-        directions[1 + 2 * k, [a, b]], directions[2 + 2 * k, [a, b]] = 1.0, -1.0
+    first, second = np.array(pairs(count)).T
+    directions = np.zeros((1 + 2 * len(first), count))
+    for part, sign in ((slice(1, None, 2), 1.0), (slice(2, None, 2), -1.0)):
+        np.put_along_axis(directions[part], np.column_stack([first, second]), sign, axis=1)
     given = np.repeat(p[None], len(directions), axis=0)
     given[:, list(own.varying)] *= 1.0 + step * directions
     used, better = (
-        _jet(many(given, count=len(solver.timeline.nodes) - 1), both, step, own.first)
+        _jet(many(given, count=len(solver.timeline.nodes) - 1), (first, second), step, own.first)
         for solver in (own.solver, finer_than(own.solver))
     )
     if not (np.all(np.isfinite(used)) and np.all(np.isfinite(better))):
@@ -98,23 +98,22 @@ def error_by_differences(own: Alike, p: Vector, many: ManyRuns) -> float:
     return difference_of_jets(own.solver, p, used, better, own.first)
 
 
-def _jet(results: Vector, both: list[tuple[int, int]], step: float, missing: int) -> Vector:
+def _jet(results: Vector, both: tuple[np.ndarray, np.ndarray], step: float, missing: int) -> Vector:
     """Return value, first and second derivatives of results, columns as those of `plough_opt.motion.jets`.
 
     Args:
         results: at a place, then upwards and downwards along the sum of each pair of parameters, a row each.
-        both: the pairs; those of a parameter with itself are along it alone.
+        both: the pairs, the first and the second of each; those of a parameter with itself are along it alone.
         step: the change of each.
         missing: rows of zeros that come before those of the results.
     """
     value, up, down = results[0], results[1::2], results[2::2]
-    alone = {a: k for k, (a, b) in enumerate(both) if a == b}
-    slopes = [(up[k] - down[k]) / (2.0 * step) for k in alone.values()]
+    alone = np.flatnonzero(both[0] == both[1])
+    slopes = (up[alone] - down[alone]) / (2.0 * step)
     bends = (up - 2.0 * value + down) / step**2
-    mixed = [
-        bends[k] if a == b else 0.5 * (bends[k] - bends[alone[a]] - bends[alone[b]]) for k, (a, b) in enumerate(both)
-    ]
-    jet = np.column_stack([value, *slopes, *mixed])
+    apart = (both[0] != both[1])[:, None]
+    mixed = np.where(apart, 0.5 * (bends - bends[alone[both[0]]] - bends[alone[both[1]]]), bends)
+    jet = np.vstack([value, slopes, mixed]).T
     return np.vstack([np.zeros((missing, jet.shape[1])), jet])
 
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from plough_opt.design.ipopt import Point, Vector
 from plough_opt.design.landscape import FEASIBLE, MET
+from plough_opt.design.last_digits import with_last_digits
 from plough_opt.design.program import Program
 
 # How far from a start, in parts of the range, an optimum may lie that is the start's own, and that of a ripple.
@@ -25,7 +26,11 @@ AS_FOUND = "taken as found"
 
 def polished(program: Program, p: Vector, start: Vector) -> Point:
     """Return the local optimum of a search's bottom: the start as it is, where no better one lies beside it."""
-    begins, most = as_it_is(program, p, start), _most(program, p, start)
+    most = _most(program, p, start)
+    near = with_last_digits(program, p, start)
+    if near is not None and np.max(np.abs(near.y - start)) < _BESIDE and near.f <= most:
+        return near
+    begins = as_it_is(program, p, start)
     for box, exact in ((1.0, False), (_BESIDE, True), (_RIPPLE, True)):
         point = program.solve(start, p, box, near=True, exact=exact, enough=True)
         if point.status in _STALLED and _violation(program, p, point.y)[1] <= MET:

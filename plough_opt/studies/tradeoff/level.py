@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from plough_opt.design.ipopt import OPTIONS, PULLS, Point, Solver, Vector
+from plough_opt.design.last_digits import residual
 from plough_opt.design.nlp import Nlp
-from plough_opt.studies.tradeoff.quadratic import least
+from plough_opt.design.quadratic import least, made_convex
 
 _WARM: Final[dict[str, Any]] = {
     "ipopt.warm_start_init_point": "yes",
@@ -31,8 +32,6 @@ _LONGEST: Final = 0.3
 _AT_BOUND: Final = 1e-9
 # Steps that do not shrink so often lead nowhere.
 _PATIENCE: Final = 4
-# Curvatures below are made so large: quadratic programs stay convex.
-_LEAST_CURVATURE: Final = 1e-4
 # Scaled margins below this leave no room.
 _TOUCHING: Final = 1e-7
 # Of slopes, relative to the largest: below this one repeats the others.
@@ -96,16 +95,7 @@ class Level(Solver):
     def residual(self, point: Point, p: Vector) -> float:
         """Return by how much an optimum misses the first-order conditions: slopes, limits, and one of two at each."""
         _, g, gradient, jacobian = self.slopes(point.y, p)
-        pulls = np.concatenate([point.lam_g, point.lam_y])
-        slope = gradient + jacobian.T @ point.lam_g + point.lam_y
-        beyond = np.max(np.maximum(self._least - g, g - self._largest), initial=0.0)
-        rooms = np.concatenate([
-            np.where(point.lam_g > 0.0, self._largest - g, g - self._least),
-            np.where(point.lam_y > 0.0, 1.0 - point.y, point.y),
-        ])  # fmt: skip
-        # A limit that is not there, at infinity, must have no multiplier.
-        both = np.max(np.abs(pulls) * np.where(np.isfinite(rooms), np.abs(rooms), 1.0))
-        return float(max(np.max(np.abs(slope)), both) / max(1.0, np.max(np.abs(pulls))) + beyond)
+        return residual(point, (g, gradient, jacobian), (self._least, self._largest))
 
     def least_curvature(self, point: Point, p: Vector) -> float | None:
         """Return the least curvature of the Lagrangian along directions that leave every limit in place.
@@ -205,12 +195,6 @@ def _touches(margins: Vector, multipliers: Vector) -> NDArray[np.bool_]:
 def _inside(y: Vector) -> NDArray[np.bool_]:
     """Return where no bound is near."""
     return (y > _AT_BOUND) & (y < 1.0 - _AT_BOUND)
-
-
-def made_convex(hessian: Vector) -> Vector:
-    """Return a Hessian with its curvatures made positive."""
-    sizes, directions = np.linalg.eigh(hessian)
-    return np.asarray((directions * np.maximum(np.abs(sizes), _LEAST_CURVATURE)) @ directions.T)
 
 
 def _renewed(curvature: Vector, step: Vector, change: Vector) -> Vector:

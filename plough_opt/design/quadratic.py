@@ -8,6 +8,14 @@ from plough_opt.design.ipopt import Vector
 
 # Of a program whose limits contradict each other, the distance that is left.
 _INFEASIBLE = 1e-13
+# Curvatures below are made so large: quadratic programs stay convex.
+_LEAST_CURVATURE = 1e-4
+
+
+def made_convex(hessian: Vector) -> Vector:
+    """Return a Hessian with its curvatures made positive."""
+    sizes, directions = np.linalg.eigh(hessian)
+    return np.asarray((directions * np.maximum(np.abs(sizes), _LEAST_CURVATURE)) @ directions.T)
 
 
 def least(

@@ -1,0 +1,124 @@
+"""An optimum's last digits by sequential quadratic programs, from a design that a search left nearly optimal.
+
+Its curvatures, which need only be roughly right, come from differences of runs side by side, so that two or three
+evaluations of exact slopes do, where an interior-point method takes as many again for its barrier to vanish.
+"""
+
+from __future__ import annotations
+
+import itertools
+from typing import Final
+
+import numpy as np
+
+from plough_opt.design.ipopt import Point, Vector
+from plough_opt.design.program import Program
+from plough_opt.design.quadratic import least, made_convex
+
+# Of first-order conditions, scaled: what is left at an optimum.
+_STATIONARY: Final = 1e-10
+# Steps, and how long one is at most: a start further away is not nearly optimal.
+_STEPS, _LONGEST = 5, 0.02
+# By what factor a step must at least bring the conditions nearer: less is no convergence.
+_FALLS: Final = 0.5
+# Scaled step of the differences: between the rounding of a run (some 1e-13) and the narrowest ripples (some 1e-2); and
+# the factor on a search's steps with which they are run.
+_STEP, _FINER = 2e-4, 2.0
+# Multipliers and the curvature that goes with them are found together, in so many rounds.
+_ROUNDS: Final = 3
+# Limits are kept by so much, scaled, so that rounding breaks none; and a variable nearer to a bound is on it.
+_KEPT: Final = 1e-11
+_AT_BOUND: Final = 1e-9
+# Scaled margin that leaves no room, and of slopes of length 1 what tells one from the others.
+_TOUCHING, _ALIKE = 1e-8, 1e-7
+
+
+def with_last_digits(program: Program, p: Vector, start: Vector) -> Point | None:
+    """Return the optimum beside a design, or None where none is reached in a few short steps.
+
+    Args:
+        program: the design's program, built.
+        p: parameters.
+        start: scaled variables, nearly optimal.
+    """
+    bends = _second_differences(program, p, start) if program.population.vectorised else None
+    if bends is None:
+        return None
+    kept = np.where(program.low < program.high, _KEPT, 0.0)
+    y, lam_g, before = start, np.zeros(len(program.low)), np.inf
+    for number in range(_STEPS):
+        f, g, gradient, jacobian = (np.asarray(result) for result in program.nlp.slopes(y, p))
+        g, gradient = g.ravel(), gradient.ravel()
+        if not all(np.all(np.isfinite(part)) for part in (f, g, gradient, jacobian)):
+            return None
+        rows = np.vstack([jacobian, np.eye(len(y))])
+        limits = np.concatenate([program.low + kept - g, -y]), np.concatenate([program.high - kept - g, 1.0 - y])
+        for _ in range(1 if number else _ROUNDS):
+            curvature = made_convex(bends[0] + np.tensordot(lam_g, bends[1:], 1))
+            found = least(curvature, gradient, rows, limits)
+            if found is None:
+                return None
+            step, (lam_g, lam_y) = found[0], np.split(found[1], [len(g)])
+        inside = (y > _AT_BOUND) & (y < 1.0 - _AT_BOUND)
+        point = Point(True, "Solve_Succeeded", y, float(f.item()), lam_g, np.where(inside, 0.0, lam_y), number)
+        left = residual(point, (g, gradient, jacobian), (program.low, program.high))
+        if left <= _STATIONARY:
+            if np.all((kept == 0.0) | ((program.low <= g) & (g <= program.high))):
+                return point if _independent(rows, *limits) else None
+        elif left > _FALLS * before or np.max(np.abs(step)) > _LONGEST:
+            return None
+        y, before = np.clip(y + step, 0.0, 1.0), left
+    return None
+
+
+def _independent(rows: Vector, low: Vector, high: Vector) -> bool:
+    """Return whether the slopes of limits that leave no room are independent; else which of them pulls is open.
+
+    Args:
+        rows: slopes.
+        low: how far each may fall.
+        high: how far each may rise.
+    """
+    touching = rows[np.minimum(-low, high) < _TOUCHING]
+    sizes = np.maximum(np.linalg.norm(touching, axis=1, keepdims=True), np.finfo(float).tiny)
+    return not len(touching) or int(np.linalg.matrix_rank(touching / sizes, _ALIKE)) == len(touching)
+
+
+def residual(point: Point, at: tuple[Vector, Vector, Vector], limits: tuple[Vector, Vector]) -> float:
+    """Return by how much a point misses the first-order conditions: slopes, limits, and one of two at each.
+
+    Args:
+        point: the point.
+        at: requirements, gradient and Jacobian there, scaled.
+        limits: lower and upper limits of the requirements, scaled.
+    """
+    (g, gradient, jacobian), (low, high) = at, limits
+    pulls = np.concatenate([point.lam_g, point.lam_y])
+    slope = gradient + jacobian.T @ point.lam_g + point.lam_y
+    beyond = np.max(np.maximum(low - g, g - high), initial=0.0)
+    rooms = np.concatenate([
+        np.where(point.lam_g > 0.0, high - g, g - low),
+        np.where(point.lam_y > 0.0, 1.0 - point.y, point.y),
+    ])  # fmt: skip
+    # A limit that is not there, at infinity, must have no multiplier.
+    both = np.max(np.abs(pulls) * np.where(np.isfinite(rooms), np.abs(rooms), 1.0))
+    return float(max(np.max(np.abs(slope)), both) / max(1.0, np.max(np.abs(pulls))) + beyond)
+
+
+def _second_differences(program: Program, p: Vector, y: Vector) -> Vector | None:
+    """Return the second derivatives of objective and requirements, a matrix each; None without a value somewhere."""
+    n = len(y)
+    steps = np.diag(np.where(y > 0.5, -_STEP, _STEP))
+    both = list(itertools.combinations_with_replacement(range(n), 2))
+    points = np.vstack([y, y + steps, *(y + steps[i] + steps[j] for i, j in both)])
+    with np.errstate(all="ignore"):
+        f, g = program.population(points, p, finer=_FINER, together=len(points))
+    scales = np.array(program.scales)[np.array(program.owner, dtype=int)]
+    values = np.column_stack([f / program.objective_scale, g / scales])
+    if not np.all(np.isfinite(values)):
+        return None
+    bends = np.empty((values.shape[1], n, n))
+    for (i, j), value in zip(both, values[n + 1 :], strict=True):
+        bend = (value - values[1 + i] - values[1 + j] + values[0]) / (steps[i, i] * steps[j, j])
+        bends[:, i, j] = bends[:, j, i] = bend
+    return bends

@@ -5,11 +5,12 @@ from pathlib import Path
 
 import pytest
 
-from plough_opt.core import csv_rows, lines, overrides, quantities, schema, source, uncertain, units
+from plough_opt.core import csv_rows, quantities, units
 from plough_opt.design import effort
 from plough_opt.exchange import results
 from plough_opt.motion import plan
 from plough_opt.motion.effects import MOST_HARMONICS
+from plough_opt.problem_file import lines, overrides, schema, source, uncertain
 from plough_opt.soil.elastic import profile
 from plough_opt.studies.sweep import axes, points
 from plough_opt.studies.tradeoff import question

@@ -26,9 +26,9 @@ class Entry:
             ``"derivatives"``.
         method: its name.
         setting: its setting as text, such as ``"tolerance 1e-08"`` or ``"40 steps"``.
-        seconds: median time of one use after a warm-up [s], of what may be the cheapest the least of several turns;
-            infinite of a failure.
-        setup: time to build it, once [s].
+        seconds: median processor time of one use after a warm-up [s], of what may be the cheapest the least of several
+            turns; infinite of a failure.
+        setup: time to build it, once [s], that of a compiler included.
         errors: relative errors [-] by what is wrong; empty of a failure.
         failure: why it has no result, or None.
         elsewhere: of a solve that ended in another local optimum than the reference's, a clause that says so; its
@@ -60,7 +60,9 @@ def error_text(error: float) -> str:
 def median_time(
     action: Callable[[], object], *, budget: float = 0.5, least: int = 3, most: int = 15, warm: bool = False
 ) -> float:
-    """Return the median time [s] of an action after a warm-up.
+    """Return the median processor time [s] of an action after a warm-up.
+
+    Processor time is that of this process: what else the machine does meanwhile is not in it.
 
     Args:
         action: what is timed.
@@ -73,9 +75,9 @@ def median_time(
         action()
     seconds: list[float] = []
     while not seconds or (len(seconds) < most and sum(seconds) < (budget if len(seconds) >= least else 10.0 * budget)):
-        started = time.perf_counter()
+        started = time.process_time()
         action()
-        seconds.append(time.perf_counter() - started)
+        seconds.append(time.process_time() - started)
     return statistics.median(seconds)
 
 

@@ -53,12 +53,12 @@ class Quadratures:
 def _entry(
     task: Task, method: str, setting: str, find: Callable[[], Any], errors: Callable[[Any], dict[str, float]]
 ) -> Entry:
-    started = time.perf_counter()
+    started = time.process_time()
     try:
         found = find()
     except PloughError as error:
         return failure("quadrature", method, setting, error)
-    first = time.perf_counter() - started
+    first = time.process_time() - started
     seconds = median_time(find, budget=task.timing, warm=True)
     return Entry("quadrature", method, setting, seconds, max(0.0, first - seconds), errors(found))
 

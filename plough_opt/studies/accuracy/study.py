@@ -53,7 +53,7 @@ def study_accuracy(
         outputs: number of equal intervals between output times, at which mount forces are compared.
         allowance: time [s] that one use of a contestant may take; what would take longer is left out and says so.
         derivatives: whether derivatives of the averages take part.
-        thin: leave out every other setting.
+        thin: leave out every other setting but the finest; what is advised is the same.
         title: of the scene, for reports.
         progress: called with what is being done and with the part that is done.
 

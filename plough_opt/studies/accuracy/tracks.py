@@ -1,8 +1,9 @@
 """Tracks of a contest: a method over its settings from coarse to fine, and the coarsest that reaches the wanted error.
 
-Of every method some settings are tried in any case. Of those that may be the cheapest the settings between the last
-that misses the wanted error and the first that reaches it are halved, down to neighbours that differ by a tenth in
-cost; what then may be the cheapest is measured in turns, so that what else the machine does meets all alike.
+Of every method some settings are tried in any case. Of those that may be the cheapest all settings are halved again and
+again, down to neighbours that differ by a tenth in cost, of which the one misses the wanted error and the other reaches
+it: where that ends depends on the method's errors alone, neither on a clock nor on what else was tried. Then each
+method's coarsest setting is measured in turns, so that what else the machine does meets all alike.
 """
 
 from __future__ import annotations
@@ -21,9 +22,12 @@ _NEXT: Final = 3.0
 # Methods are narrowed down whose time is within so many times the least, and measured again in turns within this.
 _WORTH: Final = 4.0
 _CLOSE: Final = 1.6
-# Turns in which the closest are measured again, and the time [s] of one turn of one of them at the least.
+# Turns in which the closest are measured again, and the time [s] of one turn of one of them at the least; the fewest
+# turns where they take long, and how many times the allowance of one use all of them may.
 _TURNS: Final = 15
 _LEAST_TURN: Final = 3e-3
+_FEWEST_TURNS: Final = 3
+_ALL_TURNS: Final = 2.0
 
 Use = Callable[[], object]
 
@@ -104,15 +108,15 @@ class _Tried:
     def _try(self, place: int) -> float:
         """Measure a setting; return the time [s] of one use, or of its failure."""
         track, setting = self.track, self.track.rungs[place]
-        started = time.perf_counter()
+        started, clock = time.process_time(), time.perf_counter()
         try:
             use, find = track.prepare(setting)
-            built = time.perf_counter() - started
+            built = time.perf_counter() - clock  # by a compiler, perhaps, which is another process
             found = find()
         except (PloughError, RuntimeError) as error:
             self.entries[place] = self._failure(place, _first_line(error))
-            return time.perf_counter() - started
-        first = time.perf_counter() - started
+            return time.process_time() - started
+        first = time.process_time() - started
         seconds = median_time(use, budget=0.1 * self._allowance, warm=True)
         setup = max(built, first - seconds)
         errors = track.errors(found)
@@ -133,18 +137,30 @@ class _Tried:
         """Return the least time [s] of a setting that reaches an error; infinite where none does."""
         return min((e.seconds for p, e in self.entries.items() if self.reaches(p, key, wanted)), default=math.inf)
 
+    def coarsest(self, key: str, wanted: float) -> int | None:
+        """Return the place of the coarsest setting that was tried and reaches an error; None where none does."""
+        return min((place for place in self.entries if self.reaches(place, key, wanted)), default=None)
+
     def narrow(self, key: str, wanted: float) -> None:
-        """Try settings between the coarsest that reaches an error and the next coarser one that was tried."""
-        good = min(place for place in self.entries if self.reaches(place, key, wanted))
-        bad = max((place for place in self.entries if place < good), default=-1)
+        """Halve the settings down to a pair of neighbours of which the finer one alone reaches an error.
+
+        The halving goes over all settings, so that it comes to the same pair whichever of them were tried before; what
+        is finer than one that is known to reach the error is not tried, for it may take long.
+        """
+        known, bad, good = self.coarsest(key, wanted), -1, len(self.track.rungs) - 1
+        assert known is not None  # what nothing reaches is not narrowed down
         while good - bad > 1:
             middle = (good + bad) // 2
-            self._try(middle)
+            if middle >= known:
+                good = middle
+                continue
+            if middle not in self.entries:
+                self._try(middle)
             if self.reaches(middle, key, wanted):
                 good = middle
             else:
                 bad = middle
-                if self.entries[middle].failure is not None:
+                if self.entries[middle].failure is not None and middle not in self.track.shown:
                     del self.entries[middle]  # too coarse to have a result, and asked for by nobody
 
 
@@ -164,32 +180,38 @@ def measured(tracks: Iterable[Track], key: str, wanted: float, allowance: float)
     for one in tried:
         if one.track.narrows and one.cheapest(key, wanted) <= _WORTH * best < math.inf:
             one.narrow(key, wanted)
-    _measure_in_turns(tried, key, wanted)
+    _measure_in_turns(tried, key, wanted, allowance)
     return [one.entries[place] for one in tried for place in sorted(one.entries)]
 
 
-def _measure_in_turns(tried: list[_Tried], key: str, wanted: float) -> None:
+def _measure_in_turns(tried: list[_Tried], key: str, wanted: float, allowance: float) -> None:
     """Measure again, one after the other and all of them several times, what may be the cheapest.
 
-    The least time counts: what else the machine does only adds to it.
+    That is of every method that was narrowed down the coarsest setting, however long it seemed to take, and what seemed
+    to take hardly longer than the cheapest. The least time counts: what else the machine does only adds to it.
     """
     best = min((one.cheapest(key, wanted) for one in tried), default=math.inf)
     close = [
         (one, place)
         for one in tried
         for place, entry in one.entries.items()
-        if one.reaches(place, key, wanted) and entry.seconds <= _CLOSE * best
+        if one.reaches(place, key, wanted)
+        and entry.seconds <= (_WORTH if place == one.coarsest(key, wanted) else _CLOSE) * best
     ]
     if len(close) < 2:
         return
     taken: list[list[float]] = [[] for _ in close]
-    for _ in range(_TURNS):
+    spent = 0.0
+    for turn in range(_TURNS):
+        if turn >= _FEWEST_TURNS and spent > _ALL_TURNS * allowance:
+            break
         for (one, place), seconds in zip(close, taken, strict=True):
             often = max(1, math.ceil(_LEAST_TURN / max(one.entries[place].seconds, 1e-9)))
-            use, started = one.uses[place], time.perf_counter()
+            use, started = one.uses[place], time.process_time()
             for _ in range(often):
                 use()
-            seconds.append((time.perf_counter() - started) / often)
+            seconds.append((time.process_time() - started) / often)
+            spent += often * seconds[-1]
     for (one, place), seconds in zip(close, taken, strict=True):
         one.entries[place] = replace(one.entries[place], seconds=min(seconds))
 

@@ -13,6 +13,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from plough_opt.app.messages import LOG
 from plough_opt.app.terminal import console, progress, read, wrote
 from plough_opt.core.errors import InputError, NotConverged, nearest
 from plough_opt.core.quantities import quantities
@@ -139,7 +140,7 @@ def _note_guesses(problem: Problem, unknown: Mapping[str, object] | None, data: 
     columns = {key for m in data for key in m.conditions}
     left = [] if unknown is None else [key for key in problem.variables if key not in unknown and key not in columns]
     if left:
-        Console(stderr=True).print(f"note: variables of the file at their guesses: {', '.join(left)}", markup=False)
+        LOG.info("note: variables of the file at their guesses: %s", ", ".join(left))
 
 
 def _known(text: str, stated: list[bool]) -> Measurements:

@@ -11,8 +11,9 @@ from pathlib import Path
 from plough_opt.app import report
 from plough_opt.app.against import asked_of
 from plough_opt.app.front_table import print_front
+from plough_opt.app.messages import printable
 from plough_opt.app.sensitivity_table import print_sensitivities, sensitivities_of
-from plough_opt.app.terminal import console, printable, progress, read, wrote
+from plough_opt.app.terminal import console, progress, read, wrote
 from plough_opt.app.uncertain import optimise_uncertain
 from plough_opt.core.errors import InputError
 from plough_opt.core.files import write_new

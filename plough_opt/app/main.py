@@ -14,15 +14,17 @@ import sys
 from collections.abc import Sequence
 from importlib.metadata import version
 
+import shtab
 from rich.console import Console
 from rich.markup import escape
 
 from plough_opt.app import calibrate as calibrations
-from plough_opt.app import commands
+from plough_opt.app import commands, schemas
 from plough_opt.app import export as exports
 from plough_opt.app import sweep as sweeps
 from plough_opt.app import waves as strengths
-from plough_opt.app.terminal import interruptible, printable, what_was_written
+from plough_opt.app.messages import add_options, messages, printable
+from plough_opt.app.terminal import interruptible, what_was_written
 from plough_opt.core.errors import DomainError, InputError, PloughError
 from plough_opt.core.notices import without_notices
 
@@ -37,7 +39,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             # A title in a script that the terminal cannot show is no reason to fail; in JSON this is an escape.
             stream.reconfigure(errors="backslashreplace")
     try:
-        with interruptible(), without_notices():
+        with interruptible(), without_notices(), messages(options):
             options.run(options)
         if sys.stdout is not None:  # which whoever starts the process may have closed
             sys.stdout.flush()
@@ -75,19 +77,30 @@ def _parser() -> argparse.ArgumentParser:
         prog="plough-opt", description="Design of subsoiler ploughshares: draft, oscillation, constraints."
     )
     parser.add_argument("--version", action="version", version=f"plough-opt {version('plough_opt')}")
+    common = argparse.ArgumentParser(add_help=False)
+    add_options(common)
     verbs = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
 
-    init = verbs.add_parser("init", help="write a commented problem file to start from")
+    init = verbs.add_parser("init", help="write a commented problem file to start from", parents=[common])
     init.add_argument("file", metavar="FILE", help="file to write; it must not exist")
     init.set_defaults(run=commands.init)
 
-    soils = verbs.add_parser("soils", help="list the named soils and where their values come from")
+    soils = verbs.add_parser("soils", help="list the named soils and where their values come from", parents=[common])
     soils.add_argument("--json", action="store_true", help="print JSON instead of a table")
     soils.set_defaults(run=commands.soils)
 
-    verb = verbs.add_parser("waves", help="find the strength waves that a record along a field holds")
+    verb = verbs.add_parser("waves", help="find the strength waves that a record along a field holds", parents=[common])
     strengths.add_options(verb)
     verb.set_defaults(run=strengths.waves)
+
+    for name, run, text in (
+        ("schema", schemas.schema, "print the JSON schema of problem files, by which editors complete and check them"),
+        ("completion", schemas.completion, "print a script that lets a shell complete this command"),
+    ):
+        verb = verbs.add_parser(name, help=text, parents=[common])
+        if name == "completion":
+            verb.add_argument("shell", choices=shtab.SUPPORTED_SHELLS, help="the shell")
+        verb.set_defaults(run=run, parser=parser)
 
     for name, run, text in (
         ("check", commands.check, "check a problem file and say what its scene contains"),
@@ -103,8 +116,9 @@ def _parser() -> argparse.ArgumentParser:
         ("export", exports.export, "write the scene for other tools: C, CasADi, OpenMDAO, FMU"),
         ("accuracy", commands.accuracy, "show what accuracy costs in time, and say which method to take"),
     ):
-        verb = verbs.add_parser(name, help=text, aliases=["optimize"] if name == "optimise" else [])
-        verb.add_argument("file", metavar="FILE", help="problem file (TOML)")
+        verb = verbs.add_parser(name, help=text, parents=[common], aliases=["optimize"] if name == "optimise" else [])
+        file = verb.add_argument("file", metavar="FILE", help="problem file (TOML)")
+        file.complete = shtab.FILE  # type: ignore[attr-defined]  # by which shtab completes names of files
         verb.add_argument(
             "--set",
             action="append",

@@ -7,7 +7,8 @@ import math
 from pathlib import Path
 from typing import Final
 
-from plough_opt.app.terminal import console, printable, progress, wrote
+from plough_opt.app.messages import printable
+from plough_opt.app.terminal import console, progress, wrote
 from plough_opt.core.errors import InputError
 from plough_opt.core.units import Unit
 from plough_opt.exchange import export as formats

@@ -8,6 +8,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from plough_opt.app.messages import LOG
 from plough_opt.app.report import shown
 from plough_opt.core.errors import InputError, NotConverged
 from plough_opt.design import Optimum, Progress, Sensitivity
@@ -23,7 +24,7 @@ def sensitivities_of(best: Optimum, told: Progress) -> tuple[Sensitivity, ...]:
     try:
         return best.every_sensitivity()
     except (InputError, NotConverged) as error:
-        Console(stderr=True).print(f"note: no sensitivities: {error}", markup=False)
+        LOG.info("note: no sensitivities: %s", error)
         return ()
 
 

@@ -15,8 +15,9 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from plough_opt.app.messages import LOG, printable, quiet
 from plough_opt.app.report import shown
-from plough_opt.app.terminal import console, printable, read, wrote
+from plough_opt.app.terminal import console, read, wrote
 from plough_opt.core.errors import InputError, NotConverged
 from plough_opt.problem_file import Problem
 from plough_opt.problem_file.sweeping import ProblemSweep, What
@@ -70,7 +71,7 @@ def sweep(options: argparse.Namespace) -> None:
     if options.samples is not None and options.samples & (options.samples - 1):
         notes.append(f"{options.samples} samples are no power of two: a Sobol sample is even at 64, 128, 256, ...")
     for note in notes:
-        Console(stderr=True).print(f"note: {note}", markup=False)
+        LOG.info("note: %s", note)
     with _executor(options.scheduler) as (executor, workers):
         found = run_sweep(
             asked.evaluation,
@@ -81,7 +82,7 @@ def sweep(options: argparse.Namespace) -> None:
             executor=executor,
             workers=workers or options.workers,
             retry=options.retry,
-            progress=True,
+            progress=not quiet(),
             question=asked.question,
             units=asked.units,
         )

@@ -16,7 +16,8 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
 from plough_opt import design as designs
-from plough_opt.core.errors import InputError, short, unprintable
+from plough_opt.app.messages import LOG, quiet, stepwise
+from plough_opt.core.errors import InputError, short
 from plough_opt.core.heartbeat import heartbeat
 from plough_opt.problem_file import Problem, read_problem
 
@@ -33,7 +34,7 @@ def read(options: argparse.Namespace) -> Problem:
     problem = read_problem(options.file, options.set)
     check_outputs(options)
     for note in problem.notes:
-        Console(stderr=True).print(f"note: {note}", markup=False)
+        LOG.info("note: %s", note)
     return problem
 
 
@@ -135,17 +136,16 @@ class _Console(Console):
 def wrote(path: Path) -> None:
     """Say which file was written, on the error stream."""
     _written.append(path)
-    Console(stderr=True, highlight=False, soft_wrap=True).print(f"wrote {printable(str(path))}", markup=False)
-
-
-def printable(text: str) -> str:
-    """Return a text of a user with what a terminal would take for a command written as Python writes it."""
-    return "".join(repr(character)[1:-1] if unprintable(character) else character for character in text)
+    LOG.info("wrote %s", path)
 
 
 @contextmanager
 def progress() -> Iterator[designs.Progress]:
     """Show on the error stream what is being done, and how long it has taken: a bar on a terminal, else lines."""
+    if quiet() or stepwise():
+        yield _step_by_step()
+        _stop_if_interrupted()
+        return
     stream = Console(stderr=True, highlight=False)
     if not stream.is_terminal:
         with heartbeat(lambda line: stream.print(line, markup=False, soft_wrap=True)) as said:
@@ -167,3 +167,17 @@ def progress() -> Iterator[designs.Progress]:
 
         yield told
     _stop_if_interrupted()
+
+
+def _step_by_step() -> designs.Progress:
+    """Return a progress whose stages are messages of their own, which -q silences."""
+    last = ""
+
+    def told(stage: str, _fraction: float) -> None:
+        nonlocal last
+        _stop_if_interrupted()
+        if stage != last:
+            LOG.debug(stage)
+            last = stage
+
+    return told

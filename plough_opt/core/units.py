@@ -12,7 +12,7 @@ from plough_opt.core.errors import InputError, nearest, short
 
 if TYPE_CHECKING:
     import pint
-    from pydantic import GetCoreSchemaHandler
+    from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler
     from pydantic_core import CoreSchema
 
 # pint and pydantic are slow to import, and most programs give numbers: both are imported when they are first needed.
@@ -55,6 +55,13 @@ class Unit:
         from pydantic_core import core_schema
 
         return core_schema.no_info_before_validator_function(self.parse, handler(float))
+
+    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
+        """Describe such a field in a JSON schema: text with a number and a unit, or a number where there is none."""
+        example = self.example()
+        if self.symbol:
+            return {"type": "string", "pattern": r"^\s*[+-]?[0-9.]", "examples": [example.strip('"')]}
+        return {"type": ["number", "string"], "examples": [float(example)]}
 
     def example(self) -> str:
         """Return a quantity of this kind as one would write it."""

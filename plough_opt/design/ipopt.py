@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -13,6 +14,7 @@ from numpy.typing import NDArray
 from plough_opt.design.nlp import PARTS, Nlp
 
 Vector = NDArray[np.float64]
+_LOG = logging.getLogger(__name__)
 
 REMEDIES = {
     "Infeasible_Problem_Detected": "no design near the start meets the requirements",
@@ -112,6 +114,11 @@ class Point:
     lam_y: Vector
     iterations: int
     curvatures: tuple[Vector, Vector] | None = None
+
+    @property
+    def outcome(self) -> tuple[str, int, float]:
+        """Status, number of iterations and scaled objective."""
+        return self.status, self.iterations, self.f
 
     @classmethod
     def of(cls, result: dict[str, ca.DM], stats: dict[str, Any], enough: bool = False) -> Point:
@@ -273,4 +280,6 @@ class Solver:
         if self._shared is not None and self._shared.interrupted:
             self._shared.interrupted = False
             raise KeyboardInterrupt
-        return Point.of(result, solver.stats(), kind[2])
+        point = Point.of(result, solver.stats(), kind[2])
+        _LOG.debug("IPOPT from %s: %s in %d iterations, scaled objective %.9g", kind[0], *point.outcome)
+        return point

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import math
 from dataclasses import replace
 
@@ -45,6 +46,7 @@ from plough_opt.motion.settling import which_motion
 from plough_opt.motion.touches import unseen
 
 # How often, and by what factor, the tolerance is tightened until the wanted error is reached.
+_LOG = logging.getLogger(__name__)
 _TIGHTENINGS = 3
 # The same of steps of order 8, whose number follows from an error that was measured; how much shorter they become where
 # the error is too large to tell, and up to where it is not.
@@ -90,6 +92,7 @@ def verified(case: Case, accuracy: Accuracy) -> tuple[Run, float, tuple[str, ...
         refuse_countless_waves(case.scene, case.p, case.duration, MOST_FORCED)
         found, error = _automatic(case, wanted)
         error, notes = _told(case, found, error, wanted)
+    _LOG.debug("motion by %s: estimated error %.2g", found.run.accuracy, error)
     return thinned(found.run, case.outputs), error, (*notes, *remarks(found.run))
 
 

@@ -1,6 +1,8 @@
 """The commented problem file that `plough-opt init` writes."""
 
 TEMPLATE = """\
+#:schema plough-opt.schema.json
+# An editor that knows TOML schemas completes keys by the line above after: plough-opt schema > plough-opt.schema.json
 # A design question for plough_opt. Quantities are text with a unit; angles too.
 #   plough-opt check FILE       is everything right, and what does the scene contain?
 #   plough-opt simulate FILE    the response at the guesses below

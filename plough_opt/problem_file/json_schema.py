@@ -1,0 +1,68 @@
+"""The JSON schema of problem files, by which editors complete keys and mark mistakes while a file is written."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+from plough_opt.core.quantities import EVERY, IN_FILES
+from plough_opt.motion.vocabulary import MEASURES
+from plough_opt.problem_file.schema import LimitTable, ProblemFile, TermTable, VariableTable
+
+_DIALECT = "https://json-schema.org/draft/2020-12/schema"
+
+
+def file_schema() -> dict[str, Any]:
+    """Return the JSON schema of a problem file: its tables, keys, units by example, and meanings.
+
+    The schema holds what each key may be. What keys must be to one another, such as a variable that the file fixes too,
+    only `read_problem` knows.
+
+    Example:
+        >>> from plough_opt.problem_file.json_schema import file_schema
+        >>> file_schema()["properties"]["title"]["type"]
+        'string'
+    """
+    schema = ProblemFile.model_json_schema()
+    single = [name for name, measure in MEASURES.items() if not measure.everywhere]
+    definitions, tables = schema["$defs"], schema["properties"]
+    for table in (VariableTable, TermTable, LimitTable):
+        definitions[table.__name__] = table.model_json_schema()
+    tables["variables"] = _of(IN_FILES, "VariableTable", {name: EVERY[name].meaning for name in IN_FILES})
+    tables["minimise"] = _of(single, "TermTable")
+    tables["minimise"]["properties"]["over"] = {"enum": ["worst", "mean"]}
+    tables["require"] = _of(MEASURES, "LimitTable")
+    goal = {"type": "object", "properties": {"maximise": {"type": "boolean"}}, "additionalProperties": False}
+    tables["trade_off"] = {
+        "type": "object",
+        "properties": dict.fromkeys(single, goal) | {"points": {"type": "integer", "minimum": 5, "maximum": 1000}},
+        "additionalProperties": False,
+    }
+    tables["uncertain"] = {"type": "object"}
+    return {"$schema": _DIALECT, **_without_null(schema), "title": "plough_opt problem file"}
+
+
+def _without_null(schema: Any) -> Any:
+    """Return a schema without the null that pydantic allows a key that may be left out: TOML has none."""
+    if isinstance(schema, list):
+        return [_without_null(part) for part in schema]
+    if not isinstance(schema, dict):
+        return schema
+    found = {key: _without_null(part) for key, part in schema.items() if (key, part) != ("default", None)}
+    rest = [part for part in found.get("anyOf", ()) if part != {"type": "null"}]
+    if len(rest) == 1:
+        del found["anyOf"]
+        return rest[0] | found
+    return found | ({"anyOf": rest} if rest else {})
+
+
+def _of(names: Iterable[str], table: str, meanings: dict[str, str] | None = None) -> dict[str, Any]:
+    """Return the schema of a table of tables by name; dotted names may stand in tables of their own too."""
+    described = {name: {"description": text} for name, text in (meanings or {}).items()}
+    properties: dict[str, Any] = {name: {"$ref": f"#/$defs/{table}"} | described.get(name, {}) for name in names}
+    outer = {name.partition(".")[0] for name in properties if "." in name}
+    return {
+        "type": "object",
+        "properties": properties | {name: {"type": "object"} for name in sorted(outer)},
+        "additionalProperties": False,
+    }

@@ -1,0 +1,69 @@
+"""The JSON schema of problem files against an independent validator, and against what reading a file refuses."""
+
+import random
+import tomllib
+from pathlib import Path
+
+import jsonschema
+import pytest
+
+import plough_opt as po
+from plough_opt.problem_file import TEMPLATE
+from plough_opt.problem_file.json_schema import file_schema
+
+PROBLEMS = sorted((Path(__file__).parents[2] / "problems").glob("*.toml"))
+SCHEMA = file_schema()
+VALIDATOR = jsonschema.Draft202012Validator(SCHEMA)
+
+
+def mistakes(text):
+    """Return the keys at which a text breaks the schema."""
+    return [list(error.absolute_path) for error in VALIDATOR.iter_errors(tomllib.loads(text))]
+
+
+def test_it_is_a_schema_whose_parts_all_exist():
+    jsonschema.Draft202012Validator.check_schema(SCHEMA)
+    assert '"null"' not in repr(SCHEMA).replace("'", '"')  # TOML has none
+
+
+@pytest.mark.parametrize("text", [TEMPLATE, *(path.read_text(encoding="utf-8") for path in PROBLEMS)])
+def test_valid_files_pass(text):
+    assert mistakes(text) == []
+
+
+@pytest.mark.parametrize(
+    ("right", "wrong"),
+    [
+        ('tow_speed = "7.2 km/h"', "tow_speed = 7.2"),
+        ('tow_speed = "7.2 km/h"', 'tow_sped = "7.2 km/h"'),
+        ("mean_draft = {", "mean_drat = {"),
+        ('"share.height"      = {', '"share.hight"      = {'),
+        ("log = true", 'log = "yes"'),
+        ("amplitude = 0.3,", "amplitude = 0.3, height = 2,"),
+        ("half_angle      = { at_most", "half_angle      = { at_mots"),
+    ],
+)
+def test_a_mistake_is_marked_that_reading_refuses_too(right, wrong, tmp_path):
+    assert right in TEMPLATE
+    text = TEMPLATE.replace(right, wrong)
+    path = tmp_path / "wrong.toml"
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(po.InputError):
+        po.read_problem(path)
+    assert mistakes(text)
+
+
+def test_misspelt_keys_are_marked_wherever_they_stand():
+    rng = random.Random(1)  # 60 keys of the template, each with two letters changed in place
+    lines = TEMPLATE.split("\n")
+    keyed = [k for k, line in enumerate(lines) if line[:1].isalpha() and "=" in line]
+    for k in rng.choices(keyed, k=60):
+        name, equals, rest = lines[k].partition("=")
+        text = "\n".join([*lines[:k], name.rstrip() + "xq " + equals + rest, *lines[k + 1 :]])
+        assert mistakes(text), lines[k]
+
+
+def test_meanings_and_units_are_those_of_the_registry():
+    speed = SCHEMA["$defs"]["SceneFile"]["properties"]["tow_speed"]
+    assert "V0" in speed["description"]
+    assert speed["examples"] == ["7.2 km/h"]

@@ -29,7 +29,7 @@ def values_at_guess(
     guess = np.array([v.guess for v in declared.variables])
     place = declared.describe(guess)
     try:
-        found, _ = exact([*guess, *p])
+        found = exact.values([*guess, *p])
     except (PloughError, RuntimeError) as error:
         raise InputError(f"the model cannot be evaluated at the start ({place}): {error}") from error
     for limit, value in zip(implied, found[len(found) - len(implied) :], strict=True):

@@ -299,5 +299,5 @@ def _evaluated(program: Program, p: Vector, values: Vector, expression: ca.MX) -
     expression = ca.MX(expression)
     if strangers := program.declared.strangers(expression):
         raise InputError(f"the expression holds symbols that are not of this design: {', '.join(strangers)}")
-    (value,), _ = TightEvaluation([expression], symbols, beside=program.exact)([*values, *p])
+    (value,) = TightEvaluation([expression], symbols, beside=program.exact).values([*values, *p])
     return np.squeeze(value)

@@ -29,10 +29,10 @@ TIGHT = 1e-12
 """Relative error that the re-integration aims at."""
 
 
-_Tight: TypeAlias = Callable[[Integration, tuple[float, ...], bool], tuple[Vector, Vector]]
+_Tight: TypeAlias = Callable[[Integration, tuple[float, ...], bool, bool], Vector]
 
-# Runs at numbers that an evaluation remembers: those of a design over some hundred samples at a few points.
-_MOST_KEPT: Final = 2048
+# Runs at numbers that an evaluation remembers: those of a design over some hundred samples at a few points, and checks.
+_MOST_KEPT: Final = 4096
 
 
 class TightEvaluation:
@@ -128,7 +128,7 @@ class TightEvaluation:
             scene: its scene.
         """
         own = self.runs[run].integration
-        stacked, _ = self._tight(own, tuple(parameters.tolist()), self._compiled)
+        stacked = self._tight(own, tuple(parameters.tolist()), self._compiled, False)
         outputs, observed = own.timeline.outputs + 1, signals(own.structure)
         states, means, variances = np.split(stacked, [-observed.count - observed.squared, -observed.squared])
         states = states.reshape(outputs, -1)
@@ -142,39 +142,43 @@ class TightEvaluation:
             DomainError: a run has no finite result at these numbers, which lie outside the model's domain.
             IntegrationError: the same, within it.
         """
-        pairs = []
+        return self.values(numbers), self.values(numbers, check=True)
+
+    def values(self, numbers: Sequence[float], *, check: bool = False) -> list[Vector]:
+        """Return the expressions' values, or the same by the method that checks the integration.
+
+        Raises:
+            DomainError: a run has no finite result at these numbers, which lie outside the model's domain.
+            IntegrationError: the same, within it.
+        """
+        results = []
         for k, run in enumerate(self.runs):
             parameters, _ = self._numbers(k, numbers)
-            pairs.append(self._tight(run.integration, tuple(parameters.tolist()), self._compiled))
-            if not all(np.all(np.isfinite(results)) for results in pairs[-1]):
+            results.append(self._tight(run.integration, tuple(parameters.tolist()), self._compiled, check))
+            if not np.all(np.isfinite(results[-1])):
                 _, scene = self.inputs(k, numbers)
                 raise IntegrationError(f"the motion of a {scene.describe()} has no finite result")
-        found, check = (
-            [np.asarray(result) for result in self._algebra.call([*map(ca.DM, numbers), *results])]
-            for results in ([pair[0] for pair in pairs], [pair[1] for pair in pairs])
-        )
-        return found, check
+        return [np.asarray(result) for result in self._algebra.call([*map(ca.DM, numbers), *results])]
 
 
-def _tight_results(own: Integration, inputs: tuple[float, ...], compiled: bool) -> tuple[Vector, Vector]:
-    """Return a run's stacked results at numbers by a tight adaptive method, and by the one that checks it.
+def _tight_results(own: Integration, inputs: tuple[float, ...], compiled: bool, check: bool) -> Vector:
+    """Return a run's stacked results at numbers by a tight adaptive method, or by the one that checks it.
 
     Args:
         own: how the run was written in the design; only its structure and output times are kept.
         inputs: its parameters, the duration last.
         compiled: whether steps of order 8 may be taken in machine code, which gives the same numbers.
+        check: whether the method that checks is asked for.
     """
     p, duration = dict(zip(own.names, inputs[:-1], strict=True)), inputs[-1]
     total = phase(p, duration)
     outputs, kink = own.timeline.outputs, kink_of(p.get("ramp_time", 0.0), duration)
-    code = compiled_steps(own.structure) if compiled and own.structure.stepped else None
-    results = []
-    for accuracy in checked(suited(own.structure, total)[0], TIGHT, p, duration):
-        timeline = Timeline(outputs, accuracy.steps or most_steps(total), kink, aligned=False)
-        steps = code if accuracy.method in ORDER_8 else None
-        parts: Sequence[Vector] | None = None if steps is None else steps(timeline, list(inputs))
-        if parts is None:
-            function = integration(own.structure, accuracy, timeline).function
-            parts = [np.asarray(part).T for part in function.call([ca.DM(inputs)])]
-        results.append(np.concatenate([part.ravel() for part in parts]))
-    return results[0], results[1]
+    accuracy = checked(suited(own.structure, total)[0], TIGHT, p, duration)[int(check)]
+    timeline = Timeline(outputs, accuracy.steps or most_steps(total), kink, aligned=False)
+    by_code = compiled and own.structure.stepped and accuracy.method in ORDER_8
+    code = compiled_steps(own.structure) if by_code else None
+    parts: Sequence[Vector] | None = None if code is None else code(timeline, list(inputs))
+    if parts is None:
+        function = integration(own.structure, accuracy, timeline).function
+        parts = [np.asarray(part).T for part in function.call([ca.DM(inputs)])]
+    return np.concatenate([part.ravel() for part in parts])

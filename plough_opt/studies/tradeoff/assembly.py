@@ -136,7 +136,7 @@ class _Certified:
             at = np.array(failure.objectives)
             if np.any(np.all(places <= at + _SAME, axis=1) & np.any(places < at - MATTERS, axis=1)):
                 continue
-            own = (at * front.span + front.low) * front.scales * self._signs
+            own = front.scaled(at) * front.scales * self._signs
             found.append(replace(failure, objectives=tuple(own.tolist())))
         for sample, point in self._doubtful:
             # One that a certified design is as good as leaves no place without one.

@@ -81,6 +81,13 @@ class Cloud:
         parts = [empty, *self._parts]
         return np.concatenate([y for y, _ in parts]), np.concatenate([f for _, f in parts])
 
+    def best_at(self, p: Vector) -> Vector | None:
+        """Return the design that is best by what parameters ask, of those that meet it; None without one."""
+        y, scaled = self.feasible
+        weights, normals, limits = self.front.asked(p)
+        met = np.flatnonzero(np.all(scaled @ normals.T <= limits, axis=1))
+        return np.asarray(y[met[np.argmin(scaled[met] @ weights[1:])]]) if len(met) else None
+
     # --- designs as they are made --------------------------------------------------------------------------
 
     def medians(self, points: Vector) -> Vector | None:

@@ -126,16 +126,18 @@ class Level(Solver):
             start: scaled variables.
             p: parameters.
         """
-        point = replace(at, solved=False, status="Search_Direction_Becomes_Too_Small", y=start)
-        try:
-            if self._curvature is None:
-                self._curvature = self._first_curvature(start, p, at.lam_g)
-            point = self._corrected(point, self._curvature, p)
-        except (RuntimeError, ValueError):  # no orbit, no number, or no end of an integration
-            pass
-        if not point.solved:
-            self._curvature = None
-        return point
+        begins = replace(at, solved=False, status="Search_Direction_Becomes_Too_Small", y=start)
+        kept, self._curvature = self._curvature, None
+        # The curvature of a neighbour may be that of another branch.
+        for curvature in (kept, None) if kept is not None else (None,):
+            try:
+                own = self._first_curvature(start, p, at.lam_g) if curvature is None else curvature
+                point = self._corrected(begins, own, p)
+            except (RuntimeError, ValueError):  # no orbit, no number, or no end of an integration
+                continue
+            if point.solved:
+                return point
+        return begins
 
     def _corrected(self, point: Point, curvature: Vector, p: Vector) -> Point:
         """Take steps until the first-order conditions hold; the point is not solved where they lead nowhere."""

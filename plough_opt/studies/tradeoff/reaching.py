@@ -30,10 +30,12 @@ NOT_REACHED = "Not_Reached"
 
 # Rounds of following missed designs, and how many in each.
 _ROUNDS, _AT_ONCE = 12, 6
+# Times that is looked beside the front while that shows what it misses.
+_LOOKS = 4
 # How far from the best designs others are looked at, in parts of the variables' ranges.
 _SPREADS = 0.1, 0.03, 0.01, 0.003
-# Of two variables a sample is small, but between the ripples of a force it must see the dips.
-_FEWEST_LOOKS = 4096
+# At how many others: between the ripples of a force they must see the dips.
+_BESIDE = 4096
 
 
 class Reaching(Samples):
@@ -41,11 +43,9 @@ class Reaching(Samples):
 
     Attributes:
         matters: of the range of an objective: a design that the front misses by less is not sought.
-        looks_beside: samples' worth of designs that are looked at beside the front, at each distance from it.
     """
 
     matters: float
-    looks_beside: int
 
     def __init__(self, front: FrontProgram, searcher: Searcher, progress: Progress) -> None:
         """Take the program, and what searches over its variables."""
@@ -53,7 +53,9 @@ class Reaching(Samples):
         self._pricks: set[int] = set()
         self._tried: set[bytes] = set()
         self._looks = 0
-        self._settled = np.empty(0, dtype=int)
+        # Of each design of the cloud by how much it is better than all samples that it was held against, and these.
+        self._beyond = np.empty(0)
+        self._against: dict[int, Vector] = {}
 
     @abstractmethod
     def position(self, at: Vector) -> Vector:
@@ -67,13 +69,31 @@ class Reaching(Samples):
         """Look at designs about those of the cloud that no other beats, at first far and then near."""
         self._looks += 1
         rng = np.random.default_rng([SEED, self._looks])
-        count = self.looks_beside * max(self.searcher.designs, _FEWEST_LOOKS)
         for spread in _SPREADS:
-            y, scaled = self.cloud.feasible
-            best = y[thinned(self.front.normalised(scaled), ROUGHLY)]
+            y, at, beyond = self._held_against_samples()
+            open_ones = np.flatnonzero(beyond > 0.0)
+            best = y[open_ones[thinned(at[open_ones], ROUGHLY)]]
             best = np.vstack([best, *(sample.point.y for sample in self.ordered())])
-            parents = best[rng.integers(len(best), size=count)]
+            parents = best[rng.integers(len(best), size=_BESIDE)]
             self.cloud.look(np.clip(parents + spread * rng.standard_normal(parents.shape), 0.0, 1.0))
+
+    def _held_against_samples(self) -> tuple[Vector, Vector, Vector]:
+        """Return the cloud's designs, their normalised objectives, and by how much each is better than all samples.
+
+        Samples that others dominate, and needles, do not count. Designs and samples only join.
+        """
+        y, scaled = self.cloud.feasible
+        at = self.front.normalised(scaled)
+        fresh = {id(sample): sample.at for sample in self.ordered() if id(sample) not in self._against}
+        known = len(self._beyond)
+        if fresh and known:
+            rows = np.array(list(fresh.values()))
+            self._beyond = np.minimum(self._beyond, beyond_points(rows, at[:known]))
+        self._against |= fresh
+        if len(at) > known:
+            rows = np.array(list(self._against.values()))
+            self._beyond = np.r_[self._beyond, beyond_points(rows, at[known:])]
+        return y, at, self._beyond
 
     def uncovered(self, _own: Vector, at: Vector) -> NDArray[np.bool_]:
         """Return which designs lie where the front has too few points; a curve has enough."""
@@ -114,23 +134,36 @@ class Reaching(Samples):
         """Return the sample of an optimum at a position; where the position does not hold it, that of the edge."""
         return self.kept(point, p, level)
 
-    def reach_all(self) -> None:
-        """Follow the designs that the cloud has beyond the front, until none is left that is no needle."""
-        if self.searcher.vary and self.cloud.vectorised:
-            self.told("looking beside the best designs", 0.0)
-            self._look_beside()
+    def reach_all(self, *, look: bool = True) -> None:
+        """Follow the designs that the cloud has beyond the front, until none is left that is no needle.
+
+        Args:
+            look: whether to look beside the front first; where that shows what the front misses, it is done again.
+        """
+        for _ in range(_LOOKS):
+            if look and self.searcher.vary and self.cloud.vectorised:
+                self.told("looking beside the best designs", 0.0)
+                self._look_beside()
+            look = self._follow_missed()
+            if not look:
+                return
+
+    def _follow_missed(self) -> bool:
+        """Follow the designs that the front misses now; return whether any led to something new."""
+        found_any = False
         for number in range(_ROUNDS):
             missed = [y for y, _, _ in self.missed(sparse=True)]
-            if not missed:
-                return
             for k, y in enumerate(missed[:_AT_ONCE]):
                 self.told("following designs that the front misses", (number + k / _AT_ONCE) / _ROUNDS)
                 self._tried.add(y.tobytes())
                 known = len(self.found)
                 found = self.sample_beside(y)
                 if not isinstance(found, Point) and len(self.found) > known:
-                    found.extra = True
+                    found_any = found.extra = True
                     self.follow_all(found)
+            if not missed:
+                break
+        return found_any
 
     def missed(self, *, sparse: bool = False) -> list[tuple[Vector, Vector, float]]:
         """Return designs by which the front could be better, where it was to be searched, none beside another.
@@ -144,14 +177,9 @@ class Reaching(Samples):
         """
         if not self.searcher.vary:
             return []
-        y, scaled = self.cloud.feasible
-        at = self.front.normalised(scaled)
+        y, at, beyond = self._held_against_samples()
         own = np.array([sample.at for sample in self.ordered()])
-        # Designs only join the cloud, and the front only gets better.
-        open_ones = np.setdiff1d(np.arange(len(at)), self._settled)
-        settled = beyond_points(own, at[open_ones]) <= MATTERS
-        self._settled = np.r_[self._settled, open_ones[settled]]
-        left, best, gain = open_ones[~settled], np.empty(0, dtype=int), np.empty(0)
+        left, best, gain = np.flatnonzero(beyond > MATTERS), np.empty(0, dtype=int), np.empty(0)
         while len(left):
             best = left[thinned(at[left], self.matters)]
             gain = beyond_front(own, at[best], self.step)
@@ -162,7 +190,7 @@ class Reaching(Samples):
             order = np.argsort(-gain, kind="stable")
             order = order[gain[order] > self.matters][:MOST_JUDGED]
             best, gain = best[order], gain[order]
-            needles = self.cloud.needles(y[best], scaled[best])
+            needles = self.cloud.needles(y[best], self.front.scaled(at[best]))
             if not np.any(needles):
                 break
             self._pricks |= {int(k) for k in best[needles]}

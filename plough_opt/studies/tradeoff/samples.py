@@ -302,7 +302,7 @@ class Samples(ABC):
         """Return the samples that are no needles, which beat no design that can be made; all where all are."""
         fresh = [sample for sample in self.found if sample.needle is None]
         if fresh:
-            scaled = np.array([sample.at for sample in fresh]) * self.front.span + self.front.low
+            scaled = self.front.scaled(np.array([sample.at for sample in fresh]))
             needles = self.cloud.needles(np.array([sample.point.y for sample in fresh]), scaled)
             for sample, needle in zip(fresh, needles, strict=True):
                 sample.needle = bool(needle)

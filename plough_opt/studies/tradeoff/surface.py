@@ -14,7 +14,7 @@ from plough_opt.design.exploring import Progress
 from plough_opt.design.ipopt import Point, Vector
 from plough_opt.studies.tradeoff.program import FrontProgram
 from plough_opt.studies.tradeoff.reaching import Reaching
-from plough_opt.studies.tradeoff.samples import Order, Sample
+from plough_opt.studies.tradeoff.samples import MATTERS, Order, Sample
 from plough_opt.studies.tradeoff.searching import Searcher
 from plough_opt.studies.tradeoff.space import (
     Node,
@@ -65,7 +65,7 @@ class SurfaceTracer(Reaching):
         matters: more than of a curve, for triangles lie beside what is curved between its points.
     """
 
-    matters, looks_beside = 5e-3, 2
+    matters = 5e-3
 
     def __init__(self, front: FrontProgram, searcher: Searcher, count: int, progress: Progress) -> None:
         """Take the program, what searches over its variables, and the least number of positions in the triangle."""
@@ -94,14 +94,20 @@ class SurfaceTracer(Reaching):
         self.reach_all()
         self._refine_edges()
         self._bridge()
-        self.reach_all()
+        self.reach_all(look=False)
 
     def _start_in_the_middle(self, ends: Sequence[Sample]) -> None:
         """Follow branches from the middle of the triangle: at an end of a front slopes may vanish that lead inside."""
         middle = nearest(np.full(3, 1.0 / 3.0), self._steps)
-        p, program = self._question(middle), self.front.program
+        p = self._question(middle)
         self.told("solving in the middle", 0.0)
-        starts = [program.start(), np.mean([sample.point.y for sample in ends], axis=0)]
+        y = self.cloud.best_at(p)
+        if y is not None:
+            found = self.sample_at(p, y)
+            if not isinstance(found, Point):
+                self._flood(found, middle)
+                return
+        starts = [self.front.program.start(), np.mean([sample.point.y for sample in ends], axis=0)]
         for start in starts:
             if (point := self.front.levels[-1].solve(start, p)).solved:
                 found = self.solve(Sample(point, p, ends[0].at, coarsest=len(self.front.levels) - 1), point.y, p)
@@ -163,8 +169,15 @@ class SurfaceTracer(Reaching):
         objective = int(np.argmin(place))
         return self.front.beside(objective, {k: float(place[k] - place[objective]) for k in range(3) if k != objective})
 
-    def _flood(self, sample: Sample, node: Node, *, told: bool = True) -> None:
-        """Follow a branch from a node over all nodes that it reaches; ``told`` is whether failures are reported."""
+    def _flood(self, sample: Sample, node: Node, *, told: bool = True, beaten: bool = True) -> None:
+        """Follow a branch from a node over all nodes that it reaches.
+
+        Args:
+            sample: on the branch.
+            node: to begin at.
+            told: whether failures are reported.
+            beaten: whether to go on where others beat the branch, which it may come out of.
+        """
         visited: dict[Node, Sample] = {}
         waiting: deque[tuple[Sample, Node]] = deque([(sample, node)])
         seen = {node}
@@ -174,6 +187,8 @@ class SurfaceTracer(Reaching):
             if found is None:
                 continue
             visited[node] = found
+            if not beaten and self._is_beaten(found):
+                continue
             held = self._is_at(found, node)
             if held or (node in self._inside and self._is_beside(found, node)):
                 for fresh in neighbours(node):
@@ -255,7 +270,14 @@ class SurfaceTracer(Reaching):
 
     def follow_all(self, sample: Sample) -> None:
         """Follow a branch from the node nearest to a sample."""
-        self._flood(sample, nearest(sample.at, self._steps), told=False)
+        # Where it comes out from behind others, the cloud has it again.
+        self._flood(sample, nearest(sample.at, self._steps), told=False, beaten=False)
+
+    def _is_beaten(self, sample: Sample) -> bool:
+        """Return whether some other sample is as good in all objectives and better in one."""
+        places = np.array([other.at for other in self.found])
+        better = np.all(places <= sample.at, axis=1) & np.any(places < sample.at - MATTERS, axis=1)
+        return bool(np.any(better))
 
     def _search_at(self, node: Node) -> None:
         """Search basins at a node, and follow what is new from there."""

@@ -38,7 +38,7 @@ _SEARCHED = (-0.5, 0.0, 0.5)
 class Tracer(Reaching):
     """The local optima of a front of two objectives."""
 
-    matters, looks_beside = MATTERS, 1
+    matters = MATTERS
 
     def __init__(self, front: FrontProgram, searcher: Searcher, positions: int, progress: Progress) -> None:
         """Take the program, what searches over its variables, and the number of positions."""
@@ -59,7 +59,7 @@ class Tracer(Reaching):
         self._search_inside()
         self.reach_all()
         self._fill_gaps()
-        self.reach_all()
+        self.reach_all(look=False)
 
     def orders(self) -> list[Vector]:
         """Return the parameters for either objective alone."""

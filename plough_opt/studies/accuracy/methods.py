@@ -96,7 +96,7 @@ class Task:
         """Return the settings, or every other one and the last: a thin study then reaches what a full one does."""
         if not self.thin:
             return settings
-        return settings[::2] if len(settings) % 2 else (*settings[::2], settings[-1])
+        return settings[::2] if len(settings) % 2 else settings[::2] + settings[-1:]
 
 
 def prepared(task: Task, accuracy: Accuracy) -> tuple[Callable[[], object], Callable[[], Run]]:

@@ -192,7 +192,7 @@ def test_duration_and_ramp_of_each_design(r1_scene, r1_wave):
         assert result.mean_draft[k] == pytest.approx(run.mean_draft, rel=1e-6)
         assert result.tow_power[k] == pytest.approx(run.tow_power, rel=1e-6)
     assert list(result.failed) == [False, False, False, True, True]
-    assert "a tow ramp of no duration is no ramp" in result.reasons[3]
+    assert "tow ramp" in result.reasons[3]
     assert result.reasons[4] == "duration = -1 s must be above 0 s"
 
 
@@ -269,11 +269,11 @@ class Stairs:
 @pytest.mark.parametrize(
     ("effects", "match"),
     [
-        ({"motion": False}, "quasi-static scene has none"),
-        ({"contact": po.StickSlip()}, "no events, which StickSlip has"),
-        ({"entry": True, "start": "rest"}, "no events, which the entry of a share has"),
+        ({"motion": False}, "quasi-static"),
+        ({"contact": po.StickSlip()}, "events that StickSlip"),
+        ({"entry": True, "start": "rest"}, "events that the entry"),
         ({"orbit": "periodic", "strength_wave": po.StrengthWave(0.3, 0.6)}, "from its start"),
-        ({"own": (Stairs(3.0),)}, "does not know the operation 'floor'"),
+        ({"own": (Stairs(3.0),)}, "operation .floor."),
     ],
     ids=lambda value: value if isinstance(value, str) else next(iter(value)),
 )
@@ -287,15 +287,15 @@ def test_wrong_inputs(batch_of, r1_scene, r1_wave):
     scene = r1_scene(25.0, 0.25, k0, strength_wave=r1_wave)
     with pytest.raises(po.InputError, match="depends on k0"):
         po.Batch(scene, 1.0, [other])
-    with pytest.raises(po.InputError, match="are the CasADi symbols"):
+    with pytest.raises(po.InputError, match="CasADi symbols"):
         po.Batch(scene, 1.0, [2.0 * k0])
-    with pytest.raises(po.InputError, match="are the CasADi symbols"):
+    with pytest.raises(po.InputError, match="CasADi symbols"):
         po.Batch(scene, 1.0, [])
     with pytest.raises(po.InputError, match="must lie between 1e-11 and 1e-2"):
         po.Batch(scene, 1.0, [k0], error=0.0)
     with pytest.raises(po.InputError, match="error = '1e-6' must lie between"):
         po.Batch(scene, 1.0, [k0], error="1e-6")
-    with pytest.raises(po.InputError, match="its scene is made, as a list"):
+    with pytest.raises(po.InputError, match="list of the CasADi symbols"):
         po.Batch(scene, 1.0, k0)
     with pytest.raises(po.InputError, match="named twice"):
         po.Batch(scene, 1.0, [k0, k0])
@@ -305,7 +305,7 @@ def test_wrong_inputs(batch_of, r1_scene, r1_wave):
         with pytest.raises(po.DomainError, match=r"duration = .* must be"):
             po.Batch(scene, duration, [k0])
     batch = batch_of(strength_wave=r1_wave, error=1e-6)
-    with pytest.raises(po.InputError, match=r"shape \(3,\).*each of its 3 inputs"):
+    with pytest.raises(po.InputError, match=r"shape \(3,\).*3 inputs"):
         batch(DESIGNS[0])
     with pytest.raises(po.InputError, match="values of a batch must be numbers"):
         batch([["25 deg", 0.25, 5e4]])
@@ -330,7 +330,7 @@ def test_one_design_beyond_floating_point_leaves_the_others(r1_soil, r1_wave):
     batch = po.Batch(scene, 1.0, [height])
     result = batch([[0.25], [1e200]])
     assert list(result.failed) == [False, True]
-    assert "beyond what floating point holds" in result.reasons[1]
+    assert "floating point" in result.reasons[1]
     assert result.mean_draft[0] == batch([[0.25]]).mean_draft[0]
 
 

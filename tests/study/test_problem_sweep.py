@@ -140,7 +140,7 @@ class TestMany:
         assert "po.simulate" in ProblemSweep.of(problem, axes, method="each").how
         sticky = po.read_problem(PROBLEMS / "stick_slip.toml")
         assert "po.simulate" in ProblemSweep.of(sticky, axes).how
-        with pytest.raises(po.InputError, match="finds no events"):
+        with pytest.raises(po.InputError, match="events"):
             ProblemSweep.of(sticky, axes, method="batch")
 
 

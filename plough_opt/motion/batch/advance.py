@@ -7,7 +7,7 @@ import math
 
 import casadi as ca
 
-from plough_opt.motion.batch.deviation import felt, grown, transfer
+from plough_opt.motion.batch.deviation import grown, square_of_error, transfer
 from plough_opt.motion.batch.layout import Layout
 from plough_opt.motion.batch.rules import series_of
 from plough_opt.motion.batch.series import Graph
@@ -15,52 +15,46 @@ from plough_opt.motion.equation import equation_of_motion
 from plough_opt.motion.signals import signals
 
 # Samples of a switch in a step; halvings, and steps of Newton's method, in the interval in which it changes its sign;
-# and how far beyond, as a part of the step, the next step begins.
+# and how far beyond that, as a part of the step, the next step begins.
 _SAMPLES = 8
 _HALVINGS = 4
 _NEWTON = 3
 _BEYOND = 1e-7
 # Degree of the strut's speed in time during a ramp.
 _RAMP_DEGREE = 5
-# Keeps logarithms and quotients finite where nothing moves, or no time has passed.
+# Keeps logarithms and quotients finite if nothing moves, or no time has passed.
 _TINY = 1e-290
 _ROUNDING = 2.0**-52
-# Coefficients by which the end of a series is judged, how much smaller the last is taken to be than an oscillation's
-# before it, and their weight: of 200,000 runs under a wave none made half the error of its estimate. By accident all
-# of them may be small, so no step is longer than a phase [rad].
+# The truncated terms of a series are estimated from its last coefficients: how many of these, by how much each is taken
+# to be smaller than an oscillation's before it, and their weight. In 200,000 runs under a wave no error was half of
+# its estimate. All of them may be small by accident, so a step is limited by its phase [rad] too.
 _LAST, _FALL, _WEIGHT = 4, 8.0, 0.35
 _LONGEST = 4.0
-# How much more they weigh where the soil has rates of its own, of which the frequencies of mount and wave do not tell.
+# Factor on the weight if the soil has rates of its own, which the frequencies of mount and wave do not include.
 _UNKNOWN = 3.0
 
 
 def advance(layout: Layout, order: int, part: int) -> ca.Function:
-    """Return (state, parameters) -> state after one step, of a design that is not at its end.
+    """Return (state, parameters) -> state after one step, for a design that is not at its end.
 
     Args:
-        layout: what the columns hold.
+        layout: positions in the two columns.
         order: of the Taylor polynomial of w'.
-        part: 0 until a ramp's end, and after it, or without one, the last of `Layout.ends`.
+        part: of the motion, as `Layout.ends` has them: 0 until a ramp's end, the last one after it or without a ramp.
     """
     x, p = ca.SX.sym("x", layout.state), ca.SX.sym("p", layout.allowed + 1)
     end, late = p[layout.ends[part]], part == len(layout.ends) - 1
     w, rate, switches = _solution(layout, order, x, p, late)
     observed = _signals(layout, w, rate, x, p, late)
-    # What is cut off is judged by the last terms of w', as the deflection into which a mount turns them.
+    # The truncated terms, estimated from the last terms of w' as the deflection into which a mount turns them.
     last_terms = _last_terms(layout, rate, order, p) / layout.own_frequency(p)
-    remaining = end - x[0]
-    reach = ca.exp((ca.log(p[layout.allowed]) - ca.log(last_terms + _TINY)) / order)
-    reach = ca.fmin(reach, _LONGEST / layout.fastest_frequency(p))
+    # The longest step whose truncated terms stay below the allowed error.
+    longest = ca.exp((ca.log(p[layout.allowed]) - ca.log(last_terms + _TINY)) / order)
+    longest = ca.fmin(longest, _LONGEST / layout.fastest_frequency(p))
     if layout.structure.relaxed or layout.structure.ramp:
-        # A share that begins to move may feel by a high power of the time what its series at the start does not show.
-        reach = ca.fmin(reach, x[0] + p[layout.first])
-    count = ca.fmax(ca.ceil(remaining / reach), 1.0)
-    size, last = remaining / count, count <= 1.0
-    for switch in switches:
-        cut = _first_change(switch, size)
-        last = ca.logic_and(last, cut >= size)
-        size = ca.fmin(cut, size)
-    time = ca.if_else(last, end, x[0] + size)
+        # The force on a share that begins to move may grow by a high power of time that its first series does not show.
+        longest = ca.fmin(longest, x[0] + p[layout.longest_first_step])
+    size, time = _size(x[0], end, longest, switches)
     powers = _powers(size, len(observed[0]) - 1)
     terms = [[c * power for c, power in zip(series, powers, strict=False)] for series in observed]
     part_of_time = size / ca.fmax(time, _TINY)
@@ -69,15 +63,29 @@ def advance(layout: Layout, order: int, part: int) -> ca.Function:
     made = last_terms * powers[order] + _ROUNDING * ca.fabs(state[0])
     before = ca.vertsplit(x[-4:])
     ellipse = grown(before[:3], transfer(layout, (w, rate), x[0], p, late, powers), made)
-    both = 0.5 * (felt(layout, before[:3], p) + felt(layout, ellipse, p))
-    error = before[3] + part_of_time * (both - before[3])
+    mean_square = 0.5 * (square_of_error(layout, before[:3], p) + square_of_error(layout, ellipse, p))
+    error = before[3] + part_of_time * (mean_square - before[3])
     return ca.Function("advance", [x, p], [ca.cse(ca.vertcat(time, *state, *averages, *ellipse, error))])
+
+
+def _size(now: ca.SX, end: ca.SX, longest: ca.SX, switches: list[list[ca.SX]]) -> tuple[ca.SX, ca.SX]:
+    """Return the size of a step and the time at its end.
+
+    The remaining time is divided into equal steps, of which the first is taken up to the first change of a switch.
+    """
+    count = ca.fmax(ca.ceil((end - now) / longest), 1.0)
+    size, last = (end - now) / count, count <= 1.0
+    for switch in switches:
+        cut = _first_change(switch, size)
+        last = ca.logic_and(last, cut >= size)
+        size = ca.fmin(cut, size)
+    return size, ca.if_else(last, end, now + size)
 
 
 def _solution(
     layout: Layout, order: int, x: ca.SX, p: ca.SX, late: bool
 ) -> tuple[list[ca.SX], list[ca.SX], list[list[ca.SX]]]:
-    """Return the coefficients of w, of w' and of what changes its sign where the formula changes."""
+    """Return the coefficients of w, of w' and of the switches, whose signs decide on the right-hand side's formula."""
     motion, graph = equation_of_motion(layout.structure), Graph()
     time, rate = graph.clock(x[0]), graph.given(x[2])
     w = graph.given(x[1], rate=rate)
@@ -92,7 +100,7 @@ def _solution(
 
 
 def _signals(layout: Layout, w: list[ca.SX], rate: list[ca.SX], x: ca.SX, p: ca.SX, late: bool) -> list[list[ca.SX]]:
-    """Return the coefficients of the signals, of a product of the motion and a ramp all of them."""
+    """Return the coefficients of the signals; during a ramp of all orders that the product with its speed has."""
     graph = Graph()
     known = [graph.constant(p[k]) for k in range(len(layout.parameters))]
     extended = len(w) + (_RAMP_DEGREE if layout.structure.ramp and not late else 0)
@@ -117,9 +125,9 @@ def _last_terms(layout: Layout, series: list[ca.SX], highest: int, p: ca.SX) -> 
 
 
 def _first_change(series: list[ca.SX], size: ca.SX) -> ca.SX:
-    """Return a time just after a polynomial has become positive, or no longer is, or infinity.
+    """Return a time within a step just after a polynomial changes its sign, or infinity if it does not.
 
-    Between two samples on one side of zero the polynomial is looked at where it turns, by its slopes at the samples.
+    It is sampled at equal distances and, between each two samples, where it turns according to its slopes there.
     """
     at_first = series[0] > 0.0
 
@@ -161,9 +169,16 @@ def _with_slope(series: list[ca.SX], x: ca.SX) -> tuple[ca.SX, ca.SX]:
 
 
 def _averages(layout: Layout, terms: list[list[ca.SX]], x: ca.SX, part: ca.SX) -> list[ca.SX]:
-    """Return means and variances up to the end of a step, which is a given part of the time until then.
+    """Return means and variances up to the end of a step.
 
-    Pooling the variance within the step with the square of the distance of the means adds squares only.
+    The variance within the step is pooled with the square of the distance of the means: a sum of squares, which cannot
+    cancel.
+
+    Args:
+        layout: positions in the state.
+        terms: coefficients of each signal, times the powers of the step.
+        x: state before the step.
+        part: length of the step over the time until its end [-].
     """
     means, variances = [], []
     for k, series in enumerate(terms):
@@ -179,23 +194,23 @@ def _averages(layout: Layout, terms: list[list[ca.SX]], x: ca.SX, part: ca.SX) -
 
 
 def _legendre(terms: list[ca.SX], highest: int) -> list[ca.SX]:
-    """Return the coefficients of a polynomial on [0, 1] in Legendre's polynomials, whose squares add up.
+    """Return the coefficients of a polynomial on [0, 1] in Legendre polynomials, which are orthogonal.
 
     The coefficient of degree l of u^k is (2l + 1) k!^2 / ((k - l)! (k + l + 1)!).
     """
     factorial = math.factorial
-    found = []
+    coefficients = []
     for degree in range(highest + 1):
         total = ca.SX(0)
         for k, c in enumerate(terms[degree:], start=degree):
             weight = (2 * degree + 1) * factorial(k) ** 2 / (factorial(k - degree) * factorial(k + degree + 1))
             total = total + weight * c
-        found.append(total)
-    return found
+        coefficients.append(total)
+    return coefficients
 
 
 def _powers(x: ca.SX, highest: int) -> list[ca.SX]:
-    """Return 1, x, x^2 ..., each from its halves, so that none waits for all others."""
+    """Return 1, x, x^2 ..., each as a product of two halves, so that a processor can compute several at once."""
     powers = [ca.SX(1), x]
     for k in range(2, highest + 1):
         powers.append(powers[k // 2] * powers[k - k // 2])

@@ -22,7 +22,7 @@ from plough_opt.motion.batch.domain_check import DomainCheck
 from plough_opt.motion.batch.engine import engine_of
 from plough_opt.motion.batch.equations import RESULTS, Start, of_column, setup
 from plough_opt.motion.batch.layout import Layout
-from plough_opt.motion.batch.program import Array, Program
+from plough_opt.motion.batch.operations import Array, OperationList
 from plough_opt.motion.batch.result import BatchResult
 from plough_opt.motion.effects import StickSlip
 from plough_opt.motion.scene import Scene
@@ -35,7 +35,7 @@ _MOST_STEPS = 200_000
 _REPETITIONS = 4
 _RESERVE = 0.3
 _LARGEST_CUT = 1e-6
-_NO_RAMP = "a tow ramp of no duration is no ramp: make a batch of a scene without tow_ramp for such designs"
+_NO_RAMP = "the tow ramp takes no time: make a batch of a scene without tow_ramp for such designs"
 
 
 class Batch:
@@ -50,8 +50,8 @@ class Batch:
         result = batch(values)  # values: a row for each design
         result.mean_draft, result.force_rms, result.error_estimate
 
-    The motion is followed by its Taylor series in time, of an order that the wanted error sets, in steps that each
-    design chooses by the series' last terms. The right-hand side's own graph becomes the recurrences of the
+    The motion is integrated by its Taylor series in time. The wanted error sets the order, and the last terms of the
+    series set the steps of each design. The graph of the right-hand side is turned into the recurrences of the
     coefficients, in C that the system's compiler translates for its vector registers, once for every kind of scene.
 
     Args:
@@ -61,8 +61,8 @@ class Batch:
         error: wanted error of mean draft and RMS force, relative to the larger of them, from 1e-11 to 1e-2.
 
     Raises:
-        InputError: a scene of another kind, inputs that are no symbols or twice the same, or others in the scene.
-        DomainError: a duration that is a number, and not above 0.
+        InputError: a scene of another kind, inputs that are not symbols or repeat one, or other symbols in the scene.
+        DomainError: a duration that is a number not above 0.
     """
 
     def __init__(
@@ -84,11 +84,11 @@ class Batch:
             "setup": setup(self._layout, scene, duration, symbols, error),
         }
         self._inputs = functions["setup"].numel_in(0)
-        # Of a wanted error a step may make a small part: an order more for every digit.
+        # One order more for every digit of the wanted error, of which a step may make a small part.
         order = round(10.0 - math.log10(error))
         ends = self._layout.ends
-        parts = tuple((Program.of(advance(self._layout, order, part)), end) for part, end in enumerate(ends))
-        maps = {name: Program.of(one) for name, one in functions.items() if one.is_a("SXFunction")}
+        parts = tuple((OperationList.of(advance(self._layout, order, part)), end) for part, end in enumerate(ends))
+        maps = {name: OperationList.of(one) for name, one in functions.items() if one.is_a("SXFunction")}
         self._engine = engine_of(functions, Kernels(maps, parts, self._layout.allowed + 1))
 
     @property
@@ -98,11 +98,11 @@ class Batch:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What a reader must know of the batch as a whole."""
+        """Warnings about the batch as a whole."""
         if self.compiled:
             return ()
         return (
-            "no C compiler was found ($CC, cc, gcc, clang): the batch is carried out by NumPy, with the same results"
+            "no C compiler was found ($CC, cc, gcc, clang): NumPy evaluates the batch, with the same results"
             " but 20 to 40 times slower for thousands of designs, and more than 100 times for hundreds",
         )
 
@@ -111,44 +111,35 @@ class Batch:
 
         Args:
             values: a row for each design, a column for each input.
-            threads: of this process, each on a part of the designs.
+            threads: number of threads, each of which simulates a part of the designs.
 
         Raises:
-            InputError: values that are no numbers or of another shape, or a number of threads that is none.
+            InputError: values that are not numbers or have another shape, or threads that is not a whole number from 1.
         """
         if not is_count(threads):
             raise InputError(f"threads = {shown(threads)} must be a whole number from 1 on")
         began = time.perf_counter()
         rows = self._rows(values)
         starts = range(0, rows.shape[1], _CHUNK)
-        found = np.full((len(RESULTS) + 2, rows.shape[1]), np.nan)
+        results = np.full((len(RESULTS) + 2, rows.shape[1]), np.nan)
         reasons: dict[int, str] = {}
 
-        def simulate(start: int) -> dict[int, str]:
+        def simulate(start: int) -> None:
             part = slice(start, start + _CHUNK)
-            found[:, part], why = self._simulate(np.ascontiguousarray(rows[:, part]))
-            return {start + k: reason for k, reason in why.items()}
+            results[:, part], failed = self._simulate(np.ascontiguousarray(rows[:, part]))
+            reasons.update({start + k: reason for k, reason in failed.items()})
 
         if threads == 1:
             for start in starts:
-                reasons |= simulate(start)
+                simulate(start)
         else:
             with ThreadPoolExecutor(threads) as pool:
-                for why in pool.map(simulate, starts):
-                    reasons |= why
-        seconds = time.perf_counter() - began
-        mean_draft, force_rms, mean_deflection, displacement_rms, tow_power, error_estimate, steps = found
+                list(pool.map(simulate, starts))
         return BatchResult(
-            mean_draft=mean_draft,
-            force_rms=force_rms,
-            mean_deflection=mean_deflection,
-            displacement_rms=displacement_rms,
-            tow_power=tow_power,
-            error_estimate=error_estimate,
-            steps=steps,
-            reasons=reasons,
+            **dict(zip((*RESULTS, "error_estimate", "steps"), results, strict=True)),
+            reasons=dict(sorted(reasons.items())),
             wanted=self._error,
-            seconds=seconds,
+            seconds=time.perf_counter() - began,
             warnings=self.warnings,
         )
 
@@ -160,7 +151,7 @@ class Batch:
             threads: as of a call.
 
         Raises:
-            InputError: nothing that yields arrays, or as a call raises.
+            InputError: chunks that do not yield arrays, or as a call raises.
         """
         if is_casadi(chunks) or not isinstance(chunks, Iterable):
             raise InputError(f"the chunks = {shown(chunks)} must be arrays one after the other: a list or a generator")
@@ -175,15 +166,15 @@ class Batch:
             raise InputError(f"the values of a batch must be numbers, in SI units: {error}") from None
         if array.ndim != 2 or array.shape[1] != self._inputs:
             raise InputError(
-                f"the values have the shape {array.shape}: a batch takes a row for each design and a column for each of"
-                f" its {self._inputs} inputs"
+                f"the values have the shape {array.shape}: give a row for each design and a column for each of"
+                f" the {self._inputs} inputs"
             )
         return array.T
 
     def _simulate(self, rows: Array) -> tuple[Array, dict[int, str]]:
-        """Return (results, errors, steps) of some designs, and why some have none."""
+        """Return (results, errors, steps) of some designs, and the reasons of those that have none."""
         layout = self._layout
-        found = np.full((len(RESULTS) + 2, rows.shape[1]), np.nan)
+        kept = np.full((len(RESULTS) + 2, rows.shape[1]), np.nan)
         quantities = self._engine.evaluate("quantities", rows)
         reasons = self._check.reasons(quantities)
         prepared = self._engine.evaluate("setup", rows)
@@ -191,10 +182,10 @@ class Batch:
             ends = prepared[layout.parameters.index("ramp_time")]
             reasons |= {int(k): _NO_RAMP for k in np.flatnonzero(~(ends > 0.0)) if int(k) not in reasons}
         which = np.delete(np.arange(rows.shape[1]), list(reasons))
-        # Designs of like phase take like numbers of steps, and so wait little for each other.
+        # Designs of similar phase take similar numbers of steps, and so wait little for each other.
         prepared = prepared if len(which) == rows.shape[1] else prepared[:, which]
         results = self._integrate(prepared, Start(*prepared[layout.allowed + 1 :]).phase)
-        found[:, which] = results
+        kept[:, which] = results
         for _ in range(_REPETITIONS):
             again = results[-2] > self._error
             if not np.any(again):
@@ -204,23 +195,23 @@ class Batch:
             prepared = prepared[:, again]
             prepared[layout.allowed] *= cut
             results = self._integrate(prepared, before[-1])
-            # An error that cut steps hardly lower is that of rounding, or of a motion that forgets its start.
+            # An error that shorter steps hardly lower is that of rounding, or of a motion that forgets its start.
             gained = results[-2] <= np.sqrt(cut) * before[-2]
             better = results[-2] < before[-2]
-            found[:, which[better]] = results[:, better]
+            kept[:, which[better]] = results[:, better]
             which, prepared, results = which[gained], prepared[:, gained], results[:, gained]
-        for k in np.flatnonzero(~np.isfinite(found[:-2]).all(axis=0)):
-            found[:-1, k] = np.nan
+        for k in np.flatnonzero(~np.isfinite(kept[:-2]).all(axis=0)):
+            kept[:-1, k] = np.nan
             if int(k) not in reasons:
-                reasons[int(k)] = self._why(quantities[:, k], found[-1, k])
-        return found, reasons
+                reasons[int(k)] = self._reason(quantities[:, k], kept[-1, k])
+        return kept, reasons
 
     def _integrate(self, prepared: Array, key: Array) -> Array:
-        """Return (results, errors, steps) of designs; NaN where the steps did not suffice.
+        """Return (results, errors, steps) of designs; NaN if the steps did not suffice.
 
         Args:
-            prepared: what `setup` gives.
-            key: designs with a like one are carried out together.
+            prepared: results of `setup`.
+            key: a number for each design; those with similar ones are integrated together.
         """
         count = self._layout.allowed + 1
         p, start = np.ascontiguousarray(prepared[:count]), Start(*prepared[count:])
@@ -234,51 +225,57 @@ class Batch:
         results[:-1, ~(states[0] >= p[self._layout.ends[-1]])] = np.nan
         return results
 
-    def _why(self, quantities: Array, steps: float) -> str:
-        """Return why a design within the domain has no results."""
+    def _reason(self, quantities: Array, steps: float) -> str:
+        """Return the reason why a design within the domain has no results."""
         scene = self._check.scene(lambda k: float(quantities[k]))
         try:
-            told = scene.describe()
+            description = scene.describe()
         except OverflowError:
-            return "its forces are beyond what floating point holds: take numbers of a share"
+            return "its forces are beyond the range of floating point: use the dimensions of a real share"
         if steps >= _MOST_STEPS:
             return (
-                f"the motion of a {told} takes more than {_MOST_STEPS} steps: take the quasi-static scene"
+                f"the motion of a {description} takes more than {_MOST_STEPS} steps: use the quasi-static scene"
                 " (Effects(motion=False)), a softer or a damped mount, or a shorter duration"
             )
-        return f"the motion of a {told} has no finite mean: something drives the share away; po.simulate tells when"
+        return (
+            f"the motion of a {description} has no finite mean: something drives the share away; po.simulate says when"
+        )
 
 
 def _symbols(inputs: Sequence[Expression]) -> list[Expression]:
-    """Return the inputs, each a symbol and none twice."""
+    """Return the inputs as a list.
+
+    Raises:
+        InputError: an input that is not a symbol, or the same one twice.
+    """
     symbols = list(inputs) if isinstance(inputs, Sequence) else []
     if not symbols or not all(is_symbolic(one) and one.is_valid_input() for one in symbols):
-        raise InputError("the inputs of a batch are the CasADi symbols of which its scene is made, as a list")
+        raise InputError("the inputs of a batch must be a list of the CasADi symbols of which its scene is made")
     if len({type(one) for one in symbols}) > 1:
-        raise InputError("the inputs of a batch are all SX, or all MX")
+        raise InputError("the inputs of a batch must be all SX, or all MX")
     distinct = ca.symvar(ca.veccat(*symbols))
     if sum(one.numel() for one in distinct) < sum(one.numel() for one in symbols):
-        raise InputError("an input of the batch is named twice: each symbol has one column")
+        raise InputError("an input of the batch is named twice: give each symbol one column")
     return symbols
 
 
 def _refuse(scene: Scene) -> None:
-    """Refuse scenes whose motion is not followed by steps from a start."""
+    """Raise InputError if a scene's motion cannot be integrated by steps from its start."""
     check_kind("the scene", scene, Scene, "a Scene, made of soil, share, stiffness, mass and tow speed")
     effects = scene.effects
     if not effects.motion:
         raise InputError(
-            "a batch follows a motion, and a quasi-static scene has none: its averages are expressions that cost next"
-            " to nothing; take po.simulate(scene, duration) with symbols, and a casadi.Function of its averages"
+            "a batch integrates a motion, and a quasi-static scene has none: its averages are expressions that cost"
+            " next to nothing; use po.simulate(scene, duration) with symbols, and a casadi.Function of its averages"
         )
     if effects.orbit != "transient":
         raise InputError(
-            "a batch follows a motion from its start: take orbit = 'transient' and a long duration, or po.simulate for"
-            " the orbit of each design"
+            "a batch integrates a motion from its start: use orbit = 'transient' and a long duration, or po.simulate"
+            " for the orbit of each design"
         )
     if effects.events:
         what = "StickSlip" if isinstance(effects.contact, StickSlip) else "the entry of a share"
         raise InputError(
-            f"a batch finds no events, which {what} has: take Smooth(width) as contact and a share that is buried from"
-            " the start, or po.simulate for each design"
+            f"a batch cannot find the events that {what} has: use Smooth(width) as contact and a share that is buried"
+            " from the start, or po.simulate for each design"
         )

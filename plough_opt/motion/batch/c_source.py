@@ -1,4 +1,4 @@
-"""C source of programs: every operation on as many designs at once as a vector register holds, or two of them."""
+"""C source of lists of operations: each on as many designs at once as a vector register holds."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import casadi as ca
 
-from plough_opt.motion.batch.program import Program
+from plough_opt.motion.batch.operations import LANE_BY_LANE, LIBRARY, LIBRARY_OF_TWO, OperationList, code_of
 
 _BINARY = {ca.OP_ADD: "+", ca.OP_SUB: "-", ca.OP_MUL: "*", ca.OP_DIV: "/"}
 _COMPARISONS = {ca.OP_LT: "<", ca.OP_LE: "<=", ca.OP_EQ: "==", ca.OP_NE: "!="}
@@ -20,28 +20,10 @@ _SIMPLE = {
     ca.OP_TWICE: "{0} + {0}",
     ca.OP_INV: "1.0 / {0}",
 }
-# Functions of one argument that C's library has for vectors too, by its name.
-_LIBRARY = {
-    ca.OP_EXP: "exp",
-    ca.OP_LOG: "log",
-    ca.OP_SIN: "sin",
-    ca.OP_COS: "cos",
-    ca.OP_TAN: "tan",
-    ca.OP_ASIN: "asin",
-    ca.OP_ACOS: "acos",
-    ca.OP_ATAN: "atan",
-    ca.OP_SINH: "sinh",
-    ca.OP_COSH: "cosh",
-    ca.OP_TANH: "tanh",
-    ca.OP_ASINH: "asinh",
-    ca.OP_ACOSH: "acosh",
-    ca.OP_ATANH: "atanh",
-    ca.OP_ERF: "erf",
-    ca.OP_EXPM1: "expm1",
-    ca.OP_LOG1P: "log1p",
-}
-_LIBRARY_OF_TWO = {ca.OP_POW: "pow", ca.OP_CONSTPOW: "pow", ca.OP_ATAN2: "atan2", ca.OP_HYPOT: "hypot"}
-_LANE_BY_LANE = {ca.OP_FLOOR: "floor", ca.OP_CEIL: "ceil", ca.OP_SQRT: "sqrt"}
+# C's name of each function that the vector library has, of one argument and of two, and of those that it lacks.
+_LIBRARY = {ca.OP_ERF: "erf"} | {code_of(name): name for name in LIBRARY}
+_LIBRARY_OF_TWO = {ca.OP_CONSTPOW: "pow"} | {code_of(name): name for name in LIBRARY_OF_TWO}
+_LANE_BY_LANE = {code_of(name): name for name in LANE_BY_LANE}
 _OWN = {ca.OP_FABS: "v_fabs", ca.OP_SIGN: "v_sign", ca.OP_FMIN: "v_min", ca.OP_FMAX: "v_max"}
 
 _HEAD = """
@@ -149,39 +131,39 @@ _PART = """    {{
 
 @dataclass(frozen=True)
 class Kernels:
-    """What a batch compiles.
+    """The operations that a batch compiles.
 
     Attributes:
-        maps: programs of one argument, by name.
-        parts: of the motion, in time: (program of a step, position in the parameters of the time at which it ends).
-        parameters: how many parameters a step has.
+        maps: Functions of one argument, by name.
+        parts: of the motion, in time: (one step, position in the parameters of the time at which the part ends).
+        parameters: number of a step's parameters.
     """
 
-    maps: dict[str, Program]
-    parts: tuple[tuple[Program, int], ...]
+    maps: dict[str, OperationList]
+    parts: tuple[tuple[OperationList, int], ...]
     parameters: int
 
 
 def c_source(kernels: Kernels) -> str:
     """Return the C source of a library with a function for each map, and one that runs all steps."""
-    lines = head([*kernels.maps.values(), *(program for program, _ in kernels.parts)])
+    lines = head([*kernels.maps.values(), *(step for step, _ in kernels.parts)])
     lines.append("int64_t lanes(void) { return LANES; }")
-    for name, program in kernels.maps.items():
-        inputs = 1 + max((element for _, element in program.inputs.values()), default=0)
-        body = Text(program, ("x",)).body(None)
-        lines.append(_MAP.format(name=name, inputs=inputs, results=len(program.results), body=body))
+    for name, one in kernels.maps.items():
+        inputs = 1 + max((element for _, element in one.inputs.values()), default=0)
+        body = Statements(one, ("x",)).body(None)
+        lines.append(_MAP.format(name=name, inputs=inputs, results=len(one.results), body=body))
     state = len(kernels.parts[0][0].results)
     parts = []
-    for program, end in kernels.parts:
-        text = Text(program, ("x", "p"))
+    for step, end in kernels.parts:
+        text = Statements(step, ("x", "p"))
         parts.append(_PART.format(once=text.body(True), each=text.body(False), end=end, state=state))
     lines.append(_RUN.format(parameters=kernels.parameters, state=state, parts="\n".join(parts)))
     return "\n".join(lines)
 
 
-def head(programs: Sequence[Program]) -> list[str]:
-    """Return the C that the text of programs rests on: types, and the functions that they call."""
-    codes = {operation.code for program in programs for operation in program.operations}
+def head(lists: Sequence[OperationList]) -> list[str]:
+    """Return the C types and functions that the statements of some lists use."""
+    codes = {operation.code for one in lists for operation in one.operations}
     lines = [_HEAD]
     lines += [f"EACH({name})" for code, name in _LANE_BY_LANE.items() if code in codes]
     lines += [f"LIBRARY({name})" for code, name in _LIBRARY.items() if code in codes]
@@ -189,19 +171,22 @@ def head(programs: Sequence[Program]) -> list[str]:
     return lines
 
 
-class Text:
-    """A program as C statements."""
+class Statements:
+    """A list of operations as C statements.
 
-    def __init__(self, program: Program, arrays: tuple[str, ...]) -> None:
-        """Name the arrays that hold the arguments."""
-        self._program = program
+    Values are vectors of doubles, and conditions vectors of masks, whose bits are all 0 or all 1.
+    """
+
+    def __init__(self, operations: OperationList, arrays: tuple[str, ...]) -> None:
+        """Take the operations, and the names of the arrays that hold the arguments."""
+        self._list = operations
         self._arrays = arrays
         self._masks: set[int] = set()
 
     def body(self, once: bool | None) -> str:
-        """Return the statements that are carried out once, those of every step, or with None all."""
+        """Return the statements that run once before all steps (True), in every step (False), or all (None)."""
         lines = []
-        for operation in self._program.operations:
+        for operation in self._list.operations:
             text = self._expression(operation.code, operation.of)
             if self._is_mask(operation.code):
                 self._masks.add(operation.value)
@@ -209,8 +194,7 @@ class Text:
                 kind = "M" if operation.value in self._masks else "V"
                 lines.append(f"const {kind} a{operation.value} = {text};")
         if not once:
-            zero = "(V){0} + "
-            lines += [f"y[{j}] = {zero}{self._number(k)};" for j, k in enumerate(self._program.results)]
+            lines += [f"y[{j}] = (V){{0}} + {self._number(k)};" for j, k in enumerate(self._list.results)]
         return "\n".join(lines)
 
     @staticmethod
@@ -219,20 +203,20 @@ class Text:
 
     def _number(self, k: int) -> str:
         """Return a value as an operand of arithmetic."""
-        if k in self._program.constants:
-            value = self._program.constants[k]
+        if k in self._list.constants:
+            value = self._list.constants[k]
             if math.isinf(value):
                 return "INFINITY" if value > 0.0 else "(-INFINITY)"
             return f"({value!r})" if value < 0.0 else repr(value)
-        if k in self._program.inputs:
-            argument, element = self._program.inputs[k]
+        if k in self._list.inputs:
+            argument, element = self._list.inputs[k]
             return f"{self._arrays[argument]}[{element}]"
         return f"v_one(a{k})" if k in self._masks else f"a{k}"
 
     def _vector(self, k: int) -> str:
         """Return a value as an argument of a function of vectors."""
         text = self._number(k)
-        return f"((V){{0}} + {text})" if k in self._program.constants else text
+        return f"((V){{0}} + {text})" if k in self._list.constants else text
 
     def _mask(self, k: int) -> str:
         """Return a value as a condition."""

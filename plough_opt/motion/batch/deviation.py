@@ -1,8 +1,8 @@
-"""What becomes of the errors of a motion's steps: an ellipse in the plane of w and w' that holds all of them together.
+"""The errors of all steps of a motion so far: an ellipse in the plane of w and w' that contains their sum.
 
-Errors add up as sizes, not as squares, since those of an oscillation's steps may all point along its path. From step to
-step the ellipse is moved by the equation's own slopes along the motion, so that it grows where neighbouring motions
-part, turns where they oscillate about each other, and shrinks where a damper or the soil forgets them.
+Errors add up as sizes, not as squares, since those of an oscillation's steps may all point along its path. Each step
+moves the ellipse by the linearised equation of motion, so that it grows where neighbouring motions part, turns where
+they oscillate about each other, and shrinks where a damper or the soil lets them decay.
 
 Blanes, Casas, Oteo, Ros: The Magnus expansion and some of its applications, Physics Reports 470 (2009), section 5.4,
 of order 4; Kurzhanski, Valyi: Ellipsoidal Calculus for Estimation and Control, 1997, section 2.7, for the sum.
@@ -19,13 +19,13 @@ from plough_opt.motion.batch.rules import series_of
 from plough_opt.motion.batch.series import Graph, Series
 from plough_opt.motion.equation import equation_of_motion
 
-# Coefficients of the slopes in a step, of the spring's and of the damper's: more change the estimate by some per cent.
-_TERMS, _FEWER = 6, 4
-# Keeps a quotient finite where no error was made yet.
+# Coefficients of the slopes in a step, by w and by w': more of them change the estimate by some per cent.
+_SPRING_TERMS, _DAMPER_TERMS = 6, 4
+# Keeps a quotient finite as long as there is no error.
 _TINY = 1e-290
 
 Matrix = tuple[ca.SX, ca.SX, ca.SX, ca.SX]
-"""Elements 11, 12, 21 and 22 for (w, w'/s), s being the mount's own angular frequency."""
+"""Elements 11, 12, 21 and 22, for (w, w'/s) with the mount's own angular frequency s."""
 
 
 @lru_cache(maxsize=16)
@@ -40,12 +40,13 @@ def slopes(layout: Layout) -> ca.Function:
 def transfer(
     layout: Layout, moving: tuple[list[ca.SX], list[ca.SX]], start: ca.SX, p: ca.SX, late: bool, powers: list[ca.SX]
 ) -> Matrix:
-    """Return what a step makes of a small deviation at its start.
+    """Return the matrix that turns a small deviation at the start of a step into the one at its end.
 
-    Its determinant is that of the equation, so that an undamped oscillation neither grows nor decays by it.
+    It is the exponential of a Magnus expansion of order 4, whose determinant is exact: an undamped oscillation neither
+    grows nor decays by it.
 
     Args:
-        layout: what the columns hold.
+        layout: positions in the columns.
         moving: coefficients of w and of w'.
         start: time at which the step begins [s].
         p: parameters of a step.
@@ -54,15 +55,16 @@ def transfer(
     """
     motion, graph = equation_of_motion(layout.structure), Graph()
     own = [graph.constant(layout.value(p, name)) for name in motion.names]
-    known = [graph.given(*series[:_TERMS]) for series in moving]
+    known = [graph.given(*series[:_SPRING_TERMS]) for series in moving]
     spring, damper = series_of(graph, slopes(layout), [[graph.clock(start)], known, own], late)
-    for k in range(_TERMS):
+    for k in range(_SPRING_TERMS):
         graph.extend(k)
     size, scale = powers[1], layout.own_frequency(p)
-    # Averages of the slopes over the step, and of the spring's times the distance from its middle, in steps.
+    # Averages of the slopes over the step, and of the spring's times the distance from the middle of the step, with the
+    # step as unit of time.
     length = size / scale
-    a, b = length * _mean(spring, powers[:_TERMS]), size * _mean(damper, powers[:_FEWER])
-    lean = length * _tilt(spring, powers[:_TERMS])
+    a, b = length * _mean(spring, powers[:_SPRING_TERMS]), size * _mean(damper, powers[:_DAMPER_TERMS])
+    lean = length * _tilt(spring, powers[:_SPRING_TERMS])
     turn, half = size * scale, 0.5 * b
     diagonal, upper, lower = -turn * lean - half, turn, a - b * lean
     even, odd = _hyperbolic(diagonal**2 + upper * lower)
@@ -73,13 +75,13 @@ def transfer(
 
 def _mean(series: Series, powers: list[ca.SX]) -> ca.SX:
     """Return a series' average over the step."""
-    base, factor, summand = series.parts()
+    base, factor, summand = series.affine
     return factor * _weighted(base, powers, [1.0 / (k + 1.0) for k in range(len(powers))]) + summand
 
 
 def _tilt(series: Series, powers: list[ca.SX]) -> ca.SX:
-    """Return the average of a series times the distance from the step's middle, in steps."""
-    base, factor, _ = series.parts()
+    """Return the average of a series times the distance from the step's middle, as a fraction of the step."""
+    base, factor, _ = series.affine
     return factor * _weighted(base, powers, [0.5 * k / ((k + 1.0) * (k + 2.0)) for k in range(len(powers))])
 
 
@@ -92,7 +94,10 @@ def _weighted(series: Series, powers: list[ca.SX], weights: list[float]) -> ca.S
 
 
 def _hyperbolic(x: ca.SX) -> tuple[ca.SX, ca.SX]:
-    """Return cosh(sqrt(x)) and sinh(sqrt(x))/sqrt(x), of x < 0 the cosine and its like."""
+    """Return cosh(sqrt(x)) and sinh(sqrt(x))/sqrt(x), which for x < 0 are cos(sqrt(-x)) and sin(sqrt(-x))/sqrt(-x).
+
+    Taylor polynomials at x/64, and the doubling formula three times, for each of which sqrt(x) doubles.
+    """
     x = x / 64.0
     even = 1.0 + x * (1.0 / 2.0 + x * (1.0 / 24.0 + x * (1.0 / 720.0)))
     odd = 1.0 + x * (1.0 / 6.0 + x * (1.0 / 120.0 + x * (1.0 / 5040.0)))
@@ -102,7 +107,7 @@ def _hyperbolic(x: ca.SX) -> tuple[ca.SX, ca.SX]:
 
 
 def _exponential(x: ca.SX) -> ca.SX:
-    """Return exp(x) as (1 + y + y^2/2 + y^3/6)^16 with y = x/16: to some per cent from -6 on, next to nothing below."""
+    """Return exp(x) as (1 + y + y^2/2 + y^3/6)^16 with y = x/16: to some per cent above -6, and nearly 0 below."""
     y = ca.fmax(x, -16.0) / 16.0
     y = 1.0 + y * (1.0 + y * (1.0 / 2.0 + y * (1.0 / 6.0)))
     for _ in range(4):
@@ -114,8 +119,8 @@ def grown(ellipse: list[ca.SX], moved: Matrix, made: ca.SX) -> list[ca.SX]:
     """Return the ellipse after a step that makes an error.
 
     Args:
-        ellipse: P11, P12 and P22 [m^2] of the deviations e with e P^-1 e of at most 1.
-        moved: what the step makes of a deviation.
+        ellipse: P11, P12 and P22 [m^2]: it contains the deviations e with e P^-1 e <= 1.
+        moved: `transfer` of the step.
         made: the step's own error [m], in any direction.
     """
     (a, b, c, d), (p, q, r) = moved, ellipse
@@ -123,13 +128,13 @@ def grown(ellipse: list[ca.SX], moved: Matrix, made: ca.SX) -> list[ca.SX]:
     right = c * p + d * q, c * q + d * r
     turned = [left[0] * a + left[1] * b, left[0] * c + left[1] * d, right[0] * c + right[1] * d]
     radius = ca.sqrt(ca.fmax(0.5 * (turned[0] + turned[2]), 0.0))
-    # Of all ellipses that hold the sum of an ellipse and a circle the one with the least sum of squared axes.
+    # Of all ellipses that contain the sum of an ellipse and a circle, the one with the least sum of squared axes.
     stretch, added = 1.0 + made / (radius + _TINY), made * (made + radius)
     return [stretch * turned[0] + added, stretch * turned[1], stretch * turned[2] + added]
 
 
-def felt(layout: Layout, ellipse: list[ca.SX], p: ca.SX) -> ca.SX:
-    """Return the square of the largest error of the mount force in an ellipse, as a deflection [m^2]."""
+def square_of_error(layout: Layout, ellipse: list[ca.SX], p: ca.SX) -> ca.SX:
+    """Return the square of the largest error of the mount force over the stiffness in an ellipse [m^2]."""
     if not layout.structure.damper:
         return ellipse[0]
     lever = layout.own_frequency(p) * layout.value(p, "damping") / layout.value(p, "stiffness")

@@ -1,7 +1,8 @@
-"""Which designs of a batch lie outside the model's domain, and why: the same checks that a single scene has."""
+"""Finds the designs of a batch outside the model's domain, by the checks that a single scene has."""
 
 from __future__ import annotations
 
+import itertools
 from bisect import bisect_left
 from collections.abc import Callable
 from typing import Any
@@ -12,38 +13,42 @@ from numpy.typing import NDArray
 from plough_opt.core.errors import PloughError
 from plough_opt.core.expressions import is_quantity, map_expressions
 from plough_opt.core.quantities import BESIDE
-from plough_opt.motion.batch.program import Array
+from plough_opt.motion.batch.operations import Array
 from plough_opt.motion.scene import Scene
 
-# Designs among which one without a fault is looked for.
+# Designs among which a valid one is looked for.
 _TRIALS = 32
 
 
 class DomainCheck:
-    """Rebuilds a scene with arrays for its quantities, and looks for the designs for which that is refused."""
+    """Builds a scene again with arrays as its quantities, and finds the designs for which that raises an error.
+
+    If the arrays are refused, a quantity is suspect where it lies outside the interval accepted with the other
+    quantities of a valid design. Suspect designs are checked one by one, the others by halves.
+    """
 
     def __init__(self, template: Scene, fixed: list[float | None]) -> None:
-        """Take a scene with placeholders, and what of its quantities is a number for all designs."""
+        """Take a scene with placeholders, and for each of them its number, or None if it varies between designs."""
         self._template = template
         self._fixed = fixed
 
     def reasons(self, rows: Array) -> dict[int, str]:
-        """Return why designs are refused, by their position.
+        """Return the reasons why designs are refused, by their position.
 
         Args:
             rows: the quantities that vary, a row each, and the duration.
         """
-        found: dict[int, str] = {}
+        reasons: dict[int, str] = {}
         with np.errstate(all="ignore"):
             if rows.shape[1] > 0 and not self._accepts(lambda k: rows[k]):
                 suspect = self._outside(rows)
                 for k in np.flatnonzero(suspect):
-                    self._search(rows, np.array([k]), found)
-                self._search(rows, np.flatnonzero(~suspect), found)
-        return found
+                    self._search(rows, np.array([k]), reasons)
+                self._search(rows, np.flatnonzero(~suspect), reasons)
+        return reasons
 
     def _accepts(self, value: Callable[[int], Any]) -> bool:
-        """Tell whether a scene with these values is accepted; a user's own class may refuse arrays in any way."""
+        """Return whether a scene with these values is accepted; a user's own class may raise any error for arrays."""
         try:
             self.scene(value)
         except Exception:
@@ -51,40 +56,38 @@ class DomainCheck:
         return True
 
     def _outside(self, rows: Array) -> NDArray[np.bool_]:
-        """Return which designs have a quantity outside the interval in which it is accepted, all else being sound."""
+        """Return which designs have a quantity outside the interval accepted beside the others of a valid design."""
         suspect = np.zeros(rows.shape[1], dtype=bool)
-        for sound in rows.T[:_TRIALS]:
-            if self._accepts(sound.tolist().__getitem__):
-                break
-        else:
+        valid = next((row for row in rows.T[:_TRIALS] if self._accepts(row.tolist().__getitem__)), None)
+        if valid is None:
             return suspect
         for changed, values in enumerate(rows):
 
             def accepts(x: Any, changed: int = changed) -> bool:
-                return self._accepts(lambda k: x if k == changed else float(sound[k]))
+                return self._accepts(lambda k: x if k == changed else float(valid[k]))
 
             if not accepts(values):
                 # NaN is sorted to the end, where it is refused as too large.
                 ordered = np.sort(values)
-                middle = int(np.searchsorted(ordered, sound[changed]))
+                middle = int(np.searchsorted(ordered, valid[changed]))
                 top = bisect_left(range(middle, len(ordered)), True, key=lambda k: not accepts(float(ordered[k])))
                 low = bisect_left(range(middle + 1), True, key=lambda k: accepts(float(ordered[k])))
                 suspect |= ~((values >= ordered[low]) & (values <= ordered[middle + top - 1]))
         return suspect
 
-    def _search(self, rows: Array, where: NDArray[np.int64], found: dict[int, str]) -> None:
-        """Enter the designs that are refused, by halves of those among which there are some."""
+    def _search(self, rows: Array, where: NDArray[np.int64], reasons: dict[int, str]) -> None:
+        """Enter the reasons of those designs that are refused, by halving."""
         if len(where) == 0:
             return
         if len(where) == 1:
             try:
                 self.scene(lambda k: float(rows[k, where[0]]))
             except PloughError as refusal:
-                found[int(where[0])] = str(refusal)
+                reasons[int(where[0])] = str(refusal)
         elif not self._accepts(lambda k: rows[k, where]):
             half = len(where) // 2
-            self._search(rows, where[:half], found)
-            self._search(rows, where[half:], found)
+            self._search(rows, where[:half], reasons)
+            self._search(rows, where[half:], reasons)
 
     def scene(self, value: Callable[[int], Any]) -> Scene:
         """Return the scene with values for the quantities that vary.
@@ -92,13 +95,8 @@ class DomainCheck:
         Raises:
             DomainError: a value outside the model's domain.
         """
-        varying = iter(range(sum(number is None for number in self._fixed) + 1))
-        fixed = iter(self._fixed)
-
-        def filled(_: Any) -> Any:
-            number = next(fixed)
-            return value(next(varying)) if number is None else number
-
-        scene: Scene = map_expressions(self._template, filled, is_quantity)
+        varying = itertools.count()
+        values = iter([value(next(varying)) if number is None else number for number in self._fixed])
+        scene: Scene = map_expressions(self._template, lambda _: next(values), is_quantity)
         BESIDE["scene.duration"].check(value(next(varying)))
         return scene

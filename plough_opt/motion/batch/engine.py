@@ -1,9 +1,8 @@
-"""What carries out a batch's programs: compiled C, or NumPy."""
+"""Evaluates a batch's operations: as compiled C, or by NumPy."""
 
 from __future__ import annotations
 
 import ctypes
-from typing import Protocol
 
 import casadi as ca
 import numpy as np
@@ -11,7 +10,7 @@ from numpy.typing import NDArray
 
 from plough_opt.core.compiler import Variant, library
 from plough_opt.motion.batch.c_source import Kernels, c_source
-from plough_opt.motion.batch.program import Array, Program
+from plough_opt.motion.batch.operations import Array, OperationList
 
 _FLAGS = (
     "-O3",
@@ -21,7 +20,7 @@ _FLAGS = (
     "-fno-trapping-math",
     "-fno-math-errno",
 )
-# What only some compilers know: the long run of sums and products is put in an order that waits less.
+# Flags of GCC alone, which put the long run of sums and products in an order that waits less.
 _ORDERED = ("-fschedule-insns", "-fsched-pressure")
 # From the fastest on: with the vector functions of the GNU C library, without, and for any processor.
 _VARIANTS: tuple[Variant, ...] = (
@@ -34,79 +33,71 @@ _VARIANTS: tuple[Variant, ...] = (
 _BLOCK = 4096
 
 
-class Engine(Protocol):
-    """Evaluates maps and integrates; arrays have a row for each element and a column for each design."""
+class Engine:
+    """Evaluates maps and integrates, here by NumPy, operation by operation.
 
-    compiled: bool
-
-    def evaluate(self, name: str, rows: Array) -> Array:
-        """Return a map's results."""
-
-    def run(self, p: Array, states: Array, order: NDArray[np.int64], most: int) -> Array:
-        """Integrate the designs of an order from their states, in place; return how many steps each took."""
-
-
-def engine_of(functions: dict[str, ca.Function], kernels: Kernels) -> Engine:
-    """Return the fastest engine that this system has.
-
-    Args:
-        functions: the maps, of a column each; those of SX are among the kernels too.
-        kernels: programs.
+    Arrays have a row for each element and a column for each design.
     """
-    path = library(c_source(kernels), _VARIANTS)
-    return _Arrays(functions, kernels) if path is None else _Compiled(functions, kernels, ctypes.CDLL(str(path)))
-
-
-class _Arrays:
-    """NumPy, operation by operation."""
 
     compiled = False
 
     def __init__(self, functions: dict[str, ca.Function], kernels: Kernels) -> None:
-        """Take the programs; a function that is none is evaluated by CasADi."""
+        """Take the maps; CasADi evaluates those that are not among the kernels."""
         self._functions = functions
         self._kernels = kernels
 
     def evaluate(self, name: str, rows: Array) -> Array:
+        """Return the results of a map."""
         with np.errstate(all="ignore"):
             if name in self._kernels.maps:
                 return self._kernels.maps[name]([rows])
             return np.asarray(self._functions[name].map(rows.shape[1])(rows))
 
     def run(self, p: Array, states: Array, order: NDArray[np.int64], most: int) -> Array:
+        """Integrate designs from their states, in place; return the number of steps of each.
+
+        Args:
+            p: parameters.
+            states: at the start, and afterwards at the end.
+            order: the designs to integrate, in this order.
+            most: limit on the number of steps.
+        """
         steps = np.zeros(p.shape[1])
         with np.errstate(all="ignore"):
             for first in range(0, len(order), _BLOCK):
                 which = order[first : first + _BLOCK]
                 x, taken = states[:, which], np.zeros(len(which))
-                for program, end in self._kernels.parts:
-                    x = _integrated(program, x, p[:, which], end, taken, most)
+                for step, end in self._kernels.parts:
+                    x = _integrated(step, x, p[:, which], end, taken, most)
                 states[:, which], steps[which] = x, taken
         return steps
 
 
-def _integrated(program: Program, x: Array, p: Array, end: int, taken: Array, most: int) -> Array:
-    """Return the states at the end of a part of the motion; count the steps."""
+def _integrated(step: OperationList, x: Array, p: Array, end: int, taken: Array, most: int) -> Array:
+    """Return the states at the end of a part of the motion, and count the steps in `taken`.
+
+    Designs at their end are left out of the arrays.
+    """
     which = np.flatnonzero((x[0] < p[end]) & (taken < most))
-    going, own, once = x[:, which], p[:, which], program.once([x[:, which], p[:, which]])
+    going, own, once = x[:, which], p[:, which], step.once([x[:, which], p[:, which]])
     while len(which) > 0:
-        going = program([going, own], once)
+        going = step([going, own], once)
         taken[which] += 1.0
         open_ = (going[0] < own[end]) & (taken[which] < most)
         if not np.all(open_):
             x[:, which[~open_]] = going[:, ~open_]
             which, going, own = which[open_], going[:, open_], own[:, open_]
-            once = program.once([going, own])
+            once = step.once([going, own])
     return x
 
 
-class _Compiled(_Arrays):
-    """C, a vector register of designs at a time."""
+class _Compiled(Engine):
+    """The same by compiled C, a vector register of designs at a time."""
 
     compiled = True
 
     def __init__(self, functions: dict[str, ca.Function], kernels: Kernels, library: ctypes.CDLL) -> None:
-        """Take the library that belongs to the programs."""
+        """Take the library compiled from the kernels."""
         super().__init__(functions, kernels)
         self._library = library
         library.run.restype = None
@@ -115,11 +106,11 @@ class _Compiled(_Arrays):
         if name not in self._kernels.maps:
             return super().evaluate(name, rows)
         rows = np.ascontiguousarray(rows)
-        found = np.empty((len(self._kernels.maps[name].results), rows.shape[1]))
+        results = np.empty((len(self._kernels.maps[name].results), rows.shape[1]))
         function = getattr(self._library, name)
         function.restype = None
-        function(ctypes.c_int64(rows.shape[1]), _pointer(rows), _pointer(found))
-        return found
+        function(ctypes.c_int64(rows.shape[1]), _pointer(rows), _pointer(results))
+        return results
 
     def run(self, p: Array, states: Array, order: NDArray[np.int64], most: int) -> Array:
         steps = np.zeros(p.shape[1])
@@ -133,6 +124,17 @@ class _Compiled(_Arrays):
             ctypes.c_double(most),
         )
         return steps
+
+
+def engine_of(functions: dict[str, ca.Function], kernels: Kernels) -> Engine:
+    """Return the fastest engine that this system allows.
+
+    Args:
+        functions: the maps, of a column each; those of SX are among the kernels too.
+        kernels: the operations.
+    """
+    path = library(c_source(kernels), _VARIANTS)
+    return Engine(functions, kernels) if path is None else _Compiled(functions, kernels, ctypes.CDLL(str(path)))
 
 
 def _pointer(array: NDArray[np.generic]) -> ctypes.c_void_p:

@@ -1,4 +1,4 @@
-"""Where things stand in the columns that a batch's step takes, and the rates of which its parameters tell."""
+"""Positions of the parameters and of the state in the columns of a batch's step, and rates from the parameters."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from plough_opt.motion.terms import Structure, wave_names
 
 @dataclass(frozen=True)
 class Layout:
-    """Where things stand in the columns that a step takes.
+    """Positions in the columns that are the arguments of a step.
 
     Attributes:
         structure: the terms that are on.
@@ -41,7 +41,7 @@ class Layout:
         return (after, after + 1) if self.structure.ramp else (after + 1,)
 
     @property
-    def first(self) -> int:
+    def longest_first_step(self) -> int:
         """Position in the parameters of the longest first step."""
         return len(self.parameters) + 2
 
@@ -52,10 +52,10 @@ class Layout:
 
     @property
     def state(self) -> int:
-        """Size of the state: time, w, w', means, variances, and four numbers of the errors so far.
+        """Size of the state: time, w, w', means, variances, and four numbers for the errors so far.
 
-        Those are the three of `plough_opt.motion.batch.deviation.grown`, and the mean of the square of
-        `plough_opt.motion.batch.deviation.felt` over the time until now.
+        Those are the three of `plough_opt.motion.batch.deviation.grown`, and the mean of
+        `plough_opt.motion.batch.deviation.square_of_error` over the time until now.
         """
         return 7 + self.means + self.squares
 

@@ -1,25 +1,25 @@
 """Runs of one structure at very many parameters, side by side, each by its own number of steps of order 8.
 
-A search asks for what a design's program asks for, states at the outputs and averages, of thousands of designs and
-roughly. The steps are those of `plough_opt.motion.runge_kutta`, in C for a vector register of designs at a time, or in
-NumPy where there is no compiler. Outputs between the ends of a step are read from the polynomial of degree 5 through
-deflection, rate and acceleration at both ends.
+A search needs the states at the outputs and the averages of thousands of designs, though not exactly. The steps are
+those of `plough_opt.motion.runge_kutta`, in C for a vector register of designs at a time, or in NumPy if there is no
+compiler. Outputs within a step are interpolated by the polynomial of degree 5 through deflection, rate and acceleration
+at both ends.
 """
 
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import lru_cache
+from pathlib import Path
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
 from plough_opt.core.compiler import Variant, library
-from plough_opt.motion.batch.c_source import Text, head
-from plough_opt.motion.batch.program import Array, Program
+from plough_opt.motion.batch.c_source import Statements, head
+from plough_opt.motion.batch.operations import Array, OperationList
 from plough_opt.motion.equation import equation_of_motion, start_state
 from plough_opt.motion.plan import summed_rate
 from plough_opt.motion.runge_kutta import step
@@ -41,12 +41,13 @@ _VARIANTS: tuple[Variant, ...] = (
 )
 _FEWEST_STEPS = 16
 _MOST_STEPS = 20_000
-# Designs that one thread takes at once: enough to fill vector registers many times, few enough for little memory.
+# Designs that one thread integrates at once: enough to fill vector registers many times, few enough for little memory.
 _CHUNK = 1024
 
 _SOURCE = """
-/* Follows designs in an order, rows of n of them: parameters, number of steps, number of those before the kink and
-   fraction of the duration at which it lies. Writes states at the outputs, means and mean squares about them. */
+/* Integrates designs in an order. Each row of `in` holds n of them: the parameters, the number of steps, the number of
+   steps before the kink and its time as a fraction of the duration. Writes the states at the outputs, the means and the
+   mean squares about them. */
 int many_runs(int64_t n, int64_t count, const int64_t *order, const double *in, double *out, int64_t size,
               int64_t outputs, V *ends) {{
   for (int64_t first = 0; first < count; first += LANES) {{
@@ -118,11 +119,11 @@ class ManyRuns:
     """Runs of one structure, at very many parameters.
 
     Args:
-        structure: of a motion that steps can follow from its start.
-        outputs: number of intervals between output times; 0 where averages are all that is asked for.
+        structure: of a motion that can be integrated by steps from its start.
+        outputs: number of intervals between output times; 0 if only averages are needed.
 
     Raises:
-        InputError: an operation of an own effect that has no vector form.
+        InputError: an operation of an own effect without a vector form.
     """
 
     def __init__(self, structure: Structure, outputs: int) -> None:
@@ -139,24 +140,24 @@ class ManyRuns:
 
     @property
     def compiled(self) -> bool:
-        """Whether the runs are followed in machine code."""
+        """Whether the runs are integrated by machine code."""
         return not isinstance(self._run, _ByArrays)
 
     def __call__(
         self, p: Array, *, finer: float = 1.0, together: int = 1, threads: int = 1, count: int | None = None
     ) -> Array:
-        """Return the results, a row for each run; NaN where a motion has no end or is too fast to follow.
+        """Return the results, a row for each run; NaN if its parameters are not finite or it takes too many steps.
 
         Args:
             p: parameters of `plough_opt.motion.integrators.Integration`, the duration last: a row for each run.
             finer: factor on the number of steps.
-            together: runs, of rows one after the other, that take equal numbers of steps: their differences are then
-                those of their parameters alone. It divides the number of rows.
-            threads: of this process; the results do not depend on their number.
-            count: of the steps, in place of each run's own.
+            together: number of consecutive rows that take equally many steps, so that their results differ by their
+                parameters alone. It divides the number of rows.
+            threads: number of threads; the results do not depend on it.
+            count: number of steps of all runs, instead of one for each.
         """
         columns = np.ascontiguousarray(p.T)
-        found = np.full((len(p), self.size), np.nan)
+        results = np.full((len(p), self.size), np.nan)
         with np.errstate(all="ignore"):
             known = dict(zip(self._observed.parameters, columns, strict=False))
             if count is None:
@@ -169,72 +170,85 @@ class ManyRuns:
             early, kink = _before_kink(known, columns[-1], steps) if self._structure.ramp else (none, none)
         sound = np.flatnonzero((steps <= _MOST_STEPS) & np.isfinite(columns).all(axis=0))
         given = np.concatenate([columns, [steps, early, kink]])
-        # Designs of like numbers of steps wait little for each other.
+        # Designs with similar numbers of steps wait little for each other.
         order = sound[np.argsort(steps[sound], kind="stable")]
         chunks = [order[k : k + _CHUNK] for k in range(0, len(order), _CHUNK)]
         if threads > 1 and len(chunks) > 1:
             with ThreadPoolExecutor(threads) as pool:
-                list(pool.map(lambda chunk: self._run(given, chunk, self._outputs, found), chunks))
+                list(pool.map(lambda chunk: self._run(given, chunk, self._outputs, results), chunks))
         else:
             for chunk in chunks:
-                self._run(given, chunk, self._outputs, found)
-        return found
+                self._run(given, chunk, self._outputs, results)
+        return results
 
 
 def _before_kink(known: dict[str, Array], duration: Array, steps: Array) -> tuple[Array, Array]:
-    """Return how many steps lie before the end of a tow ramp, and the fraction of the duration at which it lies."""
+    """Return the number of steps before the end of a tow ramp, and that end as a fraction of the duration."""
     kink = np.clip(known["ramp_time"] / duration, 0.0, 1.0)
     early = np.ceil(kink * np.maximum(steps, _FEWEST_STEPS))
-    # A ramp that outlasts the run, or nearly so, has no end in it.
+    # A ramp that ends with the run, or nearly so, or later, has no kink within it.
     inside = kink < 1.0 - 1e-9
     early = np.where(inside, np.minimum(early, np.maximum(steps, _FEWEST_STEPS) - 1.0), 0.0)
     return early, np.where(inside & (early > 0.0), kink, 0.0)
 
 
-Runner = Callable[[Array, NDArray[np.int64], int, Array], None]
-
-
 @lru_cache(maxsize=32)
-def _runner(structure: Structure) -> Runner:
-    """Return what follows runs: (parameters and steps, a column each; which; outputs; results, a row each, to fill)."""
-    begin, one = _programs(structure)
+def _runner(structure: Structure) -> _ByLibrary | _ByArrays:
+    """Return the fastest way to integrate that this system allows."""
+    begin, one = _operations(structure)
     observed = signals(structure)
     path = library(_source(structure, begin, one), _VARIANTS)
-    if path is None:
-        return _ByArrays(begin, one, observed.count, observed.squared)
-    function = ctypes.CDLL(str(path)).many_runs
-    whole, address = ctypes.c_int64, ctypes.c_void_p
-    function.argtypes = [whole, whole, address, address, address, whole, whole, address]
+    return _ByArrays(begin, one, observed.count, observed.squared) if path is None else _ByLibrary(path)
 
-    def run(given: Array, which: NDArray[np.int64], outputs: int, found: Array) -> None:
+
+class _ByLibrary:
+    """Integration by compiled C."""
+
+    def __init__(self, path: Path) -> None:
+        self._function = ctypes.CDLL(str(path)).many_runs
+        whole, address = ctypes.c_int64, ctypes.c_void_p
+        self._function.argtypes = [whole, whole, address, address, address, whole, whole, address]
+
+    def __call__(self, given: Array, which: NDArray[np.int64], outputs: int, results: Array) -> None:
+        """Fill in the results of runs.
+
+        Args:
+            given: the parameters, and as `_SOURCE` has it the steps and the kink: a column for each run.
+            which: the runs, their numbers of steps ascending.
+            outputs: number of intervals between output times.
+            results: a row for each run.
+        """
         ends = np.empty(3 * int(given[-3, which[-1]] + 2.0) * _WIDEST + _WIDEST)
         # Vectors lie at addresses that are multiples of their size.
         begin = -(-ends.ctypes.data // (8 * _WIDEST)) * (8 * _WIDEST)
-        arrays = which.ctypes.data, given.ctypes.data, found.ctypes.data
-        function(given.shape[1], len(which), *arrays, found.shape[1], outputs, begin)
+        arrays = which.ctypes.data, given.ctypes.data, results.ctypes.data
+        self._function(given.shape[1], len(which), *arrays, results.shape[1], outputs, begin)
 
-    return run
+
+def _sizes(total: Array, early: Array, kink: Array) -> tuple[Array, Array]:
+    """Return the steps before the kink and after it, as fractions of the duration."""
+    return kink / np.maximum(early, 1.0), (1.0 - kink) / np.maximum(total - early, 1.0)
 
 
 class _ByArrays:
-    """The same in NumPy, operation by operation, for machines without a compiler."""
+    """Integration by NumPy, operation by operation, for machines without a compiler."""
 
-    def __init__(self, begin: Program, one: Program, count: int, squared: int) -> None:
-        """Take the programs of `_programs`, and the numbers of signals and of those with an RMS."""
+    def __init__(self, begin: OperationList, one: OperationList, count: int, squared: int) -> None:
+        """Take the results of `_operations`, the number of signals and the number of those with an RMS."""
         self._begin, self._one, self._count, self._squared = begin, one, count, squared
 
-    def __call__(self, given: Array, which: NDArray[np.int64], outputs: int, found: Array) -> None:
-        """Fill in the results of runs whose numbers of steps ascend."""
+    def __call__(self, given: Array, which: NDArray[np.int64], outputs: int, results: Array) -> None:
+        """Fill in the results of runs, as `_ByLibrary` does."""
         given = given[:, which]
         p, (total, early, kink) = given[:-3], given[-3:]
         with np.errstate(all="ignore"):
-            before, after = kink / np.maximum(early, 1.0), (1.0 - kink) / np.maximum(total - early, 1.0)
+            before, after = _sizes(total, early, kink)
             x = self._begin([p])
             ends = np.empty((int(total[-1]) + 1, 3, p.shape[1]))
             mean, square = np.zeros((self._count, p.shape[1])), np.zeros((self._squared, p.shape[1]))
             time = np.zeros(p.shape[1])
             for k in range(len(ends)):
-                # Runs that are at their end still need their acceleration there.
+                # Runs at their end still need their acceleration there.
                 on = slice(int(np.searchsorted(total, k)), None)
                 first = k < early[on]
                 size_now = np.where(first, before[on], after[on])
@@ -251,13 +265,16 @@ class _ByArrays:
                 mean[:, on] = np.where(going, mean[:, on] + part * distance, mean[:, on])
                 time[on] += np.where(going, size_now, 0.0)
             read = _read(ends, given, outputs) if outputs else np.empty((0, p.shape[1]))
-        found[which] = np.vstack([read, mean, square]).T
+        results[which] = np.vstack([read, mean, square]).T
 
 
 def _read(ends: Array, given: Array, outputs: int) -> Array:
-    """Return the states at the outputs, two rows for each, from deflection, rate and acceleration at ends of steps."""
+    """Return the states at the outputs, two rows for each.
+
+    The polynomial of degree 5 through deflection, rate and acceleration at both ends of a step is evaluated between.
+    """
     duration, total, early, kink = given[-4:]
-    before, after = kink / np.maximum(early, 1.0), (1.0 - kink) / np.maximum(total - early, 1.0)
+    before, after = _sizes(total, early, kink)
     t = np.linspace(0.0, 1.0, outputs + 1)[:, None]
     first = t < kink
     at = np.where(first, t / np.where(before > 0.0, before, 1.0), early + (t - kink) / after)
@@ -277,7 +294,7 @@ _WIDEST = 8
 """Doubles in the widest vector register."""
 
 
-def _programs(structure: Structure) -> tuple[Program, Program]:
+def _operations(structure: Structure) -> tuple[OperationList, OperationList]:
     """Return parameters -> state at the start, and (state, span, parameters) -> (state after a step, w'', moments)."""
     motion, observed = equation_of_motion(structure), signals(structure)
     state, span, p = ca.SX.sym("state", 2), ca.SX.sym("span", 2), ca.SX.sym("p", len(observed.parameters) + 1)
@@ -288,20 +305,20 @@ def _programs(structure: Structure) -> tuple[Program, Program]:
     result = ca.cse(ca.densify(ca.vertcat(following, acceleration, moments)))
     first = ca.densify(ca.SX(start_state(structure, known)))
     return (
-        Program.of(ca.Function("begin", [p], [first])),
-        Program.of(ca.Function("advance", [state, span, p], [result])),
+        OperationList.of(ca.Function("begin", [p], [first])),
+        OperationList.of(ca.Function("advance", [state, span, p], [result])),
     )
 
 
-def _source(structure: Structure, begin: Program, one: Program) -> str:
+def _source(structure: Structure, begin: OperationList, one: OperationList) -> str:
     observed = signals(structure)
-    text = Text(one, ("x", "s", "p"))
+    text = Statements(one, ("x", "s", "p"))
     body = _SOURCE.format(
         given=len(observed.parameters) + 1,
         width=len(one.results),
         count=observed.count,
         squared=observed.squared,
-        start=Text(begin, ("p",)).body(None),
+        start=Statements(begin, ("p",)).body(None),
         once=text.body(True),
         each=text.body(False),
     )

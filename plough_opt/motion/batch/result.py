@@ -1,4 +1,4 @@
-"""What a batch found, as arrays over its designs."""
+"""The results of a batch, as arrays over its designs."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ class BatchResult:
         displacement_rms: its standard deviation [m].
         tow_power: mean of P s' [W].
         error_estimate: of mean draft and RMS force, relative to the larger of them: the terms that the steps left out,
-            added up as if all of them pointed the same way, each moved along with the motions beside
-            that of the design; usually some hundred times too large. It is infinite of a motion that forgets its start.
-        steps: how many steps each design took.
-        reasons: position of a design that has no results, which are then NaN -> why.
+            added up as if all of them pointed the same way, and carried along by the equation of small deviations from
+            the motion; usually some hundred times too large. It is infinite for a motion that forgets its start.
+        steps: number of steps of each design.
+        reasons: position of a design without results, which are then NaN -> the reason.
         wanted: the relative error that was wanted.
         seconds: time taken.
-        warnings: what a reader must know of the batch as a whole.
+        warnings: about the batch as a whole.
     """
 
     mean_draft: Array
@@ -43,7 +43,7 @@ class BatchResult:
     warnings: tuple[str, ...]
 
     def __repr__(self) -> str:
-        """Return in a line what was found; the arrays would fill pages."""
+        """Return a summary in one line; the arrays would fill pages."""
         return (
             f"<BatchResult: {len(self)} designs in {self.seconds:.3g} s, {len(self.reasons)} without results,"
             f" {np.count_nonzero(self.missed)} less exact than {self.wanted:g}>"

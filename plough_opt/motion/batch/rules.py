@@ -1,4 +1,4 @@
-"""What becomes of each operation of a right-hand side when its arguments are series in time."""
+"""The rule for each operation of a right-hand side whose arguments are Taylor series in time."""
 
 from __future__ import annotations
 
@@ -11,8 +11,6 @@ import casadi as ca
 from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import as_number
 from plough_opt.motion.batch.series import Graph, Series
-
-Rule = Callable[..., Series]
 
 
 def series_of(graph: Graph, function: ca.Function, inputs: Sequence[Sequence[Series]], late: bool) -> list[Series]:
@@ -44,70 +42,47 @@ def series_of(graph: Graph, function: ca.Function, inputs: Sequence[Sequence[Ser
 
 
 def _apply(graph: Graph, operation: int, of: list[Series], late: bool) -> Series:
+    """Return the series of an operation's result."""
     if all(series.fixed for series in of):
-        evaluate = ca.SX.unary if len(of) == 1 else ca.SX.binary
-        return graph.constant(evaluate(operation, *(series[0] for series in of)))
+        return graph.constant(_evaluated(operation, *(series[0] for series in of)))
     if operation == ca.OP_FMIN and any(x.timed for x in of) and any(x.fixed for x in of):
         time, cap = sorted(of, key=lambda x: x.fixed)
         return cap if late else time
-    if operation not in _RULES:
-        name = next(name for name in dir(ca) if name.startswith("OP_") and getattr(ca, name) == operation)
-        raise InputError(
-            f"a batch does not know the operation '{name[3:].lower()}' of something that moves: write the own"
-            " resistance without it, or take po.simulate for each design"
-        )
-    return _RULES[operation](graph, *of)
+    if operation in _RULES:
+        return _RULES[operation](graph, *of)
+    if operation in _DERIVATIVES:
+        return _function(graph, operation, *of)
+    if operation in _STEPS:
+        return graph.step(partial(_evaluated, operation), *of)
+    name = next(name for name in dir(ca) if name.startswith("OP_") and getattr(ca, name) == operation)
+    raise InputError(
+        f"a batch does not know the operation '{name[3:].lower()}' of something that moves: write the own"
+        " resistance without it, or use po.simulate for each design"
+    )
 
 
-def _scaled(factor: float) -> Rule:
-    return lambda graph, x: graph.scaled(x, factor)
+def _evaluated(operation: int, *of: ca.SX) -> ca.SX:
+    return ca.SX.unary(operation, *of) if len(of) == 1 else ca.SX.binary(operation, *of)
 
 
-def _smaller(graph: Graph, a: Series, b: Series, sign: float) -> Series:
-    difference = graph.switch(graph.scaled(graph.total(a, b, -1.0), sign))
-    return graph.chosen(lambda: difference[0] <= 0.0, a, b)
-
-
-def _size(graph: Graph, x: Series) -> Series:
-    minus = graph.switch(graph.scaled(x, -1.0))
-    return graph.chosen(lambda: minus[0] <= 0.0, x, minus)
-
-
-def _compared(operation: int) -> Rule:
-    def rule(graph: Graph, a: Series, b: Series) -> Series:
-        graph.switch(graph.total(a, b, -1.0))
-        return graph.step(partial(ca.SX.binary, operation), a, b)
-
-    return rule
-
-
-def _logical(operation: int) -> Rule:
-    def rule(graph: Graph, *of: Series) -> Series:
-        return graph.step(partial(ca.SX.unary if len(of) == 1 else ca.SX.binary, operation), *of)
-
-    return rule
-
-
-def _sign(graph: Graph, x: Series) -> Series:
-    return graph.step(ca.sign, graph.switch(x))
-
-
-def _only_if(graph: Graph, condition: Series, x: Series) -> Series:
-    return graph.scaled(x, condition[0]) if condition.fixed else graph.masked(x, condition)
-
-
-def _shifted(graph: Graph, x: Series, by: float) -> Series:
-    return graph.total(x, graph.constant(ca.SX(by)))
+def _function(graph: Graph, operation: int, x: Series) -> Series:
+    """Return the series of y = f(x) from the one of f'(x), which may be written with y."""
+    result = graph.integral(partial(_evaluated, operation), x)
+    derivative = ca.Function("derivative", [_X, _Y], [_DERIVATIVES[operation]])
+    (result.derivative,) = series_of(graph, derivative, [[x], [result]], late=False)
+    return result
 
 
 def _power(graph: Graph, x: Series, exponent: Series) -> Series:
     if not exponent.fixed:
-        return _exponential(graph, graph.product(exponent, _logarithm(graph, x)))
+        return _function(graph, ca.OP_EXP, graph.product(exponent, _function(graph, ca.OP_LOG, x)))
     # x^n is a product for a small whole number: it then holds for x <= 0 too.
     number = exponent[0]
     if number.is_constant() and float(as_number(number)) in range(3, 9):
         return _whole_power(graph, x, int(as_number(number)))
-    return graph.integral(lambda c: c ** exponent[0], x, lambda y: graph.product(exponent, graph.quotient(y, x)))
+    result = graph.integral(lambda value: value**number, x)
+    result.derivative = graph.product(exponent, graph.quotient(result, x))
+    return result
 
 
 def _whole_power(graph: Graph, x: Series, exponent: int) -> Series:
@@ -117,77 +92,76 @@ def _whole_power(graph: Graph, x: Series, exponent: int) -> Series:
     return graph.product(half, x) if exponent % 2 else half
 
 
-def _exponential(graph: Graph, x: Series) -> Series:
-    return graph.integral(ca.exp, x, lambda y: y)
+def _hyperbolic_cosine(graph: Graph, x: Series) -> Series:
+    rising, falling = _function(graph, ca.OP_EXP, x), _function(graph, ca.OP_EXP, graph.scaled(x, -1.0))
+    return graph.scaled(graph.total(rising, falling), 0.5)
 
 
-def _logarithm(graph: Graph, x: Series) -> Series:
-    return graph.integral(ca.log, x, lambda _: _inverse(graph, x))
+def _smaller(graph: Graph, a: Series, b: Series) -> Series:
+    return graph.chosen(graph.switch(graph.total(a, b, -1.0)), a, b)
 
 
-def _inverse(graph: Graph, x: Series) -> Series:
-    return graph.quotient(graph.constant(ca.SX(1)), x)
+def _larger(graph: Graph, a: Series, b: Series) -> Series:
+    return graph.chosen(graph.switch(graph.scaled(graph.total(a, b, -1.0), -1.0)), a, b)
 
 
-def _from_square(outer: int, factor: float, added: float, root: bool, own: bool = False) -> Rule:
-    """Return the rule of y = f(x) with y' = g(u) x', u = added + factor v^2, where v is x, or y itself."""
-
-    def slope(graph: Graph, x: Series, y: Series) -> Series:
-        inner = _shifted(graph, graph.scaled(graph.square(y if own else x), factor), added)
-        if own:
-            return graph.root(inner) if root else inner
-        return _inverse(graph, graph.root(inner) if root else inner)
-
-    return lambda graph, x: graph.integral(partial(ca.SX.unary, outer), x, partial(slope, graph, x))
+def _absolute(graph: Graph, x: Series) -> Series:
+    minus = graph.switch(graph.scaled(x, -1.0))
+    return graph.chosen(minus, x, minus)
 
 
-def _error_function(graph: Graph, x: Series) -> Series:
-    def slope(_: Series) -> Series:
-        bell = _exponential(graph, graph.scaled(graph.square(x), -1.0))
-        return graph.scaled(bell, 2.0 / math.sqrt(math.pi))
-
-    return graph.integral(ca.erf, x, slope)
+def _compared(graph: Graph, a: Series, b: Series, operation: int) -> Series:
+    graph.switch(graph.total(a, b, -1.0))
+    return graph.step(partial(_evaluated, operation), a, b)
 
 
-_RULES: dict[int, Rule] = {
+def _only_if(graph: Graph, condition: Series, x: Series) -> Series:
+    return graph.scaled(x, condition[0]) if condition.fixed else graph.masked(x, condition)
+
+
+# Operations made of sums, products, quotients and roots, and those that change their formula.
+_RULES: dict[int, Callable[..., Series]] = {
     ca.OP_ADD: Graph.total,
     ca.OP_SUB: partial(Graph.total, sign=-1.0),
-    ca.OP_NEG: _scaled(-1.0),
-    ca.OP_TWICE: _scaled(2.0),
-    ca.OP_ASSIGN: _scaled(1.0),
+    ca.OP_NEG: partial(Graph.scaled, factor=-1.0),
+    ca.OP_TWICE: partial(Graph.scaled, factor=2.0),
+    ca.OP_ASSIGN: partial(Graph.scaled, factor=1.0),
     ca.OP_MUL: Graph.product,
     ca.OP_SQ: Graph.square,
     ca.OP_DIV: Graph.quotient,
-    ca.OP_INV: _inverse,
+    ca.OP_INV: Graph.inverse,
     ca.OP_SQRT: Graph.root,
     ca.OP_HYPOT: lambda graph, a, b: graph.root(graph.total(graph.square(a), graph.square(b))),
     ca.OP_POW: _power,
     ca.OP_CONSTPOW: _power,
-    ca.OP_EXP: _exponential,
-    ca.OP_EXPM1: lambda graph, x: graph.integral(ca.expm1, x, lambda y: _shifted(graph, y, 1.0)),
-    ca.OP_LOG: _logarithm,
-    ca.OP_LOG1P: lambda graph, x: graph.integral(ca.log1p, x, lambda _: _inverse(graph, _shifted(graph, x, 1.0))),
-    ca.OP_SIN: Graph.sine,
-    ca.OP_COS: Graph.cosine,
-    ca.OP_COSH: lambda graph, x: graph.scaled(
-        graph.total(_exponential(graph, x), _exponential(graph, graph.scaled(x, -1.0))), 0.5
-    ),
-    ca.OP_SINH: _from_square(ca.OP_SINH, 1.0, 1.0, True, own=True),
-    ca.OP_TAN: _from_square(ca.OP_TAN, 1.0, 1.0, False, own=True),
-    ca.OP_TANH: _from_square(ca.OP_TANH, -1.0, 1.0, False, own=True),
-    ca.OP_ATAN: _from_square(ca.OP_ATAN, 1.0, 1.0, False),
-    ca.OP_ATANH: _from_square(ca.OP_ATANH, -1.0, 1.0, False),
-    ca.OP_ASIN: _from_square(ca.OP_ASIN, -1.0, 1.0, True),
-    ca.OP_ASINH: _from_square(ca.OP_ASINH, 1.0, 1.0, True),
-    ca.OP_ERF: _error_function,
-    ca.OP_FMIN: partial(_smaller, sign=1.0),
-    ca.OP_FMAX: partial(_smaller, sign=-1.0),
-    ca.OP_FABS: _size,
-    ca.OP_SIGN: _sign,
+    ca.OP_SIN: lambda graph, x: graph.circular(x)[0],
+    ca.OP_COS: lambda graph, x: graph.circular(x)[1],
+    ca.OP_COSH: _hyperbolic_cosine,
+    ca.OP_FMIN: _smaller,
+    ca.OP_FMAX: _larger,
+    ca.OP_FABS: _absolute,
+    ca.OP_SIGN: lambda graph, x: graph.step(ca.sign, graph.switch(x)),
     ca.OP_IF_ELSE_ZERO: _only_if,
-    ca.OP_LT: _compared(ca.OP_LT),
-    ca.OP_LE: _compared(ca.OP_LE),
-    ca.OP_NOT: _logical(ca.OP_NOT),
-    ca.OP_AND: _logical(ca.OP_AND),
-    ca.OP_OR: _logical(ca.OP_OR),
+    ca.OP_LT: partial(_compared, operation=ca.OP_LT),
+    ca.OP_LE: partial(_compared, operation=ca.OP_LE),
 }
+
+# Functions y = f(x) of one argument, with f'(x) written in x or in y, whichever is shorter.
+_X, _Y = ca.SX.sym("x"), ca.SX.sym("y")
+_DERIVATIVES = {
+    ca.OP_EXP: _Y,
+    ca.OP_EXPM1: _Y + 1.0,
+    ca.OP_LOG: 1.0 / _X,
+    ca.OP_LOG1P: 1.0 / (1.0 + _X),
+    ca.OP_SINH: ca.sqrt(1.0 + _Y**2),
+    ca.OP_TAN: 1.0 + _Y**2,
+    ca.OP_TANH: 1.0 - _Y**2,
+    ca.OP_ATAN: 1.0 / (1.0 + _X**2),
+    ca.OP_ATANH: 1.0 / (1.0 - _X**2),
+    ca.OP_ASIN: 1.0 / ca.sqrt(1.0 - _X**2),
+    ca.OP_ASINH: 1.0 / ca.sqrt(1.0 + _X**2),
+    ca.OP_ERF: 2.0 / math.sqrt(math.pi) * ca.exp(-(_X**2)),
+}
+
+# Operations on conditions, whose result changes only where one of the conditions does.
+_STEPS = (ca.OP_NOT, ca.OP_AND, ca.OP_OR)

@@ -32,6 +32,7 @@ from plough_opt.motion.effects import Effects, HarmonicBalance, OwnResistance, S
 from plough_opt.motion.scene import Scene
 from plough_opt.soil import elastic, plastic
 from plough_opt.soil.geometry import Cone, Wedge, deg
+from plough_opt.soil.random_strength import RandomStrength, Spectrum
 from plough_opt.soil.soil import Soil, named_soil, soil_names
 from plough_opt.soil.waves import StrengthWave
 
@@ -47,7 +48,7 @@ if TYPE_CHECKING:
     from plough_opt.problem_file.strength_file import read_strength_record
     from plough_opt.problem_file.sweeping import sweep
     from plough_opt.soil.rig import Rig
-    from plough_opt.soil.strength_record import RecordWaves, StrengthRecord, strength_waves
+    from plough_opt.soil.strength_record import RecordWaves, StrengthRecord, strength_spectrum, strength_waves
     from plough_opt.studies import crosscheck
     from plough_opt.studies.accuracy.result import AccuracyStudy
     from plough_opt.studies.accuracy.study import study_accuracy, study_design
@@ -85,6 +86,7 @@ _LATER = {
     "RecordWaves": "plough_opt.soil.strength_record",
     "Rig": "plough_opt.soil.rig",
     "StrengthRecord": "plough_opt.soil.strength_record",
+    "strength_spectrum": "plough_opt.soil.strength_record",
     "strength_waves": "plough_opt.soil.strength_record",
     "load": "plough_opt.exchange.results",
     "Range": "plough_opt.studies.sweep.axes",
@@ -152,6 +154,7 @@ __all__ = [
     "PloughError",
     "Printed",
     "Problem",
+    "RandomStrength",
     "Range",
     "RecordWaves",
     "Refinement",
@@ -162,6 +165,7 @@ __all__ = [
     "Smooth",
     "Soil",
     "SoilDistribution",
+    "Spectrum",
     "StickSlip",
     "StrengthRecord",
     "StrengthWave",
@@ -190,6 +194,7 @@ __all__ = [
     "simulate",
     "soil_names",
     "soil_reaction",
+    "strength_spectrum",
     "strength_waves",
     "study_accuracy",
     "study_design",

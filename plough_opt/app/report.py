@@ -28,6 +28,10 @@ if TYPE_CHECKING:
     from plough_opt.studies.crosscheck import Comparison
 
 _DEGREES = Display("deg", math.pi / 180.0)
+_RANDOM = (
+    ("stationary RMS of the mount force", "stationary_force_rms"),
+    ("stationary RMS of the deflection", "stationary_displacement_rms"),
+)
 _KILO = {"N": Display("kN", 1e3), "W": Display("kW", 1e3), "Pa": Display("kPa", 1e3), "N/m": Display("kN/m", 1e3)}
 
 
@@ -116,6 +120,10 @@ def print_check(console: Console, problem: Problem) -> None:
         table.add_row("quasi-static", "no equation of motion")
     for wave in scene.effects.waves:
         table.add_row("frequency of the strength wave", f"{float(scene.tow_speed / wave.wavelength):.4g} Hz")
+    if scene.effects.random_strength is not None:
+        table.add_row("random strength", f"{100.0 * float(scene.effects.random_strength.variance) ** 0.5:.3g} % RMS")
+        for label, name in _RANDOM:
+            table.add_row(label, shown(problem, name, float(getattr(scene, name)), MEASURES[name].unit.symbol))
     console.print(table)
     if problem.variables:
         verb = "optimise" if problem.table.minimise or problem.table.trade_off is None else "tradeoff"
@@ -218,7 +226,7 @@ def _run_table(problem: Problem, run: Run) -> Table:
     table = Table(title="Response", show_header=False)
     table.add_column()
     table.add_column(justify="right")
-    for label, name in (
+    chosen = (
         ("mean draft", "mean_draft"),
         ("RMS of the mount force", "force_rms"),
         ("mean deflection", "mean_deflection"),
@@ -226,7 +234,8 @@ def _run_table(problem: Problem, run: Run) -> Table:
         ("tow power", "tow_power"),
         ("draft per loosened section", "specific_draft"),
         ("loosened radius", "loosened_radius"),
-    ):
+    )
+    for label, name in (*chosen, *(_RANDOM if run.scene.effects.random_strength is not None else ())):
         if run.scene.medium == "plastic" or not MEASURES[name].plastic:
             table.add_row(label, shown(problem, name, float(MEASURES[name].of(run)), MEASURES[name].unit.symbol))
     table.add_row("peak mount force", shown(problem, "mount_force", run.peak_force, "N"))

@@ -32,6 +32,9 @@ _PLAIN = frozenset((float, int, str, bool, type(None)))
 _EXPM1_TERMS = 24
 _ATANH_TERMS = 32
 _SERIES_BELOW = 0.5
+# The RMS of a symbolic variance is rounded off below this fraction of the steady force, where the square
+# root has no derivative; the RMS is changed by no more than that.
+_LEAST_RMS = 1e-12
 # Characters of an expression that a message quotes.
 _LONGEST_SHOWN = 80
 
@@ -230,6 +233,16 @@ def minimum(x: Expression, y: Expression) -> Expression:
 def maximum(x: Expression, y: Expression) -> Expression:
     """Return the larger of two values, element by element."""
     return ca.fmax(x, y) if is_casadi(x) or is_casadi(y) else np.maximum(x, y)
+
+
+def rms(variance: Expression, scale: Expression) -> Expression:
+    """Return the root of a variance; of an expression, with finite derivatives where nothing oscillates."""
+    if isinstance(variance, float):
+        return math.sqrt(max(variance, 0.0))
+    if not is_casadi(variance):
+        return sqrt(np.maximum(variance, 0.0))
+    least = _LEAST_RMS * scale + 1e-100
+    return sqrt(variance + least**2) - least
 
 
 def arctan2(y: Expression, x: Expression) -> Expression:

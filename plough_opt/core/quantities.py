@@ -198,6 +198,16 @@ QUANTITIES: dict[str, Quantity] = {
         ),
         *(quantity for number in range(1, MOST_WAVES + 1) for quantity in _wave(number)),
         Quantity(
+            "effects.random_strength.rms", "RMS of random strength",
+            "standard deviation of the soil's random strength over its mean", "", 0.2,
+            ("effects", "random_strength", "rms"), high=1.0, why="soil cannot push the share forward",
+        ),
+        Quantity(
+            "effects.random_strength.correlation_length", "correlation length",
+            "distance in which the correlation of the soil's random strength falls to 1/e", "m", 0.3,
+            ("effects", "random_strength", "correlation_length"), above=True,
+        ),
+        Quantity(
             "effects.tow_ramp", "tow ramp", "time in which the strut's speed rises from 0", "s", 0.5,
             ("effects", "tow_ramp"),
         ),

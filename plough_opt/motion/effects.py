@@ -11,10 +11,11 @@ from typing import Any, Literal, Protocol, runtime_checkable
 import numpy as np
 
 from plough_opt.core.errors import InputError
-from plough_opt.core.expressions import COUNT, Expression, as_number, is_casadi, is_count, is_symbolic
+from plough_opt.core.expressions import COUNT, Expression, as_number, is_casadi, is_count, is_symbolic, maximum, minimum
 from plough_opt.core.kinds import check_choice, check_switch, shown
 from plough_opt.core.quantities import MOST_WAVES, QUANTITIES
 from plough_opt.laws.printed import Formulation, Printed, errors_of
+from plough_opt.soil.random_strength import RandomStrength, Spectrum
 from plough_opt.soil.waves import StrengthWave, turns_of
 
 MOST_HARMONICS = 64
@@ -40,6 +41,13 @@ class Smooth:
 
     def __post_init__(self) -> None:
         QUANTITIES["effects.contact_width"].check(self.width)
+
+    def step(self, speed: Expression) -> tuple[Expression, Expression]:
+        """Return the step at a speed of the share [m/s], from 0 to 1, and its slope by that [s/m]."""
+        u = minimum(maximum(speed / self.width, 0.0), 1.0)
+        # Four derivatives vanish at the ends, so that steps which cross one keep the digits of second derivatives.
+        step = u**5 * (126.0 + u * (u * (540.0 + u * (70.0 * u - 315.0)) - 420.0))
+        return step, 630.0 * (u * (1.0 - u)) ** 4 / self.width
 
 
 @dataclass(frozen=True)
@@ -150,6 +158,8 @@ class Effects:
             Fd with H^2 and the added mass with H^3. Starts at ``"rest"`` or ``"towed"``.
         strength_wave: periodic soil strength along the path; a tuple of several waves, whose sum multiplies F0 and must
             leave it at least 0 along the path; or None.
+        random_strength: random soil strength along the path, as a `RandomStrength` or a tabulated `Spectrum`, or None.
+            It counts in `Scene.stationary_force_rms` and the like, and not in a simulated motion.
         tow_ramp: time [s] in which the strut's speed rises from 0 by a C2 smoothstep; None or 0: none. Of
             an expression 0 is a ramp too short to matter, 1e-9 s, so that it has derivatives.
         damping: viscous damper c in the mount [N s/m], or None.
@@ -174,6 +184,7 @@ class Effects:
     start: Literal["equilibrium", "rest", "towed"] = "equilibrium"
     entry: bool = False
     strength_wave: StrengthWave | tuple[StrengthWave, ...] | None = None
+    random_strength: RandomStrength | Spectrum | None = None
     tow_ramp: Expression | None = None
     damping: Expression | None = None
     rate_term: Expression | None = None
@@ -216,6 +227,11 @@ class Effects:
             raise InputError(
                 f"strength_wave = {shown(self.strength_wave)} must be None or a StrengthWave, as"
                 " StrengthWave(amplitude=0.3, wavelength=0.2), or a tuple of several"
+            )
+        if not isinstance(self.random_strength, RandomStrength | Spectrum | None):
+            raise InputError(
+                f"random_strength = {shown(self.random_strength)} must be None, a RandomStrength, as"
+                " RandomStrength(rms=0.2, correlation_length=0.3), or a Spectrum"
             )
         if len(self.waves) > MOST_WAVES:
             raise InputError(f"strength_wave has {len(self.waves)} waves: give the {MOST_WAVES} largest at most")

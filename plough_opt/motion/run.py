@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from plough_opt.core.domain import check_domain
 from plough_opt.core.errors import InputError
-from plough_opt.core.expressions import Expression, column, is_casadi, sqrt, where
+from plough_opt.core.expressions import Expression, column, is_casadi, rms, where
 from plough_opt.core.labels import unlabelled
 from plough_opt.core.tables import text_table
 from plough_opt.motion.accuracy import Accuracy
@@ -29,10 +29,6 @@ from plough_opt.motion.terms import (
     start_speed,
     strut,
 )
-
-# In a symbolic run the RMS is rounded off below this fraction of the steady force, where the square
-# root has no derivative; the RMS is changed by no more than that.
-_LEAST_RMS = 1e-12
 
 
 @dataclass(frozen=True)
@@ -237,16 +233,6 @@ class Run:
                 f"a symbolic run has no {name}, which has no derivative: limit run.{array} itself, at every output"
             )
         return float(np.max(values))
-
-
-def rms(variance: Expression, scale: Expression) -> Expression:
-    """Return the root of a variance; of an expression, with finite derivatives where nothing oscillates."""
-    if isinstance(variance, float):
-        return math.sqrt(max(variance, 0.0))
-    if not is_casadi(variance):
-        return sqrt(np.maximum(variance, 0.0))
-    least = _LEAST_RMS * scale + 1e-100
-    return sqrt(variance + least**2) - least
 
 
 def assemble(

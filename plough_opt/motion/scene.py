@@ -9,20 +9,24 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Literal, TypeVar
 
+from plough_opt.core.domain import check_domain
 from plough_opt.core.errors import InputError
-from plough_opt.core.expressions import Expression, as_number, is_symbolic, sqrt
+from plough_opt.core.expressions import Expression, as_number, is_symbolic, rms, sqrt
 from plough_opt.core.kinds import check_choice, shown
 from plough_opt.core.labels import checked_in_designs, unlabelled
 from plough_opt.core.quantities import QUANTITIES
 from plough_opt.laws.forces import SoilReaction, loosened_radius, soil_reaction
-from plough_opt.motion.effects import Effects
+from plough_opt.motion.effects import Effects, Smooth
 from plough_opt.soil.elastic import cone_force
 from plough_opt.soil.geometry import PLANE_SECTIONS_LIMIT, Cone, Wedge
+from plough_opt.soil.random_strength import Sliding, Stationary, stationary_response
 from plough_opt.soil.soil import Soil
 from plough_opt.soil.waves import check_strength
 
 # Overburden [Pa] of some 1.5 m of soil, below which no subsoiler works: more is the atmosphere's.
 _DEEPEST = 20e3
+# Standard deviations that a Gaussian motion exceeds in one of 370 moments.
+_SURELY = 3.0
 
 _Property = TypeVar("_Property")
 
@@ -30,6 +34,11 @@ _Property = TypeVar("_Property")
 def _checked_in_designs(law: Callable[[Scene], _Property]) -> Callable[[Scene], _Property]:
     """Decorate a scene's property, which a design checks with the scene."""
     return checked_in_designs(law, lambda scene: scene.check_reaction())
+
+
+def _checked_stationary(law: Callable[[Scene], _Property]) -> Callable[[Scene], _Property]:
+    """Decorate a property of the linearised motion, which a design checks with its numbers."""
+    return checked_in_designs(law, lambda scene: scene._stationary)
 
 
 @dataclass(frozen=True)
@@ -71,6 +80,8 @@ class Scene:
             self._refuse_plastic_effects()
         for name in ("stiffness", "mass", "tow_speed"):
             QUANTITIES[f"scene.{name}"].check(getattr(self, name))
+        if self.effects.random_strength is not None:
+            self.check_stationary()
 
     def _check_kinds(self) -> None:
         """Refuse something else in the place of the soil, the share or the effects."""
@@ -90,7 +101,7 @@ class Scene:
                 "motion has no meaning in the elastic medium, which is solved for steady sliding only, and so has no"
                 " oscillation: take effects = Effects(motion=False), or medium = 'plastic'"
             )
-        for name in ("strength_wave", "tow_ramp", "rate_term"):
+        for name in ("strength_wave", "random_strength", "tow_ramp", "rate_term"):
             if getattr(effects, name) is not None:
                 raise InputError(
                     f"{name} has no meaning in the elastic medium, which has no strength and is solved for steady"
@@ -181,6 +192,77 @@ class Scene:
         return self.reaction.static * (1.0 + rate * self.tow_speed**2) + self.reaction.drag * self.tow_speed**2 + own
 
     @property
+    @_checked_stationary
+    def stationary_force_rms(self) -> Expression:
+        """RMS of the mount force about its mean [N], of the linearised motion under random strength and strength waves.
+
+        Linearised about steady sliding, over a path without an end: see `plough_opt.soil.random_strength`. A share that
+        follows the strut (``motion=False``) passes on all of the soil's fluctuation.
+
+        Raises:
+            InputError: strength that does not vary, a motion without damping of any kind or without speed, own
+                resistances, two strength waves of one length, the elastic medium, or the print's repelling spring.
+            DomainError: a response that is not finite.
+        """
+        return self._stationary.force_rms
+
+    @property
+    @_checked_stationary
+    def stationary_displacement_rms(self) -> Expression:
+        """RMS of the deflection about its mean [m], as `stationary_force_rms`."""
+        return self._stationary.displacement_rms
+
+    @cached_property
+    def _stationary(self) -> Stationary:
+        """The linearised response about steady sliding."""
+        self.check_stationary()
+        effects, speed = self.effects, self.tow_speed
+        with unlabelled():
+            static, drag, inertia = self.reaction.static, self.reaction.drag, self.inertia
+        rate = effects.rate_term if effects.rate_term is not None else 0.0
+        force, slope = static * (1.0 + rate * speed**2), 2.0 * speed * (drag + rate * static)
+        if not effects.motion:
+            variance = sum(wave.amplitude**2 / 2.0 for wave in effects.waves)
+            if effects.random_strength is not None:
+                variance = variance + effects.random_strength.variance
+            return Stationary(force * rms(variance, 1.0), 0.0, 0.0)
+        if isinstance(effects.contact, Smooth):
+            # The smooth step multiplies all resistance, and has a slope of its own below its width.
+            step, steepness = effects.contact.step(speed)
+            force, slope = step * force, step * slope + steepness * (force + drag * speed**2)
+        damper = effects.damping if effects.damping is not None else 0.0
+        sliding = Sliding(force, self.stiffness, inertia, damper + slope, speed)
+        found = stationary_response(sliding, damper, effects.waves, effects.random_strength)
+        check_domain("stationary RMS of the mount force", found.force_rms, "N", why="there is hardly any damping")
+        return found
+
+    def check_stationary(self) -> None:
+        """Refuse a scene without a linearised response about steady sliding.
+
+        Raises:
+            InputError: see `stationary_force_rms`.
+        """
+        effects, what = self.effects, "the stationary RMS"
+        if self.medium == "elastic":
+            raise InputError(f"{what} belongs to the plastic gas: the elastic medium has no motion")
+        if not effects.waves and effects.random_strength is None:
+            raise InputError(f"{what} needs strength that varies: give random_strength, or strength_wave")
+        if not effects.motion:
+            return
+        if effects.own:
+            raise InputError(f"{what} takes no own resistances, which are not linearised: leave them out, or simulate")
+        if effects.printed.repelling_spring:
+            raise InputError(f"{what} needs a spring that holds the share: take formulation = 'derived'")
+        if not is_symbolic(self.tow_speed) and not float(as_number(self.tow_speed)) > 0.0:
+            raise InputError(f"{what} needs a tow speed above 0: a share that stands meets no other soil")
+        given = (effects.damping, effects.rate_term, 1.0 if effects.inertial_drag else 0.0)
+        if not any(is_symbolic(part) or (part is not None and float(as_number(part)) > 0.0) for part in given):
+            raise InputError(f"{what} needs damping of some kind: give damping or rate_term, or keep inertial_drag")
+        lengths = [float(as_number(w.wavelength)) for w in effects.waves if not is_symbolic(w.wavelength)]
+        if len({*lengths}) < len(lengths):
+            raise InputError(f"{what} takes one strength wave of each length: join those that are alike")
+
+    @property
     @_checked_in_designs
     def natural_frequency(self) -> Expression:
         """Undamped angular frequency sqrt(k0/M) [rad/s]; of the print's repelling spring the rate of growth."""
@@ -259,6 +341,15 @@ class Scene:
                 f"the equivalent cone's half angle is {math.degrees(half_angle):.1f} deg: above"
                 f" {math.degrees(PLANE_SECTIONS_LIMIT):.0f} deg the hypothesis of plane sections does not hold"
             )
+        if self.effects.random_strength is not None:
+            found.append("random strength counts in the stationary RMS, and not in a simulated motion")
+            rate, speed = (float(as_number(x)) for x in (self._stationary.speed_rms, self.tow_speed))
+            if _SURELY * rate > speed > 0.0:
+                found.append(
+                    f"under random strength the share's speed varies by {rate:.3g} m/s (RMS): three times that exceed"
+                    f" the tow speed of {speed:.3g} m/s, so the share stops or retreats now and then, which the"
+                    " linearised stationary RMS does not know"
+                )
         share = float(as_number(self.ambient_share))
         if share > 0.0:
             pressure = float(as_number(self.soil.ambient_pressure))

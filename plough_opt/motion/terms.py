@@ -370,6 +370,4 @@ def carried_mass(structure: Structure, p: dict[str, Expression], travel: Express
 
 def _step(p: dict[str, Expression], speed: Expression) -> Expression:
     """Return the smooth step of the share's speed: 0 for a share at rest or retreating, 1 above the width."""
-    u = minimum(maximum(speed / p["width"], 0.0), 1.0)
-    # Four derivatives vanish at the ends, so that steps which cross one keep the digits of second derivatives.
-    return u**5 * (126.0 + u * (u * (540.0 + u * (70.0 * u - 315.0)) - 420.0))
+    return Smooth(p["width"]).step(speed)[0]

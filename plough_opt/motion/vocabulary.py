@@ -79,12 +79,14 @@ class Measure:
         of: run -> value, a column where ``everywhere``.
         everywhere: a value at every output time; it can be limited, and not minimised.
         plastic: belongs to the plastic gas alone.
+        random: belongs to strength that varies along the path, and stands in tables where that is random.
     """
 
     unit: Unit
     of: Callable[[Run], Expression]
     everywhere: bool = False
     plastic: bool = False
+    random: bool = False
 
 
 MEASURES: dict[str, Measure] = {
@@ -99,6 +101,10 @@ MEASURES: dict[str, Measure] = {
     "moving_mass": Measure(Unit("kg"), lambda run: run.scene.mass),
     "added_mass": Measure(Unit("kg"), lambda run: added_mass(run.scene.cone, run.scene.soil), plastic=True),
     "cone_index": Measure(Unit("Pa"), lambda run: cone_index(run.scene.soil), plastic=True),
+    "stationary_force_rms": Measure(Unit("N"), lambda run: run.scene.stationary_force_rms, plastic=True, random=True),
+    "stationary_displacement_rms": Measure(
+        Unit("m"), lambda run: run.scene.stationary_displacement_rms, plastic=True, random=True
+    ),
     "deflection": Measure(Unit("m"), lambda run: run.deflection, everywhere=True),
     "mount_force": Measure(Unit("N"), lambda run: run.mount_force, everywhere=True),
     "soil_resistance": Measure(Unit("N"), lambda run: run.soil_resistance, everywhere=True),

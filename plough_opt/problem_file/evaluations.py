@@ -96,7 +96,12 @@ class SimulationOfMany:
     @property
     def results(self) -> tuple[str, ...]:
         """Names of the results: those of `Simulation` without peaks, which a batch does not find."""
-        return (*_AVERAGES, *_OF_SCENE, "specific_draft", "error_estimate")
+        return (*_AVERAGES, *self._of_scene, "specific_draft", "error_estimate")
+
+    @property
+    def _of_scene(self) -> dict[str, Callable[[Scene], Expression]]:
+        """Results that need no motion."""
+        return _OF_SCENE | (_OF_RANDOM if self.problem.scene().effects.random_strength is not None else {})
 
     @property
     def units(self) -> dict[str, str]:
@@ -120,7 +125,7 @@ class SimulationOfMany:
                 scene = self.problem.scene(symbols)
                 duration = self.problem.values(symbols)["scene.duration"]
                 batch = Batch(scene, duration, list(symbols.values()), error=self.error)
-                of_scene = ca.vertcat(*(of(scene) for of in _OF_SCENE.values()), scene.ambient_share)
+                of_scene = ca.vertcat(*(of(scene) for of in self._of_scene.values()), scene.ambient_share)
                 self._built = batch, ca.Function("of_scene", [ca.vertcat(*symbols.values())], [of_scene])
         return self._built
 
@@ -156,8 +161,9 @@ def fixed_at(problem: Problem, values: Mapping[str, float]) -> Problem:
 
 def _of_run(problem: Problem, run: Run) -> dict[str, float]:
     """Return what is worth a column of a run of numbers."""
-    plastic = problem.table.scene.medium == "plastic"
-    chosen = {name: one for name, one in MEASURES.items() if not one.everywhere and (plastic or not one.plastic)}
+    plastic, random = problem.table.scene.medium == "plastic", run.scene.effects.random_strength is not None
+    known = {name: one for name, one in MEASURES.items() if not one.everywhere}
+    chosen = {name: one for name, one in known.items() if (plastic or not one.plastic) and (random or not one.random)}
     return {
         **{name: float(one.of(run)) for name, one in chosen.items()},
         "peak_force": run.peak_force,
@@ -183,5 +189,9 @@ _OF_SCENE: dict[str, Callable[[Scene], Expression]] = {
     "half_angle": lambda scene: scene.cone.half_angle,
     "moving_mass": lambda scene: scene.mass,
     "added_mass": lambda scene: added_mass(scene.cone, scene.soil),
+}
+_OF_RANDOM: dict[str, Callable[[Scene], Expression]] = {
+    "stationary_force_rms": lambda scene: scene.stationary_force_rms,
+    "stationary_displacement_rms": lambda scene: scene.stationary_displacement_rms,
 }
 _RADIUS, _HALF_ANGLE = (list(_OF_SCENE).index(name) for name in ("loosened_radius", "half_angle"))

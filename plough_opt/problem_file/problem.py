@@ -22,8 +22,9 @@ from plough_opt.motion.scene import Scene
 from plough_opt.motion.vocabulary import MEASURES
 from plough_opt.problem_file.front import EXAMPLE, front_of
 from plough_opt.problem_file.interface import input_ports, wanted_outputs
-from plough_opt.problem_file.schema import ProblemTable
+from plough_opt.problem_file.schema import RANDOM, ProblemTable
 from plough_opt.soil.geometry import Wedge
+from plough_opt.soil.random_strength import RandomStrength, Spectrum
 from plough_opt.soil.soil import Soil, named_soil
 from plough_opt.soil.waves import StrengthWave
 from plough_opt.studies.tradeoff import Goal, TradeOff, trade_off
@@ -57,6 +58,7 @@ class Problem:
         notes: what overrides changed beyond their own key.
         over: what is minimised within the tolerances, if not the design's own objective.
         readings: which penetrometer readings decide the soil, in words.
+        spectrum: of the record that random strength is read from, if it is.
     """
 
     name: str
@@ -67,6 +69,7 @@ class Problem:
     notes: tuple[str, ...]
     over: Over | None = None
     readings: str = ""
+    spectrum: Spectrum | None = None
 
     @property
     def title(self) -> str:
@@ -138,6 +141,7 @@ class Problem:
             StrengthWave(values[f"{name}.amplitude"], values[f"{name}.wavelength"], values.get(f"{name}.phase", 0.0))
             for name in tables
         ]
+        random = [values.get(f"{RANDOM}.{key}") for key in ("rms", "correlation_length")]
         return Effects(
             motion=table.motion,
             inertial_drag=table.inertial_drag,
@@ -147,6 +151,7 @@ class Problem:
             start=table.start,
             entry=table.entry,
             strength_wave=waves[0] if len(waves) == 1 else tuple(waves) or None,
+            random_strength=RandomStrength(*random) if None not in random else self.spectrum,
             tow_ramp=values.get("effects.tow_ramp"),
             damping=values.get("effects.damping"),
             rate_term=values.get("effects.rate_term"),

@@ -19,21 +19,24 @@ from plough_opt.core.units import Display, display_of
 from plough_opt.design import Over
 from plough_opt.motion.accuracy import Accuracy
 from plough_opt.motion.vocabulary import MEASURES
-from plough_opt.problem_file.front import check_front
+from plough_opt.problem_file.front import TABLE, check_front
 from plough_opt.problem_file.overrides import apply_override
 from plough_opt.problem_file.penetrometer import average_readings
 from plough_opt.problem_file.problem import FileVariable, Problem
 from plough_opt.problem_file.schema import (
+    RANDOM,
     WAVES,
     EffectsFile,
     LimitTable,
     ProblemFile,
     ProblemTable,
+    RandomStrengthFile,
     StrengthWaveFile,
     TermTable,
     VariableTable,
 )
 from plough_opt.problem_file.source import Keys, Source
+from plough_opt.problem_file.strength_file import spectrum_of_file
 from plough_opt.problem_file.uncertain import check_joint, check_uncertain, join_dotted
 from plough_opt.soil.soil import named_soil
 
@@ -59,12 +62,13 @@ def read_problem(path: str | Path, overrides: Iterable[str] = ()) -> Problem:
     join_dotted(source.data)
     over = _over(source)
     readings = average_readings(source, Path(path).parent)
+    spectrum = spectrum_of_file(source, Path(path).parent)
     try:
         table = ProblemFile.model_validate(source.data)
     except ValidationError as error:
         source.note_schema(error, _valid_keys())
     source.raise_noted()
-    problem = dataclasses.replace(_checked(source, table, notes), over=over, readings=readings)
+    problem = dataclasses.replace(_checked(source, table, notes), over=over, readings=readings, spectrum=spectrum)
     source.raise_noted()
     _check_values(source, problem)
     source.raise_noted()
@@ -120,6 +124,7 @@ def _valid_keys() -> dict[str, list[str]]:
         model = field.annotation
         if isinstance(model, type) and hasattr(model, "model_fields"):
             valid[name] = list(model.model_fields)
+    valid[RANDOM] = list(RandomStrengthFile.model_fields)
     valid |= {name: list(StrengthWaveFile.model_fields) for name in WAVES}
     for table, model in (("variables", VariableTable), ("minimise", TermTable), ("require", LimitTable)):
         valid[table] = list(model.model_fields)
@@ -227,7 +232,7 @@ def _check_complete(source: Source, table: ProblemTable, known: set[str]) -> Non
     for key in _decided(table, known) & known:
         with source.noting(("variables", key) if key in table.variables else tuple(key.split("."))):
             raise InputError(f"'{key}' follows from the cone index: leave it out, or let that adjust another property")
-    wave = _wave_keys(source, table, known)
+    wave = [*_wave_keys(source, table, known), *_random_keys(source, table, known)]
     width = ("effects.contact_width",) if table.effects.contact == "smooth" else ()
     for key, law in (("effects.contact_width", "smooth"), ("effects.breakaway", "stick_slip")):
         if key in known and table.effects.contact != law:
@@ -266,6 +271,19 @@ def _wave_keys(source: Source, table: ProblemTable, known: set[str]) -> list[str
         missing = missing or ("" if own or given else name)
         keys += needed if own or given else []
     return keys
+
+
+def _random_keys(source: Source, table: ProblemTable, known: set[str]) -> list[str]:
+    """Return the quantities that random strength must have: both, or none beside a record."""
+    keys = [key for key in IN_FILES if IN_FILES[key].owner == RANDOM]
+    absent = _at(table, RANDOM) is None
+    if not absent and _at(table, f"{RANDOM}.record") is None:
+        return keys
+    why = f"has no {RANDOM} to belong to: give that in [effects]" if absent else "and a record are given: take one"
+    for key in {*keys} & known:
+        with source.noting(("variables", key) if key in table.variables else tuple(key.split("."))):
+            raise InputError(f"'{key}' {why}")
+    return []
 
 
 def _decided(table: ProblemTable, known: set[str]) -> set[str]:
@@ -333,6 +351,11 @@ def _check_values(source: Source, problem: Problem) -> None:
     # What is left are effects that exclude each other.
     with source.noting(("effects", "motion")):
         problem.scene()
+    source.raise_noted()
+    for kind in ("minimise", "require", TABLE):
+        for name in {*(getattr(problem.table, kind) or ())} & {name for name in MEASURES if MEASURES[name].random}:
+            with source.noting((kind, name), prefix=f"'{name}': "):
+                problem.scene().check_stationary()
     source.raise_noted()
     check_joint(source, problem.table, lambda: problem.scene().soil)
 

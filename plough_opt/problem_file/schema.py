@@ -13,6 +13,8 @@ from plough_opt.motion.scene import Scene
 from plough_opt.soil.soil import Adjust
 
 Written = StrictStr | StrictFloat
+RANDOM = "effects.random_strength"
+"""The table of random strength."""
 
 
 _T = TypeVar("_T", bound="Table")
@@ -62,6 +64,13 @@ class EffectsTable(Table):
     orbit: Literal["transient", "periodic", "linearised", "harmonic_balance"] = "transient"
     harmonics: Annotated[StrictInt, Field(ge=1, le=MOST_HARMONICS)] = HarmonicBalance.harmonics
     formulation: Literal["derived", "printed"] = "derived"
+
+
+class RandomStrengthTable(Table):
+    """Random strength: its RMS and correlation length, or a record of it."""
+
+    record: StrictStr | None = None
+    base_diameter: StrictStr | None = None
 
 
 class VariableTable(Table):
@@ -136,12 +145,14 @@ SoilFile = _with_quantities("SoilFile", SoilTable, "soil")
 ShareFile = _with_quantities("ShareFile", ShareTable, "share")
 SceneFile = _with_quantities("SceneFile", SceneTable, "scene")
 StrengthWaveFile = _with_quantities("StrengthWaveFile", Table, wave_table(1))
+RandomStrengthFile = _with_quantities("RandomStrengthFile", RandomStrengthTable, RANDOM)
 WAVES = tuple(map(wave_table, range(1, MOST_WAVES + 1)))
 """The tables of strength waves, in order; all hold the same keys."""
 EffectsFile = _with_quantities(
     "EffectsFile",
     EffectsTable,
     "effects",
+    random_strength=(RandomStrengthFile | None, None),
     **{name.removeprefix("effects."): (StrengthWaveFile | None, None) for name in WAVES},
 )
 ProblemFile = _with_quantities(

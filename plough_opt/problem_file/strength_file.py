@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 from plough_opt.core.csv_rows import columns_of, read_rows, table_of
 from plough_opt.core.errors import InputError
 from plough_opt.core.kinds import path_of
 from plough_opt.core.units import Unit
+from plough_opt.problem_file.schema import RANDOM
+from plough_opt.problem_file.source import Source
+from plough_opt.soil.random_strength import Spectrum
 from plough_opt.soil.rig import Rig
-from plough_opt.soil.strength_record import StrengthRecord
+from plough_opt.soil.strength_record import StrengthRecord, strength_spectrum
 
 _UNITS = {"position": Unit("m"), "time": Unit("s"), "cone_index": Unit("Pa"), "force": Unit("N")}
 _EXAMPLE = "'position [m], cone_index [kPa]', or 'time [s], force [kN]'"
@@ -54,3 +58,18 @@ def read_strength_record(path: str | Path, rig: Rig | None = None, *, tow_speed:
         raise InputError(f"{path}: readings over time need the tow speed, for waves are lengths along the path")
     position = found["position"] if "position" in found else found["time"] * (speed or 1.0)
     return StrengthRecord(position, found["force" if "force" in found else "cone_index"], rig, str(path))
+
+
+def spectrum_of_file(source: Source, folder: Path) -> Spectrum | None:
+    """Return the spectrum of the record that a problem file's random strength names, if it names one."""
+    place = tuple(RANDOM.split("."))
+    entry: Any = source.data.get(place[0])
+    entry = entry.get(place[1]) if isinstance(entry, dict) else None
+    if not isinstance(entry, dict) or not isinstance(entry.get("record"), str):
+        return None
+    with source.noting((*place, "record")):
+        record = read_strength_record(folder / entry["record"])
+        with source.noting((*place, "base_diameter"), prefix="'base_diameter' "):
+            diameter = Unit("m").parse(entry.get("base_diameter", "0 m"))
+            return strength_spectrum(record, base_diameter=diameter)
+    return None

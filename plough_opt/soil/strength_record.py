@@ -11,9 +11,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from plough_opt.core.domain import check_domain, plain_number
 from plough_opt.core.errors import InputError
+from plough_opt.core.kinds import check_kind, shown
 from plough_opt.core.picture_files import COLOURS, save
 from plough_opt.core.quantities import MOST_WAVES
+from plough_opt.soil.random_strength import Spectrum
 from plough_opt.soil.rig import Rig
 from plough_opt.soil.waves import StrengthWave
 
@@ -60,8 +63,9 @@ class StrengthRecord:
     def __init__(self, position: ArrayLike, value: ArrayLike, rig: Rig | None = None, name: str = "the record") -> None:
         try:
             x, y = (np.asarray(given, dtype=float).copy() for given in (position, value))
-        except (TypeError, ValueError):
+        except (TypeError, ValueError, OverflowError):
             raise InputError(f"{name}: positions and values must be numbers") from None
+        check_kind("the rig", rig, Rig | None, "a Rig, or None of strength itself")
         if x.ndim != 1 or x.shape != y.shape:
             raise InputError(
                 f"{name}: positions and values of the shapes {x.shape} and {y.shape} must be alike columns"
@@ -108,28 +112,6 @@ class StrengthRecord:
             raise InputError(f"{self.name}: its linear trend falls to 0: strength cannot be given relative to it")
         found: Vector = self.value / trend - 1.0
         return found
-
-
-@dataclass(frozen=True)
-class Spectrum:
-    """One-sided density of relative strength over the wave number, whose integral is the variance.
-
-    Attributes:
-        wave_number: q [rad/m].
-        density: S(q) [m/rad].
-        lower: lower end of its 95 % confidence band.
-        upper: upper end.
-    """
-
-    wave_number: Vector
-    density: Vector
-    lower: Vector
-    upper: Vector
-
-    @property
-    def variance(self) -> float:
-        """Integral of the density."""
-        return float(np.trapezoid(self.density, self.wave_number))
 
 
 @dataclass(frozen=True)
@@ -215,12 +197,13 @@ def strength_waves(record: StrengthRecord, part: float = 0.8, *, base_diameter: 
         InputError: a part that cannot be, or a record without fluctuation.
     """
     if not (isinstance(part, int | float) and 0.0 < part <= 1.0):
-        raise InputError(f"part = {part!r} of the variance must be above 0 and at most 1")
+        raise InputError(f"part = {shown(part)} of the variance must be above 0 and at most 1")
+    diameter = _checked(record, base_diameter)
     x, y = record.position - record.position[0], record.relative()
     variance = float(np.mean(y**2))
     if not variance > 0.0:
         raise InputError(f"{record.name}: its strength does not vary, so it holds no wave")
-    grid, notes = _wave_numbers(record, base_diameter)
+    grid, notes = _wave_numbers(record, diameter)
     numbers: list[float] = []
     left = y
     while len(numbers) < MOST_WAVES and float(np.mean(left**2)) > (1.0 - part) * variance:
@@ -259,6 +242,44 @@ def spectrum_of(record: StrengthRecord) -> Spectrum:
     return Spectrum(q, density, density * band[0], density * band[1])
 
 
+def strength_spectrum(record: StrengthRecord, *, base_diameter: float = 0.0) -> Spectrum:
+    """Return the spectrum of the soil's strength that a record tells, as `Effects` takes it for random strength.
+
+    Of a force the rig's response is divided out, and the spectrum is taken as linear across the wave numbers of the
+    rig's resonance; those that it hardly passes on are left out, and so are waves shorter than two spacings.
+
+    Args:
+        record: strength or force along a path.
+        base_diameter: of the share [m]: shorter waves are left out, which its base averages.
+
+    Raises:
+        InputError: a diameter that is no number of metres, or one beside which nothing of the record is left.
+    """
+    diameter = _checked(record, base_diameter)
+    found = spectrum_of(record)
+    kept, gain = found.wave_number * diameter <= 2.0 * math.pi, np.ones(len(found.wave_number))
+    if record.rig is not None:
+        near, deaf = _not_heard(record.rig, found.wave_number)
+        kept, gain = kept & ~near & ~deaf, np.abs(record.rig.response(found.wave_number)) ** 2
+    if np.count_nonzero(kept) < 2:
+        raise InputError(f"{record.name}: its spectrum holds no waves longer than {diameter:.3g} m that its rig felt")
+    rest = ((values / gain)[kept] for values in (found.density, found.lower, found.upper))
+    return Spectrum(found.wave_number[kept], *rest)
+
+
+def _checked(record: StrengthRecord, base_diameter: float) -> float:
+    """Refuse what is no record, and return a base's diameter [m]."""
+    check_kind("the record", record, StrengthRecord, "a StrengthRecord, as read_strength_record returns one")
+    check_domain("base_diameter", base_diameter, "m", at_least=0.0)
+    return plain_number("base_diameter", base_diameter)
+
+
+def _not_heard(rig: Rig, wave_number: Vector) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Return at which wave numbers a rig resonates, and which it hardly passes on to its force."""
+    near = np.abs(wave_number / rig.resonance - 1.0) < _NEAR_RESONANCE
+    return near, np.abs(rig.response(wave_number)) < _LEAST_RESPONSE
+
+
 def _wave_numbers(record: StrengthRecord, base_diameter: float) -> tuple[Vector, list[str]]:
     """Return the wave numbers at which waves may be, and what is left out."""
     shortest = max(2.0 * record.spacing, base_diameter)
@@ -268,8 +289,7 @@ def _wave_numbers(record: StrengthRecord, base_diameter: float) -> tuple[Vector,
     grid: Vector = step * np.arange(_FINE, math.ceil(2.0 * math.pi / shortest / step), dtype=float)
     notes = [f"waves shorter than {shortest:.3g} m are left out"]
     if record.rig is not None:
-        near = np.abs(grid / record.rig.resonance - 1.0) < _NEAR_RESONANCE
-        deaf = np.abs(record.rig.response(grid)) < _LEAST_RESPONSE
+        near, deaf = _not_heard(record.rig, grid)
         if np.any(near):
             notes.append(
                 f"waves of {2 * math.pi / record.rig.resonance:.3g} m are left out, give or take"

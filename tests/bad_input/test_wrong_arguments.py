@@ -85,13 +85,12 @@ def test_right_arguments_are_taken():
 
 
 def test_every_public_name_has_a_recipe():
-    """But for errors, results that the package alone makes, and records of strength, which have tests of their own."""
+    """But for errors, and results that the package alone makes."""
     results = {
         "AccuracyStudy", "BatchResult", "Component", "Design", "DomainError", "Fit", "InfeasibleDesign", "InputError",
         "IntegrationError", "LocalOptimum", "NotConverged", "Optimum", "OwnResistance", "Penetrometer", "PloughError",
-        "Problem", "RecordWaves", "Refinement", "Run", "StrengthRecord", "strength_waves",
-        "Sweep", "TradeOff", "crosscheck", "elastic", "plastic", "plots", "soil_names",
-        "uncertainty",
+        "Problem", "RecordWaves", "Refinement", "Run", "Sweep", "TradeOff", "crosscheck", "elastic", "plastic", "plots",
+        "soil_names", "uncertainty",
     }  # fmt: skip
     covered = {name.partition(".")[0].rstrip("[]()") for name in recipes()}
     assert set(po.__all__) - results <= covered

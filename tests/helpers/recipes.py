@@ -87,6 +87,13 @@ def batch():
     return po.Batch(moving(STIFFNESS), 0.1, [STIFFNESS])
 
 
+PATH = np.linspace(0.0, 8.0, 161)
+
+
+def record():
+    return po.StrengthRecord(PATH, 1e6 + 2e5 * np.sin(9.0 * PATH) + 1e5 * np.cos(31.0 * PATH))
+
+
 def measured():
     return po.Measurements("mean_draft", [7e3, 8e3, 9e3], {"scene.tow_speed": [1.0, 1.5, 2.0]}, sigma=100.0)
 
@@ -170,8 +177,8 @@ def recipes():
                           "compiled": False, "progress": None}),
         "Effects": (po.Effects, {
             "motion": True, "inertial_drag": True, "added_mass": True, "ambient_pressure": True, "contact": "resisting",
-            "start": "rest", "entry": False, "strength_wave": None, "tow_ramp": 0.1, "damping": 100.0,
-                "rate_term": 0.01,
+            "start": "rest", "entry": False, "strength_wave": None, "random_strength": None,
+            "tow_ramp": 0.1, "damping": 100.0, "rate_term": 0.01,
             "own": (), "orbit": "transient", "formulation": "derived"}),
         "Fit.intervals": (lambda **a: fitted().intervals(**a), {"level": 0.9, "kind": "linearised"}),
         "Fit.next_measurements": (lambda **a: fitted().next_measurements(**a),
@@ -242,6 +249,12 @@ def recipes():
         "Marginal.quantile": (po.uncertainty.Marginal(stats.norm(0.0, 1.0)).quantile, {"probability": 0.5}),
         "Marginal.cdf": (po.uncertainty.Marginal(stats.norm(0.0, 1.0)).cdf, {"value": 0.5}),
         "StickSlip": (po.StickSlip, {"breakaway": 1.2}),
+        "RandomStrength": (po.RandomStrength, {"rms": 0.2, "correlation_length": 0.3}),
+        "RandomStrength.density": (po.RandomStrength(0.2, 0.3).density, {"wave_number": 4.0}),
+        "Spectrum": (po.Spectrum, {"wave_number": [1.0, 2.0], "density": [0.1, 0.2], "lower": None, "upper": None}),
+        "StrengthRecord": (po.StrengthRecord, {"position": PATH, "value": 1e6 + 2e5 * np.sin(9.0 * PATH), "rig": None}),
+        "strength_spectrum": (po.strength_spectrum, {"record": record(), "base_diameter": 0.1}),
+        "strength_waves": (po.strength_waves, {"record": record(), "part": 0.8, "base_diameter": 0.1}),
         "StrengthWave": (po.StrengthWave, {"amplitude": 0.3, "wavelength": 0.5}),
         "Sweep.load": (po.Sweep.load, {"path": "none.db"}),
         "TradeOff.rate": (lambda **a: front().rate(**a), {"number": 1, "of": 1, "by": 0}),

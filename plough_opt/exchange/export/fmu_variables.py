@@ -98,8 +98,8 @@ def _variable(name: str) -> Variable:
     )
 
 
-# The plastic gas does not use these.
-_ELASTIC = ("soil.youngs_modulus", "soil.poisson_ratio")
+# A motion in the plastic gas does not use these.
+_UNUSED = ("soil.youngs_modulus", "soil.poisson_ratio", *(n for n in QUANTITIES if n.startswith("effects.random")))
 _FRAME, _STEEL = "scene.frame_mass", "scene.steel_density"
 
 
@@ -125,7 +125,7 @@ def _offered(scene: Scene, steel_density: float | None) -> Iterator[tuple[Variab
         elif name == "effects.tow_ramp":
             if scene.effects.ramps:
                 yield replace(_variable(name), above=True), value
-        elif value is not None and name not in _ELASTIC:
+        elif value is not None and name not in _UNUSED:
             yield _variable(name), value
     if scene.soil.density_profile is not None:
         for k, value in enumerate(scene.soil.density_profile.parameters):

@@ -1,0 +1,230 @@
+"""Random soil strength: its spectrum over the wave number, and what a share in steady sliding makes of it.
+
+About steady sliding at the tow speed V the deflection z answers to relative strength of wave number q, omega = q V, by
+
+    H = G/(k0 - M omega^2 + i omega d),    G = F0 (1 + kappa V^2),    d = c + 2 (Fd + kappa F0) V,
+
+and the stationary variances are the integrals of |H|^2 S(q) and omega^2 |H|^2 S(q) over q.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from plough_opt.core.domain import check_domain
+from plough_opt.core.errors import InputError
+from plough_opt.core.expressions import Expression, arcsinh, column, exp, is_casadi, rms, sqrt
+from plough_opt.core.quadrature import gauss_legendre
+from plough_opt.core.quantities import QUANTITIES
+from plough_opt.soil.waves import StrengthWave
+
+Vector = NDArray[np.float64]
+
+# Nodes in every panel of a tabulated spectrum: a resonance of a thousandth of critical damping in one panel among a
+# hundred is integrated to 1e-6, wider ones to rounding.
+_NODES = 24
+_MOST_PANELS = 128
+
+
+@dataclass(frozen=True)
+class Sliding:
+    """Steady sliding, linearised: all that the response to relative strength depends on.
+
+    Attributes:
+        force: G, by which the resistance changes for a relative change of strength [N].
+        stiffness: k0 [N/m].
+        inertia: M [kg].
+        damping: d of mount and soil [N s/m].
+        speed: V [m/s].
+    """
+
+    force: Expression
+    stiffness: Expression
+    inertia: Expression
+    damping: Expression
+    speed: Expression
+
+    def squared(self, frequency: Expression) -> Expression:
+        """Return |H|^2 [m^2] at an angular frequency [rad/s]."""
+        spring = self.stiffness - self.inertia * frequency**2
+        return self.force**2 / (spring**2 + (self.damping * frequency) ** 2)
+
+    def to_waves(self, waves: Sequence[StrengthWave]) -> tuple[Expression, Expression]:
+        """Return the variances of deflection [m^2] and of its rate [m^2/s^2] under strength waves of unequal length."""
+        total: tuple[Expression, Expression] = 0.0, 0.0
+        for wave in waves:
+            frequency = 2.0 * math.pi * self.speed / wave.wavelength
+            part = wave.amplitude**2 / 2.0 * self.squared(frequency)
+            total = total[0] + part, total[1] + frequency**2 * part
+        return total
+
+
+@dataclass(frozen=True)
+class RandomStrength:
+    """Random strength whose correlation falls as exp(-distance/correlation length), as a one-sided spectrum.
+
+    S(q) = 2 rms^2 lambda/(pi (1 + (q lambda)^2)), whose integral over the wave number q is rms^2.
+
+    Args:
+        rms: standard deviation of strength over its mean [-], from 0 to 1.
+        correlation_length: lambda [m], above 0.
+
+    Raises:
+        DomainError: a number outside its domain.
+
+    Example:
+        >>> import plough_opt as po
+        >>> round(po.RandomStrength(rms=0.2, correlation_length=0.3).density(0.0), 6)
+        0.007639
+    """
+
+    rms: Expression
+    correlation_length: Expression
+
+    def __post_init__(self) -> None:
+        QUANTITIES["effects.random_strength.rms"].check(self.rms)
+        QUANTITIES["effects.random_strength.correlation_length"].check(self.correlation_length)
+
+    @property
+    def variance(self) -> Expression:
+        """Variance of relative strength [-]."""
+        return self.rms**2
+
+    def density(self, wave_number: Expression) -> Expression:
+        """Return S [m/rad] at a wave number q [rad/m]."""
+        check_domain("wave number", wave_number, "rad/m", at_least=0.0)
+        length = self.correlation_length
+        return 2.0 * self.rms**2 * length / (math.pi * (1.0 + (wave_number * length) ** 2))
+
+    def response(self, to: Sliding) -> tuple[Expression, Expression]:
+        """Return the variances of deflection [m^2] and of its rate [m^2/s^2].
+
+        In closed form: that of white noise behind the three poles of the mount and of 1/(1 + i omega lambda/V).
+        """
+        time = self.correlation_length / to.speed
+        carried = to.inertia + to.damping * time
+        rate = to.force**2 * self.variance * time / (to.damping * (carried + to.stiffness * time**2))
+        return rate * carried / to.stiffness, rate
+
+
+@dataclass(frozen=True, eq=False)
+class Spectrum:
+    """One-sided density of relative strength over the wave number, whose integral is the variance; linear between.
+
+    Attributes:
+        wave_number: q [rad/m], rising.
+        density: S(q) [m/rad], at least 0.
+        lower: lower end of its 95 % confidence band; default: the density.
+        upper: upper end.
+
+    Raises:
+        InputError: columns that are not alike, fewer than two places, or numbers that cannot be.
+    """
+
+    wave_number: Vector
+    density: Vector
+    lower: Vector
+    upper: Vector
+
+    def __init__(
+        self, wave_number: ArrayLike, density: ArrayLike, lower: ArrayLike | None = None, upper: ArrayLike | None = None
+    ) -> None:
+        names = ("wave_number", "density", "lower", "upper")
+        given = (wave_number, density, density if lower is None else lower, density if upper is None else upper)
+        try:
+            columns = [np.array(values, dtype=float) for values in given]
+        except (TypeError, ValueError, OverflowError):
+            raise InputError("a spectrum's wave numbers and densities must be numbers") from None
+        q = columns[0]
+        if q.ndim != 1 or len(q) < 2 or any(values.shape != q.shape for values in columns):
+            raise InputError("a spectrum's wave numbers and densities must be alike columns of two numbers or more")
+        sound = all(np.isfinite(values).all() and np.all(values >= 0.0) for values in columns)
+        if not sound or np.any(np.diff(q) <= 0.0):
+            raise InputError("a spectrum's wave numbers must rise, and be finite and at least 0 as its densities")
+        for name, values in zip(names, columns, strict=True):
+            object.__setattr__(self, name, values)
+
+    @property
+    def variance(self) -> float:
+        """Integral of the density."""
+        return float(np.trapezoid(self.density, self.wave_number))
+
+    def response(self, to: Sliding) -> tuple[Expression, Expression]:
+        """Return the variances of deflection [m^2] and of its rate [m^2/s^2].
+
+        By Gauss-Legendre nodes in every panel of the spectrum, which lie dense about the mount's resonance: the wave
+        number's frequency is omega0 + (d/2M) sinh(u), and the nodes are even in u.
+        """
+        q, density = self._panels()
+        symbolic = any(map(is_casadi, (to.force, to.stiffness, to.inertia, to.damping, to.speed)))
+        start, slope = (column(x, symbolic) for x in (density[:-1], np.diff(density) / np.diff(q)))
+        low, high = (column(x, symbolic) for x in (q[:-1], q[1:]))
+        middle, width = sqrt(to.stiffness / to.inertia), to.damping / (2.0 * to.inertia)
+        first, last = (arcsinh((end * to.speed - middle) / width) for end in (low, high))
+        found: tuple[Expression, Expression] = 0.0, 0.0
+        for node, weight in zip(*gauss_legendre(_NODES), strict=True):
+            up = exp(first + (last - first) * node)
+            frequency = middle + width * (up - 1.0 / up) / 2.0
+            there = start + slope * (frequency / to.speed - low)
+            part = weight * (last - first) * width * (up + 1.0 / up) / 2.0 / to.speed * there * to.squared(frequency)
+            found = found[0] + _sum(part), found[1] + _sum(frequency**2 * part)
+        return found
+
+    def _panels(self) -> tuple[Vector, Vector]:
+        """Return ends and densities of its panels: of very many the means of neighbours, with the same variance."""
+        q, density = self.wave_number, self.density
+        if len(q) <= _MOST_PANELS + 1:
+            return q, density
+        # Finer at small wave numbers, where a spectrum varies.
+        least = q[0] if q[0] > 0.0 else q[1]
+        ends = np.r_[q[: 1 if q[0] == 0.0 else 0], np.geomspace(least, q[-1], _MOST_PANELS)]
+        between = np.r_[q[0], (ends[:-1] + ends[1:]) / 2.0, q[-1]]
+        below = np.r_[0.0, np.cumsum(np.diff(q) * (density[:-1] + density[1:]) / 2.0)]
+        means = np.diff(np.interp(between, q, below)) / np.diff(between)
+        return ends, means * self.variance / max(float(np.trapezoid(means, ends)), np.finfo(float).tiny)
+
+
+@dataclass(frozen=True)
+class Stationary:
+    """Stationary response about steady sliding.
+
+    Attributes:
+        force_rms: standard deviation of the mount force [N].
+        displacement_rms: of the deflection [m].
+        speed_rms: of the share's speed [m/s].
+    """
+
+    force_rms: Expression
+    displacement_rms: Expression
+    speed_rms: Expression
+
+
+def stationary_response(
+    to: Sliding, damper: Expression, waves: Sequence[StrengthWave], random: RandomStrength | Spectrum | None
+) -> Stationary:
+    """Return the stationary response to strength waves and random strength together.
+
+    Args:
+        to: steady sliding, linearised.
+        damper: c of the mount's part of the damping, whose force the mount passes on [N s/m].
+        waves: of unequal length.
+        random: spectrum of random strength, if any.
+    """
+    place, rate = to.to_waves(waves)
+    if random is not None:
+        more = random.response(to)
+        place, rate = place + more[0], rate + more[1]
+    # Deflection and rate of a stationary motion are uncorrelated.
+    force = to.stiffness**2 * place + damper**2 * rate
+    size = to.force / to.stiffness
+    return Stationary(rms(force, to.force), rms(place, size), rms(rate, size * sqrt(to.stiffness / to.inertia)))
+
+
+def _sum(values: Expression) -> Expression:
+    return ca.sum1(values) if is_casadi(values) else float(np.sum(values))

@@ -26,9 +26,9 @@ from plough_opt.soil.waves import StrengthWave
 
 Vector = NDArray[np.float64]
 
-# Nodes in every panel of a tabulated spectrum: a resonance of a thousandth of critical damping in one panel among a
-# hundred is integrated to 1e-6, wider ones to rounding.
-_NODES = 24
+# Nodes in every panel of a tabulated spectrum, and most panels: a resonance of a thousandth of critical damping, a
+# hundredth of its panel wide, is integrated to 1e-7, one of a tenth to rounding.
+_NODES = 32
 _MOST_PANELS = 128
 
 

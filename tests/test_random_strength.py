@@ -1,0 +1,280 @@
+"""Random strength: the stationary RMS against integrals, orbits and simulations that do not share its code."""
+
+import dataclasses
+import itertools
+import math
+
+import casadi as ca
+import numpy as np
+import pytest
+from random_motion import quantiles, realisation
+from scipy.integrate import quad, solve_ivp
+
+import plough_opt as po
+from plough_opt.motion.terms import Structure, parameters, resistance
+
+RANDOM = po.RandomStrength(rms=0.05, correlation_length=0.3)
+# Corners of a measured spectrum, with a stretch of nothing and a peak.
+TABLE = po.Spectrum([0.2, 1.0, 3.0, 5.0, 30.0, 31.0, 33.0, 90.0], [4e-4, 9e-4, 0.0, 0.0, 3e-5, 2e-4, 3e-5, 0.0])
+DAMPED = {"damping": 600.0}
+
+
+def scene(random=RANDOM, **effects):
+    made = po.Effects(random_strength=random, **(effects or DAMPED))
+    return po.Scene(po.named_soil("serozem"), po.Cone(po.deg(12), 0.22), 1.5e5, 45.0, 1.6, made)
+
+
+def integrated(own, density, ends):
+    """Return force, displacement and speed RMS by adaptive quadrature of |H|^2 S, with H as it is written down."""
+    reaction, v, k = own.reaction, own.tow_speed, own.stiffness
+    kappa, c = own.effects.rate_term or 0.0, own.effects.damping or 0.0
+
+    def h(q):
+        w = q * v
+        d = c + 2.0 * (reaction.drag + kappa * reaction.static) * v
+        return reaction.static * (1.0 + kappa * v**2) / complex(k - own.inertia * w**2, w * d)
+
+    peak = math.sqrt(k / own.inertia) / v
+    places = sorted(
+        {*ends, *(x for x in peak * np.array([0.5, 0.9, 0.99, 1.0, 1.01, 1.1, 2.0]) if ends[0] < x < ends[-1])}
+    )
+
+    def total(of):
+        parts = [quad(lambda q: abs(of(q)) ** 2 * density(q), a, b, epsabs=0.0, epsrel=1e-12, limit=500)[0]
+                 for a, b in itertools.pairwise(places)]  # fmt: skip
+        return math.sqrt(math.fsum(parts))
+
+    return (
+        total(lambda q: complex(k, q * v * c) * h(q)),
+        total(h),
+        total(lambda q: q * v * h(q)),
+    )
+
+
+@pytest.mark.parametrize(
+    "effects",
+    [
+        {"damping": 600.0},
+        {"damping": 30.0, "rate_term": 0.05},
+        {"damping": 2e4, "inertial_drag": False},
+        {"rate_term": 0.02},
+    ],
+    ids=["damped", "rate", "overdamped", "by the soil alone"],
+)
+@pytest.mark.parametrize("length", [0.01, 0.3, 20.0])
+def test_the_closed_form_is_the_integral(effects, length):
+    own = scene(po.RandomStrength(0.05, length), **effects)
+    # Beyond the last end |H|^2 S falls as q^-6, and (k0 + i w c) H as q^-4: a part of 1e-10 is left out.
+    ends = [0.0, 0.01, 0.1, 1.0, 10.0, 100.0, 1e3, 1e4, 1e5]
+    force, place, speed = integrated(own, own.effects.random_strength.density, ends)
+    found = own.stationary_force_rms, own.stationary_displacement_rms
+    assert found == pytest.approx((force, place), rel=1e-8)
+    assert own._stationary.speed_rms == pytest.approx(speed, rel=1e-8)
+
+
+@pytest.mark.parametrize(("damping", "near"), [(600.0, 1e-11), (30.0, 2e-9), (5.0, 1e-7)])
+def test_a_table_is_integrated_through_its_resonance(damping, near):
+    """Down to a thousandth of critical damping, where the resonance is a hundredth of the panel that it stands in."""
+    own = scene(TABLE, damping=damping, inertial_drag=False)
+    force, place, _ = integrated(own, lambda q: np.interp(q, TABLE.wave_number, TABLE.density), [*TABLE.wave_number])
+    assert (own.stationary_force_rms, own.stationary_displacement_rms) == pytest.approx((force, place), rel=near)
+
+
+def test_a_long_table_keeps_variance_and_response():
+    """Thousands of places are joined to a hundred: the response of a model's spectrum stays within the joining."""
+    own = scene()
+    q = np.linspace(0.0, 400.0, 20_001)
+    found = scene(po.Spectrum(q, RANDOM.density(q)))
+    assert found.stationary_force_rms == pytest.approx(own.stationary_force_rms, rel=2e-3)
+    assert found.effects.random_strength.variance == pytest.approx(RANDOM.variance, rel=0.01)  # 1 % lies beyond
+
+
+@pytest.mark.parametrize("effects", [{"damping": 600.0}, {"damping": 50.0, "rate_term": 0.03}])
+def test_waves_have_the_rms_of_their_linearised_orbit(effects):
+    waves = tuple(po.StrengthWave(0.02 + 0.01 * k, 1.2 / (k + 1), 0.7 * k) for k in range(3))
+    own = scene(None, strength_wave=waves, **effects)
+    orbit = po.simulate(dataclasses.replace(own, effects=dataclasses.replace(own.effects, orbit="linearised")))
+    # Two closed forms of one response, each of some dozen operations.
+    assert own.stationary_force_rms == pytest.approx(orbit.force_rms, rel=1e-12)
+    assert own.stationary_displacement_rms == pytest.approx(orbit.displacement_rms, rel=1e-12)
+    both = scene(RANDOM, strength_wave=waves, **effects)
+    apart = scene(RANDOM, **effects).stationary_force_rms, own.stationary_force_rms
+    assert both.stationary_force_rms == pytest.approx(math.hypot(*apart), rel=1e-14)
+
+
+def test_a_share_without_mount_passes_on_all_of_it():
+    own = scene(motion=False, rate_term=0.05)
+    mean = own.reaction.static * (1.0 + 0.05 * own.tow_speed**2)
+    assert own.stationary_force_rms == pytest.approx(0.05 * mean, rel=1e-15)
+    assert own.stationary_displacement_rms == 0.0
+    # A mount that is stiff and damped tends to it as M V/(2 d lambda).
+    stiff = dataclasses.replace(scene(damping=1e7), stiffness=1e13)
+    assert stiff.stationary_force_rms == pytest.approx(0.05 * stiff.reaction.static, rel=2e-5)
+
+
+@pytest.mark.parametrize("width", [0.5, 2.5])
+def test_a_smooth_contact_is_linearised_too(width):
+    """Force and damping by differences of the equation's resistance."""
+    own = scene(contact=po.Smooth(width), rate_term=0.02, damping=50.0)
+    structure, p = Structure.of(own), parameters(own)
+    ahead, behind = (resistance(structure, p, 0.0, own.tow_speed + dv) for dv in (1e-5, -1e-5))
+    stronger = resistance(structure, p | {"static": 1.001 * p["static"]}, 0.0, own.tow_speed)
+    force = (stronger - resistance(structure, p, 0.0, own.tow_speed)) / 1e-3
+    d = 50.0 + (ahead - behind) / 2e-5
+    plain = dataclasses.replace(own, effects=po.Effects(random_strength=RANDOM, damping=d, inertial_drag=False))
+    expected = plain.stationary_displacement_rms * force / plain.reaction.static
+    assert own.stationary_displacement_rms == pytest.approx(expected, rel=1e-8)  # of the differences
+
+
+@pytest.mark.parametrize("random", [RANDOM, TABLE], ids=["model", "table"])
+@pytest.mark.parametrize("kind", [ca.SX, ca.MX])
+def test_expressions_have_the_values_of_numbers_and_exact_slopes(random, kind):
+    def at(height, stiffness, damping, speed):
+        made = po.Effects(random_strength=random, damping=damping, rate_term=0.02)
+        return po.Scene(po.named_soil("serozem"), po.Cone(po.deg(12), height), stiffness, 45.0, speed, made)
+
+    x = [kind.sym(name) for name in ("height", "stiffness", "damping", "speed")]
+    values = np.array([0.22, 1.5e5, 600.0, 1.6])
+    symbolic = ca.vertcat(at(*x).stationary_force_rms, at(*x).stationary_displacement_rms)
+    f = ca.Function("f", x, [symbolic, ca.jacobian(symbolic, ca.vertcat(*x))])
+    found, slopes = (np.array(one) for one in f(*values))
+    assert found.ravel() == pytest.approx(
+        [at(*values).stationary_force_rms, at(*values).stationary_displacement_rms],
+        rel=1e-10,  # roots of symbols are rounded off below 1e-12 of the steady force
+    )
+    for k, value in enumerate(values):
+        ends = [f(*np.where(np.arange(4) == k, value * (1.0 + s), values))[0].full().ravel() for s in (1e-5, -1e-5)]
+        assert slopes[:, k] * value == pytest.approx((ends[0] - ends[1]) / 2e-5, rel=1e-7)  # of central differences
+
+
+@pytest.mark.parametrize(("draws", "near"), [(2, 0.03), pytest.param(20, 0.01, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("random", [RANDOM, TABLE], ids=["model", "table"])
+def test_realisations_followed_by_the_real_equation_have_it(random, draws, near):
+    """Sixty waves for some four hundred oscillations: one draw scatters by about two per cent."""
+    own = scene(po.RandomStrength(0.02, 0.3) if random is RANDOM else random)
+    steps = po.Accuracy("dop853", steps=3000)
+    runs = [po.simulate(realisation(own, 60, seed), 40.0, accuracy=steps) for seed in range(draws)]
+    for name in ("force_rms", "displacement_rms"):
+        found = np.sqrt(np.mean([getattr(run, name) ** 2 for run in runs]))
+        assert found == pytest.approx(getattr(own, f"stationary_{name}"), rel=near), name
+
+
+@pytest.mark.parametrize("random", [RANDOM, TABLE], ids=["model", "table"])
+def test_the_variance_along_a_drawn_path_is_the_spectrum_s(random):
+    """Parseval: over a path much longer than the longest wave the mean square of the sum is that of its waves."""
+    drawn = realisation(scene(random), 100, 1).effects.own[0]
+    path = np.linspace(0.0, 2000.0, 50_003)
+    assert np.var(drawn.force(path, 0.0) / drawn.static) == pytest.approx(random.variance, rel=0.01)
+
+
+def test_the_spectrum_of_a_record_gives_the_response_to_what_was_recorded():
+    drawn = realisation(scene(po.RandomStrength(0.15, 0.3)), 400, 2).effects.own[0]
+    path = np.arange(0.0, 200.0, 0.02)
+    record = po.StrengthRecord(path, 1.5e6 * (1.0 + drawn.force(path, 0.0) / drawn.static))
+    found = scene(po.strength_spectrum(record)).stationary_force_rms
+    # Eight segments, and a resonance as wide as a dozen of their wave numbers: a few per cent.
+    assert found == pytest.approx(scene(po.RandomStrength(0.15, 0.3)).stationary_force_rms, rel=0.06)
+    short = po.strength_spectrum(record, base_diameter=0.5)
+    assert short.wave_number[-1] <= 4.0 * math.pi < po.strength_spectrum(record).wave_number[-1]
+    with pytest.raises(po.InputError, match="holds no waves longer than 300 m"):
+        po.strength_spectrum(record, base_diameter=300.0)
+
+
+def test_the_spectrum_of_a_force_is_freed_of_its_rig():
+    """The force on a damped rig, integrated by SciPy, in a soil with a drawn strength."""
+    rig = po.Rig(mass=25.0, stiffness=4e4, damping=700.0, tow_speed=2.0)
+    rng = np.random.default_rng(5)
+    numbers = quantiles(RANDOM, (np.arange(40) + rng.uniform(size=40)) / 40 * 0.9)
+    phases = rng.uniform(0.0, 2.0 * math.pi, 40)
+
+    def strength(x):
+        return 1.0 + 0.01 * np.sum(np.sin(np.multiply.outer(x, numbers) + phases), axis=-1)
+
+    def rates(t, y):
+        return [y[1], (2e3 * strength(2.0 * t) - 4e4 * y[0] - 700.0 * y[1]) / 25.0]
+
+    times = np.linspace(0.0, 20.0, 2001)
+    run = solve_ivp(rates, (0.0, 20.0), [2e3 / 4e4, 0.0], t_eval=times, rtol=1e-6, atol=1e-9)
+    late = times >= 1.0  # when the start is forgotten
+    force = 4e4 * run.y[0] + 700.0 * run.y[1]
+    told = po.strength_spectrum(po.StrengthRecord(2.0 * times[late], force[late], rig))
+    true = po.strength_spectrum(po.StrengthRecord(2.0 * times[late], strength(2.0 * times[late])))
+    assert np.all(np.abs(told.wave_number / rig.resonance - 1.0) >= 0.2)
+    same = np.isin(true.wave_number, told.wave_number) & (true.wave_number < 15.0)
+    heard = told.wave_number < 15.0
+    # The same segments and windows; what differs is the rig's response within a segment's resolution.
+    assert np.sum(told.density[heard]) == pytest.approx(np.sum(true.density[same]), rel=0.03)
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"damping": None, "inertial_drag": False}, "needs damping of some kind"),
+        ({"damping": 0.0, "inertial_drag": False}, "needs damping of some kind"),
+        ({"own": "given"}, "takes no own resistances"),
+        ({"formulation": "printed"}, "needs a spring that holds the share"),
+        ({"tow_speed": 0.0}, "needs a tow speed above 0"),
+        (
+            {"strength_wave": (po.StrengthWave(0.1, 0.4), po.StrengthWave(0.1, 0.4, 1.0))},
+            "one strength wave of each length",
+        ),
+        ({"medium": "elastic", "motion": False}, "random_strength has no meaning in the elastic medium"),
+        ({"random_strength": 0.2}, "random_strength = 0.2 must be None, a RandomStrength"),
+    ],
+)
+def test_scenes_without_a_stationary_response_are_refused(changes, words):
+    if changes.get("own"):
+        changes = {"own": realisation(scene(), 2, 0).effects.own}
+    effects = {"random_strength": RANDOM, **{k: v for k, v in changes.items() if k not in ("tow_speed", "medium")}}
+    rest = {k: v for k, v in changes.items() if k in ("tow_speed", "medium")}
+    with pytest.raises(po.InputError, match=words):
+        dataclasses.replace(scene(), effects=po.Effects(**effects), **rest)
+
+
+def test_strength_that_does_not_vary_has_none():
+    with pytest.raises(po.InputError, match="needs strength that varies: give random_strength, or strength_wave"):
+        _ = scene(None).stationary_force_rms
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (([1.0], [1.0]), "two numbers or more"),
+        (([1.0, 2.0], [1.0]), "alike columns"),
+        (([2.0, 1.0], [1.0, 1.0]), "must rise"),
+        (([1.0, 2.0], [1.0, -1.0]), "at least 0"),
+        (([1.0, math.nan], [1.0, 1.0]), "finite"),
+        (("ab", "cd"), "must be numbers"),
+    ],
+)
+def test_spectra_that_cannot_be_are_refused(arguments, words):
+    with pytest.raises(po.InputError, match=words):
+        po.Spectrum(*arguments)
+    with pytest.raises(po.DomainError, match=r"RMS of random strength = 1\.2 must be at most 1"):
+        po.RandomStrength(1.2, 0.3)
+
+
+def test_a_share_that_would_stop_is_warned_of():
+    calm, wild = (scene(po.RandomStrength(rms, 0.3), damping=100.0) for rms in (0.02, 0.9))
+    assert not any("stops or retreats" in text for text in calm.warnings())
+    assert any("stops or retreats now and then" in text for text in wild.warnings())
+    assert 3.0 * calm._stationary.speed_rms < calm.tow_speed
+    assert 3.0 * wild._stationary.speed_rms > wild.tow_speed
+
+
+def test_a_design_finds_the_least_of_it():
+    """The best stiffness of an exact objective, beside a scan of numbers."""
+    d = po.Design()
+    stiffness = d.variable("stiffness", guess=1e5, lower=2e4, upper=2e6, unit="N/m", log=True)
+    own = dataclasses.replace(scene(), stiffness=stiffness)
+    d.minimise(own.stationary_force_rms / 1e2 + 2e-6 * own.stiffness)
+    d.require("displacement", own.stationary_displacement_rms, at_most=2.5e-3, unit="m")
+    best = d.solve()
+    grid = np.geomspace(2e4, 2e6, 4001)
+    scanned = [dataclasses.replace(scene(), stiffness=k) for k in grid.tolist()]
+    cost = [
+        one.stationary_force_rms / 1e2 + 2e-6 * one.stiffness if one.stationary_displacement_rms <= 2.5e-3 else math.inf
+        for one in scanned
+    ]
+    assert best.objective <= min(cost) * (1.0 + 1e-9)
+    assert best.variables["stiffness"] == pytest.approx(grid[int(np.argmin(cost))], rel=2e-3)  # of the scan's steps

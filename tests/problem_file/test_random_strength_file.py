@@ -1,0 +1,181 @@
+"""Random strength in problem files: as quantities or a record, in every question that takes a result."""
+
+import dataclasses
+import math
+import re
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import pytest
+
+import plough_opt as po
+from plough_opt.app import main
+from plough_opt.problem_file.robust_design import optimise_robust
+
+GIVEN = 'random_strength = { rms = 0.2, correlation_length = "0.3 m" }'
+RECORD = 'random_strength = { record = "record.csv" }'
+NAMES = ("stationary_force_rms", "stationary_displacement_rms")
+
+
+@pytest.fixture
+def written(changed):
+    """Return the problem file's text with random strength in the place of its wave, and its RMS in that of a run's."""
+
+    def written(given=GIVEN, *changes):
+        text = changed('strength_wave = { amplitude = 0.3, wavelength = "0.2 m" }', given)
+        text = text.replace("force_rms", "stationary_force_rms")
+        for old, new in changes:
+            assert old in text
+            text = text.replace(old, new)
+        return text
+
+    return written
+
+
+@pytest.fixture(autouse=True)
+def record(tmp_path):
+    """Write a record of two waves in noise beside the file."""
+    x = np.arange(0.0, 30.0, 0.05)
+    noise = np.random.default_rng(1).standard_normal(len(x))
+    y = 1500.0 * (1.0 + 0.2 * np.sin(8.0 * x) + 0.1 * np.sin(3.0 * x + 1.0) + 0.05 * noise)
+    rows = "\n".join(f"{a:.2f}, {b:.1f}" for a, b in zip(x, y, strict=True))
+    (tmp_path / "record.csv").write_text(f"position [m], cone_index [kPa]\n{rows}\n", encoding="utf-8")
+    return tmp_path / "record.csv"
+
+
+def test_a_model_becomes_the_scene_s(read, written):
+    found = read(written(), "effects.random_strength.rms=0.1").scene().effects.random_strength
+    assert (found.rms, found.correlation_length) == (0.1, 0.3)
+
+
+def test_a_record_becomes_its_spectrum(read, written, record):
+    scene = read(written(RECORD)).scene()
+    told = po.strength_spectrum(po.read_strength_record(record))
+    assert np.array_equal(scene.effects.random_strength.density, told.density)
+    broad = read(written('random_strength = { record = "record.csv", base_diameter = "0.5 m" }')).scene()
+    assert broad.effects.random_strength.wave_number[-1] <= 4.0 * math.pi
+    assert broad.stationary_force_rms < scene.stationary_force_rms
+
+
+def test_an_optimum_is_that_of_the_same_question_in_python(read, written):
+    best, run = read(written('random_strength = { rms = 0.1, correlation_length = "0.3 m" }')).optimise(search="near")
+    d = po.Design()
+    angle = d.variable("angle", guess=po.deg(25), lower=po.deg(5), upper=po.deg(60))
+    height = d.variable("height", guess=0.25, lower=0.1, upper=0.5)
+    stiffness = d.variable("stiffness", guess=5e4, lower=5e3, upper=5e5, log=True)
+    share = po.Wedge(angle, po.deg(15), height)
+    scene = dataclasses.replace(
+        run.scene, share=share, stiffness=stiffness, mass=20.0 + share.equivalent_cone().solid_mass(7850.0)
+    )
+    static = scene.steady_resistance
+    d.minimise(static / 1e3 + scene.stationary_force_rms / 1e3)
+    d.require("loosened radius", scene.loosened_radius, at_least=0.15)
+    d.require("half angle", scene.cone.half_angle, at_most=po.deg(15))
+    d.require("deflection", static / stiffness, at_most=0.12)
+    other = d.solve(search="near")
+    # Without a wave the motion is steady sliding, whose draft is known in closed form.
+    assert best.objective == pytest.approx(other.objective, rel=1e-7)
+    assert best(run).scene.stationary_force_rms == pytest.approx(other(scene).stationary_force_rms, rel=1e-5)
+
+
+def test_it_is_a_column_of_sweeps_and_an_output_of_components(read, written):
+    problem = read(written(), "scene.duration=0.2 s", "scene.outputs=20")
+    over = {"effects.random_strength.rms": [0.1, 0.2], "scene.stiffness": [4e4, 8e4]}
+    tables = []
+    for method in ("each", "batch"):
+        with ThreadPoolExecutor(1) as inline, po.sweep(problem, over, method=method, executor=inline) as found:
+            tables.append(found.table)
+    made = problem.component(["effects.random_strength.rms", "scene.stiffness"], [*NAMES])
+    for k in range(4):
+        at = {name: tables[0][k][name] for name in over}
+        scene = problem.scene(at)
+        values = made(*at.values())
+        for j, name in enumerate(NAMES):
+            expected = getattr(scene, name)
+            assert [table[k][name] for table in tables] == pytest.approx([expected] * 2, rel=1e-10)
+            assert values[j] == pytest.approx(expected, rel=1e-10)
+
+
+def test_its_sensitivities_are_those_of_the_closed_form(read, written):
+    """All of it is proportional to the RMS of strength: the objective's slope by that is its second term over it."""
+    # Of a steady motion the deflection at every output time is one limit many times over.
+    text = written(GIVEN, ("deflection      =", "mean_deflection ="))
+    best, run = read(text).optimise(parameters=True, search="near")
+    found = best.sensitivity("effects.random_strength.rms")
+    part = float(run.scene.stationary_force_rms) / 1e3
+    assert found.objective == pytest.approx(part / 0.2, rel=1e-6)
+
+
+def test_it_can_be_traded_and_limited(read, written):
+    more = "[trade_off]\nmean_draft = {}\nstationary_displacement_rms = {}\n"
+    text = written() + '\n[require.stationary_force_rms]\nat_most = "3 kN"\n' + more
+    front = read(text, "variables.scene.stiffness.lower=20 kN/m").trade_off(points=5)
+    for number in range(len(front.objectives)):
+        assert front.objectives[number][1] > 0.0
+    assert np.all(np.diff(front.objectives[:, 0]) * np.diff(front.objectives[:, 1]) < 0.0)
+
+
+@pytest.mark.parametrize("motion", ["false", pytest.param("true", marks=pytest.mark.slow)])
+def test_it_is_a_measure_of_an_uncertain_soil(read, written, motion):
+    """Over samples of the soil its mean is that of the closed form in each of them."""
+    uncertain = (
+        '\n[uncertain]\n"soil.cohesion" = { distribution = "normal", mean = "20 kPa", std = "3 kPa" }\n'
+        "samples = 8\nfresh = 100\n"
+    )
+    damping = ('damping = "400 N*s/m"', "motion = false" if motion == "false" else 'damping = "400 N*s/m"')
+    problem = read(written(GIVEN, damping, ('deflection      = { at_most = "0.12 m" }', "")) + uncertain)
+    found = optimise_robust(problem, lambda *_: None)
+    at = found.best.variables
+    scenes = [problem.scene({**at, "soil.cohesion": k}) for k in found.robust.samples.property("cohesion").tolist()]
+    expected = [scene.stationary_force_rms for scene in scenes]
+    assert found.robust.values(at)["stationary_force_rms"] == pytest.approx(expected, rel=1e-9)
+    draft = [scene.steady_resistance for scene in scenes]
+    assert found.best.objective == pytest.approx((np.mean(draft) + np.mean(expected)) / 1e3, rel=1e-8)
+
+
+def test_check_prints_it(written, tmp_path, capsys):
+    path = tmp_path / "share.toml"
+    path.write_text(written(RECORD), encoding="utf-8")
+    assert main(["check", str(path)]) == 0
+    out = capsys.readouterr().out
+    assert "stationary RMS of the mount force" in out
+    assert "random strength counts in the stationary RMS, and not in a simulated motion" in " ".join(out.split())
+
+
+@pytest.mark.parametrize(
+    ("given", "changes", "words"),
+    [
+        (
+            "random_strength = { rms = 0.2 }",
+            (),
+            "line .*'correlation_length' is missing: give it in .effects.random_str",
+        ),
+        ('random_strength = { rms = 1.2, correlation_length = "1 m" }', (), "line .*must be at most 1"),
+        ('random_strength = { rms = 0.2, corelation = "1 m" }', (), "did you mean 'correlation_length'"),
+        ("random_strength = 3", (), "line .*effects.random_strength"),
+        ("random_strength = { record = 3 }", (), "line .*effects.random_strength.record"),
+        ('random_strength = { record = "none.csv" }', (), "line .*there is no file"),
+        (
+            'random_strength = { record = "record.csv", rms = 0.2 }',
+            (),
+            "line .*'effects.random_strength.rms' and a record",
+        ),
+        (
+            'random_strength = { record = "record.csv", base_diameter = "3" }',
+            (),
+            "line .*'base_diameter' .*has no unit",
+        ),
+        ('random_strength = { record = "record.csv", base_diameter = "50 m" }', (), "line .*no waves longer than 50 m"),
+        ("", (), "line .*'stationary_force_rms': the stationary RMS needs strength that varies"),
+        (GIVEN, (('damping = "400 N*s/m"', "inertial_drag = false"),), "line .*the stationary RMS needs damping"),
+    ],
+)
+def test_what_is_wrong_has_its_line(refusal, written, given, changes, words):
+    said = refusal(written(given, *changes))
+    assert re.search(words, said), said
+
+
+def test_a_variable_needs_its_table(refusal, written):
+    variable = '"effects.random_strength.rms" = { lower = 0.1, upper = 0.2 }\n'
+    said = refusal(written("", ("[variables]\n", f"[variables]\n{variable}")))
+    assert "'effects.random_strength.rms' has no effects.random_strength to belong to" in said

@@ -27,7 +27,7 @@ _SEED = 64
 # Standard error of the median of so many designs, of their distance between quartiles: 1.25 sigma/sqrt(64), and sigma
 # is 1/1.35 of that distance.
 _OF_QUARTILES = 1.25 / np.sqrt(BOX_DESIGNS) / 1.35
-# Steps of the designs' own objectives, which are compared to their last digits.
+# Factor on the steps of a search where optima are compared with each other, and reported.
 _FINER = 2.0
 
 
@@ -91,7 +91,7 @@ def ranked(landscape: Landscape, judge: Judge, points: Vector) -> list[int]:
     own = landscape(points, finer=_FINER).f
     if judge == "bare" or not landscape.vectorised:
         return [int(k) for k in np.argsort(own, kind="stable")]
-    f = landscape(boxes(landscape.program.declared.variables, points)).f
+    f = landscape(boxes(landscape.program.declared.variables, points), finer=_FINER).f
     f = np.where(np.isnan(f), np.inf, f).reshape(len(points), -1)
     low, median, high = np.quantile(f, (0.25, 0.5, 0.75), axis=1, method="higher")
     error = _OF_QUARTILES * np.where(np.isfinite(high), high - low, np.inf)
@@ -116,7 +116,7 @@ def spread(landscape: Landscape, y: Vector, objective: float) -> Spread | None:
     landscape = landscape.of_the_design()
     program = landscape.program
     y = y[: len(program.declared.variables)]
-    _, f, g = landscape.settled_rows(boxes(program.declared.variables, y[None]))
+    _, f, g = landscape.settled_rows(boxes(program.declared.variables, y[None]), finer=_FINER)
     sound = np.isfinite(f)
     values = f[sound] * landscape.objective_scale if np.any(sound) else np.array([objective])
     median = float(np.median(values))

@@ -129,6 +129,20 @@ def summed_rate(p: Mapping[str, Any]) -> Any:
     return frequency + decay + 0.5 * forced
 
 
+def summed_and_lasting_phase(p: Mapping[str, Any], duration: Any) -> tuple[Any, Any]:
+    """Return two phases of a run [rad], of numbers or arrays: by `summed_rate`, and of what swings on by itself.
+
+    The latter is the phase of the share's own oscillation while it lasts, along which errors of its amplitude add up.
+
+    Args:
+        p: the equation's parameters.
+        duration: of the run [s].
+    """
+    frequency, decay, forced = _rates(p)
+    # A swing dies away by half of the rate with which its speed does.
+    return (frequency + decay + 0.5 * forced) * duration, frequency * duration / (1.0 + 0.5 * decay * duration)
+
+
 def _rates(p: Mapping[str, Any]) -> tuple[Any, Any, Any]:
     """Return the mount's angular frequency [rad/s], the rate of decay [1/s] and `forced_rate`."""
     inertia = lightest_mass(p)

@@ -24,6 +24,7 @@ from plough_opt.app import export as exports
 from plough_opt.app import sweep as sweeps
 from plough_opt.app import waves as strengths
 from plough_opt.app.messages import add_options, messages, printable
+from plough_opt.app.page import command as pages
 from plough_opt.app.terminal import interruptible, what_was_written
 from plough_opt.core.errors import DomainError, InputError, PloughError
 from plough_opt.core.notices import without_notices
@@ -114,6 +115,7 @@ def _parser() -> argparse.ArgumentParser:
             "find soil and model parameters from measured draft, with their uncertainty",
         ),
         ("export", exports.export, "write the scene for other tools: C, CasADi, OpenMDAO, FMU"),
+        ("report", pages.report, "write everything about the best share as one page that any browser opens"),
         ("accuracy", commands.accuracy, "show what accuracy costs in time, and say which method to take"),
     ):
         verb = verbs.add_parser(name, help=text, parents=[common], aliases=["optimize"] if name == "optimise" else [])
@@ -139,6 +141,9 @@ def _parser() -> argparse.ArgumentParser:
             continue
         if name == "export":
             exports.add_options(verb)
+            continue
+        if name == "report":
+            pages.add_options(verb)
             continue
         if name == "sweep":
             sweeps.add_options(verb)

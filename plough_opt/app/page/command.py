@@ -1,0 +1,98 @@
+"""`plough-opt report`: everything about a file's best share on one page."""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+from datetime import datetime
+from pathlib import Path
+
+from plough_opt.app.page.content import Report
+from plough_opt.app.page.writing import write_page
+from plough_opt.app.terminal import progress, read, wrote
+from plough_opt.core.errors import InputError, NotConverged
+from plough_opt.core.files import check_file
+from plough_opt.design import Progress, Sensitivity
+from plough_opt.exchange.results import versions
+from plough_opt.problem_file import Problem
+from plough_opt.studies.accuracy.study import study_accuracy
+
+# Time [s] that one use of a contestant may take: those worth their time take a tenth of it.
+_ALLOWANCE = 0.1
+
+
+def add_options(verb: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
+    verb.add_argument("-o", "--output", required=True, metavar="FILE.html", help="page to write")
+    verb.add_argument("--seed", type=int, default=0, metavar="N", help="of the search's samples (default: 0)")
+    verb.add_argument("--no-accuracy", action="store_true", help="leave out the study of what accuracy costs")
+
+
+def report(options: argparse.Namespace) -> None:
+    """Optimise a file, or simulate one without variables, and write the page.
+
+    Raises:
+        InputError: a mistake in the file, an output that cannot be written, or a file that trades results or whose
+            soil is uncertain.
+    """
+    check_file(options.output, ".html", "page")
+    problem = read(options)
+    _check(problem)
+    text = Path(options.file).read_text(encoding="utf-8")
+    with progress() as told:
+        found = reported(problem, told, seed=options.seed, accuracy=not options.no_accuracy)
+    found.provenance.update(_provenance(options, text))
+    wrote(write_page(Report(**{**vars(found), "text": text}), options.output))
+
+
+def reported(problem: Problem, told: Progress, *, seed: int = 0, accuracy: bool = True) -> Report:
+    """Return what a report says of a problem, without its provenance.
+
+    Args:
+        problem: the file.
+        told: called with what is being done and the part that is done.
+        seed: of the search's samples.
+        accuracy: whether to study what accuracy costs.
+    """
+    best, unknown = None, ""
+    sensitivities: tuple[Sensitivity, ...] = ()
+    if problem.variables:
+        best, run = problem.optimise(told, parameters=True, seed=seed)
+        told("sensitivities", 1.0)
+        try:
+            sensitivities = best.every_sensitivity()
+        except (InputError, NotConverged) as error:
+            unknown = str(error)
+    else:
+        told("simulating", 0.0)
+        run = problem.simulate()
+    study = None
+    if accuracy:
+        lasting = run.scene.effects.orbit != "transient"
+        duration = None if lasting else problem.values().get("scene.duration")
+        study = study_accuracy(run.scene, duration, allowance=_ALLOWANCE, derivatives=False, thin=True, progress=told)
+    return Report(problem, run, best, sensitivities, unknown, study)
+
+
+def _check(problem: Problem) -> None:
+    if problem.table.uncertain is not None:
+        raise InputError(
+            f"{problem.name}: a report is about one soil: leave out the table [uncertain], or take plough-opt optimise"
+        )
+    if problem.variables and not problem.table.minimise:
+        raise InputError(
+            f"{problem.name}: a report is about one best design: add a table [minimise], or take plough-opt tradeoff"
+        )
+
+
+def _provenance(options: argparse.Namespace, text: str) -> dict[str, str]:
+    """Return what made a report, in words."""
+    changes = {"changed by --set": "; ".join(options.set)} if options.set else {}
+    return {
+        "file": Path(options.file).name,
+        "SHA-256 of the file": hashlib.sha256(text.encode()).hexdigest(),
+        **changes,
+        "seed of the search": str(options.seed),
+        "written": datetime.now().astimezone().isoformat(sep=" ", timespec="minutes"),
+        "made by": ", ".join(f"{name} {value}" for name, value in versions().items()),
+    }

@@ -1,0 +1,332 @@
+"""The words and tables of a report: question, answer, requirements, sensitivities, soil, accuracy, provenance."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+from plough_opt.core.quantities import EVERY, QUANTITIES
+from plough_opt.core.units import Display
+from plough_opt.design import Limit, Optimum, Sensitivity
+from plough_opt.laws.penetration import cone_index
+from plough_opt.motion import Run
+from plough_opt.motion.vocabulary import MEASURES
+from plough_opt.problem_file import Problem
+from plough_opt.soil.geometry import Wedge
+from plough_opt.studies.accuracy.result import AccuracyStudy
+
+_CUSTOMARY = {
+    "rad": Display("deg", math.pi / 180.0),
+    "N": Display("kN", 1e3),
+    "W": Display("kW", 1e3),
+    "Pa": Display("kPa", 1e3),
+    "N/m": Display("kN/m", 1e3),
+}
+_CALLED = {
+    "force_rms": "RMS of the mount force",
+    "displacement_rms": "RMS of the deflection",
+    "specific_draft": "draft per loosened section",
+}
+_SIDES = {"at_least": "at least", "at_most": "at most"}
+# An elasticity, or a margin in SI units, below this is the rounding of none.
+_ROUNDING = 1e-9
+
+
+@dataclass(frozen=True)
+class Report:
+    """What a report is about.
+
+    Attributes:
+        problem: the file.
+        run: of the best design, or of the file's where it has no variables.
+        best: the optimum, where the file has variables.
+        sensitivities: of the optimum, the largest first.
+        unknown: why there are no sensitivities, or "".
+        study: what accuracy costs on this scene, or None.
+        provenance: what made the report -> its value.
+        text: of the problem file.
+    """
+
+    problem: Problem
+    run: Run
+    best: Optimum | None = None
+    sensitivities: tuple[Sensitivity, ...] = ()
+    unknown: str = ""
+    study: AccuracyStudy | None = None
+    provenance: dict[str, str] = field(default_factory=dict)
+    text: str = ""
+
+    def display(self, key: str, unit: str) -> Display:
+        """Return the unit in which the file writes a quantity or result, or a customary one."""
+        return self.problem.displays.get(key) or _CUSTOMARY.get(unit, Display(unit, 1.0))
+
+    def shown(self, key: str, value: float, unit: str, digits: int = 4) -> str:
+        """Return an SI value in that unit."""
+        return nice(self.display(key, unit).text(value, digits))
+
+    def measure(self, name: str) -> str:
+        """Return a result of the run with its unit."""
+        return self.shown(name, float(MEASURES[name].of(self.run)), MEASURES[name].unit.symbol)
+
+    @property
+    def moves(self) -> bool:
+        """Whether anything changes over time beyond rounding."""
+        force = self.run.mount_force
+        return bool(max(force) - min(force) > _ROUNDING * max(abs(force)))
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table: headings, and rows whose first cell names them."""
+
+    caption: str
+    head: tuple[str, ...]
+    rows: Sequence[tuple[str, ...]]
+
+
+def nice(text: str) -> str:
+    """Return quantities as print has them: powers raised, degrees as a sign, no line between number and unit."""
+    text = re.sub(r"\^([23])", lambda power: "²³"["23".index(power[1])], text)
+    return re.sub(r" deg\b", "°", text).replace("*", "·").replace(" ", "\u00a0")
+
+
+def called(name: str) -> str:
+    """Return what a reader calls a quantity, a result, or a limit of one."""
+    name, _, side = name.partition(" ")
+    if name in _CALLED:
+        words = _CALLED[name]
+    elif name in EVERY:
+        words = EVERY[name].called
+    else:
+        words = name.rpartition(".")[2].replace("_", " ")
+    return f"{words}, {_SIDES.get(side, side)}" if side else words
+
+
+def answer(report: Report) -> str:
+    """Return the answer in a sentence."""
+    best, problem = report.best, report.problem
+    if best is None:
+        return f"This share needs a mean draft of {report.measure('mean_draft')}."
+    values = [f"{called(key)} {nice(v.display.text(best.variables[key], 4))}" for key, v in problem.variables.items()]
+    state = {"solved": "Best design", "not unique": "A best design, which is not unique"}
+    return f"{state.get(best.status, 'Best design seen, which derivatives do not confirm')}: {', '.join(values)}."
+
+
+def cards(report: Report) -> list[tuple[str, str]]:
+    """Return the figures that stand first."""
+    names = ["mean_draft", "force_rms", "tow_power", "mean_deflection"]
+    if report.run.scene.medium == "plastic":
+        names.append("loosened_radius")
+    return [(called(name), report.measure(name)) for name in names]
+
+
+def question(report: Report) -> list[str]:
+    """Return what was asked, a paragraph each."""
+    problem, table = report.problem, report.problem.table
+    if report.best is None:
+        return ["What does this share need, and how does it move? Nothing in the file is a variable."]
+    terms = [f"{called(name)} in units of {nice(str(term.per))}" for name, term in table.minimise.items()]
+    asked = [f"Choose {_listed([called(key) for key in problem.variables])} so that {' plus '.join(terms)} is least."]
+    limits = [f"{called(name)} {limits_of(problem, name)}" for name in table.require]
+    if limits:
+        asked.append(f"Required: {_listed(limits)}.")
+    if report.best.over:
+        asked.append(f"Judged over the tolerances: {report.best.over}.")
+    return asked
+
+
+def limits_of(problem: Problem, name: str) -> str:
+    """Return a requirement's limits as the file writes them; what a theory in it requires is not in the file."""
+    own = problem.table.require.get(name)
+    if own is None:
+        return "as the theory demands"
+    sides = (("at least", own.at_least), ("at most", own.at_most))
+    return ", ".join(nice(f"{word} {written}") for word, written in sides if written is not None)
+
+
+def variables(report: Report) -> list[dict[str, str | float | bool]]:
+    """Return each variable with its bounds and its place between them, from 0 to 1."""
+    if report.best is None:
+        return []
+    bounds = {limit.name: limit for limit in report.best.limits if limit.kind == "bound"}
+    return [
+        {
+            "name": called(key),
+            "value": nice(v.display.text(report.best.variables[key], 5)),
+            "lower": nice(v.display.text(v.lower)),
+            "upper": nice(v.display.text(v.upper)),
+            "place": _place(report.best.variables[key], v.lower, v.upper, v.log),
+            "active": bounds[key].active,
+        }
+        for key, v in report.problem.variables.items()
+    ]
+
+
+def requirements(report: Report) -> list[dict[str, str | float | bool]]:
+    """Return each requirement with its value and its margin, in its unit and as a part of the limit."""
+    if report.best is None:
+        return []
+    return [_requirement(report, limit) for limit in report.best.limits if limit.kind == "requirement"]
+
+
+def _requirement(report: Report, limit: Limit) -> dict[str, str | float | bool]:
+    margin = 0.0 if abs(limit.margin) < _ROUNDING else limit.margin
+    size = max(abs(limit.value), abs(limit.value + margin), _ROUNDING)
+    return {
+        "name": called(limit.name),
+        "limits": limits_of(report.problem, limit.name),
+        "value": report.shown(limit.name, limit.value, limit.unit),
+        "margin": report.shown(limit.name, margin, limit.unit, 3),
+        "part": min(1.0, max(0.0, margin / size)),
+        "percent": f"{100.0 * margin / size:.3g} %",
+        "active": limit.active,
+        "met": margin >= 0.0,
+    }
+
+
+def response(report: Report) -> Table:
+    """Return the averages and peaks of the run."""
+    names = ["mean_draft", "force_rms", "mean_deflection", "displacement_rms", "tow_power"]
+    if report.run.scene.medium == "plastic":
+        names += ["specific_draft", "loosened_radius", "added_mass"]
+    rows = [(called(name), report.measure(name)) for name in names]
+    rows.append(("peak mount force", report.shown("mount_force", report.run.peak_force, "N")))
+    rows.append(("peak deflection", report.shown("deflection", report.run.peak_deflection, "m")))
+    return Table("Averages over the run, and peaks", (), rows)
+
+
+def share(report: Report) -> Table:
+    """Return the measures of the share and of its cone."""
+    body, cone = report.run.scene.share, report.run.scene.cone
+    length, angle = report.display("share.height", "m"), report.display("share.wedge_angle", "rad")
+    rows = []
+    if isinstance(body, Wedge):
+        rows = [
+            ("wedge angle", angle.text(body.angle, 4)),
+            ("chisel angle", angle.text(body.chisel_angle, 4)),
+            ("area of the two faces", f"{1e4 * body.area:.4g} cm^2"),
+            ("angle between the faces, as drawn", angle.text(body.opening, 4)),
+        ]
+    rows += [
+        ("height", length.text(cone.height, 4)),
+        ("half angle of the cone", angle.text(cone.half_angle, 4)),
+        ("base radius of the cone", length.text(cone.height * cone.slope, 4)),
+        ("moving mass, frame and share", f"{float(report.run.scene.mass):.4g} kg"),
+    ]
+    return Table("Measures", (), [(name, nice(value)) for name, value in rows])
+
+
+def optima(report: Report) -> Table | None:
+    """Return the local optima, where there are several."""
+    best = report.best
+    if best is None or len(best.local_optima) < 2:
+        return None
+    keys = report.problem.variables
+    rows = [
+        (one.name, f"{one.objective:.6g}", *(nice(v.display.text(one.variables[key], 5)) for key, v in keys.items()))
+        for one in best.local_optima
+    ]
+    return Table("Local optima found, best first", ("", "objective", *map(called, keys)), rows)
+
+
+def scene(report: Report) -> Table:
+    """Return what is fixed in the scene, effects included."""
+    fixed = [key for key in report.problem.fixed if not key.startswith("soil.")]
+    rows = [
+        (called(key), report.shown(key, report.problem.fixed[key], EVERY[key].unit if key in EVERY else ""))
+        for key in fixed
+    ]
+    rows.append(("contact, start", f"{report.problem.table.effects.contact}, {report.problem.table.effects.start}"))
+    return Table("Fixed in the scene", (), rows)
+
+
+def soil(report: Report) -> Table:
+    """Return the properties of the soil."""
+    own = report.run.scene.soil
+    rows = []
+    for name, quantity in QUANTITIES.items():
+        value = getattr(own, quantity.key, None) if quantity.owner == "soil" else None
+        if value is not None:
+            rows.append((quantity.meaning, report.shown(name, float(value), quantity.unit, 5)))
+    if report.run.scene.medium == "plastic":
+        rows.append(("cone index of a penetrometer", nice(f"{float(cone_index(own)) / 1e3:.4g} kPa")))
+        share = 100.0 * float(report.run.scene.ambient_share)
+        rows.append(("ambient pressure's part of the static draft", f"{share:.0f} %"))
+    return Table(own.name, (), rows)
+
+
+def sensitivities(report: Report) -> list[dict[str, str | float]]:
+    """Return what one per cent more of each quantity or limit changes, the largest first."""
+    found = [one for one in report.sensitivities if one.elasticity is not None and abs(one.elasticity) > _ROUNDING]
+    largest = max((abs(one.elasticity or 0.0) for one in found), default=1.0)
+    return [
+        {
+            "name": called(one.name),
+            "value": report.shown(one.name.partition(" ")[0], one.value, one.unit),
+            "percent": f"{one.elasticity:+.3g}\u00a0%",
+            "part": (one.elasticity or 0.0) / largest,
+            "moves": ", ".join(_moves(one)) or "nothing",
+        }
+        for one in found
+    ]
+
+
+def _moves(one: Sensitivity) -> list[str]:
+    return [
+        f"{called(name)} {elasticity:+.2g}\u00a0%"
+        for name, elasticity in one.elasticities.items()
+        if elasticity is not None and abs(elasticity) > _ROUNDING
+    ]
+
+
+def accuracy(report: Report) -> Table:
+    """Return how far the numbers can be trusted, and what that cost."""
+    run, best = report.run, report.best
+    rows = [
+        ("integration", f"{run.accuracy.method}, {len(run.time) - 1} intervals over {run.duration:g} s"),
+        ("estimated relative error of every result", f"{run.error_estimate:.0e}"),
+        ("time of the run and its check", f"{run.seconds:.2g} s"),
+    ]
+    if best is not None:
+        rows += [
+            ("objective, two tight integrations differ by", f"{best.error_estimate:.0e}, relative"),
+            ("the optimiser's own objective differs by", f"{best.gap:.0e}, relative"),
+            ("time of the search and the solve", f"{best.seconds:.2g} s"),
+        ]
+    return Table("Trust and cost", (), rows)
+
+
+def notes(report: Report) -> list[str]:
+    """Return what a reader of the numbers must know."""
+    found = [*(report.best.warnings if report.best else ()), *report.run.warnings]
+    if report.best is not None:
+        for direction in report.best.flat_directions:
+            names = _listed([called(name) for name, change in direction.items() if change])
+            found.append(f"the optimum is not unique: nothing changes along {names}; fix one of these")
+        for name in dict.fromkeys(name for one in report.sensitivities for name in one.touching):
+            found.append(f"{called(name)} is just met: sensitivities are for values that grow")
+    return [f"{text[:1].upper()}{text[1:]}." for text in dict.fromkeys(found)]
+
+
+def searched(report: Report) -> str:
+    """Return what the search did."""
+    return "" if report.best is None or report.best.search is None else _in_words(str(report.best.search))
+
+
+def _in_words(text: str) -> str:
+    """Return a sentence with the keys of quantities as a reader calls them."""
+    for key in sorted(EVERY, key=len, reverse=True):
+        text = text.replace(key, EVERY[key].called)
+    return text
+
+
+def _place(value: float, lower: float, upper: float, log: bool) -> float:
+    if log:
+        value, lower, upper = math.log(value), math.log(lower), math.log(upper)
+    return (value - lower) / (upper - lower)
+
+
+def _listed(words: Sequence[str]) -> str:
+    return " and ".join(part for part in (", ".join(words[:-1]), words[-1]) if part)

@@ -1,0 +1,243 @@
+"""The numbers behind a report's pictures: charts, the share in three dimensions, the motion."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import Any, Final
+
+import numpy as np
+
+from plough_opt.app.page.content import Report, called, nice
+from plough_opt.core.picture_files import COLOURS
+from plough_opt.core.units import Display
+from plough_opt.design.landscape import FEASIBLE
+from plough_opt.motion.terms import Structure, parameters, start_speed, strut
+from plough_opt.motion.vocabulary import MEASURES
+from plough_opt.soil.geometry import Wedge
+from plough_opt.soil.solid import Solid
+from plough_opt.studies.accuracy.contest import Entry
+from plough_opt.studies.accuracy.result import Question
+
+_BLUE, _RED, _GREEN, _, _ORANGE, _SKY, _GREY = COLOURS
+# Sides of a cone's base on the page, of which a screen shows no more.
+_SIDES: Final = 96
+# Digits of a number on the page, and designs of a search that are drawn: a screen shows no more.
+_DIGITS: Final = 6
+_MOST_DESIGNS: Final = 1500
+# Of a result's size: what changes less is constant, and has no picture.
+_CONSTANT: Final = 1e-6
+
+
+def charts(report: Report) -> list[dict[str, Any]]:
+    """Return forces, deflection and speed over time, those that change."""
+    run = report.run
+    force, length = report.display("mount_force", "N"), report.display("deflection", "m")
+    if "mount_force" not in report.problem.displays:
+        force = report.display("mean_draft", "N")
+    speed = report.display("scene.tow_speed", "m/s")
+    structure, p = Structure.of(run.scene), parameters(run.scene)
+    own = start_speed(structure, p) + strut(structure, p, run.time).gain + 0.0 * run.time
+    found = [
+        _chart(report, "force", "Force", force, {
+            "mount force": (run.mount_force, _BLUE, ""),
+            "soil resistance": (run.soil_resistance, _ORANGE, ""),
+        }, [("mean draft ± RMS", run.mean_draft, "#000000", "dash"), *_limits(report, "mount_force", "mean_draft")],
+            (run.mean_draft - run.force_rms, run.mean_draft + run.force_rms)),
+        _chart(report, "deflection", "Deflection", length, {"deflection": (run.deflection, _BLUE, "")},
+               [("mean ± RMS", run.mean_deflection, "#000000", "dash"),
+                *_limits(report, "deflection", "mean_deflection")],
+               (run.mean_deflection - run.displacement_rms, run.mean_deflection + run.displacement_rms)),
+        _chart(report, "speed", "Speed", speed, {"share": (run.speed, _BLUE, ""), "strut": (own, _GREY, "dash")},
+               _limits(report, "speed")),
+    ]  # fmt: skip
+    return [chart for chart in found if chart]
+
+
+def _chart(
+    report: Report,
+    key: str,
+    name: str,
+    display: Display,
+    series: dict[str, tuple[Any, str, str]],
+    lines: Sequence[tuple[str, float, str, str]],
+    band: tuple[float, ...] = (),
+) -> dict[str, Any]:
+    """Return a chart over time, or nothing where nothing in it changes."""
+    values = {label: np.asarray(values, dtype=float) for label, (values, _, _) in series.items()}
+    size = max(float(np.max(np.abs(own))) for own in values.values())
+    if all(float(np.ptp(own)) <= _CONSTANT * size for own in values.values()):
+        return {}
+    extremes = [
+        f"{label} from {display.text(float(own.min()), 3)} to {display.text(float(own.max()), 3)}"
+        for label, own in values.items()
+    ]
+    return {
+        "id": key,
+        "title": name,
+        "says": f"{name} over {report.run.duration:.3g} s: {'; '.join(extremes)}.",
+        "x": {"label": "time", "unit": "s", "values": _short(report.run.time)},
+        "y": {"label": name.lower(), "unit": _unit(display)},
+        "series": [
+            {"label": label, "colour": colour, "dash": dash, "values": _short(values[label] / display.factor)}
+            for label, (_, colour, dash) in series.items()
+        ],
+        "band": [end / display.factor for end in band],
+        "lines": [
+            {"label": label, "value": value / display.factor, "colour": colour, "dash": dash}
+            for label, value, colour, dash in lines
+        ],
+    }
+
+
+def _limits(report: Report, *names: str) -> list[tuple[str, float, str, str]]:
+    """Return the limits that the file sets to some results, as lines."""
+    found = []
+    for name in names:
+        own = report.problem.table.require.get(name)
+        for side in (own.at_least, own.at_most) if own else ():
+            if side is not None:
+                found.append((f"limit of {called(name)}", MEASURES[name].unit.parse(side), _RED, ""))
+    return found
+
+
+def search(report: Report) -> list[dict[str, Any]]:
+    """Return the objective of the designs that the search tried over each variable, with the local optima."""
+    best = report.best
+    if best is None or best.search is None or not len(best.search.objective):
+        return []
+    found = best.search
+    # What lies far above the optima would press them into a line; far below them nothing meets the requirements.
+    sound = found.objective[found.violation <= FEASIBLE]
+    high = max(*(one.objective for one in best.local_optima), *(np.quantile(sound, [0.5]) if len(sound) else [0.0]))
+    low = best.objective - 0.25 * (high - best.objective)
+    shown = (found.objective <= high) & (found.objective >= low)
+    step = max(1, int(np.sum(shown)) // _MOST_DESIGNS)
+    rows = np.flatnonzero(shown)[::step]
+    meets = found.violation[rows] <= FEASIBLE
+    charts = []
+    for number, (key, variable) in enumerate(report.problem.variables.items()):
+        values = found.values[rows, number] / variable.display.factor
+        optima = best.local_optima
+        charts.append({
+            "id": f"search{number}",
+            "title": _sentence(called(key)),
+            "says": f"Objective of {len(rows)} of the {found.designs} designs tried, over the {called(key)};"
+                    f" the best lies at {variable.display.text(best.variables[key], 4)}.",
+            "x": {"label": called(key), "unit": _unit(variable.display), "log": variable.log},
+            "y": {"label": "objective", "unit": ""},
+            "groups": _drawn(
+                _group("fails a requirement", "#b5bcc2", 3, values[~meets], found.objective[rows][~meets]),
+                _group("meets all requirements", _SKY, 4, values[meets], found.objective[rows][meets]),
+                _group("other local optima", _RED, 9, [one.variables[key] / variable.display.factor
+                                                       for one in optima[1:]], [one.objective for one in optima[1:]]),
+                _group("best", "#000000", 11, [best.variables[key] / variable.display.factor], [best.objective]),
+            ),
+        })  # fmt: skip
+    return charts
+
+
+def study(report: Report) -> list[dict[str, Any]]:
+    """Return error against time of every method that can do the scene."""
+    if report.study is None:
+        return []
+    found = []
+    for number, question in enumerate(report.study.questions):
+        entries, front = report.study.of(question), report.study.front(question)
+        rest = [entry for entry in entries if entry not in front]
+        default = [entry for entry in entries if (entry.method, entry.setting) == question.default]
+        found.append({
+            "id": f"accuracy{number}",
+            "title": _sentence(question.title),
+            "says": _sentence(report.study.advise(question)),
+            "x": {"label": "time of one use", "unit": "ms", "log": True},
+            "y": {"label": "relative error", "unit": "", "log": True},
+            "groups": _drawn(
+                _methods("beaten in both", _GREY, 6, rest, question),
+                _methods("efficient", _BLUE, 8, front, question),
+                _methods("the default", "#000000", 13, default, question),
+            ),
+            "lines": [{"label": "wanted", "value": report.study.wanted, "colour": _RED, "dash": "dash"}],
+        })  # fmt: skip
+    return found
+
+
+def _drawn(*groups: dict[str, Any]) -> list[dict[str, Any]]:
+    """Return the groups that hold something, so that no legend names what is not there."""
+    return [group for group in groups if group["x"]]
+
+
+def _methods(label: str, colour: str, size: int, entries: Sequence[Entry], question: Question) -> dict[str, Any]:
+    # Errors of the last digit, or of none, are drawn at it.
+    errors = [max(entry.errors[question.error], 1e-17) for entry in entries]
+    names = [entry.label for entry in entries]
+    return _group(label, colour, size, [1e3 * entry.seconds for entry in entries], errors) | {"names": names}
+
+
+def _group(label: str, colour: str, size: int, x: Iterable[float], y: Iterable[float]) -> dict[str, Any]:
+    return {"label": label, "colour": colour, "size": size, "x": _short(x), "y": _short(y)}
+
+
+def bodies(report: Report) -> list[dict[str, Any]]:
+    """Return the share, its cone and the compacted soil around it as triangles, in metres."""
+    scene = report.run.scene
+    cone = scene.cone.mesh(segments=_SIDES)
+    found = [_body("cone", "Equivalent cone", _GREY, 1.0, cone, edges=False)]
+    if isinstance(scene.share, Wedge):
+        found.insert(0, _body("share", "Share", _BLUE, 1.0, scene.share.mesh(), edges=True))
+    if scene.medium == "plastic":
+        radius = float(scene.loosened_radius) / (cone.vertices[1:, 1:].max() or 1.0)
+        front = Solid(cone.vertices * [1.0, radius, radius], cone.polygons[:_SIDES], _SIDES)
+        found.append(_body("front", "Compacted soil", _ORANGE, 0.3, front, edges=False))
+    return found
+
+
+def _body(key: str, label: str, colour: str, opacity: float, solid: Solid, *, edges: bool) -> dict[str, Any]:
+    lines = {tuple(sorted(pair)) for p in solid.polygons for pair in zip(p, (*p[1:], p[0]), strict=True)}
+    return {
+        "id": key,
+        "label": label,
+        "colour": colour,
+        "opacity": opacity,
+        "smooth": not edges,
+        "vertices": _short(solid.vertices.ravel()),
+        "triangles": solid.triangles.ravel().tolist(),
+        "edges": [number for pair in sorted(lines) for number in pair] if edges else [],
+    }
+
+
+def motion(report: Report) -> dict[str, Any]:
+    """Return how strut and share move over time, or nothing where nothing moves relative to the strut."""
+    run, scene = report.run, report.run.scene
+    if not report.moves:
+        return {}
+    path = np.asarray(run.travel) + np.asarray(run.deflection)
+    waves = [
+        {"amplitude": float(wave.amplitude), "wavelength": float(wave.wavelength), "phase": float(wave.phase)}
+        for wave in scene.effects.waves
+    ]
+    length = report.display("deflection", "m")
+    return {
+        "time": _short(run.time),
+        "strut": _short(path),
+        "deflection": _short(run.deflection),
+        "force": _short(np.asarray(run.mount_force)),
+        "waves": waves,
+        "height": float(scene.cone.height),
+        "radius": float(scene.cone.height * scene.cone.slope),
+        "front": float(scene.loosened_radius) if scene.medium == "plastic" else 0.0,
+        "unit": {"symbol": _unit(length), "factor": length.factor},
+    }
+
+
+def _sentence(text: str) -> str:
+    return f"{text[:1].upper()}{text[1:]}"
+
+
+def _unit(display: Display) -> str:
+    """Return a unit as an axis shows it."""
+    return nice(f" {display.symbol}").strip("\u00a0")
+
+
+def _short(values: Iterable[float]) -> list[float]:
+    """Return numbers with as many digits as a picture can show."""
+    return [float(f"{value:.{_DIGITS}g}") for value in np.asarray(values, dtype=float).ravel()]

@@ -1,0 +1,295 @@
+"""`plough-opt report`: what the page says, and what it does in a real browser."""
+
+import json
+import re
+import shutil
+from html.parser import HTMLParser
+from pathlib import Path
+
+import pytest
+
+import plough_opt as po
+from plough_opt.app import main
+from plough_opt.app.page import page
+from plough_opt.app.page.command import reported
+
+PROBLEMS = Path(__file__).parents[2] / "problems"
+# Two variables fewer than the file has, so that the search is short.
+FIXED = ("share.wedge_angle=39 deg", "share.height=0.26 m")
+HOSTILE = (
+    "Subsoiler </script><script>document.title='broken'</script> & \\\"quotes\\\" <img src=http://x.invalid/a.png>"
+)
+BROWSERS = ("chromium", "chromium-browser", "google-chrome")
+# Without a graphics card Chromium draws WebGL by itself.
+SWITCHES = ("--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader")
+
+
+@pytest.fixture(scope="module")
+def written(tmp_path_factory):
+    """Return the report of the subsoiler for cotton, under a title that tries to break out of the page."""
+    folder = tmp_path_factory.mktemp("report")
+    text = (PROBLEMS / "cotton_subsoiler.toml").read_text()
+    title = text.splitlines()[0]
+    (folder / "cotton.toml").write_text(text.replace(title, f'title = "{HOSTILE}"'))
+    changes = [word for change in FIXED for word in ("--set", change)]
+    status = main(["report", str(folder / "cotton.toml"), "-o", str(folder / "report.html"), *changes])
+    assert status == 0
+    return folder / "report.html"
+
+
+@pytest.fixture(scope="module")
+def solved():
+    """Return the optimum that the report is about, and its run."""
+    return po.read_problem(PROBLEMS / "cotton_subsoiler.toml", FIXED).optimise(parameters=True)
+
+
+class Page(HTMLParser):
+    """Tags with their attributes, and the text of each section."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.tags, self.text, self.section = [], {}, ""
+        self.feed(text)
+
+    def handle_starttag(self, tag, attributes):
+        self.tags.append((tag, dict(attributes)))
+        self.section = dict(attributes)["id"] if tag == "section" else self.section
+
+    def handle_data(self, data):
+        self.text[self.section] = self.text.get(self.section, "") + data.replace("\u00a0", " ")
+
+
+def data_of(text):
+    return json.loads(re.search(r'<script type="application/json" id="data">(.*?)</script>', text, re.S)[1])
+
+
+def test_the_page_says_what_was_asked_and_found(written, solved):
+    text = written.read_text(encoding="utf-8")
+    found = Page(text)
+    best, run = solved
+    assert "mean draft in units of 1 kN plus RMS of the mount force" in found.text["question"]
+    assert f"stiffness {best.variables['scene.stiffness'] / 1e3:.4g} kN/m" in found.text["answer"]
+    assert f"{run.mean_draft / 1e3:.4g} kN" in found.text["answer"]
+    for name, margin in best.margins.items():
+        assert name.replace("_", " ") in found.text["requirements"]
+        shown = 0.0 if abs(margin) < 1e-9 else margin
+        assert f"{shown if name != 'half_angle' else shown * 180 / 3.141592653589793:.3g}" in found.text["requirements"]
+    assert "Syrdarya" in found.text["soil"]
+    assert "share.wedge_angle=39 deg; share.height=0.26 m" in found.text["provenance"]
+    assert "carries" in found.text["warnings"]
+    assert "dop853" in found.text["accuracy"]
+    assert "tool friction" in found.text["sensitivities"]
+    assert "strength_wave" not in re.sub(r"<pre>.*?</pre>", "", text, flags=re.S).partition('id="data"')[0]
+
+
+def test_the_pictures_hold_the_runs_own_numbers(written, solved):
+    data = data_of(written.read_text(encoding="utf-8"))
+    _, run = solved
+    force, deflection, speed = data["charts"]
+    # Six digits are written.
+    assert force["series"][0]["values"] == pytest.approx(run.mount_force / 1e3, rel=1e-5)
+    assert deflection["lines"][1] | {"colour": ""} == {
+        "label": "limit of deflection",
+        "value": 0.12,
+        "colour": "",
+        "dash": "",
+    }
+    assert speed["series"][0]["values"] == pytest.approx(run.speed * 3.6, rel=1e-5)
+    assert [chart["id"] for chart in data["search"]] == ["search0"]
+    best = data["search"][0]["groups"][-1]
+    assert best["x"] == pytest.approx([run.scene.stiffness / 1e3], rel=1e-5)
+    share = next(body for body in data["bodies"] if body["id"] == "share")
+    assert share["vertices"] == pytest.approx(run.scene.share.mesh().vertices.ravel(), rel=1e-5, abs=1e-12)
+
+
+def test_no_text_leaves_its_place_and_nothing_is_asked_of_a_network(written):
+    found = Page(written.read_text(encoding="utf-8"))
+    assert [attributes["id"] for tag, attributes in found.tags if tag == "script" and "id" in attributes] == ["data"]
+    assert sum(tag == "script" for tag, _ in found.tags) == 6
+    assert not [tag for tag, _ in found.tags if tag in ("img", "link", "iframe", "object")]
+    assert not [
+        attributes for _, attributes in found.tags if {"src", "srcset", "onload", "onclick"} & attributes.keys()
+    ]
+    assert "<img src=http://x.invalid/a.png>" in found.text["question"] or HOSTILE[:10] in found.text[""]
+    policy = next(attributes["content"] for tag, attributes in found.tags if attributes.get("http-equiv"))
+    assert policy.startswith("default-src 'none'")
+
+
+def test_every_picture_has_a_text_in_its_place(written):
+    found = Page(written.read_text(encoding="utf-8"))
+    for tag, attributes in found.tags:
+        if tag in ("figure", "canvas"):
+            assert attributes["aria-label"], attributes
+
+
+@pytest.mark.parametrize(
+    ("name", "changes", "text"),
+    [
+        ("draft_against_loosening.toml", (), "add a table [minimise]"),
+        ("uncertain_field.toml", (), "leave out the table [uncertain]"),
+        ("cotton_subsoiler.toml", ("-o", "a.txt"), "end it in .html"),
+    ],
+)
+def test_what_is_no_report_is_refused(name, changes, text, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert main(["report", str(PROBLEMS / name), "-o", "a.html", *changes]) == 2
+    assert text in " ".join(capsys.readouterr().err.split())
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_share_without_variables_that_does_not_move_has_no_empty_pictures():
+    fixed = (*FIXED, "scene.stiffness=50 kN/m", "effects={motion=false}", "require={}")
+    still = po.read_problem(PROBLEMS / "cotton_subsoiler.toml", fixed)
+    text = page(reported(still, lambda *_: None, accuracy=False))
+    found = Page(text)
+    assert "Nothing changes over time" in found.text["response"]
+    assert data_of(text)["charts"] == data_of(text)["search"] == []
+    assert "This share needs a mean draft of" in found.text["answer"]
+    assert "requirements" not in found.text
+
+
+@pytest.fixture(scope="module")
+def browser():
+    """Return a headless Chromium."""
+    playwright = pytest.importorskip("playwright.sync_api", reason="needs playwright: pip install 'plough_opt[test]'")
+    where = next(filter(None, map(shutil.which, BROWSERS)), None)
+    if where is None:
+        pytest.skip("there is no browser: apt-get install chromium")
+    with playwright.sync_playwright() as started:
+        browser = started.chromium.launch(executable_path=where, args=SWITCHES)
+        yield browser
+        browser.close()
+
+
+@pytest.fixture
+def opened(browser, written):
+    """Open the report in a window of a size; return it with what it wrote to the console and asked for."""
+    pages = []
+
+    def open_page(width=1280, height=900):
+        context = browser.new_context(viewport={"width": width, "height": height}, offline=True)
+        page, said, asked = context.new_page(), [], []
+        page.on("console", lambda message: said.append(message.text))
+        page.on("pageerror", lambda error: said.append(str(error)))
+        page.on("request", lambda request: asked.append(request.url))
+        page.goto(written.as_uri())
+        pages.append(context)
+        return page, said, asked
+
+    yield open_page
+    for context in pages:
+        context.close()
+
+
+# Whether a canvas holds more than one colour.
+DRAWN = """canvas => {
+  const copy = document.createElement("canvas");
+  [copy.width, copy.height] = [canvas.width, canvas.height];
+  const ctx = copy.getContext("2d");
+  ctx.drawImage(canvas, 0, 0);
+  return new Set(new Uint32Array(ctx.getImageData(0, 0, copy.width, copy.height).data.buffer)).size;
+}"""
+
+
+def test_the_page_draws_and_asks_for_nothing(opened, written):
+    page, said, asked = opened()
+    assert page.title().startswith("Subsoiler </script>")
+    canvases = page.locator("canvas").all()
+    assert len(canvases) == page.locator(".chart").count() + 2
+    assert all(canvas.evaluate(DRAWN) > 5 for canvas in canvases)
+    assert (said, asked) == ([], [written.as_uri()])
+
+
+def test_values_are_read_off_by_mouse_and_keyboard(opened, written):
+    page, said, _ = opened()
+    force = data_of(written.read_text(encoding="utf-8"))["charts"][0]
+    figure = page.locator("#force")
+    over, read = figure.locator(".u-over"), figure.locator(".read")
+    over.scroll_into_view_if_needed()
+    box = over.bounding_box()
+    page.mouse.move(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
+    middle = len(force["x"]["values"]) // 2
+    line = f"time {force['x']['values'][middle]:.4g} s: mount force {force['series'][0]['values'][middle]:.4g} kN"
+    assert read.inner_text().startswith(line)
+    figure.focus()
+    page.keyboard.press("Home")
+    assert read.inner_text().startswith(f"time 0 s: mount force {force['series'][0]['values'][0]:.4g} kN")
+    page.keyboard.press("ArrowRight")
+    assert read.inner_text().startswith(f"time {force['x']['values'][1]:.4g} s")
+    page.locator("#search0").focus()
+    page.keyboard.press("End")
+    assert "stiffness 1000 kN/m: " in page.locator("#search0 .read").inner_text()
+    assert said == []
+
+
+def test_the_share_is_turned_by_mouse_keyboard_and_buttons(opened):
+    page, said, _ = opened()
+    solid = page.locator("#solid")
+    solid.scroll_into_view_if_needed()
+    canvas = solid.locator("canvas")
+    seen = {canvas.evaluate("canvas => canvas.toDataURL()")}
+
+    def moved():
+        picture = canvas.evaluate("canvas => canvas.toDataURL()")
+        assert picture not in seen
+        seen.add(picture)
+
+    box = canvas.bounding_box()
+    page.mouse.move(box["x"] + 200, box["y"] + 150)
+    page.mouse.down()
+    page.mouse.move(box["x"] + 260, box["y"] + 170, steps=4)
+    page.mouse.up()
+    moved()
+    solid.focus()
+    for key in ("ArrowLeft", "ArrowUp", "+"):
+        page.keyboard.press(key)
+        moved()
+    solid.get_by_role("button", name="turn right").click()
+    moved()
+    before = canvas.evaluate(DRAWN)
+    solid.get_by_label("Compacted soil").uncheck()
+    assert canvas.evaluate(DRAWN) < before
+    assert said == []
+
+
+def test_the_motion_plays_and_steps(opened):
+    page, said, _ = opened()
+    motion = page.locator("#motion")
+    time = lambda: float(motion.get_attribute("data-time"))  # noqa: E731
+    motion.focus()
+    page.keyboard.press("ArrowRight")
+    assert time() == pytest.approx(0.01)
+    page.keyboard.press("Space")
+    while time() < 0.05:  # it plays at a fifth of the speed
+        page.wait_for_timeout(20)
+    page.keyboard.press("Space")
+    stopped = time()
+    motion.get_by_label("time").fill("500")
+    assert time() == pytest.approx(1.0)
+    assert stopped != time()
+    assert "deflection" in motion.locator("output").inner_text()
+    assert said == []
+
+
+def test_the_page_fits_a_phone(opened):
+    page, said, _ = opened(390, 844)
+    assert page.evaluate("document.documentElement.scrollWidth") == 390
+    beyond = "one => one.getBoundingClientRect().right > 391 && !one.closest('.grid, pre')"
+    wide = page.locator("section *:visible").evaluate_all(f"all => all.filter({beyond}).map(one => one.outerHTML)")
+    assert wide == []
+    assert said == []
+
+
+def test_the_page_prints_on_paper(opened, tmp_path):
+    page, _, _ = opened()
+    paper = page.pdf(path=tmp_path / "report.pdf", format="A4")
+    assert paper.startswith(b"%PDF")
+    # A4 within its margins of 16 mm is 672 px wide.
+    page.set_viewport_size({"width": 672, "height": 950})
+    page.emulate_media(media="print")
+    page.evaluate("dispatchEvent(new Event('beforeprint'))")
+    wide = page.locator("canvas").evaluate_all(
+        "all => all.filter(one => one.getBoundingClientRect().right > 673).length"
+    )
+    assert wide == 0
+    assert not page.locator("#solid .controls").is_visible()

@@ -4,21 +4,14 @@ from __future__ import annotations
 
 import argparse
 import hashlib
+from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
 
-from plough_opt.app.page.content import Report
-from plough_opt.app.page.writing import write_page
 from plough_opt.app.terminal import progress, read, wrote
-from plough_opt.core.errors import InputError, NotConverged
+from plough_opt.core.errors import InputError
 from plough_opt.core.files import check_file
-from plough_opt.design import Progress, Sensitivity
-from plough_opt.exchange.results import versions
 from plough_opt.problem_file import Problem
-from plough_opt.studies.accuracy.study import study_accuracy
-
-# Time [s] that one use of a contestant may take: those worth their time take a tenth of it.
-_ALLOWANCE = 0.1
 
 
 def add_options(verb: argparse.ArgumentParser) -> None:
@@ -35,43 +28,17 @@ def report(options: argparse.Namespace) -> None:
         InputError: a mistake in the file, an output that cannot be written, or a file that trades results or whose
             soil is uncertain.
     """
+    from plough_opt.app.page.making import reported  # the studies are slow to import
+    from plough_opt.app.page.writing import write_page
+
     check_file(options.output, ".html", "page")
     problem = read(options)
     _check(problem)
     text = Path(options.file).read_text(encoding="utf-8")
     with progress() as told:
         found = reported(problem, told, seed=options.seed, accuracy=not options.no_accuracy)
-    found.provenance.update(_provenance(options, text))
-    wrote(write_page(Report(**{**vars(found), "text": text}), options.output))
-
-
-def reported(problem: Problem, told: Progress, *, seed: int = 0, accuracy: bool = True) -> Report:
-    """Return what a report says of a problem, without its provenance.
-
-    Args:
-        problem: the file.
-        told: called with what is being done and the part that is done.
-        seed: of the search's samples.
-        accuracy: whether to study what accuracy costs.
-    """
-    best, unknown = None, ""
-    sensitivities: tuple[Sensitivity, ...] = ()
-    if problem.variables:
-        best, run = problem.optimise(told, parameters=True, seed=seed)
-        told("sensitivities", 1.0)
-        try:
-            sensitivities = best.every_sensitivity()
-        except (InputError, NotConverged) as error:
-            unknown = str(error)
-    else:
-        told("simulating", 0.0)
-        run = problem.simulate()
-    study = None
-    if accuracy:
-        lasting = run.scene.effects.orbit != "transient"
-        duration = None if lasting else problem.values().get("scene.duration")
-        study = study_accuracy(run.scene, duration, allowance=_ALLOWANCE, derivatives=False, thin=True, progress=told)
-    return Report(problem, run, best, sensitivities, unknown, study)
+    found = replace(found, provenance=_provenance(options, text), text=text)
+    wrote(write_page(found, options.output))
 
 
 def _check(problem: Problem) -> None:
@@ -87,6 +54,8 @@ def _check(problem: Problem) -> None:
 
 def _provenance(options: argparse.Namespace, text: str) -> dict[str, str]:
     """Return what made a report, in words."""
+    from plough_opt.exchange.results import versions
+
     changes = {"changed by --set": "; ".join(options.set)} if options.set else {}
     return {
         "file": Path(options.file).name,

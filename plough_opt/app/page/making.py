@@ -1,0 +1,41 @@
+"""What a report is about, found: the optimum, its sensitivities, and what accuracy costs on its scene."""
+
+from __future__ import annotations
+
+from plough_opt.app.page.content import Report
+from plough_opt.core.errors import InputError, NotConverged
+from plough_opt.design import Progress, Sensitivity
+from plough_opt.problem_file import Problem
+from plough_opt.studies.accuracy.study import study_accuracy
+
+# Time [s] that one use of a contestant may take: those worth their time take a tenth of it.
+_ALLOWANCE = 0.1
+
+
+def reported(problem: Problem, told: Progress, *, seed: int = 0, accuracy: bool = True) -> Report:
+    """Return what a report says of a problem, without its provenance.
+
+    Args:
+        problem: the file.
+        told: called with what is being done and the part that is done.
+        seed: of the search's samples.
+        accuracy: whether to study what accuracy costs.
+    """
+    best, unknown = None, ""
+    sensitivities: tuple[Sensitivity, ...] = ()
+    if problem.variables:
+        best, run = problem.optimise(told, parameters=True, seed=seed)
+        told("sensitivities", 1.0)
+        try:
+            sensitivities = best.every_sensitivity()
+        except (InputError, NotConverged) as error:
+            unknown = str(error)
+    else:
+        told("simulating", 0.0)
+        run = problem.simulate()
+    study = None
+    if accuracy:
+        lasting = run.scene.effects.orbit != "transient"
+        duration = None if lasting else problem.values().get("scene.duration")
+        study = study_accuracy(run.scene, duration, allowance=_ALLOWANCE, derivatives=False, thin=True, progress=told)
+    return Report(problem, run, best, sensitivities, unknown, study)

@@ -535,7 +535,7 @@ class TestAdvice:
         (question,) = study.questions
         assert study.front(question) == [study.entries[1]]
         assert "for 1e-06 take b: 2 ms" in study.advice
-        assert list(study.table(question).columns[0].cells) == ["≠", "*"]
+        assert [row[0] for row in study.table(question).rows] == ["≠", "*"]
         assert study.refusals == ("not ranked, a: ended in another optimum, 5 instead of 4",)
         assert [entry.method for entry in study.panel(question).entries] == ["b"]
         assert AccuracyStudy.load(study.save(tmp_path / "s.json")) == study
@@ -551,8 +551,8 @@ class TestAdvice:
         (question,) = study.questions
         assert [e.method for e in study.front(question)] == ["a", "b"]
         table = study.table(question)
-        assert list(table.columns[0].cells) == ["*", "*", ""]
-        assert list(table.columns[1].cells) == ["a", "b", "c"]
+        assert [row[0] for row in table.rows] == ["*", "*", ""]
+        assert [row[1] for row in table.rows] == ["a", "b", "c"]
         assert "faster and more exact in the larger of mean draft and RMS" in table.caption
 
     def test_a_table_fits_a_narrow_terminal_and_says_all(self):

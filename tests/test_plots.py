@@ -173,19 +173,19 @@ class TestOptimum:
         assert "faces" in wedge.get_title()
         assert labels(force) == ("time [s]", "force [kN]")
         assert labels(deflection) == ("time [s]", "deflection [mm]")
-        assert labels(search) == ("mount [N/m]", "objective")
+        assert labels(search) == ("mount [kN/m]", "objective")
 
     def test_its_search_is_on_a_log_scale_with_the_best_design_marked(self, optimum):
         best, run = optimum
         search = plots.plot_optimum(best, run).axes[4]
         assert search.get_xscale() == "log"
-        np.testing.assert_allclose(line(search, "best"), [[best.variables["mount"], best.objective]])
+        np.testing.assert_allclose(line(search, "best"), [[best.variables["mount"] / 1e3, best.objective]])
 
     def test_every_local_optimum_is_marked(self, optimum):
         best, run = optimum
         two = (best.local_optima[0], dataclasses.replace(best.local_optima[0], variables={"mount": 1e5}, objective=2.0))
         search = plots.plot_optimum(dataclasses.replace(best, local_optima=two), run).axes[4]
-        np.testing.assert_allclose(line(search, "other local optima"), [[1e5, 2.0]])
+        np.testing.assert_allclose(line(search, "other local optima"), [[1e2, 2.0]])
 
     def test_without_a_search_it_shows_the_response_alone(self, optimum):
         best, run = optimum

@@ -3,27 +3,21 @@
 from __future__ import annotations
 
 import argparse
-import math
 import re
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from rich.console import Console
-from rich.markup import escape
-from rich.table import Table
-
 from plough_opt.app.messages import LOG
-from plough_opt.app.terminal import console, progress, read, wrote
+from plough_opt.app.terminal import console, print_page, progress, read, wrote
 from plough_opt.core.errors import InputError, NotConverged, nearest
 from plough_opt.core.quantities import quantities
-from plough_opt.core.units import Display
+from plough_opt.core.units import customary
 from plough_opt.problem_file import Problem
 
 if TYPE_CHECKING:
     from plough_opt.studies.calibration import Fit, Measurements
-    from plough_opt.studies.calibration.intervals import Interval
-    from plough_opt.studies.calibration.parts import Found
 
 _LOSSES: Final = ("squares", "huber", "soft_l1", "cauchy")
 _NUMBER: Final = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
@@ -34,12 +28,6 @@ _PAIR: Final = (
 )
 _RANGE: Final = re.compile(_PAIR.format(_DECIMAL, r"\.\."))
 _KNOWN: Final = re.compile(_PAIR.format(_NUMBER, r"\+-|±"))
-# Correlations above this are worth a line.
-_CORRELATED: Final = 0.5
-_MOST_CANDIDATES: Final = 6
-_CUSTOMARY: Final = {"rad": Display("deg", math.pi / 180.0)} | {
-    unit: Display(f"k{unit}", 1e3) for unit in ("N", "W", "Pa", "N/m")
-}
 
 
 def add_options(verb: argparse.ArgumentParser) -> None:
@@ -95,9 +83,9 @@ def calibrate(options: argparse.Namespace) -> None:
     data += [_known(text, [m.sigma is not None for m in data]) for text in options.known]
     with progress() as told:
         told("calibrating", 0.0)
-        fit = run(problem, data, unknown, loss=options.loss)
+        fit = replace(run(problem, data, unknown, loss=options.loss), origin=problem.origin)
         told("intervals", 0.5)
-        intervals = fit.intervals(options.level)
+        fit.intervals(options.level)
         told("what to measure next", 0.8)
         text = fit.to_json() if options.json or options.output is not None else ""
         quality = "" if options.json else _quality(fit, options.folds)
@@ -105,7 +93,8 @@ def calibrate(options: argparse.Namespace) -> None:
     if options.json:
         print(text)
     else:
-        _print(console(), problem, fit, intervals, quality, options)
+        page = fit.page()
+        print_page(console(), replace(page, parts=(*page.parts, *([quality] if quality else []))))
     if options.plot is not None:
         from plough_opt.app import plots
 
@@ -176,88 +165,21 @@ def _both(match: re.Match[str]) -> tuple[str, str]:
     return f"{match['first']} {match['unit'] or match['own'] or ''}".strip(), match["second"].strip()
 
 
-def _print(
-    screen: Console,
-    problem: Problem,
-    fit: Fit,
-    intervals: Mapping[str, Interval],
-    quality: str,
-    options: argparse.Namespace,
-) -> None:
-    """Print what was found, what the data cannot tell, what would, and how well the model follows the data."""
-    screen.print(f"[bold]{escape(problem.title)}[/]: {len(fit.rows)} rows of {escape(', '.join(options.data))}")
-    screen.print(_unknown_table(problem, fit, intervals, options.level))
-    correlated = [c for c in fit.correlations_found if abs(c.value) >= _CORRELATED]
-    for c in sorted(correlated, key=lambda c: -abs(c.value)):
-        screen.print(f"Errors of {c.first} and {c.second} are correlated: {c.value:+.3f}.", markup=False)
-    for item in fit.unidentifiable:
-        screen.print(f"[yellow]Not determined:[/] {escape(item.words)}.")
-    screen.print(_next_table(problem, fit))
-    screen.print(quality, markup=False)
-    for warning in fit.warnings:
-        screen.print(f"[yellow]Note:[/] {escape(warning)}.")
-    screen.print(f"Converged: no step lowers the loss (IPOPT: {fit.status}); {fit.seconds:.2f} s", markup=False)
-
-
-def _unknown_table(problem: Problem, fit: Fit, intervals: Mapping[str, Interval], level: float) -> Table:
-    table = Table(title="Calibrated")
-    for heading in ("unknown", "value", "standard error", f"{100 * level:g} % interval", "bounds", ""):
-        table.add_column(
-            heading, justify="left" if heading in ("unknown", "") else "right", no_wrap=heading == "unknown"
-        )
-    for found in fit.unknowns:
-        interval = intervals[found.name]
-        value, error, told = "not determined", "infinite", "infinite"
-        if found.determined:
-            value, error = _shown(problem, found, found.value), _shown(problem, found, found.standard_error, 3)
-            told = f"{_shown(problem, found, interval.lower, 4)} to {_shown(problem, found, interval.upper, 4)}"
-        bounds = f"{_shown(problem, found, found.lower, 3)} to {_shown(problem, found, found.upper, 3)}"
-        notes = [f"{side} end is the bound" for side in interval.clipped]
-        if found.determined and interval.kind == "linearised":
-            notes.append("linearised")
-        table.add_row(found.name, value, error, told, bounds, "; ".join(notes))
-    return table
-
-
-def _next_table(problem: Problem, fit: Fit) -> Table:
-    """Return the candidates that would tell most, by the standard errors that they would leave."""
-    table = Table(title="What to measure next: standard errors now, and with one more measurement of the same quality")
-    table.add_column("measurement", overflow="fold")
-    for found in fit.unknowns:
-        table.add_column(found.name.rpartition(".")[2], justify="right")
-    now = fit.next_measurements()[0].errors
-    table.add_row("now", *(_shown(problem, found, now[found.name][0], 3) for found in fit.unknowns))
-    for item in fit.next_measurements()[:_MOST_CANDIDATES]:
-        cells = [_shown(problem, found, item.errors[found.name][1], 3) for found in fit.unknowns]
-        table.add_row(escape(item.candidate.describe()), *cells)
-    return table
-
-
 def _quality(fit: Fit, folds: int | None) -> str:
-    """Return a sentence on scatter and cross-validation."""
-    kind = "times the stated sigma" if fit.stated else "of the mean measured value"
-    told = f"Scatter about the fit: {fit.scatter:.3g} {kind}, {fit.freedom} degrees of freedom."
+    """Return a sentence on cross-validation."""
     try:
         found = fit.cross_validation(folds)
     except NotConverged as error:
-        return f"{told} No cross-validation: {error}."
+        return f"No cross-validation: {error}."
     except InputError as error:
         if folds is not None:
             raise
-        return f"{told} No cross-validation: {error}."
+        return f"No cross-validation: {error}."
     units = {row.result: row.unit for row in fit.rows}
     errors = "; ".join(f"{name} {_told(x, units[name])} (of the fit {_told(found.rms_fitted[name], units[name])})"
                        for name, x in found.rms.items())  # fmt: skip
-    return f"{told} RMS error of rows that took no part, {found.folds} folds: {errors}."
-
-
-def _shown(problem: Problem, found: Found, value: float, digits: int = 5) -> str:
-    """Return an SI value in the unit that the file gives the unknown in, or in a customary one."""
-    if math.isinf(value):
-        return "infinite"
-    display = problem.displays.get(found.name) or _CUSTOMARY.get(found.unit) or Display(found.unit, 1.0)
-    return display.text(value, digits)
+    return f"RMS error of rows that took no part, {found.folds} folds: {errors}."
 
 
 def _told(value: float, unit: str) -> str:
-    return (_CUSTOMARY.get(unit) or Display(unit, 1.0)).text(value, 3)
+    return customary(unit, value).text(value, 3)

@@ -10,10 +10,9 @@ from pathlib import Path
 
 from plough_opt.app import report
 from plough_opt.app.against import asked_of
-from plough_opt.app.front_table import print_front
 from plough_opt.app.messages import printable
 from plough_opt.app.sensitivity_table import print_sensitivities, sensitivities_of
-from plough_opt.app.terminal import console, progress, read, wrote
+from plough_opt.app.terminal import console, print_page, progress, read, wrote
 from plough_opt.app.uncertain import optimise_uncertain
 from plough_opt.core.errors import InputError
 from plough_opt.core.files import write_new
@@ -104,7 +103,7 @@ def optimise(options: argparse.Namespace) -> None:
 
         print(SavedOptimum.of(best, run, problem.title, asked).to_json())
     else:
-        report.print_optimum(console(), problem, best, run)
+        print_page(console(), best.page())
         if options.sensitivity:
             print_sensitivities(console(), problem, asked)
     if options.plot:
@@ -131,7 +130,7 @@ def tradeoff(options: argparse.Namespace) -> None:
     if options.json:
         print(front.to_json())
     else:
-        print_front(console(), problem, front)
+        print_page(console(), front.page())
     if options.plot is not None:
         from plough_opt.app import plots
 
@@ -160,7 +159,7 @@ def accuracy(options: argparse.Namespace) -> None:
         study = dataclasses.replace(
             study, notes=(*study.notes, "the soil is the nominal one: its uncertainty takes no part")
         )
-    report.print_accuracy(console(), study)
+    print_page(console(), study.page())
     if options.plot is not None:
         from plough_opt.app import plots
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 import math
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -11,10 +13,11 @@ from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from plough_opt.core.kinds import check_kind
-from plough_opt.core.picture_files import FORMATS, check_format, save
-from plough_opt.design import Optimum
+from plough_opt.core.picture_files import COLOURS, FORMATS, check_format, save
+from plough_opt.design import Limit, LocalOptimum, Optimum
 from plough_opt.design.landscape import FEASIBLE
 from plough_opt.motion import Run
+from plough_opt.motion.batch import BatchResult
 from plough_opt.motion.equation import GAP, STICK
 from plough_opt.motion.scene import Scene
 from plough_opt.motion.terms import Structure, parameters, start_speed, strut
@@ -22,6 +25,7 @@ from plough_opt.soil.elastic import wedge_stress
 from plough_opt.soil.elastic.profile import Profile, body
 from plough_opt.soil.geometry import Wedge
 from plough_opt.soil.soil import Soil
+from plough_opt.studies.sweep.result import Sweep
 
 __all__ = [
     "FORMATS",
@@ -32,13 +36,20 @@ __all__ = [
     "draw_search",
     "draw_speed",
     "draw_wedge",
+    "plot_batch",
+    "plot_designs",
     "plot_optimum",
     "plot_run",
     "plot_share",
+    "plot_sweep",
     "plot_wedge_field",
     "save",
 ]
 
+# Results of a sweep beside each other, and points in a panel: more hide each other.
+_MOST_PANELS, _MOST_POINTS = 6, 20_000
+# Part of a result's size below which its changes are rounding.
+_CONSTANT = 1e-6
 # Panels of the search beside each other.
 _PANELS = 3
 _SURFACE = "#cfd4d8"
@@ -107,6 +118,89 @@ def plot_run(run: Run) -> Figure:
     draw_deflection(middle, run)
     draw_speed(lower, run)
     lower.set_xlabel("time [s]")
+    return figure
+
+
+def plot_designs(designs: Mapping[str, LocalOptimum]) -> Figure:
+    """Draw designs side by side: every variable between its bounds, every requirement beside its limits.
+
+    Args:
+        designs: name -> a design; the first has the variables and requirements that are drawn.
+    """
+    first = next(iter(designs.values()))
+    figure = Figure(figsize=(8, 0.9 + 0.75 * len(first.limits)), layout="constrained")
+    rows = figure.subplots(len(first.limits), 1, squeeze=False)[:, 0]
+    for axes, limit in zip(rows, first.limits, strict=True):
+        _draw_limit(
+            axes, limit, [next((x for x in one.limits if x.name == limit.name), None) for one in designs.values()]
+        )
+    for name, colour in zip(designs, itertools.cycle(COLOURS), strict=False):
+        rows[0].plot([], [], "o", color=colour, label=name)
+    figure.legend(loc="outside lower center", ncols=min(4, len(designs)), fontsize="small")
+    return figure
+
+
+def _draw_limit(axes: Axes, limit: Limit, found: Sequence[Limit | None]) -> None:
+    """Draw what designs have of one limited quantity on a line, its limits as bars across."""
+    factor = limit.shown.factor
+    ends = [end / factor for end in (limit.low, limit.high) if end is not None]
+    values = [None if one is None else one.value / factor for one in found]
+    for k, value in enumerate(values):
+        if value is not None:
+            axes.plot(value, 0.0, "o", color=COLOURS[k % len(COLOURS)], markersize=8, zorder=3, clip_on=False)
+    for end in ends:
+        axes.axvline(end, color="black", linewidth=2.0)
+    every = [*ends, *(value for value in values if value is not None)]
+    room = 0.08 * (max(every) - min(every)) or 0.1 * abs(every[0]) or 1.0
+    axes.set_xlim(min(every) - room, max(every) + room)
+    if limit.low is not None and limit.high is not None and 0.0 < 20.0 * limit.low < limit.high:
+        axes.set_xscale("log")
+        axes.set_xlim(0.8 * min(every), 1.25 * max(every))
+    axes.set_yticks([])
+    axes.set_ylabel(limit.shown.heading(limit.name.replace("_", " ")), rotation=0, ha="right", va="center")
+    for side in ("left", "right", "top"):
+        axes.spines[side].set_visible(False)
+
+
+def plot_sweep(swept: Sweep) -> Figure:
+    """Draw every result of a sweep over the quantity that was swept first; a second quantity is the colour of a point.
+
+    Points are not joined: between two of them there may be a resonance.
+    """
+    check_kind("the sweep", swept, Sweep, "a Sweep, as po.sweep returns one")
+    names = swept.results[:_MOST_PANELS]
+    step = max(1, len(swept) // _MOST_POINTS)
+    places, heading = swept.shown(swept.names[0])
+    shades, shade = swept.shown(swept.names[1]) if len(swept.names) > 1 else (None, "")
+    rows = -(-max(1, len(names)) // 2)
+    figure = Figure(figsize=(10.0, 3.2 * rows), layout="constrained")
+    every = figure.subplots(rows, 2, squeeze=False).ravel()
+    for axes in every[len(names) :]:
+        axes.set_visible(False)
+    for axes, name in zip(every, names, strict=False):
+        values, label = swept.shown(name)
+        colours = _FORCE if shades is None else shades[::step]
+        points = axes.scatter(places[::step], values[::step], c=colours, s=14, cmap="viridis")
+        axes.set_xlabel(heading)
+        axes.set_ylabel(label)
+        # A result that stays the same would have its rounding magnified.
+        finite = values[np.isfinite(values)]
+        if len(finite) and float(np.max(finite)) > 0.0 and np.ptp(finite) < _CONSTANT * np.max(np.abs(finite)):
+            axes.set_ylim(0.0, 1.2 * float(np.max(finite)))
+    if shades is not None and names:
+        figure.colorbar(points, ax=every[: len(names)], label=shade)
+    return figure
+
+
+def plot_batch(found: BatchResult) -> Figure:
+    """Draw RMS over mean draft of every design of a batch."""
+    check_kind("the batch", found, BatchResult, "a BatchResult, as po.Batch returns one")
+    figure = Figure(figsize=(6.5, 4.5), layout="constrained")
+    axes = figure.subplots()
+    step = max(1, len(found) // _MOST_POINTS)
+    axes.plot(found.mean_draft[::step] / 1e3, found.force_rms[::step] / 1e3, ".", color=_FORCE, markersize=4)
+    axes.set_xlabel("mean draft [kN]")
+    axes.set_ylabel("RMS of the mount force [kN]")
     return figure
 
 
@@ -235,7 +329,8 @@ def draw_search(axes: Axes, best: Optimum, variable: int) -> None:
     """
     search, name = best.search, list(best.variables)[variable]
     assert search is not None  # the caller has looked
-    values, feasible = search.values[:, variable], search.violation <= FEASIBLE
+    display = best.display(name)
+    values, feasible = search.values[:, variable] / display.factor, search.violation <= FEASIBLE
     for which, color, label in (
         (np.isfinite(search.objective) & ~feasible, _SURFACE, "tried, fails a requirement"),
         (feasible, _FORCE, "tried, meets all requirements"),
@@ -243,7 +338,7 @@ def draw_search(axes: Axes, best: Optimum, variable: int) -> None:
         if np.any(which):
             axes.plot(values[which], search.objective[which], ".", markersize=2, color=color, label=label, zorder=1)
     for k, optimum in enumerate(best.local_optima):
-        at = optimum.variables[name]
+        at = optimum.variables[name] / display.factor
         if optimum.spread is not None:
             axes.plot([at, at], [optimum.objective, optimum.spread.worst], color=_ACCENT, linewidth=1.2, zorder=2,
                       label=None if k else "within the tolerances, up to the worst")  # fmt: skip
@@ -253,8 +348,7 @@ def draw_search(axes: Axes, best: Optimum, variable: int) -> None:
     if np.min(values) > 0 and np.max(values) / np.min(values) > 20:
         axes.set_xscale("log")
     _show_low_objectives(axes, search.objective[feasible if np.any(feasible) else np.isfinite(search.objective)], best)
-    limit = next(limit for limit in best.limits if limit.name == name and limit.kind == "bound")
-    axes.set_xlabel(f"{name} [{limit.unit}]" if limit.unit else name)
+    axes.set_xlabel(display.heading(name.rpartition(".")[2].replace("_", " ")))
     if variable % _PANELS == 0:
         axes.set_ylabel("objective")
 

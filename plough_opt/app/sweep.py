@@ -4,28 +4,19 @@ from __future__ import annotations
 
 import argparse
 import hashlib
-import itertools
 import json
 from collections.abc import Iterator
 from concurrent.futures import Executor
 from contextlib import contextmanager
 from pathlib import Path
 
-from rich.console import Console
-from rich.markup import escape
-from rich.table import Table
-
-from plough_opt.app.messages import LOG, printable, quiet
-from plough_opt.app.report import shown
-from plough_opt.app.terminal import console, read, wrote
+from plough_opt.app.messages import LOG, quiet
+from plough_opt.app.terminal import console, print_page, read, wrote
 from plough_opt.core.errors import InputError, NotConverged
-from plough_opt.problem_file import Problem
 from plough_opt.problem_file.sweeping import ProblemSweep, What
-from plough_opt.studies.sweep.result import Sweep
 from plough_opt.studies.sweep.sweeping import sweep as run_sweep
 
 _PLACES = ("store", "csv", "npz")
-_SHOWN_FAILURES = 3
 
 
 def add_options(verb: argparse.ArgumentParser) -> None:
@@ -87,7 +78,8 @@ def sweep(options: argparse.Namespace) -> None:
             units=asked.units,
         )
     try:
-        _report(console(), problem, asked, found)
+        found.origin, found.how = asked.origin, asked.how
+        print_page(console(), found.page())
         for name, write in (("csv", found.to_csv), ("npz", found.to_npz)):
             if getattr(options, name) is not None:
                 wrote(write(getattr(options, name)))
@@ -153,44 +145,3 @@ def _executor(address: str | None) -> Iterator[tuple[Executor | None, int | None
         if threads == 0:
             raise InputError(f"--scheduler {address}: it has no workers; start some: dask worker {address}")
         yield client.get_executor(pure=False), threads
-
-
-def _name(key: str) -> str:
-    """Return a key without its table, so that it is narrow."""
-    return key.rpartition(".")[2]
-
-
-def _report(out: Console, problem: Problem, asked: ProblemSweep, found: Sweep) -> None:
-    """Print what the sweep found: the range of every result, where it lies, and what failed."""
-    failed, undetermined = found.failed, list(found.undetermined)
-    also = f", {len(undetermined)} undetermined" if undetermined else ""
-    table = Table(title=f"{escape(problem.title)}: {len(found)} points, {failed} failed{also}")
-    for heading in ("result", "least", "at", "largest", "at"):
-        table.add_column(heading, justify="left" if heading in ("result", "at") else "right")
-    for name in found.results:
-        cells = []
-        for largest in (False, True):
-            extreme = found.extreme(name, largest=largest)
-            if extreme is None:
-                continue
-            place = (f"{_name(key)} {asked.displays[key].text(value)}" for key, value in extreme.values.items())
-            cells += [shown(problem, name, extreme.value, found.units.get(name, "")), "\n".join(place)]
-        if cells and cells[0] == cells[2]:
-            cells = [cells[0], "everywhere", cells[2], ""]
-        table.add_row(_name(name), *cells)
-    if found.results:
-        out.print(table)
-    else:
-        out.print(table.title)
-    for state, count, points in (("failed", failed, found.failures), ("undetermined", len(undetermined), undetermined)):
-        for point in itertools.islice(points, _SHOWN_FAILURES):
-            values = ", ".join(f"{key} = {asked.displays[key].text(value)}" for key, value in point.values.items())
-            out.print(f"{state} at {escape(values)}: {escape(printable(point.reason))}", soft_wrap=True)
-        if count > _SHOWN_FAILURES:
-            out.print(f"... and {count - _SHOWN_FAILURES} more {state}: --csv writes all reasons")
-    for note in found.notes:
-        out.print(f"[yellow]Note:[/] {escape(note)}.")
-    there = f"; {found.already} points were there already" if found.already else ""
-    out.print(
-        f"{asked.how[0].upper()}{asked.how[1:]}; stored in {escape(printable(str(found.path)))}{there}", soft_wrap=True
-    )

@@ -13,12 +13,14 @@ from types import FrameType
 from typing import NoReturn
 
 from rich.console import Console
+from rich.markup import escape
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
 from plough_opt import design as designs
-from plough_opt.app.messages import LOG, quiet, stepwise
+from plough_opt.app.messages import LOG, printable, quiet, stepwise
 from plough_opt.core.errors import InputError, short
 from plough_opt.core.heartbeat import heartbeat
+from plough_opt.core.tables import Page
 from plough_opt.problem_file import Problem, read_problem
 
 # Options that name a file to be written.
@@ -131,6 +133,23 @@ class _Console(Console):
     def on_broken_pipe(self) -> None:
         """Let the error pass."""
         raise BrokenPipeError
+
+
+def print_page(to: Console, page: Page) -> None:
+    """Print what a result shows of itself: its tables, its sentences, and what a reader must know."""
+    if page.title:
+        to.print(f"[bold]{escape(printable(page.title))}[/]")
+    if page.heading:
+        to.print(printable(page.heading), markup=False, soft_wrap=True)
+    for part in page.parts:
+        if isinstance(part, str):
+            to.print(printable(part), markup=False, soft_wrap=True)
+        else:
+            to.print(part)
+    for note in dict.fromkeys(page.notes):
+        to.print(f"[yellow]Note:[/] {escape(printable(note))}.", soft_wrap=True)
+    if page.footer:
+        to.print(page.footer, markup=False, soft_wrap=True)
 
 
 def wrote(path: Path) -> None:

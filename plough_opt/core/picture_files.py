@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from plough_opt.core.errors import InputError
 from plough_opt.core.files import write_file
@@ -15,6 +16,25 @@ FORMATS = ("png", "svg", "pdf")
 
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#8A8A8A")
 """Of Okabe and Ito (2008), which the colour-blind can tell apart, and a grey."""
+
+
+def drawn(name: str, *arguments: Any, target: str | Path | None = None) -> Figure:
+    """Return a picture by a function of `plough_opt.app.plots`, written to a file where one is named.
+
+    That module knows every result and stands above them all; it is imported when a result is asked for its picture.
+
+    Args:
+        name: of the function.
+        arguments: what it draws.
+        target: file to write, or None.
+
+    Raises:
+        InputError: a file name without a known ending, or a place that cannot be written.
+    """
+    figure: Figure = getattr(import_module("plough_opt.app.plots"), name)(*arguments)
+    if target is not None:
+        save(figure, target)
+    return figure
 
 
 def save(figure: Figure, path: str | Path) -> Path:

@@ -1,14 +1,245 @@
-"""Tables of plain text, as results print themselves."""
+"""Tables of results: built once, shown as plain text, by a notebook, and by the command line."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from html import escape
+from typing import TYPE_CHECKING, Any, TypeAlias
+
+from plough_opt.core.errors import InputError
+
+if TYPE_CHECKING:
+    import pandas
+    from matplotlib.figure import Figure
+    from rich.table import Table
 
 
-def text_table(rows: Sequence[Sequence[str]]) -> str:
-    """Return rows as lines with aligned columns, the first to the left, the others to the right."""
+def text_table(rows: Sequence[Sequence[str]], left: Sequence[int] = (0,)) -> str:
+    """Return rows as lines with aligned columns, those whose numbers are given to the left, the others to the right."""
     columns = [*zip(*rows, strict=True)]
     widths = [max(map(len, column)) for column in columns]
-    aligned = [[f"{cell:>{width}}" for cell in column] for column, width in zip(columns, widths, strict=True)]
-    aligned[0] = [f"{cell:<{widths[0]}}" for cell in columns[0]]
+    aligned = [
+        [f"{cell:{'<' if k in left else '>'}{width}}" for cell in column]
+        for k, (column, width) in enumerate(zip(columns, widths, strict=True))
+    ]
     return "\n".join(f"  {'  '.join(row)}".rstrip() for row in zip(*aligned, strict=True))
+
+
+@dataclass(frozen=True)
+class Column:
+    """A column of a table.
+
+    Attributes:
+        heading: what stands above it.
+        left: aligned to the left.
+        fold: broken within a word where a screen is too narrow; other columns break between words.
+        mark: cells say what is out of the ordinary.
+    """
+
+    heading: str = ""
+    left: bool = False
+    fold: bool = False
+    mark: bool = False
+
+
+@dataclass
+class Grid:
+    """A table of texts.
+
+    Attributes:
+        columns: from left to right.
+        title: what stands above it.
+        caption: what stands below it.
+        rows: cells of each row.
+        bold: numbers of the rows that stand out.
+        ends: numbers of the rows after which a part ends.
+        plain: drawn without lines, for a table that is as wide as a page.
+    """
+
+    columns: tuple[Column, ...]
+    title: str = ""
+    caption: str = ""
+    rows: list[tuple[str, ...]] = field(default_factory=list)
+    bold: set[int] = field(default_factory=set)
+    ends: set[int] = field(default_factory=set)
+    plain: bool = False
+
+    @classmethod
+    def of(cls, title: str, *headings: str, left: Sequence[str] = (), fold: Sequence[str] = (), mark: str = "") -> Grid:
+        """Return an empty table.
+
+        Args:
+            title: what stands above it.
+            headings: of the columns; the first is aligned to the left.
+            left: headings of further columns that are.
+            fold: headings of columns that are broken within a word.
+            mark: heading of the column whose cells say what is out of the ordinary.
+        """
+        return cls(tuple(Column(h, k == 0 or h in left, h in fold, k > 0 and h == mark)
+                         for k, h in enumerate(headings)), title)  # fmt: skip
+
+    @classmethod
+    def pairs(cls, title: str, *rows: tuple[str, str]) -> Grid:
+        """Return a table of names and values, without headings."""
+        return cls((Column(left=True), Column()), title, rows=[*rows])
+
+    def row(self, *cells: str, bold: bool = False, end: bool = False) -> None:
+        """Add a row."""
+        if bold:
+            self.bold.add(len(self.rows))
+        if end:
+            self.ends.add(len(self.rows))
+        self.rows.append(cells)
+
+    @property
+    def headed(self) -> bool:
+        """Whether any column has a heading."""
+        return any(column.heading for column in self.columns)
+
+    def __str__(self) -> str:
+        """Return the table as lines."""
+        headings = [tuple(" ".join(column.heading.split()) for column in self.columns)] if self.headed else []
+        # A cell of several lines takes as many rows.
+        rows = [line for row in self.rows for line in _lines(row)]
+        text = text_table([*headings, *rows], [k for k, column in enumerate(self.columns) if column.left])
+        return "\n".join(part for part in (self.title, text, self.caption) if part)
+
+    def __rich__(self) -> Table:
+        """Return the table as rich draws it in a terminal."""
+        from rich.box import HEAVY_HEAD, SIMPLE_HEAD
+        from rich.table import Table
+        from rich.text import Text
+
+        table = Table(title=Text(self.title, "table.title") if self.title else None, caption=self.caption or None,
+                      show_header=self.headed, box=SIMPLE_HEAD if self.plain else HEAVY_HEAD,
+                      caption_justify="left" if self.plain else "center", show_edge=not self.plain,
+                      pad_edge=not self.plain, padding=(0, 1, 0, 0) if self.plain else (0, 1))  # fmt: skip
+        for column in self.columns:
+            table.add_column(
+                Text(column.heading),
+                justify="left" if column.left else "right",
+                overflow="fold" if column.fold else "ellipsis",
+                style="yellow" if column.mark else "",
+            )
+        for k, row in enumerate(self.rows):
+            table.add_row(*map(Text, row), style="bold" if k in self.bold else None, end_section=k in self.ends)
+        return table
+
+    def html(self) -> str:
+        """Return the table for a browser."""
+        left = ["left" if column.left else "right" for column in self.columns]
+
+        def row(cells: Sequence[str], tag: str, style: str = "") -> str:
+            inner = "".join(
+                f'<{tag} style="text-align: {side}">{escape(cell).replace(chr(10), "<br>")}</{tag}>'
+                for cell, side in zip(cells, left, strict=True)
+            )
+            return f"<tr{style}>{inner}</tr>"
+
+        lines = [row([column.heading for column in self.columns], "th")] if self.headed else []
+        lines += [row(cells, "td", ' style="font-weight: bold"' if k in self.bold else "")
+                  for k, cells in enumerate(self.rows)]  # fmt: skip
+        title = f'<caption style="text-align: left">{escape(self.title)}</caption>' if self.title else ""
+        below = f"<p>{escape(self.caption).replace(chr(10), '<br>')}</p>" if self.caption else ""
+        return f"<table>{title}{''.join(lines)}</table>{below}"
+
+
+def _lines(row: Sequence[str]) -> list[tuple[str, ...]]:
+    """Return a row whose cells have several lines as several rows."""
+    cells = [cell.splitlines() or [""] for cell in row]
+    most = max(map(len, cells))
+    return [tuple(cell[k] if k < len(cell) else "" for cell in cells) for k in range(most)]
+
+
+Part: TypeAlias = "Grid | str"
+
+
+@dataclass(frozen=True)
+class Page:
+    """What a result shows of itself.
+
+    Attributes:
+        heading: what it is, in a line.
+        parts: tables and sentences, in order.
+        notes: what a reader of the numbers must know, each without its full stop.
+        footer: how far the numbers can be trusted.
+        title: of the question, which stands above all.
+    """
+
+    heading: str
+    parts: tuple[Part, ...] = ()
+    notes: tuple[str, ...] = ()
+    footer: str = ""
+    title: str = ""
+
+    def __str__(self) -> str:
+        """Return the page as lines."""
+        notes = (f"Note: {text}." for text in dict.fromkeys(self.notes))
+        return "\n".join(
+            part for part in (self.title, self.heading, *map(str, self.parts), *notes, self.footer) if part
+        )
+
+    def html(self, picture: str = "") -> str:
+        """Return the page for a browser, a picture behind its tables."""
+        parts = (part.html() if isinstance(part, Grid) else f"<p>{escape(part)}</p>" for part in self.parts)
+        notes = "".join(f"<li>{escape(text)}.</li>" for text in dict.fromkeys(self.notes))
+        heading = f"<p>{escape(self.heading)}</p>" if self.title else ""
+        footer = f"<p>{escape(self.footer)}</p>" if self.footer else ""
+        return (
+            f"<div><p><b>{escape(self.title or self.heading)}</b></p>{heading}{''.join(parts)}{picture}"
+            f"{f'<ul>{notes}</ul>' if notes else ''}{footer}</div>"
+        )
+
+
+class Readable:
+    """A result that prints its tables and shows them in a notebook with its picture.
+
+    A class of results says `page`, and `picture` where it has one.
+    """
+
+    def page(self) -> Page:
+        """Return what the result shows of itself."""
+        raise NotImplementedError
+
+    def picture(self) -> Figure | None:
+        """Return the picture that a notebook shows, or None."""
+        return None
+
+    def __str__(self) -> str:
+        """Return the tables of the command line as text."""
+        return str(self.page())
+
+    def __repr__(self) -> str:
+        """Return in a line what was found; the numbers would fill pages."""
+        return f"<{type(self).__name__}: {self.page().heading}>"
+
+    def _repr_html_(self) -> str:
+        """Return tables and picture for a notebook."""
+        figure = self.picture()
+        return self.page().html("" if figure is None else _image(figure))
+
+
+def _image(figure: Figure) -> str:
+    """Return a picture within a page, as it is shown in any notebook and without a file beside it."""
+    from base64 import b64encode
+    from io import BytesIO
+
+    file = BytesIO()
+    figure.savefig(file, format="png", dpi=80)
+    return f'<img alt="picture of the result" src="data:image/png;base64,{b64encode(file.getvalue()).decode()}">'
+
+
+def data_frame(columns: Mapping[str, Any], units: Mapping[str, str]) -> pandas.DataFrame:
+    """Return columns as a pandas DataFrame whose ``attrs["units"]`` has the unit of each, "" of a pure number.
+
+    Raises:
+        InputError: pandas is not installed.
+    """
+    try:
+        import pandas
+    except ImportError:
+        raise InputError("a data frame needs pandas: pip install 'plough_opt[pandas]'") from None
+    frame = pandas.DataFrame(dict(columns))
+    frame.attrs["units"] = {name: units[name] for name in columns if name in units}
+    return frame

@@ -123,6 +123,41 @@ class Display:
         """Return an SI value in this unit as text."""
         return f"{value / self.factor:.{digits}g} {self.symbol}".rstrip()
 
+    def number(self, value: float, digits: int = 5) -> str:
+        """Return an SI value in this unit as text without the unit."""
+        return f"{value / self.factor:.{digits}g}"
+
+    def heading(self, name: str) -> str:
+        """Return a heading of values in this unit."""
+        return f"{name} [{self.symbol}]" if self.symbol else name
+
+
+# Units of which thousands have a name of their own, and lengths [m] below which all are read in millimetres.
+_KILO: Final = ("N", "W", "Pa", "N/m")
+_SHORT: Final = 0.01
+
+
+def customary(unit: str, *values: float) -> Display:
+    """Return the one unit in which an engineer reads values of a kind: degrees, kilo of thousands, mm of short lengths.
+
+    Args:
+        unit: SI unit.
+        values: all that stand beside each other, SI; the largest decides.
+    """
+    largest = max((abs(value) for value in values if math.isfinite(value)), default=0.0)
+    if unit == "rad":
+        return Display("deg", math.pi / 180.0)
+    if unit in _KILO and largest >= 1e3:
+        return Display(f"k{unit}", 1e3)
+    if unit == "m" and 0.0 < largest < _SHORT:
+        return Display("mm", 1e-3)
+    return Display("" if unit in ("1", "-") else unit, 1.0)
+
+
+def in_words(value: float, unit: str) -> str:
+    """Return a single value with its unit as an engineer reads it."""
+    return customary(unit, value).text(value, 6)
+
 
 def display_of(value: object, unit: Unit) -> Display:
     """Return the unit in which a quantity that can be parsed was written."""

@@ -2,7 +2,8 @@
 
 from plough_opt.design.boxed import Over
 from plough_opt.design.exploring import Progress
-from plough_opt.design.optimum import Choice, Limit, LocalOptimum, Optimum, Rounded
+from plough_opt.design.local_optimum import Limit, LocalOptimum
+from plough_opt.design.optimum import Choice, Optimum, Rounded
 from plough_opt.design.problem import Design
 from plough_opt.design.record import Search
 from plough_opt.design.sensitivity import Sensitivity

@@ -10,7 +10,8 @@ import numpy as np
 
 from plough_opt.core.errors import InputError, nearest
 from plough_opt.core.kinds import shown
-from plough_opt.design.declarations import Variable, in_words
+from plough_opt.core.units import in_words
+from plough_opt.design.declarations import Variable
 
 Catalogue = float | Sequence[float]
 """Values that a variable may take, or the step of which it may take multiples."""

@@ -15,24 +15,10 @@ from numpy.typing import NDArray
 from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import Expression, absolute, exp, log, maximum, minimum
 from plough_opt.core.kinds import shown
+from plough_opt.core.units import Display, customary, in_words
 
 # The domain of a quantity of which no end is known.
 EVERYWHERE = (-math.inf, math.inf)
-# Units of which thousands have a name of their own.
-_KILO = ("N", "W", "Pa", "N/m")
-# Lengths [m] below this are read in millimetres.
-_SHORT = 0.01
-
-
-def in_words(value: float, unit: str) -> str:
-    """Return a value with its unit as an engineer reads it: degrees, thousands in kilo, short lengths in mm."""
-    if unit == "rad":
-        return f"{math.degrees(value):.6g} deg"
-    if unit in _KILO and abs(value) >= 1e3:
-        return f"{value / 1e3:.6g} k{unit}"
-    if unit == "m" and 0.0 < abs(value) < _SHORT:
-        return f"{value * 1e3:.6g} mm"
-    return f"{value:.6g} {'' if unit in ('1', '-') else unit}".rstrip()
 
 
 @dataclass(frozen=True)
@@ -49,6 +35,7 @@ class Variable:
     tolerance: float | str | None = None
     auxiliary: bool = False  # made by the program, and in no report
     domain: tuple[float, float] = EVERYWHERE
+    display: Display | None = None  # in which reports give it, where one was asked for
 
     def __post_init__(self) -> None:
         numbers = (self.guess, self.lower, self.upper)
@@ -68,6 +55,11 @@ class Variable:
         if self.log and self.lower <= 0.0:
             raise InputError(f"{text}: a log-scaled variable needs a lower bound above 0, not {self.lower:g}")
         self._half_width(self.guess)  # refuses what is not a tolerance
+
+    @property
+    def shown(self) -> Display:
+        """The unit in which reports give it."""
+        return self.display or customary(self.unit, self.lower, self.upper)
 
     def scaled(self, value: float) -> float:
         """Return a value as its position between the bounds, 0 to 1."""
@@ -165,6 +157,7 @@ class Requirement:
     at_most: float | None
     unit: str
     auxiliary: bool = False  # made by the program, and in no report
+    display: Display | None = None  # in which reports give it, where one was asked for
 
     def __post_init__(self) -> None:
         text = f"requirement '{self.name}'"
@@ -193,10 +186,15 @@ class Requirement:
         """Upper limit, infinity where there is none."""
         return math.inf if self.at_most is None else self.at_most
 
+    @property
+    def shown(self) -> Display:
+        """The unit in which reports give it."""
+        return self.display or customary(self.unit, *(x for x in (self.at_least, self.at_most) if x is not None))
+
     def limits_text(self) -> str:
         """Return the limits in words."""
         parts = [
-            f"{word} {in_words(limit, self.unit)}"
+            f"{word} {self.shown.text(limit, 6)}"
             for word, limit in (("at least", self.at_least), ("at most", self.at_most))
             if limit is not None
         ]

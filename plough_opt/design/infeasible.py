@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from plough_opt.core.errors import InfeasibleDesign
-from plough_opt.design.declarations import in_words
+from plough_opt.core.units import in_words
 from plough_opt.design.exploring import Explored
 from plough_opt.design.ipopt import Point, Vector
 from plough_opt.design.landscape import MET, Landscape, Seen

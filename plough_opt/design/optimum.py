@@ -5,106 +5,35 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import as_number, is_casadi, map_expressions
 from plough_opt.core.kinds import mapping_of
-from plough_opt.core.tables import text_table
-from plough_opt.design.declarations import in_words
+from plough_opt.core.origin import Origin
+from plough_opt.core.picture_files import drawn
+from plough_opt.core.tables import Grid, Page, Part, data_frame
+from plough_opt.core.units import in_words
+from plough_opt.design.local_optimum import LocalOptimum
 from plough_opt.design.record import Search
 from plough_opt.design.sensitivity import Sensitivities, Sensitivity
 from plough_opt.design.tolerance import Spread
 from plough_opt.motion.run import Run
 from plough_opt.motion.simulation import repeat
 
+if TYPE_CHECKING:
+    import pandas
+    from matplotlib.figure import Figure
+
 # Per cent of an objective below which a cost is the rounding of none.
 _ROUNDING = 1e-9
-_DECIDES = {True: "decides", False: ""}
 _LEFT_BEHIND = "this optimum was pickled without its design: evaluate expressions before, or solve again"
 
 
-@dataclass(frozen=True)
-class Limit:
-    """A requirement or bound at a design.
-
-    Attributes:
-        name: as declared.
-        kind: "requirement" or "bound".
-        value: worst value of the limited expression, in ``unit``.
-        limits: the limits in words.
-        margin: distance of the worst value from its limit, positive inside, in ``unit``.
-        multiplier: fall of the objective per unit by which the limit is loosened.
-        active: whether the limit decides the design: no margin to speak of, and a multiplier.
-        unit: unit.
-    """
-
-    name: str
-    kind: str
-    value: float
-    limits: str
-    margin: float
-    multiplier: float
-    active: bool
-    unit: str
-
-
-@dataclass(frozen=True)
-class LocalOptimum:
-    """One local optimum.
-
-    Attributes:
-        name: what tells it from the others: its branch under a strength wave, and its place in the order.
-        objective: objective of the tightly integrated model.
-        variables: name -> value, SI units.
-        limits: every requirement and every variable's bounds.
-        gap: relative difference of the optimiser's own objective from the tightly integrated one.
-        error_estimate: relative difference of two tight integrations of the objective, by different methods.
-        iterations: of IPOPT.
-        spread: objective and margins within the tolerances; None of runs with events and orbits, which take too long.
-    """
-
-    name: str
-    objective: float
-    variables: dict[str, float]
-    limits: tuple[Limit, ...]
-    gap: float
-    error_estimate: float
-    iterations: int
-    spread: Spread | None = None
-
-    def __str__(self) -> str:
-        """Return the design as tables: variables with their bounds, requirements with their margins."""
-        bounds = [
-            (one.name, in_words(one.value, one.unit), one.limits, "at its bound" if one.active else "")
-            for one in self.limits
-            if one.kind == "bound"
-        ]
-        required = [
-            (one.name, one.limits, in_words(one.value, one.unit), in_words(one.margin, one.unit), _DECIDES[one.active])
-            for one in self.limits
-            if one.kind == "requirement"
-        ]
-        text = f"{self.name}: objective {self.objective:.9g}\n"
-        text += text_table([("variable", "best", "bounds", ""), *bounds])
-        if required:
-            text += "\n" + text_table([("requirement", "limits", "value", "margin", ""), *required])
-        return text
-
-    @property
-    def margins(self) -> dict[str, float]:
-        """Margin of each requirement, positive inside, in its unit."""
-        return {limit.name: limit.margin for limit in self.limits if limit.kind == "requirement"}
-
-    @property
-    def active(self) -> tuple[str, ...]:
-        """Names of the requirements and variables whose limits decide the design."""
-        return tuple(limit.name for limit in self.limits if limit.active)
-
-
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Optimum(LocalOptimum):
     """The best local optimum found; called with any object of the design it gives it back with numbers.
 
@@ -120,6 +49,8 @@ class Optimum(LocalOptimum):
         search: what was looked at, and what was not.
         seconds: time that the solve took [s].
         warnings: what a reader of the numbers must know.
+        run: the run of numbers at this design, where the question has one run, as a problem file has.
+        origin: what made it.
     """
 
     over: str = ""
@@ -132,6 +63,8 @@ class Optimum(LocalOptimum):
     evaluate: Callable[[Any], np.ndarray] = field(repr=False, default=as_number)
     sensitivities: Sensitivities | None = field(repr=False, default=None)
     rounder: Callable[[Mapping[str, Any]], Rounded] | None = field(repr=False, default=None)
+    run: Run | None = field(default=None, compare=False)
+    origin: Origin = field(default=Origin(), compare=False)
 
     def __call__(self, item: Any) -> Any:
         """Return an expression, or any object with expressions nested in it, with numbers in their place.
@@ -145,12 +78,70 @@ class Optimum(LocalOptimum):
         """
         return map_expressions(item, self._with_numbers, _is_run_or_expression)
 
-    def __str__(self) -> str:
-        """Return the best design as tables, what was searched, and what a reader must know."""
-        others = "".join(f"\n{one.name}: objective {one.objective:.9g}" for one in self.local_optima[1:])
-        notes = "".join(f"\nNote: {text}." for text in self.warnings)
-        searched = f"\n{self.search}" if self.search is not None else ""
-        return f"Best design ({self.status}), {super().__str__()}{others}{searched}{notes}"
+    def page(self) -> Page:
+        """Return the best design as tables, its response, the other optima, what was searched and what to know."""
+        parts: list[Part] = [*self.design_tables()]
+        if self.run is not None:
+            parts.insert(1, self.run.response())
+        if self.over:
+            parts.append(f"Within the tolerances: {self.over}.")
+        if len(self.local_optima) > 1:
+            parts.append(self._others())
+        parts += [self._free(direction) for direction in self.flat_directions]
+        parts += [] if self.spread is None else [self.spread.in_words()]
+        parts += [] if self.search is None else [str(self.search)]
+        trust = (
+            f"objective re-integrated tightly: gap {self.gap:.0e}, error estimate {self.error_estimate:.0e};"
+            f" {self.seconds:.2f} s"
+        )
+        notes = (*self.warnings, *(() if self.run is None else self.run.warnings))
+        heading = f"Best design: objective {self.objective:.9g} ({self.status})"
+        return Page(heading, tuple(parts), notes, trust, self.origin.title)
+
+    def _others(self) -> Grid:
+        judged = all(optimum.spread is not None for optimum in self.local_optima)
+        grid = Grid.of("Local optima found", "", "objective", *(["as made"] if judged else []), *self.variables)
+        for one in self.local_optima:
+            made = [f"{one.spread.median:.6g}"] if judged and one.spread is not None else []
+            cells = (self.display(name).text(value, 7) for name, value in one.variables.items())
+            grid.row(one.name, f"{one.objective:.9g}", *made, *cells)
+        return grid
+
+    def _free(self, direction: Mapping[str, float]) -> str:
+        """Say along which changes of the variables nothing changes."""
+        moves = ", ".join(
+            f"{name} {'+' if change > 0 else '-'}{self.display(name).text(abs(change), 3)}"
+            for name, change in direction.items()
+            if change
+        )
+        return f"The optimum is not unique: nothing changes along {moves}: fix one of these."
+
+    def to_dataframe(self) -> pandas.DataFrame:
+        """Return a row for each local optimum, the best first: objective and variables, SI.
+
+        Raises:
+            InputError: pandas is not installed.
+        """
+        found = self.local_optima or (self,)
+        columns: dict[str, Any] = {
+            "optimum": [one.name for one in found],
+            "objective": [one.objective for one in found],
+        }
+        columns |= {name: [one.variables[name] for one in found] for name in self.variables}
+        return data_frame(columns, {one.name: one.unit for one in self.limits if one.kind == "bound"})
+
+    def plot(self, target: str | Path | None = None) -> Figure:
+        """Draw share and response, where the optimum has its run, and what the search saw; else the variables.
+
+        Args:
+            target: file to write (.png, .svg, .pdf), or None.
+
+        Raises:
+            InputError: a file name without a known ending, or a place that cannot be written.
+        """
+        if self.run is None:
+            return super().plot(target)
+        return drawn("plot_optimum", self, self.run, target=target)
 
     def sensitivity(self, name: str, *, check: bool = False) -> Sensitivity:
         """Return how the best objective and the best variables change with a parameter or a limit.
@@ -239,7 +230,7 @@ class Choice:
     spread: Spread | None = None
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Rounded(Optimum):
     """An optimum some of whose variables are held at catalogue values.
 

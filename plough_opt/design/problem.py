@@ -13,6 +13,7 @@ from plough_opt.core.domain import check_text, plain_number
 from plough_opt.core.errors import InputError, nearest, unprintable
 from plough_opt.core.expressions import Expression, is_casadi
 from plough_opt.core.kinds import check_callable, check_choice, check_switch, shown
+from plough_opt.core.units import Display
 from plough_opt.design.boxed import Boxed, Over
 from plough_opt.design.declarations import EVERYWHERE, Declarations, Parameter, Requirement, Variable
 from plough_opt.design.effort import Search
@@ -57,6 +58,7 @@ class Design:
         log: bool = False,
         tolerance: float | str | None = None,
         domain: tuple[float, float] = EVERYWHERE,
+        display: Display | None = None,
     ) -> ca.MX:
         """Declare a quantity to choose, and return its CasADi symbol.
 
@@ -71,6 +73,7 @@ class Design:
                 optimum is judged over it. Default: 0.3 % of the range between the bounds, of the logarithm's with
                 ``log``.
             domain: ends of the model's domain, in ``unit``: how far sensitivities hold is told within it.
+            display: unit in which reports give it, if not a customary one.
 
         Raises:
             InputError: no name, or one declared before, what is no number, or bounds that contradict each other or the
@@ -80,7 +83,8 @@ class Design:
         check_text(f"unit of '{name}'", unit)
         symbol = ca.MX.sym(name)
         at, low, high = (plain_number(f"variable '{name}'", value) for value in (guess, lower, upper))
-        self._variables.append(Variable(name, symbol, at, low, high, unit, log, tolerance, domain=_ends(name, domain)))
+        ends = _ends(name, domain)
+        self._variables.append(Variable(name, symbol, at, low, high, unit, log, tolerance, False, ends, display))
         self._program = None
         return symbol
 
@@ -132,6 +136,7 @@ class Design:
         at_least: float | None = None,
         at_most: float | None = None,
         unit: str = "",
+        display: Display | None = None,
     ) -> None:
         """Require an expression to stay within limits; a column, such as a run's deflection, in every entry.
 
@@ -141,6 +146,7 @@ class Design:
             at_least: lower limit in ``unit``, or None.
             at_most: upper limit in ``unit``, or None.
             unit: unit of expression and limits, for reports.
+            display: unit in which reports give them, if not a customary one.
 
         Raises:
             InputError: no limit, or one that is no number, limits that contradict each other, no name, or one used
@@ -152,7 +158,9 @@ class Design:
             None if limit is None else plain_number(f"requirement '{name}': {side}", limit)
             for side, limit in (("at_least", at_least), ("at_most", at_most))
         )
-        self._requirements.append(Requirement(name, _expression(f"'{name}'", expression), least, most, unit))
+        self._requirements.append(
+            Requirement(name, _expression(f"'{name}'", expression), least, most, unit, False, display)
+        )
         self._program = None
 
     def solve(

@@ -9,11 +9,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from plough_opt.core.compiler import NO_COMPILER
-from plough_opt.design.declarations import in_words
 from plough_opt.design.exploring import Explored
 from plough_opt.design.ipopt import Point, Vector, decides
 from plough_opt.design.landscape import Landscape
-from plough_opt.design.optimum import Limit, LocalOptimum
+from plough_opt.design.local_optimum import Limit, LocalOptimum
 from plough_opt.design.polishing import AS_FOUND
 from plough_opt.design.program import Program
 from plough_opt.design.tolerance import spread
@@ -98,6 +97,9 @@ def _requirements(program: Program, point: Point, found: Sequence[Vector]) -> li
                 multiplier=float(np.sum(own) * program.objective_scale / program.scales[k]),
                 active=decides(margin / program.scales[k], float(np.max(own))),
                 unit=r.unit,
+                display=r.shown,
+                low=r.at_least,
+                high=r.at_most,
             )
         )
     return limits
@@ -114,11 +116,14 @@ def _bounds(program: Program, point: Point, values: Vector) -> list[Limit]:
                 name=v.name,
                 kind="bound",
                 value=float(value),
-                limits=f"{in_words(v.lower, v.unit)} to {in_words(v.upper, v.unit)}",
+                limits=f"{v.shown.text(v.lower)} to {v.shown.text(v.upper)}",
                 margin=float(min(value - v.lower, v.upper - value)),
                 multiplier=float(abs(multiplier) * program.objective_scale / slope),
                 active=decides(float(min(y, 1.0 - y)), float(abs(multiplier))),
                 unit=v.unit,
+                display=v.shown,
+                low=v.lower,
+                high=v.upper,
             )
         )
     return limits

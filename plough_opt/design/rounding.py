@@ -12,12 +12,13 @@ from functools import partial
 import numpy as np
 
 from plough_opt.core.errors import InfeasibleDesign, InputError
+from plough_opt.core.units import in_words
 from plough_opt.design.catalogue import Allowed, Catalogue, allowed
-from plough_opt.design.declarations import in_words
 from plough_opt.design.infeasible import infeasible, is_feasible
 from plough_opt.design.ipopt import Point, Vector
 from plough_opt.design.landscape import Landscape
-from plough_opt.design.optimum import Choice, LocalOptimum, Rounded
+from plough_opt.design.local_optimum import LocalOptimum
+from plough_opt.design.optimum import Choice, Rounded
 from plough_opt.design.polishing import AS_FOUND, as_it_is
 from plough_opt.design.program import Program
 from plough_opt.design.screening import promising

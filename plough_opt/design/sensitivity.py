@@ -11,8 +11,9 @@ import numpy as np
 
 from plough_opt.core.errors import InputError, NotConverged, nearest
 from plough_opt.core.kinds import check_kind, check_switch, shown
+from plough_opt.core.units import in_words
 from plough_opt.design.active_set import ActiveSet, Move, slope
-from plough_opt.design.declarations import EVERYWHERE, in_words
+from plough_opt.design.declarations import EVERYWHERE
 from plough_opt.design.ipopt import Point, Solver, Vector
 from plough_opt.design.program import Program
 

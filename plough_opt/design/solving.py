@@ -19,7 +19,8 @@ from plough_opt.design.exploring import Explored, Explorer, Progress
 from plough_opt.design.infeasible import feasible_from
 from plough_opt.design.ipopt import Point, Vector
 from plough_opt.design.landscape import Landscape, Seen
-from plough_opt.design.optimum import LocalOptimum, Optimum
+from plough_opt.design.local_optimum import LocalOptimum
+from plough_opt.design.optimum import Optimum
 from plough_opt.design.polishing import AS_FOUND, as_it_is, polished, solved_again, to_the_last_digit
 from plough_opt.design.program import Program
 from plough_opt.design.record import Search as SearchRecord

@@ -51,6 +51,14 @@ class Spread:
     kept: float
     needle: bool
 
+    def in_words(self) -> str:
+        """Say what becomes of the design."""
+        kept = f"; {100.0 * self.kept:.0f} % of the designs keep all requirements" if self.margins else ""
+        return (
+            f"As it is made, within the tolerances: objective {self.median:.6g} in the middle of the cases,"
+            f" {self.worst:.6g} at worst{kept}."
+        )
+
 
 def boxes(variables: Sequence[Variable], points: Vector) -> Vector:
     """Return the designs of the boxes around scaled designs, one box after the other."""

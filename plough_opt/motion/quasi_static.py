@@ -10,9 +10,10 @@ import numpy as np
 from plough_opt.core.expressions import Expression, column, holds_casadi, is_casadi, rms
 from plough_opt.core.labels import unlabelled
 from plough_opt.motion.accuracy import Accuracy
+from plough_opt.motion.averages import Averages
 from plough_opt.motion.breaks import ends
 from plough_opt.motion.embedding import labelled
-from plough_opt.motion.run import Averages, Run
+from plough_opt.motion.run import Run
 from plough_opt.motion.scene import Scene
 from plough_opt.motion.terms import Structure, parameters, ramp_time, resistance, start_speed, strut
 from plough_opt.motion.timeline import Timeline

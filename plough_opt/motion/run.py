@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,8 +14,11 @@ from plough_opt.core.domain import check_domain
 from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import Expression, column, is_casadi, rms, where
 from plough_opt.core.labels import unlabelled
-from plough_opt.core.tables import text_table
+from plough_opt.core.origin import Origin
+from plough_opt.core.picture_files import drawn
+from plough_opt.core.tables import Grid, Page, Readable, data_frame
 from plough_opt.motion.accuracy import Accuracy
+from plough_opt.motion.averages import Averages, Checks
 from plough_opt.motion.equation import GAP, SLIP, STICK
 from plough_opt.motion.scene import Scene
 from plough_opt.motion.settled import Settled
@@ -30,47 +35,19 @@ from plough_opt.motion.terms import (
     strut,
 )
 
+if TYPE_CHECKING:
+    import pandas
+    from matplotlib.figure import Figure
 
-@dataclass(frozen=True)
-class Averages:
-    """Time averages of a run; every RMS is the standard deviation about the mean.
-
-    Attributes:
-        mean_draft: mean of the mount force P [N].
-        force_rms: RMS of P [N].
-        mean_deflection: mean of the spring's deflection z [m].
-        displacement_rms: RMS of z [m].
-        tow_power: mean of P s' [W].
-    """
-
-    mean_draft: Expression
-    force_rms: Expression
-    mean_deflection: Expression
-    displacement_rms: Expression
-    tow_power: Expression
-
-
-@dataclass(frozen=True)
-class Checks:
-    """What is known about a run of numbers beside its results.
-
-    Attributes:
-        error_estimate: estimated relative error [-] of every result: see `plough_opt.simulate`.
-        seconds: time taken [s].
-        notes: sentences on this run for whoever reads its results.
-        floquet: multipliers of a lasting orbit [-].
-        settles: to which motion a share comes from equilibrium, of a lasting orbit.
-    """
-
-    error_estimate: float
-    seconds: float
-    notes: tuple[str, ...]
-    floquet: tuple[complex, ...] = ()
-    settles: Settled | None = None
+OUTPUTS: Final = {
+    "time": "s", "travel": "m", "speed": "m/s", "deflection": "m", "mount_force": "N", "soil_resistance": "N",
+    "opening": "m", "mode": "",
+}  # fmt: skip
+"""Arrays of a run over its output times -> their units."""
 
 
 @dataclass(frozen=True, repr=False, eq=False)
-class Run:
+class Run(Readable):
     """A simulated run: arrays over the output times, averages, and how far they can be trusted.
 
     Of a scene of numbers every value is a float or an array of n + 1 outputs; of a symbolic scene each is
@@ -92,6 +69,7 @@ class Run:
         averages: mean draft and the like; each is also an attribute of the run.
         accuracy: method and setting that were used.
         checks: error estimate, time taken and warnings of a run of numbers, each also an attribute of the run.
+        origin: what made it.
     """
 
     scene: Scene
@@ -107,6 +85,7 @@ class Run:
     averages: Averages
     accuracy: Accuracy
     checks: Checks | None = None
+    origin: Origin = field(default=Origin())
 
     def __repr__(self) -> str:
         """Return in a line what was found; the arrays would fill pages."""
@@ -117,23 +96,76 @@ class Run:
             f" {self.mean_draft:.6g} N, RMS {self.force_rms:.6g} N, error estimate {self.error_estimate:.1e}>"
         )
 
-    def __str__(self) -> str:
+    def page(self) -> Page:
         """Return the results of a run of numbers as a table, with what a reader must know."""
         if self.checks is None:
-            return repr(self)
-        rows = [
-            ("mean draft", f"{self.mean_draft:.6g} N"),
-            ("RMS of the mount force", f"{self.force_rms:.6g} N"),
-            ("mean deflection", f"{self.mean_deflection:.6g} m"),
-            ("RMS of the deflection", f"{self.displacement_rms:.6g} m"),
-            ("tow power", f"{self.tow_power:.6g} W"),
-            ("peak mount force", f"{self.peak_force:.6g} N"),
-            ("peak deflection", f"{self.peak_deflection:.6g} m"),
-            ("estimated error", f"{self.error_estimate:.1e}"),
-        ]
-        notes = "".join(f"\nNote: {text}." for text in self.warnings)
+            return Page(repr(self))
         head = f"{self.duration:g} s of a {self.scene.describe()}, by {self.accuracy.method}"
-        return f"{head}\n{text_table(rows)}{notes}"
+        trust = f"relative error about {self.error_estimate:.0e}, {self.seconds:.2f} s"
+        return Page(head, (self.response(),), self.warnings, trust, self.origin.title)
+
+    def response(self) -> Grid:
+        """Return the table of the results of a run of numbers, each in one unit: see `Origin`."""
+        forces = {"mean_draft": self.mean_draft, "force_rms": self.force_rms, "mount_force": self.peak_force}
+        lengths = {
+            "deflection": self.peak_deflection,
+            "mean_deflection": self.mean_deflection,
+            "displacement_rms": self.displacement_rms,
+        }
+        force, length = self.origin.common("N", forces), self.origin.common("m", lengths)
+        rows = [
+            ("mean draft", force.text(self.mean_draft)),
+            ("RMS of the mount force", force.text(self.force_rms)),
+            ("mean deflection", length.text(self.mean_deflection)),
+            ("RMS of the deflection", length.text(self.displacement_rms)),
+            ("tow power", self.origin.common("W", {"tow_power": self.tow_power}).text(self.tow_power)),
+        ]
+        if self.scene.effects.random_strength is not None:
+            rows += [
+                ("stationary RMS of the mount force", force.text(float(self.scene.stationary_force_rms))),
+                ("stationary RMS of the deflection", length.text(float(self.scene.stationary_displacement_rms))),
+            ]
+        if self.scene.medium == "plastic":
+            section, radius = self.specific_draft, float(self.scene.loosened_radius)
+            rows += [
+                ("draft per loosened section", self.origin.common("Pa", {"specific_draft": section}).text(section)),
+                ("loosened radius", self.origin.common("m", {"loosened_radius": radius}).text(radius)),
+            ]
+        rows += [
+            ("peak mount force", force.text(self.peak_force)),
+            ("peak deflection", length.text(self.peak_deflection)),
+        ]
+        grid = Grid.pairs("Response", *rows)
+        if self.scene.effects.orbit == "periodic":
+            comes = {True: "comes to this orbit", False: "comes to another motion", None: "has not settled"}
+            grid.row("largest Floquet multiplier", f"{max(map(abs, self.floquet)):.4g}")
+            grid.row("a share from equilibrium", comes[self.settles.orbit])
+        return grid
+
+    def to_dataframe(self) -> pandas.DataFrame:
+        """Return a row for each output time of a run of numbers, SI; ``attrs["units"]`` has the units.
+
+        Raises:
+            InputError: a symbolic run, or pandas is not installed.
+        """
+        self._known("data frame")
+        return data_frame({name: getattr(self, name) for name in OUTPUTS}, OUTPUTS)
+
+    def plot(self, target: str | Path | None = None) -> Figure:
+        """Draw forces, deflection and speed over time.
+
+        Args:
+            target: file to write (.png, .svg, .pdf), or None.
+
+        Raises:
+            InputError: a symbolic run, a file name without a known ending, or a place that cannot be written.
+        """
+        self._known("picture")
+        return drawn("plot_run", self, target=target)
+
+    def picture(self) -> Figure | None:
+        """Return the picture for a notebook; a symbolic run has none."""
+        return None if self.checks is None else self.plot()
 
     @property
     def mean_draft(self) -> Expression:

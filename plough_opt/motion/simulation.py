@@ -13,6 +13,7 @@ from plough_opt.core.expressions import Expression, as_number, holds_casadi, is_
 from plough_opt.core.kinds import check_kind, check_switch, shown
 from plough_opt.core.quantities import BESIDE
 from plough_opt.motion.accuracy import ADAPTIVE, DEFAULT_ERROR, LOCATE_EVENTS, ORDER_8, Accuracy
+from plough_opt.motion.averages import Checks
 from plough_opt.motion.effects import Smooth
 from plough_opt.motion.embedding import embed
 from plough_opt.motion.following import Case
@@ -30,7 +31,7 @@ from plough_opt.motion.plan import (
     with_setting,
 )
 from plough_opt.motion.quasi_static import SYMBOLIC_GAUSS_POINTS, quasi_static
-from plough_opt.motion.run import Checks, Run, assemble
+from plough_opt.motion.run import Run, assemble
 from plough_opt.motion.scene import Scene
 from plough_opt.motion.settling import which_motion
 from plough_opt.motion.terms import Structure, parameters

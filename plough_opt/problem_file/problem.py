@@ -9,6 +9,7 @@ from typing import Literal
 from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import Expression
 from plough_opt.core.kinds import check_switch, mapping_of
+from plough_opt.core.origin import Origin
 from plough_opt.core.quantities import BESIDE, EVERY, MOST_WAVES, QUANTITIES, quantities, wave_table
 from plough_opt.core.units import Display
 from plough_opt.design import Design, Optimum, Over, Progress
@@ -75,6 +76,11 @@ class Problem:
     def title(self) -> str:
         """The file's title."""
         return self.table.title
+
+    @property
+    def origin(self) -> Origin:
+        """What made the results of this file."""
+        return Origin(self.title, self.displays)
 
     @property
     def accuracy(self) -> Accuracy:
@@ -161,10 +167,9 @@ class Problem:
 
     def simulate(self, changes: Mapping[str, float] | None = None) -> Run:
         """Simulate the scene of `scene`."""
-        values = self.values(changes)
-        return simulate(
-            self.scene(changes), values.get("scene.duration"), accuracy=self.accuracy, outputs=self.table.scene.outputs
-        )
+        duration, outputs = self.values(changes).get("scene.duration"), self.table.scene.outputs
+        run = simulate(self.scene(changes), duration, accuracy=self.accuracy, outputs=outputs)
+        return replace(run, origin=self.origin)
 
     def design(self, *, parameters: bool = False) -> tuple[Design, Run]:
         """Return the design and its symbolic run.
@@ -209,6 +214,7 @@ class Problem:
                 log=v.log,
                 tolerance=v.tolerance,
                 domain=_domain(key),
+                display=v.display,
             )
             for key, v in self.variables.items()
         }
@@ -226,7 +232,8 @@ class Problem:
         for name, limit in self.table.require.items():
             measure = MEASURES[name]
             low, high = (None if side is None else measure.unit.parse(side) for side in (limit.at_least, limit.at_most))
-            design.require(name, measure.of(run), at_least=low, at_most=high, unit=measure.unit.symbol)
+            design.require(name, measure.of(run), at_least=low, at_most=high, unit=measure.unit.symbol,
+                           display=self.displays.get(name))  # fmt: skip
         return design, run
 
     def component(
@@ -287,7 +294,8 @@ class Problem:
         """Return the optimum and its run of numbers: see `design` for ``parameters``, `Design.solve` for the rest."""
         design, run = self.design(parameters=parameters)
         best = design.solve(search=search, judge=judge, seed=seed, progress=progress)
-        return best, best(run)
+        found = replace(best(run), origin=self.origin)
+        return replace(best, run=found, origin=self.origin), found
 
     def trade_off(self, points: int | None = None, progress: Progress | None = None) -> TradeOff:
         """Return the front of the file's [trade_off] table; its [minimise] takes no part.
@@ -309,7 +317,8 @@ class Problem:
             for name, maximise in table.maximise.items()
         ]
         count = table.points if points is None else points
-        return trade_off(design, *goals, points=count, title=self.title, progress=progress)
+        found = trade_off(design, *goals, points=count, title=self.title, progress=progress)
+        return replace(found, origin=self.origin)
 
 
 def _domain(key: str) -> tuple[float, float]:

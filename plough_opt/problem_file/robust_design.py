@@ -52,7 +52,20 @@ def optimise_robust(problem: Problem, progress: Progress) -> RobustOptimum:
     fresh, nominal_fresh = (verify(robust, at, samples=table.fresh, seed=seed) for at in (best, nominal.variables))
     indices = sobol_indices(robust, best, samples=_INDEX_SAMPLES, seed=table.seed, correlated=True)
     run = problem.simulate(best.variables)
-    return RobustOptimum(best, run, nominal, robust, fresh, nominal_fresh, indices, failures)
+    asked = _in_words(problem, {check.result for check in fresh.checks})
+    return RobustOptimum(best, run, nominal, robust, fresh, nominal_fresh, indices, failures, asked, problem.origin)
+
+
+def _in_words(problem: Problem, varying: set[str]) -> dict[str, tuple[str, str]]:
+    """Return every requirement's limits as the file writes them, and in which soils it keeps them."""
+    found = {}
+    for name, own in problem.table.require.items():
+        limits = ", ".join(f"{side.replace('_', ' ')} {written}" for side, written in own.sides.items())
+        how = f"{100 * own.probability:g} % of the soils" if own.probability is not None else own.measure
+        if name not in varying:
+            how = "the nominal soil" if own.measure == "nominal" else "every soil alike"
+        found[name] = (limits, how or "every sample")
+    return found
 
 
 class _Question:
@@ -102,6 +115,7 @@ class _Question:
                 unit=v.unit,
                 log=v.log,
                 tolerance=v.tolerance,
+                display=v.display,
             )
             for key, v in problem.variables.items()
         }

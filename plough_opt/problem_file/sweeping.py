@@ -10,6 +10,7 @@ from typing import Any, Final, Literal
 
 from plough_opt.core.errors import InputError, nearest
 from plough_opt.core.kinds import check_named, shown
+from plough_opt.core.origin import Origin
 from plough_opt.core.quantities import quantities
 from plough_opt.core.units import Display
 from plough_opt.problem_file.evaluations import Optimisation, Simulation, SimulationOfMany, fixed_at
@@ -37,7 +38,7 @@ class ProblemSweep:
     Attributes:
         evaluation: what is computed at a point.
         axes: quantity -> what it runs over, SI.
-        displays: quantity -> the unit in which its range was written.
+        origin: the file, with the units in which the ranges were written.
         count: number of points.
         question: what the results depend on.
         how: a sentence that says by what they are computed.
@@ -46,7 +47,7 @@ class ProblemSweep:
 
     evaluation: Simulation | SimulationOfMany | Optimisation
     axes: Mapping[str, Axis]
-    displays: Mapping[str, Display]
+    origin: Origin
     count: int
     question: Mapping[str, str]
     how: str
@@ -79,7 +80,8 @@ class ProblemSweep:
         notes = tuple(f"'{name}' is a variable of the file: every point fixes it" for name in fixed)
         units = quantities()
         shown = {name: displays.get(name, Display(units[name].symbol, 1.0)) for name in axes}
-        return cls(evaluation, axes, shown, count, _question(problem, axes, what, how), how, notes)
+        origin = Origin(problem.title, {**problem.displays, **shown})
+        return cls(evaluation, axes, origin, count, _question(problem, axes, what, how), how, notes)
 
     @property
     def units(self) -> dict[str, str]:
@@ -149,7 +151,9 @@ def sweep(
         if units is not None:
             raise InputError("units are of a function: a problem file has its own")
         asked = ProblemSweep.of(what_to_sweep, over, what, method, samples, seed)
-        return study.sweep(asked.evaluation, asked.axes, question=asked.question, units=asked.units, **rest)
+        found = study.sweep(asked.evaluation, asked.axes, question=asked.question, units=asked.units, **rest)
+        found.origin, found.how = asked.origin, asked.how
+        return found
     if not (isinstance(what, str) and isinstance(method, str) and (what, method) == ("simulate", "auto")):
         raise InputError("what and method are of a problem file: a function says itself what it computes")
     return study.sweep(what_to_sweep, over, units=units, **rest)

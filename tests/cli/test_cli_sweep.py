@@ -24,7 +24,7 @@ def test_a_sweep_is_reported_written_and_resumed(cli, cotton, tmp_path, monkeypa
     command = ("sweep", cotton, *BRIEF, *COHESION, *SPEED, "--workers", "1")
     done = cli(*command, "--csv", "deep/table.csv", "--npz", "table.npz")
     assert done.status == 0, done.err
-    assert "Subsoiler for cotton on serozem: 6 points, 0 failed" in done.out
+    assert "Subsoiler for cotton on serozem\n6 points, 0 failed" in done.out
     assert re.search(r"│ mean_draft +│ +[0-9.]+ kN │ cohesion 5 kPa +│ +[0-9.]+ kN │ cohesion 45 kPa", done.out)
     assert "Each point is simulated by po.simulate; stored in cotton_subsoiler-" in done.out
     assert "Note: at 6 of 6 points: ambient pressure (101.3 kPa) carries" in done.out
@@ -94,7 +94,7 @@ def stored(path):
 
 
 def test_failures_are_told(cli, reference, tmp_path, monkeypatch):
-    monkeypatch.setattr("plough_opt.app.sweep._SHOWN_FAILURES", 1)
+    monkeypatch.setattr("plough_opt.studies.sweep.result._QUOTED", 1)
     over = ("--over", "share.height=0.12..0.13 m", "--samples", "3", "--set", "effects.motion=false", "--optimise")
     store, table = tmp_path / "sweep.db", tmp_path / "table.csv"
     done = cli("sweep", reference, *over, "--workers", "1", "--store", store, "--csv", table)

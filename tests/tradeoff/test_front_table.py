@@ -2,13 +2,12 @@
 
 import io
 from dataclasses import replace
-from types import SimpleNamespace
 
 import pytest
 from rich.console import Console
 
 import plough_opt as po
-from plough_opt.app.front_table import print_front
+from plough_opt.app.terminal import print_page
 from plough_opt.studies.tradeoff.samples import Failure
 
 
@@ -20,7 +19,7 @@ def surface():
     x = [d.variable(name, guess=0.7 * size, lower=0.0, upper=1.5 * size, unit="") for name, size in names.items()]
     x = [own / size for own, size in zip(x, names.values(), strict=True)]
     d.require("outside", sum(own**2 for own in x[:3]), at_least=1.0)
-    goals = ("mean_draft", "N", 321.09876), ("force_rms", "N", 12.3456789), ("loosened_radius", "m", 0.0123456)
+    goals = ("mean_draft", "N", 4321.09876), ("force_rms", "N", 12.3456789), ("loosened_radius", "m", 0.0123456)
     spread = [size * (own + 0.1 * (x[3] - 0.5) ** 2 + 0.1) for own, (*_, size) in zip(x, goals, strict=False)]
     return po.trade_off(d, *(po.Goal(n, f, u) for (n, u, _), f in zip(goals, spread, strict=True)), points=10)
 
@@ -28,7 +27,7 @@ def surface():
 def printed(front, width=120):
     """Return the lines of a front."""
     out = io.StringIO()
-    print_front(Console(file=out, width=width), SimpleNamespace(displays={}), front)
+    print_page(Console(file=out, width=width), front.page())
     return out.getvalue().splitlines()
 
 
@@ -40,7 +39,7 @@ def test_a_surface_fits_into_120_characters_with_every_number_whole(surface):
     assert all(len(line) <= 120 for line in table)
     first = [cell.strip() for cell in table[0].split("│")[1:-1]]
     point = surface.points[0]
-    shown = [point.objectives[0] / 1e3, point.objectives[1] / 1e3, point.objectives[2]]
+    shown = [point.objectives[0] / 1e3, point.objectives[1] / 1e3, 1e3 * point.objectives[2]]
     shown += [point.variables[axis.name] / (1e3 if axis.unit == "N/m" else 1.0) for axis in surface.variables]
     assert first[: len(shown)] == [f"{value:.5g}" for value in shown]
     headings = "".join(line for line in lines if line.startswith("┃"))

@@ -27,7 +27,7 @@ def test_table_and_files(cli, loosening, tmp_path):
     assert "Front of 5 designs" in done.out
     assert "Limits that decide every design: half_angle." in done.out
     # One sentence on what holds of every design, whatever its figures.
-    assert done.out.count("Note: ") == 1
+    assert done.out.count("Note: ") == 1, done.out
     assert "Note: at 5 of 5 designs: ambient pressure (101.3 kPa) carries 73 % of the static draft" in done.out
     assert "1 % costs: of loosened_radius for 1 % less mean_draft" in done.out
     for path in (picture, table, output):

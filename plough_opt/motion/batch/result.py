@@ -2,16 +2,34 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from numpy.typing import NDArray
+
+from plough_opt.core.picture_files import drawn
+from plough_opt.core.tables import Grid, Page, Readable, data_frame
+from plough_opt.core.units import customary
+
+if TYPE_CHECKING:
+    import pandas
+    from matplotlib.figure import Figure
+
+# Arrays of a batch -> their units, and failures that a table quotes.
+_UNITS: Final = {
+    "mean_draft": "N", "force_rms": "N", "mean_deflection": "m", "displacement_rms": "m", "tow_power": "W",
+    "error_estimate": "", "steps": "",
+}  # fmt: skip
+_QUOTED: Final = 3
 
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class BatchResult:
+class BatchResult(Readable):
     """Results of a batch, an element for each design in the order in which they were given.
 
     Attributes:
@@ -44,10 +62,49 @@ class BatchResult:
 
     def __repr__(self) -> str:
         """Return a summary in one line; the arrays would fill pages."""
+        return f"<BatchResult: {self._heading()}>"
+
+    def _heading(self) -> str:
         return (
-            f"<BatchResult: {len(self)} designs in {self.seconds:.3g} s, {len(self.reasons)} without results,"
-            f" {np.count_nonzero(self.missed)} less exact than {self.wanted:g}>"
+            f"{len(self)} designs in {self.seconds:.3g} s, {len(self.reasons)} without results,"
+            f" {np.count_nonzero(self.missed)} less exact than {self.wanted:g}"
         )
+
+    def page(self) -> Page:
+        """Return the range of every result, and why designs have none."""
+        table = Grid.of("", "result", "least", "median", "largest")
+        for name, unit in _UNITS.items():
+            values = getattr(self, name)[~self.failed]
+            if unit and len(values):
+                ends = [float(x) for x in (np.min(values), np.median(values), np.max(values))]
+                table.row(name.replace("_", " "), *(customary(unit, *ends).text(x) for x in ends))
+        reasons = dict(itertools.islice(self.reasons.items(), _QUOTED))
+        lost = [f"design {number} has no result: {reason}" for number, reason in reasons.items()]
+        lost += [f"... and {len(self.reasons) - _QUOTED} more: see reasons"] if len(self.reasons) > _QUOTED else []
+        return Page(self._heading(), (*([table] if table.rows else []), *lost), self.warnings)
+
+    def picture(self) -> Figure:
+        """Return the picture for a notebook."""
+        return self.plot()
+
+    def plot(self, target: str | Path | None = None) -> Figure:
+        """Draw the RMS of the mount force over the mean draft, a point for each design.
+
+        Args:
+            target: file to write (.png, .svg, .pdf), or None.
+
+        Raises:
+            InputError: a file name without a known ending, or a place that cannot be written.
+        """
+        return drawn("plot_batch", self, target=target)
+
+    def to_dataframe(self) -> pandas.DataFrame:
+        """Return a row for each design, SI, NaN where it has no results.
+
+        Raises:
+            InputError: pandas is not installed.
+        """
+        return data_frame({name: getattr(self, name) for name in _UNITS}, _UNITS)
 
     def __len__(self) -> int:
         return len(self.mean_draft)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -10,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from pydantic import BaseModel, ConfigDict
 
 from plough_opt.core.files import write_file
+from plough_opt.core.tables import Column, Grid, Page, Part, Readable, data_frame
 from plough_opt.exchange.results import SCHEMA, Saved, read_saved
 from plough_opt.studies.accuracy.contest import AUTO, COMPILED, Entry, cheapest, efficient, error_text
 from plough_opt.studies.accuracy.methods import MACHINE_CODE
@@ -18,9 +20,9 @@ from plough_opt.studies.accuracy.scenes import CONTACT, COURSE, DERIVATIVES, LAS
 from plough_opt.studies.accuracy.thoroughness import Thoroughness
 
 if TYPE_CHECKING:
+    import pandas
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-    from rich.table import Table
 
 OPTIMUM = "optimum"
 """Name of the reference of a design."""
@@ -52,8 +54,8 @@ class Question:
     default: tuple[str, str] = ("", "")
 
 
-@dataclass(frozen=True)
-class AccuracyStudy:
+@dataclass(frozen=True, repr=False)
+class AccuracyStudy(Readable):
     """Error against time of everything that can do a scene.
 
     Times are those of this machine at this hour: their ratios say more than they do.
@@ -161,34 +163,62 @@ class AccuracyStudy:
         """A sentence for each question."""
         return "\n".join(self.advise(question) for question in self.questions)
 
-    def table(self, question: Question) -> Table:
-        """Return the entries of a question from the fastest to the slowest, the efficient ones marked: 80 wide."""
-        from rich.box import SIMPLE_HEAD
-        from rich.table import Table
+    def page(self) -> Page:
+        """Return a table for each question, what had no result and why, and the advice."""
+        timed = "one local solve; ≠ ended in another optimum"
+        if self.duration is not None:
+            timed = "a named method integrates once, auto is all of simulate, which checks itself"
+        parts: list[Part] = [self.table(question) for question in self.questions]
+        parts.append(f"Times are medians after a warm-up: {timed}. Set-up is done once.")
+        if self.thoroughness:
+            efforts = Grid.of("What thoroughness costs", "search", "designs tried", "found the best", "time")
+            for row in self.thoroughness:
+                efforts.row(row.search, str(row.designs), f"{row.right} of {row.asked}", f"{row.seconds:.2f} s")
+            parts += [efforts, "Found is the best design that any of these searches came to."]
+        parts += [*self.refusals, *(f"note: {note}" for note in self.notes)]
+        parts += [self.advise(question) for question in self.questions]
+        heading = f"Error against time of {len(self.entries)} contestants, for a wanted error of {self.wanted:.0e}"
+        made = ", ".join(f"{name} {value}" for name, value in self.versions.items())
+        return Page(heading, tuple(parts), (), made, self.title)
 
+    def picture(self) -> Figure:
+        """Return the picture for a notebook."""
+        return self.plot()
+
+    def to_dataframe(self) -> pandas.DataFrame:
+        """Return a row for each contestant: times [s] and relative errors; NaN where it has none.
+
+        Raises:
+            InputError: pandas is not installed.
+        """
+        names = ("family", "method", "setting", "seconds", "setup", "failure")
+        columns: dict[str, Any] = {name: [getattr(entry, name) for entry in self.entries] for name in names}
+        errors = dict.fromkeys(key for entry in self.entries for key in entry.errors)
+        columns |= {f"error of {key}": [entry.errors.get(key, math.nan) for entry in self.entries] for key in errors}
+        return data_frame(columns, {name: "s" if name in ("seconds", "setup") else "" for name in columns})
+
+    def table(self, question: Question) -> Grid:
+        """Return the entries of a question from the fastest to the slowest, the efficient ones marked: 80 wide."""
         reference = f"reference: {self.floors[question.reference]:.0e}"
         for name, floor in self.floors.items():
             if name.startswith(f"{question.reference}, "):
                 reference += f", its {name.removeprefix(f'{question.reference}, ')} {floor:.0e}"
-        ranked = question.ranked or question.error
-        table = Table(
-            title=f"{question.title}: relative error against time\n({reference})",
-            caption=f"* efficient: nothing else is both faster and more exact in {ranked}",
-            caption_justify="left",
-            box=SIMPLE_HEAD,
-            show_edge=False,
-            pad_edge=False,
-            padding=(0, 1, 0, 0),
+        headings = ("time", "set-up", *question.columns.values())
+        table = Grid(
+            (
+                Column(left=True),
+                Column("\nmethod and setting", left=True),
+                *(Column(heading if "\n" in heading else f"\n{heading}") for heading in headings),
+            ),
+            f"{question.title}: relative error against time\n({reference})",
+            f"* efficient: nothing else is both faster and more exact in {question.ranked or question.error}",
+            plain=True,
         )
-        table.add_column("")
-        table.add_column("\nmethod and setting")
-        for heading in ("time", "set-up", *question.columns.values()):
-            table.add_column(heading if "\n" in heading else f"\n{heading}", justify="right")
         front = self.front(question)
         for entry in sorted(self._listed(question), key=lambda entry: entry.seconds):
             errors = (f"{entry.errors[key]:.0e}".replace("0e+00", "0") if key in entry.errors else ""
                       for key in question.columns)  # fmt: skip
-            table.add_row(
+            table.row(
                 "≠" if entry.elsewhere else "*" if entry in front else "",
                 entry.label + (" (default)" if (entry.method, entry.setting) == question.default else ""),
                 duration_text(entry.seconds),

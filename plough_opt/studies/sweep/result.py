@@ -2,20 +2,28 @@
 
 from __future__ import annotations
 
+import itertools
 import weakref
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from plough_opt.core.errors import InputError
 from plough_opt.core.kinds import path_of, shown
+from plough_opt.core.origin import Origin
+from plough_opt.core.picture_files import drawn
+from plough_opt.core.tables import Grid, Page, Part, Readable, data_frame
 from plough_opt.studies.sweep import tables
 from plough_opt.studies.sweep.layout import State
 from plough_opt.studies.sweep.store import Store
+
+if TYPE_CHECKING:
+    import pandas
+    from matplotlib.figure import Figure
 
 
 @dataclass(frozen=True)
@@ -48,12 +56,21 @@ class Extreme:
     values: dict[str, float]
 
 
-class Sweep:
+# Failures that a table quotes.
+_QUOTED: Final = 3
+
+
+class Sweep(Readable):
     """The points of a sweep with their results, read from the store when they are asked for.
 
     Attributes:
         already: how many points were stored before this run began.
+        origin: what made it, where that is known.
+        how: by what the points were computed, in a sentence, where that is known.
     """
+
+    origin = Origin()
+    how = ""
 
     def __init__(self, store: Store, already: int = 0) -> None:
         self._store = store
@@ -166,6 +183,69 @@ class Sweep:
         value, point, *values = found
         return Extreme(value, point, dict(zip(self.names, values, strict=True)))
 
+    def page(self) -> Page:
+        """Return the range of every result and where it lies, what failed, and what a reader must know."""
+        undetermined = len(list(self.undetermined))
+        also = f", {undetermined} undetermined" if undetermined else ""
+        heading = f"{len(self)} points, {self.failed} failed{also}"
+        table = Grid.of("", "result", "least", "at", "largest", "at ", left=("at", "at "))
+        for name in self.results:
+            ends = [end for end in (self.extreme(name), self.extreme(name, largest=True)) if end is not None]
+            if len(ends) == 2:
+                display = self.origin.display(name, self.units.get(name, ""), *(end.value for end in ends))
+                least, largest = (display.text(end.value) for end in ends)
+                places = ["everywhere", ""] if least == largest else [self._place(end) for end in ends]
+                table.row(_short(name), least, places[0], largest, places[1])
+        parts: list[Part] = [table] if table.rows else []
+        for state, count, points in (
+            ("failed", self.failed, self.failures),
+            ("undetermined", undetermined, self.undetermined),
+        ):
+            for point in itertools.islice(points, _QUOTED):
+                values = ", ".join(f"{key} = {self._text(key, value)}" for key, value in point.values.items())
+                parts.append(f"{state} at {values}: {point.reason}")
+            if count > _QUOTED:
+                parts.append(f"... and {count - _QUOTED} more {state}: --csv writes all reasons")
+        there = f"; {self.already} points were there already" if self.already else ""
+        footer = f"{self.how[:1].upper()}{self.how[1:]}; stored in {self.path}{there}" if self.how else ""
+        return Page(heading, tuple(parts), self.notes, footer, self.origin.title)
+
+    def _place(self, end: Extreme) -> str:
+        return "\n".join(f"{_short(key)} {self._text(key, value)}" for key, value in end.values.items())
+
+    def _text(self, name: str, value: float) -> str:
+        return self.origin.display(name, self.units.get(name, ""), value).text(value)
+
+    def picture(self) -> Figure:
+        """Return the picture for a notebook."""
+        return self.plot()
+
+    def plot(self, target: str | Path | None = None) -> Figure:
+        """Draw every result over the quantity that was swept first, a point each; a second quantity is its colour.
+
+        Args:
+            target: file to write (.png, .svg, .pdf), or None.
+
+        Raises:
+            InputError: a file name without a known ending, or a place that cannot be written.
+        """
+        return drawn("plot_sweep", self, target=target)
+
+    def shown(self, name: str) -> tuple[NDArray[np.float64], str]:
+        """Return a column in the unit in which it is shown, and its heading."""
+        values = self.column(name)
+        display = self.origin.display(name, self.units.get(name, ""), *values[np.isfinite(values)].tolist())
+        return values / display.factor, display.heading(_short(name).replace("_", " "))
+
+    def to_dataframe(self) -> pandas.DataFrame:
+        """Return a row for each point: quantities and results, SI, NaN where a point has none.
+
+        Raises:
+            InputError: pandas is not installed.
+        """
+        table = self.table
+        return data_frame({name: table[name] for name in table.dtype.names or ()}, self.units)
+
     def to_csv(self, path: str | Path) -> Path:
         """Write a table of all points; see `plough_opt.studies.sweep.tables.write_csv`."""
         return tables.write_csv(self._store, path)
@@ -177,3 +257,8 @@ class Sweep:
     def _without_results(self, state: State) -> Iterator[Failure]:
         for point, reason, *values in self._store.rows("point", "reason", *self.names, where=state):
             yield Failure(point, dict(zip(self.names, values, strict=True)), reason)
+
+
+def _short(key: str) -> str:
+    """Return a key without its table, so that it is narrow."""
+    return key.rpartition(".")[2]

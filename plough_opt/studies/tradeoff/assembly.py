@@ -11,11 +11,12 @@ import numpy as np
 from plough_opt.core.errors import NotConverged
 from plough_opt.studies.tradeoff.caveats import caveats
 from plough_opt.studies.tradeoff.certificate import FrontPoint, certify
+from plough_opt.studies.tradeoff.front import Hole
 from plough_opt.studies.tradeoff.goal import Axis, Goal
 from plough_opt.studies.tradeoff.notes import against_the_search, looked_at, notes_on
 from plough_opt.studies.tradeoff.plane import Array
 from plough_opt.studies.tradeoff.program import FrontProgram
-from plough_opt.studies.tradeoff.result import Hole, TradeOff
+from plough_opt.studies.tradeoff.result import TradeOff
 from plough_opt.studies.tradeoff.samples import MATTERS, Failure, Sample
 from plough_opt.studies.tradeoff.surface import SurfaceTracer
 from plough_opt.studies.tradeoff.tracing import Tracer

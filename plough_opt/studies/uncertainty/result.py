@@ -4,22 +4,41 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Final, Literal
 
 from pydantic import FiniteFloat
 
+from plough_opt.core.origin import Origin
+from plough_opt.core.picture_files import save
+from plough_opt.core.tables import Grid, Page, Part, Readable, data_frame
 from plough_opt.design import LocalOptimum, Optimum
 from plough_opt.exchange.results import SCHEMA, Saved, SavedRun, read_saved, versions
 from plough_opt.motion import Run
+from plough_opt.motion.vocabulary import MEASURES
 from plough_opt.studies.uncertainty.robust import Robust
+from plough_opt.studies.uncertainty.table import (
+    checks_table,
+    design_table,
+    indices_table,
+    limits_table,
+    remarks_on,
+    soil_table,
+)
 from plough_opt.studies.uncertainty.variance import SobolIndices
-from plough_opt.studies.uncertainty.verification import Check, Verification
+from plough_opt.studies.uncertainty.verification import Check, Verification, in_words
+
+if TYPE_CHECKING:
+    import pandas
+    from matplotlib.figure import Figure
+
+# Results that hardly vary make no picture.
+_MOST_PANELS: Final = 4
 
 
-@dataclass(frozen=True)
-class RobustOptimum:
+@dataclass(frozen=True, repr=False)
+class RobustOptimum(Readable):
     """What a robust design question found.
 
     Attributes:
@@ -31,6 +50,8 @@ class RobustOptimum:
         nominal_fresh: what the same samples say of the nominal one.
         indices: what each result at the robust optimum owes to each uncertain property.
         failures: why the optimiser found no robust optimum from some of its starts.
+        requirements: name -> its limits in words, and in which soils it keeps them.
+        origin: what made it.
     """
 
     best: Optimum
@@ -41,6 +62,87 @@ class RobustOptimum:
     nominal_fresh: Verification
     indices: Mapping[str, SobolIndices]
     failures: tuple[str, ...] = ()
+    requirements: Mapping[str, tuple[str, str]] = field(default_factory=dict)
+    origin: Origin = field(default=Origin(), compare=False)
+
+    def page(self) -> Page:
+        """Return the soil, the robust design beside the nominal one, and what fresh samples say of both."""
+        checks = [self._written(check) for check in self.fresh.checks]
+        parts: list[Part] = [soil_table(self.robust.field, self.origin), design_table(self.best, self.nominal)]
+        required = limits_table(self.best, self.requirements, self.origin)
+        parts += [required] if required.rows else []
+        if len(self.best.local_optima) > 1:
+            optima = Grid.of("All robust optima found", "", "objective", *self.best.variables)
+            for one in self.best.local_optima:
+                cells = (self.best.display(name).text(value, 6) for name, value in one.variables.items())
+                optima.row(one.name, f"{one.objective:.9g}", *cells)
+            parts.append(optima)
+        parts.append(checks_table(checks, self.nominal_fresh.checks, self.fresh.samples, self.origin))
+        parts += [f"* {text}" for check in checks for text in remarks_on(check, self.origin)]
+        if self.indices:
+            parts.append(indices_table(self.indices))
+        if note := next((own.note for own in self.indices.values() if own.note), ""):
+            parts.append(f"In that table {note}.")
+        parts.append(f"In the robust design {in_words(checks)}.")
+        lost = len(self.fresh.failures)
+        notes = (*self.best.warnings, *self.failures)
+        notes += (f"{lost} fresh soils have no result and are left out",) if lost else ()
+        footer = (
+            f"{len(self.robust.samples)} samples in one program; robust objective re-integrated tightly: gap"
+            f" {self.best.gap:.0e}; {self.best.seconds:.1f} s, nominal {self.nominal.seconds:.1f} s, verified in"
+            f" {self.fresh.seconds:.1f} s"
+        )
+        heading = f"Robust design: objective {self.best.objective:.9g} ({self.best.status})"
+        return Page(heading, tuple(parts), notes, footer, self.origin.title)
+
+    def _written(self, check: Check) -> Check:
+        """Return a check whose limits are written as the question writes them."""
+        if check.result not in self.requirements or not check.text.startswith("probability"):
+            return check
+        limits = self.requirements[check.result][0].replace(", ", " and ")
+        return replace(check, text=f"probability of {limits}")
+
+    def picture(self) -> Figure:
+        """Return the picture for a notebook."""
+        return self.plot()
+
+    def plot(self, target: str | Path | None = None) -> Figure:
+        """Draw how the results spread over fresh samples, in the robust design and in the nominal one.
+
+        Args:
+            target: file to write (.png, .svg, .pdf), or None.
+
+        Raises:
+            InputError: a file name without a known ending, or a place that cannot be written.
+        """
+        from plough_opt.studies.uncertainty.picture import Panel, plot_spread
+
+        limits = {limit.name: limit for limit in self.best.limits if limit.kind == "requirement"}
+        panels = []
+        for name in dict.fromkeys(check.result for check in self.fresh.checks):
+            unit = MEASURES[name].unit.symbol if name in MEASURES else ""
+            display = self.origin.display(name, unit, *self.fresh.values[name].tolist())
+            # A limited probability has its limit in the share of the samples, and not in the result.
+            own = limits.get(name) if name in limits and limits[name].unit == unit else None
+            low, high = (None, None) if own is None else (own.low, own.high)
+            panels.append(Panel(name, display.heading(name.replace("_", " ")), display.factor, low, high))
+        values = {"nominal design": self.nominal_fresh.values, "robust design": self.fresh.values}
+        figure = plot_spread(values, panels[:_MOST_PANELS])
+        if target is not None:
+            save(figure, target)
+        return figure
+
+    def to_dataframe(self) -> pandas.DataFrame:
+        """Return a row for each variable: robust and nominal value, SI; ``attrs["units"]`` has their units by name.
+
+        Raises:
+            InputError: pandas is not installed.
+        """
+        names = [*self.best.variables]
+        columns = {"variable": names, "robust": [*self.best.variables.values()]}
+        frame = data_frame(columns | {"nominal": [self.nominal.variables[name] for name in names]}, {})
+        frame.attrs["units"] = {limit.name: limit.unit for limit in self.best.limits if limit.kind == "bound"}
+        return frame
 
 
 class SavedRobust(Saved):

@@ -14,6 +14,7 @@ from plough_opt.core.domain import plain_number
 from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import Expression
 from plough_opt.core.kinds import check_callable, check_choice, check_kind, check_named, shown
+from plough_opt.core.tables import Grid, Page, Readable
 from plough_opt.design import Design, Optimum
 from plough_opt.studies.uncertainty import measures
 from plough_opt.studies.uncertainty.distribution import SoilDistribution
@@ -48,7 +49,7 @@ class Asked:
     width: float = 0.0
 
 
-class Robust:
+class Robust(Readable):
     """The results of a design for every one of some common samples of its soil.
 
     For example::
@@ -90,6 +91,15 @@ class Robust:
         self.seed = seed
         self.columns: Mapping[str, Expression] = self.samples.each(response)
         self.asked: list[Asked] = []
+
+    def page(self) -> Page:
+        """Return the results, their spread's soil, and what is asked of them."""
+        table = Grid.of("", "result", "measure", left=("measure",))
+        for one in self.asked:
+            table.row(one.result, one.text)
+        named = ", ".join(self.columns)
+        heading = f"{named} over {len(self.samples)} samples of {self.field.in_words()}"
+        return Page(heading, (table,) if table.rows else ("Nothing is asked of them yet.",))
 
     def __getitem__(self, name: str) -> Expression:
         """Return a result's values, a column over the samples: in a requirement it is limited in every one of them."""

@@ -1,0 +1,142 @@
+"""A local optimum: its variables, and how far it is from every limit."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from plough_opt.core.picture_files import drawn
+from plough_opt.core.tables import Grid, Page, Readable, data_frame
+from plough_opt.core.units import Display, customary
+from plough_opt.design.tolerance import Spread
+
+if TYPE_CHECKING:
+    import pandas
+    from matplotlib.figure import Figure
+
+# Parts of a limit's size below which a margin is the optimiser's last rounding.
+_NO_MARGIN = 1e-9
+
+
+@dataclass(frozen=True)
+class Limit:
+    """A requirement or bound at a design.
+
+    Attributes:
+        name: as declared.
+        kind: "requirement" or "bound".
+        value: worst value of the limited expression, in ``unit``.
+        limits: the limits in words.
+        margin: distance of the worst value from its limit, positive inside, in ``unit``.
+        multiplier: fall of the objective per unit by which the limit is loosened.
+        active: whether the limit decides the design: no margin to speak of, and a multiplier.
+        unit: unit.
+        display: unit in which value, limits and margin are written.
+        low: lower limit, in ``unit``, or None.
+        high: upper limit, or None.
+    """
+
+    name: str
+    kind: str
+    value: float
+    limits: str
+    margin: float
+    multiplier: float
+    active: bool
+    unit: str
+    display: Display | None = None
+    low: float | None = None
+    high: float | None = None
+
+    @property
+    def shown(self) -> Display:
+        """The unit in which value, limits and margin are written."""
+        return self.display or customary(self.unit, self.value)
+
+    def margin_text(self) -> str:
+        """Return the margin with its unit; 0 of a limit that decides, whose margin is the optimiser's last rounding."""
+        none = self.active or abs(self.margin) < _NO_MARGIN * max(1.0, abs(self.value))
+        return self.shown.text(0.0 if none else self.margin)
+
+
+@dataclass(frozen=True, repr=False)
+class LocalOptimum(Readable):
+    """One local optimum.
+
+    Attributes:
+        name: what tells it from the others: its branch under a strength wave, and its place in the order.
+        objective: objective of the tightly integrated model.
+        variables: name -> value, SI units.
+        limits: every requirement and every variable's bounds.
+        gap: relative difference of the optimiser's own objective from the tightly integrated one.
+        error_estimate: relative difference of two tight integrations of the objective, by different methods.
+        iterations: of IPOPT.
+        spread: objective and margins within the tolerances; None of runs with events and orbits, which take too long.
+    """
+
+    name: str
+    objective: float
+    variables: dict[str, float]
+    limits: tuple[Limit, ...]
+    gap: float
+    error_estimate: float
+    iterations: int
+    spread: Spread | None = None
+
+    def page(self) -> Page:
+        """Return the design as tables: variables with their bounds, requirements with their margins."""
+        return Page(f"{self.name}: objective {self.objective:.9g}", self.design_tables())
+
+    def design_tables(self) -> tuple[Grid, ...]:
+        """Return a table of the variables, and where there are any one of the requirements."""
+        bounds = Grid.of("", "variable", "best", "bounds", "", mark="")
+        required = Grid.of("Requirements", "requirement", "limits", "value", "margin", "", mark="")
+        for one in self.limits:
+            if one.kind == "bound":
+                bounds.row(one.name, one.shown.text(one.value, 7), one.limits, "at its bound" if one.active else "")
+            else:
+                value, decides = one.shown.text(one.value), "decides" if one.active else ""
+                required.row(one.name, one.limits, value, one.margin_text(), decides)
+        return (bounds, required) if required.rows else (bounds,)
+
+    def display(self, name: str) -> Display:
+        """Return the unit in which a variable is written."""
+        own = (one.shown for one in self.limits if one.kind == "bound" and one.name == name)
+        return next(own, Display("", 1.0))
+
+    def to_dataframe(self) -> pandas.DataFrame:
+        """Return a row for each variable and each requirement, SI; ``attrs["units"]`` has the unit of each by name.
+
+        Raises:
+            InputError: pandas is not installed.
+        """
+        names = ("name", "kind", "value", "limits", "margin", "multiplier", "active", "unit")
+        frame = data_frame({name: [getattr(one, name) for one in self.limits] for name in names}, {})
+        frame.attrs["units"] = {one.name: one.unit for one in self.limits}
+        return frame
+
+    def plot(self, target: str | Path | None = None) -> Figure:
+        """Draw where the variables lie between their bounds.
+
+        Args:
+            target: file to write (.png, .svg, .pdf), or None.
+
+        Raises:
+            InputError: a file name without a known ending, or a place that cannot be written.
+        """
+        return drawn("plot_designs", {self.name: self}, target=target)
+
+    def picture(self) -> Figure:
+        """Return the picture for a notebook."""
+        return self.plot()
+
+    @property
+    def margins(self) -> dict[str, float]:
+        """Margin of each requirement, positive inside, in its unit."""
+        return {limit.name: limit.margin for limit in self.limits if limit.kind == "requirement"}
+
+    @property
+    def active(self) -> tuple[str, ...]:
+        """Names of the requirements and variables whose limits decide the design."""
+        return tuple(limit.name for limit in self.limits if limit.active)

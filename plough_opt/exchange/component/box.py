@@ -1,4 +1,4 @@
-"""The box between a component's bounds: whether every scene in it can be, and how many steps the fastest needs."""
+"""The box between a component's bounds: checks the scenes in it, and finds the number of steps that they all need."""
 
 from __future__ import annotations
 
@@ -30,11 +30,11 @@ Make = Callable[[Mapping[str, Expression]], tuple[Scene, Expression | None]]
 _PHASE_PER_STEP, _PHASE_PER_PANEL = 0.8, 4.0
 _MOST_STEPS = 50_000
 _ROUNDS = 6
-# Part of V0 sqrt(k0 M) that forces are at least related to.
+# Least force to which errors are related, as a part of V0 sqrt(k0 M).
 _LEAST_FORCE = 1e-9
 _RETREAT = 1e-6
-# What is looked at, at points of the box.
-_DRAFT, _RMS, _FORCE, _SPEED, _HARDNESS, _HALF_ANGLE = range(6)
+# Results that are checked at points of the box; _SCALE is V0 sqrt(k0 M).
+_DRAFT, _RMS, _FORCE, _SPEED, _SCALE, _HALF_ANGLE = range(6)
 _CHECKED: Results = (
     lambda run: run.mean_draft,
     lambda run: run.force_rms,
@@ -46,8 +46,8 @@ _CHECKED: Results = (
 
 
 @dataclass(frozen=True)
-class Found:
-    """A resolution, the error that it leaves, and what a reader must know."""
+class Resolved:
+    """A resolution, the error that it leaves, and warnings."""
 
     resolution: Resolution
     error: float
@@ -59,7 +59,7 @@ class Box:
     """Inputs with their bounds, and the scenes between these.
 
     Raises:
-        InputError: a scene that a plain graph cannot hold, or one without a duration.
+        InputError: a scene that fixed steps cannot integrate, or one without a duration.
         DomainError: bounds outside the model's domain.
     """
 
@@ -72,8 +72,8 @@ class Box:
         if effects.events:
             what = "a share that enters the soil" if effects.entry else "stick and slip"
             raise InputError(
-                f"{what} cannot be a component: its events are found by an adaptive integrator, which is no plain graph"
-                " of fixed steps; take contact = Smooth(width) and no entry, or simulate the scene itself"
+                f"{what} cannot be a component: its events need an adaptive integrator, and a component's steps are"
+                " fixed; use contact = Smooth(width) and no entry, or simulate the scene itself"
             )
 
     @cached_property
@@ -107,15 +107,20 @@ class Box:
         )
 
     def sizes(self, results: Results) -> list[int]:
-        """Return how many values each result has at two output times."""
+        """Return the number of values of each result in a run with two output times."""
         function = self._graph(results, Resolution(1, 1))
         return [function.numel_out(k) for k in range(function.n_out())]
 
     def _graph(self, results: Results, resolution: Resolution) -> ca.Function:
         return graph(self.name, [port.argument for port in self.inputs], self.make_of_column, results, resolution)
 
-    def resolved(self, accuracy: Accuracy, outputs: int) -> Found:
-        """Return the steps that reach an error between the bounds, or the named ones, and the error that they leave."""
+    def resolved(self, accuracy: Accuracy, outputs: int) -> Resolved:
+        """Return the number of steps that reaches an error between the bounds, or the one in `accuracy`, and its error.
+
+        Args:
+            accuracy: the error to reach, or the number of steps.
+            outputs: number of intervals between output times.
+        """
         wanted = accuracy.error or DEFAULT_ERROR
         effects = self.scene.effects
         moves = effects.motion
@@ -130,14 +135,14 @@ class Box:
             error = max(_difference(*pair) for pair in zip(coarse, fine, strict=True))
             if error <= wanted or accuracy.steps is not None or 2 * steps > _MOST_STEPS:
                 break
-            steps = math.ceil(steps * min(2.0, 1.1 * (error / wanted) ** 0.125))
-        resolution, doubts = self._with_sure_derivatives(points, resolution, accuracy)
-        return Found(resolution, error, (*self._warnings(points, fine), *_missed(error, wanted), *doubts))
+            steps = _more(steps, error, wanted)
+        resolution, doubts = self._resolved_derivatives(points, resolution, accuracy)
+        return Resolved(resolution, error, (*self._warnings(points, fine), *_missed(error, wanted), *doubts))
 
-    def _with_sure_derivatives(
+    def _resolved_derivatives(
         self, points: Sequence[NDArray[np.float64]], resolution: Resolution, accuracy: Accuracy
     ) -> tuple[Resolution, tuple[str, ...]]:
-        """Return as many steps as derivatives need, or the named ones, and a warning where they miss the error."""
+        """Return a resolution that derivatives need too, and a warning if they miss the wanted error."""
         if not self.scene.effects.motion:
             return resolution, ()
         wanted = accuracy.wanted_derivatives
@@ -145,7 +150,7 @@ class Box:
             error = self._derivative_error(points, resolution)
             if error <= wanted:
                 return resolution, ()
-            steps = math.ceil(resolution.steps * min(2.0, 1.1 * (error / wanted) ** 0.125))
+            steps = _more(resolution.steps, error, wanted)
             if accuracy.steps is not None or 2 * steps > _MOST_STEPS:
                 break
             resolution = replace(resolution, steps=steps)
@@ -156,12 +161,16 @@ class Box:
         solver, given = motion([port.argument for port in self.inputs], self.make_of_column, resolution)
         varying = tuple(sorted(set(given.jac_sparsity(0, 0).row())))
         p = np.hstack([given(x).full() for x in points])
-        # Of results at the ends alone the averages matter.
+        # Without output times between the ends only the averages matter.
         first = solver.function.numel_out(0) if resolution.outputs == 1 else 0
         return derivative_error(solver, first, varying, p)
 
     def _steps(self, points: Sequence[NDArray[np.float64]], limit: float) -> int:
-        """Return how many steps, or panels, the fastest of some scenes needs; refuse scenes that cannot be."""
+        """Return the number of steps, or panels, that the fastest of some scenes needs.
+
+        Raises:
+            DomainError: a scene outside the model's domain, or one that needs more steps than the limit.
+        """
         most = 0
         for x in points:
             try:
@@ -178,45 +187,51 @@ class Box:
             if most > limit:
                 raise DomainError(
                     f"at {self._place(x)} the share oscillates so fast that the run would take {most} steps: narrow the"
-                    " bounds on stiffness and mass, shorten the duration, or take the quasi-static scene"
+                    " bounds on stiffness and mass, shorten the duration, or use the quasi-static scene"
                 )
         return most
 
     def _evaluated(
         self, points: Sequence[NDArray[np.float64]], resolution: Resolution, moves: bool
     ) -> list[list[NDArray[np.float64]]]:
-        """Return what is checked, at points."""
+        """Return the results that are checked, at points."""
         function = self._graph(_CHECKED, resolution)
-        found = [[value.full().ravel() for value in function.call(list(x))] for x in points]
-        for x, values in zip(points, found, strict=True):
+        results = [[value.full().ravel() for value in function.call(list(x))] for x in points]
+        for x, values in zip(points, results, strict=True):
             if not all(np.all(np.isfinite(value)) for value in values):
                 raise DomainError(
                     f"the {'motion' if moves else 'draft'} has no finite value at {self._place(x)}: give the inputs"
                     " narrower bounds"
                 )
-        return found
+        return results
 
     def _warnings(
-        self, points: Sequence[NDArray[np.float64]], found: Sequence[Sequence[NDArray[np.float64]]]
+        self, points: Sequence[NDArray[np.float64]], results: Sequence[Sequence[NDArray[np.float64]]]
     ) -> tuple[str, ...]:
-        """Return what a reader must know: of the scene at the inputs' values, and of those between the bounds."""
+        """Return warnings: of the scene at the inputs' values, and of those between the bounds."""
         notes = list(self.scene.warnings())
-        bluntest = max(float(values[_HALF_ANGLE][0]) for values in found)
+        bluntest = max(float(values[_HALF_ANGLE][0]) for values in results)
         if bluntest > PLANE_SECTIONS_LIMIT and not any("plane sections" in note for note in notes):
             notes.append(
                 f"within the bounds the half angle reaches {math.degrees(bluntest):.1f} deg: above"
                 f" {math.degrees(PLANE_SECTIONS_LIMIT):.0f} deg the hypothesis of plane sections does not hold"
             )
-        slowest = min(range(len(points)), key=lambda k: float(np.min(found[k][_SPEED])))
-        speed = found[slowest][_SPEED]
+        slowest = min(range(len(points)), key=lambda k: float(np.min(results[k][_SPEED])))
+        speed = results[slowest][_SPEED]
         if float(np.min(speed)) < -_RETREAT * float(np.max(np.abs(speed))):
             notes.append(
                 f"within the bounds the share retreats, as at {self._place(points[slowest])} at up to"
-                f" {-float(np.min(speed)):.3g} m/s, and this contact law does not know the gap that it leaves"
+                f" {-float(np.min(speed)):.3g} m/s, and this contact law ignores the gap that it leaves"
             )
         if self.scene.effects.orbit not in ("transient", "periodic"):
-            notes.append("a stand-in for the lasting orbit; how far it differs from that is not in the error estimate")
+            notes.append("an approximation of the lasting orbit, whose own error is not in the error estimate")
         return tuple(notes)
+
+
+def _more(steps: int, error: float, wanted: float) -> int:
+    """Return the number of steps, at most twice as many, that a method of order 8 needs for a smaller error."""
+    factor: float = min(2.0, 1.1 * (error / wanted) ** 0.125)
+    return math.ceil(steps * factor)
 
 
 def _missed(error: float, wanted: float) -> tuple[str, ...]:
@@ -227,7 +242,7 @@ def _missed(error: float, wanted: float) -> tuple[str, ...]:
 
 def _difference(coarse: Sequence[NDArray[np.float64]], fine: Sequence[NDArray[np.float64]]) -> float:
     """Return the largest relative difference of mean draft and RMS, and of the mount force at the outputs."""
-    least = _LEAST_FORCE * float(fine[_HARDNESS][0])
+    least = _LEAST_FORCE * float(fine[_SCALE][0])
     size = max(abs(float(fine[_DRAFT][0])), float(fine[_RMS][0]), least)
     peak = max(float(np.max(np.abs(fine[_FORCE]))), least)
     pairs = ((_DRAFT, size), (_RMS, size), (_FORCE, peak))

@@ -1,8 +1,8 @@
-"""`component`: from a scene and names to a Function, with as many steps as the bounds on its inputs call for."""
+"""`component`: a scene as a Function of named inputs, with as many steps as the bounds on these need."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, TypeVar
 
@@ -43,29 +43,29 @@ def component(
 
     Args:
         scene: of numbers, some of which become inputs; or with CasADi symbols, each of which is an `Input`'s.
-        duration: simulated time [s]; of a lasting orbit it is one wavelength and must be left out.
+        duration: simulated time [s]; leave it out for a lasting orbit, whose duration is that of one wavelength.
         inputs: names of quantities, as in problem files ("share.height", "soil.cohesion", "scene.duration"), or
             `Input`s with bounds. The number of steps follows from the bounds.
         outputs: names of results, as in problem files ("mean_draft", "deflection"), or `Output`s.
-        steel_density: of the share [kg/m^3]; the mass then follows the share's volume, what is left of the scene's mass
-            being the frame's, and "scene.frame_mass" and "scene.steel_density" are names too. Default: the mass stays.
+        steel_density: of the share [kg/m^3]. The mass then depends on the share's volume, the rest of the scene's mass
+            is the frame's, and "scene.frame_mass" and "scene.steel_density" can be inputs. Default: a constant mass.
         accuracy: an error to reach, or ``"dop853"`` with a number of steps; default: a relative error of 1e-8, of
             derivatives 1e-6, checked at corners of the bounds and points inside.
         samples: number of equal intervals between output times of results at every output time.
         name: the Function's name.
 
     Raises:
-        InputError: an unknown name, an input without bounds, or a scene that no such Function can hold; the message
+        InputError: an unknown name, an input without bounds, or a scene that cannot be such a Function; the message
             says why.
         DomainError: bounds outside the model's domain.
     """
     check_single("a component", (scene, duration))
     steel = None if steel_density is None else plain_number("steel_density", steel_density)
     base = _Base(scene, duration, steel)
-    asked = _several(inputs, Input)
-    check_names("input", [one.name for one in asked])
-    ports = [_own_port(one) if one.symbol is not None else _port(one, base) for one in asked]
-    make, notes = _maker(base, asked), base.notes(ports)
+    listed = _listed(inputs, Input)
+    check_names("input", [one.name for one in listed])
+    ports = [_symbol_port(one) if one.symbol is not None else _quantity_port(one, base) for one in listed]
+    make, notes = _Scenes(base, listed), base.notes(ports)
     return build(make, ports, outputs, accuracy=accuracy, samples=samples, name=name, notes=notes)
 
 
@@ -79,12 +79,12 @@ def build(
     name: str = "share",
     notes: Sequence[str] = (),
 ) -> Component:
-    """Return the component of whatever makes scenes of its inputs; the rest as `component`.
+    """Return a component of a callable that makes scenes of its inputs; the other arguments are those of `component`.
 
     Args:
         make: values of the inputs by name, numbers or symbols -> scene and duration.
         inputs: names, units, bounds and values.
-        outputs: what is asked for.
+        outputs: names of results, or `Output`s.
         accuracy: error to reach, or steps.
         samples: number of equal intervals between output times.
         name: the Function's name.
@@ -92,9 +92,9 @@ def build(
     """
     if not isinstance(name, str) or not ca.Function.check_name(name):
         raise InputError(
-            f"name = {shown(name)} cannot be that of a CasADi Function: take letters, digits and underscores"
+            f"name = {shown(name)} cannot be the name of a CasADi Function: use letters, digits and underscores"
         )
-    wanted = _several(outputs, Output)
+    wanted = _listed(outputs, Output)
     check_names("output", [one.name for one in wanted])
     check_names("input or output", [*(port.name for port in inputs), *(one.name for one in wanted)])
     accuracy = Accuracy() if accuracy is None else accuracy
@@ -102,19 +102,19 @@ def build(
         raise InputError(f"accuracy = {shown(accuracy)} must be a po.Accuracy(...)")
     if accuracy.method not in ORDER_8:
         raise InputError(
-            f"accuracy method '{accuracy.method}' cannot be part of a component, which holds its steps as a plain"
-            " graph: take 'auto', or 'dop853' with a number of steps"
+            f"accuracy method '{accuracy.method}' cannot be part of a component, whose steps are fixed: use 'auto', or"
+            " 'dop853' with a number of steps"
         )
     if not is_count(samples):
         raise InputError(f"samples = {shown(samples)} must be a whole number from 1 on: intervals between output times")
     box = Box(tuple(inputs), make, name)
     measures = [measure_of(one, box.scene.medium) for one in wanted]
     results = [of for _, of in measures]
-    # Two output times tell which results are columns, and whether there are any.
+    # A run with two output times shows which results are columns.
     columns = any(size > 1 for size in box.sizes(results))
-    found = box.resolved(accuracy, samples if columns else 1)
+    resolved = box.resolved(accuracy, samples if columns else 1)
     arguments = [port.argument for port in inputs]
-    function = graph(name, arguments, box.make_of_column, results, found.resolution)
+    function = graph(name, arguments, box.make_of_column, results, resolved.resolution)
     ends = [
         Port(one.name, unit, one.lower, one.upper, value=0.0, size=function.numel_out(k))
         for k, (one, (unit, _)) in enumerate(zip(wanted, measures, strict=True))
@@ -124,8 +124,8 @@ def build(
     symbols = function.mx_in()
     function = ca.Function(name, symbols, function.call(symbols), arguments, names, {"default_in": values})
     ends = [replace(port, value=_largest(port, value)) for port, value in zip(ends, function.call(values), strict=True)]
-    own = Accuracy("dop853", steps=found.resolution.steps) if box.scene.effects.motion else Accuracy()
-    return Component(function, tuple(inputs), tuple(ends), own, found.error, (*found.warnings, *notes))
+    own = Accuracy("dop853", steps=resolved.resolution.steps) if box.scene.effects.motion else Accuracy()
+    return Component(function, tuple(inputs), tuple(ends), own, resolved.error, (*resolved.warnings, *notes))
 
 
 def _largest(port: Port, values: ca.DM) -> float:
@@ -135,22 +135,21 @@ def _largest(port: Port, values: ca.DM) -> float:
     return float(ca.mmax(values))
 
 
-def _several(asked: Any, kind: type[_T]) -> list[_T]:
-    """Return what is asked for; a name alone is one, and not its letters."""
-    if not isinstance(asked, str | Sequence):
-        word = kind.__name__
-        raise InputError(f"{word.lower()}s = {shown(asked)} must be a list of names, or of po.{word}(name, ...)")
-    found = [kind(one) if isinstance(one, str) else one for one in ([asked] if isinstance(asked, str) else asked)]
-    for one in found:
+def _listed(given: Any, kind: type[_T]) -> list[_T]:
+    """Return inputs or outputs as a list, made from names where names are given; one name alone is a list of one."""
+    word = kind.__name__
+    if not isinstance(given, str | Sequence):
+        raise InputError(f"{word.lower()}s = {shown(given)} must be a list of names, or of po.{word}(name, ...)")
+    listed = [kind(one) if isinstance(one, str) else one for one in ([given] if isinstance(given, str) else given)]
+    for one in listed:
         if not isinstance(one, kind):
-            word = kind.__name__
             raise InputError(f"{word.lower()} {shown(one)} must be a name, or po.{word}(name, ...) with more about it")
-    return found
+    return listed
 
 
 @dataclass(frozen=True)
 class _Base:
-    """A scene with its duration, and the steel of which its share is made."""
+    """A scene with its duration, and the density of the share's steel if the mass depends on it."""
 
     scene: Scene
     duration: Expression | None
@@ -160,7 +159,10 @@ class _Base:
         if self.steel is None:
             return
         if holds_casadi((self.scene.mass, self.scene.share)):
-            raise InputError("steel_density belongs to a scene of numbers: here the scene's mass says it already")
+            raise InputError(
+                "steel_density belongs to a scene of numbers: this scene's mass or share is an expression, which can"
+                " include the share's own mass"
+            )
         BESIDE[_STEEL].check(self.steel)
         if self.frame < 0.0:
             raise InputError(
@@ -176,9 +178,11 @@ class _Base:
     def value(self, name: str) -> tuple[Quantity, Expression]:
         """Return a quantity and its value."""
         if self.steel is None and name in (_FRAME, _STEEL):
-            raise InputError(f"'{name}' needs a steel_density, for the frame is what is not share: give that too")
+            raise InputError(
+                f"'{name}' needs a steel_density, which divides the mass into frame and share: give that too"
+            )
         if self.steel is not None and name == "scene.mass":
-            raise InputError(f"'scene.mass' follows from steel_density and '{_FRAME}': take that one")
+            raise InputError(f"'scene.mass' follows from steel_density and '{_FRAME}': use that one")
         if name not in BESIDE:
             if name not in QUANTITIES:
                 raise InputError(f"no quantity is named '{name}': {nearest(name, EVERY)}")
@@ -189,13 +193,13 @@ class _Base:
         return BESIDE[name], value[name]
 
     def notes(self, ports: Sequence[Port]) -> tuple[str, ...]:
-        """Return what a reader must know of the mass."""
+        """Return a warning if the share's shape varies and the mass does not."""
         names = {port.name for port in ports}
         follows = self.steel is not None or holds_casadi(self.scene.mass) or "scene.mass" in names
         if follows or not self.scene.effects.motion or not any(name.startswith("share.") for name in names):
             return ()
         return (
-            f"the moving mass stays {self.scene.mass:.4g} kg whatever the share's size; a steel_density lets it follow",
+            f"the moving mass stays {self.scene.mass:.4g} kg whatever the share's size; a steel_density couples it",
         )
 
     def changed(self, changes: Mapping[str, Expression]) -> tuple[Scene, Expression | None]:
@@ -207,15 +211,15 @@ class _Base:
         return scene, changes.get(_DURATION, self.duration)
 
 
-def _port(one: Input, base: _Base) -> Port:
+def _quantity_port(one: Input, base: _Base) -> Port:
     """Return the port of a quantity of the scene."""
-    quantity, found = base.value(one.name)
-    if is_symbolic(found) and one.value is None:
+    quantity, value = base.value(one.name)
+    if is_symbolic(value) and one.value is None:
         raise InputError(f"'{one.name}' is an expression of the scene: make its symbol the input, or give it a value")
-    return port_of(one, quantity, float(as_number(found)) if one.value is None else one.value)
+    return port_of(one, quantity, float(as_number(value)) if one.value is None else one.value)
 
 
-def _own_port(one: Input) -> Port:
+def _symbol_port(one: Input) -> Port:
     """Return the port of a symbol."""
     symbol: Any = one.symbol
     if not (is_symbolic(symbol) and symbol.is_valid_input() and symbol.numel() == 1):
@@ -228,49 +232,53 @@ def _own_port(one: Input) -> Port:
     return port_of(one, Quantity(one.name, one.name, "", one.unit or "", middle, ()), middle)
 
 
-def _maker(base: _Base, asked: Sequence[Input]) -> Make:
-    """Return what makes scenes of inputs: symbols are replaced first, then quantities by name."""
-    own = [one for one in asked if one.symbol is not None]
-    names = [one.name for one in own]
-    replaced = _substitution(base, own)
+class _Scenes:
+    """Makes scenes of a component's inputs: first the scene's symbols are replaced, then quantities set by name."""
 
-    def make(changes: Mapping[str, Expression]) -> tuple[Scene, Expression | None]:
-        rest = {key: value for key, value in changes.items() if key not in names}
-        return replaced([changes[name] for name in names]).changed(rest)
+    def __init__(self, base: _Base, inputs: Sequence[Input]) -> None:
+        """Take the scene, and the inputs, of which some may be its symbols."""
+        self._base = base
+        self._symbols = {one.name: one.symbol for one in inputs if one.symbol is not None}
+        self._expressions = self._function_of_symbols()
 
-    return make
+    def __call__(self, values: Mapping[str, Expression]) -> tuple[Scene, Expression | None]:
+        """Return scene and duration at values of the inputs, numbers or symbols."""
+        base = self._base
+        if self._expressions is not None:
+            results = iter(self._expressions.call([values[name] for name in self._symbols]))
+            scene, duration = map_expressions((base.scene, base.duration), lambda _: _simple(next(results)))
+            base = replace(base, scene=scene, duration=duration)
+        return base.changed({name: value for name, value in values.items() if name not in self._symbols})
 
+    def _function_of_symbols(self) -> ca.Function | None:
+        """Return all expressions in the scene as a Function of its symbols; None for a scene of numbers.
 
-def _substitution(base: _Base, own: Sequence[Input]) -> Callable[[Sequence[Expression]], _Base]:
-    """Return what puts values, numbers or expressions, in the place of a scene's symbols."""
-    expressions: list[Any] = []
+        Raises:
+            InputError: symbols of inputs that the scene does not hold, or others that it holds.
+        """
+        expressions: list[Any] = []
 
-    def collected(found: Expression) -> Expression:
-        expressions.append(found)
-        return found
+        def collect(expression: Expression) -> Expression:
+            expressions.append(expression)
+            return expression
 
-    map_expressions((base.scene, base.duration), collected)
-    if not expressions:
-        if own:
-            raise InputError(f"the scene does not hold the symbol of input '{own[0].name}': it is made of numbers")
-        return lambda _: base
-    symbols: list[Any] = [one.symbol for one in own]
-    known = {hash(symbol) for symbol in symbols}
-    strangers = sorted({s.name() for e in expressions for s in ca.symvar(e) if hash(s) not in known and is_symbolic(e)})
-    if strangers:
-        raise InputError(
-            f"the scene holds symbols that are no inputs ({', '.join(strangers)}): ask for each as an Input with its"
-            " symbol"
-        )
-    function = ca.Function("quantities", symbols, expressions)
-    function = function if function.is_a("SXFunction") else function.expand()
-
-    def replaced(values: Sequence[Expression]) -> _Base:
-        found = iter(function.call(list(values)))
-        scene, duration = map_expressions((base.scene, base.duration), lambda _: _simple(next(found)))
-        return replace(base, scene=scene, duration=duration)
-
-    return replaced
+        map_expressions((self._base.scene, self._base.duration), collect)
+        if not expressions:
+            if self._symbols:
+                raise InputError(
+                    f"the scene does not hold the symbol of input '{next(iter(self._symbols))}': it is made of numbers"
+                )
+            return None
+        symbols: list[Any] = list(self._symbols.values())
+        known = {hash(symbol) for symbol in symbols}
+        others = {s.name() for e in expressions if is_symbolic(e) for s in ca.symvar(e) if hash(s) not in known}
+        if others:
+            raise InputError(
+                f"the scene holds symbols that are not inputs ({', '.join(sorted(others))}): make each an Input with"
+                " its symbol"
+            )
+        function = ca.Function("quantities", symbols, expressions)
+        return function if function.is_a("SXFunction") else function.expand()
 
 
 def _simple(value: Expression) -> Expression:

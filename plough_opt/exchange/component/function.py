@@ -1,4 +1,4 @@
-"""Component: one CasADi Function with the names, units and bounds of what goes in and comes out."""
+"""Component: one CasADi Function with names, units and bounds of its inputs and outputs."""
 
 from __future__ import annotations
 
@@ -16,20 +16,20 @@ from plough_opt.core.kinds import shown
 from plough_opt.exchange.component.ports import Port
 from plough_opt.motion.accuracy import Accuracy
 
-# Part of the width between bounds by which a number may lie outside: the rounding of whoever computed it.
+# Part of the width between bounds by which a number may lie outside, because of rounding.
 _SLACK = 1e-9
 
 
 class Component(ca.Function):
-    """A scene as a CasADi Function that knows what goes in and comes out, and takes numbers only between its bounds.
+    """A scene as a CasADi Function with named inputs and outputs, which accepts numbers only between its bounds.
 
-    Called with numbers it gives floats and arrays, with SX or MX symbols expressions with exact derivatives::
+    Called with numbers it returns floats and arrays, with SX or MX symbols expressions with exact derivatives::
 
         draft, rms = component(0.4, 0.25, 5e4)          # in the order of the inputs
         component(scene_stiffness=4e4)["mean_draft"]    # by name, the others at their values
 
-    Everything else is as of any Function: ``map``, ``jacobian``, ``save``, and ``call``, which does not look at bounds.
-    Its inputs and outputs are scalars and columns, named by `Port.argument`. It pickles.
+    The rest is that of any Function: ``map``, ``jacobian``, ``save``, and ``call``, which does not check bounds. Inputs
+    and outputs are scalars and columns, named by `Port.argument`. It can be pickled.
 
     Attributes:
         inputs: names, units, bounds and values.
@@ -37,7 +37,7 @@ class Component(ca.Function):
         accuracy: method and steps.
         error_estimate: largest relative error [-] found at corners of the bounds and points inside: of mean draft and
             RMS force relative to the larger of them, of the mount force relative to its peak.
-        warnings: what a reader of its results must know.
+        warnings: about its results.
     """
 
     inputs: tuple[Port, ...]
@@ -68,7 +68,7 @@ class Component(ca.Function):
 
         Raises:
             InputError: too many or too few inputs, an unknown name, an array (``map`` takes many values).
-            DomainError: a number outside the bounds, for which steps and checks were not chosen; ``call`` takes it.
+            DomainError: a number outside the bounds, for which the steps were not chosen; ``call`` accepts it.
         """
         if named and values:
             raise InputError("give the inputs in order or by name, not both")
@@ -79,13 +79,13 @@ class Component(ca.Function):
         numbers = not any(map(is_symbolic, given))
         if numbers:
             given = [self._number(port, value) for port, value in zip(self.inputs, given, strict=True)]
-        found: list[Any] = self.call(given)
+        results: list[Any] = self.call(given)
         if numbers:
-            found = [_plain(value) for value in found]
-            self._refuse_nothing(found, given)
+            results = [_plain(value) for value in results]
+            self._check_finite(results, given)
         if named:
-            return dict(zip((port.name for port in self.outputs), found, strict=True))
-        return found[0] if len(found) == 1 else tuple(found)
+            return dict(zip((port.name for port in self.outputs), results, strict=True))
+        return results[0] if len(results) == 1 else tuple(results)
 
     def _complete(self, named: Mapping[str, Expression]) -> list[Expression]:
         known = {name for port in self.inputs for name in (port.name, port.argument)}
@@ -114,8 +114,8 @@ class Component(ca.Function):
             )
         return plain
 
-    def _refuse_nothing(self, found: Sequence[Any], given: Sequence[float]) -> None:
-        for port, value in zip(self.outputs, found, strict=True):
+    def _check_finite(self, results: Sequence[Any], given: Sequence[float]) -> None:
+        for port, value in zip(self.outputs, results, strict=True):
             if not np.all(np.isfinite(value)):
                 place = ", ".join(
                     f"{p.name} = {x:g} {p.unit}".rstrip() for p, x in zip(self.inputs, given, strict=True)
@@ -124,7 +124,7 @@ class Component(ca.Function):
 
     @cached_property
     def slopes(self) -> ca.Function:
-        """Function of the same inputs: derivatives of all outputs, stacked, by all inputs, a dense matrix."""
+        """Function of the same inputs that returns the derivatives of all outputs, stacked, as a dense matrix."""
         x = [ca.MX.sym(port.argument) for port in self.inputs]
         column = ca.MX.sym("inputs", len(x))
         stacked = ca.vertcat(*self.call(ca.vertsplit(column)))
@@ -134,16 +134,16 @@ class Component(ca.Function):
         return ca.Function(f"{self.name()}_slopes", x, [jacobian(ca.vertcat(*x))], names, ["slopes"], options)
 
     def __getstate__(self) -> dict[str, Any]:
-        """Return what is pickled; the slopes are built again when they are asked for."""
-        told = {key: value for key, value in self.__dict__.items() if key not in ("this", "slopes")}
-        return {**super().__getstate__(), "told": told}
+        """Return the state to pickle; the slopes are built again when they are needed."""
+        own = {key: value for key, value in self.__dict__.items() if key not in ("this", "slopes")}
+        return {**super().__getstate__(), "own": own}
 
     def __setstate__(self, state: Mapping[str, Any]) -> None:
-        """Take what was pickled."""
-        Component.__init__(self, ca.Function.deserialize(state["serialization"]), **state["told"])
+        """Take a pickled state."""
+        Component.__init__(self, ca.Function.deserialize(state["serialization"]), **state["own"])
 
     def __copy__(self) -> Component:
-        """Return itself: nothing in it can change."""
+        """Return itself: it is immutable."""
         return self
 
     def __deepcopy__(self, memo: Any = None) -> Component:
@@ -158,7 +158,9 @@ class Component(ca.Function):
                 shape = f"[{port.size}]" if port.size > 1 else ""
                 lines.append(f"{kind} {port.name}{shape} [{port.unit or '1'}]{_limits(port)}, value {port.value:g}")
         steps = f", {self.accuracy.steps} steps" if self.accuracy.steps else ""
-        lines.append(f"{self.accuracy.method}{steps}, relative error at most {self.error_estimate:.1e} where tried")
+        lines.append(
+            f"{self.accuracy.method}{steps}, relative error at most {self.error_estimate:.1e} at the points tried"
+        )
         return "\n".join([*lines, *self.warnings])
 
 

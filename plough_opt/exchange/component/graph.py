@@ -43,7 +43,7 @@ class Resolution:
     points: int = GAUSS_POINTS
 
     def finer(self, motion: bool) -> Resolution:
-        """Return what checks this resolution."""
+        """Return a finer resolution, whose results check those of this one."""
         return replace(self, steps=2 * self.steps) if motion else replace(self, points=self.points + 6)
 
 
@@ -62,37 +62,40 @@ def graph(name: str, arguments: Sequence[str], make: OfColumn, results: Results,
     kind: Any = ca.MX if scene.medium == "elastic" else ca.SX
     x = [kind.sym(argument) for argument in arguments]
     scene, duration = make(x)
-    # Of the two ends of a run no output needs to be read between steps.
-    method: Method | None = "dop853" if scene.effects.motion and resolution.outputs > 1 else None
-    timeline = timeline_of(scene, duration, resolution.outputs, resolution.steps, method, symbolic=True)
+    timeline = _timeline(scene, duration, resolution)
     if not scene.effects.motion:
         run = quasi_static(scene, duration, timeline, Accuracy(), resolution.points)
         return ca.Function(name, x, _columns(run, results, kind))
     solver, given = _integrated(scene, duration, x, timeline)
     accuracy, moved = solver.accuracy, solver.function
-    states, means, variances = found = [ca.SX.sym(f"o{k}", *moved.size_out(k)) for k in range(moved.n_out())]
+    states, means, variances = of_run = [ca.SX.sym(f"o{k}", *moved.size_out(k)) for k in range(moved.n_out())]
     run = assemble(scene, duration, timeline.output_fractions, states.T, means, variances, accuracy)
-    around = ca.Function("results", [*x, *found], _columns(run, results, kind))
+    around = ca.Function("results", [*x, *of_run], _columns(run, results, kind))
     symbols = [ca.MX.sym(argument) for argument in arguments]
     return ca.Function(name, symbols, around.call([*symbols, *moved.call([given(*symbols)])]))
 
 
 def motion(arguments: Sequence[str], make: OfColumn, resolution: Resolution) -> tuple[Integration, ca.Function]:
-    """Return what integrates a run, and its parameters, the duration last, as a Function of a column of the inputs."""
+    """Return the integration of a run, and its parameters, the duration last, as a Function of a column of inputs."""
     inputs: Any = ca.SX.sym("inputs", len(arguments))
     scene, duration = make(ca.vertsplit(inputs))
     if scene.medium == "elastic":
         inputs = ca.MX.sym("inputs", len(arguments))
         scene, duration = make(ca.vertsplit(inputs))
-    method: Method | None = "dop853" if resolution.outputs > 1 else None
-    timeline = timeline_of(scene, duration, resolution.outputs, resolution.steps, method, symbolic=True)
-    return _integrated(scene, duration, [inputs], timeline)
+    return _integrated(scene, duration, [inputs], _timeline(scene, duration, resolution))
+
+
+def _timeline(scene: Scene, duration: Expression, resolution: Resolution) -> Timeline:
+    """Return the times of a run of symbols."""
+    # With outputs at its two ends alone none lies between steps.
+    method: Method | None = "dop853" if scene.effects.motion and resolution.outputs > 1 else None
+    return timeline_of(scene, duration, resolution.outputs, resolution.steps, method, symbolic=True)
 
 
 def _integrated(
     scene: Scene, duration: Expression, inputs: Sequence[Any], timeline: Timeline
 ) -> tuple[Integration, ca.Function]:
-    """Return what integrates a run of symbols, and its parameters as a Function of these."""
+    """Return the integration of a run of symbols, and its parameters as a Function of these."""
     solver = integration(Structure.of(scene), Accuracy("dop853", steps=timeline.steps), timeline)
     p = parameters(scene)
     given = ca.vertcat(*(p[key] for key in solver.names), duration)

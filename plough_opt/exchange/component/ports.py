@@ -1,4 +1,4 @@
-"""Inputs and outputs of a component: what was asked for, and what it has."""
+"""Inputs and outputs of a component: as requested (`Input`, `Output`) and as built (`Port`)."""
 
 from __future__ import annotations
 
@@ -21,26 +21,26 @@ from plough_opt.motion.vocabulary import MEASURES
 
 # From this ratio of its bounds on an input is sampled by its logarithm.
 _WIDE = 10.0
-# Inputs up to which every corner of the box is sampled; of more, each input at its bounds, the others at their values.
+# Up to this number of inputs every corner of the box is sampled; beyond it each input at its bounds alone.
 _ALL_CORNERS = 6
 _INSIDE = 32
 BEYOND = 1e-6
-"""Part of the width between its bounds by which an input of an export may lie outside: optimisers relax bounds."""
+"""Part of the width between its bounds by which an export's input may lie outside, for optimisers that relax bounds."""
 
 _PEAKS = {"peak_force": "mount_force", "peak_deflection": "deflection"}
 
 
 @dataclass(frozen=True)
 class Input:
-    """An input that is asked for: a quantity of the scene by its name, or a symbol that the scene holds.
+    """A requested input: a quantity of the scene by its name, or a symbol in the scene.
 
     Args:
         name: a quantity's name in problem files, as "share.height"; with ``symbol`` any name.
-        lower: least value for which the component is meant; default: half the scene's value.
+        lower: least value that the component accepts; default: half the scene's value.
         upper: largest value; default: twice the scene's value. Both stay within the model's domain.
-        value: value that stands for an input left out; default: the scene's.
+        value: value used if the input is left out; default: the scene's.
         unit: SI unit; known for a quantity of the scene.
-        symbol: the CasADi symbol, where the scene holds symbols; it needs bounds.
+        symbol: a CasADi symbol in the scene; it needs bounds.
     """
 
     name: str
@@ -53,13 +53,13 @@ class Input:
 
 @dataclass(frozen=True)
 class Output:
-    """An output that is asked for: a result by its name in problem files, or a function of the run.
+    """A requested output: a result by its name in problem files, or a function of the run.
 
     Args:
         name: a result's name, as "mean_draft"; with ``of`` any name.
-        lower: limit of the result, if it has one, for whoever optimises; the component does not enforce it.
+        lower: limit of the result, if it has one, for an optimiser; the component does not enforce it.
         upper: the same.
-        of: run -> value, by arithmetic and the functions of `plough_opt.core.expressions`, for the run holds symbols.
+        of: run -> value, by arithmetic and the functions of `plough_opt.core.expressions`; the run is one of symbols.
         unit: SI unit; known for a named result.
 
     Raises:
@@ -75,7 +75,7 @@ class Output:
     def __post_init__(self) -> None:
         for side in ("lower", "upper"):
             limit = getattr(self, side)
-            if not (isinstance(limit, float) and math.isinf(limit)):  # there is none
+            if not (isinstance(limit, float) and math.isinf(limit)):
                 object.__setattr__(self, side, plain_number(f"'{self.name}': {side}", limit))
         if not self.lower <= self.upper:
             raise InputError(
@@ -85,16 +85,15 @@ class Output:
 
 @dataclass(frozen=True)
 class Port:
-    """An input or output that a component has.
+    """An input or output of a component.
 
     Attributes:
         name: its name, as "share.height".
         unit: SI unit, "" for a pure number.
         lower: lower bound of an input; limit of an output, or minus infinity.
         upper: upper bound or limit.
-        value: of an input the value that stands for it where it is left out; of an output its value there, the largest
-            of a column.
-        size: number of values: 1, or of an output at every output time as many as these.
+        value: of an input, the value used if it is left out; of an output, its value then, the largest of a column.
+        size: number of values: 1, or the number of output times.
     """
 
     name: str
@@ -114,7 +113,7 @@ def port_of(one: Input, quantity: Quantity, value: float) -> Port:
     """Return an input's port.
 
     Args:
-        one: what is asked for; its own value goes before the scene's.
+        one: the requested input, whose own value takes precedence over the scene's.
         quantity: unit and domain.
         value: the scene's value.
 
@@ -124,7 +123,7 @@ def port_of(one: Input, quantity: Quantity, value: float) -> Port:
     """
     value = value if one.value is None else one.value
     lower = quantity.low + (value - quantity.low) / 2.0 if one.lower is None else one.lower
-    # Halfway to the ends of its domain, and of what cannot be negative at most twice the value.
+    # Halfway to the end of its domain, and at most twice the value of a quantity that cannot be negative.
     twice = 2.0 * value if quantity.low >= 0.0 else math.inf
     upper = min(twice, (value + quantity.high) / 2.0) if one.upper is None else one.upper
     if one.unit is not None and one.unit != quantity.unit:
@@ -144,11 +143,7 @@ def identifier(name: str) -> str:
 
 
 def check_names(kind: str, names: Sequence[str]) -> None:
-    """Refuse names that are no names, or that clash as identifiers.
-
-    Raises:
-        InputError: as said.
-    """
+    """Raise InputError if there are no names, one is not an identifier, or two of them are the same identifier."""
     if not names:
         raise InputError(f"a component needs {kind}s: name at least one")
     seen: dict[str, str] = {}
@@ -156,11 +151,11 @@ def check_names(kind: str, names: Sequence[str]) -> None:
         own = identifier(name) if isinstance(name, str) else ""
         if not own.isidentifier() or unprintable(name, allowed=""):
             raise InputError(
-                f"{kind} {shown(name)} must be a name that begins with a letter, of characters that are printed"
+                f"{kind} {shown(name)} must be a name that begins with a letter and has printable characters only"
             )
         if own in seen:
             raise InputError(
-                f"{kind} '{name}' is there twice" if seen[own] == name else f"'{seen[own]}' and '{name}' clash"
+                f"{kind} '{name}' is given twice" if seen[own] == name else f"'{seen[own]}' and '{name}' clash"
             )
         seen[own] = name
 
@@ -169,13 +164,13 @@ def measure_of(output: Output, medium: str) -> tuple[str, Callable[[Run], Expres
     """Return unit and function of an output.
 
     Raises:
-        InputError: no such result, or one that this scene does not have.
+        InputError: an unknown result, or one that this scene does not have.
     """
     if output.of is not None:
         return output.unit or "", output.of
     if output.name in _PEAKS:
         raise InputError(
-            f"'{output.name}' has no derivative: take '{_PEAKS[output.name]}', which is a value at every output time"
+            f"'{output.name}' has no derivative: use '{_PEAKS[output.name]}', which has a value at every output time"
         )
     if output.name not in MEASURES:
         raise InputError(f"no result is named '{output.name}': {nearest(output.name, MEASURES)}")
@@ -186,15 +181,15 @@ def measure_of(output: Output, medium: str) -> tuple[str, Callable[[Run], Expres
 
 
 def corners(inputs: Sequence[Port]) -> list[NDArray[np.float64]]:
-    """Return the values, and the corners of the box of the bounds, or of many inputs each bound with others' values."""
+    """Return the values, and the corners of the box of the bounds; of many inputs only one at its bounds at a time."""
     values = np.array([port.value for port in inputs])
     if len(inputs) <= _ALL_CORNERS:
         return [values, *map(np.array, itertools.product(*((port.lower, port.upper) for port in inputs)))]
-    found = [values]
+    points = [values]
     for k, port in enumerate(inputs):
         for bound in (port.lower, port.upper):
-            found.append(np.concatenate([values[:k], [bound], values[k + 1 :]]))
-    return found
+            points.append(np.concatenate([values[:k], [bound], values[k + 1 :]]))
+    return points
 
 
 def inside(inputs: Sequence[Port]) -> list[NDArray[np.float64]]:

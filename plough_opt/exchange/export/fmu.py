@@ -26,9 +26,9 @@ from plough_opt.motion.scene import Scene
 _NAME: Final = re.compile(r"[A-Za-z_]\w{0,62}", re.ASCII)
 _SYSTEMS: Final = {"linux": ("linux", ".so"), "darwin": ("darwin", ".dylib"), "windows": ("windows", ".dll")}
 _PROCESSORS: Final = {"x86_64": "x86_64", "amd64": "x86_64", "aarch64": "aarch64", "arm64": "aarch64"}
-# Characters of a source that would take minutes to optimise: that of a density profile, computed once for a run.
+# Characters from which a source takes minutes to optimise: a density profile's, whose result is computed once in a run.
 _LONG: Final = 500_000
-# Every entry has the least date that a zip file knows: the same scene gives the same file.
+# The earliest date of a zip file, for every entry: the same scene gives the same file.
 _DATE: Final = (1980, 1, 1, 0, 0, 0)
 
 
@@ -50,22 +50,22 @@ def write_fmu(
     the parameters and from the input at that time. Parameters may change at events ("tunable").
 
     Args:
-        scene: of numbers, with motion from a start. Its tow speed is the input's value unless another is given.
+        scene: of numbers, with motion from a start. Its tow speed is the input's default.
         path: of the FMU, ending in .fmu; an existing file is replaced, and nothing is written if anything fails.
         strut: whether the input is the strut's ``"speed"`` [m/s] or ``"position"`` [m].
-        steel_density: of the share's material [kg/m^3]; the share's own mass is then taken to be part of the scene's,
-            and follows the parameters of its shape. None: the mass is a parameter of its own.
+        steel_density: of the share's material [kg/m^3]; the share's own mass is then a part of the scene's, computed
+            from the parameters of its shape. None: the mass is a parameter of its own.
         duration: proposed duration of a simulation [s].
         name: of the model, a C identifier.
-        binary: compile for this machine; else the FMU holds its C source alone, which a tool may compile.
+        binary: whether to compile for this machine; else the FMU contains only C source, which a tool may compile.
 
     Returns:
         The path.
 
     Raises:
         DomainError: a duration or density outside its domain.
-        InputError: a scene that is no initial value problem, symbols or arrays in it, a strut's position where its
-            speed is needed, a name that is none, no compiler, or a path that cannot be written.
+        InputError: a scene that is not an initial value problem, symbols or arrays in it, a strut's position where its
+            speed is needed, a name that is not a C identifier, no compiler, or a path that cannot be written.
     """
     target, scene = check_file(path, ".fmu", "FMU"), _numbers(scene)
     _check(scene, strut, steel_density, duration, name)
@@ -86,9 +86,9 @@ def write_fmu(
 
 
 def _check(scene: Scene, strut: str, steel_density: float | None, duration: float | None, name: str) -> None:
-    """Refuse what cannot be exported."""
+    """Raise InputError or DomainError if a scene or an option cannot be exported."""
     if strut not in ("speed", "position"):
-        raise InputError(f"strut = {strut!r} must be 'speed' or 'position': what the FMU's input tells of the strut")
+        raise InputError(f"strut = {strut!r} must be 'speed' or 'position', which the FMU's input is to be")
     if not _NAME.fullmatch(name):
         raise InputError(f"name = {name!r} must be a C identifier: letters, digits and _, at most 63, no digit first")
     if not scene.effects.motion:
@@ -121,7 +121,7 @@ def _platform() -> tuple[str, str]:
     system, processor = platform.system().lower(), platform.machine().lower()
     if system not in _SYSTEMS or processor not in _PROCESSORS:
         raise InputError(
-            f"FMI has no name for binaries of {system} on {processor}: take binary=False (--sources), and let the"
+            f"FMI has no name for binaries of {system} on {processor}: use binary=False (--sources), and let the"
             " tool compile the sources"
         )
     word, suffix = _SYSTEMS[system]
@@ -132,7 +132,7 @@ def _compiled(source: str) -> bytes:
     command = find_compiler()
     if command is None:
         raise InputError(
-            "no C compiler was found (cc, gcc, clang, or $CC): install one, or take binary=False (--sources) for an FMU"
+            "no C compiler was found (cc, gcc, clang, or $CC): install one, or use binary=False (--sources) for an FMU"
             " of sources, which the importing tool compiles"
         )
     with tempfile.TemporaryDirectory() as folder:
@@ -141,7 +141,7 @@ def _compiled(source: str) -> bytes:
         problem = compile_library(source, (*command, *flags), made, ("-lm",))
         if problem is not None:
             raise InputError(
-                f"{command[0]} did not compile the FMU ({problem}): set $CC to another compiler, or take binary ="
+                f"{command[0]} could not compile the FMU ({problem}): set $CC to another compiler, or use binary ="
                 " False for an FMU of sources"
             )
         return made.read_bytes()

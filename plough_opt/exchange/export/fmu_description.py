@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import html
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from importlib.metadata import version
 from xml.etree import ElementTree
 
@@ -12,30 +12,16 @@ from plough_opt.exchange.export.fmu_equations import Model
 from plough_opt.exchange.export.fmu_variables import UNITS, Variable
 
 _CATEGORIES = {
-    "logStatusWarning": "what a user must know of a run",
-    "logStatusError": "what was refused, and why",
+    "logStatusWarning": "warnings about a run",
+    "logStatusError": "why a call was refused",
 }
-# Relative tolerance that the FMU proposes, as tight as forces are told to.
+# Relative tolerance that the FMU proposes: the default error of forces.
 _TOLERANCE = 1e-8
 
 
-class References:
-    """Value references: the order in which the C source knows the variables."""
-
-    def __init__(self, model: Model) -> None:
-        """Number the variables."""
-        names = model.names
-        groups = (
-            *(names.states, names.rates, names.outputs, names.indicators, model.calculated),
-            *(names.inputs, model.parameters, names.discrete),
-        )
-        self._numbers = {"time": 0}
-        for variable in (variable for group in groups for variable in group):
-            self._numbers[variable.name] = len(self._numbers)
-
-    def __getitem__(self, name: str) -> str:
-        """Return the value reference of a variable."""
-        return str(self._numbers[name])
+def _references(model: Model) -> dict[str, str]:
+    """Return the value reference of each variable, in the order of the C source."""
+    return {name: str(k) for k, name in enumerate(["time", *(variable.name for variable in model.variables)])}
 
 
 def model_description(model: Model, name: str, token: str, description: str, duration: float | None) -> bytes:
@@ -45,7 +31,7 @@ def model_description(model: Model, name: str, token: str, description: str, dur
         model: the exported share.
         name: of model and binary.
         token: of the C source.
-        description: what the FMU is, in a sentence.
+        description: of the FMU, in a sentence.
         duration: proposed duration of a simulation [s], or None.
     """
     root = ElementTree.Element(
@@ -82,7 +68,7 @@ def model_description(model: Model, name: str, token: str, description: str, dur
 
 
 def build_description(name: str, source: str) -> bytes:
-    """Return sources/buildDescription.xml: what a tool needs to compile the FMU for its platform."""
+    """Return sources/buildDescription.xml, with which a tool can compile the FMU for its platform."""
     root = ElementTree.Element("fmiBuildDescription", fmiVersion="3.0")
     configuration = ElementTree.SubElement(root, "BuildConfiguration", modelIdentifier=name)
     file_set = ElementTree.SubElement(configuration, "SourceFileSet", language="C11")
@@ -91,23 +77,23 @@ def build_description(name: str, source: str) -> bytes:
 
 
 def documentation(model: Model, name: str, description: str, notes: Iterable[str]) -> bytes:
-    """Return documentation/index.html: the variables, and what a reader of the results must know."""
+    """Return documentation/index.html: the variables, and warnings about the results."""
     rows = "\n".join(
         f"<tr><td>{html.escape(v.name)}</td><td>{html.escape(v.unit)}</td><td>{html.escape(v.description)}</td></tr>"
-        for v in (*model.names.inputs, *model.parameters, *_told(model))
+        for v in (*model.names.inputs, *model.parameters, *_outputs(model))
     )
-    told = "\n".join(f"<li>{html.escape(note)}</li>" for note in notes)
+    items = "\n".join(f"<li>{html.escape(note)}</li>" for note in notes)
     text = (
         '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">'
         f"<title>{html.escape(name)}</title></head><body>\n"
-        f"<h1>{html.escape(name)}</h1>\n<p>{html.escape(description)}</p>\n<ul>\n{told}\n</ul>\n"
+        f"<h1>{html.escape(name)}</h1>\n<p>{html.escape(description)}</p>\n<ul>\n{items}\n</ul>\n"
         f"<table>\n<tr><th>variable</th><th>unit</th><th>meaning</th></tr>\n{rows}\n</table>\n</body></html>\n"
     )
     return text.encode()
 
 
-def _told(model: Model) -> tuple[Variable, ...]:
-    """Return what is an output: states, forces, and the mode."""
+def _outputs(model: Model) -> tuple[Variable, ...]:
+    """Return the variables with the causality "output": states, forces, and the mode."""
     return (*model.names.states, *model.names.outputs, *model.names.discrete)
 
 
@@ -118,17 +104,7 @@ def _written(root: ElementTree.Element) -> bytes:
 
 
 def _units(parent: ElementTree.Element, model: Model) -> None:
-    names = model.names
-    groups = (
-        names.states,
-        names.rates,
-        names.outputs,
-        names.inputs,
-        model.calculated,
-        model.parameters,
-        names.discrete,
-    )
-    used = {"s", *(variable.unit for group in groups for variable in group)}
+    used = {"s", *(variable.unit for variable in model.variables)}
     for name, unit in UNITS.items():
         if name in used:
             element = ElementTree.SubElement(parent, "Unit", name=name)
@@ -138,7 +114,7 @@ def _units(parent: ElementTree.Element, model: Model) -> None:
 
 
 def _variables(parent: ElementTree.Element, model: Model) -> None:
-    names, reference = model.names, References(model)
+    names, reference = model.names, _references(model)
     ElementTree.SubElement(
         parent,
         "Float64",
@@ -149,9 +125,8 @@ def _variables(parent: ElementTree.Element, model: Model) -> None:
         unit="s",
         description="time",
     )
-    told = (*names.states, *names.outputs)
     for group, causality, variability, initial in (
-        (told, "output", "continuous", "calculated"),
+        ((*names.states, *names.outputs), "output", "continuous", "calculated"),
         (names.rates, "local", "continuous", "calculated"),
         (names.indicators, "local", "continuous", "calculated"),
         (model.calculated, "calculatedParameter", "tunable", "calculated"),
@@ -179,20 +154,15 @@ def _variables(parent: ElementTree.Element, model: Model) -> None:
 
 
 def _numbers(variable: Variable) -> dict[str, str]:
-    """Return unit, limits and order of magnitude."""
-    found = {"nominal": repr(variable.magnitude)}
-    if variable.unit:
-        found["unit"] = variable.unit
-    if variable.shown:
-        found["displayUnit"] = variable.shown
-    found |= {
-        name: repr(value) for name, value in (("min", variable.low), ("max", variable.high)) if math.isfinite(value)
-    }
-    return found
+    """Return unit, limits and order of magnitude as attributes."""
+    attributes = {"nominal": repr(variable.magnitude), "unit": variable.unit, "displayUnit": variable.shown}
+    for name, limit in (("min", variable.low), ("max", variable.high)):
+        attributes[name] = repr(limit) if math.isfinite(limit) else ""
+    return {name: text for name, text in attributes.items() if text}
 
 
 def _structure(parent: ElementTree.Element, model: Model) -> None:
-    names, reference = model.names, References(model)
+    names, reference = model.names, _references(model)
 
     def listed(kind: str, variables: Iterable[Variable]) -> None:
         for variable in variables:
@@ -201,11 +171,8 @@ def _structure(parent: ElementTree.Element, model: Model) -> None:
                 attributes["dependencies"] = " ".join(reference[on] for on in model.depends[variable.name])
             ElementTree.SubElement(parent, kind, attributes)
 
-    listed("Output", _told(model))
+    unknown = (*_outputs(model), *names.rates, *model.calculated)
+    listed("Output", _outputs(model))
     listed("ContinuousStateDerivative", names.rates)
-    listed("InitialUnknown", _ordered(reference, (*_told(model), *names.rates, *model.calculated)))
+    listed("InitialUnknown", sorted(unknown, key=lambda variable: int(reference[variable.name])))
     listed("EventIndicator", names.indicators)
-
-
-def _ordered(reference: References, variables: Iterable[Variable]) -> Iterator[Variable]:
-    yield from sorted(variables, key=lambda variable: int(reference[variable.name]))

@@ -20,15 +20,15 @@ class Model:
     """An exported share.
 
     Attributes:
-        names: variables that are there whatever the parameters are.
-        calculated: what follows from the parameters alone.
-        parameters: those that anything depends on.
-        functions: by name, every argument and result a column. ``derive`` (p) -> (q, calculated): q are the numbers
-            that the equation of motion needs; ``begin`` (u, q) -> (x, d); ``evaluate`` (t, x, u, d, q) -> (rates,
-            outputs, indicators); ``happen`` (t, x, u, d, q) -> (x, d) after what has happened by now. Of the first
-            three, ``forward_...`` takes the same arguments, and a seed for each of x, u, p and q that is one of them,
-            to the change of all continuous results as one column; ``reverse_...`` takes the same arguments, and a
-            seed for that column, to its sensitivities to each. A soil with a density profile has none of these.
+        names: variables other than parameters.
+        calculated: variables that depend on the parameters alone.
+        parameters: those that any equation depends on.
+        functions: by name, every argument and result a column. ``derive`` (p) -> (q, calculated), q being the numbers
+            in the equation of motion; ``begin`` (u, q) -> (x, d); ``evaluate`` (t, x, u, d, q) -> (rates, outputs,
+            indicators); ``happen`` (t, x, u, d, q) -> (x, d) after the events until now. For the first three there are
+            ``forward_...``, from the same arguments and a seed for each of x, u, p and q among them to the change of
+            all continuous results in one column, and ``reverse_...``, from the same arguments and a seed for that
+            column to the sensitivities to each. A soil with a density profile has neither.
         depends: name of a rate, output or indicator -> names of states, inputs and time that it depends on.
     """
 
@@ -38,13 +38,20 @@ class Model:
     functions: dict[str, ca.Function]
     depends: dict[str, tuple[str, ...]]
 
+    @property
+    def variables(self) -> tuple[Variable, ...]:
+        """All variables but the time, in the order in which the C source numbers them."""
+        names = self.names
+        first = *names.states, *names.rates, *names.outputs, *names.indicators, *self.calculated
+        return (*first, *names.inputs, *self.parameters, *names.discrete)
+
 
 def model_of(scene: Scene, kind: StrutInput, steel_density: float | None) -> Model:
     """Build the equations of a scene of numbers.
 
     Args:
         scene: a scene with motion from a start.
-        kind: what the input tells of the strut.
+        kind: whether the input is the strut's speed or its position.
         steel_density: as in `parameters_of`.
 
     Raises:
@@ -52,54 +59,63 @@ def model_of(scene: Scene, kind: StrutInput, steel_density: float | None) -> Mod
     """
     structure = Structure.of(scene)
     if kind == "position":
-        _refuse_without_speed(structure)
+        _check_position_suffices(structure)
     offered = parameters_of(scene, steel_density)
     symbols = {variable.name: ca.SX.sym(variable.name) for variable in offered}
     symbolic = scene_with(scene, symbols)
     values = parameters(symbolic) | {"added_mass": symbolic.reaction.added_mass}
     share = Share(scene, structure, kind, {name: ca.SX.sym(name) for name in values})
-    names, told = names_of(scene, share), dict(calculated(scene, symbolic))
+    names, derived = names_of(scene, share), dict(calculated(scene, symbolic))
     depends = _depends(share, names)
-    # The quadratures of a density profile have operations by the hundred thousand, and their derivatives more.
+    # The quadratures of a density profile have hundreds of thousands of operations, and their derivatives more.
     differentiable = scene.soil.density_profile is None
-    functions, used = _functions(share, values, ca.vertcat(*told.values()), symbols, differentiable)
-    return Model(names, tuple(told), tuple(v for v in offered if v.name in used), functions, depends)
+    functions, used = _functions(share, values, ca.vertcat(*derived.values()), symbols, differentiable)
+    return Model(names, tuple(derived), tuple(v for v in offered if v.name in used), functions, depends)
 
 
-def _refuse_without_speed(structure: Structure) -> None:
+def _check_position_suffices(structure: Structure) -> None:
+    """Raise InputError if the equations need the strut's speed."""
     if structure.damper:
         raise InputError(
-            "a damper in the mount needs the strut's speed, which its position does not tell: take strut = 'speed', or"
+            "a damper in the mount needs the strut's speed, which its position does not give: use strut = 'speed', or"
             " leave damping out"
         )
     if structure.ramp:
         raise InputError(
-            "tow_ramp is a motion of the strut, and so is its position as the input: take strut = 'speed', or leave"
+            "tow_ramp is a motion of the strut, and so is its position as the input: use strut = 'speed', or leave"
             " tow_ramp out"
         )
 
 
 def _functions(
-    share: Share, values: dict[str, ca.SX], told: ca.SX, symbols: dict[str, ca.SX], differentiable: bool
+    share: Share, values: dict[str, ca.SX], derived: ca.SX, symbols: dict[str, ca.SX], differentiable: bool
 ) -> tuple[dict[str, ca.Function], set[str]]:
-    """Return the Functions, and the names of the parameters that any of them uses."""
+    """Return the Functions, and the names of the parameters that any of them uses.
+
+    Args:
+        share: with a symbol for each number in the equation of motion.
+        values: those numbers, as expressions of the parameters' symbols.
+        derived: column of the calculated variables, of the same symbols.
+        symbols: the parameters by name.
+        differentiable: whether to add derivatives.
+    """
     time, x, u, d = share.time, share.x, share.input, share.d
     now = [share.rates, share.outputs, share.indicators]
     begun, happened = share.start(), share.after_events()
     needed = {symbol.name() for symbol in ca.symvar(ca.vertcat(*now, *begun, *happened))}
     q = ca.vertcat(*(symbol for name, symbol in share.q.items() if name in needed))
     from_p = ca.vertcat(*(values[name] for name in share.q if name in needed))
-    used = {symbol.name() for symbol in ca.symvar(ca.vertcat(from_p, told))}
+    used = {symbol.name() for symbol in ca.symvar(ca.vertcat(from_p, derived))}
     p = ca.vertcat(*(symbol for name, symbol in symbols.items() if name in used))
     written = {
-        "derive": ([p], [from_p, told]),
+        "derive": ([p], [from_p, derived]),
         "begin": ([u, q], list(begun)),
         "evaluate": ([time, x, u, d, q], now),
         "happen": ([time, x, u, d, q], list(happened)),
     }
     if differentiable:
         for name, to, by in (
-            ("derive", [from_p, told], [p]),
+            ("derive", [from_p, derived], [p]),
             ("begin", [begun[0]], [u, q]),
             ("evaluate", now, [x, u, q]),
         ):
@@ -118,12 +134,12 @@ def _functions(
 
 
 def _depends(share: Share, names: Names) -> dict[str, tuple[str, ...]]:
-    """Return of what each rate, output and indicator is a function, among states, inputs and time."""
-    told = (*names.rates, *names.outputs, *names.indicators)
+    """Return the states, inputs and time on which each rate, output and indicator depends."""
+    rows = (*names.rates, *names.outputs, *names.indicators)
     known = (*(variable.name for variable in (*names.states, *names.inputs)), "time")
     now = ca.vertcat(share.rates, share.outputs, share.indicators)
     pattern = ca.jacobian_sparsity(now, ca.vertcat(share.x, share.input, share.time))
-    found: dict[str, list[str]] = {variable.name: [] for variable in told}
+    depends: dict[str, list[str]] = {variable.name: [] for variable in rows}
     for row, column in zip(*pattern.get_triplet(), strict=True):
-        found[told[row].name].append(known[column])
-    return {name: tuple(sorted(on, key=known.index)) for name, on in found.items()}
+        depends[rows[row].name].append(known[column])
+    return {name: tuple(sorted(on, key=known.index)) for name, on in depends.items()}

@@ -1,4 +1,4 @@
-"""Names, units and orders of magnitude of what an exported share tells."""
+"""Names, units and orders of magnitude of an exported share's variables."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ class Names:
     Attributes:
         states: continuous states.
         rates: their rates.
-        inputs: what the strut does.
-        outputs: what else follows from states and inputs.
-        indicators: what changes its sign at an event.
-        discrete: what changes at events alone; none without events.
+        inputs: speed or position of the strut.
+        outputs: the other results.
+        indicators: those that change their sign at an event.
+        discrete: those that change only at events; empty without events.
     """
 
     states: tuple[Variable, ...]
@@ -37,7 +37,7 @@ class Names:
 
 
 def names_of(scene: Scene, share: Share) -> Names:
-    """Name what a share tells, with orders of magnitude from its scene of numbers."""
+    """Return the variables of a share, with orders of magnitude from its scene of numbers."""
     by_speed, structure = share.kind == "speed", share.structure
     force, speed, length = _magnitudes(scene)
     place = Variable("strut_position", "m", "path s of the strut", nominal=length)
@@ -64,7 +64,7 @@ def names_of(scene: Scene, share: Share) -> Names:
         place if by_speed else deflection,
         *((opening,) if structure.events else ()),
     )
-    told = "negative once an event has happened"
+    indicator = "negative once an event has happened"
     discrete = (
         Variable("mode", "1", "0: the share slips, 1: it sticks, 2: it is behind its furthest travel"),
         Variable("furthest_travel", "m", "furthest travel when the share last turned back", nominal=length),
@@ -75,7 +75,7 @@ def names_of(scene: Scene, share: Share) -> Names:
         rates=rates[: len(states)],
         inputs=(driven if by_speed else place,),
         outputs=outputs,
-        indicators=tuple(Variable(f"event_indicator[{k + 1}]", "", told) for k in range(share.indicators.numel())),
+        indicators=tuple(Variable(f"event_indicator[{k + 1}]", "", indicator) for k in range(share.indicators.numel())),
         discrete=discrete[: share.d.numel()],
     )
 
@@ -89,19 +89,19 @@ def _magnitudes(scene: Scene) -> tuple[float, float, float]:
 
 
 def calculated(scene: Scene, symbolic: Scene) -> Iterator[tuple[Variable, ca.SX]]:
-    """Yield what follows from the parameters alone."""
+    """Yield the variables that depend on the parameters alone, and their values as expressions of the symbols."""
     half_angle = Variable("share.half_angle", "rad", "half angle beta of the equivalent cone", shown="deg")
     radius = Variable("share.loosened_radius", "m", "radius r* of the compaction front at the share's base")
     static = Variable("share.static_resistance", "N", "static resistance F0", shown="kN")
     drag = Variable("share.drag_coefficient", "N.s2/m2", "resistance Fd per squared speed")
     carried = Variable("share.added_mass", "kg", "mass m_a of soil that the share carries along")
-    told: tuple[tuple[bool, Variable, Callable[[Scene], Expression]], ...] = (
+    offered: tuple[tuple[bool, Variable, Callable[[Scene], Expression]], ...] = (
         (isinstance(scene.share, Wedge), half_angle, lambda s: s.cone.half_angle),
         (True, radius, lambda s: s.loosened_radius),
         (True, static, lambda s: s.reaction.static),
         (scene.effects.inertial_drag, drag, lambda s: s.reaction.drag),
         (scene.effects.added_mass, carried, lambda s: s.reaction.added_mass),
     )
-    for there, variable, value in told:
-        if there:
+    for present, variable, value in offered:
+        if present:
             yield replace(variable, nominal=abs(float(value(scene)))), value(symbolic)

@@ -1,9 +1,9 @@
-"""The exported share at one moment: its states, inputs and modes as symbols, and what follows from them.
+"""The exported share at one moment: its states, inputs and modes as symbols, and expressions of them.
 
-The states are travel L, speed L' and, where the strut's speed is the input, the spring's deflection z, whose rate is
-s' - L': it is no difference of two large travels. The strut's path is then L + z; where that path s is the input the
-deflection is s - L. What changes at events alone is the mode, the furthest travel, and whether an entering share is
-wholly in the soil.
+The states are travel L, speed L' and, if the strut's speed is the input, the spring's deflection z, whose rate is
+s' - L'; so z is not the difference of two large travels. The strut's path is then L + z. If that path s is the input,
+the deflection is s - L. The mode, the furthest travel, and whether an entering share is wholly in the soil change only
+at events.
 """
 
 from __future__ import annotations
@@ -29,19 +29,19 @@ from plough_opt.motion.terms import (
 
 StrutInput = Literal["speed", "position"]
 
-# Parts of the scene's speed and of the share's height within which a number is rounding, and within which a tool may
-# have stopped beside an event.
+# Parts of the scene's speed and of the share's height below which a difference is rounding, and by which a tool may
+# stop before or after an event.
 _ROUNDING = 1e-12
 _BESIDE = 1e-9
 
 
 class Share:
-    """The share at one moment: symbols, and what follows from them."""
+    """The share at one moment: symbols, and expressions of them."""
 
     def __init__(self, scene: Scene, structure: Structure, kind: StrutInput, q: dict[str, ca.SX]) -> None:
         """Make the symbols."""
         self.structure, self.kind, self.q = structure, kind, q
-        # The resistance is told from the one at rest.
+        # The whole resistance, not its difference from the one at the start.
         self.at_rest = replace(structure, ramp=True, start="equilibrium")
         self.time, self.input = ca.SX.sym("time"), ca.SX.sym("input")
         self.travel, self.speed = ca.SX.sym("travel"), ca.SX.sym("speed")
@@ -59,7 +59,7 @@ class Share:
 
     @property
     def d(self) -> ca.SX:
-        """What changes at events alone."""
+        """The variables that change only at events."""
         if not self.structure.events:
             return ca.SX(0, 1)
         return ca.vertcat(self.mode, self.furthest, *((self.entered,) if self.structure.entry else ()))
@@ -88,7 +88,7 @@ class Share:
 
     @property
     def slipping(self) -> Expression:
-        """L'' of a share that slips [m/s^2]."""
+        """Acceleration L'' of a share that slips [m/s^2]."""
         return (self.pull - self.steady) / inertia_at(self.structure, self.p, self.travel)
 
     @property
@@ -135,32 +135,32 @@ class Share:
 
     @property
     def outputs(self) -> ca.SX:
-        """What is told beside states and modes."""
+        """The results beside states and modes."""
         place = self.travel + self.z if self.kind == "speed" else self.deflection
         return ca.vertcat(self.pull, self.resistance, place, *((self.opening,) if self.structure.events else ()))
 
     @property
     def indicators(self) -> ca.SX:
-        """What is negative once an event has happened."""
+        """Expressions that are negative once an event has happened."""
         if not self.structure.events:
             return ca.SX(0, 1)
         stopping = self.speed + _ROUNDING * self.scales[0]
         closing = self.opening + _ROUNDING * self.scales[1]
         if self.sticks:
             hold = self.hold
-            found: list[Expression] = [
+            indicators: list[Expression] = [
                 self.by_mode(stopping, hold - self.pull, closing),
                 self.by_mode(1.0, self.pull + _ROUNDING * absolute(hold), 1.0),
             ]
         else:
             turning = ca.if_else(self.mode > STICK, closing, stopping)
-            found = [ca.if_else(self.entered < 0.5, turning, 1.0)]
+            indicators = [ca.if_else(self.entered < 0.5, turning, 1.0)]
         if self.structure.entry:
-            found.append(ca.if_else(self.entered < 0.5, self.q["height"] - self.travel, 1.0))
-        return ca.SX(ca.vertcat(*found))
+            indicators.append(ca.if_else(self.entered < 0.5, self.q["height"] - self.travel, 1.0))
+        return ca.SX(ca.vertcat(*indicators))
 
     def after_events(self) -> tuple[ca.SX, ca.SX]:
-        """Return the states, and what changes at events, after all that has happened by now."""
+        """Return the states and the discrete variables after the events until now."""
         if not self.structure.events:
             return self.x, self.d
         stopped = ca.logic_and(self.speed <= _BESIDE * self.scales[0], self.slipping <= 0.0)
@@ -188,7 +188,7 @@ class Share:
         return ca.vertcat(self.travel, slowed, *rest), ca.vertcat(*discrete)
 
     def start(self) -> tuple[ca.SX, ca.SX]:
-        """Return the states, and what changes at events, at the start."""
+        """Return the states and the discrete variables at the start."""
         structure, p = self.structure, dict(self.q)
         if self.kind == "speed":
             p["tow_speed"] = self.input

@@ -18,19 +18,19 @@ def c_source(model: Model, *, pushes: bool, by_speed: bool) -> tuple[str, str]:
 
     Args:
         model: the equations.
-        pushes: whether the soil would push a share that retreats, of which the FMU then warns.
+        pushes: whether the soil would push a share that retreats; the FMU warns if it happens.
         by_speed: whether the strut's speed is the input.
     """
     folder = files("plough_opt.exchange.export")
     functions = (folder.joinpath(name).read_text(encoding="utf-8") for name in ("fmu_runtime.c", "fmu_optional.c"))
     parts = (_numbers(model, pushes, by_speed), _equations(model.functions), *functions)
-    # Names and units are the description's, but two FMUs that compute alike may well share a token.
+    # Names and units stand in the description: two FMUs that compute the same may share a token.
     token = hashlib.sha256("".join(parts).encode()).hexdigest()[:32]
     return "\n".join((f'#define TOKEN "{token}"', *parts)), token
 
 
 def _numbers(model: Model, pushes: bool, by_speed: bool) -> str:
-    """Return the counts, and what the variables' domains, starts and orders of magnitude are."""
+    """Return the numbers of variables, and their domains, starts and orders of magnitude."""
     names = model.names
     counts = {
         "NX": len(names.states),

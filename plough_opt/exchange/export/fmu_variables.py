@@ -1,4 +1,4 @@
-"""Variables of an exported share: what each is called, its unit, its domain, and the scene that it stands for."""
+"""Parameters of an exported share: names, units and domains, and the scene with other values of them."""
 
 from __future__ import annotations
 
@@ -52,9 +52,9 @@ class Variable:
     """A variable of an exported share.
 
     Attributes:
-        name: what it is called, as in a problem file.
-        unit: of `UNITS`, or "" where nobody knows it.
-        description: what it is.
+        name: as in a problem file.
+        unit: of `UNITS`, or "" if it is unknown.
+        description: in words.
         start: its value, if it has one before the start.
         low: its least value.
         high: its largest value.

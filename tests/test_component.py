@@ -8,10 +8,10 @@ import sys
 import casadi as ca
 import numpy as np
 import pytest
+from helpers.high_precision import FIRM, derivatives, mp, resistance_terms
 
 import plough_opt as po
 from tests.benchmarks.peers.r1 import RUNS
-from tests.helpers.high_precision import FIRM, derivatives, mp, resistance_terms
 
 STEEL = 7850.0
 BOUNDS = {"share.wedge_angle": (po.deg(5), po.deg(60)), "share.height": (0.1, 0.5), "scene.stiffness": (5e3, 5e5)}

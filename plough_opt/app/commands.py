@@ -103,7 +103,8 @@ def optimise(options: argparse.Namespace) -> None:
 
         print(SavedOptimum.of(best, run, problem.title, asked).to_json())
     else:
-        print_page(console(), best.page())
+        page = best.page()
+        print_page(console(), dataclasses.replace(page, parts=(*page.parts, *report.own_results(problem, run))))
         if options.sensitivity:
             print_sensitivities(console(), problem, asked)
     if options.plot:

@@ -22,6 +22,7 @@ from plough_opt.motion.equation import equation_of_motion
 from plough_opt.motion.scene import Scene
 from plough_opt.motion.terms import Structure
 from plough_opt.problem_file import Problem
+from plough_opt.problem_file.own_measures import measures_of
 from plough_opt.soil.soil import Soil
 
 if TYPE_CHECKING:
@@ -59,7 +60,19 @@ def print_soils(console: Console, soils: Sequence[Soil]) -> None:
 def print_run(console: Console, problem: Problem, run: Run) -> None:
     """Print a run of numbers with its scene."""
     page = run.page()
-    print_page(console, replace(page, parts=(_scene_table(problem, run.scene), *page.parts)))
+    print_page(
+        console, replace(page, parts=(_scene_table(problem, run.scene), *page.parts, *own_results(problem, run)))
+    )
+
+
+def own_results(problem: Problem, run: Run) -> tuple[Grid, ...]:
+    """Return a table of the results that a file computes itself; none where it has none."""
+    known = measures_of(problem.table)
+    rows = [
+        (name.replace("_", " "), shown(problem, name, float(known[name].of(run)), known[name].unit.symbol))
+        for name in problem.table.measures
+    ]
+    return (Grid.pairs("Results of this file", *rows),) if rows else ()
 
 
 def print_check(console: Console, problem: Problem) -> None:

@@ -65,7 +65,7 @@ class Unit:
 
     def example(self) -> str:
         """Return a quantity of this kind as one would write it."""
-        return _EXAMPLES[self.symbol]
+        return _EXAMPLES.get(self.symbol, f'"1 {self.symbol}"')
 
     def parse(self, value: object) -> float:
         """Return a quantity as a number in this unit.

@@ -19,6 +19,7 @@ from plough_opt.motion.accuracy import DEFAULT_ERROR
 from plough_opt.motion.batch import Batch
 from plough_opt.motion.scene import Scene
 from plough_opt.motion.vocabulary import MEASURES
+from plough_opt.problem_file.own_measures import measures_of
 from plough_opt.problem_file.problem import Problem
 from plough_opt.soil.geometry import PLANE_SECTIONS_LIMIT
 from plough_opt.studies.sweep.work import Array, Noted
@@ -37,7 +38,7 @@ class Simulation:
     @property
     def units(self) -> dict[str, str]:
         """Result -> SI unit."""
-        return _UNITS
+        return _units(self.problem)
 
     def __call__(self, values: dict[str, float]) -> Noted:
         """Simulate at a point."""
@@ -56,8 +57,8 @@ class Optimisation:
         """Result -> SI unit."""
         problem = self.problem
         variables = {key: variable.unit for key, variable in problem.variables.items()}
-        margins = {f"margin of {name}": MEASURES[name].unit.symbol for name in problem.table.require}
-        return {**variables, **margins, **_UNITS}
+        margins = {f"margin of {name}": measures_of(problem.table)[name].unit.symbol for name in problem.table.require}
+        return {**variables, **margins, **_units(problem)}
 
     def __call__(self, values: dict[str, float]) -> Noted:
         """Optimise at a point."""
@@ -162,7 +163,7 @@ def fixed_at(problem: Problem, values: Mapping[str, float]) -> Problem:
 def _of_run(problem: Problem, run: Run) -> dict[str, float]:
     """Return what is worth a column of a run of numbers."""
     plastic, random = problem.table.scene.medium == "plastic", run.scene.effects.random_strength is not None
-    known = {name: one for name, one in MEASURES.items() if not one.everywhere}
+    known = {name: one for name, one in measures_of(problem.table).items() if not one.everywhere}
     chosen = {name: one for name, one in known.items() if (plastic or not one.plastic) and (random or not one.random)}
     return {
         **{name: float(one.of(run)) for name, one in chosen.items()},
@@ -182,7 +183,12 @@ def _solved(compute: Callable[[], _T]) -> _T:
         raise IntegrationError(f"CasADi stopped: {str(error).strip().splitlines()[-1]}") from None
 
 
-_UNITS = {**{name: one.unit.symbol for name, one in MEASURES.items()}, "peak_force": "N", "peak_deflection": "m"}
+def _units(problem: Problem) -> dict[str, str]:
+    """Return the unit of every result that has one."""
+    own = {name: one.unit.symbol for name, one in measures_of(problem.table).items()}
+    return own | {"peak_force": "N", "peak_deflection": "m"}
+
+
 _AVERAGES = ("mean_draft", "force_rms", "mean_deflection", "displacement_rms", "tow_power")
 _OF_SCENE: dict[str, Callable[[Scene], Expression]] = {
     "loosened_radius": lambda scene: scene.loosened_radius,

@@ -12,8 +12,8 @@ from plough_opt.core.quantities import EVERY
 from plough_opt.exchange.component import Input, Output, Port
 from plough_opt.exchange.component.ports import port_of
 from plough_opt.motion import Run
-from plough_opt.motion.vocabulary import MEASURES
 from plough_opt.problem_file.front import front_of
+from plough_opt.problem_file.own_measures import measures_of
 from plough_opt.problem_file.schema import ProblemTable
 
 OBJECTIVE = "objective"
@@ -73,10 +73,15 @@ def _output(name: str, table: ProblemTable, objective: Callable[[Run], Expressio
     check_kind("an output", name, str, "the name of a result")
     if name == OBJECTIVE and table.minimise:
         return Output(name, of=objective)
-    limit = table.require.get(name)
+    limit, measure = table.require.get(name), measures_of(table).get(name)
     low, high = (None, None) if limit is None else (limit.at_least, limit.at_most)
+    if measure is None:  # which `build` refuses
+        return Output(name)
+    own = name in table.measures
     return Output(
         name,
-        lower=-math.inf if low is None else MEASURES[name].unit.parse(low),
-        upper=math.inf if high is None else MEASURES[name].unit.parse(high),
+        unit=measure.unit.symbol if own else None,
+        of=measure.of if own else None,
+        lower=-math.inf if low is None else measure.unit.parse(low),
+        upper=math.inf if high is None else measure.unit.parse(high),
     )

@@ -29,14 +29,14 @@ def file_schema() -> dict[str, Any]:
     for table in (VariableTable, TermTable, LimitTable):
         definitions[table.__name__] = table.model_json_schema()
     tables["variables"] = _of(IN_FILES, "VariableTable", {name: EVERY[name].meaning for name in IN_FILES})
-    tables["minimise"] = _of(single, "TermTable")
+    tables["minimise"] = _of(single, "TermTable", others=True)
     tables["minimise"]["properties"]["over"] = {"enum": ["worst", "mean"]}
-    tables["require"] = _of(MEASURES, "LimitTable")
+    tables["require"] = _of(MEASURES, "LimitTable", others=True)
     goal = {"type": "object", "properties": {"maximise": {"type": "boolean"}}, "additionalProperties": False}
     tables["trade_off"] = {
         "type": "object",
         "properties": dict.fromkeys(single, goal) | {"points": {"type": "integer", "minimum": 5, "maximum": 1000}},
-        "additionalProperties": False,
+        "additionalProperties": goal,  # results of the file's own
     }
     tables["uncertain"] = {"type": "object"}
     return {"$schema": _DIALECT, **_without_null(schema), "title": "plough_opt problem file"}
@@ -56,13 +56,18 @@ def _without_null(schema: Any) -> Any:
     return found | ({"anyOf": rest} if rest else {})
 
 
-def _of(names: Iterable[str], table: str, meanings: dict[str, str] | None = None) -> dict[str, Any]:
-    """Return the schema of a table of tables by name; dotted names may stand in tables of their own too."""
+def _of(
+    names: Iterable[str], table: str, meanings: dict[str, str] | None = None, *, others: bool = False
+) -> dict[str, Any]:
+    """Return the schema of a table of tables by name, with ``others`` of other names too.
+
+    Dotted names may stand in tables of their own.
+    """
     described = {name: {"description": text} for name, text in (meanings or {}).items()}
     properties: dict[str, Any] = {name: {"$ref": f"#/$defs/{table}"} | described.get(name, {}) for name in names}
     outer = {name.partition(".")[0] for name in properties if "." in name}
     return {
         "type": "object",
         "properties": properties | {name: {"type": "object"} for name in sorted(outer)},
-        "additionalProperties": False,
+        "additionalProperties": {"$ref": f"#/$defs/{table}"} if others else False,
     }

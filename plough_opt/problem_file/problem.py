@@ -20,9 +20,9 @@ from plough_opt.motion import Run, simulate
 from plough_opt.motion.accuracy import Accuracy
 from plough_opt.motion.effects import Effects, HarmonicBalance, Smooth, StickSlip
 from plough_opt.motion.scene import Scene
-from plough_opt.motion.vocabulary import MEASURES
 from plough_opt.problem_file.front import EXAMPLE, front_of
 from plough_opt.problem_file.interface import input_ports, wanted_outputs
+from plough_opt.problem_file.own_measures import measures_of
 from plough_opt.problem_file.schema import RANDOM, ProblemTable
 from plough_opt.soil.geometry import Wedge
 from plough_opt.soil.random_strength import RandomStrength, Spectrum
@@ -192,8 +192,9 @@ class Problem:
     def _objective(self, run: Run) -> Expression:
         """Return the sum of the [minimise] table."""
         objective: Expression = 0.0
+        measures = measures_of(self.table)
         for name, term in self.table.minimise.items():
-            objective = objective + MEASURES[name].of(run) / MEASURES[name].unit.parse(term.per)
+            objective = objective + measures[name].of(run) / measures[name].unit.parse(term.per)
         return objective
 
     def _refuse_without_variables(self) -> None:
@@ -230,7 +231,7 @@ class Problem:
         duration = self.values(symbols).get("scene.duration")
         run = simulate(scene, duration, accuracy=self.accuracy, outputs=self.table.scene.outputs)
         for name, limit in self.table.require.items():
-            measure = MEASURES[name]
+            measure = measures_of(self.table)[name]
             low, high = (None if side is None else measure.unit.parse(side) for side in (limit.at_least, limit.at_most))
             design.require(name, measure.of(run), at_least=low, at_most=high, unit=measure.unit.symbol,
                            display=self.displays.get(name))  # fmt: skip
@@ -312,8 +313,9 @@ class Problem:
             raise InputError(f"{self.name}: nothing to trade: add a table {EXAMPLE}")
         table = front_of(self.table.trade_off)
         design, run = self._required()
+        measures = measures_of(self.table)
         goals = [
-            Goal(name, MEASURES[name].of(run), MEASURES[name].unit.symbol, maximise)
+            Goal(name, measures[name].of(run), measures[name].unit.symbol, maximise)
             for name, maximise in table.maximise.items()
         ]
         count = table.points if points is None else points

@@ -18,9 +18,10 @@ from plough_opt.core.quantities import IN_FILES, READINGS, quantities
 from plough_opt.core.units import Display, display_of
 from plough_opt.design import Over
 from plough_opt.motion.accuracy import Accuracy
-from plough_opt.motion.vocabulary import MEASURES
+from plough_opt.motion.vocabulary import Measure
 from plough_opt.problem_file.front import TABLE, check_front
 from plough_opt.problem_file.overrides import apply_override
+from plough_opt.problem_file.own_measures import check_own, measures_of
 from plough_opt.problem_file.penetrometer import average_readings
 from plough_opt.problem_file.problem import FileVariable, Problem
 from plough_opt.problem_file.schema import (
@@ -154,10 +155,11 @@ def _checked(source: Source, table: ProblemTable, notes: tuple[str, ...]) -> Pro
             if written is not None:
                 displays[key] = display_of(written, unit)
     _check_complete(source, table, {*fixed, *table.variables})
-    _check_measures(source, table, displays)
-    check_uncertain(source, table)
-    if table.trade_off is not None:
-        check_front(source, table.trade_off, table.scene.medium)
+    if check_own(source, table):  # what names results needs to know them
+        _check_measures(source, table, displays)
+        check_uncertain(source, table)
+        if table.trade_off is not None:
+            check_front(source, table.trade_off, table.scene.medium, measures_of(table))
     return Problem(source.name, table, fixed, variables, displays, notes)
 
 
@@ -298,28 +300,31 @@ def _required(*owners: str) -> list[str]:
 
 def _check_measures(source: Source, table: ProblemTable, displays: dict[str, Display]) -> None:
     """Check objective and requirements, and note the units they are written in."""
+    known = measures_of(table)
     terms = [(("minimise", name), {"per": term.per}) for name, term in table.minimise.items()]
     limits = [(("require", name), limit.sides) for name, limit in table.require.items()]
     for place, sides in (*terms, *limits):
         with source.noting(place):
-            _check_measure(source, place, table.scene.medium, sides)
+            _check_measure(source, place, table.scene.medium, sides, known)
             for written in sides.values():
-                displays[place[1]] = display_of(written, MEASURES[place[1]].unit)
+                displays[place[1]] = display_of(written, known[place[1]].unit)
 
 
-def _check_measure(source: Source, place: Keys, medium: str, sides: Mapping[str, Any]) -> None:
+def _check_measure(
+    source: Source, place: Keys, medium: str, sides: Mapping[str, Any], known: Mapping[str, Measure]
+) -> None:
     """Check one term of the objective, or one requirement."""
     kind, name = place
-    allowed = [m for m, measure in MEASURES.items() if kind == "require" or not measure.everywhere]
+    allowed = [m for m, measure in known.items() if kind == "require" or not measure.everywhere]
     if name not in allowed:
         verb = "minimised" if kind == "minimise" else "required"
         raise InputError(f"'{name}' cannot be {verb}: {nearest(name, allowed)}")
-    if MEASURES[name].plastic and medium == "elastic":
+    if known[name].plastic and medium == "elastic":
         raise InputError(f"'{name}' has no meaning in the elastic medium: leave it out, or take medium = \"plastic\"")
     values = {}
     for side, written in sides.items():
         try:
-            values[side] = MEASURES[name].unit.parse(written)
+            values[side] = known[name].unit.parse(written)
         except InputError as error:
             raise source.error((*place, side), f"'{name}' {side} {error}") from None
     if kind == "minimise" and values["per"] <= 0.0:
@@ -352,8 +357,9 @@ def _check_values(source: Source, problem: Problem) -> None:
     with source.noting(("effects", "motion")):
         problem.scene()
     source.raise_noted()
+    known = measures_of(problem.table)
     for kind in ("minimise", "require", TABLE):
-        for name in {*(getattr(problem.table, kind) or ())} & {name for name in MEASURES if MEASURES[name].random}:
+        for name in {*(getattr(problem.table, kind) or ())} & {name for name in known if known[name].random}:
             with source.noting((kind, name), prefix=f"'{name}': "):
                 problem.scene().check_stationary()
     source.raise_noted()

@@ -11,7 +11,7 @@ from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import Expression
 from plough_opt.design import Design, Progress
 from plough_opt.motion import Run, simulate
-from plough_opt.motion.vocabulary import MEASURES
+from plough_opt.problem_file.own_measures import measures_of
 from plough_opt.problem_file.problem import Problem
 from plough_opt.problem_file.schema import LimitTable, TermTable
 from plough_opt.problem_file.uncertain import Asked, UncertainTable, asked_of, distribution_of, uncertain_of
@@ -74,8 +74,9 @@ class _Question:
     def __init__(self, problem: Problem, table: UncertainTable, field: SoilDistribution) -> None:
         self._problem, self._table, self._field = problem, table, field
         self._samples = field.sample(table.samples, seed=table.seed)
+        self._measures = measures_of(problem.table)
         self._names = tuple({**problem.table.minimise, **problem.table.require})
-        self._averages = tuple(name for name in self._names if not MEASURES[name].everywhere)
+        self._averages = tuple(name for name in self._names if not self._measures[name].everywhere)
         self._spreads: Spreads = {}
 
     @cached_property
@@ -128,7 +129,7 @@ class _Question:
 
         def response(soil: Soil) -> dict[str, Expression]:
             run = run_in(soil)
-            return {name: MEASURES[name].of(run) for name in self._averages}
+            return {name: self._measures[name].of(run) for name in self._averages}
 
         return design, Robust(self._field, response, samples=self._samples, seed=self._table.seed), run_in(None)
 
@@ -136,7 +137,7 @@ class _Question:
         return {f"soil.{name}": getattr(soil, name) for name in self._field.names}
 
     def _term(self, robust: Robust, run: Run, name: str, term: TermTable) -> Expression:
-        per = MEASURES[name].unit.parse(term.per)
+        per = self._measures[name].unit.parse(term.per)
         return self._measure(robust, run, name, asked_of(term.measure or "expected"), term.width) / per
 
     def _measure(
@@ -144,7 +145,7 @@ class _Question:
     ) -> Expression:
         """Return a measure of a result; where small values are bad, of its lower tail."""
         if asked.kind == "nominal" or not self._spreads.get(name):
-            return MEASURES[name].of(run)
+            return self._measures[name].of(run)
         if asked.kind == "expected":
             return robust.expected(name)
         if asked.kind == "mean_plus":
@@ -156,12 +157,12 @@ class _Question:
 
     def _width(self, name: str, written: object) -> float:
         if written is not None:
-            return MEASURES[name].unit.parse(written)
+            return self._measures[name].unit.parse(written)
         self._following.add(name)
         return _WIDTH * self._spreads[name]
 
     def _require(self, design: Design, robust: Robust, run: Run, name: str, limit: LimitTable) -> None:
-        measure = MEASURES[name]
+        measure = self._measures[name]
         low, high = (None if side is None else measure.unit.parse(side) for side in (limit.at_least, limit.at_most))
         unit = measure.unit.symbol
         if limit.probability is not None and self._spreads.get(name):

@@ -107,6 +107,13 @@ class LimitTable(Table):
         return {side: written for side, written in both.items() if written is not None}
 
 
+class MeasureTable(Table):
+    """A result of the file's own: an expression of others, and its unit."""
+
+    value: StrictStr
+    unit: StrictStr = ""
+
+
 class AccuracyTable(Table):
     """Integration method and its setting, or an error to reach."""
 
@@ -128,6 +135,7 @@ class ProblemTable(Table):
     variables: dict[str, VariableTable] = {}
     minimise: dict[str, TermTable] = {}
     require: dict[str, LimitTable] = {}
+    measures: dict[str, MeasureTable] = {}
     trade_off: dict[str, Any] | None = None  # read by plough_opt.problem_file.front
     uncertain: dict[str, Any] | None = None  # read by plough_opt.problem_file.uncertain
 

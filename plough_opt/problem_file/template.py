@@ -53,4 +53,7 @@ force_rms  = { per = "1 kN" }
 loosened_radius = { at_least = "0.15 m" }
 half_angle      = { at_most = "15 deg" }     # of the equivalent cone; above 20 deg the theory does not hold
 deflection      = { at_most = "0.12 m" }     # at every output time; mean_deflection limits the average
+
+# [measures]                      # results of your own, to minimise, require or trade like the others
+# power_per_width = { value = "tow_power / (2 * loosened_radius)", unit = "kW/m" }
 """

@@ -12,7 +12,8 @@ from plough_opt.core.errors import InputError, nearest
 from plough_opt.core.expressions import as_number
 from plough_opt.core.quantities import quantities
 from plough_opt.laws.penetration import cone_index
-from plough_opt.motion.vocabulary import MEASURES
+from plough_opt.motion.vocabulary import Measure
+from plough_opt.problem_file.own_measures import measures_of
 from plough_opt.problem_file.schema import LimitTable, ProblemTable
 from plough_opt.problem_file.source import Keys, Source
 from plough_opt.soil.soil import Soil
@@ -277,14 +278,15 @@ def _made(name: str, values: Mapping[str, Any]) -> Any:
 
 def _check_asked(source: Source, table: ProblemTable) -> None:
     """Note measures that cannot be asked for."""
+    known = measures_of(table)
     for name, term in table.minimise.items():
         with source.noting(("minimise", name)):
             if term.measure is not None:
                 asked_of(term.measure)
-            _check_width(source, ("minimise", name), name, term.width)
+            _check_width(source, ("minimise", name), term.width, known.get(name))
     for name, limit in table.require.items():
         with source.noting(("require", name)):
-            if name in MEASURES and MEASURES[name].everywhere and limit.measure != "nominal":
+            if name in known and known[name].everywhere and limit.measure != "nominal":
                 raise InputError(
                     f"'{name}' has a value at every output time: over samples of the soil limit its mean, or say"
                     ' measure = "nominal"'
@@ -292,7 +294,7 @@ def _check_asked(source: Source, table: ProblemTable) -> None:
             if limit.measure is not None:
                 asked_of(limit.measure)
             _check_probability(limit, name)
-            _check_width(source, ("require", name), name, limit.width)
+            _check_width(source, ("require", name), limit.width, known.get(name))
 
 
 def _check_probability(limit: LimitTable, name: str) -> None:
@@ -307,15 +309,15 @@ def _check_probability(limit: LimitTable, name: str) -> None:
         raise InputError(f"'{name}': a probability is of one limit: give at_least or at_most")
 
 
-def _check_width(source: Source, place: Keys, name: str, written: Any) -> None:
-    if written is None or name not in MEASURES:
+def _check_width(source: Source, place: Keys, written: Any, measure: Measure | None) -> None:
+    if written is None or measure is None:
         return
     try:
-        width = MEASURES[name].unit.parse(written)
+        width = measure.unit.parse(written)
     except InputError as error:
-        raise source.error((*place, "width"), f"'{name}' width {error}") from None
+        raise source.error((*place, "width"), f"'{place[1]}' width {error}") from None
     if width <= 0.0:
-        raise source.error((*place, "width"), f"'{name}' width = {written} must be above 0")
+        raise source.error((*place, "width"), f"'{place[1]}' width = {written} must be above 0")
 
 
 def _refuse_measures(source: Source, table: ProblemTable) -> None:

@@ -98,7 +98,8 @@ def test_the_template_means_the_same_as_the_subsoiler(read, cotton, subsoiler):
 
 def test_what_the_template_comments_out_is_right_too(read):
     lines = [
-        line.removeprefix("# ") if line.startswith("# ") and " = " in line else line for line in TEMPLATE.splitlines()
+        line.removeprefix("# ") if line.startswith("# [") or (line.startswith("# ") and " = " in line) else line
+        for line in TEMPLATE.splitlines()
     ]
     # Quasi-static scenes know no start, damper, contact law or entry, and neither does the print.
     left = ("motion", "damping", "formulation")

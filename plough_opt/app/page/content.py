@@ -12,8 +12,8 @@ from plough_opt.core.units import Display
 from plough_opt.design import Limit, Optimum, Sensitivity
 from plough_opt.laws.penetration import cone_index
 from plough_opt.motion import Run
-from plough_opt.motion.vocabulary import MEASURES
 from plough_opt.problem_file import Problem
+from plough_opt.problem_file.own_measures import measures_of
 from plough_opt.soil.geometry import Wedge
 from plough_opt.studies.accuracy.result import AccuracyStudy
 
@@ -68,7 +68,8 @@ class Report:
 
     def measure(self, name: str) -> str:
         """Return a result of the run with its unit."""
-        return self.shown(name, float(MEASURES[name].of(self.run)), MEASURES[name].unit.symbol)
+        measure = measures_of(self.problem.table)[name]
+        return self.shown(name, float(measure.of(self.run)), measure.unit.symbol)
 
     @property
     def moves(self) -> bool:

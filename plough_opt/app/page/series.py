@@ -12,7 +12,7 @@ from plough_opt.core.picture_files import COLOURS
 from plough_opt.core.units import Display
 from plough_opt.design.landscape import FEASIBLE
 from plough_opt.motion.terms import Structure, parameters, start_speed, strut
-from plough_opt.motion.vocabulary import MEASURES
+from plough_opt.problem_file.own_measures import measures_of
 from plough_opt.soil.geometry import Wedge
 from plough_opt.soil.solid import Solid
 from plough_opt.studies.accuracy.contest import Entry
@@ -96,7 +96,9 @@ def _limits(report: Report, *names: str) -> list[tuple[str, float, str, str]]:
         own = report.problem.table.require.get(name)
         for side in (own.at_least, own.at_most) if own else ():
             if side is not None:
-                found.append((f"limit of {called(name)}", MEASURES[name].unit.parse(side), _RED, ""))
+                found.append(
+                    (f"limit of {called(name)}", measures_of(report.problem.table)[name].unit.parse(side), _RED, "")
+                )
     return found
 
 

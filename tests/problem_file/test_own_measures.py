@@ -1,0 +1,101 @@
+"""The [measures] table: results of a file's own, against the same arithmetic by hand."""
+
+import math
+
+import pytest
+
+import plough_opt as po
+from plough_opt.app import main
+from plough_opt.problem_file import TEMPLATE
+from plough_opt.problem_file.own_measures import measures_of
+
+RIGHT = {
+    "power_per_width": ("tow_power / (2 * loosened_radius)", "kW/m"),
+    "slender": ("share.height / sqrt(loosened_radius**2)", ""),
+    "uneven": ("force_rms / mean_draft + exp(-force_rms / mean_draft)", ""),
+    "draft_per_depth": ("maximum(mean_draft, 2 * force_rms) / share.height", "N/cm"),
+    "spare": ("0.2e0 * mean_draft - -1 * force_rms**1", "kN"),
+}
+
+
+def written(tmp_path, measures):
+    """Return the path of the template with a table of own results."""
+    rows = [f'{name} = {{ value = "{text}", unit = "{unit}" }}' for name, (text, unit) in measures.items()]
+    path = tmp_path / "own.toml"
+    path.write_text("\n".join([TEMPLATE, "[measures]", *rows, ""]), encoding="utf-8")
+    return path
+
+
+def by_hand(run):
+    """Return the values of `RIGHT` in their units, by Python's own arithmetic."""
+    radius, height = run.scene.loosened_radius, run.scene.share.height
+    uneven = run.force_rms / run.mean_draft
+    return {
+        "power_per_width": run.tow_power / (2.0 * radius) / 1e3,
+        "slender": height / radius,
+        "uneven": uneven + math.exp(-uneven),
+        "draft_per_depth": max(run.mean_draft, 2.0 * run.force_rms) / height / 100.0,
+        "spare": (0.2 * run.mean_draft + run.force_rms) / 1e3,
+    }
+
+
+def test_values_are_those_of_the_arithmetic(tmp_path):
+    problem = po.read_problem(written(tmp_path, RIGHT))
+    run = problem.simulate()
+    found = measures_of(problem.table)
+    for name, value in by_hand(run).items():
+        assert float(found[name].of(run)) == pytest.approx(value, rel=1e-14), name  # a few roundings
+
+
+def test_one_is_minimised_and_another_required(tmp_path):
+    path = written(tmp_path, RIGHT)
+    text = path.read_text(encoding="utf-8")
+    text = text.replace('mean_draft = { per = "1 kN" }', 'power_per_width = { per = "1 kW/m" }')
+    text = text.replace("[require]", '[require]\ndraft_per_depth = { at_most = "150 N/cm" }')
+    path.write_text(text, encoding="utf-8")
+    best, run = po.read_problem(path).optimise()
+    expected = by_hand(run)
+    # The design integrates its own run: both are right to 1e-8.
+    assert best.objective == pytest.approx(expected["power_per_width"] + run.force_rms / 1e3, rel=1e-7)
+    assert best.margins["draft_per_depth"] == pytest.approx(150.0 - expected["draft_per_depth"], abs=1e-5)
+
+
+def test_it_stands_in_the_response_and_in_a_sweep(tmp_path, capsys):
+    path = str(written(tmp_path, RIGHT))
+    assert main(["simulate", path]) == 0
+    assert "power per width" in capsys.readouterr().out
+    table = tmp_path / "table.csv"
+    store = ["--store", str(tmp_path / "s.db"), "--csv", str(table), "--workers", "1"]
+    assert main(["sweep", path, "--over", "share.height=0.2..0.3 m:2", *store]) == 0
+    assert "power_per_width" in table.read_text(encoding="utf-8").splitlines()[0]
+
+
+def test_brackets_alone_nest_nothing(tmp_path):
+    assert po.read_problem(written(tmp_path, {"mine": ("(" * 90 + "force_rms" + ")" * 90, "N")}))
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "unit", "words"),
+    [
+        ("mean_draft", "force_rms", "N", "another"),
+        ("mine", "force_rsm", "N", "force_rms"),
+        ("mine", "deflection", "m", "mean_deflection"),
+        ("mine", "force_rms + tow_power", "N", "unlike"),
+        ("mine", "force_rms", "kW", "unit"),
+        ("mine", "force_rms", "florin", "florin"),
+        ("mine", "force_rms +", "N", "expression"),
+        ("mine", "force_rms ** tow_power", "N", "power"),
+        ("mine", "force_rms ** 99", "N", "99"),
+        ("mine", "__import__('os')", "", "cannot be computed"),
+        ("mine", "force_rms if tow_power else 2", "N", "cannot be computed"),
+        ("mine", "sqrt(force_rms, 2)", "N", "arguments"),
+        ("mine", "-" * 60 + "force_rms", "N", "deep"),
+        ("mine", "force_rms" + " + force_rms" * 40, "N", "characters"),
+    ],
+)
+def test_wrong_ones_are_refused_with_their_line(name, value, unit, words, tmp_path):
+    path = written(tmp_path, {name: (value, unit)})
+    line = path.read_text(encoding="utf-8").splitlines().index("[measures]") + 2
+    with pytest.raises(po.InputError, match=words) as refused:
+        po.read_problem(path)
+    assert f"line {line}" in str(refused.value)

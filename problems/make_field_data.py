@@ -1,15 +1,21 @@
-"""Write insertions.csv, synthetic penetrometer readings: a soft topsoil over a dense layer at eight places.
+"""Write insertions.csv and transect.csv, synthetic readings of a penetrometer: downwards at eight places, and on a path.
 
-Nothing in it was measured; it shows the way from readings to a share (problems/field.toml).
+Nothing in them was measured; they show the way from readings to a share (problems/field.toml).
 
     python problems/make_field_data.py
 """
 
+import math
 from pathlib import Path
 
 import numpy as np
 
 PLACES = 8
+SPACING, LENGTH = 0.05, 40.0
+# Known of the transect: random strength with this RMS and correlation length, and rows that wheels left [m].
+RMS, CORRELATION_LENGTH = 0.12, 0.35
+ROW_AMPLITUDE, ROWS = 0.08, 1.4
+NOTE = "# synthetic, by make_field_data.py: nothing here was measured"
 
 
 def insertions(seed: int = 7) -> str:
@@ -20,11 +26,26 @@ def insertions(seed: int = 7) -> str:
     level = np.exp(0.16 * rng.standard_normal(PLACES))
     noise = np.exp(0.06 * rng.standard_normal((len(depth), PLACES)))
     readings = (250.0 + 1500.0 * dense)[:, None] * level * noise
-    lines = ["# synthetic, by make_field_data.py: nothing here was measured"]
-    lines.append("depth [cm], " + ", ".join(["cone_index [kPa]"] * PLACES))
+    lines = [NOTE, "depth [cm], " + ", ".join(["cone_index [kPa]"] * PLACES)]
     lines += [f"{z:.1f}, " + ", ".join(f"{q:.0f}" for q in row) for z, row in zip(depth, readings, strict=True)]
     return "\n".join(lines) + "\n"
 
 
+def transect(seed: int = 11) -> str:
+    """Return the text of the readings [kPa] at 35 cm depth, every 5 cm along 40 m, on a slope of strength."""
+    rng = np.random.default_rng(seed)
+    place = np.arange(0.0, LENGTH, SPACING)
+    kept = math.exp(-SPACING / CORRELATION_LENGTH)
+    random = np.empty(len(place))
+    random[0] = rng.standard_normal()
+    for k, step in enumerate(rng.standard_normal(len(place) - 1), start=1):
+        random[k] = kept * random[k - 1] + math.sqrt(1.0 - kept**2) * step
+    relative = 1.0 + RMS * random + ROW_AMPLITUDE * np.sin(2.0 * math.pi * place / ROWS + 0.5)
+    readings = (1500.0 + 6.0 * place) * relative
+    rows = [f"{x:.2f}, {q:.0f}" for x, q in zip(place, readings, strict=True)]
+    return "\n".join([NOTE, "position [m], cone_index [kPa]", *rows]) + "\n"
+
+
 if __name__ == "__main__":
-    (Path(__file__).parent / "insertions.csv").write_text(insertions(), encoding="utf-8")
+    for name, text in (("insertions.csv", insertions()), ("transect.csv", transect())):
+        (Path(__file__).parent / name).write_text(text, encoding="utf-8")

@@ -72,9 +72,9 @@ def test_the_closed_form_is_the_integral(effects, length):
     assert own._stationary.speed_rms == pytest.approx(speed, rel=1e-8)
 
 
-@pytest.mark.parametrize(("damping", "near"), [(600.0, 1e-11), (30.0, 2e-9), (5.0, 1e-7)])
+@pytest.mark.parametrize(("damping", "near"), [(600.0, 1e-11), (30.0, 3e-6), (5.0, 2e-4)])
 def test_a_table_is_integrated_through_its_resonance(damping, near):
-    """Down to a thousandth of critical damping, where the resonance is a hundredth of the panel that it stands in."""
+    """Down to a thousandth of critical damping, where the resonance is a thousandth of the panel that it stands in."""
     own = scene(TABLE, damping=damping, inertial_drag=False)
     force, place, _ = integrated(own, lambda q: np.interp(q, TABLE.wave_number, TABLE.density), [*TABLE.wave_number])
     assert (own.stationary_force_rms, own.stationary_displacement_rms) == pytest.approx((force, place), rel=near)

@@ -50,5 +50,8 @@ def test_its_tables_of_a_file_are_read(tmp_path):
 def test_the_synthetic_readings_are_what_their_script_writes():
     import runpy
 
-    made = runpy.run_path(str(ROOT / "problems" / "make_field_data.py"))["insertions"]()
-    assert (ROOT / "problems" / "insertions.csv").read_text(encoding="utf-8") == made
+    script = runpy.run_path(str(ROOT / "problems" / "make_field_data.py"))
+    for name in ("insertions", "transect"):
+        text = (ROOT / "problems" / f"{name}.csv").read_text(encoding="utf-8")
+        assert text == script[name]()
+        assert "synthetic" in text.splitlines()[0]

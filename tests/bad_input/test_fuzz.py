@@ -91,7 +91,8 @@ def thinned(few, many):
 
 @thinned(120, 2000)
 def test_problem_files(count, tmp_path):
-    shutil.copy(PROBLEMS / "insertions.csv", tmp_path)
+    for name in ("insertions.csv", "transect.csv"):
+        shutil.copy(PROBLEMS / name, tmp_path)
 
     def answer(rng, path):
         path.write_text(mutated(rng.choice(TEXTS), rng), encoding="utf-8", errors="surrogatepass", newline="")

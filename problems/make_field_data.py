@@ -1,4 +1,4 @@
-"""Write insertions.csv and transect.csv, synthetic readings of a penetrometer: downwards at eight places, and on a path.
+"""Write insertions.csv and transect.csv: synthetic readings of a penetrometer, in eight insertions and along a path.
 
 Nothing in them was measured; they show the way from readings to a share (problems/field.toml).
 

@@ -26,8 +26,8 @@ from plough_opt.soil.waves import StrengthWave
 
 Vector = NDArray[np.float64]
 
-# Nodes in every panel of a tabulated spectrum: where a panel is as wide as the resonance stands high, damping of a tenth
-# of the critical one is integrated to rounding, of a hundredth to 1e-6, of a thousandth to 1e-4.
+# Nodes in every panel of a tabulated spectrum. In a panel as wide as the mount's frequency a damping of a tenth of the
+# critical one is integrated to rounding, of a hundredth to 1e-6, of a thousandth to 1e-4.
 _NODES = 20
 # Most panels: those of a record are joined to so many, by which an RMS changes by 3e-4, far within a spectrum's band.
 _MOST_PANELS = 48

@@ -49,6 +49,8 @@ __all__ = [
 # Results of a sweep beside each other, and points in a panel: more hide each other.
 _MOST_PANELS, _MOST_POINTS = 6, 20_000
 # Part of a result's size below which its changes are rounding.
+# A quantity that is swept over a larger factor than this is drawn over its logarithm.
+_DECADES = 20.0
 _CONSTANT = 1e-6
 # Panels of the search beside each other.
 _PANELS = 3
@@ -183,6 +185,8 @@ def plot_sweep(swept: Sweep) -> Figure:
         points = axes.scatter(places[::step], values[::step], c=colours, s=14, cmap="viridis")
         axes.set_xlabel(heading)
         axes.set_ylabel(label)
+        if 0.0 < _DECADES * np.min(places) < np.max(places):
+            axes.set_xscale("log")
         # A result that stays the same would have its rounding magnified.
         finite = values[np.isfinite(values)]
         if len(finite) and float(np.max(finite)) > 0.0 and np.ptp(finite) < _CONSTANT * np.max(np.abs(finite)):

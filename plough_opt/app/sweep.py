@@ -16,7 +16,7 @@ from plough_opt.core.errors import InputError, NotConverged
 from plough_opt.problem_file.sweeping import ProblemSweep, What
 from plough_opt.studies.sweep.sweeping import sweep as run_sweep
 
-_PLACES = ("store", "csv", "npz")
+_PLACES = ("store", "csv", "npz", "plot")
 
 
 def add_options(verb: argparse.ArgumentParser) -> None:
@@ -44,6 +44,7 @@ def add_options(verb: argparse.ArgumentParser) -> None:
     verb.add_argument("--retry", action="store_true", help="try the points again that failed or are undetermined")
     verb.add_argument("--csv", metavar="FILE", help="write a table of all points")
     verb.add_argument("--npz", metavar="FILE", help="write an array for each column")
+    verb.add_argument("--plot", metavar="FILE", help="write a picture of every result: .png, .svg or .pdf")
 
 
 def sweep(options: argparse.Namespace) -> None:
@@ -83,6 +84,9 @@ def sweep(options: argparse.Namespace) -> None:
         for name, write in (("csv", found.to_csv), ("npz", found.to_npz)):
             if getattr(options, name) is not None:
                 wrote(write(getattr(options, name)))
+        if options.plot is not None:
+            found.plot(options.plot)
+            wrote(Path(options.plot))
         if found.failed == len(found):
             raise NotConverged("every point failed; the reasons stand above and in the tables", "failed")
         if undetermined := len(list(found.undetermined)):

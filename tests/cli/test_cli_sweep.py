@@ -22,13 +22,14 @@ SPEED = ("--over", "scene.tow_speed=1 m/s, 3 m/s")
 def test_a_sweep_is_reported_written_and_resumed(cli, cotton, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     command = ("sweep", cotton, *BRIEF, *COHESION, *SPEED, "--workers", "1")
-    done = cli(*command, "--csv", "deep/table.csv", "--npz", "table.npz")
+    done = cli(*command, "--csv", "deep/table.csv", "--npz", "table.npz", "--plot", "deep/picture.svg")
     assert done.status == 0, done.err
     assert "Subsoiler for cotton on serozem\n6 points, 0 failed" in done.out
     assert re.search(r"│ mean_draft +│ +[0-9.]+ kN │ cohesion 5 kPa +│ +[0-9.]+ kN │ cohesion 45 kPa", done.out)
     assert "Each point is simulated by po.simulate; stored in cotton_subsoiler-" in done.out
     assert "Note: at 6 of 6 points: ambient pressure (101.3 kPa) carries" in done.out
     assert "wrote deep/table.csv" in done.err
+    assert "</svg>" in (tmp_path / "deep" / "picture.svg").read_text()
     rows = list(csv.reader((tmp_path / "deep" / "table.csv").read_text().splitlines()))
     assert rows[0][:4] == ["point", "soil.cohesion [Pa]", "scene.tow_speed [m/s]", "mean_draft [N]"]
     run = po.read_problem(cotton, ("scene.duration=0.2 s", "scene.outputs=40")).simulate(

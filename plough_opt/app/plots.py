@@ -49,9 +49,9 @@ __all__ = [
 # Results of a sweep beside each other, and points in a panel: more hide each other.
 _MOST_PANELS, _MOST_POINTS = 6, 20_000
 # Part of a result's size below which its changes are rounding.
+_CONSTANT = 1e-6
 # A quantity that is swept over a larger factor than this is drawn over its logarithm.
 _DECADES = 20.0
-_CONSTANT = 1e-6
 # Panels of the search beside each other.
 _PANELS = 3
 _SURFACE = "#cfd4d8"

@@ -54,7 +54,7 @@ def add_options(verb: argparse.ArgumentParser) -> None:
         metavar='KEY="VALUE"',
         help='an unknown that was measured by itself too: soil.friction_angle="28 +- 1 deg", one standard deviation',
     )
-    verb.add_argument("--loss", choices=_LOSSES, default="squares", help="robust losses let outliers pull less")
+    verb.add_argument("--loss", choices=_LOSSES, default="squares", help="robust losses give outliers less weight")
     verb.add_argument("--level", type=float, default=0.95, metavar="P", help="of the intervals (default: 0.95)")
     verb.add_argument("--folds", type=int, metavar="N", help="of the cross-validation (default: each row by itself)")
     verb.add_argument("--json", action="store_true", help="print JSON (SI units) instead of tables")

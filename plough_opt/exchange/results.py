@@ -4,15 +4,24 @@ from __future__ import annotations
 
 import platform
 import sys
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import is_dataclass
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import MISSING, fields, is_dataclass
 from importlib import import_module
 from importlib.metadata import version
 from pathlib import Path
-from typing import Annotated, Any, Final, Literal, TypeVar
+from typing import Annotated, Any, Final, Generic, Literal, TypeVar, cast, get_type_hints
 
 import numpy as np
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, FiniteFloat, TypeAdapter, ValidationError
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    ConfigDict,
+    Field,
+    FiniteFloat,
+    TypeAdapter,
+    ValidationError,
+    create_model,
+)
 from pydantic_core import from_json
 
 from plough_opt.core.errors import InputError, short
@@ -137,6 +146,38 @@ class SavedOptimum(Saved):
             search=str(best.search or ""),
             over=best.over,
         )
+
+
+class Form(Generic[_T]):
+    """The JSON form of a dataclass of results: its fields, and the kind by which `load` finds it.
+
+    Args:
+        result: the dataclass.
+        kind: its kind in a file.
+        unsaved: fields that are left out.
+    """
+
+    def __init__(self, result: type[_T], kind: str, unsaved: Collection[str] = ()) -> None:
+        types = get_type_hints(result)
+        own: Any = {
+            field.name: (types[field.name], ... if field.default is MISSING else field.default)
+            for field in fields(cast(Any, result))
+            if field.name not in (*unsaved, *Saved.model_fields)
+        }
+        literal: Any = Literal[kind]
+        self._result = result
+        self._model = create_model(f"Saved{result.__name__}", __base__=Saved, kind=(literal, kind), **own)
+        self._names = [name for name in self._model.model_fields if name not in ("layout", "kind")]
+
+    def to_json(self, result: _T, **changed: Any) -> str:
+        """Return a result, some fields of which may be changed, as JSON text with versions and a schema number."""
+        values = {name: getattr(result, name) for name in self._names} | changed
+        return self._model(layout=SCHEMA, **values).to_json()
+
+    def load(self, path: str | Path, name: str, kind: str) -> _T:
+        """Read a result from a file; the arguments are those of `read_saved`."""
+        saved = read_saved(path, name, kind, self._model.model_validate_json)
+        return self._result(**{name: getattr(saved, name) for name in self._names})
 
 
 # Characters of a saved result, some hundred times the longest that the commands write.

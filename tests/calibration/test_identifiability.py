@@ -21,11 +21,11 @@ def confounded(measured):
 def test_cohesion_and_ambient_pressure_are_told_apart_by_no_draft(confounded):
     (found,) = confounded.unidentifiable
     assert found.structural
-    # F0 goes with nu p_a + 2 k cos(theta)/(1 + sin(theta)): p_a is made good by tan(theta) of itself in cohesion.
+    # F0 goes with nu p_a + 2 k cos(theta)/(1 + sin(theta)): p_a can be offset by tan(theta) of itself in cohesion.
     ratio = found.changes["soil.cohesion"] / found.changes["soil.ambient_pressure"]
     assert ratio == pytest.approx(-math.tan(TRUTH["soil.friction_angle"]), rel=1e-9)
     assert "cannot be told apart" in found.words
-    assert "the data hold" in found.words
+    assert "the data determine" in found.words
     assert set(found.changes) == {"soil.cohesion", "soil.ambient_pressure"}
 
 
@@ -82,14 +82,14 @@ def test_an_unknown_without_effect_is_named(measured):
     unknown = {"soil.cohesion": BOUNDS["soil.cohesion"], "scene.stiffness": (1e4, 1e6)}
     fit = po.calibrate(steady_scene(), measured, unknown)
     (found,) = fit.unidentifiable
-    assert found.words.startswith("scene.stiffness has no effect on what was measured")
+    assert found.words.startswith("scene.stiffness has no effect")
     # It stays at its guess, the scene's own.
     assert fit.values["scene.stiffness"] == pytest.approx(5e4, rel=1e-3)
 
 
 def test_all_six_at_once_are_sorted(measured):
     fit = po.calibrate(steady_scene(), measured, BOUNDS)
-    # Of F0's strength, the drag beside it, tool friction and rate term the data hold four combinations of six.
+    # Of F0's strength, the drag beside it, tool friction and rate term the data determine four combinations of six.
     assert sum(found.structural for found in fit.unidentifiable) == 2
     named = {name for found in fit.unidentifiable for name in found.changes}
     assert {"soil.cohesion", "soil.ambient_pressure", "soil.friction_angle", "soil.density_ratio"} <= named
@@ -110,7 +110,7 @@ def test_an_unknown_that_was_measured_itself_settles_it(measured):
 
 def test_profile_ends_are_where_the_loss_has_risen(fitted, measured):
     """Against a profile by SciPy: the other unknowns fitted at each value of the first."""
-    program, y = fitted.source.calibration.program, fitted.source.found.y
+    program, y = fitted.source.calibration.program, fitted.source.estimate.y
     weights = 1.0 / measured.sigma
     limit = fitted.total + 0.5 * stats.norm.ppf(0.975) ** 2
 

@@ -55,7 +55,7 @@ def test_sigma_in_per_cent_semicolons_tabs_weights_and_time(written):
         (HEADER.replace("mean_draft", "draft") + ROWS, "did you mean 'mean_draft'?"),
         (HEADER.replace("mean_draft [kN]", "soil.cohesion [kPa]") + ROWS, "no column holds a measured result"),
         ("mean_draft [kN], force_rms [N]\n1, 2\n", "mean_draft and force_rms are measured: write a file for each"),
-        ("mean_draft [kN], mean_draft [N]\n1, 2\n", "column 'mean_draft': it stands there twice"),
+        ("mean_draft [kN], mean_draft [N]\n1, 2\n", "column 'mean_draft': it is given twice"),
         ("mean_draft [kN], time [s]\n1, 2\n", "mean_draft is one value for a run; a time goes with mount_force"),
         ("mount_force [kN]\n1\n", "a column 'time [s]' is missing"),
         ("mean_draft [kN], sigma [N], weight\n1, 2, 1\n", "sigma and weight exclude each other"),
@@ -121,7 +121,7 @@ def test_files_that_are_none(tmp_path, written):
 @pytest.mark.parametrize(
     ("arguments", "keywords", "words"),
     [
-        (("draft", [1.0]), {}, "'draft' is no measured result: did you mean 'mean_draft'?"),
+        (("draft", [1.0]), {}, "did you mean 'mean_draft'"),
         (("mean_draft", []), {}, "there are no measurements"),
         (("mean_draft", [1.0, math.nan]), {}, "row 2: mean_draft = nan must be a finite number"),
         (("mean_draft", ["a"]), {}, "'mean_draft' must be a column of numbers"),

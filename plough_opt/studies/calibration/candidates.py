@@ -1,4 +1,4 @@
-"""The next measurement: which of some candidates would tell most of what the data leave open."""
+"""The next measurement: candidates ranked by how much they would reduce the uncertainty that the data leave."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ Vector = NDArray[np.float64]
 
 # A candidate that measures an unknown by itself does so within this part of its bounds.
 _DIRECT: Final = 0.05
-# Where the measured conditions vary by less than this, relative, others are proposed.
+# Conditions of the proposed measurements: factors on the middle of those measured.
 _FACTORS: Final = {"share.wedge_angle": (0.6, 1.5), "share.height": (0.7, 1.4), "scene.tow_speed": (0.5, 1.7)}
 _STEEPEST: Final = math.radians(70.0)
 # A tool of known friction: steel with a coating of polyethylene.
@@ -34,10 +34,10 @@ class Candidate:
     """A measurement that could be made.
 
     Attributes:
-        result: what would be measured, as in `Measurements`; or an unknown by itself.
-        conditions: key -> value, SI; of others the middle of what was measured.
-        sigma: standard deviation of its error, in the result's SI unit; None: as that of the data, relative.
-        why: what to call it, or "" for a description.
+        result: the result to measure, as in `Measurements`; or an unknown by itself.
+        conditions: key -> value, SI; the others are at the middle of those measured.
+        sigma: standard deviation of its error, in the result's SI unit; None: the relative error of the data.
+        why: its name, or "" for a description.
     """
 
     result: str
@@ -46,7 +46,7 @@ class Candidate:
     why: str = ""
 
     def describe(self) -> str:
-        """Return what would be measured."""
+        """Return the measurement in words."""
         if self.why:
             return self.why
         if not self.conditions:
@@ -56,12 +56,12 @@ class Candidate:
 
 @dataclass(frozen=True)
 class NextMeasurement:
-    """What a candidate would tell.
+    """The gain from a candidate.
 
     Attributes:
         candidate: the measurement.
-        sigma: standard deviation of its error that was reckoned with, SI.
-        information: gain, ln of the ratio by which the volume of what is possible shrinks.
+        sigma: assumed standard deviation of its error, SI.
+        information: gain, ln of the ratio by which the volume of possible values shrinks.
         errors: unknown -> (standard error now, with the measurement), SI; the bounds count as knowledge.
         units: unknown -> SI unit.
     """
@@ -75,64 +75,70 @@ class NextMeasurement:
     def words(self) -> str:
         """Return a sentence."""
         gains = sorted(self.errors.items(), key=lambda item: item[1][1] / item[1][0])
-        told = [
+        largest = [
             f"{name} from ±{now:.3g} to ±{then:.3g} {self.units[name]}".rstrip()
-            for name, (now, then) in gains
+            for name, (now, then) in gains[:3]
             if then < 0.9 * now
         ]
-        return f"{self.candidate.describe()}: {'; '.join(told[:3]) if told else 'hardly any gain'}"
+        return f"{self.candidate.describe()}: {'; '.join(largest) or 'hardly any gain'}"
 
 
 def ranked(
     candidates: Sequence[tuple[Candidate, float, Vector]], unknowns: Sequence[Unknown], y: Vector, information: Vector
 ) -> tuple[NextMeasurement, ...]:
-    """Return candidates by what they tell, the best first: D-optimal, with the bounds as knowledge of their own.
+    """Return candidates by their gain of information, the best first.
+
+    This is D-optimal, with the bounds as prior knowledge: a uniform distribution between them.
 
     Args:
         candidates: each with the standard deviation of its error and its derivatives by the scaled unknowns (p).
-        unknowns: what is to be found.
+        unknowns: to be found.
         y: scaled unknowns at the fit.
         information: of the data (p, p).
     """
-    have = information + np.eye(len(unknowns)) / UNIFORM**2
-    now = np.linalg.inv(have)
+    now = np.linalg.inv(information + np.eye(len(unknowns)) / UNIFORM**2)
     slopes = np.array([unknown.slope(float(y[k])) for k, unknown in enumerate(unknowns)])
     before = np.sqrt(np.diag(now)) * slopes
     units = {unknown.name: unknown.unit for unknown in unknowns}
-    found = []
+    ranking = []
     for candidate, sigma, slope in candidates:
         row = slope / sigma
         step = now @ row
         gain = float(row @ step)
         after = np.sqrt(np.maximum(np.diag(now - np.outer(step, step) / (1.0 + gain)), 0.0)) * slopes
         errors = {u.name: (float(before[k]), float(after[k])) for k, u in enumerate(unknowns)}
-        found.append(NextMeasurement(candidate, sigma, 0.5 * math.log1p(gain), errors, units))
-    return tuple(sorted(found, key=lambda item: -item.information))
+        ranking.append(NextMeasurement(candidate, sigma, 0.5 * math.log1p(gain), errors, units))
+    return tuple(sorted(ranking, key=lambda item: -item.information))
 
 
 def proposals(model: Model, measured: Sequence[Measurements], unknowns: Sequence[Unknown]) -> list[Candidate]:
     """Return candidates beside the data: other conditions, other results, and the unknowns by themselves."""
     names = {unknown.name for unknown in unknowns}
     results = [m.result for m in measured if m.result in RESULTS and m.result != RECORD] or ["mean_draft"]
-    found: list[Candidate] = []
+    candidates: list[Candidate] = []
     for result in dict.fromkeys(results):
-        found.append(Candidate(result))
+        candidates.append(Candidate(result))
         for key, factors in _FACTORS.items():
             if key not in names and (middle := _middle(key, model, measured)):
                 ends = [min(x, _STEEPEST) if key == "share.wedge_angle" else x for x in (f * middle for f in factors)]
-                found += [Candidate(result, {key: value}) for value in ends]
+                candidates += [Candidate(result, {key: value}) for value in ends]
         if "soil.ambient_pressure" not in names and (middle := _middle("soil.ambient_pressure", model, measured)):
-            found.append(Candidate(result, {"soil.ambient_pressure": middle + _DEEPER},
-                                   why=f"{result} at an ambient pressure {_DEEPER / 1e3:g} kPa higher"))  # fmt: skip
+            candidates.append(
+                Candidate(
+                    result,
+                    {"soil.ambient_pressure": middle + _DEEPER},
+                    why=f"{result} at an ambient pressure {_DEEPER / 1e3:g} kPa higher",
+                )
+            )
         if "soil.tool_friction" in names:
-            found.append(Candidate(result, {"soil.tool_friction": _COATED},
-                                   why=f"{result} of a coated share, of known tool friction {_COATED:g}"))  # fmt: skip
+            why = f"{result} of a coated share, of known tool friction {_COATED:g}"
+            candidates.append(Candidate(result, {"soil.tool_friction": _COATED}, why=why))
     if "loosened_radius" not in results:
-        found.append(Candidate("loosened_radius", why="loosened_radius"))
+        candidates.append(Candidate("loosened_radius", why="loosened_radius"))
     direct = [Candidate(u.name, sigma=_DIRECT * (u.upper - u.lower),
                         why=f"{u.name} by itself, to ±{amount(_DIRECT * (u.upper - u.lower), u.unit)}")
               for u in unknowns]  # fmt: skip
-    return [*found, *direct]
+    return [*candidates, *direct]
 
 
 def evaluated(
@@ -142,31 +148,31 @@ def evaluated(
     error: float,
     row: Callable[[Candidate], tuple[float, Vector]],
 ) -> list[tuple[Candidate, float, Vector]]:
-    """Return candidates with standard deviation and derivatives; what the scene cannot do is left out.
+    """Return candidates with standard deviation and derivatives, without those that the scene cannot have.
 
     Args:
-        candidates: what could be measured.
-        unknowns: what is to be found.
+        candidates: possible measurements.
+        unknowns: to be found.
         y: scaled unknowns at the fit.
         error: relative standard deviation of the data.
         row: candidate -> its value and derivatives by the scaled unknowns.
     """
     names = [unknown.name for unknown in unknowns]
-    found = []
+    rows = []
     for candidate in candidates:
         if candidate.result in names:
             k = names.index(candidate.result)
             slope = np.zeros(len(names))
             slope[k] = unknowns[k].slope(float(y[k]))
-            found.append((candidate, candidate.sigma or _DIRECT * (unknowns[k].upper - unknowns[k].lower), slope))
+            rows.append((candidate, candidate.sigma or _DIRECT * (unknowns[k].upper - unknowns[k].lower), slope))
             continue
         try:
             value, slope = row(candidate)
         except (DomainError, InputError):
             continue
         sigma = candidate.sigma or max(error * abs(value), 1e-12 * max(1.0, abs(value)))
-        found.append((candidate, sigma, slope))
-    return found
+        rows.append((candidate, sigma, slope))
+    return rows
 
 
 def _middle(key: str, model: Model, measured: Sequence[Measurements]) -> float | None:

@@ -1,4 +1,4 @@
-"""Coverage: how often intervals hold the truth, over fits to many synthetic sets of measurements."""
+"""Coverage: how often intervals contain the true value, over fits to many synthetic sets of measurements."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from scipy import stats
 
 from plough_opt.core.errors import InputError, NotConverged
 from plough_opt.core.expressions import is_count
+from plough_opt.studies.calibration.calibrate import Calibration
 from plough_opt.studies.calibration.estimate import Data, Estimate
 from plough_opt.studies.calibration.intervals import Kind, check_level
-from plough_opt.studies.calibration.question import Calibration
 
 Vector = NDArray[np.float64]
 
@@ -24,13 +24,13 @@ _KINDS: Final[tuple[Kind, ...]] = ("profile", "linearised")
 
 @dataclass(frozen=True)
 class Covered:
-    """How often the intervals of one unknown hold its true value.
+    """How often the intervals of one unknown contain its true value.
 
     Attributes:
         name: the unknown.
         truth: its true value, SI.
         identifiable: number of trials in which the data determined it.
-        covered: kind of interval -> number of those trials in which it held the truth.
+        covered: kind of interval -> number of those trials in which it contained the truth.
         clipped: number of profile intervals that ended at a bound.
         bias: mean of the fitted values less the truth, over their standard deviation.
         relative_error: their standard deviation over the truth.
@@ -83,15 +83,15 @@ def coverage(
     """Fit many synthetic sets: the model's own values at the truth with independent normal errors.
 
     Args:
-        calibration: model, conditions and unknowns; its measured values take no part.
+        calibration: model, conditions and unknowns; its measured values are not used.
         truth: unknown -> true value, SI.
-        sigma: standard deviation of each row's error, SI; default: the stated ones of the data.
+        sigma: standard deviation of each row's error, SI; default: those stated in the data.
         trials: number of sets.
         level: confidence of the intervals.
         seed: of the errors.
 
     Raises:
-        InputError: a number of trials or a level that cannot be, or an unknown without its truth.
+        InputError: an invalid number of trials or level, or an unknown without its truth.
     """
     check_level(level)
     if not is_count(trials):
@@ -110,18 +110,18 @@ def coverage(
     for trial in range(trials):
         data = calibration.data_of(exact + sigma * errors[trial])
         try:
-            found = calibration.estimate(data)
+            fit = calibration.estimate(data)
         except NotConverged:
             failed += 1
             continue
         for k, unknown in enumerate(calibration.unknowns):
-            counts[unknown.name].add(calibration, data, found, k, truth[unknown.name], level)
-    told = tuple(counts[u.name].told(u.name, truth[u.name]) for u in calibration.unknowns)
-    return Coverage(trials, failed, level, told)
+            counts[unknown.name].add(calibration, data, fit, k, truth[unknown.name], level)
+    covered = tuple(counts[u.name].covered_of(u.name, truth[u.name]) for u in calibration.unknowns)
+    return Coverage(trials, failed, level, covered)
 
 
 class _Count:
-    """What is counted of one unknown."""
+    """Counts of one unknown over the trials."""
 
     def __init__(self) -> None:
         self.values: list[float] = []
@@ -129,18 +129,18 @@ class _Count:
         self.clipped = 0
         self.covered: dict[Kind, int] = dict.fromkeys(_KINDS, 0)
 
-    def add(self, calibration: Calibration, data: Data, found: Estimate, k: int, truth: float, level: float) -> None:
+    def add(self, calibration: Calibration, data: Data, fit: Estimate, k: int, truth: float, level: float) -> None:
         """Count a trial."""
-        self.values.append(float(calibration.unknowns[k].value(float(found.y[k]))))
-        if not found.spread.determined[k]:
+        self.values.append(float(calibration.unknowns[k].value(float(fit.y[k]))))
+        if not fit.spread.determined[k]:
             return
         self.identifiable += 1
         for kind in _KINDS:
-            interval = calibration.interval(data, found, k, level, kind)
+            interval = calibration.interval(data, fit, k, level, kind)
             self.covered[kind] += truth in interval
             self.clipped += kind == "profile" and bool(interval.clipped)
 
-    def told(self, name: str, truth: float) -> Covered:
+    def covered_of(self, name: str, truth: float) -> Covered:
         """Return the counts with bias and error of the values."""
         values = np.array(self.values)
         deviation = float(np.std(values)) if len(values) else 0.0

@@ -1,4 +1,4 @@
-"""Cross-validation: each row predicted by a fit that has not seen it."""
+"""Cross-validation: each row predicted by a fit to the others."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import is_count
 from plough_opt.core.kinds import shown
 from plough_opt.studies.calibration.estimate import Data, estimate
+from plough_opt.studies.calibration.least_squares import LeastSquares
 from plough_opt.studies.calibration.measurements import RECORD, RESULTS
-from plough_opt.studies.calibration.program import Program
 
 Vector = NDArray[np.float64]
 
@@ -22,11 +22,11 @@ _MOST_LEFT_OUT = 60
 
 @dataclass(frozen=True)
 class CrossValidation:
-    """How well rows are predicted that took no part in the fit.
+    """Errors of the predictions for rows left out of the fit.
 
     Attributes:
-        folds: number of parts that were left out in turn; as many as rows: each row by itself.
-        rows: numbers of the rows that were left out; unknowns that were measured themselves stay in.
+        folds: number of parts that were left out in turn; with the number of rows, each row by itself.
+        rows: numbers of the rows that were left out; rows that measure an unknown itself stay in.
         errors: predicted less observed in these, by the fit without them, SI.
         standardised: the same over the standard deviation of a measurement.
         rms: result -> root mean square of its errors, SI.
@@ -42,7 +42,7 @@ class CrossValidation:
 
 
 def cross_validate(
-    program: Program, data: Data, y: Vector, deviation: Vector, results: list[str], folds: int | None, seed: int
+    program: LeastSquares, data: Data, y: Vector, deviation: Vector, results: list[str], folds: int | None, seed: int
 ) -> CrossValidation:
     """Leave parts out in turn.
 
@@ -52,8 +52,9 @@ def cross_validate(
         y: scaled unknowns of the fit to all rows.
         deviation: standard deviation of each measurement, SI.
         results: what each row measured.
-        folds: number of parts, from 2 to the number of rows; None: each row by itself, of over 60 rows 20; of runs 5.
-        seed: of the shuffling; rows of a record stay together, as neighbours tell each other's values.
+        folds: number of parts, from 2 to the number of rows; None: each row by itself, 20 parts for over 60 rows, and 5
+            if the rows need runs.
+        seed: of the shuffling; rows of a record stay in order, as the errors of neighbours are correlated.
     """
     order = np.array([k for k, result in enumerate(results) if result in RESULTS], dtype=np.intp)
     count = len(order)
@@ -68,10 +69,10 @@ def cross_validate(
         kept = data.weights.copy()
         kept[part] = 0.0
         if np.sum(kept > 0.0) < program.unknowns:
-            raise InputError(f"{folds} folds leave fewer rows than unknowns: take more folds")
+            raise InputError(f"{folds} folds leave fewer rows than unknowns: use more folds")
         without = Data(data.observed, kept, data.stated)
-        found = estimate(program, without, y, starts=1)
-        errors[part] = (program.predict(found.y) - data.observed)[part]
+        fit = estimate(program, without, y, starts=1)
+        errors[part] = (program.predict(fit.y) - data.observed)[part]
     fitted = program.predict(y) - data.observed
     names = np.array(results)
     every = [result for result in dict.fromkeys(results) if result in RESULTS]

@@ -19,7 +19,7 @@ from plough_opt.studies.calibration.measurements import RECORD, RESULTS, Measure
 
 @dataclass(frozen=True)
 class _Column:
-    """A column: its heading as written, its name, and the factor to SI; of sigma in per cent, of the measured value."""
+    """A column: its heading as written, its name, and the factor to SI, for a relative sigma to the measured value."""
 
     heading: str
     name: str
@@ -32,13 +32,13 @@ def read_measurements(path: str | Path) -> Measurements:
 
     The first line that is neither empty nor begins with ``#`` names the columns with their units, as
     ``scene.tow_speed [km/h], share.wedge_angle [deg], mean_draft [kN], sigma [kN]``: conditions by their keys in a
-    problem file, one measured result, and if wanted ``sigma`` (its standard deviation, in its unit or in ``%``) or
-    ``weight``; with ``mount_force`` a column ``time``. Cells are numbers with a decimal point; between them are commas,
+    problem file, one measured result, and optionally ``sigma`` (its standard deviation, in its unit or in ``%``) or
+    ``weight``; ``mount_force`` needs a column ``time``. Cells are numbers with a decimal point, separated by commas,
     semicolons or tabs.
 
     Raises:
-        InputError: no such file, or a column or cell that cannot be; the message lists each with line, column, what
-            was expected and the nearest valid name.
+        InputError: no such file, or an invalid column or cell; the message lists each with line, column, the expected
+            value and the nearest valid name.
     """
     path = path_of("the file of measurements", path)
     rows = read_rows(path, "measurements")
@@ -47,14 +47,18 @@ def read_measurements(path: str | Path) -> Measurements:
     line, headings = rows[0]
     columns = _columns(str(path), line, headings)
     if len(rows) == 1:
-        raise InputError(f"{path}, line {line}: there is no row below the header: add what was measured")
+        raise InputError(f"{path}, line {line}: there is no row below the header: add the measured values")
     named = [(column.heading, column.factor) for column in columns]
     table = table_of(path, rows[1:], named, lambda k, value, cell: _check(columns[k].name, value, cell))
     return _measurements(str(path), columns, table, [number for number, _ in rows[1:]])
 
 
 def _columns(name: str, line: int, headings: Sequence[str]) -> list[_Column]:
-    """Return the columns that a header names, or refuse it."""
+    """Return the columns that a header names.
+
+    Raises:
+        InputError: an invalid column, or columns that do not belong together; every one is listed.
+    """
     place = f"{name}, line {line}"
     found: list[_Column] = []
     errors: list[str] = []
@@ -66,7 +70,7 @@ def _columns(name: str, line: int, headings: Sequence[str]) -> list[_Column]:
             errors.append(f"{place}, column '{short(text.strip())}': {error}")
     names = [column.name for column in found]
     twice = sorted({name for name in names if names.count(name) > 1})
-    errors += [f"{place}, column '{key}': it stands there twice: leave one of the two out" for key in twice]
+    errors += [f"{place}, column '{key}': it is given twice: leave one of the two out" for key in twice]
     if not measured:
         errors.append(
             f"{place}: no column holds a measured result: one of {', '.join(RESULTS)} is needed, as {_example()}"
@@ -78,7 +82,7 @@ def _columns(name: str, line: int, headings: Sequence[str]) -> list[_Column]:
     if "time" in names and measured and measured != [RECORD]:
         errors.append(f"{place}, column 'time': {measured[0]} is one value for a run; a time goes with {RECORD}")
     if "sigma" in names and "weight" in names:
-        errors.append(f"{place}: sigma and weight exclude each other: sigma says more")
+        errors.append(f"{place}: sigma and weight exclude each other: keep sigma, which includes the weight")
     raise_listed(errors)
     return found
 
@@ -111,7 +115,7 @@ def _unit_of(name: str, measured: str | None) -> Unit:
 
 
 def _check(name: str, value: float, cell: str) -> None:
-    """Refuse a number that its column cannot have."""
+    """Raise InputError if a number is outside its column's domain."""
     if name == "sigma" and value <= 0.0:
         raise InputError(f"{cell} must be above 0: it is a standard deviation")
     if name in ("weight", "time") and value < 0.0:
@@ -123,7 +127,7 @@ def _measurements(name: str, columns: Sequence[_Column], table: np.ndarray, line
     result = next(key for key in values if key in RESULTS)
     sigma = values.pop("sigma", None)
     if sigma is not None and any(column.relative for column in columns):
-        with np.errstate(over="ignore"):  # what is infinite is refused with its row
+        with np.errstate(over="ignore"):  # `Measurements` refuses an infinite number with its row
             sigma = sigma * np.abs(values[result])
     return Measurements(
         result,

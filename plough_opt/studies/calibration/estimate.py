@@ -1,4 +1,4 @@
-"""The estimate: the best of several starts, its scale and how far the data determine it."""
+"""The estimate: the best fit from several starts, the scale of its residuals, and the accuracy of the unknowns."""
 
 from __future__ import annotations
 
@@ -13,32 +13,32 @@ from scipy.stats import qmc
 
 from plough_opt.core.errors import NotConverged
 from plough_opt.studies.calibration.identifiability import Spread, spread_of
-from plough_opt.studies.calibration.program import Program, Stop
+from plough_opt.studies.calibration.least_squares import LeastSquares, Stop
 
 Vector = NDArray[np.float64]
 
 NOMINAL: Final = 0.01
-"""Where no sigma is stated, weights are those of this part of the mean measured value."""
+"""Standard deviation, as a part of the mean measured value, from which weights follow if no sigma is stated."""
 
-# Points between the bounds at which the loss is looked at before a start; of runs, which take longer, fewer.
+# Points between the bounds at which the loss is evaluated to choose starts; fewer if it needs runs, which take longer.
 _SCANNED, _RUNS_SCANNED, _SEED = 64, 16, 7
 # Median absolute deviation of normal errors over their standard deviation, inverted.
 _MAD: Final = 1.4826
 _RESCALINGS, _SETTLED = 20, 1e-4
-# Least scatter, of residuals over the nominal one per cent: data without any are exact to rounding.
+# Least scatter of residuals over the nominal one per cent: data with less are exact to rounding.
 _LEAST_SCALE: Final = 1e-10
-# Losses nearer than this, relative, are those of one optimum.
+# Losses that differ by less than this, relative, belong to the same optimum.
 _SAME: Final = 1e-6
 
 
 @dataclass(frozen=True)
 class Data:
-    """What the program is solved for.
+    """The data of a fit.
 
     Attributes:
         observed: values (n), SI.
-        weights: of the residuals (n), one over sigma; where sigma is not known, relative.
-        stated: whether the weights are those of stated sigmas.
+        weights: of the residuals (n), one over sigma; relative ones if sigma is unknown.
+        stated: whether the weights follow from stated sigmas.
     """
 
     observed: Vector
@@ -57,16 +57,16 @@ class Estimate:
 
     Attributes:
         stop: where the solver stopped.
-        optima: sums of losses of all distinct local optima that were found, the best first.
+        optima: sums of losses of all distinct local optima, the best first.
         weights: of the residuals, the estimated scale included.
         predicted: values (n), SI.
         residuals: weighted, predicted less observed (n).
         slope: Jacobian of the predictions (n, p).
         spread: how far the data determine the unknowns.
         freedom: rows that count less the rank.
-        variance: of a weighted residual as the covariance takes it; 1 where sigma is stated.
-        raise_: by how much a sum of losses may rise, per squared quantile, inside an interval.
-        normal: whether quantiles are normal, the variance being known, and not Student's.
+        variance: of a weighted residual in the covariance; 1 if sigma is stated.
+        raise_: allowed rise of twice the sum of losses inside an interval, per squared quantile.
+        normal: whether quantiles are normal, because the variance is known, or Student's.
     """
 
     stop: Stop
@@ -92,7 +92,7 @@ class Estimate:
         return float(stats.norm.ppf(side) if self.normal else stats.t.ppf(side, self.freedom))
 
 
-def estimate(program: Program, data: Data, guess: Vector, starts: int) -> Estimate:
+def estimate(program: LeastSquares, data: Data, guess: Vector, starts: int) -> Estimate:
     """Return the best fit from a guess and further starts between the bounds.
 
     Raises:
@@ -101,7 +101,7 @@ def estimate(program: Program, data: Data, guess: Vector, starts: int) -> Estima
     weights, scale = data.weights, 1.0
     stop, optima = _best(program, data, weights, guess, starts)
     if program.loss.robust and not data.stated:
-        # The loss knows small residuals from large ones by their scale, which depends on the fit in turn.
+        # A robust loss depends on the scale of the residuals, and that scale on the fit.
         for _ in range(_RESCALINGS):
             residuals = data.weights * (program.predict(stop.y) - data.observed)
             new = _scale(residuals[data.weights > 0.0], program.unknowns)
@@ -112,13 +112,15 @@ def estimate(program: Program, data: Data, guess: Vector, starts: int) -> Estima
                 break
             stop = program.solve(stop.y, data.observed, weights)
         stop, optima = _best(program, data, weights, stop.y, starts)
-    return _judged(program, data, weights, stop, optima)
+    return _with_accuracy(program, data, weights, stop, optima)
 
 
-def _best(program: Program, data: Data, weights: Vector, guess: Vector, starts: int) -> tuple[Stop, tuple[float, ...]]:
+def _best(
+    program: LeastSquares, data: Data, weights: Vector, guess: Vector, starts: int
+) -> tuple[Stop, tuple[float, ...]]:
     """Return the best optimum, and the losses of all."""
     inside = np.clip(guess, 0.02, 0.98)
-    # Of the many optima along an undetermined direction that which is nearest to the guess is taken.
+    # Along an undetermined direction there are many optima: the nearest to the guess is wanted.
     open_ended = spread_of(program.slope(inside) * weights[:, None], 1.0).free.shape[1] > 0
     centre = inside if open_ended else None
     begin = [inside, *_starts(program, data, weights, starts - 1)]
@@ -126,8 +128,8 @@ def _best(program: Program, data: Data, weights: Vector, guess: Vector, starts: 
     solved = sorted((stop for stop in stops if stop.solved), key=lambda stop: stop.loss)
     if not solved:
         raise NotConverged(
-            f"the fit did not converge from any of {len(stops)} starts, IPOPT's word is '{stops[0].status}': narrow the"
-            " bounds, give guesses, or fix what the data cannot tell",
+            f"the fit did not converge from any of {len(stops)} starts (IPOPT: {stops[0].status}): narrow the bounds,"
+            " give guesses, or fix unknowns that the data do not determine",
             stops[0].status,
         )
     losses = [solved[0].loss]
@@ -137,7 +139,7 @@ def _best(program: Program, data: Data, weights: Vector, guess: Vector, starts: 
     return solved[0], tuple(losses)
 
 
-def _starts(program: Program, data: Data, weights: Vector, count: int) -> list[Vector]:
+def _starts(program: LeastSquares, data: Data, weights: Vector, count: int) -> list[Vector]:
     """Return the best of many points between the bounds."""
     if count < 1:
         return []
@@ -152,8 +154,10 @@ def _scale(residuals: Vector, unknowns: int) -> float:
     return max(_MAD * float(np.median(np.abs(residuals))) * math.sqrt(count / (count - unknowns)), _LEAST_SCALE)
 
 
-def _judged(program: Program, data: Data, weights: Vector, stop: Stop, optima: tuple[float, ...]) -> Estimate:
-    """Return the fit with how far it is determined."""
+def _with_accuracy(
+    program: LeastSquares, data: Data, weights: Vector, stop: Stop, optima: tuple[float, ...]
+) -> Estimate:
+    """Return the estimate with the accuracy of the unknowns."""
     predicted = program.predict(stop.y)
     residuals = weights * (predicted - data.observed)
     slope = program.slope(stop.y)

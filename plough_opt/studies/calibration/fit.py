@@ -1,34 +1,29 @@
-"""What a calibration found: values, their uncertainty, residuals, sentences and files."""
+"""The result of a calibration: `Fit`, with tables, pictures and files."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, Literal
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import ConfigDict
 
 from plough_opt.core.errors import InputError
 from plough_opt.core.files import write_file
 from plough_opt.core.tables import Page, Readable, data_frame
-from plough_opt.exchange.results import SCHEMA, Saved, read_saved
+from plough_opt.exchange.results import Form
 from plough_opt.motion.scene import Scene
 from plough_opt.soil.soil import Soil
-from plough_opt.studies.calibration.candidates import NextMeasurement
 from plough_opt.studies.calibration.caveats import caveats
 from plough_opt.studies.calibration.cross_validation import CrossValidation
 from plough_opt.studies.calibration.estimate import NOMINAL, Data, Estimate
-from plough_opt.studies.calibration.fitted import Fitted, Live, Source
-from plough_opt.studies.calibration.identifiability import Undetermined, undetermined
+from plough_opt.studies.calibration.fitted import Calibrator, Fitted, Source
+from plough_opt.studies.calibration.identifiability import undetermined
 from plough_opt.studies.calibration.parts import (
-    Correlation,
-    Found,
     KnownInterval,
-    Row,
     correlations_of,
-    found_of,
+    fitted_unknowns,
     rows_of,
 )
 from plough_opt.studies.calibration.report import fit_page
@@ -38,9 +33,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 Vector = NDArray[np.float64]
-
-
-_UNSAVED: Final = ("source", "origin")
 
 
 @dataclass(frozen=True, repr=False)
@@ -54,20 +46,21 @@ class Fit(Readable, Fitted):
         """Return how well the model predicts rows that took no part in its fit.
 
         Args:
-            folds: number of parts, each left out in turn; default: each row by itself, of over 60 rows 20; of runs 5.
+            folds: number of parts, each left out in turn; default: each row by itself, 20 parts for over 60 rows, and 5
+                if the rows need runs.
             seed: of the shuffling.
 
         Raises:
-            InputError: a number of folds that cannot be, or a fit from a file.
+            InputError: an invalid number of folds, or a fit from a file.
             NotConverged: a fit without some of the rows has no optimum.
         """
-        source = self._live("cross-validate")
-        return source.calibration.cross_validation(source.data, source.found, folds, seed)
+        source = self._source_to("cross-validate")
+        return source.calibration.cross_validation(source.data, source.estimate, folds, seed)
 
     @property
     def scene(self) -> Scene:
         """The scene with the calibrated values."""
-        source = self._live("take the scene of")
+        source = self._source_to("take the scene of")
         scene = source.calibration.model.scene(self.values)
         return replace(scene, soil=self._named(scene.soil))
 
@@ -77,7 +70,7 @@ class Fit(Readable, Fitted):
         return self.scene.soil
 
     def page(self) -> Page:
-        """Return what was found, what the data cannot tell, what would, and how well the model follows them."""
+        """Return the unknowns, the undetermined combinations, the next measurements, and the scatter about the fit."""
         return fit_page(self)
 
     def picture(self) -> Figure:
@@ -96,13 +89,14 @@ class Fit(Readable, Fitted):
         return frame
 
     def _named(self, soil: Soil) -> Soil:
-        own = [found.name.removeprefix("soil.") for found in self.unknowns if found.name.startswith("soil.")]
+        own = [unknown.name.removeprefix("soil.") for unknown in self.unknowns if unknown.name.startswith("soil.")]
         if not own:
             return soil
-        files = ", ".join(dict.fromkeys(m.name for m in self._live("name").calibration.measured))
+        files = ", ".join(dict.fromkeys(m.name for m in self._source_to("name").calibration.measured))
         return replace(soil, name=f"{soil.name}, calibrated", source=f"{', '.join(own)} from {files}; {soil.source}")
 
-    def _live(self, verb: str) -> Source:
+    def _source_to(self, verb: str) -> Source:
+        """Return the source of a fit that is not from a file."""
         if self.source is None:
             raise InputError(f"this fit comes from a file: calibrate again to {verb} it")
         return self.source
@@ -126,17 +120,16 @@ class Fit(Readable, Fitted):
 
     def to_json(self) -> str:
         """Return the fit as JSON text with versions and a schema number; infinite numbers as "Infinity"."""
-        own = {name: getattr(self, name) for name in self.__dataclass_fields__ if name not in _UNSAVED}
-        if self.source is not None:
-            self.intervals(0.95, "linearised")
-            self.intervals(0.95, "profile")
-            own["saved_intervals"] = tuple(
-                KnownInterval(name, level, kind, found)
-                for (level, kind), every in self.source.known.items()
-                for name, found in every.items()
-            )
-            own["saved_next"] = self.next_measurements()
-        return SavedFit(layout=SCHEMA, **own).to_json()
+        if self.source is None:
+            return _FORM.to_json(self)
+        self.intervals(0.95, "linearised")
+        self.intervals(0.95, "profile")
+        intervals = tuple(
+            KnownInterval(name, level, kind, interval)
+            for (level, kind), every in self.source.known.items()
+            for name, interval in every.items()
+        )
+        return _FORM.to_json(self, saved_intervals=intervals, saved_next=self.next_measurements())
 
     def save(self, path: str | Path) -> Path:
         """Write the fit as JSON, making its folder.
@@ -153,55 +146,32 @@ class Fit(Readable, Fitted):
         Raises:
             InputError: no such file, or not a fit of this layout.
         """
-        saved = read_saved(path, "fit", "a calibration", SavedFit.model_validate_json)
-        return cls(**{name: getattr(saved, name) for name in cls.__dataclass_fields__ if name not in _UNSAVED})
+        return _FORM.load(path, "fit", "a calibration")
 
 
-class SavedFit(Saved):
-    """A fit as JSON: SI units."""
-
-    model_config = ConfigDict(
-        frozen=True, arbitrary_types_allowed=True, populate_by_name=True, ser_json_inf_nan="strings"
-    )
-
-    kind: Literal["calibration"] = "calibration"
-    unknowns: tuple[Found, ...]
-    correlations_found: tuple[Correlation, ...]
-    unidentifiable: tuple[Undetermined, ...]
-    rows: tuple[Row, ...]
-    loss: str
-    total: float
-    optima: tuple[float, ...]
-    freedom: int
-    scatter: float
-    stated: bool
-    status: str
-    warnings: tuple[str, ...]
-    seconds: float
-    saved_intervals: tuple[KnownInterval, ...]
-    saved_next: tuple[NextMeasurement, ...]
+_FORM = Form(Fit, "calibration", unsaved=("source", "origin"))
 
 
-def reported(calibration: Live, data: Data, found: Estimate, seconds: float) -> Fit:
-    """Return a fit from what the solver found."""
-    unknowns, spread = calibration.unknowns, found.spread
+def reported(calibration: Calibrator, data: Data, estimate: Estimate, seconds: float) -> Fit:
+    """Return the fit of an estimate."""
+    unknowns, spread = calibration.unknowns, estimate.spread
     errors = np.sqrt(np.diag(spread.covariance))
-    unscaled = data.weights * (found.predicted - data.observed)
-    scatter = float(np.sqrt(np.sum(unscaled**2) / max(found.freedom, 1)))
+    unscaled = data.weights * (estimate.predicted - data.observed)
+    scatter = float(np.sqrt(np.sum(unscaled**2) / max(estimate.freedom, 1)))
     return Fit(
         title=calibration.title,
-        unknowns=found_of(unknowns, errors, found),
-        correlations_found=correlations_of(unknowns, errors, found),
-        unidentifiable=undetermined(unknowns, found.y, spread),
-        rows=rows_of(calibration.measured, data, found),
+        unknowns=fitted_unknowns(unknowns, errors, estimate),
+        correlations_found=correlations_of(unknowns, errors, estimate),
+        unidentifiable=undetermined(unknowns, estimate.y, spread),
+        rows=rows_of(calibration.measured, data, estimate),
         loss=calibration.loss.name,
-        total=found.stop.loss,
-        optima=found.optima,
-        freedom=found.freedom,
+        total=estimate.stop.loss,
+        optima=estimate.optima,
+        freedom=estimate.freedom,
         scatter=scatter if data.stated else NOMINAL * scatter,
         stated=data.stated,
-        status=found.stop.status,
-        warnings=caveats(calibration.rows, calibration.model, unknowns, found),
+        status=estimate.stop.status,
+        warnings=caveats(calibration.rows, calibration.model, unknowns, estimate),
         seconds=seconds,
-        source=Source(calibration, data, found),
+        source=Source(calibration, data, estimate),
     )

@@ -1,10 +1,10 @@
-"""What a calibration found: values, their uncertainty, residuals; what is computed later, when it is asked for."""
+"""The numbers of a calibration: values, their uncertainty, residuals; intervals and candidates are computed later."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Protocol
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,18 +21,15 @@ from plough_opt.studies.calibration.intervals import Interval, Kind, check_level
 from plough_opt.studies.calibration.loss import Loss
 from plough_opt.studies.calibration.measurements import Measurements
 from plough_opt.studies.calibration.model import Model
-from plough_opt.studies.calibration.parts import Correlation, Found, KnownInterval, Row
+from plough_opt.studies.calibration.parts import Correlation, FittedUnknown, KnownInterval, Row
 from plough_opt.studies.calibration.prediction import Rows
 from plough_opt.studies.calibration.unknown import Unknown
-
-if TYPE_CHECKING:
-    pass
 
 Vector = NDArray[np.float64]
 
 
-class Live(Protocol):
-    """The calibration behind a fit, as long as it is not one from a file."""
+class Calibrator(Protocol):
+    """The calibration that computes what a fit needs later; a fit from a file has none."""
 
     title: str
     measured: tuple[Measurements, ...]
@@ -41,25 +38,25 @@ class Live(Protocol):
     rows: tuple[Rows, ...]
     loss: Loss
 
-    def interval(self, data: Data, found: Estimate, k: int, level: float, kind: Kind) -> Interval:
+    def interval(self, data: Data, fit: Estimate, k: int, level: float, kind: Kind) -> Interval:
         """Return the confidence interval of an unknown."""
 
-    def cross_validation(self, data: Data, found: Estimate, folds: int | None, seed: int) -> CrossValidation:
-        """Return how well rows are predicted that took no part."""
+    def cross_validation(self, data: Data, fit: Estimate, folds: int | None, seed: int) -> CrossValidation:
+        """Return the errors of the predictions for rows left out of the fit."""
 
     def next_measurements(
-        self, found: Estimate, candidates: Sequence[Candidate] | None = None
+        self, fit: Estimate, candidates: Sequence[Candidate] | None = None
     ) -> tuple[NextMeasurement, ...]:
-        """Return candidates by what they would tell."""
+        """Return candidates by their gain of information."""
 
 
 @dataclass(frozen=True)
 class Source:
-    """What a fit asks for what is not computed yet."""
+    """The calibration and the estimate behind a fit, and the results computed from them so far."""
 
-    calibration: Live
+    calibration: Calibrator
     data: Data
-    found: Estimate
+    estimate: Estimate
     known: dict[tuple[float, Kind], dict[str, Interval]] = field(default_factory=dict)
     ranking: list[tuple[NextMeasurement, ...]] = field(default_factory=list)
 
@@ -70,7 +67,7 @@ class Fitted:
 
     Attributes:
         title: of the calibration.
-        unknowns: what was found.
+        unknowns: their values and standard errors.
         correlations_found: of the errors of determined unknowns, each pair once.
         unidentifiable: combinations that the data do not determine.
         rows: the data beside the fit.
@@ -78,20 +75,20 @@ class Fitted:
         total: sum of the losses.
         optima: sums of the losses at all distinct local optima.
         freedom: degrees of freedom, rows that count less the determined directions.
-        scatter: root of the sum of squares over the degrees of freedom, of residuals over stated sigma; where none is
-            stated, relative to the mean measured value.
+        scatter: root of the sum of squares over the degrees of freedom, of residuals over the stated sigma, or over the
+            mean measured value if none is stated.
         stated: whether sigma was stated.
-        status: IPOPT's word.
-        warnings: what a reader of the numbers must know.
+        status: of IPOPT.
+        warnings: about the numbers.
         seconds: time taken.
-        saved_intervals: those that a file holds.
-        saved_next: the ranking that a file holds.
+        saved_intervals: those in a file.
+        saved_next: the ranking in a file.
         versions: of packages, and the machine.
         origin: what made it.
     """
 
     title: str
-    unknowns: tuple[Found, ...]
+    unknowns: tuple[FittedUnknown, ...]
     correlations_found: tuple[Correlation, ...]
     unidentifiable: tuple[Undetermined, ...]
     rows: tuple[Row, ...]
@@ -113,12 +110,12 @@ class Fitted:
     @property
     def values(self) -> dict[str, float]:
         """Unknown -> value, SI."""
-        return {found.name: found.value for found in self.unknowns}
+        return {unknown.name: unknown.value for unknown in self.unknowns}
 
     @property
     def standard_errors(self) -> dict[str, float]:
-        """Unknown -> standard error, SI; infinite where the data do not determine it."""
-        return {found.name: found.standard_error for found in self.unknowns}
+        """Unknown -> standard error, SI; infinite if the data do not determine it."""
+        return {unknown.name: unknown.standard_error for unknown in self.unknowns}
 
     @property
     def correlations(self) -> dict[tuple[str, str], float]:
@@ -151,59 +148,59 @@ class Fitted:
 
         Args:
             level: confidence, between 0 and 1.
-            kind: "profile": of the profile likelihood, which follows the model's curvature; "linearised": standard
-                error times quantile. Normal quantiles where sigma is stated, Student's where it is estimated.
+            kind: "profile": of the profile likelihood, which includes the model's curvature; "linearised": standard
+                error times quantile. Quantiles are normal if sigma is stated, and Student's if it is estimated.
 
         Raises:
-            InputError: a level or a kind that cannot be, or one that a saved fit does not hold.
+            InputError: an invalid level or kind, or one that a saved fit does not contain.
         """
         level = check_level(level)
         check_choice("kind", kind, ("profile", "linearised"))
         if self.source is None:
             held = {i.name: i.interval for i in self.saved_intervals if (i.level, i.asked) == (level, kind)}
             if len(held) < len(self.unknowns):
-                raise InputError(f"this fit comes from a file, which holds no {kind} intervals of level {level:g}")
+                raise InputError(f"this fit comes from a file, which has no {kind} intervals of level {level:g}")
             return held
-        live, data, found = self.source.calibration, self.source.data, self.source.found
+        calibration, data, estimate = self.source.calibration, self.source.data, self.source.estimate
         if (level, kind) not in self.source.known:
-            own = {u.name: live.interval(data, found, k, level, kind) for k, u in enumerate(self.unknowns)}
+            own = {u.name: calibration.interval(data, estimate, k, level, kind) for k, u in enumerate(self.unknowns)}
             self.source.known[level, kind] = own
         return dict(self.source.known[level, kind])
 
     def next_measurements(self, candidates: Sequence[Candidate] | None = None) -> tuple[NextMeasurement, ...]:
-        """Return what further measurements would tell, the best first.
+        """Return further measurements by their gain of information, the best first.
 
         Args:
-            candidates: what could be measured; default: other wedge angles, heights, speeds and depths, a tool of known
+            candidates: possible measurements; default: other wedge angles, heights, speeds and depths, a tool of known
                 friction, the loosened radius, and each unknown by itself.
 
         Raises:
-            InputError: a candidate that is none, or a fit from a file, which only knows its own ranking.
+            InputError: a candidate of another type, or candidates for a fit from a file, which has only its own.
         """
         if self.source is None:
             if candidates is not None:
                 raise InputError("this fit comes from a file: calibrate again to rank other candidates")
             return self.saved_next
         if candidates is not None:
-            return self.source.calibration.next_measurements(self.source.found, candidates)
+            return self.source.calibration.next_measurements(self.source.estimate, candidates)
         if not self.source.ranking:
-            self.source.ranking.append(self.source.calibration.next_measurements(self.source.found))
+            self.source.ranking.append(self.source.calibration.next_measurements(self.source.estimate))
         return self.source.ranking[0]
 
     @property
     def next_measurement(self) -> NextMeasurement:
-        """The candidate that would tell most."""
+        """The candidate with the largest gain of information."""
         return self.next_measurements()[0]
 
     def known_intervals(self) -> tuple[float, dict[str, Interval]]:
-        """Return the profile intervals that are computed last, with their level; none where none are."""
+        """Return the profile intervals that were computed last, with their level; empty if there are none."""
         known = {} if self.source is None else self.source.known
         levels = [level for level, kind in known if kind == "profile"]
         levels += [item.level for item in self.saved_intervals if item.asked == "profile"]
         return (levels[-1], self.intervals(levels[-1])) if levels else (0.0, {})
 
     def known_ranking(self) -> tuple[NextMeasurement, ...]:
-        """Return the ranking of further measurements, empty before it is asked for."""
+        """Return the ranking of further measurements, empty before it is computed."""
         if self.source is None:
             return self.saved_next
         return self.source.ranking[0] if self.source.ranking else ()

@@ -17,20 +17,20 @@ Vector = NDArray[np.float64]
 UNIFORM: Final = 12.0**-0.5
 """Standard deviation of a number of which only the bounds, 0 and 1, are known."""
 
-# Singular values below this part of the largest are rounding: nothing in the model tells such directions apart.
+# Singular values below this part of the largest are rounding: the predictions do not depend on such directions.
 _STRUCTURAL: Final = 1e-9
-# Parts of a direction below this are rounding, or too small to be worth a word.
+# Parts of a direction below these are rounding, or too small to mention.
 _ROUNDING: Final = 1e-6
 _WORTH: Final = 0.02
 
 
 @dataclass(frozen=True)
 class Undetermined:
-    """A combination of unknowns along which the predictions do not change, or by less than the data could tell.
+    """A combination of unknowns along which the predictions do not change, or less than the scatter of the data.
 
     Attributes:
         changes: unknown -> its change along the direction, SI, at the fit; the first is one per cent of its bounds.
-        structural: whether the model itself, with these conditions, cannot tell; else the data are too coarse.
+        structural: whether the predictions do not change at all; otherwise the data are not accurate enough.
         words: a sentence.
     """
 
@@ -44,10 +44,10 @@ class Spread:
     """How far the data determine the scaled unknowns.
 
     Attributes:
-        covariance: of the scaled unknowns (p, p), of those that are determined; rows of others are 0.
-        determined: whether the data tell more of an unknown than its bounds do (p).
+        covariance: of the scaled unknowns (p, p); rows of undetermined ones are 0.
+        determined: whether an unknown's variance is smaller than the one that follows from its bounds (p).
         free: directions of the scaled unknowns that are not determined, as columns (p, d).
-        structural: whether nothing in the model determines each of them (d).
+        structural: whether the predictions do not depend on each of them at all (d).
         rank: number of directions that the model determines.
     """
 
@@ -90,21 +90,21 @@ def spread_of(slope: Vector, noise: float) -> Spread:
 
 
 def undetermined(unknowns: Sequence[Unknown], y: Vector, spread: Spread) -> tuple[Undetermined, ...]:
-    """Return the undetermined combinations, each with as few unknowns as they can be told with."""
+    """Return the undetermined combinations, each of as few unknowns as possible."""
     never, coarse = spread.free[:, spread.structural], spread.free[:, ~spread.structural]
     never, own = _sparse(never)
-    # What the model cannot tell at all may be added to what is only coarse: it is told with as few unknowns.
+    # A combination without any effect may be added to one with little effect, to leave fewer unknowns in that.
     coarse, _ = _sparse(coarse - never @ coarse[own, :])
-    found = [_told(unknowns, y, direction, structural=True) for direction in never.T]
-    found += [_told(unknowns, y, direction, structural=False) for direction in coarse.T]
-    # An unknown may be left open by no direction alone, but by two that each nearly are.
-    named = {name for item in found for name in item.changes}
+    combinations = [_combination(unknowns, y, direction, structural=True) for direction in never.T]
+    combinations += [_combination(unknowns, y, direction, structural=False) for direction in coarse.T]
+    # An unknown may be undetermined because of two directions that are each just determined.
+    named = {name for item in combinations for name in item.changes}
     for k, unknown in enumerate(unknowns):
         if not spread.determined[k] and unknown.name not in named:
             alone = np.zeros(len(unknowns))
             alone[k] = 1.0
-            found.append(_told(unknowns, y, alone, structural=False))
-    return tuple(found)
+            combinations.append(_combination(unknowns, y, alone, structural=False))
+    return tuple(combinations)
 
 
 def _sparse(free: Vector) -> tuple[Vector, NDArray[np.intp]]:
@@ -117,8 +117,8 @@ def _sparse(free: Vector) -> tuple[Vector, NDArray[np.intp]]:
     return np.where(np.abs(basis) > _WORTH * np.max(np.abs(basis), axis=0), basis, 0.0), own
 
 
-def _told(unknowns: Sequence[Unknown], y: Vector, direction: Vector, structural: bool) -> Undetermined:
-    """Return a direction in the unknowns' own units and words."""
+def _combination(unknowns: Sequence[Unknown], y: Vector, direction: Vector, structural: bool) -> Undetermined:
+    """Return a direction as changes of the unknowns in their own units, and in words."""
     order = np.argsort(-np.abs(direction), kind="stable")
     members = [k for k in order if direction[k] != 0.0]
     size = 0.01 / direction[members[0]]
@@ -130,19 +130,19 @@ def _words(members: Sequence[Unknown], changes: Mapping[str, float], structural:
     names = [unknown.name for unknown in members]
     if len(names) == 1:
         if structural:
-            return f"{names[0]} has no effect on what was measured: the data say nothing of it"
-        return f"{names[0]} is hardly determined: the data say no more of it than its bounds"
+            return f"{names[0]} has no effect on the measured results: the data do not determine it"
+        return f"{names[0]} is hardly determined: the data narrow it no further than its bounds"
     first = changes[names[0]]
     moves = ", ".join(f"{_amount(u, changes[u.name])} {'less' if changes[u.name] * first < 0.0 else 'more'} {u.name}"
                       for u in members[1:])  # fmt: skip
-    told = "cannot be told apart" if structural else "can hardly be told apart, with this scatter"
-    sentence = f"{_list(names)} {told}: {_amount(members[0], first)} more {names[0]} is made good by {moves}"
+    apart = "cannot be told apart" if structural else "can hardly be told apart, with this scatter"
+    sentence = f"{_list(names)} {apart}: {_amount(members[0], first)} more {names[0]} can be offset by {moves}"
     if len(names) == 2:
         ratio = -first / changes[names[1]]
         units = [f" [{u.unit}]" if u.unit else "" for u in members]
         sign = "+" if ratio > 0.0 else "-"
         held = f"{names[0]}{units[0]} {sign} {abs(ratio):.4g} x {names[1]}{units[1]}"
-        sentence += f"; near the fit the data hold {held}, not each"
+        sentence += f"; near the fit the data determine {held}, and neither alone"
     return sentence
 
 

@@ -1,4 +1,4 @@
-"""Losses of a standardised residual: squares, and robust ones that let outliers pull less."""
+"""Losses of a standardised residual: squares, and robust ones that give outliers less weight."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ class Loss:
     Attributes:
         name: as `calibrate` takes it.
         value: r -> rho.
-        weight: r -> rho'/r, with which the square of the residual counts in a Gauss-Newton step.
+        weight: r -> rho'/r, the weight of the squared residual in a Gauss-Newton step.
         curvature: r -> rho''.
         robust: whether large residuals count for less than their squares.
     """
@@ -67,7 +67,7 @@ def loss_of(name: str) -> Loss:
     """Return a loss by name.
 
     Raises:
-        InputError: no loss of that name.
+        InputError: an unknown name.
     """
     check_named("no loss is named {}", name, LOSSES)
     return LOSSES[name]

@@ -23,7 +23,7 @@ RECORD: Final = "mount_force"
 
 RESULTS: Final = ("mean_draft", RECORD, "force_rms", "mean_deflection", "displacement_rms", "tow_power",
                   "loosened_radius", "added_mass", "cone_index")  # fmt: skip
-"""What can be measured in the field and is compared with a run."""
+"""Results that can be measured in the field, and are compared with those of a run."""
 
 
 def result_unit(name: str) -> Unit:
@@ -44,15 +44,15 @@ class Measurements:
             such as "soil.friction_angle" [rad] from a shear test.
         values: measured values, SI.
         conditions: key of a problem file such as "scene.tow_speed" -> its value in every row, SI.
-        sigma: standard deviation of the measuring error, one number or one per row, above 0; None: unknown, it is then
-            estimated from the scatter.
-        weights: relative weight of each row's square, at least 0, in the place of sigma; a row of weight 0 is left out.
-        time: times since the start of the run [s], at least 0, of mount_force and of nothing else.
-        name: what messages call the set, such as the file's name.
-        lines: line of the file that each row stands on.
+        sigma: standard deviation of the measuring error, one number or one per row, above 0; None: estimated from the
+            scatter.
+        weights: relative weight of each row's square, at least 0, instead of sigma; a row of weight 0 is left out.
+        time: times since the start of the run [s], at least 0; only for mount_force.
+        name: of the set in messages, such as the file's name.
+        lines: line of the file for each row.
 
     Raises:
-        InputError: an unknown name, columns of unequal length, or a number that cannot be; the message names the row.
+        InputError: an unknown name, columns of unequal length, or an invalid number; the message names the row.
     """
 
     result: str
@@ -98,7 +98,7 @@ class Measurements:
         return len(self.values)
 
     def row(self, number: int) -> str:
-        """Return what messages call a row.
+        """Return the name of a row in messages.
 
         Raises:
             InputError: there is no such row.
@@ -118,9 +118,9 @@ class Measurements:
     def _check_names(self, conditions: Mapping[str, Any]) -> None:
         known = every_quantity()
         if not (isinstance(self.result, str) and self.result in known):
-            check_named(f"{self.name}: {{}} is no measured result", self.result, RESULTS)
+            check_named(f"{self.name}: {{}} is not a measured result", self.result, RESULTS)
         for key in conditions:
-            check_named(f"{self.name}: {{}} is no quantity of a scene", key, known)
+            check_named(f"{self.name}: {{}} is not a quantity of a scene", key, known)
             if key == self.result:
                 raise InputError(f"{self.name}: '{key}' is both measured and a condition")
 
@@ -132,7 +132,7 @@ class Measurements:
             raise InputError(f"{self.name}: row {shown(number)} must be a whole number from 0 to {self.rows - 1}")
 
     def _column(self, key: str, given: Any) -> Vector:
-        """Return a column of finite numbers; one number stands for all rows."""
+        """Return a column of finite numbers; a single number applies to all rows."""
         try:
             column = np.array(given, dtype=float)
         except (TypeError, ValueError, OverflowError):
@@ -152,9 +152,9 @@ class Measurements:
         if self.weights is not None:
             self._refuse("weights", self.weights, self.weights < 0.0, "at least 0")
             if self.sigma is not None:
-                raise InputError(f"{self.name}: sigma and weights exclude each other: sigma says more")
+                raise InputError(f"{self.name}: sigma and weights exclude each other: keep sigma")
             if not np.any(self.weights > 0.0):
-                raise InputError(f"{self.name}: every weight is 0, and nothing is left")
+                raise InputError(f"{self.name}: every weight is 0, which leaves no row")
         if self.time is not None:
             self._refuse("time", self.time, self.time < 0.0, "at least 0: it counts from the start of the run")
         if (self.time is not None) != (self.result == RECORD):

@@ -1,4 +1,4 @@
-"""What is calibrated: a scene as a function of its quantities by name."""
+"""The model to calibrate: a scene as a function of its quantities by name."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ class Described(Protocol):
         """Quantities that a design may change."""
 
     def values(self) -> dict[str, Expression]:
-        """Return the quantities that are given, by name."""
+        """Return the given quantities, by name."""
 
     def scene(self, changes: Mapping[str, Expression] | None = None) -> Scene:
         """Return the scene, with other values of some quantities."""
@@ -64,9 +64,9 @@ class Model:
 
     Attributes:
         title: for reports.
-        build: values by key, numbers or symbols, of those that differ from the scene's own -> scene.
-        current: key -> value of the scene's own.
-        duration: simulated time [s] where a result needs one, or None.
+        build: values by key, numbers or symbols, that differ from the scene's own -> scene.
+        current: key -> the scene's own value.
+        duration: simulated time [s], or None if no result needs it.
         accuracy: method and setting of runs.
     """
 
@@ -77,11 +77,11 @@ class Model:
     accuracy: Accuracy
 
     def scene(self, values: Mapping[str, Expression]) -> Scene:
-        """Return the scene with changed values; a duration among them is none of the scene's."""
-        found = self.build({key: value for key, value in values.items() if key != _DURATION})
-        if not isinstance(found, Scene):
-            raise InputError(f"the function of values returned {shown(found)}, and must return a Scene")
-        return found
+        """Return the scene with changed values; a duration among them does not belong to the scene."""
+        scene = self.build({key: value for key, value in values.items() if key != _DURATION})
+        if not isinstance(scene, Scene):
+            raise InputError(f"the function of values returned {shown(scene)}, and must return a Scene")
+        return scene
 
     def duration_of(self, values: Mapping[str, Expression]) -> Expression | None:
         """Return the simulated time [s]."""
@@ -89,14 +89,14 @@ class Model:
 
 
 def model_of(given: Described | Scene | SceneOf, duration: float | None = None) -> Model:
-    """Return what is calibrated.
+    """Return the model of a problem, a scene or a function.
 
     Args:
         given: a problem, a scene of numbers, or a function of values by key that returns a scene.
         duration: simulated time [s], if not the problem's.
 
     Raises:
-        InputError: none of these.
+        InputError: something else.
     """
     if isinstance(given, Described):
         own = given.values()
@@ -114,7 +114,7 @@ def model_of(given: Described | Scene | SceneOf, duration: float | None = None) 
 
 
 def _of_file(problem: Described, values: Mapping[str, Expression]) -> Scene:
-    """Return a file's scene, whose quantities are those that a file gives: no mass but those of frame and steel."""
+    """Return a problem's scene; its quantities are those of files, with frame and steel instead of the whole mass."""
     for name in values:
         if name not in quantities():
             raise InputError(f"a problem file has no '{name}': {nearest(name, quantities())}")
@@ -122,8 +122,8 @@ def _of_file(problem: Described, values: Mapping[str, Expression]) -> Scene:
 
 
 def _current(scene: Scene) -> dict[str, float]:
-    """Return the quantities of a scene of numbers by name, as far as it has them."""
-    found = {name: value for name, value in quantities_of(scene).items() if value is not None}
-    if any(map(is_symbolic, found.values())):
-        raise InputError("the scene holds symbols: calibrate a scene of numbers, and name what is unknown in it")
-    return {name: float(as_number(value)) for name, value in found.items()}
+    """Return the quantities that a scene of numbers has, by name."""
+    values = {name: value for name, value in quantities_of(scene).items() if value is not None}
+    if any(map(is_symbolic, values.values())):
+        raise InputError("the scene holds symbols: calibrate a scene of numbers, and name its unknowns")
+    return {name: float(as_number(value)) for name, value in values.items()}

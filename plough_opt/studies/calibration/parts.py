@@ -17,17 +17,17 @@ Vector = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Found:
-    """An unknown that was fitted, SI.
+class FittedUnknown:
+    """A fitted unknown, SI.
 
     Attributes:
         name: its key in a problem file.
         unit: SI unit.
-        value: at the fit; of an unknown that is not determined, one of many.
-        standard_error: infinite where the data do not determine it.
-        lower: bound that was given.
-        upper: bound that was given.
-        determined: whether the data tell more of it than its bounds do.
+        value: at the fit; if the unknown is not determined, one of many that fit.
+        standard_error: infinite if the data do not determine it.
+        lower: its lower bound.
+        upper: its upper bound.
+        determined: whether the data narrow it further than its bounds.
     """
 
     name: str
@@ -54,7 +54,7 @@ class Row:
 
     Attributes:
         place: file and line, or set and row.
-        result: what was measured.
+        result: the measured result.
         unit: its unit.
         conditions: of the row.
         time: since the start of the run [s], or None.
@@ -79,7 +79,7 @@ class Row:
 
 @dataclass(frozen=True)
 class KnownInterval:
-    """An interval that was computed, with its level and the kind that was asked for."""
+    """A computed interval, with its level and the kind that was requested."""
 
     name: str
     level: float
@@ -87,15 +87,15 @@ class KnownInterval:
     interval: Interval
 
 
-def found_of(unknowns: Sequence[Unknown], errors: Vector, found: Estimate) -> tuple[Found, ...]:
+def fitted_unknowns(unknowns: Sequence[Unknown], errors: Vector, fit: Estimate) -> tuple[FittedUnknown, ...]:
     """Return every unknown with its standard error."""
-    determined = found.spread.determined
+    determined = fit.spread.determined
     return tuple(
-        Found(
+        FittedUnknown(
             u.name,
             u.unit,
-            float(u.value(float(found.y[k]))),
-            float(errors[k] * u.slope(float(found.y[k]))) if determined[k] else np.inf,
+            float(u.value(float(fit.y[k]))),
+            float(errors[k] * u.slope(float(fit.y[k]))) if determined[k] else np.inf,
             u.lower,
             u.upper,
             bool(determined[k]),
@@ -104,9 +104,9 @@ def found_of(unknowns: Sequence[Unknown], errors: Vector, found: Estimate) -> tu
     )
 
 
-def correlations_of(unknowns: Sequence[Unknown], errors: Vector, found: Estimate) -> tuple[Correlation, ...]:
+def correlations_of(unknowns: Sequence[Unknown], errors: Vector, fit: Estimate) -> tuple[Correlation, ...]:
     """Return the correlations of the determined unknowns."""
-    spread = found.spread
+    spread = fit.spread
     known = [k for k in range(len(unknowns)) if spread.determined[k] and errors[k] > 0.0]
     return tuple(
         Correlation(unknowns[i].name, unknowns[j].name, float(spread.covariance[i, j] / (errors[i] * errors[j])))
@@ -115,11 +115,11 @@ def correlations_of(unknowns: Sequence[Unknown], errors: Vector, found: Estimate
     )
 
 
-def rows_of(measured: Sequence[Measurements], data: Data, found: Estimate) -> tuple[Row, ...]:
+def rows_of(measured: Sequence[Measurements], data: Data, fit: Estimate) -> tuple[Row, ...]:
     """Return every measured row beside the fit."""
-    deviation = np.divide(found.variance**0.5, found.weights, out=np.full(len(found.weights), np.inf),
-                          where=found.weights > 0.0)  # fmt: skip
-    error = np.sqrt(np.maximum(np.einsum("ni,ij,nj->n", found.slope, found.spread.covariance, found.slope), 0.0))
+    deviation = np.divide(fit.variance**0.5, fit.weights, out=np.full(len(fit.weights), np.inf),
+                          where=fit.weights > 0.0)  # fmt: skip
+    error = np.sqrt(np.maximum(np.einsum("ni,ij,nj->n", fit.slope, fit.spread.covariance, fit.slope), 0.0))
     rows, first = [], 0
     for m in measured:
         for k in range(m.rows):
@@ -127,8 +127,8 @@ def rows_of(measured: Sequence[Measurements], data: Data, found: Estimate) -> tu
             rows.append(Row(
                 place=m.row(k), result=m.result, unit=result_unit(m.result).symbol, conditions=m.at(k),
                 time=None if m.time is None else float(m.time[k]), observed=float(data.observed[i]),
-                predicted=float(found.predicted[i]), sigma=float(deviation[i]), standard_error=float(error[i]),
-                residual=float(found.predicted[i] - data.observed[i]),
+                predicted=float(fit.predicted[i]), sigma=float(deviation[i]), standard_error=float(error[i]),
+                residual=float(fit.predicted[i] - data.observed[i]),
             ))  # fmt: skip
         first += m.rows
     return tuple(rows)

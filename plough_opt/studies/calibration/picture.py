@@ -1,4 +1,4 @@
-"""A fit as a picture: measured against predicted, residuals over the fit and over what was varied, their quantiles."""
+"""A fit as a picture: measured against predicted, residuals over the fit and over a condition, their quantiles."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from scipy import stats
 from plough_opt.core.picture_files import COLOURS
 from plough_opt.core.quantities import every_quantity
 from plough_opt.studies.calibration.parts import Row
+from plough_opt.studies.calibration.unknown import CUSTOMARY
 
 Vector = NDArray[np.float64]
 
-_CUSTOMARY: Final = {"rad": ("deg", math.pi / 180.0), "N": ("kN", 1e3), "Pa": ("kPa", 1e3), "W": ("kW", 1e3)}
 _MUTED: Final = "#8A8A8A"
 
 
@@ -93,9 +93,9 @@ def _standardised(row: Row) -> float:
 
 
 def _scale(like: Row, rows: Sequence[Row]) -> float:
-    """Return what a result is divided by: its customary unit, or of several results its largest value."""
+    """Return the scale of a result: its customary unit, or if there are several results its largest value."""
     if len({row.result for row in rows}) == 1:
-        return _CUSTOMARY.get(like.unit, ("", 1.0))[1]
+        return CUSTOMARY.get(like.unit, ("", 1.0))[1]
     return max(abs(row.predicted) for row in rows if row.result == like.result)
 
 
@@ -103,7 +103,7 @@ def _predicted_label(kinds: Sequence[tuple[str, str]]) -> str:
     if len(kinds) > 1:
         return "predicted, over the largest of its kind"
     result, unit = kinds[0]
-    symbol = _CUSTOMARY.get(unit, (unit, 1.0))[0]
+    symbol = CUSTOMARY.get(unit, (unit, 1.0))[0]
     return f"predicted {result} [{symbol}]" if symbol else f"predicted {result}"
 
 
@@ -113,7 +113,7 @@ def _coordinates(row: Row) -> dict[str, float]:
 
 
 def _varied(rows: Sequence[Row]) -> tuple[Sequence[Row], list[float], str]:
-    """Return rows and what their residuals are drawn over: time, the speed if it varies, or what varies most."""
+    """Return rows and the coordinate of their residuals: time, the speed if it varies, or the most varied condition."""
     counts: dict[str, set[float]] = {}
     for row in rows:
         for key, value in _coordinates(row).items():
@@ -130,4 +130,4 @@ def _varied(rows: Sequence[Row]) -> tuple[Sequence[Row], list[float], str]:
 
 def _unit(name: str) -> tuple[str, float]:
     symbol = every_quantity()[name].symbol
-    return _CUSTOMARY.get(symbol, (symbol, 1.0))
+    return CUSTOMARY.get(symbol, (symbol, 1.0))

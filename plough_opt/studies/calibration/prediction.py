@@ -1,4 +1,4 @@
-"""What the model predicts for every row of measurements: a Function of the scaled unknowns, and its derivatives."""
+"""Predictions of the model for every row of measurements: a Function of the scaled unknowns, and its derivatives."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ from plough_opt.studies.calibration.unknown import Unknown
 
 Vector = NDArray[np.float64]
 
-# Results that belong to a scene, whatever its motion.
+# Results of a scene that do not depend on its motion.
 _OF_SCENE: dict[str, Callable[[Scene], Expression]] = {
     "loosened_radius": lambda scene: scene.loosened_radius,
     "added_mass": lambda scene: added_mass(scene.cone, scene.soil),
     "cone_index": lambda scene: cone_index(scene.soil),
 }
-# Phase [rad] between output times, and nodes of the polynomial that reads a force between them: an error of 1e-8.
+# Phase [rad] between output times, and nodes of the polynomial that interpolates the force: an error of 1e-8.
 _PHASE, _NODES, _OUTPUTS = 0.25, 8, 400
 _MOST_OUTPUTS = 20_000
 _MOST_EXPANDED = 1000
@@ -45,7 +45,7 @@ class Predictor:
     Attributes:
         value: scaled unknowns (p) -> predictions (n), SI.
         both: scaled unknowns -> (predictions, their Jacobian (n, p)), from one evaluation.
-        closed: whether they hold no run, but scalar operations alone.
+        closed: whether they are scalar expressions, without runs.
     """
 
     value: ca.Function
@@ -59,8 +59,8 @@ class Rows:
 
     Attributes:
         measured: the set.
-        model: what is calibrated.
-        unknowns: what to find.
+        model: to calibrate.
+        unknowns: to be found.
     """
 
     measured: Measurements
@@ -80,7 +80,7 @@ class Rows:
         """Return the predictions for the rows.
 
         Raises:
-            InputError: a row whose conditions are outside the model's domain, or a result that needs more than it has.
+            InputError: a row whose conditions are outside the model's domain, or a missing duration.
         """
         if self.measured.result in {unknown.name for unknown in self.unknowns}:
             return self._direct()
@@ -88,14 +88,14 @@ class Rows:
         return self._record() if self.measured.result == RECORD else self._mapped()
 
     def scenes(self, y: Vector) -> list[tuple[Scene, Expression | None, NDArray[np.intp]]]:
-        """Return the distinct scenes of numbers, the time that each is simulated, and its rows."""
+        """Return the distinct scenes of numbers, with their durations and their rows."""
         distinct, which = self._distinct
-        found = []
+        scenes = []
         for number, conditions in enumerate(distinct):
             values = self._values(y, conditions)
             rows = np.flatnonzero(which == number)
-            found.append((self.model.scene(values), self._duration(values, rows), rows))
-        return found
+            scenes.append((self.model.scene(values), self._duration(values, rows), rows))
+        return scenes
 
     def _values(self, y: Sequence[Expression] | Vector, conditions: Sequence[Expression] | Vector
                 ) -> dict[str, Expression]:  # fmt: skip
@@ -108,7 +108,7 @@ class Rows:
         return self.model.duration_of(values)
 
     def _check(self) -> None:
-        """Refuse rows whose scene cannot be, with the row."""
+        """Raise InputError, which names the row, if a scene is outside the model's domain or needs a duration."""
         guess = np.array([unknown.scaled(unknown.guess) for unknown in self.unknowns])
         distinct, which = self._distinct
         for number, conditions in enumerate(distinct):
@@ -132,7 +132,7 @@ class Rows:
         return _predictor(y, value, ca.jacobian(value, y), value, closed=True)
 
     def _mapped(self) -> Predictor:
-        """Return the predictions for results of which every distinct condition has one."""
+        """Return the predictions for results with one value for each distinct condition."""
         distinct, which = self._distinct
         alone, both = row_functions(self.model, self.unknowns, self.measured.at(0), self.measured.result)
         y = ca.MX.sym("y", len(self.unknowns))
@@ -163,21 +163,21 @@ class Rows:
 
 
 def _predictor(y: ca.MX, value: ca.MX, slope: ca.MX, again: ca.MX, closed: bool) -> Predictor:
-    """Return a predictor from expressions, the second of the value beside its slope."""
+    """Return a predictor from expressions; `again` is the value in the same graph as the slope."""
     own = ca.Function("value", [y], [ca.densify(value)])
     both = ca.Function("both", [y], [ca.densify(again), ca.densify(slope)])
-    # Of many rows the operations would fill the memory; they are then mapped.
+    # The scalar operations of many rows would fill the memory: these stay mapped.
     if closed and own.numel_out() <= _MOST_EXPANDED:
         return Predictor(own.expand(), both.expand(), True)
     return Predictor(own, both, False)
 
 
 def joined(predictors: Sequence[Predictor], count: int) -> Predictor:
-    """Return the predictions of several sets, one below the other, for so many unknowns."""
+    """Return the predictions of several sets, one below the other, as a function of `count` unknowns."""
     y = ca.MX.sym("y", count)
     value = ca.vertcat(*(p.value(y) for p in predictors))
-    found = [p.both(y) for p in predictors]
-    again, slope = (ca.vertcat(*(pair[k] for pair in found)) for k in (0, 1))
+    pairs = [p.both(y) for p in predictors]
+    again, slope = (ca.vertcat(*(pair[k] for pair in pairs)) for k in (0, 1))
     return _predictor(y, value, slope, again, closed=all(p.closed for p in predictors))
 
 
@@ -191,39 +191,39 @@ def row_functions(
     """Return two Functions of scaled unknowns and conditions: a result; the same and its derivatives as a column.
 
     Args:
-        model: what is calibrated.
-        unknowns: what is to be found.
-        conditions: names of the conditions, with values that can be.
-        result: what is measured.
-        fixed: further conditions, of which the Functions are no functions.
+        model: to calibrate.
+        unknowns: to be found.
+        conditions: names of the conditions, with valid values.
+        result: the measured result.
+        fixed: further conditions, which are constants of the Functions.
     """
     fixed = dict(fixed or {})
     example = model.scene({**{unknown.name: unknown.guess for unknown in unknowns}, **conditions, **fixed})
     closed = is_closed(example, result)
-    # Of the elastic medium the force is a quadrature of matrices, which single operations would unroll.
+    # The force in the elastic medium is a quadrature of matrices, which scalar operations would unroll.
     kind: Any = ca.SX if closed and example.medium == "plastic" else ca.MX
     y, c = kind.sym("y", len(unknowns)), kind.sym("c", len(conditions))
     values = {unknown.name: unknown.value(y[k]) for k, unknown in enumerate(unknowns)}
     values |= {key: c[k] for k, key in enumerate(conditions)} | fixed
     scene = model.scene(values)
     if result in _OF_SCENE:
-        found = _OF_SCENE[result](scene)
+        value = _OF_SCENE[result](scene)
     elif closed:
-        found = scene.steady_resistance
+        value = scene.steady_resistance
     else:
         run = simulate(scene, model.duration_of(values), accuracy=model.accuracy)
-        found = MEASURES[result].of(run)
-    found = kind(found)
+        value = MEASURES[result].of(run)
+    value = kind(value)
     if kind is ca.SX:
-        slope = ca.densify(ca.jacobian(found, y))
+        slope = ca.densify(ca.jacobian(value, y))
     else:
-        # Forward through the integration: backwards it costs far more to build.
-        slope = ca.horzcat(*(ca.jtimes(found, y, ca.DM.eye(len(unknowns))[:, k]) for k in range(len(unknowns))))
-    return ca.Function("alone", [y, c], [found]), ca.Function("both", [y, c], [found, ca.densify(slope).T])
+        # Forward through the integration: the reverse mode takes far longer to build.
+        slope = ca.horzcat(*(ca.jtimes(value, y, ca.DM.eye(len(unknowns))[:, k]) for k in range(len(unknowns))))
+    return ca.Function("alone", [y, c], [value]), ca.Function("both", [y, c], [value, ca.densify(slope).T])
 
 
 def is_closed(scene: Scene, result: str) -> bool:
-    """Return whether a result of a scene needs no run: the draft of a share that slides steadily is its resistance."""
+    """Return whether a result needs no run: the mean draft of a steady motion is the resistance."""
     if result in _OF_SCENE or result not in RESULTS:
         return True
     effects = scene.effects
@@ -233,7 +233,7 @@ def is_closed(scene: Scene, result: str) -> bool:
 
 
 def _outputs(scene: Scene, duration: float, times: Vector) -> int:
-    """Return a number of output intervals that meets every time, or is fine enough to read between."""
+    """Return a number of output intervals with an output at every time, or enough of them to interpolate."""
     fine = max(_OUTPUTS, math.ceil(phase(numbers_of(scene), duration) / _PHASE)) if scene.effects.motion else _OUTPUTS
     fine = min(fine, _MOST_OUTPUTS)
     for count in range(fine, 2 * fine):
@@ -244,9 +244,9 @@ def _outputs(scene: Scene, duration: float, times: Vector) -> int:
 
 
 def reading(fractions: Vector, outputs: int) -> Vector:
-    """Return the matrix that reads a signal on equal output intervals at fractions of its duration.
+    """Return the matrix that interpolates a signal on equal output intervals at fractions of its duration.
 
-    By polynomials of degree 7 through the nearest outputs; at an output it is the value there.
+    It uses polynomials of degree 7 through the nearest outputs, and at an output the value there.
     """
     weights = np.zeros((len(fractions), outputs + 1))
     for row, fraction in enumerate(fractions):
@@ -265,7 +265,7 @@ def reading(fractions: Vector, outputs: int) -> Vector:
 
 def checked(scene: Scene, duration: Expression | None, measured: Measurements, rows: NDArray[np.intp],
             model: Model) -> Vector:  # fmt: skip
-    """Return a run's own results for some rows, from a run of numbers that checks itself."""
+    """Return the results of some rows from a run of numbers, which checks its own error."""
     if measured.result == RECORD:
         assert measured.time is not None
         assert duration is not None

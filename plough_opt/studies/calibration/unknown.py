@@ -13,22 +13,29 @@ from plough_opt.core.expressions import Expression, exp
 from plough_opt.core.kinds import check_named, mapping_of, shown
 from plough_opt.core.quantities import every_quantity
 
-_CUSTOMARY: Final = {"rad": ("deg", math.pi / 180.0), "Pa": ("kPa", 1e3), "N": ("kN", 1e3), "N/m": ("kN/m", 1e3)}
-# Bounds further apart than by this factor are scaled logarithmically.
+CUSTOMARY: Final = {
+    "rad": ("deg", math.pi / 180.0),
+    "Pa": ("kPa", 1e3),
+    "N": ("kN", 1e3),
+    "N/m": ("kN/m", 1e3),
+    "W": ("kW", 1e3),
+}
+"""SI unit -> the unit in which amounts are shown, and its factor."""
+# From this ratio of the bounds on an unknown is scaled logarithmically.
 _WIDE = 10.0
 
 
 @dataclass(frozen=True)
 class Unknown:
-    """A quantity to find.
+    """A quantity to be found.
 
     Attributes:
         name: its key in a problem file, such as "soil.cohesion".
         unit: SI unit.
         lower: least value.
         upper: largest value.
-        guess: where the search begins.
-        log: whether its logarithm is scaled, of a quantity above 0 whose order of magnitude is unknown.
+        guess: start of the search.
+        log: whether its logarithm is scaled, for a quantity above 0 of unknown order of magnitude.
     """
 
     name: str
@@ -59,7 +66,7 @@ class Unknown:
 
 def amount(value: float, unit: str) -> str:
     """Return an SI value in a customary unit as text of three digits."""
-    symbol, factor = _CUSTOMARY.get(unit, (unit, 1.0))
+    symbol, factor = CUSTOMARY.get(unit, (unit, 1.0))
     return f"{value / factor:.3g} {symbol}".rstrip()
 
 
@@ -68,13 +75,13 @@ def unknowns_of(given: Mapping[str, Any], current: Mapping[str, float]) -> tuple
 
     Args:
         given: key -> (lower, upper) or (lower, upper, guess), SI numbers or text with a unit such as "5 kPa".
-        current: values of the scene, the guesses where they lie between the bounds.
+        current: values of the scene, which are the guesses if they lie between the bounds.
 
     Raises:
-        InputError: an unknown name, or bounds that cannot be.
+        InputError: an unknown name, or invalid bounds.
     """
     if not mapping_of("unknown", given, "{'soil.cohesion': (1e3, 80e3)}"):
-        raise InputError("nothing is unknown: name what to find with its bounds, as {'soil.cohesion': (1e3, 80e3)}")
+        raise InputError("there are no unknowns: name each with its bounds, as {'soil.cohesion': (1e3, 80e3)}")
     return tuple(_unknown(name, bounds, current.get(name)) for name, bounds in given.items())
 
 

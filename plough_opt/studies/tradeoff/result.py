@@ -6,15 +6,13 @@ import csv
 from dataclasses import dataclass
 from io import StringIO
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, overload
+from typing import TYPE_CHECKING, Any, overload
 
 from plough_opt.core.files import write_file
 from plough_opt.core.tables import Page, Readable, data_frame
-from plough_opt.exchange.results import SCHEMA, Saved, read_saved
-from plough_opt.studies.tradeoff.certificate import FrontPoint
-from plough_opt.studies.tradeoff.front import Front, Hole, rate_of
+from plough_opt.exchange.results import Form
+from plough_opt.studies.tradeoff.front import Front, rate_of
 from plough_opt.studies.tradeoff.goal import Axis
-from plough_opt.studies.tradeoff.samples import Failure
 from plough_opt.studies.tradeoff.table import front_page
 
 if TYPE_CHECKING:
@@ -81,8 +79,7 @@ class TradeOff(Readable, Front):
 
     def to_json(self) -> str:
         """Return the front as JSON text with versions and a schema number."""
-        own = {name: getattr(self, name) for name in self.__dataclass_fields__ if name != "origin"}
-        return SavedTradeOff(layout=SCHEMA, **own).to_json()
+        return _FORM.to_json(self)
 
     def save(self, path: str | Path) -> Path:
         """Write the front as JSON, making its folder.
@@ -124,26 +121,10 @@ class TradeOff(Readable, Front):
         Raises:
             InputError: no such file, or not a front of this layout.
         """
-        saved = read_saved(path, "front", "a front", SavedTradeOff.model_validate_json)
-        return cls(**{name: getattr(saved, name) for name in cls.__dataclass_fields__ if name != "origin"})
+        return _FORM.load(path, "front", "a front")
 
 
-class SavedTradeOff(Saved):
-    """A front as JSON: SI units."""
-
-    kind: Literal["trade-off"] = "trade-off"
-    goals: tuple[Axis, ...]
-    variables: tuple[Axis, ...]
-    points: tuple[FrontPoint, ...]
-    dominated: tuple[FrontPoint, ...]
-    failures: tuple[Failure, ...]
-    parts: tuple[tuple[int, ...], ...]
-    holes: tuple[Hole, ...]
-    notes: tuple[str, ...]
-    search: str = ""
-    needles: tuple[FrontPoint, ...] = ()
-    seconds: float
-    building: float = 0.0
+_FORM = Form(TradeOff, "trade-off", unsaved=("origin",))
 
 
 def _heading(axis: Axis) -> str:

@@ -48,10 +48,10 @@ def test_text_with_units_bounds_an_unknown(measured):
         ({"soil.cohesion": (1e3, 2e3, 3e3)}, {}, "the guess 3000 must lie between"),
         ({"soil.cohesion": ("1 kg", "2 kPa")}, {}, "lower bound of 'soil.cohesion' = \"1 kg\" has the wrong unit"),
         ({"soil.cohesion": (1e3, float("inf"))}, {}, "upper bound of 'soil.cohesion' = inf Pa must be finite"),
-        ({"scene.tow_speed": (1.0, 2.0)}, {}, "plane: 'scene.tow_speed' is a column of the data, and so is no unknown"),
+        ({"scene.tow_speed": (1.0, 2.0)}, {}, "plane: 'scene.tow_speed' is a column of the data"),
         ({"scene.frame_mass": (1.0, 2.0)}, {}, "a scene has no quantity 'scene.frame_mass': did you mean 'scene.mass'"),
         ({"effects.strength_wave.amplitude": (0.0, 0.5)}, {}, "the scene has no 'effects.strength_wave.amplitude'"),
-        ({}, {}, "nothing is unknown"),
+        ({}, {}, "no unknowns"),
         ({"soil.cohesion": (1e3, 80e3)}, {"loss": "huberr"}, "no loss is named 'huberr': did you mean 'huber'?"),
         ({"soil.cohesion": (1e3, 80e3)}, {"starts": 0}, "starts = 0 must be a whole number from 1 to 16"),
         ({"soil.density_ratio": (0.5, 1.5)}, {}, "density ratio b1"),
@@ -77,7 +77,7 @@ def test_data_that_do_not_fit_are_refused():
     with pytest.raises(po.InputError, match="beyond, row 2: wedge angle = 2 rad must be below"):
         po.calibrate(scene, beyond, unknown)
     alone = po.Measurements("soil.density_ratio", [0.8] * 3, name="alone")
-    with pytest.raises(po.InputError, match=r"alone: 'soil.density_ratio' was measured, and is none of the unknowns"):
+    with pytest.raises(po.InputError, match=r"alone: 'soil.density_ratio' was measured"):
         po.calibrate(scene, alone, unknown)
     with pytest.raises(po.InputError, match="the data must be Measurements"):
         po.calibrate(scene, [[1.0, 2.0]], unknown)
@@ -108,10 +108,10 @@ def test_a_fit_refuses_what_it_cannot_say(fitted):
 
 
 def test_no_start_that_converges_is_said(measured, three, monkeypatch):
-    from plough_opt.studies.calibration import program
+    from plough_opt.studies.calibration import least_squares
 
     calibration = po.Calibration(steady_scene(), measured, three)
-    monkeypatch.setattr(program, "_DECREMENT", -1.0)
+    monkeypatch.setattr(least_squares, "_DECREMENT", -1.0)
     with pytest.raises(po.NotConverged, match="did not converge from any of 4 starts") as failure:
         calibration.fit()
     assert failure.value.status
@@ -166,5 +166,5 @@ def test_a_files_mass_is_that_of_its_frame(measured):
 
 def test_nothing_but_zeros_is_no_measurement():
     zeros = po.Measurements("mean_draft", [0.0, -0.0, 0.0], {"scene.tow_speed": [1.0, 2.0, 3.0]}, name="plane")
-    with pytest.raises(po.InputError, match="plane: every measured value is 0, of which no soil follows"):
+    with pytest.raises(po.InputError, match="plane: every measured value is 0"):
         po.calibrate(steady_scene(), zeros, {"soil.cohesion": (1e3, 80e3)})

@@ -1,4 +1,4 @@
-"""The least-squares program: Gauss-Newton in IPOPT between bounds, built once and solved for many sets of values."""
+"""The least-squares problem: Gauss-Newton in IPOPT between bounds, built once and solved for many sets of values."""
 
 from __future__ import annotations
 
@@ -27,18 +27,18 @@ _TIGHT: dict[str, Any] = OPTIONS | {
 }
 _PATIENT: dict[str, Any] = {"ipopt.max_iter": 200, "ipopt.mu_init": 1e-7}
 RIDGE = 0.01 / UNIFORM**2
-"""Pull towards a centre where the data leave a direction open: a hundredth of what the bounds themselves tell.
+"""Weight of a term that draws the unknowns to a centre if they are not all determined.
 
-It decides where along such a direction the unknowns are, and moves what the data determine by less than a hundredth
-of its standard error.
+It is a hundredth of the information in the bounds themselves. It selects a point along an undetermined direction, and
+moves determined unknowns by less than a hundredth of their standard errors.
 """
 
-# Part of its weight with which a residual counts for the curvature at least, where the loss bends the other way.
+# Least curvature of a loss, relative to its weight: the loss itself is concave for large residuals.
 _LEAST_BEND = 0.1
-# A step of Gauss-Newton that would lower the sum of squares by less, relative to its natural scale of 1 for one
-# standard deviation, is none: the unknowns are then within 1e-4 of a standard deviation.
+# A fit has converged if a Gauss-Newton step would lower the sum of squares by less than this, with 1 for one standard
+# deviation: the unknowns are then within 1e-4 of a standard deviation.
 _DECREMENT = 1e-8
-# Scaled unknowns nearer to a bound are on it.
+# Distance to a bound within which a scaled unknown is on it.
 _AT_BOUND = 1e-6
 
 
@@ -48,7 +48,7 @@ class Stop:
 
     Attributes:
         solved: whether it is a local optimum: no step between the bounds lowers the loss.
-        status: IPOPT's word for why it stopped.
+        status: IPOPT's return status.
         y: scaled unknowns.
         loss: sum of the losses.
         iterations: number of iterations.
@@ -61,7 +61,7 @@ class Stop:
     iterations: int
 
 
-class Program:
+class LeastSquares:
     """Sum of losses over scaled unknowns between 0 and 1, for observed values and weights that are parameters."""
 
     def __init__(self, predictor: Predictor, loss: Loss) -> None:
@@ -76,7 +76,7 @@ class Program:
         r = weights * (predicted - observed)
         slope = ca.repmat(weights, 1, self.unknowns) * slope
         pull = loss.weight(r)
-        # The loss's own second derivative, where it is positive: with the weights alone steps would be too short.
+        # The loss's own second derivative if it is positive: the weight, which is larger, makes the steps too short.
         bend = ca.fmax(loss.curvature(r), _LEAST_BEND * pull)
         away = y - centre
         alone = ca.sum1(loss.value(weights * (predictor.value(y) - observed))) + 0.5 * ridge * ca.sumsqr(away)
@@ -102,7 +102,7 @@ class Program:
         self._local = ca.Function("local", [y, p], [self._gradient, self._curvature])
 
     def _packed(self, observed: Vector, weights: Vector, centre: Vector | None) -> Vector:
-        """Return the program's parameters; with a centre the unknowns are drawn to it, hardly noticeably."""
+        """Return the problem's parameters; a centre adds the weak term described at `RIDGE`."""
         ridge, at = (0.0, np.zeros(self.unknowns)) if centre is None else (RIDGE, centre)
         return np.concatenate([observed, weights, [ridge], at])
 
@@ -121,17 +121,17 @@ class Program:
         return ca.nlpsol("fit", "ipopt", {"x": y, "p": q, "f": self._total}, _TIGHT | own)
 
     def solve(self, start: Vector, observed: Vector, weights: Vector, centre: Vector | None = None) -> Stop:
-        """Return the local optimum that a start leads to; where it is not determined, the nearest to a centre."""
+        """Return the local optimum that a start leads to; of many along a direction, the nearest to a centre."""
         q = self._packed(observed, weights, centre)
-        found = self._fit(x0=start, p=q, lbx=0.0, ubx=1.0)
+        solution = self._fit(x0=start, p=q, lbx=0.0, ubx=1.0)
         stats = self._fit.stats()
-        y = np.clip(np.asarray(found["x"]).ravel(), 0.0, 1.0)
+        y = np.clip(np.asarray(solution["x"]).ravel(), 0.0, 1.0)
         total = self.total(y, observed, weights) if np.all(np.isfinite(y)) else np.inf
         solved = bool(np.isfinite(total)) and self._decrement(y, q) <= _DECREMENT * max(1.0, 2.0 * total)
         return Stop(solved, str(stats["return_status"]), y, total, int(stats["iter_count"]))
 
     def _decrement(self, y: Vector, q: Vector) -> float:
-        """Return by how much a Gauss-Newton step between the bounds would lower the loss, twice."""
+        """Return twice the decrease of the loss by a Gauss-Newton step between the bounds."""
         gradient, curvature = (np.asarray(part) for part in self._local(y, q))
         gradient = gradient.ravel()
         outward = ((y < _AT_BOUND) & (gradient >= 0.0)) | ((y > 1.0 - _AT_BOUND) & (gradient <= 0.0))
@@ -162,9 +162,9 @@ class Program:
         if self._profile is None:
             self._profile = self._build_profile()
         q = np.concatenate([self._packed(observed, weights, centre), direction, [limit]])
-        found = self._profile(x0=start, p=q, lbx=0.0, ubx=1.0, lbg=-np.inf, ubg=0.0)
+        solution = self._profile(x0=start, p=q, lbx=0.0, ubx=1.0, lbg=-np.inf, ubg=0.0)
         stats = self._profile.stats()
-        y = np.clip(np.asarray(found["x"]).ravel(), 0.0, 1.0)
+        y = np.clip(np.asarray(solution["x"]).ravel(), 0.0, 1.0)
         status = str(stats["return_status"])
         return Stop(status == "Solve_Succeeded", status, y, float("nan"), int(stats["iter_count"]))
 

@@ -20,11 +20,11 @@ from plough_opt.studies.calibration.cross_validation import CrossValidation, cro
 from plough_opt.studies.calibration.estimate import NOMINAL, Data, Estimate, estimate
 from plough_opt.studies.calibration.fit import Fit, reported
 from plough_opt.studies.calibration.intervals import Interval, Kind, interval
+from plough_opt.studies.calibration.least_squares import LeastSquares
 from plough_opt.studies.calibration.loss import loss_of
 from plough_opt.studies.calibration.measurements import RESULTS, Measurements
 from plough_opt.studies.calibration.model import Described, Model, SceneOf, model_of
 from plough_opt.studies.calibration.prediction import Rows, joined, row_functions
-from plough_opt.studies.calibration.program import Program
 from plough_opt.studies.calibration.unknown import Unknown, unknowns_of
 
 Vector = NDArray[np.float64]
@@ -49,18 +49,18 @@ def calibrate(
         print(fit.values, fit.intervals(0.95), fit.unidentifiable)
 
     Args:
-        given: a problem file; a scene of numbers; or a function of values by key, such as "soil.cohesion", that returns
-            a scene and takes symbols.
+        given: a problem file; a scene of numbers; or a function of values by key, such as "soil.cohesion", that accepts
+            symbols and returns a scene.
         data: one set of measurements, or several.
         unknown: key of a problem file -> (lower, upper) or (lower, upper, guess), SI or text with units; default: the
-            variables of the problem file that are no column of the data.
-        loss: "squares", or one in which outliers pull less: "huber", "soft_l1", "cauchy".
+            variables of the problem file that are not columns of the data.
+        loss: "squares", or one that gives outliers less weight: "huber", "soft_l1", "cauchy".
         duration: simulated time [s] of runs whose averages were measured, if not the problem's.
-        starts: number of starts, the guess and the best of 64 points between the bounds (of runs 16).
+        starts: number of starts: the guess, and the best of 64 points between the bounds (16 if they need runs).
         title: for reports.
 
     Raises:
-        InputError: an unknown name, bounds that cannot be, too few rows, or data that do not fit the scene.
+        InputError: an unknown name, invalid bounds, too few rows, or data that do not belong to the scene.
         NotConverged: no start led to an optimum.
     """
     return Calibration(given, data, unknown, loss=loss, duration=duration, starts=starts, title=title).fit()
@@ -88,7 +88,7 @@ class Calibration:
             raise InputError("the data must be Measurements, one set or several: po.read_measurements reads a file")
         if not any(np.any(m.values) for m in self.measured):
             raise InputError(
-                f"{self.measured[0].name}: every measured value is 0, of which no soil follows: check the column"
+                f"{self.measured[0].name}: every measured value is 0, which fits no soil: check the column"
             )
         if not is_count(starts) or starts > 16:
             raise InputError(f"starts = {shown(starts)} must be a whole number from 1 to 16")
@@ -96,13 +96,13 @@ class Calibration:
         self.model: Model = model_of(given, duration)
         self.title = title or self.model.title
         self.unknowns = unknowns_of(_declared(given, unknown, self.measured), self.model.current)
-        self._refuse_twice()
-        self._refuse_beyond()
+        self._check_names()
+        self._check_bounds()
         self.rows = tuple(Rows(m, self.model, self.unknowns) for m in self.measured)
-        self.program = Program(joined([rows.predictor() for rows in self.rows], len(self.unknowns)), self.loss)
+        self.program = LeastSquares(joined([rows.predictor() for rows in self.rows], len(self.unknowns)), self.loss)
         self.data = self._data()
-        self._refuse_few()
-        self._refuse_infinite()
+        self._check_count()
+        self._check_finite()
 
     @property
     def guess(self) -> Vector:
@@ -115,21 +115,21 @@ class Calibration:
         return self.program.predict(y)
 
     def fit(self, observed: Vector | None = None) -> Fit:
-        """Return the fit to the measured values, or to others in their place.
+        """Return the fit to the measured values, or to others instead.
 
         Raises:
             NotConverged: no start led to an optimum.
         """
         started = time.perf_counter()
         data = self.data_of(observed)
-        found = self.estimate(data)
-        return reported(self, data, found, time.perf_counter() - started)
+        fit = self.estimate(data)
+        return reported(self, data, fit, time.perf_counter() - started)
 
     def data_of(self, observed: Vector | None = None) -> Data:
-        """Return the measured values with their weights, or others in their place.
+        """Return the measured values with their weights, or others instead.
 
         Raises:
-            InputError: others that are not as many finite numbers.
+            InputError: others that are not finite numbers, one for each row.
         """
         if observed is None:
             return self.data
@@ -146,21 +146,21 @@ class Calibration:
         """
         return estimate(self.program, data, self.guess, self.starts)
 
-    def interval(self, data: Data, found: Estimate, k: int, level: float, kind: Kind) -> Interval:
+    def interval(self, data: Data, fit: Estimate, k: int, level: float, kind: Kind) -> Interval:
         """Return the confidence interval of an unknown."""
-        return interval(self.program, self.unknowns, data, found, k, level, kind)
+        return interval(self.program, self.unknowns, data, fit, k, level, kind)
 
-    def cross_validation(self, data: Data, found: Estimate, folds: int | None, seed: int) -> CrossValidation:
-        """Return how well rows are predicted that took no part."""
+    def cross_validation(self, data: Data, fit: Estimate, folds: int | None, seed: int) -> CrossValidation:
+        """Return the errors of the predictions for rows left out of the fit."""
         results = [m.result for m in self.measured for _ in range(m.rows)]
-        deviation = found.variance**0.5 / np.where(found.weights > 0.0, found.weights, np.inf)
+        deviation = fit.variance**0.5 / np.where(fit.weights > 0.0, fit.weights, np.inf)
         deviation = np.where(deviation > 0.0, deviation, np.inf)
-        return cross_validate(self.program, data, found.y, deviation, results, folds, seed)
+        return cross_validate(self.program, data, fit.y, deviation, results, folds, seed)
 
     def next_measurements(
-        self, found: Estimate, candidates: Sequence[Candidate] | None = None
+        self, fit: Estimate, candidates: Sequence[Candidate] | None = None
     ) -> tuple[NextMeasurement, ...]:
-        """Return candidates by what they would tell beside the data, the best first."""
+        """Return candidates by their gain of information, the best first."""
         if candidates is None:
             chosen = proposals(self.model, self.measured, self.unknowns)
         else:
@@ -168,22 +168,22 @@ class Calibration:
             chosen = list(candidates)
             for one in chosen:
                 check_kind("a candidate", one, Candidate, "a po.Candidate")
-        weighted = found.slope * found.weights[:, None]
-        error = self._relative_error(found)
-        known = evaluated(chosen, self.unknowns, found.y, error, lambda one: self._row(one, found.y))
+        weighted = fit.slope * fit.weights[:, None]
+        error = self._relative_error(fit)
+        known = evaluated(chosen, self.unknowns, fit.y, error, lambda one: self._row(one, fit.y))
         if not known:
             raise InputError("none of the candidates is a measurement of this scene")
-        return ranked(known, self.unknowns, found.y, weighted.T @ weighted / found.variance)
+        return ranked(known, self.unknowns, fit.y, weighted.T @ weighted / fit.variance)
 
-    def _relative_error(self, found: Estimate) -> float:
+    def _relative_error(self, fit: Estimate) -> float:
         values = np.abs(self.data.observed)
-        counts = (found.weights > 0.0) & (values > 0.0)
-        return float(np.median(found.variance**0.5 / found.weights[counts] / values[counts]))
+        counts = (fit.weights > 0.0) & (values > 0.0)
+        return float(np.median(fit.variance**0.5 / fit.weights[counts] / values[counts]))
 
     def _row(self, candidate: Candidate, y: Vector) -> tuple[float, Vector]:
-        """Return the value and the derivatives of what a candidate measures."""
+        """Return the value of a candidate's result, and its derivatives."""
         if candidate.result not in RESULTS or candidate.result == "mount_force":
-            raise InputError(f"'{candidate.result}' is no single result of a run, nor one of the unknowns")
+            raise InputError(f"'{candidate.result}' is neither a single result of a run nor one of the unknowns")
         conditions: dict[str, float] = {}
         for m in self.measured:
             conditions |= {key: float(np.median(column)) for key, column in m.conditions.items()}
@@ -192,18 +192,19 @@ class Calibration:
         value, slope = both(y, np.zeros(0))
         return float(value), np.asarray(slope, dtype=float).ravel()
 
-    def _refuse_twice(self) -> None:
+    def _check_names(self) -> None:
+        """Raise InputError if a column is an unknown too, or if neither a result nor an unknown was measured."""
         names = {unknown.name for unknown in self.unknowns}
         for m in self.measured:
             both = names & set(m.conditions)
             if both:
-                raise InputError(f"{m.name}: '{min(both)}' is a column of the data, and so is no unknown")
+                raise InputError(f"{m.name}: '{min(both)}' is a column of the data, and so cannot be an unknown")
             if m.result not in RESULTS and m.result not in names:
                 unknowns = ", ".join(sorted(names))
-                raise InputError(f"{m.name}: '{m.result}' was measured, and is none of the unknowns: {unknowns}")
+                raise InputError(f"{m.name}: '{m.result}' was measured, and is not among the unknowns: {unknowns}")
 
-    def _refuse_beyond(self) -> None:
-        """Refuse bounds, or a first row, at which there is no scene; the other rows are refused where they are read."""
+    def _check_bounds(self) -> None:
+        """Raise InputError if bounds or the first row are outside the model's domain; `Rows` checks the other rows."""
         first = next((m for m in self.measured if m.result in RESULTS), self.measured[0])
         guess = {unknown.name: unknown.guess for unknown in self.unknowns} | first.at(0)
         try:
@@ -217,11 +218,11 @@ class Calibration:
                 except DomainError as error:
                     raise InputError(f"{side} bound of '{unknown.name}': {error}") from None
 
-    def _refuse_infinite(self) -> None:
-        """Refuse rows of which the model tells nothing finite at the guesses."""
+    def _check_finite(self) -> None:
+        """Raise InputError if a prediction or its derivatives at the guesses are not finite."""
         y = np.clip(self.guess, 0.02, 0.98)  # where the search begins
-        told = np.column_stack([self.program.predict(y), self.program.slope(y)])
-        wrong = np.flatnonzero(~np.isfinite(told).all(axis=1))
+        predicted = np.column_stack([self.program.predict(y), self.program.slope(y)])
+        wrong = np.flatnonzero(~np.isfinite(predicted).all(axis=1))
         names = [m.row(k) for m in self.measured for k in range(m.rows)]
         if wrong.size:
             raise InputError(f"{names[wrong[0]]}: the model gives no finite number at these conditions")
@@ -230,7 +231,7 @@ class Calibration:
         stated = {m.sigma is not None for m in self.measured}
         if len(stated) > 1:
             without = next(m.name for m in self.measured if m.sigma is None)
-            raise InputError(f"{without}: no sigma is stated, but other sets state theirs: give all of them one")
+            raise InputError(f"{without}: no sigma is stated, but other sets state theirs: give each set one")
         weights = []
         for m in self.measured:
             if m.sigma is not None:
@@ -240,7 +241,7 @@ class Calibration:
             weights.append(np.sqrt(np.ones(m.rows) if m.weights is None else m.weights) / size)
         return Data(np.concatenate([m.values for m in self.measured]), np.concatenate(weights), stated.pop())
 
-    def _refuse_few(self) -> None:
+    def _check_count(self) -> None:
         least = len(self.unknowns) + (0 if self.data.stated and not self.loss.robust else 1)
         if self.data.count < least:
             why = "" if self.data.stated else ", and the scatter is to be estimated too: state sigma, or measure more"

@@ -11,7 +11,7 @@ import numpy as np
 from plough_opt.design.effort import Effort
 from plough_opt.design.ipopt import Vector
 from plough_opt.design.landscape import Landscape, Seen
-from plough_opt.design.sampling import SEED, lowest_around, sample, spread_out
+from plough_opt.design.sampling import MANY, SEED, evolved, lowest_around, sample, spread_out
 from plough_opt.design.shortfall import Shortfall, without_objective
 from plough_opt.design.ways import SAME, barriers, straight_below
 
@@ -326,27 +326,19 @@ class Explorer:
         return whole
 
     def _evolved(self, effort: Effort, points: Vector, seen: Seen, island: int, rng: np.random.Generator) -> Vector:
-        """Return the best design of SciPy's differential evolution that begins from a part of the sample."""
-        from scipy.optimize import differential_evolution  # slow to import
-
+        """Return the best design of an evolution that begins from a part of the sample."""
         self._progress(f"evolution, island {island + 1} of {effort.islands}", island / effort.islands)
-        part = self._part(effort, points, seen, island)
-        # Islands begin from disjoint parts of the best; every second one mutates random designs, not the best one.
-        found = differential_evolution(
-            lambda x: np.minimum(self._merit(self._landscape(self._whole(x.T))), _WORST),
-            [(0.0, 1.0)] * points.shape[1],
-            strategy="best1bin" if island % 2 == 0 and points.shape[1] < 6 else "rand1bin",
-            init=points[part],
-            maxiter=effort.generations,
-            tol=_CONVERGED,
-            recombination=0.9,
-            rng=rng,
-            polish=False,
-            updating="deferred",
-            vectorized=True,
+        best = evolved(
+            lambda x: self._merit(self._landscape(self._whole(x))),
+            points[self._part(effort, points, seen, island)],
+            effort.generations,
+            rng,
+            # Islands begin from disjoint parts of the best; every second one mutates random designs, not the best one.
+            from_best=island % 2 == 0 and points.shape[1] < MANY,
+            alike=_CONVERGED,
         )
-        best: Vector = self._whole(found.x[None])[0]
-        return best
+        whole: Vector = self._whole(best[None])[0]
+        return whole
 
     def _part(self, effort: Effort, points: Vector, seen: Seen, island: int) -> np.ndarray:
         """Return the numbers of the designs from which an island begins."""
@@ -387,7 +379,3 @@ class Explorer:
             for j, parted in zip(new, barriers(self._landscape, found.of([k]), found.of(new)).tolist(), strict=True):
                 self._parted[k, j] = self._parted[j, k] = parted
         return next((number for number, j in enumerate(bottoms) if not self._parted[k, j]), None)
-
-
-# Keeps the arithmetic of an evolution finite where designs have no value.
-_WORST = 1e30

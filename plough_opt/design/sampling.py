@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import Any
+
 import numpy as np
 
 from plough_opt.design.ipopt import Vector
@@ -11,12 +14,17 @@ from plough_opt.design.sobol import sobol_points
 SEED = 2008
 """Of every sample and evolution: the same question has the same answer."""
 
+MANY = 6
+"""From so many variables on an evolution that mutates its best design misses basins."""
+
 # Half of the sample is stretched by so much on either side and clipped, so that bounds and corners are sampled.
 _STRETCH = 0.15
 # Neighbours of a point in the sample, for each variable, that tell whether it is the lowest around.
 _NEIGHBOURS = 4
 # Distances, the largest first, by which feasible designs differ of which there are few.
 _SPREAD = (0.1, 0.03, 0.01, 0.003, 0.0)
+# Keeps the arithmetic of an evolution finite where designs have no value.
+_WORST = 1e30
 # Designs of a sample that looks for one that meets the requirements.
 _LOOK = 1024
 
@@ -59,6 +67,44 @@ def lowest_around(points: Vector, merit: Vector) -> tuple[np.ndarray, np.ndarray
         ends = following
     lowest = np.unique(ends)
     return lowest[np.argsort(merit[lowest], kind="stable")], ends
+
+
+def evolved(
+    merit: Callable[[Vector], Vector],
+    points: Vector,
+    generations: int,
+    rng: np.random.Generator,
+    *,
+    from_best: bool,
+    alike: float,
+) -> Vector:
+    """Return the best point between 0 and 1 to which SciPy's differential evolution leads.
+
+    Args:
+        merit: points, a row each -> what is to be least; infinite without a value.
+        points: from which it begins, a row each.
+        generations: after how many to end.
+        rng: what is random in it.
+        from_best: whether the best design is mutated, which is faster, or any of them, which misses less.
+        alike: relative scatter of the merits below which all points count as one.
+    """
+    from scipy.optimize import differential_evolution  # slow to import
+
+    found: Any = differential_evolution(
+        lambda x: np.minimum(merit(x.T), _WORST),
+        [(0.0, 1.0)] * points.shape[1],
+        strategy="best1bin" if from_best else "rand1bin",
+        init=points,
+        maxiter=generations,
+        tol=alike,
+        recombination=0.9,
+        rng=rng,
+        polish=False,
+        updating="deferred",
+        vectorized=True,
+    )
+    best: Vector = found.x
+    return best
 
 
 def spread_out(points: Vector, order: np.ndarray, feasible: np.ndarray, count: int) -> np.ndarray:

@@ -8,11 +8,8 @@ import numpy as np
 
 from plough_opt.design.ipopt import Vector
 from plough_opt.design.landscape import Landscape, Seen
-from plough_opt.design.sampling import SEED, lowest_around
+from plough_opt.design.sampling import MANY, SEED, evolved, lowest_around
 from plough_opt.design.sobol import sobol_points
-
-# Keeps the arithmetic of an evolution finite where designs have no value.
-_WORST = 1e30
 
 # Designs at which all combinations together are looked at, beside those with the other variables held; and for each
 # combination at least and at most.
@@ -23,8 +20,9 @@ _CLOSER, _DESCENDED = 256, 30
 _AROUND, _RADII = 16, (0.25, 0.12, 0.06, 0.03, 0.015)
 # Descents of all combinations together, and of each at most.
 _DESCENTS, _OF_EACH = 60, 8
-# Combinations that evolve, if their merit is so near the best, in parts of it; designs for each free variable, times.
-_EVOLVED, _CAN_WIN, _MEMBERS, _GENERATIONS = 8, 0.15, 12, 50
+# Combinations that evolve, if their merit is so near the best, in parts of it; designs for each free variable, times,
+# and how alike all of them are when they have converged.
+_EVOLVED, _CAN_WIN, _MEMBERS, _GENERATIONS, _CONVERGED = 8, 0.15, 12, 50, 1e-6
 # What a violation weighs where a combination that does not yet meet the requirements shall stay in view.
 _LIGHTLY = 1.0
 
@@ -131,9 +129,7 @@ class _View:
         return Promising(number, best.points[0], float(best.merit[0]))
 
     def evolved(self, known: Promising, seen: Seen) -> Promising:
-        """Return where SciPy's differential evolution leads from a combination's lowest designs, if that is lower."""
-        from scipy.optimize import differential_evolution  # slow to import
-
+        """Return where an evolution leads from a combination's lowest designs, if that is lower."""
         n = len(self.free)
         lowest = np.argsort(seen.merit, kind="stable")[: _MEMBERS * n]
         start = np.vstack([known.start[self.free], seen.points[lowest][:, self.free]])
@@ -141,23 +137,10 @@ class _View:
             start = np.vstack([start, self._rng.random((_MEMBERS * n - len(start), n))])
 
         def merit(x: Vector) -> Vector:
-            designs = self.designs(np.full(x.shape[1], known.number), x.T)
-            return np.minimum(self._landscape(designs).merit, _WORST)
+            return self._landscape(self.designs(np.full(len(x), known.number), x)).merit
 
-        found = differential_evolution(
-            merit,
-            [(0.0, 1.0)] * n,
-            strategy="best1bin" if n < 6 else "rand1bin",
-            init=start,
-            maxiter=_GENERATIONS,
-            tol=1e-6,
-            recombination=0.9,
-            rng=self._rng,
-            polish=False,
-            updating="deferred",
-            vectorized=True,
-        )
-        end = self._end(self.designs(np.array([known.number]), found.x[None])[0])
+        best = evolved(merit, start, _GENERATIONS, self._rng, from_best=n < MANY, alike=_CONVERGED)
+        end = self._end(self.designs(np.array([known.number]), best[None])[0])
         merit_there = float(end.merit[0])
         return Promising(known.number, end.points[0], merit_there) if merit_there < known.merit else known
 

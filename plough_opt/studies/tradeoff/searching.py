@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
@@ -13,19 +12,17 @@ from plough_opt.design.exploring import Explorer, Progress
 from plough_opt.design.infeasible import feasible_from
 from plough_opt.design.ipopt import Vector
 from plough_opt.design.landscape import Seen
-from plough_opt.design.sampling import SEED, lowest_around, sample
+from plough_opt.design.sampling import SEED, evolved, lowest_around, sample
 from plough_opt.design.tolerance import judgement
 from plough_opt.studies.tradeoff.cloud import Cloud, FrontLandscape
 
 # Judged values by which a bottom may be above the best and still be followed, and how many are.
 _CAN_WIN, _MOST = 0.15, 3
 # Of a position: low designs of the sample from which a descent begins, the population of its evolution by number of
-# variables, and its generations.
-_LOW, _EACH, _GENERATIONS = 3, 6, 25
+# variables, its generations, and how alike all designs are when it has converged: descents follow.
+_LOW, _EACH, _GENERATIONS, _CONVERGED = 3, 6, 25, 0.01
 # Two scaled designs nearer than this are one.
 _SAME = 1e-3
-# Keeps the arithmetic of an evolution finite where designs have no value.
-_WORST = 1e30
 
 
 class Searcher:
@@ -111,22 +108,12 @@ class Searcher:
         return self._samples[number], np.random.default_rng([SEED, number, 1])
 
     def _evolved(self, landscape: FrontLandscape, points: Vector, merit: Vector, rng: np.random.Generator) -> Vector:
-        """Return the best design of SciPy's differential evolution from the best of a sample."""
-        from scipy.optimize import differential_evolution  # slow to import
-
+        """Return the best design of an evolution from the best of a sample."""
         best = np.argsort(merit, kind="stable")[: max(16, _EACH * points.shape[1])]
-        found: Any = differential_evolution(
-            lambda x: np.minimum(landscape(self._whole(x.T)).merit, _WORST),
-            [(0.0, 1.0)] * points.shape[1],
-            init=points[best],
-            maxiter=_GENERATIONS,
-            recombination=0.9,
-            rng=rng,
-            polish=False,
-            updating="deferred",
-            vectorized=True,
+        found = evolved(
+            lambda x: landscape(self._whole(x)).merit, points[best], _GENERATIONS, rng, from_best=True, alike=_CONVERGED
         )
-        whole: Vector = self._whole(found.x[None])[0]
+        whole: Vector = self._whole(found[None])[0]
         return whole
 
     def _whole(self, points: Vector) -> Vector:

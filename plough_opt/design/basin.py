@@ -12,13 +12,19 @@ from plough_opt.design.ipopt import Point, Vector
 from plough_opt.design.landscape import Landscape, Seen
 from plough_opt.design.polishing import as_it_is, polished
 from plough_opt.design.program import Program
-from plough_opt.design.sampling import sample_of
+from plough_opt.design.sampling import SEED, sample_of
 from plough_opt.design.tolerance import judgement
 
-# Part of the range by which a descent that stays in its basin moves at once, and how often.
-_BOX, _MOST_BOXES = 0.05, 60
-# Positions on the straight way to an optimum at which a barrier is looked for, and the rise of the merit that is one.
-_BETWEEN, _BARRIER = 40, 1e-3
+# Part of the range by which a descent that stays in its basin moves at once, or a third of it and so on where a barrier
+# lies within that; the least of these, and how often.
+_BOX, _NARROWER, _NARROWEST, _MOST_BOXES = 0.05, 3.0, 2e-4, 80
+# Designs nearer to an infeasible guess than the feasible one that was found: how many are looked at, and how often. One
+# that is feasible, or away from that one and lacks less than this part of what the guess lacks, leads to a nearer one
+# perhaps, by at least this factor.
+_LOOKED, _LOOKS, _LESS, _NEARER = 128, 5, 0.2, 0.999
+# Positions on the straight way to an optimum at which a barrier is looked for, at least and on a way across the whole
+# range, and the rise of the merit that is one.
+_BETWEEN, _ACROSS, _BARRIER = 40, 256, 1e-3
 
 
 def near_optimum(program: Program, landscape: Landscape, p: Vector, start: Vector) -> Point:
@@ -39,7 +45,7 @@ def near_optimum(program: Program, landscape: Landscape, p: Vector, start: Vecto
         return point if point.solved else _from_least_violation(program, p, start)
     begin = landscape(start[None])
     if not begin.feasible[0]:
-        begin = landscape.nearest_feasible(start)
+        begin = _nearest_feasible(landscape, begin)
     if not begin.feasible[0]:
         begin = _far_feasible(program, landscape, p, start)
     y = begin.points[0]
@@ -50,13 +56,45 @@ def near_optimum(program: Program, landscape: Landscape, p: Vector, start: Vecto
 
 
 def _descended_in_steps(landscape: Landscape, y: Vector) -> Vector:
-    """Return where descents lead that go no further than a part of the range at once."""
+    """Return where descents lead that go no further than a part of the range at once, and across no barrier."""
+    box = _BOX
     for _ in range(_MOST_BOXES):
-        end = landscape.descend(y, np.maximum(y - _BOX, 0.0), np.minimum(y + _BOX, 1.0)).points[0]
-        moved, y = np.max(np.abs(end - y)), end
-        if moved < 0.9 * _BOX:
+        end = landscape.descend(y, np.maximum(y - box, 0.0), np.minimum(y + box, 1.0)).points[0]
+        moved = np.max(np.abs(end - y))
+        if _downhill(landscape, y, end):
+            y = end
+            if moved < 0.9 * box:
+                break
+            box = min(_BOX, _NARROWER * box)
+        elif min(box, moved) < _NARROWEST:
             break
+        else:
+            box = min(box, moved) / _NARROWER
     return y
+
+
+def _nearest_feasible(landscape: Landscape, start: Seen) -> Seen:
+    """Return the feasible design nearest to one, as far as local searches and looks between the two find it."""
+    (guess,), rng = start.points, np.random.default_rng(SEED)
+    found = landscape.nearest_feasible(guess)
+    for _ in range(_LOOKS if found.feasible[0] else 0):
+        distance = np.linalg.norm(found.points[0] - guess)
+        directions = rng.standard_normal((_LOOKED, len(guess)))
+        lengths = distance * rng.random(_LOOKED) ** (1.0 / len(guess)) / np.linalg.norm(directions, axis=1)
+        seen = landscape(np.clip(guess + lengths[:, None] * directions, 0.0, 1.0))
+        away = np.linalg.norm(seen.points - found.points, axis=1) > 0.5 * distance
+        less = seen.violation < _LESS * start.violation
+        some = seen.of(seen.feasible | (away & less))
+        if not len(some.f):
+            break
+        nearest = np.lexsort(
+            (np.linalg.norm(some.points - guess, axis=1), np.where(some.feasible, 0.0, some.violation))
+        )
+        again = landscape.nearest_feasible(guess, some.points[nearest[0]])
+        if not (again.feasible[0] and np.linalg.norm(again.points[0] - guess) < _NEARER * distance):
+            break
+        found = again
+    return found
 
 
 def _far_feasible(program: Program, landscape: Landscape, p: Vector, start: Vector) -> Seen:
@@ -83,7 +121,8 @@ def first_optimum(program: Program, p: Vector) -> Point:
 
 def _downhill(landscape: Landscape, start: Vector, end: Vector) -> bool:
     """Return whether no barrier lies on the straight way between two designs, nor the end above the start."""
-    parts = np.linspace(0.0, 1.0, _BETWEEN)[:, None]
+    count = max(_BETWEEN, int(_ACROSS * np.max(np.abs(end - start))))
+    parts = np.linspace(0.0, 1.0, count)[:, None]
     merit = landscape(start + parts * (end - start)).merit
     rise = np.max(merit - np.minimum.accumulate(merit))
     return bool(rise <= _BARRIER * abs(merit[0]))

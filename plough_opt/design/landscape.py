@@ -9,6 +9,7 @@ import numpy as np
 
 from plough_opt.design.ipopt import Vector
 from plough_opt.design.program import Program
+from plough_opt.design.quadratic import least
 
 FEASIBLE = 1e-6
 """Scaled violation below which a search's design counts as meeting its requirements."""
@@ -33,6 +34,9 @@ _LONG = 20
 _MOST_ROWS = 6
 # Part of the merit by which a design is lower than another, and not just differently rounded.
 _LOWER = 1e-6
+# Projections on what is linear of the limits, by which the nearest design that meets them is looked for, and the step
+# after which they have settled: what they then miss is of its square.
+_PROJECTIONS, _SETTLED = 8, 1e-4
 # Times that a descent is begun anew, with further rows that it has broken, while it gains a part of its merit.
 _ROUNDS, _GAIN = 6, 1e-7
 
@@ -307,6 +311,25 @@ class _Nearest(_Descent):
 
     def _merit(self, y: Vector, _f: float, violations: Vector) -> tuple[bool, float]:
         return super()._merit(y, self._objective(y), violations)
+
+    def _minimised(self, x: Vector, rows: np.ndarray) -> Vector:
+        """Return where projections on the linearised limits lead, or else SLSQP."""
+        y, (low, high), program = x, self._box, self._landscape.program
+        for _ in range(_PROJECTIONS):
+            _, _, g, jacobian = self._derivatives(y)
+            limits = (
+                np.concatenate([program.low[rows] - g[rows], low - y]),
+                np.concatenate([program.high[rows] - g[rows], high - y]),
+            )
+            unit = np.eye(len(y))
+            found = least(unit, y - self._design, np.vstack([jacobian[rows], unit]), limits)
+            if found is None:
+                break
+            before, y = y, np.clip(y + found[0], low, high)
+            if np.max(np.abs(y - before)) < _SETTLED:
+                self._derivatives(y)
+                return y
+        return super()._minimised(x, rows)
 
 
 class _LeastViolation(_Descent):

@@ -1,0 +1,120 @@
+"""`search="near"` on random problems: the optimum of the guess's basin, against walks and samples by other code."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from independent import study
+from independent.build import as_design
+from independent.problem import evaluate
+from scipy.optimize import minimize
+
+KNOWN = {number: problem for number, (problem, _) in study.problems("search").items()}
+OF_ONE = [number for number, problem in KNOWN.items() if len(problem.variables) == 1]
+OF_SEVERAL = [number for number, problem in KNOWN.items() if 2 <= len(problem.variables) <= 5]
+# Solved by default; all are with the slow tests.
+FEW_OF_ONE, FEW_OF_SEVERAL = OF_ONE[:8], OF_SEVERAL[:6]
+GRID = np.linspace(0.0, 1.0, 4001)
+# A rise on the way down by less than a thousandth is a ripple within a basin, half as much again on a grid.
+RIPPLE = 1.5e-3
+# Part of the range in which nothing is better than a local optimum by more than a part of the objective; and tries.
+BESIDE, BETTER, TRIED = 1e-3, 1e-6, 256
+
+
+def _at(problem, y):
+    """Return the objective at positions, and whether each meets the requirements."""
+    found = evaluate(problem, y, simulate=study._SIMULATE)
+    return found.objective, found.worst <= study.RELATIVE
+
+
+def _near(problem, y):
+    """Return the position of what a near search finds from a guess at a position."""
+    values = problem.values(y)[0]
+    guessed = replace(
+        problem, variables=tuple(replace(v, guess=x) for v, x in zip(problem.variables, values, strict=True))
+    )
+    best = as_design(guessed)[0].solve(search="near")
+    return problem.positions([[best.variables[v.name] for v in problem.variables]])[0]
+
+
+def _guesses(number, count, dimensions):
+    return np.random.default_rng([number, 11]).random((count, dimensions))
+
+
+def _selected(every, few):
+    return [pytest.param(k, id=str(k), marks=() if k in few else pytest.mark.slow) for k in every]
+
+
+# --- one variable: a walk downhill on a grid ---------------------------------------------------------------
+
+
+def _walked(f, feasible, start):
+    """Return the index to which a walk over feasible neighbours leads that only descends."""
+    k = start
+    while True:
+        beside = [j for j in (k - 1, k + 1) if 0 <= j < len(f) and feasible[j] and f[j] < f[k]]
+        if not beside:
+            return k
+        k = min(beside, key=lambda j: f[j])
+
+
+@pytest.mark.parametrize("number", _selected(OF_ONE, FEW_OF_ONE))
+def test_the_basin_of_a_guess_or_of_the_feasible_design_nearest_to_it_is_kept(number):
+    problem = KNOWN[number]
+    f, feasible = _at(problem, GRID[:, None])
+    for guess in _guesses(number, 3, 1):
+        own, met = _at(problem, guess[None])
+        start = int(np.flatnonzero(feasible)[np.argmin(np.abs(GRID[feasible] - guess[0]))])
+        answer = _near(problem, guess)
+        reached, kept = _at(problem, answer[None])
+        assert kept[0]
+        if met[0]:
+            assert reached[0] <= own[0] * (1.0 + study.RELATIVE)
+        walked = f[_walked(f, feasible, start)]
+        assert reached[0] <= walked + study.RELATIVE * abs(walked)
+        # No barrier, nor designs that break a requirement, lie between.
+        way = np.arange(start, int(np.rint(answer[0] * (len(GRID) - 1))), 1 if answer[0] > GRID[start] else -1)
+        assert np.all(feasible[way[1:-1]])
+        if len(way):
+            rise = np.max(f[way] - np.minimum.accumulate(f[way]))
+            assert rise <= RIPPLE * abs(f[start])
+
+
+# --- several variables: never worse than the guess, or the nearest feasible design -----------------------------
+
+
+def _nearest_feasible(problem, guess):
+    """Return the feasible design nearest to a guess, as SciPy's SLSQP finds it from the nearest of a sample."""
+    y = np.random.default_rng(5).random((4096, len(guess)))
+    met = y[_at(problem, y)[1]]
+    starts = met[np.argsort(np.sum((met - guess) ** 2, axis=1))[:6]]
+
+    def margins(x):
+        return -evaluate(problem, np.clip(x, 0.0, 1.0)[None], simulate=study._SIMULATE).violations[:, 0]
+
+    ends = list(starts)
+    for start in starts[:3]:
+        done = minimize(
+            lambda x: np.sum((x - guess) ** 2), start, bounds=[(0.0, 1.0)] * len(guess), method="SLSQP",
+            constraints={"type": "ineq", "fun": margins}, options={"maxiter": 40, "ftol": 1e-12},
+        )  # fmt: skip
+        ends.append(np.clip(done.x, 0.0, 1.0))
+    ends = np.array(ends)
+    ends = ends[_at(problem, ends)[1]]
+    return ends[np.argmin(np.sum((ends - guess) ** 2, axis=1))]
+
+
+@pytest.mark.parametrize("number", _selected(OF_SEVERAL, FEW_OF_SEVERAL))
+def test_it_is_a_local_optimum_no_worse_than_the_guess_or_the_nearest_feasible_design(number):
+    problem = KNOWN[number]
+    (guess,) = _guesses(number, 1, len(problem.variables))
+    begin = guess if _at(problem, guess[None])[1][0] else _nearest_feasible(problem, guess)
+    answer = _near(problem, guess)
+    (own, reached), (_, kept) = _at(problem, np.array([begin, answer]))
+    assert kept
+    # A requirement may be kept to a millionth of its limit, and the nearest design be known to as much.
+    assert reached <= own + 1e-5 * abs(own)
+    around = np.clip(answer + BESIDE * (2.0 * np.random.default_rng(3).random((TRIED, len(answer))) - 1.0), 0.0, 1.0)
+    f, _ = _at(problem, around)
+    strictly = evaluate(problem, around, simulate=study._SIMULATE).worst <= 0.0
+    assert np.min(f[strictly], initial=np.inf) >= reached - BETTER * abs(reached)

@@ -52,14 +52,14 @@ class Program:
         """
         self.declared = declared
         self._refuse_strangers()
-        self.exact = TightEvaluation(self.expressions, declared.symbols(), compiled=compiled)
+        self.exact = TightEvaluation(self.expressions, declared.symbols())
         self._implied = tuple(
             Requirement(limit.name, carried, None, limit.at_most, limit.unit)
             for limit, carried in self.exact.limits.items()
         )
         if self._implied:
             self.declared = replace(declared, requirements=(*declared.requirements, *self._implied))
-            self.exact = TightEvaluation(self.expressions, declared.symbols(), compiled=compiled, beside=self.exact)
+            self.exact = TightEvaluation(self.expressions, declared.symbols(), beside=self.exact)
         self._refuse_idas()
         self.owner = [k for k, r in enumerate(self.declared.requirements) for _ in range(r.expression.numel())]
         self._y, self._p = ca.MX.sym("y", len(declared.variables)), ca.MX.sym("p", len(declared.parameters))

@@ -29,7 +29,7 @@ TIGHT = 1e-12
 """Relative error that the re-integration aims at."""
 
 
-_Tight: TypeAlias = Callable[[Integration, tuple[float, ...], bool, bool], Vector]
+_Tight: TypeAlias = Callable[[Integration, tuple[float, ...], bool], Vector]
 
 # Runs at numbers that an evaluation remembers: those of a design over some hundred samples at a few points, and checks.
 _MOST_KEPT: Final = 4096
@@ -48,7 +48,6 @@ class TightEvaluation:
         expressions: Sequence[ca.MX],
         symbols: Sequence[ca.MX],
         *,
-        compiled: bool = False,
         beside: TightEvaluation | None = None,
     ) -> None:
         """Split expressions around their runs.
@@ -56,10 +55,8 @@ class TightEvaluation:
         Args:
             expressions: the expressions.
             symbols: that they hold.
-            compiled: whether the runs are followed in machine code.
             beside: another evaluation, whose runs are not integrated again where this one has the same.
         """
-        self._compiled = compiled
         self._tight: _Tight = lru_cache(maxsize=_MOST_KEPT)(_tight_results) if beside is None else beside._tight
         parts = split(list(expressions), list(symbols))
         self.runs = parts.runs
@@ -128,7 +125,7 @@ class TightEvaluation:
             scene: its scene.
         """
         own = self.runs[run].integration
-        stacked = self._tight(own, tuple(parameters.tolist()), self._compiled, False)
+        stacked = self._tight(own, tuple(parameters.tolist()), False)
         outputs, observed = own.timeline.outputs + 1, signals(own.structure)
         states, means, variances = np.split(stacked, [-observed.count - observed.squared, -observed.squared])
         states = states.reshape(outputs, -1)
@@ -154,20 +151,19 @@ class TightEvaluation:
         results = []
         for k, run in enumerate(self.runs):
             parameters, _ = self._numbers(k, numbers)
-            results.append(self._tight(run.integration, tuple(parameters.tolist()), self._compiled, check))
+            results.append(self._tight(run.integration, tuple(parameters.tolist()), check))
             if not np.all(np.isfinite(results[-1])):
                 _, scene = self.inputs(k, numbers)
                 raise IntegrationError(f"the motion of a {scene.describe()} has no finite result")
         return [np.asarray(result) for result in self._algebra.call([*map(ca.DM, numbers), *results])]
 
 
-def _tight_results(own: Integration, inputs: tuple[float, ...], compiled: bool, check: bool) -> Vector:
+def _tight_results(own: Integration, inputs: tuple[float, ...], check: bool) -> Vector:
     """Return a run's stacked results at numbers by a tight adaptive method, or by the one that checks it.
 
     Args:
         own: how the run was written in the design; only its structure and output times are kept.
         inputs: its parameters, the duration last.
-        compiled: whether steps of order 8 may be taken in machine code, which gives the same numbers.
         check: whether the method that checks is asked for.
     """
     p, duration = dict(zip(own.names, inputs[:-1], strict=True)), inputs[-1]
@@ -175,7 +171,8 @@ def _tight_results(own: Integration, inputs: tuple[float, ...], compiled: bool, 
     outputs, kink = own.timeline.outputs, kink_of(p.get("ramp_time", 0.0), duration)
     accuracy = checked(suited(own.structure, total)[0], TIGHT, p, duration)[int(check)]
     timeline = Timeline(outputs, accuracy.steps or most_steps(total), kink, aligned=False)
-    by_code = compiled and own.structure.stepped and accuracy.method in ORDER_8
+    # Steps of order 8 in machine code, where there is a compiler, give the same numbers.
+    by_code = own.structure.stepped and accuracy.method in ORDER_8
     code = compiled_steps(own.structure) if by_code else None
     parts: Sequence[Vector] | None = None if code is None else code(timeline, list(inputs))
     if parts is None:

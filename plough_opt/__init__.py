@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from plough_opt.core.errors import (
     DomainError,
+    ImplausibleValue,
     InfeasibleDesign,
     InputError,
     IntegrationError,
@@ -140,6 +141,7 @@ __all__ = [
     "Fit",
     "Goal",
     "HarmonicBalance",
+    "ImplausibleValue",
     "InfeasibleDesign",
     "Input",
     "InputError",

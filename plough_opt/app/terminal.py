@@ -35,7 +35,7 @@ def read(options: argparse.Namespace) -> Problem:
     """
     problem = read_problem(options.file, options.set)
     check_outputs(options)
-    for note in problem.notes:
+    for note in (*problem.notes, *problem.cautions):
         LOG.info("note: %s", note)
     return problem
 

@@ -19,6 +19,10 @@ class DomainError(PloughError, ValueError):
     """A value lies outside the domain in which the model's equations hold."""
 
 
+class ImplausibleValue(UserWarning):
+    """A plain number is possible, but so unusual in SI that another unit was probably meant."""
+
+
 class InputError(PloughError, ValueError):
     """An option, a name or a file is not what was expected."""
 

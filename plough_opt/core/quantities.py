@@ -7,11 +7,44 @@ quantity's name is its key in problem files, such as "soil.cohesion".
 from __future__ import annotations
 
 import math
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
 
 from plough_opt.core.domain import check_domain
+from plough_opt.core.errors import DomainError, ImplausibleValue
 from plough_opt.core.expressions import Expression
-from plough_opt.core.units import Unit
+from plough_opt.core.units import Unit, has_unit, in_si
+
+_trusted: ContextVar[bool] = ContextVar("trusted", default=False)
+
+# SI unit -> units that are often meant by a number in it, with their factors, the likeliest first.
+_SLIPS: Final = {
+    "N/m": (("kN/m", 1e3),),
+    "m": (("mm", 1e-3), ("cm", 1e-2)),
+    "rad": (("deg", math.pi / 180.0),),
+    "Pa": (("kPa", 1e3), ("MPa", 1e6)),
+    "kg/m^3": (("g/cm^3", 1e3),),
+    "kg": (("t", 1e3), ("g", 1e-3)),
+    "m/s": (("km/h", 1.0 / 3.6),),
+    "N*s/m": (("kN*s/m", 1e3),),
+    "s": (("ms", 1e-3),),
+}
+
+
+@contextmanager
+def trusted() -> Iterator[None]:
+    """Warn of no implausible number while the context lasts: what is read there has said its unit."""
+    token = _trusted.set(True)
+    try:
+        yield
+    finally:
+        _trusted.reset(token)
 
 
 @dataclass(frozen=True)
@@ -34,6 +67,8 @@ class Quantity:
         required: whether a problem file must give it or make it a variable.
         in_files: whether problem files have it.
         default: value in a problem file that leaves it out.
+        plausible: from and to which values are found in practice, wide; a value outside that another unit would bring
+            inside is taken for a slip.
     """
 
     name: str
@@ -51,6 +86,7 @@ class Quantity:
     required: bool = False
     in_files: bool = True
     default: float | None = None
+    plausible: tuple[float, float] = (-math.inf, math.inf)
 
     @property
     def owner(self) -> str:
@@ -61,6 +97,45 @@ class Quantity:
     def key(self) -> str:
         """Its name within that table."""
         return self.name.rpartition(".")[2]
+
+    def read(self, value: Any, stacklevel: int = 2) -> Expression:
+        """Return a value in SI, checked; a plain number that looks like a slip of the unit carries a warning.
+
+        Args:
+            value: a text such as "50 kN/m", a pint quantity, or what is in SI: a number, an array or an expression.
+            stacklevel: of the warning, 2 for the caller's line.
+
+        Raises:
+            InputError: a text that is no quantity, or a unit of another kind.
+            DomainError: as `check`.
+        """
+        if type(value) is not float:
+            plain, value = not has_unit(value), in_si(self.called, value, self.unit)
+        else:
+            plain = True
+        slip = self.slip(value) if plain else ""
+        try:
+            self.check(value)
+        except DomainError as error:
+            raise DomainError(f"{error}; {slip}" if slip else str(error)) from None
+        if slip and not _trusted.get():
+            warnings.warn(
+                f"{self.called} = {value:g} {self.unit}: {slip} Plain numbers are SI; a text with its unit says what is"
+                " meant",
+                ImplausibleValue,
+                stacklevel=stacklevel + 1,
+            )
+        return value
+
+    def slip(self, value: Any) -> str:
+        """Return, of a number that is not plausible in SI but would be in a unit that is often meant, a question."""
+        low, high = self.plausible
+        if not isinstance(value, int | float | np.number) or low <= value <= high or not value:
+            return ""
+        for symbol, factor in _SLIPS.get(self.unit, ()):
+            if max(low, self.low) <= value * factor <= min(high, self.high):
+                return f"did you mean {value:g} {symbol}?"
+        return ""
 
     def check(self, value: Expression) -> None:
         """Refuse a number outside the domain; a symbol passes.
@@ -93,6 +168,7 @@ def _angle(name: str, meaning: str, typical: float, path: tuple[str, ...], *, ab
         high=math.pi / 2,
         above=above,
         below=True,
+        plausible=(0.0, math.pi / 2),
         shown="deg",
         required=in_files,
         in_files=in_files,
@@ -120,7 +196,7 @@ def _wave(number: int) -> tuple[Quantity, ...]:
         ),
         Quantity(
             f"{table}.wavelength", f"strength wavelength{which}", "wavelength of the soil's strength along the path",
-            "m", 0.2, (*path, "wavelength"), above=True,
+            "m", 0.2, (*path, "wavelength"), above=True, plausible=(0.0, 50.0),
         ),
         Quantity(
             f"{table}.phase", f"strength wave phase{which}", "phase of the soil's strength at travel 0", "rad", 0.0,
@@ -134,7 +210,7 @@ QUANTITIES: dict[str, Quantity] = {
     for quantity in (
         Quantity(
             "soil.density", "soil density", "density rho0 of the undisturbed soil", "kg/m^3", 1350.0,
-            ("soil", "density"), above=True, required=True,
+            ("soil", "density"), above=True, required=True, plausible=(500.0, 4e3),
         ),
         Quantity(
             "soil.density_ratio", "density ratio b1", "undisturbed over locked density b1", "", 0.8,
@@ -142,7 +218,7 @@ QUANTITIES: dict[str, Quantity] = {
         ),
         Quantity(
             "soil.cohesion", "cohesion", "cohesion k", "Pa", 2e4,
-            ("soil", "cohesion"), shown="kPa", required=True,
+            ("soil", "cohesion"), shown="kPa", required=True, plausible=(200.0, 1e6),
         ),
         _angle(
             "soil.friction_angle", "angle of internal friction theta", 0.5,
@@ -154,11 +230,11 @@ QUANTITIES: dict[str, Quantity] = {
         ),
         Quantity(
             "soil.ambient_pressure", "ambient pressure", "pressure p_a ahead of the compaction front", "Pa", 1e5,
-            ("soil", "ambient_pressure"), shown="kPa",
+            ("soil", "ambient_pressure"), shown="kPa", plausible=(200.0, 1e6),
         ),
         Quantity(
             "soil.youngs_modulus", "Young's modulus", "Young's modulus E", "Pa", 1e7,
-            ("soil", "youngs_modulus"), above=True, shown="MPa",
+            ("soil", "youngs_modulus"), above=True, shown="MPa", plausible=(1e5, 1e10),
         ),
         Quantity(
             "soil.poisson_ratio", "Poisson's ratio", "Poisson's ratio", "", 0.3,
@@ -182,19 +258,19 @@ QUANTITIES: dict[str, Quantity] = {
         ),
         Quantity(
             "share.height", "share height", "height h of the share", "m", 0.25,
-            ("share", "height"), above=True, required=True,
+            ("share", "height"), above=True, required=True, plausible=(0.02, 3.0),
         ),
         Quantity(
             "scene.stiffness", "stiffness", "stiffness k0 of the mount", "N/m", 5e4,
-            ("stiffness",), above=True, shown="kN/m", required=True,
+            ("stiffness",), above=True, shown="kN/m", required=True, plausible=(1e3, 1e9),
         ),
         Quantity(
             "scene.mass", "mass", "mass m of all that moves but the soil", "kg", 20.0,
-            ("mass",), above=True, why="the share itself moves", in_files=False,
+            ("mass",), above=True, why="the share itself moves", in_files=False, plausible=(0.2, 5e4),
         ),
         Quantity(
             "scene.tow_speed", "tow speed", "speed V0 of the strut", "m/s", 2.0,
-            ("tow_speed",), shown="km/h", required=True,
+            ("tow_speed",), shown="km/h", required=True, plausible=(0.0, 6.0),
         ),
         *(quantity for number in range(1, MOST_WAVES + 1) for quantity in _wave(number)),
         Quantity(
@@ -213,7 +289,7 @@ QUANTITIES: dict[str, Quantity] = {
         ),
         Quantity(
             "effects.damping", "damping", "viscous damper c in the mount", "N*s/m", 400.0,
-            ("effects", "damping"),
+            ("effects", "damping"), plausible=(5.0, math.inf),
         ),
         Quantity(
             "effects.rate_term", "rate term", "kappa of the static resistance F0 (1 + kappa L'^2)", "s^2/m^2", 0.01,
@@ -239,11 +315,12 @@ BESIDE: dict[str, Quantity] = {
         Quantity("scene.duration", "duration", "simulated time", "s", 2.0, (), above=True, required=True),
         Quantity(
             "scene.frame_mass", "frame mass", "mass of all that moves but the share and the soil", "kg", 20.0, (),
-            required=True,
+            required=True, plausible=(0.0, 5e4),
         ),
         Quantity(
             "scene.steel_density", "density of the share's material",
             "density of the share's material, whose mass moves too", "kg/m^3", 7850.0, (), default=7850.0,
+            plausible=(500.0, 25e3),
         ),
     )
 }  # fmt: skip
@@ -251,7 +328,15 @@ BESIDE: dict[str, Quantity] = {
 
 READINGS: dict[str, Quantity] = {
     "soil.cone_index": Quantity(
-        "soil.cone_index", "cone index", "pressure that a penetrometer reads", "Pa", 1e6, (), above=True, shown="MPa"
+        "soil.cone_index",
+        "cone index",
+        "pressure that a penetrometer reads",
+        "Pa",
+        1e6,
+        (),
+        above=True,
+        shown="MPa",
+        plausible=(1e4, 1e8),
     )
 }
 """Readings of a problem file that decide another property of its soil."""
@@ -271,3 +356,23 @@ def quantities() -> dict[str, Unit]:
 def every_quantity() -> dict[str, Unit]:
     """Return every quantity of a scene by its one name: those of files, and what scenes of Python's alone have."""
     return {name: Unit(quantity.unit) for name, quantity in EVERY.items()}
+
+
+def settle(owner: object, **names: str) -> None:
+    """Read, check and keep in SI the fields of a frozen dataclass; for its ``__post_init__``.
+
+    Args:
+        owner: the object.
+        names: field -> name of its quantity; a field that is None by default may be None.
+
+    Raises:
+        InputError, DomainError: as `Quantity.read`.
+    """
+    for field, name in names.items():
+        value = getattr(owner, field)
+        if value is None and getattr(type(owner), field, "none") is None:
+            continue
+        # The lines of this loop, of __post_init__ and of the class's own __init__ lie before the user's.
+        found = EVERY[name].read(value, stacklevel=4)
+        if found is not value:
+            object.__setattr__(owner, field, found)

@@ -79,12 +79,14 @@ class Unit:
         number, factor = self.split(value)
         return _finite(number * factor, str(value))
 
-    def split(self, value: object) -> tuple[float, float]:
+    def split(self, value: Any) -> tuple[Any, float]:
         """Return a quantity's number as written, and the factor from the unit it is written in to this one.
 
         Raises:
             InputError: as `parse`.
         """
+        if _is_pint(value):
+            return value.magnitude, self._factor(str(value.units), value)
         if isinstance(value, bool) or not isinstance(value, int | float | str):
             raise InputError(f"is not a quantity: write it like {self.example()}")
         if not isinstance(value, str):
@@ -104,12 +106,97 @@ class Unit:
             raise InputError(f'= "{value}" has a unit that cannot be read: its powers are one digit each, as "kg/m^3"')
         if not written and self.symbol:
             raise InputError(f'= "{value}" has no unit: write it like {self.example()}')
+        return number, self._factor(written, value)
+
+    def _factor(self, written: str, value: object) -> float:
+        """Return the factor from a written unit to this one."""
         factor, kind = _root(written, value)
         own_factor, own_kind = _root(self.symbol, value)
         if kind != own_kind:
             expected = f"a quantity in {self.symbol}" if self.symbol else "a pure number"
             raise InputError(f'= "{value}" has the wrong unit: expected {expected}, like {self.example()}')
-        return number, factor / own_factor
+        return factor / own_factor
+
+
+def _is_pint(value: Any) -> bool:
+    """Return whether a value is a pint quantity, of whatever registry."""
+    return hasattr(value, "dimensionality") and hasattr(value, "magnitude")
+
+
+def has_unit(value: Any) -> bool:
+    """Return whether a value says its unit: a text such as "50 kN/m", or a pint quantity."""
+    return isinstance(value, str) or _is_pint(value)
+
+
+def in_si(what: str, value: Any, unit: str) -> Any:
+    """Return a text or a pint quantity as a number in an SI unit, and anything else as it is.
+
+    Args:
+        what: what the value is, as the user calls it.
+        value: a text such as "50 kN/m", a pint quantity, or what is in SI units already.
+        unit: SI unit.
+
+    Raises:
+        InputError: a text that is no quantity, or a unit of another kind.
+    """
+    if not has_unit(value):
+        return value
+    try:
+        number, factor = Unit(unit).split(value)
+        return number * factor if factor != 1.0 else number
+    except InputError as error:
+        raise InputError(f"{what} {error}") from None
+
+
+def unit_of(what: str, unit: str, *values: Any) -> tuple[str, Display | None]:
+    """Return the SI unit of values that belong together, and the unit in which reports give them, if one was written.
+
+    Args:
+        what: what the values are, as the user calls it.
+        unit: unit that was given with them, or "".
+        values: texts, pint quantities and plain numbers; None for one left out.
+
+    Raises:
+        InputError: plain numbers with a unit that is not SI, for they would be taken as SI, or an unknown unit.
+    """
+    written = next((value for value in values if has_unit(value)), None)
+    plain = next((value for value in values if value is not None and not has_unit(value)), None)
+    factor, symbol = _to_si(unit)
+    if plain is not None and factor != 1.0:
+        raise InputError(
+            f"{what}: {plain} is a plain number, and '{unit}' is no SI unit: give a text, \"{plain} {unit}\", or"
+            f' {plain * factor:.6g} with unit="{symbol}"'
+        )
+    if written is None:
+        return unit, None
+    own = _written_unit(what, written)
+    found = (symbol if factor != 1.0 else unit) if unit else _to_si(own)[1]
+    return found, display_of(f"1 {own}", Unit(found)) if own else None
+
+
+def _written_unit(what: str, value: Any) -> str:
+    """Return the unit that a text or a pint quantity says."""
+    if _is_pint(value):
+        return f"{value.units:~}".replace(" ", "").replace("**", "^")
+    match = _QUANTITY.fullmatch(value)
+    if match is None:
+        raise InputError(f'{what} = "{value}" is not a quantity: write it like "50 kN/m"')
+    _root(match["unit"], value)  # which refuses one that there is not
+    return match["unit"]
+
+
+@lru_cache(maxsize=128)
+def _to_si(unit: str) -> tuple[float, str]:
+    """Return a unit's factor to SI, and the SI unit; a unit that pint does not know, as that of money, is its own."""
+    if unit in _EXAMPLES or unit in ("1", "-"):
+        return 1.0, unit
+    try:
+        factor, base = registry().get_base_units(registry().parse_units(unit.replace("%", "percent")))
+    except Exception:  # pint's parser raises whatever it stumbles over
+        return 1.0, unit
+    kind = _root(unit, unit)[1]
+    known = next((symbol for symbol in _EXAMPLES if _root(symbol, symbol)[1] == kind), None)
+    return float(cast(float, factor)), f"{base:~}".replace(" ", "").replace("**", "^") if known is None else known
 
 
 @dataclass(frozen=True)

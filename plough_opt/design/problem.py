@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Mapping, Sequence
+from typing import Any, TypeAlias
 
 import casadi as ca
 import numpy as np
@@ -13,7 +13,7 @@ from plough_opt.core.domain import check_text, plain_number
 from plough_opt.core.errors import InputError, nearest, unprintable
 from plough_opt.core.expressions import Expression, is_casadi
 from plough_opt.core.kinds import check_callable, check_choice, check_switch, shown
-from plough_opt.core.units import Display
+from plough_opt.core.units import Display, has_unit, in_si, unit_of
 from plough_opt.design.boxed import Boxed, Over
 from plough_opt.design.declarations import EVERYWHERE, Declarations, Parameter, Requirement, Variable
 from plough_opt.design.effort import Search
@@ -22,6 +22,9 @@ from plough_opt.design.optimum import Optimum
 from plough_opt.design.program import Program
 from plough_opt.design.solving import solve_program
 from plough_opt.design.tolerance import Judge
+
+Written: TypeAlias = Any
+"""A number, a text such as "50 kN/m", or a pint quantity."""
 
 
 class Design:
@@ -51,9 +54,9 @@ class Design:
         self,
         name: str,
         *,
-        guess: float,
-        lower: float,
-        upper: float,
+        guess: Written,
+        lower: Written,
+        upper: Written,
         unit: str = "",
         log: bool = False,
         tolerance: float | str | None = None,
@@ -64,10 +67,11 @@ class Design:
 
         Args:
             name: what to call it in reports.
-            guess: where to start, in ``unit``, between the bounds.
-            lower: lower bound.
+            guess: where to start, between the bounds: in ``unit``, or with a unit of its own: a text such as "50 kN/m"
+                or a pint quantity.
+            lower: lower bound, likewise.
             upper: upper bound.
-            unit: SI unit, for reports.
+            unit: SI unit of the symbol, for reports; it need not be given where the numbers have units of their own.
             log: scale it by its logarithm: for a quantity whose bounds lie decades apart.
             tolerance: half width, in ``unit``, within which a workshop makes it, or a part of the value as "0.5 %". The
                 optimum is judged over it. Default: 0.3 % of the range between the bounds, of the logarithm's with
@@ -76,34 +80,38 @@ class Design:
             display: unit in which reports give it, if not a customary one.
 
         Raises:
-            InputError: no name, or one declared before, what is no number, or bounds that contradict each other or the
-                guess.
+            InputError: no name, or one declared before, what is no number, plain numbers with a unit that is not SI, or
+                bounds that contradict each other or the guess.
         """
         self._refuse_again(name)
-        check_text(f"unit of '{name}'", unit)
+        what = f"variable '{name}'"
+        (at, low, high), unit, display = _read(what, name, unit, (guess, lower, upper), display)
         symbol = ca.MX.sym(name)
-        at, low, high = (plain_number(f"variable '{name}'", value) for value in (guess, lower, upper))
+        if has_unit(tolerance) and not str(tolerance).rstrip().endswith("%"):
+            tolerance = plain_number(what, in_si(what, tolerance, unit))
         ends = _ends(name, domain)
         self._variables.append(Variable(name, symbol, at, low, high, unit, log, tolerance, False, ends, display))
         self._program = None
         return symbol
 
-    def parameter(self, name: str, value: float, *, unit: str = "", domain: tuple[float, float] = EVERYWHERE) -> ca.MX:
+    def parameter(
+        self, name: str, value: Written, *, unit: str = "", domain: tuple[float, float] = EVERYWHERE
+    ) -> ca.MX:
         """Declare a quantity that is fixed within a solve and may differ between solves; return its symbol.
 
         Args:
             name: what to call it in reports.
-            value: its value in ``unit``, where a solve says nothing else.
+            value: its value, where a solve says nothing else: in ``unit``, or with a unit of its own.
             unit: SI unit, for reports.
             domain: ends of the model's domain, in ``unit``: how far sensitivities hold is told within it.
 
         Raises:
-            InputError: a value that is not finite or lies outside the domain, or a name declared before.
+            InputError: a value that is not finite or lies outside the domain, a plain number with a unit that is not
+                SI, or a name declared before.
         """
         self._refuse_again(name)
-        check_text(f"unit of '{name}'", unit)
+        (at,), unit, _ = _read(f"parameter '{name}'", name, unit, (value,), None)
         symbol = ca.MX.sym(name)
-        at = plain_number(f"parameter '{name}'", value)
         self._parameters.append(Parameter(name, symbol, at, unit, _ends(name, domain)))
         self._program = None
         return symbol
@@ -133,8 +141,8 @@ class Design:
         name: str,
         expression: Expression,
         *,
-        at_least: float | None = None,
-        at_most: float | None = None,
+        at_least: Written | None = None,
+        at_most: Written | None = None,
         unit: str = "",
         display: Display | None = None,
     ) -> None:
@@ -143,21 +151,17 @@ class Design:
         Args:
             name: what to call it in reports.
             expression: scalar or column of the variables.
-            at_least: lower limit in ``unit``, or None.
-            at_most: upper limit in ``unit``, or None.
-            unit: unit of expression and limits, for reports.
+            at_least: lower limit in ``unit``, or with a unit of its own, such as "120 mm"; or None.
+            at_most: upper limit, likewise.
+            unit: SI unit of expression and limits, for reports; not needed where the limits have units of their own.
             display: unit in which reports give them, if not a customary one.
 
         Raises:
-            InputError: no limit, or one that is no number, limits that contradict each other, no name, or one used
-                before.
+            InputError: no limit, or one that is no number, plain limits with a unit that is not SI, limits that
+                contradict each other, no name, or one used before.
         """
         self._refuse_again(name)
-        check_text(f"unit of '{name}'", unit)
-        least, most = (
-            None if limit is None else plain_number(f"requirement '{name}': {side}", limit)
-            for side, limit in (("at_least", at_least), ("at_most", at_most))
-        )
+        (least, most), unit, display = _read(f"requirement '{name}'", name, unit, (at_least, at_most), display)
         self._requirements.append(
             Requirement(name, _expression(f"'{name}'", expression), least, most, unit, False, display)
         )
@@ -243,6 +247,16 @@ class Design:
             if name not in names:
                 raise InputError(f"'{name}' is no parameter of this design: {nearest(name, names)}")
         return np.array([plain_number(f"parameter '{p.name}'", changed.get(p.name, p.value)) for p in self._parameters])
+
+
+def _read(
+    what: str, name: str, unit: str, values: Sequence[Written | None], display: Display | None
+) -> tuple[list[Any], str, Display | None]:
+    """Return numbers in SI, their unit, and the unit in which reports give them."""
+    check_text(f"unit of '{name}'", unit)
+    unit, written = unit_of(what, unit, *values)
+    numbers = [None if value is None else plain_number(what, in_si(what, value, unit)) for value in values]
+    return numbers, unit, display or written
 
 
 def _silent(_stage: str, _fraction: float) -> None:

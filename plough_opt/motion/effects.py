@@ -13,7 +13,7 @@ import numpy as np
 from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import COUNT, Expression, as_number, is_casadi, is_count, is_symbolic, maximum, minimum
 from plough_opt.core.kinds import check_choice, check_switch, shown
-from plough_opt.core.quantities import MOST_WAVES, QUANTITIES
+from plough_opt.core.quantities import MOST_WAVES, settle
 from plough_opt.laws.printed import Formulation, Printed, errors_of
 from plough_opt.soil.random_strength import RandomStrength, Spectrum
 from plough_opt.soil.waves import StrengthWave, turns_of
@@ -40,7 +40,7 @@ class Smooth:
     width: Expression
 
     def __post_init__(self) -> None:
-        QUANTITIES["effects.contact_width"].check(self.width)
+        settle(self, width="effects.contact_width")
 
     def step(self, speed: Expression) -> tuple[Expression, Expression]:
         """Return the step at a speed of the share [m/s], from 0 to 1, and its slope by that [s/m]."""
@@ -73,7 +73,7 @@ class StickSlip:
     breakaway: Expression = 1.0
 
     def __post_init__(self) -> None:
-        QUANTITIES["effects.breakaway"].check(self.breakaway)
+        settle(self, breakaway="effects.breakaway")
 
 
 @runtime_checkable
@@ -203,9 +203,7 @@ class Effects:
             words = ("transient", "periodic", "linearised")
             check_choice("orbit", self.orbit, words, ", or HarmonicBalance(harmonics)")
         check_choice("start", self.start, ("equilibrium", "rest", "towed"))
-        for name in ("tow_ramp", "damping", "rate_term"):
-            if getattr(self, name) is not None:
-                QUANTITIES[f"effects.{name}"].check(getattr(self, name))
+        settle(self, **{name: f"effects.{name}" for name in ("tow_ramp", "damping", "rate_term")})
         if not self.motion:
             self._refuse_without_motion()
         if self.entry and self.start == "equilibrium":

@@ -14,7 +14,7 @@ from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import Expression, as_number, is_symbolic, rms, sqrt
 from plough_opt.core.kinds import check_choice, shown
 from plough_opt.core.labels import checked_in_designs, unlabelled
-from plough_opt.core.quantities import QUANTITIES
+from plough_opt.core.quantities import settle
 from plough_opt.laws.forces import SoilReaction, loosened_radius, soil_reaction
 from plough_opt.motion.effects import Effects, Smooth
 from plough_opt.soil.elastic import cone_force
@@ -78,8 +78,7 @@ class Scene:
         check_choice("medium", self.medium, ("plastic", "elastic"))
         if self.medium == "elastic":
             self._refuse_plastic_effects()
-        for name in ("stiffness", "mass", "tow_speed"):
-            QUANTITIES[f"scene.{name}"].check(getattr(self, name))
+        settle(self, **{name: f"scene.{name}" for name in ("stiffness", "mass", "tow_speed")})
         if self.effects.random_strength is not None:
             self.check_stationary()
 

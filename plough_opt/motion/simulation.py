@@ -139,7 +139,7 @@ def _duration(scene: Scene, duration: Expression | None) -> Expression:
     if scene.effects.orbit == "transient":
         if duration is None:
             raise InputError("the duration is missing: how long shall the scene be simulated, in seconds?")
-        BESIDE["scene.duration"].check(duration)
+        duration = BESIDE["scene.duration"].read(duration, stacklevel=4)
         if isinstance(duration, np.ndarray) and duration.ndim > 0:
             raise InputError(f"the duration is an array of {duration.size} values: simulate takes one at a time")
         return duration

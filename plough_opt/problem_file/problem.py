@@ -10,7 +10,7 @@ from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import Expression
 from plough_opt.core.kinds import check_switch, mapping_of
 from plough_opt.core.origin import Origin
-from plough_opt.core.quantities import BESIDE, EVERY, MOST_WAVES, QUANTITIES, quantities, wave_table
+from plough_opt.core.quantities import BESIDE, EVERY, MOST_WAVES, QUANTITIES, quantities, trusted, wave_table
 from plough_opt.core.units import Display
 from plough_opt.design import Design, Optimum, Over, Progress
 from plough_opt.design.effort import Search
@@ -31,6 +31,7 @@ from plough_opt.soil.waves import StrengthWave
 from plough_opt.studies.tradeoff import Goal, TradeOff, trade_off
 
 _READING = "soil.cone_index"
+_SIDES = ("lower", "upper", "guess")
 
 
 @dataclass(frozen=True)
@@ -78,6 +79,15 @@ class Problem:
         return self.table.title
 
     @property
+    def cautions(self) -> tuple[str, ...]:
+        """Values that are so unusual in the unit that the file gives them in that another was probably meant."""
+        bounds = {f"{key} {side}": (key, getattr(v, side)) for key, v in self.variables.items() for side in _SIDES}
+        every = {**{key: (key, value) for key, value in self.fixed.items()}, **bounds}
+        found = ((name, self.origin.display(key, EVERY[key].unit, x), x, EVERY[key].slip(x))
+                 for name, (key, x) in every.items())  # fmt: skip
+        return tuple(f"{name} = {display.text(x)}: {slip}" for name, display, x, slip in found if slip)
+
+    @property
     def origin(self) -> Origin:
         """What made the results of this file."""
         return Origin(self.title, self.displays)
@@ -100,7 +110,10 @@ class Problem:
 
     def scene(self, changes: Mapping[str, Expression] | None = None) -> Scene:
         """Return the scene with the variables at their guesses, or with changed values, numbers or symbols."""
-        values = self.values(changes)
+        with trusted():  # a file's numbers have units
+            return self._scene(self.values(changes))
+
+    def _scene(self, values: Mapping[str, Expression]) -> Scene:
         share = Wedge(
             angle=values["share.wedge_angle"],
             chisel_angle=values["share.chisel_angle"],

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from plough_opt.core.domain import check_domain, plain_number
 from plough_opt.core.expressions import Expression, arctan, cos, sqrt, tan
 from plough_opt.core.labels import checked_in_designs
-from plough_opt.core.quantities import BESIDE, QUANTITIES
+from plough_opt.core.quantities import BESIDE, settle
 from plough_opt.soil.solid import SEGMENTS, Solid, cone_solid, own_opening, share_solid
 
 PLANE_SECTIONS_LIMIT = math.radians(20.0)
@@ -46,8 +46,7 @@ class Cone:
     height: Expression
 
     def __post_init__(self) -> None:
-        QUANTITIES["share.half_angle"].check(self.half_angle)
-        QUANTITIES["share.height"].check(self.height)
+        settle(self, half_angle="share.half_angle", height="share.height")
 
     @property
     @checked_in_designs
@@ -70,8 +69,7 @@ class Cone:
     @checked_in_designs
     def solid_mass(self, density: Expression) -> Expression:
         """Mass [kg] of a solid cone of the given density [kg/m^3]; steel has about 7850."""
-        BESIDE["scene.steel_density"].check(density)
-        return density * self.volume
+        return BESIDE["scene.steel_density"].read(density, stacklevel=3) * self.volume
 
     def mesh(self, *, segments: int = SEGMENTS) -> Solid:
         """Return the solid cone as a closed body [m]: a pyramid whose base is a polygon inscribed in the cone's.
@@ -112,9 +110,7 @@ class Wedge:
     height: Expression
 
     def __post_init__(self) -> None:
-        QUANTITIES["share.wedge_angle"].check(self.angle)
-        QUANTITIES["share.chisel_angle"].check(self.chisel_angle)
-        QUANTITIES["share.height"].check(self.height)
+        settle(self, angle="share.wedge_angle", chisel_angle="share.chisel_angle", height="share.height")
 
     @property
     @checked_in_designs

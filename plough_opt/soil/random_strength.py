@@ -21,7 +21,7 @@ from plough_opt.core.domain import check_domain
 from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import Expression, arcsinh, column, exp, is_casadi, rms, sqrt
 from plough_opt.core.quadrature import gauss_legendre
-from plough_opt.core.quantities import QUANTITIES
+from plough_opt.core.quantities import settle
 from plough_opt.soil.waves import StrengthWave
 
 Vector = NDArray[np.float64]
@@ -89,8 +89,7 @@ class RandomStrength:
     correlation_length: Expression
 
     def __post_init__(self) -> None:
-        QUANTITIES["effects.random_strength.rms"].check(self.rms)
-        QUANTITIES["effects.random_strength.correlation_length"].check(self.correlation_length)
+        settle(self, **{name: f"effects.random_strength.{name}" for name in ("rms", "correlation_length")})
 
     @property
     def variance(self) -> Expression:

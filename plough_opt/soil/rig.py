@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from plough_opt.core.quantities import QUANTITIES
+from plough_opt.core.quantities import settle
 
 Vector = NDArray[np.float64]
 
@@ -33,9 +33,9 @@ class Rig:
     tow_speed: float
 
     def __post_init__(self) -> None:
-        for name in ("mass", "stiffness", "tow_speed"):
-            QUANTITIES[f"scene.{name}"].check(getattr(self, name))
-        QUANTITIES["effects.damping"].check(self.damping)
+        settle(
+            self, damping="effects.damping", **{name: f"scene.{name}" for name in ("mass", "stiffness", "tow_speed")}
+        )
 
     def response(self, wave_number: Vector) -> NDArray[np.complex128]:
         """Return mount force over soil resistance [-] at wave numbers [rad/m]: (k + i w c)/(k - m w^2 + i w c)."""

@@ -9,11 +9,10 @@ from typing import Any, Literal, TypeAlias, get_args
 
 import numpy as np
 
-from plough_opt.core.domain import check_domain
 from plough_opt.core.errors import InputError, nearest, unprintable
 from plough_opt.core.expressions import COUNT, Expression, as_number, cos, is_count, is_symbolic
 from plough_opt.core.kinds import check_kind, check_named, shown
-from plough_opt.core.quantities import QUANTITIES
+from plough_opt.core.quantities import EVERY, QUANTITIES, settle
 from plough_opt.soil.yielding import Yielding, density_ratio_of, growth
 
 STANDARD_ATMOSPHERE = 101325.0
@@ -110,11 +109,7 @@ class Soil:
             raise InputError(
                 f"name = {shown(self.name)} must be a text that can be printed: it calls the soil in reports"
             )
-        for quantity in _PROPERTIES:
-            value = getattr(self, quantity.key)
-            # Only the elastic properties may be unknown.
-            if value is not None or quantity.key not in ("youngs_modulus", "poisson_ratio"):
-                quantity.check(value)
+        settle(self, **{quantity.key: quantity.name for quantity in _PROPERTIES})
 
     def with_density_profile(
         self, density: Callable[..., Expression], *parameters: Expression, order: int = 16
@@ -161,7 +156,7 @@ class Soil:
             >>> round(soil.strength_factor, 4)
             5.7373
         """
-        check_domain("cone index", cone_index, "Pa", above=0.0)
+        cone_index = EVERY["soil.cone_index"].read(cone_index, stacklevel=2)
         if not isinstance(soil, Soil):
             raise InputError(f"soil = {soil!r} must be the Soil whose other properties are kept")
         if soil.density_profile is not None:

@@ -10,7 +10,7 @@ import numpy as np
 
 from plough_opt.core.errors import DomainError, InputError
 from plough_opt.core.expressions import Expression, as_number, is_symbolic
-from plough_opt.core.quantities import QUANTITIES
+from plough_opt.core.quantities import settle
 
 # Longest wavelengths within which several waves must repeat themselves for a lasting orbit, and the relative difference
 # of lengths that are commensurate: what a record or a file says has fewer digits.
@@ -37,9 +37,7 @@ class StrengthWave:
     phase: Expression = 0.0
 
     def __post_init__(self) -> None:
-        QUANTITIES["effects.strength_wave.amplitude"].check(self.amplitude)
-        QUANTITIES["effects.strength_wave.wavelength"].check(self.wavelength)
-        QUANTITIES["effects.strength_wave.phase"].check(self.phase)
+        settle(self, **{name: f"effects.strength_wave.{name}" for name in ("amplitude", "wavelength", "phase")})
 
 
 def turns_of(waves: Sequence[StrengthWave]) -> tuple[int, ...]:

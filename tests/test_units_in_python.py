@@ -1,0 +1,158 @@
+"""Quantities in Python: texts and pint quantities beside SI numbers, refusals with their remedy, likely slips."""
+
+import math
+import warnings
+
+import casadi as ca
+import numpy as np
+import pint
+import pytest
+
+import plough_opt as po
+from plough_opt.app.main import main
+from plough_opt.core.quantities import EVERY
+from plough_opt.problem_file import TEMPLATE
+
+U = pint.UnitRegistry()
+SOIL = po.named_soil("serozem")
+
+
+def test_texts_pint_quantities_and_si_numbers_make_the_same_scene():
+    texts = po.Scene(
+        po.Soil("1.35 g/cm^3", 0.794, "20 kPa", "28 deg", "50 %", youngs_modulus="10 MPa"),
+        po.Wedge("25 deg", "15 deg", "250 mm"),
+        stiffness="50 kN/m",
+        mass="0.02 t",
+        tow_speed="7.2 km/h",
+        effects=po.Effects(strength_wave=po.StrengthWave("30 %", "20 cm", "90 deg"), damping="0.4 kN*s/m"),
+    )
+    quantities = po.Scene(
+        po.Soil(1.35 * U("g/cm^3"), 0.794, 20 * U.kPa, 28 * U.deg, 50 * U.percent, youngs_modulus=10 * U.MPa),
+        po.Wedge(25 * U.deg, 15 * U.deg, 25 * U.cm),
+        stiffness=50 * U.kN / U.m,
+        mass=20 * U.kg,
+        tow_speed=7.2 * U.km / U.h,
+        effects=po.Effects(strength_wave=po.StrengthWave(0.3, 0.2 * U.m, math.pi / 2), damping=400 * U.N * U.s / U.m),
+    )
+    numbers = po.Scene(
+        po.Soil(1350.0, 0.794, 20e3, po.deg(28), 0.5, youngs_modulus=10e6),
+        po.Wedge(po.deg(25), po.deg(15), 0.25),
+        stiffness=5e4,
+        mass=20.0,
+        tow_speed=2.0,
+        effects=po.Effects(strength_wave=po.StrengthWave(0.3, 0.2, math.pi / 2), damping=400.0),
+    )
+    wanted = numbers.steady_resistance
+    # Factors of units are decimal numbers, whose products round by some 1e-16.
+    for scene in (texts, quantities):
+        assert scene.steady_resistance == pytest.approx(wanted, rel=1e-14)
+        assert scene.natural_frequency == pytest.approx(numbers.natural_frequency, rel=1e-14)
+        assert scene.effects.damping == pytest.approx(400.0, rel=1e-15)
+    assert po.simulate(texts, "0.1 s", outputs=2).duration == 0.1
+
+
+def test_symbols_and_arrays_stay_as_they_are():
+    k = ca.MX.sym("k")
+    assert po.Scene(SOIL, po.Cone(0.2, 0.25), k, 20.0, 2.0).stiffness is k
+    heights = np.array([0.2, 0.3])
+    assert po.Cone(0.2, heights).height is heights
+    np.testing.assert_allclose(po.Cone(0.2, U.Quantity(heights, "m")).height, heights)
+
+
+@pytest.mark.parametrize(
+    ("value", "words"),
+    [
+        ("50 kg", 'stiffness = "50 kg" has the wrong unit: expected a quantity in N/m, like "50 kN/m"'),
+        ("50 kN/mm^9^9", "stiffness"),
+        ("fifty", 'stiffness = "fifty" is not a quantity: write it like "50 kN/m"'),
+        ("50", 'stiffness = "50" has no unit: write it like "50 kN/m"'),
+        (50 * U.kg, 'stiffness = "50 kilogram" has the wrong unit'),
+    ],
+)
+def test_what_is_no_such_quantity_is_refused(value, words):
+    with pytest.raises(po.InputError) as caught:
+        po.Scene(SOIL, po.Cone(0.2, 0.25), value, 20.0, 2.0)
+    assert words in str(caught.value)
+
+
+SLIPS = {
+    "stiffness": (lambda x: po.Scene(SOIL, po.Cone(0.2, 0.25), x, 20.0, 2.0), 50, "50 kN/m"),
+    "tow speed": (lambda x: po.Scene(SOIL, po.Cone(0.2, 0.25), 5e4, 20.0, x), 7.2, "7.2 km/h"),
+    "share height": (lambda x: po.Cone(0.2, x), 250.0, "250 mm"),
+    "height in cm": (lambda x: po.Cone(0.2, x), 5.0, "5 cm"),
+    "cohesion": (lambda x: po.Soil(1350.0, 0.794, x, 0.5, 0.5), 20, "20 kPa"),
+    "soil density": (lambda x: po.Soil(x, 0.794, 2e4, 0.5, 0.5), 1.35, "1.35 g/cm^3"),
+    "ambient pressure": (lambda x: po.Soil(1350.0, 0.794, 2e4, 0.5, 0.5, x), 101.325, "101.325 kPa"),
+    "strength wavelength": (lambda x: po.StrengthWave(0.3, x), 200.0, "200 mm"),
+    "density of the share's material": (lambda x: po.Cone(0.2, 0.25).solid_mass(x), 7.85, "7.85 g/cm^3"),
+    "cone index": (lambda x: po.Soil.from_cone_index(x, SOIL), 1500.0, "1500 kPa"),
+}
+
+
+@pytest.mark.parametrize("name", SLIPS)
+def test_a_number_in_another_unit_is_asked_about_where_it_is_given(name):
+    make, value, meant = SLIPS[name]
+    with pytest.warns(po.ImplausibleValue, match=f"did you mean {meant.replace('^', '.')}?") as caught:
+        make(value)
+    assert [warning.filename for warning in caught] == [__file__]
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        make(meant)  # what has its unit is meant
+
+
+def test_degrees_in_the_place_of_radians_are_refused_with_the_question():
+    with pytest.raises(po.DomainError, match=r"wedge angle = 30 rad must be below 1.5708 rad; did you mean 30 deg\?"):
+        po.Wedge(30.0, 0.2, 0.25)
+    with pytest.raises(po.DomainError, match=r"friction angle = 95 rad must be below 1.5708 rad$"):
+        po.Soil(1350.0, 0.794, 2e4, 95.0, 0.5)
+
+
+def test_typical_values_are_plausible_and_slips_lead_back_inside():
+    for quantity in EVERY.values():
+        assert quantity.slip(quantity.typical) == "", quantity.name
+        assert quantity.plausible[0] < quantity.typical <= quantity.plausible[1]
+
+
+def test_a_design_takes_texts_quantities_and_numbers():
+    d = po.Design()
+    height = d.variable("height", guess="250 mm", lower="100 mm", upper="0.5 m", tolerance="2 mm")
+    d.variable("stiffness", guess=50 * U.kN / U.m, lower="10 kN/m", upper=1e6, unit="N/m", log=True)
+    cohesion = d.parameter("cohesion", "20 kPa")
+    d.minimise(height * cohesion)
+    d.require("half height", height / 2.0, at_least="60 mm")
+    declared = d.declared
+    first, second = declared.variables
+    assert (first.guess, first.lower, first.upper, first.unit, first.tolerance) == (0.25, 0.1, 0.5, "m", 0.002)
+    assert (second.guess, second.lower, second.upper, second.unit) == (5e4, 1e4, 1e6, "N/m")
+    assert (declared.parameters[0].value, declared.parameters[0].unit) == (2e4, "Pa")
+    assert declared.requirements[0].limits_text() == "at least 60 mm"
+    best = d.solve(search="near")
+    assert best.variables["height"] == pytest.approx(0.12, rel=1e-7)
+    assert "120 mm" in str(best)
+    assert "100 mm to 500 mm" in str(best)
+
+
+def test_plain_numbers_with_a_unit_that_is_not_si_are_refused_with_the_remedy():
+    d = po.Design()
+    with pytest.raises(po.InputError, match=r'"200 mm", or 0.2 with unit="m"'):
+        d.variable("height", guess=200, lower=100, upper=300, unit="mm")
+    with pytest.raises(po.InputError, match=r'"5 kN", or 5000 with unit="N"'):
+        d.require("draft", d.variable("x", guess=1.0, lower=0.0, upper=2.0), at_most=5, unit="kN")
+    with pytest.raises(po.InputError, match=r'"28 deg", or 0.488692 with unit="rad"'):
+        d.parameter("friction", 28, unit="deg")
+    with pytest.raises(po.InputError, match="variable 'mixed' = \"1 kg\" has the wrong unit"):
+        d.variable("mixed", guess="2 m", lower="1 kg", upper="3 m")
+    # A unit that is none of physics is for reports alone.
+    d.variable("price", guess=2.0, lower=1.0, upper=3.0, unit="EUR")
+
+
+def test_an_implausible_value_of_a_file_is_asked_about(capsys, tmp_path):
+    path = tmp_path / "slip.toml"
+    path.write_text(TEMPLATE.replace('tow_speed = "7.2 km/h"', 'tow_speed = "7.2 m/s"'), encoding="utf-8")
+    problem = po.read_problem(path)
+    (caution,) = problem.cautions
+    assert caution == "scene.tow_speed = 7.2 m/s: did you mean 7.2 km/h?"
+    assert main(["check", str(path)]) == 0
+    said = capsys.readouterr().err
+    assert f"note: {caution}" in said
+    assert "ImplausibleValue" not in said

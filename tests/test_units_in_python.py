@@ -140,7 +140,7 @@ def test_plain_numbers_with_a_unit_that_is_not_si_are_refused_with_the_remedy():
         d.require("draft", d.variable("x", guess=1.0, lower=0.0, upper=2.0), at_most=5, unit="kN")
     with pytest.raises(po.InputError, match=r'"28 deg", or 0.488692 with unit="rad"'):
         d.parameter("friction", 28, unit="deg")
-    with pytest.raises(po.InputError, match="variable 'mixed' = \"1 kg\" has the wrong unit"):
+    with pytest.raises(po.InputError, match="variable 'mixed': lower = \"1 kg\" has the wrong unit"):
         d.variable("mixed", guess="2 m", lower="1 kg", upper="3 m")
     # A unit that is none of physics is for reports alone.
     d.variable("price", guess=2.0, lower=1.0, upper=3.0, unit="EUR")

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any, Final, cast
 
-from plough_opt.core.errors import InputError, nearest, short
+from plough_opt.core.errors import InputError, nearest, short, unprintable
 
 if TYPE_CHECKING:
     import pint
@@ -128,6 +128,12 @@ def has_unit(value: Any) -> bool:
     return isinstance(value, str) or _is_pint(value)
 
 
+def _refuse_unprintable(what: str, value: Any) -> None:
+    """Refuse a text that a message could not quote."""
+    if isinstance(value, str) and unprintable(value):
+        raise InputError(f'{what} = {short(ascii(value))} is not a quantity: write it like "50 kN/m"')
+
+
 def in_si(what: str, value: Any, unit: str) -> Any:
     """Return a text or a pint quantity as a number in an SI unit, and anything else as it is.
 
@@ -141,6 +147,7 @@ def in_si(what: str, value: Any, unit: str) -> Any:
     """
     if not has_unit(value):
         return value
+    _refuse_unprintable(what, value)
     try:
         number, factor = Unit(unit).split(value)
         return number * factor if factor != 1.0 else number
@@ -171,16 +178,20 @@ def unit_of(what: str, unit: str, *values: Any) -> tuple[str, Display | None]:
         return unit, None
     own = _written_unit(what, written)
     found = (symbol if factor != 1.0 else unit) if unit else _to_si(own)[1]
-    return found, display_of(f"1 {own}", Unit(found)) if own else None
+    try:
+        return found, display_of(f"1 {own}", Unit(found)) if own else None
+    except InputError:  # of another kind, which is refused where the number is read
+        return found, None
 
 
 def _written_unit(what: str, value: Any) -> str:
     """Return the unit that a text or a pint quantity says."""
     if _is_pint(value):
         return f"{value.units:~}".replace(" ", "").replace("**", "^")
+    _refuse_unprintable(what, value)
     match = _QUANTITY.fullmatch(value)
-    if match is None:
-        raise InputError(f'{what} = "{value}" is not a quantity: write it like "50 kN/m"')
+    if match is None or len(value) > _LONGEST or _POWER.search(match["unit"]):
+        raise InputError(f'{what} = "{short(value)}" is not a quantity: write it like "50 kN/m"')
     _root(match["unit"], value)  # which refuses one that there is not
     return match["unit"]
 

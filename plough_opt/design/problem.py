@@ -85,7 +85,7 @@ class Design:
         """
         self._refuse_again(name)
         what = f"variable '{name}'"
-        (at, low, high), unit, display = _read(what, name, unit, (guess, lower, upper), display)
+        (at, low, high), unit, display = _read(what, name, unit, (guess, lower, upper), display, _ENDS)
         symbol = ca.MX.sym(name)
         if has_unit(tolerance) and not str(tolerance).rstrip().endswith("%"):
             tolerance = plain_number(what, in_si(what, tolerance, unit))
@@ -161,7 +161,7 @@ class Design:
                 contradict each other, no name, or one used before.
         """
         self._refuse_again(name)
-        (least, most), unit, display = _read(f"requirement '{name}'", name, unit, (at_least, at_most), display)
+        (least, most), unit, display = _read(f"requirement '{name}'", name, unit, (at_least, at_most), display, _SIDES)
         self._requirements.append(
             Requirement(name, _expression(f"'{name}'", expression), least, most, unit, False, display)
         )
@@ -249,13 +249,25 @@ class Design:
         return np.array([plain_number(f"parameter '{p.name}'", changed.get(p.name, p.value)) for p in self._parameters])
 
 
+_SIDES = (": at_least", ": at_most")
+_ENDS = (": guess", ": lower", ": upper")
+
+
 def _read(
-    what: str, name: str, unit: str, values: Sequence[Written | None], display: Display | None
+    what: str,
+    name: str,
+    unit: str,
+    values: Sequence[Written | None],
+    display: Display | None,
+    sides: Sequence[str] = ("",),
 ) -> tuple[list[Any], str, Display | None]:
     """Return numbers in SI, their unit, and the unit in which reports give them."""
     check_text(f"unit of '{name}'", unit)
     unit, written = unit_of(what, unit, *values)
-    numbers = [None if value is None else plain_number(what, in_si(what, value, unit)) for value in values]
+    numbers = [
+        None if value is None and sides is _SIDES else plain_number(what + side, in_si(what + side, value, unit))
+        for value, side in zip(values, sides, strict=False)
+    ]
     return numbers, unit, display or written
 
 

@@ -87,8 +87,9 @@ def test_right_arguments_are_taken():
 def test_every_public_name_has_a_recipe():
     """But for errors, and results that the package alone makes."""
     results = {
-        "AccuracyStudy", "BatchResult", "Component", "Design", "DomainError", "Fit", "InfeasibleDesign", "InputError",
-        "IntegrationError", "LocalOptimum", "NotConverged", "Optimum", "OwnResistance", "Penetrometer", "PloughError",
+        "AccuracyStudy", "BatchResult", "Component", "Design", "DomainError", "Fit", "ImplausibleValue",
+        "InfeasibleDesign", "InputError", "IntegrationError", "LocalOptimum", "NotConverged", "Optimum",
+        "OwnResistance", "Penetrometer", "PloughError",
         "Problem", "RecordWaves", "Refinement", "Run", "Sweep", "TradeOff", "crosscheck", "elastic", "plastic", "plots",
         "soil_names", "uncertainty",
     }  # fmt: skip

@@ -35,7 +35,7 @@ def _variable(**changes):
         ({"lower": 0.0, "log": True}, "needs a lower bound above 0, not 0"),
         ({"lower": -1.0, "log": True}, "needs a lower bound above 0, not -1"),
         ({"log": "yes"}, "log = 'yes' must be True or False"),
-        ({"guess": "0.25"}, "'0.25' is not a number"),
+        ({"guess": "0.25"}, '= "0.25" has no unit: write it like "0.3 m"'),
         ({"upper": np.array([0.5])}, r"array\(\[0.5\]\) is not a number"),
     ],
 )
@@ -101,7 +101,7 @@ def test_a_parameter_without_a_finite_value_is_refused(value):
         ({"at_least": 2.0, "at_most": 1.0}, r"at least 2( m)? is above at most 1 m"),
         ({"at_least": math.nan}, "at_least: nan must be a finite number"),
         ({"at_most": math.inf}, "at_most: inf must be a finite number"),
-        ({"at_most": "0.12 m"}, "at_most: '0.12 m' is not a number"),
+        ({"at_most": "0.12 kg"}, 'at_most = "0.12 kg" has the wrong unit: expected a quantity in m'),
         ({"at_most": np.array([0.1, 0.2])}, "at_most: .* is not a number"),
         ({"at_least": ca.DM([0.1, 0.2])}, "at_least: .* is not a number"),
         ({"at_least": ca.MX.sym("limit")}, "at_least: .* is not a number"),

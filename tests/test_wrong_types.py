@@ -232,7 +232,7 @@ VERBS = {
     "guess": (lambda wrong: po.Design().variable("a", guess=wrong, lower=0.0, upper=1.0), (*NO_NUMBER, *NO_FINITE)),
     "unit": (lambda wrong: po.Design().parameter("a", 1.0, unit=wrong), (None, 3, b"m", object(), "\x1b[31m")),
     "name": (lambda wrong: po.Design().parameter(wrong, 1.0), (None, 3, b"m", "", " ", "\x01")),
-    "limit": (lambda wrong: _design()[0].require("z", SYMBOL, at_least=wrong), ("three", [1.0], 1j, SYMBOL, *NO_FINITE)),
+    "limit": (lambda wrong: _design()[0].require("z", SYMBOL, at_least=wrong), ("x", [1.0], 1j, SYMBOL, *NO_FINITE)),
     "level of a CVaR": (lambda wrong: po.uncertainty.cvar([1.0, 2.0], wrong), (*NO_NUMBER, *NO_FINITE, 1.0, -0.1)),
     "width": (lambda wrong: po.uncertainty.cvar([1.0, 2.0], 0.5, width=wrong), (*NO_NUMBER, *NO_FINITE, -1.0)),
     "level of a quantile": (lambda wrong: po.uncertainty.quantile([1.0, 2.0], wrong), (*NO_NUMBER, *NO_FINITE, 0.0)),

@@ -11,7 +11,7 @@ FAST   := $(addprefix tests/,problem_file cli export study calibration/test_line
           motion/test_simulate.py uncertainty/test_distribution.py test_layout.py test_geometry.py test_soil.py \
           test_forces.py test_scene.py test_component.py test_plots.py test_results.py test_source_equations.py)
 
-.PHONY: run test slow bench lowest lines clean
+.PHONY: run test slow bench lowest lines mutants clean
 
 run: $(READY)
 	$(BIN)/plough-opt optimise problems/cotton_subsoiler.toml --plot out/cotton_subsoiler.png
@@ -38,6 +38,10 @@ lowest:
 # Lines of code by room, without docstrings, comments and blank lines.
 lines:
 	$(PYTHON) .ci/lines.py plough_opt tests
+
+# How many small changes of the code the tests notice; takes an hour on four cores.
+mutants: $(READY)
+	$(BIN)/python .ci/mutants.py --count 200
 
 $(READY): pyproject.toml
 	$(PYTHON) -m venv $(VENV)

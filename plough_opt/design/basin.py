@@ -41,8 +41,10 @@ def near_optimum(program: Program, landscape: Landscape, p: Vector, start: Vecto
     """
     if not landscape.vectorised:
         program.build(p, starts=[start])
-        point = program.solve(start, p)
-        return point if point.solved else _from_least_violation(program, p, start)
+        begins, point = as_it_is(program, p, start), program.solve(start, p)
+        if point.solved and not (begins.solved and point.f > begins.f):
+            return point
+        return polished(program, p, start) if begins.solved else _from_least_violation(program, p, start)
     begin = landscape(start[None])
     if not begin.feasible[0]:
         begin = _nearest_feasible(landscape, begin)

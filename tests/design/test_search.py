@@ -86,6 +86,16 @@ def test_a_near_search_is_never_worse_than_a_feasible_guess():
     assert best.variables["x"] == pytest.approx(0.5, abs=0.01)
 
 
+def test_nor_where_runs_are_followed_one_by_one():
+    d = po.Design()
+    x = d.variable("x", guess=0.0, lower=0.0, upper=1.0)
+    share, effects = po.Wedge(po.deg(30), po.deg(15), 0.25), po.Effects(contact=po.StickSlip(), start="towed")
+    run = po.simulate(po.Scene(po.named_soil("serozem"), share, 5e4 * (1.0 + x), 45.0, 1.0, effects), 0.1)
+    # The optimiser first moves away from a bound, and so out of the basin that lies at it, which is deeper.
+    d.minimise(2.0 + 4.0 * (x - 0.9) ** 2 - 4.0 * ca.exp(-((x / 0.003) ** 2)) + 1e-9 * run.mean_draft)
+    assert d.solve(search="near").variables["x"] == pytest.approx(0.0, abs=1e-3)
+
+
 def test_from_an_infeasible_guess_the_nearest_feasible_designs_basin_is_taken(waves):
     x = waves._variables[0].symbol
     waves.require("left of the last barrier", x, at_most=0.7)

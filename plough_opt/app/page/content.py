@@ -239,7 +239,10 @@ def scene(report: Report) -> Table:
         (called(key), report.shown(key, report.problem.fixed[key], EVERY[key].unit if key in EVERY else ""))
         for key in fixed
     ]
-    rows.append(("contact, start", f"{report.problem.table.effects.contact}, {report.problem.table.effects.start}"))
+    effects = report.problem.table.effects
+    rows += [("contact", effects.contact.replace("_", " and ")), ("start", effects.start)]
+    if effects.orbit != "transient":
+        rows.append(("orbit", effects.orbit.replace("_", " ")))
     return Table("Fixed in the scene", (), rows)
 
 

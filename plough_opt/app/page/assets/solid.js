@@ -18,7 +18,7 @@
   const VERTEX = `attribute vec3 position, normal; uniform mat4 modelViewMatrix, projectionMatrix; uniform mat3 normalMatrix;
     varying vec3 n; void main() { n = normalMatrix * normal; gl_Position = projectionMatrix * modelViewMatrix * vec4(position, 1.0); }`;
   const FRAGMENT = `precision highp float; varying vec3 n; uniform vec3 colour; uniform float opacity, lit;
-    void main() { vec3 m = normalize(gl_FrontFacing ? n : -n); float light = 0.62 + 0.45 * max(0.0, dot(m, normalize(vec3(-0.6, 0.5, 0.6)))) + 0.12 * max(0.0, m.y);
+    void main() { vec3 m = normalize(gl_FrontFacing ? n : -n); float light = 0.74 + 0.34 * max(0.0, dot(m, normalize(vec3(-0.6, 0.5, 0.6)))) + 0.12 * max(0.0, m.y);
       gl_FragColor = vec4(mix(colour, colour * light, lit), opacity); }`;
   const rgb = (hex) => [1, 3, 5].map((k) => parseInt(hex.slice(k, k + 2), 16) / 255);
   const material = (colour, opacity, lit) => new ogl.Program(gl, { vertex: VERTEX, fragment: FRAGMENT, transparent: opacity < 1, cullFace: false,
@@ -60,7 +60,7 @@
     const width = canvas.clientWidth, height = canvas.clientHeight;
     renderer.setSize(width, height);
     canvas.style.width = canvas.style.height = "";
-    const away = view.far * size / Math.sin(14 * Math.PI / 180) * Math.max(1, 0.95 * height / width);
+    const away = view.far * size / Math.sin(14 * Math.PI / 180) * Math.max(1, 1.45 * height / width);
     camera.perspective({ aspect: width / height });
     camera.position.set(away * Math.cos(view.tilt) * Math.sin(view.turn - Math.PI / 2), away * Math.sin(view.tilt), away * Math.cos(view.tilt) * Math.cos(view.turn - Math.PI / 2));
     camera.lookAt([0, 0, 0]);

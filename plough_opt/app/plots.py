@@ -12,15 +12,15 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
+from plough_opt.app.run_picture import changing, draw_deflection, draw_force, draw_speed, plot_run, subject
 from plough_opt.core.kinds import check_kind
 from plough_opt.core.picture_files import COLOURS, FORMATS, check_format, save
 from plough_opt.design import Limit, LocalOptimum, Optimum
 from plough_opt.design.landscape import FEASIBLE
 from plough_opt.motion import Run
 from plough_opt.motion.batch import BatchResult
-from plough_opt.motion.equation import GAP, STICK
 from plough_opt.motion.scene import Scene
-from plough_opt.motion.terms import Structure, parameters, start_speed, strut
+from plough_opt.motion.vocabulary import called
 from plough_opt.soil.elastic import wedge_stress
 from plough_opt.soil.elastic.profile import Profile, body
 from plough_opt.soil.geometry import Wedge
@@ -33,6 +33,7 @@ __all__ = [
     "draw_cone",
     "draw_deflection",
     "draw_force",
+    "draw_margins",
     "draw_search",
     "draw_speed",
     "draw_wedge",
@@ -54,8 +55,10 @@ _CONSTANT = 1e-6
 _DECADES = 20.0
 # Panels of the search beside each other.
 _PANELS = 3
-_SURFACE = "#cfd4d8"
-_STEEL, _SOIL, _FORCE, _ACCENT, _MUTED = "#4a5a68", "#b98b5e", "#1f5f8b", "#c0392b", "#8a8a8a"
+_SURFACE, _STEEL = "#cfd4d8", "#4a5a68"
+_FORCE, _ACCENT, _SOIL = COLOURS[0], COLOURS[1], COLOURS[4]
+# Margins [%] beyond which a bar is cut: such a requirement is no matter.
+_WIDE_MARGIN = 100.0
 
 
 def plot_share(scene: Scene) -> Figure:
@@ -107,22 +110,6 @@ def plot_wedge_field(profile: Profile, soil: Soil, speed: float) -> Figure:
     return figure
 
 
-def plot_run(run: Run) -> Figure:
-    """Draw forces, deflection and speed of a run of numbers over time.
-
-    Raises:
-        InputError: no run.
-    """
-    check_kind("the run", run, Run, "a Run of numbers, as po.simulate returns one")
-    figure = Figure(figsize=(9, 7.5), layout="constrained")
-    upper, middle, lower = figure.subplots(3, 1, sharex=True)
-    draw_force(upper, run)
-    draw_deflection(middle, run)
-    draw_speed(lower, run)
-    lower.set_xlabel("time [s]")
-    return figure
-
-
 def plot_designs(designs: Mapping[str, LocalOptimum]) -> Figure:
     """Draw designs side by side: every variable between its bounds, every requirement beside its limits.
 
@@ -159,7 +146,7 @@ def _draw_limit(axes: Axes, limit: Limit, found: Sequence[Limit | None]) -> None
         axes.set_xscale("log")
         axes.set_xlim(0.8 * min(every), 1.25 * max(every))
     axes.set_yticks([])
-    axes.set_ylabel(limit.shown.heading(limit.name.replace("_", " ")), rotation=0, ha="right", va="center")
+    axes.set_ylabel(limit.shown.heading(called(limit.name)), rotation=0, ha="right", va="center")
     for side in ("left", "right", "top"):
         axes.spines[side].set_visible(False)
 
@@ -218,31 +205,53 @@ def plot_optimum(best: Optimum, run: Run) -> Figure:
     check_kind("the optimum", best, Optimum, "an Optimum, as Design.solve returns one")
     check_kind("the run", run, Run, "a Run of numbers, as po.simulate returns one")
     panels = list(best.variables) if best.search is not None and len(best.search.objective) > 0 else []
+    required = [limit for limit in best.limits if limit.kind == "requirement"]
     rows = -(-len(panels) // _PANELS)
-    figure = Figure(figsize=(12, 7.0 + 3.0 * rows), layout="constrained")
-    grid = figure.add_gridspec(2 + rows, 12, height_ratios=(1.15, 1.0, *[0.95] * rows))
-    draw_wedge(figure.add_subplot(grid[0, :6]), run.scene)
-    draw_cone(figure.add_subplot(grid[0, 6:]), run.scene)
-    for draw, columns in ((draw_force, slice(0, 6)), (draw_deflection, slice(6, 12))):
-        axes = figure.add_subplot(grid[1, columns])
-        draw(axes, run)
-        axes.set_xlabel("time [s]")
-        axes.legend(loc="upper right", ncols=2, fontsize="x-small")
+    response = [draw for draw in changing(run) if draw is not draw_speed]
+    first = 2 if response else 1  # row of the search
+    figure = Figure(figsize=(12.5, 0.8 + 3.2 * first + 3.0 * rows), layout="constrained")
+    figure.suptitle(subject(run))
+    grid = figure.add_gridspec(first + rows, 12, height_ratios=(*[1.0] * first, *[0.95] * rows))
+    middle, right = (4, 8) if required else (6, 12)
+    draw_wedge(figure.add_subplot(grid[0, :middle]), run.scene)
+    draw_cone(figure.add_subplot(grid[0, middle:right]), run.scene)
+    if required:
+        draw_margins(figure.add_subplot(grid[0, right:]), required)
+    for k, draw in enumerate(response):
+        draw(figure.add_subplot(grid[1, 6 * k : 6 * k + 6]), run, best.limits)
     for row in range(rows):
         own = panels[_PANELS * row : _PANELS * (row + 1)]
         width = 12 // len(own)
         for k in range(len(own)):
-            axes = figure.add_subplot(grid[2 + row, k * width : (k + 1) * width])
+            axes = figure.add_subplot(grid[first + row, k * width : (k + 1) * width])
             draw_search(axes, best, _PANELS * row + k)
             if row == k == 0:
                 figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=5, fontsize="small")
     return figure
 
 
+def draw_margins(axes: Axes, required: Sequence[Limit]) -> None:
+    """Draw how far each requirement is from its limit, in per cent of it."""
+    for k, limit in enumerate(required):
+        size = max(abs(limit.value), abs(limit.value + limit.margin)) or 1.0
+        percent = 0.0 if limit.active else 100.0 * limit.margin / size
+        axes.barh(k, min(percent, _WIDE_MARGIN), height=0.32, color=_FORCE)
+        words = "decides" if limit.active else f"margin {limit.margin_text()}"
+        sides = ((" ≥ ", limit.low), (" ≤ ", limit.high))
+        ends = "".join(f"{sign}{limit.shown.text(end, 4)}" for sign, end in sides if end is not None)
+        text = f"{called(limit.name)} {limit.shown.text(limit.value, 4)}{ends}: {words}"
+        axes.text(0.01, k - 0.26, text, fontsize="small", transform=axes.get_yaxis_transform())
+    axes.set_ylim(len(required) - 0.5, -0.7)
+    axes.set_xlim(0.0, max(10.0, 1.1 * axes.get_xlim()[1]))
+    axes.set_yticks([])
+    axes.set_xlabel("margin [% of the limit]")
+    axes.set_title("Requirements")
+
+
 def draw_wedge(axes: Axes, scene: Scene) -> None:
     """Draw the two triangular faces of a wedge, laid flat along the edge that they share."""
     share = scene.share
-    axes.set_title("Share: its two faces laid flat")
+    axes.set_title("Share: its faces laid flat")
     if not isinstance(share, Wedge):
         axes.text(0.5, 0.5, "the share is given as a cone", ha="center", transform=axes.transAxes)
         axes.set_axis_off()
@@ -257,8 +266,8 @@ def draw_wedge(axes: Axes, scene: Scene) -> None:
     axes.text(0.34 * edge * math.cos(share.angle / 2), 0.34 * edge * math.sin(share.angle / 2),
               f"λ = {math.degrees(share.angle):.1f}°", color="white", ha="left", va="center")  # fmt: skip
     axes.set_xlabel(
-        f"along the edge h/cos β_pl = {edge:.3f} m   (h = {share.height:.3f} m,"
-        f" β_pl = {math.degrees(share.chisel_angle):.0f}°)"
+        f"along the edge $h/\\cos\\,\\beta_{{pl}}$ = {edge:.3f} m\nh = {share.height:.3f} m,"
+        f" $\\beta_{{pl}}$ = {math.degrees(share.chisel_angle):.0f}°"
     )
     axes.set_ylabel("[m]")
     _pad(axes, edge, width)
@@ -281,46 +290,10 @@ def draw_cone(axes: Axes, scene: Scene) -> None:
                   arrowprops={"arrowstyle": "->", "color": "black"})  # fmt: skip
     axes.text(-0.165 * cone.height, 0.04 * front, "travel", ha="center", va="bottom")
     axes.text(0.6 * cone.height, 0, f"β = {math.degrees(cone.half_angle):.1f}°", color="white", ha="left", va="center")
-    axes.set_title("Cone of equal height and surface, in section")
-    axes.set_xlabel(f"along the axis [m]   (h = {cone.height:.3f} m, base radius {radius:.3f} m)")
+    axes.set_title("Cone of equal height and surface")
+    axes.set_xlabel(f"along the axis [m]\nh = {cone.height:.3f} m, base radius {radius:.3f} m")
     axes.set_ylabel("[m]")
     _pad(axes, cone.height, front, ahead=0.35 * cone.height)
-
-
-def draw_force(axes: Axes, run: Run) -> None:
-    """Draw mount force and soil resistance, with mean draft and RMS."""
-    axes.plot(run.time, run.soil_resistance / 1e3, color=_SOIL, linewidth=1.0, label="soil resistance")
-    axes.plot(run.time, run.mount_force / 1e3, color=_FORCE, linewidth=1.4, label="mount force")
-    mean, rms = run.mean_draft / 1e3, run.force_rms / 1e3
-    axes.axhline(mean, color=_ACCENT, linewidth=1.0, label=f"mean draft {mean:.3g} kN")
-    axes.axhspan(mean - rms, mean + rms, color=_ACCENT, alpha=0.12, label=f"± RMS {rms:.3g} kN")
-    _shade_modes(axes, run)
-    axes.set_ylabel("force [kN]")
-    axes.set_xlim(float(run.time[0]), float(run.time[-1]))
-    low, high = axes.get_ylim()
-    # A force that stays the same would have its rounding magnified.
-    axes.set_ylim(min(low, 0.95 * mean), max(high, 1.05 * mean))
-    _legend_above(axes)
-
-
-def draw_deflection(axes: Axes, run: Run) -> None:
-    """Draw the spring's deflection."""
-    axes.plot(run.time, 1e3 * run.deflection, color=_FORCE, linewidth=1.2)
-    mean = 1e3 * run.mean_deflection
-    axes.axhline(mean, color=_MUTED, linewidth=1.0, linestyle="--", label=f"mean {mean:.3g} mm")
-    axes.set_ylabel("deflection [mm]")
-    axes.set_xlim(float(run.time[0]), float(run.time[-1]))
-    _legend_above(axes)
-
-
-def draw_speed(axes: Axes, run: Run) -> None:
-    """Draw the share's speed beside the strut's."""
-    structure, p = Structure.of(run.scene), parameters(run.scene)
-    own = start_speed(structure, p) + strut(structure, p, run.time).gain + 0.0 * run.time
-    axes.plot(run.time, own, color=_MUTED, linewidth=1.0, linestyle="--", label="strut")
-    axes.plot(run.time, run.speed, color=_FORCE, linewidth=1.2, label="share")
-    axes.set_ylabel("speed [m/s]")
-    _legend_above(axes)
 
 
 def draw_search(axes: Axes, best: Optimum, variable: int) -> None:
@@ -352,7 +325,7 @@ def draw_search(axes: Axes, best: Optimum, variable: int) -> None:
     if np.min(values) > 0 and np.max(values) / np.min(values) > 20:
         axes.set_xscale("log")
     _show_low_objectives(axes, search.objective[feasible if np.any(feasible) else np.isfinite(search.objective)], best)
-    axes.set_xlabel(display.heading(name.rpartition(".")[2].replace("_", " ")))
+    axes.set_xlabel(display.heading(called(name)))
     if variable % _PANELS == 0:
         axes.set_ylabel("objective")
 
@@ -364,22 +337,6 @@ def _show_low_objectives(axes: Axes, seen: NDArray[np.float64], best: Optimum) -
     high = max([*lows, float(np.quantile(seen, 0.75)) if len(seen) else low])
     room = 0.08 * (high - low) or 0.1 * abs(low) or 1.0
     axes.set_ylim(low - room, high + room)
-
-
-def _legend_above(axes: Axes) -> None:
-    """Give the legend room above all lines."""
-    low, high = axes.get_ylim()
-    axes.set_ylim(low, high + 0.22 * (high - low))
-    axes.legend(loc="upper right", ncols=6, fontsize="small")
-
-
-def _shade_modes(axes: Axes, run: Run) -> None:
-    """Shade the times in which a share under stick and slip sticks or has a gap ahead."""
-    for mode, label, color in ((STICK, "sticks", _MUTED), (GAP, "gap", _ACCENT)):
-        inside = np.asarray(run.mode) == mode
-        if np.any(inside):
-            axes.fill_between(run.time, 0, 1, where=inside.tolist(), transform=axes.get_xaxis_transform(),
-                              color=color, alpha=0.18, linewidth=0.0, label=label)  # fmt: skip
 
 
 def _pad(axes: Axes, length: float, half_width: float, ahead: float = 0.0) -> None:

@@ -9,7 +9,7 @@ from typing import Any
 
 from plough_opt.core.errors import InputError, nearest
 from plough_opt.core.expressions import Expression
-from plough_opt.core.quantities import QUANTITIES
+from plough_opt.core.quantities import EVERY, QUANTITIES
 from plough_opt.core.units import Unit
 from plough_opt.laws.forces import added_mass
 from plough_opt.laws.penetration import cone_index
@@ -111,3 +111,26 @@ MEASURES: dict[str, Measure] = {
     "speed": Measure(Unit("m/s"), lambda run: run.speed, everywhere=True),
 }
 """Results by name; an angle in rad."""
+
+_CALLED = {
+    "force_rms": "RMS of the mount force",
+    "displacement_rms": "RMS of the deflection",
+    "specific_draft": "draft per loosened section",
+}
+_SIDES = {"at_least": "at least", "at_most": "at most"}
+
+
+def called(name: str) -> str:
+    """Return what tables and pictures call a quantity, a result, a limit of one, or a name of one's own.
+
+    Args:
+        name: such as "share.height", "force_rms", "loosened_radius at_least" or "my draft".
+    """
+    if name in _CALLED:
+        return _CALLED[name]
+    if name in EVERY:
+        return EVERY[name].called
+    first, _, side = name.rpartition(" ")
+    if side in _SIDES:
+        return f"{called(first)}, {_SIDES[side]}"
+    return name if " " in name else name.rpartition(".")[2].replace("_", " ")

@@ -12,24 +12,11 @@ from plough_opt.core.units import Display
 from plough_opt.design import Limit, Optimum, Sensitivity
 from plough_opt.laws.penetration import cone_index
 from plough_opt.motion import Run
+from plough_opt.motion.vocabulary import called
 from plough_opt.problem_file import Problem
-from plough_opt.problem_file.own_measures import measures_of
 from plough_opt.soil.geometry import Wedge
 from plough_opt.studies.accuracy.result import AccuracyStudy
 
-_CUSTOMARY = {
-    "rad": Display("deg", math.pi / 180.0),
-    "N": Display("kN", 1e3),
-    "W": Display("kW", 1e3),
-    "Pa": Display("kPa", 1e3),
-    "N/m": Display("kN/m", 1e3),
-}
-_CALLED = {
-    "force_rms": "RMS of the mount force",
-    "displacement_rms": "RMS of the deflection",
-    "specific_draft": "draft per loosened section",
-}
-_SIDES = {"at_least": "at least", "at_most": "at most"}
 # An elasticity, or a margin in SI units, below this is the rounding of none.
 _ROUNDING = 1e-9
 
@@ -58,18 +45,18 @@ class Report:
     provenance: dict[str, str] = field(default_factory=dict)
     text: str = ""
 
-    def display(self, key: str, unit: str) -> Display:
-        """Return the unit in which the file writes a quantity or result, or a customary one."""
-        return self.problem.displays.get(key) or _CUSTOMARY.get(unit, Display(unit, 1.0))
+    def display(self, key: str, unit: str, *values: float) -> Display:
+        """Return the unit in which the file writes a quantity or result, or a customary one for some SI values."""
+        return self.problem.origin.display(key, unit, *values)
 
     def shown(self, key: str, value: float, unit: str, digits: int = 4) -> str:
         """Return an SI value in that unit."""
-        return nice(self.display(key, unit).text(value, digits))
+        return nice(self.display(key, unit, value).text(value, digits))
 
-    def measure(self, name: str) -> str:
-        """Return a result of the run with its unit."""
-        measure = measures_of(self.problem.table)[name]
-        return self.shown(name, float(measure.of(self.run)), measure.unit.symbol)
+    @property
+    def results(self) -> dict[str, str]:
+        """The run's averages and peaks in words, one unit for all of a kind."""
+        return {name: nice(value) for name, value in self.run.response().rows}
 
     @property
     def moves(self) -> bool:
@@ -93,23 +80,11 @@ def nice(text: str) -> str:
     return re.sub(r" deg\b", "°", text).replace("*", "·").replace(" ", "\u00a0")
 
 
-def called(name: str) -> str:
-    """Return what a reader calls a quantity, a result, or a limit of one."""
-    name, _, side = name.partition(" ")
-    if name in _CALLED:
-        words = _CALLED[name]
-    elif name in EVERY:
-        words = EVERY[name].called
-    else:
-        words = name.rpartition(".")[2].replace("_", " ")
-    return f"{words}, {_SIDES.get(side, side)}" if side else words
-
-
 def answer(report: Report) -> str:
     """Return the answer in a sentence."""
     best, problem = report.best, report.problem
     if best is None:
-        return f"This share needs a mean draft of {report.measure('mean_draft')}."
+        return f"This share needs a mean draft of {report.results['mean draft']}."
     values = [f"{called(key)} {nice(v.display.text(best.variables[key], 4))}" for key, v in problem.variables.items()]
     state = {"solved": "Best design", "not unique": "A best design, which is not unique"}
     return f"{state.get(best.status, 'Best design seen, which derivatives do not confirm')}: {', '.join(values)}."
@@ -117,10 +92,8 @@ def answer(report: Report) -> str:
 
 def cards(report: Report) -> list[tuple[str, str]]:
     """Return the figures that stand first."""
-    names = ["mean_draft", "force_rms", "tow_power", "mean_deflection"]
-    if report.run.scene.medium == "plastic":
-        names.append("loosened_radius")
-    return [(called(name), report.measure(name)) for name in names]
+    names = ("mean draft", "RMS of the mount force", "tow power", "mean deflection", "loosened radius")
+    return [(name, report.results[name]) for name in names if name in report.results]
 
 
 def question(report: Report) -> list[str]:
@@ -189,19 +162,16 @@ def _requirement(report: Report, limit: Limit) -> dict[str, str | float | bool]:
 
 def response(report: Report) -> Table:
     """Return the averages and peaks of the run."""
-    names = ["mean_draft", "force_rms", "mean_deflection", "displacement_rms", "tow_power"]
-    if report.run.scene.medium == "plastic":
-        names += ["specific_draft", "loosened_radius", "added_mass"]
-    rows = [(called(name), report.measure(name)) for name in names]
-    rows.append(("peak mount force", report.shown("mount_force", report.run.peak_force, "N")))
-    rows.append(("peak deflection", report.shown("deflection", report.run.peak_deflection, "m")))
-    return Table("Averages over the run, and peaks", (), rows)
+    return Table("Averages over the run, and peaks", (), [*report.results.items()])
 
 
 def share(report: Report) -> Table:
     """Return the measures of the share and of its cone."""
     body, cone = report.run.scene.share, report.run.scene.cone
-    length, angle = report.display("share.height", "m"), report.display("share.wedge_angle", "rad")
+    length, angle = (
+        report.display("share.height", "m", cone.height),
+        report.display("share.wedge_angle", "rad"),
+    )
     rows = []
     if isinstance(body, Wedge):
         rows = [

@@ -7,11 +7,12 @@ from typing import Any, Final
 
 import numpy as np
 
-from plough_opt.app.page.content import Report, called, nice
+from plough_opt.app.page.content import Report, nice
 from plough_opt.core.picture_files import COLOURS
 from plough_opt.core.units import Display
 from plough_opt.design.landscape import FEASIBLE
 from plough_opt.motion.terms import Structure, parameters, start_speed, strut
+from plough_opt.motion.vocabulary import called
 from plough_opt.problem_file.own_measures import measures_of
 from plough_opt.soil.geometry import Wedge
 from plough_opt.soil.solid import Solid
@@ -31,9 +32,9 @@ _CONSTANT: Final = 1e-6
 def charts(report: Report) -> list[dict[str, Any]]:
     """Return forces, deflection and speed over time, those that change."""
     run = report.run
-    force, length = report.display("mount_force", "N"), report.display("deflection", "m")
-    if "mount_force" not in report.problem.displays:
-        force = report.display("mean_draft", "N")
+    origin = report.problem.origin
+    force = origin.common("N", {"mount_force": run.peak_force, "mean_draft": run.mean_draft})
+    length = origin.common("m", {"deflection": run.peak_deflection, "mean_deflection": run.mean_deflection})
     speed = report.display("scene.tow_speed", "m/s")
     structure, p = Structure.of(run.scene), parameters(run.scene)
     own = start_speed(structure, p) + strut(structure, p, run.time).gain + 0.0 * run.time
@@ -217,7 +218,7 @@ def motion(report: Report) -> dict[str, Any]:
         {"amplitude": float(wave.amplitude), "wavelength": float(wave.wavelength), "phase": float(wave.phase)}
         for wave in scene.effects.waves
     ]
-    length = report.display("deflection", "m")
+    length = report.problem.origin.common("m", {"deflection": run.peak_deflection})
     return {
         "time": _short(run.time),
         "strut": _short(path),

@@ -13,7 +13,9 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from plough_opt.core.picture_files import COLOURS
-from plough_opt.core.quantities import every_quantity
+from plough_opt.core.quantities import EVERY
+from plough_opt.core.units import Unit
+from plough_opt.motion.vocabulary import called
 from plough_opt.studies.calibration.parts import Row
 from plough_opt.studies.calibration.unknown import CUSTOMARY
 
@@ -51,7 +53,7 @@ def _draw_fit(axes: Axes, rows: Sequence[Row], kinds: Sequence[tuple[str, str]])
         bars = np.array([1.96 * row.sigma for row in own]) / scale
         across = np.array([1.96 * row.standard_error for row in own]) / scale
         axes.errorbar(predicted, observed, yerr=bars, xerr=across, fmt="o", markersize=4, linewidth=0.8,
-                      color=COLOURS[number % len(COLOURS)], label=f"{result}, n = {len(own)}")  # fmt: skip
+                      color=COLOURS[number % len(COLOURS)], label=f"{called(result)}, n = {len(own)}")  # fmt: skip
         low, high = min(low, predicted.min(), observed.min()), max(high, predicted.max(), observed.max())
     pad = 0.04 * (high - low)
     axes.plot(
@@ -69,11 +71,12 @@ def _draw_residuals(axes: Axes, rows: Sequence[Row], kinds: Sequence[tuple[str, 
     for number, result in enumerate(names):
         own = [k for k, row in enumerate(rows) if row.result == result]
         axes.plot([places[k] for k in own], [_standardised(rows[k]) for k in own], "o", markersize=4,
-                  color=COLOURS[number % len(COLOURS)], label=result)  # fmt: skip
+                  color=COLOURS[number % len(COLOURS)], label=called(result))  # fmt: skip
     axes.axhline(0.0, color="black", linewidth=0.9)
-    for size in (-1.96, 1.96):
-        axes.axhline(size, color=_MUTED, linewidth=0.9, linestyle="--")
-    axes.set(xlabel=label, ylabel="(predicted - measured) / sigma")
+    for size, name in ((-1.96, None), (1.96, "95 % of normal errors: ±1.96")):
+        axes.axhline(size, color=_MUTED, linewidth=0.9, linestyle="--", label=name)
+    axes.legend(fontsize="x-small", loc="upper right")
+    axes.set(xlabel=label, ylabel="(predicted - measured) / standard error")
     axes.grid(alpha=0.25)
 
 
@@ -83,7 +86,7 @@ def _draw_quantiles(axes: Axes, rows: Sequence[Row]) -> None:
     axes.plot(theory, ordered, "o", markersize=4, color=COLOURS[0])
     ends = [float(theory[0]), float(theory[-1])]
     axes.plot(ends, ends, color="black", linewidth=0.9, label="normal")
-    axes.set(xlabel="normal quantile", ylabel="(predicted - measured) / sigma, ordered")
+    axes.set(xlabel="normal quantile", ylabel="(predicted - measured) / standard error, ordered")
     axes.grid(alpha=0.25)
     axes.legend(fontsize="small")
 
@@ -104,7 +107,7 @@ def _predicted_label(kinds: Sequence[tuple[str, str]]) -> str:
         return "predicted, over the largest of its kind"
     result, unit = kinds[0]
     symbol = CUSTOMARY.get(unit, (unit, 1.0))[0]
-    return f"predicted {result} [{symbol}]" if symbol else f"predicted {result}"
+    return f"predicted {called(result)} [{symbol}]" if symbol else f"predicted {called(result)}"
 
 
 def _coordinates(row: Row) -> dict[str, float]:
@@ -125,9 +128,10 @@ def _varied(rows: Sequence[Row]) -> tuple[Sequence[Row], list[float], str]:
     unit, scale = ("s", 1.0) if name == "time" else _unit(name)
     shown = [row for row in rows if name in _coordinates(row)]
     values = [_coordinates(row)[name] / scale for row in shown]
-    return shown, values, f"{name} [{unit}]" if unit else name
+    return shown, values, f"{called(name)} [{unit}]" if unit else called(name)
 
 
 def _unit(name: str) -> tuple[str, float]:
-    symbol = every_quantity()[name].symbol
-    return CUSTOMARY.get(symbol, (symbol, 1.0))
+    quantity = EVERY[name]
+    shown = quantity.shown or quantity.unit
+    return shown, Unit(quantity.unit).split(f"1 {shown}")[1]

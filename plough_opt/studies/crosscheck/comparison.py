@@ -87,7 +87,7 @@ class Comparison:
         from plough_opt.studies.crosscheck.picture import figure_of
 
         speeds = [_KM_PER_H * speed for speed in self.speeds]
-        figure = figure_of(self.own, self.others, speeds, self.depths)
+        figure = figure_of(self.own, self.others, speeds, self.depths, self.scene)
         if path is not None:
             save(figure, path)
         return figure

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
@@ -15,18 +16,20 @@ from plough_opt.studies.crosscheck.rows import ModelDraft
 _MARKERS = "os^vDPX"
 # Spread of drafts beyond which the lower ones could not be told apart on a linear axis.
 _WIDE = 8.0
+_REFUSED = ": outside its domain"
 
 
 def figure_of(
-    own: ModelDraft, others: Sequence[ModelDraft], speeds: Sequence[float], depths: Sequence[float]
+    own: ModelDraft, others: Sequence[ModelDraft], speeds: Sequence[float], depths: Sequence[float], title: str = ""
 ) -> Figure:
-    """Return the picture; speeds in km/h."""
+    """Return the picture; speeds in km/h. A model has one colour and one marker in every panel."""
+    numbers = {name: k for k, name in enumerate(dict.fromkeys(row.model for row in others))}
     panels = depths or (None,)
     figure = Figure(figsize=(5.2 * len(panels) + 3.6, 5.0), layout="constrained")
     grid = figure.subplots(1, len(panels), sharey=True, squeeze=False)[0]
     for axes, depth in zip(grid, panels, strict=True):
         rows = [row for row in others if row.depth in (depth, None)]
-        _draw(axes, own, rows, speeds)
+        _draw(axes, own, rows, speeds, numbers)
         axes.set_title("" if depth is None else f"working depth {depth:.3g} m")
     drafts = [d for row in (own, *others) for d in row.drafts if math.isfinite(d) and d > 0.0]
     if drafts and max(drafts) > _WIDE * min(drafts):
@@ -38,17 +41,33 @@ def figure_of(
     else:
         grid[0].set_ylim(bottom=0.0)
     grid[0].set_ylabel("mean draft [kN]")
-    handles, names = grid[0].get_legend_handles_labels()
+    # A model may have values at one depth alone: its name says so where it has none at all.
+    found: dict[str, tuple[Artist, str]] = {}
+    for axes in grid:
+        for handle, name in zip(*axes.get_legend_handles_labels(), strict=True):
+            model = name.removesuffix(_REFUSED)
+            if model not in found or found[model][1].endswith(_REFUSED):
+                found[model] = (handle, name)
+    handles, names = zip(*found.values(), strict=True)
     figure.legend(handles, names, loc="outside right upper", fontsize="small")
+    if title:
+        figure.suptitle(title)
     return figure
 
 
-def _draw(axes: Axes, own: ModelDraft, rows: Sequence[ModelDraft], speeds: Sequence[float]) -> None:
+def _draw(axes: Axes, own: ModelDraft, rows: Sequence[ModelDraft], speeds: Sequence[float],
+          numbers: Mapping[str, int]) -> None:  # fmt: skip
     axes.plot(speeds, [draft / 1e3 for draft in own.drafts], color="black", linewidth=2.2, label=own.model)
-    for k, row in enumerate(rows):
-        if all(map(math.isnan, row.drafts)):
-            continue
-        axes.plot(speeds, [draft / 1e3 for draft in row.drafts], color=COLOURS[k % len(COLOURS)],
-                  marker=_MARKERS[k % len(_MARKERS)], markersize=5, linewidth=1.2, label=row.model)  # fmt: skip
+    for row in rows:
+        k = numbers[row.model]
+        # The marker moves on where colours begin anew.
+        marker = _MARKERS[(k + k // len(COLOURS)) % len(_MARKERS)]
+        axes.plot(speeds, [draft / 1e3 for draft in row.drafts], color=COLOURS[k % len(COLOURS)], marker=marker,
+                  markersize=5, linewidth=1.2, label=_named(row))  # fmt: skip
     axes.set_xlabel("speed [km/h]")
     axes.grid(visible=True, alpha=0.3)
+
+
+def _named(row: ModelDraft) -> str:
+    """Return a model's name for the legend, which says too where it has no value at all."""
+    return row.model + (_REFUSED if all(map(math.isnan, row.drafts)) else "")

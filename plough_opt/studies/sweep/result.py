@@ -17,6 +17,7 @@ from plough_opt.core.kinds import path_of, shown
 from plough_opt.core.origin import Origin
 from plough_opt.core.picture_files import drawn
 from plough_opt.core.tables import Grid, Page, Part, Readable, data_frame
+from plough_opt.motion.vocabulary import called
 from plough_opt.studies.sweep import tables
 from plough_opt.studies.sweep.layout import State
 from plough_opt.studies.sweep.store import Store
@@ -235,7 +236,7 @@ class Sweep(Readable):
         """Return a column in the unit in which it is shown, and its heading."""
         values = self.column(name)
         display = self.origin.display(name, self.units.get(name, ""), *values[np.isfinite(values)].tolist())
-        return values / display.factor, display.heading(_short(name).replace("_", " "))
+        return values / display.factor, display.heading(called(name))
 
     def to_dataframe(self) -> pandas.DataFrame:
         """Return a row for each point: quantities and results, SI, NaN where a point has none.

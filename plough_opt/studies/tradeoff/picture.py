@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any, Final
 
 import numpy as np
@@ -14,10 +14,13 @@ from matplotlib.ticker import MaxNLocator, ScalarFormatter
 from numpy.typing import NDArray
 
 from plough_opt.core.picture_files import COLOURS
+from plough_opt.core.units import Display
+from plough_opt.motion.vocabulary import called
 from plough_opt.studies.tradeoff.certificate import FrontPoint
 from plough_opt.studies.tradeoff.goal import Axis
 
 MUTED: Final = "#A8A8A8"
+_BEATEN: Final = "local optima, dominated"
 # Of the front itself [inch].
 _WIDTH: Final = 7.0
 # Of a variable's bounds.
@@ -25,8 +28,8 @@ _LEAST_RANGE: Final = 0.02
 # Of an objective's value: an axis shows no less, and no more ticks than fit beside each other.
 _LEAST_CHANGE: Final = 0.01
 _TICKS: Final = 6
-_CUSTOMARY: Final = {"rad": ("deg", math.pi / 180.0), "N": ("kN", 1e3), "N/m": ("kN/m", 1e3), "W": ("kW", 1e3),
-                     "Pa": ("kPa", 1e3)}  # fmt: skip
+# Of a variable's size: what changes less along a front is the optimiser's rounding.
+_CONSTANT: Final = 1e-4
 
 
 @dataclass(frozen=True)
@@ -41,6 +44,7 @@ class Drawing:
         dominated: local optima that are not.
         parts: numbers of the points of each connected part.
         knee: a point that stands out, or None.
+        displays: name of an objective or a variable -> unit in which it is drawn.
     """
 
     title: str
@@ -50,6 +54,30 @@ class Drawing:
     dominated: tuple[FrontPoint, ...]
     parts: tuple[tuple[int, ...], ...]
     knee: FrontPoint | None
+    displays: Mapping[str, Display] = field(default_factory=dict)
+
+    def display(self, axis: Axis) -> Display:
+        """Return the unit in which an objective or a variable is drawn."""
+        return self.displays.get(axis.name) or Display(axis.unit, 1.0)
+
+    def label(self, axis: Axis) -> str:
+        """Return an objective's or a variable's name and unit."""
+        return self.display(axis).heading(called(axis.name))
+
+    @property
+    def varying(self) -> tuple[Axis, ...]:
+        """The variables that change along the front, or all where none does."""
+        columns = {v: np.array([point.variables[v.name] for point in self.points]) for v in self.variables}
+        found = (v for v, own in columns.items() if np.ptp(own) > _CONSTANT * np.max(np.abs(own)))
+        return tuple(found) or self.variables
+
+    @property
+    def heading(self) -> str:
+        """What stands above everything: the title, and the variables that are the same in every design."""
+        same = [v for v in self.variables if v not in self.varying]
+        values = (self.display(v).text(self.points[0].variables[v.name], 4) for v in same)
+        words = ", ".join(f"{called(v.name)} {value}" for v, value in zip(same, values, strict=True))
+        return "\n".join(part for part in (self.title, f"{words} in every design" if words else "") if part)
 
 
 def figure_of(front: Drawing) -> Figure:
@@ -58,15 +86,16 @@ def figure_of(front: Drawing) -> Figure:
     def place(left: SubFigure) -> None:
         draw_front(left.subplots(), front)
 
-    figure, panels = beside_panels(front, (3.6, 1.75), 5.2, place, _draw_variable)
+    figure, panels = beside_panels(front, front.varying, (3.6, 1.75), 5.2, place, _draw_variable)
     for axes in panels[-1]:
-        axes.set_xlabel(label_of(front.goals[0]))
+        axes.set_xlabel(front.label(front.goals[0]))
         _plain(axes, places_of(front.points, front)[:, 0], "x")
     return figure
 
 
 def beside_panels(
     front: Drawing,
+    axes_of: Sequence[Axis],
     size: tuple[float, float],
     least: float,
     place: Callable[[SubFigure], None],
@@ -77,13 +106,14 @@ def beside_panels(
 
     Args:
         front: what is drawn.
+        axes_of: what has a panel.
         size: width and height of a panel [inch].
         least: height of the figure [inch].
         place: draws the front itself.
         draw: draws a variable on its panel.
         shared: further arguments of ``subplots``.
     """
-    count = len(front.variables)
+    count = len(axes_of)
     columns = 1 if count <= 3 else 2
     rows = math.ceil(count / columns)
     width = size[0] * columns
@@ -93,11 +123,11 @@ def beside_panels(
     panels = right.subplots(rows, columns, sharex=True, squeeze=False, **shared)
     for k, axes in enumerate(panels.T.ravel()):
         if k < count:
-            draw(axes, front, front.variables[k])
+            draw(axes, front, axes_of[k])
         else:
             axes.set_axis_off()
-    if front.title:
-        figure.suptitle(front.title)
+    if front.heading:
+        figure.suptitle(front.heading)
     return figure, panels
 
 
@@ -107,7 +137,7 @@ def draw_front(axes: Axes, front: Drawing) -> None:
     beaten = places_of(front.dominated, front)
     if len(beaten):
         axes.plot(beaten[:, 0], beaten[:, 1], "x", color=MUTED, markersize=4.5, zorder=2,
-                  label="local optima, dominated")  # fmt: skip
+                  label=_BEATEN)  # fmt: skip
     places = places_of(front.points, front)
     for number, part in enumerate(front.parts):
         own = places[list(part)]
@@ -123,7 +153,12 @@ def draw_front(axes: Axes, front: Drawing) -> None:
         knee = places_of((front.knee,), front)[0]
         axes.plot(knee[0], knee[1], "*", color="black", markersize=13, zorder=5, label="knee")
     _limit(axes, places, beaten)
-    axes.set(xlabel=label_of(first), ylabel=label_of(second))
+    (left, right), (bottom, top) = sorted(axes.get_xlim()), sorted(axes.get_ylim())
+    if not any(left <= x <= right and bottom <= y <= top for x, y in beaten):
+        for line in axes.get_lines():
+            if line.get_label() == _BEATEN:
+                line.remove()
+    axes.set(xlabel=front.label(first), ylabel=front.label(second))
     for along, values in zip("xy", places.T, strict=True):
         _plain(axes, values, along)
     axes.grid(alpha=0.25)
@@ -161,7 +196,7 @@ def _plain(axes: Axes, values: np.ndarray, along: str) -> None:
 
 def _draw_variable(axes: Axes, front: Drawing, variable: Axis) -> None:
     """Draw a variable along the first objective, its bounds where it comes near them."""
-    _, factor = unit_of(variable)
+    factor = front.display(variable).factor
     values = np.array([point.variables[variable.name] for point in front.points]) / factor
     places = places_of(front.points, front)[:, 0]
     for number, part in enumerate(front.parts):
@@ -175,7 +210,9 @@ def _draw_variable(axes: Axes, front: Drawing, variable: Axis) -> None:
     for bound in (variable.lower, variable.upper):
         if bound is not None and low < bound / factor < high:
             axes.axhline(bound / factor, color="black", linestyle="--", linewidth=0.8)
-    axes.set_ylabel(label_of(variable), fontsize="small")
+            axes.annotate("bound", (1.0, bound / factor), (-3, 2), xycoords=axes.get_yaxis_transform(), ha="right",
+                          textcoords="offset points", fontsize="x-small")  # fmt: skip
+    axes.set_ylabel(front.label(variable), fontsize="small")
     axes.grid(alpha=0.25)
 
 
@@ -200,16 +237,5 @@ def range_of(variable: Axis, values: np.ndarray, factor: float, margin: float = 
 
 def places_of(points: Sequence[FrontPoint], front: Drawing) -> np.ndarray:
     """Return the objectives of points in the units in which they are drawn, a row each."""
-    factors = [unit_of(goal)[1] for goal in front.goals]
+    factors = [front.display(goal).factor for goal in front.goals]
     return np.array([point.objectives for point in points]).reshape(-1, len(factors)) / factors
-
-
-def unit_of(axis: Axis) -> tuple[str, float]:
-    """Return the unit in which an axis is drawn, and its size in SI."""
-    return _CUSTOMARY.get(axis.unit, (axis.unit, 1.0))
-
-
-def label_of(axis: Axis) -> str:
-    """Return an axis's name and unit."""
-    unit = unit_of(axis)[0]
-    return f"{axis.name} [{unit}]" if unit else axis.name

@@ -67,7 +67,8 @@ class TradeOff(Readable, Front):
         from plough_opt.studies.tradeoff.picture import Drawing, draw_front, figure_of
         from plough_opt.studies.tradeoff.surface_picture import draw_surface, surface_figure
 
-        drawing = Drawing(**{name: getattr(self, name) for name in Drawing.__dataclass_fields__})
+        own = {name: getattr(self, name) for name in Drawing.__dataclass_fields__ if name != "displays"}
+        drawing = Drawing(**own, displays={axis.name: self.display(axis) for axis in (*self.goals, *self.variables)})
         flat = len(self.goals) == 2
         if target is not None and not isinstance(target, str | Path):
             (draw_front if flat else draw_surface)(target, drawing)

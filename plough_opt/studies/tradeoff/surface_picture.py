@@ -9,11 +9,12 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm, Normalize
 from matplotlib.figure import Figure, SubFigure
+from matplotlib.ticker import MaxNLocator
 from matplotlib.tri import Triangulation
 
 from plough_opt.core.picture_files import COLOURS
 from plough_opt.studies.tradeoff.goal import Axis
-from plough_opt.studies.tradeoff.picture import MUTED, Drawing, beside_panels, label_of, places_of, range_of, unit_of
+from plough_opt.studies.tradeoff.picture import MUTED, Drawing, beside_panels, places_of, range_of
 from plough_opt.studies.tradeoff.space import ACROSS
 
 # Triangles with a side longer than so many times the usual one lie across a hole.
@@ -22,19 +23,25 @@ _LEAST_CORNERS: Final = 3
 # Of the view [deg].
 _ABOVE: Final = 22.0
 _ASIDE: Final = 20.0
+# Between ticks and the name of an axis [points], and of the cube in its panel, so that nothing touches or is cut.
+_ROOM: Final = 10.0
+_ZOOM: Final = 0.85
+_TICKS: Final = 5
 
 
 def surface_figure(front: Drawing) -> Figure:
-    """Return the surface beside a panel for each variable, over the first two objectives."""
+    """Return the surface beside panels over two objectives: of the third, and of each variable that varies."""
 
     def place(left: SubFigure) -> None:
         draw_surface(left.add_subplot(projection="3d"), front)
 
-    figure, panels = beside_panels(front, (4.2, 2.1), 5.6, place, _draw_variable, sharey=True)
+    figure, panels = beside_panels(
+        front, (front.goals[2], *front.varying), (4.2, 2.1), 5.6, place, _draw_variable, sharey=True
+    )
     for axes in panels[-1]:
-        axes.set_xlabel(label_of(front.goals[0]), fontsize="small")
+        axes.set_xlabel(front.label(front.goals[0]), fontsize="small")
     for axes in panels[:, 0]:
-        axes.set_ylabel(label_of(front.goals[1]), fontsize="small")
+        axes.set_ylabel(front.label(front.goals[1]), fontsize="small")
     return figure
 
 
@@ -52,7 +59,10 @@ def draw_surface(axes: Axes, front: Drawing) -> None:
         axes.plot(*beaten.T, "x", color=MUTED, markersize=4.5, label="local optima, dominated")
     if front.knee is not None:
         axes.plot(*places_of((front.knee,), front).T, "*", color="black", markersize=13, label="knee", zorder=9)
-    axes.set(xlabel=label_of(front.goals[0]), ylabel=label_of(front.goals[1]), zlabel=label_of(front.goals[2]))
+    for along, goal in zip("xyz", front.goals, strict=True):
+        getattr(axes, f"set_{along}label")(front.label(goal), labelpad=_ROOM)
+        getattr(axes, f"{along}axis").set_major_locator(MaxNLocator(_TICKS))
+    axes.set_box_aspect(None, zoom=_ZOOM)  # type: ignore[call-arg]
     # From the side on which both of the first objectives are better, that is, before the surface.
     first, second = (goal.sign for goal in front.goals[:2])
     axes.view_init(elev=_ABOVE, azim=math.degrees(math.atan2(-second, -first)) + _ASIDE)  # type: ignore[attr-defined]
@@ -78,9 +88,12 @@ def _triangles(places: np.ndarray) -> list[np.ndarray]:
 
 
 def _draw_variable(axes: Axes, front: Drawing, variable: Axis) -> None:
-    """Draw a variable as the colour of the points over the first two objectives."""
-    unit, factor = unit_of(variable)
-    values = np.array([point.variables[variable.name] for point in front.points]) / factor
+    """Draw a variable, or the third objective, as the colour of the points over the first two objectives."""
+    factor = front.display(variable).factor
+    if variable in front.goals:
+        values = places_of(front.points, front)[:, front.goals.index(variable)]
+    else:
+        values = np.array([point.variables[variable.name] for point in front.points]) / factor
     places = places_of(front.points, front)
     low, high = range_of(variable, values, factor)
     norm = LogNorm(low, high) if variable.log else Normalize(low, high)
@@ -88,6 +101,6 @@ def _draw_variable(axes: Axes, front: Drawing, variable: Axis) -> None:
     figure = axes.get_figure()
     assert figure is not None  # panels are drawn on one
     bar = figure.colorbar(drawn, ax=axes, pad=0.02)
-    bar.set_label(f"{variable.name} [{unit}]" if unit else variable.name, fontsize="small")
+    bar.set_label(front.label(variable), fontsize="small")
     bar.ax.tick_params(labelsize="small")
     axes.grid(alpha=0.25)

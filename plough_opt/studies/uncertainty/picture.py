@@ -27,6 +27,7 @@ class Panel:
         factor: of that unit in SI units.
         at_least: lower limit in SI units, or None.
         at_most: upper limit, or None.
+        unit: the unit that is shown.
     """
 
     result: str
@@ -34,18 +35,21 @@ class Panel:
     factor: float = 1.0
     at_least: float | None = None
     at_most: float | None = None
+    unit: str = ""
 
 
-def plot_spread(designs: Mapping[str, Mapping[str, Vector]], panels: Sequence[Panel]) -> Figure:
+def plot_spread(designs: Mapping[str, Mapping[str, Vector]], panels: Sequence[Panel], title: str = "") -> Figure:
     """Draw how results spread over fresh samples of the soil, each design in its colour, with means and limits.
 
     Args:
         designs: name of a design -> result -> its values over the same fresh samples.
         panels: the results to draw.
+        title: above everything; a dashed line is the mean of the design in its colour.
     """
     columns = min(2, len(panels))
     rows = -(-len(panels) // columns)
     figure = Figure(figsize=(6.2 * columns, 4.0 * rows), layout="constrained")
+    figure.suptitle("\n".join(part for part in (title, "over fresh samples of the soil; dashed: means") if part))
     every = figure.subplots(rows, columns, squeeze=False).ravel()
     for axes in every[len(panels) :]:
         axes.set_visible(False)
@@ -66,19 +70,20 @@ def _draw(axes: Axes, values: Mapping[str, Vector], panel: Panel) -> None:
                   label=_named(name, own, panel))  # fmt: skip
         axes.axvline(float(np.mean(own)), color=colour, linestyle="--", linewidth=1.2)
     for limit in sides:
-        axes.axvline(limit, color="black", linewidth=1.4)
+        axes.axvline(limit, color="black", linewidth=1.4, label=f"limit {limit:.4g} {panel.unit}".rstrip())
     axes.set_xlabel(panel.label)
     axes.set_ylabel("samples [%]")
     # Room for the legend above the bars.
-    axes.set_ylim(0.0, axes.get_ylim()[1] * (1.1 + 0.12 * len(values)))
+    axes.set_ylim(0.0, axes.get_ylim()[1] * (1.1 + 0.12 * (len(values) + len(sides))))
     axes.legend(loc="upper left", frameon=True, framealpha=1.0, edgecolor="none", fontsize=9)
 
 
 def _named(name: str, own: Vector, panel: Panel) -> str:
     """Return a design's name with its mean, and the part of the samples that keeps the limits if there are any."""
-    text = f"{name}: mean {np.mean(own):.4g}"
+    unit = f" {panel.unit}" if panel.unit else ""
+    text = f"{name}: mean {np.mean(own):.4g}{unit}"
     if panel.at_least is None and panel.at_most is None:
-        return f"{text}, worst tenth {np.mean(np.sort(own)[-max(1, len(own) // 10) :]):.4g}"
+        return f"{text}, worst tenth {np.mean(np.sort(own)[-max(1, len(own) // 10) :]):.4g}{unit}"
     low = -np.inf if panel.at_least is None else panel.at_least / panel.factor
     high = np.inf if panel.at_most is None else panel.at_most / panel.factor
     return f"{text}, {100.0 * np.mean((own >= low) & (own <= high)):.1f} % within the limit"

@@ -16,7 +16,7 @@ from plough_opt.core.tables import Grid, Page, Part, Readable, data_frame
 from plough_opt.design import LocalOptimum, Optimum
 from plough_opt.exchange.results import SCHEMA, Saved, SavedRun, read_saved, versions
 from plough_opt.motion import Run
-from plough_opt.motion.vocabulary import MEASURES
+from plough_opt.motion.vocabulary import MEASURES, called
 from plough_opt.studies.uncertainty.robust import Robust
 from plough_opt.studies.uncertainty.table import (
     checks_table,
@@ -125,9 +125,9 @@ class RobustOptimum(Readable):
             # A limited probability has its limit in the share of the samples, and not in the result.
             own = limits.get(name) if name in limits and limits[name].unit == unit else None
             low, high = (None, None) if own is None else (own.low, own.high)
-            panels.append(Panel(name, display.heading(name.replace("_", " ")), display.factor, low, high))
+            panels.append(Panel(name, display.heading(called(name)), display.factor, low, high, display.symbol))
         values = {"nominal design": self.nominal_fresh.values, "robust design": self.fresh.values}
-        figure = plot_spread(values, panels[:_MOST_PANELS])
+        figure = plot_spread(values, panels[:_MOST_PANELS], self.origin.title)
         if target is not None:
             save(figure, target)
         return figure

@@ -13,6 +13,9 @@ from matplotlib.figure import Figure
 
 import plough_opt as po
 from plough_opt.app import plots
+from plough_opt.core.origin import Origin
+from plough_opt.core.units import Display
+from plough_opt.design import Limit
 
 
 @pytest.fixture(scope="module")
@@ -75,14 +78,14 @@ class TestRun:
         assert isinstance(figure, Figure)
         force, deflection, speed = figure.axes
         assert force.get_ylabel() == "force [kN]"
-        assert deflection.get_ylabel() == "deflection [mm]"
+        assert deflection.get_ylabel() == "deflection [m]"
         assert labels(speed) == ("time [s]", "speed [m/s]")
 
     def test_its_lines_are_the_run_in_those_units(self, run):
         force, deflection, speed = plots.plot_run(run).axes
         np.testing.assert_allclose(line(force, "mount force"), np.c_[run.time, run.mount_force / 1000])
         np.testing.assert_allclose(line(force, "soil resistance"), np.c_[run.time, run.soil_resistance / 1000])
-        np.testing.assert_allclose(deflection.get_lines()[0].get_xydata(), np.c_[run.time, run.deflection * 1000])
+        np.testing.assert_allclose(deflection.get_lines()[0].get_xydata(), np.c_[run.time, run.deflection])
         np.testing.assert_allclose(line(speed, "share"), np.c_[run.time, run.speed])
         np.testing.assert_allclose(line(speed, "strut")[:, 1], 2.0)
 
@@ -92,7 +95,14 @@ class TestRun:
         assert f"± RMS {run.force_rms / 1000:.3g} kN" in legend(force)
 
     def test_the_mean_deflection_is_named(self, run):
-        assert legend(plots.plot_run(run).axes[1]) == [f"mean {1000 * run.mean_deflection:.3g} mm"]
+        assert f"mean {run.mean_deflection:.3g} m" in legend(plots.plot_run(run).axes[1])
+
+    def test_it_is_in_the_units_of_its_question_under_its_title(self, run):
+        origin = Origin("Two shares", {"deflection": Display("cm", 0.01), "scene.tow_speed": Display("km/h", 1 / 3.6)})
+        figure = plots.plot_run(dataclasses.replace(run, origin=origin))
+        assert figure.get_suptitle() == "Two shares\nserozem, 7.2 km/h"
+        np.testing.assert_allclose(line(figure.axes[1], "deflection")[:, 1], 100.0 * run.deflection)
+        assert figure.axes[2].get_ylabel() == "speed [km/h]"
 
     def test_legends_hide_no_line(self, run):
         figure = plots.plot_run(run)
@@ -111,7 +121,14 @@ class TestRun:
 
     def test_a_quasi_static_run(self, scene):
         still = dataclasses.replace(scene, effects=po.Effects(motion=False))
-        assert len(plots.plot_run(po.simulate(still, 0.5, outputs=10)).axes) == 3
+        (axes,) = plots.plot_run(po.simulate(still, 0.5, outputs=10)).axes
+        assert "Nothing changes over time." in words(axes)
+        assert "mean draft" in words(axes)
+
+    def test_panels_that_stay_the_same_are_left_out(self, scene):
+        still = dataclasses.replace(scene, effects=dataclasses.replace(scene.effects, motion=False))
+        force, deflection = plots.plot_run(po.simulate(still, 0.5, outputs=40)).axes
+        assert (force.get_ylabel(), deflection.get_ylabel()) == ("force [kN]", "deflection [m]")
 
 
 class TestShare:
@@ -171,7 +188,7 @@ class TestOptimum:
         assert isinstance(figure, Figure)
         wedge, _, force, deflection, search = figure.axes
         assert "faces" in wedge.get_title()
-        assert labels(force) == ("time [s]", "force [kN]")
+        assert labels(force) == ("time [s]", "force [N]")
         assert labels(deflection) == ("time [s]", "deflection [mm]")
         assert labels(search) == ("mount [kN/m]", "objective")
 
@@ -187,6 +204,17 @@ class TestOptimum:
         search = plots.plot_optimum(dataclasses.replace(best, local_optima=two), run).axes[4]
         np.testing.assert_allclose(line(search, "other local optima"), [[1e2, 2.0]])
 
+    def test_it_shows_requirements_and_the_limits_of_what_it_draws(self, optimum):
+        best, run = optimum
+        peak = run.peak_deflection
+        high = Limit("deflection", "requirement", peak, "", 0.25 * peak, 0.0, False, "m", high=1.25 * peak)
+        figure = plots.plot_optimum(dataclasses.replace(best, limits=(*best.limits, high)), run)
+        required, deflection = figure.axes[2], figure.axes[4]
+        assert f"limit of the deflection {1250 * peak:.4g} mm" in legend(deflection)
+        assert line(deflection, legend(deflection)[-1])[0, 1] == pytest.approx(1250 * peak)
+        assert required.patches[0].get_width() == pytest.approx(20.0)  # per cent of the limit
+        assert "deflection" in words(required)
+
     def test_without_a_search_it_shows_the_response_alone(self, optimum):
         best, run = optimum
         assert len(plots.plot_optimum(dataclasses.replace(best, search=None), run).axes) == 4
@@ -199,7 +227,7 @@ class TestSave:
         path = plots.save(plots.plot_run(run), tmp_path / "run.png")
         assert path.read_bytes().startswith(b"\x89PNG\r\n\x1a\n")
         image = matplotlib.image.imread(path)
-        assert image.shape[:2] == (975, 1170)  # 7.5 by 9 inches of 130 dots
+        assert image.shape[:2] == (1027, 1170)  # 7.9 by 9 inches of 130 dots
         assert image[..., :3].std() > 0.05
 
     def test_an_svg_is_xml(self, figure, tmp_path):

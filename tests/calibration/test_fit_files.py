@@ -62,8 +62,8 @@ def test_pictures(fitted, tmp_path):
     figure = fitted.plot()
     panels = figure.axes
     assert len(panels) == 4
-    assert panels[0].get_xlabel() == "predicted mean_draft [kN]"
-    assert panels[2].get_xlabel() == "scene.tow_speed [m/s]"
+    assert panels[0].get_xlabel() == "predicted mean draft [kN]"
+    assert panels[2].get_xlabel() == "tow speed [km/h]"
     # Every row is a point of every panel.
     assert all(len(axes.lines[0].get_xdata()) == len(fitted.rows) for axes in (panels[1], panels[2], panels[3]))
     with pytest.raises(po.InputError, match="no known picture format"):

@@ -205,9 +205,19 @@ def test_the_picture_has_a_panel_for_each_depth(full, tmp_path):
         assert shown.get_xdata() == pytest.approx([3.6, 9.0])
 
 
-def test_a_model_without_values_is_not_drawn():
+def test_a_model_without_values_is_named_as_such():
     figure = compare(scene()).plot()
-    assert "McKyes-Ali" not in {line.get_label() for line in figure.axes[0].lines}
+    (legend,) = figure.legends
+    assert "McKyes-Ali: outside its domain" in [text.get_text() for text in legend.get_texts()]
+
+
+def test_a_model_has_one_colour_and_marker_at_every_depth(full):
+    left, right = full.plot().axes
+    styles = [
+        {line.get_label(): (line.get_color(), line.get_marker()) for line in axes.lines} for axes in (left, right)
+    ]
+    assert styles[0] == styles[1]
+    assert len(set(styles[0].values())) == len(styles[0])
 
 
 @pytest.mark.parametrize(

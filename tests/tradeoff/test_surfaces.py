@@ -234,7 +234,8 @@ def test_picture_of_a_surface(sphere, tmp_path):
     assert space.get_zlabel() == "c"
     drawn = np.transpose(space.lines[0].get_data_3d())
     assert drawn == pytest.approx(sphere.objectives)
-    assert len(panels) == 3
+    assert len(panels) == 4  # the third objective and three variables
+    assert np.asarray(panels[0].collections[0].get_array()) == pytest.approx(sphere.objectives[:, 2])
     for panel in panels:
         assert np.asarray(panel.collections[0].get_offsets()) == pytest.approx(sphere.objectives[:, :2])
     axes = Figure().add_subplot(projection="3d")

@@ -215,10 +215,14 @@ def test_requirements_that_no_soil_can_meet_have_no_solution(written, capsys):
 
 def test_picture_shows_every_design_and_limit():
     values = {name: {"radius": np.linspace(low, low + 0.02, 50)} for name, low in (("nominal", 0.14), ("robust", 0.15))}
-    figure = plot_spread(values, [Panel("radius", "radius [cm]", 0.01, at_least=0.15)])
+    figure = plot_spread(values, [Panel("radius", "radius [cm]", 0.01, at_least=0.15, unit="cm")])
     (axes,) = figure.axes
     texts = [text.get_text() for text in axes.get_legend().get_texts()]
-    assert texts == ["nominal: mean 15, 50.0 % within the limit", "robust: mean 16, 100.0 % within the limit"]
+    assert texts == [
+        "nominal: mean 15 cm, 50.0 % within the limit",
+        "robust: mean 16 cm, 100.0 % within the limit",
+        "limit 15 cm",
+    ]
     assert axes.get_xlabel() == "radius [cm]"
 
 

@@ -22,7 +22,7 @@ from plough_opt.motion.vocabulary import MEASURES
 from plough_opt.problem_file.own_measures import measures_of
 from plough_opt.problem_file.problem import Problem
 from plough_opt.soil.geometry import PLANE_SECTIONS_LIMIT
-from plough_opt.studies.sweep.work import Array, Noted
+from plough_opt.studies.sweep.work import Array, WithNotes
 
 # CasADi's graphs are built by one thread at a time.
 _building = threading.Lock()
@@ -40,10 +40,10 @@ class Simulation:
         """Result -> SI unit."""
         return _units(self.problem)
 
-    def __call__(self, values: dict[str, float]) -> Noted:
+    def __call__(self, values: dict[str, float]) -> WithNotes:
         """Simulate at a point."""
         run = _solved(lambda: self.problem.simulate(values))
-        return Noted(_of_run(self.problem, run), run.warnings)
+        return WithNotes(_of_run(self.problem, run), run.warnings)
 
 
 @dataclass(frozen=True)
@@ -60,7 +60,7 @@ class Optimisation:
         margins = {f"margin of {name}": measures_of(problem.table)[name].unit.symbol for name in problem.table.require}
         return {**variables, **margins, **_units(problem)}
 
-    def __call__(self, values: dict[str, float]) -> Noted:
+    def __call__(self, values: dict[str, float]) -> WithNotes:
         """Optimise at a point."""
         problem = fixed_at(self.problem, values)
         best, run = _solved(problem.optimise)
@@ -74,7 +74,7 @@ class Optimisation:
             "objective_gap": best.gap,
             "objective_error_estimate": best.error_estimate,
         }
-        return Noted(numbers, (*best.warnings, *run.warnings))
+        return WithNotes(numbers, (*best.warnings, *run.warnings))
 
 
 @dataclass

@@ -19,7 +19,7 @@ from plough_opt.problem_file.ranges import read_axis
 from plough_opt.problem_file.reading import check_changed
 from plough_opt.studies.sweep import sweeping as study
 from plough_opt.studies.sweep.axes import Axis, Range, axis_of
-from plough_opt.studies.sweep.engine import Told
+from plough_opt.studies.sweep.engine import Progress
 from plough_opt.studies.sweep.points import points_of
 from plough_opt.studies.sweep.result import Sweep
 from plough_opt.studies.sweep.work import Evaluation
@@ -101,7 +101,7 @@ def sweep(
     executor: Executor | None = None,
     workers: int | None = None,
     retry: bool = False,
-    progress: bool | Told = False,
+    progress: bool | Progress = False,
     units: Mapping[str, str] | None = None,
 ) -> Sweep:
     """Evaluate a problem, or a function of named numbers, at every point of a grid or a sample, and store the results.
@@ -114,7 +114,7 @@ def sweep(
         result.table["mean_draft"], list(result.failures)
 
     The numbers are the same, bit for bit on one machine, whatever the executor and the number of workers: a point is
-    computed from its own values alone. Points are stored when they are finished; the same call goes on from there.
+    computed from its own values alone. Points are stored when they are finished; the same call continues from there.
 
     Args:
         what_to_sweep: a problem, whose quantities are named as in its file and by ``--set``; or a picklable function

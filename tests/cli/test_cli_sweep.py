@@ -72,7 +72,7 @@ def test_ctrl_c_leaves_a_store_that_goes_on(cli, tmp_path):
     assert 0 < kept < 10_000
     assert process.returncode == 130
     # Before it, where the machine is slow, how far it was after every ten seconds.
-    told = f"stopped: {kept} of 10000 points are in '{store}': the same sweep goes on from there"
+    told = f"stopped: {kept} of 10000 points are in '{store}': the same sweep continues from there"
     assert error.splitlines()[-1] == told
     # Another question is refused with what differs; the same one goes on (that it repeats nothing is tested elsewhere).
     other = cli(*command, "--set", "scene.frame_mass=25 kg", "--csv", table)
@@ -116,7 +116,7 @@ WRONG = {
     "no unit": (("--over", "soil.cohesion=5..45:9"), "'soil.cohesion' = \"5\" has no unit"),
     "reversed": (("--over", "soil.cohesion=45..5 kPa:9"), "the range from 45 to 5 is empty"),
     "one": (("--over", "soil.cohesion=5..45 kPa:1"), "must be a whole number from 2 on"),
-    "too many": (("--over", "soil.cohesion=5..45 kPa:1000000000000"), "can be 1000000 at most; take a sample"),
+    "too many": (("--over", "soil.cohesion=5..45 kPa:1000000000000"), "can be 1000000 at most; use a sample"),
     "no count": (("--over", "soil.cohesion=5..45 kPa"), "has no number of values"),
     "count of a sample": ((*COHESION, "--samples", "8"), "a sample fills the range; leave it out"),
     "samples": (("--over", "soil.cohesion=5..45 kPa", "--samples", "0"), "0 samples: give a whole number from 2"),

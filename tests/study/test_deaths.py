@@ -173,7 +173,7 @@ def test_a_process_that_a_dead_worker_left_behind_holds_nothing_up(tmp_path):
 
 
 def test_the_threads_of_all_workers_together_are_as_many_as_the_cores(monkeypatch):
-    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
+    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         monkeypatch.delenv(name, raising=False)
     monkeypatch.setattr(pools, "available", lambda: 5)
     with ProcessPool(1, swept.waves) as pool:

@@ -91,15 +91,15 @@ def test_the_command_says_that_no_scheduler_answers(monkeypatch, capsys, tmp_pat
 def test_a_cluster_that_has_no_workers_says_so(monkeypatch):
     distributed = pytest.importorskip("distributed")
     monkeypatch.setattr(clusters, "_PATIENCE", 0.5)
-    monkeypatch.setattr(clusters, "_ASKED", 0.5)
+    monkeypatch.setattr(clusters, "_CHECK_EVERY", 0.5)
     arguments = {"n_workers": 0, "processes": False, "dashboard_address": ":0"}
     with distributed.LocalCluster(**arguments) as empty, distributed.Client(empty, set_as_default=False) as client:
         executor = client.get_executor(pure=False)
-        with pytest.raises(po.InputError, match=r"the cluster has had no workers for \d s: start some; what is stored"):
+        with pytest.raises(po.InputError, match=r"the cluster has had no workers for \d s: start some; finished"):
             po.sweep(swept.waves, OVER, executor=executor, workers=1)
     # A minute has passed at most where nothing is changed: when they were asked for, and when they answered, included.
     monkeypatch.undo()
-    assert clusters._PATIENCE + 2.0 * clusters._ASKED < 60.0
+    assert clusters._PATIENCE + 2.0 * clusters._CHECK_EVERY < 60.0
 
 
 class Fetched:

@@ -189,7 +189,7 @@ class TestAxes:
             ("5, 45 kPa", True, "has no two ends"),
             ("5 kPa", False, "is one value, which --set gives"),
             ("5-45 kPa:9", False, "is one value"),
-            ("0..5 kPa:3 log", False, "begins above 0"),
+            ("0..5 kPa:3 log", False, "begin above 0"),
             ("..5 kPa:3", False, "is no range"),
             ("5, 5 kPa", False, "same value twice"),
             ("5..1e999 kPa:3", False, "must be finite"),

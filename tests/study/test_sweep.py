@@ -153,10 +153,10 @@ def test_a_file_that_is_no_store_is_refused(inline, tmp_path):
     connection = sqlite3.connect(tmp_path / "other.db")
     connection.execute("CREATE TABLE meta (key, value)")
     connection.close()
-    with pytest.raises(po.InputError, match="no store of a sweep"):
+    with pytest.raises(po.InputError, match="not the store of a sweep"):
         po.Sweep.load(tmp_path / "other.db")
     before = (tmp_path / "other.db").read_bytes()
-    with pytest.raises(po.InputError, match="is a database, but no store of a sweep: name another file"):
+    with pytest.raises(po.InputError, match="is a database, but not the store of a sweep: name another file"):
         po.sweep(swept.waves, OVER, executor=inline, store=tmp_path / "other.db")
     assert (tmp_path / "other.db").read_bytes() == before
     with pytest.raises(po.InputError, match="there is no store"):
@@ -167,7 +167,7 @@ def test_a_file_that_is_no_store_is_refused(inline, tmp_path):
 
 def test_a_store_that_is_empty_spoilt_or_closed_is_refused(inline, tmp_path):
     (tmp_path / "empty.db").touch()
-    with pytest.raises(po.InputError, match="is empty, and no store of a sweep"):
+    with pytest.raises(po.InputError, match="is empty, and not the store of a sweep"):
         po.Sweep.load(tmp_path / "empty.db")
     assert (tmp_path / "empty.db").stat().st_size == 0
     result = po.sweep(swept.waves, OVER, executor=inline, store=tmp_path / "sweep.db")
@@ -208,7 +208,7 @@ def test_arguments_of_another_kind_are_refused(inline, changed, words):
     [
         (None, "the function returned None: return a dictionary of named numbers"),
         (3.0, "the function returned 3.0: return a dictionary of named numbers"),
-        ({"draft": "much"}, "draft = 'much' is no number: could not convert string to float: 'much'"),
+        ({"draft": "much"}, "draft = 'much' is not a number: could not convert string to float: 'much'"),
     ],
 )
 def test_what_is_no_named_number_is_told_by_its_name(inline, given, reason):
@@ -229,7 +229,7 @@ def test_what_cannot_be_sent_to_processes_is_refused_before_any_starts():
 
 def test_a_broken_executor_of_somebody_else_is_told_and_what_is_stored_stays(tmp_path):
     store = tmp_path / "sweep.db"
-    expected = r"the executor is broken: .*goes on from there with a new one"
+    expected = r"the executor is broken: .*continues from there with a new one"
     with ProcessPoolExecutor(1) as pool, pytest.raises(po.InputError, match=expected):
         po.sweep(swept.Deadly(tmp_path / "died"), {"a": np.arange(8.0)}, executor=pool, workers=1, store=store)
     with po.Sweep.load(store) as found:
@@ -285,7 +285,7 @@ def test_a_script_without_a_guard_is_told_so(script):
     assert process.returncode == 1
     # Once, by the process that was started: its workers say nothing themselves.
     assert error.count("Traceback") == 1
-    assert "a script that sweeps does so under if __name__ == '__main__':" in error.splitlines()[-1]
+    assert "a script must call sweep under if __name__ == '__main__':" in error.splitlines()[-1]
 
 
 @pytest.mark.slow

@@ -1,4 +1,4 @@
-"""What a quantity of a sweep runs over: a range, or values one by one."""
+"""The values of a quantity in a sweep: a range, or a list."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from plough_opt.core.expressions import is_count
 from plough_opt.core.kinds import check_switch, shown
 
 MOST_VALUES: Final = 1_000_000
-"""Most values of one quantity of a grid: they are held in memory, as the points of a grid and a sample are not."""
+"""Limit on the values of one quantity of a grid, which are held in memory; the points are not."""
 
 
 @dataclass(frozen=True)
@@ -25,11 +25,12 @@ class Range:
     Args:
         lower: first value, SI.
         upper: last value, above ``lower``.
-        count: values of a grid, ends included, 2 to a million; None for a sample, which fills the range.
-        log: equal steps of the logarithm in the place of equal steps; both ends above 0.
+        count: number of values of a grid, ends included, 2 to a million; None for a sample, which fills the range.
+        log: whether the steps of the logarithm are equal; both ends must then be above 0.
 
     Raises:
-        InputError: ends that are no finite numbers or not in order, one value, or a logarithm of what is not above 0.
+        InputError: ends that are not finite numbers in ascending order, an invalid count, or a logarithmic range that
+            does not begin above 0.
     """
 
     lower: float
@@ -41,18 +42,18 @@ class Range:
         for end in (self.lower, self.upper):
             plain_number("the end of a range", end)
         for side in ("lower", "upper"):
-            # 1, 1.0 and NumPy's 1.0 are the same question.
+            # 1, 1.0 and NumPy's 1.0 are the same sweep in a store.
             object.__setattr__(self, side, float(getattr(self, side)))
         if not self.lower < self.upper:
             raise InputError(f"the range from {self.lower:g} to {self.upper:g} is empty: its first end must be lower")
         check_switch("log", self.log)
         if self.log and not self.lower > 0.0:
-            raise InputError(f"a logarithmic range begins above 0, not at {self.lower:g}")
+            raise InputError(f"a logarithmic range must begin above 0, not at {self.lower:g}")
         if self.count is not None and (not is_count(self.count) or self.count < 2):
             raise InputError(f"the number of values is {shown(self.count)}: it must be a whole number from 2 on")
         if self.count is not None and self.count > MOST_VALUES:
             given = shown(self.count)
-            raise InputError(f"the number of values is {given}: it can be {MOST_VALUES} at most; take a sample")
+            raise InputError(f"the number of values is {given}: it can be {MOST_VALUES} at most; use a sample")
 
     def values(self) -> tuple[float, ...]:
         """Return the values of a grid, the ends exactly."""
@@ -67,7 +68,7 @@ class Range:
         """Return the value at a fraction of the range, from 0 to 1.
 
         Raises:
-            InputError: no number.
+            InputError: a fraction that is not a number.
         """
         fraction = plain_number("the fraction of a range", fraction)
         if self.log:
@@ -80,27 +81,27 @@ Axis = Range | tuple[float, ...]
 
 
 def axis_of(name: str, given: object) -> Axis:
-    """Return what a quantity runs over, checked.
+    """Return the checked values of a quantity.
 
     Args:
         name: of the quantity.
         given: a `Range` or numbers, SI.
 
     Raises:
-        InputError: neither, fewer than two numbers, the same one twice, or one that is not finite.
+        InputError: another type, fewer than two numbers, the same one twice, or one that is not finite.
     """
     if isinstance(given, Range):
         return given
     if isinstance(given, str) or not isinstance(given, Iterable):
         raise InputError(f"'{name}' runs over {shown(given)}: give a po.Range or a list of numbers")
-    found = list(given)
-    if not all(isinstance(x, int | float | np.number) and not isinstance(x, bool) for x in found):
-        raise InputError(f"'{name}' runs over {shown(found)}, which are not all numbers")
-    values = tuple(float(x) for x in found)
+    listed = list(given)
+    if not all(isinstance(x, int | float | np.number) and not isinstance(x, bool) for x in listed):
+        raise InputError(f"'{name}' runs over {shown(listed)}, which are not all numbers")
+    values = tuple(float(x) for x in listed)
     if bad := [x for x in values if not math.isfinite(x)]:
         raise InputError(f"'{name}' runs over {bad[0]}: every value must be finite")
     if len(values) < 2:
-        raise InputError(f"'{name}' runs over {len(values)} value(s): a sweep takes two or more; fix it instead")
+        raise InputError(f"'{name}' runs over {len(values)} value(s): a sweep needs two or more; fix it instead")
     if len(set(values)) < len(values):
         raise InputError(f"'{name}' runs over the same value twice")
     return values

@@ -1,4 +1,4 @@
-"""The progress bar of a sweep: how much is done, how fast, and how long the rest will take."""
+"""The progress bar of a sweep: points done, points per second, and remaining time."""
 
 from __future__ import annotations
 
@@ -6,15 +6,25 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, ProgressColumn, Task, TextColumn, TimeRemainingColumn
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    ProgressColumn,
+    Task,
+    TextColumn,
+    TimeRemainingColumn,
+)
+from rich.progress import (
+    Progress as Bar,
+)
 from rich.text import Text
 
 from plough_opt.core.heartbeat import heartbeat
-from plough_opt.studies.sweep.engine import Told
+from plough_opt.studies.sweep.engine import Progress
 
 
 class RateColumn(ProgressColumn):
-    """Points per second of this run; those that were stored before do not count."""
+    """Points per second of this run, without those that were stored before."""
 
     def render(self, task: Task) -> Text:
         """Return the rate as text."""
@@ -23,35 +33,30 @@ class RateColumn(ProgressColumn):
 
 
 @contextmanager
-def bar(console: Console) -> Iterator[Told]:
-    """Show how far a sweep is, by a bar where a console is a terminal, else by lines; yield what updates it."""
+def bar(console: Console) -> Iterator[Progress]:
+    """Show the progress of a sweep, by a bar on a terminal and else by lines; yield the function that updates it."""
     if not console.is_terminal:
-        with heartbeat(lambda line: console.print(line, markup=False, highlight=False, soft_wrap=True)) as said:
-
-            def say(stored: int, count: int, failed: int) -> None:
-                said(f"sweep: {stored} of {count} points{f', {failed} failed' if failed else ''}")
-
-            yield say
+        with heartbeat(lambda line: console.print(line, markup=False, highlight=False, soft_wrap=True)) as note:
+            yield lambda stored, count, failed: note(
+                f"sweep: {stored} of {count} points{f', {failed} failed' if failed else ''}"
+            )
         return
     columns = (
         TextColumn("sweep"), BarColumn(bar_width=24), MofNCompleteColumn(), RateColumn(), TimeRemainingColumn(),
         TextColumn("{task.fields[failures]}"),
     )  # fmt: skip
-    with Progress(*columns, console=console, transient=True) as progress:
-        task = progress.add_task("sweep", total=None, failures="")
-        began = False
+    with Bar(*columns, console=console, transient=True) as shown:
+        task = shown.add_task("sweep", total=None, failures="")
 
-        def told(stored: int, count: int, failed: int) -> None:
-            nonlocal began
+        def update(stored: int, count: int, failed: int) -> None:
             failures = f"{failed} failed" if failed else ""
-            if not began:
-                # What was there before is no speed of this run.
-                progress.reset(task, total=count, completed=stored, failures=failures)
-                began = True
-            progress.update(task, completed=stored, failures=failures)
+            if shown.tasks[0].total is None:
+                # Points stored before this run do not count for its speed.
+                shown.reset(task, total=count, completed=stored, failures=failures)
+            shown.update(task, completed=stored, failures=failures)
 
-        yield told
+        yield update
 
 
 def silent(stored: int, count: int, failed: int) -> None:
-    """Tell nobody."""
+    """Show nothing."""

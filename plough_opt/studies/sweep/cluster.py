@@ -1,7 +1,7 @@
-"""The workers of a dask cluster: what becomes of tasks whose workers die, and of clusters that lose all of theirs.
+"""An executor for a dask cluster that notices when workers die, and when none are left.
 
-dask's own executor can leave a future open for ever whose task failed while its result was being fetched, and says
-nothing where no worker is left.
+With dask's own executor a future never ends if its task fails while the result is fetched, and nothing is reported if
+no worker is left.
 """
 
 from __future__ import annotations
@@ -17,31 +17,31 @@ from plough_opt.studies.sweep.pool import WorkerDied
 if TYPE_CHECKING:
     import distributed
 
-# How long [s] a cluster may be without workers: they may be about to come back.
+# How long [s] a cluster may be without workers, which may be restarting.
 _PATIENCE: Final = 40.0
-# How often to ask for them, and how long to wait for the answer [s].
-_ASKED: Final = 3.0
-_STORED: Final = "what is stored is stored, and the same sweep goes on from there"
+# Time [s] between two checks for workers, and limit on that of the answer.
+_CHECK_EVERY: Final = 3.0
+_STORED: Final = "finished points are stored, and the same sweep continues from there"
 
 
 class Cluster(Executor):
     """The executor of a dask client."""
 
     def __init__(self, client: distributed.Client, options: dict[str, Any]) -> None:
-        """Take a client, and what its executor was made with."""
+        """Take a client, and the options of its executor."""
         self._client, self._options = client, options
-        self._asked = self._seen = time.monotonic()
+        self._checked = self._seen = time.monotonic()
 
     @classmethod
     def of(cls, executor: Executor) -> Cluster | None:
         """Return the cluster behind an executor, if it is one of dask's."""
         if type(executor).__module__ != "distributed.cfexecutor":
             return None
-        # It has no public name for either.
+        # Neither has a public name.
         return cls(executor._client, executor._kwargs)  # type: ignore[attr-defined]
 
     def submit(self, fn: Any, /, *args: Any, **kwargs: Any) -> Future[Any]:
-        """Submit a call, as every executor."""
+        """Submit a call, as any executor does."""
         future: Future[Any] = Future()
         task = self._client.submit(fn, *args, **self._options, **kwargs)
         assert self._client.loop is not None
@@ -50,19 +50,19 @@ class Cluster(Executor):
         return future
 
     def check(self) -> None:
-        """See whether there are workers, now and then.
+        """Check now and then whether there are workers.
 
         Raises:
             InputError: there have been none for long, or the scheduler does not answer.
         """
         now = time.monotonic()
-        if now - self._asked < _ASKED:
+        if now - self._checked < _CHECK_EVERY:
             return
         try:
-            workers = self._client.sync(_workers, self._client, callback_timeout=_ASKED)
+            workers = self._client.sync(_workers, self._client, callback_timeout=_CHECK_EVERY)
         except (OSError, TimeoutError):
             workers = {}
-        now = self._asked = time.monotonic()
+        now = self._checked = time.monotonic()
         if workers:
             self._seen = now
         elif now - self._seen > _PATIENCE:
@@ -72,15 +72,15 @@ class Cluster(Executor):
 async def _workers(client: distributed.Client) -> dict[str, int]:
     """Return the threads of each worker."""
     assert client.scheduler is not None
-    found: dict[str, int] = await client.scheduler.ncores()
-    return found
+    threads: dict[str, int] = await client.scheduler.ncores()
+    return threads
 
 
 async def _carry(task: distributed.Future[Any], future: Future[Any]) -> None:
-    """Give a future what becomes of a task."""
+    """Give a future the result or the error of a task."""
     error: BaseException
     try:
-        found = await task
+        result = await task
     except (asyncio.CancelledError, CancelledError):
         error = InputError(f"the cluster's scheduler is gone, or has dropped a task; {_STORED}")
     except Exception as reason:
@@ -90,7 +90,7 @@ async def _carry(task: distributed.Future[Any], future: Future[Any]) -> None:
             error = WorkerDied("dask does not say how", allowed + 1)
     else:
         if future.set_running_or_notify_cancel():
-            future.set_result(found)
+            future.set_result(result)
         return
     if future.set_running_or_notify_cancel():
         future.set_exception(error)

@@ -1,4 +1,4 @@
-"""An SQLite file: opened to write or, from any place, to read; statements, transactions, and errors that name it."""
+"""An SQLite file, opened to write or, on any medium, to read; statements, transactions, and errors that name it."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ class Database:
     """
 
     def __init__(self, path: str | Path | None, write: bool = True) -> None:
-        """Open a file, and make it where it is to be written and is not there.
+        """Open a file; a missing one is made if it is to be written.
 
         Raises:
             InputError: a file that cannot be made or read.
         """
         self.path = None if path is None else Path(path)
         self._folder: tempfile.TemporaryDirectory[str] | None = None
-        with self.telling():
+        with self.naming_errors():
             if write:
                 self._connection = self._to_write()
             else:
@@ -45,22 +45,22 @@ class Database:
             self._folder.cleanup()
 
     def run(self, statement: str, *values: object) -> list[tuple[Any, ...]]:
-        """Carry out a statement; return all its rows.
+        """Execute a statement; return all its rows.
 
         Raises:
             InputError: the file cannot be used, or is damaged.
         """
-        with self.telling():
+        with self.naming_errors():
             return self._connection.execute(statement, values).fetchall()
 
     def run_many(self, statement: str, rows: Iterator[tuple[object, ...]]) -> int:
-        """Carry out a statement for each row; return how many rows it changed."""
-        with self.telling():
+        """Execute a statement for each row; return the number of rows that it changed."""
+        with self.naming_errors():
             return int(self._connection.executemany(statement, rows).rowcount)
 
     def rows(self, statement: str) -> Iterator[tuple[Any, ...]]:
-        """Yield the rows of a query without holding more than a few."""
-        with self.telling():
+        """Yield the rows of a query, of which only a few are in memory at once."""
+        with self.naming_errors():
             yield from self._connection.execute(statement)
 
     def tables(self) -> set[str]:
@@ -69,7 +69,7 @@ class Database:
 
     @contextlib.contextmanager
     def transaction(self) -> Iterator[None]:
-        """Do everything inside or nothing; others wait."""
+        """Commit everything done inside, or nothing if it fails; other processes wait."""
         self.run("BEGIN IMMEDIATE")
         try:
             yield
@@ -81,8 +81,8 @@ class Database:
         self.run("COMMIT")
 
     def write_ahead(self) -> None:
-        """Let others read while one writes; several runs may ask for it at the same moment."""
-        with self.telling():
+        """Allow others to read while one writes; several runs may call this at the same moment."""
+        with self.naming_errors():
             for trial in range(100):
                 try:
                     self._connection.execute("PRAGMA journal_mode = WAL")
@@ -91,18 +91,18 @@ class Database:
                     if "locked" not in str(error) or trial == 99:
                         raise
                     time.sleep(0.05)
-        # The end of the process loses nothing; a power cut may lose the last transactions, and spoils nothing.
+        # If the process dies nothing is lost; a power cut may lose the last transactions, but damages nothing.
         self.run("PRAGMA synchronous = NORMAL")
 
     def make_whole(self) -> None:
-        """Put everything into the one file, which can then be read from any medium; not while others have it open."""
+        """Move everything into the one file, which can then be read from any medium, unless others have it open."""
         with contextlib.suppress(sqlite3.Error):
             self._connection.execute("PRAGMA busy_timeout = 0")
             self._connection.execute("PRAGMA journal_mode = DELETE")
 
     @contextlib.contextmanager
-    def telling(self) -> Iterator[None]:
-        """Say which file it is that fails."""
+    def naming_errors(self) -> Iterator[None]:
+        """Raise errors inside as InputError with the name of the file."""
         try:
             yield
         except (sqlite3.Error, OverflowError) as error:
@@ -113,12 +113,12 @@ class Database:
     def _to_write(self) -> sqlite3.Connection:
         if self.path is not None:
             self.path.parent.mkdir(parents=True, exist_ok=True)
-        # An empty name is SQLite's for a file that nobody else sees and that goes with the connection.
-        # Whichever thread lets go of a result closes its store.
+        # With an empty name SQLite makes a temporary file that is deleted with the connection.
+        # The store may be closed by any thread, that in which a result is collected as garbage.
         return sqlite3.connect(self.path or "", timeout=_BUSY, isolation_level=None, check_same_thread=False)
 
     def _to_read(self) -> sqlite3.Connection:
-        """Open without writing anything, from a medium that cannot be written too."""
+        """Open without writing anything, so that the medium may be read-only."""
         assert self.path is not None
         here = self.path.resolve()
         try:
@@ -127,7 +127,7 @@ class Database:
             log = here.with_name(f"{here.name}-wal")
             if not log.exists() or not log.stat().st_size:
                 return _reader(here, "immutable=1")
-        # What a killed run left beside the file belongs to it, and SQLite must write to put the two together.
+        # A killed run has left a log beside the file, and SQLite must write to merge the two.
         self._folder = tempfile.TemporaryDirectory()
         for part in (here, log):
             shutil.copy(part, self._folder.name)
@@ -135,7 +135,7 @@ class Database:
 
 
 def _reader(path: Path, mode: str) -> sqlite3.Connection:
-    """Open a file and see whether it can be read."""
+    """Return a connection to a file, after a query that fails if the file cannot be read."""
     connection = sqlite3.connect(
         f"{path.as_uri()}?{mode}", uri=True, timeout=_BUSY, isolation_level=None, check_same_thread=False
     )
@@ -148,5 +148,5 @@ def _reader(path: Path, mode: str) -> sqlite3.Connection:
 
 
 def quoted(name: str) -> str:
-    """Return a name as SQL writes it."""
+    """Return a name as a quoted identifier of SQL."""
     return '"' + name.replace('"', '""') + '"'

@@ -1,4 +1,4 @@
-"""The loop of a sweep: claims points, keeps workers busy, stores what comes back, and goes on where workers die."""
+"""The loop of a sweep: claims points, keeps workers busy, stores results, and continues when workers die."""
 
 from __future__ import annotations
 
@@ -21,19 +21,19 @@ from plough_opt.studies.sweep.pool import ProcessPool, WorkerDied
 from plough_opt.studies.sweep.store import Store
 from plough_opt.studies.sweep.work import Array, Done, Evaluation, ManyPoints, work
 
-Told = Callable[[int, int, int], None]
-"""Called with the points that are stored, those of the whole sweep, and those that failed."""
+Progress = Callable[[int, int, int], None]
+"""Called with the numbers of points that are stored, of all points, and of those that failed."""
 
-# Seconds of work that a task is to take, and after which a worker gives back what it has.
+# Seconds of work that a task should take, and after which a worker returns the points done so far.
 _WANTED, _BUDGET = 0.25, 0.5
-# Points of the first task, and at most: of single points, and of many at once.
+# Points of the first task and of the largest one, for evaluations of single points and of many at once.
 _FIRST, _MOST = (1, 64), (4096, 2048)
 _GROWTH: Final = 4
-# How long to wait before looking at the clock, and at what other runs do [s]; how often to renew claims.
+# Time [s] between two looks at the clock and at other runs, and between two renewals of the lease.
 _GLANCE, _RENEWAL = 0.25, 3.0
-# How often a task is tried whole of which a worker died; then its halves are, and at last a point, with no other.
+# How often a task is tried whole after a worker died; then its halves are, and in the end single points, each alone.
 _TRIED_WHOLE: Final = 2
-# How many workers may die of a point that is tried alone.
+# Number of workers that may die at a point that is tried alone.
 _TRIED_ALONE: Final = 3
 
 
@@ -45,8 +45,8 @@ class _Task:
         claim: first point of the claim.
         numbers: of the points.
         values: of the quantities, a row for each point.
-        deaths: how many workers died while it was under way.
-        alone: whether it is one point and is tried with no other under way.
+        deaths: number of workers that died while it was under way.
+        alone: whether it is a single point to be tried while no other task is under way.
     """
 
     claim: int
@@ -64,12 +64,12 @@ class Engine:
     """A sweep under way."""
 
     def __init__(
-        self, evaluation: Evaluation, points: Points, store: Store, executor: Executor, workers: int, told: Told
+        self, evaluation: Evaluation, points: Points, store: Store, executor: Executor, workers: int, progress: Progress
     ) -> None:
-        """Take what to evaluate, where, into what store, by how many workers, and whom to tell."""
+        """Take the evaluation, the points, the store, the executor with its number of workers, and a callback."""
         self._evaluation, self._points, self._store, self._executor = evaluation, points, store, executor
         self._most_under_way = 2 * workers + 2
-        self._told = told
+        self._progress = progress
         self._key = uuid.uuid4().hex
         self._kind = int(isinstance(evaluation, ManyPoints))
         self._size = _FIRST[self._kind]
@@ -85,9 +85,9 @@ class Engine:
         """Evaluate every point that is not stored.
 
         Raises:
-            InputError: the executor cannot carry out the work, or results have different names.
+            InputError: the executor fails, or results have different names.
         """
-        self._tell()
+        self._show()
         try:
             while self._fill():
                 if self._under_way:
@@ -98,10 +98,10 @@ class Engine:
                 else:
                     time.sleep(_GLANCE)
                     self._count()
-                    self._tell()
+                    self._show()
                 self._renew()
         finally:
-            self._leave()
+            self._stop()
 
     def _fill(self) -> bool:
         """Submit tasks; return whether there is anything to wait for."""
@@ -110,7 +110,7 @@ class Engine:
         return bool(self._under_way) or self._store.waiting()
 
     def _following(self) -> _Task | None:
-        """Return the task that is to be submitted now, if there is one."""
+        """Return the next task to submit, or None."""
         if any(task.alone for task in self._under_way.values()):
             return None
         task = self._again.popleft() if self._again else self._claimed()
@@ -119,7 +119,7 @@ class Engine:
         return task
 
     def _claimed(self) -> _Task | None:
-        """Return a task of points that nobody works on, or None."""
+        """Return a task of points that no run has claimed, or None."""
         while (claim := self._store.claim(self._size)) is not None:
             numbers = self._store.missing(*claim)
             if len(numbers) > 0:
@@ -138,30 +138,30 @@ class Engine:
         self._under_way[future] = task
 
     def _collect(self, done: set[Future[Done]]) -> None:
-        """Store what came back."""
+        """Store the results of tasks that have ended."""
         for future in sorted(done, key=lambda future: self._under_way[future].claim):
             task = self._under_way.pop(future)
             error = CancelledError("cancelled") if future.cancelled() else future.exception()
             if error is None:
                 self._take(task, future.result())
             elif isinstance(error, WorkerDied):
-                self._suspect(task, error.deaths, str(error))
+                self._try_again(task, error.deaths, str(error))
             elif isinstance(error, InputError):
                 raise error
             elif isinstance(error, BrokenExecutor):
                 raise InputError(
-                    f"the executor is broken: {error}; what is stored is stored, and the same sweep goes on from there"
-                    " with a new one"
+                    f"the executor is broken: {error}; finished points are stored, and the same sweep continues from"
+                    " there with a new one"
                 ) from error
             else:
                 raise InputError(
-                    f"the executor could not carry out a task: {type(error).__name__}: {error}; what is stored is"
-                    " stored, and the same sweep goes on from there"
+                    f"the executor failed at a task: {type(error).__name__}: {error}; finished points are stored, and"
+                    " the same sweep continues from there"
                 ) from error
 
     def _take(self, task: _Task, done: Done) -> None:
-        """Store what a worker found, and put the rest of its points back."""
-        if done.names and done.names != self._store.results:
+        """Store the points that a worker has done, and put back the others of the task."""
+        if done.names and done.names != self._store.about.results:
             self._store.name_results(done.names)
         self._keep(task.part(slice(done.points)), done)
         if done.points < len(task.numbers):
@@ -172,26 +172,26 @@ class Engine:
         self._size = max(1, min(wanted, _MOST[self._kind]))
 
     def _keep(self, task: _Task, done: Done, without: State = "failed") -> None:
-        """Store finished points, and give up their claim where they are the last of it."""
+        """Store finished points, and end their claim if they are the last of it."""
         notes = [
             (kind, text, int(task.numbers[place]), points) for kind, (text, place, points) in sorted(done.notes.items())
         ]
         left = self._open[task.claim] - len(task.numbers)
         finished = task.claim if left == 0 else None
         new = self._store.keep(task.numbers, task.values, done.results, done.reasons, notes, finished, without)
-        # An interruption before this line leaves the claim to whoever resumes.
+        # If this is interrupted the claim remains, for the run that resumes the sweep.
         self._open[task.claim] = left
         self._stored += new
         if without == "failed" and new == len(task.numbers):
             self._failed += len(done.reasons)
-        self._tell()
+        self._show()
 
-    def _suspect(self, task: _Task, deaths: int, how: str) -> None:
-        """Try a task again of which workers died: whole, then its halves, at last a point with no other under way."""
+    def _try_again(self, task: _Task, deaths: int, how: str) -> None:
+        """Put back a task whose workers died: whole, then in halves, and in the end as points to be tried alone."""
         task.deaths += deaths
         half = len(task.numbers) // 2
         if task.alone and task.deaths >= _TRIED_ALONE:
-            self._leave_open(task, how)
+            self._keep_undetermined(task, how)
         elif task.alone:
             self._alone.append(task)
         elif task.deaths < _TRIED_WHOLE:
@@ -202,12 +202,12 @@ class Engine:
         else:
             self._alone.append(task.part(slice(None), alone=True))
 
-    def _leave_open(self, task: _Task, how: str) -> None:
-        """Enter a point as undetermined."""
+    def _keep_undetermined(self, task: _Task, how: str) -> None:
+        """Store a point as undetermined."""
         reason = f"{task.deaths} workers ended while each worked at this point alone; {how}"
         self._keep(task, Done(1, reasons={0: reason}), without="undetermined")
         if self._returned and isinstance(self._executor, ProcessPool):
-            # Workers can work: it is the point that is deadly.
+            # Other tasks have returned: it is the point that kills workers.
             self._executor.proceed()
 
     def _renew(self) -> None:
@@ -220,11 +220,11 @@ class Engine:
     def _count(self) -> None:
         self._stored, self._failed, _ = self._store.stored()
 
-    def _tell(self) -> None:
-        self._told(self._stored, self._points.count, self._failed)
+    def _show(self) -> None:
+        self._progress(self._stored, self._points.count, self._failed)
 
-    def _leave(self) -> None:
-        """Store what has come back by now, and leave the rest to whoever resumes."""
+    def _stop(self) -> None:
+        """Store the results that are there, and release the other points for the run that resumes the sweep."""
         try:
             for future, task in self._under_way.items():
                 if not future.cancel() and future.done() and future.exception() is None:

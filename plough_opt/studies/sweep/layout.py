@@ -1,7 +1,7 @@
-"""How the store of a sweep is laid out: its tables, and whether those of a file are as they were written.
+"""The tables in the store of a sweep, and checks that those of a file are as they were written.
 
 Points are claimed in ranges. Every point below ``next`` is either stored or lies in a range of ``claims``, whose owner
-renews it while it lives. Every row of ``points`` carries a checksum of all that it says.
+renews its lease while it runs. Every row of ``points`` has a checksum of its content.
 """
 
 from __future__ import annotations
@@ -22,12 +22,12 @@ LAYOUT: Final = 2
 """Number of the layout of a store."""
 
 State = Literal["computed", "failed", "undetermined"]
-"""What a point is: with results, or without them for a reason that is its own, or for none that is known."""
+"""State of a point: with results; without them for a known reason; or without them because its workers died."""
 
 FIXED: Final = ("point", "state", "reason", "checksum")
-"""Columns that every table of points has."""
+"""Columns of every table of points."""
 
-# What tables have besides quantities and results.
+# Names in tables besides quantities and results.
 _RESERVED: Final = (*FIXED, "failed", "reasons", "undetermined")
 _TABLES: Final = """
 CREATE TABLE meta (key TEXT PRIMARY KEY, value TEXT NOT NULL);
@@ -35,7 +35,7 @@ CREATE TABLE claims (first INTEGER PRIMARY KEY, last INTEGER NOT NULL, owner TEX
 CREATE INDEX oldest ON claims (expires);
 CREATE TABLE notes (kind TEXT PRIMARY KEY, text TEXT NOT NULL, first INTEGER NOT NULL, points INTEGER NOT NULL);
 """
-# Rows that no sweep writes.
+# Conditions on rows that a sweep never writes.
 _WRONG: Final = {
     "claims": "typeof(first) != 'integer' OR typeof(last) != 'integer' OR typeof(owner) != 'text' OR first < 0"
     " OR typeof(expires) != 'real' OR last <= first",
@@ -44,7 +44,7 @@ _WRONG: Final = {
 
 
 class About(BaseModel):
-    """What a store says about itself.
+    """The sweep in a store.
 
     Attributes:
         names: the quantities that are swept.
@@ -52,7 +52,7 @@ class About(BaseModel):
         units: name -> unit, of quantities and results that have one.
         question: everything that the results depend on.
         count: number of points of the whole sweep.
-        next: first point that no run has claimed yet.
+        next: first point that is not claimed yet.
     """
 
     names: Json[tuple[str, ...]]
@@ -61,6 +61,11 @@ class About(BaseModel):
     question: Json[dict[str, str]]
     count: Annotated[int, Field(ge=1)]
     next: Annotated[int, Field(ge=0)]
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """Names of quantities and results."""
+        return (*self.names, *self.results)
 
 
 def create(
@@ -82,14 +87,14 @@ def create(
 
 
 def read(database: Database) -> About:
-    """Return what a file says about itself.
+    """Return the sweep in a file.
 
     Raises:
-        InputError: the file is no store of this layout, or its tables are damaged.
+        InputError: the file is not a store of this layout, or its tables are damaged.
     """
     path = database.path
     if not {"meta", "claims", "notes", "points"} <= database.tables():
-        raise InputError(f"'{path}' is a database, but no store of a sweep: name another file")
+        raise InputError(f"'{path}' is a database, but not the store of a sweep: name another file")
     meta = dict(database.run("SELECT key, value FROM meta"))
     if (layout := meta.get("layout")) != str(LAYOUT):
         raise InputError(
@@ -101,23 +106,23 @@ def read(database: Database) -> About:
         first = error.errors()[0]
         raise damaged(path, f"{'.'.join(map(str, first['loc']))}: {first['msg']}") from None
     columns = [row[1] for row in database.run("PRAGMA table_info(points)")]
-    expected = [*FIXED, *about.names, *about.results]
+    expected = [*FIXED, *about.columns]
     if columns != expected:
         raise damaged(path, f"its table of points has the columns {', '.join(columns)}, not {', '.join(expected)}")
     for table, condition in _WRONG.items():
         if database.run(f"SELECT 1 FROM {table} WHERE {condition} LIMIT 1"):
-            raise damaged(path, f"its table of {table} holds what no sweep writes")
+            raise damaged(path, f"its table of {table} holds rows that a sweep never writes")
     return about
 
 
 def damaged(path: Path | None, how: str) -> InputError:
-    """Return the error that says that a file is damaged, and how."""
+    """Return the error for a damaged file."""
     return InputError(f"the store '{path}' is damaged: {how}")
 
 
 def spoilt_points(database: Database, about: About) -> Iterator[int]:
-    """Yield the points whose rows differ from their checksums, or that are none of the sweep."""
-    columns = ", ".join(map(quoted, (*FIXED, *about.names, *about.results)))
+    """Yield the points whose rows differ from their checksums, or that do not belong to the sweep."""
+    columns = ", ".join(map(quoted, (*FIXED, *about.columns)))
     for point, state, reason, kept, *numbers in database.rows(f"SELECT {columns} FROM points ORDER BY point"):
         right = checksum(point, state, reason, numbers, len(about.names))
         if kept != right or not 0 <= point < about.count:
@@ -125,17 +130,18 @@ def spoilt_points(database: Database, about: About) -> Iterator[int]:
 
 
 def checksum(point: int, state: str, reason: str | None, numbers: Sequence[object], swept: int) -> int | None:
-    """Return the CRC-32 of a row, or None for what is no row of a sweep.
+    """Return the CRC-32 of a row, or None for a row that a sweep cannot have written.
 
     It covers the number of the point and its quantities and results, 8 bytes each, little-endian; then, as UTF-8, its
-    state, a line feed, and its reason. Rows without results may be older than the names of the results, and have none.
+    state, a line feed, and its reason. Rows without results may have been written before the results had names, so
+    their empty columns are left out.
 
     Args:
         point: its number.
-        state: what it is.
+        state: its state.
         reason: why it has no results.
         numbers: quantities and results.
-        swept: how many of these are quantities.
+        swept: number of quantities among these.
     """
     if state != "computed":
         numbers, rest = numbers[:swept], numbers[swept:]
@@ -149,14 +155,10 @@ def checksum(point: int, state: str, reason: str | None, numbers: Sequence[objec
 
 
 def check_columns(names: Sequence[str]) -> None:
-    """Refuse names that cannot stand side by side in a table.
-
-    Raises:
-        InputError: an empty name, the same one twice, or one that the tables need themselves.
-    """
+    """Raise InputError if a name is not printable, is given twice, or is reserved for the tables' own columns."""
     for name in names:
         if not isinstance(name, str) or not name.isprintable() or not name.strip():
-            raise InputError(f"{name!r} cannot name a quantity or a result: take printable text")
+            raise InputError(f"{name!r} cannot name a quantity or a result: use printable text")
     folded = [name.casefold() for name in (*_RESERVED, *names)]
     for name in names:
         if folded.count(name.casefold()) > 1:

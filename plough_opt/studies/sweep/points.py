@@ -1,4 +1,4 @@
-"""The points of a sweep by their number, so that a million of them need no memory."""
+"""The points of a sweep by their number, computed when they are needed, so that a million of them take no memory."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class Points(Protocol):
         """Return the points from one number to before another, a row each, a column for each quantity."""
 
     def question(self) -> dict[str, str]:
-        """Return what tells these points from others."""
+        """Return the entries of the sweep's question that identify these points."""
 
 
 class Grid:
@@ -44,12 +44,12 @@ class Grid:
             if isinstance(axis, Range) and axis.count is None:
                 raise InputError(
                     f"'{name}' runs from {axis.lower:g} to {axis.upper:g} without a number of values: a grid needs one;"
-                    " or ask for a number of samples"
+                    " or set a number of samples"
                 )
             self._values.append(np.array(axis.values() if isinstance(axis, Range) else axis))
         self.count = math.prod(map(len, self._values))
         if self.count >= 2**63:
-            raise InputError(f"the grid has {self.count:.3g} points: take fewer values, or a sample")
+            raise InputError(f"the grid has {self.count:.3g} points: use fewer values, or a sample")
 
     def block(self, first: int, last: int) -> Array:
         """Return points, a row each."""
@@ -68,7 +68,7 @@ class Sample:
         """Take a range for each quantity.
 
         Raises:
-            InputError: values in the place of a range, a range with a number of values, or an impossible number or
+            InputError: values instead of a range, a range with a number of values, or an invalid number of samples or
                 seed.
         """
         if not is_count(count) or not 2 <= count <= MOST_SAMPLES:
@@ -84,7 +84,7 @@ class Sample:
         self._position = 0
         for name, axis in axes.items():
             if not isinstance(axis, Range):
-                raise InputError(f"'{name}' runs over single values: a sample takes a range with two ends")
+                raise InputError(f"'{name}' runs over single values: a sample needs a range with two ends")
             if axis.count is not None:
                 raise InputError(
                     f"'{name}' has a number of values, {axis.count}: a sample fills the range; leave it out"
@@ -93,20 +93,20 @@ class Sample:
         self._restart()
 
     def block(self, first: int, last: int) -> Array:
-        """Return points, a row each; cheapest in the order of their numbers."""
+        """Return points, a row each; ascending blocks are fastest."""
         if first < self._position:
             self._restart()
         if first > self._position:
             self._engine.fast_forward(first - self._position)
         parts = [np.empty((0, len(self._ranges)))]
         if first == 0 and last > 1:
-            # A first draw of any other number than a power of two would warn, though the whole sample may be one.
+            # SciPy warns if the first draw is not a power of two, though the whole sample may be one.
             parts.append(self._engine.random(1))
             first = 1
         parts.append(self._engine.random(last - first))
         self._position = last
         unit = np.concatenate(parts)
-        # One by one: NumPy's vector registers may round powers otherwise at the end of a block than inside it.
+        # One by one: NumPy may round powers differently at the end of a block, outside its vector registers.
         return np.array([[r.at(u) for r, u in zip(self._ranges, row, strict=True)] for row in unit.tolist()])
 
     def question(self) -> dict[str, str]:
@@ -118,17 +118,17 @@ class Sample:
         return {**ranges, "samples": str(self.count), "seed": str(self._seed)}
 
     def _restart(self) -> None:
-        from scipy.stats import qmc  # slow to import, and of no use to a grid
+        from scipy.stats import qmc  # slow to import, and not needed by a grid
 
         self._engine = qmc.Sobol(len(self._ranges), scramble=True, seed=self._seed)
         self._position = 0
 
 
 def points_of(axes: Mapping[str, Axis], samples: int | None, seed: int) -> Points:
-    """Return the grid of axes, or a sample of so many points.
+    """Return the grid of axes, or a sample with a number of points.
 
     Raises:
-        InputError: no quantity, or what `Grid` and `Sample` refuse.
+        InputError: no quantities, or as `Grid` and `Sample` raise.
     """
     if not axes:
         raise InputError("a sweep runs over one quantity or more: over is empty")
@@ -136,7 +136,7 @@ def points_of(axes: Mapping[str, Axis], samples: int | None, seed: int) -> Point
 
 
 def _short(values: Array) -> str:
-    """Return values as text that tells them from any others, and is short where they are many."""
+    """Return values as text that identifies them: all of a few, ends and a digest of many."""
     if len(values) <= 16:
         return ", ".join(map(repr, values.tolist()))
     first, last = values[[0, -1]].tolist()

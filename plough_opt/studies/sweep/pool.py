@@ -1,4 +1,4 @@
-"""The worker processes of a sweep on this machine: each may die at any moment without harm to the others."""
+"""The worker processes of a sweep on this machine, each of which may die without harm to the others."""
 
 from __future__ import annotations
 
@@ -17,21 +17,21 @@ from plough_opt.core.processors import available
 from plough_opt.studies.sweep.work import Evaluation
 from plough_opt.studies.sweep.worker import BEGUN, READY, command, environment, is_preparing, preparation, receive, send
 
-# Deaths in a row over this time [s], while nothing is returned and no process is older, are no accidents.
+# The pool gives up after this many deaths in a row over this time [s], if no process is older and no task returned.
 _DEATHS, _PATIENCE = 3, 40.0
-# Between the death of a process that had not begun and its successor [s].
+# Pause before a process that could not start is replaced [s].
 _PAUSE: Final = 0.2
 _UNGUARDED: Final = (
-    "a script that sweeps does so under if __name__ == '__main__':, as worker processes import it and would sweep too"
+    "a script must call sweep under if __name__ == '__main__':, as worker processes import it and would sweep too"
 )
 _Call = tuple[Future[Any], bytes]
 
 
 class WorkerDied(BrokenExecutor):
-    """The process ended that worked on a task.
+    """The process that worked on a task has ended.
 
     Attributes:
-        deaths: how many of them did, one after the other.
+        deaths: number of processes that ended at the same task.
     """
 
     def __init__(self, how: str, deaths: int = 1) -> None:
@@ -42,21 +42,21 @@ class WorkerDied(BrokenExecutor):
 class ProcessPool(Executor):
     """Processes that are replaced when they die; the task under way in one that dies fails with `WorkerDied`.
 
-    Each process has a thread here that starts it, hands it tasks and waits for their results. Processes begin afresh
-    and are not forked: a copy of a process that has threads, as those of NumPy's or of a notebook, can hang, and what a
-    parent has cached would reach some of its workers and not others.
+    Each process has a thread here that starts it, sends it tasks and waits for their results. Processes are started
+    afresh, not forked: the copy of a process with threads, such as those of NumPy or of a notebook, can hang, and
+    caches of the parent would reach some of its workers and not others.
     """
 
     def __init__(self, workers: int, evaluation: Evaluation) -> None:
-        """Take the number of processes, and what they shall evaluate.
+        """Take the number of processes, and the evaluation.
 
         Raises:
-            InputError: this process is itself a worker, whose script sweeps when it is imported.
+            InputError: this process is itself a worker, because its script sweeps when it is imported.
         """
         if is_preparing():
             raise InputError(_UNGUARDED)
         self._first = preparation(), pickle.dumps(evaluation)
-        # One thread for each core, whatever their libraries take: a worker for each, with threads of its own, is slow.
+        # Together one thread for each core: with as many threads in each worker as cores all would be slow.
         self._environment = environment(max(1, available() // workers))
         self._calls: queue.SimpleQueue[_Call | None] = queue.SimpleQueue()
         self._lock = threading.Lock()
@@ -69,7 +69,7 @@ class ProcessPool(Executor):
             thread.start()
 
     def submit(self, fn: Any, /, *args: Any, **kwargs: Any) -> Future[Any]:
-        """Submit a call, as every executor.
+        """Submit a call, as any executor does.
 
         Raises:
             InputError: the pool gave up.
@@ -83,7 +83,7 @@ class ProcessPool(Executor):
         return future
 
     def proceed(self) -> None:
-        """Note that work gets done, whatever died before."""
+        """Reset the count of deaths, because a task has returned."""
         with self._lock:
             self._deaths = 0
 
@@ -92,7 +92,7 @@ class ProcessPool(Executor):
         self.shutdown()
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = True) -> None:
-        """End the processes at once: what has not returned by now is not wanted any more."""
+        """End the processes at once, without waiting for the tasks under way."""
         self._closing.set()
         with self._lock:
             for process in self._processes:
@@ -105,12 +105,12 @@ class ProcessPool(Executor):
             thread.join()
 
     def _keep(self) -> None:
-        """Keep one process at work, and replace it when it dies: what a thread runs."""
+        """Keep one process at work, and replace it when it dies; this is the function of a thread."""
         try:
-            while (process := self._begun()) is not None:
+            while (process := self._ready()) is not None:
                 try:
                     while (call := self._calls.get()) is not None:
-                        self._carry_out(process, *call)
+                        self._execute(process, *call)
                     return
                 except (OSError, EOFError):
                     self._note_death(process.end())
@@ -120,8 +120,8 @@ class ProcessPool(Executor):
             self._give_up(f"the worker processes cannot be kept at work: {type(error).__name__}: {error}")
             raise
 
-    def _begun(self) -> _Process | None:
-        """Start a process, again until one reports in; None where the pool ends."""
+    def _ready(self) -> _Process | None:
+        """Start a process, and again until one is ready; None if the pool ends."""
         while not self._closing.is_set():
             try:
                 process = self._started()
@@ -131,8 +131,8 @@ class ProcessPool(Executor):
                 if process is None:
                     break
                 try:
-                    process.tell(self._first)
-                    answer = process.hear()
+                    process.send(self._first)
+                    answer = process.receive()
                 except (OSError, EOFError):
                     self._note_death(process.end())
                     self._remove(process)
@@ -145,7 +145,7 @@ class ProcessPool(Executor):
         return None
 
     def _started(self) -> _Process | None:
-        """Start a process; None where the pool ends."""
+        """Start a process; None if the pool ends."""
         with self._lock:
             if self._closing.is_set() or self._broken is not None:
                 return None
@@ -159,8 +159,8 @@ class ProcessPool(Executor):
         process.kill()
         process.end()
 
-    def _carry_out(self, process: _Process, future: Future[Any], call: bytes) -> None:
-        """Let a process do a task.
+    def _execute(self, process: _Process, future: Future[Any], call: bytes) -> None:
+        """Send a task to a process, and give its future the outcome.
 
         Raises:
             OSError: the process died.
@@ -169,14 +169,14 @@ class ProcessPool(Executor):
         if future.cancelled():
             return
         try:
-            process.tell(call)
-            assert process.hear() == BEGUN
+            process.send(call)
+            assert process.receive() == BEGUN
         except (OSError, EOFError):
             self._calls.put((future, call))  # it was dead before the task reached it
             raise
         wanted = future.set_running_or_notify_cancel()
         try:
-            returned, pickled = process.hear()
+            returned, pickled = process.receive()
         except (OSError, EOFError):
             if wanted:
                 future.set_exception(WorkerDied(f"the last ended {process.end()}"))
@@ -186,7 +186,7 @@ class ProcessPool(Executor):
             _resolve(future, returned, pickled)
 
     def _note_death(self, how: str) -> None:
-        """Count a death, and give up where nothing else happens any more."""
+        """Count a death, and give up if processes only die."""
         now = time.monotonic()
         with self._lock:
             if self._closing.is_set():
@@ -198,12 +198,12 @@ class ProcessPool(Executor):
         if deaths >= _DEATHS and seconds > _PATIENCE and not old:
             self._give_up(
                 f"{deaths} worker processes ended within {seconds:.0f} s before one of them had finished a task, the"
-                f" last {how}: see whether they have the memory that they need, or what ends them; what is stored is"
-                " stored, and the same sweep goes on from there"
+                f" last {how}: check whether they have enough memory, or what ends them; finished points are stored,"
+                " and the same sweep continues from there"
             )
 
     def _give_up(self, reason: str) -> None:
-        """Fail what waits, and whatever comes."""
+        """Let all waiting calls fail, and all later ones."""
         with self._lock:
             self._broken = self._broken or InputError(reason)
         for future in self._waiting():
@@ -211,14 +211,14 @@ class ProcessPool(Executor):
                 future.set_exception(self._broken)
 
     def _waiting(self) -> list[Future[Any]]:
-        """Take out and return what no process has begun."""
-        found = []
+        """Take out and return the futures of calls that no process has begun."""
+        futures = []
         with contextlib.suppress(queue.Empty):
             while True:
                 call = self._calls.get_nowait()
                 if call is not None:
-                    found.append(call[0])
-        return found
+                    futures.append(call[0])
+        return futures
 
 
 class _Process:
@@ -234,16 +234,16 @@ class _Process:
         self._process = subprocess.Popen(command(), stdin=pipe, stdout=pipe, bufsize=0, env=environment)
 
     def lives(self) -> bool:
-        """Return whether it is there."""
+        """Return whether the process runs."""
         return self._process.poll() is None
 
-    def tell(self, message: object) -> None:
-        """Send it a message."""
+    def send(self, message: object) -> None:
+        """Send a message to the process."""
         assert self._process.stdin is not None
         send(self._process.stdin.fileno(), message)
 
-    def hear(self) -> Any:
-        """Wait for its message."""
+    def receive(self) -> Any:
+        """Wait for a message from the process."""
         assert self._process.stdout is not None
         return receive(self._process.stdout.fileno(), self.lives)
 
@@ -252,7 +252,7 @@ class _Process:
         self._process.kill()
 
     def end(self) -> str:
-        """Wait for its end, which must be near, and return how it ended."""
+        """Wait for the end of the process, which must be near, and return how it ended."""
         for pipe in (self._process.stdin, self._process.stdout):
             if pipe is not None:
                 pipe.close()
@@ -263,12 +263,12 @@ class _Process:
 
 
 def _resolve(future: Future[Any], returned: bool, pickled: bytes) -> None:
-    """Give a future what a worker found."""
+    """Give a future the result or the error of a call."""
     try:
-        found = pickle.loads(pickled)
+        outcome = pickle.loads(pickled)
     except Exception as error:
-        returned, found = False, error
+        returned, outcome = False, error
     if returned:
-        future.set_result(found)
+        future.set_result(outcome)
     else:
-        future.set_exception(found)
+        future.set_exception(outcome)

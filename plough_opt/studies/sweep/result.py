@@ -1,4 +1,4 @@
-"""What a sweep found."""
+"""The result of a sweep."""
 
 from __future__ import annotations
 
@@ -62,12 +62,12 @@ _QUOTED: Final = 3
 
 
 class Sweep(Readable):
-    """The points of a sweep with their results, read from the store when they are asked for.
+    """The points of a sweep with their results, read from the store on demand.
 
     Attributes:
-        already: how many points were stored before this run began.
-        origin: what made it, where that is known.
-        how: by what the points were computed, in a sentence, where that is known.
+        already: number of points that were stored before this run began.
+        origin: the problem behind it, if known.
+        how: how the points were computed, in a sentence, if known.
     """
 
     origin = Origin()
@@ -83,7 +83,7 @@ class Sweep(Readable):
         """Read a store, finished or not.
 
         Raises:
-            InputError: no such file, or no store of this layout.
+            InputError: no such file, or not a store of this layout.
         """
         path = path_of("the store", path)
         if not path.is_file():
@@ -97,7 +97,7 @@ class Sweep(Readable):
             raise
 
     def close(self) -> None:
-        """Close the store; without a file of its own its results are gone."""
+        """Close the store; the results are lost if it has no file of its own."""
         self._store.close()
 
     def __enter__(self) -> Sweep:
@@ -117,75 +117,75 @@ class Sweep(Readable):
     @property
     def names(self) -> tuple[str, ...]:
         """The quantities that were swept."""
-        return self._store.names
+        return self._store.about.names
 
     @property
     def results(self) -> tuple[str, ...]:
         """Names of the results."""
-        return self._store.results
+        return self._store.about.results
 
     @property
     def units(self) -> dict[str, str]:
         """Name -> SI unit, of quantities and results that have one."""
-        return self._store.units
+        return self._store.about.units
 
     @property
     def question(self) -> dict[str, str]:
         """Everything that the results depend on, as text."""
-        return self._store.question
+        return self._store.about.question
 
     @property
     def complete(self) -> bool:
         """Whether every point is stored."""
-        return len(self) == self._store.count
+        return len(self) == self._store.about.count
 
     @property
     def failed(self) -> int:
-        """Number of points that failed: without results, for a reason of their own."""
+        """Number of points that failed: without results for a known reason."""
         return self._store.stored()[1]
 
     @property
     def table(self) -> NDArray[np.void]:
-        """A structured array: ``point``, quantities and results, SI; NaN where a point has none."""
-        kind = np.dtype([("point", "i8"), *((name, "f8") for name in self._store.columns)])
-        # As floats NumPy reads None as NaN.
-        return np.fromiter(self._store.rows("point", *self._store.columns), dtype=kind)
+        """A structured array: ``point``, quantities and results, SI; NaN if a point has none."""
+        kind = np.dtype([("point", "i8"), *((name, "f8") for name in self._store.about.columns)])
+        # NumPy converts None to NaN.
+        return np.fromiter(self._store.rows("point", *self._store.about.columns), dtype=kind)
 
     def column(self, name: str) -> NDArray[np.float64]:
-        """Return a quantity or a result at every point, NaN where it has none."""
-        if name not in self._store.columns:
-            raise InputError(f"'{name}' is no column: there are {', '.join(self._store.columns)}")
+        """Return a quantity or a result at every point, NaN if it has none."""
+        if name not in self._store.about.columns:
+            raise InputError(f"'{name}' is not a column: there are {', '.join(self._store.about.columns)}")
         return np.array([row[0] for row in self._store.rows(name)], dtype=float)
 
     @property
     def failures(self) -> Iterator[Failure]:
-        """The points that failed, in their order."""
+        """The points that failed, in order."""
         return self._without_results("failed")
 
     @property
     def undetermined(self) -> Iterator[Failure]:
-        """The points at which nothing is known, because every worker died that tried them, in their order."""
+        """The points without results because every worker that tried them died, in order."""
         return self._without_results("undetermined")
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What a reader of the numbers must know, each kind once with the numbers of its first point."""
+        """Warnings about the numbers, each kind once with the numbers of its first point."""
         count = len(self)
-        # Points whose rows were lost or damaged have been counted twice.
+        # Points computed again because their rows were lost or damaged were counted twice.
         return tuple(f"at {min(points, count)} of {count} points: {text}" for _, text, _, points in self._store.notes())
 
     def extreme(self, name: str, *, largest: bool = False) -> Extreme | None:
-        """Return the least or the largest value of a result, or None where no point has any."""
+        """Return the least or the largest value of a result, or None if no point has any."""
         if name not in self.results:
-            raise InputError(f"'{name}' is no result: there are {', '.join(self.results)}")
-        found: tuple[Any, ...] | None = self._store.extreme(name, largest)
-        if found is None:
+            raise InputError(f"'{name}' is not a result: there are {', '.join(self.results)}")
+        row: tuple[Any, ...] | None = self._store.extreme(name, largest)
+        if row is None:
             return None
-        value, point, *values = found
+        value, point, *values = row
         return Extreme(value, point, dict(zip(self.names, values, strict=True)))
 
     def page(self) -> Page:
-        """Return the range of every result and where it lies, what failed, and what a reader must know."""
+        """Return the range of every result with its points, the first failures, and the warnings."""
         undetermined = len(list(self.undetermined))
         also = f", {undetermined} undetermined" if undetermined else ""
         heading = f"{len(self)} points, {self.failed} failed{also}"
@@ -239,7 +239,7 @@ class Sweep(Readable):
         return values / display.factor, display.heading(called(name))
 
     def to_dataframe(self) -> pandas.DataFrame:
-        """Return a row for each point: quantities and results, SI, NaN where a point has none.
+        """Return a row for each point: quantities and results, SI, NaN if a point has none.
 
         Raises:
             InputError: pandas is not installed.
@@ -261,5 +261,5 @@ class Sweep(Readable):
 
 
 def _short(key: str) -> str:
-    """Return a key without its table, so that it is narrow."""
+    """Return a key without its table, which makes a column narrow."""
     return key.rpartition(".")[2]

@@ -1,6 +1,6 @@
 """The store of a sweep: an SQLite file that several runs may fill at once and any may resume.
 
-The ranges of points that a run has claimed and left, because it died, are taken over by the next that looks.
+If a run dies, another takes over the ranges of points that it had claimed.
 """
 
 from __future__ import annotations
@@ -24,14 +24,14 @@ from plough_opt.studies.sweep.database import Database, quoted
 from plough_opt.studies.sweep.layout import FIXED, State
 from plough_opt.studies.sweep.work import Array
 
-# A claim that was not renewed for so long [s] is that of a dead run.
+# Time [s] after which the run of a claim that was not renewed counts as dead.
 _LEASE: Final = 30.0
-# Claims among which one of a dead run is looked for.
+# Number of claims among which those of dead runs are looked for.
 _LOOKED_AT: Final = 256
-# Most points of a claim of points that are to be computed again: as many rows as a batch takes at once.
+# Limit on a claim of points that are computed again: the rows that a batch simulates at once.
 _MOST_AGAIN: Final = 2048
 Note = tuple[str, str, int, int]
-"""Kind, text, first point and number of points of something that a reader must know."""
+"""Kind and text of a warning, its first point and the number of its points."""
 
 
 class Store:
@@ -39,13 +39,16 @@ class Store:
 
     Attributes:
         path: of the file, or None for one that is deleted when it is closed.
+        about: quantities, results and question of the sweep.
     """
 
+    about: layout.About
+
     def __init__(self, path: str | Path | None, write: bool = True) -> None:
-        """Open a file, and make it where it is to be written and is not there.
+        """Open a file; a missing one is made if it is to be written.
 
         Raises:
-            InputError: a file that cannot be made or read, or that is no store; nothing in it is changed.
+            InputError: a file that cannot be made or read, or that is not a store; nothing in it is changed.
         """
         self._database = Database(path, write)
         self._owner = f"{platform.node()}:{os.getpid()}:{uuid.uuid4().hex}"
@@ -54,7 +57,7 @@ class Store:
             if self._database.tables():
                 self.read()
             elif not write:
-                raise InputError(f"'{self.path}' is empty, and no store of a sweep")
+                raise InputError(f"'{self.path}' is empty, and not the store of a sweep")
             if write and path is not None:
                 self._database.write_ahead()
         except InputError:
@@ -66,7 +69,7 @@ class Store:
         self._database.close()
 
     def prepare(self, question: Mapping[str, str], names: Sequence[str], units: Mapping[str, str], count: int) -> None:
-        """Enter what is asked, or compare it with what the file holds.
+        """Enter the sweep's question, or compare it with the one in the file.
 
         Args:
             question: everything that the results depend on.
@@ -75,86 +78,56 @@ class Store:
             count: number of points.
 
         Raises:
-            InputError: the store belongs to another question; the message says what differs.
+            InputError: the store belongs to another question; the message lists the differences.
         """
         with self._database.transaction():
             if not self._database.tables():
                 layout.create(self._database, question, names, units, count)
         self.read()
-        self._refuse_another(dict(question))
+        self._check_question(dict(question))
 
     def read(self) -> None:
-        """Take over what the file says about itself.
+        """Read `about` from the file.
 
         Raises:
-            InputError: the file is no store of this layout, or damaged.
+            InputError: the file is not a store of this layout, or damaged.
         """
-        self._about = layout.read(self._database)
+        self.about = layout.read(self._database)
 
     def finish(self) -> None:
-        """Count the points, and make the file whole: one that can be read from any medium.
+        """Check the number of points, and merge the log into the file, so that it can be read from any medium.
 
         Raises:
             InputError: points are missing.
         """
         stored = self.stored()[0]
-        if stored != self.count:
+        if stored != self.about.count:
             raise InputError(
-                f"the store '{self.path}' holds {stored} of {self.count} points, though all of them were handed to it:"
-                " another program, or a trigger inside it, refuses or removes rows; sweep into another file"
+                f"the store '{self.path}' holds {stored} of {self.about.count} points, though all of them were written:"
+                " another program, or a trigger inside it, rejects or removes rows; sweep into another file"
             )
         if self.path is not None:
             self._database.make_whole()
 
-    @property
-    def names(self) -> tuple[str, ...]:
-        """The quantities that are swept."""
-        return self._about.names
-
-    @property
-    def results(self) -> tuple[str, ...]:
-        """Names of the results, empty until a point has some."""
-        return self._about.results
-
-    @property
-    def units(self) -> dict[str, str]:
-        """Name -> unit, of quantities and results that have one."""
-        return dict(self._about.units)
-
-    @property
-    def question(self) -> dict[str, str]:
-        """Everything that the results depend on."""
-        return dict(self._about.question)
-
-    @property
-    def count(self) -> int:
-        """Number of points of the whole sweep."""
-        return self._about.count
-
-    @property
-    def columns(self) -> tuple[str, ...]:
-        """Names of quantities and results."""
-        return (*self.names, *self.results)
-
     def stored(self) -> tuple[int, int, int]:
-        """Return how many points are stored, how many of them failed, and how many are undetermined."""
-        found = self._run("SELECT count(*), total(state = 'failed'), total(state = 'undetermined') FROM points")[0]
-        return int(found[0]), int(found[1]), int(found[2])
+        """Return the numbers of points that are stored, that failed, and that are undetermined."""
+        counts = self._run("SELECT count(*), total(state = 'failed'), total(state = 'undetermined') FROM points")[0]
+        return int(counts[0]), int(counts[1]), int(counts[2])
 
     def claim(self, size: int) -> tuple[int, int] | None:
-        """Return a range of points that no run works on yet, first and one beyond the last, or None.
+        """Claim a range of points; return the first and one beyond the last, or None if none are left.
 
         Args:
-            size: most points of a range of new ones; one that a dead run left has its own size.
+            size: limit on a range of new points; that of a dead run is claimed as it is.
         """
         now = time.time()
         with self._database.transaction():
             first = self._next()
-            last = min(first + size, self.count)
-            if first < self.count:
+            last = min(first + size, self.about.count)
+            if first < self.about.count:
                 self._run("UPDATE meta SET value = ? WHERE key = 'next'", str(last))
             else:
-                # Whoever is dead renewed longest ago.
+                # Dead runs are those that renewed their leases longest ago.
                 oldest = self._run(
                     "SELECT first, last, owner, expires FROM claims ORDER BY expires LIMIT ?", _LOOKED_AT
                 )
@@ -175,24 +148,23 @@ class Store:
         return np.setdiff1d(np.arange(first, last), np.array([row[0] for row in rows], dtype=np.int64))
 
     def renew(self) -> None:
-        """Tell other runs that this one lives."""
+        """Renew this run's lease on its claims."""
         with self._database.transaction():
             self._run("UPDATE claims SET expires = ? WHERE owner = ?", time.time() + _LEASE, self._owner)
 
     def release(self) -> None:
-        """Leave what this run claimed and did not finish to others."""
+        """End this run's lease, so that others can claim its unfinished points."""
         with self._database.transaction():
             self._run("UPDATE claims SET expires = 0.0 WHERE owner = ?", self._owner)
 
     def reopen(self, retry: bool) -> None:
-        """Look at every row, and leave to be claimed what is not stored and no run works on.
+        """Check every row, and make points claimable that are neither stored nor under way in another run.
 
         Args:
-            retry: forget the points that failed, that are undetermined, or that are damaged, so that they are tried
-                again.
+            retry: delete the points that failed, are undetermined or are damaged, so that they are tried again.
 
         Raises:
-            InputError: damaged rows; or another run fills the store, and may have under way what is to be tried again.
+            InputError: damaged rows; or, with retry, another run fills the store.
         """
         now = time.time()
         with self._database.transaction():
@@ -204,7 +176,7 @@ class Store:
                         f"another run fills the store '{self.path}': wait for its end to try failures again"
                     )
                 self._run("DELETE FROM points WHERE state != 'computed'")
-                for point in list(layout.spoilt_points(self._database, self._about)):
+                for point in list(layout.spoilt_points(self._database, self.about)):
                     self._run("DELETE FROM points WHERE point = ?", point)
             else:
                 self.verify()
@@ -219,24 +191,24 @@ class Store:
         Raises:
             InputError: some differ.
         """
-        spoilt = list(layout.spoilt_points(self._database, self._about))
+        spoilt = list(layout.spoilt_points(self._database, self.about))
         if spoilt:
             raise layout.damaged(
                 self.path,
                 f"{len(spoilt)} of its rows differ from their checksums, the first that of point {spoilt[0]}; the same"
-                " sweep computes them again where it is asked to try failures again (--retry, retry=True)",
+                " sweep with --retry (retry=True) computes them again",
             )
 
     def name_results(self, results: Sequence[str]) -> None:
-        """Enter the names of the results when the first point has some.
+        """Enter the names of the results once the first point has some.
 
         Raises:
-            InputError: names that cannot be columns, or other ones than those of the points before.
+            InputError: names that cannot be columns, or that differ from those of earlier points.
         """
         with self._database.transaction():
             known = tuple(json.loads(self._run("SELECT value FROM meta WHERE key = 'results'")[0][0]))
             if not known:
-                layout.check_columns((*self.names, *results))
+                layout.check_columns((*self.about.names, *results))
                 for name in results:
                     self._run(f"ALTER TABLE points ADD COLUMN {quoted(name)} REAL")
                 self._run("UPDATE meta SET value = ? WHERE key = 'results'", json.dumps(list(results)))
@@ -258,19 +230,19 @@ class Store:
         finished: int | None = None,
         without: State = "failed",
     ) -> int:
-        """Store points, at once; return how many of them were new.
+        """Store points, all or none; return the number of new ones.
 
         Args:
             numbers: of the points.
             values: of the quantities, a row each.
-            results: a row for each point, or None where all of them failed before any succeeded.
+            results: a row for each point, or None if all of them failed before any succeeded.
             reasons: place among these points -> why it has no results.
-            notes: what a reader must know of them.
+            notes: warnings about them.
             finished: first point of the claim that they complete.
-            without: what points without results are.
+            without: state of the points without results.
         """
         columns = self._all_columns()
-        marks = ", ".join("?" * (len(FIXED) + len(self.columns)))
+        marks = ", ".join("?" * (len(FIXED) + len(self.about.columns)))
         rows = self._rows(numbers, values, results, reasons, without)
         with self._database.transaction():
             new = self._database.run_many(f"INSERT OR IGNORE INTO points ({columns}) VALUES ({marks})", rows)
@@ -282,14 +254,14 @@ class Store:
         return new
 
     def notes(self) -> list[Note]:
-        """Return what a reader must know, in the order of the first points."""
+        """Return the warnings, in the order of their first points."""
         return [
             (kind, text, first, points)
             for kind, text, first, points in self._run("SELECT kind, text, first, points FROM notes ORDER BY 3, 1")
         ]
 
     def rows(self, *columns: str, where: State | None = None) -> Iterator[tuple[Any, ...]]:
-        """Yield columns of the points, in their order, without holding more than a few.
+        """Yield columns of the points, in order, of which only a few are in memory at once.
 
         Args:
             columns: "point", "reason", or names of quantities and results.
@@ -301,16 +273,16 @@ class Store:
 
     def extreme(self, name: str, largest: bool) -> tuple[Any, ...] | None:
         """Return the least or largest value of a result, its first point and the quantities there, or None."""
-        chosen = ", ".join(map(quoted, (name, "point", *self.names)))
+        chosen = ", ".join(map(quoted, (name, "point", *self.about.names)))
         order = f"{quoted(name)} {'DESC' if largest else 'ASC'}, point"
-        found = self._run(f"SELECT {chosen} FROM points WHERE state = 'computed' ORDER BY {order} LIMIT 1")
-        return found[0] if found else None
+        rows = self._run(f"SELECT {chosen} FROM points WHERE state = 'computed' ORDER BY {order} LIMIT 1")
+        return rows[0] if rows else None
 
     def _rows(
         self, numbers: NDArray[np.int64], values: Array, results: Array | None, reasons: Mapping[int, str], state: State
     ) -> Iterator[tuple[object, ...]]:
         """Yield rows as they are stored."""
-        empty = [None] * len(self.results)
+        empty = [None] * len(self.about.results)
         # SQLite stores the negative zero as zero.
         for k, (number, row) in enumerate(zip(numbers.tolist(), (values + 0.0).tolist(), strict=True)):
             reason = reasons.get(k)
@@ -319,7 +291,7 @@ class Store:
                 own: State = "computed"
             else:
                 numbers_of, own = [*row, *empty], state
-            # Whatever an exception said; not every text of Python's can be stored.
+            # The text of any exception, which may hold surrogates that UTF-8 cannot encode.
             text = None if reason is None else reason.encode("utf-8", "backslashreplace").decode("utf-8")
             yield number, own, text, layout.checksum(number, own, text, numbers_of, len(row)), *numbers_of
 
@@ -335,10 +307,10 @@ class Store:
         return int(self._run("SELECT value FROM meta WHERE key = 'next'")[0][0])
 
     def _all_columns(self) -> str:
-        return ", ".join(map(quoted, (*FIXED, *self.columns)))
+        return ", ".join(map(quoted, (*FIXED, *self.about.columns)))
 
     def _add_note(self, note: Note) -> None:
-        """Count a note; the first point's text stands for its kind."""
+        """Count a note, and keep its text if its point is the first of its kind."""
         self._run(
             "INSERT INTO notes VALUES (?, ?, ?, ?) ON CONFLICT (kind) DO UPDATE SET"
             " text = CASE WHEN excluded.first < first THEN excluded.text ELSE text END,"
@@ -346,18 +318,18 @@ class Store:
             *note,
         )
 
-    def _refuse_another(self, question: dict[str, str]) -> None:
-        """Refuse a store of another question."""
+    def _check_question(self, question: dict[str, str]) -> None:
+        """Raise InputError if the store belongs to another question."""
         differences = [
-            f"{key}: {self.question.get(key, 'absent')} there, {question.get(key, 'absent')} here"
-            for key in dict.fromkeys((*question, *self.question))
-            if self.question.get(key) != question.get(key)
+            f"{key}: {self.about.question.get(key, 'absent')} there, {question.get(key, 'absent')} here"
+            for key in dict.fromkeys((*question, *self.about.question))
+            if self.about.question.get(key) != question.get(key)
         ]
         if differences:
             more = f"; and {len(differences) - 4} more" if len(differences) > 4 else ""
             raise InputError(
                 f"the store '{self.path}' belongs to another question ({'; '.join(differences[:4])}{more}): name"
-                " another store, or ask what was asked before"
+                " another store, or repeat the same sweep"
             )
 
     def _run(self, statement: str, *values: object) -> list[tuple[Any, ...]]:
@@ -365,7 +337,7 @@ class Store:
 
 
 def _dead(owner: str, expires: float, now: float) -> bool:
-    """Return whether a claim's run is dead: known so on the same machine, or silent for long."""
+    """Return whether a claim's run is dead: it has ended on this machine, or its lease has."""
     node, _, rest = owner.partition(":")
     if expires < now:
         return True
@@ -373,8 +345,8 @@ def _dead(owner: str, expires: float, now: float) -> bool:
         return False
     try:
         os.kill(int(rest.partition(":")[0]), 0)
-    except (ValueError, OverflowError):  # no run writes such an owner
+    except (ValueError, OverflowError):  # a run never writes such an owner
         return True
-    except OSError as error:  # a process of another user is none that is dead
+    except OSError as error:  # a process of another user gives another error
         return isinstance(error, ProcessLookupError)
     return False

@@ -23,7 +23,7 @@ from plough_opt.exchange.results import versions
 from plough_opt.studies.sweep.axes import axis_of
 from plough_opt.studies.sweep.bar import bar, silent
 from plough_opt.studies.sweep.cluster import Cluster
-from plough_opt.studies.sweep.engine import Engine, Told
+from plough_opt.studies.sweep.engine import Engine, Progress
 from plough_opt.studies.sweep.layout import check_columns
 from plough_opt.studies.sweep.points import points_of
 from plough_opt.studies.sweep.pool import ProcessPool
@@ -42,7 +42,7 @@ def sweep(
     executor: Executor | None = None,
     workers: int | None = None,
     retry: bool = False,
-    progress: bool | Told = False,
+    progress: bool | Progress = False,
     question: Mapping[str, str] | None = None,
     units: Mapping[str, str] | None = None,
 ) -> Sweep:
@@ -53,31 +53,32 @@ def sweep(
 
     Args:
         evaluation: called with a dictionary of the quantities at a point; returns named finite numbers, the same names
-            at every point. What it raises becomes the reason of a point that failed. It must be picklable.
-        over: name -> `Range`, or numbers one by one. All SI, if the function's arguments are.
-        samples: in the place of a grid, a scrambled Sobol sample of so many points of the ranges, best a power of two.
+            at every point. An error that it raises is the reason of a point that failed. It must be picklable.
+        over: name -> `Range`, or a list of numbers. All SI, if the function's arguments are.
+        samples: number of points of a scrambled Sobol sample of the ranges instead of a grid, best a power of two.
         seed: of the sample.
-        store: an SQLite file, in which every finished point is at once. If it holds points of the same question these
-            are not repeated; several runs may fill it at the same time. None: a file that goes with the result.
+        store: an SQLite file, in which every finished point is stored at once. Points of the same question that it
+            holds are not repeated; several runs may fill it at the same time. None: a file that is deleted with the
+            result.
         executor: any `concurrent.futures.Executor`, such as that of a dask client or of mpi4py; it is left running.
             Default: processes on all cores of this machine, which end with the sweep.
-        workers: how many the executor has, so that all have work (default: the cores of this machine).
+        workers: number of workers of the executor, so that all have work (default: the cores of this machine).
         retry: try the points again that failed, are undetermined, or whose rows in the store are damaged.
-        progress: True: a bar on the error stream, if that is a terminal; or what is called with the points that are
-            stored, all points, and those that failed.
-        question: what else the results depend on, as texts; a store with other ones is refused.
+        progress: True: a bar on the error stream, if that is a terminal; or a function that is called with the numbers
+            of points that are stored, of all points, and of those that failed.
+        question: everything else that the results depend on, as texts; a store with other ones is refused.
         units: name -> unit, of quantities and results, for the headings of tables.
 
     Raises:
-        InputError: something that cannot be swept; a store of another question, or one that is damaged or loses rows; a
-            broken executor, or workers none of which lives long enough.
-        KeyboardInterrupt: interrupted; the message says what is stored.
+        InputError: arguments that cannot be swept; a store of another question, or one that is damaged or loses rows; a
+            broken executor, or workers that all die.
+        KeyboardInterrupt: interrupted; the message gives the number of stored points.
     """
-    _refuse_arguments(evaluation, over, executor, workers, units)
+    _check_arguments(evaluation, over, executor, workers, units)
     points = points_of({name: axis_of(name, given) for name, given in over.items()}, samples, seed)
     check_columns(points.names)
     if executor is None:
-        _refuse_unpicklable(evaluation)
+        _check_picklable(evaluation)
     asked = {**points.question(), **(question or _identity(evaluation)), **_versions()}
     check_switch("retry", retry)
     store = None if store is None else path_of("the store", store)
@@ -91,20 +92,20 @@ def sweep(
         count = workers or available()
         if already < points.count:
             with ExitStack() as stack:
-                told = progress if callable(progress) else silent
+                callback = progress if callable(progress) else silent
                 if progress is True:
-                    told = stack.enter_context(bar(Console(stderr=True)))
+                    callback = stack.enter_context(bar(Console(stderr=True)))
                 if executor is None:
                     used: Executor = stack.enter_context(ProcessPool(count, evaluation))
                 else:
                     used = Cluster.of(executor) or executor
-                Engine(evaluation, points, kept, used, count, told).run()
-            kept.read()  # what another run entered meanwhile
+                Engine(evaluation, points, kept, used, count, callback).run()
+            kept.read()  # another run may have entered names of results
         kept.finish()
     except KeyboardInterrupt:
         done = kept.stored()[0]
         kept.close()
-        where = "gone, as they had no store" if store is None else f"in '{store}': the same sweep goes on from there"
+        where = "lost, as they had no store" if store is None else f"in '{store}': the same sweep continues from there"
         raise KeyboardInterrupt(f"{done} of {points.count} points are {where}") from None
     except BaseException:
         kept.close()
@@ -113,19 +114,19 @@ def sweep(
 
 
 def _finished(path: str | Path, question: Mapping[str, str]) -> Sweep | None:
-    """Return what a complete store of the same question holds; it may stand on a medium that cannot be written."""
+    """Return the sweep in a store if it is complete and of the same question; its medium may be read-only."""
     if not Path(path).is_file() or not Path(path).stat().st_size:
         return None
     kept = Store(path, write=False)
-    if kept.question == dict(question) and kept.stored()[0] == kept.count:
+    if kept.about.question == dict(question) and kept.stored()[0] == kept.about.count:
         kept.verify()
-        return Sweep(kept, kept.count)
+        return Sweep(kept, kept.about.count)
     kept.close()
     return None
 
 
-def _refuse_arguments(evaluation: object, over: object, executor: object, workers: object, units: object) -> None:
-    """Refuse arguments of another kind before anything is computed."""
+def _check_arguments(evaluation: object, over: object, executor: object, workers: object, units: object) -> None:
+    """Raise InputError if an argument has the wrong type."""
     if not callable(evaluation) and not isinstance(evaluation, ManyPoints):
         raise InputError(f"{shown(evaluation)} cannot be swept: give a problem, or a function of named numbers")
     for name, given in (("over", over), ("units", {} if units is None else units)):
@@ -137,14 +138,14 @@ def _refuse_arguments(evaluation: object, over: object, executor: object, worker
         raise InputError(f"workers = {shown(workers)} must be 1 or more")
 
 
-def _refuse_unpicklable(evaluation: Evaluation) -> None:
-    """Refuse what cannot be sent to another process."""
+def _check_picklable(evaluation: Evaluation) -> None:
+    """Raise InputError if an evaluation cannot be sent to another process."""
     try:
         pickle.dumps(evaluation)
     except Exception as error:
         raise InputError(
-            f"{shown(evaluation)} cannot be sent to other processes ({error}): take a function of a module, not one"
-            " inside another, or an instance of a class of one; or an executor that needs no copy"
+            f"{shown(evaluation)} cannot be sent to other processes ({error}): use a function of a module, not one"
+            " inside another, or an instance of a class of a module; or an executor that needs no copy"
         ) from None
     module = sys.modules.get(getattr(evaluation, "__module__", ""))
     if getattr(module, "__name__", "") == "__main__" and not hasattr(module, "__file__"):
@@ -155,16 +156,16 @@ def _refuse_unpicklable(evaluation: Evaluation) -> None:
 
 
 def _identity(evaluation: Evaluation) -> dict[str, str]:
-    """Return what tells a function from others: its name, and its text or what it is made of."""
+    """Return texts that identify a function: its name, and a digest of its source or of its pickle."""
     written: Any = evaluation if hasattr(evaluation, "__qualname__") else None
     try:
         content = pickle.dumps(evaluation) if written is None else inspect.getsource(written).encode()
-    except Exception:  # whatever hinders a pickle; text that is nowhere to be read
+    except Exception:  # of any kind, from the pickle; or there is no source
         content = b""
     name = getattr(evaluation, "__qualname__", type(evaluation).__qualname__)
     return {"function": name, "text of the function": f"digest {hashlib.sha256(content).hexdigest()[:16]}"}
 
 
 def _versions() -> dict[str, str]:
-    found = {**versions(), "scipy": version("scipy")}
-    return {f"version of {name}": text for name, text in found.items()}
+    packages = {**versions(), "scipy": version("scipy")}
+    return {f"version of {name}": text for name, text in packages.items()}

@@ -1,4 +1,4 @@
-"""Tables of a store as CSV and NPZ, written row by row: no file is too large for the memory."""
+"""Tables of a store as CSV and NPZ, written row by row, so that they need not fit into memory."""
 
 from __future__ import annotations
 
@@ -21,22 +21,22 @@ _AT_ONCE = 16384
 
 
 def write_csv(store: Store, path: str | Path) -> Path:
-    """Write a row for each point: its number, quantities and results in SI units, and why it has none.
+    """Write a row for each point: its number, quantities and results in SI units, or the reason why it has none.
 
     Raises:
         InputError: a place that cannot be written.
     """
-    units = store.units
+    units = store.about.units
 
     def write(file: IO[bytes]) -> None:
         text = io.TextIOWrapper(file, encoding="utf-8", newline="")
         table = csv.writer(text, lineterminator="\n")
-        headings = (f"{name} [{units[name]}]" if units.get(name) else name for name in store.columns)
+        headings = (f"{name} [{units[name]}]" if units.get(name) else name for name in store.about.columns)
         table.writerow(["point", *headings, "reason"])
         # A float's repr has all the digits that it needs, and None is empty.
-        for *row, state, reason in store.rows("point", *store.columns, "state", "reason"):
+        for *row, state, reason in store.rows("point", *store.about.columns, "state", "reason"):
             table.writerow([*row, f"undetermined: {reason}" if state == "undetermined" else reason])
-        text.detach()  # flushed, and left open for whoever opened it
+        text.detach()  # flushes, and leaves the file open for `write_file`
 
     return write_file(path, "table", write)
 
@@ -44,7 +44,8 @@ def write_csv(store: Store, path: str | Path) -> Path:
 def write_npz(store: Store, path: str | Path) -> Path:
     """Write an array for each column.
 
-    ``failed`` has the numbers of the points that failed, ``reasons`` why, and ``undetermined`` the numbers of those.
+    ``failed`` has the numbers of the points that failed, ``reasons`` why they did, and ``undetermined`` the numbers of
+    undetermined points.
 
     Raises:
         InputError: a place that cannot be written.
@@ -54,7 +55,7 @@ def write_npz(store: Store, path: str | Path) -> Path:
     def write(file: IO[bytes]) -> None:
         with zipfile.ZipFile(file, "w", allowZip64=True) as archive:
             _write_array(archive, "point", np.dtype("<i8"), stored, (row[0] for row in store.rows("point")))
-            for name in store.columns:
+            for name in store.about.columns:
                 numbers = (np.nan if row[0] is None else row[0] for row in store.rows(name))
                 _write_array(archive, name, np.dtype("<f8"), stored, numbers)
             states: tuple[tuple[State, int], ...] = (("failed", failed), ("undetermined", undetermined))

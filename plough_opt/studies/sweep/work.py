@@ -1,4 +1,4 @@
-"""What a worker does: evaluate points until its time is up. Nothing that it learns at a point is used at another."""
+"""The work of a worker: evaluate points until its time is up. No point depends on results of another."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ _MOST_KEPT: Final = 4
 _kept: dict[str, Evaluation] = {}
 
 
-class Noted(dict[str, float]):
-    """Results of a point, with sentences for whoever reads them.
+class WithNotes(dict[str, float]):
+    """Results of a point, with notes on them.
 
     Attributes:
         notes: the sentences; those that differ in their numbers alone are counted as one.
@@ -36,14 +36,14 @@ class Noted(dict[str, float]):
 
 @runtime_checkable
 class ManyPoints(Protocol):
-    """An evaluation that takes many points at once, each with the same numbers as alone."""
+    """An evaluation of many points at once, which gives each the same numbers as alone."""
 
     @property
     def results(self) -> tuple[str, ...]:
         """Names of the results."""
 
     def many(self, values: Array) -> tuple[Array, dict[int, str], Sequence[tuple[int, int, Sequence[str]]]]:
-        """Return the results, a row for each row of values; place -> why it has none; and notes.
+        """Return the results, a row for each row of values; place -> the reason why it has none; and notes.
 
         A note is on the first of some points and on how many there are: (place, number, sentences).
         """
@@ -54,15 +54,15 @@ Evaluation = Callable[[dict[str, float]], Mapping[str, float]] | ManyPoints
 
 @dataclass
 class Done:
-    """What a worker found.
+    """The outcome of a task.
 
     Attributes:
-        points: how many of the points it was given it did, from the first on.
-        results: a row for each; of those that failed meaningless. None where all failed.
+        points: number of the points done, from the first on.
+        results: a row for each, meaningless for those that failed; None if all failed.
         names: of the results.
         reasons: place -> why a point failed.
         notes: kind -> text, place of the first point, number of points.
-        seconds: that it took.
+        seconds: time taken.
     """
 
     points: int
@@ -84,8 +84,8 @@ def work(key: str, evaluation: Evaluation, names: tuple[str, ...], values: Array
     """Evaluate points.
 
     Args:
-        key: tells this evaluation from others; the first of a key is kept, with what it built.
-        evaluation: what to evaluate.
+        key: identifies this evaluation; the first one with a key is kept, with everything that it has built.
+        evaluation: the function.
         names: of the quantities.
         values: a row for each point.
         budget: seconds after which no further point is begun.
@@ -132,8 +132,8 @@ def _one_by_one(
     rows: list[list[float] | None] = []
     for k, row in enumerate(values.tolist()):
         try:
-            found = evaluation(dict(zip(names, row, strict=True)))
-            numbers = _numbers(found)
+            results = evaluation(dict(zip(names, row, strict=True)))
+            numbers = _numbers(results)
         except Exception as error:
             done.reasons[k] = str(error) if isinstance(error, PloughError) else f"{type(error).__name__}: {error}"
             rows.append(None)
@@ -148,7 +148,7 @@ def _one_by_one(
             if bad := [name for name, number in numbers.items() if not math.isfinite(number)]:
                 done.reasons[k] = _not_finite(bad[0], numbers[bad[0]])
             else:
-                done.note(k, getattr(found, "notes", ()))
+                done.note(k, getattr(results, "notes", ()))
         done.points += 1
         if time.perf_counter() > until:
             break
@@ -158,20 +158,20 @@ def _one_by_one(
     return done
 
 
-def _numbers(found: Mapping[str, float]) -> dict[str, float]:
-    """Return what an evaluation gave as named floats.
+def _numbers(results: Mapping[str, float]) -> dict[str, float]:
+    """Return the results of an evaluation as named floats.
 
     Raises:
-        InputError: something else; the message says what.
+        InputError: something else.
     """
-    if not isinstance(found, Mapping):
-        raise InputError(f"the function returned {found!r}: return a dictionary of named numbers")
+    if not isinstance(results, Mapping):
+        raise InputError(f"the function returned {results!r}: return a dictionary of named numbers")
     numbers = {}
-    for name, number in found.items():
+    for name, number in results.items():
         try:
             numbers[name] = float(number)
         except (TypeError, ValueError, OverflowError) as error:
-            raise InputError(f"{name} = {str(number)[:80]!r} is no number: {error}") from None
+            raise InputError(f"{name} = {str(number)[:80]!r} is not a number: {error}") from None
     return numbers
 
 

@@ -1,7 +1,7 @@
-"""A worker process of a sweep: what it runs, and the messages between it and the pool that started it.
+"""A worker process of a sweep, and the messages between it and the pool that started it.
 
-The pool writes to the standard input of the process and reads from its standard output; whatever the work itself prints
-goes to the error stream. A message is a pickle behind its length.
+The pool writes to the standard input of the process and reads from its standard output; output of the work itself goes
+to the error stream. A message is a pickle, after its length.
 """
 
 from __future__ import annotations
@@ -24,23 +24,23 @@ from plough_opt.core.notices import Sieve
 READY: Final = "ready"
 BEGUN: Final = "begun"
 
-# Variables by which MPI's launchers talk to the processes that they started: a child of such a process is none of them.
+# Variables by which MPI's launchers control the processes that they started; they must not reach a child of those.
 _OF_LAUNCHERS: Final = re.compile(r"(PMI|PMIX|OMPI|PRTE|HYDI?|PALS|MPI)_")
-# What the libraries of linear algebra and OpenMP ask for the number of their threads.
+# Variables in which libraries of linear algebra and OpenMP look for their number of threads.
 _THREADS: Final = (
     "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "BLIS_NUM_THREADS", "VECLIB_MAXIMUM_THREADS",
 )  # fmt: skip
 _LENGTH: Final = struct.Struct("<Q")
 _PIECE: Final = 1 << 20
-# How often to look whether a silent process is still there [s].
+# How often to check whether a silent process still runs [s].
 _GLANCE: Final = 1.0
 
-# True in a worker that still imports the script which started it.
+# True in a worker while it imports the script that started it.
 _preparing = False
 
 
 def is_preparing() -> bool:
-    """Return whether this process is a worker that has not begun: a script without a guard sweeps there again."""
+    """Return whether this process is a worker that imports its script, which without a guard would sweep again."""
     return _preparing
 
 
@@ -56,16 +56,16 @@ def command() -> list[str]:
 
 
 def environment(threads: int) -> dict[str, str]:
-    """Return the environment of a worker: this one's, not of an MPI job, with so many threads where none are set."""
+    """Return the environment of a worker: this one's without that of MPI, and with a number of threads if unset."""
     own = {name: text for name, text in os.environ.items() if not _OF_LAUNCHERS.match(name)}
     return {**dict.fromkeys(_THREADS, str(threads)), **own}
 
 
 def preparation() -> dict[str, Any]:
-    """Return what a worker must know of this process to import what stands in its main script."""
-    found = multiprocessing.spawn.get_preparation_data("worker of a sweep")
-    del found["authkey"]  # which no pickle may hold
-    return found
+    """Return the data with which a worker can import this process's main script."""
+    data = multiprocessing.spawn.get_preparation_data("worker of a sweep")
+    del data["authkey"]  # which refuses to be pickled
+    return data
 
 
 def send(descriptor: int, message: object) -> None:
@@ -86,31 +86,31 @@ def receive(descriptor: int, alive: Callable[[], bool] = lambda: True) -> Any:
 
     Args:
         descriptor: to read from.
-        alive: whether who writes is still there: what it forked may hold the pipe open after its death.
+        alive: returns whether the writer still runs; its own children may hold the pipe open after its death.
 
     Raises:
-        EOFError: who writes has gone.
+        EOFError: the writer has ended.
     """
     (length,) = _LENGTH.unpack(_read(descriptor, _LENGTH.size, alive))
     return pickle.loads(_read(descriptor, length, alive))
 
 
 def _read(descriptor: int, count: int, alive: Callable[[], bool]) -> bytes:
-    found = bytearray()
-    while len(found) < count:
-        # Windows' pipes cannot be selected; there a read waits for their end.
+    content = bytearray()
+    while len(content) < count:
+        # Windows cannot select pipes; there a read waits for their end.
         while os.name == "posix" and not select.select([descriptor], [], [], _GLANCE)[0]:
             if not alive():
                 raise EOFError
-        piece = os.read(descriptor, min(count - len(found), _PIECE))
+        piece = os.read(descriptor, min(count - len(content), _PIECE))
         if not piece:
             raise EOFError
-        found += piece
-    return bytes(found)
+        content += piece
+    return bytes(content)
 
 
 def serve() -> None:
-    """Do what the pool asks until it is gone: what a worker runs."""
+    """Execute the pool's calls until it ends; this is the main function of a worker."""
     inlet, outlet = os.dup(0), os.dup(1)
     os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
     os.dup2(2, 1)
@@ -132,7 +132,7 @@ def serve() -> None:
 
 
 def _prepare(data: dict[str, Any], evaluation: bytes) -> None:
-    """Import what the pool's process has as its main script, and see whether the evaluation arrives."""
+    """Import the main script of the pool's process, and check that the evaluation can be unpickled."""
     global _preparing
     _preparing = True
     multiprocessing.spawn.prepare(data)
@@ -141,7 +141,7 @@ def _prepare(data: dict[str, Any], evaluation: bytes) -> None:
 
 
 def _listen(inlet: int, calls: queue.SimpleQueue[Any]) -> None:
-    """Take calls in, and end this process with the pool, even where that is killed and whatever is computed here."""
+    """Queue the pool's calls, and end this process with the pool, even if that is killed during a computation here."""
     try:
         while True:
             calls.put(receive(inlet))
@@ -150,7 +150,7 @@ def _listen(inlet: int, calls: queue.SimpleQueue[Any]) -> None:
 
 
 def _outcome(call: bytes) -> tuple[bool, bytes]:
-    """Return whether a call returned, and what it returned or raised, as a pickle."""
+    """Return whether a call returned, and its result or error as a pickle."""
     try:
         function, arguments, keywords = pickle.loads(call)
         return True, pickle.dumps(function(*arguments, **keywords))

@@ -6,6 +6,7 @@ sense, or CasADi expressions, and returns the like.
 
 from typing import TYPE_CHECKING, Any
 
+from plough_opt import laws
 from plough_opt.core.errors import (
     DomainError,
     ImplausibleValue,
@@ -25,6 +26,7 @@ from plough_opt.laws.forces import (
     resistance_coefficients,
     soil_reaction,
 )
+from plough_opt.laws.law import ResistanceLaw, ShareInSoil, SoilReaction
 from plough_opt.laws.penetration import cone_index
 from plough_opt.laws.printed import Printed
 from plough_opt.motion import Run, simulate
@@ -160,13 +162,16 @@ __all__ = [
     "Range",
     "RecordWaves",
     "Refinement",
+    "ResistanceLaw",
     "Rig",
     "Robust",
     "Run",
     "Scene",
+    "ShareInSoil",
     "Smooth",
     "Soil",
     "SoilDistribution",
+    "SoilReaction",
     "Spectrum",
     "StickSlip",
     "StrengthRecord",
@@ -181,6 +186,7 @@ __all__ = [
     "crosscheck",
     "deg",
     "elastic",
+    "laws",
     "load",
     "loosened_radius",
     "named_soil",

@@ -94,7 +94,7 @@ def test_ambient_pressure_only_keeps_the_contact():
             {"effects": po.Effects(motion=False, formulation=po.Printed(repelling_spring=False))},
             "printed formulation belongs to the plastic gas",
         ),
-        ({"medium": "viscous"}, "medium = 'viscous' must be 'plastic' or 'elastic'"),
+        ({"medium": "viscous"}, "no resistance law is named 'viscous'.*elastic.*plastic"),
     ],
 )
 def test_what_has_no_meaning_is_refused(changes, message):

@@ -277,8 +277,9 @@ def draw_cone(axes: Axes, scene: Scene) -> None:
     """Draw the equivalent cone in longitudinal section, with the compaction front around it."""
     cone = scene.cone
     radius = cone.height * cone.slope
-    front = scene.loosened_radius if scene.medium == "plastic" else radius
-    if scene.medium == "plastic":
+    loosens = not scene.law.lacks("loosened_radius")
+    front = scene.loosened_radius if loosens else radius
+    if loosens:
         axes.fill([0, cone.height, cone.height], [0, front, -front], facecolor=_SOIL, alpha=0.35, edgecolor="none",
                   label=f"compacted soil, r* = {front:.3f} m")  # fmt: skip
         for side in (1.0, -1.0):

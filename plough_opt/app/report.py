@@ -152,16 +152,17 @@ def print_comparison(console: Console, comparison: Comparison) -> None:
 
 def _scene_table(problem: Problem, scene: Scene) -> Grid:
     rows = [("soil", scene.soil.name)]
-    if scene.medium == "plastic":
+    if not scene.law.lacks("cone_index"):
         rows.append(("cone index", problem.readings or f"{float(cone_index(scene.soil)) / 1e3:.4g} kPa"))
     for key, value in problem.values().items():
         if not key.startswith("soil."):
             rows.append((key, shown(problem, key, float(value), quantities()[key].symbol)))
     rows.append(("half angle of the equivalent cone", customary("rad").text(float(scene.cone.half_angle))))
     rows.append(("moving mass with the share", f"{float(scene.mass):.5g} kg"))
-    if scene.medium == "plastic":
+    if not scene.law.lacks("added_mass"):
         rows.append(("added mass of soil", f"{float(scene.reaction.added_mass):.4g} kg"))
+    if not scene.law.lacks("ambient_pressure"):
         rows.append(("ambient pressure's part of the static draft", f"{100.0 * float(scene.ambient_share):.0f} %"))
-    else:
-        rows.append(("medium", "linear elastic"))
+    if scene.medium != "plastic":
+        rows.append(("law of resistance", scene.law.label))
     return Grid.pairs("Scene, variables at their guesses" if problem.variables else "Scene", *rows)

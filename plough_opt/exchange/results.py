@@ -103,7 +103,7 @@ class SavedRun(Saved):
             versions=versions(),
             averages=_floats(run.averages),
             ambient_share=float(run.scene.ambient_share),
-            specific_draft=run.specific_draft if run.scene.medium == "plastic" else None,
+            specific_draft=None if run.scene.law.lacks("loosened_radius") else run.specific_draft,
             **own,
             **arrays,
         )

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field
 from typing import Final
 
 from plough_opt.core.domain import check_domain
 from plough_opt.core.expressions import Expression
 from plough_opt.core.kinds import check_named
-
-SOURCE: Final = "ASABE D497.7, Agricultural machinery management data"
-STANDING: Final = "coefficients not verified against the standard's text, which is said to allow +-50 %"
+from plough_opt.laws.law import ResistanceLaw, ShareInSoil, SoilReaction
 
 POINTS: Final = {"narrow": (226.0, 0.0, 1.8), "winged": (294.0, 0.0, 2.4)}
 """Point -> A, B, C of D497's subsoiler rows, for N, km/h and cm; winged: 30 cm wide. Not verified."""
@@ -18,6 +17,36 @@ TEXTURES: Final = {"fine": 1.0, "medium": 0.70, "coarse": 0.45}
 """Soil texture -> factor F: clay, loam, sand. Not verified."""
 
 _KM_PER_H, _CM = 3.6, 100.0
+
+
+@dataclass(frozen=True)
+class AsabeD497(ResistanceLaw):
+    """`asabe_draft` as a law: F0 and Fd by depth and texture, whatever the soil's properties and the share's angle.
+
+    Args:
+        texture: ``"fine"`` (clay), ``"medium"`` (loam) or ``"coarse"`` (sand).
+        point: ``"narrow"`` or ``"winged"``.
+        shanks: their number.
+        depth: of tillage [m]; None: the share's height.
+    """
+
+    texture: str = "medium"
+    point: str = "narrow"
+    shanks: Expression = field(default=1.0, metadata={"unit": ""})
+    depth: Expression | None = field(default=None, metadata={"unit": "m"})
+
+    label = "ASABE D497"
+    source = "ASABE D497.7, Agricultural machinery management data"
+    standing = "coefficients not verified against the standard's text, which is said to allow +-50 %"
+
+    def reaction(self, at: ShareInSoil) -> SoilReaction:
+        """Return F0 [N] and Fd [N s^2/m^2]: the subsoiler's rows hold no term with the speed itself."""
+        depth = at.share.height if self.depth is None else self.depth
+        static = asabe_draft(depth, 0.0, self.texture, point=self.point, shanks=self.shanks)
+        check_domain("speed", at.speed, "m/s", at_least=0.0)
+        _, _, squared = POINTS[self.point]
+        drag = TEXTURES[self.texture] * squared * _KM_PER_H**2 * self.shanks * (_CM * depth)
+        return SoilReaction(static=static, drag=drag)
 
 
 def asabe_draft(

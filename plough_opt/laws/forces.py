@@ -15,6 +15,7 @@ from plough_opt.core.expressions import Expression, column, holds_casadi, is_cas
 from plough_opt.core.kinds import shown
 from plough_opt.core.labels import checked_in_designs
 from plough_opt.core.quadrature import gauss_legendre
+from plough_opt.laws.law import SoilReaction
 from plough_opt.soil.geometry import Cone, Wedge
 from plough_opt.soil.plastic import Cavity, WallPressure, front_radius, wall_pressure
 from plough_opt.soil.soil import Soil, check_soil
@@ -94,21 +95,6 @@ def _mean_wall_pressure(cone: Cone, soil: Soil) -> WallPressure:
 
 def _dot(weights: NDArray[np.float64], values: Expression) -> Expression:
     return ca.dot(ca.DM(weights), values) if is_casadi(values) else float(weights @ values)
-
-
-@dataclass(frozen=True)
-class SoilReaction:
-    """The same force in the form that moves the share: F = static + drag L'^2 + added_mass L''.
-
-    Attributes:
-        static: F0 [N].
-        drag: Fd [N s^2/m^2].
-        added_mass: m_a [kg].
-    """
-
-    static: Expression
-    drag: Expression
-    added_mass: Expression
 
 
 @checked_in_designs

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import math
-from typing import Final
+from dataclasses import dataclass
 
-from plough_opt.core.expressions import Expression, minimum, sqrt, tan
+from plough_opt.core.expressions import Expression, minimum, sin, sqrt, tan
+from plough_opt.laws.law import ShareInSoil, SoilReaction
 from plough_opt.laws.least import least_angle
 from plough_opt.laws.wedge import (
     GRAVITY,
     Tine,
+    TineLaw,
     WedgeAngles,
     horizontal,
     wedge_angles,
@@ -17,8 +19,18 @@ from plough_opt.laws.wedge import (
 )
 from plough_opt.soil.soil import Soil
 
-SOURCE: Final = "E. McKyes and O. S. Ali, J. Terramechanics 14 (1977) 43-51; E. McKyes, Soil Cutting and Tillage, 1985"
-STANDING: Final = "factors of the plane wedge as published; the crescents' factors not verified against the paper"
+
+@dataclass(frozen=True)
+class McKyesAli(TineLaw):
+    """`mckyes_ali_draft` as a law: F0 and Fd of a narrow tine, without added mass and loosened radius."""
+
+    label = "McKyes-Ali"
+    source = "E. McKyes and O. S. Ali, J. Terramechanics 14 (1977) 43-51; E. McKyes, Soil Cutting and Tillage, 1985"
+    standing = "factors of the plane wedge as published; the crescents' factors not verified against the paper"
+
+    def reaction(self, at: ShareInSoil) -> SoilReaction:
+        """Return F0 [N] and Fd [N s^2/m^2]: see `mckyes_ali_draft`."""
+        return _reaction(at.soil, self.tine(at), at.speed)
 
 
 def mckyes_ali_draft(soil: Soil, tine: Tine, speed: Expression) -> Expression:
@@ -38,14 +50,23 @@ def mckyes_ali_draft(soil: Soil, tine: Tine, speed: Expression) -> Expression:
         DomainError: outside the domain of a wedge, or a rake angle so flat and a tine so narrow that the weight's
             factor is least at the end of the possible angles, which of MX symbols is a limit that a `Design` keeps.
     """
+    found = _reaction(soil, tine, speed)
+    return found.static + found.drag * speed**2
+
+
+def _reaction(soil: Soil, tine: Tine, speed: Expression) -> SoilReaction:
+    """Return the draft's part at rest, and what the squared speed multiplies; the speed is checked only."""
     angles = wedge_angles(soil, tine, speed)
     beta = rupture_angle(angles, tine)
     n = wedge_factors(angles, beta)
     side = _side(angles.rake, beta, tine.depth / tine.width)
     weight = soil.density * GRAVITY * tine.depth * n.weight * (1.0 + 2.0 / 3.0 * side)
     strength = (soil.cohesion * n.cohesion + tine.surcharge * n.surcharge) * (1.0 + side)
-    rest = tine.adhesion * n.adhesion + soil.density * speed**2 * n.inertia
-    return horizontal((weight + strength + rest) * tine.width * tine.depth, tine, angles)
+    face = tine.width * tine.depth
+    return SoilReaction(
+        static=horizontal((weight + strength + tine.adhesion * n.adhesion) * face, tine, angles),
+        drag=soil.density * n.inertia * face * sin(angles.rake + angles.tool_friction),
+    )
 
 
 def rupture_angle(angles: WedgeAngles, tine: Tine) -> Expression:

@@ -16,7 +16,8 @@ from plough_opt.core.domain import check_domain
 from plough_opt.core.errors import InputError, nearest
 from plough_opt.core.expressions import Expression, cos, sin
 from plough_opt.core.kinds import shown
-from plough_opt.laws.forces import ResistanceCoefficients, SoilReaction
+from plough_opt.laws.forces import ResistanceCoefficients
+from plough_opt.laws.law import SoilReaction
 from plough_opt.soil.geometry import Cone
 from plough_opt.soil.soil import Soil
 

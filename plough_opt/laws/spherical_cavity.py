@@ -3,18 +3,33 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Final
+from typing import ClassVar
 
 from plough_opt.core.domain import check_domain
 from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import Expression, cos, expm1_ratio, log, sin, sqrt, tan
 from plough_opt.core.kinds import shown
+from plough_opt.laws.law import ResistanceLaw, ShareInSoil, SoilReaction
 from plough_opt.soil.geometry import Cone, Wedge
 from plough_opt.soil.soil import Soil, check_soil
 
-SOURCE: Final = "M. J. Forrestal and V. K. Luk, Int. J. Impact Engineering 12 (1992) 427-444"
-STANDING: Final = "derived anew in that form; made for projectiles, no test against tillage known"
+
+@dataclass(frozen=True)
+class SphericalCavity(ResistanceLaw):
+    """`spherical_cavity_draft` as a law: F0 and Fd on the equivalent cone, without added mass and loosened radius."""
+
+    label = "the spherical cavity (Forrestal-Luk)"
+    source = "M. J. Forrestal and V. K. Luk, Int. J. Impact Engineering 12 (1992) 427-444"
+    standing = "derived anew in that form; made for projectiles, no test against tillage known"
+    lacking: ClassVar[Mapping[str, str]] = {
+        name: why for name, why in ResistanceLaw.lacking.items() if name not in ("entry", "ambient_pressure")
+    }
+
+    def reaction(self, at: ShareInSoil) -> SoilReaction:
+        """Return F0 [N] and Fd [N s^2/m^2]: see `spherical_cavity_draft`."""
+        return _reaction(at.cone, at.soil, at.speed)
 
 
 @dataclass(frozen=True)
@@ -85,22 +100,28 @@ def spherical_cavity_draft(cone: Cone, soil: Soil, speed: Expression) -> Express
         InputError: no cone.
         DomainError: a negative speed, large elastic strains, or a front as fast as elastic waves sqrt(E/rho0).
     """
+    found = _reaction(cone, soil, speed)
+    return found.static + found.drag * speed**2
+
+
+def _reaction(cone: Cone, soil: Soil, speed: Expression) -> SoilReaction:
+    """Return the draft's part at rest, and what the squared speed multiplies; the speed is checked only."""
     if not isinstance(cone, Cone):
         remedy = ": take its equivalent_cone()" if isinstance(cone, Wedge) else ""
         raise InputError(f"the cone = {shown(cone)} must be a Cone{remedy}")
     check_domain("speed", speed, "m/s", at_least=0.0)
     cavity = spherical_cavity(soil)
-    normal = speed * sin(cone.half_angle)
+    along = sin(cone.half_angle)
     if soil.youngs_modulus is not None:
         check_domain(
             "speed of the compaction front over sqrt(E/rho0)",
-            cavity.front_speed * normal / sqrt(soil.youngs_modulus / soil.density),
+            cavity.front_speed * speed * along / sqrt(soil.youngs_modulus / soil.density),
             below=1.0,
             why="the soil ahead would feel no elastic wave",
         )
-    pressure = cavity.static + cavity.inertia * soil.density * normal**2
     slope = tan(cone.half_angle)
-    return math.pi * cone.height**2 * slope * (slope + soil.tool_friction) * pressure
+    face = math.pi * cone.height**2 * slope * (slope + soil.tool_friction)
+    return SoilReaction(static=face * cavity.static, drag=face * cavity.inertia * soil.density * along**2)
 
 
 def _power(x: Expression, q: Expression) -> Expression:

@@ -3,15 +3,38 @@
 from __future__ import annotations
 
 import math
-from typing import Final
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import ClassVar
 
 from plough_opt.core.expressions import Expression, minimum
+from plough_opt.laws.law import STEADY, ResistanceLaw, ShareInSoil, SoilReaction
 from plough_opt.laws.least import least_angle
-from plough_opt.laws.wedge import GRAVITY, Tine, WedgeAngles, horizontal, pressure, wedge_angles, wedge_factors
+from plough_opt.laws.wedge import (
+    GRAVITY,
+    Tine,
+    TineLaw,
+    WedgeAngles,
+    horizontal,
+    pressure,
+    wedge_angles,
+    wedge_factors,
+)
 from plough_opt.soil.soil import Soil
 
-SOURCE: Final = "W. C. Swick and J. V. Perumpral, J. Terramechanics 25 (1988) 43-56"
-STANDING: Final = "plane wedge without side forces; that its force is minimised is not verified against the paper"
+
+@dataclass(frozen=True)
+class SwickPerumpral(TineLaw):
+    """`swick_perumpral_draft` as a law of steady sliding: the rupture angle depends on the speed."""
+
+    label = "Swick-Perumpral"
+    source = "W. C. Swick and J. V. Perumpral, J. Terramechanics 25 (1988) 43-56"
+    standing = "plane wedge without side forces; that its force is minimised is not verified against the paper"
+    lacking: ClassVar[Mapping[str, str]] = {**ResistanceLaw.lacking, **STEADY}
+
+    def reaction(self, at: ShareInSoil) -> SoilReaction:
+        """Return the draft at the tow speed as F0 [N]."""
+        return SoilReaction(static=swick_perumpral_draft(at.soil, self.tine(at), at.speed))
 
 
 def swick_perumpral_draft(soil: Soil, tine: Tine, speed: Expression) -> Expression:

@@ -1,4 +1,4 @@
-"""A tine and the wedge of soil that it shears off: what the earth-pressure models share.
+"""A tine and the wedge of soil that it shears off: what the earth-pressure laws share.
 
 With omega = alpha + delta + phi (rake, tool friction, internal friction) and a rupture plane at the angle beta to
 the surface, balance of forces on the wedge gives every factor over sin(omega + beta); the published cotangents are the
@@ -8,12 +8,15 @@ same.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Final
 
 from plough_opt.core.domain import check_domain
+from plough_opt.core.errors import DomainError
 from plough_opt.core.expressions import Expression, arctan, arctan2, cos, sin, sqrt, tan
 from plough_opt.core.kinds import check_kind
+from plough_opt.laws.law import ResistanceLaw, ShareInSoil
+from plough_opt.soil.geometry import Wedge
 from plough_opt.soil.soil import Soil, check_soil
 
 GRAVITY: Final = 9.80665
@@ -50,6 +53,49 @@ class Tine:
         check_domain("rake angle", self.rake_angle, "rad", above=0.0, at_most=math.pi / 2)
         check_domain("surcharge", self.surcharge, "Pa", at_least=0.0)
         check_domain("adhesion", self.adhesion, "Pa", at_least=0.0)
+
+
+@dataclass(frozen=True)
+class TineLaw(ResistanceLaw):
+    """A law of a tine, which a share is compared with; what is None is estimated from the share.
+
+    Args:
+        depth: working depth [m]; None: the share's height.
+        width: of the tine [m]; None: base diameter of the equivalent cone.
+        rake_angle: of the tine [rad], above 0 to 90 degrees; None: the share's chisel angle.
+        surcharge: on the soil's surface [Pa].
+        adhesion: of soil on the tine [Pa].
+    """
+
+    depth: Expression | None = field(default=None, metadata={"unit": "m"})
+    width: Expression | None = field(default=None, metadata={"unit": "m"})
+    rake_angle: Expression | None = field(default=None, metadata={"unit": "rad"})
+    surcharge: Expression = field(default=0.0, metadata={"unit": "Pa"})
+    adhesion: Expression = field(default=0.0, metadata={"unit": "Pa"})
+    scalar = False
+
+    def tine(self, at: ShareInSoil) -> Tine:
+        """Return the tine.
+
+        Raises:
+            DomainError: a number outside its domain, or no rake angle for a share given as a cone.
+        """
+        rake = self.rake_angle
+        if rake is None:
+            if not isinstance(at.share, Wedge):
+                raise DomainError("a share given as a cone has no rake angle: give rake_angle")
+            rake = at.share.chisel_angle
+        return Tine(
+            width=2.0 * at.cone.height * at.cone.slope if self.width is None else self.width,
+            depth=at.share.height if self.depth is None else self.depth,
+            rake_angle=rake,
+            surcharge=self.surcharge,
+            adhesion=self.adhesion,
+        )
+
+    def check(self, at: ShareInSoil) -> None:
+        """Refuse what no wedge of soil can follow; the end of the possible angles is a limit that designs keep."""
+        wedge_angles(at.soil, self.tine(at), at.speed)
 
 
 @dataclass(frozen=True)

@@ -125,7 +125,7 @@ class Run(Readable):
                 ("stationary RMS of the mount force", force.text(float(self.scene.stationary_force_rms))),
                 ("stationary RMS of the deflection", length.text(float(self.scene.stationary_displacement_rms))),
             ]
-        if self.scene.medium == "plastic":
+        if not self.scene.law.lacks("loosened_radius"):
             section, radius = self.specific_draft, float(self.scene.loosened_radius)
             rows += [
                 ("draft per loosened section", self.origin.common("Pa", {"specific_draft": section}).text(section)),

@@ -2,23 +2,23 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Literal, TypeVar
+from typing import TypeVar
 
 from plough_opt.core.domain import check_domain
 from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import Expression, as_number, is_symbolic, rms, sqrt
-from plough_opt.core.kinds import check_choice, shown
+from plough_opt.core.kinds import shown
 from plough_opt.core.labels import checked_in_designs, unlabelled
 from plough_opt.core.quantities import settle
-from plough_opt.laws.forces import SoilReaction, loosened_radius, soil_reaction
+from plough_opt.laws.law import ResistanceLaw, ShareInSoil, SoilReaction, without_pressure
+from plough_opt.laws.plastic_gas import PlasticGas
+from plough_opt.laws.registry import law_of
 from plough_opt.motion.effects import Effects, Smooth
-from plough_opt.soil.elastic import cone_force
-from plough_opt.soil.geometry import PLANE_SECTIONS_LIMIT, Cone, Wedge
+from plough_opt.soil.geometry import Cone, Wedge
 from plough_opt.soil.random_strength import Sliding, Stationary, stationary_response
 from plough_opt.soil.soil import Soil
 from plough_opt.soil.waves import check_strength
@@ -52,17 +52,18 @@ class Scene:
         mass: m of all that moves but the soil [kg], above 0: frame part and share (`Cone.solid_mass`).
         tow_speed: V0 of the strut [m/s], at least 0.
         effects: what to simulate.
-        medium: ``"plastic"``: the plastic gas; ``"elastic"``: the linear elastic medium, which gives the steady
-            contact force on the equivalent cone (`po.elastic.cone_force`, an order of magnitude)
-            and no motion: it takes ``Effects(motion=False)`` and none of the effects that vary the
-            force along the path or in time.
+        medium: the law of resistance: a name in `plough_opt.laws.LAWS`, or a `ResistanceLaw` such as
+            ``McKyesAli(depth=0.35)``. ``"plastic"``: the plastic gas; ``"elastic"``: the linear elastic medium, which
+            gives the steady contact force on the equivalent cone (`po.elastic.cone_force`, an order of magnitude).
+            What a law does not give is refused, as motion is by those of steady sliding only (the elastic medium, Swick
+            and Perumpral), which take ``Effects(motion=False)``, or left out, as added mass, with a warning.
 
     Every number may be a float or a CasADi expression.
 
     Raises:
         DomainError: a number outside its domain.
-        InputError: an unknown medium, an effect that has no meaning in the elastic one, or something else in the place
-            of soil, share or effects.
+        InputError: an unknown medium, an effect that has no meaning in it, or something else in the place of soil,
+            share or effects.
     """
 
     soil: Soil
@@ -71,13 +72,11 @@ class Scene:
     mass: Expression
     tow_speed: Expression
     effects: Effects = field(default_factory=Effects)
-    medium: Literal["plastic", "elastic"] = "plastic"
+    medium: str | ResistanceLaw = "plastic"
 
     def __post_init__(self) -> None:
         self._check_kinds()
-        check_choice("medium", self.medium, ("plastic", "elastic"))
-        if self.medium == "elastic":
-            self._refuse_plastic_effects()
+        self._refuse_what_the_law_lacks()
         settle(self, **{name: f"scene.{name}" for name in ("stiffness", "mass", "tow_speed")})
         if self.effects.random_strength is not None:
             self.check_stationary()
@@ -92,24 +91,19 @@ class Scene:
             if not isinstance(getattr(self, name), kinds):
                 raise InputError(f"the scene's {name} = {shown(getattr(self, name))} must be {wanted}")
 
-    def _refuse_plastic_effects(self) -> None:
-        """Refuse effects that have no meaning in the elastic medium."""
+    def _refuse_what_the_law_lacks(self) -> None:
+        """Refuse effects that have no meaning in the law of resistance."""
         effects = self.effects
-        if effects.motion:
-            raise InputError(
-                "motion has no meaning in the elastic medium, which is solved for steady sliding only, and so has no"
-                " oscillation: take effects = Effects(motion=False), or medium = 'plastic'"
-            )
-        for name in ("strength_wave", "random_strength", "tow_ramp", "rate_term"):
-            if getattr(effects, name) is not None:
-                raise InputError(
-                    f"{name} has no meaning in the elastic medium, which has no strength and is solved for steady"
-                    " sliding only: leave it out, or take medium = 'plastic'"
-                )
-        if effects.own:
-            raise InputError("own resistances belong to the plastic gas: take medium = 'plastic' for them")
-        if effects.printed.errors:
+        for name in ("motion", "strength_wave", "random_strength", "tow_ramp", "rate_term", "own", "entry"):
+            if self.law.lacks(name) and getattr(effects, name) not in (None, False, ()):
+                raise InputError(self.law.refusal(name))
+        if effects.printed.errors and not isinstance(self.law, PlasticGas):
             raise InputError("the printed formulation belongs to the plastic gas: take medium = 'plastic' for it")
+
+    @cached_property
+    def law(self) -> ResistanceLaw:
+        """The law of resistance: see ``medium``."""
+        return law_of(self.medium)
 
     @cached_property
     def cone(self) -> Cone:
@@ -127,10 +121,7 @@ class Scene:
 
     @cached_property
     def _reaction(self) -> SoilReaction:
-        soil = self.soil if self.effects.ambient_pressure else self._soil_without_pressure
-        if self.medium == "elastic":
-            return SoilReaction(static=cone_force(self.cone, soil, self.tow_speed), drag=0.0, added_mass=0.0)
-        full = self._reaction_of(soil)
+        full = self._reaction_at(self._at)
         return SoilReaction(
             static=full.static,
             drag=full.drag if self.effects.inertial_drag else 0.0,
@@ -138,38 +129,56 @@ class Scene:
         )
 
     def check_reaction(self) -> None:
-        """Refuse a scene of numbers whose soil has no reaction to the share, or a strength below 0 somewhere.
+        """Refuse a scene of numbers outside the domain of its law of resistance, or a strength below 0 somewhere.
 
-        The elastic medium is left out: a design limits its speed by a requirement.
+        Limits that a design keeps by requirements, such as the shear wave's speed, are left out.
 
         Raises:
-            DomainError: a density profile with which there is no compaction front, or strength waves whose amplitudes
-                exceed 1 in sum.
+            DomainError: such as a density profile with which there is no compaction front, or strength waves whose
+                amplitudes exceed 1 in sum.
         """
         check_strength(self.effects.waves)
-        if self.medium == "plastic":
-            _ = self._reaction
+        with unlabelled():
+            self.law.check(self._at)
 
     @property
-    def _soil_without_pressure(self) -> Soil:
-        return dataclasses.replace(self.soil, ambient_pressure=0.0)
+    def _whole(self) -> ShareInSoil:
+        """The share in its soil, under the soil's ambient pressure."""
+        return ShareInSoil(self.share, self.cone, self.soil, self.tow_speed)
 
-    def _reaction_of(self, soil: Soil) -> SoilReaction:
-        """Return the whole reaction of a soil to this share, in the scene's formulation."""
+    @property
+    def _at(self) -> ShareInSoil:
+        """The share in its soil, without ambient pressure where the scene takes none."""
+        return self._whole if self.effects.ambient_pressure else without_pressure(self._whole)
+
+    def _reaction_at(self, at: ShareInSoil) -> SoilReaction:
+        """Return the whole reaction of a soil to a share, in the scene's formulation."""
         with unlabelled():
-            return self.effects.printed.reaction(soil_reaction(self.cone, soil))
+            return self.effects.printed.reaction(self.law.reaction(at))
+
+    @property
+    @_checked_in_designs
+    def carried_soil(self) -> Expression:
+        """Mass of soil that the share carries along by the law of resistance [kg], also where that effect is off.
+
+        Raises:
+            InputError: the law of resistance says nothing of it.
+        """
+        if self.law.lacks("added_mass"):
+            raise InputError(self.law.refusal("added_mass"))
+        with unlabelled():
+            return self.law.reaction(self._whole).added_mass
 
     @property
     @_checked_in_designs
     def loosened_radius(self) -> Expression:
-        """Radius r* of the compaction front at the share's base [m].
+        """Radius to which the soil is loosened at the share's base [m]; of the plastic gas that of the front, r*.
 
         Raises:
-            InputError: the medium is elastic, and nothing is compacted for good.
+            InputError: the law of resistance gives none.
         """
-        if self.medium == "elastic":
-            raise InputError("the elastic medium has no compaction front and loosens nothing: take medium = 'plastic'")
-        return loosened_radius(self.cone, self.soil)
+        with unlabelled():
+            return self.law.loosened_radius(self._whole)
 
     @property
     @_checked_in_designs
@@ -242,8 +251,8 @@ class Scene:
             InputError: see `stationary_force_rms`.
         """
         effects, what = self.effects, "the stationary RMS"
-        if self.medium == "elastic":
-            raise InputError(f"{what} belongs to the plastic gas: the elastic medium has no motion")
+        if self.law.lacks("motion"):
+            raise InputError(f"{what} is of a motion: {self.law.refusal('motion')}")
         if not effects.waves and effects.random_strength is None:
             raise InputError(f"{what} needs strength that varies: give random_strength, or strength_wave")
         if not effects.motion:
@@ -298,11 +307,11 @@ class Scene:
     def ambient_share(self) -> Expression:
         """Part of the static resistance F0 that the ambient pressure carries [-]; 0 where F0 is 0.
 
-        In the elastic medium it is 0: the force there is gauge, and the pressure only keeps the contact.
+        It is 0 in a medium whose force is gauge, as the elastic one, where the pressure only keeps the contact.
         """
-        if not self.effects.ambient_pressure or self.medium == "elastic":
+        if not self.effects.ambient_pressure or self.law.lacks("ambient_pressure"):
             return 0.0
-        bare = self._reaction_of(self._soil_without_pressure).static
+        bare = self._reaction_at(without_pressure(self._at)).static
         total = self.reaction.static
         if not is_symbolic(total) and not float(as_number(total)) > 0.0:
             return 0.0
@@ -328,18 +337,7 @@ class Scene:
                 f"these are the source's equations as printed ({', '.join(errors)}), not physics: their results only"
                 " show what the print's errors do; for all else take formulation = 'derived'"
             )
-        if self.medium == "elastic":
-            found.append(
-                "the elastic medium's force on a cone is an order of magnitude: strains on its face are of order one,"
-                " and its dependence on the speed is not to be trusted"
-            )
-        found += self.soil.warnings() if self.medium == "plastic" else ()
-        half_angle = float(as_number(self.cone.half_angle))
-        if half_angle > PLANE_SECTIONS_LIMIT:
-            found.append(
-                f"the equivalent cone's half angle is {math.degrees(half_angle):.1f} deg: above"
-                f" {math.degrees(PLANE_SECTIONS_LIMIT):.0f} deg the hypothesis of plane sections does not hold"
-            )
+        found += self.law.warnings(self._whole)
         if self.effects.random_strength is not None:
             found.append("random strength counts in the stationary RMS, and not in a simulated motion")
             rate, speed = (float(as_number(x)) for x in (self._stationary.speed_rms, self.tow_speed))

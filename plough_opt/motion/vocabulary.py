@@ -11,7 +11,7 @@ from plough_opt.core.errors import InputError, nearest
 from plough_opt.core.expressions import Expression
 from plough_opt.core.quantities import EVERY, QUANTITIES
 from plough_opt.core.units import Unit
-from plough_opt.laws.forces import added_mass
+from plough_opt.laws.law import ResistanceLaw
 from plough_opt.laws.penetration import cone_index
 from plough_opt.motion import Run
 from plough_opt.motion.scene import Scene
@@ -77,16 +77,30 @@ class Measure:
     Attributes:
         unit: SI unit.
         of: run -> value, a column where ``everywhere``.
+        needs: what the scene's law of resistance must give for it: see `ResistanceLaw.lacking`.
         everywhere: a value at every output time; it can be limited, and not minimised.
-        plastic: belongs to the plastic gas alone.
         random: belongs to strength that varies along the path, and stands in tables where that is random.
     """
 
     unit: Unit
     of: Callable[[Run], Expression]
+    needs: tuple[str, ...] = ()
     everywhere: bool = False
-    plastic: bool = False
     random: bool = False
+
+    def check(self, name: str, law: ResistanceLaw) -> None:
+        """Refuse a measure that a law of resistance does not give.
+
+        Raises:
+            InputError: as said.
+        """
+        for what in self.needs:
+            if law.lacks(what):
+                raise InputError(law.refusal(what, name))
+
+    def given_by(self, law: ResistanceLaw) -> bool:
+        """Return whether a law of resistance gives it."""
+        return not any(map(law.lacks, self.needs))
 
 
 MEASURES: dict[str, Measure] = {
@@ -95,15 +109,15 @@ MEASURES: dict[str, Measure] = {
     "mean_deflection": Measure(Unit("m"), lambda run: run.mean_deflection),
     "displacement_rms": Measure(Unit("m"), lambda run: run.displacement_rms),
     "tow_power": Measure(Unit("W"), lambda run: run.tow_power),
-    "specific_draft": Measure(Unit("Pa"), lambda run: run.specific_draft, plastic=True),
-    "loosened_radius": Measure(Unit("m"), lambda run: run.scene.loosened_radius, plastic=True),
+    "specific_draft": Measure(Unit("Pa"), lambda run: run.specific_draft, ("loosened_radius",)),
+    "loosened_radius": Measure(Unit("m"), lambda run: run.scene.loosened_radius, ("loosened_radius",)),
     "half_angle": Measure(Unit("rad"), lambda run: run.scene.cone.half_angle),
     "moving_mass": Measure(Unit("kg"), lambda run: run.scene.mass),
-    "added_mass": Measure(Unit("kg"), lambda run: added_mass(run.scene.cone, run.scene.soil), plastic=True),
-    "cone_index": Measure(Unit("Pa"), lambda run: cone_index(run.scene.soil), plastic=True),
-    "stationary_force_rms": Measure(Unit("N"), lambda run: run.scene.stationary_force_rms, plastic=True, random=True),
+    "added_mass": Measure(Unit("kg"), lambda run: run.scene.carried_soil, ("added_mass",)),
+    "cone_index": Measure(Unit("Pa"), lambda run: cone_index(run.scene.soil), ("cone_index",)),
+    "stationary_force_rms": Measure(Unit("N"), lambda run: run.scene.stationary_force_rms, ("motion",), random=True),
     "stationary_displacement_rms": Measure(
-        Unit("m"), lambda run: run.scene.stationary_displacement_rms, plastic=True, random=True
+        Unit("m"), lambda run: run.scene.stationary_displacement_rms, ("motion",), random=True
     ),
     "deflection": Measure(Unit("m"), lambda run: run.deflection, everywhere=True),
     "mount_force": Measure(Unit("N"), lambda run: run.mount_force, everywhere=True),

@@ -13,7 +13,6 @@ import numpy as np
 
 from plough_opt.core.errors import IntegrationError, PloughError
 from plough_opt.core.expressions import Expression
-from plough_opt.laws.forces import added_mass
 from plough_opt.motion import Run
 from plough_opt.motion.accuracy import DEFAULT_ERROR
 from plough_opt.motion.batch import Batch
@@ -97,12 +96,15 @@ class SimulationOfMany:
     @property
     def results(self) -> tuple[str, ...]:
         """Names of the results: those of `Simulation` without peaks, which a batch does not find."""
-        return (*_AVERAGES, *self._of_scene, "specific_draft", "error_estimate")
+        specific = ("specific_draft",) if "loosened_radius" in self._of_scene else ()
+        return (*_AVERAGES, *self._of_scene, *specific, "error_estimate")
 
     @property
     def _of_scene(self) -> dict[str, Callable[[Scene], Expression]]:
-        """Results that need no motion."""
-        return _OF_SCENE | (_OF_RANDOM if self.problem.scene().effects.random_strength is not None else {})
+        """The results without motion that the scene's law of resistance gives."""
+        law, scene = self.problem.table.scene.law, self.problem.scene()
+        known = _OF_SCENE | (_OF_RANDOM if scene.effects.random_strength is not None else {})
+        return {name: of for name, of in known.items() if MEASURES[name].given_by(law)}
 
     @property
     def units(self) -> dict[str, str]:
@@ -136,11 +138,14 @@ class SimulationOfMany:
         found = batch(values)
         averages = [getattr(found, name) for name in _AVERAGES]
         *steady, ambient_share = np.asarray(of_scene(values.T))
-        with np.errstate(all="ignore"):
-            specific = found.mean_draft / (np.pi * steady[_RADIUS] ** 2)
-        results = np.column_stack([*averages, *steady, specific, found.error_estimate])
+        of_name = dict(zip(self._of_scene, steady, strict=True))
+        specific = []
+        if "loosened_radius" in of_name:
+            with np.errstate(all="ignore"):
+                specific = [found.mean_draft / (np.pi * of_name["loosened_radius"] ** 2)]
+        results = np.column_stack([*averages, *steady, *specific, found.error_estimate])
         sound = ~found.failed
-        kinds = 2 * (steady[_HALF_ANGLE] > PLANE_SECTIONS_LIMIT) + (ambient_share > 0.0)
+        kinds = 2 * (of_name["half_angle"] > PLANE_SECTIONS_LIMIT) + (ambient_share > 0.0)
         notes = []
         for kind in np.unique(kinds[sound]):
             # Scenes of one kind have the same warnings but for their numbers.
@@ -162,9 +167,9 @@ def fixed_at(problem: Problem, values: Mapping[str, float]) -> Problem:
 
 def _of_run(problem: Problem, run: Run) -> dict[str, float]:
     """Return what is worth a column of a run of numbers."""
-    plastic, random = problem.table.scene.medium == "plastic", run.scene.effects.random_strength is not None
+    law, random = run.scene.law, run.scene.effects.random_strength is not None
     known = {name: one for name, one in measures_of(problem.table).items() if not one.everywhere}
-    chosen = {name: one for name, one in known.items() if (plastic or not one.plastic) and (random or not one.random)}
+    chosen = {name: one for name, one in known.items() if (random or not one.random) and one.given_by(law)}
     return {
         **{name: float(one.of(run)) for name, one in chosen.items()},
         "peak_force": run.peak_force,
@@ -194,10 +199,9 @@ _OF_SCENE: dict[str, Callable[[Scene], Expression]] = {
     "loosened_radius": lambda scene: scene.loosened_radius,
     "half_angle": lambda scene: scene.cone.half_angle,
     "moving_mass": lambda scene: scene.mass,
-    "added_mass": lambda scene: added_mass(scene.cone, scene.soil),
+    "added_mass": lambda scene: scene.carried_soil,
 }
 _OF_RANDOM: dict[str, Callable[[Scene], Expression]] = {
     "stationary_force_rms": lambda scene: scene.stationary_force_rms,
     "stationary_displacement_rms": lambda scene: scene.stationary_displacement_rms,
 }
-_RADIUS, _HALF_ANGLE = (list(_OF_SCENE).index(name) for name in ("loosened_radius", "half_angle"))

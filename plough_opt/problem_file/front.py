@@ -8,6 +8,7 @@ from typing import Any
 
 from plough_opt.core.errors import InputError, nearest
 from plough_opt.core.expressions import is_count
+from plough_opt.laws.law import ResistanceLaw
 from plough_opt.motion.vocabulary import Measure
 from plough_opt.problem_file.source import Source
 
@@ -35,11 +36,11 @@ def front_of(table: Mapping[str, Any]) -> FrontTable:
     return FrontTable(goals, table.get("points", POINTS))
 
 
-def check_front(source: Source, table: Mapping[str, Any], medium: str, known: Mapping[str, Measure]) -> None:
+def check_front(source: Source, table: Mapping[str, Any], law: ResistanceLaw, known: Mapping[str, Measure]) -> None:
     """Note everything that is wrong in the table."""
     for name, entry in table.items():
         with source.noting((TABLE, name)):
-            _check_entry(source, name, entry, medium, known)
+            _check_entry(source, name, entry, law, known)
     count = sum(name != "points" for name in table)
     if count not in (2, 3) and all(name in {*known, "points"} for name in table):
         with source.noting((TABLE,)):
@@ -48,7 +49,7 @@ def check_front(source: Source, table: Mapping[str, Any], medium: str, known: Ma
             raise InputError(f"a front is drawn of two or three results, not {how}{more}")
 
 
-def _check_entry(source: Source, name: str, entry: Any, medium: str, known: Mapping[str, Measure]) -> None:
+def _check_entry(source: Source, name: str, entry: Any, law: ResistanceLaw, known: Mapping[str, Measure]) -> None:
     if name == "points":
         if isinstance(entry, bool) or not is_count(entry) or not FEWEST <= entry <= MOST:
             raise InputError(f"'trade_off.points' = {entry!r} must be a whole number from {FEWEST} to {MOST}")
@@ -56,8 +57,7 @@ def _check_entry(source: Source, name: str, entry: Any, medium: str, known: Mapp
     allowed = [measure for measure, own in known.items() if not own.everywhere]
     if name not in allowed:
         raise InputError(f"'{name}' cannot be traded: {nearest(name, [*allowed, 'points'])}")
-    if known[name].plastic and medium == "elastic":
-        raise InputError(f"'{name}' has no meaning in the elastic medium: leave it out, or take medium = \"plastic\"")
+    known[name].check(name, law)
     if not isinstance(entry, dict):
         raise InputError(f"'trade_off.{name}' must be {{}} or {{ maximise = true }}, not {entry!r}")
     for key, value in entry.items():

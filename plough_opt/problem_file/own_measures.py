@@ -53,6 +53,7 @@ class _Known:
     power: Callable[[Any, float], Any] = operator.pow
 
 
+@lru_cache(maxsize=128)
 def own_measure(text: str, unit: str) -> Measure:
     """Return a result that an expression computes from others.
 
@@ -78,7 +79,8 @@ def own_measure(text: str, unit: str) -> Measure:
         return _value(tree, _Known(lambda name: _of_run(run, name), _applied)) / factor
 
     parts = [MEASURES[name] for name in names if name in MEASURES]
-    return Measure(Unit(unit), of, plastic=any(one.plastic for one in parts), random=any(one.random for one in parts))
+    needs = tuple(dict.fromkeys(what for one in parts for what in one.needs))
+    return Measure(Unit(unit), of, needs, random=any(one.random for one in parts))
 
 
 def _of_run(run: Run, name: str) -> Expression:
@@ -169,12 +171,7 @@ def _power(tree: ast.expr) -> float:
 
 def measures_of(table: ProblemTable) -> Mapping[str, Measure]:
     """Return the results that a file can name: the toolkit's and its own."""
-    return _measures(tuple((name, own.value, own.unit) for name, own in table.measures.items()))
-
-
-@lru_cache(maxsize=32)
-def _measures(own: tuple[tuple[str, str, str], ...]) -> Mapping[str, Measure]:
-    return MEASURES | {name: own_measure(text, unit) for name, text, unit in own}
+    return MEASURES | {name: own_measure(own.value, own.unit) for name, own in table.measures.items()}
 
 
 def check_own(source: Source, table: ProblemTable) -> bool:

@@ -22,6 +22,7 @@ from plough_opt.motion.effects import Effects, HarmonicBalance, Smooth, StickSli
 from plough_opt.motion.scene import Scene
 from plough_opt.problem_file.front import EXAMPLE, front_of
 from plough_opt.problem_file.interface import input_ports, wanted_outputs
+from plough_opt.problem_file.medium import medium_of
 from plough_opt.problem_file.own_measures import measures_of
 from plough_opt.problem_file.schema import RANDOM, ProblemTable
 from plough_opt.soil.geometry import Wedge
@@ -128,7 +129,7 @@ class Problem:
             mass=values["scene.frame_mass"] + steel,
             tow_speed=values["scene.tow_speed"],
             effects=self._effects(values),
-            medium=self.table.scene.medium,
+            medium=medium_of(self.table.scene.medium),
         )
 
     def _soil(self, values: Mapping[str, Expression]) -> Soil:

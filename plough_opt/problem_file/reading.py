@@ -17,6 +17,7 @@ from plough_opt.core.kinds import check_kind, path_of
 from plough_opt.core.quantities import IN_FILES, READINGS, quantities
 from plough_opt.core.units import Display, display_of
 from plough_opt.design import Over
+from plough_opt.laws.law import ResistanceLaw
 from plough_opt.motion.accuracy import Accuracy
 from plough_opt.motion.vocabulary import Measure
 from plough_opt.problem_file.front import TABLE, check_front
@@ -159,7 +160,7 @@ def _checked(source: Source, table: ProblemTable, notes: tuple[str, ...]) -> Pro
         _check_measures(source, table, displays)
         check_uncertain(source, table)
         if table.trade_off is not None:
-            check_front(source, table.trade_off, table.scene.medium, measures_of(table))
+            check_front(source, table.trade_off, table.scene.law, measures_of(table))
     return Problem(source.name, table, fixed, variables, displays, notes)
 
 
@@ -305,13 +306,13 @@ def _check_measures(source: Source, table: ProblemTable, displays: dict[str, Dis
     limits = [(("require", name), limit.sides) for name, limit in table.require.items()]
     for place, sides in (*terms, *limits):
         with source.noting(place):
-            _check_measure(source, place, table.scene.medium, sides, known)
+            _check_measure(source, place, table.scene.law, sides, known)
             for written in sides.values():
                 displays[place[1]] = display_of(written, known[place[1]].unit)
 
 
 def _check_measure(
-    source: Source, place: Keys, medium: str, sides: Mapping[str, Any], known: Mapping[str, Measure]
+    source: Source, place: Keys, law: ResistanceLaw, sides: Mapping[str, Any], known: Mapping[str, Measure]
 ) -> None:
     """Check one term of the objective, or one requirement."""
     kind, name = place
@@ -319,8 +320,7 @@ def _check_measure(
     if name not in allowed:
         verb = "minimised" if kind == "minimise" else "required"
         raise InputError(f"'{name}' cannot be {verb}: {nearest(name, allowed)}")
-    if known[name].plastic and medium == "elastic":
-        raise InputError(f"'{name}' has no meaning in the elastic medium: leave it out, or take medium = \"plastic\"")
+    known[name].check(name, law)
     values = {}
     for side, written in sides.items():
         try:

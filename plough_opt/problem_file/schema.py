@@ -4,12 +4,24 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal, TypeVar
 
-from pydantic import BaseModel, ConfigDict, Field, StrictBool, StrictFloat, StrictInt, StrictStr, create_model
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    ConfigDict,
+    Field,
+    StrictBool,
+    StrictFloat,
+    StrictInt,
+    StrictStr,
+    create_model,
+)
 
 from plough_opt.core.quantities import IN_FILES, MOST_WAVES, wave_table
 from plough_opt.core.units import Unit
+from plough_opt.laws.law import ResistanceLaw
+from plough_opt.laws.registry import law_of
 from plough_opt.motion.effects import MOST_HARMONICS, Effects, HarmonicBalance
-from plough_opt.motion.scene import Scene
+from plough_opt.problem_file.medium import medium_of
 from plough_opt.soil.soil import Adjust
 
 Written = StrictStr | StrictFloat
@@ -18,6 +30,12 @@ RANDOM = "effects.random_strength"
 
 
 _T = TypeVar("_T", bound="Table")
+
+
+def checked_medium(written: object) -> object:
+    """Return a medium as it is written, which `medium_of` can read."""
+    medium_of(written)
+    return written
 
 
 class Table(BaseModel):
@@ -47,8 +65,13 @@ class ShareTable(Table):
 class SceneTable(Table):
     """Mount, masses, speed and time."""
 
-    medium: Literal["plastic", "elastic"] = Scene.medium
+    medium: Annotated[Any, AfterValidator(checked_medium)] = "plastic"
     outputs: Annotated[StrictInt, Field(ge=1, le=100_000)] = 400
+
+    @property
+    def law(self) -> ResistanceLaw:
+        """The law of resistance."""
+        return law_of(medium_of(self.medium))
 
 
 class EffectsTable(Table):

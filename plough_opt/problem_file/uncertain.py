@@ -177,8 +177,8 @@ def check_uncertain(source: Source, table: ProblemTable) -> None:
                 "nothing is uncertain: give a property of the soil a distribution, like"
                 ' "soil.cohesion" = { distribution = "lognormal", mean = "20 kPa", std = "6 kPa" }'
             )
-        if table.scene.medium == "elastic":
-            raise InputError('uncertain soil belongs to the plastic gas: take medium = "plastic"')
+        if table.scene.law.lacks("uncertain"):
+            raise InputError(table.scene.law.refusal("uncertain", TABLE))
     _check_asked(source, table)
 
 

@@ -60,7 +60,8 @@ def test_every_row_is_its_models_draft(full):
             ("McKyes-Ali", lambda v, t=tine: mckyes_ali_draft(SOIL, t, v)),
             ("universal earthmoving equation", lambda v, t=tine: godwin_draft(SOIL, t, v, rupture_ratio=2.3)),
         ):
-            assert row(full, model, depth).drafts == tuple(draft(v) for v in (1.0, 2.5))
+            # The law splits the formula into a part at rest and one with the squared speed.
+            assert row(full, model, depth).drafts == pytest.approx([draft(v) for v in (1.0, 2.5)], rel=4e-15)
     cavity = row(full, "spherical cavity (Forrestal-Luk)")
     assert cavity.depth is None
     assert cavity.drafts == tuple(spherical_cavity_draft(SHARE.equivalent_cone(), SOIL, v) for v in (1.0, 2.5))

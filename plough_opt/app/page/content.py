@@ -224,7 +224,7 @@ def soil(report: Report) -> Table:
         value = getattr(own, quantity.key, None) if quantity.owner == "soil" else None
         if value is not None:
             rows.append((quantity.meaning, report.shown(name, float(value), quantity.unit, 5)))
-    if report.run.scene.medium == "plastic":
+    if not report.run.scene.law.lacks("cone_index"):
         rows.append(("cone index of a penetrometer", nice(f"{float(cone_index(own)) / 1e3:.4g} kPa")))
         share = 100.0 * float(report.run.scene.ambient_share)
         rows.append(("ambient pressure's part of the static draft", f"{share:.0f} %"))

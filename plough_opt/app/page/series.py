@@ -187,7 +187,7 @@ def bodies(report: Report) -> list[dict[str, Any]]:
     found = [_body("cone", "Equivalent cone", _GREY, 1.0, cone, edges=False)]
     if isinstance(scene.share, Wedge):
         found.insert(0, _body("share", "Share", _BLUE, 1.0, scene.share.mesh(), edges=True))
-    if scene.medium == "plastic":
+    if not scene.law.lacks("loosened_radius"):
         radius = float(scene.loosened_radius) / (cone.vertices[1:, 1:].max() or 1.0)
         front = Solid(cone.vertices * [1.0, radius, radius], cone.polygons[:_SIDES], _SIDES)
         found.append(_body("front", "Compacted soil", _ORANGE, 0.3, front, edges=False))
@@ -227,7 +227,7 @@ def motion(report: Report) -> dict[str, Any]:
         "waves": waves,
         "height": float(scene.cone.height),
         "radius": float(scene.cone.height * scene.cone.slope),
-        "front": float(scene.loosened_radius) if scene.medium == "plastic" else 0.0,
+        "front": 0.0 if scene.law.lacks("loosened_radius") else float(scene.loosened_radius),
         "unit": {"symbol": _unit(length), "factor": length.factor},
     }
 

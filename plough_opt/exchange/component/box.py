@@ -211,7 +211,8 @@ class Box:
         """Return warnings: of the scene at the inputs' values, and of those between the bounds."""
         notes = list(self.scene.warnings())
         bluntest = max(float(values[_HALF_ANGLE][0]) for values in results)
-        if bluntest > PLANE_SECTIONS_LIMIT and not any("plane sections" in note for note in notes):
+        said = any("plane sections" in note for note in notes)
+        if self.scene.law.slender and bluntest > PLANE_SECTIONS_LIMIT and not said:
             notes.append(
                 f"within the bounds the half angle reaches {math.degrees(bluntest):.1f} deg: above"
                 f" {math.degrees(PLANE_SECTIONS_LIMIT):.0f} deg the hypothesis of plane sections does not hold"

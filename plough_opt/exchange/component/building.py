@@ -108,7 +108,7 @@ def build(
     if not is_count(samples):
         raise InputError(f"samples = {shown(samples)} must be a whole number from 1 on: intervals between output times")
     box = Box(tuple(inputs), make, name)
-    measures = [measure_of(one, box.scene.medium) for one in wanted]
+    measures = [measure_of(one, box.scene.law) for one in wanted]
     results = [of for _, of in measures]
     # A run with two output times shows which results are columns.
     columns = any(size > 1 for size in box.sizes(results))

@@ -58,8 +58,8 @@ def graph(name: str, arguments: Sequence[str], make: OfColumn, results: Results,
         resolution: steps and outputs.
     """
     scene, duration = make([ca.SX.sym(argument) for argument in arguments])
-    # The elastic medium's force is a large sum, which MX holds as one node.
-    kind: Any = ca.MX if scene.medium == "elastic" else ca.SX
+    # A law with large sums or loops is one node of MX.
+    kind: Any = ca.SX if scene.law.scalar else ca.MX
     x = [kind.sym(argument) for argument in arguments]
     scene, duration = make(x)
     timeline = _timeline(scene, duration, resolution)
@@ -68,7 +68,7 @@ def graph(name: str, arguments: Sequence[str], make: OfColumn, results: Results,
         return ca.Function(name, x, _columns(run, results, kind))
     solver, given = _integrated(scene, duration, x, timeline)
     accuracy, moved = solver.accuracy, solver.function
-    states, means, variances = of_run = [ca.SX.sym(f"o{k}", *moved.size_out(k)) for k in range(moved.n_out())]
+    states, means, variances = of_run = [kind.sym(f"o{k}", *moved.size_out(k)) for k in range(moved.n_out())]
     run = assemble(scene, duration, timeline.output_fractions, states.T, means, variances, accuracy)
     around = ca.Function("results", [*x, *of_run], _columns(run, results, kind))
     symbols = [ca.MX.sym(argument) for argument in arguments]
@@ -79,7 +79,7 @@ def motion(arguments: Sequence[str], make: OfColumn, resolution: Resolution) -> 
     """Return the integration of a run, and its parameters, the duration last, as a Function of a column of inputs."""
     inputs: Any = ca.SX.sym("inputs", len(arguments))
     scene, duration = make(ca.vertsplit(inputs))
-    if scene.medium == "elastic":
+    if not scene.law.scalar:
         inputs = ca.MX.sym("inputs", len(arguments))
         scene, duration = make(ca.vertsplit(inputs))
     return _integrated(scene, duration, [inputs], _timeline(scene, duration, resolution))

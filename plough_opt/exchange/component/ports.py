@@ -16,6 +16,7 @@ from plough_opt.core.errors import InputError, nearest, unprintable
 from plough_opt.core.expressions import Expression
 from plough_opt.core.kinds import shown
 from plough_opt.core.quantities import Quantity
+from plough_opt.laws.law import ResistanceLaw
 from plough_opt.motion import Run
 from plough_opt.motion.vocabulary import MEASURES
 
@@ -160,7 +161,7 @@ def check_names(kind: str, names: Sequence[str]) -> None:
         seen[own] = name
 
 
-def measure_of(output: Output, medium: str) -> tuple[str, Callable[[Run], Expression]]:
+def measure_of(output: Output, law: ResistanceLaw) -> tuple[str, Callable[[Run], Expression]]:
     """Return unit and function of an output.
 
     Raises:
@@ -175,8 +176,7 @@ def measure_of(output: Output, medium: str) -> tuple[str, Callable[[Run], Expres
     if output.name not in MEASURES:
         raise InputError(f"no result is named '{output.name}': {nearest(output.name, MEASURES)}")
     measure = MEASURES[output.name]
-    if measure.plastic and medium == "elastic":
-        raise InputError(f"'{output.name}' has no meaning in the elastic medium: leave it out")
+    measure.check(output.name, law)
     return measure.unit.symbol, measure.of
 
 

@@ -97,10 +97,10 @@ def calculated(scene: Scene, symbolic: Scene) -> Iterator[tuple[Variable, ca.SX]
     carried = Variable("share.added_mass", "kg", "mass m_a of soil that the share carries along")
     offered: tuple[tuple[bool, Variable, Callable[[Scene], Expression]], ...] = (
         (isinstance(scene.share, Wedge), half_angle, lambda s: s.cone.half_angle),
-        (True, radius, lambda s: s.loosened_radius),
+        (not scene.law.lacks("loosened_radius"), radius, lambda s: s.loosened_radius),
         (True, static, lambda s: s.reaction.static),
         (scene.effects.inertial_drag, drag, lambda s: s.reaction.drag),
-        (scene.effects.added_mass, carried, lambda s: s.reaction.added_mass),
+        (scene.effects.added_mass and not scene.law.lacks("added_mass"), carried, lambda s: s.reaction.added_mass),
     )
     for present, variable, value in offered:
         if present:

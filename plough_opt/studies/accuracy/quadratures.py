@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 
 from plough_opt.core.errors import PloughError
 from plough_opt.core.expressions import as_number
-from plough_opt.laws.forces import SoilReaction, soil_reaction
+from plough_opt.laws.forces import soil_reaction
+from plough_opt.laws.law import SoilReaction
 from plough_opt.motion import Run
 from plough_opt.motion.accuracy import Accuracy
 from plough_opt.motion.plan import forced_rate, numbers_of, steps_for, timeline_of

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from functools import partial
 
 from plough_opt.core.errors import PloughError
+from plough_opt.laws.elastic_medium import ElasticMedium
+from plough_opt.laws.plastic_gas import PlasticGas
 from plough_opt.studies.accuracy.contest import Entry
 from plough_opt.studies.accuracy.gradients import reference_gradient
 from plough_opt.studies.accuracy.methods import Task, gradients, in_machine_code, values, with_checks
@@ -90,11 +92,11 @@ def contest(task: Task, *, derivatives: bool = True, told: Told | None = None) -
         if derivatives:
             told("derivatives", 0.6)
             hall.entries += _derivatives(hall, task)
-    elif scene.medium == "elastic":
+    elif isinstance(scene.law, ElasticMedium):
         hall.quadrature(CONTACT, partial(elastic_contact, task))
     else:
         hall.quadrature(COURSE, partial(quasi_static_course, task))
-    if scene.soil.density_profile is not None and scene.medium == "plastic":
+    if scene.soil.density_profile is not None and isinstance(scene.law, PlasticGas):
         told("quadratures", 0.9)
         hall.quadrature(PROFILE, partial(density_profile, task))
     if not WIDER and scene.effects.motion:

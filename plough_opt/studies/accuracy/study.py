@@ -15,6 +15,7 @@ from plough_opt.core.processors import available
 from plough_opt.core.quantities import BESIDE
 from plough_opt.design import Design
 from plough_opt.exchange.results import versions
+from plough_opt.laws.elastic_medium import ElasticMedium
 from plough_opt.motion.accuracy import DEFAULT_ERROR
 from plough_opt.motion.plan import MOST_OUTPUTS, forced_rate, numbers_of, steps_for
 from plough_opt.motion.scene import Scene
@@ -148,7 +149,7 @@ def _defaults(task: Task) -> Iterator[tuple[str, tuple[str, str]]]:
     profile = task.scene.soil.density_profile
     if profile is not None:
         yield PROFILE, ("density profile", f"order {profile.order}")
-    if not task.scene.effects.motion and task.scene.medium == "plastic":
+    if not task.scene.effects.motion and not isinstance(task.scene.law, ElasticMedium):
         panels = max(task.outputs, steps_for(forced_rate(numbers_of(task.scene)) * task.duration))
         yield COURSE, ("quasi-static", f"10 points in each of {panels} panels")
 

@@ -140,7 +140,8 @@ def _scenes(rows: Sequence[Rows], unknowns: Sequence[Unknown], fit: Estimate) ->
     scenes = [scene for r in rows if r.measured.result in RESULTS for scene, _, _ in r.scenes(fit.y)]
     if not scenes:
         return []
-    blunt = sum(float(as_number(scene.cone.half_angle)) > PLANE_SECTIONS_LIMIT for scene in scenes)
+    slender = [scene for scene in scenes if scene.law.slender]
+    blunt = sum(float(as_number(scene.cone.half_angle)) > PLANE_SECTIONS_LIMIT for scene in slender)
     warned = []
     if blunt:
         warned.append(

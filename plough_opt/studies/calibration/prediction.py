@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from plough_opt.core.errors import DomainError, InputError
 from plough_opt.core.expressions import Expression, as_number
-from plough_opt.laws.forces import added_mass
 from plough_opt.laws.penetration import cone_index
 from plough_opt.motion import simulate
 from plough_opt.motion.plan import numbers_of, phase
@@ -29,7 +28,7 @@ Vector = NDArray[np.float64]
 # Results of a scene that do not depend on its motion.
 _OF_SCENE: dict[str, Callable[[Scene], Expression]] = {
     "loosened_radius": lambda scene: scene.loosened_radius,
-    "added_mass": lambda scene: added_mass(scene.cone, scene.soil),
+    "added_mass": lambda scene: scene.carried_soil,
     "cone_index": lambda scene: cone_index(scene.soil),
 }
 # Phase [rad] between output times, and nodes of the polynomial that interpolates the force: an error of 1e-8.
@@ -200,8 +199,8 @@ def row_functions(
     fixed = dict(fixed or {})
     example = model.scene({**{unknown.name: unknown.guess for unknown in unknowns}, **conditions, **fixed})
     closed = is_closed(example, result)
-    # The force in the elastic medium is a quadrature of matrices, which scalar operations would unroll.
-    kind: Any = ca.SX if closed and example.medium == "plastic" else ca.MX
+    # A law with quadratures of matrices, or loops, would be unrolled by scalar operations.
+    kind: Any = ca.SX if closed and example.law.scalar else ca.MX
     y, c = kind.sym("y", len(unknowns)), kind.sym("c", len(conditions))
     values = {unknown.name: unknown.value(y[k]) for k, unknown in enumerate(unknowns)}
     values |= {key: c[k] for k, key in enumerate(conditions)} | fixed

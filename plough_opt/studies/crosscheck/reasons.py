@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 
+from plough_opt.laws.elastic_medium import ElasticMedium
 from plough_opt.motion.scene import Scene
 from plough_opt.studies.crosscheck.rows import ModelDraft
 from plough_opt.studies.crosscheck.tools import KM_PER_H, ToolSet
@@ -67,7 +68,7 @@ def _of_soil(scene: Scene, tools: ToolSet) -> Iterable[str]:
             f"this model's static draft is {factor:.3g} times what its law makes of cohesion, friction and density"
             " ratio, by the measured strength factor; the other models compute with those properties themselves"
         )
-    if scene.medium == "elastic":
+    if isinstance(scene.law, ElasticMedium):
         yield "the scene's medium is elastic, without strength; the other models take the soil's strength all the same"
     if soil.density_profile is not None:
         yield "the other models take the soil's constant densities in the place of its density profile"

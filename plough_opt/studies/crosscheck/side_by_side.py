@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable, Sequence
-from types import ModuleType
+from collections.abc import Iterator, Sequence
+from functools import partial
 
 import numpy as np
 
@@ -13,12 +13,22 @@ from plough_opt.core.domain import check_domain, check_single
 from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import holds_casadi
 from plough_opt.core.kinds import check_kind, check_named
-from plough_opt.laws import asabe, godwin, mckyes_ali, spherical_cavity, swick_perumpral
+from plough_opt.laws import (
+    AsabeD497,
+    McKyesAli,
+    ResistanceLaw,
+    ShareInSoil,
+    SphericalCavity,
+    SwickPerumpral,
+    UniversalEarthmoving,
+)
+from plough_opt.laws.asabe import POINTS, TEXTURES
+from plough_opt.laws.law import force_of
 from plough_opt.motion.scene import Scene
 from plough_opt.soil.soil import Soil
 from plough_opt.studies.crosscheck.comparison import Comparison
 from plough_opt.studies.crosscheck.reasons import reasons
-from plough_opt.studies.crosscheck.rows import ModelDraft, model_draft
+from plough_opt.studies.crosscheck.rows import model_draft
 from plough_opt.studies.crosscheck.tools import KM_PER_H, ToolSet, tool_set
 
 _USUAL_SPEEDS = tuple(speed / KM_PER_H for speed in (3.0, 5.0, 7.0, 9.0))
@@ -36,6 +46,7 @@ def compare(
     rupture_ratio: float | None = None,
     surcharge: float = 0.0,
     adhesion: float = 0.0,
+    laws: Sequence[ResistanceLaw] = (),
 ) -> Comparison:
     """Return the drafts of other models beside this one's quasi-static mean draft of a scene of numbers.
 
@@ -50,6 +61,7 @@ def compare(
         rupture_ratio: m of the universal earthmoving equation, at least 1; estimated by a plane wedge.
         surcharge: on the soil's surface [Pa].
         adhesion: of soil on the tine [Pa].
+        laws: further laws of resistance, such as a user's own.
 
     Returns:
         Drafts, ratios, estimates and reasons. What lies outside a model's domain is NaN, with the reason.
@@ -61,7 +73,7 @@ def compare(
     check_kind("the scene", scene, Scene, "a Scene of numbers")
     if holds_casadi((scene, depth, width, rake_angle, speeds, rupture_ratio, surcharge, adhesion)):
         raise InputError("a comparison is of numbers: evaluate the scene with best(scene) first")
-    for name, value, known in (("texture", texture, asabe.TEXTURES), ("point", point, asabe.POINTS)):
+    for name, value, known in (("texture", texture, TEXTURES), ("point", point, POINTS)):
         if not (value is None and name == "texture"):
             check_named(f"{name} = {{}} is none of D497", value, known)
     check_single("a comparison", [x for x in (width, rake_angle, rupture_ratio, surcharge, adhesion) if x is not None])
@@ -71,16 +83,12 @@ def compare(
     course = _speeds(scene, speeds)
     soil = scene.soil if scene.effects.ambient_pressure else dataclasses.replace(scene.soil, ambient_pressure=0.0)
     own = model_draft("this model", None, lambda v: _own_draft(scene, v), course, "", "")
-    textures = tuple(asabe.TEXTURES) if texture is None else (texture,)
-    others = [
-        row
-        for d in tools.depths
-        for row in (
-            *_standard_rows(d, textures, point, course),
-            *_tine_rows(soil, tools, d, rupture_ratio, course),
-        )
-    ]
-    others.append(_cavity_row(scene, soil, course))
+    textures = tuple(TEXTURES) if texture is None else (texture,)
+    others = []
+    given = ((law.label.removeprefix("the "), None, law) for law in laws)
+    for name, d, law in (*_laws(tools, textures, point, rupture_ratio), *given):
+        draft = partial(_steady, law, ShareInSoil(scene.share, scene.cone, soil, 0.0))
+        others.append(model_draft(name, d, draft, course, law.source, law.standing))
     estimates = (
         *tools.estimates,
         *_estimates(soil, tools, texture, point, rupture_ratio, speeds),
@@ -100,6 +108,11 @@ def _own_draft(scene: Scene, speed: float) -> float:
     return float(dataclasses.replace(scene, tow_speed=speed).steady_resistance)
 
 
+def _steady(law: ResistanceLaw, at: ShareInSoil, speed: float) -> float:
+    """Return a law's draft [N] of a share that slides steadily at a speed [m/s]."""
+    return float(force_of(law, dataclasses.replace(at, speed=speed)))
+
+
 def _speeds(scene: Scene, speeds: float | Sequence[float] | None) -> tuple[float, ...]:
     given = (*_USUAL_SPEEDS, float(scene.tow_speed)) if speeds is None else np.ravel(np.asarray(speeds))
     check_domain("speed", np.asarray(given), "m/s", at_least=0.0)
@@ -108,45 +121,18 @@ def _speeds(scene: Scene, speeds: float | Sequence[float] | None) -> tuple[float
     return tuple(sorted({float(speed) for speed in given}))
 
 
-def _standard_rows(depth: float, textures: Sequence[str], point: str, course: Sequence[float]) -> list[ModelDraft]:
-    def of(texture: str) -> Callable[[float], float]:
-        return lambda v: asabe.asabe_draft(depth, v, texture, point=point)
-
-    return [
-        model_draft(f"ASABE D497, {point}, {t}", depth, of(t), course, asabe.SOURCE, asabe.STANDING) for t in textures
-    ]
-
-
-def _tine_rows(
-    soil: Soil, tools: ToolSet, depth: float, rupture_ratio: float | None, course: Sequence[float]
-) -> tuple[ModelDraft, ...]:
-    def row(model: str, module: ModuleType, draft: Callable[[float], float]) -> ModelDraft:
-        return model_draft(model, depth, draft, course, module.SOURCE, module.STANDING)
-
-    return (
-        row("McKyes-Ali", mckyes_ali, lambda v: mckyes_ali.mckyes_ali_draft(soil, tools.tine(depth), v)),
-        row(
-            "universal earthmoving equation",
-            godwin,
-            lambda v: godwin.godwin_draft(soil, tools.tine(depth), v, rupture_ratio=rupture_ratio),
-        ),
-        row(
-            "Swick-Perumpral",
-            swick_perumpral,
-            lambda v: swick_perumpral.swick_perumpral_draft(soil, tools.tine(depth), v),
-        ),
-    )
-
-
-def _cavity_row(scene: Scene, soil: Soil, course: Sequence[float]) -> ModelDraft:
-    return model_draft(
-        "spherical cavity (Forrestal-Luk)",
-        None,
-        lambda v: spherical_cavity.spherical_cavity_draft(scene.cone, soil, v),
-        course,
-        spherical_cavity.SOURCE,
-        spherical_cavity.STANDING,
-    )
+def _laws(
+    tools: ToolSet, textures: Sequence[str], point: str, rupture_ratio: float | None
+) -> Iterator[tuple[str, float | None, ResistanceLaw]]:
+    """Yield name, working depth and law of each row; laws without a depth last."""
+    for depth in tools.depths:
+        for texture in textures:
+            standard = AsabeD497(texture, point, depth=depth)
+            yield f"{standard.label}, {point}, {texture}", depth, standard
+        tine = depth, tools.width, tools.rake_angle, tools.surcharge, tools.adhesion
+        for law in (McKyesAli(*tine), UniversalEarthmoving(*tine, rupture_ratio), SwickPerumpral(*tine)):
+            yield law.label.removeprefix("the "), depth, law
+    yield SphericalCavity.label.removeprefix("the "), None, SphericalCavity()
 
 
 def _estimates(

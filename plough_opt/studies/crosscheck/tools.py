@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 
 from plough_opt.core.domain import check_domain
-from plough_opt.core.errors import DomainError, InputError
+from plough_opt.core.errors import InputError
 from plough_opt.laws.wedge import Tine
 from plough_opt.motion.scene import Scene
 from plough_opt.soil.geometry import Wedge
@@ -37,16 +37,6 @@ class ToolSet:
     surcharge: float
     adhesion: float
     estimates: tuple[str, ...]
-
-    def tine(self, depth: float) -> Tine:
-        """Return the tine at a depth [m].
-
-        Raises:
-            DomainError: the rake angle is unknown, or 0.
-        """
-        if self.rake_angle is None:
-            raise DomainError("a share given as a cone has no rake angle: give rake_angle")
-        return Tine(self.width, depth, self.rake_angle, self.surcharge, self.adhesion)
 
 
 def tool_set(

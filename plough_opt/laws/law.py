@@ -1,0 +1,158 @@
+"""Resistance laws: what a scene, and a comparison of draft models, ask of a law, whatever its physics."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import ClassVar, Final, Protocol, runtime_checkable
+
+from plough_opt.core.errors import InputError
+from plough_opt.core.expressions import Expression, as_number
+from plough_opt.soil.geometry import PLANE_SECTIONS_LIMIT, Cone, Wedge
+from plough_opt.soil.soil import Soil
+
+
+@dataclass(frozen=True)
+class SoilReaction:
+    """The resistance in the form that moves a share: F = static + drag L'^2 + added_mass L''.
+
+    Attributes:
+        static: F0 [N].
+        drag: Fd [N s^2/m^2].
+        added_mass: m_a [kg].
+    """
+
+    static: Expression
+    drag: Expression = 0.0
+    added_mass: Expression = 0.0
+
+
+@dataclass(frozen=True)
+class ShareInSoil:
+    """What a law computes a resistance from.
+
+    Attributes:
+        share: the share, a `Wedge` or the `Cone` that was given in its place.
+        cone: the cone of equal height and surface.
+        soil: the soil, without ambient pressure where a scene takes none.
+        speed: V0 of the strut [m/s].
+    """
+
+    share: Wedge | Cone
+    cone: Cone
+    soil: Soil
+    speed: Expression
+
+
+STEADY: Final = dict.fromkeys(
+    ("motion", "strength_wave", "random_strength", "tow_ramp", "rate_term", "own"),
+    "gives the force of steady sliding only",
+)
+"""What a law lacks that is no polynomial of the speed: see `ResistanceLaw.lacking`."""
+
+
+@runtime_checkable
+class ResistanceLaw(Protocol):
+    """A law of the soil's resistance to a share, as a frozen dataclass that inherits from this class.
+
+    Its fields are what it needs beside share, soil and speed: numbers or expressions, or text. ``reaction`` is all that
+    a law must define; the rest says what else it gives, and in which words. A law with a name in
+    `plough_opt.laws.LAWS` can be named in problem files too.
+
+    Attributes:
+        label: its name in messages and tables.
+        source: where its equations come from.
+        standing: what of it is not verified, or where it does not hold: a clause.
+        lacking: what it does not give, and the clause that follows "which": effects that a scene then refuses
+            ("motion", "strength_wave", "random_strength", "tow_ramp", "rate_term", "own", "entry"), results that it
+            then does not have ("added_mass", "loosened_radius", "cone_index"), "ambient_pressure" (not felt), and
+            "uncertain" (soil).
+        scalar: whether a graph of scalar operations (SX) holds it; False where it contains loops or matrices.
+        slender: whether it rests on the hypothesis of plane sections.
+
+    Example:
+        >>> from dataclasses import dataclass
+        >>> import plough_opt as po
+        >>> @dataclass(frozen=True)
+        ... class PerDepth(po.ResistanceLaw):
+        ...     per_metre: float
+        ...     label = "a constant force per depth"
+        ...     def reaction(self, at):
+        ...         return po.SoilReaction(static=self.per_metre * at.share.height)
+        >>> share = po.Wedge(angle=po.deg(30), chisel_angle=po.deg(15), height=0.25)
+        >>> scene = po.Scene(po.named_soil("serozem"), share, 5e4, 20.0, 2.0, medium=PerDepth(40e3))
+        >>> round(po.simulate(scene, duration=1.0).mean_draft)
+        10000
+    """
+
+    label: ClassVar[str]
+    source: ClassVar[str] = ""
+    standing: ClassVar[str] = ""
+    lacking: ClassVar[Mapping[str, str]] = {
+        "added_mass": "says nothing of soil that moves with the share",
+        "loosened_radius": "names no radius to which the soil is loosened",
+        "cone_index": "says nothing of a penetrometer",
+        "entry": "does not say how the resistance grows while the share enters",
+        "ambient_pressure": "does not feel it",
+    }
+    scalar: ClassVar[bool] = True
+    slender: ClassVar[bool] = False
+
+    def reaction(self, at: ShareInSoil) -> SoilReaction:
+        """Return F0 [N], Fd [N s^2/m^2] and the added mass [kg]; of a law that lacks motion F0 at the tow speed.
+
+        Raises:
+            DomainError: a number outside the law's domain.
+        """
+
+    def check(self, at: ShareInSoil) -> None:
+        """Refuse numbers outside the domain, but for limits that a design keeps by itself.
+
+        Raises:
+            DomainError: as said.
+        """
+        self.reaction(at)
+
+    def loosened_radius(self, at: ShareInSoil) -> Expression:  # noqa: ARG002 - what laws that give it need
+        """Return the radius to which the soil is loosened at the share's base [m].
+
+        Raises:
+            InputError: the law gives none.
+        """
+        raise InputError(self.refusal("loosened_radius"))
+
+    def warnings(self, at: ShareInSoil) -> tuple[str, ...]:
+        """Return, of numbers, sentences on the law's limits that a reader of results must know."""
+        found = [f"{self.label}: {self.standing}"] if self.standing else []
+        if self.lacks("added_mass") and not self.lacks("motion"):
+            found.append(f"{self.label} {self.lacking['added_mass']}: the share moves with its own mass alone")
+        half_angle = float(as_number(at.cone.half_angle))
+        if self.slender and half_angle > PLANE_SECTIONS_LIMIT:
+            found.append(
+                f"the equivalent cone's half angle is {math.degrees(half_angle):.1f} deg: above"
+                f" {math.degrees(PLANE_SECTIONS_LIMIT):.0f} deg the hypothesis of plane sections does not hold"
+            )
+        return tuple(found)
+
+    def lacks(self, what: str) -> bool:
+        """Return whether the law does not give something: see ``lacking``."""
+        return what in self.lacking
+
+    def refusal(self, what: str, name: str = "") -> str:
+        """Return the sentence with which something is refused that the law lacks, or a name that stands on it."""
+        remedy = "take effects = Effects(motion=False), or" if what == "motion" else "leave it out, or take"
+        name = f"'{name}'" if name else what
+        return f"{name} has no meaning in {self.label}, which {self.lacking[what]}: {remedy} medium = 'plastic'"
+
+
+def force_of(law: ResistanceLaw, at: ShareInSoil) -> Expression:
+    """Return the resistance [N] of a share that slides steadily."""
+    found = law.reaction(at)
+    return found.static + found.drag * at.speed**2
+
+
+def without_pressure(at: ShareInSoil) -> ShareInSoil:
+    """Return the same share in soil without ambient pressure."""
+    return dataclasses.replace(at, soil=dataclasses.replace(at.soil, ambient_pressure=0.0))

@@ -1,0 +1,52 @@
+"""The laws of resistance that have a name, in problem files and as ``Scene(medium=...)``."""
+
+from __future__ import annotations
+
+import dataclasses
+from functools import lru_cache
+from typing import Final
+
+from plough_opt.core.errors import InputError
+from plough_opt.core.kinds import check_named, shown
+from plough_opt.laws.asabe import AsabeD497
+from plough_opt.laws.elastic_medium import ElasticMedium
+from plough_opt.laws.godwin import UniversalEarthmoving
+from plough_opt.laws.law import ResistanceLaw
+from plough_opt.laws.mckyes_ali import McKyesAli
+from plough_opt.laws.plastic_gas import PlasticGas
+from plough_opt.laws.spherical_cavity import SphericalCavity
+from plough_opt.laws.swick_perumpral import SwickPerumpral
+
+LAWS: Final[dict[str, type[ResistanceLaw]]] = {
+    "plastic": PlasticGas,
+    "elastic": ElasticMedium,
+    "asabe_d497": AsabeD497,
+    "mckyes_ali": McKyesAli,
+    "universal_earthmoving": UniversalEarthmoving,
+    "swick_perumpral": SwickPerumpral,
+    "spherical_cavity": SphericalCavity,
+}
+"""Name -> law, which is made without arguments where the name alone is given."""
+
+
+def law_of(medium: str | ResistanceLaw) -> ResistanceLaw:
+    """Return a law by its name, or as it is given.
+
+    Raises:
+        InputError: an unknown name, or something else in the place of a law.
+    """
+    if isinstance(medium, str):
+        check_named("no resistance law is named {}", medium, LAWS)
+        return _made(LAWS[medium])
+    if isinstance(medium, type) or not (dataclasses.is_dataclass(medium) and isinstance(medium, ResistanceLaw)):
+        names = ", ".join(map(repr, LAWS))
+        raise InputError(
+            f"medium = {shown(medium)} must be a ResistanceLaw, as McKyesAli(depth=0.35), or one of {names}"
+        )
+    return medium
+
+
+@lru_cache(maxsize=32)
+def _made(law: type[ResistanceLaw]) -> ResistanceLaw:
+    """Return a law without numbers of its own, which is one object for all scenes."""
+    return law()

@@ -1,0 +1,237 @@
+"""Scenes under any law of resistance: the same motion as by an independent integrator, in designs and batches too."""
+
+import dataclasses
+import math
+
+import casadi as ca
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from scipy.optimize import minimize_scalar
+
+import plough_opt as po
+from plough_opt.laws import (
+    LAWS,
+    AsabeD497,
+    McKyesAli,
+    ResistanceLaw,
+    SphericalCavity,
+    SwickPerumpral,
+    Tine,
+    UniversalEarthmoving,
+)
+from plough_opt.problem_file import read_problem
+from plough_opt.studies.crosscheck import (
+    asabe_draft,
+    compare,
+    godwin_draft,
+    mckyes_ali_draft,
+    spherical_cavity_draft,
+    swick_perumpral_draft,
+)
+
+SOIL = po.named_soil("serozem")
+SHARE = po.Wedge(po.deg(30), po.deg(35), 0.25)
+TINE = Tine(0.1, 0.25, po.deg(35), 500.0, 300.0)
+LOADS = {"surcharge": 500.0, "adhesion": 300.0}
+WAVY = po.Effects(strength_wave=po.StrengthWave(0.3, 0.2), damping=400.0)
+
+DRAFTS = {
+    McKyesAli(width=0.1, **LOADS): lambda v: mckyes_ali_draft(SOIL, TINE, v),
+    UniversalEarthmoving(width=0.1, **LOADS): lambda v: godwin_draft(SOIL, TINE, v),
+    AsabeD497("fine", "winged", 2.0): lambda v: asabe_draft(0.25, v, "fine", point="winged", shanks=2.0),
+    SphericalCavity(): lambda v: spherical_cavity_draft(SHARE.equivalent_cone(), SOIL, v),
+}
+
+
+def scene(law, **changes):
+    given = {"soil": SOIL, "share": SHARE, "stiffness": 5e5, "mass": 40.0, "tow_speed": 2.0, "effects": WAVY}
+    return po.Scene(**given | changes, medium=law)
+
+
+def integrated_apart(draft, duration=0.6):
+    """Return the mean draft [N] by SciPy, the equation of motion written down anew."""
+    static, at_one = draft(0.0), draft(1.0)
+    tow, mass, stiffness, damping = 2.0, 40.0, 5e5, 400.0
+
+    def rate(time, state):
+        travel, speed, _ = state
+        mount = stiffness * (tow * time - travel) + damping * (tow - speed)
+        soil = static * (1 + 0.3 * math.sin(2 * math.pi * travel / 0.2)) + (at_one - static) * speed**2
+        return [speed, (mount - soil) / mass, mount]
+
+    first = -(static + (at_one - static) * tow**2) / stiffness
+    found = solve_ivp(rate, (0.0, duration), [first, tow, 0.0], method="DOP853", rtol=1e-12, atol=1e-12)
+    return found.y[2, -1] / duration
+
+
+@pytest.mark.parametrize("law", DRAFTS, ids=lambda law: law.label)
+def test_motion_is_that_of_an_independent_integrator(law):
+    expected = integrated_apart(DRAFTS[law])
+    # Both to some 1e-9.
+    assert po.simulate(scene(law), 0.6).mean_draft == pytest.approx(expected, rel=3e-9)
+
+
+@pytest.mark.parametrize("law", DRAFTS, ids=lambda law: law.label)
+def test_steady_resistance_is_the_draft_of_the_formula(law):
+    for speed in (0.0, 1.0, 3.0):
+        # The formula is split into a part at rest and one with the squared speed.
+        assert scene(law, tow_speed=speed).steady_resistance == pytest.approx(DRAFTS[law](speed), rel=1e-14)
+
+
+def test_law_of_steady_sliding_gives_its_draft_and_no_motion():
+    law = SwickPerumpral(width=0.1)
+    steady = po.simulate(scene(law, effects=po.Effects(motion=False)), 1.0)
+    tine = Tine(0.1, 0.25, po.deg(35))
+    assert steady.mean_draft == pytest.approx(swick_perumpral_draft(SOIL, tine, 2.0), rel=1e-14)
+    for effects in (po.Effects(), po.Effects(motion=False, strength_wave=WAVY.strength_wave)):
+        with pytest.raises(po.InputError, match="no meaning in Swick-Perumpral, which gives the force of steady"):
+            scene(law, effects=effects)
+
+
+def test_what_a_law_lacks_is_refused_or_left_out_with_a_sentence():
+    own = scene(McKyesAli(width=0.1))
+    run = po.simulate(own, 0.2)
+    assert own.inertia == own.mass
+    assert any("says nothing of soil that moves with the share" in text for text in run.warnings)
+    for value in (lambda: run.specific_draft, lambda: own.loosened_radius, lambda: own.carried_soil):
+        with pytest.raises(po.InputError, match="has no meaning in McKyes-Ali, which"):
+            value()
+    assert own.ambient_share == 0.0
+    with pytest.raises(po.InputError, match="how the resistance grows while the share enters"):
+        scene(McKyesAli(width=0.1), effects=po.Effects(entry=True, start="towed"))
+    with pytest.raises(po.InputError, match="belongs to the plastic gas"):
+        scene(McKyesAli(), effects=po.Effects(formulation="printed"))
+
+
+@pytest.mark.parametrize("law", [McKyesAli, 3, None, object()], ids=str)
+def test_something_else_in_the_place_of_a_law_is_refused(law):
+    with pytest.raises(po.InputError, match="must be a ResistanceLaw, as McKyesAli"):
+        scene(law)
+
+
+def test_plastic_gas_by_name_and_as_a_law_are_one():
+    by_name, as_law = (po.simulate(scene(medium), 0.5) for medium in ("plastic", po.laws.PlasticGas()))
+    assert by_name.mean_draft == as_law.mean_draft
+    np.testing.assert_array_equal(by_name.mount_force, as_law.mount_force)
+
+
+def symbolic(x):
+    """Return a run of McKyes and Ali's law whose rake angle, depth and stiffness vary."""
+    rake, depth, stiffness = x
+    law = McKyesAli(width=0.1, rake_angle=rake, depth=depth)
+    return po.simulate(scene(law, stiffness=stiffness), 0.5)
+
+
+AT = np.array([po.deg(42.0), 0.27, 4e5])
+
+
+def test_derivatives_are_those_of_differences():
+    x = ca.MX.sym("x", 3)
+    run = symbolic(ca.vertsplit(x))
+    results = ca.vertcat(run.mean_draft, run.force_rms)
+    slopes = ca.Function("slopes", [x], [ca.jacobian(results, x)])(AT).full()
+    tight = ca.Function("results", [x], [results])
+    for k, value in enumerate(AT):
+        step = np.eye(3)[k] * value * 1e-4
+        difference = (tight(AT + step) - tight(AT - step)).full().ravel() / (2e-4 * value)
+        # Differences of second order by steps of 1e-4.
+        np.testing.assert_allclose(slopes[:, k], difference, rtol=1e-6)
+
+
+def test_batch_is_the_single_runs():
+    x = [ca.MX.sym(name) for name in ("rake", "depth", "stiffness")]
+    law = McKyesAli(width=0.1, rake_angle=x[0], depth=x[1])
+    values = np.array([AT, AT * [1.1, 0.9, 1.5]])
+    found = po.Batch(scene(law, stiffness=x[2]), 0.5, x)(values)
+    singles = [symbolic(row.tolist()).mean_draft for row in values]
+    # The batch's own relative error is 1e-8 of mean draft or RMS.
+    np.testing.assert_allclose(found.mean_draft, singles, rtol=2e-8)
+
+
+def test_design_finds_the_best_rake_angle_of_a_search_by_values():
+    def cost(draft, rake):
+        return draft / 1e3 + 3.0 / rake
+
+    design = po.Design()
+    rake = design.variable("rake angle", guess=po.deg(35), lower=po.deg(30), upper=po.deg(60), unit="rad")
+    run = symbolic((rake, 0.25, 5e5))
+    design.minimise(cost(run.mean_draft, rake))
+    best = design.solve()
+    found = minimize_scalar(
+        lambda angle: cost(symbolic((angle, 0.25, 5e5)).mean_draft, angle), bounds=(po.deg(30), po.deg(60)),
+        options={"xatol": 1e-7},
+    )  # fmt: skip
+    assert po.deg(31) < found.x < po.deg(59)
+    assert best.objective == pytest.approx(found.fun, rel=1e-9)
+    # A parabola's bottom is found to the root of the values' error.
+    assert best.variables["rake angle"] == pytest.approx(found.x, rel=1e-4)
+
+
+def test_bounds_beyond_the_law_are_refused_by_the_design():
+    design = po.Design()
+    speed = design.variable("speed", guess=2.0, lower=1.0, upper=6.0, unit="m/s")
+    design.minimise(po.simulate(scene(McKyesAli(width=0.1), tow_speed=speed), 0.5).mean_draft)
+    with pytest.raises(po.DomainError, match=r"upper bound of 'speed'.*draft grows less than with the square"):
+        design.solve()
+
+
+FILE = """
+title = "A tine"
+[soil]
+name = "serozem"
+[share]
+wedge_angle = "30 deg"
+chisel_angle = "35 deg"
+height = "0.25 m"
+[scene]
+frame_mass = "20 kg"
+tow_speed = "2 m/s"
+duration = "0.5 s"
+stiffness = "500 kN/m"
+medium = { law = "mckyes_ali", width = "10 cm", depth = "30 cm" }
+"""
+
+
+def test_problem_file_names_a_law_with_its_own_quantities(tmp_path):
+    path = tmp_path / "tine.toml"
+    path.write_text(FILE, encoding="utf-8")
+    problem = read_problem(path)
+    own = problem.scene()
+    assert own.law == McKyesAli(width=0.1, depth=0.3)
+    tine = Tine(0.1, 0.3, po.deg(35))
+    assert own.steady_resistance == pytest.approx(mckyes_ali_draft(SOIL, tine, 2.0), rel=1e-14)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ('"mckyes_ali"', '"mckyes"', "no resistance law is named 'mckyes'.*mckyes_ali"),
+        ('depth = "30 cm"', 'dept = "30 cm"', "'dept' is not a quantity of that law.*depth"),
+        ('depth = "30 cm"', 'depth = "30 kg"', "'depth' = \"30 kg\" has the wrong unit"),
+        ('{ law = "mckyes_ali", width = "10 cm", depth = "30 cm" }', "3", "must be a resistance law, such as"),
+    ],
+)
+def test_problem_file_refuses_with_the_line(tmp_path, old, new, message):
+    path = tmp_path / "tine.toml"
+    path.write_text(FILE.replace(old, new), encoding="utf-8")
+    with pytest.raises(po.InputError, match=message) as refusal:
+        read_problem(path)
+    assert "line 14" in str(refusal.value)
+
+
+def test_comparison_takes_further_laws():
+    found = compare(scene("plastic"), laws=[McKyesAli(width=0.2)], speeds=[1.0, 2.0])
+    wide = Tine(0.2, 0.25, po.deg(35))
+    assert found.others[-1].model == "McKyes-Ali"
+    assert found.others[-1].drafts == tuple(mckyes_ali_draft(SOIL, wide, v) for v in (1.0, 2.0))
+
+
+@pytest.mark.parametrize("name", LAWS)
+def test_every_named_law_says_what_it_is(name):
+    law = LAWS[name]()
+    assert isinstance(law, ResistanceLaw)
+    assert dataclasses.is_dataclass(law)
+    assert law.label
+    # The toolkit's own two media need no other source than its documentation.
+    assert name in ("plastic", "elastic") or (law.source and law.standing)

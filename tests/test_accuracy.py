@@ -3,9 +3,10 @@ import numpy as np
 import pytest
 
 import plough_opt as po
-from plough_opt.motion.accuracy import ADAPTIVE, FIXED_STEP
+from plough_opt.motion.methods import METHODS as EVERY
+from plough_opt.motion.methods import adaptive, fixed_step
 
-METHODS = ("auto", *FIXED_STEP, *ADAPTIVE)
+FIXED_STEP, ADAPTIVE, METHODS = fixed_step(), adaptive(), tuple(EVERY)
 
 
 def test_default_is_automatic():

@@ -16,7 +16,6 @@ import casadi as ca
 
 from plough_opt.core.processors import available
 from plough_opt.design.split import EmbeddedRun
-from plough_opt.motion.accuracy import ORDER_8
 from plough_opt.motion.integrators import Integration, integration
 from plough_opt.motion.jets import jets_of, weighted_curvature
 from plough_opt.motion.pooling import pairs
@@ -124,7 +123,7 @@ class Alike:
         """Return a Function of one run as one of all of them, our own steps on all processors that it may keep busy."""
         if len(self.members) == 1:
             return function
-        own = self.solver.accuracy.method in ORDER_8 and self.solver.structure.orbit == "transient"
+        own = self.solver.accuracy.order_8 and self.solver.structure.orbit == "transient"
         if own and (processors := available()) > 1:
             return function.map(len(self.members), "thread", processors)
         return function.map(len(self.members), "serial")
@@ -166,7 +165,7 @@ def _prepared(run: EmbeddedRun, only_averages: bool, steps: int | None) -> tuple
     accuracy, timeline, structure = own.accuracy, own.timeline, own.structure
     if structure.orbit == "periodic" and steps is not None:
         structure, steps = replace(structure, orbit="harmonic_balance", harmonics=steps), None
-    if only_averages and accuracy.method in ORDER_8:
+    if only_averages and accuracy.order_8:
         timeline = replace(timeline, outputs=1, aligned=True)
     if steps is not None:
         timeline = replace(timeline, steps=steps, aligned=timeline.moving)

@@ -13,7 +13,6 @@ from plough_opt.design.alike_runs import Alike
 from plough_opt.design.ipopt import Point, Vector
 from plough_opt.design.polishing import AS_FOUND, solved_again
 from plough_opt.design.program import Program
-from plough_opt.motion.accuracy import ORDER_8
 from plough_opt.motion.batch.many_runs import ManyRuns
 from plough_opt.motion.derivative_error import derivative_error, difference_of_jets, finer_than
 from plough_opt.motion.plan import summed_rate
@@ -58,7 +57,7 @@ def _side_by_side(own: Alike) -> ManyRuns | None:
     """
     solver = own.solver
     structure = solver.structure
-    if not (own.first and own.varying and structure.stepped and solver.accuracy.method in ORDER_8):
+    if not (own.first and own.varying and structure.stepped and solver.accuracy.order_8):
         return None
     if structure.kinked or structure.ramp:
         return None

@@ -14,7 +14,6 @@ from plough_opt.core.processors import available
 from plough_opt.design.nlp import averages_only, holds_maps
 from plough_opt.design.split import EmbeddedRun, Split
 from plough_opt.design.verify import Vector
-from plough_opt.motion.accuracy import ADAPTIVE
 from plough_opt.motion.batch.many_runs import ManyRuns
 from plough_opt.motion.integrators import Integration, integration
 
@@ -190,7 +189,7 @@ def _roughly(run: EmbeddedRun) -> Integration:
     if own.structure.orbit == "periodic":
         structure = replace(own.structure, orbit="harmonic_balance", harmonics=_HARMONICS)
         return integration(structure, own.accuracy, own.timeline)
-    if own.accuracy.method in ADAPTIVE:
+    if own.accuracy.adaptive:
         return integration(own.structure, replace(own.accuracy, tolerance=_TOLERANCE), own.timeline)
     return own
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from plough_opt.core.errors import IntegrationError
 from plough_opt.core.labels import Call, Limit
 from plough_opt.design.split import split
-from plough_opt.motion.accuracy import ORDER_8, Accuracy
+from plough_opt.motion.accuracy import Accuracy
 from plough_opt.motion.compiled_steps import compiled_steps
 from plough_opt.motion.embedding import with_numbers
 from plough_opt.motion.integrators import Integration, integration
@@ -172,7 +172,7 @@ def _tight_results(own: Integration, inputs: tuple[float, ...], check: bool) -> 
     accuracy = checked(suited(own.structure, total)[0], TIGHT, p, duration)[int(check)]
     timeline = Timeline(outputs, accuracy.steps or most_steps(total), kink, aligned=False)
     # Steps of order 8 in machine code, where there is a compiler, give the same numbers.
-    by_code = own.structure.stepped and accuracy.method in ORDER_8
+    by_code = own.structure.stepped and accuracy.order_8
     code = compiled_steps(own.structure) if by_code else None
     parts: Sequence[Vector] | None = None if code is None else code(timeline, list(inputs))
     if parts is None:

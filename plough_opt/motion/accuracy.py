@@ -3,23 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Final, Literal, get_args
 
 import numpy as np
 
 from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import is_count
 from plough_opt.core.kinds import check_named, shown
-
-Method = Literal["auto", "dop853", "cvodes", "idas", "erk", "rosenbrock", "collocation", "rk"]
-FIXED_STEP: Final = ("dop853", "collocation", "rk")
-ADAPTIVE: Final = ("cvodes", "idas", "erk", "rosenbrock")
-
-LOCATE_EVENTS: Final = ("auto", "erk", "rosenbrock")
-"""Methods that find the events of a motion, and differentiate through their times."""
-
-ORDER_8: Final = ("dop853", "auto")
-"""Methods by which a symbolic scene becomes a loop of order-8 steps; under "auto" a design sets their number."""
+from plough_opt.motion.methods import METHODS, ORDER_8, adaptive, fixed_step
 
 DEFAULT_ERROR = 1e-8
 DEFAULT_DERIVATIVES = 1e-6
@@ -35,7 +25,8 @@ class Accuracy:
             ``"dop853"``, fixed steps of order 8, cheapest inside a design and twice differentiable at
             every setting; CasADi's adaptive ``"cvodes"``, ``"idas"``, ``"erk"``, ``"rosenbrock"``; and
             CasADi's fixed-step ``"collocation"`` and ``"rk"``, of order 5 and 4 (RMS by
-            ``"rk"`` from a start at which the force has a slope: 3).
+            ``"rk"`` from a start at which the force has a slope: 3); or a tableau of one's own, by its name in
+            `plough_opt.motion.methods.METHODS`.
         error: for ``"auto"``, the wanted relative error: of a run of numbers that of every result, each on its own
             scale, as in its ``error_estimate``; default 1e-8.
         steps: for a fixed-step method, steps over the whole duration; default: as many as the scene's
@@ -56,19 +47,33 @@ class Accuracy:
         InputError: an unknown method, or a setting that the method does not have.
     """
 
-    method: Method = "auto"
+    method: str = "auto"
     error: float | None = None
     steps: int | None = None
     tolerance: float | None = None
     derivatives: float | None = None
 
     def __post_init__(self) -> None:
-        methods = get_args(Method)
-        check_named("no integration method is named {}", self.method, methods)
+        check_named("no integration method is named {}", self.method, METHODS)
         self._check_setting("error", self.error, ("auto",), 1e-12, 1e-1)
-        self._check_setting("steps", self.steps, FIXED_STEP, 1, 10**7)
+        self._check_setting("steps", self.steps, fixed_step(), 1, 10**7)
         self._check_setting("derivatives", self.derivatives, ("auto",), 1e-10, 1e-1)
-        self._check_setting("tolerance", self.tolerance, ADAPTIVE, 1e-14, 1e-1)
+        self._check_setting("tolerance", self.tolerance, adaptive(), 1e-14, 1e-1)
+
+    @property
+    def adaptive(self) -> bool:
+        """Whether the method takes a tolerance."""
+        return METHODS[self.method].adaptive
+
+    @property
+    def locates_events(self) -> bool:
+        """Whether the method finds the events of a motion."""
+        return METHODS[self.method].locates_events
+
+    @property
+    def order_8(self) -> bool:
+        """Whether a symbolic scene becomes a loop of order-8 steps."""
+        return self.method in ORDER_8
 
     @property
     def wanted_derivatives(self) -> float:

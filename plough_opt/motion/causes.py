@@ -11,8 +11,8 @@ import numpy as np
 
 from plough_opt.core.errors import IntegrationError
 from plough_opt.core.expressions import as_number
-from plough_opt.motion.accuracy import ADAPTIVE, FIXED_STEP
 from plough_opt.motion.integrators import Integration
+from plough_opt.motion.methods import METHODS
 from plough_opt.motion.plan import STIFF_PHASE, numbers_of, phase, steps_for, with_setting
 from plough_opt.motion.run import Run
 from plough_opt.motion.scene import Scene
@@ -110,7 +110,7 @@ def _driven_away(scene: Scene, last: Run) -> str | None:
     growing = float(p.get("drag", 0.0) + p["static"] * p.get("rate_term", 0.0))
     rest = p["static"] + abs(float(last.mount_force[-1]))
     fastest = abs(speed) >= 0.99 * float(np.max(np.abs(last.speed)))
-    if last.accuracy.method not in ADAPTIVE:
+    if not last.accuracy.adaptive:
         return None
     if scene.effects.contact != "resisting" or speed >= 0.0 or not fastest or growing * speed * speed < rest:
         return None
@@ -124,7 +124,7 @@ def _driven_away(scene: Scene, last: Run) -> str | None:
 def _too_much(scene: Scene, duration: float, solver: Integration) -> str:
     total, outputs, accuracy = phase(numbers_of(scene), duration), solver.timeline.outputs, solver.accuracy
     turns = total / (2.0 * math.pi)
-    if accuracy.method in FIXED_STEP:
+    if METHODS[accuracy.method].order is not None:
         enough = with_setting(replace(accuracy, steps=None), steps_for(total), outputs).steps or 0
         if enough > 2 * (accuracy.steps or 0):
             return f"{accuracy.steps} steps are too few for {turns:.3g} oscillations: take steps={enough}"

@@ -9,7 +9,6 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from plough_opt.motion.accuracy import ORDER_8
 from plough_opt.motion.integrators import Integration, integration
 from plough_opt.motion.jets import Along, jets, jets_of
 from plough_opt.motion.plan import finer
@@ -50,10 +49,10 @@ def derivative_error(solver: Integration, first: int, varying: tuple[int, ...], 
     if own.orbit != "transient" or not varying:
         return 0.0
     both = solver, finer_than(solver)
-    if solver.accuracy.method in ORDER_8 and not own.kinked and len(given) - 1 not in varying:
+    if solver.accuracy.order_8 and not own.kinked and len(given) - 1 not in varying:
         pairs = [tuple(_by_changes(one, varying, along) for one in both) for along in _directions(count)]
     else:
-        order = 2 if solver.accuracy.method in ORDER_8 else 1
+        order = 2 if solver.accuracy.order_8 else 1
         pairs = [tuple(_by_each(one, varying, order) for one in both)]
     most = max(_FEWEST_RUNS, min(_MOST_RUNS, _MOST_STEPS // solver.timeline.steps))
     chosen = np.unique(np.linspace(0, given.shape[1] - 1, most).round().astype(int))
@@ -101,7 +100,7 @@ def _directions(count: int) -> tuple[Along, ...]:
 
 def finer_than(solver: Integration) -> Integration:
     """Return what checks an integration: more steps, or a tighter tolerance."""
-    if solver.accuracy.method in ORDER_8:
+    if solver.accuracy.order_8:
         # Outputs at which steps end may call for more than were asked for.
         timeline = replace(solver.timeline, steps=math.ceil(_FINER * (len(solver.timeline.nodes) - 1)))
         return integration(solver.structure, solver.accuracy, timeline)

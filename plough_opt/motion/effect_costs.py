@@ -15,7 +15,7 @@ import casadi as ca
 from plough_opt.core.errors import InputError, IntegrationError
 from plough_opt.core.expressions import as_number
 from plough_opt.motion import simulate
-from plough_opt.motion.accuracy import ORDER_8, Accuracy
+from plough_opt.motion.accuracy import Accuracy
 from plough_opt.motion.effects import Effects, Smooth, StickSlip
 from plough_opt.motion.equation import equation_of_motion
 from plough_opt.motion.integrators import integration
@@ -133,7 +133,7 @@ def _operations(scene: Scene, duration: float | None) -> int:
         panels = steps_for(forced_rate(numbers_of(scene)) * duration)
         return panels * (2 * GAUSS_POINTS + MORE_POINTS) * _of_resistance(structure)
     accuracy = simulate(scene, duration).accuracy
-    if accuracy.method in ORDER_8:
+    if accuracy.order_8:
         steps = accuracy.steps or 1
         return (steps + coarser(steps)) * int(step(structure).n_instructions())
     assert duration is not None

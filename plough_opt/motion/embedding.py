@@ -11,8 +11,8 @@ from plough_opt.core import expressions
 from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import Expression, is_symbolic, template_of
 from plough_opt.core.labels import Meanings, attach
-from plough_opt.motion.accuracy import ORDER_8
 from plough_opt.motion.integrators import Integration
+from plough_opt.motion.methods import is_stepped
 from plough_opt.motion.scene import Scene
 
 
@@ -61,7 +61,7 @@ def embed(solver: Integration, p: Sequence[Expression], scene: Scene) -> tuple[E
     if isinstance(inputs, ca.SX) or isinstance(carried, ca.SX):
         if solver.structure.orbit != "transient":
             raise InputError("an orbit takes MX symbols only, for it is the root of an equation: use casadi.MX")
-        if solver.accuracy.method not in ORDER_8:
+        if not is_stepped(solver.accuracy.method):
             raise InputError(
                 f"method '{solver.accuracy.method}' takes MX symbols only: make the scene of casadi.MX, or use 'dop853'"
             )

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from plough_opt.core.errors import IntegrationError
-from plough_opt.motion.accuracy import ADAPTIVE, ORDER_8, Accuracy, Method
+from plough_opt.motion.accuracy import Accuracy
 from plough_opt.motion.causes import failed_by, refuse_runaway
 from plough_opt.motion.compiled_steps import CompiledSteps, compiled_steps
 from plough_opt.motion.effects import StickSlip
@@ -108,12 +108,12 @@ def follow(case: Case, accuracy: Accuracy, sizes: Array | None = None, *, shaken
     refuse_runaway(scene, duration)
     outputs = case.outputs * case.every
     steps = accuracy.steps or max(outputs, OUTPUTS)
-    if accuracy.method in ADAPTIVE:
+    if accuracy.adaptive:
         steps = most_steps(case.phase)
     timeline = timeline_of(scene, duration, outputs, steps, accuracy.method)
     values = [case.p[name] for name in signals(case.structure).parameters]
     p = [*(value * (1.0 + shaken * (-1.0) ** k) for k, value in enumerate(values)), duration]
-    if case.code is not None and accuracy.method in ORDER_8 and (found := case.code(timeline, p)) is not None:
+    if case.code is not None and accuracy.order_8 and (found := case.code(timeline, p)) is not None:
         return Followed(_assembled(case, timeline, found, accuracy))
     solver = integration(case.structure, accuracy, timeline)
     results, sizes = _sized(solver.sized, p, sizes) if solver.sized else (_attempt(solver.function, p), None)
@@ -178,7 +178,7 @@ def _refuse(case: Case, solver: Integration, p: list[float]) -> NoReturn:
 
 def _last(case: Case, solver: Integration, p: list[float]) -> tuple[Run | None, float]:
     """Return the motion until shortly before it can no longer be followed, and the pause until then [s]."""
-    method: Method = "rosenbrock" if case.phase > STIFF_PHASE else "erk"
+    method: str = "rosenbrock" if case.phase > STIFF_PHASE else "erk"
     coarse = Accuracy(method, tolerance=_COARSE)
     sooner = integration(case.structure, coarse, timeline_of(case.scene, case.duration, OUTPUTS, _COARSE_STEPS, method))
     if _attempt(sooner.function, p) is None:

@@ -9,8 +9,9 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from plough_opt.motion.accuracy import ADAPTIVE, FIXED_STEP, LOCATE_EVENTS, ORDER_8, Accuracy
+from plough_opt.motion.accuracy import Accuracy
 from plough_opt.motion.equation import equation_of_motion, start_state
+from plough_opt.motion.methods import METHODS, is_stepped, tableau_of
 from plough_opt.motion.orbit import orbit_map
 from plough_opt.motion.runge_kutta import run_map
 from plough_opt.motion.signals import signals
@@ -80,10 +81,11 @@ def integration(structure: Structure, accuracy: Accuracy, timeline: Timeline) ->
     """Build, or find, the Function that integrates scenes of a structure by a named method with its setting."""
     if structure.orbit != "transient":
         return Integration(structure, accuracy, timeline, orbit_map(structure, timeline))
-    if accuracy.method in ORDER_8:
-        return Integration(structure, accuracy, timeline, run_map(structure, timeline))
+    if is_stepped(accuracy.method):
+        run = run_map(structure, timeline, tableau_of(accuracy.method))
+        return Integration(structure, accuracy, timeline, run)
     # Where symbols end a ramp no output can be put, and a step across the end errs in derivatives by it.
-    locates = timeline.moving and accuracy.method in LOCATE_EVENTS
+    locates = timeline.moving and accuracy.locates_events
     sized = _by_casadi(replace(structure, locates_ramp=locates and structure.ramp), accuracy, timeline)
     p = ca.MX.sym("p", sized.expected.size1_in(0))
     results = sized.function.call([p, sized.expected(p)])
@@ -99,7 +101,7 @@ def _by_casadi(structure: Structure, accuracy: Accuracy, timeline: Timeline) -> 
     if transition is not None:
         options |= {"transition": transition, "max_events": _MOST_EVENTS, "event_tol": 1e-12, "max_event_iter": 100}
     # Fixed steps end where the result is asked for: at the kink too, so that they keep their order.
-    times = (timeline.stops if accuracy.method in FIXED_STEP else timeline.output_fractions)[1:]
+    times = (timeline.stops if METHODS[accuracy.method].order is not None else timeline.output_fractions)[1:]
     asked = [int(i) for i in np.searchsorted(times, timeline.output_fractions[1:])]
     solver = ca.integrator("motion", accuracy.method, equation, 0.0, times.tolist(), options)
     p = ca.MX.sym("p", len(observed.parameters) + 1)
@@ -194,7 +196,7 @@ def _scaled_equation(structure: Structure) -> tuple[dict[str, ca.SX], ca.Functio
 
 def _options(accuracy: Accuracy, timeline: Timeline) -> dict[str, Any]:
     """Return CasADi's options for a method and its setting."""
-    if accuracy.method not in ADAPTIVE:
+    if not accuracy.adaptive:
         return {"number_of_finite_elements": timeline.steps, **_QUIET}
     tolerance = accuracy.tolerance
     assert tolerance is not None  # `with_setting` or `automatic` has given it one

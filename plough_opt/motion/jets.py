@@ -13,7 +13,6 @@ from functools import lru_cache
 
 import casadi as ca
 
-from plough_opt.motion.accuracy import ORDER_8
 from plough_opt.motion.breaks import moving_ramp, spans_of, start_and_size, telling, unbroken
 from plough_opt.motion.dop853 import NODES, STAGES, WEIGHTS
 from plough_opt.motion.equation import equation_of_motion, start_state
@@ -53,7 +52,7 @@ def _shifts(integration: Integration, varying: tuple[int, ...]) -> tuple[ca.MX, 
 
 def jets_of(integration: Integration, varying: tuple[int, ...], order: int) -> ca.Function:
     """Return `jets` of any integration: carried along where the method is ours, else by differentiating the run."""
-    if integration.accuracy.method in ORDER_8 and integration.structure.orbit == "transient":
+    if integration.accuracy.order_8 and integration.structure.orbit == "transient":
         return jets(integration.structure, integration.timeline, varying, order)
     p, e, shifted = _shifts(integration, varying)
     results = integration.function.call([shifted])

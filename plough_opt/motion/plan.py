@@ -12,8 +12,9 @@ import numpy as np
 
 from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import Expression, as_number, is_symbolic, maximum, sqrt
-from plough_opt.motion.accuracy import ADAPTIVE, DEFAULT_DERIVATIVES, DEFAULT_TOLERANCE, ORDER_8, Accuracy, Method
+from plough_opt.motion.accuracy import DEFAULT_DERIVATIVES, DEFAULT_TOLERANCE, Accuracy
 from plough_opt.motion.effects import Smooth
+from plough_opt.motion.methods import METHODS, ORDER_8
 from plough_opt.motion.scene import Scene
 from plough_opt.motion.terms import Structure, lightest_mass, own_slopes, parameters
 from plough_opt.motion.timeline import Timeline
@@ -179,7 +180,7 @@ def timeline_of(
     duration: Expression,
     outputs: int,
     steps: int,
-    method: Method | None = None,
+    method: str | None = None,
     *,
     symbolic: bool = False,
 ) -> Timeline:
@@ -234,26 +235,26 @@ def with_setting(accuracy: Accuracy, steps: int, outputs: int) -> Accuracy:
     Args:
         accuracy: the method; a setting that it gives is kept.
         steps: what order 8 would take.
-        outputs: output intervals; CasADi's fixed-step methods take as many whole steps in each of them.
+        outputs: output intervals; methods of fixed steps but order 8 take as many whole steps in each of them.
     """
-    if accuracy.method in ADAPTIVE:
+    if accuracy.adaptive:
         return replace(accuracy, tolerance=accuracy.tolerance or DEFAULT_TOLERANCE)
     if accuracy.method == "dop853":
         return replace(accuracy, steps=accuracy.steps or steps)
-    # CasADi's fixed-step methods are of lower order and take more steps for the same error.
-    wanted = accuracy.steps or {"collocation": 2, "rk": 16}[accuracy.method] * steps
+    # Other methods of fixed steps are of lower order and take more steps for the same error.
+    wanted = accuracy.steps or math.ceil(METHODS[accuracy.method].finer * steps)
     return replace(accuracy, steps=-(-wanted // outputs) * outputs)
 
 
-def suited(structure: Structure, total_phase: float) -> tuple[Method, ...]:
+def suited(structure: Structure, total_phase: float) -> tuple[str, ...]:
     """Return the methods that suit an equation over that phase [rad], cheapest first."""
     if structure.orbit != "transient":
         return ("dop853",)
-    adaptive: Method = "rosenbrock" if total_phase > STIFF_PHASE else "erk"
+    adaptive: str = "rosenbrock" if total_phase > STIFF_PHASE else "erk"
     return (adaptive,) if structure.events or total_phase > _ORDER_8_PHASE else ("dop853", adaptive)
 
 
-def automatic(method: Method, wanted: float, p: Mapping[str, float], duration: float) -> Accuracy:
+def automatic(method: str, wanted: float, p: Mapping[str, float], duration: float) -> Accuracy:
     """Return the setting with which a method should reach a relative error.
 
     Args:
@@ -302,7 +303,7 @@ def _rounded(steps: int, digits: int = 3) -> int:
     return -(-steps // unit) * unit
 
 
-def checked(method: Method, wanted: float, p: Mapping[str, float], duration: float) -> tuple[Accuracy, Accuracy]:
+def checked(method: str, wanted: float, p: Mapping[str, float], duration: float) -> tuple[Accuracy, Accuracy]:
     """Return how a method runs, and what checks it: `automatic`, of an adaptive method after a finer run.
 
     The coarser of the two errs by several times as much as the run, so that their difference is no less than its error.
@@ -328,7 +329,7 @@ def check_of(accuracy: Accuracy, p: Mapping[str, float], duration: float, kinked
         duration: of the run [s].
         kinked: whether the motion has events or kinks, across which order 8 is none.
     """
-    if accuracy.method not in ADAPTIVE:
+    if not accuracy.adaptive:
         return replace(accuracy, steps=2 * (accuracy.steps or 1))
     if phase(p, duration) > STIFF_PHASE or kinked:
         return finer(accuracy)

@@ -1,4 +1,4 @@
-"""Fixed-step integration of order 8 as one CasADi Function: the weights of Dormand and Prince's DOP853.
+"""Fixed-step integration by a Butcher tableau as one CasADi Function; by default Dormand and Prince's DOP853.
 
 A step is a small symbolic graph, the run a loop over it (``mapaccum``), so the
 size of the graph does not grow with the number of steps and every derivative is that of the numbers.
@@ -11,8 +11,8 @@ from functools import lru_cache
 import casadi as ca
 
 from plough_opt.motion.breaks import moving_ramp, spans_of, start_and_size, telling, unbroken
-from plough_opt.motion.dop853 import NODES, STAGES, WEIGHTS
 from plough_opt.motion.equation import equation_of_motion, start_state
+from plough_opt.motion.methods import DOP853, Tableau
 from plough_opt.motion.pooling import pooled
 from plough_opt.motion.readings import at_outputs
 from plough_opt.motion.signals import signals
@@ -21,7 +21,7 @@ from plough_opt.motion.timeline import Timeline
 
 
 @lru_cache(maxsize=64)
-def step(structure: Structure, width: int = 2) -> ca.Function:
+def step(structure: Structure, width: int = 2, tableau: Tableau = DOP853) -> ca.Function:
     """Return one step as a Function: (state, span, parameters with the duration last) -> (state, moments).
 
     The span is start and size of the step as fractions of the duration and, of width 5, of the ramp's time, which add
@@ -42,7 +42,7 @@ def step(structure: Structure, width: int = 2) -> ca.Function:
     rates: list[ca.SX] = []
     first = observed.function(start, state, given)
     mean, square = ca.SX.zeros(observed.count), ca.SX.zeros(observed.squared)
-    for row, node, weight in zip(STAGES, NODES, WEIGHTS, strict=True):
+    for row, node, weight in zip(tableau.stages, tableau.nodes, tableau.weights, strict=True):
         stage = state
         for coefficient, rate in zip(row, rates, strict=True):
             if coefficient != 0.0:
@@ -54,23 +54,23 @@ def step(structure: Structure, width: int = 2) -> ca.Function:
             mean += weight * change
             square += weight * change[: observed.squared] ** 2
     following = state
-    for weight, rate in zip(WEIGHTS, rates, strict=True):
+    for weight, rate in zip(tableau.weights, rates, strict=True):
         if weight != 0.0:
             following = following + (size * weight) * rate
     spread = square - mean[: observed.squared] ** 2
     return ca.Function("step", [state, span, p], ca.cse([following, ca.vertcat(first + mean, spread)]))
 
 
-def run_map(structure: Structure, timeline: Timeline) -> ca.Function:
+def run_map(structure: Structure, timeline: Timeline, tableau: Tableau = DOP853) -> ca.Function:
     """Return the whole run as a Function of the parameters: see `plough_opt.motion.integrators.Integration`."""
     p = ca.MX.sym("p", len(signals(structure).parameters) + 1)
     known = signals(structure).named(p)
-    results = run_from(structure, timeline)(start_state(structure, known), p)
+    results = run_from(structure, timeline, tableau)(start_state(structure, known), p)
     return ca.Function("run_map", [p], list(results), {"never_inline": True})
 
 
 @lru_cache(maxsize=64)
-def run_from(structure: Structure, timeline: Timeline) -> ca.Function:
+def run_from(structure: Structure, timeline: Timeline, tableau: Tableau = DOP853) -> ca.Function:
     """Return the run from any state: (state at time 0, parameters) -> states at the outputs, means, variances."""
     observed = signals(structure)
     first = ca.MX.sym("first", 2)
@@ -79,7 +79,7 @@ def run_from(structure: Structure, timeline: Timeline) -> ca.Function:
     spans = spans_of(timeline, p[-1], ramp)
     sizes = spans[1, :] if ramp is None else spans[1, :] + spans[3, :] * (ramp / p[-1])
     count = sizes.shape[1]
-    one = unbroken(structure, timeline, step(structure, spans.shape[0]))
+    one = unbroken(structure, timeline, step(structure, spans.shape[0], tableau))
     states, moments = one.mapaccum(count)(first, spans, ca.repmat(p, 1, count))
     averages = pooled([moments], lambda parts: [part @ sizes.T for part in parts], observed.count)
     found = at_outputs(timeline, ca.horzcat(first, states), p[-1], ramp)

@@ -12,12 +12,13 @@ from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import Expression, as_number, holds_casadi, is_count, is_symbolic, map_expressions
 from plough_opt.core.kinds import check_kind, check_switch, shown
 from plough_opt.core.quantities import BESIDE
-from plough_opt.motion.accuracy import ADAPTIVE, DEFAULT_ERROR, LOCATE_EVENTS, ORDER_8, Accuracy
+from plough_opt.motion.accuracy import DEFAULT_ERROR, Accuracy
 from plough_opt.motion.averages import Checks
 from plough_opt.motion.effects import Smooth
 from plough_opt.motion.embedding import embed
 from plough_opt.motion.following import Case
 from plough_opt.motion.integrators import integration
+from plough_opt.motion.methods import locating
 from plough_opt.motion.plan import (
     MOST_ADAPTIVE,
     MOST_OUTPUTS,
@@ -94,14 +95,14 @@ def simulate(
     accuracy = accuracy or Accuracy()
     if accuracy.method != "auto" and not scene.effects.motion:
         raise InputError(f"accuracy method '{accuracy.method}' has nothing to integrate in a quasi-static scene")
-    if scene.effects.orbit != "transient" and accuracy.method not in ORDER_8:
+    if scene.effects.orbit != "transient" and not accuracy.order_8:
         raise InputError(
             f"accuracy method '{accuracy.method}' finds no orbit: take 'auto', or 'dop853' with a number of steps"
         )
-    if scene.effects.events and accuracy.method not in LOCATE_EVENTS:
+    if scene.effects.events and not accuracy.locates_events:
         raise InputError(
             f"accuracy method '{accuracy.method}' finds no events, which stick and slip and the entry of a share have:"
-            " take 'auto', 'erk' or 'rosenbrock'"
+            f" take {' or '.join(map(repr, locating()))}"
         )
     if holds_casadi((scene, duration)):
         check_single("simulate", (scene, duration))
@@ -171,7 +172,7 @@ def _symbolic(scene: Scene, duration: Expression, accuracy: Accuracy, outputs: i
 
 def _embedded(scene: Scene, duration: Expression, accuracy: Accuracy, outputs: int) -> Run:
     """Return a run by a method with its setting as expressions of the scene's symbols."""
-    steps = MOST_ADAPTIVE if accuracy.method in ADAPTIVE else accuracy.steps or unknown_steps(scene, accuracy, outputs)
+    steps = MOST_ADAPTIVE if accuracy.adaptive else accuracy.steps or unknown_steps(scene, accuracy, outputs)
     timeline = timeline_of(scene, duration, outputs, steps, accuracy.method, symbolic=True)
     solver, p = integration(Structure.of(scene), accuracy, timeline), parameters(scene)
     states, means, variances = embed(solver, [*(p[name] for name in solver.names), duration], scene)

@@ -10,7 +10,7 @@ import numpy as np
 
 from plough_opt.core.compiler import NO_COMPILER
 from plough_opt.core.errors import IntegrationError
-from plough_opt.motion.accuracy import ADAPTIVE, DEFAULT_ERROR, ORDER_8, Accuracy
+from plough_opt.motion.accuracy import DEFAULT_ERROR, Accuracy
 from plough_opt.motion.causes import Escape, unsound_own
 from plough_opt.motion.estimate import TELLING, difference
 from plough_opt.motion.following import Array, Case, Followed, follow, thinned
@@ -102,7 +102,7 @@ def interpreted(case: Case, run: Run) -> tuple[str, ...]:
         kind = "a quasi-static run"
     elif case.structure.orbit != "transient":
         kind = "a lasting orbit"
-    elif run.accuracy.method not in ORDER_8:
+    elif not run.accuracy.order_8:
         kind = f"a run by '{run.accuracy.method}'"
     else:
         return () if case.code else (NO_COMPILER,)
@@ -215,7 +215,7 @@ def _stand_in(case: Case, wanted: float) -> tuple[Run, float, tuple[str, ...]]:
 
 def _twice(case: Case, first: Accuracy, second: Accuracy) -> tuple[Followed, float]:
     """Return the run by a method, and its estimated error, from the run by another."""
-    if first.method in ADAPTIVE and _is_coarser(second, first):
+    if first.adaptive and _is_coarser(second, first):
         # From the coarser of two runs the finer one learns the sizes of what moves.
         check = follow(case, second)
         found = follow(case, first, check.sizes)
@@ -239,7 +239,7 @@ def _checking(case: Case, first: Accuracy, second: Accuracy, sizes: Array | None
     try:
         return follow(case, second, sizes)
     except IntegrationError:
-        if case.structure.events or first.method not in ADAPTIVE or first.method == second.method:
+        if case.structure.events or not first.adaptive or first.method == second.method:
             # An event that the check misses is a failure too.
             raise
         # Fixed steps may be too long for what only an adaptive method notices.

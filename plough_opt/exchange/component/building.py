@@ -17,7 +17,7 @@ from plough_opt.exchange.component.box import Box, Make
 from plough_opt.exchange.component.function import Component
 from plough_opt.exchange.component.graph import graph
 from plough_opt.exchange.component.ports import Input, Output, Port, check_names, measure_of, port_of
-from plough_opt.motion.accuracy import ORDER_8, Accuracy
+from plough_opt.motion.accuracy import Accuracy
 from plough_opt.motion.scene import Scene
 from plough_opt.motion.vocabulary import quantity_of, with_quantities
 
@@ -100,7 +100,7 @@ def build(
     accuracy = Accuracy() if accuracy is None else accuracy
     if not isinstance(accuracy, Accuracy):
         raise InputError(f"accuracy = {shown(accuracy)} must be a po.Accuracy(...)")
-    if accuracy.method not in ORDER_8:
+    if not accuracy.order_8:
         raise InputError(
             f"accuracy method '{accuracy.method}' cannot be part of a component, whose steps are fixed: use 'auto', or"
             " 'dop853' with a number of steps"

@@ -10,7 +10,7 @@ import casadi as ca
 
 from plough_opt.core.expressions import Expression
 from plough_opt.motion import Run
-from plough_opt.motion.accuracy import Accuracy, Method
+from plough_opt.motion.accuracy import Accuracy
 from plough_opt.motion.integrators import Integration, integration
 from plough_opt.motion.plan import timeline_of
 from plough_opt.motion.quasi_static import quasi_static
@@ -88,7 +88,7 @@ def motion(arguments: Sequence[str], make: OfColumn, resolution: Resolution) -> 
 def _timeline(scene: Scene, duration: Expression, resolution: Resolution) -> Timeline:
     """Return the times of a run of symbols."""
     # With outputs at its two ends alone none lies between steps.
-    method: Method | None = "dop853" if scene.effects.motion and resolution.outputs > 1 else None
+    method: str | None = "dop853" if scene.effects.motion and resolution.outputs > 1 else None
     return timeline_of(scene, duration, resolution.outputs, resolution.steps, method, symbolic=True)
 
 

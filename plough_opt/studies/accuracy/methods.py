@@ -15,11 +15,12 @@ from plough_opt.core.compiler import find_compiler
 from plough_opt.core.errors import IntegrationError, PloughError
 from plough_opt.core.expressions import Expression, as_number
 from plough_opt.motion import Run, simulate
-from plough_opt.motion.accuracy import ADAPTIVE, DEFAULT_ERROR, FIXED_STEP, LOCATE_EVENTS, ORDER_8, Accuracy, Method
+from plough_opt.motion.accuracy import DEFAULT_ERROR, Accuracy
 from plough_opt.motion.compiled_steps import CompiledSteps, compiled_steps
 from plough_opt.motion.effects import StickSlip
 from plough_opt.motion.integrators import integration
 from plough_opt.motion.judgement import refuse_missed_event
+from plough_opt.motion.methods import METHODS, ORDER_8, adaptive, fixed_step
 from plough_opt.motion.plan import fastest_rate, most_steps, numbers_of, phase, steps_for, timeline_of, with_setting
 from plough_opt.motion.run import assemble
 from plough_opt.motion.scene import Scene
@@ -154,7 +155,7 @@ def values(task: Task, reference: Reference) -> list[Entry]:
     """Return every method that can integrate the scene, over its settings from coarse to fine."""
     errors = partial(_errors_from, reference)
     tracks, refused = [_automatic_track(task, AUTO, errors)], []
-    for method in (*FIXED_STEP, *ADAPTIVE):
+    for method in (*fixed_step(), *adaptive()):
         if reason := refusal(task.scene, method):
             refused.append(failure("integrator", method, "", reason))
         else:
@@ -198,7 +199,7 @@ def _automatic_track(task: Task, name: str, errors: Callable[[Run], Mapping[str,
 def _track(
     task: Task,
     family: str,
-    method: Method,
+    method: str,
     prepare: Callable[[Accuracy], tuple[Use, Callable[[], Any]]],
     errors: Callable[[Any], Mapping[str, float]],
     *,
@@ -232,7 +233,7 @@ def with_checks(task: Task, entries: list[Entry], floor: float) -> list[Entry]:
         if entry not in front or entry.method in (AUTO, COMPILED):
             return entry
         compiled = entry.family == MACHINE_CODE
-        method: Method = "dop853" if compiled else next(m for m in (*FIXED_STEP, *ADAPTIVE) if m == entry.method)
+        method: str = "dop853" if compiled else next(m for m in (*fixed_step(), *adaptive()) if m == entry.method)
         accuracy = next(a for a in settings_of(task, method)[0] if text(a) == entry.setting)
         try:
             use, _ = _automatic(task, accuracy, compiled=compiled)
@@ -247,7 +248,7 @@ def refusal(scene: Scene, method: str) -> str:
     """Return why a method cannot do a scene, or nothing."""
     if scene.effects.orbit != "transient" and method not in ORDER_8:
         return "finds no lasting orbit"
-    if scene.effects.events and method not in LOCATE_EVENTS:
+    if scene.effects.events and not METHODS[method].locates_events:
         return "finds no events, which stick and slip and the entry of a share have"
     return ""
 
@@ -258,12 +259,12 @@ def automatic_settings(task: Task) -> list[Accuracy]:
     return [Accuracy(error=error) for error in sorted(errors, reverse=True)]
 
 
-def settings_of(task: Task, method: Method, *, gradient: bool = False) -> tuple[tuple[Accuracy, ...], tuple[int, ...]]:
+def settings_of(task: Task, method: str, *, gradient: bool = False) -> tuple[tuple[Accuracy, ...], tuple[int, ...]]:
     """Return a method's settings from coarse to fine, and the places of those that are tried in any case.
 
     Those lie around the settings that a scene's own time scales call for.
     """
-    if method in ADAPTIVE:
+    if METHODS[method].adaptive:
         chosen = task.some(GRADIENT_TOLERANCES if gradient else TOLERANCES)
         settings = tuple(Accuracy(method, tolerance=tolerance) for tolerance in _ALL_TOLERANCES)
         return settings, tuple(_ALL_TOLERANCES.index(tolerance) for tolerance in chosen)
@@ -327,7 +328,7 @@ def gradients(task: Task, reference: ReferenceGradient) -> list[Entry]:
     default = Track("derivatives", AUTO, (Accuracy(),), (0,), text, prepare, errors)
     tracks = [
         _track(task, "derivatives", method, prepare, errors, gradient=True)
-        for method in (*FIXED_STEP, *ADAPTIVE)
+        for method in (*fixed_step(), *adaptive())
         if not refusal(task.scene, method)
     ]
     return measured([default, *tracks], "gradient", task.wanted, task.allowance)

@@ -25,7 +25,8 @@ from plough_opt.design.curvature import minimum_from
 from plough_opt.design.ipopt import Vector
 from plough_opt.design.nlp import Nlp, build_nlp
 from plough_opt.design.program import Program
-from plough_opt.motion.accuracy import Accuracy, Method
+from plough_opt.motion.accuracy import Accuracy
+from plough_opt.motion.methods import METHODS, is_stepped
 from plough_opt.motion.plan import steps_for
 from plough_opt.studies.accuracy.contest import Entry, median_time
 from plough_opt.studies.accuracy.local_solve import (
@@ -75,12 +76,12 @@ _MESHES: tuple[tuple[Points, int, tuple[float, ...]], ...] = (
     ("legendre", 4, (1.5, 0.75)),
 )
 # Phases in a step, coarse to fine, and tolerances.
-_FIXED: tuple[tuple[Method, tuple[float, ...]], ...] = (
+_FIXED: tuple[tuple[str, tuple[float, ...]], ...] = (
     ("dop853", (2.0, 1.2, 0.8, 0.5)),
     ("rk", (0.2, 0.1)),
     ("collocation", (1.0, 0.5)),
 )
-_ADAPTIVE: tuple[tuple[Method, tuple[float, ...]], ...] = (
+_ADAPTIVE: tuple[tuple[str, tuple[float, ...]], ...] = (
     ("erk", (1e-6, 1e-9)),
     ("cvodes", (1e-6, 1e-9)),
     ("rosenbrock", (1e-6,)),
@@ -299,7 +300,8 @@ def _integrators(question: Question, start: Start, steps: Callable[[float], int]
     """Return single shooting by other integrators, each with an exact gradient and limited-memory BFGS."""
     methods = []
     settings: list[tuple[Accuracy, str, float]] = []
-    for method, angles in _FIXED:
+    others = {name: METHODS[name].finer for name in METHODS if is_stepped(name) and name not in ("auto", "dop853")}
+    for method, angles in (*_FIXED, *((name, (1.0 / by, 0.5 / by)) for name, by in others.items())):
         counts = dict.fromkeys(map(steps, angles))
         settings += [(Accuracy(method, steps=count), f"{count} steps", 1e-10) for count in counts]
     for method, tolerances in _ADAPTIVE:

@@ -19,9 +19,10 @@ from plough_opt.design.ipopt import Vector
 from plough_opt.design.nlp import averages_only
 from plough_opt.design.program import Program
 from plough_opt.design.split import EmbeddedRun, Split, split
-from plough_opt.motion.accuracy import LOCATE_EVENTS, ORDER_8, Accuracy, Method
+from plough_opt.motion.accuracy import Accuracy
 from plough_opt.motion.equation import equation_of_motion, start_state
 from plough_opt.motion.integrators import integration
+from plough_opt.motion.methods import METHODS, ORDER_8
 from plough_opt.motion.plan import MOST_ADAPTIVE, phase, with_setting
 from plough_opt.motion.runge_kutta import step
 from plough_opt.motion.signals import signals
@@ -117,11 +118,11 @@ class Question:
         """Whether any run is a lasting orbit."""
         return any(run.integration.structure.orbit != "transient" for run in self.parts.runs)
 
-    def refusal(self, method: Method) -> str:
+    def refusal(self, method: str) -> str:
         """Return why a method of integration cannot do the runs, or nothing."""
         if self.orbits and method not in ORDER_8:
             return "finds no lasting orbit"
-        if self.events and method not in LOCATE_EVENTS:
+        if self.events and not METHODS[method].locates_events:
             return "finds no events, which stick and slip and the entry of a share have"
         return ""
 

@@ -1,0 +1,143 @@
+"""A Butcher tableau that is added by its name is an integration method like the others."""
+
+import math
+
+import casadi as ca
+import numpy as np
+import pytest
+
+import plough_opt as po
+from plough_opt.app import main
+from plough_opt.motion.methods import METHODS, Tableau
+
+THREE_EIGHTHS = Tableau(
+    4, nodes=(0.0, 1 / 3, 2 / 3, 1.0), weights=(1 / 8, 3 / 8, 3 / 8, 1 / 8),
+    stages=((), (1 / 3,), (-1 / 3, 1.0), (1.0, -1.0, 1.0)),
+)  # fmt: skip
+HEUN = Tableau(3, nodes=(0.0, 1 / 3, 2 / 3), weights=(0.25, 0.0, 0.75), stages=((), (1 / 3,), (0.0, 2 / 3)))
+OWN = {"three_eighths": THREE_EIGHTHS, "heun_3": HEUN}
+
+
+@pytest.fixture(autouse=True)
+def _added(monkeypatch):
+    for name, tableau in OWN.items():
+        monkeypatch.setitem(METHODS, name, tableau)
+
+
+def scene(**changes):
+    share = po.Wedge(po.deg(30), po.deg(15), 0.25)
+    effects = po.Effects(strength_wave=po.StrengthWave(0.3, 0.2), damping=400.0)
+    given = {"stiffness": 5e4, "mass": 25.0, "tow_speed": 2.0, "effects": effects}
+    return po.Scene(po.named_soil("serozem"), share, **given | changes)
+
+
+def stepped_apart(tableau, steps, duration):
+    """Return the deflection at the end [m] and the mean draft [N] by the tableau's steps, written down anew."""
+    own = scene()
+    static, drag, mass = own.reaction.static, own.reaction.drag, own.inertia
+
+    def rate(time, state):
+        travel, speed, _ = state
+        mount = 5e4 * (2.0 * time - travel) + 400.0 * (2.0 - speed)
+        soil = static * (1 + 0.3 * math.sin(2 * math.pi * travel / 0.2)) + drag * speed**2
+        return np.array([speed, (mount - soil) / mass, mount])
+
+    state, size = np.array([-(static + drag * 4.0) / 5e4, 2.0, 0.0]), duration / steps
+    for k in range(steps):
+        rates = []
+        for node, row in zip(tableau.nodes, tableau.stages, strict=True):
+            stage = state + size * sum((a * r for a, r in zip(row, rates, strict=True)), np.zeros(3))
+            rates.append(rate((k + node) * size, stage))
+        state = state + size * sum(b * r for b, r in zip(tableau.weights, rates, strict=True))
+    return 2.0 * duration - state[0], state[2] / duration
+
+
+@pytest.mark.parametrize("name", OWN)
+def test_run_takes_the_tableaus_steps(name):
+    run = po.simulate(scene(), 0.5, accuracy=po.Accuracy(name, steps=80), outputs=8)
+    deflection, draft = stepped_apart(OWN[name], 80, 0.5)
+    # Rounding of the two ways of summing up.
+    assert run.deflection[-1] == pytest.approx(deflection, rel=1e-11)
+    assert run.mean_draft == pytest.approx(draft, rel=1e-11)
+
+
+@pytest.mark.parametrize("name", OWN)
+def test_error_falls_by_the_order(name):
+    exact = po.simulate(scene(), 0.5, accuracy=po.Accuracy(error=1e-11)).mean_draft
+    errors = [
+        abs(po.simulate(scene(), 0.5, accuracy=po.Accuracy(name, steps=n), outputs=4).mean_draft - exact)
+        for n in (160, 320)
+    ]
+    # The orders of the next term are an eighth of a power at these steps.
+    assert math.log2(errors[0] / errors[1]) == pytest.approx(OWN[name].order, abs=0.25)
+
+
+def test_default_steps_suit_the_order_and_the_estimate_is_honest():
+    exact = po.simulate(scene(), 0.5, accuracy=po.Accuracy(error=1e-11)).mean_draft
+    run = po.simulate(scene(), 0.5, accuracy=po.Accuracy("three_eighths"))
+    assert abs(run.mean_draft - exact) <= run.error_estimate * exact < 1e-7 * exact
+
+
+@pytest.mark.parametrize("kind", [ca.SX, ca.MX])
+def test_symbolic_run_has_the_derivatives_of_its_steps(kind):
+    x = kind.sym("k")
+    accuracy = po.Accuracy("three_eighths", steps=400)
+    run = po.simulate(scene(stiffness=x), 0.5, accuracy=accuracy, outputs=4)
+    both = ca.Function("f", [x], [run.force_rms, ca.jacobian(run.force_rms, x)])
+    value, slope = map(float, both(5e4))
+    # Rounding of a mean square of deviations.
+    assert value == pytest.approx(po.simulate(scene(), 0.5, accuracy=accuracy, outputs=4).force_rms, rel=1e-10)
+    difference = (float(both(5e4 * 1.0001)[0]) - float(both(5e4 * 0.9999)[0])) / 10.0
+    # Differences of second order by steps of 1e-4.
+    assert slope == pytest.approx(difference, rel=1e-6)
+
+
+def test_design_by_a_tableau_is_the_design_by_the_default():
+    found = []
+    for accuracy in (po.Accuracy("three_eighths", steps=3200), po.Accuracy()):
+        design = po.Design()
+        damping = design.variable("damping", guess=400.0, lower=100.0, upper=4e3, unit="N*s/m", log=True)
+        effects = po.Effects(strength_wave=po.StrengthWave(0.3, 0.2), damping=damping)
+        run = po.simulate(scene(effects=effects), 0.5, accuracy=accuracy, outputs=4)
+        design.minimise(run.force_rms / 1e3 + (damping / 1e3) ** 2)
+        found.append(design.solve())
+    # 3200 steps of order 4 err by some 1e-9.
+    assert found[0].objective == pytest.approx(found[1].objective, rel=1e-7)
+    assert found[0].variables["damping"] == pytest.approx(found[1].variables["damping"], rel=1e-4)
+
+
+def test_what_it_cannot_do_is_refused():
+    with pytest.raises(po.InputError, match="'heun_3' finds no events"):
+        po.simulate(scene(effects=po.Effects(contact=po.StickSlip())), 0.5, accuracy=po.Accuracy("heun_3"))
+    with pytest.raises(po.InputError, match="'heun_3' has no setting 'tolerance'"):
+        po.Accuracy("heun_3", tolerance=1e-9)
+    with pytest.raises(po.InputError, match=r"no integration method is named 'heun_4'.*heun_3"):
+        po.Accuracy("heun_4")
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"weights": (0.25, 0.75)}, "must be explicit"),
+        ({"stages": ((), (1 / 3,), (0.0, 2 / 3, 0.0))}, "must be explicit"),
+        ({"order": 0}, "must be explicit"),
+        ({"weights": (0.5, 0.0, 0.5)}, "integrate the power 1 with an error of -1.7e-01"),
+        ({"stages": ((), (1 / 3,), (0.1, 2 / 3))}, "stage at 0.66.* adds up to"),
+    ],
+)
+def test_tableaus_that_are_none_are_refused(change, message):
+    given = {"order": 3, "nodes": HEUN.nodes, "weights": HEUN.weights, "stages": HEUN.stages}
+    with pytest.raises(po.InputError, match=message):
+        Tableau(**given | change)
+
+
+def test_command_line_and_file_know_it(tmp_path, capsys):
+    path = tmp_path / "own.toml"
+    assert main(["init", str(path)]) == 0
+    text = path.read_text(encoding="utf-8").replace('duration = "2 s"', 'duration = "0.2 s"')
+    path.write_text(text + '\n[accuracy]\nmethod = "three_eighths"\nsteps = 800\n', encoding="utf-8")
+    capsys.readouterr()
+    assert main(["simulate", str(path)]) == 0
+    assert "relative error about" in capsys.readouterr().out
+    assert main(["simulate", str(path), "--set", "accuracy.method=three_eights"]) == 2
+    assert "did you mean 'three_eighths'" in capsys.readouterr().err

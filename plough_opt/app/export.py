@@ -1,31 +1,26 @@
-"""`plough-opt export`: a file's scene for other tools, or its share for a workshop."""
+"""`plough-opt export`: a file's scene for other tools, and its share as a part."""
 
 from __future__ import annotations
 
 import argparse
-import shlex
-from pathlib import Path
-from typing import Final
+from functools import partial
+from typing import Any, Final
 
 from plough_opt.app import part
+from plough_opt.app.messages import printable
 from plough_opt.app.terminal import console, progress, read, wrote
 from plough_opt.core.errors import InputError
-from plough_opt.core.files import check_file, check_new_folder
-from plough_opt.exchange import export as formats
+from plough_opt.core.files import check_file
+from plough_opt.exchange.component import Component
+from plough_opt.exchange.export.formats import FORMATS, Request
 from plough_opt.problem_file import Problem
 
-FORMATS: Final = {
-    "c": "a new folder with C source, header and a test",
-    "casadi": "a serialised CasADi Function, .casadi",
-    "openmdao": "a new folder with a Python module",
-    "fmu": "an FMU for model exchange, FMI 3.0, .fmu",
-    **part.FORMATS,
-}
+_OPTIONS: Final = tuple(sorted({option for own in FORMATS.values() for option in own.options}))
 
 
 def add_options(verb: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
-    told = "; ".join(f"{name}: {what}" for name, what in FORMATS.items())
+    told = "; ".join(f"{name}: {own}" for name, own in FORMATS.items())
     verb.add_argument("--to", required=True, choices=FORMATS, metavar="FORMAT", help=told)
     verb.add_argument("--output", required=True, metavar="PATH", help="file or folder to write")
     verb.add_argument(
@@ -45,53 +40,51 @@ def add_options(verb: argparse.ArgumentParser) -> None:
 
 def export(options: argparse.Namespace) -> None:
     """Write a file's scene for another tool; nothing is written unless everything is right."""
-    _check_options(options)
+    chosen = FORMATS[options.to]
+    given = _options(options)
     problem = read(options)
-    if options.to in part.FORMATS:
-        part.write(problem, options)
-        return
-    if options.to == "fmu":
-        wrote(_fmu(problem, options))
-        console().print(f"next: fmpy simulate {shlex.quote(options.output)} --show-plot", markup=False, soft_wrap=True)
-        return
+    values, name = problem.values(), options.name or "share"
+    request = Request(
+        path=options.output,
+        name=name,
+        component=partial(_component, problem, options, name),
+        scene=problem.scene(),
+        best=part.best_of(problem, options.at),
+        steel_density=values["scene.steel_density"],
+        duration=values.get("scene.duration"),
+        varies=bool(problem.variables),
+        options=given,
+    )
+    written = chosen.write(request)
+    if written.said:
+        console().print(printable(written.said), markup=False, soft_wrap=True)
+    for path in written.paths:
+        wrote(path)
+    if written.next:
+        console().print(f"next: {written.next}", markup=False, soft_wrap=True)
+
+
+def _component(problem: Problem, options: argparse.Namespace, name: str) -> Component:
     with progress() as told:
         told("building the component", 0.0)
         names = (_names("inputs", options.inputs), _names("outputs", options.outputs))
-        component = problem.component(*names, name=options.name or "share")
-    if options.to == "casadi":
-        path = formats.write_casadi(component, options.output, options.description)
-    else:
-        path = (formats.write_c if options.to == "c" else formats.write_openmdao)(component, options.output)
-    console().print(str(component), markup=False)
-    wrote(path)
+        return problem.component(*names, name=name)
+
+
+def _options(options: argparse.Namespace) -> dict[str, Any]:
+    """Return the format's options; refuse others, and a place that cannot be written, before anything is computed."""
+    chosen = FORMATS[options.to]
+    chosen.check_place(options.output)
+    for name in _OPTIONS:
+        if getattr(options, name) and name not in chosen.options:
+            others = ", ".join(other for other, own in FORMATS.items() if name in own.options)
+            raise InputError(f"--{name} does not go with --to {options.to}: it belongs to {others}")
     if options.description is not None:
-        wrote(Path(options.description))
-    console().print(f"next: {_next(options.to, path, component.name())}", markup=False, soft_wrap=True)
-
-
-def _check_options(options: argparse.Namespace) -> None:
-    """Refuse a place that cannot be written to, and options of another format, before anything is computed."""
-    if options.to in ("c", "openmdao"):
-        check_new_folder(options.output, FORMATS[options.to].removeprefix("a new folder with "))
-    elif options.to not in part.FORMATS:
-        check_file(options.output, f".{options.to}", FORMATS[options.to].partition(",")[0].partition(" ")[2])
-    if options.description is not None and options.to == "casadi":
         check_file(options.description, ".json", "description")
-    elif options.description is not None:
-        raise InputError(f"--description does not go with --to {options.to}: what it says stands in that format itself")
-    of_parts, of_fmus = ("opening", "thickness", "body", "at"), ("strut", "sources")
-    if options.to in part.FORMATS:
-        others = dict.fromkeys(("inputs", "outputs", "name", *of_fmus), "a part has a shape only")
-        part.check_options(options)
-    elif options.to == "fmu":
-        others = dict.fromkeys(("inputs", "outputs"), "an FMU has the strut's motion as input")
-    else:
-        others = dict.fromkeys(of_fmus, "it belongs to an FMU")
-    if options.to not in part.FORMATS:
-        others |= dict.fromkeys(of_parts, f"it belongs to a part, {', '.join(part.FORMATS)}")
-    for name, reason in others.items():
-        if getattr(options, name):
-            raise InputError(f"--{name} does not go with --to {options.to}: {reason}")
+    given = {name: part.in_si(name, getattr(options, name)) for name in chosen.options}
+    if chosen.check is not None:
+        chosen.check(given)
+    return given
 
 
 def _names(option: str, written: str | None) -> tuple[str, ...]:
@@ -104,26 +97,3 @@ def _names(option: str, written: str | None) -> tuple[str, ...]:
             f"--{option} '{written}' lacks a name: write them with commas between, as share.height,soil.cohesion"
         )
     return names
-
-
-def _fmu(problem: Problem, options: argparse.Namespace) -> Path:
-    values = problem.values()
-    return formats.write_fmu(
-        problem.scene(),
-        options.output,
-        strut=options.strut or "speed",
-        steel_density=values["scene.steel_density"],
-        duration=values.get("scene.duration"),
-        name=options.name or "share",
-        binary=not options.sources,
-    )
-
-
-def _next(to: str, path: Path, name: str) -> str:
-    """Return what one does with what was written."""
-    if to == "c":
-        return f"make -C {shlex.quote(str(path))}"
-    if to == "casadi":
-        told = "  # such a file can run code when it is loaded: take none from strangers"
-        return "python -c " + shlex.quote(f"import casadi; print(casadi.Function.load({path.as_posix()!r}))") + told
-    return f"{path / name}.py holds an openmdao.api.ExplicitComponent; add_design declares variables and constraints"

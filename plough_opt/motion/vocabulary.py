@@ -80,6 +80,8 @@ class Measure:
         needs: what the scene's law of resistance must give for it: see `ResistanceLaw.lacking`.
         everywhere: a value at every output time; it can be limited, and not minimised.
         random: belongs to strength that varies along the path, and stands in tables where that is random.
+        label: under which a run's table shows it on the command line; "" where the table holds it anyhow, or not.
+        measured: whether it can be measured in the field, and so be calibrated with.
     """
 
     unit: Unit
@@ -87,6 +89,8 @@ class Measure:
     needs: tuple[str, ...] = ()
     everywhere: bool = False
     random: bool = False
+    label: str = ""
+    measured: bool = False
 
     def check(self, name: str, law: ResistanceLaw) -> None:
         """Refuse a measure that a law of resistance does not give.
@@ -104,27 +108,27 @@ class Measure:
 
 
 MEASURES: dict[str, Measure] = {
-    "mean_draft": Measure(Unit("N"), lambda run: run.mean_draft),
-    "force_rms": Measure(Unit("N"), lambda run: run.force_rms),
-    "mean_deflection": Measure(Unit("m"), lambda run: run.mean_deflection),
-    "displacement_rms": Measure(Unit("m"), lambda run: run.displacement_rms),
-    "tow_power": Measure(Unit("W"), lambda run: run.tow_power),
+    "mean_draft": Measure(Unit("N"), lambda run: run.mean_draft, measured=True),
+    "force_rms": Measure(Unit("N"), lambda run: run.force_rms, measured=True),
+    "mean_deflection": Measure(Unit("m"), lambda run: run.mean_deflection, measured=True),
+    "displacement_rms": Measure(Unit("m"), lambda run: run.displacement_rms, measured=True),
+    "tow_power": Measure(Unit("W"), lambda run: run.tow_power, measured=True),
     "specific_draft": Measure(Unit("Pa"), lambda run: run.specific_draft, ("loosened_radius",)),
-    "loosened_radius": Measure(Unit("m"), lambda run: run.scene.loosened_radius, ("loosened_radius",)),
+    "loosened_radius": Measure(Unit("m"), lambda run: run.scene.loosened_radius, ("loosened_radius",), measured=True),
     "half_angle": Measure(Unit("rad"), lambda run: run.scene.cone.half_angle),
     "moving_mass": Measure(Unit("kg"), lambda run: run.scene.mass),
-    "added_mass": Measure(Unit("kg"), lambda run: run.scene.carried_soil, ("added_mass",)),
-    "cone_index": Measure(Unit("Pa"), lambda run: cone_index(run.scene.soil), ("cone_index",)),
+    "added_mass": Measure(Unit("kg"), lambda run: run.scene.carried_soil, ("added_mass",), measured=True),
+    "cone_index": Measure(Unit("Pa"), lambda run: cone_index(run.scene.soil), ("cone_index",), measured=True),
     "stationary_force_rms": Measure(Unit("N"), lambda run: run.scene.stationary_force_rms, ("motion",), random=True),
     "stationary_displacement_rms": Measure(
         Unit("m"), lambda run: run.scene.stationary_displacement_rms, ("motion",), random=True
     ),
     "deflection": Measure(Unit("m"), lambda run: run.deflection, everywhere=True),
-    "mount_force": Measure(Unit("N"), lambda run: run.mount_force, everywhere=True),
+    "mount_force": Measure(Unit("N"), lambda run: run.mount_force, everywhere=True, measured=True),
     "soil_resistance": Measure(Unit("N"), lambda run: run.soil_resistance, everywhere=True),
     "speed": Measure(Unit("m/s"), lambda run: run.speed, everywhere=True),
 }
-"""Results by name; an angle in rad."""
+"""Results by name; an angle in rad. One that is added is a result in files, sweeps, fronts and components."""
 
 _CALLED = {
     "force_rms": "RMS of the mount force",
@@ -142,6 +146,8 @@ def called(name: str) -> str:
     """
     if name in _CALLED:
         return _CALLED[name]
+    if name in MEASURES and MEASURES[name].label:
+        return MEASURES[name].label
     if name in EVERY:
         return EVERY[name].called
     first, _, side = name.rpartition(" ")

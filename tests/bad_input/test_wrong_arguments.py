@@ -90,8 +90,8 @@ def test_every_public_name_has_a_recipe():
         "AccuracyStudy", "BatchResult", "Component", "Design", "DomainError", "Fit", "ImplausibleValue",
         "InfeasibleDesign", "InputError", "IntegrationError", "LocalOptimum", "NotConverged", "Optimum",
         "OwnResistance", "Penetrometer", "PloughError",
-        "Problem", "RecordWaves", "Refinement", "Run", "Sweep", "TradeOff", "crosscheck", "elastic", "plastic", "plots",
-        "soil_names", "uncertainty",
+        "Problem", "RecordWaves", "Refinement", "ResistanceLaw", "Run", "ShareInSoil", "SoilReaction", "Sweep",
+        "TradeOff", "crosscheck", "elastic", "laws", "plastic", "plots", "soil_names", "uncertainty",
     }  # fmt: skip
     covered = {name.partition(".")[0].rstrip("[]()") for name in recipes()}
     assert set(po.__all__) - results <= covered

@@ -22,7 +22,7 @@ from plough_opt.studies.calibration.fit import Fit, reported
 from plough_opt.studies.calibration.intervals import Interval, Kind, interval
 from plough_opt.studies.calibration.least_squares import LeastSquares
 from plough_opt.studies.calibration.loss import loss_of
-from plough_opt.studies.calibration.measurements import RESULTS, Measurements
+from plough_opt.studies.calibration.measurements import Measurements, measurable
 from plough_opt.studies.calibration.model import Described, Model, SceneOf, model_of
 from plough_opt.studies.calibration.prediction import Rows, joined, row_functions
 from plough_opt.studies.calibration.unknown import Unknown, unknowns_of
@@ -182,7 +182,7 @@ class Calibration:
 
     def _row(self, candidate: Candidate, y: Vector) -> tuple[float, Vector]:
         """Return the value of a candidate's result, and its derivatives."""
-        if candidate.result not in RESULTS or candidate.result == "mount_force":
+        if candidate.result not in measurable() or candidate.result == "mount_force":
             raise InputError(f"'{candidate.result}' is neither a single result of a run nor one of the unknowns")
         conditions: dict[str, float] = {}
         for m in self.measured:
@@ -199,13 +199,13 @@ class Calibration:
             both = names & set(m.conditions)
             if both:
                 raise InputError(f"{m.name}: '{min(both)}' is a column of the data, and so cannot be an unknown")
-            if m.result not in RESULTS and m.result not in names:
+            if m.result not in measurable() and m.result not in names:
                 unknowns = ", ".join(sorted(names))
                 raise InputError(f"{m.name}: '{m.result}' was measured, and is not among the unknowns: {unknowns}")
 
     def _check_bounds(self) -> None:
         """Raise InputError if bounds or the first row are outside the model's domain; `Rows` checks the other rows."""
-        first = next((m for m in self.measured if m.result in RESULTS), self.measured[0])
+        first = next((m for m in self.measured if m.result in measurable()), self.measured[0])
         guess = {unknown.name: unknown.guess for unknown in self.unknowns} | first.at(0)
         try:
             self.model.scene(guess)

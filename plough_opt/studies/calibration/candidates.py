@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from plough_opt.core.errors import DomainError, InputError
 from plough_opt.studies.calibration.identifiability import UNIFORM
-from plough_opt.studies.calibration.measurements import RECORD, RESULTS, Measurements, result_unit
+from plough_opt.studies.calibration.measurements import RECORD, Measurements, measurable, result_unit
 from plough_opt.studies.calibration.model import Model
 from plough_opt.studies.calibration.unknown import Unknown, amount
 
@@ -114,7 +114,7 @@ def ranked(
 def proposals(model: Model, measured: Sequence[Measurements], unknowns: Sequence[Unknown]) -> list[Candidate]:
     """Return candidates beside the data: other conditions, other results, and the unknowns by themselves."""
     names = {unknown.name for unknown in unknowns}
-    results = [m.result for m in measured if m.result in RESULTS and m.result != RECORD] or ["mean_draft"]
+    results = [m.result for m in measured if m.result in measurable() and m.result != RECORD] or ["mean_draft"]
     candidates: list[Candidate] = []
     for result in dict.fromkeys(results):
         candidates.append(Candidate(result))

@@ -14,7 +14,7 @@ from plough_opt.core.errors import IntegrationError
 from plough_opt.core.expressions import as_number
 from plough_opt.soil.geometry import PLANE_SECTIONS_LIMIT
 from plough_opt.studies.calibration.estimate import Estimate
-from plough_opt.studies.calibration.measurements import RECORD, RESULTS
+from plough_opt.studies.calibration.measurements import RECORD, measurable
 from plough_opt.studies.calibration.model import Model
 from plough_opt.studies.calibration.prediction import Rows, checked, is_closed
 from plough_opt.studies.calibration.unknown import Unknown
@@ -118,7 +118,7 @@ def _checked(rows: Sequence[Rows], model: Model, fit: Estimate) -> list[str]:
     for r in rows:
         own = slice(first, first + r.measured.rows)
         first += r.measured.rows
-        if r.measured.result not in RESULTS:
+        if r.measured.result not in measurable():
             continue
         for scene, duration, which in r.scenes(fit.y):
             if is_closed(scene, r.measured.result) or done >= _MOST_CHECKED:
@@ -137,7 +137,7 @@ def _checked(rows: Sequence[Rows], model: Model, fit: Estimate) -> list[str]:
 
 def _scenes(rows: Sequence[Rows], unknowns: Sequence[Unknown], fit: Estimate) -> list[str]:
     """Return the limits of the theory at the measured conditions."""
-    scenes = [scene for r in rows if r.measured.result in RESULTS for scene, _, _ in r.scenes(fit.y)]
+    scenes = [scene for r in rows if r.measured.result in measurable() for scene, _, _ in r.scenes(fit.y)]
     if not scenes:
         return []
     slender = [scene for scene in scenes if scene.law.slender]

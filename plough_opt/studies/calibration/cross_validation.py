@@ -13,7 +13,7 @@ from plough_opt.core.expressions import is_count
 from plough_opt.core.kinds import shown
 from plough_opt.studies.calibration.estimate import Data, estimate
 from plough_opt.studies.calibration.least_squares import LeastSquares
-from plough_opt.studies.calibration.measurements import RECORD, RESULTS
+from plough_opt.studies.calibration.measurements import RECORD, measurable
 
 Vector = NDArray[np.float64]
 
@@ -56,7 +56,7 @@ def cross_validate(
             if the rows need runs.
         seed: of the shuffling; rows of a record stay in order, as the errors of neighbours are correlated.
     """
-    order = np.array([k for k, result in enumerate(results) if result in RESULTS], dtype=np.intp)
+    order = np.array([k for k, result in enumerate(results) if result in measurable()], dtype=np.intp)
     count = len(order)
     if folds is None:
         folds = (count if count <= _MOST_LEFT_OUT else 20) if program.predictor.closed else min(5, count)
@@ -75,7 +75,7 @@ def cross_validate(
         errors[part] = (program.predict(fit.y) - data.observed)[part]
     fitted = program.predict(y) - data.observed
     names = np.array(results)
-    every = [result for result in dict.fromkeys(results) if result in RESULTS]
+    every = [result for result in dict.fromkeys(results) if result in measurable()]
     rows = np.sort(order)
     return CrossValidation(
         folds,

@@ -14,7 +14,7 @@ from plough_opt.core.kinds import path_of
 from plough_opt.core.quantities import quantities
 from plough_opt.core.units import Unit
 from plough_opt.motion.vocabulary import MEASURES
-from plough_opt.studies.calibration.measurements import RECORD, RESULTS, Measurements
+from plough_opt.studies.calibration.measurements import RECORD, Measurements, measurable
 
 
 @dataclass(frozen=True)
@@ -62,7 +62,7 @@ def _columns(name: str, line: int, headings: Sequence[str]) -> list[_Column]:
     place = f"{name}, line {line}"
     found: list[_Column] = []
     errors: list[str] = []
-    measured = [m["name"] for text in headings if (m := HEADING.fullmatch(text)) and m["name"] in RESULTS]
+    measured = [m["name"] for text in headings if (m := HEADING.fullmatch(text)) and m["name"] in measurable()]
     for text in headings:
         try:
             found.append(_column(text, measured[0] if measured else None))
@@ -73,7 +73,7 @@ def _columns(name: str, line: int, headings: Sequence[str]) -> list[_Column]:
     errors += [f"{place}, column '{key}': it is given twice: leave one of the two out" for key in twice]
     if not measured:
         errors.append(
-            f"{place}: no column holds a measured result: one of {', '.join(RESULTS)} is needed, as {_example()}"
+            f"{place}: no column holds a measured result: one of {', '.join(measurable())} is needed, as {_example()}"
         )
     if len(set(measured)) > 1:
         errors.append(f"{place}: {' and '.join(measured)} are measured: write a file for each, and give all of them")
@@ -107,10 +107,11 @@ def _unit_of(name: str, measured: str | None) -> Unit:
         return Unit("")
     if name == "time":
         return Unit("s")
-    if name in RESULTS:
+    if name in measurable():
         return MEASURES[name].unit
     if name not in known:
-        raise InputError(f"no such column is known: {nearest(name, [*known, *RESULTS, 'sigma', 'weight', 'time'])}")
+        names = [*known, *measurable(), "sigma", "weight", "time"]
+        raise InputError(f"no such column is known: {nearest(name, names)}")
     return known[name]
 
 
@@ -124,7 +125,7 @@ def _check(name: str, value: float, cell: str) -> None:
 
 def _measurements(name: str, columns: Sequence[_Column], table: np.ndarray, lines: Sequence[int]) -> Measurements:
     values = {column.name: table[:, k] for k, column in enumerate(columns)}
-    result = next(key for key in values if key in RESULTS)
+    result = next(key for key in values if key in measurable())
     sigma = values.pop("sigma", None)
     if sigma is not None and any(column.relative for column in columns):
         with np.errstate(over="ignore"):  # `Measurements` refuses an infinite number with its row

@@ -21,14 +21,15 @@ Vector = NDArray[np.float64]
 RECORD: Final = "mount_force"
 """The result that is measured over time, in one run for each set of conditions."""
 
-RESULTS: Final = ("mean_draft", RECORD, "force_rms", "mean_deflection", "displacement_rms", "tow_power",
-                  "loosened_radius", "added_mass", "cone_index")  # fmt: skip
-"""Results that can be measured in the field, and are compared with those of a run."""
+
+def measurable() -> tuple[str, ...]:
+    """Return the names of the results that can be measured in the field, and are compared with those of a run."""
+    return tuple(name for name, one in MEASURES.items() if one.measured)
 
 
 def result_unit(name: str) -> Unit:
     """Return the SI unit of a result, or of a quantity that is measured on its own."""
-    return MEASURES[name].unit if name in RESULTS else every_quantity()[name]
+    return MEASURES[name].unit if name in measurable() else every_quantity()[name]
 
 
 @dataclass(frozen=True)
@@ -118,7 +119,7 @@ class Measurements:
     def _check_names(self, conditions: Mapping[str, Any]) -> None:
         known = every_quantity()
         if not (isinstance(self.result, str) and self.result in known):
-            check_named(f"{self.name}: {{}} is not a measured result", self.result, RESULTS)
+            check_named(f"{self.name}: {{}} is not a measured result", self.result, measurable())
         for key in conditions:
             check_named(f"{self.name}: {{}} is not a quantity of a scene", key, known)
             if key == self.result:

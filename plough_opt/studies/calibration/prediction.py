@@ -19,7 +19,7 @@ from plough_opt.motion import simulate
 from plough_opt.motion.plan import numbers_of, phase
 from plough_opt.motion.scene import Scene
 from plough_opt.motion.vocabulary import MEASURES
-from plough_opt.studies.calibration.measurements import RECORD, RESULTS, Measurements
+from plough_opt.studies.calibration.measurements import RECORD, Measurements, measurable
 from plough_opt.studies.calibration.model import Model
 from plough_opt.studies.calibration.unknown import Unknown
 
@@ -223,7 +223,7 @@ def row_functions(
 
 def is_closed(scene: Scene, result: str) -> bool:
     """Return whether a result needs no run: the mean draft of a steady motion is the resistance."""
-    if result in _OF_SCENE or result not in RESULTS:
+    if result in _OF_SCENE or result not in measurable():
         return True
     effects = scene.effects
     steady = not effects.waves and not effects.ramps and not effects.entry and not effects.own

@@ -1,0 +1,185 @@
+"""The export formats by name: what a format is, which options it takes, and what writes it."""
+
+from __future__ import annotations
+
+import importlib
+import math
+import shlex
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+from plough_opt.core.errors import InputError
+from plough_opt.core.files import check_file, check_new_folder
+from plough_opt.exchange.component import Component
+from plough_opt.motion.scene import Scene
+from plough_opt.soil.geometry import Cone, Wedge
+
+
+@dataclass(frozen=True)
+class Request:
+    """What an export is made of.
+
+    Attributes:
+        path: of the file or folder.
+        name: of the function or model.
+        component: builds the component of the inputs and outputs that were asked for.
+        scene: the scene at the values that the file gives, of variables at their guesses.
+        best: searches the best design, or None where the scene's values are wanted.
+        steel_density: of the share [kg/m^3].
+        duration: of a run [s], or None of a lasting orbit.
+        varies: whether the file has variables.
+        options: what was given of the format's own options, by name; quantities in SI units.
+    """
+
+    path: str
+    name: str
+    component: Callable[[], Component]
+    scene: Scene
+    best: Callable[[], Scene] | None
+    steel_density: float
+    duration: float | None
+    varies: bool
+    options: Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class Written:
+    """What an export has written.
+
+    Attributes:
+        paths: of the files or of the folder.
+        said: what is in it, or "".
+        next: a command, or a sentence, on what one does with it.
+    """
+
+    paths: tuple[Path, ...]
+    said: str = ""
+    next: str = ""
+
+
+@dataclass(frozen=True)
+class Format:
+    """An export format.
+
+    Args:
+        what: what is written: "a new folder with C source", or the kind of a file.
+        write: writes it.
+        endings: of the file's name, such as (".fmu",); () of a new folder.
+        options: names of the options that it takes beside the path: see `plough-opt export --help`.
+        check: refuses options that exclude each other, before anything is computed.
+    """
+
+    what: str
+    write: Callable[[Request], Written]
+    endings: tuple[str, ...] = ()
+    options: tuple[str, ...] = ("inputs", "outputs", "name")
+    check: Callable[[Mapping[str, Any]], None] | None = None
+
+    def check_place(self, path: str) -> None:
+        """Refuse a path that cannot be written, before anything is computed.
+
+        Raises:
+            InputError: a folder that is there already, or another ending.
+        """
+        if self.endings:
+            own = Path(path).suffix.lower()
+            check_file(path, own if own in self.endings else " or ".join(self.endings), self.what)
+        else:
+            check_new_folder(path, self.what.removeprefix("a new folder with "))
+
+    def __str__(self) -> str:
+        """Return what it is, and how the name of its file ends."""
+        return f"{self.what}{', ' if self.endings else ''}{' or '.join(self.endings)}"
+
+
+def _later(module: str, writer: str) -> Callable[..., Path]:
+    """Return a function of a module that is imported when it is used, for it may need a package of its own."""
+    found: Callable[..., Path] = getattr(importlib.import_module(f"plough_opt.exchange.export.{module}"), writer)
+    return found
+
+
+def _c(request: Request) -> Written:
+    component = request.component()
+    path = _later("c", "write_c")(component, request.path)
+    return Written((path,), str(component), f"make -C {shlex.quote(str(path))}")
+
+
+def _casadi(request: Request) -> Written:
+    component, description = request.component(), request.options.get("description")
+    path = _later("serialised", "write_casadi")(component, request.path, description)
+    load = shlex.quote(f"import casadi; print(casadi.Function.load({path.as_posix()!r}))")
+    told = "  # such a file can run code when it is loaded: take none from strangers"
+    return Written((path, *([Path(description)] if description else [])), str(component), f"python -c {load}{told}")
+
+
+def _openmdao(request: Request) -> Written:
+    component = request.component()
+    path = _later("openmdao", "write_openmdao")(component, request.path)
+    module = path / component.name()
+    told = f"{module}.py holds an openmdao.api.ExplicitComponent; add_design declares variables and constraints"
+    return Written((path,), str(component), told)
+
+
+def _fmu(request: Request) -> Written:
+    path = _later("fmu", "write_fmu")(
+        request.scene,
+        request.path,
+        strut=request.options.get("strut") or "speed",
+        steel_density=request.steel_density,
+        duration=request.duration,
+        name=request.name,
+        binary=not request.options.get("sources"),
+    )
+    return Written((path,), "", f"fmpy simulate {shlex.quote(request.path)} --show-plot")
+
+
+def _part(request: Request) -> Written:
+    given = request.options
+    scene = request.scene if request.best is None else request.best()
+    body: Wedge | Cone = scene.cone if given.get("body") == "cone" else scene.share
+    opening, thickness = given.get("opening"), given.get("thickness")
+    path = _later("part", "write_part")(body, request.path, opening=opening, thickness=thickness)
+    at_values = "the guesses" if request.varies else "the file"
+    design = at_values if request.best is None else "the best design"
+    return Written((path,), _described(body, opening, thickness, design))
+
+
+def _check_part(given: Mapping[str, Any]) -> None:
+    """Refuse to bend a cone."""
+    if given.get("body") == "cone" and (given.get("opening") or given.get("thickness")):
+        raise InputError("--opening and --thickness belong to a wedge: leave them out for a cone, which is solid")
+
+
+def _described(body: Wedge | Cone, opening: float | None, thickness: float | None, design: str) -> str:
+    """Return the measures of a part in words."""
+    if isinstance(body, Cone):
+        angle = math.degrees(body.half_angle)
+        return (
+            f"Cone of {design}: half angle {angle:.4g} deg, height {1e3 * body.height:.4g} mm, solid,"
+            f" {1e6 * body.volume:.4g} cm^3, lateral surface {1e4 * body.area:.4g} cm^2"
+        )
+    solid = body.mesh(opening=opening, thickness=thickness)
+    kind = "a block" if thickness is None else f"plate of {1e3 * thickness:.4g} mm"
+    between = math.degrees(body.opening if opening is None else opening)
+    return (
+        f"Share of {design}: wedge angle {math.degrees(body.angle):.4g} deg, chisel angle"
+        f" {math.degrees(body.chisel_angle):.4g} deg, height {1e3 * body.height:.4g} mm, {between:.4g} deg between the"
+        f" faces, {kind}, {1e6 * solid.volume:.4g} cm^3, faces {1e4 * solid.working_area:.4g} cm^2"
+    )
+
+
+_OF_PARTS = ("opening", "thickness", "body", "at")
+
+FORMATS: Final[dict[str, Format]] = {
+    "c": Format("a new folder with C source, header and a test", _c),
+    "casadi": Format("serialised CasADi Function", _casadi, (".casadi",), ("inputs", "outputs", "name", "description")),
+    "openmdao": Format("a new folder with a Python module", _openmdao),
+    "fmu": Format("FMU for model exchange, FMI 3.0", _fmu, (".fmu",), ("name", "strut", "sources")),
+    "stl": Format("triangles of the share in mm", _part, (".stl",), _OF_PARTS, _check_part),
+    "gltf": Format("triangles of the share in m", _part, (".gltf", ".glb"), _OF_PARTS, _check_part),
+    "dxf": Format("the share's faces laid flat in mm, a cutting pattern", _part, (".dxf",), _OF_PARTS, _check_part),
+    "step": Format("the share's faces in mm for CAD", _part, (".step", ".stp"), _OF_PARTS, _check_part),
+}
+"""Name, as `plough-opt export --to` takes it, -> format."""

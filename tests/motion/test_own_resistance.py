@@ -142,7 +142,7 @@ def test_what_is_no_resistance_is_refused(effects, message):
 
 
 def test_the_elastic_medium_refuses_it():
-    with pytest.raises(po.InputError, match="own resistances belong to the plastic gas"):
+    with pytest.raises(po.InputError, match="own has no meaning in the elastic medium"):
         replace(scene(Shank(1.0, 0.0), motion=False), medium="elastic")
 
 

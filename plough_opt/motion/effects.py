@@ -95,6 +95,10 @@ class OwnResistance(Protocol):
     def force(self, travel: Expression, speed: Expression) -> Expression:
         """Return the force [N] against the motion at a travel L [m] and a speed L' [m/s].
 
+        Under `StickSlip` it acts while the share slips, and is zero in a gap, like the soil. There it needs a second
+        method, ``at_rest(travel)``: the largest force [N] that it holds a resting share with, no less than ``force`` at
+        no speed.
+
         Written with arithmetic and the functions of `plough_opt.core.expressions`, so that it takes symbols.
         """
 
@@ -251,9 +255,13 @@ class Effects:
                     " that looks it up, as lambda travel: table(travel)"
                 )
         if self.own and isinstance(self.contact, StickSlip):
-            raise InputError(
-                "an own resistance does not say what it is at rest or in a gap: take contact = 'resisting' or Smooth"
-            )
+            for effect in self.own:
+                if not callable(getattr(effect, "at_rest", None)):
+                    raise InputError(
+                        f"own effect {type(effect).__name__} does not say what it is at rest or in a gap: give it a"
+                        " method at_rest(travel), the largest force that it holds a resting share with; it is then"
+                        " zero in a gap, like the soil; or take contact = 'resisting' or Smooth"
+                    )
 
     def _refuse_on_an_orbit(self) -> None:
         """Refuse what a lasting orbit cannot have."""

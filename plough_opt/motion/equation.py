@@ -19,6 +19,7 @@ from plough_opt.motion.terms import (
     Structure,
     Strut,
     carried_mass,
+    hold,
     inertia_at,
     ramp_time,
     resistance,
@@ -98,7 +99,7 @@ def start_state(structure: Structure, p: dict[str, Expression]) -> Expression:
     pull = 0.0 if structure.relaxed else start_resistance(structure, p)
     if structure.damper:
         pull = pull + p["damping"] * start_rate(structure, p)
-    held = pull < p["breakaway"] * resistance(structure, p, -start_deflection(structure, p), 0.0)
+    held = pull < hold(structure, p, -start_deflection(structure, p))
     return ca.vertcat(first, 0.0, ca.if_else(speed > 0.0, SLIP, ca.if_else(held, STICK, SLIP)), *counted)
 
 
@@ -146,7 +147,7 @@ class _Now:
     @property
     def hold(self) -> Expression:
         """Mount force [N] at which a sticking share moves."""
-        return self.p["breakaway"] * resistance(self.structure, self.p, self.travel, 0.0)
+        return hold(self.structure, self.p, self.travel)
 
     def slipping(self) -> Expression:
         """Return w'' of a share that slips [m/s^2]."""

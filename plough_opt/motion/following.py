@@ -14,7 +14,7 @@ from plough_opt.motion.causes import failed_by, refuse_runaway
 from plough_opt.motion.compiled_steps import CompiledSteps, compiled_steps
 from plough_opt.motion.effects import StickSlip
 from plough_opt.motion.integrators import Integration, Sized, integration
-from plough_opt.motion.judgement import refuse_missed_event
+from plough_opt.motion.judgement import refuse_missed_event, refuse_weak_rest
 from plough_opt.motion.plan import OUTPUTS, STIFF_PHASE, most_steps, numbers_of, phase, timeline_of
 from plough_opt.motion.run import Run, assemble
 from plough_opt.motion.scene import Scene
@@ -123,6 +123,7 @@ def follow(case: Case, accuracy: Accuracy, sizes: Array | None = None, *, shaken
     run = _assembled(case, timeline, (states.T, means.ravel(), variances.ravel()), accuracy)
     if isinstance(scene.effects.contact, StickSlip):
         refuse_missed_event(run)
+        refuse_weak_rest(scene, run)
     return Followed(run, sizes)
 
 

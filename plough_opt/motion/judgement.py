@@ -27,7 +27,7 @@ from plough_opt.motion.plan import (
 from plough_opt.motion.run import Run
 from plough_opt.motion.scene import Scene
 from plough_opt.motion.signals import signals
-from plough_opt.motion.terms import Structure, own_force, parameters, resistance, start_deflection
+from plough_opt.motion.terms import Structure, hold, own_force, parameters, start_deflection
 from plough_opt.motion.timeline import Timeline
 
 # Exponents of growth above this overflow, squared as they are in an RMS sooner than by themselves.
@@ -134,6 +134,27 @@ def refuse_drifting_own(scene: Scene) -> None:
         )
 
 
+def refuse_weak_rest(scene: Scene, run: Run) -> None:
+    """Refuse own effects that hold a share at rest with less than what they resist it with as it begins to slip.
+
+    Such a share would stop and move again without end.
+
+    Raises:
+        InputError: one does, somewhere along a run under `StickSlip`.
+    """
+    structure, p = Structure.of(scene), parameters(scene)
+    for k, term in enumerate(structure.own):
+        held, slips = (np.broadcast_to(as_number(force), run.travel.shape) for force in (
+            term.at_rest(k, p, run.travel), term.force(k, p, run.travel, 0.0)))  # fmt: skip
+        if np.any(weak := ~(held >= slips * (1.0 - _MISSED))):
+            worst = int(np.argmax(weak))
+            raise InputError(
+                f"the own effect {term.kind.__name__} holds a share at rest with {held[worst]:.6g} N at a travel of"
+                f" {run.travel[worst]:.6g} m, and resists one that begins to slip with {slips[worst]:.6g} N: at_rest"
+                " must be no less than force at no speed"
+            )
+
+
 def refuse_missed_event(run: Run) -> None:
     """Refuse a run in which the share retreats without a gap, or is held too long.
 
@@ -141,7 +162,7 @@ def refuse_missed_event(run: Run) -> None:
         MissedEvent: an event was missed.
     """
     structure, p = Structure.of(run.scene), parameters(run.scene)
-    held = p["breakaway"] * resistance(structure, p, run.travel, 0.0)
+    held = hold(structure, p, run.travel)
     size = float(np.max(np.abs(run.mount_force)))
     late = (run.mode == STICK) & (run.mount_force > held + _MISSED * size)
     if np.any(late):

@@ -42,14 +42,29 @@ class OwnTerm:
         Raises:
             InputError: the user's class returns something else.
         """
+        return self._value("force", number, p, travel, speed)
+
+    def at_rest(self, number: int, p: Mapping[str, Expression], travel: Expression) -> Expression:
+        """Return the largest force [N] that it holds a share at rest with, with the parameters of that number.
+
+        Raises:
+            InputError: the user's class returns something else.
+        """
+        return self._value("at_rest", number, p, travel)
+
+    def _value(self, method: str, number: int, p: Mapping[str, Expression], *at: Expression) -> Expression:
+        """Return what a method of the user's class gives at travel, and at speed if it takes one."""
         values = (p[name] for name in self.names(number))
         effect: OwnResistance = map_expressions(self.template, lambda _: next(values))
-        found = effect.force(travel, speed)
-        sizes = {1, _elements(travel), _elements(speed)}
-        if not (is_quantity(found) or isinstance(found, np.ndarray)) or _elements(found) not in sizes:
+        found = getattr(effect, method)(*at)
+        travel = at[0]
+        if not (is_quantity(found) or isinstance(found, np.ndarray)) or _elements(found) not in {
+            1,
+            *map(_elements, at),
+        }:
             raise InputError(
-                f"{self.kind.__name__}.force returned {found!r}: an own effect returns its resistance [N], a number or"
-                " an expression of travel and speed"
+                f"{self.kind.__name__}.{method} returned {found!r}: an own effect returns its resistance [N], a number"
+                " or an expression of travel and speed"
             )
         if isinstance(found, ca.DM) and not is_casadi(travel):
             # CasADi's own functions of an array, as a table is one, give a column.

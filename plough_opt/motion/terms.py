@@ -264,6 +264,18 @@ def resistance(structure: Structure, p: dict[str, Expression], travel: Expressio
         travel: L of the share [m].
         speed: L' of the share [m/s].
     """
+    force = _of_soil(structure, p, travel, speed)
+    return force + own_force(structure, p, travel, speed) if structure.own else force
+
+
+def hold(structure: Structure, p: dict[str, Expression], travel: Expression) -> Expression:
+    """Return the mount force [N] at which a share that sticks at a travel L [m] moves: see `StickSlip`."""
+    force = p["breakaway"] * _of_soil(structure, p, travel, 0.0)
+    return force + sum(term.at_rest(k, p, travel) for k, term in enumerate(structure.own)) if structure.own else force
+
+
+def _of_soil(structure: Structure, p: dict[str, Expression], travel: Expression, speed: Expression) -> Expression:
+    """Return the part of the soil itself in the resistance."""
     force = p["static"]
     if structure.wave:
         force = force + _wave(structure, p, travel)
@@ -275,7 +287,7 @@ def resistance(structure: Structure, p: dict[str, Expression], travel: Expressio
         force = buried(structure, p, travel) ** 2 * force
     if structure.contact == "smooth":
         force = _step(p, speed) * force
-    return force + own_force(structure, p, travel, speed) if structure.own else force
+    return force
 
 
 def resistance_change(

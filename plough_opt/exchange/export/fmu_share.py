@@ -19,6 +19,7 @@ from plough_opt.motion.scene import Scene
 from plough_opt.motion.terms import (
     Structure,
     carried_mass,
+    hold,
     inertia_at,
     resistance,
     start_deflection,
@@ -106,7 +107,7 @@ class Share:
     @property
     def hold(self) -> Expression:
         """Mount force [N] at which a sticking share moves."""
-        return self.q["breakaway"] * resistance(self.at_rest, self.p, self.travel, 0.0)
+        return hold(self.at_rest, self.p, self.travel)
 
     def by_mode(self, slip: Expression, stick: Expression, gap: Expression) -> Expression:
         """Choose by the mode."""
@@ -198,10 +199,10 @@ class Share:
         mode: Expression = SLIP
         if self.sticks:
             buried = {"entered": 0.0, "behind": 0.0} if structure.entry else {}
-            hold = p["breakaway"] * resistance(self.at_rest, p | buried, place - first, 0.0)
+            held = hold(self.at_rest, p | buried, place - first)
             pull = p["stiffness"] * first
             if structure.damper:
                 pull = pull + p["damping"] * start_rate(structure, p)
-            mode = ca.if_else(speed > 0.0, SLIP, ca.if_else(pull < hold, STICK, SLIP))
+            mode = ca.if_else(speed > 0.0, SLIP, ca.if_else(pull < held, STICK, SLIP))
         discrete = (mode, place - first, *((0.0,) if structure.entry else ())) if structure.events else ()
         return x, ca.vertcat(*discrete) if discrete else ca.SX(0, 1)

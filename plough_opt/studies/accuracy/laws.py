@@ -184,7 +184,8 @@ class Laws:
     def hold(self, travel: Wide, piece: Piece) -> Wide:
         """Return the mount force at which a share that sticks breaks loose."""
         assert self.breakaway is not None  # else no share sticks
-        return self.breakaway * self.resistance(travel, WIDE(0), piece)
+        soil = self.breakaway * replace(self, own=()).resistance(travel, WIDE(0), piece)
+        return soil + sum((effect.at_rest(travel) for effect in self.own), WIDE(0))
 
     def law(self, piece: Piece) -> Callable[[Wide], Acceleration]:
         """Return what gives z'' at times of a step."""

@@ -95,11 +95,20 @@ class OwnResistance(Protocol):
     def force(self, travel: Expression, speed: Expression) -> Expression:
         """Return the force [N] against the motion at a travel L [m] and a speed L' [m/s].
 
-        Under `StickSlip` it acts while the share slips, and is zero in a gap, like the soil. There it needs a second
-        method, ``at_rest(travel)``: the largest force [N] that it holds a resting share with, no less than ``force`` at
-        no speed.
+        Under `StickSlip` it acts while the share slips, and is zero in a gap, like the soil.
 
         Written with arithmetic and the functions of `plough_opt.core.expressions`, so that it takes symbols.
+        """
+
+
+@runtime_checkable
+class RestingResistance(OwnResistance, Protocol):
+    """An own resistance that says what it is at rest too, as `StickSlip` needs it."""
+
+    def at_rest(self, travel: Expression) -> Expression:
+        """Return the largest force [N] that holds a resting share at a travel L [m], no less than `force` at no speed.
+
+        Written like `force`.
         """
 
 
@@ -256,7 +265,7 @@ class Effects:
                 )
         if self.own and isinstance(self.contact, StickSlip):
             for effect in self.own:
-                if not callable(getattr(effect, "at_rest", None)):
+                if not isinstance(effect, RestingResistance):
                     raise InputError(
                         f"own effect {type(effect).__name__} does not say what it is at rest or in a gap: give it a"
                         " method at_rest(travel), the largest force that it holds a resting share with; it is then"

@@ -57,11 +57,8 @@ class OwnTerm:
         values = (p[name] for name in self.names(number))
         effect: OwnResistance = map_expressions(self.template, lambda _: next(values))
         found = getattr(effect, method)(*at)
-        travel = at[0]
-        if not (is_quantity(found) or isinstance(found, np.ndarray)) or _elements(found) not in {
-            1,
-            *map(_elements, at),
-        }:
+        travel, sizes = at[0], {1, *map(_elements, at)}
+        if not (is_quantity(found) or isinstance(found, np.ndarray)) or _elements(found) not in sizes:
             raise InputError(
                 f"{self.kind.__name__}.{method} returned {found!r}: an own effect returns its resistance [N], a number"
                 " or an expression of travel and speed"

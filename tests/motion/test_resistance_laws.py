@@ -104,7 +104,7 @@ def test_what_a_law_lacks_is_refused_or_left_out_with_a_sentence():
         scene(McKyesAli(), effects=po.Effects(formulation="printed"))
 
 
-@pytest.mark.parametrize("law", [McKyesAli, 3, None, object()], ids=str)
+@pytest.mark.parametrize("law", [McKyesAli, 3, None, object()], ids=["class", "number", "none", "object"])
 def test_something_else_in_the_place_of_a_law_is_refused(law):
     with pytest.raises(po.InputError, match="must be a ResistanceLaw, as McKyesAli"):
         scene(law)

@@ -14,7 +14,7 @@ import numpy as np
 
 from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import as_number
-from plough_opt.motion.effects import OwnResistance, Smooth, StickSlip
+from plough_opt.motion.effects import OwnResistance, RestingResistance, Smooth, StickSlip
 from plough_opt.motion.scene import Scene
 from plough_opt.studies.accuracy.picard import EPS, PI, WIDE, Acceleration, Step, Wide
 
@@ -185,7 +185,8 @@ class Laws:
         """Return the mount force at which a share that sticks breaks loose."""
         assert self.breakaway is not None  # else no share sticks
         soil = self.breakaway * replace(self, own=()).resistance(travel, WIDE(0), piece)
-        return soil + sum((effect.at_rest(travel) for effect in self.own), WIDE(0))
+        own = (effect.at_rest(travel) for effect in self.own if isinstance(effect, RestingResistance))
+        return soil + sum(own, WIDE(0))
 
     def law(self, piece: Piece) -> Callable[[Wide], Acceleration]:
         """Return what gives z'' at times of a step."""

@@ -26,6 +26,7 @@ from plough_opt.app import waves as strengths
 from plough_opt.app.messages import add_options, messages, printable
 from plough_opt.app.page import command as pages
 from plough_opt.app.terminal import interruptible, what_was_written
+from plough_opt.core.additions import load_additions
 from plough_opt.core.errors import DomainError, InputError, PloughError
 from plough_opt.core.notices import without_notices
 from plough_opt.core.quantities import trusted
@@ -35,6 +36,11 @@ SOLVED, UNSOLVED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; return the exit status."""
+    try:
+        load_additions()
+    except InputError as error:
+        _complain("bad input", error)
+        return BAD_INPUT
     options = _parser().parse_args(arguments)
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):

@@ -66,13 +66,13 @@ def print_run(console: Console, problem: Problem, run: Run) -> None:
 
 
 def own_results(problem: Problem, run: Run) -> tuple[Grid, ...]:
-    """Return a table of the results that a file computes itself; none where it has none."""
-    known = measures_of(problem.table)
+    """Return a table of the results that a file computes itself, and of those with a label; none where it has none."""
     rows = [
-        (name.replace("_", " "), shown(problem, name, float(known[name].of(run)), known[name].unit.symbol))
-        for name in problem.table.measures
+        (own.label or name.replace("_", " "), shown(problem, name, float(own.of(run)), own.unit.symbol))
+        for name, own in measures_of(problem.table).items()
+        if name in problem.table.measures or (own.label and own.given_by(run.scene.law))
     ]
-    return (Grid.pairs("Results of this file", *rows),) if rows else ()
+    return (Grid.pairs("Results of this file" if problem.table.measures else "Further results", *rows),) if rows else ()
 
 
 def print_check(console: Console, problem: Problem) -> None:

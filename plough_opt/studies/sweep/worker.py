@@ -19,6 +19,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Final
 
+from plough_opt.core.additions import load_additions
 from plough_opt.core.notices import Sieve
 
 READY: Final = "ready"
@@ -135,6 +136,7 @@ def _prepare(data: dict[str, Any], evaluation: bytes) -> None:
     """Import the main script of the pool's process, and check that the evaluation can be unpickled."""
     global _preparing
     _preparing = True
+    load_additions()
     multiprocessing.spawn.prepare(data)
     pickle.loads(evaluation)
     _preparing = False

@@ -1,0 +1,176 @@
+"""CONTRIBUTING.md: its five additions are taken from the page, added from outside the package, and used."""
+
+import csv
+import json
+import re
+import shlex
+import sys
+from pathlib import Path
+
+import pytest
+
+import plough_opt as po
+from plough_opt.app import main
+from plough_opt.exchange.export.formats import FORMATS
+from plough_opt.laws import LAWS
+from plough_opt.motion.methods import METHODS
+from plough_opt.motion.vocabulary import MEASURES
+
+ROOT = Path(__file__).parents[1]
+TEXT = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
+BLOCKS = re.compile(r"```(\w+)\n(.*?)```", re.DOTALL)
+INTRODUCTION, *PARTS = re.split(r"^### ", TEXT, flags=re.MULTILINE)
+SECTIONS = {part.partition("\n")[0]: BLOCKS.findall(part) for part in PARTS}
+REGISTRIES = (LAWS, MEASURES, FORMATS, METHODS)
+
+
+@pytest.fixture
+def workshop(tmp_path, monkeypatch):
+    """Return a function that puts a section's modules and files where a user would, and removes what they add."""
+    before = [dict(registry) for registry in REGISTRIES]
+    known = {*sys.modules}
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.chdir(tmp_path)
+    kinds = dict(BLOCKS.findall(INTRODUCTION[INTRODUCTION.index("The examples below") :]))
+    (tmp_path / "tine.toml").write_text(kinds["toml"], encoding="utf-8")
+    (tmp_path / "scene_of_mine.py").write_text(kinds["python"], encoding="utf-8")
+
+    def install(section):
+        modules = [text for language, text in SECTIONS[section] if language == "python" and text.startswith("# ")]
+        (module,) = modules
+        name = re.match(r"# (\w+)\.py\n", module)[1]
+        (tmp_path / f"{name}.py").write_text(module, encoding="utf-8")
+        # An installed package, as its entry points are found.
+        package = tmp_path / "mine-1.0.dist-info"
+        package.mkdir()
+        (package / "METADATA").write_text("Metadata-Version: 2.1\nName: mine\nVersion: 1.0\n", encoding="utf-8")
+        (package / "entry_points.txt").write_text(f"[plough_opt]\n{name} = {name}\n", encoding="utf-8")
+        return name
+
+    yield install
+    for registry, own in zip(REGISTRIES, before, strict=True):
+        registry.clear()
+        registry.update(own)
+    for name in {*sys.modules} - known:
+        if getattr(sys.modules[name], "__file__", None) and str(tmp_path) in sys.modules[name].__file__:
+            del sys.modules[name]
+
+
+def use(section, capsys, wanted=("python", "sh")):
+    """Run a section's other blocks in order; return what each of them printed."""
+    printed = []
+    for language, text in SECTIONS[section]:
+        if language not in wanted or text.startswith("# "):
+            continue
+        if language == "sh":
+            for line in text.splitlines():
+                if "accuracy tine" in line:
+                    continue
+                assert main(shlex.split(line)[1:]) == 0, capsys.readouterr().err
+        else:
+            exec(compile(text, f"CONTRIBUTING.md, {section}", "exec"), {})  # the page's own text
+        printed.append(capsys.readouterr().out)
+    return printed
+
+
+def test_the_page_shows_five_additions_each_one_file_and_one_line():
+    assert list(SECTIONS) == ["An effect", "A resistance law", "A measure", "An export format", "An integrator"]
+    for section, blocks in SECTIONS.items():
+        modules = [text for language, text in blocks if language == "python" and text.startswith("# ")]
+        assert len(modules) == 1, section
+        lines = re.findall(r"^(?:po\.laws\.)?(LAWS|MEASURES|FORMATS|METHODS)\[", modules[0], flags=re.MULTILINE)
+        assert len(lines) == (section != "An effect")
+    named = re.findall(r"`(plough_opt/[\w/]+\.py)`", TEXT)
+    assert len(named) == 4
+    assert all((ROOT / path).exists() for path in named)
+
+
+def test_effect(workshop, capsys):
+    workshop("An effect")
+    first, second = use("An effect", capsys)[0].splitlines()
+    slides, sticks = map(float, first.split())
+    bare = po.Scene(po.named_soil("serozem"), po.Wedge(po.deg(30), po.deg(35), 0.25), 2e5, 40.0, 2.0)
+    assert slides == pytest.approx(bare.steady_resistance + 150.0 + 160.0, rel=1e-12)
+    # From rest and over a short time.
+    assert sticks > bare.steady_resistance / 2
+    assert "viscous" in second
+
+
+def test_resistance_law(workshop, capsys):
+    workshop("A resistance law")
+    script, command = use("A resistance law", capsys)
+    assert "a fit per width and depth: fitted from 1 to 3 m/s" in script
+    assert "says nothing of soil that moves with the share" in script
+    assert "law of resistance" in command or "share.height" in command
+    table = "scene.medium={law='per_width', width='12 cm'}"
+    assert main(["simulate", "tine.toml", "--set", table]) == 0
+    own = po.read_problem("tine.toml", [table])
+    # 250 kPa on 12 cm by 25 cm, and a twentieth of that per (m/s)^2.
+    assert own.simulate().mean_draft == pytest.approx(250e3 * 0.12 * 0.25 * 1.2, rel=1e-9)
+    assert main(["check", "tine.toml", "--set", "scene.medium='per_with'"]) == 2
+    assert "did you mean 'per_width'" in capsys.readouterr().err
+
+
+def test_measure(workshop, capsys):
+    workshop("A measure")
+    objective, *_ = use("A measure", capsys)[0].split()
+    # At a steady speed the work per metre is the draft.
+    own = po.read_problem("tine.toml").optimise()[0].objective
+    assert float(objective) == pytest.approx(own, rel=1e-7)
+    with Path("swept.csv").open(encoding="utf-8") as file:
+        rows = list(csv.reader(line for line in file if not line.startswith("#")))
+    column = next(k for k, heading in enumerate(rows[0]) if heading.startswith("work_per_metre"))
+    draft = next(k for k, heading in enumerate(rows[0]) if heading.startswith("mean_draft"))
+    assert len(rows) == 4
+    assert [float(row[column]) for row in rows[1:]] == pytest.approx([float(row[draft]) for row in rows[1:]], rel=1e-9)
+    assert main(["simulate", "tine.toml"]) == 0
+    assert "towing work per metre" in capsys.readouterr().out
+    told = po.Measurements("work_per_metre", [3e3, 4e3], {"scene.tow_speed": [1.0, 2.0]}, sigma=100.0)
+    assert told.result == "work_per_metre"
+    assert main(["check", "tine.toml", "--set", "require.work_per_meter.at_most=5 kN"]) == 2
+    assert "did you mean 'work_per_metre'" in capsys.readouterr().err
+
+
+def test_export_format(workshop, capsys):
+    workshop("An export format")
+    use("An export format", capsys)
+    with Path("tine.csv").open(encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    values = {row["name"]: float(row["value"]) for row in rows}
+    assert values["share.height"] == 0.25
+    assert values["mean_draft"] == pytest.approx(po.read_problem("tine.toml").simulate().mean_draft, rel=1e-6)
+    assert main(["export", "tine.toml", "--to", "table", "--output", "a.txt"]) == 2
+    assert "end it in .csv" in capsys.readouterr().err
+    assert main(["export", "tine.toml", "--to", "table", "--output", "a.csv", "--strut", "speed"]) == 2
+    assert "--strut does not go with --to table" in capsys.readouterr().err
+
+
+def test_integrator(workshop, capsys):
+    workshop("An integrator")
+    script, _ = use("An integrator", capsys)
+    draft, error = map(float, script.splitlines()[0].split())
+    assert 0.0 < error < 1e-6
+    assert draft > 0.0
+    assert "stiffness" in script
+    assert main(["simulate", "tine.toml", "--set", "accuracy.method=three_eights"]) == 2
+    assert "did you mean 'three_eighths'" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_integrator_takes_part_in_the_accuracy_study(workshop, capsys):
+    workshop("An integrator")
+    (line,) = (
+        line for language, text in SECTIONS["An integrator"] if language == "sh"
+        for line in text.splitlines() if "accuracy tine" in line
+    )  # fmt: skip
+    assert main(shlex.split(line)[1:]) == 0
+    assert "three_eighths" in capsys.readouterr().out
+    assert "three_eighths" in json.dumps(json.loads(Path("accuracy.json").read_text(encoding="utf-8")))
+
+
+def test_addition_that_cannot_be_imported_is_named(workshop, capsys, tmp_path):
+    name = workshop("An integrator")
+    (tmp_path / f"{name}.py").write_text("import no_such_module\n", encoding="utf-8")
+    assert main(["soils"]) == 2
+    told = " ".join(capsys.readouterr().err.split())
+    assert f"the addition '{name}' = {name} of mine cannot be imported (ModuleNotFoundError" in told

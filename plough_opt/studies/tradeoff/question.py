@@ -115,7 +115,7 @@ def trade_off(
         number = next((k for k in range(len(anchors)) if k // (len(anchors) // len(goals)) not in idle), 0)
         sizes = np.abs(front.objectives(anchors[number][0].y))
         front.normalise(np.zeros(len(goals)), np.maximum(sizes, _SMALLEST))
-        tracer.kept(anchors[number][0], tracer.orders()[number])
+        tracer.kept(anchors[number][0], tracer.orders()[number], tracer.level_of_anchors)
     else:
         tracer.trace(anchors)
         _refine(tracer, front, told)

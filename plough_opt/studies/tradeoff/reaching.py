@@ -105,7 +105,7 @@ class Reaching(Samples):
         near = min(self.found, key=lambda sample: float(np.max(np.abs(sample.point.y - y))))
         point, level = self.optimum(near.point, y, p, near.coarsest, patient=False)
         if not point.solved or point.f > begins.f + NOT_WORSE * max(abs(begins.f), 1.0):
-            point, level = self._to_the_last_digit(self._polished(p, y), p), 0
+            point, level = self._to_the_last_digit(self._polished(p, y), p), self.level_of_anchors
         return self.at_the_edge(p, point, level) if point.solved else point
 
     def sample_beside(self, y: Vector) -> Sample | Point:

@@ -122,6 +122,16 @@ class Samples(ABC):
         self.failures: list[Failure] = []
         self._ranges = np.ones(front.count)
 
+    @property
+    def coarsest(self) -> int:
+        """The number of the level with the fewest steps, or with slopes by differences."""
+        return len(self.front.levels) - 1
+
+    @property
+    def level_of_anchors(self) -> int:
+        """The number of the level that has solved the optima of objectives alone."""
+        return self.coarsest if self.front.by_differences(self.coarsest) else 0
+
     # --- anchors -----------------------------------------------------------------------------------------
 
     @abstractmethod
@@ -212,14 +222,19 @@ class Samples(ABC):
     def _polished(self, p: Vector, y: Vector) -> Point:
         """Return the local optimum beside a design that a search found; never a worse one."""
         begins = as_it_is(self.front.program, p, y)
-        if self.front.by_differences(level := len(self.front.levels) - 1):
-            point = self.front.solve(begins, y, p, level, patient=False)
+        if self.front.by_differences(self.coarsest):
+            point = self.front.solve(begins, y, p, self.coarsest, patient=False)
             if point.solved and point.f <= begins.f + NOT_WORSE * max(abs(begins.f), 1.0):
                 return point
         return polished(self.front.program, p, y)
 
     def _to_the_last_digit(self, point: Point, p: Vector) -> Point:
-        """Return an optimum solved to rounding, where that can be had beside it."""
+        """Return an optimum solved to rounding, where that can be had beside it.
+
+        Where slopes are differences, only what makes up the front is solved so, once that is known.
+        """
+        if self.front.by_differences(self.coarsest):
+            return point
         again = self.front.solve(point, point.y, p, patient=False)
         beside = np.max(np.abs(again.y - point.y)) < _BESIDE and again.f <= point.f + NOT_WORSE * abs(point.f)
         return again if again.solved and beside else point

@@ -82,7 +82,8 @@ class SurfaceTracer(Reaching):
             anchors: all local optima for each order of the objectives, as `orders` has them.
         """
         orders = self.orders()
-        ends = [self.kept(point, p) for p, points in zip(orders, anchors, strict=True) for point in points]
+        level = self.level_of_anchors
+        ends = [self.kept(point, p, level) for p, points in zip(orders, anchors, strict=True) for point in points]
         self._start_in_the_middle(ends)
         for number, sample in enumerate(ends):
             self.told(f"following branch {number + 1} of {len(ends)}", number / len(ends))
@@ -110,7 +111,7 @@ class SurfaceTracer(Reaching):
         starts = [self.front.program.start(), np.mean([sample.point.y for sample in ends], axis=0)]
         for start in starts:
             if (point := self.front.levels[-1].solve(start, p)).solved:
-                found = self.solve(Sample(point, p, ends[0].at, coarsest=len(self.front.levels) - 1), point.y, p)
+                found = self.solve(Sample(point, p, ends[0].at, coarsest=self.coarsest), point.y, p)
                 if not isinstance(found, Point) and self._is_at(found, middle):
                     self._flood(found, middle)
                     return
@@ -133,11 +134,9 @@ class SurfaceTracer(Reaching):
             points, beside = self.anchors(orders[2 * number], own), orders[2 * number + 1]
             if not points:
                 return [*found, [], []]
-            # What differs by the level is made good below.
-            level = len(self.front.levels) - 1
             starts = [*self._toward(IN_TURN[2 * number + 1]), *own]
-            others = [self.front.solve(points[0], y, beside, level) for y in starts]
-            others += [self.front.solve(point, point.y, beside, level) for point in points]
+            others = [self.front.solve(points[0], y, beside, self.coarsest) for y in starts]
+            others += [self.front.solve(point, point.y, beside, self.coarsest) for point in points]
             others = [
                 self._to_the_last_digit(minimum_from(self.front.program, beside, point), beside)
                 for point in others

@@ -52,7 +52,8 @@ class Tracer(Reaching):
         Args:
             anchors: all local optima of either objective alone.
         """
-        starts = [(self.kept(point, p), 1 - k) for k, p in enumerate(self.orders()) for point in anchors[k]]
+        level, orders = self.level_of_anchors, self.orders()
+        starts = [(self.kept(point, p, level), 1 - k) for k, p in enumerate(orders) for point in anchors[k]]
         for number, (sample, objective) in enumerate(starts):
             self.told(f"following branch {number + 1} of {len(starts)}", number / len(starts))
             self.follow(sample, objective)

@@ -1,5 +1,6 @@
 """Surfaces of three objectives by brute force: a large sample, and more designs about its best ones."""
 
+from bisect import bisect_right
 from dataclasses import replace
 from itertools import combinations
 
@@ -23,6 +24,9 @@ _IN_A_ROUND = 2**15
 _ROUGH, _FINE = 1.6, 0.5
 # Of a range: what is better than others by less is left out, for it stretches a surface along which nothing happens.
 _BETTER = 5e-3
+# Of a range: nor does a design stay that gives so much of one objective away to gain less than that in others. Those
+# that are kept are sparse, and may all be worse than it by more, though one that was left out is as good.
+_GIVEN_AWAY = 0.1
 # Of a range: no best design is farther than this from one that is kept.
 _COVERED = 0.03
 # An objective that changes by less is none.
@@ -34,9 +38,26 @@ _NEEDLE = 0.05
 _ENDS = 5
 
 
+def undominated(objectives):
+    """Return the numbers of the rows of three objectives that no other row dominates, equal rows once."""
+    kept, second, third = [], [], []
+    # The other two objectives of the rows before, which are as good in the first, make stairs.
+    for k in np.lexsort(objectives.T[::-1]):
+        _, b, c = objectives[k]
+        at = bisect_right(second, b)
+        if not np.isfinite(c) or (at and third[at - 1] <= c):
+            continue
+        kept.append(k)
+        last = at
+        while last < len(third) and third[last] >= c:
+            last += 1
+        second[at:last], third[at:last] = [b], [c]
+    return np.array(kept, dtype=int)
+
+
 def best_of(objectives, tolerance):
     """Return the numbers of designs that no other beats, none better than another kept by less than a tolerance."""
-    left = np.flatnonzero(np.all(np.isfinite(objectives), axis=1))
+    left = undominated(objectives)
     left = left[np.argsort(objectives[left].sum(axis=1), kind="stable")]
     kept = []
     while len(left):
@@ -92,7 +113,10 @@ def _surface(problem, names, random):
     ends = [b.y for name in names for b in optima(replace(problem, objective={name: sign_of(name)}))[:_ENDS]]
     y, values = np.vstack([y, ends]), np.vstack([values, objectives_of(problem, names, np.array(ends))])
     for spread in _NEAR:
-        best = y[best_of(values / size, 0.2 * _BETTER)]
+        best = undominated(values)
+        # One for each small cube, so that no part of the surface has more than others.
+        _, one = np.unique(np.floor(values[best] / (0.2 * _BETTER * size)), axis=0, return_index=True)
+        best = y[best[one]]
         more = best[random.integers(len(best), size=_IN_A_ROUND)]
         more = np.clip(more + spread * random.standard_normal(more.shape), 0.0, 1.0)
         y, values = np.vstack([y, more]), np.vstack([values, objectives_of(problem, names, more)])
@@ -118,17 +142,34 @@ def _broad(problem, names, y, values, size):
     known = {}
     while len(left):
         best = left[best_of(values[left] / size, _BETTER)]
-        new = [k for k in best if k not in known]
-        if not new:
-            return best
-        boxes = np.vstack([box_sample(problem, y[k], 64) for k in new])
-        measures = measure(problem, boxes, fast.simulate, _ROUGH)
-        medians = [np.median(sign_of(name) * measures[name].reshape(len(new), 64), axis=1) for name in names]
-        spread = np.nan_to_num(np.array(medians).T - values[new], nan=np.inf)
-        needles = np.any(spread > _NEEDLE * np.maximum(np.abs(values[new]), size), axis=1)
+        new = np.array([k for k in best if k not in known], dtype=int)
+        if not len(new):
+            return best[~_gains_little(problem, names, y, values, size, left, best)]
         known |= dict.fromkeys(new)
-        left = np.setdiff1d(left, np.array(new)[needles])
+        left = np.setdiff1d(left, new[_needles(problem, names, y[new], values[new], size)])
     return None
+
+
+def _gains_little(problem, names, y, values, size, left, best):
+    """Return which of the best designs gain little over another, no needle, that is much better in some objective."""
+    found = np.zeros(len(best), dtype=bool)
+    others = left[undominated(values[left])]
+    for j, k in enumerate(best):
+        behind = (values[others] - values[k]) / size
+        losses = np.where(behind.min(axis=1) < -_GIVEN_AWAY, behind.max(axis=1), np.inf)
+        other = others[[np.argmin(losses)]]
+        if np.min(losses) < _BETTER:
+            found[j] = not _needles(problem, names, y[other], values[other], size)[0]
+    return found
+
+
+def _needles(problem, names, y, values, size):
+    """Return which designs are needles."""
+    boxes = np.vstack([box_sample(problem, own, 64) for own in y])
+    measures = measure(problem, boxes, fast.simulate, _ROUGH)
+    medians = [np.median(sign_of(name) * measures[name].reshape(len(y), 64), axis=1) for name in names]
+    spread = np.nan_to_num(np.array(medians).T - values, nan=np.inf)
+    return np.any(spread > _NEEDLE * np.maximum(np.abs(values), size), axis=1)
 
 
 def _covering(places):

@@ -57,35 +57,17 @@ def main():
 
 def _front(problem, truth, search):
     began = time.perf_counter()
-    design, run = as_design(problem)
-    try:
-        front = po.trade_off(design, *(po.Goal(name, getattr(run, name)) for name in truth["names"]), search=search)
-    except Exception as error:  # whatever goes wrong is an answer, too
-        return f"{type(error).__name__}: {str(error)[:150]}", False
-    took = time.perf_counter() - began
-    v = study.judge_front(problem, truth, [[p.variables[x.name] for x in problem.variables] for p in front.points])
-    right = v.missing <= 0.04 and v.dominated <= 1e-3 and v.violation <= study.RELATIVE
-    return f"front of {len(front.points)} points in {took:.2f} s: {v} {' / '.join(truth['names'])}", right
-
-
-def _surface(problem, truth, search):
-    began = time.perf_counter()
     design, goals = as_trade_off(problem, truth["names"])
     try:
-        front = po.trade_off(design, *goals, points=60, search=search)
+        front = po.trade_off(design, *goals, points=study.POINTS[len(goals)], search=search)
     except Exception as error:  # whatever goes wrong is an answer, too
         return f"{type(error).__name__}: {str(error)[:150]}", False
     took = time.perf_counter() - began
-    v = study.judge_surface(problem, truth, [[p.variables[x.name] for x in problem.variables] for p in front.points])
-    missed = [f for f in front.failures if f.reason.startswith("Not_Reached")]
-    right = v.uncovered <= 0.15 and v.dominated <= 1e-3 and v.violation <= study.RELATIVE and not missed
-    text = f"surface of {len(front.points)} points in {took:.2f} s: {v}, {len(missed)} not reached"
-    return f"{text} {' / '.join(truth['names'])}", right
+    v = study.judge_front(problem, truth, front)
+    return f"front of {len(front.points)} points in {took:.2f} s: {v} {' / '.join(truth['names'])}", v.right
 
 
 def _answer(problem, truth, search):
-    if "range" in truth:
-        return _surface(problem, truth, search)
     if "names" in truth:
         return _front(problem, truth, search)
     began = time.perf_counter()

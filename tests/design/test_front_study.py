@@ -1,4 +1,4 @@
-"""Fronts of two objectives, against brute force by independent code: no end, branch or basin is missing."""
+"""Fronts of two objectives and of three, against brute force by independent code: whole, and beaten nowhere."""
 
 from itertools import pairwise
 
@@ -9,20 +9,28 @@ from independent.build import as_trade_off
 
 import plough_opt as po
 
-POINTS = 40
-# Between neighbours of so many points lie 2.6 % of the range, if they are evenly spread.
-SPACING = 0.04
-# Of a range: by so much no returned design may be beaten. The brute force lags behind the true front by as much.
-DOMINATED = 1e-3
-# Of a range: straight lines between the points lie so little beside what is curved between them.
+# Of a range: straight lines between the points of a curve lie so little beside what is curved between them.
 BESIDE = 2e-3
-# Two that take little time, one of them with a dip of the force that is a part of the front by itself.
-DEFAULT = (5, 6)
-KNOWN = study.problems("front")
+# Some that take little time; of the curves one has a dip of the force that is a part of the front by itself.
+DEFAULT = {"front": (5, 6), "surface": (9,)}
+KNOWN = {(kind, number): case for kind in DEFAULT for number, case in study.problems(kind).items()}
+
+
+# In a front of force against deflection, the best designs of a stretch lie at the edge of what is a needle: an optimum
+# within it beats the designs beside it that can be made, which are no optima, by up to 3 % of the ranges.
+BESIDE_NEEDLES = pytest.mark.xfail(reason="designs beside needles are no optima, and are not returned", strict=True)
+
+
+def case(kind, number):
+    """Return a parameter with its marks."""
+    marks = [] if number in DEFAULT[kind] else [pytest.mark.slow]
+    if (kind, number) == ("front", 25):
+        marks.append(BESIDE_NEEDLES)
+    return pytest.param(kind, number, marks=marks, id=f"{kind} {number}")
 
 
 def drawn(front):
-    """Return points of a front, and of the straight lines between neighbours."""
+    """Return points of a curve, and of the straight lines between neighbours."""
     rows = [front.objectives]
     for part in front.parts:
         for a, b in pairwise(front.objectives[list(part)]):
@@ -30,20 +38,16 @@ def drawn(front):
     return np.vstack(rows)
 
 
-@pytest.mark.parametrize(
-    "number", [pytest.param(k, marks=() if k in DEFAULT else pytest.mark.slow, id=str(k)) for k in sorted(KNOWN)]
-)
-def test_the_whole_front_is_found(number):
-    problem, truth = KNOWN[number]
+@pytest.mark.parametrize(("kind", "number"), [case(*key) for key in sorted(KNOWN)])
+def test_the_whole_front_is_found(kind, number):
+    problem, truth = KNOWN[kind, number]
     design, goals = as_trade_off(problem, truth["names"])
-    front = po.trade_off(design, *goals, points=POINTS)
-    verdict = study.judge_front(
-        problem, truth, [[p.variables[v.name] for v in problem.variables] for p in front.points]
-    )
-    assert verdict.violation <= study.RELATIVE, verdict
-    assert verdict.dominated <= DOMINATED, verdict
-    assert verdict.missing <= SPACING, verdict
-    wanted = np.array(truth["objectives"])
-    behind = (drawn(front)[:, None, :] - wanted[None, :, :]) / np.ptp(wanted, axis=0)
-    assert np.max(np.min(np.max(behind, axis=2), axis=0)) <= BESIDE
+    front = po.trade_off(design, *goals, points=study.POINTS[len(goals)])
+    verdict = study.judge_front(problem, truth, front)
+    assert verdict.right, (verdict, front.failures)
+    assert np.all(np.isfinite(front.objectives))
     assert not any("search more thoroughly" in note for note in front.notes)
+    if len(goals) == 2:
+        wanted = np.array(truth["objectives"])
+        behind = (drawn(front)[:, None, :] - wanted[None, :, :]) / np.ptp(wanted, axis=0)
+        assert np.max(np.min(np.max(behind, axis=2), axis=0)) <= BESIDE

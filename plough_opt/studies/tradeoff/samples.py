@@ -288,11 +288,15 @@ class Samples(ABC):
         samples = [sample for sample in samples if self.front.by_differences(sample.level)]
         for number, sample in enumerate(samples):
             self.told("solving to the last digits", number / len(samples))
-            level = self.front.level_for(sample.point.y, exact=True)
-            again = self.front.levels[level].correct(sample.point, sample.point.y, sample.p)
-            if again.solved and np.max(np.abs(again.y - sample.point.y)) < _BESIDE:
-                sample.point, sample.level = again, level
-                sample.at = self.front.normalised(self.front.objectives(again.y, level))
+            chosen = self.front.level_for(sample.point.y, exact=True)
+            level = self.front.levels[chosen]
+            # Along a flat valley, where differences have an end that is none, corrections lead nowhere.
+            for way in (level.correct, level.follow):
+                again = way(sample.point, sample.point.y, sample.p)
+                at = self.front.normalised(self.front.objectives(again.y, chosen))
+                if again.solved and np.max(np.abs(at - sample.at)) < _BESIDE and np.all(at <= sample.at + MATTERS):
+                    sample.point, sample.level, sample.at = again, chosen, at
+                    break
 
     def solve_again(self) -> None:
         """Solve samples anew, from where they are, with all steps: the program has become finer."""

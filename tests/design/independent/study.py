@@ -115,61 +115,54 @@ def name_of(limit):
     return limit.measure.replace("_", " ")
 
 
+POINTS = {2: 40, 3: 60}
+"""Positions that a front is asked for, by number of its objectives."""
+
+SPACING = 0.04
+"""Of a range: between neighbours of so many points of a curve lie 2.6 %, if they are evenly spread."""
+
+COVERED = 0.15
+"""Of a range: from no part of a surface is the nearest point farther."""
+
+DOMINATED = 1e-3
+"""Of a range: by so much no returned design may be beaten. The brute force lags behind the true front by as much."""
+
+
 @dataclass(frozen=True)
 class FrontVerdict:
-    """How far a front is from the one by brute force, in parts of the range of that.
+    """How far a front or a surface is from the one by brute force, in parts of the range of that.
 
     Attributes:
         missing: by how much the worst-off design of the brute force is better than every returned one.
-        dominated: by how much the worst returned design is worse, in both objectives, than one of the brute force.
+        uncovered: the largest distance of a design of the brute force from the nearest returned one.
+        dominated: by how much the worst returned design is worse, in all objectives, than one of the brute force.
         violation: the largest violation of a returned design, in parts of the limits.
+        not_reached: designs that the search saw beyond the front, and that it says it has not reached.
+        right: whether all of it is found: of a curve no end is missing by more than the spacing of its points, of a
+            surface no part is farther than `COVERED` from a point.
     """
 
     missing: float
+    uncovered: float
     dominated: float
     violation: float
+    not_reached: int
+    right: bool
 
 
-def judge_front(problem, truth, designs):
-    """Return the verdict on the designs of a front, a row of variables in the order of the problem's for each."""
+def judge_front(problem, truth, front):
+    """Return the verdict on a front of two or three objectives."""
     wanted = np.array(truth["objectives"])
-    size = np.ptp(wanted, axis=0)
-    found, violation = _objectives(problem, truth["names"], designs)
-    behind = (found[:, None, :] - wanted[None, :, :]) / size
-    return FrontVerdict(
-        missing=float(np.max(np.min(np.max(behind, axis=2), axis=0))),
-        dominated=float(np.max(np.min(behind, axis=2))),
-        violation=violation,
-    )
-
-
-@dataclass(frozen=True)
-class SurfaceVerdict(FrontVerdict):
-    """The same of a surface.
-
-    Attributes:
-        uncovered: the largest distance of a design of the brute force from the nearest returned one.
-    """
-
-    uncovered: float
-
-
-def judge_surface(problem, truth, designs):
-    """Return the verdict on the designs of a surface, as `judge_front` does."""
-    wanted, size = np.array(truth["objectives"]), np.array(truth["range"])
-    found, violation = _objectives(problem, truth["names"], designs)
-    behind = (found[:, None, :] - wanted[None, :, :]) / size
-    return SurfaceVerdict(
-        missing=float(np.max(np.min(np.max(behind, axis=2), axis=0))),
-        dominated=float(np.max(np.min(behind, axis=2))),
-        violation=violation,
-        uncovered=float(np.max(np.min(np.max(np.abs(behind), axis=2), axis=0))),
-    )
-
-
-def _objectives(problem, names, designs):
-    """Return the objectives of designs, all minimised, and the largest violation, in parts of the limits."""
-    y = problem.positions(designs)
+    size = np.array(truth["range"]) if "range" in truth else np.ptp(wanted, axis=0)
+    y = problem.positions([[point.variables[v.name] for v in problem.variables] for point in front.points])
     measures = measure(problem, y, _SIMULATE)
-    found = np.array([sign_of(name) * measures[name] for name in names]).T
-    return found, float(np.max(evaluate(problem, y, simulate=_SIMULATE).worst))
+    found = np.array([sign_of(name) * measures[name] for name in truth["names"]]).T
+    behind = (found[:, None, :] - wanted[None, :, :]) / size
+    missing = float(np.max(np.min(np.max(behind, axis=2), axis=0)))
+    uncovered = float(np.max(np.min(np.max(np.abs(behind), axis=2), axis=0)))
+    dominated = float(np.max(np.min(behind, axis=2)))
+    violation = float(np.max(evaluate(problem, y, simulate=_SIMULATE).worst))
+    not_reached = sum(failure.reason.startswith("Not_Reached") for failure in front.failures)
+    whole = missing <= SPACING if len(size) == 2 else uncovered <= COVERED
+    right = whole and dominated <= DOMINATED and violation <= RELATIVE and not not_reached
+    return FrontVerdict(missing, uncovered, dominated, violation, not_reached, right)

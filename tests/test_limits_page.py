@@ -10,7 +10,7 @@ from plough_opt.design import effort
 from plough_opt.exchange import results
 from plough_opt.motion import plan
 from plough_opt.motion.effects import MOST_HARMONICS
-from plough_opt.problem_file import lines, overrides, schema, source, uncertain
+from plough_opt.problem_file import lines, overrides, own_measures, schema, source, uncertain
 from plough_opt.soil.elastic import profile
 from plough_opt.studies.sweep import axes, points
 from plough_opt.studies.tradeoff import question
@@ -31,6 +31,7 @@ TABLES = {
         overrides._LONGEST, source._MOST_LISTED,
         most_outputs(),
         quantities.MOST_WAVES,
+        own_measures._LONGEST, own_measures._DEEPEST, own_measures._LARGEST_POWER,
     ),
     "CSV files of measurements and penetrometer readings": (
         csv_rows._MOST_BYTES, csv_rows._LONGEST_LINE, csv_rows._MOST_LISTED,

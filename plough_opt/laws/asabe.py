@@ -38,6 +38,7 @@ class AsabeD497(ResistanceLaw):
     label = "ASABE D497"
     source = "ASABE D497.7, Agricultural machinery management data"
     standing = "coefficients not verified against the standard's text, which is said to allow +-50 %"
+    band = 0.5
 
     def reaction(self, at: ShareInSoil) -> SoilReaction:
         """Return F0 [N] and Fd [N s^2/m^2]: the subsoiler's rows hold no term with the speed itself."""

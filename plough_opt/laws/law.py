@@ -65,6 +65,7 @@ class ResistanceLaw(Protocol):
         label: its name in messages and tables.
         source: where its equations come from.
         standing: what of it is not verified, or where it does not hold: a clause.
+        band: part of a force by which its source lets it err either way, which a comparison shows.
         lacking: what it does not give, and the clause that follows "which": effects that a scene then refuses
             ("motion", "strength_wave", "random_strength", "tow_ramp", "rate_term", "own", "entry"), results that it
             then does not have ("added_mass", "loosened_radius", "cone_index"), "ambient_pressure" (not felt), and
@@ -90,6 +91,7 @@ class ResistanceLaw(Protocol):
     label: ClassVar[str]
     source: ClassVar[str] = ""
     standing: ClassVar[str] = ""
+    band: ClassVar[float] = 0.0
     lacking: ClassVar[Mapping[str, str]] = {
         "added_mass": "says nothing of soil that moves with the share",
         "loosened_radius": "names no radius to which the soil is loosened",

@@ -157,6 +157,7 @@ def check_uncertain(source: Source, table: ProblemTable) -> None:
         _refuse_measures(source, table)
         return
     properties = [key for key in quantities() if key.startswith("soil.")]
+    given = [key for key in properties if getattr(table.soil, key.removeprefix("soil.")) is not None]
     for key, entry in table.uncertain.items():
         with source.noting((TABLE, key)):
             if key in _COUNTS:
@@ -167,6 +168,8 @@ def check_uncertain(source: Source, table: ProblemTable) -> None:
                 raise InputError(f"'{key}' cannot be uncertain: {nearest(key, [*properties, *_COUNTS, 'correlation'])}")
             elif key in table.variables:
                 raise InputError(f"'{key}' is a variable and cannot be uncertain too: remove one")
+            elif key == table.soil.adjusted and {"soil.cone_index"} & {*given, *table.variables, *table.uncertain}:
+                raise InputError(f"'{key}' follows from the cone index in every sample: make soil.cone_index uncertain")
             elif key == "soil.cone_index" and table.soil.adjust != "strength factor":
                 raise InputError(f"'{key}' can be uncertain with adjust = \"strength factor\" only")
             else:

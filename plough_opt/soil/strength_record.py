@@ -385,8 +385,3 @@ def _found(
         found = FoundWave(wave, errors[0] / gain, 2.0 * math.pi / number * relative, errors[1], size**2 / 2 / variance)
         waves.append(found)
     return tuple(sorted(waves, key=lambda one: -float(one.wave.amplitude)))
-
-
-def wave_length_error(number: float, relative: float) -> float:
-    """Return the error of a wavelength [m] whose wave number [rad/m] has a relative error."""
-    return 2.0 * math.pi / number * relative

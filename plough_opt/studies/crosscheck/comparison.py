@@ -75,6 +75,9 @@ class Comparison:
                 for draft, ratio in zip(row.drafts, self.ratios(row), strict=True)
             )
             table.add_row(row.model, "none" if row.depth is None else f"{row.depth:.3g} m", *cells)
+            if row.band:
+                ends = ([_kilo(draft * (1.0 + sign * row.band)) for sign in (-1, 1)] for draft in row.drafts)
+                table.add_row(f"  its band of ±{100.0 * row.band:.0f} %", "", *map(" to ".join, ends))
         return table
 
     def plot(self, path: str | Path | None = None) -> Figure:

@@ -62,8 +62,13 @@ def _draw(axes: Axes, own: ModelDraft, rows: Sequence[ModelDraft], speeds: Seque
         k = numbers[row.model]
         # The marker moves on where colours begin anew.
         marker = _MARKERS[(k + k // len(COLOURS)) % len(_MARKERS)]
-        axes.plot(speeds, [draft / 1e3 for draft in row.drafts], color=COLOURS[k % len(COLOURS)], marker=marker,
+        colour = COLOURS[k % len(COLOURS)]
+        axes.plot(speeds, [draft / 1e3 for draft in row.drafts], color=colour, marker=marker,
                   markersize=5, linewidth=1.2, label=_named(row))  # fmt: skip
+        if row.band:
+            low, high = ([part * draft / 1e3 for draft in row.drafts] for part in (1.0 - row.band, 1.0 + row.band))
+            label = f"band of ±{100.0 * row.band:.0f} %"
+            axes.fill_between(speeds, low, high, color=colour, alpha=0.12, lw=0.0, label=label)
     axes.set_xlabel("speed [km/h]")
     axes.grid(visible=True, alpha=0.3)
 

@@ -20,6 +20,7 @@ class ModelDraft:
         refusal: why there are NaNs, or "".
         source: where its equations come from.
         standing: what of it is not verified.
+        band: part of a draft by which its source lets it err either way.
     """
 
     model: str
@@ -28,6 +29,7 @@ class ModelDraft:
     refusal: str
     source: str
     standing: str
+    band: float = 0.0
 
     @property
     def rise(self) -> float:
@@ -42,6 +44,7 @@ def model_draft(
     speeds: Sequence[float],
     source: str,
     standing: str,
+    band: float = 0.0,
 ) -> ModelDraft:
     """Evaluate ``draft(speed)`` at every speed; what lies outside its domain becomes NaN with the first reason."""
     found, refusal = [], ""
@@ -51,4 +54,4 @@ def model_draft(
         except DomainError as error:
             found.append(math.nan)
             refusal = refusal or str(error)
-    return ModelDraft(model, depth, tuple(found), refusal, source, standing)
+    return ModelDraft(model, depth, tuple(found), refusal, source, standing, band)

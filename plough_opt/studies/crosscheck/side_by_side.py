@@ -88,7 +88,7 @@ def compare(
     given = ((law.label.removeprefix("the "), None, law) for law in laws)
     for name, d, law in (*_laws(tools, textures, point, rupture_ratio), *given):
         draft = partial(_steady, law, ShareInSoil(scene.share, scene.cone, soil, 0.0))
-        others.append(model_draft(name, d, draft, course, law.source, law.standing))
+        others.append(model_draft(name, d, draft, course, law.source, law.standing, law.band))
     estimates = (
         *tools.estimates,
         *_estimates(soil, tools, texture, point, rupture_ratio, speeds),

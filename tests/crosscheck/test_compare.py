@@ -188,8 +188,8 @@ def test_the_table_has_drafts_in_kilonewtons_and_ratios(full):
     assert "9 km/h" in text
     deep = row(full, "McKyes-Ali", 0.4)
     assert f"{deep.drafts[0] / 1e3:.3g} ({full.ratios(deep)[0]:.2f})" in text
-    # This model, two depths of four models, the cavity.
-    assert len([line for line in text.splitlines() if line.startswith("│")]) == 1 + 2 * 4 + 1
+    # This model, two depths of four models, the standard's band at both, the cavity.
+    assert len([line for line in text.splitlines() if line.startswith("│")]) == 1 + 2 * 4 + 2 + 1
 
 
 def test_the_picture_has_a_panel_for_each_depth(full, tmp_path):

@@ -1,0 +1,98 @@
+"""Strength factor and density ratio from a penetrometer and the width of a trench, with intervals."""
+
+import dataclasses
+import math
+
+import mpmath as mp
+import numpy as np
+import pytest
+
+import plough_opt as po
+
+BASE = dataclasses.replace(po.named_soil("firm sandy loam"), ambient_pressure=5e3)
+CONE = po.Cone(po.deg(13.0), 0.24)
+SCENE = po.Scene(BASE, CONE, 5e5, 60.0, 1.4, po.Effects(motion=False))
+UNKNOWN = {"soil.strength_factor": (0.1, 200.0), "soil.density_ratio": (0.4, 0.97)}
+INDEX, RADIUS = 1.6e6, 0.15
+
+
+def index_of(density_ratio):
+    """Return the law's cone index [Pa] at a density ratio, written apart from the package for mpmath."""
+    mu, nu = mp.sin(BASE.friction_angle), 2 * mp.sin(BASE.friction_angle) / (1 + mp.sin(BASE.friction_angle))
+    tau0 = 2 * mp.mpf(BASE.cohesion) * mp.cos(BASE.friction_angle)
+    phi = ((1 - density_ratio) ** (-nu / 2) - 1) / nu
+    strength = nu * BASE.ambient_pressure + tau0 / (1 + mu)
+    return (1 + BASE.tool_friction / mp.tan(mp.pi / 12)) * phi * strength
+
+
+def ratio_of(radius, cone=CONE):
+    """Return the density ratio at which a cone loosens a radius [m]: r* = h tan(beta)/sqrt(1 - b1)."""
+    return 1.0 - (cone.height * math.tan(cone.half_angle) / radius) ** 2
+
+
+def fitted(indices, radii, errors):
+    data = [
+        po.Measurements(name, values, sigma=error)
+        for name, values, error in zip(("cone_index", "loosened_radius"), (indices, radii), errors, strict=True)
+    ]
+    return po.calibrate(SCENE, data, UNKNOWN)
+
+
+def test_one_reading_of_each_decides_both():
+    fit = fitted([INDEX], [RADIUS], (1e5, 5e-3))
+    ratio, found = ratio_of(RADIUS), {one.name: one.value for one in fit.unknowns}
+    assert found["soil.density_ratio"] == pytest.approx(ratio, rel=1e-7)  # of the least squares' steps
+    assert found["soil.strength_factor"] == pytest.approx(INDEX / float(index_of(ratio)), rel=1e-7)
+    values = {name.removeprefix("soil."): value for name, value in found.items()}
+    soil = dataclasses.replace(BASE, **values)
+    assert [po.cone_index(soil), po.loosened_radius(CONE, soil)] == pytest.approx([INDEX, RADIUS], rel=1e-7)
+
+
+def test_the_intervals_are_those_of_error_propagation():
+    """By hand: 1 - b1 goes with r^-2; the strength factor with the reading, and against the law's index at that b1."""
+    fit = fitted([INDEX], [RADIUS], (1e5, 2e-3))
+    ratio = ratio_of(RADIUS)
+    of_ratio = 2.0 * (1.0 - ratio) * 2e-3 / RADIUS
+    slope = float(mp.diff(lambda b: mp.log(index_of(b)), ratio))
+    found = fit.intervals(kind="linearised")
+    width = found["soil.density_ratio"].upper - found["soil.density_ratio"].lower
+    assert width / 2.0 == pytest.approx(1.959964 * of_ratio, rel=1e-5)
+    # What has bounds that are far apart is fitted by its logarithm.
+    width = math.log(found["soil.strength_factor"].upper / found["soil.strength_factor"].lower)
+    assert width / 2.0 == pytest.approx(1.959964 * math.hypot(1e5 / INDEX, slope * of_ratio), rel=1e-5)
+
+
+@pytest.mark.parametrize("trials", [40, pytest.param(500, marks=pytest.mark.slow)])
+def test_the_intervals_hold_the_truth(trials):
+    """Eight insertions and three widths of a soil that is known: of 95 % intervals 95 +- 3 %."""
+    true = dataclasses.replace(BASE, density_ratio=0.85, strength_factor=20.0)
+    index, radius = po.cone_index(true), po.loosened_radius(CONE, true)
+    rng, inside = np.random.default_rng(4), np.zeros(2)
+    for _ in range(trials):
+        indices = index * (1.0 + 0.12 * rng.standard_normal(8))
+        radii = radius * (1.0 + 0.03 * rng.standard_normal(3))
+        found = fitted(indices, radii, (0.12 * index, 0.03 * radius)).intervals()
+        inside += [20.0 in found["soil.strength_factor"], 0.85 in found["soil.density_ratio"]]
+    # Thinned: three standard deviations of the number found.
+    margin = 0.03 if trials >= 500 else 3.0 * math.sqrt(0.95 * 0.05 / trials)
+    assert np.all(np.abs(inside / trials - 0.95) <= margin), inside / trials
+
+
+def test_a_file_s_cone_index_leaves_the_trench_the_density_ratio(tmp_path):
+    """With the reading in the file the width decides b1, and the strength factor follows from both."""
+    path = tmp_path / "share.toml"
+    text = (
+        '[soil]\nname = "firm sandy loam"\nambient_pressure = "5 kPa"\ncone_index = "1.6 MPa"\n'
+        '[share]\nchisel_angle = "15 deg"\nwedge_angle = "35 deg"\nheight = "0.24 m"\n[scene]\n'
+        'tow_speed = "5 km/h"\nframe_mass = "40 kg"\nstiffness = "500 kN/m"\nduration = "1 s"\n'
+        "[effects]\nmotion = false\n"
+    )
+    path.write_text(text, encoding="utf-8")
+    problem = po.read_problem(path)
+    data = po.Measurements("loosened_radius", [RADIUS], sigma=3e-3)
+    fit = po.calibrate(problem, data, {"soil.density_ratio": (0.4, 0.97)})
+    (ratio,) = (one.value for one in fit.unknowns)
+    assert ratio == pytest.approx(ratio_of(RADIUS, problem.scene().cone), rel=1e-7)
+    soil = problem.scene({"soil.density_ratio": ratio}).soil
+    assert po.cone_index(soil) == pytest.approx(INDEX, rel=1e-12)
+    assert soil.strength_factor == pytest.approx(INDEX / float(index_of(ratio)), rel=1e-9)

@@ -1,0 +1,111 @@
+"""A file's cone index is measured: whatever else varies or is uncertain, the soil keeps it."""
+
+import re
+
+import numpy as np
+import pytest
+from scipy import stats
+
+import plough_opt as po
+from plough_opt.problem_file.robust_design import optimise_robust
+
+TEXT = """\
+[soil]
+name = "serozem"
+cone_index = "1.5 MPa"
+[share]
+chisel_angle = "15 deg"
+wedge_angle = "35 deg"
+[scene]
+tow_speed = "5 km/h"
+frame_mass = "40 kg"
+stiffness = "500 kN/m"
+duration = "1 s"
+[effects]
+motion = false
+[variables]
+"share.height" = { lower = "0.1 m", upper = "0.5 m" }
+[minimise]
+mean_draft = { per = "1 kN" }
+[require]
+loosened_radius = { at_least = "0.15 m" }
+cone_index = { at_least = "1 MPa" }
+"""
+UNCERTAIN = """\
+[uncertain]
+samples = 8
+fresh = 100
+"soil.cohesion" = { distribution = "lognormal", mean = "20 kPa", std = "6 kPa" }
+"soil.density_ratio" = { distribution = "beta", mean = 0.794, std = 0.02, lower = 0.70, upper = 0.88 }
+"""
+
+
+def adjusting(name):
+    return TEXT.replace('"1.5 MPa"', f'"1.5 MPa"\nadjust = "{name}"')
+
+
+def test_samples_of_other_properties_keep_it(read):
+    found = optimise_robust(read(TEXT + UNCERTAIN), lambda *_: None)
+    values = found.robust.values(found.best.variables)
+    # The strength factor follows in every sample: solved in closed form, to all digits but the last.
+    assert values["cone_index"] == pytest.approx(np.full(8, 1.5e6), rel=1e-12)
+    assert np.std(values["loosened_radius"]) > 1e-3
+
+
+@pytest.mark.parametrize(("adjust", "changed"), [("strength factor", "cohesion"), ("cohesion", "density_ratio")])
+def test_changes_of_other_properties_keep_it(read, adjust, changed):
+    problem = read(adjusting(adjust))
+    usual = getattr(po.named_soil("serozem"), changed)
+    for factor in (0.8, 1.1):
+        soil = problem.scene({f"soil.{changed}": factor * usual}).soil
+        assert getattr(soil, changed) == factor * usual
+        assert po.cone_index(soil) == pytest.approx(1.5e6, rel=1e-12)
+
+
+def test_draft_owes_nothing_to_a_cohesion_beneath_it(read):
+    """Static draft follows from the cone index alone: its slope by cohesion is 0, by the reading draft over reading."""
+    best, run = read(TEXT).optimise(parameters=True, search="near")
+    reading = best.sensitivity("soil.cone_index")
+    assert reading.objective == pytest.approx(run.scene.reaction.static / 1e3 / 1.5e6, rel=1e-6)
+    assert abs(best.sensitivity("soil.cohesion").objective * 2e4) < 1e-6 * best.objective
+
+
+def test_in_python_the_response_sets_the_level_anew():
+    """A sampled property moves the level of a plain soil; `Soil.from_cone_index` in the response keeps it."""
+    soil = po.Soil.from_cone_index(1.5e6, soil=po.named_soil("serozem"))
+    field = po.SoilDistribution(soil, cohesion=stats.uniform(1e4, 2e4))
+    each = field.sample(8).each(
+        lambda one: {"free": po.cone_index(one), "kept": po.cone_index(po.Soil.from_cone_index(1.5e6, soil=one))}
+    )
+    assert np.ptp(each["free"]) > 1e5
+    assert each["kept"] == pytest.approx(np.full(8, 1.5e6), rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("adjust", "entry", "words"),
+    [
+        (
+            "cohesion",
+            '"soil.cohesion" = { distribution = "uniform", lower = "1 kPa", upper = "9 kPa" }',
+            "line .*'soil.cohesion' follows from the cone index in every sample: make soil.cone_index uncertain",
+        ),
+        (
+            "strength factor",
+            '"soil.strength_factor" = { distribution = "uniform", lower = 1.0, upper = 2.0 }',
+            "line .*'soil.strength_factor' follows from the cone index",
+        ),
+        (
+            "cohesion",
+            '"soil.cone_index" = { distribution = "uniform", lower = "1 MPa", upper = "2 MPa" }',
+            'can be uncertain with adjust = "strength factor" only',
+        ),
+    ],
+)
+def test_what_the_reading_decides_is_not_uncertain_by_itself(refusal, adjust, entry, words):
+    said = refusal(adjusting(adjust) + f"[uncertain]\n{entry}\n")
+    assert re.search(words, said), said
+
+
+def test_reading_and_cohesion_are_not_uncertain_together(refusal):
+    both = UNCERTAIN + '"soil.cone_index" = { distribution = "uniform", lower = "1 MPa", upper = "2 MPa" }\n'
+    assert "make only one of them uncertain" in refusal(TEXT + both)

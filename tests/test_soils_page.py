@@ -30,7 +30,7 @@ def test_the_table_of_cone_indices_is_the_code_s():
 
 
 def test_its_tables_of_a_file_are_read(tmp_path):
-    tables, waves = (text for language, text in BLOCKS if language == "toml")
+    tables, waves, random = (text for language, text in BLOCKS if language == "toml")
     soil, uncertain = tables.split("\n\n")
     file = (ROOT / "problems" / "cotton_subsoiler.toml").read_text(encoding="utf-8")
     start = file.index("[soil]")
@@ -45,6 +45,22 @@ def test_its_tables_of_a_file_are_read(tmp_path):
     readings = po.read_penetrometer(ROOT / "problems" / "insertions.csv", (0.25, 0.45))
     assert po.cone_index(problem.scene().soil) == pytest.approx(readings.mean, rel=1e-12)
     assert [wave.wavelength for wave in problem.scene().effects.waves] == [0.73, 2.1]
+    _, effects, minimise = re.split(r"\[\w+\]\n", random)
+    given = effects.replace("# random", "random").splitlines()
+    shutil.copy(ROOT / "problems" / "transect.csv", tmp_path)
+    for line in given[:2]:
+        text = file.replace('strength_wave = { amplitude = 0.3, wavelength = "0.2 m" }', line)
+        path.write_text(text.replace("[minimise]\n", f"[minimise]\n{minimise}"), encoding="utf-8")
+        assert po.read_problem(path).scene().stationary_force_rms > 0.0
+
+
+def test_the_draft_beside_the_standard_s_band_is_the_command_s():
+    own, low, high = map(float, re.findall(r"^([\d.]+) kN beside ([\d.]+) to ([\d.]+) kN", TEXT, flags=re.MULTILINE)[0])
+    scene = po.read_problem(ROOT / "problems" / "field.toml").scene()
+    found = po.crosscheck.compare(scene, depth=[0.45], texture="fine", speeds=[5 / 3.6])
+    draft = next(row for row in found.others if row.model.startswith("ASABE"))
+    shown = (found.own.drafts[0], *(draft.drafts[0] * (1.0 + sign * draft.band) for sign in (-1, 1)))
+    assert (own, low, high) == pytest.approx([value / 1e3 for value in shown], abs=0.05)
 
 
 def test_the_synthetic_readings_are_what_their_script_writes():

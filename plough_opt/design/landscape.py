@@ -264,9 +264,11 @@ class _Descent:
     def _derivatives(self, x: Vector) -> tuple[float, Vector, Vector, Vector]:
         """Return objective, gradient, requirements and their Jacobian, by differences of runs of equal steps."""
         n = self._landscape.dimensions
-        lower, upper = (side[:n] for side in self._box)
-        y = np.clip(x[:n], lower, upper)
-        if self._known is None or self._known[0] != y.tobytes():
+        # SLSQP asks for each of them one by one.
+        asked = x[:n].tobytes()
+        if self._known is None or self._known[0] != asked:
+            lower, upper = (side[:n] for side in self._box)
+            y = np.clip(x[:n], lower, upper)
             step = np.where(y + _STEP > upper, -_STEP, _STEP)
             with np.errstate(all="ignore"):
                 f, g = self._landscape.rows(np.vstack([y, y + np.diag(step)]), finer=_FINER, together=n + 1)
@@ -275,7 +277,7 @@ class _Descent:
             merit = self._merit(y, float(f[0]), self._landscape.violations(g[:1])[0])
             if merit < self._best[0]:
                 self._best = merit, y
-            self._known = y.tobytes(), (float(f[0]), (f[1:] - f[0]) / step, g[0], ((g[1:] - g[0]) / step[:, None]).T)
+            self._known = asked, (float(f[0]), (f[1:] - f[0]) / step, g[0], ((g[1:] - g[0]) / step[:, None]).T)
         return self._known[1]
 
     def _worst_rows(self, y: Vector, known: np.ndarray) -> np.ndarray:

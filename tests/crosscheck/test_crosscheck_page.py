@@ -7,17 +7,31 @@ from pathlib import Path
 import pytest
 
 import plough_opt as po
+from plough_opt.laws import LAWS
 from plough_opt.laws.asabe import POINTS, TEXTURES
 
 TEXT = (Path(__file__).parents[2] / "docs" / "crosscheck.md").read_text(encoding="utf-8")
 
 
-def test_the_example_runs(tmp_path, monkeypatch, capsys):
+def test_the_examples_run_in_order(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    (code,) = re.findall(r"```python\n(.*?)```", TEXT, flags=re.DOTALL)
-    exec(compile(code, "crosscheck.md", "exec"), {})  # the page's own text
+    names = {}
+    first, second = re.findall(r"```python\n(.*?)```", TEXT, flags=re.DOTALL)
+    exec(compile(first, "crosscheck.md", "exec"), names)  # the page's own text
     assert "McKyes-Ali" in capsys.readouterr().out
     assert (tmp_path / "out" / "drafts.png").stat().st_size > 10_000
+    exec(compile(second, "crosscheck.md", "exec"), names)  # the page's own text
+    assert "McKyes-Ali says nothing of soil that moves with the share" in capsys.readouterr().out
+
+
+def test_the_table_of_laws_is_what_they_say():
+    rows = re.findall(r"^\| `(\w+)` \| `(\w+)` \| (.*?) *\|(.*?)\|(.*?)\|(.*?)\|$", TEXT, flags=re.MULTILINE)
+    assert [name for name, *_ in rows] == list(LAWS)
+    for name, kind, *cells in rows:
+        law = LAWS[name]()
+        assert type(law).__name__ == kind
+        for cell, what in zip(cells, ("motion", "added_mass", "loosened_radius", "entry"), strict=True):
+            assert (cell.strip() == "yes") != law.lacks(what), (name, what)
 
 
 @pytest.mark.parametrize("name", sorted(set(re.findall(r"`(crosscheck\.\w+)`", TEXT))))

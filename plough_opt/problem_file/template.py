@@ -24,7 +24,7 @@ frame_mass = "20 kg"              # what moves with the share
 steel_density = "7850 kg/m^3"     # the share's own mass, a solid cone, is added
 duration = "2 s"
 # outputs = 400                   # intervals between output times; limits "at every output" are checked there
-# medium = "mckyes_ali"           # another law of resistance, or { law = "mckyes_ali", depth = "30 cm" }; default "plastic"
+# medium = "mckyes_ali"           # another law of resistance, or { law = "mckyes_ali", depth = "30 cm" }
 
 [effects]                         # what is left out is off, or as: plough-opt check FILE
 strength_wave = { amplitude = 0.3, wavelength = "0.2 m" }

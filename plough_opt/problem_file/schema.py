@@ -19,7 +19,7 @@ from pydantic import (
 from plough_opt.core.quantities import IN_FILES, MOST_WAVES, wave_table
 from plough_opt.core.units import Unit
 from plough_opt.laws.law import ResistanceLaw
-from plough_opt.laws.registry import law_of
+from plough_opt.laws.registry import LAWS, law_of
 from plough_opt.motion.effects import MOST_HARMONICS, Effects, HarmonicBalance
 from plough_opt.problem_file.medium import medium_of
 from plough_opt.soil.soil import Adjust
@@ -36,6 +36,12 @@ def checked_medium(written: object) -> object:
     """Return a medium as it is written, which `medium_of` can read."""
     medium_of(written)
     return written
+
+
+def describe_media(schema: dict[str, Any]) -> None:
+    """Tell editors the names of the resistance laws, and that a table may stand in the place of a name."""
+    table = {"type": "object", "properties": {"law": {"enum": [*LAWS]}}, "required": ["law"]}
+    schema["anyOf"] = [{"enum": [*LAWS]}, table]
 
 
 class Table(BaseModel):
@@ -65,7 +71,7 @@ class ShareTable(Table):
 class SceneTable(Table):
     """Mount, masses, speed and time."""
 
-    medium: Annotated[Any, AfterValidator(checked_medium)] = "plastic"
+    medium: Annotated[Any, AfterValidator(checked_medium), Field(json_schema_extra=describe_media)] = "plastic"
     outputs: Annotated[StrictInt, Field(ge=1, le=100_000)] = 400
 
     @property

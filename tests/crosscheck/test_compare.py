@@ -274,3 +274,12 @@ def test_a_measured_level_is_named_and_stays_this_model_s_own():
     drafts = [[row.drafts for row in found.others] for found in pair]
     assert str(drafts[0]) == str(drafts[1])
     assert pair[1].own.drafts[0] > 5.0 * pair[0].own.drafts[0]
+
+
+def test_a_scene_of_another_law_is_called_by_it():
+    tined = dataclasses.replace(scene(), medium=po.laws.McKyesAli(width=0.08, rake_angle=po.deg(45.0)))
+    found = compare(tined, width=0.08, rake_angle=po.deg(45.0), speeds=[1.0, 2.0])
+    assert found.own.model == "this scene, McKyes-Ali"
+    # Its own row is the same law's among the others.
+    assert found.ratios(row(found, "McKyes-Ali")) == pytest.approx([1.0, 1.0], rel=1e-14)
+    assert "this model" not in " ".join(found.reasons)

@@ -18,8 +18,11 @@ def reasons(
     scene: Scene, tools: ToolSet, own: ModelDraft, others: Sequence[ModelDraft], course: Sequence[float]
 ) -> tuple[str, ...]:
     """Return the sentences, the most important first."""
+    first = "every draft here is a calculation and none a measurement: where two agree, neither is validated"
+    if not scene.law.slender:  # what follows is of the plastic gas
+        return first, f"the scene's own draft is by {scene.law.label}, and the ratios are to it"
     return (
-        "every draft here is a calculation and none a measurement: where two agree, neither is validated",
+        first,
         "this model and the spherical cavity know no depth, no free surface and no shank: they give the force on the"
         " point alone; D497 and the wedge models are of a tine that cuts soil up to its surface",
         *_of_speed(own, others, course),

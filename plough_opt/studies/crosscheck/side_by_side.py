@@ -82,7 +82,8 @@ def compare(
     tools = tool_set(scene, depth, width, rake_angle, surcharge, adhesion)
     course = _speeds(scene, speeds)
     soil = scene.soil if scene.effects.ambient_pressure else dataclasses.replace(scene.soil, ambient_pressure=0.0)
-    own = model_draft("this model", None, lambda v: _own_draft(scene, v), course, "", "")
+    name = "this model" if scene.law.slender else f"this scene, {scene.law.label}"
+    own = model_draft(name, None, lambda v: _own_draft(scene, v), course, scene.law.source, scene.law.standing)
     textures = tuple(TEXTURES) if texture is None else (texture,)
     others = []
     given = ((law.label.removeprefix("the "), None, law) for law in laws)

@@ -18,10 +18,20 @@ COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#8
 """Of Okabe and Ito (2008), which the colour-blind can tell apart, and a grey."""
 
 
-def drawn(name: str, *arguments: Any, target: str | Path | None = None) -> Figure:
-    """Return a picture by a function of `plough_opt.app.plots`, written to a file where one is named.
+def from_above(module: str, name: str) -> Any:
+    """Return a function of the pictures' room, which knows every result and stands above them all.
 
-    That module knows every result and stands above them all; it is imported when a result is asked for its picture.
+    It is imported when a result is asked for its picture.
+
+    Args:
+        module: such as "plots".
+        name: of the function.
+    """
+    return getattr(import_module(f"plough_opt.app.{module}"), name)
+
+
+def drawn(name: str, *arguments: Any, target: str | Path | None = None) -> Figure:
+    """Return a picture by a function of `plough_opt.plots`, written to a file where one is named.
 
     Args:
         name: of the function.
@@ -31,7 +41,7 @@ def drawn(name: str, *arguments: Any, target: str | Path | None = None) -> Figur
     Raises:
         InputError: a file name without a known ending, or a place that cannot be written.
     """
-    figure: Figure = getattr(import_module("plough_opt.app.plots"), name)(*arguments)
+    figure: Figure = from_above("plots", name)(*arguments)
     if target is not None:
         save(figure, target)
     return figure

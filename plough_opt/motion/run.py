@@ -15,7 +15,7 @@ from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import Expression, column, is_casadi, rms, where
 from plough_opt.core.labels import unlabelled
 from plough_opt.core.origin import Origin
-from plough_opt.core.picture_files import drawn
+from plough_opt.core.picture_files import drawn, from_above
 from plough_opt.core.tables import Grid, Page, Readable, data_frame
 from plough_opt.motion.accuracy import Accuracy
 from plough_opt.motion.averages import Averages, Checks
@@ -162,6 +162,27 @@ class Run(Readable):
         """
         self._known("picture")
         return drawn("plot_run", self, target=target)
+
+    def animate(self, target: str | Path, *, slower: float = 5.0) -> Path:
+        """Write the motion as a picture that moves: the share behind its strut, and its deflection.
+
+        Args:
+            target: file to write: .gif, or .html with buttons and keys to play and step (needs jinja2).
+            slower: how many times slower than the motion a GIF plays; in a page that is chosen.
+
+        Returns:
+            The path.
+
+        Raises:
+            InputError: a symbolic run, one in which nothing changes, another ending, or a place that cannot be written.
+            DomainError: ``slower`` is not above 0.
+
+        Example:
+            >>> run.animate("out/share.gif", slower=10)  # doctest: +SKIP
+        """
+        self._known("animation")
+        path: Path = from_above("animation", "write_animation")(self, target, slower)
+        return path
 
     def picture(self) -> Figure | None:
         """Return the picture for a notebook; a symbolic run has none."""

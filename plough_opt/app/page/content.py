@@ -58,12 +58,6 @@ class Report:
         """The run's averages and peaks in words, one unit for all of a kind."""
         return {name: nice(value) for name, value in self.run.response().rows}
 
-    @property
-    def moves(self) -> bool:
-        """Whether anything changes over time beyond rounding."""
-        force = self.run.mount_force
-        return bool(max(force) - min(force) > _ROUNDING * max(abs(force)))
-
 
 @dataclass(frozen=True)
 class Table:

@@ -8,9 +8,11 @@ from typing import Any, Final
 import numpy as np
 
 from plough_opt.app.page.content import Report, nice
+from plough_opt.app.run_picture import changing
 from plough_opt.core.picture_files import COLOURS
 from plough_opt.core.units import Display
 from plough_opt.design.landscape import FEASIBLE
+from plough_opt.motion import Run
 from plough_opt.motion.terms import Structure, parameters, start_speed, strut
 from plough_opt.motion.vocabulary import called
 from plough_opt.problem_file.own_measures import measures_of
@@ -208,17 +210,17 @@ def _body(key: str, label: str, colour: str, opacity: float, solid: Solid, *, ed
     }
 
 
-def motion(report: Report) -> dict[str, Any]:
-    """Return how strut and share move over time, or nothing where nothing moves relative to the strut."""
-    run, scene = report.run, report.run.scene
-    if not report.moves:
+def motion(run: Run) -> dict[str, Any]:
+    """Return how strut and share move over time, or nothing where nothing changes."""
+    scene = run.scene
+    if not changing(run):
         return {}
     path = np.asarray(run.travel) + np.asarray(run.deflection)
     waves = [
         {"amplitude": float(wave.amplitude), "wavelength": float(wave.wavelength), "phase": float(wave.phase)}
         for wave in scene.effects.waves
     ]
-    length = report.problem.origin.common("m", {"deflection": run.peak_deflection})
+    length = run.origin.common("m", {"deflection": run.peak_deflection})
     return {
         "time": _short(run.time),
         "strut": _short(path),

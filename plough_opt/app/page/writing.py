@@ -10,6 +10,7 @@ from plough_opt.app.page import content, series
 from plough_opt.app.page.content import Report
 from plough_opt.core.errors import InputError
 from plough_opt.core.files import write_file
+from plough_opt.motion import Run
 
 ASSETS: Final = files("plough_opt.app.page") / "assets"
 
@@ -31,13 +32,26 @@ def page(report: Report) -> str:
     Raises:
         InputError: jinja2 is not installed.
     """
+    return _rendered("page.html", report=report, c=content, data=data(report))
+
+
+def motion_page(run: Run, title: str) -> str:
+    """Return the animation of a run as a page of its own.
+
+    Raises:
+        InputError: jinja2 is not installed.
+    """
+    return _rendered("motion.html", title=title, data={"motion": series.motion(run)})
+
+
+def _rendered(name: str, **values: Any) -> str:
     try:
         from jinja2 import Environment, FunctionLoader, StrictUndefined
     except ModuleNotFoundError:
         raise InputError("jinja2 is not installed: pip install 'plough_opt[report]'") from None
     around = Environment(autoescape=True, loader=FunctionLoader(asset), undefined=StrictUndefined, trim_blocks=True,
                          lstrip_blocks=True)  # fmt: skip
-    return around.get_template("page.html").render(report=report, c=content, asset=asset, data=data(report))
+    return around.get_template(name).render(asset=asset, **values)
 
 
 def data(report: Report) -> dict[str, Any]:
@@ -47,7 +61,7 @@ def data(report: Report) -> dict[str, Any]:
         "search": series.search(report),
         "accuracy": series.study(report),
         "bodies": series.bodies(report),
-        "motion": series.motion(report),
+        "motion": series.motion(report.run),
     }
 
 

@@ -103,11 +103,11 @@ def test_corners_are_the_ends_of_each_marginal():
     [
         ({"cohesoin": stats.norm(1, 1)}, "'cohesion'"),
         ({"within": {"tool_friction": (0.1, 0.9)}}, "tool_friction"),
-        ({"cohesion": 20e3}, "no distribution"),
-        ({"cohesion": stats.norm}, "no distribution|reaches"),
+        ({"cohesion": 20e3}, "not a distribution"),
+        ({"cohesion": stats.norm}, "not a distribution|reaches"),
         ({"cohesion": stats.norm(20e3, 6e3)}, "truncate it"),
-        ({"cohesion": stats.norm(20e3, np.nan)}, "cohesion: its distribution has no middle"),
-        ({"cohesion": stats.norm(20e3, 0.0)}, "such as a scale of 0; what is certain belongs to the soil"),
+        ({"cohesion": stats.norm(20e3, np.nan)}, "cohesion: its distribution has no median"),
+        ({"cohesion": stats.norm(20e3, 0.0)}, "such as a scale of 0"),
         ({"within": {"cohesion": 30e3}}, "the bounds of cohesion are 30000.0: give two numbers"),
         ({"within": {"cohesion": ("1 kPa", "30 kPa")}}, "give two numbers, SI units"),
         ({"within": 3}, "within = 3 must be a dictionary"),
@@ -119,7 +119,7 @@ def test_corners_are_the_ends_of_each_marginal():
         ({"correlation": {("cohesion", "friction_angle"): -1.0}}, "between -1 and 1"),
         ({"correlation": {("cohesion", "friction_angle"): math.nan}}, "between -1 and 1"),
         ({"correlation": {("cohesion", "density"): 0.1}}, "no distribution"),
-        ({"correlation": {("cohesion", "cohesion"): 0.1}}, "pair of two"),
+        ({"correlation": {("cohesion", "cohesion"): 0.1}}, "pair of properties"),
         ({"correlation": {("cohesion", "friction_angle"): 0.1, ("friction_angle", "cohesion"): 0.2}}, "given twice"),
     ],
 )
@@ -135,13 +135,13 @@ def test_correlations_that_cannot_hold_together_are_refused():
 
 
 def test_what_is_no_soil_no_seed_no_field_or_no_response_is_refused():
-    with pytest.raises(po.InputError, match="'serozem' is no soil"):
+    with pytest.raises(po.InputError, match="'serozem' is not a soil"):
         po.SoilDistribution("serozem", cohesion=stats.uniform(1e4, 2e4))
     field = po.SoilDistribution(SEROZEM, cohesion=stats.uniform(1e4, 2e4))
     for make in (field.sample, field.draw):
         with pytest.raises(po.InputError, match="the seed -1 must be a whole number"):
             make(8, seed=-1)
-    with pytest.raises(po.InputError, match="is no distribution of soils"):
+    with pytest.raises(po.InputError, match="is not a distribution of soils"):
         po.Robust(SEROZEM, lambda soil: {"k": soil.cohesion})
     with pytest.raises(po.InputError, match="the response = 3 must be a function"):
         po.Robust(field, 3)

@@ -1,4 +1,4 @@
-"""Robust designs are searched over all their variables, and rounded off by the spread of their own results."""
+"""Robust designs are searched over all their variables, and smoothed by the spread of their own results."""
 
 import casadi as ca
 import numpy as np
@@ -77,7 +77,7 @@ def test_widths_are_those_of_the_design_that_is_found():
     assert failures == ()
     assert len(made) > 1
     own = robust.values(best)["loss"]
-    (asked,) = robust.asked
+    (asked,) = robust.requested
     assert asked.width == pytest.approx(0.5 * np.std(own), rel=0.02)
     assert best.objective == pytest.approx(measures.cvar(own, 0.9, width=asked.width), rel=1e-9)
     # Whatever its width, the CVaR goes with x^2/2 + 4/x, which is least at x = 4^(1/3): that with the nominal width of

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -26,9 +27,9 @@ Vector = NDArray[np.float64]
 PROPERTIES = tuple(quantity.key for quantity in QUANTITIES.values() if quantity.owner == "soil")
 """Properties of a soil that can be uncertain."""
 
-# A distribution may reach out of the model's domain with this probability at either end, and no more.
+# Largest probability, at either end, with which a distribution may lie outside the model's domain.
 _OUTSIDE = 1e-9
-# Between bounds with less probability than this the quantiles lose their digits.
+# Least probability between the bounds of a distribution: with less its quantiles are inaccurate.
 _LEAST_MASS = 1e-9
 _LEAST_EIGENVALUE = 1e-8
 _MOST_SAMPLES = 1 << 20
@@ -41,12 +42,12 @@ class Marginal:
 
     Args:
         distribution: a frozen distribution of scipy.stats, or anything with `cdf` and `ppf` (or `icdf`).
-        lower: its lower bound, or minus infinity; what is below is cut off, and the rest made to count as one.
-        upper: its upper bound, or infinity.
-        name: what it is, for messages.
+        lower: lower bound at which it is truncated, or minus infinity.
+        upper: upper bound, or infinity.
+        name: of the property, for messages.
 
     Raises:
-        InputError: not a distribution, or bounds that hardly leave anything of it.
+        InputError: not a distribution, or bounds with hardly any probability between them.
     """
 
     distribution: Any
@@ -58,8 +59,8 @@ class Marginal:
         check_text("the name of a distribution", self.name)
         if not callable(getattr(self.distribution, "cdf", None)) or self._inverse is None:
             raise InputError(
-                f"{self.name}: {shown(self.distribution)} is no distribution: give a frozen one of scipy.stats, such as"
-                " stats.lognorm(0.3, scale=20e3)"
+                f"{self.name}: {shown(self.distribution)} is not a distribution: give a frozen one of scipy.stats, such"
+                " as stats.lognorm(0.3, scale=20e3)"
             )
         for side, bound in (("lower", self.lower), ("upper", self.upper)):
             infinite = isinstance(bound, float) and math.isinf(bound)
@@ -73,13 +74,13 @@ class Marginal:
             middle = float(self._inverse(0.5))
         if not math.isfinite(middle):
             raise InputError(
-                f"{self.name}: its distribution has no middle: its parameters cannot be, such as a scale of 0; what is"
-                " certain belongs to the soil"
+                f"{self.name}: its distribution has no median, because of parameters such as a scale of 0; set a value"
+                " without uncertainty in the soil itself"
             )
         if not self._mass > _LEAST_MASS:
             raise InputError(
-                f"{self.name}: between its bounds {self.lower:g} and {self.upper:g} lies a part {self._mass:.1g} of its"
-                f" distribution, whose middle is {middle:g}: set bounds around that"
+                f"{self.name}: the probability between its bounds {self.lower:g} and {self.upper:g} is"
+                f" {self._mass:.1g}; the median is {middle:g}: set bounds around that"
             )
 
     @property
@@ -95,13 +96,13 @@ class Marginal:
         return (1.0 if self.upper == math.inf else float(self.distribution.cdf(self.upper))) - self._below
 
     def quantile(self, probability: ArrayLike) -> Vector:
-        """Return the values below which a part of the distribution lies.
+        """Return the quantiles of the distribution.
 
         Args:
-            probability: the parts, from 0 to 1: numbers or an array of them.
+            probability: a number or an array, from 0 to 1.
 
         Raises:
-            InputError: what is no number, or outside.
+            InputError: not a number, or one outside that range.
         """
         parts = _numbers("a probability", probability)
         if not np.all((parts >= 0.0) & (parts <= 1.0)):
@@ -111,13 +112,13 @@ class Marginal:
         return values
 
     def cdf(self, value: ArrayLike) -> Vector:
-        """Return the part of the distribution below values.
+        """Return the probability of being below a value.
 
         Args:
-            value: numbers or an array of them, in the property's unit.
+            value: a number or an array, in the property's unit.
 
         Raises:
-            InputError: what is no number.
+            InputError: not a number.
         """
         below: Vector = np.asarray(self.distribution.cdf(_numbers("a value", value)), dtype=float)
         part: Vector = np.clip((below - self._below) / self._mass, 0.0, 1.0)
@@ -127,7 +128,7 @@ class Marginal:
     def moments(self) -> tuple[float, float]:
         """Mean and standard deviation between the bounds, by a Gauss-Legendre rule over the probability in panels."""
         nodes, weights = np.polynomial.legendre.leggauss(24)
-        # Panels that halve towards the ends, where quantiles may rise without limit.
+        # Panels whose size halves towards the ends, where quantiles may be infinite.
         ends = np.r_[0.0, 0.5 ** np.arange(40, 0, -1)]
         panels = np.r_[ends, (1.0 - ends[::-1])[1:]]
         sizes = np.diff(panels)
@@ -152,19 +153,19 @@ class SoilDistribution:
         )
         soils = field.sample(64, seed=1)
 
-    Correlated properties are joined by a Gaussian copula: the correlation given is that of their normal scores, so that
-    the rank correlations are Spearman's 6/pi arcsin(c/2) and Kendall's 2/pi arcsin(c), whatever the marginals.
+    Correlated properties are joined by a Gaussian copula. A correlation c is that of their normal scores, so that the
+    rank correlations are 6/pi arcsin(c/2) by Spearman and 2/pi arcsin(c) by Kendall, whatever the marginals are.
 
     Args:
-        soil: the soil; its own values count for every property that is not uncertain.
+        soil: the soil, with the values of the properties that are not uncertain.
         within: property -> (lower, upper) bounds at which its distribution is truncated; either may be infinite.
         correlation: pair of properties -> correlation of their normal scores, between -1 and 1; others are independent.
         **properties: property of `Soil` -> a frozen distribution of scipy.stats, in SI units and radians.
 
     Raises:
-        InputError: no such property, nothing uncertain, no distribution, bounds that leave nothing of one, or
-            correlations that cannot hold together.
-        DomainError: a distribution that reaches out of the model's domain.
+        InputError: an unknown property, no uncertain property, an object that is not a distribution, bounds without
+            any probability between them, or contradictory correlations.
+        DomainError: a distribution that extends outside the model's domain.
     """
 
     soil: Soil
@@ -181,11 +182,11 @@ class SoilDistribution:
     ) -> None:
         for name in properties:
             if name not in PROPERTIES:
-                raise InputError(f"'{name}' is no property of a soil: {nearest(name, PROPERTIES)}")
+                raise InputError(f"'{name}' is not a property of a soil: {nearest(name, PROPERTIES)}")
         if not properties:
             raise InputError("nothing is uncertain: give a property a distribution, such as cohesion=stats.norm(...)")
         if not isinstance(soil, Soil):
-            raise InputError(f"{shown(soil)} is no soil: po.named_soil(...) or po.Soil(...) makes one")
+            raise InputError(f"{shown(soil)} is not a soil: po.named_soil(...) or po.Soil(...) makes one")
         for what, given in (("within", within), ("correlation", correlation)):
             if given is not None and not isinstance(given, Mapping):
                 raise InputError(f"{what} = {shown(given)} must be a dictionary, by the properties")
@@ -204,7 +205,7 @@ class SoilDistribution:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The uncertain properties, in the order in which they were given."""
+        """The uncertain properties, in the given order."""
         return tuple(self.marginals)
 
     @property
@@ -240,23 +241,23 @@ class SoilDistribution:
         return np.asarray(np.linalg.cholesky(self.matrix), dtype=np.float64)
 
     def sample(self, count: int, *, seed: int = 0) -> SoilSamples:
-        """Return samples that cover the distribution evenly: of a scrambled Sobol sequence (scipy.stats.qmc).
+        """Return samples that cover the distribution evenly: points of a scrambled Sobol sequence (scipy.stats.qmc).
 
-        With the same seed they are the same, and the first ones of a larger sample: what is optimised over them is
-        a smooth function of the design. Best a power of two.
+        A seed always gives the same samples, which are the first ones of any larger sample: an objective over them is
+        a smooth function of the design. The best counts are powers of two.
 
         Raises:
-            InputError: a count or a seed that cannot be.
+            InputError: an invalid count or seed.
         """
         power = math.ceil(math.log2(_count(count)))
         sequence = qmc.Sobol(len(self.names), scramble=True, rng=np.random.default_rng(_seed(seed)))
         return self.at(sequence.random_base2(power)[:count])
 
     def draw(self, count: int, *, seed: int) -> SoilSamples:
-        """Return samples drawn independently of each other, from which confidence intervals follow.
+        """Return samples drawn independently of each other, as confidence intervals need them.
 
         Raises:
-            InputError: a count or a seed that cannot be.
+            InputError: an invalid count or seed.
         """
         return self.at(np.random.default_rng(_seed(seed)).random((_count(count), len(self.names))))
 
@@ -264,7 +265,7 @@ class SoilDistribution:
         """Return the corners of a box, for the worst case over a set.
 
         Args:
-            part: of each property's distribution that lies within the box, between its quantiles (1 -+ part)/2.
+            part: probability of each property within the box, which ends at its quantiles (1 -+ part)/2.
 
         Raises:
             InputError: a part that is not between 0 and 1.
@@ -276,9 +277,9 @@ class SoilDistribution:
         return SoilSamples(self.soil, self.names, grid)
 
     def at(self, uniforms: ArrayLike) -> SoilSamples:
-        """Return the samples at points of the unit cube, a row for each: its inverse Rosenblatt transform.
+        """Return the samples at points of the unit cube, a row for each, by the inverse Rosenblatt transform.
 
-        The first property follows the first coordinate, each further one what the correlations leave to its own.
+        The first property depends on the first coordinate, each further one on its own coordinate and those before it.
         """
         inner: NDArray[Any] = np.clip(_numbers("points of the unit cube", uniforms), _INSIDE, 1.0 - 2.0 * _INSIDE)
         if inner.ndim != 2 or inner.shape[1] != len(self.names):
@@ -299,7 +300,7 @@ class SoilDistribution:
 
     def _pair(self, pair: Sequence[str]) -> tuple[int, int]:
         if isinstance(pair, str) or len(pair) != 2 or pair[0] == pair[1]:
-            raise InputError(f"a correlation is of a pair of two properties, not of {shown(pair)}")
+            raise InputError(f"a correlation belongs to a pair of properties, not to {shown(pair)}")
         for name in pair:
             if name not in self.names:
                 raise InputError(f"the correlation names '{name}', which has no distribution: "
@@ -323,7 +324,7 @@ class SoilDistribution:
 
 
 def _pair_of(name: str, ends: Any) -> tuple[float, float]:
-    """Return bounds, checked to be two numbers."""
+    """Return bounds, or raise InputError if they are not two numbers."""
     try:
         lower, upper = map(float, ends)
     except (TypeError, ValueError):
@@ -334,16 +335,14 @@ def _pair_of(name: str, ends: Any) -> tuple[float, float]:
 
 
 def _numbers(what: str, values: ArrayLike) -> Vector:
-    """Return numbers as an array; refuse what is none, and NaN."""
-    found: Vector | None = None
+    """Return a number or an array as an array, or raise InputError for anything else and for NaN."""
+    array: Vector | None = None
     if not isinstance(values, str | bytes | bool | None):
-        try:
-            found = np.asarray(values, dtype=float)
-        except (TypeError, ValueError, OverflowError, RuntimeError, NotImplementedError):
-            found = None
-    if found is None or np.any(np.isnan(found)):
-        raise InputError(f"{what} = {shown(values)} must be a number, or an array of them")
-    return found
+        with contextlib.suppress(TypeError, ValueError, OverflowError, RuntimeError, NotImplementedError):
+            array = np.asarray(values, dtype=float)
+    if array is None or np.any(np.isnan(array)):
+        raise InputError(f"{what} = {shown(values)} must be a number or an array of numbers")
+    return array
 
 
 def _seed(seed: int) -> int:

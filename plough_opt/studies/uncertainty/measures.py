@@ -1,8 +1,8 @@
-"""What a robust design asks of a result that varies with the soil, from its values over common samples.
+"""Measures of a result that varies with the soil, from its values over common samples.
 
-Every function takes the values of equally likely samples as an array or as a CasADi column of a design's expressions.
-Of numbers each measure is that of the samples, sharp. In a design it must be smooth: where it is not so by itself it
-takes a width, in the unit of the values, over which it is rounded off, and its docstring says by how much at most.
+Every function accepts the values of equally likely samples as an array or as a CasADi column of a design's expressions.
+For numbers each measure is that of the samples, exactly. In a design it must be smooth: a measure with kinks or jumps
+takes a width, in the unit of the values, over which it is smoothed, and its docstring gives the largest difference.
 """
 
 from __future__ import annotations
@@ -18,11 +18,12 @@ from plough_opt.core.expressions import Expression, is_casadi, sqrt, where
 from plough_opt.core.kinds import shown
 from plough_opt.studies.uncertainty import smoothing
 
-# Halvings of a range of a million widths leave its last 1e-9, which one step of Newton's method squares.
+# Halvings that reduce a range of a million widths to 1e-9 widths, an error that one step of Newton's method squares.
 _HALVINGS = 50
-# Relative to the mean, below which a spread is none and its root has no derivative.
+# Spread added to a standard deviation, relative to the mean: the root has no derivative at 0.
 _LEAST_SPREAD = 1e-10
 _TINY = 1e-200
+_NO_SAMPLES = "there are no samples to take a measure of"
 
 
 def expected(values: Expression) -> Expression:
@@ -34,7 +35,7 @@ def expected(values: Expression) -> Expression:
 def standard_deviation(values: Expression) -> Expression:
     """Return the standard deviation about the mean, with 1/n.
 
-    In a design its root is rounded off, upwards, by 1e-10 of the mean, where all samples are alike.
+    In a design it is larger by up to 1e-10 of the mean, so that it has a derivative if all samples are equal.
     """
     column = _column(values)
     mean = expected(column)
@@ -45,25 +46,25 @@ def standard_deviation(values: Expression) -> Expression:
 
 
 def mean_plus(values: Expression, kappa: float) -> Expression:
-    """Return mean + kappa * standard deviation; a negative kappa where small values are bad."""
+    """Return mean + kappa * standard deviation, with a negative kappa if small values are bad."""
     return expected(values) + plain_number("kappa", kappa) * standard_deviation(values)
 
 
 def cvar(values: Expression, level: float, *, width: float = 0.0) -> Expression:
     """Return the mean of the worst part 1 - level of the samples, the largest: the conditional value at risk.
 
-    By the minimum over t of t + mean(max(v - t, 0))/(1 - level) (Rockafellar and Uryasev 2000). In a design the ramp
-    is rounded off over a width, and t is eliminated: what is left is a smooth expression with exact first and second
-    derivatives and no further variable. It then lies above the sharp one, by at most 35/256 width/(1 - level), and for
-    many samples of density f by f(t) width^2/18/(1 - level).
+    It is the minimum over t of t + mean(max(v - t, 0))/(1 - level) (Rockafellar and Uryasev 2000). In a design the ramp
+    is smoothed over a width and t is eliminated, which gives a smooth expression with exact first and second
+    derivatives and without a further variable. It is larger than the exact measure, by at most
+    35/256 width/(1 - level), and for many samples of density f by f(t) width^2/18/(1 - level).
 
     Args:
         values: of the samples.
         level: from 0 to below 1; 0 is the mean.
-        width: over which the ramp is rounded off, in the unit of the values; above 0 in a design.
+        width: over which the ramp is smoothed, in the unit of the values; above 0 in a design.
 
     Raises:
-        InputError: a level or a width that cannot be.
+        InputError: an invalid level or width.
     """
     level = plain_number("the level of a CVaR", level)
     if not 0.0 <= level < 1.0:
@@ -71,26 +72,26 @@ def cvar(values: Expression, level: float, *, width: float = 0.0) -> Expression:
     column = _column(values)
     part = 1.0 - level
     if not _smooth("CVaR", column, width):
-        return _sharp_cvar(np.asarray(column, dtype=float), part)
+        return _exact_cvar(np.asarray(column, dtype=float), part)
     scaled = column / width
     t = _threshold(scaled, part)
     above = scaled - t
     rest = 1.0 - expected(smoothing.step(above)) / part
     curvature = expected(smoothing.density(above)) / part
-    # t is a number to whoever differentiates: at the minimum the value does not change with it, and the last term, a
-    # step of Newton's method, carries what the second derivative owes to its change.
+    # t has no derivatives here: at the minimum the value does not depend on it, and the last term, a step of Newton's
+    # method, gives the second derivative its part due to the change of t.
     return width * (t + expected(smoothing.ramp(above)) / part - 0.5 * rest**2 / (curvature + _TINY))
 
 
 def worst(values: Expression, *, width: float = 0.0) -> Expression:
     """Return the largest value; the smallest is -worst(-values).
 
-    In a design it is the CVaR of the worst single sample, rounded off over a width: above the largest value by at most
-    35/256 of the width times the number of samples that come so close to it, and exactly it where the second
-    largest is two widths below. `bound_from_above` is the sharp one.
+    In a design it is the CVaR of the worst single sample, smoothed over a width: larger than the largest value by at
+    most 35/256 of the width times the number of samples so close to it, and equal to it if the second largest is two
+    widths below. `Robust.bound_from_above` is exact.
 
     Raises:
-        InputError: a width that cannot be.
+        InputError: an invalid width.
     """
     column = _column(values)
     if not _smooth("worst case", column, width):
@@ -101,19 +102,19 @@ def worst(values: Expression, *, width: float = 0.0) -> Expression:
 def probability(
     values: Expression, *, at_least: float | None = None, at_most: float | None = None, width: float = 0.0
 ) -> Expression:
-    """Return the part of the samples within limits.
+    """Return the fraction of the samples within limits.
 
-    In a design a sample counts by a smooth step of its distance from the limit over +- a width. For many samples of
-    density f the probability is then off by f'(limit) width^2/18, of either sign, to first order.
+    In a design each sample counts by a smooth step of its distance from the limit, over +- a width. For many samples of
+    density f the error of the probability is then f'(limit) width^2/18, of either sign, to first order.
 
     Args:
         values: of the samples.
         at_least: lower limit, in the unit of the values, or None.
         at_most: upper limit, or None.
-        width: half the range over which a sample comes to count; above 0 in a design.
+        width: half the range of the smooth step; above 0 in a design.
 
     Raises:
-        InputError: no limit, limits that contradict each other, or a width that cannot be.
+        InputError: no limit, limits that contradict each other, or an invalid width.
     """
     if at_least is None and at_most is None:
         raise InputError("a probability needs a limit: give at_least, at_most or both")
@@ -130,19 +131,19 @@ def probability(
 
 
 def quantile(values: Expression, level: float, *, width: float = 0.0) -> Expression:
-    """Return the value that a part ``level`` of the samples does not exceed.
+    """Return the value that a fraction ``level`` of the samples does not exceed.
 
-    Rounded off it is where `probability` with at_most and the same width equals the level: to require that the quantile
-    is at most a limit is to require that probability, but it has a slope wherever the design is, where a
-    probability of 0 or 1 has none. It must then lie within a width of some sample: take more than their distance.
+    In a design it is the limit at which `probability` with at_most and the same width equals the level. A requirement
+    on the quantile is therefore one on that probability, but it has a slope everywhere, while a probability of 0 or 1
+    has none. The quantile must lie within a width of some sample: use a width larger than their distance.
 
     Args:
         values: of the samples.
         level: between 0 and 1.
-        width: as of `probability`; above 0 in a design.
+        width: as for `probability`; above 0 in a design.
 
     Raises:
-        InputError: a level or a width that cannot be.
+        InputError: an invalid level or width.
     """
     level = plain_number("the level of a quantile", level)
     if not 0.0 < level < 1.0:
@@ -152,8 +153,8 @@ def quantile(values: Expression, level: float, *, width: float = 0.0) -> Express
         return float(np.quantile(column, level, method="inverted_cdf"))
     scaled = column / width
     t = _threshold(scaled, 1.0 - level)
-    # The threshold is a constant to whoever differentiates: the first step of Newton's method carries the first
-    # derivative of the root, the next one the second.
+    # The threshold has no derivatives: the first step of Newton's method gives the root its first derivative, the next
+    # one its second.
     for _ in range(2):
         excess = expected(smoothing.step(scaled - t)) - (1.0 - level)
         t = t + excess / (expected(smoothing.density(scaled - t)) + _TINY)
@@ -161,9 +162,9 @@ def quantile(values: Expression, level: float, *, width: float = 0.0) -> Express
 
 
 def _threshold(scaled: Expression, part: float) -> Expression:
-    """Return t where mean(step(scaled - t)) = part, by halving; a constant to whoever differentiates.
+    """Return t where mean(step(scaled - t)) = part, by halving, so that it has no derivatives.
 
-    Its first bracket ends at whole numbers, which change by jumps.
+    The ends of the first bracket are whole numbers, whose derivatives are 0.
     """
     low, high = _floor(_least(scaled)) - 1.0, _floor(-_least(-scaled)) + 2.0
     for _ in range(_HALVINGS):
@@ -173,8 +174,8 @@ def _threshold(scaled: Expression, part: float) -> Expression:
     return 0.5 * (low + high)
 
 
-def _sharp_cvar(values: np.ndarray, part: float) -> float:
-    """Return the mean of the largest values, the last of them in part."""
+def _exact_cvar(values: np.ndarray, part: float) -> float:
+    """Return the mean of the largest values, the last of them weighted by the rest of the part."""
     falling = np.sort(values)[::-1]
     left = part * len(falling) - np.arange(len(falling))
     shares = np.clip(left, 0.0, 1.0)
@@ -182,32 +183,32 @@ def _sharp_cvar(values: np.ndarray, part: float) -> float:
 
 
 def _smooth(what: str, column: Expression, width: float) -> bool:
-    """Return whether a width rounds the measure off, which it must do of expressions."""
+    """Return whether a measure is smoothed; raise InputError for an invalid width, or none for expressions."""
     if plain_number(f"the width of a {what}", width) < 0.0:
         raise InputError(
             f"the width {shown(width)} of a {what} must be a number of at least 0, in the unit of the values"
         )
     if width == 0.0 and is_casadi(column):
         raise InputError(
-            f"in a design a {what} needs a width, in the unit of its values, over which it is rounded off: a few"
+            f"in a design a {what} needs a width, in the unit of its values, over which it is smoothed: a few"
             " tenths of their standard deviation will do"
         )
     return width > 0.0
 
 
 def _column(values: Expression) -> Expression:
-    """Return values as a column; refuse none, and numbers that are none."""
+    """Return values as a column, or raise InputError if there are none or they are not finite numbers."""
     if is_casadi(values):
         column = ca.vec(values)
         if column.numel() == 0:
-            raise InputError("there are no samples to take a measure of")
+            raise InputError(_NO_SAMPLES)
         return column
     try:
         numbers = np.asarray(values, dtype=float).ravel()
     except (TypeError, ValueError, OverflowError):
-        raise InputError(f"{shown(values)} are no samples: give a column of numbers") from None
+        raise InputError(f"{shown(values)} are not samples: give a column of numbers") from None
     if not len(numbers):
-        raise InputError("there are no samples to take a measure of")
+        raise InputError(_NO_SAMPLES)
     if not np.all(np.isfinite(numbers)):
         raise InputError(f"{np.sum(~np.isfinite(numbers))} of {len(numbers)} samples are not finite: leave them out")
     return numbers

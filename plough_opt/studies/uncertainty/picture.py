@@ -23,7 +23,7 @@ class Panel:
 
     Attributes:
         result: its name.
-        label: of its axis, with the unit that is shown.
+        label: of its axis, with its unit.
         factor: of that unit in SI units.
         at_least: lower limit in SI units, or None.
         at_most: upper limit, or None.
@@ -39,7 +39,7 @@ class Panel:
 
 
 def plot_spread(designs: Mapping[str, Mapping[str, Vector]], panels: Sequence[Panel], title: str = "") -> Figure:
-    """Draw how results spread over fresh samples of the soil, each design in its colour, with means and limits.
+    """Draw the distributions of results over fresh samples, a colour for each design, with means and limits.
 
     Args:
         designs: name of a design -> result -> its values over the same fresh samples.
@@ -67,7 +67,7 @@ def _draw(axes: Axes, values: Mapping[str, Vector], panel: Panel) -> None:
     bins = np.linspace(low - room, high + room, _BINS + 1).tolist()
     for (name, own), colour in zip(values.items(), COLOURS, strict=False):
         axes.hist(own, bins, weights=np.full(len(own), 100.0 / len(own)), color=colour, alpha=0.45,
-                  label=_named(name, own, panel))  # fmt: skip
+                  label=_legend(name, own, panel))  # fmt: skip
         axes.axvline(float(np.mean(own)), color=colour, linestyle="--", linewidth=1.2)
     for limit in sides:
         axes.axvline(limit, color="black", linewidth=1.4, label=f"limit {limit:.4g} {panel.unit}".rstrip())
@@ -78,8 +78,8 @@ def _draw(axes: Axes, values: Mapping[str, Vector], panel: Panel) -> None:
     axes.legend(loc="upper left", frameon=True, framealpha=1.0, edgecolor="none", fontsize=9)
 
 
-def _named(name: str, own: Vector, panel: Panel) -> str:
-    """Return a design's name with its mean, and the part of the samples that keeps the limits if there are any."""
+def _legend(name: str, own: Vector, panel: Panel) -> str:
+    """Return a design's name with its mean, and the part of the samples within the limits if there are any."""
     unit = f" {panel.unit}" if panel.unit else ""
     text = f"{name}: mean {np.mean(own):.4g}{unit}"
     if panel.at_least is None and panel.at_most is None:

@@ -1,7 +1,7 @@
-"""What a function finds for each of very many soils, at one design of numbers.
+"""The results of a function for each of very many soils, at one design of numbers.
 
-The function is called once, with symbols for the uncertain properties; its runs are then followed by `Batch`, where it
-can follow them, and the algebra around them is evaluated for all soils at once.
+The function is called once, with symbols for the uncertain properties; its runs are then simulated by `Batch` if it
+can, and the algebra around them is evaluated for all soils at once.
 """
 
 from __future__ import annotations
@@ -34,19 +34,19 @@ from plough_opt.studies.uncertainty.samples import SoilSamples
 Vector = NDArray[np.float64]
 Response = Callable[[Soil], Mapping[str, Expression]]
 
-# Of mean and RMS force, far below what a few thousand samples can tell.
+# Relative error of mean and RMS force, far below that of a few thousand samples.
 _ERROR = 1e-7
-# Soils whose runs are in memory at once where no batch can follow them.
+# Soils whose runs are in memory at once if a batch cannot simulate them.
 _CHUNK = 256
 
 
 @dataclass(frozen=True)
-class Found:
+class ResponseValues:
     """Results over samples.
 
     Attributes:
-        values: name -> value of each sample that has a result.
-        failures: number of a sample that has none -> why.
+        values: name -> value of each sample with results.
+        failures: number of a sample without results -> the reason.
     """
 
     values: dict[str, Vector]
@@ -59,43 +59,43 @@ class Responses:
     def __init__(self, response: Response, soil: Soil, names: Sequence[str]) -> None:
         """Call the function with symbols for the properties of the given names."""
         own: list[Any] = [ca.MX.sym(name) for name in names]
-        found = response(replace(soil, **dict(zip(names, own, strict=True))))
-        self.names = tuple(found)
-        results = [ca.MX(value) for value in found.values()]
+        expressions = response(replace(soil, **dict(zip(names, own, strict=True))))
+        self.names = tuple(expressions)
+        results = [ca.MX(value) for value in expressions.values()]
         known = {hash(symbol) for symbol in own}
         self._design = [symbol for symbol in ca.symvar(ca.vertcat(*results)) if hash(symbol) not in known]
         self._symbols = [*self._design, *own]
         self._parts = split(results, self._symbols)
         self._algebra = ca.Function("algebra", [*self._symbols, *self._parts.results], list(self._parts.expressions))
 
-    def __call__(self, at: Optimum | Mapping[str, float], samples: SoilSamples) -> Found:
+    def __call__(self, at: Optimum | Mapping[str, float], samples: SoilSamples) -> ResponseValues:
         """Return the results for each soil at a design.
 
         Args:
-            at: the design: an optimum of it, or its variables and parameters by name.
+            at: the design: an optimum, or variables and parameters by name.
             samples: the soils.
         """
         design = [_number(at, symbol) for symbol in self._design]
-        return self._found(np.hstack([np.tile(design, (len(samples), 1)), samples.values]))
+        return self._evaluated(np.hstack([np.tile(design, (len(samples), 1)), samples.values]))
 
-    def _found(self, rows: Vector) -> Found:
+    def _evaluated(self, rows: Vector) -> ResponseValues:
         """Return the results for rows of numbers, the design's first."""
         results, failures = [], self._outside(rows)
         for k in range(len(self._parts.runs)):
-            columns, reasons = self._run(k, rows)
-            results.append(columns)
+            of_run, reasons = self._run(k, rows)
+            results.append(of_run)
             failures = reasons | failures
         arguments = [ca.DM(column).T for column in rows.T]
-        found = [np.asarray(value).ravel() for value in self._algebra.call([*arguments, *map(ca.DM, results)])]
-        values = [value if value.size == len(rows) else np.full(len(rows), value.item()) for value in found]
+        columns = [np.asarray(value).ravel() for value in self._algebra.call([*arguments, *map(ca.DM, results)])]
+        values = [column if column.size == len(rows) else np.full(len(rows), column.item()) for column in columns]
         for bad in np.flatnonzero(~np.all(np.isfinite(values), axis=0)):
             failures.setdefault(int(bad), "a result is not a finite number")
         kept = np.ones(len(rows), dtype=bool)
         kept[list(failures)] = False
-        return Found({name: value[kept] for name, value in zip(self.names, values, strict=True)}, failures)
+        return ResponseValues({name: value[kept] for name, value in zip(self.names, values, strict=True)}, failures)
 
     def _run(self, number: int, rows: Vector) -> tuple[Vector, dict[int, str]]:
-        """Return a run's stacked results, a column for each row of numbers, and why some have none."""
+        """Return a run's stacked results, a column for each row of numbers, and the reasons of those without any."""
         run = self._parts.runs[number]
         only_averages = averages_only(run, self._algebra, len(self._symbols) + number)
         structure, method = run.integration.structure, run.integration.accuracy.method
@@ -105,27 +105,29 @@ class Responses:
 
     @cached_property
     def _scenes(self) -> list[tuple[DomainCheck, ca.Function]]:
-        """Every scene in the results, with its quantities and a duration."""
-        held = [(run.embedding.template, run.quantities, run.inputs[-1]) for run in self._parts.runs]
-        held += [
-            (lab.meaning, carried, ca.MX(1.0)) for lab, carried in self._parts.labels if isinstance(lab.meaning, Scene)
+        """Every scene in the results: its domain check, and its quantities and duration from the symbols."""
+        scenes = [(run.embedding.template, run.quantities, run.inputs[-1]) for run in self._parts.runs]
+        scenes += [
+            (label.meaning, carried, ca.MX(1.0))
+            for label, carried in self._parts.labels
+            if isinstance(label.meaning, Scene)
         ]
         return [
             (
                 DomainCheck(template, [None] * quantities.numel()),
                 ca.Function("quantities", self._symbols, [ca.densify(ca.vertcat(quantities, duration))]),
             )
-            for template, quantities, duration in held
+            for template, quantities, duration in scenes
         ]
 
     def _outside(self, rows: Vector) -> dict[int, str]:
-        """Return which rows lie outside the model's domain, and why."""
-        found: dict[int, str] = {}
+        """Return the numbers of the rows outside the model's domain, with the reasons."""
+        reasons: dict[int, str] = {}
         arguments = [ca.DM(column).T for column in rows.T]
         for check, quantities in self._scenes:
             values = np.asarray(quantities.call(arguments)[0])
-            found |= check.reasons(np.tile(values, (1, len(rows))) if values.shape[1] == 1 < len(rows) else values)
-        return found
+            reasons |= check.reasons(np.tile(values, (1, len(rows))) if values.shape[1] == 1 < len(rows) else values)
+        return reasons
 
     @cached_property
     def _given(self) -> list[ca.Function]:
@@ -136,7 +138,7 @@ class Responses:
         return {}
 
     def _batched(self, number: int, rows: Vector) -> tuple[Vector, dict[int, str]]:
-        """Return the results by Taylor series in time."""
+        """Return the results by a batch."""
         run = self._parts.runs[number]
         if number not in self._batches:
             parts = iter(ca.vertsplit(run.quantities))
@@ -144,21 +146,21 @@ class Responses:
             batch = Batch(scene, run.inputs[-1], inputs=self._symbols, error=_ERROR)
             self._batches[number] = batch, _start_values(scene, self._symbols)
         batch, start = self._batches[number]
-        found = batch(rows)
+        result = batch(rows)
         deflection, force = (np.asarray(value).ravel() for value in start.call([ca.DM(c).T for c in rows.T]))
-        means, variances = [found.mean_deflection - deflection], [found.displacement_rms**2]
+        means, variances = [result.mean_deflection - deflection], [result.displacement_rms**2]
         if run.integration.structure.damper:
-            means.append(found.mean_draft - force)
-            variances.append(found.force_rms**2)
+            means.append(result.mean_draft - force)
+            variances.append(result.force_rms**2)
         if run.integration.structure.ramp:
-            means.append(found.tow_power)
+            means.append(result.tow_power)
         states = sum(output.numel() for output in run.outputs) - len(means) - len(variances)
-        return np.vstack([np.zeros((states, len(rows))), *means, *variances]), found.reasons
+        return np.vstack([np.zeros((states, len(rows))), *means, *variances]), result.reasons
 
     def _mapped(
         self, run: EmbeddedRun, given: ca.Function, rows: Vector, only_averages: bool
     ) -> tuple[Vector, dict[int, str]]:
-        """Return the results by the method that the run was written with."""
+        """Return the results by the method of the run."""
         own = run.integration
         parameters = np.asarray(given.call([ca.DM(column).T for column in rows.T])[0])
         solver, outputs = own, own.timeline.outputs
@@ -167,14 +169,14 @@ class Responses:
             outputs = 1 if only_averages else outputs
             timeline = replace(own.timeline, outputs=outputs, steps=max(outputs, steps_for(fastest)), aligned=True)
             solver = integration(own.structure, own.accuracy, timeline)
-        found, size = [], sum(output.numel() for output in run.outputs)
+        stacked, size = [], sum(output.numel() for output in run.outputs)
         for start in range(0, parameters.shape[1], _CHUNK):
             chunk = parameters[:, start : start + _CHUNK]
             count = chunk.shape[1]
             results = [np.asarray(result) for result in solver.function.map(count).call([ca.DM(chunk)])]
             column = np.vstack([_per_soil(result, count) for result in results])
-            found.append(np.vstack([np.zeros((size - len(column), count)), column]))
-        every = np.hstack(found)
+            stacked.append(np.vstack([np.zeros((size - len(column), count)), column]))
+        every = np.hstack(stacked)
         bad = np.flatnonzero(~np.all(np.isfinite(every), axis=0))
         return every, {int(k): "the motion has no finite result" for k in bad}
 

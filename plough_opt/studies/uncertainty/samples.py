@@ -1,4 +1,4 @@
-"""Samples of a soil: the same ones for every design, so that what is averaged over them is smooth."""
+"""Samples of a soil: the same ones for every design, so that averages over them are smooth."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class SoilSamples:
     """Equally likely soils.
 
     Attributes:
-        soil: what they have in common.
+        soil: with the values that they have in common.
         names: the properties that differ.
         values: their values, a row for each sample, a column for each property; SI units.
     """
@@ -49,26 +49,26 @@ class SoilSamples:
         """Return the values of a property, SI.
 
         Raises:
-            InputError: none of the uncertain properties.
+            InputError: a name that is not among the uncertain properties.
         """
-        check_named("{} is no uncertain property", name, self.names)
+        check_named("{} is not an uncertain property", name, self.names)
         column: Vector = self.values[:, self.names.index(name)]
         return column
 
     def each(self, response: Callable[[Soil], Mapping[str, Expression]]) -> dict[str, Expression]:
-        """Return what a function finds for each soil, by name, as columns over the samples.
+        """Return the results of a function for each soil, by name, as columns over the samples.
 
         Args:
             response: soil -> results by name, each a number or a scalar expression of a design.
 
         Raises:
-            InputError: no results by name, or one that is no scalar.
+            InputError: results that are not given by name, or not scalars.
         """
         check_callable("the response", response, "of a soil that returns results by name")
-        found = [response(soil) for soil in self.soils]
-        if not found or not all(isinstance(results, Mapping) and results for results in found):
+        rows = [response(soil) for soil in self.soils]
+        if not rows or not all(isinstance(row, Mapping) and row for row in rows):
             raise InputError('the response to a soil must be results by name, like {"draft": run.mean_draft}')
-        return {name: _column(name, [results[name] for results in found]) for name in found[0]}
+        return {name: _column(name, [row[name] for row in rows]) for name in rows[0]}
 
 
 def _column(name: str, values: list[Expression]) -> Expression:

@@ -1,4 +1,4 @@
-"""The best robust design: searched over all its variables, its measures rounded off by its own results' spread."""
+"""The best robust design: a search over all its variables, with widths of smoothing from its own results' spread."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ Spreads = Mapping[str, float]
 """Standard deviations of results over the samples, by name."""
 
 Build = Callable[[Mapping[str, float], Spreads], tuple[Design, Robust, frozenset[str]]]
-"""Variables and spreads -> the robust design that begins there, and of which results the spreads set widths."""
+"""Variables and spreads -> the robust design with these guesses, and the results whose spreads set widths."""
 
-# Relative change of every spread by which the widths are settled, and how often they are set anew at most.
+# Relative change of every spread below which the widths stay, and limit on the number of times they are set.
 _SETTLED, _ROUNDS = 0.02, 6
-# Part of the best objective within which other optima may come to be best once their widths are their own.
+# Part of the best objective within which other optima may become the best with widths of their own.
 _CAN_WIN = 0.02
 _SAME = 1e-3
 
@@ -25,16 +25,16 @@ _SAME = 1e-3
 def best_robust(
     start: Mapping[str, float], build: Build, spreads: Callable[[Mapping[str, float]], Spreads], progress: Progress
 ) -> tuple[Optimum, Robust, tuple[str, ...]]:
-    """Return the best robust optimum, with all that were found, and why some gave none with widths of their own.
+    """Return the best robust optimum with all local ones, its results, and the reasons why some have no own widths.
 
-    The design is searched with the widths that belong to a start. At the optimum they are set anew and it is solved
-    again from there, until they stay.
+    The search uses the widths at a start. At each optimum they are set anew and it is solved again from there, until
+    they stay.
 
     Args:
         start: variables by name, such as those of the nominal optimum.
         build: makes the robust design.
         spreads: variables -> the spreads of the results there.
-        progress: called with what is being done.
+        progress: called with the present step in words, and the part done.
 
     Raises:
         InfeasibleDesign: no design meets the requirements.
@@ -79,7 +79,7 @@ def _settled(
 
     Args:
         own: the optimum.
-        known: the same, if it needs not be solved where its widths are right already.
+        known: its solution, if there is one; it is kept if its widths are right.
         build: makes the robust design.
         spreads: variables -> the spreads of the results there.
         used: the spreads that set its widths.
@@ -92,10 +92,10 @@ def _settled(
         design, robust, follow = build(at, now)
         known, used = (design.solve(search="near"), robust), {name: now[name] for name in follow}
         at = known[0].variables
-    assert known is not None  # the first round solves what is not solved yet
+    assert known is not None  # solved in the first round at the latest
     return known
 
 
 def _same(one: Mapping[str, float], other: Mapping[str, float]) -> bool:
-    """Return whether two designs are one, to a part of every variable."""
+    """Return whether two designs are equal, to a small part of every variable."""
     return all(abs(x - other[name]) <= _SAME * abs(x) for name, x in one.items())

@@ -1,4 +1,4 @@
-"""A step and a ramp that are rounded off over a stated width, smooth enough for second derivatives.
+"""A step and a ramp that are smoothed over a given width, with continuous second derivatives.
 
 Both are convolutions with the triweight kernel k(u) = 35/32 (1 - u^2)^3 on [-1, 1], u = x/width (Wand and Jones 1995,
 "Kernel smoothing", section 2.2): beyond the width they are exactly the step 1(x > 0) and the ramp max(x, 0). The kernel
@@ -14,7 +14,7 @@ KERNEL_VARIANCE = 1.0 / 9.0
 """Variance of the kernel for a width of 1."""
 
 MOST_ROUNDING = 35.0 / 256.0
-"""By how much the ramp lies above max(x, 0) at most, in widths."""
+"""Largest difference of the ramp from max(x, 0), in widths."""
 
 _PEAK = 35.0 / 32.0
 

@@ -1,4 +1,4 @@
-"""Tables of designs for uncertain soil: the soil, the robust design beside the nominal one, what fresh samples say."""
+"""Tables of designs for uncertain soil: the soil, the robust design beside the nominal one, the fresh samples."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from plough_opt.studies.uncertainty.distribution import SoilDistribution
 from plough_opt.studies.uncertainty.variance import SobolIndices
 from plough_opt.studies.uncertainty.verification import Check
 
-# Parts of a variance that are none.
+# Parts of a variance below this are shown as 0.
 _NONE: Final = 5e-4
 
 
@@ -51,7 +51,7 @@ def limits_table(best: Optimum, requirements: Mapping[str, tuple[str, str]], ori
 
     Args:
         best: the robust design.
-        requirements: name -> its limits, and in which soils it keeps them.
+        requirements: name -> its limits, and in which soils it meets them.
         origin: with the units.
     """
     title = "Requirements of the robust design"
@@ -67,7 +67,7 @@ def limits_table(best: Optimum, requirements: Mapping[str, tuple[str, str]], ori
 
 
 def checks_table(checks: Sequence[Check], nominal: Sequence[Check], samples: int, origin: Origin) -> Grid:
-    """Return what fresh samples say of a design, and of another one where its checks are given."""
+    """Return the checks of a design by fresh samples, and of another one if its checks are given."""
     beside = ["nominal design"] if nominal else []
     title = f"What {samples} fresh samples say" + (", of the robust design and of the nominal one" if nominal else "")
     table = Grid.of(
@@ -84,7 +84,7 @@ def checks_table(checks: Sequence[Check], nominal: Sequence[Check], samples: int
 
 
 def remarks_on(check: Check, origin: Origin) -> list[str]:
-    """Return what else is to be said of a measure: how many soils are worse, and what rounding it off changes."""
+    """Return remarks on a measure: the number of worse soils, and the effect of its smoothing."""
     found = [] if check.worse is None else [f"{check.result}, {check.text}: of the fresh samples {check.note}."]
     if check.width:
         width, rounding = value_text(origin, check, check.width, True), value_text(origin, check, check.rounding)
@@ -101,7 +101,7 @@ def value_text(origin: Origin, check: Check, value: float, of_result: bool = Fal
 
 
 def indices_table(indices: Mapping[str, SobolIndices]) -> Grid:
-    """Return which part of each result's variance each property has, alone and with others."""
+    """Return the part of each result's variance that each property explains, alone and with others."""
     names = next(iter(indices.values())).names
     title = "Sobol indices of the robust design: part of each result's variance, alone / with others"
     table = Grid.of(title, "result", *names, fold=names)

@@ -1,4 +1,4 @@
-"""Which uncertain property a result owes its spread to: Sobol indices."""
+"""Sobol indices: the part of a result's variance that each uncertain property explains."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ Vector = NDArray[np.float64]
 
 _CONFIDENCE = 0.95
 _RESAMPLES = 200
-# Relative spread that is none.
+# Relative spread below which a result does not vary.
 _NONE = 1e-9
 
 
@@ -30,14 +30,14 @@ class SobolIndices:
 
     Attributes:
         result: name of the result.
-        names: the uncertain properties; where they are correlated, "b given a" is what a leaves to b.
+        names: the uncertain properties; if they are correlated, "b given a" is b for a known a.
         first: part of the variance that each explains by itself.
-        total: part that would go with it alone: with what it explains together with others.
+        total: part that each explains by itself and together with others.
         first_low: lower ends of the confidence intervals (95 %, bootstrap) of `first`.
         first_high: upper ends.
         total_low: lower ends of those of `total`.
         total_high: upper ends.
-        note: what a reader must know, or "".
+        note: a warning, or "".
     """
 
     result: str
@@ -51,7 +51,7 @@ class SobolIndices:
     note: str
 
     def __str__(self) -> str:
-        """Say what each property explains, the largest first."""
+        """Return the part that each property explains, the largest first."""
         order = np.argsort(-self.total)
         parts = [
             f"{self.names[k]} {100 * self.first[k]:.3g} % alone ({100 * self.first_low[k]:.2g} to"
@@ -64,13 +64,13 @@ class SobolIndices:
 def sobol_indices(
     robust: Robust, at: Optimum | Mapping[str, float], *, samples: int = 1024, seed: int = 1, correlated: bool = False
 ) -> dict[str, SobolIndices]:
-    """Return, for each result, what part of its variance each uncertain property explains.
+    """Return, for each result, the part of its variance that each uncertain property explains.
 
     Sobol indices (Sobol 1993; estimators of Saltelli et al. 2010, table 2, b and f) split a variance among independent
-    inputs. Correlated properties are therefore refused, unless it is said that the indices may be those of the
-    independent coordinates behind the copula (Mara and Tarantola 2012): the first property in full, with all that it
-    shares with the others, and each further one only as far as the earlier ones leave it open. A result that does not
-    vary has no indices. Intervals lie between percentiles of the indices of resampled points (Efron 1979).
+    inputs. Correlated properties therefore raise an error, unless ``correlated`` accepts indices of the independent
+    coordinates behind the copula (Mara and Tarantola 2012): the first property counts with all that it shares with the
+    others, each further one only as far as it is independent of those before it. A result that does not vary has no
+    indices. Intervals lie between percentiles of the indices of resampled points (Efron 1979).
 
     Args:
         robust: the results.
@@ -80,7 +80,7 @@ def sobol_indices(
         correlated: accept the coordinates behind the copula.
 
     Raises:
-        InputError: correlated properties, a number that is no power of two, or soils without result.
+        InputError: correlated properties, a number of samples that is not a power of two, or soils without results.
     """
     check_kind("the results", robust, Robust, "a Robust")
     field = robust.field
@@ -89,7 +89,7 @@ def sobol_indices(
     if field.correlated and not correlated:
         raise InputError(
             "correlated properties share variance, which Sobol indices cannot split between them: leave the correlation"
-            " out, or say correlated=True for the independent coordinates behind the copula"
+            " out, or use correlated=True for the independent coordinates behind the copula"
         )
 
     own = robust.values(at)
@@ -110,7 +110,7 @@ def sobol_indices(
     again = [_indices(answers[..., generator.integers(samples, size=samples)]) for _ in range(_RESAMPLES)]
     tail = (1.0 - _CONFIDENCE) / 2.0
     (first_low, total_low), (first_high, total_high) = np.quantile(again, (tail, 1.0 - tail), axis=0)
-    note = "the properties are correlated: each counts as far as the ones before it leave it open"
+    note = "the properties are correlated: each counts as far as it is independent of those before it"
     return {
         name: SobolIndices(
             result=name,
@@ -135,8 +135,8 @@ def _indices(answers: Vector) -> tuple[Vector, Vector]:
             of the second.
     """
     variance = np.var(answers[:, [0, -1]], axis=(1, 2))[:, None]
-    variance[variance == 0.0] = 1.0  # few points, resampled, may be one: it explains nothing
-    # Without their mean the products lose fewer digits (Sobol and Levitan 1999).
+    variance[variance == 0.0] = 1.0  # a resample of few points may be one point many times: its indices are 0
+    # Products of values less their mean are more accurate (Sobol and Levitan 1999).
     other = answers[:, -1] - np.mean(answers[:, [0, -1]], axis=(1, 2))[:, None]
     change = answers[:, 1:-1] - answers[:, :1]
     first = np.mean(other[:, None] * change, axis=-1) / variance
@@ -145,8 +145,8 @@ def _indices(answers: Vector) -> tuple[Vector, Vector]:
 
 def _names(field: SoilDistribution) -> tuple[str, ...]:
     """Return the properties' names, each with those before it on which it depends."""
-    found = []
+    names = []
     for k, name in enumerate(field.names):
         before = [other for other, weight in zip(field.names, field.factor[k, :k], strict=False) if weight != 0.0]
-        found.append(f"{name} given {' and '.join(before)}" if before else name)
-    return tuple(found)
+        names.append(f"{name} given {' and '.join(before)}" if before else name)
+    return tuple(names)

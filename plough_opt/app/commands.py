@@ -11,7 +11,7 @@ from pathlib import Path
 from plough_opt.app import report
 from plough_opt.app.against import asked_of
 from plough_opt.app.messages import printable
-from plough_opt.app.sensitivity_table import print_sensitivities, sensitivities_of
+from plough_opt.app.sensitivity_table import sensitivities_of, with_sensitivities
 from plough_opt.app.terminal import console, print_page, progress, read, wrote
 from plough_opt.app.uncertain import optimise_uncertain
 from plough_opt.core.errors import InputError
@@ -34,7 +34,8 @@ def soils(options: argparse.Namespace) -> None:
     """List the named soils."""
     found = [named_soil(name) for name in soil_names()]
     if options.json:
-        print(json.dumps([{**dataclasses.asdict(soil), "cone_index": cone_index(soil)} for soil in found], indent=2))
+        print(json.dumps([{**dataclasses.asdict(soil), "cone_index": cone_index(soil)} for soil in found], indent=2,
+                         allow_nan=False))  # fmt: skip
     else:
         report.print_soils(console(), found)
 
@@ -48,6 +49,13 @@ def check(options: argparse.Namespace) -> None:
         from plough_opt.studies.crosscheck import compare
 
         comparison = compare(problem.scene(), **against)
+    if options.json and (options.effects or comparison is not None):
+        raise InputError("--json is of the scene alone: leave --effects and --against out")
+    if options.json:
+        quantities = {key: float(value) for key, value in problem.values().items()}
+        notes = (*problem.notes, *problem.cautions, *problem.scene().warnings())
+        print(json.dumps({"title": problem.title, "quantities": quantities, "notes": notes}, indent=2, allow_nan=False))
+        return
     report.print_check(console(), problem)
     if options.effects:
         with progress() as told:
@@ -71,12 +79,13 @@ def simulate(options: argparse.Namespace) -> None:
     with progress() as told:
         told("simulating", 0.0)
         run = problem.simulate()
+    page = report.run_page(problem, run)
     if options.json:
         from plough_opt.exchange.results import SavedRun
 
-        print(SavedRun.of(run, problem.title).to_json())
+        print(SavedRun.of(run, problem.title).model_copy(update={"shown": page}).to_json())
     else:
-        report.print_run(console(), problem, run)
+        print_page(console(), page)
     if options.plot:
         from plough_opt.app import plots
 
@@ -98,15 +107,15 @@ def optimise(options: argparse.Namespace) -> None:
             seed=options.seed,
         )
         asked = sensitivities_of(best, told) if options.sensitivity else ()
+    page = best.page()
+    page = dataclasses.replace(page, parts=(*page.parts, *report.own_results(problem, run)))
+    page = with_sensitivities(page, problem, asked)
     if options.json:
         from plough_opt.exchange.results import SavedOptimum
 
-        print(SavedOptimum.of(best, run, problem.title, asked).to_json())
+        print(SavedOptimum.of(best, run, problem.title, asked).model_copy(update={"shown": page}).to_json())
     else:
-        page = best.page()
-        print_page(console(), dataclasses.replace(page, parts=(*page.parts, *report.own_results(problem, run))))
-        if options.sensitivity:
-            print_sensitivities(console(), problem, asked)
+        print_page(console(), page)
     if options.plot:
         from plough_opt.app import plots
 
@@ -156,11 +165,15 @@ def accuracy(options: argparse.Namespace) -> None:
         else:
             duration = problem.values().get("scene.duration")
             study = study_accuracy(problem.scene(), duration, allowance=options.seconds, **common)
+    study = dataclasses.replace(study, origin=problem.origin)
     if problem.table.uncertain is not None:
         study = dataclasses.replace(
             study, notes=(*study.notes, "the soil is the nominal one: its uncertainty takes no part")
         )
-    print_page(console(), study.page())
+    if options.json:
+        print(study.to_json())
+    else:
+        print_page(console(), study.page())
     if options.plot is not None:
         from plough_opt.app import plots
 

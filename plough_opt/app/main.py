@@ -19,7 +19,7 @@ from rich.console import Console
 from rich.markup import escape
 
 from plough_opt.app import calibrate as calibrations
-from plough_opt.app import commands, schemas
+from plough_opt.app import commands, kept, schemas
 from plough_opt.app import export as exports
 from plough_opt.app import sweep as sweeps
 from plough_opt.app import waves as strengths
@@ -101,6 +101,12 @@ def _parser() -> argparse.ArgumentParser:
     strengths.add_options(verb)
     verb.set_defaults(run=strengths.waves)
 
+    for name, add, text in (
+        ("show", kept.add_show, "print a saved result again, and what made it"),
+        ("compare", kept.add_compare, "set saved designs or runs side by side"),
+    ):
+        add(verbs.add_parser(name, help=text, parents=[common]))
+
     for name, run, text in (
         ("schema", schemas.schema, "print the JSON schema of problem files, by which editors complete and check them"),
         ("completion", schemas.completion, "print a script that lets a shell complete this command"),
@@ -138,6 +144,7 @@ def _parser() -> argparse.ArgumentParser:
         verb.set_defaults(run=run)
         if name == "check":
             verb.add_argument("--effects", action="store_true", help="print what each effect costs, on or off")
+            verb.add_argument("--json", action="store_true", help="print the scene's quantities as JSON (SI units)")
             _add_against(verb)
             continue
         if name == "accuracy":
@@ -217,5 +224,6 @@ def _add_accuracy(verb: argparse.ArgumentParser) -> None:
     )
     verb.add_argument("--design", action="store_true", help="study the optimum of the design instead of its scene")
     verb.add_argument("--thin", action="store_true", help="try every other setting only")
+    verb.add_argument("--json", action="store_true", help="print every figure as JSON instead of tables")
     verb.add_argument("--output", metavar="FILE", help="write every figure as JSON")
     verb.add_argument("--plot", metavar="FILE", help="write a picture: .png, .svg or .pdf")

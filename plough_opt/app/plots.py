@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import itertools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -13,9 +12,10 @@ from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from plough_opt.app.run_picture import changing, draw_deflection, draw_force, draw_speed, plot_run, subject
+from plough_opt.app.side_by_side import plot_designs, plot_forces
 from plough_opt.core.kinds import check_kind
 from plough_opt.core.picture_files import COLOURS, FORMATS, check_format, save
-from plough_opt.design import Limit, LocalOptimum, Optimum
+from plough_opt.design import Limit, Optimum
 from plough_opt.design.landscape import FEASIBLE
 from plough_opt.motion import Run
 from plough_opt.motion.batch import BatchResult
@@ -39,6 +39,7 @@ __all__ = [
     "draw_wedge",
     "plot_batch",
     "plot_designs",
+    "plot_forces",
     "plot_optimum",
     "plot_run",
     "plot_share",
@@ -108,47 +109,6 @@ def plot_wedge_field(profile: Profile, soil: Soil, speed: float) -> Figure:
         axes.set_xlabel("x behind the tip [m]")
         axes.set_ylabel("y across [m]")
     return figure
-
-
-def plot_designs(designs: Mapping[str, LocalOptimum]) -> Figure:
-    """Draw designs side by side: every variable between its bounds, every requirement beside its limits.
-
-    Args:
-        designs: name -> a design; the first has the variables and requirements that are drawn.
-    """
-    first = next(iter(designs.values()))
-    figure = Figure(figsize=(8, 0.9 + 0.75 * len(first.limits)), layout="constrained")
-    rows = figure.subplots(len(first.limits), 1, squeeze=False)[:, 0]
-    for axes, limit in zip(rows, first.limits, strict=True):
-        _draw_limit(
-            axes, limit, [next((x for x in one.limits if x.name == limit.name), None) for one in designs.values()]
-        )
-    for name, colour in zip(designs, itertools.cycle(COLOURS), strict=False):
-        rows[0].plot([], [], "o", color=colour, label=name)
-    figure.legend(loc="outside lower center", ncols=min(4, len(designs)), fontsize="small")
-    return figure
-
-
-def _draw_limit(axes: Axes, limit: Limit, found: Sequence[Limit | None]) -> None:
-    """Draw what designs have of one limited quantity on a line, its limits as bars across."""
-    factor = limit.shown.factor
-    ends = [end / factor for end in (limit.low, limit.high) if end is not None]
-    values = [None if one is None else one.value / factor for one in found]
-    for k, value in enumerate(values):
-        if value is not None:
-            axes.plot(value, 0.0, "o", color=COLOURS[k % len(COLOURS)], markersize=8, zorder=3, clip_on=False)
-    for end in ends:
-        axes.axvline(end, color="black", linewidth=2.0)
-    every = [*ends, *(value for value in values if value is not None)]
-    room = 0.08 * (max(every) - min(every)) or 0.1 * abs(every[0]) or 1.0
-    axes.set_xlim(min(every) - room, max(every) + room)
-    if limit.low is not None and limit.high is not None and 0.0 < 20.0 * limit.low < limit.high:
-        axes.set_xscale("log")
-        axes.set_xlim(0.8 * min(every), 1.25 * max(every))
-    axes.set_yticks([])
-    axes.set_ylabel(limit.shown.heading(called(limit.name)), rotation=0, ha="right", va="center")
-    for side in ("left", "right", "top"):
-        axes.spines[side].set_visible(False)
 
 
 def plot_sweep(swept: Sweep) -> Figure:

@@ -11,9 +11,8 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from plough_opt.app.terminal import print_page
 from plough_opt.core.quantities import quantities
-from plough_opt.core.tables import Grid
+from plough_opt.core.tables import Grid, Page
 from plough_opt.core.units import customary
 from plough_opt.laws.penetration import cone_index
 from plough_opt.motion import Run
@@ -57,12 +56,10 @@ def print_soils(console: Console, soils: Sequence[Soil]) -> None:
     console.print("Ambient pressure of all: 101.325 kPa. Soil with open pores: set soil.ambient_pressure.")
 
 
-def print_run(console: Console, problem: Problem, run: Run) -> None:
-    """Print a run of numbers with its scene."""
+def run_page(problem: Problem, run: Run) -> Page:
+    """Return a run of numbers with its scene."""
     page = run.page()
-    print_page(
-        console, replace(page, parts=(_scene_table(problem, run.scene), *page.parts, *own_results(problem, run)))
-    )
+    return replace(page, parts=(_scene_table(problem, run.scene), *page.parts, *own_results(problem, run)))
 
 
 def own_results(problem: Problem, run: Run) -> tuple[Grid, ...]:

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-
-from rich.console import Console
-from rich.markup import escape
-from rich.table import Table
+from dataclasses import replace
 
 from plough_opt.app.messages import LOG
 from plough_opt.app.report import shown
 from plough_opt.core.errors import InputError, NotConverged
+from plough_opt.core.tables import Grid, Page
 from plough_opt.design import Optimum, Progress, Sensitivity
 from plough_opt.problem_file import Problem
 
@@ -28,30 +26,23 @@ def sensitivities_of(best: Optimum, told: Progress) -> tuple[Sensitivity, ...]:
         return ()
 
 
-def print_sensitivities(console: Console, problem: Problem, found: Sequence[Sensitivity]) -> None:
-    """Print elasticities of the best objective and of the variables, in order of size, and how far they hold."""
+def with_sensitivities(page: Page, problem: Problem, found: Sequence[Sensitivity]) -> Page:
+    """Return a page with elasticities of the best objective and of the variables, by size, and how far they hold."""
     if not found:
-        return
-    table = Table(
-        title="Change in per cent for one per cent more, solved again; the same limits decide from ... to ..."
-    )
-    table.add_column("quantity or limit", overflow="fold")
-    for heading in (
-        "value",
-        "objective",
-        *(key.rpartition(".")[2] for key in problem.variables),
-        "same limits from",
-        "to",
-    ):
-        table.add_column(heading, justify="right")
+        return page
+    names = [key.rpartition(".")[2] for key in problem.variables]
+    table = Grid.of(
+        "Change in per cent for one per cent more, solved again; the same limits decide from ... to ...",
+        "quantity or limit", "value", "objective", *names, "same limits from", "to", fold=("quantity or limit",),
+    )  # fmt: skip
     for item in found:
         moves = [_percent(item.elasticity), *(_percent(item.elasticities[key]) for key in problem.variables)]
         key = item.name.partition(" ")[0]
         ends = [_end(problem, key, item, end) for end in (item.valid_from, item.valid_to)]
-        table.add_row(escape(item.name), shown(problem, key, item.value, item.unit), *moves, *ends)
-    console.print(table)
-    for name in dict.fromkeys(name for item in found for name in item.touching):
-        console.print(f"[yellow]Note:[/] {escape(name)} is just met: the figures are for values that grow.")
+        table.row(item.name, shown(problem, key, item.value, item.unit), *moves, *ends)
+    met = dict.fromkeys(name for item in found for name in item.touching)
+    notes = (f"{name} is just met: the figures are for values that grow" for name in met)
+    return replace(page, parts=(*page.parts, table), notes=(*page.notes, *notes))
 
 
 def _percent(elasticity: float | None) -> str:

@@ -42,6 +42,7 @@ def add_options(verb: argparse.ArgumentParser) -> None:
     verb.add_argument("--scheduler", metavar="ADDRESS", help="the workers of a dask scheduler, like tcp://host:8786")
     verb.add_argument("--store", metavar="FILE", help="where finished points are kept (default: named after the sweep)")
     verb.add_argument("--retry", action="store_true", help="try the points again that failed or are undetermined")
+    verb.add_argument("--json", action="store_true", help="print JSON (SI units) instead of a table")
     verb.add_argument("--csv", metavar="FILE", help="write a table of all points")
     verb.add_argument("--npz", metavar="FILE", help="write an array for each column")
     verb.add_argument("--plot", metavar="FILE", help="write a picture of every result: .png, .svg or .pdf")
@@ -80,7 +81,10 @@ def sweep(options: argparse.Namespace) -> None:
         )
     try:
         found.origin, found.how = asked.origin, asked.how
-        print_page(console(), found.page())
+        if options.json:
+            print(found.to_json())
+        else:
+            print_page(console(), found.page())
         for name, write in (("csv", found.to_csv), ("npz", found.to_npz)):
             if getattr(options, name) is not None:
                 wrote(write(getattr(options, name)))

@@ -62,7 +62,12 @@ def check_outputs(options: argparse.Namespace) -> None:
         from plough_opt.app import plots
 
         plots.check_format(options.plot)
-    taken = {_place(options.file): "the problem file"}
+    several = isinstance(options.file, list)
+    taken = (
+        {_place(path): "a file that is read" for path in options.file}
+        if several
+        else {_place(options.file): "the problem file"}
+    )
     taken |= {_place(data): "a file of data" for data in getattr(options, "data", ())}
     for name in _OUTPUTS:
         if (written := getattr(options, name, None)) is None:

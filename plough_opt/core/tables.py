@@ -152,7 +152,7 @@ def _lines(row: Sequence[str]) -> list[tuple[str, ...]]:
     return [tuple(cell[k] if k < len(cell) else "" for cell in cells) for k in range(most)]
 
 
-Part: TypeAlias = "Grid | str"
+Part: TypeAlias = Grid | str
 
 
 @dataclass(frozen=True)

@@ -12,11 +12,13 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from plough_opt.core.errors import InputError
+from plough_opt.core.errors import InputError, short
 from plough_opt.core.expressions import Expression, absolute, exp, log, maximum, minimum
 from plough_opt.core.kinds import shown
 from plough_opt.core.units import Display, customary, in_words
 
+# Characters of an expression that a saved result quotes: a whole one fills pages.
+_LONGEST = 400
 # The domain of a quantity of which no end is known.
 EVERYWHERE = (-math.inf, math.inf)
 
@@ -217,6 +219,26 @@ class Declarations:
     def symbols(self) -> list[ca.MX]:
         """Return the variables' and the parameters' symbols as two columns' worth of inputs."""
         return [*(v.symbol for v in self.variables), *(p.symbol for p in self.parameters)]
+
+    def plain(self, values: NDArray[np.float64]) -> dict[str, dict[str, str | float | None]]:
+        """Return everything as plain data, to be kept with a result.
+
+        Args:
+            values: of the parameters.
+        """
+        found: dict[str, dict[str, str | float | None]] = {
+            v.name: {
+                "kind": "variable", "guess": v.guess, "lower": v.lower, "upper": v.upper, "unit": v.unit,
+                "scale": "log" if v.log else "linear", "tolerance": v.tolerance,
+            }
+            for v in self.variables
+        }  # fmt: skip
+        for p, value in zip(self.parameters, values, strict=True):
+            found[p.name] = {"kind": "parameter", "value": float(value), "unit": p.unit}
+        for r in self.requirements:
+            found[r.name] = {"kind": "requirement", "at_least": r.at_least, "at_most": r.at_most, "unit": r.unit,
+                             "expression": short(str(r.expression), _LONGEST)}  # fmt: skip
+        return found | {"objective": {"kind": "objective", "expression": short(str(self.objective), _LONGEST)}}
 
     def strangers(self, expression: ca.MX) -> list[str]:
         """Return the names of an expression's symbols that were not declared here, namesakes included."""

@@ -12,6 +12,7 @@ import numpy as np
 
 from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import as_number, is_casadi, map_expressions
+from plough_opt.core.files import kept
 from plough_opt.core.kinds import mapping_of
 from plough_opt.core.origin import Origin
 from plough_opt.core.picture_files import drawn
@@ -129,6 +130,14 @@ class Optimum(LocalOptimum):
         }
         columns |= {name: [one.variables[name] for one in found] for name in self.variables}
         return data_frame(columns, {one.name: one.unit for one in self.limits if one.kind == "bound"})
+
+    def save(self, path: str | Path) -> Path:
+        """Write the optimum, its run and what made it as JSON; `plough_opt.load` reads it as a `SavedOptimum`.
+
+        Raises:
+            InputError: the place cannot be written.
+        """
+        return kept("SavedOptimum", self, path)
 
     def plot(self, target: str | Path | None = None) -> Figure:
         """Draw share and response, where the optimum has its run, and what the search saw; else the variables.

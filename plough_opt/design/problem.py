@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any, TypeAlias
 
 import casadi as ca
@@ -13,6 +14,7 @@ from plough_opt.core.domain import check_text, plain_number
 from plough_opt.core.errors import InputError, nearest, unprintable
 from plough_opt.core.expressions import Expression, is_casadi
 from plough_opt.core.kinds import check_callable, check_choice, check_switch, shown
+from plough_opt.core.origin import Origin
 from plough_opt.core.units import Display, has_unit, in_si, unit_of
 from plough_opt.design.boxed import Boxed, Over
 from plough_opt.design.declarations import EVERYWHERE, Declarations, Parameter, Requirement, Variable
@@ -216,9 +218,11 @@ class Design:
             self._program, self._boxed = Program(declared, compiled=compiled), None
         report = progress or _silent
         if self._over is None:
-            return solve_program(self._program, values, (search, judge, seed), report, started)
-        self._boxed = self._boxed or Boxed(self._program, self._over)
-        return self._boxed.solve(values, (search, judge, seed), report, started)
+            found = solve_program(self._program, values, (search, judge, seed), report, started)
+        else:
+            self._boxed = self._boxed or Boxed(self._program, self._over)
+            found = self._boxed.solve(values, (search, judge, seed), report, started)
+        return replace(found, origin=Origin.now(declarations=declared.plain(values), seed=seed))
 
     @property
     def declared(self) -> Declarations:

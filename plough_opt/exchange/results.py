@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import platform
 import sys
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import MISSING, fields, is_dataclass
 from importlib import import_module
-from importlib.metadata import version
 from pathlib import Path
-from typing import Annotated, Any, Final, Generic, Literal, TypeVar, cast, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, Final, Generic, Literal, TypeVar, cast, get_type_hints
 
 import numpy as np
 from pydantic import (
@@ -25,22 +23,23 @@ from pydantic import (
 from pydantic_core import from_json
 
 from plough_opt.core.errors import InputError, short
-from plough_opt.core.files import ascii_json
+from plough_opt.core.files import ascii_json, write_file
 from plough_opt.core.kinds import path_of, shown
+from plough_opt.core.origin import Origin, versions
+from plough_opt.core.tables import Page, Readable, data_frame
 from plough_opt.design import LocalOptimum, Optimum, Sensitivity
 from plough_opt.motion import Averages, Run
 from plough_opt.motion.accuracy import Accuracy
+from plough_opt.motion.run import OUTPUTS
+from plough_opt.motion.vocabulary import quantities_of
+
+if TYPE_CHECKING:
+    import pandas
 
 SCHEMA: Final = 1
 """Number of the layout of saved results; it rises when a key changes its meaning."""
 
 _T = TypeVar("_T")
-
-
-def versions() -> dict[str, str]:
-    """Return the versions that a result depends on."""
-    packages = {name: version(name) for name in ("plough_opt", "casadi", "numpy")}
-    return {**packages, "python": platform.python_version(), "machine": platform.machine()}
 
 
 class Saved(BaseModel):
@@ -53,6 +52,7 @@ class Saved(BaseModel):
     layout: Annotated[Literal[1], Field(alias="schema")]
     title: str
     versions: dict[str, str]
+    origin: Origin = Origin()
 
     def to_json(self) -> str:
         """Return the result as JSON text of ASCII characters; infinite numbers as "Infinity"."""
@@ -72,8 +72,31 @@ def _checked(averages: Averages) -> Averages:
     return averages
 
 
-class SavedRun(Saved):
-    """A run of numbers: SI units; arrays over the output times."""
+class Kept(Readable, Saved):
+    """A saved result that holds what it showed of itself, and shows it again."""
+
+    shown: Page = Page("")
+
+    def page(self) -> Page:
+        """Return what the result showed of itself when it was saved."""
+        return self.shown
+
+    def save(self, path: str | Path) -> Path:
+        """Write the result as JSON, making its folder.
+
+        Raises:
+            InputError: the place cannot be written.
+        """
+        return write_file(path, "result", self.to_json() + "\n")
+
+
+class SavedRun(Kept):
+    """A run of numbers: SI units; arrays over the output times.
+
+    Attributes:
+        quantities: of the scene, by the names that problem files give them.
+        scene: the scene in words, and its effects.
+    """
 
     kind: Literal["run"] = "run"
     accuracy: Accuracy
@@ -91,16 +114,22 @@ class SavedRun(Saved):
     deflection: list[FiniteFloat]
     mount_force: list[FiniteFloat]
     soil_resistance: list[FiniteFloat]
+    quantities: dict[str, FiniteFloat] = {}
+    scene: tuple[str, str] = ("", "")
 
     @classmethod
-    def of(cls, run: Run, title: str) -> SavedRun:
+    def of(cls, run: Run, title: str = "") -> SavedRun:
         """Take what is worth keeping of a run."""
         arrays = {name: np.asarray(getattr(run, name)).tolist() for name in _ARRAYS}
         own = {name: getattr(run, name) for name in _RUN}
         return cls(
             layout=SCHEMA,
-            title=title,
+            title=title or run.origin.title,
             versions=versions(),
+            origin=run.origin,
+            shown=run.page(),
+            quantities={name: float(x) for name, x in quantities_of(run.scene).items() if x is not None},
+            scene=(run.scene.describe(), repr(run.scene.effects)),
             averages=_floats(run.averages),
             ambient_share=float(run.scene.ambient_share),
             specific_draft=None if run.scene.law.lacks("loosened_radius") else run.specific_draft,
@@ -108,12 +137,20 @@ class SavedRun(Saved):
             **arrays,
         )
 
+    def to_dataframe(self) -> pandas.DataFrame:
+        """Return a row for each output time, SI; ``attrs["units"]`` has the units.
+
+        Raises:
+            InputError: pandas is not installed.
+        """
+        return data_frame({name: getattr(self, name) for name in _ARRAYS}, OUTPUTS)
+
 
 _ARRAYS = ("time", "travel", "speed", "deflection", "mount_force", "soil_resistance")
 _RUN = ("accuracy", "error_estimate", "seconds", "warnings", "peak_force", "peak_deflection")
 
 
-class SavedOptimum(Saved):
+class SavedOptimum(Kept):
     """An optimum: variables in SI units, limits, all local optima, and the run at the best one."""
 
     kind: Literal["optimum"] = "optimum"
@@ -123,25 +160,30 @@ class SavedOptimum(Saved):
     flat_directions: tuple[dict[str, float], ...]
     best: LocalOptimum
     local_optima: tuple[LocalOptimum, ...]
-    run: SavedRun
+    run: SavedRun | None = None
     sensitivities: tuple[Sensitivity, ...] = ()
     search: str = ""
     over: str = ""
 
     @classmethod
-    def of(cls, best: Optimum, run: Run, title: str, sensitivities: Sequence[Sensitivity] = ()) -> SavedOptimum:
-        """Take what is worth keeping of an optimum, its run and what it was asked."""
+    def of(
+        cls, best: Optimum, run: Run | None = None, title: str = "", sensitivities: Sequence[Sensitivity] = ()
+    ) -> SavedOptimum:
+        """Take what is worth keeping of an optimum, its run if it has one, and what it was asked."""
+        run = run or best.run
         return cls(
             layout=SCHEMA,
-            title=title,
+            title=title or best.origin.title,
             versions=versions(),
+            origin=best.origin,
+            shown=best.page(),
             status=best.status,
             seconds=best.seconds,
             warnings=best.warnings,
             flat_directions=best.flat_directions,
             best=best.local_optima[0],
             local_optima=best.local_optima,
-            run=SavedRun.of(run, title),
+            run=None if run is None else SavedRun.of(run, title),
             sensitivities=tuple(sensitivities),
             search=str(best.search or ""),
             over=best.over,
@@ -203,7 +245,7 @@ def load(path: str | Path) -> Any:
         InputError: no such file, or not a result of this layout.
     """
     path = path_of("the result", path)
-    if _is_store(path):
+    if is_store(path):
         raise InputError(f"{shown(str(path), 200)} is the store of a sweep: po.Sweep.load reads it")
     kind = read_saved(path, "result", "a result", _Kind.model_validate_json).kind
     if kind in _LATER:
@@ -218,7 +260,8 @@ def load(path: str | Path) -> Any:
     return read_saved(path, "result", "a result", either.validate_json)
 
 
-def _is_store(path: Path) -> bool:
+def is_store(path: Path) -> bool:
+    """Return whether a file is the store of a sweep."""
     try:
         with path.open("rb") as file:
             return file.read(len(_STORE)) == _STORE

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from plough_opt.core.domain import check_domain
 from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import Expression, column, is_casadi, rms, where
+from plough_opt.core.files import kept
 from plough_opt.core.labels import unlabelled
 from plough_opt.core.origin import Origin
 from plough_opt.core.picture_files import drawn, from_above
@@ -183,6 +184,15 @@ class Run(Readable):
         self._known("animation")
         path: Path = from_above("animation", "write_animation")(self, target, slower)
         return path
+
+    def save(self, path: str | Path) -> Path:
+        """Write a run of numbers as JSON, making its folder; `plough_opt.load` reads it as a `SavedRun`.
+
+        Raises:
+            InputError: a symbolic run, or a place that cannot be written.
+        """
+        self._known("file")
+        return kept("SavedRun", self, path)
 
     def picture(self) -> Figure | None:
         """Return the picture for a notebook; a symbolic run has none."""

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Literal
 
 from plough_opt.core.errors import InputError
@@ -62,6 +63,8 @@ class Problem:
         over: what is minimised within the tolerances, if not the design's own objective.
         readings: which penetrometer readings decide the soil, in words.
         spectrum: of the record that random strength is read from, if it is.
+        text: the whole file.
+        overrides: the changes that were made to it, in order.
     """
 
     name: str
@@ -73,6 +76,8 @@ class Problem:
     over: Over | None = None
     readings: str = ""
     spectrum: Spectrum | None = None
+    text: str = field(default="", repr=False)
+    overrides: tuple[str, ...] = ()
 
     @property
     def title(self) -> str:
@@ -91,7 +96,15 @@ class Problem:
     @property
     def origin(self) -> Origin:
         """What made the results of this file."""
-        return Origin(self.title, self.displays)
+        return self.made()
+
+    def made(self, seed: int | None = None) -> Origin:
+        """Return what makes a result of this file now.
+
+        Args:
+            seed: of the samples that are drawn.
+        """
+        return Origin.now(self.title, self.displays, (Path(self.name).name, self.text, self.overrides), seed=seed)
 
     @property
     def accuracy(self) -> Accuracy:
@@ -309,8 +322,9 @@ class Problem:
         """Return the optimum and its run of numbers: see `design` for ``parameters``, `Design.solve` for the rest."""
         design, run = self.design(parameters=parameters)
         best = design.solve(search=search, judge=judge, seed=seed, progress=progress)
-        found = replace(best(run), origin=self.origin)
-        return replace(best, run=found, origin=self.origin), found
+        origin = self.made(seed)
+        found = replace(best(run), origin=origin)
+        return replace(best, run=found, origin=origin), found
 
     def trade_off(self, points: int | None = None, progress: Progress | None = None) -> TradeOff:
         """Return the front of the file's [trade_off] table; its [minimise] takes no part.

@@ -59,6 +59,7 @@ def read_problem(path: str | Path, overrides: Iterable[str] = ()) -> Problem:
     """
     source = Source.read(path_of("the problem file", path))
     check_kind("overrides", overrides, list | tuple, "a list of texts such as 'scene.tow_speed=\"2.5 m/s\"'")
+    overrides = tuple(overrides)
     notes = tuple(note for text in overrides if (note := apply_override(source, text)))
     _join_dotted_variables(source.data)
     join_dotted(source.data)
@@ -70,7 +71,10 @@ def read_problem(path: str | Path, overrides: Iterable[str] = ()) -> Problem:
     except ValidationError as error:
         source.note_schema(error, _valid_keys())
     source.raise_noted()
-    problem = dataclasses.replace(_checked(source, table, notes), over=over, readings=readings, spectrum=spectrum)
+    problem = dataclasses.replace(
+        _checked(source, table, notes), over=over, readings=readings, spectrum=spectrum, text=source.text,
+        overrides=overrides,
+    )  # fmt: skip
     source.raise_noted()
     _check_values(source, problem)
     source.raise_noted()

@@ -47,18 +47,18 @@ class Source:
             InputError: the text is not TOML, or beyond what a problem file may be; the message gives the line.
         """
         self.name = name
-        self._text = text.replace("\r\n", "\n")
+        self.text = text.replace("\r\n", "\n")
         self.overridden: dict[Keys, str] = {}
         self.begun: dict[Keys, str] = {}  # tables that an override had to make
         self._noted: list[InputError] = []
         self._unlisted = 0  # mistakes that are counted only
-        for number, line in enumerate(self._text.split("\n"), start=1):
+        for number, line in enumerate(self.text.split("\n"), start=1):
             if len(line) > _LONGEST_LINE:
                 raise InputError(
                     f"{name}, line {number}: it has {len(line)} characters, and at most {_LONGEST_LINE} can be read:"
                     " write it in several lines"
                 )
-        if (line_too_deep := nested_line(self._text)) is not None:
+        if (line_too_deep := nested_line(self.text)) is not None:
             raise InputError(f"{name}, line {line_too_deep}: {TOO_DEEP}")
         try:
             self.data: dict[str, Any] = tomllib.loads(text)
@@ -101,7 +101,7 @@ class Source:
 
     @cached_property
     def _line_of(self) -> dict[str, int]:
-        return lines_of(self._text)
+        return lines_of(self.text)
 
     def error(self, keys: Sequence[str], message: str) -> InputError:
         """Return an error about a key, with its line or the override that set it."""

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from pydantic import BaseModel, ConfigDict
 
 from plough_opt.core.files import write_file
+from plough_opt.core.origin import Origin
 from plough_opt.core.tables import Column, Grid, Page, Part, Readable, data_frame
 from plough_opt.exchange.results import SCHEMA, Saved, read_saved
 from plough_opt.studies.accuracy.contest import AUTO, COMPILED, Entry, cheapest, efficient, error_text
@@ -72,6 +73,7 @@ class AccuracyStudy(Readable):
         defaults: what is ranked, in the order of `questions`: method and setting that the toolkit takes unasked.
         versions: of packages, and the machine.
         thoroughness: of a design, what each effort of a search finds, and in what time.
+        origin: what made it.
     """
 
     title: str
@@ -83,6 +85,7 @@ class AccuracyStudy(Readable):
     defaults: Mapping[str, tuple[str, str]] = field(default_factory=dict)
     versions: Mapping[str, str] = field(default_factory=dict)
     thoroughness: tuple[Thoroughness, ...] = ()
+    origin: Origin = field(default=Origin(), compare=False)
 
     @property
     def questions(self) -> tuple[Question, ...]:
@@ -178,8 +181,7 @@ class AccuracyStudy(Readable):
         parts += [*self.refusals, *(f"note: {note}" for note in self.notes)]
         parts += [self.advise(question) for question in self.questions]
         heading = f"Error against time of {len(self.entries)} contestants, for a wanted error of {self.wanted:.0e}"
-        made = ", ".join(f"{name} {value}" for name, value in self.versions.items())
-        return Page(heading, tuple(parts), (), made, self.title)
+        return Page(heading, tuple(parts), (), ", ".join(map(" ".join, self.versions.items())), self.title)
 
     def picture(self) -> Figure:
         """Return the picture for a notebook."""
@@ -324,8 +326,8 @@ class SavedStudy(Saved):
                        seconds=None if e.failure else e.seconds)
             for e in study.entries
         )  # fmt: skip
-        names = ("title", "duration", "wanted", "notes", "advice", "thoroughness")
-        own = {name: getattr(study, name) for name in names}
+        names = ("title", "duration", "wanted", "notes", "advice", "thoroughness", "origin")
+        own: Any = {name: getattr(study, name) for name in names}
         return cls(layout=SCHEMA, versions=dict(study.versions), floors=dict(study.floors),
                    defaults=dict(study.defaults), entries=entries, **own)  # fmt: skip
 
@@ -336,7 +338,7 @@ class SavedStudy(Saved):
             for e in self.entries
         )  # fmt: skip
         return AccuracyStudy(self.title, self.duration, self.wanted, entries, self.floors, self.notes, self.defaults,
-                             self.versions, self.thoroughness)  # fmt: skip
+                             self.versions, self.thoroughness, self.origin)  # fmt: skip
 
 
 _FORCES = {"mean draft": "mean\ndraft", "RMS": "RMS", "last force": "last\nforce", "trajectory": "trajec-\ntory"}

@@ -11,10 +11,10 @@ from plough_opt.core.domain import check_domain, check_text, plain_number
 from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import as_number, holds_casadi, is_count, map_expressions
 from plough_opt.core.kinds import check_callable, check_kind, check_switch, shown
+from plough_opt.core.origin import versions
 from plough_opt.core.processors import available
 from plough_opt.core.quantities import BESIDE
 from plough_opt.design import Design
-from plough_opt.exchange.results import versions
 from plough_opt.laws.elastic_medium import ElasticMedium
 from plough_opt.motion.accuracy import DEFAULT_ERROR
 from plough_opt.motion.plan import MOST_OUTPUTS, forced_rate, numbers_of, steps_for

@@ -149,7 +149,7 @@ class Fit(Readable, Fitted):
         return _FORM.load(path, "fit", "a calibration")
 
 
-_FORM = Form(Fit, "calibration", unsaved=("source", "origin"))
+_FORM = Form(Fit, "calibration", unsaved=("source",))
 
 
 def reported(calibration: Calibrator, data: Data, estimate: Estimate, seconds: float) -> Fit:

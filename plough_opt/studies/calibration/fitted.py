@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 
 from plough_opt.core.errors import InputError
 from plough_opt.core.kinds import check_choice
-from plough_opt.core.origin import Origin
-from plough_opt.exchange.results import versions
+from plough_opt.core.origin import Origin, versions
 from plough_opt.studies.calibration.candidates import Candidate, NextMeasurement
 from plough_opt.studies.calibration.cross_validation import CrossValidation
 from plough_opt.studies.calibration.estimate import Data, Estimate

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import json
 import weakref
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -57,8 +58,9 @@ class Extreme:
     values: dict[str, float]
 
 
-# Failures that a table quotes.
+# Failures that a table and a JSON text quote.
 _QUOTED: Final = 3
+_TOLD: Final = 1000
 
 
 class Sweep(Readable):
@@ -237,6 +239,27 @@ class Sweep(Readable):
         values = self.column(name)
         display = self.origin.display(name, self.units.get(name, ""), *values[np.isfinite(values)].tolist())
         return values / display.factor, display.heading(called(name))
+
+    def to_json(self) -> str:
+        """Return what the sweep found as JSON text: the range of every result and where it lies, SI; the store has all.
+
+        Points that failed or are undetermined are told with their reasons, the first thousand of each.
+        """
+        ranges = {
+            name: {"least": vars(least), "largest": vars(largest)}
+            for name in self.results
+            if (least := self.extreme(name)) and (largest := self.extreme(name, largest=True))
+        }
+        lost = {
+            state: [vars(point) for point in itertools.islice(points, _TOLD)]
+            for state, points in (("failed", self.failures), ("undetermined", self.undetermined))
+        }
+        found = {
+            "schema": 1, "kind": "sweep", "title": self.origin.title, "points": len(self), "complete": self.complete,
+            "units": self.units, "results": ranges, **lost, "notes": self.notes, "question": self.question,
+            "store": None if self.path is None else str(self.path),
+        }  # fmt: skip
+        return json.dumps(found, indent=2, allow_nan=False)
 
     def to_dataframe(self) -> pandas.DataFrame:
         """Return a row for each point: quantities and results, SI, NaN if a point has none.

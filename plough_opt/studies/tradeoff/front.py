@@ -9,9 +9,8 @@ import numpy as np
 
 from plough_opt.core.errors import InputError
 from plough_opt.core.kinds import shown
-from plough_opt.core.origin import Origin
+from plough_opt.core.origin import Origin, versions
 from plough_opt.core.units import Display
-from plough_opt.exchange.results import versions
 from plough_opt.studies.tradeoff import plane, space
 from plough_opt.studies.tradeoff.certificate import FrontPoint
 from plough_opt.studies.tradeoff.goal import Axis

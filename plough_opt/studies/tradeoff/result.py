@@ -125,7 +125,7 @@ class TradeOff(Readable, Front):
         return _FORM.load(path, "front", "a front")
 
 
-_FORM = Form(TradeOff, "trade-off", unsaved=("origin",))
+_FORM = Form(TradeOff, "trade-off")
 
 
 def _heading(axis: Axis) -> str:

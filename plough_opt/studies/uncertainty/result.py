@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 
 from pydantic import FiniteFloat
 
-from plough_opt.core.origin import Origin
+from plough_opt.core.origin import Origin, versions
 from plough_opt.core.picture_files import save
 from plough_opt.core.tables import Grid, Page, Part, Readable, data_frame
 from plough_opt.design import LocalOptimum, Optimum
-from plough_opt.exchange.results import SCHEMA, Saved, SavedRun, read_saved, versions
+from plough_opt.exchange.results import SCHEMA, Kept, SavedRun, read_saved
 from plough_opt.motion import Run
 from plough_opt.motion.vocabulary import MEASURES, called
 from plough_opt.studies.uncertainty.robust import Robust
@@ -95,6 +95,14 @@ class RobustOptimum(Readable):
         heading = f"Robust design: objective {self.best.objective:.9g} ({self.best.status})"
         return Page(heading, tuple(parts), notes, footer, self.origin.title)
 
+    def save(self, path: str | Path) -> Path:
+        """Write what is worth keeping as JSON, making its folder; `plough_opt.load` reads a `SavedRobust`.
+
+        Raises:
+            InputError: the place cannot be written.
+        """
+        return SavedRobust.of(self).save(path)
+
     def _written(self, check: Check) -> Check:
         """Return a check whose limits are written as the question writes them."""
         if check.result not in self.requirements or not check.text.startswith("probability"):
@@ -145,7 +153,7 @@ class RobustOptimum(Readable):
         return frame
 
 
-class SavedRobust(Saved):
+class SavedRobust(Kept):
     """A robust optimum: SI units; the soil's distribution in words, the optima, the checks and the indices."""
 
     kind: Literal["robust optimum"] = "robust optimum"
@@ -164,13 +172,15 @@ class SavedRobust(Saved):
     run: SavedRun
 
     @classmethod
-    def of(cls, found: RobustOptimum, title: str) -> SavedRobust:
+    def of(cls, found: RobustOptimum, title: str = "") -> SavedRobust:
         """Take what is worth keeping."""
         robust = found.robust
         return cls(
             layout=SCHEMA,
-            title=title,
+            title=title or found.origin.title,
             versions=versions(),
+            origin=found.origin,
+            shown=found.page(),
             soil=robust.field.in_words(),
             correlation={" and ".join(pair): value for pair, value in robust.field.correlation.items()},
             samples=len(robust.samples),

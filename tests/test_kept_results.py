@@ -1,0 +1,190 @@
+"""Saved results: what made them, shown again as they were printed, side by side, strictly valid JSON."""
+
+import contextlib
+import hashlib
+import io
+import json
+import math
+import platform
+import shutil
+from pathlib import Path
+
+import pytest
+
+import plough_opt as po
+from plough_opt.app.main import main
+
+ROOT = Path(__file__).parents[1]
+QUICK = ("--set", "effects.motion=false", "--set", "scene.outputs=10")
+
+
+def strict(text):
+    """Return parsed JSON; refuse what is none, such as NaN."""
+
+    def refuse(constant):
+        raise AssertionError(f"{constant} is not JSON")
+
+    return json.loads(text, parse_constant=refuse)
+
+
+def without_damper(name, folder):
+    """Write a problem file of the package without what a quasi-static scene cannot have; return its path."""
+    lines = (ROOT / "problems" / f"{name}.toml").read_text(encoding="utf-8").splitlines()
+    kept = [line for line in lines if not line.startswith(("damping", "force_rms", "deflection"))]
+    path = folder / f"{name}.toml"
+    path.write_text("\n".join(kept) + "\n", encoding="utf-8")
+    return path
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """A folder with a problem file and two optima of it that differ in the tow speed."""
+    where = tmp_path_factory.mktemp("kept")
+    without_damper("cotton_subsoiler", where).rename(where / "share.toml")
+    return where
+
+
+@pytest.fixture(scope="module")
+def printed():
+    """Return what a command prints."""
+
+    def run(*words):
+        out, err = io.StringIO(), io.StringIO()
+        with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+            status = main([str(word) for word in words])
+        assert status == 0, err.getvalue()
+        return out.getvalue()
+
+    return run
+
+
+@pytest.fixture(scope="module")
+def saved(folder, printed):
+    paths = []
+    for name, speed in (("slow", "7.2 km/h"), ("fast", "9 km/h")):
+        words = ("optimise", folder / "share.toml", *QUICK, "--search", "near", "--set", f'scene.tow_speed="{speed}"')
+        paths.append(folder / f"{name}.json")
+        paths[-1].write_text(printed(*words, "--json"), encoding="utf-8")
+    return paths
+
+
+def test_a_saved_result_holds_what_made_it(folder, saved):
+    for path, speed in zip(saved, ("7.2 km/h", "9 km/h"), strict=True):
+        origin = po.load(path).origin
+        text = (folder / "share.toml").read_text(encoding="utf-8")
+        assert origin.text == text
+        assert origin.file == "share.toml"
+        assert origin.sha256 == hashlib.sha256(text.encode()).hexdigest()
+        assert origin.overrides == ("effects.motion=false", "scene.outputs=10", f'scene.tow_speed="{speed}"')
+        assert origin.seed == 0
+        assert origin.made.endswith("+00:00")
+        assert platform.node() == "" or platform.node() not in path.read_text(encoding="utf-8").split()
+
+
+def test_it_can_be_made_again(saved, tmp_path):
+    found = po.load(saved[1])
+    again = tmp_path / "again.toml"
+    again.write_text(found.origin.text, encoding="utf-8")
+    best, _ = po.read_problem(again, found.origin.overrides).optimise(search="near", seed=found.origin.seed)
+    assert best.variables == found.best.variables
+    assert best.objective == found.best.objective
+
+
+def test_show_prints_the_same_tables(folder, saved, printed):
+    words = ("optimise", folder / "share.toml", *QUICK, "--search", "near", "--set", 'scene.tow_speed="9 km/h"')
+    fresh, again = printed(*words).splitlines(), printed("show", saved[1]).splitlines()
+    # The last line of the tables has the time that the solve took.
+    assert again[: len(fresh) - 1] == fresh[:-1]
+    assert again[-2].startswith("Made from share.toml (SHA-256 ")
+    assert '--set scene.tow_speed="9 km/h"' in again[-2]
+    assert "plough_opt" in again[-1]
+    assert strict(printed("show", saved[1], "--json")) == strict(saved[1].read_text(encoding="utf-8"))
+
+
+def test_compare_sets_designs_side_by_side(saved, printed, tmp_path):
+    slow, fast = (po.load(path) for path in saved)
+    picture = tmp_path / "both.svg"
+    text = printed("compare", *saved, "--plot", picture)
+    (row,) = [line for line in text.splitlines() if "tow speed" in line]
+    assert [cell.strip() for cell in row.split("│")[2:4]] == ["7.2 km/h", "9 km/h"]
+    (row,) = [line for line in text.splitlines() if "mean draft" in line]
+    cells = [cell.strip() for cell in row.split("│")[2:4]]
+    assert cells == [f"{one.run.averages.mean_draft / 1e3:.6g} kN" for one in (slow, fast)]
+    # What all have alike is no row.
+    assert "cohesion" not in text
+    assert 'scene.tow_speed="9 km/h"' in text
+    assert "slow.json" in picture.read_text(encoding="utf-8") or picture.stat().st_size > 5000
+    found = strict(printed("compare", *saved, "--json"))
+    assert found["fast.json"]["share.height"] == fast.best.variables["share.height"]
+
+
+def test_compare_refuses_one_file_and_what_is_no_design(saved, capsys, tmp_path):
+    assert main(["compare", str(saved[0])]) == 2
+    assert "two or more" in capsys.readouterr().err
+    assert main(["compare", str(saved[0]), str(saved[1]), "--plot", str(saved[0])]) == 2
+    capsys.readouterr()
+    other = shutil.copy(saved[0], tmp_path / "picture.png")
+    assert main(["compare", str(saved[0]), str(other), "--plot", str(other)]) == 2
+    assert "would overwrite" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("check",),
+        ("simulate", *QUICK),
+        ("sweep", *QUICK, "--over", "soil.cohesion=5..45 kPa:2", "--workers", "1"),
+    ],
+    ids=lambda words: words[0],
+)
+def test_json_of_every_command_is_strict(words, folder, printed, monkeypatch):
+    monkeypatch.chdir(folder)
+    command, *rest = words
+    strict(printed(command, "share.toml", *rest, "--json"))
+
+
+def test_a_sweep_is_shown_from_its_store(folder, printed, monkeypatch):
+    monkeypatch.chdir(folder)
+    printed("sweep", "share.toml", *QUICK, "--over", "soil.cohesion=5..45 kPa:2", "--workers", "1", "--store", "s.db")
+    assert "2 points, 0 failed" in printed("show", "s.db")
+    assert strict(printed("show", "s.db", "--json"))["points"] == 2
+
+
+def test_a_design_in_python_keeps_its_declarations(tmp_path):
+    d = po.Design()
+    height = d.variable("height", guess="250 mm", lower="100 mm", upper="500 mm")
+    cohesion = d.parameter("cohesion", "20 kPa")
+    d.minimise(height * cohesion / 1e3)
+    d.require("half height", height / 2.0, at_least="60 mm")
+    best = d.solve(search="near", seed=3, parameters={"cohesion": 3e4})
+    found = po.load(best.save(tmp_path / "deep" / "best.json"))
+    declared = found.origin.declarations
+    assert declared["height"]["kind"] == "variable"
+    assert [declared["height"][key] for key in ("lower", "upper", "unit")] == [0.1, 0.5, "m"]
+    assert declared["cohesion"]["value"] == 3e4
+    assert declared["half height"]["at_least"] == 0.06
+    assert "height" in declared["objective"]["expression"]
+    assert found.origin.seed == 3
+    assert str(found) == str(best)
+    assert found.best.variables == best.variables
+
+
+def test_a_run_in_python_keeps_its_scene(tmp_path):
+    scene = po.Scene(po.named_soil("serozem"), po.Cone(po.deg(10), 0.25), 5e4, 20.0, 2.0, po.Effects(damping=400.0))
+    run = po.simulate(scene, 0.2, outputs=5)
+    found = po.load(run.save(tmp_path / "run.json"))
+    assert found.quantities["scene.stiffness"] == 5e4
+    assert found.quantities["soil.friction_angle"] == math.radians(28.0)
+    assert found.quantities["effects.damping"] == 400.0
+    assert "damping=400.0" in found.scene[1]
+    assert str(found) == str(run)
+    assert found.mount_force == run.mount_force.tolist()
+
+
+def test_a_front_and_its_units_are_read_back(printed, tmp_path):
+    output = tmp_path / "front.json"
+    path = without_damper("draft_against_loosening", tmp_path)
+    text = printed("tradeoff", path, "--points", "5", *QUICK, "--output", output)
+    shown = printed("show", output)
+    assert text.splitlines()[:12] == shown.splitlines()[:12]
+    assert po.load(output).origin.overrides == ("effects.motion=false", "scene.outputs=10")

@@ -335,7 +335,7 @@ class TestBadInput:
 
     @pytest.mark.parametrize(
         "arguments",
-        [[], ["optimse", "x"], ["check"], ["check", "a", "b"], ["check", "x", "--json"], ["simulate", "x", "--set"]],
+        [[], ["optimse", "x"], ["check"], ["check", "a", "b"], ["check", "x", "--jason"], ["simulate", "x", "--set"]],
         ids=["none", "verb", "file", "files", "option", "value"],
     )
     def test_wrong_usage_is_explained(self, capsys, arguments):

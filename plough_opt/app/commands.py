@@ -41,7 +41,7 @@ def soils(options: argparse.Namespace) -> None:
 
 
 def check(options: argparse.Namespace) -> None:
-    """Say whether a file is right, what its scene contains and what its guess is like."""
+    """Check a file; print what its scene contains and what its guess is like."""
     against = asked_of(options)
     problem = read(options)
     comparison = None

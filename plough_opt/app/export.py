@@ -39,7 +39,7 @@ def add_options(verb: argparse.ArgumentParser) -> None:
 
 
 def export(options: argparse.Namespace) -> None:
-    """Write a file's scene for another tool; nothing is written unless everything is right."""
+    """Write a file's scene for another tool; nothing is written if anything fails."""
     chosen = FORMATS[options.to]
     given = _options(options)
     problem = read(options)

@@ -75,7 +75,7 @@ def own_results(problem: Problem, run: Run) -> tuple[Grid, ...]:
 def print_check(console: Console, problem: Problem) -> None:
     """Print what a file's scene contains and how it would be integrated."""
     scene = problem.scene()
-    console.print(f"[bold]{escape(problem.title)}[/]: {escape(problem.name)} is right.")
+    console.print(f"[bold]{escape(problem.title)}[/]: {escape(problem.name)} is valid.")
     console.print(_scene_table(problem, scene))
     table = Table(title="What is simulated", show_header=False)
     table.add_column()

@@ -12,7 +12,7 @@ from plough_opt.core.labels import Call, Label, label_of, without_labels
 from plough_opt.motion.embedding import Embedding, embedding_of
 from plough_opt.motion.integrators import Integration
 
-_GIVEN_RESULTS = "a run of this design is given results of another run: a design takes runs side by side only"
+_GIVEN_RESULTS = "a run in a design cannot depend on the results of another run: give both the same variables instead"
 
 
 @dataclass(frozen=True)

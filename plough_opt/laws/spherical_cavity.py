@@ -89,7 +89,7 @@ def spherical_cavity_draft(cone: Cone, soil: Soil, speed: Expression) -> Express
     """Return the draft [N] pi R^2 (tau0 A + B rho0 (V sin beta)^2)(1 + mu0 cot beta) of a cone, R = h tan(beta).
 
     The face pushes the soil at V sin(beta) along its normal, as in penetration mechanics. Like this toolkit's own
-    model it knows no depth, no free surface and no shank.
+    model it ignores working depth, the free surface and the shank.
 
     Args:
         cone: the share's equivalent cone.

@@ -259,9 +259,9 @@ class Effects:
                 )
             if (found := _indistinct(effect)) is not None:
                 raise InputError(
-                    f"own effect {type(effect).__name__} holds {found}, which may print as another does, and effects"
-                    " are told apart by what they print: give single numbers, or tuples of them; a table as a function"
-                    " that looks it up, as lambda travel: table(travel)"
+                    f"own effect {type(effect).__name__} holds {found}, and effects are compared by their repr,"
+                    " which may be the same for another one: give single numbers, or tuples of them, and wrap a lookup"
+                    " table in a function, as lambda travel: table(travel)"
                 )
         if self.own and isinstance(self.contact, StickSlip):
             for effect in self.own:

@@ -82,7 +82,7 @@ class Scene:
             self.check_stationary()
 
     def _check_kinds(self) -> None:
-        """Refuse something else in the place of the soil, the share or the effects."""
+        """Raise InputError if soil, share or effects has the wrong type."""
         for name, wanted, kinds in (
             ("soil", "a Soil, for instance named_soil('serozem')", Soil),
             ("share", "a Wedge or a Cone", Wedge | Cone),

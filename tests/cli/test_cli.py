@@ -150,7 +150,7 @@ class TestCheck:
         shutil.copy(cotton, name)
         done = cli("check", name)
         assert done.status == 0
-        assert f"{name} is right" in done.out
+        assert f"{name} is valid" in done.out
         assert f"plough-opt optimise {name}" in done.out
 
     def test_brackets_in_a_title_are_shown(self, cli, cotton):

@@ -430,7 +430,7 @@ def test_a_run_of_a_run_is_refused(small, r1_soil):
     scene = po.Scene(r1_soil, case.scene.share, case.k0, 20.0 + case.run.mean_draft / 1e3, 2.0, case.scene.effects)
     second = po.simulate(scene, 0.5, accuracy=FIXED, outputs=5)
     case.design.minimise(second.mean_draft)
-    with pytest.raises(po.InputError, match="runs side by side only"):
+    with pytest.raises(po.InputError, match="cannot depend"):
         case.design.solve()
 
 

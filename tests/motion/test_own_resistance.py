@@ -184,7 +184,7 @@ class Named:
     ids=lambda field: type(field).__name__,
 )
 def test_fields_that_may_print_alike_are_refused(field):
-    with pytest.raises(po.InputError, match=r"own effect Looked holds a .*which may print as another does"):
+    with pytest.raises(po.InputError, match=r"own effect Looked holds a .*compared by their repr"):
         po.Effects(own=(Looked(field),))
 
 

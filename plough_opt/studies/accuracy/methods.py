@@ -38,7 +38,7 @@ FACTORS: Final = (0.125, 0.25, 0.5, 1.0, 2.0, 4.0)
 """Settings tried: wanted errors of "auto", relative tolerances, and multiples of the steps taken by default."""
 
 DEFAULT: Final = Accuracy(error=DEFAULT_ERROR)
-"""What `simulate` takes unasked."""
+"""The default of `simulate`."""
 
 GRADIENT_TOLERANCES: Final = (1e-6, 1e-9)
 GRADIENT_FACTORS: Final = (0.5, 1.0, 2.0)

@@ -53,7 +53,7 @@ class Panel:
         front: the efficient ones, from the fastest on.
         floor: relative error of the reference itself [-].
         wanted: relative error that is asked for [-].
-        default: method and setting that the toolkit takes unasked.
+        default: method and setting that the toolkit takes by default.
     """
 
     title: str

@@ -43,7 +43,7 @@ class Question:
         reference: name of the reference, a key of `AccuracyStudy.floors`.
         columns: of a table: keys of `Entry.errors`, and what stands above them.
         ranked: what the error is, if it is none of the columns.
-        default: method and setting that the toolkit takes unasked.
+        default: method and setting that the toolkit takes by default.
     """
 
     title: str
@@ -70,7 +70,7 @@ class AccuracyStudy(Readable):
             by the key "motion, trajectory" that of its mount forces, of an optimum that of the objective, and by
             "optimum, variables" that of the variables.
         notes: sentences on what has no reference.
-        defaults: what is ranked, in the order of `questions`: method and setting that the toolkit takes unasked.
+        defaults: what is ranked, in the order of `questions`: method and setting that the toolkit takes by default.
         versions: of packages, and the machine.
         thoroughness: of a design, what each effort of a search finds, and in what time.
         origin: what made it.

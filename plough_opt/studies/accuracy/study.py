@@ -142,7 +142,7 @@ def study_design(
 
 
 def _defaults(task: Task) -> Iterator[tuple[str, tuple[str, str]]]:
-    """Yield, by reference, what the toolkit takes unasked."""
+    """Yield the default method for each reference."""
     yield MOTION, ("auto", f"error {DEFAULT_ERROR:.0e}")
     yield DERIVATIVES, ("auto", "default")
     yield CONTACT, ("graded cells", "")

@@ -366,4 +366,4 @@ class SurfaceTracer(Reaching):
         return [sample for sample in self.found if id(sample) in best]
 
     def look_inward(self) -> None:
-        """Leave the edges as they are: where they meet no position, their weights say what is given up for what."""
+        """Keep edge points unchanged; their weights already give the trade-off rates."""

@@ -163,6 +163,22 @@ def with_numbers(template: Any, quantities: Sequence[float]) -> Any:
     return map_expressions(template, lambda _: float(next(numbers)), is_quantity)
 
 
+def classes_in(value: Any) -> tuple[type, ...]:
+    """Return the classes of the dataclasses nested in a value: of two that print alike they may differ."""
+    found: list[type] = []
+    waiting = [value]
+    while waiting:
+        item = waiting.pop()
+        if dataclasses.is_dataclass(item) and not isinstance(item, type):
+            found.append(type(item))
+            waiting += [getattr(item, field.name) for field in dataclasses.fields(item)]
+        elif isinstance(item, Mapping):
+            waiting += item.values()
+        elif isinstance(item, list | tuple):
+            waiting += item
+    return tuple(found)
+
+
 def column(values: NDArray[np.float64], symbolic: bool) -> Expression:
     """Return an array as it is, or as a CasADi column that may meet symbols."""
     return ca.DM(values) if symbolic else values

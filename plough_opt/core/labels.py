@@ -15,6 +15,7 @@ import casadi as ca
 
 from plough_opt.core.expressions import (
     Expression,
+    classes_in,
     holds_casadi,
     is_symbolic,
     map_expressions,
@@ -222,7 +223,7 @@ def checked_in_designs(
             return function
 
         map_expressions(template, noted, callable)
-        key = law.__module__, law.__qualname__, repr(template), tuple(functions)
+        key = law.__module__, law.__qualname__, repr(template), classes_in(template), tuple(functions)
         meaning = Call(check or law, template)
         checked: _Result = map_expressions(result, lambda value: attach(value, carried, meaning, key))
         return checked

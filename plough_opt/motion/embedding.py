@@ -9,7 +9,7 @@ import casadi as ca
 
 from plough_opt.core import expressions
 from plough_opt.core.errors import InputError
-from plough_opt.core.expressions import Expression, is_symbolic, template_of
+from plough_opt.core.expressions import Expression, classes_in, is_symbolic, template_of
 from plough_opt.core.labels import Meanings, attach
 from plough_opt.motion.integrators import Integration
 from plough_opt.motion.methods import is_stepped
@@ -87,9 +87,9 @@ def embedding_of(function: ca.Function) -> Embedding | None:
 
 
 def _key(template: Scene) -> Hashable:
-    """Return what tells templates apart: their print, and the function of a density profile, which may print alike."""
+    """Return what tells templates apart: their print, and the classes and the function of a density profile in them."""
     profile = template.soil.density_profile
-    return repr(template), None if profile is None else id(profile.density)
+    return repr(template), classes_in(template), None if profile is None else id(profile.density)
 
 
 def _build(solver: Integration, count: int) -> ca.Function:

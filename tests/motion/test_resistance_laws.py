@@ -10,6 +10,7 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import minimize_scalar
 
 import plough_opt as po
+from plough_opt.core.domain import check_domain
 from plough_opt.laws import (
     LAWS,
     AsabeD497,
@@ -235,3 +236,31 @@ def test_every_named_law_says_what_it_is(name):
     assert law.label
     # The toolkit's own two media need no other source than its documentation.
     assert name in ("plastic", "elastic") or (law.source and law.standing)
+
+
+def limited(largest):
+    """Return a law's class; another one of the same name, as a notebook defines it when a cell is run again."""
+
+    @dataclasses.dataclass(frozen=True)
+    class Limited(ResistanceLaw):
+        newtons: object
+        label = "a law with a domain"
+
+        def reaction(self, at):
+            del at
+            check_domain("force", self.newtons, "N", at_most=largest)
+            return po.SoilReaction(static=self.newtons)
+
+    return Limited
+
+
+def test_a_class_that_is_defined_anew_is_another_law():
+    def solve(kind):
+        design = po.Design()
+        force = design.variable("force", guess=2e3, lower=1e3, upper=5e3, unit="N")
+        design.minimise(po.simulate(scene(kind(force)), 0.2).mean_draft)
+        return design.solve()
+
+    assert solve(limited(1e9)).variables["force"] == pytest.approx(1e3)
+    with pytest.raises(po.DomainError, match=r"upper bound of 'force'.*force = 5000 N"):
+        solve(limited(4e3))

@@ -131,6 +131,7 @@ def test_compare_refuses_one_file_and_what_is_no_design(saved, capsys, tmp_path)
 @pytest.mark.parametrize(
     "words",
     [
+        ("export", "--to", "casadi", "--output", "share.casadi"),
         ("check",),
         ("simulate", *QUICK),
         ("sweep", *QUICK, "--over", "soil.cohesion=5..45 kPa:2", "--workers", "1"),
@@ -141,6 +142,12 @@ def test_json_of_every_command_is_strict(words, folder, printed, monkeypatch):
     monkeypatch.chdir(folder)
     command, *rest = words
     strict(printed(command, "share.toml", *rest, "--json"))
+
+
+def test_init_and_soils_print_json(printed, monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    assert strict(printed("init", "new.toml", "--json")) == {"wrote": ["new.toml"]}
+    assert {soil["name"] for soil in strict(printed("soils", "--json"))} == set(po.soil_names())
 
 
 def test_a_sweep_is_shown_from_its_store(folder, printed, monkeypatch):

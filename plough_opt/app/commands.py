@@ -26,6 +26,9 @@ from plough_opt.soil.soil import named_soil, soil_names
 def init(options: argparse.Namespace) -> None:
     """Write the template; an existing file is left alone."""
     path = write_new(options.file, "problem file", TEMPLATE)
+    if options.json:
+        print(json.dumps({"wrote": [str(path)]}))
+        return
     line = f"wrote {path}; next: plough-opt optimise {shlex.quote(str(path))}"
     console().print(printable(line), markup=False, soft_wrap=True)
 

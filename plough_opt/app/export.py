@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import json
 from functools import partial
 from typing import Any, Final
 
@@ -21,6 +22,7 @@ _OPTIONS: Final = tuple(sorted({option for own in FORMATS.values() for option in
 def add_options(verb: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
     told = "; ".join(f"{name}: {own}" for name, own in FORMATS.items())
+    verb.add_argument("--json", action="store_true", help="print what was written as JSON")
     verb.add_argument("--to", required=True, choices=FORMATS, metavar="FORMAT", help=told)
     verb.add_argument("--output", required=True, metavar="PATH", help="file or folder to write")
     verb.add_argument(
@@ -56,6 +58,10 @@ def export(options: argparse.Namespace) -> None:
         options=given,
     )
     written = chosen.write(request)
+    if options.json:
+        paths = [str(path) for path in written.paths]
+        print(json.dumps({"wrote": paths, "says": written.said, "next": written.next}, indent=2, allow_nan=False))
+        return
     if written.said:
         console().print(printable(written.said), markup=False, soft_wrap=True)
     for path in written.paths:

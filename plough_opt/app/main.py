@@ -91,6 +91,7 @@ def _parser() -> argparse.ArgumentParser:
 
     init = verbs.add_parser("init", help="write a commented problem file to start from", parents=[common])
     init.add_argument("file", metavar="FILE", help="file to write; it must not exist")
+    init.add_argument("--json", action="store_true", help="print what was written as JSON")
     init.set_defaults(run=commands.init)
 
     soils = verbs.add_parser("soils", help="list the named soils and where their values come from", parents=[common])

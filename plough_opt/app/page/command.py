@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import hashlib
+import json
 from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
@@ -17,6 +18,7 @@ from plough_opt.problem_file import Problem
 def add_options(verb: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
     verb.add_argument("-o", "--output", required=True, metavar="FILE.html", help="page to write")
+    verb.add_argument("--json", action="store_true", help="print what was written, and what made it, as JSON")
     verb.add_argument("--seed", type=int, default=0, metavar="N", help="of the search's samples (default: 0)")
     verb.add_argument("--no-accuracy", action="store_true", help="leave out the study of what accuracy costs")
 
@@ -38,7 +40,10 @@ def report(options: argparse.Namespace) -> None:
     with progress() as told:
         found = reported(problem, told, seed=options.seed, accuracy=not options.no_accuracy)
     found = replace(found, provenance=_provenance(options, text), text=text)
-    wrote(write_page(found, options.output))
+    path = write_page(found, options.output)
+    if options.json:
+        print(json.dumps({"wrote": [str(path)], "provenance": found.provenance}, indent=2, allow_nan=False))
+    wrote(path)
 
 
 def _check(problem: Problem) -> None:

@@ -2,7 +2,7 @@
 /* The share, its cone and the compacted soil, drawn by OGL; turned by mouse, touch, keys and buttons. */
 (() => {
   const figure = document.getElementById("solid"), canvas = figure.querySelector("canvas");
-  const START = { turn: 0.38, tilt: 0.52, far: 0.68 };
+  const START = { turn: 2.25, tilt: 0.36, far: 0.8 };
   const view = { ...START };
   let renderer;
   try {
@@ -53,6 +53,10 @@
     made.position.set(-(low + high) / 2, body.id === "share" ? -(down + up) / 2 : 0, body.id === "share" ? gap / 2 : -gap / 2);
     made.setParent(scene);
   }
+  /* An arrow along the direction of travel, between the bodies. */
+  const long = Math.max(...DATA.bodies.map((b) => extent(b, 0)[1])), above = 1.05 * reach, head = 0.08 * long;
+  const arrow = [[0.4, 0], [-0.5, 0], [-0.5, 0], [-0.5 + head / long, 0.5 * head], [-0.5, 0], [-0.5 + head / long, -0.5 * head]].flatMap(([x, z]) => [x * long, above, z]);
+  new ogl.Mesh(gl, { mode: gl.LINES, program: material("#12202c", 1, 0), geometry: new ogl.Geometry(gl, { position: { size: 3, data: new Float32Array(arrow) }, normal: { size: 3, data: new Float32Array(arrow.length).fill(0.5) } }) }).setParent(scene);
   const size = Math.hypot(Math.max(...DATA.bodies.map((b) => extent(b, 0)[1])), gap + half + reach, 2 * reach) / 2;
   const camera = new ogl.Camera(gl, { fov: 28, near: 0.01 * size, far: 40 * size });
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import COUNT, Expression, as_number, is_casadi, is_count, is_symbolic, maximum, minimum
-from plough_opt.core.kinds import check_choice, check_switch, shown
+from plough_opt.core.kinds import check_choice, check_kind, check_switch, shown
 from plough_opt.core.quantities import MOST_WAVES, settle
 from plough_opt.laws.printed import Formulation, Printed, errors_of
 from plough_opt.soil.random_strength import RandomStrength, Spectrum
@@ -239,11 +239,8 @@ class Effects:
                 f"strength_wave = {shown(self.strength_wave)} must be None or a StrengthWave, as"
                 " StrengthWave(amplitude=0.3, wavelength=0.2), or a tuple of several"
             )
-        if not isinstance(self.random_strength, RandomStrength | Spectrum | None):
-            raise InputError(
-                f"random_strength = {shown(self.random_strength)} must be None, a RandomStrength, as"
-                " RandomStrength(rms=0.2, correlation_length=0.3), or a Spectrum"
-            )
+        wanted = "None, a RandomStrength, as RandomStrength(rms=0.2, correlation_length=0.3), or a Spectrum"
+        check_kind("random_strength", self.random_strength, RandomStrength | Spectrum | None, wanted)
         if len(self.waves) > MOST_WAVES:
             raise InputError(f"strength_wave has {len(self.waves)} waves: give the {MOST_WAVES} largest at most")
 

@@ -6,6 +6,7 @@ import dataclasses
 import threading
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from operator import attrgetter
 from typing import TypeVar
 
 import casadi as ca
@@ -201,7 +202,4 @@ _OF_SCENE: dict[str, Callable[[Scene], Expression]] = {
     "moving_mass": lambda scene: scene.mass,
     "added_mass": lambda scene: scene.carried_soil,
 }
-_OF_RANDOM: dict[str, Callable[[Scene], Expression]] = {
-    "stationary_force_rms": lambda scene: scene.stationary_force_rms,
-    "stationary_displacement_rms": lambda scene: scene.stationary_displacement_rms,
-}
+_OF_RANDOM = {name: attrgetter(name) for name, one in MEASURES.items() if one.random}

@@ -9,6 +9,7 @@ from scipy.integrate import solve_ivp
 
 import plough_opt as po
 
+HEADINGS = "position [m], cone_index [kPa]"
 TRUE = ((0.2, 0.73, 0.4), (0.1, 2.1, -1.2))
 
 
@@ -101,6 +102,9 @@ def test_the_waves_go_into_a_scene():
         ("position [m], cone_index [kPa]\n1, 2, 3\n", (), "line 2: the number of cells is 3"),
         ("position [m], strength [kPa]\n1, 2\n", (), "column 'strength .kPa.': no such column"),
         ("position [m], cone_index [kPa]\n1, 2\n2, 3\n", (), "2 points"),
+        ("position [m], cone_index [kPa]\n1, 2\n\n3, 3\n3, 4\n", (), "line 5: position must rise, and 3 follows 3"),
+        pytest.param(f"{HEADINGS}\n" + "1, 2, 3" * 2000, (), "line 2: it has 14000 characters", id="long line"),
+        pytest.param(f"{HEADINGS}\n" + "1, 2\n" * 2_000_000, (), "at most 10 MB of readings can be read", id="huge"),
         ("position [m], force [kN]\n1, 2\n", (), "a force is the response of the mount"),
         ("time [s], cone_index [kPa]\n1, 2\n", (), "need the tow speed"),
         (None, ("--mass", "20 kg"), "a rig needs --stiffness, --tow-speed too"),

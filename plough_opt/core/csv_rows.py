@@ -66,6 +66,33 @@ def read_rows(path: Path, what: str) -> list[tuple[int, list[str]]]:
     return [(k, next(csv.reader([line], delimiter=delimiter, skipinitialspace=True))) for k, line in lines]
 
 
+def readings_of(path: Path, example: str) -> tuple[str, list[str], list[tuple[int, list[str]]]]:
+    """Return the place of a file's headings, the headings, and the rows below with their line numbers.
+
+    Args:
+        path: the file.
+        example: headings that it may have.
+
+    Raises:
+        InputError: as `read_rows`, or a file without readings.
+    """
+    rows = read_rows(path, "readings")
+    if len(rows) < 2:
+        raise InputError(f"{path}: there are no readings: write a first line that names the columns, as {example}")
+    return f"{path}, line {rows[0][0]}", rows[0][1], rows[1:]
+
+
+def check_rising(path: Path, lines: Sequence[int], values: NDArray[np.float64], what: str) -> None:
+    """Refuse values that do not rise from line to line, at the first that does not.
+
+    Raises:
+        InputError: as said.
+    """
+    for k in np.flatnonzero(np.diff(values) <= 0.0)[:1] + 1:
+        beside = f"{values[k]:g} follows {values[k - 1]:g}"
+        raise InputError(f"{path}, line {lines[k]}: {what} must rise, and {beside}: put the rows in order")
+
+
 def factor_of(name: str, written: str | None, unit: Unit) -> float:
     """Return the factor to SI of a column's unit as its heading writes it.
 

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from plough_opt.core.csv_rows import columns_of, raise_listed, read_rows, table_of
+from plough_opt.core.csv_rows import check_rising, columns_of, raise_listed, readings_of, table_of
 from plough_opt.core.domain import plain_number
 from plough_opt.core.errors import InputError
 from plough_opt.core.kinds import path_of, shown
@@ -97,17 +97,16 @@ def read_penetrometer(path: str | Path, depth: tuple[float, float]) -> Penetrome
     low, high = (plain_number("depth", end) for end in ends) if len(ends) == 2 else (0.0, 0.0)
     if not 0.0 <= low < high:
         raise InputError(f"depth = {shown(depth)}: give two depths in metres, the shallower first, from 0 on")
-    rows = read_rows(path, "penetrometer readings")
-    if len(rows) < 2:
-        raise InputError(f"{path}: there are no readings: write a first line that names the columns, as {_EXAMPLE}")
-    line, headings = rows[0]
-    columns = _columns(f"{path}, line {line}", headings)
-    table = table_of(path, rows[1:], columns, lambda k, value, cell: _check(columns[k][0], value, cell))
-    curves = _curves([name for name, _ in columns], table)
+    place, headings, rows = readings_of(path, _EXAMPLE)
+    columns = _columns(place, headings)
+    table = table_of(path, rows, columns, lambda k, value, cell: _check(columns[k][0], value, cell))
+    names, lines = [name for name, _ in columns], np.array([line for line, _ in rows])
     means, errors = [], []
-    for label, z, pressure in curves:
+    for label, own, column in _curves(names, table):
+        z = table[own, names.index("depth")]
+        check_rising(path, lines[own].tolist(), z, "depths of an insertion")
         try:
-            means.append(_mean(z, pressure, low, high))
+            means.append(_mean(z, table[own, column], low, high))
         except InputError as error:
             errors.append(f"{path}, insertion {label:g}: {error}")
     raise_listed(errors)
@@ -162,21 +161,17 @@ def _check(name: str, value: float, cell: str) -> None:
         raise InputError(f"{cell} must be at least 0")
 
 
-def _curves(names: Sequence[str], table: Vector) -> list[tuple[float, Vector, Vector]]:
-    """Return number, depths and cone indices of every insertion."""
-    depth = table[:, names.index("depth")]
-    pressures = [k for k, name in enumerate(names) if name == "cone_index"]
+def _curves(names: Sequence[str], table: Vector) -> list[tuple[float, NDArray[np.bool_], int]]:
+    """Return number, rows and column of every insertion."""
+    columns = [k for k, name in enumerate(names) if name == "cone_index"]
     if "insertion" in names:
         which = table[:, names.index("insertion")]
-        chosen = [(float(label), which == label) for label in dict.fromkeys(which)]
-        return [(label, depth[rows], table[rows, pressures[0]]) for label, rows in chosen]
-    return [(k + 1.0, depth, table[:, column]) for k, column in enumerate(pressures)]
+        return [(float(label), which == label, columns[0]) for label in dict.fromkeys(which)]
+    return [(k + 1.0, np.full(len(table), True), column) for k, column in enumerate(columns)]
 
 
 def _mean(depth: Vector, pressure: Vector, low: float, high: float) -> float:
     """Return the mean of a curve between two depths [Pa]."""
-    if np.any(np.diff(depth) <= 0.0):
-        raise InputError("its depths must rise from row to row; another insertion has another number")
     if not (depth[0] <= low and high <= depth[-1]):
         raise InputError(
             f"its readings reach from {100 * depth[0]:.4g} to {100 * depth[-1]:.4g} cm, and the depth asked for from"

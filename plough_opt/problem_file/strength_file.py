@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from plough_opt.core.csv_rows import columns_of, read_rows, table_of
+from plough_opt.core.csv_rows import check_rising, columns_of, readings_of, table_of
 from plough_opt.core.errors import InputError
 from plough_opt.core.kinds import path_of
 from plough_opt.core.units import Unit
@@ -35,16 +35,14 @@ def read_strength_record(path: str | Path, rig: Rig | None = None, *, tow_speed:
             without a speed.
     """
     path = path_of("the file of readings", path)
-    rows = read_rows(path, "readings")
-    if len(rows) < 2:
-        raise InputError(f"{path}: there are no readings: write a first line that names the columns, as {_EXAMPLE}")
-    line, headings = rows[0]
-    columns = columns_of(f"{path}, line {line}", headings, _UNITS)
+    place, headings, rows = readings_of(path, _EXAMPLE)
+    columns = columns_of(place, headings, _UNITS)
     names = [name for name, _ in columns]
     along = [name for name in names if name in ("position", "time")]
     if len(names) != 2 or len(along) != 1:
-        raise InputError(f"{path}, line {line}: a place and a strength are needed, as {_EXAMPLE}")
-    table = table_of(path, rows[1:], columns, lambda _k, _value, _cell: None)
+        raise InputError(f"{place}: a place and a strength are needed, as {_EXAMPLE}")
+    table = table_of(path, rows, columns, lambda _k, _value, _cell: None)
+    check_rising(path, [line for line, _ in rows], table[:, names.index(along[0])], along[0])
     found = dict(zip(names, table.T, strict=True))
     if "force" in found and rig is None:
         raise InputError(

@@ -31,10 +31,12 @@ KEYS = [
     "variables.share.height", "accuracy.method", "accuracy.error", "accuracy.steps", "effects.contact",
     "effects.motion", "effects.orbit", "effects.harmonics", "scene.medium", "scene.outputs", "effects.start",
     "effects.entry", "soil.name", "effects", "uncertain.samples", "trade_off.points", "variables", "minimise",
-    "effects.strength_wave",
+    "effects.strength_wave", "effects.random_strength", "effects.random_strength.record",
 ]  # fmt: skip
 # What tells a reader where a mistake is, and what may stand there instead.
-PLACE = re.compile(r"FILE(, line \d+|:|' is not|' cannot be read|' is too long)|--set |problems/cotton_subsoiler")
+PLACE = re.compile(
+    r"FILE(, line \d+|, insertion|:|' is not|' cannot be read|' is too long)|--set |problems/cotton_subsoiler"
+)
 REMEDY = re.compile(
     r"did you mean|valid names|\b(write|must|expected|give|take|leave|remove|name|add|lower|raise|join|set|check"
     r"|belongs?|outside its bounds|contradict|expected|known|needs?|needed|make|least|cannot be|say|choose)\b"
@@ -122,6 +124,23 @@ def test_tables_of_measurements(count, tmp_path):
     def answer(rng, path):
         path.write_text(mutated(rng.choice(TABLES), rng), encoding="utf-8", errors="surrogatepass", newline="")
         return refused(po.read_measurements, path)
+
+    run(count, answer, tmp_path)
+
+
+@thinned(60, 500)
+def test_readings_of_a_penetrometer(count, tmp_path):
+    """Downwards and along a path, from the file to what a scene takes of it."""
+    readers = {
+        "insertions.csv": lambda path: po.read_penetrometer(path, (0.25, 0.45)).mean,
+        "transect.csv": lambda path: po.strength_waves(po.read_strength_record(path), 0.1, base_diameter=0.13),
+    }
+    texts = {name: (PROBLEMS / name).read_text(encoding="utf-8") for name in readers}
+
+    def answer(rng, path):
+        name = rng.choice([*readers])
+        path.write_text(mutated(texts[name], rng), encoding="utf-8", errors="surrogatepass", newline="")
+        return refused(readers[name], path)
 
     run(count, answer, tmp_path)
 

@@ -112,7 +112,10 @@ def test_the_insertions_spread_makes_the_design_robust(write):
         ("depth [cm], cone_index [kPa]\n0, 1\n10, -5\n", "-5 must be at least 0"),
         ("depth [cm], cone_index [kPa]\n0, 1\n60, nan\n", "not a finite number"),
         ("depth [cm], cone_index [kPa]\n0, 1\n20, 5\n", "insertion 1: its readings reach from 0 to 20 cm"),
-        ("depth [cm], cone_index [kPa]\n0, 1\n60, 5\n30, 5\n", "depths must rise"),
+        (
+            "depth [cm], cone_index [kPa]\n0, 1\n60, 5\n30, 5\n",
+            r"line 4: depths of an insertion must rise, and 0\.3 follows 0\.6",
+        ),
         ("depth [cm], cone_index [kPa]\n0, 0\n60, 0\n", "its mean cone index is 0"),
         ("insertion, depth [cm], cone_index [kPa], cone_index [kPa]\n1, 0, 1, 2\n", "leave it out"),
         ("depth [cm], cone_index [kPa]\n" + "1, 2, 3" * 2000, "line 2: it has 14000 characters"),

@@ -80,7 +80,7 @@ class TestAFile:
     def test_places_that_are_none_are_refused(self, tmp_path):
         (tmp_path / "a").write_text("before")
         (tmp_path / "round").symlink_to("round")
-        wrong = {"": "folder", "a/b": "is no folder", "round": "round in a circle", "x" * 300: "too long"}
+        wrong = {"": "folder", "a/b": "is not a folder", "round": "in a circle", "x" * 300: "too long"}
         for name, why in wrong.items():
             with pytest.raises(po.InputError, match=rf"the table '.*' cannot be written: .*({why})"):
                 write_file(tmp_path / name, "table", "after")

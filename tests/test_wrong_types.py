@@ -66,7 +66,7 @@ def test_several_values_are_found_wherever_they_are():
 
 @pytest.mark.parametrize("value", [[0.2], (0.2,), [0.2, 0.3]])
 def test_lists_are_no_numbers(value):
-    with pytest.raises(po.DomainError, match=r"half angle = .* must be a number or a NumPy array of them, in rad"):
+    with pytest.raises(po.DomainError, match=r"half angle = .* must be a number or a NumPy array, in rad"):
         po.Cone(value, 0.25)
     with pytest.raises(po.DomainError, match=r"speed = .* must be a number or a NumPy array"):
         po.resistance(CONE, SOIL, value, 0.0)

@@ -78,7 +78,7 @@ def check_outputs(options: argparse.Namespace) -> None:
         taken[place] = f"the file of --{name} too"
         around = next(folder for folder in (place.parent, *place.parents) if folder.exists())
         if not around.is_dir():
-            raise InputError(f"--{name} '{written}' cannot be written: '{around}' is no folder")
+            raise InputError(f"--{name} '{written}' cannot be written: '{around}' is not a folder")
         if name == "store" and place.is_file():
             continue  # a complete one is only read
         # A file is replaced by a whole one, so its folder must take a new file too.

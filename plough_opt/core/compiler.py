@@ -20,9 +20,10 @@ Variant = tuple[tuple[str, ...], tuple[str, ...]]
 """Flags and libraries of an attempt to compile."""
 
 NO_COMPILER = "no C compiler was found ($CC, cc, gcc, clang): the model is interpreted, which takes longer"
-"""What a reader of results must know who asked for machine code."""
+"""Warning about results for which machine code was requested."""
 
 _FLAGS = ("-shared", "-fPIC")
+# Limit on the time of the compiler [s].
 _LONGEST = 300.0
 _DIGEST = hashlib.sha256().digest_size
 
@@ -31,27 +32,27 @@ def find_compiler() -> tuple[str, ...] | None:
     """Return the command of the system's C compiler, ``$CC`` first, or None without one.
 
     Raises:
-        InputError: ``$CC`` is no command line.
+        InputError: ``$CC`` is not a command line.
     """
     for command in (os.environ.get("CC", ""), "cc", "gcc", "clang"):
         try:
             words = shlex.split(command)
         except ValueError as error:
-            raise InputError(f"$CC = {command!r} is no command: {error}; set it to one, or unset it") from None
+            raise InputError(f"$CC = {command!r} is not a command: {error}; set it to one, or unset it") from None
         if words and (found := shutil.which(words[0])) is not None:
             return (found, *words[1:])
     return None
 
 
 def library(source: str, variants: tuple[Variant, ...]) -> Path | None:
-    """Return the library of a C source, from the cache if it is there; None if nothing compiles it.
+    """Return the library of a C source, from the cache if it is there; None if it cannot be compiled.
 
-    The cache is ``$XDG_CACHE_HOME/plough_opt``, or a folder of this process where that cannot be written. A library
-    is moved there whole, so that processes may share it, and is compiled again if its digest does not fit.
+    The cache is ``$XDG_CACHE_HOME/plough_opt``, or a folder of this process if that cannot be written. A complete
+    library is moved there, so that processes may share it, and is compiled again if its digest is wrong.
 
     Args:
         source: the C source.
-        variants: flags and libraries, from the fastest on; the first with which it compiles and loads is taken.
+        variants: flags and libraries, from the fastest on; the first one that compiles and loads is used.
     """
     command = find_compiler()
     if command is None:
@@ -67,10 +68,10 @@ def library(source: str, variants: tuple[Variant, ...]) -> Path | None:
 
 
 def _library_at(path: Path, source: str, command: tuple[str, ...], variants: tuple[Variant, ...]) -> Path | None:
-    """Return the path of the library there, compiled if it is missing or spoilt.
+    """Return the path of a library, compiled if it is missing or damaged.
 
     Raises:
-        OSError: the folder cannot be written, or the system forbids to load from it.
+        OSError: the folder cannot be written, or the system forbids loading from it.
     """
     if _is_whole(path):
         ctypes.CDLL(str(path))
@@ -81,7 +82,7 @@ def _library_at(path: Path, source: str, command: tuple[str, ...], variants: tup
             if compile_library(source, (*command, *flags), made, libraries) is None:
                 content = made.read_bytes()
                 made.write_bytes(content + hashlib.sha256(content).digest())
-                # Loading finds out what the C library lacks.
+                # Loading fails if the C library lacks a function.
                 if _loads(made):
                     made.replace(path)
                     return path
@@ -89,7 +90,7 @@ def _library_at(path: Path, source: str, command: tuple[str, ...], variants: tup
 
 
 def _is_whole(path: Path) -> bool:
-    """Tell whether a library is there and ends with its digest."""
+    """Return whether a library exists and ends with its digest."""
     try:
         content = path.read_bytes()
     except OSError:
@@ -104,10 +105,10 @@ def compile_library(source: str, command: Sequence[str], into: Path, libraries: 
         source: the C source.
         command: compiler and flags.
         into: path of the library.
-        libraries: flags that name what it needs.
+        libraries: flags that name the libraries it needs.
 
     Returns:
-        None, or the first line of what the compiler says against it.
+        None, or the first line of the compiler's error.
     """
     arguments = [*command, *_FLAGS, "-x", "c", "-", "-o", str(into), *libraries]
     try:
@@ -139,7 +140,7 @@ def _private() -> Path:
 
 @lru_cache(maxsize=4)
 def _identity(command: tuple[str, ...]) -> str:
-    """Return what a compiled library depends on beside its source: compiler and processor."""
+    """Return a text that identifies compiler and processor, on which a compiled library depends beside its source."""
     try:
         done = subprocess.run([*command, "--version"], capture_output=True, timeout=_LONGEST, check=False)
         version = done.stdout.decode(errors="replace")
@@ -150,6 +151,6 @@ def _identity(command: tuple[str, ...]) -> str:
     except OSError:
         lines = []
     processor = [line for line in lines if line.startswith(("flags", "model", "Features", "CPU part"))]
-    # platform.platform() would ask another process for the processor.
+    # platform.platform() would start another process to find the processor.
     system = platform.system(), platform.release(), platform.machine(), *platform.libc_ver()
     return "\n".join((*command, version, *system, *sorted(set(processor))))

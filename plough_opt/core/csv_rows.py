@@ -21,10 +21,10 @@ HEADING: Final = re.compile(r"\s*(?P<name>[\w.]+)\s*(?:\[(?P<unit>[^\]]*)\])?\s*
 
 # Units in which fields are measured, for the message that asks for one.
 _CUSTOMARY: Final = {"N": "kN", "rad": "deg", "m/s": "km/h", "Pa": "kPa", "N/m": "kN/m", "W": "kW"}
-# Also what is no finite number, for a message of its own.
+# Infinite numbers and NaN match too, for a message of their own.
 _NUMBER: Final = re.compile(r"[+-]?(?:(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:e[+-]?[0-9]+)?|nan|inf(?:inity)?)", re.IGNORECASE)
 _MOST_LISTED: Final = 8
-# What a file may be: some 300,000 rows, each of which may be a run of the model.
+# Limit on the size of a file: some 300,000 rows, each of which may be a run of the model.
 _MOST_BYTES: Final = 10_000_000
 _LONGEST_LINE: Final = 10_000
 
@@ -34,10 +34,10 @@ def read_rows(path: Path, what: str) -> list[tuple[int, list[str]]]:
 
     Args:
         path: the file.
-        what: what it holds, for messages, like "measurements".
+        what: its content in messages, such as "measurements".
 
     Raises:
-        InputError: no such file, one that is too long, or not text.
+        InputError: a missing file, one that is too long, or one that is not text.
     """
     try:
         with path.open("rb") as file:
@@ -94,7 +94,7 @@ def check_rising(path: Path, lines: Sequence[int], values: NDArray[np.float64], 
 
 
 def factor_of(name: str, written: str | None, unit: Unit) -> float:
-    """Return the factor to SI of a column's unit as its heading writes it.
+    """Return the factor to SI of a column's unit in its heading.
 
     Raises:
         InputError: a unit that is missing, unknown or of another kind.
@@ -115,7 +115,7 @@ def number_of(cell: str, factor: float) -> float:
     """Return a cell's number in SI.
 
     Raises:
-        InputError: no number.
+        InputError: not a finite number.
     """
     text = cell.strip()
     if not text:
@@ -134,8 +134,8 @@ def columns_of(place: str, headings: Sequence[str], units: Mapping[str, Unit]) -
 
     Args:
         place: file and line of the headings, for messages.
-        headings: as written, a name with its unit in brackets each.
-        units: names that are known, and their SI units.
+        headings: as written, each a name with its unit in brackets.
+        units: known names, and their SI units.
 
     Raises:
         InputError: an unknown name or a wrong unit; every one is listed.
@@ -165,11 +165,11 @@ def table_of(
     Args:
         path: the file, for messages.
         rows: line number and cells of each row below the headings.
-        columns: what messages call each column, and its factor to SI.
-        check: (column, value, cell as written) -> raises InputError where the value cannot be.
+        columns: name of each column in messages, and its factor to SI.
+        check: (column, value, cell as written); raises InputError for an invalid value.
 
     Raises:
-        InputError: a cell that is no number or cannot be, or a row of another length; every one is listed.
+        InputError: a cell that is not a number or is invalid, or a row of another length; every one is listed.
     """
     table, errors = [], []
     for number, cells in rows:

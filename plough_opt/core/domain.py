@@ -1,4 +1,4 @@
-"""Refusal of numbers outside the domain in which the equations hold."""
+"""Checks of numbers against the domain in which the equations hold."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from plough_opt.core.errors import DomainError, InputError, unprintable
 from plough_opt.core.expressions import Expression, as_number, holds_several, is_casadi, is_symbolic
 from plough_opt.core.kinds import shown
 
-# Numbers of fewer bytes overflow, or have three digits.
+# Numbers of fewer bytes have three digits, or overflow when squared.
 _LEAST_BYTES = 4
 
 
@@ -26,17 +26,17 @@ def check_domain(
     at_most: float = np.inf,
     why: str = "",
 ) -> None:
-    """Refuse a number outside its domain; a symbol passes, its number is checked when it has one.
+    """Raise DomainError for a number outside its domain; a symbol passes, as its value is checked later.
 
     Args:
-        name: what the value is, as the user calls it.
+        name: of the value, for the user.
         value: number, array or CasADi expression.
         unit: unit of the value and of the limits.
         above: value must be strictly larger.
         below: value must be strictly smaller.
         at_least: value must not be smaller.
         at_most: value must not be larger.
-        why: where the limit comes from or what to do, added to the message.
+        why: reason of the limit, or what to do, added to the message.
 
     Raises:
         DomainError: not a number, or one that is not finite or lies outside; the message gives name, value
@@ -57,10 +57,10 @@ def check_domain(
     ]
     suffix = f" {unit}" if unit else ""
     for holds, relation, limit in rules:
-        # An absent limit is infinite: only the rule of finiteness can then fail.
+        # A missing limit is infinite: only the first rule can then fail.
         if not np.all(holds):
             bad = numbers[~holds][0]
-            # A number beside its limit would read as the limit itself with six digits.
+            # With six digits a number close to its limit would look like the limit itself.
             digits = 6 if limit is None or f"{bad:.6g}" != f"{limit:.6g}" else 17
             bound = "" if limit is None else f" {limit:.{digits}g}{suffix}"
             reason = f": {why}" if why else ""
@@ -68,15 +68,11 @@ def check_domain(
 
 
 def _check_kind(name: str, value: Expression, unit: str) -> None:
-    """Refuse what is no number, or one of a type in which squares and cubes overflow.
-
-    Raises:
-        DomainError: text, a list, a switch, or numbers of one or two bytes.
-    """
+    """Raise DomainError for text, a list, a switch, or numbers of one or two bytes, whose squares overflow."""
     if is_casadi(value):
         return
     if isinstance(value, list | tuple):
-        raise DomainError(f"{name} = {shown(value)} must be a number or a NumPy array of them, in {unit or 'no unit'}")
+        raise DomainError(f"{name} = {shown(value)} must be a number or a NumPy array, in {unit or 'no unit'}")
     kind = np.asarray(value).dtype
     if kind.kind not in "iuf":
         raise DomainError(f"{name} = {shown(value)} must be a number, in {unit or 'no unit'}")
@@ -88,8 +84,8 @@ def plain_number(what: str, value: Any) -> float:
     """Return a number as a float.
 
     Args:
-        what: what the value is, as the user calls it.
-        value: a number, an array or CasADi matrix of one, and no text, switch or expression.
+        what: name of the value, for the user.
+        value: a number, or an array or CasADi matrix with one element; not text, a switch or an expression.
 
     Raises:
         InputError: not a number, or one that is not finite.
@@ -109,27 +105,20 @@ def plain_number(what: str, value: Any) -> float:
 
 
 def check_text(what: str, value: Any) -> None:
-    """Refuse what is no text, or holds characters that cannot be printed.
-
-    Raises:
-        InputError: as said.
-    """
+    """Raise InputError for anything but text of printable characters."""
     if not isinstance(value, str) or unprintable(value, allowed=""):
         raise InputError(f"{what} = {shown(value)} must be a text that can be printed")
 
 
 def check_single(what: str, values: Any) -> None:
-    """Refuse arrays, and columns of symbols, where formulas hold for one number at a time.
+    """Raise InputError if any value is an array or a column, where formulas hold for one number at a time.
 
     Args:
-        what: what takes them, as the user calls it.
+        what: the function that takes them, for the user.
         values: numbers and expressions, alone or nested in dataclasses, lists, tuples and dictionaries.
-
-    Raises:
-        InputError: one of them has not exactly one element.
     """
     if holds_several(values):
         raise InputError(
-            f"{what} takes one number for each quantity and no arrays: call it once for each, or build it of CasADi"
+            f"{what} takes one number for each quantity and no arrays: call it once for each, or build it with CasADi"
             " symbols and map the casadi.Function"
         )

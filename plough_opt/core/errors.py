@@ -1,4 +1,4 @@
-"""What can go wrong, each with a sentence that says what to do; all of them are `PloughError`."""
+"""The toolkit's errors, whose messages say what to do; all of them are `PloughError`."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import unicodedata
 from collections.abc import Iterable
 from typing import Final
 
-# Comparing names takes the square of their lengths; no name is near that is three times as long as any.
+# Comparing names takes time by the square of their lengths; a name three times as long as any valid one is not near.
 _LONGEST_NAME: Final = 100
 
 
@@ -16,11 +16,11 @@ class PloughError(Exception):
 
 
 class DomainError(PloughError, ValueError):
-    """A value lies outside the domain in which the model's equations hold."""
+    """A value is outside the domain in which the model's equations hold."""
 
 
 class ImplausibleValue(UserWarning):
-    """A plain number is possible, but so unusual in SI that another unit was probably meant."""
+    """A plain number is possible, but so unusual in SI units that another unit was probably meant."""
 
 
 class InputError(PloughError, ValueError):
@@ -50,7 +50,7 @@ class InfeasibleDesign(PloughError, RuntimeError):
 
 
 class NotConverged(PloughError, RuntimeError):
-    """The optimiser stopped without an optimum; ``status`` is IPOPT's own word for why."""
+    """The optimiser stopped without an optimum; ``status`` is IPOPT's return status."""
 
     def __init__(self, message: str, status: str) -> None:
         super().__init__(message, status)
@@ -61,19 +61,19 @@ class NotConverged(PloughError, RuntimeError):
 
 
 def short(text: str, most: int = 60) -> str:
-    """Return a text as messages quote it: cut where it is long."""
+    """Return a text for quoting in messages, cut if it is long."""
     return text if len(text) <= most else f"{text[: most - 3]}..."
 
 
 def unprintable(text: str, *, allowed: str = "\t\n") -> str | None:
-    """Return the first character of a text that no file or terminal can show, as "U+001B", or None.
+    """Return the first character of a text that files and terminals cannot show, as "U+001B", or None.
 
-    Those are control characters, of which a terminal would take some for commands, halves of surrogate pairs, which
-    have no bytes, and what is no character at all.
+    Those are control characters, some of which are commands to a terminal, halves of surrogate pairs, which have no
+    encoding, and code points that are not characters.
 
     Args:
         text: of a user.
-        allowed: control characters that may stand in it.
+        allowed: control characters that it may contain.
     """
     for character in text:
         code = ord(character)
@@ -84,7 +84,7 @@ def unprintable(text: str, *, allowed: str = "\t\n") -> str | None:
 
 
 def nearest(name: str, valid: Iterable[str]) -> str:
-    """Return a clause that suggests the nearest valid names, or lists them all when none is near."""
+    """Return a clause that suggests the nearest valid names, or lists all of them if none is near."""
     names = sorted(valid)
     close = difflib.get_close_matches(str(name)[:_LONGEST_NAME], names, n=2, cutoff=0.55)
     return f"did you mean {' or '.join(map(repr, close))}?" if close else f"valid names: {', '.join(names)}"

@@ -1,6 +1,6 @@
-"""Operations that work alike on floats, NumPy arrays and CasADi expressions, without cancellation.
+"""Operations that work on floats, NumPy arrays and CasADi expressions, without cancellation.
 
-CasADi symbols must never meet ``math.*`` or ``np.*`` (``math.sin`` of a symbol is a silent NaN), so
+CasADi symbols must never be passed to ``math.*`` or ``np.*`` (``math.sin`` of a symbol is a silent NaN), so
 every formula of the toolkit is written with the functions of this file.
 """
 
@@ -20,12 +20,12 @@ from numpy.typing import NDArray
 from plough_opt.core.errors import InputError
 
 Expression: TypeAlias = Any
-"""A float, a NumPy array, or a CasADi ``SX``, ``MX`` or ``DM``: what every physical function takes."""
+"""A float, a NumPy array, or a CasADi ``SX``, ``MX`` or ``DM``: the argument of every physical function."""
 
 _SYMBOLIC = (ca.SX, ca.MX)
 _CASADI = (ca.SX, ca.MX, ca.DM)
 _MATRICES = (np.ndarray, *_CASADI)
-# In which no expression is nested.
+# Types that cannot contain an expression.
 _PLAIN = frozenset((float, int, str, bool, type(None)))
 # Terms kept in the two power series: enough for a relative 1e-17 in the value and 1e-14 in the second
 # derivative at the far end of the interval on which each series is used.
@@ -35,16 +35,16 @@ _SERIES_BELOW = 0.5
 # The RMS of a symbolic variance is rounded off below this fraction of the steady force, where the square
 # root has no derivative; the RMS is changed by no more than that.
 _LEAST_RMS = 1e-12
-# Characters of an expression that a message quotes.
+# Number of characters of an expression in a message.
 _LONGEST_SHOWN = 80
 
 
 COUNT = {"quantity": False}
-"""Metadata of a dataclass's field that counts something, and is no quantity that a design could vary."""
+"""Metadata of a dataclass's field that counts something, and is not a quantity that a design could vary."""
 
 
 def is_symbolic(value: Expression) -> bool:
-    """Return whether ``value`` is a CasADi expression without a number in it yet (``SX`` or ``MX``)."""
+    """Return whether ``value`` is a CasADi expression that depends on symbols (``SX`` or ``MX``)."""
     return isinstance(value, _SYMBOLIC) and not value.is_constant()
 
 
@@ -54,10 +54,10 @@ def is_casadi(value: Expression) -> bool:
 
 
 def as_number(value: Expression) -> NDArray[np.float64]:
-    """Return a number, an array or a constant CasADi matrix as a NumPy array without superfluous axes.
+    """Return a number, an array or a constant CasADi matrix as a NumPy array without axes of length 1.
 
     Raises:
-        InputError: the expression still holds symbols.
+        InputError: the expression holds symbols.
     """
     if isinstance(value, float):
         return np.asarray(value)
@@ -78,7 +78,7 @@ def holds_casadi(value: Any) -> bool:
 
 
 def holds_several(value: Any) -> bool:
-    """Return whether an array or CasADi matrix of other than one element is nested in these, or is ``value``."""
+    """Return whether ``value`` is, or such a container holds, an array or CasADi matrix without exactly one element."""
     return _holds(value, _is_several)
 
 
@@ -106,13 +106,13 @@ def _holds(value: Any, leaf: Callable[[Any], bool]) -> bool:
 
 @lru_cache(maxsize=256)
 def _own_fields(kind: type) -> tuple[str, ...]:
-    """Return the names of a dataclass's fields that its maker is given; none of another type."""
+    """Return the names of a dataclass's fields that are arguments of its constructor; none for another type."""
     fields = dataclasses.fields(kind) if dataclasses.is_dataclass(kind) else ()
     return tuple(field.name for field in fields if field.init)
 
 
 def is_quantity(value: Any) -> bool:
-    """Return whether a value is a number or a CasADi expression, and no switch."""
+    """Return whether a value is a number or a CasADi expression, but not a switch."""
     return is_casadi(value) or (isinstance(value, int | float | np.number) and not isinstance(value, bool))
 
 
@@ -122,10 +122,10 @@ def is_count(value: Any) -> bool:
 
 
 def map_expressions(value: Any, function: Callable[[Any], Any], leaf: Callable[[Any], bool] = is_casadi) -> Any:
-    """Return the like of ``value`` with ``function`` applied to every CasADi expression nested in it.
+    """Return a copy of ``value`` with ``function`` applied to every CasADi expression nested in it.
 
-    Looks into dataclasses (by their fields), dictionaries, lists and tuples; anything else stays as it
-    is. With ``leaf=is_quantity`` plain numbers are replaced too, but for fields that are `COUNT`s.
+    Expressions are found in dataclasses (by their fields), dictionaries, lists and tuples; anything else stays as it
+    is. With ``leaf=is_quantity`` plain numbers are replaced too, except in fields that are `COUNT`s.
     """
     if leaf(value):
         return function(value)
@@ -144,9 +144,9 @@ def map_expressions(value: Any, function: Callable[[Any], Any], leaf: Callable[[
 
 
 def template_of(value: Any) -> tuple[Any, list[Any]]:
-    """Return the like of ``value`` with a placeholder for every quantity nested in it, and those quantities in order.
+    """Return a copy of ``value`` with a placeholder for every quantity nested in it, and those quantities in order.
 
-    Placeholders print alike, so that values that differ in numbers only have templates that print alike.
+    All placeholders have the same repr, so that values which differ only in numbers have templates of the same repr.
     """
     quantities: list[Any] = []
 
@@ -187,8 +187,8 @@ def column(values: NDArray[np.float64], symbolic: bool) -> Expression:
 def one_node(function: Callable[..., tuple[Expression, ...]]) -> Callable[..., tuple[Expression, ...]]:
     """Decorate a function of scalars so that a graph of MX holds it as one node instead of its every operation.
 
-    Of numbers, arrays and SX it stays as it is. Of MX each argument is a scalar or a column, and a scalar counts
-    for all elements of the columns.
+    With numbers, arrays and SX it is called as it is. With MX each argument is a scalar or a column, and a scalar
+    applies to all elements of the columns.
     """
 
     @lru_cache(maxsize=1)
@@ -232,7 +232,7 @@ absolute = _unary(ca.fabs, np.abs)
 
 
 def where(condition: Expression, yes: Expression, no: Expression) -> Expression:
-    """Choose ``yes`` where ``condition`` holds, else ``no``; both are evaluated, so both must be finite."""
+    """Return ``yes`` where ``condition`` holds, else ``no``; both are evaluated, so both must be finite."""
     if isinstance(condition, bool) and isinstance(yes, float) and isinstance(no, float):
         return yes if condition else no
     if is_casadi(condition) or is_casadi(yes) or is_casadi(no):
@@ -252,7 +252,7 @@ def maximum(x: Expression, y: Expression) -> Expression:
 
 
 def rms(variance: Expression, scale: Expression) -> Expression:
-    """Return the root of a variance; of an expression, with finite derivatives where nothing oscillates."""
+    """Return the root of a variance; that of an expression has finite derivatives even if nothing oscillates."""
     if isinstance(variance, float):
         return math.sqrt(max(variance, 0.0))
     if not is_casadi(variance):
@@ -269,8 +269,8 @@ def arctan2(y: Expression, x: Expression) -> Expression:
 def expm1_ratio(x: Expression) -> Expression:
     """Return E(x) = (exp(x) - 1)/x with E(0) = 1.
 
-    A power series serves for |x| < 1, because automatic differentiation of ``expm1(x)/x`` loses up to
-    half the digits beside zero. Relative accuracy 1e-15 in the value, 1e-13 in gradient and Hessian.
+    It is a power series for |x| < 1, because automatic differentiation of ``expm1(x)/x`` loses up to
+    half the digits near zero. The relative accuracy is 1e-15 in the value, 1e-13 in gradient and Hessian.
     """
     near_zero = absolute(x) < 1.0
     small = where(near_zero, x, 0.0)
@@ -284,8 +284,8 @@ def expm1_ratio(x: Expression) -> Expression:
 def log1p_ratio(x: Expression) -> Expression:
     """Return log(1 + x)/x with the value 1 at x = 0, for x > -1.
 
-    For |x| < 0.5 it is the series of 2 artanh(x/(2 + x))/x, for the reason given in `expm1_ratio` and
-    with the same accuracy.
+    For |x| < 0.5 it is the series of 2 artanh(x/(2 + x))/x, for the same reason and with the same accuracy as in
+    `expm1_ratio`.
     """
     near_zero = absolute(x) < _SERIES_BELOW
     small = where(near_zero, x, 0.0)
@@ -309,7 +309,7 @@ def arctan_ratio(x: Expression) -> Expression:
 def arcsinh_ratio(x: Expression) -> Expression:
     """Return arsinh(x)/x with the value 1 at x = 0; accurate as `expm1_ratio`.
 
-    Beside zero it is artanh(t)/x with t = x/sqrt(1 + x^2).
+    Near zero it is artanh(t)/x with t = x/sqrt(1 + x^2).
     """
     near_zero, small, large = _split(x)
     scale = 1.0 / (1.0 + small**2)
@@ -317,13 +317,13 @@ def arcsinh_ratio(x: Expression) -> Expression:
 
 
 def _split(x: Expression) -> tuple[Expression, Expression, Expression]:
-    """Return whether x lies where the series serves, x there and 0 elsewhere, x elsewhere and a safe value there."""
+    """Return whether the series applies to x; x if it does and else 0; x if it does not and else a safe value."""
     near_zero = absolute(x) < _SERIES_BELOW
     return near_zero, where(near_zero, x, 0.0), where(near_zero, _SERIES_BELOW, x)
 
 
 def _arctanh_series(square: Expression) -> Expression:
-    """Return artanh(t)/t from t^2 of at most a quarter in size; of -t^2 it is arctan(t)/t."""
+    """Return artanh(t)/t from t^2, at most a quarter in size; from -t^2 it is arctan(t)/t."""
     series: Expression = 1.0 / (2 * _ATANH_TERMS + 1)
     for n in range(_ATANH_TERMS - 1, -1, -1):
         series = 1.0 / (2 * n + 1) + square * series

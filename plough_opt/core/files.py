@@ -1,4 +1,4 @@
-"""Files, written whole or not at all: beside their places first, and moved there when nothing can fail any more."""
+"""Files, written whole or not at all: first beside their places, and moved there once all of them are complete."""
 
 from __future__ import annotations
 
@@ -20,26 +20,26 @@ from typing import IO, Final, TypeAlias
 from plough_opt.core.errors import InputError
 
 Content: TypeAlias = str | bytes | Callable[[IO[bytes]], object]
-"""What a file shall hold: text (written as UTF-8), bytes, or what writes them into a binary file."""
+"""Content of a file: text (written as UTF-8), bytes, or a function that writes into a binary file."""
 
-# Signals that end a process at once, and would leave what is half written.
+# Signals that end a process at once, and would leave unfinished files.
 _ENDING: Final = tuple(getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name))
 _LONGEST_STEM: Final = 100
 
 
 def write_file(path: str | Path, kind: str, content: Content) -> Path:
-    """Write a file whole or not at all, making its folder; return its path as it was given.
+    """Write a file whole or not at all, making its folder; return the given path.
 
-    Links are followed: the file that they lead to is replaced, and they stay. Its permissions stay too. What is no
-    file, such as a pipe or a device, is written to as it is.
+    A link stays, and the file that it leads to is replaced. Permissions are kept. A pipe or a device is written to
+    directly.
 
     Args:
-        path: the file; what is there is replaced.
-        kind: what messages call it, like "table".
-        content: what it shall hold.
+        path: the file; an existing one is replaced.
+        kind: its name in messages, such as "table".
+        content: to write.
 
     Raises:
-        InputError: a place that cannot be written, or a disk that is full; what was there is untouched.
+        InputError: a place that cannot be written, or a full disk; an existing file is unchanged.
     """
     write_files({Path(path): content}, kind)
     return Path(path)
@@ -61,7 +61,7 @@ def kept(form: str, result: object, path: str | Path) -> Path:
 
 
 def write_files(files: Mapping[Path, Content], kind: str) -> None:
-    """Write several files as `write_file` does; none is moved to its place before all are written.
+    """Write several files as `write_file` does; none is moved to its place before all of them are written.
 
     Raises:
         InputError: as `write_file`.
@@ -97,7 +97,7 @@ def write_new(path: str | Path, kind: str, content: Content) -> Path:
         with _tidied(unfinished):
             beside = _written_beside(target, content, unfinished)
             try:
-                os.link(beside, target)  # which, unlike a move, fails where something is
+                os.link(beside, target)  # which, unlike a move, fails if there is a file
             except FileExistsError:
                 raise
             except OSError:  # a file system without links
@@ -123,13 +123,12 @@ def write_folder(target: Path, kind: str, files: Mapping[str, Content]) -> Path:
         with _tidied(unfinished):
             scratch = Path(tempfile.mkdtemp(prefix=f".{target.name[:_LONGEST_STEM]}.", dir=target.parent))
             unfinished.append(scratch)
-            inner = scratch / "made"  # with the rights of any new folder: those of mkdtemp are the user's alone
+            inner = scratch / "made"  # with the permissions of any new folder: mkdtemp gives them to the user alone
             inner.mkdir()
             for name, content in files.items():
                 with (inner / name).open("xb") as file:
                     _fill(file, content)
-            if os.path.lexists(target):
-                raise InputError(f"'{target}' exists already and is left as it is: name a new folder for the {kind}")
+            check_new_folder(target, kind)
             inner.rename(target)
     except OSError as error:
         raise _refused(kind, target, error) from None
@@ -140,7 +139,7 @@ def check_new_folder(path: str | Path, kind: str) -> Path:
     """Return the path of a folder to be written.
 
     Raises:
-        InputError: it is there already.
+        InputError: it exists already.
     """
     target = Path(path)
     if os.path.lexists(target):
@@ -156,7 +155,7 @@ def check_file(path: str | Path, ending: str, kind: str) -> Path:
     """
     target = Path(path)
     if target.suffix.lower() != ending:
-        raise InputError(f"'{target}' is no name for the {kind}: end it in {ending}")
+        raise InputError(f"'{target}' cannot be the name of the {kind}: end it in {ending}")
     if target.is_dir():
         raise InputError(f"'{target}' is a folder: name a file in it")
     return target
@@ -168,13 +167,13 @@ def ascii_json(text: str) -> str:
 
 
 def _escaped(character: str) -> str:
-    """Return a character as JSON escapes it: in UTF-16, as two surrogates where it needs them."""
+    """Return a character as escaped in JSON: its code units of UTF-16, two for a surrogate pair."""
     units = character.encode("utf-16-be", "surrogatepass").hex()
     return "".join(f"\\u{units[k : k + 4]}" for k in range(0, len(units), 4))
 
 
 def _is_stream(target: Path) -> bool:
-    """Return whether something is there that is no file: a pipe, a terminal, a device."""
+    """Return whether a path leads to a pipe, a terminal or a device."""
     try:
         mode = target.stat().st_mode
     except OSError:
@@ -183,14 +182,14 @@ def _is_stream(target: Path) -> bool:
 
 
 def _place(target: Path) -> Path:
-    """Return where a file stands, links followed.
+    """Return the place of a file, with links followed.
 
     Raises:
-        OSError: a folder, a file that may not be written, or links that go round in a circle.
+        OSError: a folder, a file without permission to write, or links in a circle.
     """
     place = Path(os.path.realpath(target))
     if place.is_symlink():
-        raise OSError(0, "the link leads round in a circle")
+        raise OSError(0, "the link leads in a circle")
     if place.is_dir():
         raise IsADirectoryError(0, "it is a folder")
     if place.exists() and not os.access(place, os.W_OK):
@@ -202,11 +201,11 @@ def _make_folder(folder: Path) -> None:
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except FileExistsError:
-        raise NotADirectoryError(0, f"'{folder}' is no folder") from None
+        raise NotADirectoryError(0, f"'{folder}' is not a folder") from None
 
 
 def _written_beside(place: Path, content: Content, unfinished: list[Path]) -> Path:
-    """Write a file of a name of its own beside its place, with the rights of what is there; return its path."""
+    """Write a file with a unique name beside its place, with the permissions of the existing file; return its path."""
     beside = place.with_name(f".{place.name[:_LONGEST_STEM]}.{secrets.token_hex(4)}")
     unfinished.append(beside)
     with beside.open("xb") as file:
@@ -214,7 +213,7 @@ def _written_beside(place: Path, content: Content, unfinished: list[Path]) -> Pa
             os.fchmod(file.fileno(), stat.S_IMODE(place.stat().st_mode))
         _fill(file, content)
         file.flush()
-        os.fsync(file.fileno())  # a disk may say only now that it is full
+        os.fsync(file.fileno())  # some file systems report a full disk only now
     return beside
 
 
@@ -227,7 +226,7 @@ def _fill(file: IO[bytes], content: Content) -> None:
 
 @contextmanager
 def _tidied(unfinished: Sequence[Path]) -> Iterator[None]:
-    """Remove what is unfinished however the writing ends: done, by an error, or by a signal that ends the process."""
+    """Remove unfinished files however the writing ends: complete, by an error, or by a signal that ends the process."""
 
     def remove() -> None:
         for path in unfinished:
@@ -241,7 +240,7 @@ def _tidied(unfinished: Sequence[Path]) -> Iterator[None]:
         signal.signal(number, signal.SIG_DFL)
         os.kill(os.getpid(), number)
 
-    here = threading.current_thread() is threading.main_thread()  # only there Python lets signals be caught
+    here = threading.current_thread() is threading.main_thread()  # the only one in which Python can catch signals
     caught = [number for number in _ENDING if here and signal.getsignal(number) is signal.SIG_DFL]
     for number in caught:
         signal.signal(number, end)

@@ -1,4 +1,4 @@
-"""Lines that say what a long computation is doing, for whoever reads a stream that is no terminal."""
+"""Lines on the progress of a long computation, for streams that are not terminals."""
 
 from __future__ import annotations
 
@@ -10,32 +10,33 @@ from contextlib import contextmanager
 from typing import Final
 
 EVERY: Final = 10.0
-"""Seconds between the lines: a reader who waits longer for a sign takes the process for dead."""
+"""Seconds between the lines: a user who sees nothing for longer may think that the process is dead."""
 
 
 @contextmanager
 def heartbeat(write: Callable[[str], object], every: float | None = None) -> Iterator[Callable[[str], None]]:
-    """Write every few seconds what is being done and for how long; yield what is told what that is.
+    """Write every few seconds the present activity and the time since the start; yield a function that sets it.
 
     Args:
-        write: takes a line; it is called by another thread.
-        every: seconds between the lines; default `EVERY`. What takes less writes nothing.
+        write: called with a line, by another thread.
+        every: seconds between the lines; default `EVERY`. A shorter computation writes nothing.
     """
-    doing, done, started = ["working"], threading.Event(), time.monotonic()
+    activity, done, started = "working", threading.Event(), time.monotonic()
 
     def beat() -> None:
-        # A reader that went away is noticed where the results are written.
+        # If the stream is closed, the error is raised where the results are written.
         with contextlib.suppress(OSError, ValueError):
             while not done.wait(EVERY if every is None else every):
-                write(f"{doing[0]}: {time.monotonic() - started:.0f} s so far")
+                write(f"{activity}: {time.monotonic() - started:.0f} s so far")
 
-    def told(what: str) -> None:
-        doing[0] = what
+    def note(text: str) -> None:
+        nonlocal activity
+        activity = text
 
     thread = threading.Thread(target=beat, name="heartbeat", daemon=True)
     thread.start()
     try:
-        yield told
+        yield note
     finally:
         done.set()
         thread.join()

@@ -1,4 +1,4 @@
-"""Refusal of arguments of another kind than a function takes: by name, before anything is computed from them."""
+"""Checks of the types of arguments, before anything is computed from them; messages name the argument."""
 
 from __future__ import annotations
 
@@ -14,65 +14,52 @@ from plough_opt.core.errors import InputError, nearest, short
 
 
 def shown(value: object, most: int = 60) -> str:
-    """Return what messages show of any value: one line without control characters, cut where it is long."""
+    """Return any value as text for messages: one line without control characters, cut if it is long."""
     try:
         text = repr(value)
-    except ValueError:  # Python writes no whole number of more than some thousand digits
+    except ValueError:  # Python refuses to write whole numbers of several thousand digits
         text = f"{type(value).__name__} of very many digits"
     return short(" ".join(text.split()), most)
 
 
 def check_kind(what: str, value: object, kind: type | UnionType, wanted: str) -> None:
-    """Refuse another type.
+    """Raise InputError for a value of another type.
 
     Args:
-        what: what the value is, as the user calls it.
+        what: name of the value, for the user.
         value: any.
-        kind: the type it must have, or a union of them.
+        kind: the type it must have, or a union of types.
         wanted: that type in words, with its article: "a Soil, for instance named_soil('serozem')".
-
-    Raises:
-        InputError: as said.
     """
     if not isinstance(value, kind):
         raise InputError(f"{what} = {shown(value)} must be {wanted}")
 
 
 def check_callable(what: str, value: object, of: str) -> None:
-    """Refuse what cannot be called.
+    """Raise InputError for a value that is not callable.
 
     Args:
-        what: what the value is, as the user calls it.
+        what: name of the value, for the user.
         value: any.
-        of: what it is called with, and what it returns: "of a soil that returns results by name".
-
-    Raises:
-        InputError: as said.
+        of: its arguments and result in words: "of a soil that returns results by name".
     """
     if not callable(value):
         raise InputError(f"{what} = {shown(value)} must be a function {of}")
 
 
 def check_switch(what: str, value: object) -> None:
-    """Refuse what is neither True nor False, of Python or NumPy.
-
-    Raises:
-        InputError: as said.
-    """
+    """Raise InputError for a value that is neither True nor False, of Python or NumPy."""
     check_kind(what, value, bool | np.bool_, "True or False")
 
 
 def check_choice(what: str, value: object, choices: Sequence[str | None], more: str = "") -> None:
-    """Refuse what is none of a few words.
+    """Raise InputError for a value that is not among a few words.
 
     Args:
-        what: what the value is, as the user calls it.
+        what: name of the value, for the user.
         value: any.
-        choices: the words, None among them where that is one.
-        more: said after them.
-
-    Raises:
-        InputError: as said.
+        choices: the valid words; None may be one of them.
+        more: added to the message.
     """
     if not (isinstance(value, str | None) and value in choices):
         *others, last = map(repr, choices)
@@ -80,15 +67,12 @@ def check_choice(what: str, value: object, choices: Sequence[str | None], more: 
 
 
 def check_named(refusal: str, name: object, valid: Iterable[str]) -> None:
-    """Refuse a name that is none of many, with the nearest.
+    """Raise InputError for a name that is not valid, with the nearest valid one.
 
     Args:
-        refusal: the message, with {} in the place of the name: "no loss is named {}".
+        refusal: the message, with {} for the name: "no loss is named {}".
         name: any.
-        valid: the names that there are.
-
-    Raises:
-        InputError: as said.
+        valid: the valid names.
     """
     names = tuple(valid)
     if not (isinstance(name, str) and name in names):
@@ -113,7 +97,7 @@ def path_of(what: str, value: object) -> Path:
     """Return a path.
 
     Raises:
-        InputError: neither text nor a path, or one that no file can have.
+        InputError: neither text nor a path, or one with a null character.
     """
     if isinstance(value, str | PathLike) and "\0" not in str(value):
         return Path(value)

@@ -1,4 +1,4 @@
-"""Values in somebody's graph that carry a meaning along, so that a design that holds them can find it."""
+"""Labels in a CasADi graph, by which a design finds the meaning of values in it."""
 
 from __future__ import annotations
 
@@ -27,18 +27,18 @@ Meaning = TypeVar("Meaning")
 _Given = ParamSpec("_Given")
 _Result = TypeVar("_Result")
 
-# Functions that are kept although nothing may call them any more: some designs' worth.
+# Number of Functions that are kept for reuse, though no graph may call them any more: those of several designs.
 _MOST_LATELY: Final = 64
-# Below so many, looking for those that nothing calls is not worth it.
+# Number of Functions from which it is worth looking for those that no graph calls.
 _FEWEST_LOOKED_AT: Final = 128
 
 
 @dataclass(frozen=True)
 class Label:
-    """A call that returns its value unchanged, beside expressions that it carries along.
+    """A call that returns its value unchanged, and carries other expressions along.
 
     Attributes:
-        meaning: what the carried expressions are: any object that whoever looks for it knows.
+        meaning: of the carried expressions: any object.
     """
 
     meaning: object
@@ -46,10 +46,10 @@ class Label:
 
 @dataclass(frozen=True)
 class Limit:
-    """A meaning: the carried expression must not exceed a number, or the labelled value has left its domain.
+    """A meaning: the labelled value is valid only if the carried expression does not exceed a number.
 
     Attributes:
-        name: what the limited expression is, as a report names it.
+        name: of the limited expression, in reports.
         at_most: its largest value.
         unit: unit of both.
     """
@@ -61,30 +61,26 @@ class Limit:
 
 @dataclass(frozen=True)
 class Call:
-    """A meaning: the labelled value is of a law, whose arguments' quantities are carried.
+    """A meaning: the labelled value is a law's, and the carried expressions are the quantities in its arguments.
 
     Attributes:
         law: the function.
-        template: its arguments, and those with a name, with a placeholder for each quantity in them.
+        template: its positional and named arguments, with a placeholder for each quantity in them.
     """
 
     law: Callable[..., object]
     template: tuple[tuple[Any, ...], dict[str, Any]]
 
     def check(self, numbers: Sequence[float]) -> None:
-        """Refuse numbers of the quantities that are outside the law's domain.
-
-        Raises:
-            DomainError: they are.
-        """
+        """Raise DomainError if numbers of the quantities are outside the law's domain."""
         arguments, named = with_numbers(self.template, numbers)
         self.law(*arguments, **named)
 
 
 class Meanings(Generic[Meaning]):
-    """What Functions in graphs mean, which is forgotten with the last graph that calls them.
+    """The meanings of Functions in graphs; each is forgotten with the last graph that calls its Function.
 
-    Functions lately made are kept for graphs alike. Threads may share it.
+    The latest Functions are kept, to be used again in similar graphs. Threads may share an object of this class.
     """
 
     def __init__(self) -> None:
@@ -94,7 +90,7 @@ class Meanings(Generic[Meaning]):
         self._look_at = _FEWEST_LOOKED_AT
 
     def shared(self, key: Hashable, make: Callable[[], tuple[ca.Function, Meaning]]) -> ca.Function:
-        """Return the Function that was lately made by a key, or make it with what it means."""
+        """Return the Function with a key, which is made together with its meaning if it is not kept."""
         with self._lock:
             if key not in self._lately:
                 function, meaning = self._lately[key] = make()
@@ -104,13 +100,13 @@ class Meanings(Generic[Meaning]):
             return self._lately[key][0]
 
     def of(self, function: ca.Function) -> Meaning | None:
-        """Return what a Function in a graph means, or None for any other Function."""
+        """Return the meaning of a Function in a graph, or None for any other Function."""
         reference, meaning = self._known.get(hash(function), (None, None))
-        # The hash is a place in memory, which another Function may have taken over.
+        # The hash is an address in memory, which another Function may use now.
         return meaning if reference is not None and reference.alive() else None
 
     def _forget(self) -> None:
-        """Forget Functions that nothing calls; looks at all of them whenever their number has doubled."""
+        """Forget Functions that no graph calls; all of them are checked whenever their number has doubled."""
         while len(self._lately) > _MOST_LATELY:
             self._lately.popitem(last=False)
         if len(self._known) >= self._look_at:
@@ -118,7 +114,7 @@ class Meanings(Generic[Meaning]):
             self._look_at = max(_FEWEST_LOOKED_AT, 2 * len(self._known))
 
     def __len__(self) -> int:
-        """Return how many are remembered."""
+        """Return the number of known meanings."""
         return len(self._known)
 
 
@@ -126,12 +122,12 @@ _LABELS: Meanings[Label] = Meanings()
 
 
 def attach(value: Expression, carried: Expression, meaning: object, key: Hashable) -> Expression:
-    """Return a value as it is; where value and carried expressions hold MX symbols, labelled in the graph.
+    """Return a value as it is, or with a label in the graph if value and carried expressions hold MX symbols.
 
     Args:
-        value: what an expression is computed from.
-        carried: a column of expressions that give the meaning its numbers.
-        meaning: what they are.
+        value: to be labelled.
+        carried: a column of expressions.
+        meaning: of the carried expressions.
         key: equal for equal meanings, which then share one Function.
     """
     if not (isinstance(value, ca.MX) and isinstance(carried, ca.MX) and is_symbolic(carried)):
@@ -152,11 +148,11 @@ def label_of(function: ca.Function) -> Label | None:
 
 
 def without_labels(expressions: list[ca.MX], labels: list[ca.MX]) -> list[ca.MX]:
-    """Return expressions with the labels' values in their place, which are computed faster.
+    """Return expressions with labels replaced by their values, which makes them faster.
 
     Args:
         expressions: of a graph.
-        labels: the calls of labels in it, inner ones first, as a Function of the expressions lists them.
+        labels: the calls of labels in it, inner ones first, as `labels_in` returns them.
     """
     old: list[ca.MX] = []
     new: list[ca.MX] = []
@@ -174,13 +170,13 @@ def labels_in(function: ca.Function) -> list[ca.MX]:
     return [node for node in calls.values() if label_of(node.which_function()) is not None]
 
 
-# Whether what is computed is part of something that is checked as a whole.
+# Whether the present computation is a part of one that is checked as a whole.
 _INSIDE: ContextVar[bool] = ContextVar("inside", default=False)
 
 
 @contextmanager
 def unlabelled() -> Iterator[None]:
-    """Let laws return their values without labels, for a value that is checked with what it becomes a part of."""
+    """Let laws return values without labels as long as the context lasts, because a law that uses them is labelled."""
     before = _INSIDE.set(True)
     try:
         yield
@@ -191,14 +187,14 @@ def unlabelled() -> Iterator[None]:
 def checked_in_designs(
     law: Callable[_Given, _Result], check: Callable[_Given, object] | None = None
 ) -> Callable[_Given, _Result]:
-    """Decorate a law, so that a design that holds its values can refuse bounds beyond its domain.
+    """Decorate a law, so that a design can check that its bounds are within the law's domain.
 
-    Numbers a law refuses by itself. Symbols have no value yet: the values are then labelled with the call, which a
-    design repeats with its bounds.
+    The law itself checks numbers. If its arguments hold symbols, its values are labelled with the call, which a design
+    repeats with the numbers of its bounds.
 
     Args:
         law: the function.
-        check: what is called in its place with the bounds.
+        check: function that is called with the bounds instead of the law.
     """
 
     @wraps(law)
@@ -211,18 +207,18 @@ def checked_in_designs(
             return result
         template, quantities = template_of((arguments, named))
         carried = ca.vertcat(*quantities)
-        # An argument of several numbers has no placeholder of its own for each of them; CasADi's numbers need no label.
+        # An array has one placeholder for all its elements; constants of CasADi need no label.
         several = not isinstance(carried, ca.MX) or carried.numel() != len(quantities)
         if several or not any(map(is_symbolic, quantities)):
             return result
-        # Functions in arguments, as a density profile's, may print alike.
+        # Functions in arguments, such as a density profile's, may have the same repr.
         functions: list[int] = []
 
-        def noted(function: object) -> object:
+        def note(function: object) -> object:
             functions.append(id(function))
             return function
 
-        map_expressions(template, noted, callable)
+        map_expressions(template, note, callable)
         key = law.__module__, law.__qualname__, repr(template), classes_in(template), tuple(functions)
         meaning = Call(check or law, template)
         checked: _Result = map_expressions(result, lambda value: attach(value, carried, meaning, key))

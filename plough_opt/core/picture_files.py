@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 FORMATS = ("png", "svg", "pdf")
 
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#8A8A8A")
-"""Of Okabe and Ito (2008), which the colour-blind can tell apart, and a grey."""
+"""The colours of Okabe and Ito (2008), which colour-blind people can distinguish, and a grey."""
 
 
 def from_above(module: str, name: str) -> Any:
@@ -48,10 +48,10 @@ def drawn(name: str, *arguments: Any, target: str | Path | None = None) -> Figur
 
 
 def save(figure: Figure, path: str | Path) -> Path:
-    """Write a figure to a file whole or not at all, making its folder; the ending chooses the format.
+    """Write a figure to a file whole or not at all, making its folder; the ending determines the format.
 
     Raises:
-        InputError: an ending that is no known format, or a place that cannot be written.
+        InputError: an ending that is not a known format, or a place that cannot be written.
     """
     check_format(path)
     ending = Path(path).suffix[1:].lower()
@@ -59,11 +59,7 @@ def save(figure: Figure, path: str | Path) -> Path:
 
 
 def check_format(path: str | Path) -> None:
-    """Refuse a file whose ending is no picture format, or that is a folder.
-
-    Raises:
-        InputError: as said.
-    """
+    """Raise InputError for a file whose ending is not a picture format, or for a folder."""
     if Path(path).suffix[1:].lower() not in FORMATS:
         endings = ", ".join(f".{ending}" for ending in FORMATS)
         raise InputError(f"the plot '{path}' has no known picture format: end its name in one of {endings}")

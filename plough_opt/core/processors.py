@@ -1,4 +1,4 @@
-"""How many processors a computation may keep busy: those that its process is given, or one beside other workers."""
+"""The number of processors that a computation may use: those of its process, or one in each of several workers."""
 
 from __future__ import annotations
 
@@ -7,25 +7,25 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 
-# Of a context, not of the process: other threads keep theirs.
+# A context variable, so that other threads keep their own values.
 _one_of_several: ContextVar[bool] = ContextVar("one_of_several", default=False)
 
 
 def available() -> int:
-    """Return the number of processors, at least 1, that the code which asks may keep busy.
+    """Return the number of processors, at least 1, that the calling code may use.
 
-    The process's affinity counts (as `taskset`, containers and batch systems set it), and not what the machine has.
+    It follows the process's affinity, which `taskset`, containers and batch systems set, not the machine.
     """
     if _one_of_several.get():
         return 1
-    if hasattr(os, "process_cpu_count"):  # from Python 3.13 on; it heeds -X cpu_count too
+    if hasattr(os, "process_cpu_count"):  # from Python 3.13 on; it respects -X cpu_count too
         return os.process_cpu_count() or 1
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 @contextmanager
 def one_of_several() -> Iterator[None]:
-    """Leave the other processors to the other workers of a sweep for as long as the context lasts."""
+    """Leave the other processors to the other workers of a sweep as long as the context lasts."""
     token = _one_of_several.set(True)
     try:
         yield

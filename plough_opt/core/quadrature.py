@@ -1,4 +1,4 @@
-"""Gauss-Legendre nodes, to be written into a graph."""
+"""Gauss-Legendre quadrature, as numbers for a graph."""
 
 from __future__ import annotations
 

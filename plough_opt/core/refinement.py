@@ -1,4 +1,4 @@
-"""What a finer quadrature, or more knots, gains and costs: error against time for any result of a size."""
+"""Error and time of a result by the order of its quadrature, its number of knots, or any other size."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from plough_opt.core.expressions import Expression, as_number, is_count
 from plough_opt.core.kinds import check_callable, check_kind, shown
 
 _REPEATS = 5
-# Below this relative error differences are rounding, and further refinement gains nothing.
+# Relative error below which differences are rounding, and further refinement gains nothing.
 _ROUNDING = 1e-14
 
 
@@ -43,7 +43,7 @@ class Refinement:
         """Return the smallest size whose relative error is at most the wanted one.
 
         Raises:
-            InputError: none of the sizes reaches it.
+            InputError: an invalid error, or one that no size reaches.
         """
         if (
             not isinstance(error, int | float | np.number)
@@ -57,7 +57,7 @@ class Refinement:
         raise InputError(f"no size up to {self.sizes[-1]} reaches a relative error of {error:g}: try larger ones")
 
     def __str__(self) -> str:
-        """Return the table, with a sentence on where refinement ends to pay."""
+        """Return the table, with a sentence on the size beyond which refinement gains nothing."""
         rows = [f"{'size':>6} {'relative error':>16} {'time, fastest = 1':>18}"]
         for size, error, cost in zip(self.sizes, self.errors, self.cost, strict=True):
             rows.append(f"{size:>6} {error:>16.1e} {cost:>18.1f}")
@@ -76,7 +76,7 @@ def refine(quantity: Callable[[int], Expression], sizes: Sequence[int]) -> Refin
         refine(lambda n: elastic.wedge_stress(0.1, 0.1, elastic.knots(h, 0.5, n), soil, 2.0).yy, [8, 16, 32])
 
     Args:
-        quantity: number or array of numbers as a function of the size.
+        quantity: a number or an array as a function of the size.
         sizes: sizes to try, at least one, each 1 or larger.
 
     Raises:
@@ -98,13 +98,13 @@ def refine(quantity: Callable[[int], Expression], sizes: Sequence[int]) -> Refin
 
 
 def _value(quantity: Callable[[int], Expression], size: int) -> NDArray[np.float64]:
-    found = quantity(size)
+    result = quantity(size)
     try:
-        value = as_number(found)
+        value = as_number(result)
     except InputError:
         raise
     except (TypeError, ValueError):
-        raise InputError(f"the quantity returned {shown(found)} at size {size}, and must return numbers") from None
+        raise InputError(f"the quantity returned {shown(result)} at size {size}, and must return numbers") from None
     if not np.all(np.isfinite(value)):
         raise InputError(f"the result at size {size} is not finite: refine a result that has a value")
     return value

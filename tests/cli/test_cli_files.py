@@ -65,7 +65,7 @@ def test_an_output_in_a_folder_that_is_a_file_is_refused_before_anything_is_comp
     done = cli("optimise", cotton, "--plot", own / FRONT / "new" / "a.png")
     assert done.status == 2
     assert done.out == ""
-    assert f"cannot be written: '{own / FRONT}' is no folder" in done.err
+    assert f"cannot be written: '{own / FRONT}' is not a folder" in done.err
 
 
 def test_a_closed_output_is_no_traceback(cotton):
@@ -165,7 +165,12 @@ def test_they_pass_in_the_background_too():
     ("variable", "value", "line", "told"),
     [
         ("MPLBACKEND", "bogus", ("simulate", "--plot", "a.png"), "--plot: matplotlib does not start: "),
-        ("CC", "'", ("export", "--to", "fmu", "--output", "a.fmu"), '$CC = "\'" is no command: No closing quotation'),
+        (
+            "CC",
+            "'",
+            ("export", "--to", "fmu", "--output", "a.fmu"),
+            '$CC = "\'" is not a command: No closing quotation',
+        ),
     ],
 )
 def test_environments_that_cannot_be_are_bad_input(command, cotton, tmp_path, variable, value, line, told):

@@ -339,7 +339,7 @@ def test_without_a_compiler_or_a_place_nothing_is_written(scene, tmp_path, monke
         write_fmu(scene, tmp_path.with_suffix(".fmu"), binary=False)
     with pytest.raises(po.InputError, match=r"end it in \.fmu"):
         write_fmu(scene, tmp_path / "share.zip", binary=False)
-    with pytest.raises(po.InputError, match=r"cannot be written: '.*' is no folder"):
+    with pytest.raises(po.InputError, match=r"cannot be written: '.*' is not a folder"):
         write_fmu(scene, Path(__file__) / "share.fmu", binary=False)
     monkeypatch.setenv("CC", "false")
     with pytest.raises(po.InputError, match="compile the FMU"):

@@ -6,7 +6,7 @@ sense, or CasADi expressions, and returns the like.
 
 from typing import TYPE_CHECKING, Any
 
-from plough_opt import laws
+from plough_opt import expressions, laws
 from plough_opt.core.errors import (
     DomainError,
     ImplausibleValue,
@@ -102,6 +102,7 @@ _LATER = {
     "SoilDistribution": "plough_opt.studies.uncertainty",
 }
 _MODULES_LATER = {
+    "export": "plough_opt.export",
     "crosscheck": "plough_opt.studies.crosscheck",
     "plots": "plough_opt.app.plots",
     "uncertainty": "plough_opt.uncertainty",
@@ -186,6 +187,7 @@ __all__ = [
     "crosscheck",
     "deg",
     "elastic",
+    "expressions",
     "laws",
     "load",
     "loosened_radius",

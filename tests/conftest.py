@@ -1,12 +1,16 @@
 """Scenes that several test files share."""
 
+import collections
 import itertools
 import signal
+from pathlib import Path
 
 import pytest
 
 import plough_opt as po
 from plough_opt.core import heartbeat
+
+HERE = Path(__file__).parent
 
 
 @pytest.fixture
@@ -26,6 +30,50 @@ def no_lines_that_depend_on_time():
     before, heartbeat.EVERY = heartbeat.EVERY, 3600.0
     yield
     heartbeat.EVERY = before
+
+
+# Of how many cases of a parametrised test one runs by default, by file; all of them run with the slow tests.
+ONE_OF = {
+    "elastic/test_contact": 3,
+    "hard_cases/test_extremes": 2,
+    "hard_cases/test_singular_designs": 2,
+    "hard_cases/test_sticking_entry": 2,
+    "motion/test_combination_derivatives": 3,
+    "motion/test_derivative_accuracy": 4,
+    "motion/test_effect_combinations": 2,
+    "motion/test_energy": 3,
+    "motion/test_entry": 2,
+    "motion/test_integrators": 3,
+    "motion/test_method_orders": 3,
+    "motion/test_orbit": 3,
+    "motion/test_orbit_derivatives": 4,
+    "motion/test_orbit_stand_ins": 3,
+    "motion/test_printed_motion": 3,
+    "motion/test_simulate": 3,
+    "motion/test_stick_slip": 3,
+    "motion/test_wanted_cost": 3,
+    "test_accuracy_study": 2,
+    "test_batch": 3,
+    "test_density_profile": 2,
+    "test_forces": 4,
+    "test_plastic_derivatives": 3,
+    "uncertainty/test_alike_runs": 2,
+}
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items):
+    """Mark as slow what `ONE_OF` leaves out by default, before pytest leaves out the slow tests."""
+    seen = collections.Counter()
+    for item in items:
+        if not isinstance(item, pytest.Function):
+            continue
+        file = item.path.relative_to(HERE).with_suffix("").as_posix()
+        if file in ONE_OF and hasattr(item, "callspec") and item.get_closest_marker("slow") is None:
+            name = (file, item.originalname)
+            if seen[name] % ONE_OF[file]:
+                item.add_marker(pytest.mark.slow)
+            seen[name] += 1
 
 
 FLAGS = ("drag", "rate", "wave", "ramp", "damper", "rest")

@@ -178,6 +178,7 @@ def test_a_start_beside_the_optimum_leads_back_to_it(bowl, monkeypatch):
     assert all(entry.failure is None and entry.errors[VARIABLES] < 1e-4 for entry in rows)
 
 
+@pytest.mark.slow
 def test_a_thin_contest_leaves_out_every_other_setting(r1_soil, r1_wave, monkeypatch):
     monkeypatch.setattr(local_solve, "find_compiler", lambda: None)
     monkeypatch.setattr(optimum, "_ADAPTIVE", (("erk", (1e-6, 1e-9)),))

@@ -21,6 +21,8 @@ from plough_opt.motion.timeline import Timeline
 # Lower than any force that matters; keeps the scales of a scene without forces above zero.
 _LEAST_FORCE = 1e-9
 _MOST_EVENTS = 1_000_000
+# CasADi quotes the name where it is asked for a forward derivative of a forward derivative, which it does not have.
+_EVENTFUL = "motion_with_events_whose_second_derivatives_are_those_of_a_gradient_as_by_casadi_hessian"
 # A failure is reported once, as an IntegrationError, and not by CasADi at every attempt.
 _QUIET = {"show_eval_warnings": False}
 
@@ -103,7 +105,8 @@ def _by_casadi(structure: Structure, accuracy: Accuracy, timeline: Timeline) -> 
     # Fixed steps end where the result is asked for: at the kink too, so that they keep their order.
     times = (timeline.stops if METHODS[accuracy.method].order is not None else timeline.output_fractions)[1:]
     asked = [int(i) for i in np.searchsorted(times, timeline.output_fractions[1:])]
-    solver = ca.integrator("motion", accuracy.method, equation, 0.0, times.tolist(), options)
+    name = "motion" if transition is None else _EVENTFUL
+    solver = ca.integrator(name, accuracy.method, equation, 0.0, times.tolist(), options)
     p = ca.MX.sym("p", len(observed.parameters) + 1)
     known = observed.named(p)
     sizes = ca.MX.sym("sizes", 2 + observed.count + observed.squared)

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import json
 import sys
-from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import MISSING, fields, is_dataclass
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import MISSING, fields
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final, Generic, Literal, TypeVar, cast, get_type_hints
@@ -224,6 +225,11 @@ class Form(Generic[_T]):
 
 # Characters of a saved result, some hundred times the longest that the commands write.
 _MOST_BYTES: Final = 100_000_000
+# What nothing may be known of: a motion that cannot be predicted, and what data do not determine -> texts of its ends.
+_MAY_BE_INFINITE: Final = {
+    **dict.fromkeys(("error_estimate", "standard_error", "sigma", "errors"), ("Infinity",)),
+    "interval": ("Infinity", "-Infinity"),
+}
 # First bytes of an SQLite file.
 _STORE: Final = b"SQLite format 3"
 # Kinds of results that are built upon this module -> where what reads them is, imported when such a file is read.
@@ -275,14 +281,14 @@ class _Kind(BaseModel):
     kind: str
 
 
-def read_saved(path: str | Path, name: str, kind: str, validate: Callable[[str], _T]) -> _T:
+def read_saved(path: str | Path, name: str, kind: str, validate: Callable[..., _T]) -> _T:
     """Return what a JSON file holds.
 
     Args:
         path: the file.
         name: what messages call its content, like "study".
         kind: what it must be, like "an accuracy study".
-        validate: pydantic's reader of that kind.
+        validate: pydantic's reader of that kind, which is asked to take neither a text nor a switch for a number.
 
     Raises:
         InputError: no such file, or another kind or layout.
@@ -296,9 +302,7 @@ def read_saved(path: str | Path, name: str, kind: str, validate: Callable[[str],
     if len(content) > _MOST_BYTES:
         raise InputError(f"the {name} '{path}' is too long: at most {_MOST_BYTES // 1_000_000} MB can be read")
     try:
-        found = validate(text)
-        _refuse_infinite(from_json(text, allow_inf_nan=False))
-        _refuse_nan(found)
+        found = validate(json.dumps(_parsed(text)), strict=True)
     except ValueError as error:
         place, why = "its beginning", str(error)
         if isinstance(error, ValidationError):
@@ -311,12 +315,16 @@ def read_saved(path: str | Path, name: str, kind: str, validate: Callable[[str],
     return found
 
 
-def _refuse_infinite(data: Any) -> None:
-    """Refuse parsed JSON with numbers that are beyond all floats; what is infinite on purpose is the text "Infinity".
+def _parsed(text: str) -> Any:
+    """Return JSON with the text "Infinity" as a number, where a result may be infinite and nowhere else.
 
     Raises:
-        ValueError: as said.
+        ValueError: not JSON, NaN, or a number beyond all floats.
     """
+    try:
+        data = from_json(text, allow_inf_nan=False)
+    except ValueError as error:
+        raise ValueError(f"Invalid JSON: {error}") from None
     rest = [data]
     while rest:
         value = rest.pop()
@@ -324,26 +332,22 @@ def _refuse_infinite(data: Any) -> None:
             rest += value.values() if isinstance(value, dict) else value
         elif isinstance(value, int | float) and not abs(value) <= sys.float_info.max:
             raise ValueError("a number is beyond all floats")
+    return _with_infinity(data)
+
+
+def _with_infinity(data: Any, ends: tuple[str, ...] = ()) -> Any:
+    """Return parsed JSON with numbers for the texts that `_MAY_BE_INFINITE` allows.
+
+    Args:
+        data: what JSON holds.
+        ends: the texts that stand for a number in it.
+    """
+    if isinstance(data, list):
+        return [_with_infinity(value, ends) for value in data]
+    if isinstance(data, dict):
+        return {key: _with_infinity(value, _MAY_BE_INFINITE.get(key, ends)) for key, value in data.items()}
+    return float(data) if isinstance(data, str) and data in ends else data
 
 
 def _floats(averages: Averages) -> Averages:
     return Averages(**{name: float(getattr(averages, name)) for name in Averages.__dataclass_fields__})
-
-
-def _refuse_nan(found: object) -> None:
-    """Refuse a result with a number that is none, for which a text may stand in JSON.
-
-    Raises:
-        ValueError: as said.
-    """
-    rest = [found]
-    while rest:
-        value = rest.pop()
-        if isinstance(value, float | np.ndarray) and np.any(np.isnan(value)):
-            raise ValueError("a number is NaN")
-        if isinstance(value, BaseModel) or is_dataclass(value):
-            rest += vars(value).values()
-        elif isinstance(value, Mapping):
-            rest += value.values()
-        elif isinstance(value, list | tuple):
-            rest += value

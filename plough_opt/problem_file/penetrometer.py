@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from plough_opt.core.csv_rows import check_rising, columns_of, raise_listed, readings_of, table_of
-from plough_opt.core.domain import plain_number
+from plough_opt.core.domain import LARGEST, LEAST, check_text, plain_number
 from plough_opt.core.errors import InputError
 from plough_opt.core.kinds import path_of, shown
 from plough_opt.core.units import Unit
@@ -35,10 +35,26 @@ class Penetrometer:
     Attributes:
         name: the file.
         insertions: mean cone index of each insertion over the range of depth [Pa].
+
+    Raises:
+        InputError: no insertions, or a cone index that is not above 0.
     """
 
     name: str
     insertions: Vector
+
+    def __post_init__(self) -> None:
+        check_text("the name of a penetrometer's file", self.name)
+        try:
+            found = np.array(self.insertions, dtype=float)
+        except (TypeError, ValueError, OverflowError, RuntimeError, NotImplementedError):
+            found = np.array([])
+        if found.ndim != 1 or not found.size or not np.all((found >= LEAST) & (found <= LARGEST)):
+            raise InputError(
+                f"{self.name}: insertions = {shown(self.insertions)} must be cone indices above 0, in Pa, one for each"
+                " insertion"
+            )
+        object.__setattr__(self, "insertions", found)
 
     @property
     def mean(self) -> float:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from plough_opt.core.domain import check_domain, plain_number
+from plough_opt.core.domain import LARGEST, check_domain, check_text, plain_number
 from plough_opt.core.errors import InputError
 from plough_opt.core.kinds import check_kind, shown
 from plough_opt.core.picture_files import COLOURS, save
@@ -61,9 +61,10 @@ class StrengthRecord:
     name: str = "the record"
 
     def __init__(self, position: ArrayLike, value: ArrayLike, rig: Rig | None = None, name: str = "the record") -> None:
+        check_text("the name of a record", name)
         try:
             x, y = (np.asarray(given, dtype=float).copy() for given in (position, value))
-        except (TypeError, ValueError, OverflowError):
+        except (TypeError, ValueError, OverflowError, RuntimeError, NotImplementedError):  # the last two are CasADi's
             raise InputError(f"{name}: positions and values must be numbers") from None
         check_kind("the rig", rig, Rig | None, "a Rig, or None of strength itself")
         if x.ndim != 1 or x.shape != y.shape:
@@ -71,9 +72,13 @@ class StrengthRecord:
                 f"{name}: positions and values of the shapes {x.shape} and {y.shape} must be alike columns"
             )
         if not _FEWEST <= len(x) <= _MOST:
-            raise InputError(f"{name} has {len(x)} points: a spectrum takes {_FEWEST} to {_MOST}")
-        if not (np.isfinite(x).all() and np.isfinite(y).all()):
-            raise InputError(f"{name}: every position and value must be finite: leave the others out")
+            raise InputError(
+                f"{name}: it has {len(x)} points, and a spectrum takes at least {_FEWEST} and at most {_MOST}"
+            )
+        if not (np.all(np.abs(x) <= LARGEST) and np.all(np.abs(y) <= LARGEST)):
+            raise InputError(
+                f"{name}: every position and value must be finite, and within {LARGEST:g} in size: leave the others out"
+            )
         if np.any(np.diff(x) <= 0.0):
             place = int(np.argmax(np.diff(x) <= 0.0)) + 1
             raise InputError(f"{name}: positions must rise, and {x[place]:g} m follows {x[place - 1]:g} m")
@@ -81,7 +86,7 @@ class StrengthRecord:
             object.__setattr__(self, key, given)
         if len(x) > _MOST_UNEVEN and not self.even:
             raise InputError(
-                f"{name} has {len(x)} points at uneven distances: resample it, or take {_MOST_UNEVEN} of them"
+                f"{name}: it has {len(x)} points at uneven distances: resample it, or take {_MOST_UNEVEN} of them"
             )
 
     @property
@@ -196,13 +201,13 @@ def strength_waves(record: StrengthRecord, part: float = 0.8, *, base_diameter: 
     Raises:
         InputError: a part that cannot be, or a record without fluctuation.
     """
-    if not (isinstance(part, int | float) and 0.0 < part <= 1.0):
+    if isinstance(part, bool) or not (isinstance(part, int | float) and 0.0 < part <= 1.0):
         raise InputError(f"part = {shown(part)} of the variance must be above 0 and at most 1")
     diameter = _checked(record, base_diameter)
     x, y = record.position - record.position[0], record.relative()
     variance = float(np.mean(y**2))
     if not variance > 0.0:
-        raise InputError(f"{record.name}: its strength does not vary, so it holds no wave")
+        raise InputError(f"{record.name}: its strength does not vary, so it holds no wave: give a record that does")
     grid, notes = _wave_numbers(record, diameter)
     numbers: list[float] = []
     left = y

@@ -26,6 +26,11 @@ TABLES = [
     "scene.tow_speed [km/h]; mean_draft [kN]; sigma [%]\n3; 2.5; 10\n4; 3; 5\n",
     "time [s],mount_force [kN]\n0,1\n0.1,1.1\n0.2,1.2\n0.3,1\n",
 ]
+RECORDS = [
+    "position [m],cone_index [kPa]\n" + "".join(f"{0.05 * k:.2f},{1500 + 300 * (k % 7)}\n" for k in range(40)),
+    "position [m]; force [kN]\n" + "".join(f"{0.1 * k:.1f}; {3 + 0.4 * (k % 5):.1f}\n" for k in range(36)),
+    "time [s],force [N]\n" + "".join(f"{0.1 * k:.1f},{3000 + 90 * (k % 9)}\n" for k in range(36)),
+]
 KEYS = [
     *quantities(), "title", "minimise.mean_draft.per", "require.half_angle.at_most", "variables.share.height.upper",
     "variables.share.height", "accuracy.method", "accuracy.error", "accuracy.steps", "effects.contact",
@@ -54,9 +59,14 @@ def judge(status, message):
 
 def checked(*arguments):
     """Run `plough-opt check`; return status and message."""
+    return answered("check", *arguments)
+
+
+def answered(verb, *arguments):
+    """Run a command; return status and message."""
     out, err = io.StringIO(), io.StringIO()
     with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
-        status = main(["check", *map(str, arguments)])
+        status = main([verb, *map(str, arguments)])
     assert status == 0 or out.getvalue() == ""
     return status, err.getvalue()
 
@@ -145,6 +155,18 @@ def test_readings_of_a_penetrometer(count, tmp_path):
     run(count, answer, tmp_path)
 
 
+@thinned(40, 300)
+def test_records_of_strength(count, tmp_path):
+    rig = ["--mass=20 kg", "--stiffness=50 kN/m", "--damping=400 N*s/m", "--tow-speed=5 km/h"]
+    options = (rig, rig, [], ["--tow-speed=5 km/h", "--base-diameter=120 mm"])
+
+    def answer(rng, path):
+        path.write_text(mutated(rng.choice(RECORDS), rng), encoding="utf-8", errors="surrogatepass", newline="")
+        return answered("waves", path, *rng.choice(options))
+
+    run(count, answer, tmp_path)
+
+
 SHORT = ("--set=scene.duration=0.1 s", "--set=scene.outputs=10")
 RUN = ("simulate", "cotton_subsoiler.toml", *SHORT, "--json")
 SAVED = [
@@ -177,7 +199,8 @@ def printed_by(verb, name, *options):
     [pytest.param(one, marks=() if one[0] in ("simulate", "calibrate") else pytest.mark.slow) for one in SAVED],
     ids=lambda command: " ".join(command[:2]),
 )
-def test_a_text_for_nan_is_no_number_of_a_saved_result(command, tmp_path):
+def test_a_text_is_no_number_of_a_saved_result(command, tmp_path):
+    """But "Infinity", of what data do not determine and of a motion that cannot be predicted."""
     text = printed_by(*command)
     path, kinds = tmp_path / "saved.json", {}
     path.write_text(text, encoding="utf-8")
@@ -189,10 +212,15 @@ def test_a_text_for_nan_is_no_number_of_a_saved_result(command, tmp_path):
         inner = data
         for key in place[:-1]:
             inner = inner[key]
-        inner[place[-1]] = "NaN"
-        path.write_text(json.dumps(data), encoding="utf-8")
-        with pytest.raises(po.InputError, match=r"is not an? .* of this version"):
-            po.load(path)
+        for wrong in ("NaN", "Infinity", "-Infinity", "1e400", "1", "inf"):
+            if wrong == "Infinity" and {"error_estimate", "standard_error", "sigma", "interval", "errors"} & {*place}:
+                continue
+            if wrong == "-Infinity" and "interval" in place:
+                continue
+            inner[place[-1]] = wrong
+            path.write_text(json.dumps(data), encoding="utf-8")
+            with pytest.raises(po.InputError, match=r"is not an? .* of this version"):
+                po.load(path)
 
 
 @pytest.mark.parametrize(

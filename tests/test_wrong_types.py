@@ -252,6 +252,40 @@ def test_arguments_of_another_kind_are_refused(verb):
             call(wrong)
 
 
+# --- numbers whose powers leave floating point ---
+
+MEDIUM = po.Soil(1600.0, 0.8, 2e4, 0.5, 0.5, 0.0, youngs_modulus=2e7, poisson_ratio=0.3)
+BEYOND = {
+    "speed": lambda: po.resistance(CONE, SOIL, 1e308, 0.0),
+    "largest speed but one": lambda: po.resistance(CONE, SOIL, 1.1e60, 0.0),
+    "height": lambda: po.Cone(0.2, 1e-61),
+    "place beside a wedge": lambda: po.elastic.wedge_stress(1e308, 0.1, NODES, MEDIUM, 2.0),
+    "place at its tip": lambda: po.elastic.wedge_pressure(5e-324, NODES, MEDIUM, 2.0),
+    "place beside a cone": lambda: po.elastic.cone_stress(0.2, 5e-324, NODES, MEDIUM, 2.0),
+    "radius": lambda: po.plastic.front(1e308, SOIL),
+    "depth": lambda: po.crosscheck.asabe_draft(1e308, 2.0, texture="medium", point="narrow"),
+    "duration": lambda: po.simulate(po.Scene(SOIL, CONE, 5e4, 25.0, 2.0, po.Effects(motion=False)), 1e308),
+    "width": lambda: po.uncertainty.cvar([1.0, 2.0], 0.5, width=5e-324),
+    "samples": lambda: po.uncertainty.worst([1.0, 1e308], width=0.1),
+    "limit": lambda: po.uncertainty.probability([1.0, 2.0], at_least=-1e308, width=0.1),
+    "bound": lambda: po.uncertainty.Marginal(stats.norm(), upper=10**61),
+    "reading": lambda: po.Penetrometer("a.csv", [1e6, 1e308]),
+    "record": lambda: po.StrengthRecord(np.arange(40.0), np.full(40, 1e308)),
+    "error": lambda: po.Accuracy(error=np.float32(0.5)),
+}
+
+
+@pytest.mark.parametrize("call", BEYOND.values(), ids=BEYOND)
+def test_numbers_that_cannot_be_computed_with_are_refused(call):
+    with pytest.raises((po.DomainError, po.InputError), match=r"must (be|lie)|at least|node 1|cone indices|within"):
+        call()
+
+
+def test_the_largest_numbers_are_computed_with():
+    assert math.isfinite(po.resistance(CONE, SOIL, 1e60, 0.0))
+    assert math.isfinite(po.Cone(0.2, 1e60).volume)
+
+
 # --- names ---
 
 

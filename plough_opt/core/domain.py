@@ -3,13 +3,19 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
 from plough_opt.core.errors import DomainError, InputError, unprintable
 from plough_opt.core.expressions import Expression, as_number, holds_several, is_casadi, is_symbolic
 from plough_opt.core.kinds import shown
+
+LARGEST: Final = 1e60
+"""Largest size of a number, in SI units: fourth powers and products of several stay within floating point."""
+
+LEAST: Final = 1.0 / LARGEST
+"""Least size of what must be above 0, whose powers and reciprocals then do."""
 
 # Numbers of fewer bytes have three digits, or overflow when squared.
 _LEAST_BYTES = 4
@@ -28,6 +34,8 @@ def check_domain(
 ) -> None:
     """Raise DomainError for a number outside its domain; a symbol passes, as its value is checked later.
 
+    Beyond `LARGEST` in size every number is refused, and below `LEAST` one that must be above 0.
+
     Args:
         name: of the value, for the user.
         value: number, array or CasADi expression.
@@ -42,7 +50,8 @@ def check_domain(
         DomainError: not a number, or one that is not finite or lies outside; the message gives name, value
             and limit.
     """
-    if isinstance(value, float) and math.isfinite(value) and above < value < below and at_least <= value <= at_most:
+    at_least, at_most = max(at_least, LEAST if above == 0.0 else -LARGEST), min(at_most, LARGEST)
+    if isinstance(value, float) and above < value < below and at_least <= value <= at_most:
         return
     if is_symbolic(value):
         return
@@ -63,6 +72,8 @@ def check_domain(
             # With six digits a number close to its limit would look like the limit itself.
             digits = 6 if limit is None or f"{bad:.6g}" != f"{limit:.6g}" else 17
             bound = "" if limit is None else f" {limit:.{digits}g}{suffix}"
+            if limit in (LEAST, LARGEST, -LARGEST):
+                why = "what is larger or smaller cannot be computed with: check its unit"
             reason = f": {why}" if why else ""
             raise DomainError(f"{name} = {bad:.{digits}g}{suffix} must be {relation}{bound}{reason}")
 
@@ -88,7 +99,7 @@ def plain_number(what: str, value: Any) -> float:
         value: a number, or an array or CasADi matrix with one element; not text, a switch or an expression.
 
     Raises:
-        InputError: not a number, or one that is not finite.
+        InputError: not a number, or one that is not finite or beyond `LARGEST` in size.
     """
     try:
         if isinstance(value, str | bytes | bool | np.bool_) or (isinstance(value, np.ndarray) and value.ndim > 0):
@@ -101,6 +112,8 @@ def plain_number(what: str, value: Any) -> float:
         number = math.inf
     if not math.isfinite(number):
         raise InputError(f"{what}: {shown(value)} must be a finite number")
+    if abs(number) > LARGEST:
+        raise InputError(f"{what}: {shown(value)} must lie within {LARGEST:g} in size: check its unit")
     return number
 
 

@@ -45,6 +45,7 @@ class Refinement:
         Raises:
             InputError: an invalid error, or one that no size reaches.
         """
+        error = float(error) if isinstance(error, np.floating) else error  # of few bytes it is compared with its like
         if (
             not isinstance(error, int | float | np.number)
             or isinstance(error, bool)

@@ -19,6 +19,8 @@ Catalogue = float | Sequence[float]
 # The optimiser stops this near a bound; a value of the catalogue this near is the optimum's own.
 _ITSELF = 1e-6
 _ROUNDING = 1e-12
+# Multiples of a step beyond which they are not told apart in floating point.
+_MOST_MULTIPLES = 1e15
 
 
 @dataclass(frozen=True)
@@ -117,6 +119,8 @@ def _allowed(number: int, v: Variable, catalogue: Catalogue) -> Allowed:
         step = float(values[0])
         if step <= 0.0:
             raise InputError(f"the step of '{v.name}' must be above 0, not {step:g}")
+        if max(abs(v.lower), abs(v.upper)) / _MOST_MULTIPLES > step:
+            raise InputError(f"the step {step:g} of '{v.name}' is too small to count to its bounds: take a larger one")
         found = Allowed(number, v, (), step)
     else:
         reserve = _rounding(v)

@@ -119,6 +119,7 @@ class Variable:
             given, part = float(number[1]), absolute(value) / 100.0
         else:
             part = 1.0
+        given = float(given) if isinstance(given, np.floating) else given  # of few bytes it is compared with its like
         sound = isinstance(given, int | float | np.number) and not isinstance(given, bool)
         if self.tolerance is not None and not (sound and 0.0 <= cast(float, given) <= sys.float_info.max):
             raise InputError(

@@ -89,7 +89,7 @@ def test_every_public_name_has_a_recipe():
     results = {
         "AccuracyStudy", "BatchResult", "Component", "Design", "DomainError", "Fit", "ImplausibleValue",
         "InfeasibleDesign", "InputError", "IntegrationError", "LocalOptimum", "NotConverged", "Optimum",
-        "OwnResistance", "Penetrometer", "PloughError",
+        "OwnResistance", "PloughError",
         "Problem", "RecordWaves", "Refinement", "ResistanceLaw", "Run", "ShareInSoil", "SoilReaction", "Sweep",
         "TradeOff", "crosscheck", "elastic", "laws", "plastic", "plots", "soil_names", "uncertainty",
     }  # fmt: skip

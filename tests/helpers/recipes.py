@@ -158,6 +158,7 @@ def recipes():
         "Candidate": (po.Candidate, {"result": "mean_draft", "conditions": {"scene.tow_speed": 2.0}, "sigma": 1.0,
                                      "why": ""}),
         "Component()": (lambda **a: made()(**a), {"share_height": 0.2}),
+        "Penetrometer": (po.Penetrometer, {"name": "a.csv", "insertions": [1.1e6, 0.9e6, 1.3e6]}),
         "Rig": (po.Rig, {"mass": 100.0, "stiffness": 1e5, "damping": 300.0, "tow_speed": 1.0}),
         "cone_index": (po.cone_index, {"soil": SOIL}),
         "read_penetrometer": (po.read_penetrometer, {"path": "none.csv", "depth": (0.1, 0.3)}),
@@ -364,5 +365,6 @@ WRONG = {
     "no array": np.array([]), "array of text": np.array(["x"]), "array of nan": np.array([math.nan, 1.0]),
     "square": np.eye(2), "objects": np.array([None, {}]), "object": object(), "symbol": ca.MX.sym("x"),
     "column": ca.MX.sym("x", 2), "SX": ca.SX.sym("x"), "function": lambda *_, **__: None, "soil": SOIL,
-    "vaster": 10**5000, "control": "\x1b[2J", "half a pair": "\udcff",
+    "largest": 1e308, "-largest": -1e308, "least": 5e-324, "-0": -0.0, "1e60": 1e60, "1e-60": 1e-60, "2^64": 2**64,
+    "short": np.float32(0.5), "switch": np.True_, "vaster": 10**5000, "control": "\x1b[2J", "half a pair": "\udcff",
 }  # fmt: skip

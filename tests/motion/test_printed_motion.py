@@ -248,7 +248,7 @@ def test_a_damper_slows_the_growth(r1_scene):
 
 def test_a_failure_of_the_derived_equation_does_not_name_it(r1_scene):
     with pytest.raises(po.IntegrationError) as refusal:
-        po.simulate(r1_scene(tow_speed=1e200, start="rest"), 1.0)
+        po.simulate(r1_scene(tow_speed=1e50, start="rest"), 1.0)
     assert "repelling" not in str(refusal.value)
 
 

@@ -10,7 +10,7 @@ from typing import Any, Final, TypeAlias
 
 import numpy as np
 
-from plough_opt.core.domain import check_domain, plain_number
+from plough_opt.core.domain import LEAST, check_domain, plain_number
 from plough_opt.core.errors import DomainError, InputError
 from plough_opt.core.expressions import (
     Expression,
@@ -168,7 +168,8 @@ def refuse_nodes(offsets: Sequence[Expression], distance: Expression) -> None:
     for k, offset in enumerate(offsets):
         if is_symbolic(offset) or is_symbolic(distance):
             continue
-        if np.any((as_number(offset) == 0.0) & (as_number(distance) == 0.0)):
+        # Squares of less are zero in floating point.
+        if np.any((np.abs(as_number(offset)) < LEAST) & (np.abs(as_number(distance)) < LEAST)):
             raise DomainError(
                 f"a point lies on node {k + 1} of the profile, where the stresses are infinite: move it off the node"
             )

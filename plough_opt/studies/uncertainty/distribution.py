@@ -65,7 +65,8 @@ class Marginal:
         for side, bound in (("lower", self.lower), ("upper", self.upper)):
             infinite = isinstance(bound, float) and math.isinf(bound)
             if not infinite:
-                plain_number(f"{self.name}: its {side} bound", bound)
+                # SciPy takes no whole numbers of more than 63 binary digits.
+                object.__setattr__(self, side, plain_number(f"{self.name}: its {side} bound", bound))
         if not self.lower < self.upper:
             raise InputError(
                 f"{self.name}: its bounds contradict each other: {self.lower:g} is not below {self.upper:g}"
@@ -337,7 +338,7 @@ def _pair_of(name: str, ends: Any) -> tuple[float, float]:
 def _numbers(what: str, values: ArrayLike) -> Vector:
     """Return a number or an array as an array, or raise InputError for anything else and for NaN."""
     array: Vector | None = None
-    if not isinstance(values, str | bytes | bool | None):
+    if not isinstance(values, str | bytes | bool | np.bool_ | None):
         with contextlib.suppress(TypeError, ValueError, OverflowError, RuntimeError, NotImplementedError):
             array = np.asarray(values, dtype=float)
     if array is None or np.any(np.isnan(array)):

@@ -12,7 +12,7 @@ import math
 import casadi as ca
 import numpy as np
 
-from plough_opt.core.domain import plain_number
+from plough_opt.core.domain import LARGEST, LEAST, plain_number
 from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import Expression, is_casadi, sqrt, where
 from plough_opt.core.kinds import shown
@@ -188,6 +188,8 @@ def _smooth(what: str, column: Expression, width: float) -> bool:
         raise InputError(
             f"the width {shown(width)} of a {what} must be a number of at least 0, in the unit of the values"
         )
+    if 0.0 < width < LEAST:
+        raise InputError(f"the width {shown(width)} of a {what} must be 0 or at least {LEAST:g}: leave it out")
     if width == 0.0 and is_casadi(column):
         raise InputError(
             f"in a design a {what} needs a width, in the unit of its values, over which it is smoothed: a few"
@@ -211,6 +213,8 @@ def _column(values: Expression) -> Expression:
         raise InputError(_NO_SAMPLES)
     if not np.all(np.isfinite(numbers)):
         raise InputError(f"{np.sum(~np.isfinite(numbers))} of {len(numbers)} samples are not finite: leave them out")
+    if np.any(np.abs(numbers) > LARGEST):
+        raise InputError(f"a sample of {numbers[np.argmax(np.abs(numbers))]:g} must lie within {LARGEST:g} in size")
     return numbers
 
 

@@ -13,6 +13,7 @@ import plough_opt as po
 from plough_opt.app import main
 from plough_opt.exchange.export.formats import FORMATS
 from plough_opt.laws import LAWS
+from plough_opt.motion.effects import OWN_EFFECTS
 from plough_opt.motion.methods import METHODS
 from plough_opt.motion.vocabulary import MEASURES
 
@@ -21,7 +22,7 @@ TEXT = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
 BLOCKS = re.compile(r"```(\w+)\n(.*?)```", re.DOTALL)
 INTRODUCTION, *PARTS = re.split(r"^### ", TEXT, flags=re.MULTILINE)
 SECTIONS = {part.partition("\n")[0]: BLOCKS.findall(part) for part in PARTS}
-REGISTRIES = (LAWS, MEASURES, FORMATS, METHODS)
+REGISTRIES = (OWN_EFFECTS, LAWS, MEASURES, FORMATS, METHODS)
 
 
 @pytest.fixture
@@ -78,10 +79,12 @@ def test_the_page_shows_five_additions_each_one_file_and_one_line():
     for section, blocks in SECTIONS.items():
         modules = [text for language, text in blocks if language == "python" and text.startswith("# ")]
         assert len(modules) == 1, section
-        lines = re.findall(r"^(?:po\.laws\.)?(LAWS|MEASURES|FORMATS|METHODS)\[", modules[0], flags=re.MULTILINE)
-        assert len(lines) == (section != "An effect")
+        lines = re.findall(
+            r"^(?:po\.laws\.)?(OWN_EFFECTS|LAWS|MEASURES|FORMATS|METHODS)\[", modules[0], flags=re.MULTILINE
+        )
+        assert len(lines) == 1, section
     named = re.findall(r"`(plough_opt/[\w/]+\.py)`", TEXT)
-    assert len(named) == 4
+    assert len(named) == 5
     assert all((ROOT / path).exists() for path in named)
 
 
@@ -94,6 +97,20 @@ def test_effect(workshop, capsys):
     # From rest and over a short time.
     assert sticks > bare.steady_resistance / 2
     assert "viscous" in second
+    shank = "[{effect='shank', static='150 N', viscous='80 N*s/m'}]"
+    own = po.read_problem("tine.toml", [f"effects.own={shank}"])
+    # 80 N s/m at 2 m/s.
+    rise = own.simulate().mean_draft - po.read_problem("tine.toml").simulate().mean_draft
+    assert rise == pytest.approx(150.0 + 160.0, rel=1e-9)
+    for wrong, told in (
+        ("[{effect='shenk'}]", "did you mean 'shank'"),
+        ("[{effect='shank', static='150 N'}]", "lacks something"),
+        ("[{effect='shank', static='150 m', viscous='1 N*s/m'}]", "'static' = \"150 m\" has the wrong unit"),
+        ("[{effect='shank', statik='150 N'}]", "'statik' is not a quantity of Shank: did you mean 'static'"),
+        ("[3]", "must be"),
+    ):
+        assert main(["check", "tine.toml", "--set", f"effects.own={wrong}"]) == 2
+        assert told in " ".join(capsys.readouterr().err.split())
 
 
 def test_resistance_law(workshop, capsys):

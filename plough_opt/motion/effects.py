@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, is_dataclass
 from enum import Enum
 from types import BuiltinFunctionType, FunctionType
-from typing import Any, Literal, Protocol, runtime_checkable
+from typing import Any, Final, Literal, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -99,6 +99,10 @@ class OwnResistance(Protocol):
 
         Written with arithmetic and the functions of `plough_opt.core.expressions`, so that it takes symbols.
         """
+
+
+OWN_EFFECTS: Final[dict[str, type[OwnResistance]]] = {}
+"""Name -> class of own effects that problem files may name; a field's metadata gives its unit: {"unit": "N"}."""
 
 
 @runtime_checkable

@@ -23,7 +23,7 @@ from plough_opt.motion.effects import Effects, HarmonicBalance, Smooth, StickSli
 from plough_opt.motion.scene import Scene
 from plough_opt.problem_file.front import EXAMPLE, front_of
 from plough_opt.problem_file.interface import input_ports, wanted_outputs
-from plough_opt.problem_file.medium import medium_of
+from plough_opt.problem_file.named import medium_of, own_effects_of
 from plough_opt.problem_file.own_measures import measures_of
 from plough_opt.problem_file.schema import RANDOM, ProblemTable
 from plough_opt.soil.geometry import Wedge
@@ -190,6 +190,7 @@ class Problem:
             rate_term=values.get("effects.rate_term"),
             orbit=HarmonicBalance(table.harmonics) if table.orbit == "harmonic_balance" else table.orbit,
             formulation=table.formulation,
+            own=own_effects_of(table.own),
         )
 
     def simulate(self, changes: Mapping[str, float] | None = None) -> Run:

@@ -21,7 +21,7 @@ from plough_opt.core.units import Unit
 from plough_opt.laws.law import ResistanceLaw
 from plough_opt.laws.registry import LAWS, law_of
 from plough_opt.motion.effects import MOST_HARMONICS, Effects, HarmonicBalance
-from plough_opt.problem_file.medium import medium_of
+from plough_opt.problem_file.named import medium_of, own_effects_of
 from plough_opt.soil.soil import Adjust
 
 Written = StrictStr | StrictFloat
@@ -35,6 +35,12 @@ _T = TypeVar("_T", bound="Table")
 def checked_medium(written: object) -> object:
     """Return a medium as it is written, which `medium_of` can read."""
     medium_of(written)
+    return written
+
+
+def checked_effects(written: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Return own effects as they are written, which `own_effects_of` can read."""
+    own_effects_of(written)
     return written
 
 
@@ -93,6 +99,7 @@ class EffectsTable(Table):
     orbit: Literal["transient", "periodic", "linearised", "harmonic_balance"] = "transient"
     harmonics: Annotated[StrictInt, Field(ge=1, le=MOST_HARMONICS)] = HarmonicBalance.harmonics
     formulation: Literal["derived", "printed"] = "derived"
+    own: Annotated[list[dict[str, Any]], AfterValidator(checked_effects)] = []
 
 
 class RandomStrengthTable(Table):

@@ -208,7 +208,7 @@ def test_problem_file_names_a_law_with_its_own_quantities(tmp_path):
     ("old", "new", "message"),
     [
         ('"mckyes_ali"', '"mckyes"', "no resistance law is named 'mckyes'.*mckyes_ali"),
-        ('depth = "30 cm"', 'dept = "30 cm"', "'dept' is not a quantity of that law.*depth"),
+        ('depth = "30 cm"', 'dept = "30 cm"', "'dept' is not a quantity of McKyesAli.*depth"),
         ('depth = "30 cm"', 'depth = "30 kg"', "'depth' = \"30 kg\" has the wrong unit"),
         ('{ law = "mckyes_ali", width = "10 cm", depth = "30 cm" }', "3", "must be a resistance law, such as"),
     ],

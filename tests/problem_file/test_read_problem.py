@@ -101,8 +101,8 @@ def test_what_the_template_comments_out_is_right_too(read):
         line.removeprefix("# ") if line.startswith("# [") or (line.startswith("# ") and " = " in line) else line
         for line in TEMPLATE.splitlines()
     ]
-    # Quasi-static scenes know no start, damper, contact law or entry, and neither does the print.
-    left = ("motion", "damping", "formulation")
+    # Quasi-static scenes know no start, damper, contact law or entry, and neither do the print and other laws.
+    left = ("motion", "damping", "formulation", "medium")
     text = "\n".join(line for line in lines if not line.startswith(left))
     problem = read(text)
     scene = problem.scene()

@@ -12,6 +12,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, Final
 
 import numpy as np
@@ -97,6 +98,11 @@ class Quantity:
     def key(self) -> str:
         """Its name within that table."""
         return self.name.rpartition(".")[2]
+
+    @cached_property
+    def ordinary(self) -> tuple[float, float]:
+        """Between which a number lies that is in the domain and plausible: almost every one, so it is read at once."""
+        return max(self.low, self.plausible[0]), min(self.high, self.plausible[1])
 
     def read(self, value: Any, stacklevel: int = 2) -> Expression:
         """Return a value in SI, checked; a plain number that looks like a slip of the unit carries a warning.
@@ -370,9 +376,12 @@ def settle(owner: object, **names: str) -> None:
     """
     for field, name in names.items():
         value = getattr(owner, field)
+        quantity = EVERY[name]
+        if type(value) is float and quantity.ordinary[0] < value < quantity.ordinary[1]:
+            continue
         if value is None and getattr(type(owner), field, "none") is None:
             continue
         # The lines of this loop, of __post_init__ and of the class's own __init__ lie before the user's.
-        found = EVERY[name].read(value, stacklevel=4)
+        found = quantity.read(value, stacklevel=4)
         if found is not value:
             object.__setattr__(owner, field, found)

@@ -77,7 +77,8 @@ def scene(density_ratio: float, stiffness: float, **effects: Any) -> po.Scene:
         c.density, density_ratio, c.cohesion, c.friction_angle, c.tool_friction, c.ambient_pressure, name="loose soil"
     )
     share = po.Wedge(c.wedge_angle, c.chisel_angle, c.height)
-    return po.Scene(soil, share, stiffness, c.mass, c.tow_speed, po.Effects(start="rest", **effects))
+    # Mounts as soft as the source's are not found in practice: with its unit the number is meant as it is.
+    return po.Scene(soil, share, f"{stiffness} N/m", c.mass, c.tow_speed, po.Effects(start="rest", **effects))
 
 
 @lru_cache(maxsize=64)

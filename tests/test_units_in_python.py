@@ -1,5 +1,6 @@
 """Quantities in Python: texts and pint quantities beside SI numbers, refusals with their remedy, likely slips."""
 
+import dataclasses
 import math
 import warnings
 
@@ -11,6 +12,7 @@ import pytest
 import plough_opt as po
 from plough_opt.app.main import main
 from plough_opt.core.quantities import EVERY
+from plough_opt.motion.vocabulary import with_quantities
 from plough_opt.problem_file import TEMPLATE
 
 U = pint.UnitRegistry()
@@ -98,6 +100,25 @@ def test_a_number_in_another_unit_is_asked_about_where_it_is_given(name):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         make(meant)  # what has its unit is meant
+
+
+def test_what_was_meant_is_asked_about_once_and_not_where_the_toolkit_makes_it_again():
+    scene = po.Scene(SOIL, po.Cone(0.2, 0.25), "50 N/m", 20.0, 2.0, po.Effects(motion=False))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        po.simulate(scene, 0.1)
+        with pytest.raises(po.ImplausibleValue):
+            dataclasses.replace(scene, stiffness=60.0)
+        assert with_quantities(scene, {"scene.stiffness": 60.0}).stiffness == 60.0
+
+
+def test_bounds_of_a_variable_in_another_unit_are_asked_about():
+    d = po.Design()
+    with pytest.warns(po.ImplausibleValue, match=r"variable 'k' = 500 N/m: did you mean 500 kN/m\?") as caught:
+        d.variable("k", guess=50.0, lower=10.0, upper=500.0, unit="N/m")
+    with pytest.warns(po.ImplausibleValue, match=r"parameter 'c' = 20 Pa: did you mean 20 kPa\?"):
+        d.parameter("c", 20.0, unit="Pa")
+    assert caught[0].filename == __file__
 
 
 def test_degrees_in_the_place_of_radians_are_refused_with_the_question():

@@ -29,7 +29,6 @@ from plough_opt.app.terminal import interruptible, what_was_written
 from plough_opt.core.additions import load_additions
 from plough_opt.core.errors import DomainError, InputError, PloughError
 from plough_opt.core.notices import without_notices
-from plough_opt.core.quantities import trusted
 
 SOLVED, UNSOLVED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 
@@ -47,7 +46,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             # A title in a script that the terminal cannot show is no reason to fail; in JSON this is an escape.
             stream.reconfigure(errors="backslashreplace")
     try:
-        with interruptible(), without_notices(), messages(options), trusted():
+        with interruptible(), without_notices(), messages(options):
             options.run(options)
         if sys.stdout is not None:  # which whoever starts the process may have closed
             sys.stdout.flush()

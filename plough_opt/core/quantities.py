@@ -7,12 +7,12 @@ quantity's name is its key in problem files, such as "soil.cohesion".
 from __future__ import annotations
 
 import math
+import sys
 import warnings
-from collections.abc import Iterator
-from contextlib import contextmanager
-from contextvars import ContextVar
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
+from types import FrameType
 from typing import Any, Final
 
 import numpy as np
@@ -21,8 +21,6 @@ from plough_opt.core.domain import check_domain
 from plough_opt.core.errors import DomainError, ImplausibleValue
 from plough_opt.core.expressions import Expression
 from plough_opt.core.units import Unit, has_unit, in_si
-
-_trusted: ContextVar[bool] = ContextVar("trusted", default=False)
 
 # SI unit -> units that are often meant by a number in it, with their factors, the likeliest first.
 _SLIPS: Final = {
@@ -38,14 +36,35 @@ _SLIPS: Final = {
 }
 
 
-@contextmanager
-def trusted() -> Iterator[None]:
-    """Warn of no implausible number while the context lasts: what is read there has said its unit."""
-    token = _trusted.set(True)
-    try:
-        yield
-    finally:
-        _trusted.reset(token)
+def _warn(question: str, stacklevel: int) -> None:
+    """Warn of an implausible number that a user's program gives; what the toolkit makes again says nothing new.
+
+    Args:
+        question: with the name and the value.
+        stacklevel: of the warning, 2 for the line that calls the caller of this function.
+    """
+    frame: FrameType | None = sys._getframe(stacklevel)
+    while frame is not None and frame.f_globals.get("__name__") == "dataclasses":  # `replace` makes it for its caller
+        frame, stacklevel = frame.f_back, stacklevel + 1
+    if frame is not None and str(frame.f_globals.get("__name__")).partition(".")[0] != "plough_opt":
+        text = f"{question} Plain numbers are SI; a text with its unit says what is meant"
+        warnings.warn(text, ImplausibleValue, stacklevel=stacklevel + 1)
+
+
+def ask_about(what: str, unit: str, values: Iterable[Any], stacklevel: int = 2) -> None:
+    """Warn of plain numbers that would be a slip for every quantity of their unit.
+
+    Args:
+        what: what the values are, as the user calls it.
+        unit: SI unit.
+        values: numbers, texts, quantities.
+        stacklevel: of the warning, 2 for the line that calls the caller.
+    """
+    alike = [one for one in EVERY.values() if one.unit == unit and one.plausible != (-math.inf, math.inf)]
+    for value in values:
+        if alike and not has_unit(value) and all(slips := [one.slip(value) for one in alike]):
+            _warn(f"{what} = {value:g} {unit}: {slips[0]}", stacklevel + 1)
+            return
 
 
 @dataclass(frozen=True)
@@ -124,13 +143,8 @@ class Quantity:
             self.check(value)
         except DomainError as error:
             raise DomainError(f"{error}; {slip}" if slip else str(error)) from None
-        if slip and not _trusted.get():
-            warnings.warn(
-                f"{self.called} = {value:g} {self.unit}: {slip} Plain numbers are SI; a text with its unit says what is"
-                " meant",
-                ImplausibleValue,
-                stacklevel=stacklevel + 1,
-            )
+        if slip:
+            _warn(f"{self.called} = {value:g} {self.unit}: {slip}", stacklevel + 1)
         return value
 
     def slip(self, value: Any) -> str:

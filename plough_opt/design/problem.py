@@ -15,6 +15,7 @@ from plough_opt.core.errors import InputError, nearest, unprintable
 from plough_opt.core.expressions import Expression, is_casadi
 from plough_opt.core.kinds import check_callable, check_choice, check_switch, shown
 from plough_opt.core.origin import Origin
+from plough_opt.core.quantities import ask_about
 from plough_opt.core.units import Display, has_unit, in_si, unit_of
 from plough_opt.design.boxed import Boxed, Over
 from plough_opt.design.declarations import EVERYWHERE, Declarations, Parameter, Requirement, Variable
@@ -88,6 +89,7 @@ class Design:
         self._refuse_again(name)
         what = f"variable '{name}'"
         (at, low, high), unit, display = _read(what, name, unit, (guess, lower, upper), display, _ENDS)
+        ask_about(what, unit, (upper,))
         symbol = ca.MX.sym(name)
         if has_unit(tolerance) and not str(tolerance).rstrip().endswith("%"):
             tolerance = plain_number(what, in_si(what, tolerance, unit))
@@ -113,6 +115,7 @@ class Design:
         """
         self._refuse_again(name)
         (at,), unit, _ = _read(f"parameter '{name}'", name, unit, (value,), None)
+        ask_about(f"parameter '{name}'", unit, (value,))
         symbol = ca.MX.sym(name)
         self._parameters.append(Parameter(name, symbol, at, unit, _ends(name, domain)))
         self._program = None

@@ -11,7 +11,7 @@ from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import Expression
 from plough_opt.core.kinds import check_switch, mapping_of
 from plough_opt.core.origin import Origin
-from plough_opt.core.quantities import BESIDE, EVERY, MOST_WAVES, QUANTITIES, quantities, trusted, wave_table
+from plough_opt.core.quantities import BESIDE, EVERY, MOST_WAVES, QUANTITIES, quantities, wave_table
 from plough_opt.core.units import Display
 from plough_opt.design import Design, Optimum, Over, Progress
 from plough_opt.design.effort import Search
@@ -124,10 +124,7 @@ class Problem:
 
     def scene(self, changes: Mapping[str, Expression] | None = None) -> Scene:
         """Return the scene with the variables at their guesses, or with changed values, numbers or symbols."""
-        with trusted():  # a file's numbers have units
-            return self._scene(self.values(changes))
-
-    def _scene(self, values: Mapping[str, Expression]) -> Scene:
+        values = self.values(changes)
         share = Wedge(
             angle=values["share.wedge_angle"],
             chisel_angle=values["share.chisel_angle"],

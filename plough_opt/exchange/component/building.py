@@ -12,7 +12,8 @@ from plough_opt.core.domain import check_single, plain_number
 from plough_opt.core.errors import DomainError, InputError, nearest
 from plough_opt.core.expressions import Expression, as_number, holds_casadi, is_count, is_symbolic, map_expressions
 from plough_opt.core.kinds import shown
-from plough_opt.core.quantities import BESIDE, EVERY, QUANTITIES, Quantity
+from plough_opt.core.quantities import BESIDE, EVERY, QUANTITIES
+from plough_opt.core.quantity import Quantity
 from plough_opt.exchange.component.box import Box, Make
 from plough_opt.exchange.component.function import Component
 from plough_opt.exchange.component.graph import graph

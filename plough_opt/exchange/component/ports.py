@@ -15,7 +15,7 @@ from plough_opt.core.domain import check_domain, plain_number
 from plough_opt.core.errors import InputError, nearest, unprintable
 from plough_opt.core.expressions import Expression
 from plough_opt.core.kinds import shown
-from plough_opt.core.quantities import Quantity
+from plough_opt.core.quantity import Quantity
 from plough_opt.laws.law import ResistanceLaw
 from plough_opt.motion import Run
 from plough_opt.motion.vocabulary import MEASURES

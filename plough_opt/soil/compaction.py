@@ -1,7 +1,8 @@
-"""How dense the soil is behind the compaction front, and where the front is: equations (9), (15) and (16).
+"""Density of the soil behind the compaction front, and the radius of the front: equations (9), (15) and (16).
 
 With b = rho0/rho(r) at the Lagrangian radius r, a particle's radius is y^2 = R^2 + 2 psi(r), psi = int_0^r b s ds, and
-at the front y = r. Of a density profile psi is a Gauss-Legendre quadrature; a constant density has it in closed form.
+at the front y = r. For a constant density psi has a closed form; for a density profile it is a Gauss-Legendre
+quadrature.
 """
 
 from __future__ import annotations
@@ -25,12 +26,12 @@ from plough_opt.core.expressions import (
 from plough_opt.core.quadrature import gauss_legendre
 from plough_opt.soil.soil import Soil, check_soil
 
-# Newton's method for the front converges from the cavity outwards, at once where the density hardly varies.
+# Steps of Newton's method for the front, from the cavity outwards; one is enough if the density hardly varies.
 _FRONT_STEPS = 14
-# What it must leave of the front's equation, relative to R^2, and the rounding of its terms, relative to r*^2.
+# Largest residual of the front's equation, relative to R^2, and the rounding of its terms, relative to r*^2.
 _FRONT_RESIDUAL = 1e-12
 _FRONT_ROUNDING = 4e-15
-# (r*/R)^2 beyond which there is no front: a density ratio b1 of 1 - 1e-13.
+# Largest (r*/R)^2 of a front: a density ratio b1 of 1 - 1e-13.
 _FURTHEST = 1e13
 
 
@@ -57,7 +58,7 @@ def front(radius: Expression, soil: Soil) -> Expression:
     """Return the radius r* of the compaction front [m] around a cavity of radius R [m], equation (16).
 
     Raises:
-        DomainError: a density profile with which no front carries all the soil of the cavity, or one that lies
+        DomainError: a density profile with which no front carries all the soil of the cavity, or one that is
             below the undisturbed density somewhere behind the front.
     """
     check_soil(soil)
@@ -65,16 +66,16 @@ def front(radius: Expression, soil: Soil) -> Expression:
     if soil.density_profile is None:
         return radius * exp(-log1p(-soil.density_ratio) / 2.0)
     square = _front_square(radius**2, soil)
-    found = sqrt(square)
-    if not is_symbolic(found):
-        _check_profile(as_number(found), soil)
-    return found
+    radius_of_front = sqrt(square)
+    if not is_symbolic(radius_of_front):
+        _check_profile(as_number(radius_of_front), soil)
+    return radius_of_front
 
 
 def _front_square(square: Expression, soil: Soil) -> Expression:
     """Return r*^2 from R^2: the root of x (1 - mean b(sqrt(x))) - R^2, by Newton's method between bounds.
 
-    The function rises with the slope 1 - b, and R^2 lies below its root.
+    The function increases with the slope 1 - b, and R^2 is below its root.
     """
     low, high = square, 10.0 * _FURTHEST * square
     x = square
@@ -95,12 +96,12 @@ def _front_square(square: Expression, soil: Soil) -> Expression:
             " this density profile no front carries all the soil of the cavity, so let it compact more, or further"
             " out; a quadrature of low order may also miss one"
         )
-    # An expression has nobody to tell: what it evaluates to without a front must not look like one.
+    # An expression cannot raise an error: without a front it must evaluate to NaN.
     return where(missed, np.nan, x) if is_symbolic(missed) else x
 
 
 def _check_profile(front_radius: np.ndarray, soil: Soil) -> None:
-    """Refuse a profile of numbers that is no compaction behind the front."""
+    """Raise DomainError if a profile of numbers does not exceed the undisturbed density behind the front."""
     profile = soil.density_profile
     assert profile is not None
     places = np.linspace(0.0, 1.0, 2 * profile.order + 1)

@@ -12,7 +12,7 @@ from plough_opt.core.quantities import BESIDE, settle
 from plough_opt.soil.solid import SEGMENTS, Solid, cone_solid, own_opening, share_solid
 
 PLANE_SECTIONS_LIMIT = math.radians(20.0)
-"""Half angle [rad] above which the hypothesis of plane sections is no longer credible."""
+"""Half angle [rad] above which the hypothesis of plane sections does not hold."""
 
 
 def deg(angle: Expression) -> Expression:
@@ -36,7 +36,7 @@ class Cone:
         half_angle: semi-vertex angle beta [rad], between 0 and 90 degrees.
         height: height h [m], above 0.
 
-    Every argument is a float, a NumPy array or a CasADi expression; results are the like.
+    Every argument is a float, a NumPy array or a CasADi expression; results have the same type.
 
     Raises:
         DomainError: an angle or height outside its domain.
@@ -79,7 +79,7 @@ class Cone:
                 (pi/segments)^2 times 2/3 at most: 4e-7 of them by default, 1e-9 with 100,000.
 
         Raises:
-            InputError: a cone of symbols, or a number of sides that cannot be.
+            InputError: a cone of symbols, or an invalid number of sides.
 
         Example:
             >>> cone = Cone(half_angle=deg(14), height=0.25)
@@ -99,7 +99,7 @@ class Wedge:
         chisel_angle: angle beta_pl of the chisel point to the base [rad], from 0 to below 90 degrees.
         height: height h of the share [m], above 0.
 
-    Every argument is a float, a NumPy array or a CasADi expression; results are the like.
+    Every argument is a float, a NumPy array or a CasADi expression; results have the same type.
 
     Raises:
         DomainError: an angle or height outside its domain.
@@ -122,10 +122,10 @@ class Wedge:
     def equivalent_cone(self) -> Cone:
         """Return the cone of equal height and surface, equation (7).
 
-        The source's sin(beta) = sqrt(p^2 + 1) - p cancels for a slender share and its arcsine rounds
+        The source's sin(beta) = sqrt(p^2 + 1) - p cancels for a slender share, and its arcsine is inaccurate
         for a blunt one. With q = 1/p the same angle is tan(beta) = q / sqrt(2 (1 + sqrt(1 + q^2))),
-        accurate to rounding at every wedge angle. Only this one angle enters the dynamics: wedge
-        angle and chisel angle cannot be told apart by draft or motion.
+        accurate to rounding at every wedge angle. Only this one angle enters the dynamics: draft and motion
+        cannot tell wedge angle and chisel angle apart.
         """
         q = 2.0 * tan(self.angle) / (math.pi * cos(self.chisel_angle) ** 2)
         slope = q / sqrt(2.0 * (1.0 + sqrt(1.0 + q**2)))

@@ -1,8 +1,8 @@
 """Rakhmatulin's plastic gas around an expanding cylindrical cavity: equations (8)-(23).
 
-Soil that the share displaces is compacted at a front that runs ahead of the cavity wall, and keeps its density.
-Stresses behind the front obey Mohr and Coulomb. A constant locked density has everything in closed form; of a density
-profile (`Soil.with_density_profile`) it is a Gauss-Legendre quadrature of the profile's order.
+Soil displaced by the share is compacted at a front that runs ahead of the cavity wall, and keeps its density behind it.
+Stresses behind the front obey the law of Mohr and Coulomb. For a constant locked density everything has a closed form;
+for a density profile (`Soil.with_density_profile`) there are Gauss-Legendre quadratures of the profile's order.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ class WallPressure:
         rate: the bracket {...} of equation (23) [-].
         inertia: phi/b1 [-].
 
-    Of a density profile they are what takes the place of these terms, and depend on the cavity's radius.
+    For a density profile they are the corresponding terms, which depend on the cavity's radius.
     """
 
     strength: Expression
@@ -74,7 +74,7 @@ def wall_pressure(soil: Soil, radius: Expression | None = None) -> WallPressure:
         {...} = (l/(2 b1)) (E(nu l/2) - E((nu/2 - 1) l)) + a^(nu/2)
 
     which is regular without internal friction (nu = 0) and for soil that locks at once (b1 = 0). Value,
-    gradient and Hessian are accurate to a relative 1e-12 for b1 in (0, 1 - 1e-9) and every friction
+    gradient and Hessian have a relative error below 1e-12 for b1 in (0, 1 - 1e-9) and every friction
     angle below 90 degrees.
 
     Args:
@@ -117,7 +117,7 @@ def surface_pressure(cavity: Cavity, soil: Soil) -> Expression:
         soil: the soil.
 
     Raises:
-        DomainError: a density profile and a cavity without radius, or one with which there is no front.
+        DomainError: a density profile and a cavity of radius 0, or a profile without a front.
     """
     _check_cavity(cavity)
     p = wall_pressure(soil, cavity.radius)
@@ -145,7 +145,7 @@ def front_speed(cavity: Cavity, soil: Soil) -> Expression:
     For a constant density it is R' sqrt(a) with a = 1/(1 - b1).
 
     Raises:
-        DomainError: a density profile and a cavity without radius, or one with which there is no front.
+        DomainError: a density profile and a cavity of radius 0, or a profile without a front.
     """
     check_soil(soil)
     _check_cavity(cavity)
@@ -169,13 +169,13 @@ def density(r: Expression, cavity: Cavity, soil: Soil) -> Expression:
 
 @checked_in_designs
 def current_radius(r: Expression, cavity: Cavity, soil: Soil) -> Expression:
-    """Return where a particle is now: y = r + u = sqrt(2 psi(r) + R^2) [m], equation (15).
+    """Return the present radius of a particle, y = r + u = sqrt(2 psi(r) + R^2) [m], equation (15).
 
     For a constant density 2 psi = b1 r^2.
 
     Args:
         r: Lagrangian radius, the particle's distance from the axis before the share came [m], from 0 on the
-            wall to the front radius r*. An array for a cavity of floats.
+            wall to the front radius r*; it may be an array if the cavity's quantities are floats.
         cavity: state of the cavity.
         soil: the soil.
 
@@ -200,7 +200,7 @@ def particle_velocity(r: Expression, cavity: Cavity, soil: Soil) -> Expression:
 def particle_acceleration(r: Expression, cavity: Cavity, soil: Soil) -> Expression:
     """Return (R'^2 + R R'')/y - R^2 R'^2/y^3 of the particle at Lagrangian radius r [m/s^2], equation (18).
 
-    As y^2 - R^2 = 2 psi, that is (R R'' + 2 psi R'^2/y^2)/y, which does not cancel for soil that locks at once.
+    With y^2 - R^2 = 2 psi it is (R R'' + 2 psi R'^2/y^2)/y, which does not cancel for soil that locks at once.
     Arguments and errors are those of `current_radius`.
     """
     y = current_radius(r, cavity, soil)
@@ -230,34 +230,34 @@ def stress(r: Expression, cavity: Cavity, soil: Soil) -> Stress:
             + (rho0/b1) l ((R'^2 + R R'') E(nu l) - (R R'/y)^2 E((nu - 2) l))
 
     and the tangential one follows from the yield condition p - p_theta = tau0 + mu (p + p_theta). The form is
-    regular without internal friction and for b1 -> 0, and at r = 0 gives `surface_pressure`. Of a density profile
+    regular without internal friction and for b1 -> 0, and at r = 0 gives `surface_pressure`. For a density profile
     the two inertial terms are quadratures.
 
     Args:
-        r: Lagrangian radius [m], from 0 to the front radius; an array for a cavity of floats.
+        r: Lagrangian radius [m], from 0 to the front radius; it may be an array if the cavity's quantities are floats.
         cavity: state of the cavity, of radius above 0.
         soil: the soil.
 
     Raises:
-        DomainError: a radius below 0 or ahead of the front, or a cavity without radius.
+        DomainError: a radius below 0 or ahead of the front, or a cavity of radius 0.
     """
     _check_cavity(cavity)
-    check_domain("cavity radius", cavity.radius, "m", above=0.0, why="at the tip itself the stress has no one value")
+    check_domain("cavity radius", cavity.radius, "m", above=0.0, why="at the tip the stress is not unique")
     r_front = front_radius(cavity, soil)
     _check_behind(r, r_front)
     pressure = _pressure(r, r_front, cavity, soil)
     yielding = _yielding(soil)
-    # (1 - mu)/(1 + mu), of which nothing is left beside 90 degrees if it is computed so.
+    # (1 - mu)/(1 + mu), in a form that does not cancel near 90 degrees.
     transferred = (cos(soil.friction_angle) / (1.0 + yielding.mu)) ** 2
     tangential = transferred * pressure - yielding.tau0 / (1.0 + yielding.mu)
     return Stress(radial=-pressure, tangential=-tangential)
 
 
 def quadrature_error(r: Expression, cavity: Cavity, soil: Soil) -> float:
-    """Return an estimate of the relative error that the order of a density profile's quadrature leaves in `stress`.
+    """Return an estimate of the relative error of `stress` due to the order of a density profile's quadrature.
 
-    It is the largest difference from the stress with half as many nodes again, relative to the largest stress; 0 for a
-    constant density. For numbers. A radius between the fronts of the two is taken at the nearer one.
+    It is the largest difference from the stress with 1.5 times as many nodes, relative to the largest stress; 0 for a
+    constant density. It needs numbers. A radius between the fronts of the two is replaced by the smaller one.
 
     Raises:
         DomainError: as `stress`.
@@ -276,15 +276,15 @@ def quadrature_error(r: Expression, cavity: Cavity, soil: Soil) -> float:
 
 
 def _check_cavity(cavity: Cavity) -> None:
-    """Refuse something else in the place of a cavity."""
+    """Raise InputError if the cavity has another type."""
     check_kind("the cavity", cavity, Cavity, "a plastic.Cavity, made of radius, rate and acceleration")
 
 
 def _check_behind(r: Expression, r_front: Expression) -> None:
-    """Refuse numbers that are no Lagrangian radius behind the front."""
+    """Raise DomainError for Lagrangian radii that are negative or ahead of the front."""
     check_domain("Lagrangian radius", r, "m", at_least=0.0)
-    check_domain("front radius", r_front, "m", above=0.0, why="around a cavity without radius no soil has moved")
-    # Rounding, or the tolerance of the front's equation, may put the front itself ahead of itself.
+    check_domain("front radius", r_front, "m", above=0.0, why="around a cavity of radius 0 no soil has moved")
+    # The front's own radius may exceed it by rounding, or by the tolerance of its equation.
     check_domain(
         "Lagrangian radius over front radius", r / r_front, at_most=1.0 + 1e-11, why="ahead of the front nothing moves"
     )
@@ -299,7 +299,7 @@ def _pressure(r: Expression, r_front: Expression, cavity: Cavity, soil: Soil) ->
     yielding = _yielding(soil)
     y = _current_radius(r, cavity, soil)
     if soil.density_profile is None:
-        # r*^2 - y^2 = b1 (r*^2 - r^2): the logarithm of a ratio beside one, without cancellation.
+        # r*^2 - y^2 = b1 (r*^2 - r^2): the logarithm of a ratio near one, without cancellation.
         spread = (r_front - r) * (r_front + r) / y**2
         log_over_b1 = spread * log1p_ratio(soil.density_ratio * spread) / 2.0
         log = soil.density_ratio * log_over_b1
@@ -308,7 +308,7 @@ def _pressure(r: Expression, r_front: Expression, cavity: Cavity, soil: Soil) ->
         slowing = (cavity.radius * cavity.rate / y) ** 2 * expm1_ratio((yielding.nu - 2.0) * log)
         inertial = log_over_b1 * (spreading * growth - slowing)
     else:
-        # The difference of the squares of front and particle, both of which hold R^2.
+        # The difference of the squares of front and particle, in which R^2 has been cancelled.
         log = log1p((mean_ratio(r_front, soil) * r_front**2 - mean_ratio(r, soil) * r**2) / y**2) / 2.0
         growth = expm1_ratio(yielding.nu * log)
         jump = (cavity.radius * cavity.rate / r_front) ** 2 / (1.0 - ratio(r_front, soil))
@@ -355,8 +355,9 @@ def _squares(
 ) -> Iterator[tuple[Expression, Expression]]:
     """Yield s^2 and the weight of s ds of Gauss-Legendre nodes between r and the front.
 
-    The nodes are even in sigma, s^2 = R^2 (e^(2 l sigma^2) - 1)/b with l = ln(r*/R) and b its mean 1 - (R/r*)^2: for a
-    constant density the integrands are then entire functions, and profiles in r and in r^2 are both smooth.
+    They are Gauss-Legendre nodes in sigma, with s^2 = R^2 (e^(2 l sigma^2) - 1)/b, l = ln(r*/R) and the mean
+    b = 1 - (R/r*)^2: for a constant density the integrands are then entire functions, and profiles in r and in r^2 are
+    both smooth.
     """
     profile = soil.density_profile
     assert profile is not None

@@ -1,4 +1,4 @@
-"""The rig that felt a recorded force."""
+"""The rig on which a force was recorded."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ class Rig:
     """The mount on which a force was recorded, whose own response is divided out of the record.
 
     Args:
-        mass: that moves on it [kg].
+        mass: moving mass [kg].
         stiffness: of its spring [N/m].
         damping: of its damper [N s/m], at least 0.
-        tow_speed: at which it was pulled [m/s].
+        tow_speed: speed at which it was pulled [m/s].
 
     Raises:
         DomainError: a number outside its domain.
@@ -41,8 +41,8 @@ class Rig:
         """Return mount force over soil resistance [-] at wave numbers [rad/m]: (k + i w c)/(k - m w^2 + i w c)."""
         turn = wave_number * self.tow_speed
         damped = 1j * turn * self.damping
-        found: NDArray[np.complex128] = (self.stiffness + damped) / (self.stiffness - self.mass * turn**2 + damped)
-        return found
+        ratio: NDArray[np.complex128] = (self.stiffness + damped) / (self.stiffness - self.mass * turn**2 + damped)
+        return ratio
 
     @property
     def resonance(self) -> float:

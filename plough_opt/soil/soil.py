@@ -16,15 +16,15 @@ from plough_opt.core.quantities import EVERY, QUANTITIES, settle
 from plough_opt.soil.yielding import Yielding, density_ratio_of, growth
 
 STANDARD_ATMOSPHERE = 101325.0
-"""Ambient pressure [Pa] of the named soils, as the source takes it."""
+"""Ambient pressure [Pa] of the named soils and of the source."""
 
 CONE_HALF_ANGLE = math.radians(15.0)
 """Half angle [rad] of a penetrometer's cone."""
 
 Adjust: TypeAlias = Literal["strength factor", "cohesion", "density ratio"]
-"""The property of a soil that a cone index decides."""
+"""The property of a soil that is set from a cone index."""
 
-# Beyond these no source in docs/soils.md has a soil: the front then runs ahead by 4.5 radii of the cone.
+# No source in docs/soils.md has a soil beyond these; with this density ratio the front runs ahead by 4.5 cone radii.
 _MOST_COHESION = 100e3
 _MOST_DENSITY_RATIO = 0.95
 
@@ -38,11 +38,11 @@ class DensityProfile:
     Args:
         density: rho(r, *parameters) [kg/m^3] of the radius r [m], a float, an array or a CasADi expression as r is:
             write it with arithmetic and the functions of `plough_opt.core.expressions`.
-        parameters: what the function needs beside r. Design variables belong here, where a design finds them.
+        parameters: other arguments of the function. Design variables must be here, where a design finds them.
         order: number of Gauss-Legendre nodes in every quadrature over the profile.
 
     Raises:
-        InputError: no function, or an order below 1.
+        InputError: a density that is not a function, or an order below 1.
     """
 
     density: Callable[..., Expression]
@@ -72,17 +72,17 @@ class Soil:
         cohesion: k [Pa], at least 0.
         friction_angle: theta of internal friction [rad], from 0 to below 90 degrees.
         tool_friction: mu0 of soil on metal [-], at least 0.
-        ambient_pressure: p_a ahead of the compaction front [Pa], at least 0. The source takes the
-            atmosphere; for soil with open pores the overburden, a few kPa, is the other reading.
+        ambient_pressure: p_a ahead of the compaction front [Pa], at least 0. The source uses that of the
+            atmosphere; for soil with open pores the overburden, a few kPa, is the other interpretation.
         youngs_modulus: E [Pa], above 0, or None when unknown. The plastic gas does not use it.
         poisson_ratio: from 0 to below 0.5, or None when unknown. The plastic gas does not use it.
-        name: what to call the soil in reports.
-        source: where the values come from.
-        density_profile: density behind the compaction front, in the place of the constant one that b1 gives; see
+        name: of the soil in reports.
+        source: of the values.
+        density_profile: density behind the compaction front, instead of the constant one that follows from b1; see
             `with_density_profile`.
-        strength_factor: measured over computed static resistance [-], above 0. It multiplies A of equation (26), hence
-            F0 and what is made of it; not the stresses, the inertia, the front or other models. `from_cone_index` finds
-            it from a penetrometer's reading.
+        strength_factor: measured over computed static resistance [-], above 0. It multiplies A of equation (26), and so
+            F0 and everything that depends on it; not the stresses, the inertia, the front or other models.
+            `from_cone_index` computes it from a penetrometer's reading.
 
     Properties may be floats, NumPy arrays or CasADi expressions.
 
@@ -107,7 +107,7 @@ class Soil:
     def __post_init__(self) -> None:
         if not isinstance(self.name, str) or unprintable(self.name, allowed=""):
             raise InputError(
-                f"name = {shown(self.name)} must be a text that can be printed: it calls the soil in reports"
+                f"name = {shown(self.name)} must be a text that can be printed: it names the soil in reports"
             )
         settle(self, **{quantity.key: quantity.name for quantity in _PROPERTIES})
 
@@ -116,19 +116,19 @@ class Soil:
     ) -> Soil:
         """Return the soil with a density that varies behind the compaction front, equations (9)-(22).
 
-        The density ratio b1 then counts no longer. Everything that follows from the profile is a Gauss-Legendre
-        quadrature of the given order, written into the graph; `plough_opt.soil.plastic.quadrature_error` estimates
-        its error and `plough_opt.refine` shows it against its cost.
+        The density ratio b1 is then not used. Everything that depends on the profile is a Gauss-Legendre quadrature of
+        the given order, in the graph; `plough_opt.soil.plastic.quadrature_error` estimates its error and
+        `plough_opt.refine` shows it against its cost.
 
         Args:
             density: rho(r, *parameters) [kg/m^3] of the Lagrangian radius r [m], above the undisturbed density up to
                 the front; for instance ``lambda r, width: 1350.0 + 250.0 * exp(-(r / width) ** 2)`` with the ``exp``
-                of `plough_opt.core.expressions`, which takes numbers and symbols.
-            parameters: what the function needs beside r; design variables among them.
+                of `plough_opt.core.expressions`, which accepts numbers and symbols.
+            parameters: other arguments of the function, design variables among them.
             order: number of nodes, at least 1.
 
         Raises:
-            InputError: no function, or an order below 1.
+            InputError: a density that is not a function, or an order below 1.
         """
         return replace(self, density_profile=DensityProfile(density, parameters, order))
 
@@ -136,14 +136,14 @@ class Soil:
     def from_cone_index(cls, cone_index: Expression, soil: Soil, adjust: Adjust = "strength factor") -> Soil:
         """Return the soil in which a penetrometer reads a cone index.
 
-        Each way solves s (1 + mu0/tan 15 deg) phi (nu p_a + tau0/(1 + mu)) = cone index in closed form. The soil's
-        other properties stay, and `plough_opt.cone_index` of the result is the reading.
+        The equation s (1 + mu0/tan 15 deg) phi (nu p_a + tau0/(1 + mu)) = cone index is solved for one property in
+        closed form. The others stay, and `plough_opt.cone_index` of the result is the reading.
 
         Args:
             cone_index: pressure on the base of the 30 degree cone [Pa], above 0; a float, an array or an expression.
             soil: the soil whose other properties are kept.
-            adjust: what follows from the reading: ``"strength factor"``, which scales the law's level and claims no
-                more; ``"cohesion"``; or ``"density ratio"``, which moves the compaction front too.
+            adjust: the property to set: ``"strength factor"``, which only scales the static resistance;
+                ``"cohesion"``; or ``"density ratio"``, which moves the compaction front too.
 
         Raises:
             InputError: an unknown ``adjust``, a soil with a density profile, or a reading below what the other
@@ -167,39 +167,39 @@ class Soil:
         if adjust not in get_args(Adjust):
             raise InputError(f"adjust = {adjust!r}: {nearest(str(adjust), get_args(Adjust))}")
         key = adjust.replace(" ", "_")
-        found: dict[str, Any] = {key: _adjusted(cone_index, soil, adjust)}
+        changed: dict[str, Any] = {key: _adjusted(cone_index, soil, adjust)}
         source = f"{soil.source}; {adjust} from a cone index"
-        return replace(soil, **found, name=f"{soil.name}, by cone index", source=source)
+        return replace(soil, **changed, name=f"{soil.name}, by cone index", source=source)
 
     def warnings(self) -> tuple[str, ...]:
-        """Return, for a soil of numbers, what a reader of results must know about its properties."""
-        found = []
+        """Return warnings about the properties of a soil of numbers."""
+        warned = []
         cohesion, ratio, factor = (
             np.max(as_number(value)) for value in (self.cohesion, self.density_ratio, self.strength_factor)
         )
         if cohesion > _MOST_COHESION:
-            found.append(
+            warned.append(
                 f"a cohesion of {cohesion / 1e3:.4g} kPa is more than soils have, {_MOST_COHESION / 1e3:g} kPa"
             )
         if ratio > _MOST_DENSITY_RATIO and self.density_profile is None:
-            found.append(
+            warned.append(
                 f"a density ratio of {ratio:.6g} is nearer to 1 than soils are ({_MOST_DENSITY_RATIO:g}): the"
                 f" compaction front runs ahead by {(1.0 - ratio) ** -0.5:.3g} radii of the share"
             )
         if np.any(as_number(self.strength_factor) != 1.0):
-            found.append(f"the static resistance is {factor:.4g} times the law's, by the measured strength factor")
-        return tuple(found)
+            warned.append(f"the static resistance is {factor:.4g} times the law's, by the measured strength factor")
+        return tuple(warned)
 
 
 def _adjusted(reading: Expression, soil: Soil, adjust: Adjust) -> Expression:
-    """Return the property of a soil that a cone index [Pa] decides."""
+    """Return the property of a soil that follows from a cone index [Pa]."""
     yielding = Yielding.of(soil.friction_angle, soil.cohesion)
     friction = 1.0 + soil.tool_friction / math.tan(CONE_HALF_ANGLE)
     phi = growth(soil.density_ratio, yielding.nu)
     if adjust == "cohesion":
         level = soil.strength_factor * friction * phi
         without = yielding.nu * soil.ambient_pressure
-        _check_enough(reading, level * without)
+        _check_reading(reading, level * without)
         return (reading / level - without) * (1.0 + yielding.mu) / (2.0 * cos(soil.friction_angle))
     strength = yielding.strength(soil.ambient_pressure)
     if not is_symbolic(strength) and np.any(as_number(strength) == 0.0):
@@ -210,15 +210,15 @@ def _adjusted(reading: Expression, soil: Soil, adjust: Adjust) -> Expression:
     return density_ratio_of(reading / (soil.strength_factor * friction * strength), yielding.nu)
 
 
-def _check_enough(reading: Expression, least: Expression) -> None:
-    """Refuse a reading that is below what a soil without cohesion gives."""
+def _check_reading(reading: Expression, least: Expression) -> None:
+    """Raise InputError for a reading below that of a soil without cohesion."""
     if is_symbolic(reading) or is_symbolic(least):
         return
     short = float(np.max(as_number(least) - as_number(reading)))
     if short > 0.0:
         raise InputError(
-            f"friction and ambient pressure alone give a cone index {short / 1e3:.4g} kPa above the reading: no"
-            " cohesion meets it; adjust the strength factor, or lower the ambient pressure or the friction angle"
+            f"friction and ambient pressure alone give a cone index {short / 1e3:.4g} kPa above the reading, which no"
+            " cohesion can match; adjust the strength factor, or lower the ambient pressure or the friction angle"
         )
 
 
@@ -237,7 +237,7 @@ def _preset(
     poisson_ratio: float,
     brackets: str,
 ) -> Soil:
-    """Build a named soil from kPa, degrees and MPa, the units of the table it is read from."""
+    """Return a named soil from kPa, degrees and MPa, the units of the table below."""
     return Soil(
         density=density,
         density_ratio=density_ratio,
@@ -283,27 +283,23 @@ _NAMED = {
 
 
 def soil_names() -> tuple[str, ...]:
-    """Return the names that `named_soil` knows."""
+    """Return the valid names for `named_soil`."""
     return tuple(_NAMED)
 
 
 def named_soil(name: str) -> Soil:
     """Return one of the named soils: loose sandy loam, firm sandy loam, serozem, hardpan, heavy clay.
 
-    Their values are engineering choices inside published brackets, and say so in ``source``; none of
-    them was measured as a set on one soil. Ambient pressure is the standard atmosphere.
+    Their values are engineering choices inside published brackets, as ``source`` says; none of the sets was
+    measured on one soil. Ambient pressure is the standard atmosphere.
 
     Raises:
-        InputError: no soil of that name; the message suggests the nearest.
+        InputError: an unknown name; the message suggests the nearest.
     """
     check_named("no soil is named {}", name, _NAMED)
     return _NAMED[name]
 
 
 def check_soil(soil: object) -> None:
-    """Refuse something else in the place of a soil, such as its name.
-
-    Raises:
-        InputError: as said.
-    """
+    """Raise InputError if the soil has the wrong type, such as its name."""
     check_kind("the soil", soil, Soil, "a Soil, for instance named_soil('serozem')")

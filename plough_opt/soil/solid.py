@@ -15,9 +15,9 @@ from plough_opt.core.domain import check_domain
 from plough_opt.core.errors import InputError
 
 SEGMENTS = 4096
-"""Sides of the polygon in the place of a cone's base: area, angle and volume are then within 4e-7 of the cone's."""
+"""Sides of the polygon that replaces a cone's base: area, angle and volume are then within 4e-7 of the cone's."""
 
-# At which every choice of the sides is a body, and no mesh takes gigabytes.
+# The fewest sides of a body, and a limit below which a mesh takes less than a gigabyte.
 _LEAST_SEGMENTS, _MOST_SEGMENTS = 3, 1_000_000
 
 
@@ -29,8 +29,8 @@ class Solid:
 
     Attributes:
         vertices: corners [m], shape (n, 3).
-        polygons: numbers of the corners of each face; the whole face can be seen from its first corner.
-        working: how many polygons, the first ones, are the faces whose area the model counts.
+        polygons: numbers of the corners of each face, which is star-shaped about its first corner.
+        working: number of polygons, from the first on, that are the faces whose area the model counts.
     """
 
     vertices: NDArray[np.float64]
@@ -86,7 +86,7 @@ def share_solid(angle: float, chisel_angle: float, height: float, opening: float
     down = np.array([math.sin(chisel_angle), 0.0, -math.cos(chisel_angle)])
 
     def places(u: float, v: float, depth: float) -> list[NDArray[np.float64]]:
-        """Return a place on both faces: along the ridge, across the face, and below its outer side."""
+        """Return the two points, one for each face, at u along the ridge, v across the face and a depth below it."""
         side, below = v * math.sin(half) - depth * math.cos(half), v * math.cos(half) + depth * math.sin(half)
         return [u * along + below * down + np.array([0.0, sign * side, 0.0]) for sign in (1.0, -1.0)]
 

@@ -1,4 +1,4 @@
-"""Yield condition (10) of the soil, and how far the plastic gas multiplies its strength: parts of equation (23)."""
+"""Yield condition (10) of the soil, and the factor on its strength at the cavity wall: parts of equation (23)."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class Yielding:
 
 
 def growth(density_ratio: Expression, nu: Expression) -> Expression:
-    """Return phi = (a^(nu/2) - 1)/nu with a = 1/(1 - b1) [-], which multiplies the strength at the wall."""
+    """Return phi = (a^(nu/2) - 1)/nu with a = 1/(1 - b1) [-], the factor on the strength at the cavity wall."""
     log_a = -log1p(-density_ratio)
     return log_a / 2.0 * expm1_ratio(nu * log_a / 2.0)
 

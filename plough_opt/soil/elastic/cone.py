@@ -17,7 +17,7 @@ from plough_opt.soil.elastic.sources import Potentials, displaced, potentials
 from plough_opt.soil.soil import Soil
 
 SECTION_FACTOR = 0.5
-"""S/R^2 that conserves the displaced volume; 1 balances the energy. An open choice of the slender-body model."""
+"""S/R^2 that conserves the displaced volume; 1 balances the energy. The slender-body model leaves the choice open."""
 
 
 @dataclass(frozen=True)
@@ -71,22 +71,22 @@ def cone_displacement(
 ) -> ConeDisplacement:
     """Return the displacement around a slender cone that moves steadily, equations (3) and (4).
 
-    The print's (4) lacks + S(infinity)/(2r), without which an open body would disturb the soil far ahead. Good away
-    from the body: at its surface the strains are of order one, where linear elasticity ends.
+    The print's (4) lacks + S(infinity)/(2r), without which an open body would disturb the soil far ahead. The result is
+    valid away from the body: at its surface the strains are of order one, too large for linear elasticity.
 
     Args:
         x: behind the tip [m]; a float, an array, or a CasADi column.
         r: from the axis [m], above 0, of the same shape.
         profile: nodes (x, radius) [m] from the tip, where the radius is 0; behind the last the body keeps its radius.
-            A `Wedge` or `Cone` stands for its (equivalent) cone.
-        soil: its density, Young's modulus and Poisson's ratio count.
-        speed: V0 [m/s], from 0 to below `shear_wave_speed`. Of an MX expression the limit is a requirement that a
-            `Design` adds by itself.
+            A `Wedge` or `Cone` is replaced by its (equivalent) cone.
+        soil: with density, Young's modulus and Poisson's ratio.
+        speed: V0 [m/s], from 0 to below `shear_wave_speed`. For an MX expression a `Design` adds this limit as a
+            requirement.
         section_factor: S/R^2 [-]: 1/2 conserves the displaced volume, 1 balances the energy; the theory leaves it open.
 
     Raises:
         DomainError: a speed at or beyond the shear wave's, a point on the axis, or a number outside its domain.
-        InputError: a profile that is none, or a soil without elastic constants.
+        InputError: an invalid profile, or a soil without elastic constants.
     """
     state, cone, x, r = _place(x, r, profile, soil, speed, section_factor)
     offsets = cone.offsets(x)
@@ -117,13 +117,13 @@ def cone_pressure(
 ) -> Expression:
     """Return the pressure -sigma_rr [Pa] that the soil adds to its ambient pressure on the face of a slender cone.
 
-    An order of magnitude: it is near mu however slender the cone, strains on the face are of order one, and its
+    It is an order of magnitude only: it is near mu for any slender cone, strains on the face are of order one, and its
     dependence on the speed is of the order that linear elasticity neglects.
 
     Args:
         x: behind the tip [m], between the first and the last node, where the radius is above 0.
         profile: nodes (x, radius) [m], or a share.
-        soil: its density, Young's modulus and Poisson's ratio count.
+        soil: with density, Young's modulus and Poisson's ratio.
         speed: V0 [m/s].
         section_factor: as in `cone_displacement`.
 

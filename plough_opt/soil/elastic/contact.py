@@ -1,11 +1,11 @@
-"""Contact force of the elastic medium, with friction and with the soil letting go where it would be pulled.
+"""Contact force of the elastic medium, with friction, and with loss of contact where the soil would be in tension.
 
-Forces are gauge, as in equation (24): of the pressure p - p_a, where the ambient pressure p_a decides only where
-contact is lost. With w dx the weight of a piece of the face::
+Forces are gauge, as in equation (24): they are those of the pressure p - p_a, and the ambient pressure p_a only
+determines where contact is lost. With the weight w dx of a piece of the face::
 
     F = int p w dx - int over {p + p_a < 0} of (p + p_a) w dx
 
-This truncates the solution in which the soil clings to the face; the true problem, with a crack ahead and a cavity
+This truncates the solution in which the soil adheres to the face; the true problem, with a crack ahead and a cavity
 behind, is a mixed one that the source's formulas do not cover. The force is an estimate.
 """
 
@@ -68,7 +68,7 @@ class _Half:
         return self.segment.length / 2.0 * exp(-tau)
 
     def offsets(self, tau: Expression) -> list[Expression]:
-        """Return the distances from all nodes [m], that from the own node to all its digits."""
+        """Return the distances from all nodes [m]; the one from its own node is accurate to rounding."""
         own = self.body.places[self.node]
         return [(own - place) + self.towards * self.distance(tau) for place in self.body.places]
 
@@ -89,7 +89,7 @@ Field = Callable[[_Half, Expression], Expression]
 
 
 def _ends(symbolic: bool) -> tuple[Expression, Expression]:
-    """Return where the cells of a half begin and end."""
+    """Return the begin and end of each cell of a half."""
     cells = np.array(_CELLS)
     return column(cells[:-1], symbolic), column(cells[1:], symbolic)
 
@@ -121,10 +121,10 @@ def _lost(face: Body, pressure: Field, weight: Field, symbolic: bool) -> Express
 def _monotonic(
     function: Callable[[Expression], Expression], ends: tuple[Expression, Expression], pieces: int
 ) -> list[tuple[Expression, Expression]]:
-    """Return the parts of a cell in which the pressure of so many pieces changes its sign once at most.
+    """Return the parts of each cell in which the pressure of a number of pieces changes its sign once at most.
 
-    Between two shoulders it has an extremum, beside which it may change its sign twice. The place of the extremum only
-    has to part the two, so that differences serve as slopes.
+    Between two shoulders the pressure has an extremum, and may change its sign on both sides of it. The place of the
+    extremum only has to separate the two, so that differences are accurate enough as slopes.
     """
     if pieces == 1:
         return [ends]
@@ -236,10 +236,10 @@ def cone_force(
         soil: its elastic constants, density, tool friction and ambient pressure count.
         speed: V0 [m/s], below the shear wave's.
         section_factor: as in `cone_displacement`.
-        separation: whether the soil lets go where it would be pulled.
+        separation: whether contact is lost where the soil would be in tension.
 
     Raises:
-        DomainError: as `cone_displacement`, or a body without radius.
+        DomainError: as `cone_displacement`, or a body of radius 0.
         InputError: as `cone_displacement`.
     """
     check_switch("separation", separation)

@@ -1,11 +1,11 @@
-"""Differences of logarithms and angles over a small number, without cancellation, and where quadrature takes over."""
+"""Differences of logarithms and angles over a small number, without cancellation, and the limit to quadrature."""
 
 from __future__ import annotations
 
 from plough_opt.core.expressions import Expression, absolute, arctan2, arctan_ratio, arctanh_ratio, log, where
 
 FAR = 1.6
-"""Lengths of a piece, summed from both its ends, beyond which a Gauss rule keeps more digits than differences do."""
+"""Sum of the distances from both ends of a piece, in its lengths, beyond which a Gauss rule is the more accurate."""
 
 FAR_NODES = 24
 """Nodes of that rule."""
@@ -14,7 +14,7 @@ _SERIES_BELOW = 0.5
 
 
 def log_difference(a: Expression, b: Expression, change: Expression, m: Expression = 1.0) -> Expression:
-    """Return ln(a/b)/m for positive a and b whose difference a - b = m change is known to all its digits."""
+    """Return ln(a/b)/m for positive a and b whose difference a - b = m change is known to rounding."""
     w = change / (a + b)
     near = absolute(m * w) < _SERIES_BELOW
     close = 2.0 * w * arctanh_ratio(where(near, m * w, 0.0))

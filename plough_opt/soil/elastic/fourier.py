@@ -1,7 +1,7 @@
-"""The Fourier integrals of equations (1)-(4) themselves, by quadrature, for a profile of any form.
+"""The Fourier integrals of equations (1)-(4), by quadrature, for a profile of any form.
 
-They are an independent way to the fields of the wedge and the cone, and the way for profiles
-that are not straight. Of numbers only; a design takes the closed forms with `knots` on its profile.
+They are an independent method for the fields of the wedge and the cone, and the one for profiles
+that are not straight. They need numbers; a design uses the closed forms with `knots` on its profile.
 """
 
 from __future__ import annotations
@@ -29,12 +29,12 @@ Curve = Callable[[float], float]
 ORDER = 12
 """Default number of Gauss-Legendre nodes in a panel, which one wave of the integrand crosses."""
 
-# exp(-36) is the rounding of the largest term.
+# exp(-36) is the rounding error of the largest term.
 _DECAY = 36.0
 _MOST_NODES = 40_000_000
-# Panels that close in on p = 0, where the Bessel functions have a logarithm, each half as wide as the last.
+# Panels towards p = 0, where the Bessel functions are logarithmic, each half as wide as the one before.
 _GRADED = 44
-# Below this m the difference of two Bessel functions over m is their mean slope.
+# Below this m the difference of two Bessel functions over m is computed as their mean slope.
 _SLOW = 0.2
 _SLOPE_NODES = 10
 
@@ -54,7 +54,7 @@ class _Spectrum:
     transform: NDArray[np.complex128]
 
     def at(self, x: float) -> NDArray[np.complex128]:
-        """Return sqrt(2/pi) weight transform exp(-i p x): the integrand's part that knows the place."""
+        """Return sqrt(2/pi) weight transform exp(-i p x): the part of the integrand that depends on the place."""
         wave: NDArray[np.complex128] = np.exp(-1j * self.p * x)
         return math.sqrt(2.0 / math.pi) * self.weights * self.transform * wave
 
@@ -69,7 +69,7 @@ def wedge_stress(
         y: across [m], above 0, of the same shape; the cost grows with 1/y.
         profile: half thickness [m] at a distance [m] behind the tip, 0 at 0; a smooth function of a number.
         length: of the profile [m]; behind it the body keeps its thickness.
-        soil: its density, Young's modulus and Poisson's ratio count.
+        soil: with density, Young's modulus and Poisson's ratio.
         speed: V0 [m/s], from 0 to below the shear wave's.
         order: Gauss-Legendre nodes in a panel, which one wave crosses; the error falls exponentially with it.
 
@@ -112,7 +112,7 @@ def cone_displacement(
         r: from the axis [m], above 0, of the same shape; the cost grows with 1/r.
         profile: radius [m] at a distance [m] behind the tip, 0 at 0; a smooth function of a number.
         length: of the profile [m]; behind it the body keeps its radius.
-        soil: its density, Young's modulus and Poisson's ratio count.
+        soil: with density, Young's modulus and Poisson's ratio.
         speed: V0 [m/s], from 0 to below the shear wave's.
         order: Gauss-Legendre nodes in a panel, which one wave crosses.
         section_factor: as in `plough_opt.soil.elastic.cone_displacement`.
@@ -200,9 +200,7 @@ def _place(
 ) -> tuple[Medium, Array, tuple[int, ...]]:
     """Return the medium, the places as rows (x, distance from the axis), and the shape of the points."""
     if holds_casadi((x, distance, length, soil, speed)):
-        raise InputError(
-            "the Fourier integrals take numbers only: of symbols take the closed forms, with elastic.knots"
-        )
+        raise InputError("the Fourier integrals need numbers: for symbols use the closed forms, with elastic.knots")
     x, distance = (np.asarray(value) if isinstance(value, list | tuple) else value for value in (x, distance))
     check_domain("x", x, "m")
     check_domain("distance from the axis", distance, "m", above=0.0, why="on the axis the integrals do not converge")
@@ -217,7 +215,7 @@ def _place(
 
 
 def _shaped(columns: Array, shape: tuple[int, ...]) -> list[Expression]:
-    """Return columns over the points in the points' shape; floats where that is none."""
+    """Return columns over the points in the points' shape, as floats for a single point."""
     return [column.reshape(shape) if shape else float(column[0]) for column in columns.T]
 
 
@@ -237,14 +235,14 @@ def _spectrum(curve: Curve, length: float, places: Array, state: Medium, order: 
     end = float(curve(length))
     check_domain("profile", np.append(values, end), "m")
     check_domain("profile at its tip", float(curve(0.0)), "m", at_least=0.0, at_most=0.0, why="a tip is sharp")
-    # By parts, so that the profile's slope is not asked for: int h' e = h(l) e(l) - i p int h e.
+    # By parts, so that the profile's slope is not needed: int h' e = h(l) e(l) - i p int h e.
     moment = np.concatenate([np.exp(1j * np.outer(part, s)) @ (values * s_weights) for part in _chunks(p, s.size)])
     transform = (end * np.exp(1j * p * length) - 1j * p * moment) / math.sqrt(2.0 * math.pi)
     return _Spectrum(p, weights, transform)
 
 
 def _panels(length: float, width: float, order: int, graded: bool) -> tuple[Array, Array]:
-    """Return Gauss-Legendre nodes and weights from 0 to a length in panels; graded ones close in on 0."""
+    """Return Gauss-Legendre nodes and weights from 0 to a length in panels; graded ones become narrower towards 0."""
     edges = np.linspace(0.0, length, max(math.ceil(length / width), 1) + 1)
     if graded:
         edges = np.concatenate([[0.0], edges[1] * 0.5 ** np.arange(_GRADED, 0, -1), edges[1:]])
@@ -254,5 +252,5 @@ def _panels(length: float, width: float, order: int, graded: bool) -> tuple[Arra
 
 
 def _chunks(p: Array, other: int) -> list[Array]:
-    """Return wave numbers in parts whose product with the other nodes fits into memory."""
+    """Return wave numbers in parts, such that a matrix over each and the other nodes fits into memory."""
     return np.array_split(p, max(p.size * other // 4_000_000, 1))

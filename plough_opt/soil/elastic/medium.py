@@ -1,4 +1,4 @@
-"""The elastic soil at a speed: wave speeds, and the numbers of the speed that every formula shares."""
+"""The elastic soil at a speed: wave speeds, and the functions of the speed that all formulas share."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from plough_opt.core.expressions import Expression, is_symbolic, map_expressions
 from plough_opt.core.labels import Limit, attach, checked_in_designs, unlabelled
 from plough_opt.soil.soil import Soil, check_soil
 
-# At the shear wave's speed the fields are finite, but their slope is infinite: a design ends a little below.
+# At the shear wave's speed the fields are finite, but their slope is infinite: the limit in designs is a little lower.
 _SUBSONIC = Limit("elastic medium: speed over shear wave speed", at_most=0.9999)
-# Newton's method for the cubic of the Rayleigh speed doubles its digits; it starts with three.
+# Each step of Newton's method for the cubic of the Rayleigh speed doubles the digits; the start has three.
 _RAYLEIGH_STEPS = 5
 
 
@@ -50,10 +50,10 @@ def longitudinal_wave_speed(soil: Soil) -> Expression:
 
 @checked_in_designs
 def rayleigh_speed(soil: Soil) -> Expression:
-    """Return the Rayleigh speed c_R [m/s], at which a wedge feels no pressure.
+    """Return the Rayleigh speed c_R [m/s], at which there is no pressure on a wedge.
 
-    The root of (1 + eta^2)^2 = 4 alpha eta, as that of the cubic m^3 - 8 m^2 + 8 (3 - 2 kappa) m - 16 (1 - kappa)
-    in m = (c_R/c2)^2.
+    It follows from the root of (1 + eta^2)^2 = 4 alpha eta, which is that of the cubic
+    m^3 - 8 m^2 + 8 (3 - 2 kappa) m - 16 (1 - kappa) in m = (c_R/c2)^2.
 
     Raises:
         InputError: the soil's Young's modulus or Poisson's ratio is not given.
@@ -111,10 +111,7 @@ class Medium:
         return 4.0 * self.product - 4.0 + self.m
 
     def limited(self, result: Any) -> Any:
-        """Return a result; where it is symbolic, with the limit on the speed that a design must keep.
-
-        Applies to every expression in a dataclass of results.
-        """
+        """Return a result; every expression in it is labelled with the limit on the speed, for designs."""
         if not is_symbolic(self.mach):
             return result
         return map_expressions(result, lambda value: attach(value, self.mach, _SUBSONIC, _SUBSONIC))
@@ -140,7 +137,7 @@ def medium(soil: Soil, speed: Expression) -> Medium:
     _, ratio = _constants(soil)
     kappa = _kappa(ratio)
     m = mach**2
-    # Beside the shear wave's speed 1 - m keeps the digits of m only; at low speed the product's derivative cancels.
+    # Near the shear wave's speed 1 - m cancels; at low speed the derivative of the product does.
     eta_squared = where(m < 0.5, 1.0 - m, (fastest - speed) * (fastest + speed) / fastest**2)
     return Medium(
         shear_modulus=modulus,

@@ -1,4 +1,4 @@
-"""Profiles of a body: piecewise-linear nodes, the share in their place, and knots on a smooth curve."""
+"""Profiles of a body: piecewise-linear nodes, those of a share, and knots on a smooth curve."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from plough_opt.soil.geometry import Cone, Wedge
 Profile: TypeAlias = Sequence[tuple[Expression, Expression]] | Wedge | Cone
 """Nodes (x, half thickness or radius) [m], or a share: the straight profile of its (equivalent) cone."""
 
-# Straight pieces of a profile: each is a term of every stress.
+# Limit on the straight pieces of a profile, each of which is a term of every stress.
 _MOST_PIECES: Final = 100_000
 
 
@@ -63,12 +63,12 @@ class Body:
 
     @property
     def segments(self) -> list[Segment]:
-        """Return the straight pieces."""
-        found = []
+        """The straight pieces."""
+        pieces = []
         for k in range(len(self.places) - 1):
             length = self.places[k + 1] - self.places[k]
-            found.append(Segment(k, length, self.heights[k], (self.heights[k + 1] - self.heights[k]) / length))
-        return found
+            pieces.append(Segment(k, length, self.heights[k], (self.heights[k + 1] - self.heights[k]) / length))
+        return pieces
 
     def offsets(self, x: Expression) -> list[Expression]:
         """Return the distances x - x_i from the nodes [m]."""
@@ -122,7 +122,7 @@ def knots(profile: Callable[[float], float], length: float, count: int) -> list[
         count: number of straight pieces, at least 1.
 
     Raises:
-        InputError: no pieces, or a profile that is no function of one number.
+        InputError: an invalid number of pieces, or a profile that is not a function of one number.
         DomainError: a length that is not positive, or a height that is not finite.
     """
     length = plain_number("length of the profile", length)
@@ -143,7 +143,7 @@ def knots(profile: Callable[[float], float], length: float, count: int) -> list[
 
 
 def points(first: Expression, second: Expression, *others: Any) -> tuple[Expression, Expression]:
-    """Return coordinates that can meet symbols, if any is among them: arrays then become columns.
+    """Return coordinates; if any argument holds symbols, arrays become columns that can be combined with them.
 
     Raises:
         DomainError: a coordinate that is not a finite number.
@@ -159,12 +159,8 @@ def points(first: Expression, second: Expression, *others: Any) -> tuple[Express
     return first, second
 
 
-def refuse_nodes(offsets: Sequence[Expression], distance: Expression) -> None:
-    """Refuse numbers that lie on a node, where the stresses are infinite.
-
-    Raises:
-        DomainError: a point lies on a node.
-    """
+def check_off_nodes(offsets: Sequence[Expression], distance: Expression) -> None:
+    """Raise DomainError for points of numbers on a node, where the stresses are infinite."""
     for k, offset in enumerate(offsets):
         if is_symbolic(offset) or is_symbolic(distance):
             continue
@@ -186,5 +182,5 @@ def _pairs(profile: Any) -> list[tuple[Expression, Expression]]:
         raise InputError(f"{wanted}, with at least two nodes, not {len(pairs)}")
     for pair in pairs:
         if len(pair) != 2:
-            raise InputError(f"{wanted}: {shown(pair)} is no pair")
+            raise InputError(f"{wanted}: {shown(pair)} is not a pair")
     return [(pair[0], pair[1]) for pair in pairs]

@@ -23,7 +23,7 @@ from plough_opt.soil.elastic.profile import Body, Segment
 
 @dataclass(frozen=True)
 class Potentials:
-    """What the fields of a cone are made of.
+    """Functions of which the fields of a cone are sums.
 
     Attributes:
         n: N_alpha.

@@ -19,10 +19,10 @@ from plough_opt.core.expressions import Expression, arctan2, one_node, sqrt, whe
 from plough_opt.core.quadrature import gauss_legendre
 from plough_opt.soil.elastic.differences import FAR, FAR_NODES, angle_difference, log_difference
 from plough_opt.soil.elastic.medium import Medium, medium
-from plough_opt.soil.elastic.profile import Body, Profile, body, points, refuse_nodes
+from plough_opt.soil.elastic.profile import Body, Profile, body, check_off_nodes, points
 from plough_opt.soil.soil import Soil
 
-# Keeps y ln(distance from a node) at its limit 0 on the node itself.
+# Makes y ln(distance from a node) take its limit 0 on the node itself.
 _TINY = 1e-300
 
 
@@ -48,7 +48,7 @@ class WedgeGradient:
 
 @dataclass(frozen=True)
 class Potentials:
-    """What the fields of a wedge are made of, for y >= 0.
+    """Functions of which the fields of a wedge are sums, for y >= 0.
 
     Attributes:
         q: Q_alpha.
@@ -123,15 +123,14 @@ def wedge_stress(x: Expression, y: Expression, profile: Profile, soil: Soil, spe
         x: behind the tip [m]; a float, an array, or a CasADi column.
         y: across [m], of the same shape; y < 0 is the mirror image, and y = 0 the upper face.
         profile: nodes (x, half thickness) [m] from the tip, where the half thickness is 0; behind the last the
-            body keeps its thickness. A `Wedge` or `Cone` stands for a straight profile with the slope tan(beta)
-            of its equivalent cone.
-        soil: its density, Young's modulus and Poisson's ratio count.
-        speed: V0 [m/s], from 0 to `shear_wave_speed`. Of an MX expression the limit is a requirement that a
-            `Design` adds by itself.
+            body keeps its thickness. A `Wedge` or `Cone` is replaced by a straight profile with the slope
+            tan(beta) of its equivalent cone.
+        soil: with density, Young's modulus and Poisson's ratio.
+        speed: V0 [m/s], from 0 to `shear_wave_speed`. For an MX expression a `Design` adds this limit as a requirement.
 
     Raises:
         DomainError: a speed beyond the shear wave's, a point on a node, or a number outside its domain.
-        InputError: a profile that is none, or a soil without elastic constants.
+        InputError: an invalid profile, or a soil without elastic constants.
     """
     state = medium(soil, speed)
     found, side = _potentials_at(x, y, profile, state)
@@ -143,7 +142,7 @@ def wedge_stress(x: Expression, y: Expression, profile: Profile, soil: Soil, spe
 def wedge_gradient(x: Expression, y: Expression, profile: Profile, soil: Soil, speed: Expression) -> WedgeGradient:
     """Return the gradient of the displacement around a thin wedge: arguments and errors as of `wedge_stress`.
 
-    The displacement ux itself is known but for a constant, which for an open body has no natural value.
+    The displacement ux is determined except for a constant, which has no natural value for an open body.
     """
     state = medium(soil, speed)
     found, side = _potentials_at(x, y, profile, state)
@@ -161,7 +160,7 @@ def wedge_gradient(x: Expression, y: Expression, profile: Profile, soil: Soil, s
 
 
 def wedge_displacement(x: Expression, y: Expression, profile: Profile, soil: Soil, speed: Expression) -> Expression:
-    """Return how far a thin wedge moves the soil aside, uy [m]: arguments and errors as of `wedge_stress`.
+    """Return the displacement uy of the soil across a thin wedge [m]: arguments and errors as of `wedge_stress`.
 
     On the face it is the half thickness; far ahead it vanishes.
     """
@@ -184,7 +183,7 @@ def wedge_pressure(x: Expression, profile: Profile, soil: Soil, speed: Expressio
     Args:
         x: behind the tip [m], between the first and the last node; a float, an array, or a CasADi column.
         profile: nodes (x, half thickness) [m], or a share, as in `wedge_stress`.
-        soil: its density, Young's modulus and Poisson's ratio count.
+        soil: with density, Young's modulus and Poisson's ratio.
         speed: V0 [m/s].
 
     Raises:
@@ -196,7 +195,7 @@ def wedge_pressure(x: Expression, profile: Profile, soil: Soil, speed: Expressio
     check_domain("x from the first node", x - wedge.places[0], "m", at_least=0.0, why="the face begins there")
     check_domain("x beyond the last node", x - wedge.places[-1], "m", at_most=0.0, why="the face ends there")
     offsets = wedge.offsets(x)
-    refuse_nodes(offsets, 0.0)
+    check_off_nodes(offsets, 0.0)
     return state.limited(face_pressure(offsets, wedge, state))
 
 
@@ -228,7 +227,7 @@ def _place(
 def _potentials_at(x: Expression, y: Expression, profile: Profile, soil: Medium) -> tuple[Potentials, Expression]:
     """Return the potentials at a point of either side, and the side."""
     offsets, y, side, wedge = _place(x, y, profile, soil)
-    refuse_nodes(offsets, y)
+    check_off_nodes(offsets, y)
     return potentials(offsets, y, wedge, soil), side
 
 
@@ -241,7 +240,7 @@ def _shift(
     slowing, product, change = (1.0 - kappa) / (alpha + eta), alpha * eta * y**2, length * (x0 + x1)
 
     def turn(x: Expression) -> Expression:
-        """Return by how much the angles of x + i alpha y and x + i eta y differ, over m."""
+        """Return the difference of the angles of x + i alpha y and x + i eta y, over m."""
         return angle_difference(slowing * y * x, x**2 + product + _TINY, m)
 
     fast0, fast1, slow0, slow1 = (x**2 + (k * y) ** 2 + _TINY for k in (alpha, eta) for x in (x0, x1))

@@ -37,8 +37,8 @@ def draw(m: SimpleNamespace, best: po.Optimum, path: str | Path, *, designs: int
 
 
 def colors(n: int) -> list[tuple[float, ...]]:
-    """Return a colour for each share, from sandy to hard."""
-    return [colormaps["copper_r"](x) for x in np.linspace(0.25, 0.95, n)]
+    """Return a colour for each share, from sandy to hard; none is pale on white."""
+    return [colormaps["copper_r"](x) for x in np.linspace(0.4, 0.97, n)]
 
 
 def draw_machine(axes: Axes, m: SimpleNamespace, best: po.Optimum) -> None:
@@ -57,6 +57,8 @@ def draw_machine(axes: Axes, m: SimpleNamespace, best: po.Optimum) -> None:
         axes.plot(
             sign * v["bracket"], LEG_LENGTH - DEPTH + side, marker="v", color="black", markersize=11, clip_on=False
         )
+        axes.annotate("bracket", (sign * v["bracket"], LEG_LENGTH - DEPTH + side), (8, 4), ha="left",
+                      textcoords="offset points", fontsize="small")  # fmt: skip
     axes.plot([0.0, 0.0], [0.0, 0.78], color="black", linestyle="-.", linewidth=0.9)
     axes.text(0.02, 0.74, "tractor's\ncentre line", va="top", fontsize="small")
     axes.axhline(0.0, color="0.3", linewidth=1.0)
@@ -67,16 +69,17 @@ def draw_machine(axes: Axes, m: SimpleNamespace, best: po.Optimum) -> None:
 
 def draw_forces(axes: Axes, m: SimpleNamespace, best: po.Optimum) -> None:
     """Draw the mount force of every share over two waves of the soil's strength, with its mean."""
-    for scene, color in zip(best(m.scenes), colors(len(m.scenes)), strict=True):
+    for k, (scene, color) in enumerate(zip(best(m.scenes), colors(len(m.scenes)), strict=True)):
         run = po.simulate(scene)
         path = np.concatenate([run.time, run.time[1:] + run.time[-1]]) * scene.tow_speed
         force = np.concatenate([run.mount_force, run.mount_force[1:]]) / 1e3
-        axes.plot(path, force, color=color, linewidth=2)
+        label = f"share {k + 1}, swings by {1e3 * run.displacement_rms:.1f} mm"
+        axes.plot(path, force, color=color, linewidth=2, label=label)
         axes.plot(path[[0, -1]], [run.mean_draft / 1e3] * 2, color=color, linestyle=":", linewidth=1)
-        axes.text(2.04 * WAVE.wavelength, run.mean_draft / 1e3, f"{1e3 * run.displacement_rms:.1f} mm",
-                  color=color, va="center", fontsize="small")  # fmt: skip
-    axes.set(xlim=(0, 2.25 * WAVE.wavelength), ylim=(0, None), xlabel="path [m]", ylabel="force on the mount [kN]",
-             title="Force on each mount, and how far its share swings (RMS)")  # fmt: skip
+    high = 1.35 * axes.get_ylim()[1]  # with room for the legend
+    axes.set(xlim=(0, 2 * WAVE.wavelength), ylim=(0, high), xlabel="path [m]", ylabel="force on the mount [kN]",
+             title="Force on each mount (dotted: mean), and RMS of its share's swing")  # fmt: skip
+    axes.legend(fontsize="small", ncols=2, loc="upper center")
     axes.grid(alpha=0.25)
 
 
@@ -90,6 +93,9 @@ def draw_stress(axes: Axes, m: SimpleNamespace, best: po.Optimum) -> None:
     for sign in (-1, 1):
         axes.axhline(sign * STRENGTH / 1e6, color="#b03a2e", linestyle="--", linewidth=1.2)
         axes.axvline(sign * bracket, color="black", linewidth=0.8, linestyle=":")
+        axes.annotate(f"strength {sign * STRENGTH / 1e6:+.0f} MPa", (places[0], sign * STRENGTH / 1e6), (0, -4 * sign),
+                      textcoords="offset points", va="top" if sign > 0 else "bottom", fontsize="small",
+                      color="#b03a2e")  # fmt: skip
     axes.text(bracket - 0.02, -0.95 * STRENGTH / 1e6, "bracket", fontsize="small", ha="right", va="bottom", rotation=90)
     axes.legend(title="stone under", fontsize="small", loc=(0.55, 0.62))
     axes.set(xlabel="across the width [m]", ylabel="bending stress [MPa]",

@@ -214,6 +214,10 @@ class TestOptimum:
         assert line(deflection, legend(deflection)[-1])[0, 1] == pytest.approx(1250 * peak)
         assert required.patches[0].get_width() == pytest.approx(20.0)  # per cent of the limit
         assert "deflection" in words(required)
+        # A limit that decides is met to the optimiser's rounding, which no one wants to read.
+        zero = Limit("loosening", "requirement", 6e-13, "", 6e-13, 1.0, True, "m", low=0.0)
+        required = plots.plot_optimum(dataclasses.replace(best, limits=(*best.limits, zero)), run).axes[2]
+        assert words(required) == "loosening 0 mm ≥ 0 mm: decides"
 
     def test_without_a_search_it_shows_the_response_alone(self, optimum):
         best, run = optimum

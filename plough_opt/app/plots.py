@@ -199,7 +199,7 @@ def draw_margins(axes: Axes, required: Sequence[Limit]) -> None:
         words = "decides" if limit.active else f"margin {limit.margin_text()}"
         sides = ((" ≥ ", limit.low), (" ≤ ", limit.high))
         ends = "".join(f"{sign}{limit.shown.text(end, 4)}" for sign, end in sides if end is not None)
-        text = f"{called(limit.name)} {limit.shown.text(limit.value, 4)}{ends}: {words}"
+        text = f"{called(limit.name)} {limit.shown.text(limit.rounded, 4)}{ends}: {words}"
         axes.text(0.01, k - 0.26, text, fontsize="small", transform=axes.get_yaxis_transform())
     axes.set_ylim(len(required) - 0.5, -0.7)
     axes.set_xlim(0.0, max(10.0, 1.1 * axes.get_xlim()[1]))

@@ -54,6 +54,12 @@ class Limit:
         """The unit in which value, limits and margin are written."""
         return self.display or customary(self.unit, self.value)
 
+    @property
+    def rounded(self) -> float:
+        """The value, in ``unit``; of a limit that decides the limit itself, without the optimiser's last rounding."""
+        ends = [end for end in (self.low, self.high) if end is not None]
+        return min(ends, key=lambda end: abs(end - self.value)) if self.active and ends else self.value
+
     def margin_text(self) -> str:
         """Return the margin with its unit; 0 of a limit that decides, whose margin is the optimiser's last rounding."""
         none = self.active or abs(self.margin) < _NO_MARGIN * max(1.0, abs(self.value))

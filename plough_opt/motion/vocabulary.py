@@ -134,6 +134,8 @@ _CALLED = {
     "force_rms": "RMS of the mount force",
     "displacement_rms": "RMS of the deflection",
     "specific_draft": "draft per loosened section",
+    "stationary_force_rms": "stationary RMS of the mount force",
+    "stationary_displacement_rms": "stationary RMS of the deflection",
 }
 _SIDES = {"at_least": "at least", "at_most": "at most"}
 

@@ -145,7 +145,7 @@ def _requirement(report: Report, limit: Limit) -> dict[str, str | float | bool]:
     return {
         "name": called(limit.name),
         "limits": limits_of(report.problem, limit.name),
-        "value": report.shown(limit.name, limit.value, limit.unit),
+        "value": report.shown(limit.name, limit.rounded, limit.unit),
         "margin": report.shown(limit.name, margin, limit.unit, 3),
         "part": min(1.0, max(0.0, margin / size)),
         "percent": f"{100.0 * margin / size:.3g} %",

@@ -149,7 +149,7 @@ class Reaching(Samples):
                 return
 
     def _follow_missed(self) -> bool:
-        """Follow the designs that the front misses now; return whether any led to something new."""
+        """Follow the designs that the front misses now; return whether any led to what no sample was as good as."""
         found_any = False
         for number in range(_ROUNDS):
             missed = [y for y, _, _ in self.missed(sparse=True)]
@@ -159,11 +159,18 @@ class Reaching(Samples):
                 known = len(self.found)
                 found = self.sample_beside(y)
                 if not isinstance(found, Point) and len(self.found) > known:
-                    found_any = found.extra = True
+                    found.extra = True
+                    found_any = found_any or not self.is_beaten(found)
                     self.follow_all(found)
             if not missed:
                 break
         return found_any
+
+    def is_beaten(self, sample: Sample) -> bool:
+        """Return whether some other sample is as good in all objectives to what matters, and better in one."""
+        others = np.array([other.at for other in self.found if other is not sample]).reshape(-1, len(sample.at))
+        better = np.all(others <= sample.at + MATTERS, axis=1) & np.any(others < sample.at - MATTERS, axis=1)
+        return bool(np.any(better))
 
     def missed(self, *, sparse: bool = False) -> list[tuple[Vector, Vector, float]]:
         """Return designs by which the front could be better, where it was to be searched, none beside another.

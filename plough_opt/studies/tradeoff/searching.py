@@ -20,7 +20,7 @@ from plough_opt.studies.tradeoff.cloud import Cloud, FrontLandscape
 _CAN_WIN, _MOST = 0.15, 3
 # Of a position: low designs of the sample from which a descent begins, the population of its evolution by number of
 # variables, its generations, and how alike all designs are when it has converged: descents follow.
-_LOW, _EACH, _GENERATIONS, _CONVERGED = 3, 6, 25, 0.01
+_LOW, _EACH, _GENERATIONS, _CONVERGED = 1, 6, 25, 0.01
 # Two scaled designs nearer than this are one.
 _SAME = 1e-3
 

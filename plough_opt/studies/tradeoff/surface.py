@@ -14,7 +14,7 @@ from plough_opt.design.exploring import Progress
 from plough_opt.design.ipopt import Point, Vector
 from plough_opt.studies.tradeoff.program import FrontProgram
 from plough_opt.studies.tradeoff.reaching import Reaching
-from plough_opt.studies.tradeoff.samples import MATTERS, Order, Sample
+from plough_opt.studies.tradeoff.samples import Order, Sample
 from plough_opt.studies.tradeoff.searching import Searcher
 from plough_opt.studies.tradeoff.space import (
     Node,
@@ -31,8 +31,9 @@ from plough_opt.studies.tradeoff.space import (
     undominated,
 )
 
-# Weight of the other objectives at the edges of the front, which limits on them and the best of one leave open.
-_OTHERS = 0.1
+# Weight of the other objectives at the edges of the front, which limits on them and the best of one leave open. A tail
+# that gains less than so much of what it gives away is left out.
+_OTHERS = 0.01
 # Of the objectives of an anchor: of the one it is best in, of another and of the last, in all six orders.
 IN_TURN = np.array(list(permutations((1.0, 1e-3, 1e-6))))[[0, 1, 2, 4, 3, 5]]
 # Of a range: what is worse than the best by so much is nearly the best.
@@ -186,7 +187,7 @@ class SurfaceTracer(Reaching):
             if found is None:
                 continue
             visited[node] = found
-            if not beaten and self._is_beaten(found):
+            if not beaten and self.is_beaten(found):
                 continue
             held = self._is_at(found, node)
             if held or (node in self._inside and self._is_beside(found, node)):
@@ -271,12 +272,6 @@ class SurfaceTracer(Reaching):
         """Follow a branch from the node nearest to a sample."""
         # Where it comes out from behind others, the cloud has it again.
         self._flood(sample, nearest(sample.at, self._steps), told=False, beaten=False)
-
-    def _is_beaten(self, sample: Sample) -> bool:
-        """Return whether some other sample is as good in all objectives and better in one."""
-        places = np.array([other.at for other in self.found])
-        better = np.all(places <= sample.at, axis=1) & np.any(places < sample.at - MATTERS, axis=1)
-        return bool(np.any(better))
 
     def _search_at(self, node: Node) -> None:
         """Search basins at a node, and follow what is new from there."""

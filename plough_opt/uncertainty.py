@@ -1,39 +1,4 @@
 """Designs for uncertain soil: distributions, robust measures over common samples, verified on fresh ones."""
 
-from plough_opt.studies.uncertainty import (
-    Check,
-    Marginal,
-    Robust,
-    SobolIndices,
-    SoilDistribution,
-    SoilSamples,
-    Verification,
-    cvar,
-    expected,
-    mean_plus,
-    probability,
-    quantile,
-    sobol_indices,
-    standard_deviation,
-    verify,
-    worst,
-)
-
-__all__ = [
-    "Check",
-    "Marginal",
-    "Robust",
-    "SobolIndices",
-    "SoilDistribution",
-    "SoilSamples",
-    "Verification",
-    "cvar",
-    "expected",
-    "mean_plus",
-    "probability",
-    "quantile",
-    "sobol_indices",
-    "standard_deviation",
-    "verify",
-    "worst",
-]
+from plough_opt.studies.uncertainty import *  # noqa: F403
+from plough_opt.studies.uncertainty import __all__ as __all__

@@ -83,11 +83,7 @@ def readings_of(path: Path, example: str) -> tuple[str, list[str], list[tuple[in
 
 
 def check_rising(path: Path, lines: Sequence[int], values: NDArray[np.float64], what: str) -> None:
-    """Refuse values that do not rise from line to line, at the first that does not.
-
-    Raises:
-        InputError: as said.
-    """
+    """Raise InputError if values do not rise from line to line, for the first that does not."""
     for k in np.flatnonzero(np.diff(values) <= 0.0)[:1] + 1:
         beside = f"{values[k]:g} follows {values[k - 1]:g}"
         raise InputError(f"{path}, line {lines[k]}: {what} must rise, and {beside}: put the rows in order")

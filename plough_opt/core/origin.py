@@ -1,4 +1,4 @@
-"""Origin: what made a result, so that it can be made again and told from others."""
+"""Origin: the question behind a result, which identifies it and allows it to be computed again."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def versions() -> dict[str, str]:
 
 @dataclass(frozen=True)
 class Origin:
-    """What made a result; of one that Python made without a title nothing is known.
+    """The question behind a result; it is empty for a result from Python without a title.
 
     Attributes:
         title: of the question.

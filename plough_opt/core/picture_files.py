@@ -21,7 +21,7 @@ COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#8
 def from_above(module: str, name: str) -> Any:
     """Return a function of the pictures' room, which knows every result and stands above them all.
 
-    It is imported when a result is asked for its picture.
+    It is imported when a picture is drawn.
 
     Args:
         module: such as "plots".

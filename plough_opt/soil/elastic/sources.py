@@ -57,7 +57,7 @@ class Potentials:
 
 @dataclass(frozen=True)
 class _State:
-    """What the potentials need of the medium: see `plough_opt.soil.elastic.medium.Medium`."""
+    """The quantities of the medium in the potentials: see `plough_opt.soil.elastic.medium.Medium`."""
 
     m: Expression
     kappa: Expression

@@ -102,7 +102,7 @@ class Measurements:
         """Return the name of a row in messages.
 
         Raises:
-            InputError: there is no such row.
+            InputError: an invalid row number.
         """
         self._check_row(number)
         return self._place(number)
@@ -111,7 +111,7 @@ class Measurements:
         """Return the conditions of a row, SI.
 
         Raises:
-            InputError: there is no such row.
+            InputError: an invalid row number.
         """
         self._check_row(number)
         return {key: float(column[number]) for key, column in self.conditions.items()}

@@ -243,7 +243,7 @@ class Sweep(Readable):
     def to_json(self) -> str:
         """Return what the sweep found as JSON text: the range of every result and where it lies, SI; the store has all.
 
-        Points that failed or are undetermined are told with their reasons, the first thousand of each.
+        Points that failed or are undetermined are listed with their reasons, the first thousand of each.
         """
         ranges = {
             name: {"least": vars(least), "largest": vars(largest)}

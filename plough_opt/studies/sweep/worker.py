@@ -73,7 +73,7 @@ def send(descriptor: int, message: object) -> None:
     """Write a message.
 
     Raises:
-        OSError: nobody reads any more.
+        OSError: the reader has closed the pipe.
     """
     pickled = pickle.dumps(message)
     for part in (_LENGTH.pack(len(pickled)), pickled):

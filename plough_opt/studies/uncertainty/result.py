@@ -39,17 +39,17 @@ _MOST_PANELS: Final = 4
 
 @dataclass(frozen=True, repr=False)
 class RobustOptimum(Readable):
-    """What a robust design question found.
+    """The result of a robust design question.
 
     Attributes:
         best: the robust optimum.
         run: its run in the nominal soil.
         nominal: the optimum for the nominal soil alone.
-        robust: the results over the samples, and the measures that were asked for.
-        fresh: what fresh samples say of the robust optimum.
-        nominal_fresh: what the same samples say of the nominal one.
-        indices: what each result at the robust optimum owes to each uncertain property.
-        failures: why the optimiser found no robust optimum from some of its starts.
+        robust: the results over the samples, and the requested measures.
+        fresh: the checks of the robust optimum by fresh samples.
+        nominal_fresh: the checks of the nominal one by the same samples.
+        indices: the part of each result's variance, at the robust optimum, by uncertain property.
+        failures: reasons why some starts led to no robust optimum.
         requirements: name -> its limits in words, and in which soils it keeps them.
         origin: what made it.
     """
@@ -66,7 +66,7 @@ class RobustOptimum(Readable):
     origin: Origin = field(default=Origin(), compare=False)
 
     def page(self) -> Page:
-        """Return the soil, the robust design beside the nominal one, and what fresh samples say of both."""
+        """Return the soil, the robust design beside the nominal one, and the fresh samples of both."""
         checks = [self._written(check) for check in self.fresh.checks]
         parts: list[Part] = [soil_table(self.robust.field, self.origin), design_table(self.best, self.nominal)]
         required = limits_table(self.best, self.requirements, self.origin)
@@ -96,7 +96,7 @@ class RobustOptimum(Readable):
         return Page(heading, tuple(parts), notes, footer, self.origin.title)
 
     def save(self, path: str | Path) -> Path:
-        """Write what is worth keeping as JSON, making its folder; `plough_opt.load` reads a `SavedRobust`.
+        """Write the result as JSON, making its folder; `plough_opt.load` reads a `SavedRobust`.
 
         Raises:
             InputError: the place cannot be written.

@@ -176,6 +176,24 @@ def test_a_design_in_python_keeps_its_declarations(tmp_path):
     assert found.best.variables == best.variables
 
 
+def test_a_front_in_python_keeps_its_declarations_and_units(tmp_path):
+    d = po.Design()
+    x = d.variable("x", guess="500 mm", lower="0 mm", upper="1000 mm")
+    k = d.parameter("k", 2.0)
+    d.require("sum", x * k, at_most=1.5)
+    goals = po.Goal("draft", 5000.0 * (0.1 + x**2), "N"), po.Goal("radius", 0.1 + k * x, "m", maximise=True)
+    front = po.trade_off(d, *goals, points=5, parameters={"k": 1.0})
+    found = po.load(front.save(tmp_path / "front.json"))
+    declared = found.origin.declarations
+    assert {name: own["kind"] for name, own in declared.items()} == {
+        "x": "variable", "k": "parameter", "sum": "requirement", "draft": "objective", "radius": "objective"
+    }  # fmt: skip
+    assert declared["k"]["value"] == 1.0
+    assert declared["radius"]["aim"] == "maximise"
+    assert "x [mm]" in str(front)
+    assert str(found) == str(front)
+
+
 def test_a_run_in_python_keeps_its_scene(tmp_path):
     scene = po.Scene(po.named_soil("serozem"), po.Cone(po.deg(10), 0.25), 5e4, 20.0, 2.0, po.Effects(damping=400.0))
     run = po.simulate(scene, 0.2, outputs=5)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 import sys
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import cast
 
@@ -221,11 +222,11 @@ class Declarations:
         """Return the variables' and the parameters' symbols as two columns' worth of inputs."""
         return [*(v.symbol for v in self.variables), *(p.symbol for p in self.parameters)]
 
-    def plain(self, values: NDArray[np.float64]) -> dict[str, dict[str, str | float | None]]:
+    def plain(self, values: Mapping[str, float]) -> dict[str, dict[str, str | float | None]]:
         """Return everything as plain data, to be kept with a result.
 
         Args:
-            values: of the parameters.
+            values: of the parameters by name; one without is left out, as are those that a program made for itself.
         """
         found: dict[str, dict[str, str | float | None]] = {
             v.name: {
@@ -233,10 +234,14 @@ class Declarations:
                 "scale": "log" if v.log else "linear", "tolerance": v.tolerance,
             }
             for v in self.variables
+            if not v.auxiliary
         }  # fmt: skip
-        for p, value in zip(self.parameters, values, strict=True):
-            found[p.name] = {"kind": "parameter", "value": float(value), "unit": p.unit}
+        for p in self.parameters:
+            if p.name in values:
+                found[p.name] = {"kind": "parameter", "value": float(values[p.name]), "unit": p.unit}
         for r in self.requirements:
+            if r.auxiliary:
+                continue
             found[r.name] = {"kind": "requirement", "at_least": r.at_least, "at_most": r.at_most, "unit": r.unit,
                              "expression": short(str(r.expression), _LONGEST)}  # fmt: skip
         return found | {"objective": {"kind": "objective", "expression": short(str(self.objective), _LONGEST)}}

@@ -225,7 +225,8 @@ class Design:
         else:
             self._boxed = self._boxed or Boxed(self._program, self._over)
             found = self._boxed.solve(values, (search, judge, seed), report, started)
-        return replace(found, origin=Origin.now(declarations=declared.plain(values), seed=seed))
+        own = {p.name: float(value) for p, value in zip(self._parameters, values, strict=True)}
+        return replace(found, origin=Origin.now(declarations=declared.plain(own), seed=seed))
 
     @property
     def declared(self) -> Declarations:

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from plough_opt.core.errors import NotConverged
+from plough_opt.core.origin import Origin
 from plough_opt.studies.tradeoff.caveats import caveats
 from plough_opt.studies.tradeoff.certificate import FrontPoint, certify
 from plough_opt.studies.tradeoff.front import Hole
@@ -70,7 +71,21 @@ def assembled(
         search=looked_at(tracer),
         seconds=time.perf_counter() - times.started,
         building=times.building + front.building,
+        origin=_origin(front, goals, title),
     )
+
+
+def _origin(front: FrontProgram, goals: Sequence[Goal], title: str) -> Origin:
+    """Return what made a front: the design's declarations, and the objectives in the place of its own."""
+    variables = front.program.declared.variables
+    displays = {v.name: v.display for v in variables if v.display is not None}
+    declarations = front.program.declared.plain(front.own_values())
+    position = front.program.declared.requirements[-1].name  # made for the front
+    found = {name: own for name, own in declarations.items() if name not in ("objective", position)}
+    for goal in goals:
+        aim = "maximise" if goal.maximise else "minimise"
+        found[goal.name] = {"kind": "objective", "aim": aim, "unit": goal.unit}
+    return Origin.now(title, displays, declarations=found)
 
 
 class _Certified:

@@ -119,6 +119,10 @@ class FrontProgram:
         self._refinement, self.building = 1.0, 0.0
         self.program.prepare(self.nowhere())
 
+    def own_values(self) -> dict[str, float]:
+        """Return the values of the design's own parameters by name."""
+        return {p.name: float(value) for p, value in zip(self.own_parameters, self._values, strict=True)}
+
     def parameters(self, weights: Sequence[float], normals: Vector, positions: Sequence[float]) -> Vector:
         """Return the program's parameters for w, n (a row for each position) and c, in scaled units."""
         return np.array([*self._values, *weights, *np.ravel(normals), *positions])

@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from plough_opt.core.domain import check_domain
 from plough_opt.core.errors import InputError
-from plough_opt.core.expressions import Expression, arcsinh, column, exp, is_casadi, rms, sqrt
+from plough_opt.core.expressions import Expression, arcsinh, column, exp, holds_casadi, is_casadi, one_node, rms, sqrt
 from plough_opt.core.quadrature import gauss_legendre
 from plough_opt.core.quantities import settle
 from plough_opt.soil.waves import StrengthWave
@@ -58,12 +58,9 @@ class Sliding:
 
     def to_waves(self, waves: Sequence[StrengthWave]) -> tuple[Expression, Expression]:
         """Return the variances of deflection [m^2] and of its rate [m^2/s^2] under strength waves of unequal length."""
-        total: tuple[Expression, Expression] = 0.0, 0.0
-        for wave in waves:
-            frequency = 2.0 * math.pi * self.speed / wave.wavelength
-            part = wave.amplitude**2 / 2.0 * self.squared(frequency)
-            total = total[0] + part, total[1] + frequency**2 * part
-        return total
+        found = [(2.0 * math.pi * self.speed / wave.wavelength, wave.amplitude) for wave in waves]
+        parts = [(frequency, size**2 / 2.0 * self.squared(frequency)) for frequency, size in found]
+        return sum(part for _, part in parts), sum(frequency**2 * part for frequency, part in parts)
 
 
 @dataclass(frozen=True)
@@ -159,19 +156,10 @@ class Spectrum:
         number's frequency is omega0 + (d/2M) sinh(u), and the nodes are even in u.
         """
         q, density = self._panels()
-        symbolic = any(map(is_casadi, (to.force, to.stiffness, to.inertia, to.damping, to.speed)))
-        start, slope = (column(x, symbolic) for x in (density[:-1], np.diff(density) / np.diff(q)))
-        low, high = (column(x, symbolic) for x in (q[:-1], q[1:]))
-        middle, width = sqrt(to.stiffness / to.inertia), to.damping / (2.0 * to.inertia)
-        first, last = (arcsinh((end * to.speed - middle) / width) for end in (low, high))
-        found: tuple[Expression, Expression] = 0.0, 0.0
-        for node, weight in zip(*gauss_legendre(_NODES), strict=True):
-            up = exp(first + (last - first) * node)
-            frequency = middle + width * (up - 1.0 / up) / 2.0
-            there = start + slope * (frequency / to.speed - low)
-            part = weight * (last - first) * width * (up + 1.0 / up) / 2.0 / to.speed * there * to.squared(frequency)
-            found = found[0] + _sum(part), found[1] + _sum(frequency**2 * part)
-        return found
+        known = (q[:-1], q[1:], density[:-1], np.diff(density) / np.diff(q))
+        panels = (column(x, holds_casadi(to)) for x in known)
+        place, rate = _over_panels(*panels, to.force, to.stiffness, to.inertia, to.damping, to.speed)
+        return _sum(place), _sum(rate)
 
     def _panels(self) -> tuple[Vector, Vector]:
         """Return ends and densities of its panels: of very many the means of neighbours, with the same variance."""
@@ -179,8 +167,7 @@ class Spectrum:
         if len(q) <= _MOST_PANELS + 1:
             return q, density
         # Finer at small wave numbers, where a spectrum varies.
-        least = q[0] if q[0] > 0.0 else q[1]
-        ends = np.r_[q[: 1 if q[0] == 0.0 else 0], np.geomspace(least, q[-1], _MOST_PANELS)]
+        ends = np.r_[q[0], np.geomspace(q[1], q[-1], _MOST_PANELS)]
         between = np.r_[q[0], (ends[:-1] + ends[1:]) / 2.0, q[-1]]
         below = np.r_[0.0, np.cumsum(np.diff(q) * (density[:-1] + density[1:]) / 2.0)]
         means = np.diff(np.interp(between, q, below)) / np.diff(between)
@@ -221,6 +208,22 @@ def stationary_response(
     force = to.stiffness**2 * place + damper**2 * rate
     size = to.force / to.stiffness
     return Stationary(rms(force, to.force), rms(place, size), rms(rate, size * sqrt(to.stiffness / to.inertia)))
+
+
+@one_node
+def _over_panels(*given: Expression) -> tuple[Expression, ...]:
+    """Return the integrals of |H|^2 S and omega^2 |H|^2 S over panels: ends, densities, slopes, then `Sliding`."""
+    (low, high, start, slope), to = given[:4], Sliding(*given[4:])
+    middle, width = sqrt(to.stiffness / to.inertia), to.damping / (2.0 * to.inertia)
+    first, last = (arcsinh((end * to.speed - middle) / width) for end in (low, high))
+    place, rate = 0.0 * low, 0.0 * low
+    for node, weight in zip(*gauss_legendre(_NODES), strict=True):
+        up = exp(first + (last - first) * node)
+        frequency = middle + width * (up - 1.0 / up) / 2.0
+        there = start + slope * (frequency / to.speed - low)
+        part = weight * (last - first) * width * (up + 1.0 / up) / 2.0 / to.speed * there * to.squared(frequency)
+        place, rate = place + part, rate + frequency**2 * part
+    return place, rate
 
 
 def _sum(values: Expression) -> Expression:

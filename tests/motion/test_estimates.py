@@ -63,6 +63,11 @@ def test_no_result_is_further_from_the_truth_than_estimated(count, capsys):
     assert np.median(ratios) <= 30.0
 
 
+def test_a_reference_without_end_is_none():
+    # Its steps shrink to a billionth of the run, where a spring that repels drives the share away.
+    assert by(845) == "no truth"
+
+
 ALTERED = ("mount_force", "soil_resistance", "deflection", "speed", "travel", "opening")
 AVERAGES = ("mean_draft", "force_rms", "mean_deflection", "displacement_rms", "tow_power")
 

@@ -30,6 +30,9 @@ WIDER: Final = bool(np.finfo(WIDE).eps < np.finfo(np.float64).eps)
 """Whether the machine has floats wider than a double."""
 
 _MOST_EVENTS = 200_000
+# Steps of a whole motion, which take minutes, and after how many it is seen whether they will do.
+_MOST_STEPS = 400_000
+_WATCHED = 2000
 # Events at one time after which the motion is taken to hang there.
 _MOST_AT_ONCE = 12
 _SHORTEST = 1e-16
@@ -246,7 +249,7 @@ def follow(laws: Laws, duration: Wide, outputs: int, degree: int, first: tuple[W
         first: z [m] and z' [m/s] at the start, in the place of the scene's own start.
 
     Raises:
-        IntegrationError: steps or pauses between events grow too short.
+        IntegrationError: steps or pauses between events grow too short, or the steps too many.
     """
     piece, z, rate = laws.first()
     if first is not None:
@@ -260,6 +263,7 @@ def follow(laws: Laws, duration: Wide, outputs: int, degree: int, first: tuple[W
     times[-1] = duration
     course = _Course(laws, times)
     now, size, at_once = WIDE(0), hardness / abs(laws.stiffness), 0
+    steps, watched = 0, WIDE(0)
     while now < duration:
         stop = laws.ramp if piece.ramping and laws.ramp < duration else duration
         # The last step takes what would else be left for one of no length.
@@ -272,6 +276,14 @@ def follow(laws: Laws, duration: Wide, outputs: int, degree: int, first: tuple[W
                     f"the reference stops at t = {float(now):.6g} s: the forces are not smooth there"
                 )
             continue
+        steps += 1
+        if steps % _WATCHED == 0:
+            if (now - watched) * _MOST_STEPS < _WATCHED * duration:
+                raise IntegrationError(
+                    f"the reference would take more than {_MOST_STEPS} steps at t = {float(now):.6g} s: the forces"
+                    " change too fast there"
+                )
+            watched = now
         end, name = _next_event(laws, piece, done, stop if whole else now + size)
         course.note(piece, done, end)
         at_once = at_once + 1 if name and end - now <= 4 * EPS * end else 0

@@ -134,7 +134,6 @@ def test_compare_refuses_one_file_and_what_is_no_design(saved, capsys, tmp_path)
         ("export", "--to", "casadi", "--output", "share.casadi"),
         ("check",),
         ("simulate", *QUICK),
-        ("sweep", *QUICK, "--over", "soil.cohesion=5..45 kPa:2", "--workers", "1"),
     ],
     ids=lambda words: words[0],
 )
@@ -152,7 +151,8 @@ def test_init_and_soils_print_json(printed, monkeypatch, tmp_path):
 
 def test_a_sweep_is_shown_from_its_store(folder, printed, monkeypatch):
     monkeypatch.chdir(folder)
-    printed("sweep", "share.toml", *QUICK, "--over", "soil.cohesion=5..45 kPa:2", "--workers", "1", "--store", "s.db")
+    over = ("--over", "soil.cohesion=5..45 kPa:2", "--workers", "1", "--store", "s.db")
+    assert strict(printed("sweep", "share.toml", *QUICK, *over, "--json"))["complete"]
     assert "2 points, 0 failed" in printed("show", "s.db")
     assert strict(printed("show", "s.db", "--json"))["points"] == 2
 
@@ -206,6 +206,7 @@ def test_a_run_in_python_keeps_its_scene(tmp_path):
     assert found.mount_force == run.mount_force.tolist()
 
 
+@pytest.mark.slow
 def test_a_front_and_its_units_are_read_back(printed, tmp_path):
     output = tmp_path / "front.json"
     path = without_damper("draft_against_loosening", tmp_path)

@@ -100,7 +100,7 @@ def test_an_interrupted_sweep_says_what_is_stored_and_resumes(script, counted_te
     process.send_signal(signal.SIGINT)
     error = process.communicate(timeout=60)[1]
     kept = stored(store)
-    assert f"KeyboardInterrupt: {len(kept)} of {2 * VALUES} points are in '{store}': the same sweep goes on" in error
+    assert f"KeyboardInterrupt: {len(kept)} of {2 * VALUES} points are in '{store}': the same sweep continues" in error
     with po.sweep(swept.Counted(file, 0.02), OVER, store=store, executor=inline, workers=1) as resumed:
         np.testing.assert_array_equal(resumed.table, po.sweep(swept.waves, OVER, executor=inline).table)
     evaluated = calls(file)

@@ -16,8 +16,9 @@ DEFAULT = {"front": (5, 6), "surface": (9,)}
 KNOWN = {(kind, number): case for kind in DEFAULT for number, case in study.problems(kind).items()}
 
 
-# Of the first, the best designs of a stretch lie at the edge of what is a needle: an optimum within it beats the designs
-# beside it that can be made, which are no optima, by up to 3 % of the ranges. Of the second one point is beaten by 0.11 %.
+# Of the first, the best designs of a stretch lie at the edge of what is a needle: an optimum within it beats the
+# designs beside it that can be made, which are no optima, by up to 3 % of the ranges. Of the second one point is
+# beaten by 0.11 %.
 SHORT = {
     ("front", 25): "designs beside needles are no optima, and are not returned",
     ("front", 35): "a point is beaten by a little more than counts",

@@ -324,13 +324,13 @@ def test_inputs_on_which_nothing_depends(r1_scene, r1_wave, compiled, request):
     assert result.mean_draft == pytest.approx([po.simulate(scene, 1.0).mean_draft] * 3, rel=1e-6)
 
 
-def test_one_design_beyond_floating_point_leaves_the_others(r1_soil, r1_wave):
+def test_one_design_that_cannot_be_computed_leaves_the_others(r1_soil, r1_wave):
     height = ca.MX.sym("height")
     scene = po.Scene(r1_soil, po.Cone(0.2, height), 5e4, 25.0, 2.0, po.Effects(strength_wave=r1_wave))
     batch = po.Batch(scene, 1.0, [height])
     result = batch([[0.25], [1e200]])
     assert list(result.failed) == [False, True]
-    assert "floating point" in result.reasons[1]
+    assert "height = 1e+200 m" in result.reasons[1]
     assert result.mean_draft[0] == batch([[0.25]]).mean_draft[0]
 
 

@@ -15,7 +15,7 @@ LARGEST: Final = 1e60
 """Largest size of a number, in SI units: fourth powers and products of several stay within floating point."""
 
 LEAST: Final = 1.0 / LARGEST
-"""Least size of what must be above 0, whose powers and reciprocals then do."""
+"""Least size of a number by whose powers is divided."""
 
 # Numbers of fewer bytes have three digits, or overflow when squared.
 _LEAST_BYTES = 4
@@ -34,7 +34,7 @@ def check_domain(
 ) -> None:
     """Raise DomainError for a number outside its domain; a symbol passes, as its value is checked later.
 
-    Beyond `LARGEST` in size every number is refused, and below `LEAST` one that must be above 0.
+    Beyond `LARGEST` in size every number is refused.
 
     Args:
         name: of the value, for the user.
@@ -50,7 +50,7 @@ def check_domain(
         DomainError: not a number, or one that is not finite or lies outside; the message gives name, value
             and limit.
     """
-    at_least, at_most = max(at_least, LEAST if above == 0.0 else -LARGEST), min(at_most, LARGEST)
+    at_least, at_most = max(at_least, -LARGEST), min(at_most, LARGEST)
     if isinstance(value, float) and above < value < below and at_least <= value <= at_most:
         return
     if is_symbolic(value):

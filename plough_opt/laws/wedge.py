@@ -11,7 +11,7 @@ import math
 from dataclasses import dataclass, field
 from typing import Final
 
-from plough_opt.core.domain import check_domain
+from plough_opt.core.domain import LEAST, check_domain
 from plough_opt.core.errors import DomainError
 from plough_opt.core.expressions import Expression, arctan, arctan2, cos, sin, sqrt, tan
 from plough_opt.core.kinds import check_kind
@@ -50,7 +50,7 @@ class Tine:
     def __post_init__(self) -> None:
         check_domain("tool width", self.width, "m", above=0.0)
         check_domain("working depth", self.depth, "m", above=0.0)
-        check_domain("rake angle", self.rake_angle, "rad", above=0.0, at_most=math.pi / 2)
+        check_domain("rake angle", self.rake_angle, "rad", above=0.0, at_least=LEAST, at_most=math.pi / 2)
         check_domain("surcharge", self.surcharge, "Pa", at_least=0.0)
         check_domain("adhesion", self.adhesion, "Pa", at_least=0.0)
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from plough_opt.core.domain import check_domain
+from plough_opt.core.domain import LEAST, check_domain
 from plough_opt.core.expressions import Expression
 from plough_opt.soil.elastic.medium import Medium, medium
 from plough_opt.soil.elastic.profile import Body, Profile, body, points
@@ -160,7 +160,7 @@ def _place(
     x: Expression, r: Expression, profile: Profile, soil: Soil, speed: Expression, section_factor: Expression
 ) -> tuple[Medium, Body, Expression, Expression]:
     """Return the medium, the body, and the coordinates of a point off the axis."""
-    check_domain("r", r, "m", above=0.0, why="the axis itself is singular inside the body")
+    check_domain("r", r, "m", above=0.0, at_least=LEAST, why="the axis itself is singular inside the body")
     check_domain("section factor", section_factor, above=0.0)
     state, cone = state_of(soil, speed), body(profile)
     x, r = points(x, r, cone, state, section_factor)

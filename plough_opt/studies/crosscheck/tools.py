@@ -9,7 +9,7 @@ from typing import Final
 
 import numpy as np
 
-from plough_opt.core.domain import check_domain
+from plough_opt.core.domain import LEAST, check_domain
 from plough_opt.core.errors import InputError
 from plough_opt.laws.wedge import Tine
 from plough_opt.motion.scene import Scene
@@ -61,7 +61,7 @@ def tool_set(
         width = 2.0 * float(scene.cone.height * scene.cone.slope)
         estimates.append(f"tool width {width:.3g} m: base diameter of the equivalent cone, for none was given")
     if rake_angle is not None:
-        check_domain("rake angle", rake_angle, "rad", above=0.0, at_most=math.pi / 2)
+        check_domain("rake angle", rake_angle, "rad", above=0.0, at_least=LEAST, at_most=math.pi / 2)
     elif isinstance(scene.share, Wedge):
         rake_angle = float(scene.share.chisel_angle)
         degrees = math.degrees(rake_angle)

@@ -326,7 +326,7 @@ class Scene:
         )
         return (
             f"share of half angle {math.degrees(angle):.3g} deg and height {height:.3g} m in {self.soil.name}, on"
-            f" {stiffness:.3g} N/m{spring} with {inertia:.3g} kg at {speed:.3g} m/s"
+            f" {stiffness / 1e3:.4g} kN/m{spring} with {inertia:.3g} kg at {speed:.3g} m/s"
         )
 
     def warnings(self) -> tuple[str, ...]:

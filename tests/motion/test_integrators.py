@@ -174,7 +174,7 @@ def test_failure_names_scene_time_and_cause(r1_scene):
         po.simulate(scene, 200.0, accuracy=po.Accuracy("dop853", steps=4), outputs=2)
     message = str(caught.value)
     assert "half angle 8.93 deg and height 0.25 m" in message
-    assert "5e+05 N/m" in message
+    assert "500 kN/m" in message
     assert "at 2 m/s" in message
     assert "beyond t = " in message
     assert "of 200 s" in message

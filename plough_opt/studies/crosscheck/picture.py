@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import textwrap
 from collections.abc import Mapping, Sequence
 
 from matplotlib.artist import Artist
@@ -17,6 +18,8 @@ _MARKERS = "os^vDPX"
 # Spread of drafts beyond which the lower ones could not be told apart on a linear axis.
 _WIDE = 8.0
 _REFUSED = ": outside its domain"
+# Letters of a title by inch of the picture, beside its legend.
+_LETTERS = 9
 
 
 def figure_of(
@@ -51,7 +54,9 @@ def figure_of(
     handles, names = zip(*found.values(), strict=True)
     figure.legend(handles, names, loc="outside right upper", fontsize="small")
     if title:
-        figure.suptitle(title)
+        figure.suptitle(
+            textwrap.fill(title, int(_LETTERS * figure.get_figwidth())), x=0.01, ha="left", fontsize="medium"
+        )
     return figure
 
 

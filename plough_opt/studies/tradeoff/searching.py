@@ -18,9 +18,9 @@ from plough_opt.studies.tradeoff.cloud import Cloud, FrontLandscape
 
 # Judged values by which a bottom may be above the best and still be followed, and how many are.
 _CAN_WIN, _MOST = 0.15, 3
-# Of a position: low designs of the sample from which a descent begins, the population of its evolution by number of
-# variables, its generations, and how alike all designs are when it has converged: descents follow.
-_LOW, _EACH, _GENERATIONS, _CONVERGED = 1, 6, 25, 0.01
+# Of a position: low designs of the sample from which a descent begins where none evolve, else one; the population of
+# an evolution by number of variables, its generations, and how alike all designs are when it has converged.
+_LOW, _EACH, _GENERATIONS, _CONVERGED = 3, 6, 25, 0.01
 # Two scaled designs nearer than this are one.
 _SAME = 1e-3
 
@@ -86,8 +86,9 @@ class Searcher:
             if not np.any(np.isfinite(seen.merit)):
                 continue
             lowest, _ = lowest_around(points, seen.merit)
-            starts = [seen.points[k] for k in lowest[: _LOW if landscape.vectorised else 1]]
-            if landscape.vectorised and len(self.vary) > 1:
+            evolves = landscape.vectorised and len(self.vary) > 1
+            starts = [seen.points[k] for k in lowest[: _LOW if landscape.vectorised and not evolves else 1]]
+            if evolves:
                 starts.insert(0, self._evolved(landscape, points, seen.merit, rng))
             ends += [landscape.descend(y) if landscape.vectorised else landscape(y[None]) for y in starts]
         if not ends:

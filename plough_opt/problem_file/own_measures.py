@@ -13,7 +13,7 @@ from plough_opt.core import expressions
 from plough_opt.core.errors import InputError, nearest, short
 from plough_opt.core.expressions import Expression
 from plough_opt.core.quantities import EVERY, QUANTITIES
-from plough_opt.core.units import Unit, registry
+from plough_opt.core.units import Display, Unit, registry
 from plough_opt.motion import Run
 from plough_opt.motion.vocabulary import MEASURES, Measure, quantity_of
 from plough_opt.problem_file.schema import ProblemTable
@@ -73,14 +73,14 @@ def own_measure(text: str, unit: str) -> Measure:
         raise InputError(f"= {short(repr(text))} cannot be read: write an expression like {_EXAMPLE}") from None
     names = _names(tree)
     Unit(unit).split(f"1 {unit}")  # refuses a unit that cannot be read
-    factor = _factor(tree, text, unit)
+    _check_unit(tree, text, unit)
 
     def of(run: Run) -> Expression:
-        return _value(tree, _Known(lambda name: _of_run(run, name), _applied)) / factor
+        return _value(tree, _Known(lambda name: _of_run(run, name), _applied))
 
     parts = [MEASURES[name] for name in names if name in MEASURES]
     needs = tuple(dict.fromkeys(what for one in parts for what in one.needs))
-    return Measure(Unit(unit), of, needs, random=any(one.random for one in parts))
+    return Measure(Unit(_si(unit)), of, needs, random=any(one.random for one in parts))
 
 
 def _of_run(run: Run, name: str) -> Expression:
@@ -106,8 +106,19 @@ def _names(tree: ast.expr) -> set[str]:
     return found
 
 
-def _factor(tree: ast.expr, text: str, unit: str) -> float:
-    """Return the factor from a unit to the SI unit of the same kind, which is that of the expression."""
+def display_of_own(unit: str) -> Display:
+    """Return the unit in which a file shows a result of its own."""
+    return Display(unit, float(registry().Quantity(1.0, unit or "dimensionless").to_base_units().magnitude))
+
+
+def _si(unit: str) -> str:
+    """Return the SI unit of a unit's kind: itself where it is one."""
+    base = registry().Quantity(1.0, unit or "dimensionless").to_base_units()
+    return unit if base.magnitude == 1.0 else f"{base.units:~C}"
+
+
+def _check_unit(tree: ast.expr, text: str, unit: str) -> None:
+    """Refuse an expression that joins unlike units, or gives another kind than the file says."""
     import pint
 
     quantity = registry().Quantity
@@ -132,7 +143,6 @@ def _factor(tree: ast.expr, text: str, unit: str) -> float:
     kind = quantity(1.0, unit or "dimensionless")
     if found is not None and found.dimensionality != kind.dimensionality:
         raise InputError(f"has the unit {unit or 'of a pure number'}, and its expression gives {found.units:~P}")
-    return float(kind.to_base_units().magnitude)
 
 
 def _value(tree: ast.expr, known: _Known, depth: int = 0) -> Any:

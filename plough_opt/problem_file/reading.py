@@ -22,7 +22,7 @@ from plough_opt.motion.accuracy import Accuracy
 from plough_opt.motion.vocabulary import Measure
 from plough_opt.problem_file.front import TABLE, check_front
 from plough_opt.problem_file.overrides import apply_override
-from plough_opt.problem_file.own_measures import check_own, measures_of
+from plough_opt.problem_file.own_measures import check_own, display_of_own, measures_of
 from plough_opt.problem_file.penetrometer import average_readings
 from plough_opt.problem_file.problem import FileVariable, Problem
 from plough_opt.problem_file.schema import (
@@ -161,6 +161,7 @@ def _checked(source: Source, table: ProblemTable, notes: tuple[str, ...]) -> Pro
                 displays[key] = display_of(written, unit)
     _check_complete(source, table, {*fixed, *table.variables})
     if check_own(source, table):  # what names results needs to know them
+        displays |= {name: display_of_own(own.unit) for name, own in table.measures.items()}
         _check_measures(source, table, displays)
         check_uncertain(source, table)
         if table.trade_off is not None:

@@ -44,7 +44,9 @@ def test_values_are_those_of_the_arithmetic(tmp_path):
     run = problem.simulate()
     found = measures_of(problem.table)
     for name, value in by_hand(run).items():
-        assert float(found[name].of(run)) == pytest.approx(value, rel=1e-14), name  # a few roundings
+        shown = float(found[name].of(run)) / problem.displays[name].factor
+        assert shown == pytest.approx(value, rel=1e-14), name  # a few roundings
+        assert problem.displays[name].symbol == RIGHT[name][1]
 
 
 def test_one_is_minimised_and_another_required(tmp_path):
@@ -57,7 +59,8 @@ def test_one_is_minimised_and_another_required(tmp_path):
     expected = by_hand(run)
     # The design integrates its own run: both are right to 1e-8.
     assert best.objective == pytest.approx(expected["power_per_width"] + run.force_rms / 1e3, rel=1e-7)
-    assert best.margins["draft_per_depth"] == pytest.approx(150.0 - expected["draft_per_depth"], abs=1e-5)
+    # Margins are SI: N/m.
+    assert best.margins["draft_per_depth"] == pytest.approx(100.0 * (150.0 - expected["draft_per_depth"]), abs=1e-3)
 
 
 def test_it_stands_in_the_response_and_in_a_sweep(tmp_path, capsys):

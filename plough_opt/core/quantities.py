@@ -129,7 +129,8 @@ QUANTITIES: dict[str, Quantity] = {
         ),
         Quantity(
             "scene.tow_speed", "tow speed", "speed V0 of the strut", "m/s", 2.0,
-            ("tow_speed",), shown="km/h", required=True, plausible=(0.0, 6.0),
+            ("tow_speed",), high=1e40, shown="km/h", why="a faster motion cannot be followed in floating point",
+            required=True, plausible=(0.0, 6.0),
         ),
         *(quantity for number in range(1, MOST_WAVES + 1) for quantity in _wave(number)),
         Quantity(

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from plough_opt.design.ipopt import Point, Vector
+from plough_opt.design.ipopt import PULLS, Point, Vector
 from plough_opt.design.program import Program
 
 # A curvature this far below the largest is suspected flat, and a change of the objective this small confirms it.
@@ -84,7 +84,8 @@ def _free_directions(program: Program, p: Vector, at: Point) -> Vector:
     """Return an orthonormal basis, as columns, of the directions that leave every active limit in place."""
     values, jacobian = program.slopes_of_requirements(at.y, p)
     touching = (values - program.low < _ACTIVE) | (program.high - values < _ACTIVE)
-    bounds = np.eye(len(at.y))[(at.y < _ACTIVE) | (at.y > 1.0 - _ACTIVE)]
+    # A bound that does not pull leaves the way back from it open.
+    bounds = np.eye(len(at.y))[((at.y < _ACTIVE) | (at.y > 1.0 - _ACTIVE)) & (np.abs(at.lam_y) > PULLS)]
     rows = np.vstack([jacobian[touching], bounds])
     if not len(rows):
         return np.eye(len(at.y))

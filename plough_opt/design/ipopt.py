@@ -261,8 +261,18 @@ class Solver:
 
     def requirements(self, y: Vector, p: Vector) -> tuple[Vector, Vector]:
         """Return the scaled requirements and their Jacobian; where IPOPT just stopped they are known."""
-        g, jacobian = self._jac_g(y, p)
+        try:
+            g, jacobian = self._jac_g(y, p)
+        except RuntimeError:
+            self._stop_if_interrupted()
+            raise
         return g.full().ravel(), jacobian.full()
+
+    def _stop_if_interrupted(self) -> None:
+        """Raise KeyboardInterrupt if an evaluation was interrupted, which CasADi takes for one that failed."""
+        if self._shared is not None and self._shared.interrupted:
+            self._shared.interrupted = False
+            raise KeyboardInterrupt
 
     def _solver(self, begin: str, exact: bool, enough: bool) -> ca.Function:
         kind = begin, exact, enough
@@ -277,9 +287,7 @@ class Solver:
     def _attempt(self, asked: dict[str, Any], kind: tuple[str, bool, bool]) -> Point:
         solver = self._solver(*kind)
         result = solver(**asked)
-        if self._shared is not None and self._shared.interrupted:
-            self._shared.interrupted = False
-            raise KeyboardInterrupt
+        self._stop_if_interrupted()
         point = Point.of(result, solver.stats(), kind[2])
         _LOG.debug("IPOPT from %s: %s in %d iterations, scaled objective %.9g", kind[0], *point.outcome)
         return point

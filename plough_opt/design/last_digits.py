@@ -24,6 +24,9 @@ _FALLS: Final = 0.5
 # Scaled step of the differences: between the rounding of a run (some 1e-13) and the narrowest ripples (some 1e-2); and
 # the factor on a search's steps with which they are run.
 _STEP, _FINER = 2e-4, 2.0
+# Differences this far from the exact slopes, relative to the largest, have a kink between them, as the RMS of an
+# amplitude has at 0.
+_KINK: Final = 0.05
 # Multipliers and the curvature that goes with them are found together, in so many rounds.
 _ROUNDS: Final = 3
 # Limits are kept by so much, scaled, so that rounding breaks none; and a variable nearer to a bound is on it.
@@ -41,15 +44,19 @@ def with_last_digits(program: Program, p: Vector, start: Vector) -> Point | None
         p: parameters.
         start: scaled variables, nearly optimal.
     """
-    bends = _second_differences(program, p, start) if program.population.vectorised else None
-    if bends is None:
+    known = _differences(program, p, start) if program.population.vectorised else None
+    if known is None:
         return None
+    slopes, bends = known
     kept = np.where(program.low < program.high, _KEPT, 0.0)
     y, lam_g, before = start, np.zeros(len(program.low)), np.inf
     for number in range(_STEPS):
         f, g, gradient, jacobian = (np.asarray(result) for result in program.nlp.slopes(y, p))
         g, gradient = g.ravel(), gradient.ravel()
         if not all(np.all(np.isfinite(part)) for part in (f, g, gradient, jacobian)):
+            return None
+        exact = np.vstack([gradient, jacobian])
+        if not number and np.max(np.abs(exact - slopes)) > _KINK * max(1.0, float(np.max(np.abs(exact)))):
             return None
         rows = np.vstack([jacobian, np.eye(len(y))])
         limits = np.concatenate([program.low + kept - g, -y]), np.concatenate([program.high - kept - g, 1.0 - y])
@@ -105,8 +112,11 @@ def residual(point: Point, at: tuple[Vector, Vector, Vector], limits: tuple[Vect
     return float(max(np.max(np.abs(slope)), both) / max(1.0, np.max(np.abs(pulls))) + beyond)
 
 
-def _second_differences(program: Program, p: Vector, y: Vector) -> Vector | None:
-    """Return the second derivatives of objective and requirements, a matrix each; None without a value somewhere."""
+def _differences(program: Program, p: Vector, y: Vector) -> tuple[Vector, Vector] | None:
+    """Return first and second derivatives of objective and requirements; None without a value somewhere.
+
+    Their first derivatives are a row each, their second ones a matrix each.
+    """
     n = len(y)
     steps = np.diag(np.where(y > 0.5, -_STEP, _STEP))
     both = list(itertools.combinations_with_replacement(range(n), 2))
@@ -121,4 +131,6 @@ def _second_differences(program: Program, p: Vector, y: Vector) -> Vector | None
     for (i, j), value in zip(both, values[n + 1 :], strict=True):
         bend = (value - values[1 + i] - values[1 + j] + values[0]) / (steps[i, i] * steps[j, j])
         bends[:, i, j] = bends[:, j, i] = bend
-    return bends
+    sides = np.diag(steps)
+    slopes = (values[1 : n + 1] - values[0]).T / sides - 0.5 * np.einsum("kii->ki", bends) * sides
+    return slopes, bends

@@ -233,7 +233,7 @@ def test_growth_beyond_every_number_names_the_spring(r1_scene, drag, duration, a
     assert "the print's repelling spring drives the share away like exp(" in message
     assert f"exp({scene.natural_frequency:.3g} t)" in message
     assert "take a shorter duration, or formulation = 'derived'" in message
-    assert "on 5e+03 N/m of a repelling spring, as printed, with" in message
+    assert "on 5 kN/m of a repelling spring, as printed, with" in message
 
 
 def test_a_damper_slows_the_growth(r1_scene):
@@ -248,7 +248,7 @@ def test_a_damper_slows_the_growth(r1_scene):
 
 def test_a_failure_of_the_derived_equation_does_not_name_it(r1_scene):
     with pytest.raises(po.IntegrationError) as refusal:
-        po.simulate(r1_scene(tow_speed=1e50, start="rest"), 1.0)
+        po.simulate(r1_scene(tow_speed=1e40, start="rest"), 1.0)
     assert "repelling" not in str(refusal.value)
 
 

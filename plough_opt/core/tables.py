@@ -195,7 +195,7 @@ class Page:
 class Readable:
     """A result that prints its tables and shows them in a notebook with its picture.
 
-    A class of results says `page`, and `picture` where it has one.
+    A class of results defines `page`, and `plot` where it has a picture.
     """
 
     def page(self) -> Page:
@@ -204,7 +204,8 @@ class Readable:
 
     def picture(self) -> Figure | None:
         """Return the picture that a notebook shows, or None."""
-        return None
+        plot = getattr(self, "plot", None)
+        return None if plot is None else plot()
 
     def __str__(self) -> str:
         """Return the tables of the command line as text."""

@@ -133,10 +133,6 @@ class LocalOptimum(Readable):
         """
         return drawn("plot_designs", {self.name: self}, target=target)
 
-    def picture(self) -> Figure:
-        """Return the picture for a notebook."""
-        return self.plot()
-
     @property
     def margins(self) -> dict[str, float]:
         """Margin of each requirement, positive inside, in its unit."""

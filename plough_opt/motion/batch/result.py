@@ -83,10 +83,6 @@ class BatchResult(Readable):
         lost += [f"... and {len(self.reasons) - _QUOTED} more: see reasons"] if len(self.reasons) > _QUOTED else []
         return Page(self._heading(), (*([table] if table.rows else []), *lost), self.warnings)
 
-    def picture(self) -> Figure:
-        """Return the picture for a notebook."""
-        return self.plot()
-
     def plot(self, target: str | Path | None = None) -> Figure:
         """Draw the RMS of the mount force over the mean draft, a point for each design.
 

@@ -183,10 +183,6 @@ class AccuracyStudy(Readable):
         heading = f"Error against time of {len(self.entries)} contestants, for a wanted error of {self.wanted:.0e}"
         return Page(heading, tuple(parts), (), ", ".join(map(" ".join, self.versions.items())), self.title)
 
-    def picture(self) -> Figure:
-        """Return the picture for a notebook."""
-        return self.plot()
-
     def to_dataframe(self) -> pandas.DataFrame:
         """Return a row for each contestant: times [s] and relative errors; NaN where it has none.
 

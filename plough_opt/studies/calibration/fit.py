@@ -73,10 +73,6 @@ class Fit(Readable, Fitted):
         """Return the unknowns, the undetermined combinations, the next measurements, and the scatter about the fit."""
         return fit_page(self)
 
-    def picture(self) -> Figure:
-        """Return the picture for a notebook."""
-        return self.plot()
-
     def to_dataframe(self) -> pandas.DataFrame:
         """Return a row for each measured row beside the fit, SI; the unit of each is a column.
 

@@ -219,10 +219,6 @@ class Sweep(Readable):
     def _text(self, name: str, value: float) -> str:
         return self.origin.display(name, self.units.get(name, ""), value).text(value)
 
-    def picture(self) -> Figure:
-        """Return the picture for a notebook."""
-        return self.plot()
-
     def plot(self, target: str | Path | None = None) -> Figure:
         """Draw every result over the quantity that was swept first, a point each; a second quantity is its colour.
 

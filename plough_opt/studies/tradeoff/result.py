@@ -32,10 +32,6 @@ class TradeOff(Readable, Front):
         """Return the front as a table by parts, its holes, what a little more costs, and what has no result."""
         return front_page(self)
 
-    def picture(self) -> Figure:
-        """Return the picture for a notebook."""
-        return self.plot()
-
     def to_dataframe(self) -> pandas.DataFrame:
         """Return a row for each point: part, objectives and variables, SI; ``attrs["units"]`` has the units.
 

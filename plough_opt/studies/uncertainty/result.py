@@ -110,10 +110,6 @@ class RobustOptimum(Readable):
         limits = self.requirements[check.result][0].replace(", ", " and ")
         return replace(check, text=f"probability of {limits}")
 
-    def picture(self) -> Figure:
-        """Return the picture for a notebook."""
-        return self.plot()
-
     def plot(self, target: str | Path | None = None) -> Figure:
         """Draw how the results spread over fresh samples, in the robust design and in the nominal one.
 

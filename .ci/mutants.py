@@ -1,16 +1,19 @@
 """Change the code in small ways, one at a time, and count how many of the changes the tests notice.
 
-python .ci/mutants.py [--count 200] [--seed 0] [--workers 2] [--room soil ...]
+python .ci/mutants.py [--count 200] [--seed 0] [--workers 2] [--room soil ...] [--budget 90] [--map FILE]
 
-Each mutant is one operator, comparison, constant or condition changed in a copy of the package. The tests of its room
-run on it until one fails. Survivors are printed with their place: each is an equivalent change, to be explained, or a
-missing test.
+First every file of tests runs once, alone, while `entered.py` notes which functions it enters. Each mutant is one
+operator, comparison, constant or condition changed in a copy of the package. On it run the files that enter the changed
+function, those first that are quick and mostly about its module, for as much processor time as the budget allows, until
+a test fails. Survivors are printed with their place: each is an equivalent change, to be explained, or a missing test.
 """
 
 import argparse
 import ast
+import json
 import os
 import random
+import resource
 import shutil
 import subprocess
 import sys
@@ -20,20 +23,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
-# Seconds after which the tests of a mutant are taken to hang, which counts as noticed.
-PATIENCE = 900
-# Rooms whose mutants are tried, with the tests that belong to them.
-TESTS = {
-    "soil": ["tests/test_geometry.py", "tests/test_soil.py", "tests/test_plastic.py", "tests/test_plastic_field.py",
-             "tests/test_density_profile.py", "tests/test_forces.py", "tests/elastic", "tests/test_strength_record.py"],
-    "laws": ["tests/test_forces.py", "tests/test_cone_index.py", "tests/test_printed.py", "tests/crosscheck",
-             "tests/test_density_profile.py"],
-    "motion": ["tests/motion", "tests/hard_cases", "tests/test_batch.py", "tests/test_batch_series.py",
-               "tests/test_scene.py"],
-    "design": ["tests/design", "tests/hard_cases"],
-    "studies": ["tests/tradeoff", "tests/uncertainty", "tests/calibration", "tests/study", "tests/crosscheck",
-                "tests/test_accuracy_study.py", "tests/test_accuracy_reference.py"],
-}  # fmt: skip
+ROOMS = ("soil", "laws", "motion", "design", "studies")
+# Seconds after which a session is taken to hang however little processor time it has used: on a busy machine tests wait.
+PATIENCE = 1800
 SWAPS = {
     ast.Add: ast.Sub, ast.Sub: ast.Add, ast.Mult: ast.Div, ast.Div: ast.Mult, ast.Lt: ast.LtE, ast.LtE: ast.Lt,
     ast.Gt: ast.GtE, ast.GtE: ast.Gt, ast.Eq: ast.NotEq, ast.NotEq: ast.Eq, ast.And: ast.Or, ast.Or: ast.And,
@@ -46,21 +38,34 @@ class Mutant:
     """A module with one change.
 
     Attributes:
-        path: of the module, from the package's parent folder.
+        module: its path in the package.
         line: of the change.
+        function: first line of the innermost function around it; 0 if the module itself runs it.
         what: the expression before and after.
         text: the whole module with the change.
     """
 
-    path: Path
+    module: str
     line: int
+    function: int
     what: str
     text: str
 
-    @property
-    def room(self) -> str:
-        """The room it stands in."""
-        return self.path.parts[1]
+
+@dataclass(frozen=True)
+class Tested:
+    """A file of tests: its processor time alone [s], and the functions that it enters, by module."""
+
+    file: str
+    seconds: float
+    entered: dict[str, list[int]]
+
+    def dearness(self, module: str) -> float:
+        """Return the seconds over the part of what is entered that is the module's: how late to try the file."""
+        return self.seconds * sum(map(len, self.entered.values())) / len(self.entered[module])
+
+
+# --- mutants ----------------------------------------------------------------------------------------------------------
 
 
 def places(tree: ast.Module) -> list[ast.AST]:
@@ -91,12 +96,11 @@ def changed(node: ast.AST) -> None:
         case ast.Constant(value=bool() as value):
             node.value = not value
         case ast.Constant(value=value):
-            node.value = value + 1 if value in (0, 1) else value * 1.5 if isinstance(value, float) else value + 1
-        case ast.UnaryOp():
-            node.op = ast.UAdd() if isinstance(node.op, ast.USub) else node.op
-            node.operand = ast.UnaryOp(ast.Not(), node.operand)
-        case ast.If():
-            node.test = ast.UnaryOp(ast.Not(), node.test)
+            node.value = value * 1.5 if isinstance(value, float) and value not in (0.0, 1.0) else value + 1
+        case ast.UnaryOp(operand=operand):
+            node.operand = ast.UnaryOp(ast.Not(), operand)
+        case ast.If(test=test):
+            node.test = ast.UnaryOp(ast.Not(), test)
 
 
 def mutants(rooms: list[str], count: int, seed: int) -> list[Mutant]:
@@ -112,39 +116,90 @@ def mutants(rooms: list[str], count: int, seed: int) -> list[Mutant]:
 def _mutant(path: Path, source: str, k: int) -> Mutant:
     tree = ast.parse(source)
     node = places(tree)[k]
+    around = [f for f in ast.walk(tree) if isinstance(f, ast.FunctionDef) and f.lineno <= node.lineno <= f.end_lineno]
+    # Python counts a function from its first decorator.
+    first = [min(line.lineno for line in (f, *f.decorator_list)) for f in around]
     shown = node.test if isinstance(node, ast.If) else node
     before = ast.unparse(shown)
     changed(node)
     after = ast.unparse(node.test if isinstance(node, ast.If) else node)
     text = ast.unparse(ast.fix_missing_locations(tree))
-    return Mutant(path.relative_to(ROOT), node.lineno, f"{before}  ->  {after}", text)
+    module = path.relative_to(ROOT / "plough_opt").as_posix()
+    return Mutant(module, node.lineno, max(first, default=0), f"{before}  ->  {after}", text)
 
 
-def noticed(mutant: Mutant) -> bool:
-    """Return True if a test of the room fails on a mutant."""
-    return fails(mutant.room, mutant)
+# --- tests ------------------------------------------------------------------------------------------------------------
 
 
-def fails(room: str, mutant: Mutant | None = None) -> bool:
-    """Return True if a test of a room fails, on a mutant or on the package as it is."""
+def copied(source: Path, to: Path) -> Path:
+    """Copy what tests read, with the machine code of Python that is beside it."""
+    for name in ("plough_opt", "tests", "problems", "docs", "notebooks", ".ci"):
+        shutil.copytree(source / name, to / name)
+    for name in ("pyproject.toml", "README.md", "CONTRIBUTING.md", "ARCHITECTURE.md", "plough_opt_command.py"):
+        shutil.copy(source / name, to / name)
+    return to
+
+
+def run(copy: Path, files: list[str], seconds: float, *options: str, **environment: str) -> bool:
+    """Return True if files of tests pass in a copy, in as much processor time as is given."""
+    # Machine code of a mutant must not be found in the cache later.
+    environment = os.environ | {"PYTHONPATH": f"{copy}{os.pathsep}{copy / '.ci'}",
+                                "XDG_CACHE_HOME": str(copy / "cache")} | environment  # fmt: skip
+    command = [sys.executable, "-m", "pytest", "-q", "-x", "-p", "no:cacheprovider", *options, *files]
+    try:
+        done = subprocess.run(
+            command,
+            cwd=copy,
+            env=environment,
+            capture_output=True,
+            timeout=PATIENCE,
+            check=False,
+            preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_CPU, (int(seconds) + 1,) * 2),
+        )
+    except subprocess.TimeoutExpired:
+        return False
+    return done.returncode == 0
+
+
+def tested(copy: Path, file: str) -> Tested | None:
+    """Return what a file of tests enters, or None if a test fails in the copy of the package as it is."""
+    told = copy / (file.replace("/", "-") + ".json")
+    if not run(copy, [file], PATIENCE, "-p", "entered", ENTERED=str(told)):
+        return None
+    return Tested(file, **json.loads(told.read_text(encoding="utf-8")))
+
+
+def survey(copy: Path, pool: ThreadPoolExecutor) -> list[Tested]:
+    """Run every file of tests once; a file that fails without any mutant can notice none, and is left out."""
+    paths = sorted(path for path in (copy / "tests").rglob("test_*.py") if "benchmarks" not in path.parts)
+    files = [path.relative_to(copy).as_posix() for path in paths]
+    found = list(pool.map(lambda file: tested(copy, file), files))
+    if broken := [file for file, one in zip(files, found, strict=True) if one is None]:
+        print(f"left out, for they fail on the package as it is: {', '.join(broken)}", flush=True)
+    return [one for one in found if one is not None]
+
+
+def chosen(mutant: Mutant, files: list[Tested], budget: float) -> list[Tested]:
+    """Return the files of tests that enter a mutant's function, most telling first, as many as the budget allows."""
+    inside = [one for one in files if mutant.function in one.entered.get(mutant.module, [])]
+    # What modules and classes hold is there for all functions; some functions run only in processes of their own.
+    inside = inside or [one for one in files if mutant.module in one.entered]
+    found, spent = [], 0.0
+    for one in sorted(inside, key=lambda one: one.dearness(mutant.module)):
+        if not found or spent + one.seconds <= budget:
+            found.append(one)
+            spent += one.seconds
+    return found
+
+
+def survives(source: Path, mutant: Mutant, files: list[Tested]) -> bool:
+    """Return True if all files of tests pass on a mutant; one that takes three times as long as usual hangs."""
     with tempfile.TemporaryDirectory() as folder:
-        copy = Path(folder)
-        for name in ("plough_opt", "tests", "problems", "docs"):
-            shutil.copytree(ROOT / name, copy / name, ignore=shutil.ignore_patterns("__pycache__"))
-        for name in ("pyproject.toml", "README.md", "plough_opt_command.py"):
-            shutil.copy(ROOT / name, copy / name)
-        if mutant is not None:
-            (copy / mutant.path).write_text(mutant.text, encoding="utf-8")
-        # Machine code of a mutant must not be found in the cache later.
-        environment = os.environ | {"PYTHONPATH": folder, "XDG_CACHE_HOME": str(copy / "cache")}
-        command = [sys.executable, "-m", "pytest", "-q", "-x", "-p", "no:cacheprovider", *TESTS[room]]
-        try:
-            done = subprocess.run(
-                command, cwd=copy, env=environment, capture_output=True, timeout=PATIENCE, check=False
-            )
-        except subprocess.TimeoutExpired:
-            return True
-        return done.returncode != 0
+        copy = copied(source, Path(folder))
+        module = copy / "plough_opt" / mutant.module
+        module.write_text(mutant.text, encoding="utf-8")
+        seconds = 60.0 + 3.0 * sum(one.seconds for one in files)
+        return not files or run(copy, [one.file for one in files], seconds)
 
 
 def main() -> None:
@@ -153,18 +208,26 @@ def main() -> None:
     parser.add_argument("--count", type=int, default=200, help="number of mutants (default: 200)")
     parser.add_argument("--seed", type=int, default=0, help="of the sample (default: 0)")
     parser.add_argument("--workers", type=int, default=os.cpu_count(), help="mutants at a time (default: all cores)")
-    parser.add_argument("--room", action="append", choices=TESTS, help="repeatable (default: every room here)")
+    parser.add_argument("--room", action="append", choices=ROOMS, help="repeatable (default: every room here)")
+    parser.add_argument("--budget", type=float, default=90.0, help="seconds of tests for a mutant (default: 90)")
+    parser.add_argument("--map", type=Path, help="file that keeps what the tests enter, for another sample")
     options = parser.parse_args()
-    sample = mutants(options.room or [*TESTS], options.count, options.seed)
+    sample = mutants(options.room or [*ROOMS], options.count, options.seed)
     survivors = 0
-    with ThreadPoolExecutor(options.workers) as pool:
-        rooms = sorted({mutant.room for mutant in sample})
-        if broken := [room for room, wrong in zip(rooms, pool.map(fails, rooms), strict=True) if wrong]:
-            sys.exit(f"tests fail on the package as it is, in {', '.join(broken)}: mend that first")
-        for number, (mutant, dead) in enumerate(zip(sample, pool.map(noticed, sample), strict=True), start=1):
-            survivors += not dead
-            word = "noticed " if dead else "SURVIVED"
-            print(f"{number:4d} {word} {mutant.path}:{mutant.line}  {mutant.what}", flush=True)
+    with tempfile.TemporaryDirectory() as folder, ThreadPoolExecutor(options.workers) as pool:
+        copy = copied(ROOT, Path(folder))
+        if options.map and options.map.exists():
+            files = [Tested(**one) for one in json.loads(options.map.read_text(encoding="utf-8"))]
+        else:
+            files = survey(copy, pool)
+        if options.map:
+            options.map.write_text(json.dumps([vars(one) for one in files]), encoding="utf-8")
+        trials = [chosen(mutant, files, options.budget) for mutant in sample]
+        results = pool.map(lambda mutant, tests: survives(copy, mutant, tests), sample, trials)
+        for number, (mutant, tests, alive) in enumerate(zip(sample, trials, results, strict=True), start=1):
+            survivors += alive
+            word = f"SURVIVED {len(tests)} files" if alive else "noticed"
+            print(f"{number:4d} {word} {mutant.module}:{mutant.line}  {mutant.what}", flush=True)
     print(f"{len(sample) - survivors} of {len(sample)} mutants noticed (seed {options.seed})")
 
 

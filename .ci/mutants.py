@@ -24,7 +24,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 ROOMS = ("soil", "laws", "motion", "design", "studies")
-# Seconds after which a session is taken to hang however little processor time it has used: on a busy machine tests wait.
+# Seconds after which a session is taken to hang, however little processor time it has had on a busy machine.
 PATIENCE = 1800
 SWAPS = {
     ast.Add: ast.Sub, ast.Sub: ast.Add, ast.Mult: ast.Div, ast.Div: ast.Mult, ast.Lt: ast.LtE, ast.LtE: ast.Lt,

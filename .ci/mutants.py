@@ -22,8 +22,12 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
+from entered import first_line
+
 ROOT = Path(__file__).resolve().parents[1]
 ROOMS = ("soil", "laws", "motion", "design", "studies")
+# Folders of tests that are about other rooms, or about speed.
+ASIDE = {"bad_input", "benchmarks", "cli", "export", "problem_file", "report"}
 # Seconds after which a session is taken to hang, however little processor time it has had on a busy machine.
 PATIENCE = 1800
 SWAPS = {
@@ -117,15 +121,13 @@ def _mutant(path: Path, source: str, k: int) -> Mutant:
     tree = ast.parse(source)
     node = places(tree)[k]
     around = [f for f in ast.walk(tree) if isinstance(f, ast.FunctionDef) and f.lineno <= node.lineno <= f.end_lineno]
-    # Python counts a function from its first decorator.
-    first = [min(line.lineno for line in (f, *f.decorator_list)) for f in around]
     shown = node.test if isinstance(node, ast.If) else node
     before = ast.unparse(shown)
     changed(node)
     after = ast.unparse(node.test if isinstance(node, ast.If) else node)
     text = ast.unparse(ast.fix_missing_locations(tree))
     module = path.relative_to(ROOT / "plough_opt").as_posix()
-    return Mutant(module, node.lineno, max(first, default=0), f"{before}  ->  {after}", text)
+    return Mutant(module, node.lineno, max(map(first_line, around), default=0), f"{before}  ->  {after}", text)
 
 
 # --- tests ------------------------------------------------------------------------------------------------------------
@@ -171,7 +173,7 @@ def tested(copy: Path, file: str) -> Tested | None:
 
 def survey(copy: Path, pool: ThreadPoolExecutor) -> list[Tested]:
     """Run every file of tests once; a file that fails without any mutant can notice none, and is left out."""
-    paths = sorted(path for path in (copy / "tests").rglob("test_*.py") if "benchmarks" not in path.parts)
+    paths = sorted(path for path in (copy / "tests").rglob("test_*.py") if not ASIDE & set(path.parts))
     files = [path.relative_to(copy).as_posix() for path in paths]
     found = list(pool.map(lambda file: tested(copy, file), files))
     if broken := [file for file, one in zip(files, found, strict=True) if one is None]:

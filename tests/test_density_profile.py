@@ -5,13 +5,11 @@ import itertools
 import math
 from itertools import pairwise
 
-import casadi as ca
 import numpy as np
 import pytest
 from helpers import high_precision as hp
 from helpers.density_profiles import DENSITIES, DENSITY, ground
 from helpers.high_precision import mp
-from scipy.integrate import solve_ivp
 
 import plough_opt as po
 from plough_opt.soil import plastic
@@ -131,68 +129,6 @@ def test_a_constant_profile_needs_one_node_for_its_front_and_few_for_the_rest():
     assert error[8] < 1e-13
 
 
-# --- the source's equations as residuals ------------------------------------------------------------------------------
-
-# Two dozen operations, and differentiation.
-RESIDUAL = 1e-13
-
-
-@profiles
-@cavities
-def test_continuity_9_momentum_8_and_yield_10(name, cavity):
-    soil = ground(name).soil(order_for(name))
-    r = ca.SX.sym("r")
-    y, field = plastic.current_radius(r, cavity, soil), plastic.stress(r, cavity, soil)
-    y_r, sigma_r = ca.jacobian(y, r), ca.jacobian(field.radial, r)
-    momentum = [
-        soil.density * r * plastic.particle_acceleration(r, cavity, soil),
-        y * sigma_r,
-        (field.radial - field.tangential) * y_r,
-        field.radial * y_r,
-    ]
-    b = soil.density / soil.density_profile.at(r)
-    assert plastic.density(0.01, cavity, soil) == pytest.approx(soil.density_profile.at(0.01), rel=1e-15)
-    terms = ca.vertcat(y * y_r - b * r, *momentum, field.radial, field.tangential)
-    evaluate = ca.Function("residuals", [r], [terms])
-    sine, tau0 = math.sin(soil.friction_angle), 2.0 * soil.cohesion * math.cos(soil.friction_angle)
-    for radius in radii(cavity, soil, 7)[1:]:
-        continuity, inertia, gradient, hoop, stress, radial, tangential = np.asarray(evaluate(radius)).ravel()
-        assert abs(continuity) <= RESIDUAL * radius
-        assert abs(inertia - gradient - hoop) <= RESIDUAL * (abs(inertia) + abs(gradient) + abs(stress))
-        p, q = -radial, -tangential
-        assert p - q == pytest.approx(tau0 + sine * (p + q), abs=RESIDUAL * p)
-
-
-@profiles
-@cavities
-def test_front_conditions_19_to_21(name, cavity):
-    soil = ground(name).soil(order_for(name))
-    front, speed = plastic.front_radius(cavity, soil), plastic.front_speed(cavity, soil)
-    velocity = plastic.particle_velocity(front, cavity, soil)
-    assert plastic.current_radius(front, cavity, soil) == pytest.approx(front, rel=RESIDUAL)
-    assert plastic.density(front, cavity, soil) * (speed - velocity) == pytest.approx(DENSITY * speed, rel=RESIDUAL)
-    jump = DENSITY * speed * velocity
-    assert -plastic.stress(front, cavity, soil).radial == pytest.approx(soil.ambient_pressure + jump, rel=RESIDUAL)
-
-
-@profiles
-@cavities
-def test_time_derivatives_of_front_radius_and_particles(name, cavity):
-    soil = ground(name).soil(order_for(name))
-    state = ca.SX.sym("state", 2)
-    now, r = Cavity(state[0], state[1], cavity.acceleration), 0.02
-    moving = ca.vertcat(
-        plastic.front_radius(now, soil),
-        plastic.current_radius(r, now, soil),
-        plastic.particle_velocity(r, now, soil),
-    )
-    in_time = ca.jtimes(moving, state, ca.vertcat(state[1], cavity.acceleration))
-    found = np.asarray(ca.Function("f", [state], [in_time])([cavity.radius, cavity.rate])).ravel()
-    wanted = [plastic.front_speed(cavity, soil)]
-    wanted += [plastic.particle_velocity(r, cavity, soil), plastic.particle_acceleration(r, cavity, soil)]
-    np.testing.assert_allclose(found, wanted, rtol=RESIDUAL, atol=RESIDUAL * cavity.rate)
-
-
 # --- other ways to the same numbers -----------------------------------------------------------------------------------
 
 
@@ -241,42 +177,6 @@ def test_the_precise_profile_is_the_toolkits_and_its_integrals_are_checked(name)
         shear = precise.tau0 / (1 + precise.mu) * (ends[0] - ends[1]) / precise.nu
         pressure = (ends[0] * (precise.ambient_pressure + jump) + carried + shear) / ends[1]
         assert abs(precise.pressure(mp.mpf(0)) / pressure - 1) < mp.mpf(10) ** -35
-
-
-@profiles
-def test_equations_8_and_9_by_a_solver_of_differential_equations(name):
-    """Outwards for the particle's radius until it meets its own Lagrangian radius, back inwards for the pressure."""
-    cavity = CAVITIES["speeding up"]
-    soil = ground(name).soil(order_for(name))
-    wall, spread = cavity.radius * cavity.rate, cavity.rate**2 + cavity.radius * cavity.acceleration
-    sine, tau0 = math.sin(soil.friction_angle), 2.0 * soil.cohesion * math.cos(soil.friction_angle)
-    tight = {"method": "DOP853", "rtol": 1e-12, "atol": 1e-14}
-
-    def square(r, _):
-        return [2.0 * r * DENSITY / soil.density_profile.at(r)]
-
-    def meets(r, state):
-        return r**2 - state[0]
-
-    meets.terminal = True
-    out = solve_ivp(square, (0.0, 1.0), [cavity.radius**2], events=meets, **tight)
-    front = out.t_events[0][0]
-    assert plastic.front_radius(cavity, soil) == pytest.approx(front, rel=1e-11)
-    b = DENSITY / soil.density_profile.at(front)
-    velocity = wall / front
-
-    def inwards(r, state):
-        y, b = math.sqrt(state[0]), DENSITY / soil.density_profile.at(r)
-        acceleration = spread / y - wall**2 / y**3
-        difference = (tau0 + 2.0 * sine * state[1]) / (1.0 + sine)
-        return [2.0 * r * b, -(DENSITY * r * acceleration + difference * b * r / y) / y]
-
-    start = [front**2, soil.ambient_pressure + DENSITY * velocity**2 / (1.0 - b)]
-    places = np.array([0.7, 0.4, 0.1, 0.0]) * front
-    back = solve_ivp(inwards, (front, 0.0), start, t_eval=places, **tight)
-    np.testing.assert_allclose(-plastic.stress(places, cavity, soil).radial, back.y[1], rtol=1e-11)
-    assert plastic.surface_pressure(cavity, soil) == pytest.approx(back.y[1][-1] - soil.ambient_pressure, rel=1e-10)
-    np.testing.assert_allclose(plastic.current_radius(places, cavity, soil), np.sqrt(back.y[0]), rtol=1e-11)
 
 
 @profiles

@@ -7,7 +7,7 @@ import pytest
 from helpers.density_profiles import ground
 
 import plough_opt as po
-from plough_opt.core.expressions import exp, is_quantity, map_expressions
+from plough_opt.core.expressions import exp
 from plough_opt.soil import plastic
 from plough_opt.soil.plastic import Cavity
 
@@ -117,14 +117,3 @@ def test_radii_outside_the_field_are_refused(r, words):
 def test_the_quadratures_error_is_one_of_numbers():
     with pytest.raises(po.InputError, match="holds symbols"):
         plastic.quadrature_error(ca.SX.sym("r"), CAVITY, ground("bell").soil(8))
-
-
-def test_replacing_numbers_leaves_the_order_alone():
-    soil = ground("bell").soil(9)
-    changed = map_expressions(soil, lambda value: 1.5 * value, is_quantity)
-    assert changed.density == 1.5 * soil.density
-    assert changed.density_profile.parameters == tuple(1.5 * value for value in soil.density_profile.parameters)
-    assert changed.density_profile.order == 9
-    assert type(changed.density_profile.order) is int
-    with pytest.raises(AttributeError):
-        soil.density_profile.order = 3

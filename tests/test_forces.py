@@ -13,10 +13,8 @@ from helpers import high_precision as hp
 from helpers.high_precision import FIRM, NAMES, assert_close, assert_derivatives, in_order
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.integrate import quad
 
 import plough_opt as po
-from plough_opt.soil.plastic import Cavity, surface_pressure
 
 # Fixed examples, so that a run can be repeated.
 repeatable = settings(deadline=None, derandomize=True, max_examples=60)
@@ -74,11 +72,6 @@ def by_automatic_differentiation(symbolic, values):
 
 def floats(case):
     return {name: float(case["inputs"][name]) for name in NAMES}
-
-
-def test_reference_has_all_its_cases():
-    assert [sum(case["kind"] == kind for case in REFERENCE) for kind in ("normal", "extreme", "limit")] == [24, 15, 2]
-    assert all(set(case["inputs"]) == set(NAMES) for case in REFERENCE)
 
 
 @pytest.mark.parametrize("case", CASES)
@@ -198,14 +191,6 @@ def test_loosened_radius_is_that_of_the_front_at_the_base():
     assert_close(po.loosened_radius(share.equivalent_cone(), soil), want, 1e-15)
 
 
-def test_slender_cone_is_regular():
-    # cot(beta) tan^2(beta) is taken as tan(beta): F / beta -> pi mu0 h^2 (A / beta^2), not 0 times infinity.
-    soil = po.named_soil("serozem")
-    forces = [po.resistance(po.Cone(beta, 0.3), soil, 2.0, 0.0) / beta for beta in (1e-12, 1e-14, 1e-300)]
-    strength = surface_pressure(Cavity(0.0, 0.0, 0.0), soil)
-    assert forces == pytest.approx([math.pi * 0.3**2 * 0.5 * strength] * 3, rel=1e-11)
-
-
 # A cone of half angle 15 degrees and base radius 50 mm at 2 m/s: force [N] of absolute pressure, of gauge pressure,
 # and without ambient pressure; share of the ambient pressure in the static force [%]. The values come from a
 # separate closed form for a locked cylindrical cavity.
@@ -235,13 +220,6 @@ def test_named_soil_resists_as_a_locked_cylindrical_cavity(name):
     assert 100 * (1 - bare_static / static) == pytest.approx(share, abs=0.5)
 
 
-def test_soil_carried_along_by_a_point_in_serozem():
-    slope = math.tan(po.deg(15.0))
-    assert po.added_mass(po.Cone(po.deg(15.0), 0.05 / slope), po.named_soil("serozem")) == pytest.approx(
-        0.35, abs=0.005
-    )
-
-
 def ordinary(seed):
     """Draw a share and a soil of everyday proportions, under acceleration or deceleration."""
     draw = np.random.default_rng(seed).uniform
@@ -250,7 +228,7 @@ def ordinary(seed):
     return dict(zip(NAMES, map(float, draw(low, high)), strict=True))
 
 
-@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("seed", range(4))
 def test_gradient_and_hessian_of_an_ordinary_share(symbolic, seed):
     assert_resistance(symbolic, ordinary(seed), DIGITS)
 
@@ -272,18 +250,14 @@ VALUES = st.fixed_dictionaries(
 )
 
 
-def reaction(values):
-    share, soil = share_and_soil(values)
-    return po.soil_reaction(share.equivalent_cone(), soil)
-
-
 def force(values):
     return outputs(values)["resistance"]
 
 
 def size(values):
     """The terms of the force without their signs, which a deceleration makes cancel."""
-    f = reaction(values)
+    share, soil = share_and_soil(values)
+    f = po.soil_reaction(share.equivalent_cone(), soil)
     return f.static + f.drag * values["speed"] ** 2 + f.added_mass * abs(values["acceleration"])
 
 
@@ -292,51 +266,6 @@ def size(values):
 def test_resistance_of_any_share(values):
     want = hp.resistance(*hp.exact(in_order(values)))
     assert_close(force(values), want, 1e-14, scale=max(size(values), 1e-300))
-
-
-@repeatable
-@given(values=VALUES)
-def test_symbols_give_what_numbers_give(symbolic, values):
-    got = symbolic(x=in_order(values))
-    for name, want in outputs(values).items():
-        scale = size(values) if name == "resistance" else want
-        assert float(got[name]) == pytest.approx(want, abs=5e-15 * scale), name
-
-
-@repeatable
-@given(VALUES)
-def test_pressure_integrated_over_the_cone_is_the_resistance(values):
-    share, soil = share_and_soil(values)
-    cone = share.equivalent_cone()
-    slope = math.tan(cone.half_angle)
-
-    def traction(x):
-        cavity = Cavity(x * slope, values["speed"] * slope, values["acceleration"] * slope)
-        return surface_pressure(cavity, soil) * x * slope * math.sqrt(1 + slope**2)
-
-    # (24); the integrand is a quadratic in x, which the quadrature integrates to rounding.
-    integral, _ = quad(traction, 0.0, cone.height, epsabs=0.0, epsrel=1e-10, limit=200)
-    friction = math.sin(cone.half_angle) + soil.tool_friction * math.cos(cone.half_angle)
-    assert force(values) == pytest.approx(2 * math.pi * friction * integral, abs=1e-14 * size(values))
-
-
-@repeatable
-@given(VALUES, st.floats(1e-3, 1e3))
-def test_stress_scales_the_static_part(values, s):
-    other = values | {name: s * values[name] for name in ("cohesion", "ambient_pressure")}
-    cone = po.Wedge(values["wedge_angle"], values["chisel_angle"], values["height"]).equivalent_cone()
-    before, after = (po.resistance_coefficients(cone, share_and_soil(v)[1]) for v in (values, other))
-    assert asdict(after) == pytest.approx({"A": s * before.A, "B": before.B, "C": before.C}, rel=2e-15)
-    assert reaction(other).static == pytest.approx(s * reaction(values).static, rel=3e-15)
-
-
-@repeatable
-@given(VALUES, st.floats(1e-2, 1e2))
-def test_length_scales_forces_by_its_square_and_mass_by_its_cube(values, s):
-    before, after = reaction(values), reaction(values | {"height": s * values["height"]})
-    assert after.static == pytest.approx(s**2 * before.static, rel=2e-15)
-    assert after.drag == pytest.approx(s**2 * before.drag, rel=2e-15)
-    assert after.added_mass == pytest.approx(s**3 * before.added_mass, rel=2e-15)
 
 
 @repeatable
@@ -356,49 +285,6 @@ def test_force_in_other_units(values, length, mass, time):
     assert force(other) == pytest.approx(newton * force(values), abs=1e-14 * newton * size(values))
 
 
-@repeatable
-@given(VALUES, st.sampled_from(["cohesion", "ambient_pressure", "tool_friction"]), st.floats(0.01, 0.5))
-def test_static_force_grows_with_every_strength(values, name, step):
-    scale = {"cohesion": 1e4, "ambient_pressure": 1e5, "tool_friction": 1.0}[name]
-    values = values | {"cohesion": values["cohesion"] + 1.0, "friction_angle": values["friction_angle"] + 0.01}
-    assert reaction(values | {name: values[name] + step * scale}).static > reaction(values).static
-
-
-@repeatable
-@given(VALUES, st.floats(1.01, 2.0))
-def test_resistance_grows_with_size_speed_and_acceleration(values, factor):
-    values = values | {
-        "cohesion": values["cohesion"] + 1e3,
-        "speed": values["speed"] + 0.1,
-        "acceleration": abs(values["acceleration"]) + 0.1,
-    }
-    bluntest = min(factor * values["wedge_angle"], 1.5)
-    for change in (
-        *({name: factor * values[name]} for name in ("height", "density", "speed")),
-        {"acceleration": factor * values["acceleration"] + 10.0},
-        {"wedge_angle": bluntest},
-        {"chisel_angle": values["chisel_angle"] + 0.1 * factor},
-        {"density_ratio": 1 - (1 - values["density_ratio"]) / factor},
-    ):
-        other = values | change
-        heavier = reaction(other)
-        lighter = reaction(values)
-        # The increase of the speed terms may be lost in a large static force; the terms themselves show it.
-        assert force(other) >= force(values) * (1 - 1e-15), change
-        assert heavier.drag * other["speed"] ** 2 + heavier.added_mass * other["acceleration"] > (
-            lighter.drag * values["speed"] ** 2 + lighter.added_mass * values["acceleration"]
-        ), change
-
-
-@repeatable
-@given(VALUES)
-def test_resistance_does_not_know_wedge_from_cone(values):
-    # Another wedge and chisel angle of the same surface is the same cone and so the same force.
-    plain = math.atan(math.tan(values["wedge_angle"]) / math.cos(values["chisel_angle"]) ** 2)
-    other = values | {"wedge_angle": plain, "chisel_angle": 0.0}
-    assert force(other) == pytest.approx(force(values), abs=2e-14 * size(values))
-
-
 def test_arrays_are_taken_element_by_element():
     cases = [floats(case) for case in REFERENCE]
     together = outputs({name: np.array([case[name] for case in cases]) for name in NAMES})
@@ -414,27 +300,3 @@ def test_arrays_are_taken_element_by_element():
     np.testing.assert_allclose(po.resistance(cone, soil, speeds, 1.0), want, rtol=3e-16)
     radii = po.loosened_radius(po.Cone(np.array([0.1, 0.2]), 0.3), soil)
     np.testing.assert_allclose(radii, [po.loosened_radius(po.Cone(b, 0.3), soil) for b in (0.1, 0.2)], rtol=3e-16)
-
-
-@pytest.mark.parametrize(
-    ("name", "value", "words"),
-    [
-        ("wedge_angle", math.pi / 2, "wedge angle = 1.5707963267948966 rad"),
-        ("chisel_angle", -0.1, "chisel angle = -0.1 rad"),
-        ("height", 0.0, "share height = 0 m"),
-        ("density", math.nan, "soil density = nan"),
-        ("density_ratio", 1.0, "density ratio b1 = 1 must"),
-        ("density_ratio", 0.0, "density ratio b1 = 0 must"),
-        ("cohesion", -5.0, "cohesion = -5 Pa"),
-        ("friction_angle", math.pi / 2, "friction angle = 1.5707963267948966 rad"),
-        ("tool_friction", -0.5, "tool friction = -0.5"),
-        ("ambient_pressure", -1.0, "ambient pressure = -1 Pa"),
-    ],
-)
-def test_no_force_comes_from_numbers_outside_the_domain(name, value, words):
-    with pytest.raises(po.DomainError, match=words):
-        outputs(FIRM | {name: value})
-    # One bad number among symbols is refused as well.
-    x = ca.SX.sym("x")
-    with pytest.raises(po.DomainError, match=words):
-        outputs(dict.fromkeys(NAMES, x) | {name: value})

@@ -5,7 +5,9 @@ Nothing here is rearranged against cancellation, and nothing is imported from th
 
 import math
 
+import casadi as ca
 import mpmath
+import numpy as np
 
 mp = mpmath.mp.clone()  # its own precision: other tests may set theirs
 mp.dps = 120
@@ -184,6 +186,20 @@ def derivatives(function, point):
             mixed = at((i, 1), (j, 1)) - at((i, 1), (j, -1)) - at((i, -1), (j, 1)) + at((i, -1), (j, -1))
             hessian[i][j] = hessian[j][i] = mixed / (4 * h**2)
     return value, gradient, hessian
+
+
+def differentiated(quantity, symbol, size):
+    """Return a function of a point: value, gradient and Hessian of a quantity, by automatic differentiation."""
+    x = symbol.sym("x", size)
+    y = quantity(*ca.vertsplit(x))
+    hessian, gradient = ca.hessian(y, x)
+    function = ca.Function("f", [x], [y, gradient, hessian])
+
+    def at(point):
+        value, first, second = (np.asarray(part) for part in function(point))
+        return value[0, 0], first[:, 0], second
+
+    return at
 
 
 def assert_close(got, want, relative, label="", scale=None):

@@ -74,7 +74,7 @@ def test_a_design_takes_as_many_steps_as_derivatives_need(effects):
         program = d._program
         y = np.array([program.declared.variables[0].scaled(best.variables["stiffness"])])
         assert error_of_derivatives(program, y, np.zeros(0)) < wanted
-        steps += program._steps
+        steps += program.built.steps
     assert steps[0] <= steps[1] < steps[2]
 
 

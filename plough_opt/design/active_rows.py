@@ -12,8 +12,8 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 
-from plough_opt.design.ipopt import Point, Solver, Vector
-from plough_opt.design.nlp import Nlp
+from plough_opt.design.ipopt import Point, SolveOptions, Solver, Vector
+from plough_opt.design.nlp import Nlp, hessian_function
 
 # Dips of a requirement's margin over its rows that are taken, each with its neighbours on both sides, for the lowest
 # output moves with the design.
@@ -27,48 +27,34 @@ _BROKEN = 1e-10
 class ActiveRows:
     """IPOPT on a choice of rows, built once for all choices."""
 
-    def __init__(self, nlp: Nlp, sizes: tuple[int, int], owner: Sequence[int], limits: tuple[Vector, Vector]) -> None:
-        """Take the program, its numbers of variables and parameters, each row's requirement, the limits of the rows.
+    def __init__(self, nlp: Nlp, owner: Sequence[int], limits: tuple[Vector, Vector]) -> None:
+        """Take the program.
 
         Args:
             nlp: the program.
-            sizes: its numbers of variables and of parameters.
             owner: for each row the number of its requirement.
             limits: lower and upper limits of the rows.
         """
         self._nlp, self._owner, self._limits = nlp, np.array(owner), limits
         self._count = chosen_rows(owner)
-        low, high = (side[: self._count] for side in limits)
-        chosen = _of_rows(nlp, sizes, len(owner), self._count)
-        self._solver = Solver(chosen, sizes[0], sizes[1] + self._count, low, high)
+        self._solver = Solver(_of_rows(nlp, self._count), *(side[: self._count] for side in limits))
 
-    def solve(
-        self,
-        start: Vector,
-        p: Vector,
-        lower: Vector,
-        upper: Vector,
-        *,
-        near: bool = False,
-        exact: bool | None = None,
-        enough: bool = False,
-    ) -> Point:
+    def solve(self, start: Vector, p: Vector, lower: Vector, upper: Vector, options: SolveOptions) -> Point:
         """Return the local optimum that IPOPT reaches from a start: see `Solver.solve`."""
         rows = self._nearest(self._margins(start, p), np.empty(0, dtype=int))
-        point, y = None, start
+        y = start
         for _ in range(_ROUNDS):
             limits = self._limits[0][rows], self._limits[1][rows]
-            found = self._solver.solve(y, np.r_[p, rows], lower, upper, limits, near=near, exact=exact, enough=enough)
+            found = self._solver.solve(y, np.r_[p, rows], lower, upper, options, limits)
             pulls = np.zeros(len(self._owner))
             pulls[rows] = found.lam_g
-            point = replace(found, lam_g=pulls)
-            margins = self._margins(point.y, p)
+            point, y = replace(found, lam_g=pulls), found.y
+            margins = self._margins(y, p)
             broken = np.flatnonzero(margins < -_BROKEN)
             if not point.solved or np.all(np.isin(broken, rows)):
                 return point
             rows = self._nearest(margins, rows[np.abs(found.lam_g) > 0.0][: self._count // 2])
-            y = point.y
-        return replace(point, solved=False, status="Rows_Not_Settled") if point else self._solver.solve(start, p)
+        return replace(point, solved=False, status="Rows_Not_Settled")
 
     def _margins(self, y: Vector, p: Vector) -> Vector:
         g = np.asarray(self._nlp.values(y, p)[1]).ravel()
@@ -97,20 +83,21 @@ def chosen_rows(owner: Sequence[int]) -> int:
     return int(np.sum(np.minimum(counts, _OF_ONE)))
 
 
-def _of_rows(nlp: Nlp, sizes: tuple[int, int], rows: int, count: int) -> Nlp:
+def _of_rows(nlp: Nlp, count: int) -> Nlp:
     """Return a program with a choice of another's rows, whose numbers follow its parameters."""
-    y, given = ca.MX.sym("y", sizes[0]), ca.MX.sym("p", sizes[1] + count)
-    p, which = given[: sizes[1]], given[sizes[1] :]
+    y, own = nlp.values.mx_in()
+    given = ca.MX.sym("p", own.numel() + count)
+    p, which = ca.vertsplit(given, [0, own.numel(), given.numel()])
 
-    def first() -> ca.Function:
+    def build_slopes() -> ca.Function:
         f, g, gradient, jacobian = nlp.slopes(y, p)
         return ca.Function("slopes", [y, given], [f, g[which], gradient, jacobian[which, :]])
 
-    def second() -> ca.Function:
-        lam_f, lam_g, every = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", count), ca.MX(ca.DM.zeros(rows))
+    def build_hessian() -> ca.Function:
+        lam_f, lam_g = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", count)
+        every = ca.MX(ca.DM.zeros(nlp.values.numel_out(1)))
         every.set_nz(lam_g, False, which)
-        names, result = ["x", "p", "lam_f", "lam_g"], ["triu_hess_gamma_x_x"]
-        return ca.Function("hess_lag", [y, given, lam_f, lam_g], [nlp.hess_lag(y, p, lam_f, every)], names, result)
+        return hessian_function(y, given, lam_f, lam_g, nlp.hess_lag(y, p, lam_f, every))
 
     f, g = nlp.values(y, p)
-    return Nlp(ca.Function("values", [y, given], [f, g[which]]), first, second)
+    return Nlp(ca.Function("values", [y, given], [f, g[which]]), build_slopes, build_hessian)

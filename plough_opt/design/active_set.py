@@ -16,13 +16,13 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from plough_opt.core.errors import InputError, NotConverged
-from plough_opt.design.ipopt import PULLS, Point, Vector
+from plough_opt.design.ipopt import Point, Vector
+from plough_opt.design.optimality import PULLS, free_directions, newton_step, reduced_curvatures, symmetric
 from plough_opt.design.program import Program
 
 Mask = NDArray[np.bool_]
@@ -140,16 +140,14 @@ class ActiveSet:
         self._evaluate(point.y, mu)
         active = self._equal | ((mu > PULLS) & (mu > self.slack))
         for _ in range(_STEPS):
-            a = self.gradients[active, : self.n]
-            found = np.linalg.lstsq(self._system(a), -np.r_[self.gradient[: self.n], self.slack[active]], rcond=None)[0]
             mu = np.zeros(len(mu))
-            mu[active] = found[self.n :]
-            y = self.y + found[: self.n]
+            step, mu[active] = self._newton_step(active, self.gradient[: self.n], self.slack[active])
+            y = self.y + step
             if not np.all(np.abs(y - point.y) < _NEAR):
                 break
             self._evaluate(y, mu)
             wrong = ~self._equal & np.where(active, mu < -_NONE, self.slack < -_NONE)
-            if not np.any(wrong) and np.max(np.abs(found[: self.n])) < _EXACT:
+            if not np.any(wrong) and np.max(np.abs(step)) < _EXACT:
                 return
             active = active ^ wrong
         if not self._curved(self.gradients[active, : self.n], _SLOW_CURVATURE):
@@ -158,9 +156,9 @@ class ActiveSet:
             "the limits that decide this optimum cannot be told from those that just do not", "unsettled"
         )
 
-    def _system(self, a: Vector) -> Vector:
-        """Return the matrix of the linearised conditions, with the deciding sides' gradients ``a``."""
-        return np.block([[self.hessian[: self.n, : self.n], -a.T], [a, np.zeros((len(a), len(a)))]])
+    def _newton_step(self, active: Mask, gradient: Vector, gaps: Vector) -> tuple[Vector, Vector]:
+        """Return `newton_step` with certain sides active."""
+        return newton_step(self.hessian[: self.n, : self.n], gradient, self.gradients[active, : self.n], gaps)
 
     def _evaluate(self, y: Vector, mu: Vector) -> None:
         """Keep objective, gradients and the Hessian of the Lagrangian at a place."""
@@ -169,12 +167,11 @@ class ActiveSet:
         np.add.at(weights, self._rows, -self._signs * mu)
         z = np.r_[y, self._p]
         f, g, gradient, jacobian = (np.asarray(result) for result in self._nlp.slopes(z, []))
-        upper = np.asarray(self._nlp.hess_lag(z, [], 1.0, weights[:count]))
         values = np.r_[g.ravel(), y]
         rows = np.vstack([jacobian, np.eye(self.n, len(z))])
         self.y, self.mu, self.f = y, mu, float(f.item())
         self.gradient = gradient.ravel()
-        self.hessian = upper + np.triu(upper, 1).T
+        self.hessian = symmetric(np.asarray(self._nlp.hess_lag(z, [], 1.0, weights[:count])))
         self.gradients = self._signs[:, None] * rows[self._rows]
         self.slack = self._signs * values[self._rows] - self._bounds
         for k, side in enumerate(self.sides):
@@ -208,22 +205,22 @@ class ActiveSet:
     def _along(self, active: Mask, change: Change, direction: float) -> Move | None:
         """Return the move with certain sides active, or None where another set takes over at once."""
         n = self.n
-        a = self.gradients[active, :n]
-        if not self._curved(a):
+        if not self._curved(self.gradients[active, :n]):
             return None
         mixed = self.hessian[:n, n:] @ change.q
-        right = np.r_[-mixed, change.b[active] - self.gradients[active, n:] @ change.q]
-        found: NDArray[Any] = np.linalg.solve(self._system(a), right)
+        # How far the sides open at the optimum's variables, and at those to which it moves.
+        opening = self.gradients[:, n:] @ change.q - change.b
         pull = np.zeros(len(self.mu))
-        pull[active] = found[n:]
-        free = ~active
-        opening = self.gradients[:, :n] @ found[:n] + self.gradients[:, n:] @ change.q - change.b
+        move, pull[active] = self._newton_step(active, mixed, opening[active])
+        size = float(np.max(np.abs(np.r_[mixed, opening[active]])))
+        moved = self.gradients[:, :n] @ move
+        opening += moved
         # Inequalities that decide lose their multiplier, in their own unit, the others their margin.
-        pull -= self.mu * self._logs * self._signs * (self.gradients[:, :n] @ found[:n])
+        pull -= self.mu * self._logs * self._signs * moved
         stock = np.where(active, self.mu, np.maximum(self.slack, 0.0))
         rate = direction * np.where(active, pull, opening)
         rate[self._equal] = 0.0
-        size = max(float(np.max(np.abs(part), initial=0.0)) for part in (rate, right))
+        size = max(size, float(np.max(np.abs(rate), initial=0.0)))
         if np.any(rate[self.weak] < -_RANK * size):
             return None
         rate[self.weak] = 0.0
@@ -231,9 +228,9 @@ class ActiveSet:
             reach = np.where(rate < -_ROUNDING * size, stock / -rate, np.inf)
         first = int(np.argmin(reach)) if len(reach) else 0
         if not len(reach) or not np.isfinite(reach[first]):
-            return Move(found[:n], math.inf, "")
-        verb = "begins" if free[first] else "ceases"
-        return Move(found[:n], float(reach[first]), f"{self.sides[first].name} {verb} to decide")
+            return Move(move, math.inf, "")
+        verb = "ceases" if active[first] else "begins"
+        return Move(move, float(reach[first]), f"{self.sides[first].name} {verb} to decide")
 
     def change(self, parameter: int | None, side: str) -> Change:
         """Return the change by one unit of a parameter by its number, or of the limit of the sides of a name."""
@@ -282,18 +279,11 @@ class ActiveSet:
 
     def _curved(self, a: Vector, least: float = _FLAT_CURVATURE) -> bool:
         """Return whether the Lagrangian curves upwards wherever the sides with gradients ``a`` stay."""
-        h = self.hessian[: self.n, : self.n]
-        if len(a):
-            _, sizes, right = np.linalg.svd(a)
-            rank = int(np.sum(sizes > _RANK * max(1.0, sizes[0])))
-            if rank < len(a):
-                return False
-            basis = right[rank:].T
-        else:
-            basis = np.eye(self.n)
-        if not basis.shape[1]:
-            return True
-        return float(np.linalg.eigvalsh(basis.T @ h @ basis)[0]) > least * max(1.0, float(np.max(np.abs(h))))
+        free = free_directions(a)
+        if free.shape[1] > self.n - len(a):  # some of the sides repeat others
+            return False
+        curvatures, _ = reduced_curvatures(self.hessian[: self.n, : self.n], free)
+        return not curvatures.size or bool(curvatures[0] > least)
 
 
 def _sides(program: Program, point: Point, fixed: Sequence[int]) -> list[Side]:

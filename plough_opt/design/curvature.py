@@ -7,7 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from plough_opt.design.ipopt import PULLS, Point, Vector
+from plough_opt.design.ipopt import Point, SolveOptions, Vector
+from plough_opt.design.optimality import PULLS, free_directions, reduced_curvatures, symmetric
 from plough_opt.design.program import Program
 
 # A curvature this far below the largest is suspected flat, and a change of the objective this small confirms it.
@@ -59,39 +60,23 @@ def minimum_from(
 
 def _beside(program: Program, p: Vector, start: Vector) -> Point:
     """Return the local optimum beside a start."""
-    return program.solve(start, p, near=True, exact=False, enough=True)
+    return program.solve(start, p, SolveOptions(near=True, exact=False, enough=True))
 
 
 def _reduced_curvatures(program: Program, p: Vector, at: Point) -> tuple[Vector, Vector]:
     """Return the curvatures, relative to the largest, in ascending order, and their directions as columns."""
-    free = _free_directions(program, p, at)
+    values, jacobian = program.built.solver.requirements(at.y, p)
+    touching = (values - program.low < _ACTIVE) | (program.high - values < _ACTIVE)
+    # A bound that does not pull leaves the way back from it open.
+    bounds = ((at.y < _ACTIVE) | (at.y > 1.0 - _ACTIVE)) & (np.abs(at.lam_y) > PULLS)
+    free = free_directions(np.vstack([jacobian[touching], np.eye(len(at.y))[bounds]]))
     if not free.shape[1]:
         return np.empty(0), free
-    hessian = _hessian(program, p, at)
+    hessian = symmetric(np.asarray(program.rough.hess_lag(at.y, p, 1.0, at.lam_g)))
     if not np.all(np.isfinite(hessian)):
         # Of a motion that forgets its start at once, second derivatives may be beyond floating point.
         return np.empty(0), free[:, :0]
-    curvatures, vectors = np.linalg.eigh(free.T @ hessian @ free)
-    return curvatures / max(1.0, float(np.max(np.abs(hessian)))), free @ vectors
-
-
-def _hessian(program: Program, p: Vector, at: Point) -> Vector:
-    upper = np.asarray(program.rough.hess_lag(at.y, p, 1.0, at.lam_g))
-    return upper + np.triu(upper, 1).T
-
-
-def _free_directions(program: Program, p: Vector, at: Point) -> Vector:
-    """Return an orthonormal basis, as columns, of the directions that leave every active limit in place."""
-    values, jacobian = program.slopes_of_requirements(at.y, p)
-    touching = (values - program.low < _ACTIVE) | (program.high - values < _ACTIVE)
-    # A bound that does not pull leaves the way back from it open.
-    bounds = np.eye(len(at.y))[((at.y < _ACTIVE) | (at.y > 1.0 - _ACTIVE)) & (np.abs(at.lam_y) > PULLS)]
-    rows = np.vstack([jacobian[touching], bounds])
-    if not len(rows):
-        return np.eye(len(at.y))
-    _, sizes, right = np.linalg.svd(rows)
-    rank = int(np.sum(sizes > 1e-9 * max(1.0, sizes[0])))
-    return right[rank:].T
+    return reduced_curvatures(hessian, free)
 
 
 def _confirmed(program: Program, p: Vector, at: Point, direction: Vector) -> bool:

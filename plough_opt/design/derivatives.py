@@ -9,10 +9,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from plough_opt.core.errors import DomainError, InputError
-from plough_opt.design.alike_runs import Alike
 from plough_opt.design.ipopt import Point, Vector
 from plough_opt.design.polishing import AS_FOUND, solved_again
 from plough_opt.design.program import Program
+from plough_opt.design.run_groups import RunGroup
 from plough_opt.motion.batch.many_runs import ManyRuns
 from plough_opt.motion.derivative_error import derivative_error, difference_of_jets, finer_than
 from plough_opt.motion.plan import summed_rate
@@ -32,15 +32,15 @@ _MOST_RUNS = 8
 
 def error_of_derivatives(program: Program, y: Vector, p: Vector) -> float:
     """Return the largest error of the derivatives of a program's runs at a scaled design."""
-    return _error_of_all(program.nlp.alike, y, p)
+    return _error_of_all(program.nlp.groups, y, p)
 
 
-def _error_of_all(runs: Sequence[Alike], y: Vector, p: Vector) -> float:
+def _error_of_all(runs: Sequence[RunGroup], y: Vector, p: Vector) -> float:
     given = [(own, own.inputs(y, p).full()) for own in runs]
     return max((_error(own, theta) for own, theta in given), default=0.0)
 
 
-def _error(own: Alike, theta: Vector) -> float:
+def _error(own: RunGroup, theta: Vector) -> float:
     """Return the largest error of the derivatives of alike runs, from their parameters, a column for each."""
     many = _side_by_side(own)
     found = math.nan
@@ -50,7 +50,7 @@ def _error(own: Alike, theta: Vector) -> float:
     return derivative_error(own.solver, own.first, own.varying, theta) if math.isnan(found) else found
 
 
-def _side_by_side(own: Alike) -> ManyRuns | None:
+def _side_by_side(own: RunGroup) -> ManyRuns | None:
     """Return what follows very many of alike runs by their own steps in machine code, if anything does.
 
     Equal steps are all the same to both where nothing is read between them and none ends at a kink.
@@ -68,7 +68,7 @@ def _side_by_side(own: Alike) -> ManyRuns | None:
     return many if many.compiled else None
 
 
-def error_by_differences(own: Alike, p: Vector, many: ManyRuns) -> float:
+def error_by_differences(own: RunGroup, p: Vector, many: ManyRuns) -> float:
     """Return what `derivative_error` does of one run, its derivatives as differences of runs; NaN without a value.
 
     Differences of runs of equal steps are those of the steps' own derivatives, so that what they miss of these is
@@ -164,7 +164,7 @@ def with_sure_derivatives(program: Program, p: Vector, points: list[Point]) -> t
     if points[0].status == AS_FOUND:  # which IPOPT could not follow to an optimum
         return points, ()
     wanted = _wanted(program)
-    error, factor = _known_error(program, points[0].y, p), program.refinement
+    error, factor = _known_error(program, points[0].y, p), program.built.refinement
     for _ in range(_REFINEMENTS):
         if error <= wanted:
             return points, ()

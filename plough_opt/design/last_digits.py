@@ -12,8 +12,9 @@ from typing import Final
 import numpy as np
 
 from plough_opt.design.ipopt import Point, Vector
+from plough_opt.design.optimality import residual, without_rounding
 from plough_opt.design.program import Program
-from plough_opt.design.quadratic import least, made_convex
+from plough_opt.design.quadratic import made_convex, optimum_step
 
 # Of first-order conditions, scaled: what is left at an optimum.
 _STATIONARY: Final = 1e-10
@@ -29,9 +30,8 @@ _STEP, _FINER = 2e-4, 2.0
 _KINK: Final = 0.05
 # Multipliers and the curvature that goes with them are found together, in so many rounds.
 _ROUNDS: Final = 3
-# Limits are kept by so much, scaled, so that rounding breaks none; and a variable nearer to a bound is on it.
+# Limits are kept by so much, scaled, so that rounding breaks none.
 _KEPT: Final = 1e-11
-_AT_BOUND: Final = 1e-9
 # Scaled margin that leaves no room, and of slopes of length 1 what tells one from the others.
 _TOUCHING, _ALIKE = 1e-8, 1e-7
 
@@ -58,58 +58,31 @@ def with_last_digits(program: Program, p: Vector, start: Vector) -> Point | None
         exact = np.vstack([gradient, jacobian])
         if not number and np.max(np.abs(exact - slopes)) > _KINK * max(1.0, float(np.max(np.abs(exact)))):
             return None
-        rows = np.vstack([jacobian, np.eye(len(y))])
-        limits = np.concatenate([program.low + kept - g, -y]), np.concatenate([program.high - kept - g, 1.0 - y])
+        at, limits = (g, gradient, jacobian), (program.low + kept, program.high - kept)
         for _ in range(1 if number else _ROUNDS):
             curvature = made_convex(bends[0] + np.tensordot(lam_g, bends[1:], 1))
-            found = least(curvature, gradient, rows, limits)
+            found = optimum_step(curvature, y, at, limits)
             if found is None:
                 return None
-            step, (lam_g, lam_y) = found[0], np.split(found[1], [len(g)])
-        inside = (y > _AT_BOUND) & (y < 1.0 - _AT_BOUND)
-        point = Point(True, "Solve_Succeeded", y, float(f.item()), lam_g, np.where(inside, 0.0, lam_y), number)
-        left = residual(point, (g, gradient, jacobian), (program.low, program.high))
+            step, lam_g, lam_y = found
+        point = Point(True, "Solve_Succeeded", y, float(f.item()), lam_g, without_rounding(y, lam_y), number)
+        left = residual(point, at, (program.low, program.high))
         if left <= _STATIONARY:
             if np.all((kept == 0.0) | ((program.low <= g) & (g <= program.high))):
-                return point if _independent(rows, *limits) else None
+                return point if _independent(point.y, at, limits) else None
         elif left > _FALLS * before or np.max(np.abs(step)) > _LONGEST:
             return None
         y, before = np.clip(y + step, 0.0, 1.0), left
     return None
 
 
-def _independent(rows: Vector, low: Vector, high: Vector) -> bool:
-    """Return whether the slopes of limits that leave no room are independent; else which of them pulls is open.
-
-    Args:
-        rows: slopes.
-        low: how far each may fall.
-        high: how far each may rise.
-    """
-    touching = rows[np.minimum(-low, high) < _TOUCHING]
+def _independent(y: Vector, at: tuple[Vector, Vector, Vector], limits: tuple[Vector, Vector]) -> bool:
+    """Return whether the slopes of limits that leave no room are independent; else which of them pulls is open."""
+    (g, _, jacobian), (low, high) = at, limits
+    rooms = np.concatenate([np.minimum(g - low, high - g), np.minimum(y, 1.0 - y)])
+    touching = np.vstack([jacobian, np.eye(len(y))])[rooms < _TOUCHING]
     sizes = np.maximum(np.linalg.norm(touching, axis=1, keepdims=True), np.finfo(float).tiny)
     return not len(touching) or int(np.linalg.matrix_rank(touching / sizes, _ALIKE)) == len(touching)
-
-
-def residual(point: Point, at: tuple[Vector, Vector, Vector], limits: tuple[Vector, Vector]) -> float:
-    """Return by how much a point misses the first-order conditions: slopes, limits, and one of two at each.
-
-    Args:
-        point: the point.
-        at: requirements, gradient and Jacobian there, scaled.
-        limits: lower and upper limits of the requirements, scaled.
-    """
-    (g, gradient, jacobian), (low, high) = at, limits
-    pulls = np.concatenate([point.lam_g, point.lam_y])
-    slope = gradient + jacobian.T @ point.lam_g + point.lam_y
-    beyond = np.max(np.maximum(low - g, g - high), initial=0.0)
-    rooms = np.concatenate([
-        np.where(point.lam_g > 0.0, high - g, g - low),
-        np.where(point.lam_y > 0.0, 1.0 - point.y, point.y),
-    ])  # fmt: skip
-    # A limit that is not there, at infinity, must have no multiplier.
-    both = np.max(np.abs(pulls) * np.where(np.isfinite(rooms), np.abs(rooms), 1.0))
-    return float(max(np.max(np.abs(slope)), both) / max(1.0, np.max(np.abs(pulls))) + beyond)
 
 
 def _differences(program: Program, p: Vector, y: Vector) -> tuple[Vector, Vector] | None:

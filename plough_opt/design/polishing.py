@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from plough_opt.design.ipopt import Point, Vector
+from plough_opt.design.ipopt import Point, SolveOptions, Vector
 from plough_opt.design.landscape import FEASIBLE, MET
 from plough_opt.design.last_digits import with_last_digits
 from plough_opt.design.program import Program
@@ -32,7 +32,7 @@ def polished(program: Program, p: Vector, start: Vector) -> Point:
         return near
     begins = as_it_is(program, p, start)
     for box, exact in ((1.0, False), (_BESIDE, True), (_RIPPLE, True)):
-        point = program.solve(start, p, box, near=True, exact=exact, enough=True)
+        point = program.solve(start, p, SolveOptions(near=True, exact=exact, enough=True), box)
         if point.status in _STALLED and _violation(program, p, point.y)[1] <= MET:
             point = replace(point, solved=True, status=AS_FOUND)
         beside = box == 1.0 or np.max(np.abs(point.y - start)) < box
@@ -51,7 +51,7 @@ def solved_again(program: Program, p: Vector, point: Point) -> Point:
     """Return an optimum of a program that has been built anew since: the same one, with its new digits."""
     most = _most(program, p, point.y)
     for box, exact in ((_BESIDE, False), (_RIPPLE, False), (_RIPPLE, True)):
-        again = program.solve(point.y, p, box, near=True, exact=exact, enough=True)
+        again = program.solve(point.y, p, SolveOptions(near=True, exact=exact, enough=True), box)
         if again.solved and np.max(np.abs(again.y - point.y)) < box and again.f <= most:
             return again
     return replace(point, f=_violation(program, p, point.y)[0])
@@ -61,7 +61,7 @@ def to_the_last_digit(program: Program, p: Vector, point: Point) -> Point:
     """Return an optimum with the last digits of its derivatives, where these can be had; else as it is."""
     if point.status in ("Solve_Succeeded", AS_FOUND):
         return point
-    again = program.solve(point.y, p, _BESIDE, near=True, exact=False)
+    again = program.solve(point.y, p, SolveOptions(near=True, exact=False), _BESIDE)
     inside = np.max(np.abs(again.y - point.y)) < _BESIDE
     return again if again.solved and inside and again.f <= _most(program, p, point.y) else point
 

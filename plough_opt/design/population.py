@@ -11,7 +11,7 @@ import numpy as np
 
 from plough_opt.core.errors import InputError
 from plough_opt.core.processors import available
-from plough_opt.design.nlp import averages_only, holds_maps
+from plough_opt.design.nlp import algebra_of, averages_only, holds_maps
 from plough_opt.design.split import EmbeddedRun, Split
 from plough_opt.design.verify import Vector
 from plough_opt.motion.batch.many_runs import ManyRuns
@@ -59,9 +59,7 @@ class Population:
             y: scaled variables.
             p: parameters.
         """
-        full = ca.Function("full", [y, p, *parts.results], list(parts.expressions))
-        if not holds_maps(full):
-            full = full.expand()
+        full = algebra_of(parts, y, p)
         self.runs = len(parts.runs)
         self.vectorised = True
         found: dict[object, list[int]] = {}
@@ -92,8 +90,7 @@ class Population:
                 return _Group(tuple(members), follow, many.size)
         self.vectorised = False
         solver = _roughly(parts.runs[members[0]])
-        size = sum(solver.function.numel_out(j) for j in range(solver.function.n_out()))
-        return _Group(tuple(members), lambda theta, _finer, _together: _each(solver, theta), size)
+        return _Group(tuple(members), lambda theta, _finer, _together: _each(solver, theta), solver.results)
 
     def __call__(self, points: Vector, p: Vector, *, finer: float = 1.0, together: int = 1) -> tuple[Vector, Vector]:
         """Return the objective, and the requirements, a row for each design; NaN where a design has no value.
@@ -196,8 +193,7 @@ def _roughly(run: EmbeddedRun) -> Integration:
 
 def _each(solver: Integration, theta: Vector) -> Vector:
     """Return the results of runs, a row each, integrated one by one; NaN where that fails."""
-    size = sum(solver.function.numel_out(j) for j in range(solver.function.n_out()))
-    found = np.full((len(theta), size), np.nan)
+    found = np.full((len(theta), solver.results), np.nan)
     for k, row in enumerate(theta):
         try:
             found[k] = np.concatenate([np.asarray(part).ravel(order="F") for part in solver.function.call([row])])

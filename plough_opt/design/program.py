@@ -3,25 +3,26 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Callable, Hashable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import TypeVar
 
 import casadi as ca
 import numpy as np
 
 from plough_opt.core.errors import InputError
 from plough_opt.design.active_rows import ActiveRows, chosen_rows
-from plough_opt.design.alike_runs import Alike
-from plough_opt.design.built import Built
 from plough_opt.design.declarations import Declarations, Requirement
 from plough_opt.design.domain import check_bounds, corners, values_at_guess
-from plough_opt.design.ipopt import Point, Solver, Vector
+from plough_opt.design.ipopt import FROM_AFAR, Point, SolveOptions, Solver, Vector
 from plough_opt.design.machine_code import as_machine_code
-from plough_opt.design.nlp import Nlp, build_nlp, runs_of
+from plough_opt.design.nlp import Nlp, build_nlp, run_groups
 from plough_opt.design.population import Population
 from plough_opt.design.relaxation import first_slack, relaxed
+from plough_opt.design.run_groups import RunGroup
 from plough_opt.design.settled import Linear, linear_variables
-from plough_opt.design.split import split
+from plough_opt.design.split import Split, split
 from plough_opt.design.steps import fewer, steps_at
 from plough_opt.design.verify import TightEvaluation
 from plough_opt.motion.accuracy import DEFAULT_ERROR
@@ -32,9 +33,52 @@ _MOST_KEPT = 6
 # Designs whose middle values set the scales where the guess has none.
 _SAMPLE, _SAMPLE_SEED = 256, 256
 
+Kept = TypeVar("Kept")
+
+
+@dataclass
+class BuiltProgram:
+    """A program that is written for numbers of steps, with what solves it.
+
+    Attributes:
+        steps: for each run their number, or None for the method it was written with.
+        refinement: the factor on them that was asked for.
+        nlp: objective and requirements.
+        rough: the same with fewer steps.
+        interpreted: whether it is not in machine code.
+        solver: IPOPT on it.
+        near_solver: IPOPT on those of its rows that can decide, from nearly optimal starts.
+        relaxed: IPOPT on the sum of violations, once it was asked for.
+    """
+
+    steps: list[int | None]
+    refinement: float
+    nlp: Nlp
+    rough: Nlp
+    interpreted: bool
+    solver: Solver
+    near_solver: Solver | ActiveRows
+    relaxed: Solver | None = None
+
 
 class Program:
-    """The scaled program of some declarations: variables between 0 and 1, requirements and objective of order 1."""
+    """The scaled program of some declarations: variables between 0 and 1, requirements and objective of order 1.
+
+    It comes about in three stages. What was declared is known at once; `prepare` sets the scales for values of the
+    parameters; `build` writes the program for numbers of integration steps, after which it can be solved.
+
+    Attributes:
+        declared: what was declared, with the requirements that theories bring at the end.
+        exact: the same expressions, integrated tightly.
+        owner: for each row of the requirements the number of its requirement.
+        objective_scale: what the objective is divided by, after `prepare`.
+        scales: what each requirement is divided by, after `prepare`.
+        low: scaled lower limits of the rows, after `prepare`.
+        high: scaled upper limits of the rows, after `prepare`.
+        built: the program that was built last.
+        derivative_errors: errors of derivatives that were found at designs of this solve, with the program that has
+            them.
+    """
 
     def __init__(
         self, declared: Declarations, *, compiled: bool = False, bare: Program | None = None, over: str = ""
@@ -63,25 +107,20 @@ class Program:
         self._refuse_idas()
         self.owner = [k for k, r in enumerate(self.declared.requirements) for _ in range(r.expression.numel())]
         self._y, self._p = ca.MX.sym("y", len(declared.variables)), ca.MX.sym("p", len(declared.parameters))
+        self.compiled, self.bare, self.over = compiled, bare, over
         self.objective_scale = 1.0
         self.scales: list[float] = []
-        self._built: Built | None = None
-        # The same question is solved by the same program again, whatever was asked in between.
-        self._kept: dict[tuple[object, ...], Built] = {}
-        self._runs: dict[tuple[int | None, ...], list[Alike]] = {}
+        self.derivative_errors: list[tuple[Nlp, Vector, float]] = []
+        self._built: BuiltProgram | None = None
         self._prepared: bytes | None = None
+        # The same question is solved by the same program again, whatever was asked in between.
+        self._programs: dict[Hashable, BuiltProgram] = {}
+        self._groups: dict[Hashable, list[RunGroup]] = {}
         # Values that objective and requirements have at the guess, with the parameters of the last solve.
         self._at_guess: dict[bytes, list[Vector]] = {}
-        self.compiled = compiled
-        self.bare, self.over = bare, over
-        self._steps: list[int | None] = []
-        self._population: Population | None = None
-        self._linear: dict[bytes, list[Linear]] = {}
-        self.refinement = 1.0
-        # Errors of derivatives that were found at designs of this solve, with the program that has them.
-        self.derivative_errors: list[tuple[Nlp, Vector, float]] = []
+        self._linear: dict[Hashable, list[Linear]] = {}
         # A report asks several times for the values at its point.
-        self._exact_at: dict[tuple[bytes, bytes], tuple[list[Vector], list[Vector]]] = {}
+        self._exact_at: dict[Hashable, tuple[list[Vector], list[Vector]]] = {}
 
     @property
     def expressions(self) -> list[ca.MX]:
@@ -129,9 +168,7 @@ class Program:
     def exact_values(self, y: Vector, p: Vector) -> tuple[list[Vector], list[Vector]]:
         """Return objective and requirements, tightly integrated, and the same by the checking method."""
         at = y.tobytes(), p.tobytes()
-        if at not in self._exact_at:
-            self._exact_at = {at: self.exact([*self.values(y), *p])}
-        return self._exact_at[at]
+        return _kept(self._exact_at, at, 1, lambda: self.exact([*self.values(y), *p]))
 
     # --- building ----------------------------------------------------------------------------------------
 
@@ -147,19 +184,19 @@ class Program:
             DomainError: bounds that lead out of the model's domain.
         """
         self.derivative_errors.clear()
-        if p.tobytes() not in self._at_guess:
+        key = p.tobytes()
+        found = self._at_guess.get(key)
+        if found is None:
             check_bounds(self.declared, self.exact, p)
             try:
                 found = values_at_guess(self.declared, self.exact, self._implied, p)
+                self._at_guess = {key: found}
             except InputError as error:
                 if not any_guess:
                     raise
-                self._set_scales(self._typical(p, error))
-                self._prepared = p.tobytes()
-                return
-            self._at_guess = {p.tobytes(): found}
-        self._set_scales(self._at_guess[p.tobytes()])
-        self._prepared = p.tobytes()
+                found = self._typical(p, error)
+        self._set_scales(found)
+        self._prepared = key
 
     def build(self, p: Vector, refinement: float = 1.0, starts: Sequence[Vector] | None = None) -> None:
         """Write the program with enough integration steps at some designs, times ``refinement``.
@@ -180,93 +217,72 @@ class Program:
         if starts is None:
             ends = (values for _, values in corners(self.declared))
             starts = [np.array([v.scaled(x) for v, x in zip(variables, values, strict=True)]) for values in ends]
-        self._steps, self.refinement = self._steps_at(starts, p, refinement), refinement
-        key = (tuple(self._steps), self.objective_scale, *self.scales)
-        if key not in self._kept:
-            while len(self._kept) >= _MOST_KEPT:
-                self._kept.pop(next(iter(self._kept)))
-            self._kept[key] = self._write(self._steps)
-        self._built = self._kept[key]
+        steps = self._steps_at(starts, p, refinement)
+        key = (*steps, self.objective_scale, *self.scales)
+        self._built = _kept(self._programs, key, _MOST_KEPT, lambda: self._write(steps))
+        self._built.refinement = refinement
 
-    def runs_at(self, starts: Sequence[Vector], p: Vector) -> list[Alike]:
+    def runs_at(self, starts: Sequence[Vector], p: Vector) -> list[RunGroup]:
         """Return the runs of the program that `build` would write for some designs."""
         steps = self._steps_at(starts, p, 1.0)
-        if tuple(steps) not in self._runs:
-            while len(self._runs) >= _MOST_KEPT:
-                self._runs.pop(next(iter(self._runs)))
-            parts = split(self._scaled(self._y, self._p), [self._y, self._p])
-            self._runs[tuple(steps)] = runs_of(parts, self._y, self._p, steps)
-        return self._runs[tuple(steps)]
+        y, q = self._y, self._p
+        return _kept(self._groups, tuple(steps), _MOST_KEPT, lambda: run_groups(self._parts(), y, q, steps))
 
     def _steps_at(self, points: Sequence[Vector], p: Vector, refinement: float) -> list[int | None]:
         return steps_at(self.exact, [[*self.values(y), *p] for y in points], refinement)
 
-    def _write(self, steps: Sequence[int | None]) -> Built:
+    def _write(self, steps: list[int | None]) -> BuiltProgram:
         """Return the program with numbers of steps, and what solves it."""
-        parts = split(self._scaled(self._y, self._p), [self._y, self._p])
-        nlp = build_nlp(parts, self._y, self._p, list(steps))
+        parts, limits = self._parts(), (self.low, self.high)
+        nlp = build_nlp(parts, self._y, self._p, steps)
         # Where basins lie and which way they curve shows at two fifths of the steps.
         rough = build_nlp(parts, self._y, self._p, fewer(self.exact, steps))
         translated = as_machine_code(nlp, rough) if self.compiled else None
         if translated is not None:
             nlp, rough = translated
-        sizes, limits = (self._y.numel(), self._p.numel()), (self.low, self.high)
+        solver = Solver(nlp, *limits)
         few = chosen_rows(self.owner) < len(self.owner)
-        return Built(
-            nlp=nlp,
-            rough=rough,
-            interpreted=translated is None,
-            solver=Solver(nlp, *sizes, *limits),
-            of_rows=ActiveRows(nlp, sizes, self.owner, limits) if few else None,
-        )
+        near_solver = ActiveRows(nlp, self.owner, limits) if few else solver
+        return BuiltProgram(steps, 1.0, nlp, rough, translated is None, solver, near_solver)
 
     def linear_variables(self, p: Vector) -> list[Linear]:
         """Return the variables that are solved from the algebra: see `plough_opt.design.settled`."""
-        at = p.tobytes()
-        if at not in self._linear:
-            declared = self.declared
-            parameters = [own.symbol for own in declared.parameters]
-            self._linear = {at: linear_variables(self.expressions, declared.variables, parameters, p)}
-        return self._linear[at]
+        declared = self.declared
+        symbols = [own.symbol for own in declared.parameters]
+        return _kept(
+            self._linear, p.tobytes(), 1, lambda: linear_variables(self.expressions, declared.variables, symbols, p)
+        )
+
+    @property
+    def built(self) -> BuiltProgram:
+        """The program that was built last."""
+        assert self._built is not None, "build the program first"
+        return self._built
 
     @property
     def nlp(self) -> Nlp:
         """The built program."""
-        return self._now.nlp
+        return self.built.nlp
 
     @property
     def rough(self) -> Nlp:
         """The same with fewer steps."""
-        return self._now.rough
+        return self.built.rough
 
-    @property
-    def interpreted(self) -> bool:
-        """Whether the program is not in machine code."""
-        return self._now.interpreted
-
-    @property
-    def _now(self) -> Built:
-        assert self._built is not None  # whoever asks has called `build`
-        return self._built
-
-    @property
+    @cached_property
     def population(self) -> Population:
         """Objective and requirements, unscaled, of many scaled designs at once."""
-        if self._population is None:
-            declared = self.declared
-            raw = [declared.objective, ca.vertcat(*(r.expression for r in declared.requirements))]
-            parts = split(self._of_scaled(raw, self._y, self._p), [self._y, self._p])
-            self._population = Population(parts, self._y, self._p)
-        return self._population
+        raw = [self.declared.objective, ca.vertcat(*(r.expression for r in self.declared.requirements))]
+        return Population(split(self._of_scaled(raw, self._y, self._p), [self._y, self._p]), self._y, self._p)
+
+    def _parts(self) -> Split:
+        """Return the scaled program, split around its runs."""
+        return split(self._scaled(self._y, self._p), [self._y, self._p])
 
     def _scaled(self, y: ca.MX, p: ca.MX) -> list[ca.MX]:
         """Return scaled objective and requirements of scaled variables and of parameters."""
-        declared = self.declared
-        scaled = [
-            declared.objective / self.objective_scale,
-            ca.vertcat(*(r.expression / scale for r, scale in zip(declared.requirements, self.scales, strict=True))),
-        ]
-        return self._of_scaled(scaled, y, p)
+        rows = [r.expression / scale for r, scale in zip(self.declared.requirements, self.scales, strict=True)]
+        return self._of_scaled([self.declared.objective / self.objective_scale, ca.vertcat(*rows)], y, p)
 
     def _of_scaled(self, expressions: list[ca.MX], y: ca.MX, p: ca.MX) -> list[ca.MX]:
         """Return expressions of the design's symbols as those of scaled variables and of parameters."""
@@ -279,7 +295,8 @@ class Program:
         """Return the built program in (scaled variables, parameters) as one column, and in no parameters."""
         n = self._y.numel()
         both, none = ca.MX.sym("z", n + self._p.numel()), ca.MX.sym("p", 0)
-        return build_nlp(split(self._scaled(both[:n], both[n:]), [both, none]), both, none, self._steps)
+        parts = split(self._scaled(both[:n], both[n:]), [both, none])
+        return build_nlp(parts, both, none, self.built.steps)
 
     def _set_scales(self, start: list[Vector]) -> None:
         """Scale the objective by its value at the start, each requirement by its limits, or by its own value."""
@@ -318,31 +335,16 @@ class Program:
 
     # --- solving -----------------------------------------------------------------------------------------
 
-    def solve(
-        self,
-        start: Vector,
-        p: Vector,
-        box: float = 1.0,
-        *,
-        near: bool = False,
-        exact: bool | None = None,
-        enough: bool = False,
-    ) -> Point:
+    def solve(self, start: Vector, p: Vector, options: SolveOptions = FROM_AFAR, box: float = 1.0) -> Point:
         """Return the local optimum that IPOPT reaches from a scaled start, no further from it than ``box``."""
-        lower, upper = np.maximum(start - box, 0.0), np.minimum(start + box, 1.0)
-        if self._now.of_rows is not None and near:
-            return self._now.of_rows.solve(start, p, lower, upper, near=near, exact=exact, enough=enough)
-        return self._now.solver.solve(start, p, lower, upper, near=near, exact=exact, enough=enough)
-
-    def slopes_of_requirements(self, y: Vector, p: Vector) -> tuple[Vector, Vector]:
-        """Return the scaled requirements at scaled variables, and their Jacobian: see `Solver.requirements`."""
-        return self._now.solver.requirements(y, p)
+        solver = self.built.near_solver if options.near else self.built.solver
+        return solver.solve(start, p, np.maximum(start - box, 0.0), np.minimum(start + box, 1.0), options)
 
     def solve_with_fixed(self, start: Vector, p: Vector, fixed: int | list[int]) -> Point:
         """Return the local optimum with one variable, or several, held at their start."""
         lower, upper = np.zeros(len(start)), np.ones(len(start))
         lower[fixed] = upper[fixed] = start[fixed]
-        return (self._now.of_rows or self._now.solver).solve(start, p, lower, upper, near=True)
+        return self.built.near_solver.solve(start, p, lower, upper, SolveOptions(near=True))
 
     def solve_relaxed(
         self, start: Vector, p: Vector, fixed: Sequence[int] = (), box: float = 1.0, *, exact: bool | None = None
@@ -350,14 +352,12 @@ class Program:
         """Return the design near a start at which the requirements give way least; slacks follow y.
 
         Variables number ``fixed`` are held at the start, and the others no further from it than ``box``; of either the
-        start then lies near. Of ``exact`` see `plough_opt.design.ipopt.Solver.solve`.
+        start then lies near. Of ``exact`` see `plough_opt.design.ipopt.SolveOptions`.
         """
-        count, n = len(self.declared.requirements), len(start)
-        built = self._now
+        count, built = len(self.declared.requirements), self.built
         if built.relaxed is None:
-            loose = relaxed(self.nlp, n, len(p), self.owner, count)
-            built.relaxed = Solver(loose, n + 2 * count, len(p), self.low, self.high)
-        g = np.asarray(self.nlp.g(start, p)).ravel()
+            built.relaxed = Solver(relaxed(built.nlp, self.owner, count), self.low, self.high)
+        g = np.asarray(built.nlp.values(start, p)[1]).ravel()
         slack = first_slack(g, self.low, self.high, self.owner, count)
         # Where a theory ends nothing gives way: beyond it the model has no value.
         gives = np.tile(np.arange(count) < count - len(self._implied), 2)
@@ -366,8 +366,17 @@ class Program:
         upper = np.r_[np.minimum(start + box, 1.0), np.where(gives, np.inf, 0.0)]
         held = list(fixed)
         lower[held] = upper[held] = start[held]
-        near = bool(held) or box < 1.0
-        return built.relaxed.solve(np.r_[start, slack], p, lower, upper, near=near, exact=exact)
+        options = SolveOptions(near=bool(held) or box < 1.0, exact=exact)
+        return built.relaxed.solve(np.r_[start, slack], p, lower, upper, options)
+
+
+def _kept(cache: dict[Hashable, Kept], key: Hashable, most: int, make: Callable[[], Kept]) -> Kept:
+    """Return what a cache has at a key, made if need be; the oldest of more than so many are dropped."""
+    if key not in cache:
+        while len(cache) >= most:
+            cache.pop(next(iter(cache)))
+        cache[key] = make()
+    return cache[key]
 
 
 def _power_of_four(value: float) -> float:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from plough_opt.design.ipopt import Vector
+from plough_opt.design.optimality import newton_step
 
 # Of a program whose limits contradict each other, the distance that is left.
 _INFEASIBLE = 1e-13
@@ -50,16 +51,33 @@ def least(
     if distance < _INFEASIBLE:
         return None
     active = np.flatnonzero(pulls)
-    step, exact = _with_equal(curvature, gradient, wanted[active], b[active])
+    step, exact = newton_step(curvature, gradient, wanted[active], -b[active])
     multipliers = np.zeros(len(low))
     np.add.at(multipliers, own[active], -signs[active] * exact)
     return step, multipliers
 
 
-def _with_equal(curvature: Vector, gradient: Vector, rows: Vector, b: Vector) -> tuple[Vector, Vector]:
-    """Return step and multipliers with rows that are met exactly."""
-    n = len(gradient)
-    system = np.zeros((n + len(b), n + len(b)))
-    system[:n, :n], system[:n, n:], system[n:, :n] = curvature, -rows.T, rows
-    found = np.linalg.lstsq(system, np.concatenate([-gradient, b]), rcond=None)[0]
-    return found[:n], found[n:]
+def optimum_step(
+    curvature: Vector,
+    y: Vector,
+    at: tuple[Vector, Vector, Vector],
+    limits: tuple[Vector, Vector],
+    longest: float = np.inf,
+) -> tuple[Vector, Vector, Vector] | None:
+    """Return the step of sequential quadratic programming towards an optimum.
+
+    Args:
+        curvature: of the Lagrangian, positive definite.
+        y: scaled variables.
+        at: requirements, gradient and Jacobian there, scaled.
+        limits: lower and upper limits of the requirements, scaled.
+        longest: how far a variable moves at most.
+
+    Returns:
+        The step, and the multipliers of requirements and of bounds; None without a feasible step.
+    """
+    g, gradient, jacobian = at
+    low = np.concatenate([limits[0] - g, np.maximum(-y, -longest)])
+    high = np.concatenate([limits[1] - g, np.minimum(1.0 - y, longest)])
+    found = least(curvature, gradient, np.concatenate([jacobian, np.eye(len(y))]), (low, high))
+    return None if found is None else (found[0], found[1][: len(g)], found[1][len(g) :])

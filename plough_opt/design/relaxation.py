@@ -6,16 +6,14 @@ import casadi as ca
 import numpy as np
 
 from plough_opt.design.ipopt import Vector
-from plough_opt.design.nlp import Nlp
+from plough_opt.design.nlp import Nlp, hessian_function
 
 
-def relaxed(nlp: Nlp, variables: int, parameters: int, owner: list[int], count: int) -> Nlp:
+def relaxed(nlp: Nlp, owner: list[int], count: int) -> Nlp:
     """Return the program that minimises how far requirements give way.
 
     Args:
         nlp: the program.
-        variables: number of scaled variables y.
-        parameters: number of parameters.
         owner: for each scaled constraint, the number of its requirement.
         count: number of requirements.
 
@@ -23,27 +21,25 @@ def relaxed(nlp: Nlp, variables: int, parameters: int, owner: list[int], count: 
         A program in (y, s, t) with s, t >= 0 for each requirement: minimise the sum of s and t subject to
         low <= g(y) + s - t <= high, with the exact derivatives of ``nlp``.
     """
-    spread = ca.DM(len(owner), count)
-    for row, requirement in enumerate(owner):
-        spread[row, requirement] = 1.0
-    give = ca.horzcat(spread, -spread)
-    x, p = ca.MX.sym("x", variables + 2 * count), ca.MX.sym("p", parameters)
-    lam_f, lam_g = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", len(owner))
-    y, slack = x[:variables], x[variables:]
-    f = ca.sum1(slack)
-    loose = ca.mtimes(give, slack)
+    spread = np.eye(count)[owner]
+    give = ca.sparsify(ca.DM(np.hstack([spread, -spread])))
+    own, p = nlp.values.mx_in()
+    x = ca.MX.sym("x", own.numel() + 2 * count)
+    y, slack = ca.vertsplit(x, [0, own.numel(), x.numel()])
+    f, loose = ca.sum1(slack), ca.mtimes(give, slack)
 
-    def first() -> ca.Function:
+    def build_slopes() -> ca.Function:
         _, g, _, jacobian = nlp.slopes(y, p)
-        gradient = ca.MX(ca.DM(np.r_[np.zeros(variables), np.ones(2 * count)]))
+        gradient = ca.DM(np.r_[np.zeros(own.numel()), np.ones(2 * count)])
         return ca.Function("slopes", [x, p], [f, g + loose, gradient, ca.horzcat(jacobian, give)])
 
-    def second() -> ca.Function:
-        whole = ca.diagcat(nlp.hess_lag(y, p, 0.0, lam_g), ca.MX(2 * count, 2 * count))
-        names, result = ["x", "p", "lam_f", "lam_g"], ["triu_hess_gamma_x_x"]
-        return ca.Function("hess_lag", [x, p, lam_f, lam_g], [ca.triu(whole)], names, result)
+    def build_hessian() -> ca.Function:
+        lam_f, lam_g = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", len(owner))
+        return hessian_function(
+            x, p, lam_f, lam_g, ca.diagcat(nlp.hess_lag(y, p, 0.0, lam_g), ca.MX(2 * count, 2 * count))
+        )
 
-    return Nlp(ca.Function("values", [x, p], [f, nlp.values(y, p)[1] + loose]), first, second)
+    return Nlp(ca.Function("values", [x, p], [f, nlp.values(y, p)[1] + loose]), build_slopes, build_hessian)
 
 
 def first_slack(g: Vector, low: Vector, high: Vector, owner: list[int], count: int) -> Vector:

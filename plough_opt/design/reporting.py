@@ -10,9 +10,10 @@ import numpy as np
 
 from plough_opt.core.compiler import NO_COMPILER
 from plough_opt.design.exploring import Explored
-from plough_opt.design.ipopt import Point, Vector, decides
+from plough_opt.design.ipopt import Point, Vector
 from plough_opt.design.landscape import Landscape
 from plough_opt.design.local_optimum import Limit, LocalOptimum
+from plough_opt.design.optimality import decides
 from plough_opt.design.polishing import AS_FOUND
 from plough_opt.design.program import Program
 from plough_opt.design.tolerance import spread
@@ -144,7 +145,7 @@ def warnings_at(program: Program, point: Point, p: Vector, scenes: Sequence[tupl
         else:
             moving += repeat(scene, float(parameters[-1])).warnings
     still = program.exact.quasi_static_scenes([*program.values(point.y), *p])
-    slow = (NO_COMPILER,) if program.compiled and program.interpreted else ()
+    slow = (NO_COMPILER,) if program.compiled and program.built.interpreted else ()
     return (*slow, *_alike_once([*moving, *(text for scene in still for text in scene.warnings())]))
 
 

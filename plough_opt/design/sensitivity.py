@@ -14,7 +14,7 @@ from plough_opt.core.kinds import check_kind, check_switch, shown
 from plough_opt.core.units import in_words
 from plough_opt.design.active_set import ActiveSet, Move, slope
 from plough_opt.design.declarations import EVERYWHERE
-from plough_opt.design.ipopt import Point, Solver, Vector
+from plough_opt.design.ipopt import Point, SolveOptions, Solver, Vector
 from plough_opt.design.program import Program
 
 # Of the value asked for: differences leave its square, and the optimiser's 1e-10 divided by it.
@@ -250,8 +250,8 @@ class Sensitivities:
                 low[side.row] += step * side.per_unit
             if side.sign < 0.0 or side.equality:
                 high[side.row] += step * abs(side.per_unit)
-        solver = Solver(program.nlp, len(lower), len(p), low, high)
-        point = solver.solve(np.clip(self._active.y, lower, upper), p, lower, upper, near=True)
+        solver = Solver(program.nlp, low, high)
+        point = solver.solve(np.clip(self._active.y, lower, upper), p, lower, upper, SolveOptions(near=True))
         if not point.solved:
             raise NotConverged(f"beside the value the design cannot be solved: {point.status}", point.status)
         return np.array([point.f * program.objective_scale, *self._values(point.y)])

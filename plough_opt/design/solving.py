@@ -259,7 +259,7 @@ def _refined(
         gap = max(gap_of(program, p, point) for point in points)
         coarse = f"the optimiser's objective is off by a relative {gap:.1e}: take more steps or a tighter tolerance"
         return points, (coarse,) if gap > _COARSE else ()
-    last, begin = math.inf, program.refinement
+    last, begin = math.inf, program.built.refinement
     for refinement in range(1, _REFINEMENTS + 1):
         gaps = [gap_of(program, p, point) for point in points]
         if max(gaps) <= wanted:

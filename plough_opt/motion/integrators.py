@@ -77,6 +77,11 @@ class Integration:
         """Names of the parameters before the duration."""
         return signals(self.structure).parameters
 
+    @property
+    def results(self) -> int:
+        """Number of results."""
+        return int(self.function.numel_out())
+
 
 @lru_cache(maxsize=128)
 def integration(structure: Structure, accuracy: Accuracy, timeline: Timeline) -> Integration:

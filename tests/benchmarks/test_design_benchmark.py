@@ -105,16 +105,12 @@ def test_many_designs(benchmark, built):
 # --- one evaluation -----------------------------------------------------------------------------------------
 
 
-def test_objective(benchmark, built, point):
-    benchmark(built.nlp.f, point, NOTHING)
+def test_values(benchmark, built, point):
+    benchmark(built.nlp.values, point, NOTHING)
 
 
-def test_gradient(benchmark, built, point):
-    benchmark(built.nlp.grad_f, point, NOTHING)
-
-
-def test_jacobian(benchmark, built, point):
-    benchmark(built.nlp.jac_g, point, NOTHING)
+def test_slopes(benchmark, built, point):
+    benchmark(built.nlp.slopes, point, NOTHING)
 
 
 def test_hessian(benchmark, built, point):

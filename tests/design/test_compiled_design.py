@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 import plough_opt as po
-from plough_opt.design.ipopt import _AtOnce
-from plough_opt.design.nlp import PARTS
+from plough_opt.design.ipopt import LastPoint
 from plough_opt.design.program import Program
 
 
@@ -56,8 +55,8 @@ def test_values_and_derivatives_are_the_same(small):
     plain, fast = (Program(small.declared, compiled=how) for how in (False, True))
     for program in (plain, fast):
         program.build(p)
-    assert plain.interpreted
-    assert not fast.interpreted
+    assert plain.built.interpreted
+    assert not fast.built.interpreted
     for y in (np.array([0.3, 0.4]), np.array([0.9, 0.1])):
         for found, expected in (
             (fast.nlp.values, plain.nlp.values),
@@ -69,45 +68,27 @@ def test_values_and_derivatives_are_the_same(small):
                 assert np.asarray(one) == pytest.approx(np.asarray(other), rel=1e-11, abs=1e-11)
 
 
-@pytest.mark.usefixtures("cache")
-def test_what_is_remembered_of_a_point_is_of_that_point(small):
-    p = np.array([15e3])
-    fast, plain = Program(small.declared, compiled=True), Program(small.declared)
-    for program in (fast, plain):
-        program.build(p)
-    y = ca.MX.sym("y", 2), ca.MX.sym("p", 1)
-    remembering = [fast.nlp.parts, plain._now.solver._interpreted(plain.nlp, *y)]
-    points = [np.array([0.3, 0.4]), np.array([0.9, 0.1]), np.array([0.5, 0.8])]
-    expected = [[np.asarray(result) for result in plain.nlp.slopes.call([point, p])] for point in points]
-    rng = np.random.default_rng(7)
-    for _ in range(40):
-        k, name = rng.integers(len(points)), rng.choice(list(PARTS))
-        for parts in remembering:
-            for found, number in zip(parts[name].call([points[k], p]), PARTS[name].values(), strict=True):
-                assert np.asarray(found) == pytest.approx(expected[k][number], rel=1e-11, abs=1e-11)
-
-
 def test_values_come_with_slopes_unless_a_point_was_rejected():
-    asked = []
+    computed = []
 
     def counted(name, count):
-        return types.SimpleNamespace(
-            call=lambda at: asked.append(name) or [(name, float(at[0]))] * count, n_out=lambda: count
-        )
+        return types.SimpleNamespace(call=lambda at: computed.append(name) or [(name, float(at[0]))] * count)
 
-    shared = _AtOnce(types.SimpleNamespace(values=counted("values", 2), slopes=counted("slopes", 4)))
-    accepted, rejected, shorter = (ca.DM(x) for x in (1.0, 2.0, 3.0))
-    for result in (0, 1, 2, 3):
-        assert shared([accepted], result) == ("slopes", 1.0)
-    assert asked == ["slopes"]
-    for result in (0, 1):
-        assert shared([rejected], result) == ("slopes", 2.0)
-    for result in (0, 1):
-        assert shared([shorter], result) == ("values", 3.0)
-    for result in (3, 2, 0):
-        assert shared([shorter], result) == ("slopes", 3.0)
-    assert shared([accepted], 0) == ("slopes", 1.0)
-    assert asked == ["slopes", "slopes", "values", "slopes", "slopes"]
+    last = LastPoint(types.SimpleNamespace(values=counted("values", 2), slopes=counted("slopes", 4)))
+
+    def check(x, *, sloping, source):
+        found = last([ca.DM(x)], sloping=sloping)
+        assert found == [(source, x)] * (4 if sloping else 2)
+
+    check(1.0, sloping=False, source="slopes")
+    check(1.0, sloping=True, source="slopes")
+    assert computed == ["slopes"]
+    check(2.0, sloping=False, source="slopes")  # rejected: its slopes are not asked for
+    check(3.0, sloping=False, source="values")
+    check(3.0, sloping=True, source="slopes")
+    check(3.0, sloping=False, source="slopes")
+    check(1.0, sloping=False, source="slopes")
+    assert computed == ["slopes", "slopes", "values", "slopes", "slopes"]
 
 
 def test_without_a_compiler_it_is_interpreted(small, cache, monkeypatch):

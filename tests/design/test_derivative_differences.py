@@ -18,7 +18,7 @@ def test_differences_of_runs_tell_the_same_error_as_their_derivatives(build_r1, 
     d.solve(search="near")
     program, y, none = d._program, d._program.start(), np.empty(0)
     program.build(none, refinement, [y])
-    (own,) = program.nlp.alike
+    (own,) = program.nlp.groups
     p = own.inputs(y, none).full().ravel()
     scales = p[list(own.varying)]
     columns = np.array([1.0, *scales, *(a * b for k, a in enumerate(scales) for b in scales[k:])])

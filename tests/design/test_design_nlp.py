@@ -56,11 +56,11 @@ def _evaluations(program, y):
     p = np.array([q.value for q in program.declared.parameters])
     nlp, rows = program.nlp, len(program.owner)
     lam_f, lam_g = 0.7, np.cos(1.0 + np.arange(rows))
-    f, gradient = nlp.grad_f(y, p)
-    g, jacobian = nlp.jac_g(y, p)
-    assert float(f) == pytest.approx(float(nlp.f(y, p)), rel=1e-13)
+    f, g, gradient, jacobian = nlp.slopes(y, p)
+    values = nlp.values(y, p)
+    assert float(f) == pytest.approx(float(values[0]), rel=1e-13)
     # The two graphs sum the same averages in different order.
-    assert np.asarray(g) == pytest.approx(np.asarray(nlp.g(y, p)), rel=1e-12, abs=1e-13)
+    assert np.asarray(g) == pytest.approx(np.asarray(values[1]), rel=1e-12, abs=1e-13)
     return SimpleNamespace(
         p=p,
         f=float(f),
@@ -87,11 +87,11 @@ def _check_against_differences(program, y, *, first=1e-8, second=1e-7):
     at, nlp = _evaluations(program, y), program.nlp
 
     def slope(point):
-        gradient, jacobian = nlp.grad_f(point, at.p)[1], nlp.jac_g(point, at.p)[1]
+        _, _, gradient, jacobian = nlp.slopes(point, at.p)
         return at.lam_f * np.asarray(gradient).ravel() + np.asarray(jacobian).T @ at.lam_g
 
-    _close(at.gradient, differences(lambda point: np.asarray(nlp.f(point, at.p)), y), first)
-    _close(at.jacobian, differences(lambda point: np.asarray(nlp.g(point, at.p)), y).reshape(-1, len(y)), first)
+    _close(at.gradient, differences(lambda point: np.asarray(nlp.values(point, at.p)[0]), y), first)
+    _close(at.jacobian, differences(lambda point: np.asarray(nlp.values(point, at.p)[1]), y).reshape(-1, len(y)), first)
     _close(at.hessian, differences(slope, y), second)
 
 
@@ -256,7 +256,7 @@ def test_automatic_steps_agree_with_ad_of_as_many_steps(small, built):
     case.design.minimise(case.run.mean_draft / 1e3 + case.run.force_rms / 1e3)
     case.design.require("deflection", case.run.deflection, at_most=0.2)
     program = built(case.design)
-    (steps,) = program._steps
+    (steps,) = program.built.steps
     whole = 5 * max(1, round(steps / 5))
     same = small(po.Accuracy("dop853", steps=whole))
     same.design.minimise(same.run.mean_draft / 1e3 + same.run.force_rms / 1e3)
@@ -457,7 +457,7 @@ def test_automatic_values_agree_with_the_tight_integration(r1, program_of):
     for point in (POINT, [0.1, 0.9, 0.95], [0.9, 0.1, 0.05], [0.5, 0.5, 1.0]):
         exact = program.exact_values(np.array(point), np.empty(0))[0]
         # The design's own steps are chosen for some 3e-9 at the fastest design between the bounds.
-        found = float(program.nlp.f(point, [])) * program.objective_scale
+        found = float(program.nlp.values(point, [])[0]) * program.objective_scale
         assert found == pytest.approx(float(exact[0].item()), rel=1e-8)
 
 

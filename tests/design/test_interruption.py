@@ -45,11 +45,11 @@ def test_an_interruption_ends_a_solve_and_not_the_next(monkeypatch):
     d.minimise(x + 1.0 / x)
     d.require("sum", x, at_most=0.8)
 
-    def stop(*_):
+    def stop(*_, **_keywords):
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr(ipopt._AtOnce, "__call__", stop)
+        patch.setattr(ipopt.LastPoint, "__call__", stop)
         with pytest.raises(KeyboardInterrupt):
             d.solve()
     assert d.solve().variables["x"] == pytest.approx(0.8, rel=1e-9)

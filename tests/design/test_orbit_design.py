@@ -172,9 +172,9 @@ def test_a_periodic_orbit_is_sought_by_balanced_harmonics_and_steps_by_shooting(
     y = np.array([0.6])
     for program in (automatic, stepped):
         program.build(np.array([]))
-    assert automatic._steps == [12]
-    assert stepped._steps == [None]
-    by_harmonics, by_steps = (np.asarray(p.nlp.grad_f(y, [])[1]).item() for p in (automatic, stepped))
+    assert automatic.built.steps == [12]
+    assert stepped.built.steps == [None]
+    by_harmonics, by_steps = (np.asarray(p.nlp.slopes(y, [])[2]).item() for p in (automatic, stepped))
     assert by_harmonics == pytest.approx(by_steps, rel=1e-9)
     curvatures = [np.asarray(p.nlp.hess_lag(y, [], 1.0, [])).item() for p in (automatic, stepped)]
     assert curvatures[0] == pytest.approx(curvatures[1], rel=1e-8)
@@ -184,14 +184,15 @@ def test_a_periodic_orbit_is_sought_by_balanced_harmonics_and_steps_by_shooting(
 def test_derivatives_of_the_program_are_those_of_differences(build, program_of, name):
     program = program_of(build(CHOICES[name], limit=LIMIT).design)
     program.build(np.array([]))
-    weights = np.linspace(-1.0, 1.0, program.nlp.g(0.5, []).numel())
+    weights = np.linspace(-1.0, 1.0, program.nlp.values(0.5, [])[1].numel())
 
     def lagrangian(y):
-        return float(program.nlp.f(y, [])) + float(weights @ np.asarray(program.nlp.g(y, [])).ravel())
+        f, g = program.nlp.values(y, [])
+        return float(f) + float(weights @ np.asarray(g).ravel())
 
     def slope(y):
-        first = float(program.nlp.grad_f(y, [])[1])
-        return first + float(weights @ np.asarray(program.nlp.jac_g(y, [])[1]).ravel())
+        _, _, gradient, jacobian = program.nlp.slopes(y, [])
+        return float(gradient) + float(weights @ np.asarray(jacobian).ravel())
 
     def difference(function, y, h=1e-3):
         pairs = [(function(y + k * h) - function(y - k * h)) / h for k in (1, 2, 3, 4)]

@@ -280,7 +280,7 @@ def test_a_design_sees_the_same_derivatives(effects):
     scales = np.r_[program.objective_scale, np.repeat(program.scales, 3)]
     first, second = derivatives(effects, at, direction, method_of(effects))
     value, slopes = (result.full().ravel() for result in first(0.0))
-    gradient, jacobian = program.nlp.grad_f(0.5, [])[1], program.nlp.jac_g(0.5, [])[1]
+    _, _, gradient, jacobian = program.nlp.slopes(0.5, [])
     found = np.r_[gradient.full().ravel(), jacobian.full().ravel()] * scales / (2.0 * width)
     size = max(abs(value[0]), value[1])
     assert found == pytest.approx(slopes, rel=1e-9, abs=1e-9 * size)

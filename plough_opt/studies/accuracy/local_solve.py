@@ -14,7 +14,7 @@ import numpy as np
 from plough_opt.core.compiler import compile_library, find_compiler
 from plough_opt.core.errors import NotConverged
 from plough_opt.design.ipopt import FAR, NEAR, OPTIONS, REMEDIES, Vector
-from plough_opt.design.nlp import Nlp
+from plough_opt.design.nlp import Nlp, as_ipopt_wants
 from plough_opt.studies.accuracy.transcription import Question, Transcribed
 
 Derivatives = Literal["exact", "gradient", "central", "forward"]
@@ -53,8 +53,8 @@ Functions = Mapping[str, ca.Function]
 
 def functions_of(nlp: Nlp, derivatives: Derivatives) -> Functions:
     """Return those Functions of a program, by IPOPT's names, that a choice of derivatives takes."""
-    names = ("f", "g", "grad_f", "jac_g", *(("hess_lag",) if derivatives == "exact" else ()))
-    return {name: getattr(nlp, name) for name in names}
+    own = as_ipopt_wants(nlp.values, nlp.slopes)
+    return own | ({"hess_lag": nlp.hess_lag} if derivatives == "exact" else {})
 
 
 def solve_nlp(

@@ -22,7 +22,7 @@ from plough_opt.core.errors import InputError, NotConverged, PloughError
 from plough_opt.design import Design
 from plough_opt.design.basin import first_optimum
 from plough_opt.design.curvature import minimum_from
-from plough_opt.design.ipopt import Vector
+from plough_opt.design.ipopt import SolveOptions, Vector
 from plough_opt.design.nlp import Nlp, build_nlp
 from plough_opt.design.program import Program
 from plough_opt.motion.accuracy import Accuracy
@@ -185,7 +185,7 @@ class _Judge:
         program = self._tight
         first = minimum_from(program, self._p, first_optimum(program, self._p))
         program.build(self._p, _FINER)
-        point = program.solve(first.y, self._p, near=True)
+        point = program.solve(first.y, self._p, SolveOptions(near=True))
         if not point.solved:
             raise NotConverged("the reference was lost when the steps were refined: tighten the bounds", point.status)
         self.optima.append(self._certificate.tight(point))
@@ -233,7 +233,7 @@ class _Judge:
         for number, optimum in enumerate(self.optima):
             if np.max(np.abs(y - optimum.y)) < _SAME:
                 return number
-        point = self._tight.solve(y, self._p, near=True)
+        point = self._tight.solve(y, self._p, SolveOptions(near=True))
         if not point.solved:
             raise NotConverged("it stopped at a design that leads to no optimum of the tight model", point.status)
         for number, optimum in enumerate(self.optima):

@@ -11,7 +11,8 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
-from plough_opt.design.ipopt import Point, Vector, decides
+from plough_opt.design.ipopt import Point, Vector
+from plough_opt.design.optimality import decides, newton_step, symmetric
 from plough_opt.design.program import Program
 from plough_opt.motion.accuracy import Accuracy
 from plough_opt.motion.plan import steps_for
@@ -92,21 +93,19 @@ class Certificate:
     def _polished(self, point: Point) -> tuple[Vector, float, float]:
         """Return scaled variables on the limits that decide, what is left of the conditions, and the next step."""
         program, y, n = self._program, point.y, len(point.y)
-        sides = _Sides.of(program, point, np.asarray(program.nlp.g(y, self._p)).ravel())
-        upper = np.asarray(program.nlp.hess_lag(y, self._p, 1.0, point.lam_g))
-        hessian = upper + np.triu(upper, 1).T
+        sides = _Sides.of(program, point, np.asarray(program.nlp.values(y, self._p)[1]).ravel())
+        hessian = symmetric(np.asarray(program.nlp.hess_lag(y, self._p, 1.0, point.lam_g)))
         best = (y, np.inf, np.inf)
         for _ in range(_MOST_STEPS):
             gradient, g, jacobian = self._derivatives(y)
             rows = np.vstack([jacobian, np.eye(n)])[sides.rows]
             margins = np.r_[g.ravel(), y][sides.rows] - sides.limits
-            system = np.block([[hessian, rows.T], [rows, np.zeros((len(rows), len(rows)))]])
-            solution = np.linalg.lstsq(system, -np.r_[gradient.ravel(), margins], rcond=_FLAT)[0]
-            left = np.r_[gradient.ravel() + rows.T @ solution[n:], margins]
-            residual, step = float(np.max(np.abs(left))), float(np.max(np.abs(solution[:n])))
+            move, pulls = newton_step(hessian, gradient.ravel(), rows, margins, _FLAT)
+            left = np.r_[gradient.ravel() - rows.T @ pulls, margins]
+            residual, step = float(np.max(np.abs(left))), float(np.max(np.abs(move)))
             if step < best[2]:
                 best = (y, residual, step)
-            y = y + solution[:n]
+            y = y + move
             if not step < best[2] * 1e3 or np.max(np.abs(y - point.y)) > _NEAR:
                 break
         return best

@@ -101,7 +101,7 @@ class Question:
         expressions = [declared.objective / program.objective_scale, ca.vertcat(ca.MX(0, 1), *scaled)]
         given = [*unscaled, *(ca.MX(float(value)) for value in p)]
         parts = split(ca.graph_substitute(expressions, declared.symbols(), given), [y])
-        return cls(program, p, y, parts, tuple(program._steps))
+        return cls(program, p, y, parts, tuple(program.built.steps))
 
     def uses_averages_only(self, run: int) -> bool:
         """Return whether objective and requirements use no more of a run than its averages."""

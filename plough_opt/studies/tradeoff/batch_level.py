@@ -31,9 +31,9 @@ class BatchLevel(Level):
         stationary: as of any level; in units of short ranges the rounding of objectives is larger.
     """
 
-    def __init__(self, program: Program, rough: Nlp, sizes: tuple[int, int]) -> None:
-        """Take the scaled program, the one of few steps, and the numbers of variables and of parameters."""
-        super().__init__(rough, rough, sizes, program.low, program.high)
+    def __init__(self, program: Program, rough: Nlp) -> None:
+        """Take the scaled program and the one of few steps."""
+        super().__init__(rough, rough, program.low, program.high)
         self.stationary = _STATIONARY
         self._program = program
         self._objective_scale = program.objective_scale

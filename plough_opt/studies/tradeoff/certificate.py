@@ -7,7 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from plough_opt.design.ipopt import PULLS, Vector, decides
+from plough_opt.design.ipopt import Vector
+from plough_opt.design.optimality import PULLS, decides
 from plough_opt.motion.scene import Scene
 from plough_opt.studies.tradeoff.program import FrontProgram
 from plough_opt.studies.tradeoff.samples import Sample

@@ -9,10 +9,17 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from plough_opt.design.ipopt import OPTIONS, PULLS, Point, Solver, Vector
-from plough_opt.design.last_digits import residual
+from plough_opt.design.ipopt import OPTIONS, Point, Solver, Vector
 from plough_opt.design.nlp import Nlp
-from plough_opt.design.quadratic import least, made_convex
+from plough_opt.design.optimality import (
+    PULLS,
+    free_directions,
+    reduced_curvatures,
+    residual,
+    symmetric,
+    without_rounding,
+)
+from plough_opt.design.quadratic import made_convex, optimum_step
 
 _WARM: Final[dict[str, Any]] = {
     "ipopt.warm_start_init_point": "yes",
@@ -28,14 +35,10 @@ _WARM: Final[dict[str, Any]] = {
 _STEPS: Final = 15
 # Longest step in a scaled variable: beyond it a neighbour is none.
 _LONGEST: Final = 0.3
-# A scaled variable nearer to a bound is on it.
-_AT_BOUND: Final = 1e-9
 # Steps that do not shrink so often lead nowhere.
 _PATIENCE: Final = 4
 # Scaled margins below this leave no room.
 _TOUCHING: Final = 1e-7
-# Of slopes, relative to the largest: below this one repeats the others.
-_INDEPENDENT: Final = 1e-9
 # Of Powell's damping.
 _DAMPED: Final = 0.2
 # Changes of gradients over shorter steps are rounding.
@@ -52,18 +55,9 @@ class Level(Solver):
 
     stationary = 1e-10
 
-    def __init__(self, nlp: Nlp, rough: Nlp, sizes: tuple[int, int], low: Vector, high: Vector) -> None:
-        """Take the program, one of fewer steps for first curvatures, its sizes, and the limits of its requirements.
-
-        Args:
-            nlp: the program.
-            rough: the same with fewer steps.
-            sizes: numbers of variables and of parameters.
-            low: lower limits of the requirements, scaled.
-            high: upper limits.
-        """
-        variables, parameters = sizes
-        super().__init__(nlp, variables, parameters, low, high)
+    def __init__(self, nlp: Nlp, rough: Nlp, low: Vector, high: Vector) -> None:
+        """Take the program, one of fewer steps for first curvatures, and the scaled limits of its requirements."""
+        super().__init__(nlp, low, high)
         self._least, self._largest = low, high  # as NumPy has them; the solver's own are CasADi's
         self.nlp, self._rough = nlp, rough
         self._warm: ca.Function | None = None
@@ -106,14 +100,11 @@ class Level(Solver):
         _, g, _, jacobian = self.slopes(point.y, p)
         touching = _touches(np.minimum(g - self._least, self._largest - g), point.lam_g)
         bounds = _touches(np.minimum(point.y, 1.0 - point.y), point.lam_y)
-        rows = np.concatenate([jacobian[touching], np.eye(len(point.y))[bounds]])
-        _, sizes, right = np.linalg.svd(rows) if len(rows) else (None, np.zeros(0), np.eye(len(point.y)))
-        free = right[int(np.sum(sizes > _INDEPENDENT * max(1.0, np.max(sizes, initial=0.0)))) :].T
+        free = free_directions(np.concatenate([jacobian[touching], np.eye(len(point.y))[bounds]]))
         if not free.size:
             return None
-        upper = np.asarray(self._rough.hess_lag(point.y, p, 1.0, point.lam_g))
-        whole = upper + np.triu(upper, 1).T
-        return float(np.linalg.eigvalsh(free.T @ whole @ free)[0] / max(np.max(np.abs(whole)), 1.0))
+        whole = symmetric(np.asarray(self._rough.hess_lag(point.y, p, 1.0, point.lam_g)))
+        return float(reduced_curvatures(whole, free)[0][0])
 
     def correct(self, at: Point, start: Vector, p: Vector) -> Point:
         """Return the optimum near a start by sequential quadratic programming from the multipliers of a neighbour.
@@ -144,14 +135,12 @@ class Level(Solver):
         stalled, shortest = 0, np.inf
         for number in range(_STEPS):
             f, g, gradient, jacobian = self.slopes(point.y, p)
-            y = point.y
-            low = np.concatenate([self._least - g, np.maximum(-y, -_LONGEST)])
-            high = np.concatenate([self._largest - g, np.minimum(1.0 - y, _LONGEST)])
-            found = least(curvature, gradient, np.concatenate([jacobian, np.eye(len(y))]), (low, high))
+            y, limits = point.y, (self._least, self._largest)
+            found = optimum_step(curvature, y, (g, gradient, jacobian), limits, _LONGEST)
             if found is None:
                 return point
-            step, lam_g, lam_y = found[0], found[1][: len(g)], found[1][len(g) :]
-            point = replace(point, f=float(f[0]), lam_g=lam_g, lam_y=np.where(_inside(y), 0.0, lam_y))
+            step, lam_g, lam_y = found
+            point = replace(point, f=float(f[0]), lam_g=lam_g, lam_y=without_rounding(y, lam_y))
             if self.residual(point, p) <= self.stationary:
                 self._curvature = curvature
                 return replace(point, solved=True, status="Solve_Succeeded", iterations=number)
@@ -169,8 +158,7 @@ class Level(Solver):
 
     def _first_curvature(self, y: Vector, p: Vector, lam_g: Vector) -> Vector:
         """Return the Lagrangian's Hessian, roughly integrated, with its curvatures made positive."""
-        upper = np.asarray(self._rough.hess_lag(y, p, 1.0, lam_g))
-        return made_convex(upper + np.triu(upper, 1).T)
+        return made_convex(symmetric(np.asarray(self._rough.hess_lag(y, p, 1.0, lam_g))))
 
     def follow(self, at: Point, start: Vector, p: Vector) -> Point:
         """Return the optimum near a start by IPOPT, from the multipliers of a neighbour.
@@ -192,11 +180,6 @@ def _touches(margins: Vector, multipliers: Vector) -> NDArray[np.bool_]:
     """Return which limits leave no room: by their scaled margins, or because they pull harder than they are far."""
     pulls = np.abs(multipliers)
     return (margins < _TOUCHING) | ((pulls > PULLS) & (pulls > margins))
-
-
-def _inside(y: Vector) -> NDArray[np.bool_]:
-    """Return where no bound is near."""
-    return (y > _AT_BOUND) & (y < 1.0 - _AT_BOUND)
 
 
 def _renewed(curvature: Vector, step: Vector, change: Vector) -> Vector:

@@ -21,7 +21,7 @@ import numpy as np
 from plough_opt.core.errors import InputError, PloughError
 from plough_opt.design import Design
 from plough_opt.design.declarations import Declarations, Parameter, Requirement
-from plough_opt.design.ipopt import Point, Vector
+from plough_opt.design.ipopt import Point, SolveOptions, Vector
 from plough_opt.design.program import Program
 from plough_opt.design.verify import TightEvaluation
 from plough_opt.motion.scene import Scene
@@ -148,14 +148,13 @@ class FrontProgram:
         if self.levels and self.levels[0].nlp is program.nlp:
             return
         # Fewer steps of machine code save less than their derivatives cost, which are interpreted.
-        sizes = (len(program.declared.variables), len(program.declared.parameters))
-        fine = Level(program.nlp, program.rough, sizes, program.low, program.high)
+        fine = Level(program.nlp, program.rough, program.low, program.high)
         self.levels = [fine]
-        if program.interpreted and self.wanted_error:
-            self.levels.append(Level(program.rough, program.rough, sizes, program.low, program.high))
+        if program.built.interpreted and self.wanted_error:
+            self.levels.append(Level(program.rough, program.rough, program.low, program.high))
         self._exact_ones = len(self.levels)
         if self.wanted_error and program.population.vectorised:
-            self.levels.append(BatchLevel(program, program.rough, sizes))
+            self.levels.append(BatchLevel(program, program.rough))
             self._tell_batch()
 
     def nowhere(self) -> Vector:
@@ -235,7 +234,7 @@ class FrontProgram:
             point = self.levels[level].follow(at, start, p)
         if point.solved or not patient or self.by_differences(level):
             return point
-        point = self.program.solve(start, p, near=True)
+        point = self.program.solve(start, p, SolveOptions(near=True))
         return point if point.solved else self.program.solve(start, p)
 
     def objectives(self, y: Vector, level: int = 0) -> Vector:

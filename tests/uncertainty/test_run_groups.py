@@ -9,8 +9,8 @@ from helpers.differences import differences
 from scipy import stats
 
 import plough_opt as po
-from plough_opt.design.alike_runs import alike_runs
 from plough_opt.design.program import Program
+from plough_opt.design.run_groups import grouped
 from plough_opt.design.split import split
 
 POINT = np.array([0.61, 0.43, 0.37])
@@ -96,7 +96,7 @@ def test_runs_with_events_and_orbits_are_mapped_too(effects):
     program.build(p)
     gradient = np.asarray(program.nlp.slopes(y, p)[2])
     # Tolerances of integrators with events: 1e-10.
-    wanted = differences(lambda at: np.asarray(program.nlp.f(at, p)), y)
+    wanted = differences(lambda at: np.asarray(program.nlp.values(at, p)[0]), y)
     assert gradient.item() == pytest.approx(wanted.item(), rel=1e-5)
     wanted = differences(lambda at: np.asarray(program.nlp.slopes(at, p)[2]), y)
     assert np.asarray(program.nlp.hess_lag(y, p, 1.0, [])).item() == pytest.approx(wanted.item(), rel=1e-5)
@@ -109,7 +109,7 @@ def test_runs_of_one_structure_are_one_map():
     y, p = ca.MX.sym("y", 3), ca.MX.sym("p", 0)
     parts = split(program._scaled(y, p), [y, p])
     averages = [k != 1 for k in range(7)]
-    alike = alike_runs(parts.runs, averages, y, p, [None] * 7)
+    alike = grouped(parts.runs, averages, y, p, [None] * 7)
     assert sorted(len(own.members) for own in alike) == [1, 1, 5]
     assert sorted(k for own in alike for k in own.members) == list(range(7))
 

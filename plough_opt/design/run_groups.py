@@ -3,6 +3,9 @@
 A design over many samples of a soil holds as many runs of one structure. They share one integrator, and the chain rule
 from a run's parameters to the few variables of the design is applied run by run inside the map, so that building takes
 no longer for many of them and every evaluation grows with their number alone.
+
+Whatever belongs to one run, such as its parameters, its results or the slopes of either, is a block of columns, and the
+blocks of all runs stand side by side: that is the layout which CasADi's `map` takes and gives.
 """
 
 from __future__ import annotations
@@ -23,13 +26,13 @@ from plough_opt.motion.signals import signals
 
 
 @dataclass(frozen=True)
-class Alike:
+class RunGroup:
     """Runs of one structure as the program sees them: their results, or just their averages if no more is asked for.
 
     Attributes:
         solver: what integrates each of them.
         first: number of the first result that is asked for; the others follow.
-        varying: positions of the parameters that vary.
+        varying: positions of the parameters that vary, theta.
         members: numbers of the runs among all of the design.
         inputs: (y, p) -> their parameters, a column for each run.
         variables: number of scaled variables y.
@@ -45,41 +48,39 @@ class Alike:
     @property
     def size(self) -> int:
         """Number of results asked for of each run."""
-        function = self.solver.function
-        return sum(function.numel_out(k) for k in range(function.n_out())) - self.first
+        return self.solver.results - self.first
+
+    # Each of the following is a Function of one run, mapped over all of them.
 
     @cached_property
     def value(self) -> ca.Function:
-        """Parameters -> results, a column for each run."""
+        """Parameters -> results."""
         p = self._parameters()
         stacked = ca.vertcat(*(ca.vec(result) for result in self.solver.function.call([p])))
-        return self._mapped(ca.Function("value", [p], [stacked[self.first :]]))
+        return self._mapped([p], [stacked[self.first :]])
 
     @cached_property
     def slopes(self) -> ca.Function:
-        """(Parameters, their slopes by y) -> results and their slopes by y, side by side for each run."""
+        """(Parameters, theta_y) -> results and their slopes by y."""
         p, theta_y = self._parameters(), self._theta_slopes()
-        jet = self._jets(1)(p)
-        return self._mapped(ca.Function("slopes", [p, theta_y], [jet[:, 0], ca.mtimes(jet[:, 1:], theta_y)]))
+        jet = self._jets(p, 1)
+        return self._mapped([p, theta_y], [jet[:, 0], ca.mtimes(jet[:, 1:], theta_y)])
 
     @cached_property
     def jets(self) -> ca.Function:
-        """Parameters -> results with first and second derivatives by the varying ones; through events without these."""
-        return self._mapped(self._jets(1 if self._events else 2))
+        """Parameters -> results with first and second derivatives by theta; through events without second ones."""
+        p = self._parameters()
+        return self._mapped([p], [self._jets(p, 1 if self._events else 2)])
 
     @cached_property
     def chained(self) -> ca.Function:
-        """(Jets, slopes of the parameters by y) -> results and their slopes by y, side by side for each run."""
+        """(Jets, theta_y) -> results and their slopes by y."""
         jet, theta_y = self._jet(), self._theta_slopes()
-        slopes = ca.mtimes(jet[:, 1 : 1 + len(self.varying)], theta_y)
-        return self._mapped(ca.Function("chained", [jet, theta_y], [jet[:, 0], slopes]))
+        return self._mapped([jet, theta_y], [jet[:, 0], ca.mtimes(jet[:, 1 : 1 + len(self.varying)], theta_y)])
 
     @cached_property
     def bent(self) -> ca.Function:
-        """(Parameters, jets, slopes of the parameters by y, adjoints of the results) -> second derivatives by y.
-
-        These are through the runs' own curvature; beside them the adjoints of the varying parameters.
-        """
+        """(Parameters, jets, theta_y, weights mu) -> theta_y' (mu' o)_theta,theta theta_y, and (mu' o_theta)'."""
         p, jet, theta_y, mu = self._parameters(), self._jet(), self._theta_slopes(), ca.MX.sym("mu", self.size)
         count = len(self.varying)
         if self._events:
@@ -89,15 +90,16 @@ class Alike:
             for k, (a, b) in enumerate(pairs(count)):
                 curvature[a, b] = curvature[b, a] = row[k]
         results = [ca.mtimes([theta_y.T, curvature, theta_y]), ca.mtimes(jet[:, 1 : 1 + count].T, mu)]
-        return self._mapped(ca.Function("bent", [p, jet, theta_y, mu], [ca.densify(result) for result in results]))
+        return self._mapped([p, jet, theta_y, mu], [ca.densify(result) for result in results])
 
-    def stacked(self, slopes: ca.MX) -> ca.MX:
-        """Return slopes by y that lie side by side for each run as one matrix, a row for each result."""
-        columns = [ca.vec(slopes[:, k :: self.variables]) for k in range(self.variables)]
-        return ca.horzcat(*columns)
+    # The layouts of what is not mapped.
 
-    def beside(self, slopes: Any) -> Any:
-        """Return slopes of all varying parameters by y, run below run, as blocks side by side."""
+    def below_each_other(self, slopes: ca.MX) -> ca.MX:
+        """Return slopes by y, of which each run has a block of columns, as one matrix with a row for each result."""
+        return ca.horzcat(*(ca.vec(slopes[:, k :: self.variables]) for k in range(self.variables)))
+
+    def side_by_side(self, slopes: Any) -> Any:
+        """Return the slopes of all varying parameters by y, run below run, as blocks of columns."""
         count = len(self.varying)
         return ca.horzcat(*(slopes[k * count : (k + 1) * count, :] for k in range(len(self.members))))
 
@@ -115,23 +117,23 @@ class Alike:
         count = len(self.varying)
         return ca.MX.sym("jet", self.size, 1 + count + (0 if self._events else len(pairs(count))))
 
-    def _jets(self, order: int) -> ca.Function:
-        p = self._parameters()
-        return ca.Function("jets", [p], [jets_of(self.solver, self.varying, order)(p)[self.first :, :]])
+    def _jets(self, p: ca.MX, order: int) -> ca.MX:
+        return jets_of(self.solver, self.varying, order)(p)[self.first :, :]
 
-    def _mapped(self, function: ca.Function) -> ca.Function:
-        """Return a Function of one run as one of all of them, our own steps on all processors that it may keep busy."""
-        if len(self.members) == 1:
-            return function
+    def _mapped(self, inputs: list[ca.MX], results: list[ca.MX]) -> ca.Function:
+        """Return a Function of all runs, our own steps on all processors that it may keep busy."""
+        one, count = ca.Function("one", inputs, results), len(self.members)
+        if count == 1:
+            return one
         own = self.solver.accuracy.order_8 and self.solver.structure.orbit == "transient"
         if own and (processors := available()) > 1:
-            return function.map(len(self.members), "thread", processors)
-        return function.map(len(self.members), "serial")
+            return one.map(count, "thread", processors)
+        return one.map(count, "serial")
 
 
-def alike_runs(
+def grouped(
     runs: Sequence[EmbeddedRun], only_averages: Sequence[bool], y: ca.MX, p: ca.MX, steps: Sequence[int | None]
-) -> list[Alike]:
+) -> list[RunGroup]:
     """Sort a design's runs into those that differ in numbers only.
 
     Args:
@@ -145,15 +147,14 @@ def alike_runs(
     for k, (run, averages, count) in enumerate(zip(runs, only_averages, steps, strict=True)):
         solver, first = _prepared(run, averages, count)
         found.setdefault((id(solver), first), (solver, []))[1].append(k)
-    alike = []
+    groups = []
     for (_, first), (solver, members) in found.items():
         parameters = ca.horzcat(*(runs[k].inputs for k in members))
         inputs = ca.Function("inputs", [y, p], [ca.densify(parameters)]).expand()
-        rows = parameters.shape[0]
         sparsity = ca.Function("given", [y, p], [ca.vec(parameters)]).jac_sparsity(0, 0)
-        varying = tuple(sorted({row % rows for row in sparsity.row()}))
-        alike.append(Alike(solver, first, varying, tuple(members), inputs, y.numel()))
-    return alike
+        varying = tuple(sorted({row % parameters.shape[0] for row in sparsity.row()}))
+        groups.append(RunGroup(solver, first, varying, tuple(members), inputs, y.numel()))
+    return groups
 
 
 def _prepared(run: EmbeddedRun, only_averages: bool, steps: int | None) -> tuple[Integration, int]:
@@ -171,5 +172,4 @@ def _prepared(run: EmbeddedRun, only_averages: bool, steps: int | None) -> tuple
         timeline = replace(timeline, steps=steps, aligned=timeline.moving)
     solver = integration(structure, accuracy, timeline)
     observed = signals(structure)
-    size = sum(solver.function.numel_out(k) for k in range(solver.function.n_out()))
-    return solver, size - observed.count - observed.squared if only_averages else 0
+    return solver, solver.results - observed.count - observed.squared if only_averages else 0

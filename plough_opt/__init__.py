@@ -32,6 +32,7 @@ from plough_opt.laws.printed import Printed
 from plough_opt.motion import Run, simulate
 from plough_opt.motion.accuracy import Accuracy
 from plough_opt.motion.effects import Effects, HarmonicBalance, OwnResistance, Smooth, StickSlip
+from plough_opt.motion.machine import Machine
 from plough_opt.motion.scene import Scene
 from plough_opt.soil import elastic, plastic
 from plough_opt.soil.geometry import Cone, Wedge, deg
@@ -150,6 +151,7 @@ __all__ = [
     "InputError",
     "IntegrationError",
     "LocalOptimum",
+    "Machine",
     "Measurements",
     "NotConverged",
     "Optimum",

@@ -19,6 +19,7 @@ from plough_opt.core.files import write_new
 from plough_opt.design.effort import Search
 from plough_opt.laws.penetration import cone_index
 from plough_opt.motion.effect_costs import effect_costs
+from plough_opt.motion.machine import Machine
 from plough_opt.problem_file import TEMPLATE
 from plough_opt.soil.soil import named_soil, soil_names
 
@@ -56,7 +57,8 @@ def check(options: argparse.Namespace) -> None:
         raise InputError("--json is of the scene alone: leave --effects and --against out")
     if options.json:
         quantities = {key: float(value) for key, value in problem.values().items()}
-        notes = (*problem.notes, *problem.cautions, *problem.scene().warnings())
+        warnings = [text for part in problem.parts.values() for text in part.scene().warnings()]
+        notes = (*problem.notes, *problem.cautions, *dict.fromkeys(warnings))
         print(json.dumps({"title": problem.title, "quantities": quantities, "notes": notes}, indent=2, allow_nan=False))
         return
     report.print_check(console(), problem)
@@ -81,9 +83,11 @@ def simulate(options: argparse.Namespace) -> None:
     problem = read(options)
     with progress() as told:
         told("simulating", 0.0)
-        run = problem.simulate()
+        run = problem.machine() if problem.shares else problem.simulate()
     page = report.run_page(problem, run)
     if options.json:
+        if isinstance(run, Machine):
+            raise InputError("--json is of one share: choose it by --set shares=NAME")
         from plough_opt.exchange.results import SavedRun
 
         print(SavedRun.of(run, problem.title).model_copy(update={"shown": page}).to_json())
@@ -92,7 +96,7 @@ def simulate(options: argparse.Namespace) -> None:
     if options.plot:
         from plough_opt.app import plots
 
-        wrote(plots.save(plots.plot_run(run), options.plot))
+        wrote(plots.save(run.plot(), options.plot))
 
 
 def optimise(options: argparse.Namespace) -> None:
@@ -116,7 +120,7 @@ def optimise(options: argparse.Namespace) -> None:
     if options.json:
         from plough_opt.exchange.results import SavedOptimum
 
-        print(SavedOptimum.of(best, run, problem.title, asked).model_copy(update={"shown": page}).to_json())
+        print(SavedOptimum.of(best, None, problem.title, asked).model_copy(update={"shown": page}).to_json())
     else:
         print_page(console(), page)
     if options.plot:

@@ -9,6 +9,7 @@ from typing import Final
 from plough_opt.app.terminal import progress
 from plough_opt.core.errors import InputError
 from plough_opt.core.units import Unit
+from plough_opt.motion import Run
 from plough_opt.motion.scene import Scene
 from plough_opt.problem_file import Problem
 
@@ -56,7 +57,9 @@ def _best(problem: Problem) -> Scene:
     """Return the scene of the best design, of the robust one where the soil is uncertain."""
     with progress() as told:
         if problem.table.uncertain is None:
-            return problem.optimise(told)[1].scene
+            run = problem.optimise(told)[1]
+            assert isinstance(run, Run)  # several shares are refused
+            return run.scene
         from plough_opt.problem_file.robust_design import optimise_robust  # scipy.stats is slow to import
 
         return optimise_robust(problem, told).run.scene

@@ -12,13 +12,14 @@ from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from plough_opt.app.run_picture import changing, draw_deflection, draw_force, draw_speed, plot_run, subject
-from plough_opt.app.side_by_side import plot_designs, plot_forces
+from plough_opt.app.side_by_side import SIDE_BY_SIDE, draw_side_by_side, plot_designs, plot_forces
 from plough_opt.core.kinds import check_kind
 from plough_opt.core.picture_files import COLOURS, FORMATS, check_format, save
 from plough_opt.design import Limit, Optimum
 from plough_opt.design.landscape import FEASIBLE
 from plough_opt.motion import Run
 from plough_opt.motion.batch import BatchResult
+from plough_opt.motion.machine import Machine
 from plough_opt.motion.scene import Scene
 from plough_opt.motion.vocabulary import called
 from plough_opt.soil.elastic import wedge_stress
@@ -40,6 +41,7 @@ __all__ = [
     "plot_batch",
     "plot_designs",
     "plot_forces",
+    "plot_machine",
     "plot_optimum",
     "plot_run",
     "plot_share",
@@ -155,30 +157,45 @@ def plot_batch(found: BatchResult) -> Figure:
     return figure
 
 
-def plot_optimum(best: Optimum, run: Run) -> Figure:
+def plot_machine(machine: Machine) -> Figure:
+    """Draw mount force and deflection of several shares in one frame over time, a colour for each share."""
+    check_kind("the machine", machine, Machine, "a Machine of runs of numbers")
+    figure = Figure(figsize=(9.0, 6.0), layout="constrained")
+    figure.suptitle(machine.origin.title)
+    for axes, name in zip(figure.subplots(2, 1, sharex=True), SIDE_BY_SIDE, strict=True):
+        draw_side_by_side(axes, machine.runs, name, machine.origin)
+    return figure
+
+
+def plot_optimum(best: Optimum, run: Run | Machine) -> Figure:
     """Draw an optimum: the share, its equivalent cone, the response, and what the search saw.
 
     Args:
         best: the optimum.
-        run: its run of numbers.
+        run: its run of numbers; of several shares the responses, without the shares' shapes.
     """
     check_kind("the optimum", best, Optimum, "an Optimum, as Design.solve returns one")
-    check_kind("the run", run, Run, "a Run of numbers, as po.simulate returns one")
+    check_kind("the run", run, Run | Machine, "a Run of numbers, as po.simulate returns one")
     panels = list(best.variables) if best.search is not None and len(best.search.objective) > 0 else []
     required = [limit for limit in best.limits if limit.kind == "requirement"]
     rows = -(-len(panels) // _PANELS)
-    response = [draw for draw in changing(run) if draw is not draw_speed]
+    response = [draw for draw in changing(run) if draw is not draw_speed] if isinstance(run, Run) else []
     first = 2 if response else 1  # row of the search
     figure = Figure(figsize=(12.5, 0.8 + 3.2 * first + 3.0 * rows), layout="constrained")
-    figure.suptitle(subject(run))
+    figure.suptitle(subject(run) if isinstance(run, Run) else run.origin.title)
     grid = figure.add_gridspec(first + rows, 12, height_ratios=(*[1.0] * first, *[0.95] * rows))
     middle, right = (4, 8) if required else (6, 12)
-    draw_wedge(figure.add_subplot(grid[0, :middle]), run.scene)
-    draw_cone(figure.add_subplot(grid[0, middle:right]), run.scene)
+    left = [figure.add_subplot(grid[0, :middle]), figure.add_subplot(grid[0, middle:right])]
+    if isinstance(run, Machine):
+        for axes, name in zip(left, SIDE_BY_SIDE, strict=True):
+            draw_side_by_side(axes, run.runs, name, run.origin)
+    else:
+        draw_wedge(left[0], run.scene)
+        draw_cone(left[1], run.scene)
+        for k, draw in enumerate(response):
+            draw(figure.add_subplot(grid[1, 6 * k : 6 * k + 6]), run, best.limits)
     if required:
         draw_margins(figure.add_subplot(grid[0, right:]), required)
-    for k, draw in enumerate(response):
-        draw(figure.add_subplot(grid[1, 6 * k : 6 * k + 6]), run, best.limits)
     for row in range(rows):
         own = panels[_PANELS * row : _PANELS * (row + 1)]
         width = 12 // len(own)

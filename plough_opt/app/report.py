@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -18,6 +18,7 @@ from plough_opt.laws.penetration import cone_index
 from plough_opt.motion import Run
 from plough_opt.motion.effect_costs import EffectCost
 from plough_opt.motion.equation import equation_of_motion
+from plough_opt.motion.machine import Machine
 from plough_opt.motion.scene import Scene
 from plough_opt.motion.terms import Structure
 from plough_opt.problem_file import Problem
@@ -56,62 +57,80 @@ def print_soils(console: Console, soils: Sequence[Soil]) -> None:
     console.print("Ambient pressure of all: 101.325 kPa. Soil with open pores: set soil.ambient_pressure.")
 
 
-def run_page(problem: Problem, run: Run) -> Page:
-    """Return a run of numbers with its scene."""
-    page = run.page()
-    return replace(page, parts=(_scene_table(problem, run.scene), *page.parts, *own_results(problem, run)))
+def run_page(problem: Problem, run: Run | Machine) -> Page:
+    """Return a run of numbers, or those of several shares, with each scene."""
+    page, runs = run.page(), runs_of(run)
+    scenes = [_scene_table(part, runs[name].scene, name) for name, part in problem.parts.items()]
+    return replace(page, parts=(*scenes, *page.parts, *own_results(problem, run)))
 
 
-def own_results(problem: Problem, run: Run) -> tuple[Grid, ...]:
+def runs_of(run: Run | Machine) -> Mapping[str, Run]:
+    """Return the runs of several shares by name; one by itself under ""."""
+    return run.runs if isinstance(run, Machine) else {"": run}
+
+
+def own_results(problem: Problem, run: Run | Machine) -> tuple[Grid, ...]:
     """Return a table of the results that a file computes itself, and of those with a label; none where it has none."""
     rows = [
-        (own.label or name.replace("_", " "), shown(problem, name, float(own.of(run)), own.unit.symbol))
+        (name, own, [float(own.of(one)) for one in runs_of(run).values()])
         for name, own in measures_of(problem.table).items()
-        if name in problem.table.measures or (own.label and own.given_by(run.scene.law))
+        if name in problem.table.measures
+        or (own.label and all(own.given_by(one.scene.law) for one in runs_of(run).values()))
     ]
-    return (Grid.pairs("Results of this file" if problem.table.measures else "Further results", *rows),) if rows else ()
+    grid = Grid.of("Results of this file" if problem.table.measures else "Further results", "", *problem.parts)
+    for name, own, values in rows:
+        grid.row(own.label or name.replace("_", " "), *(shown(problem, name, x, own.unit.symbol) for x in values))
+    return (grid,) if rows else ()
 
 
 def print_check(console: Console, problem: Problem) -> None:
-    """Print what a file's scene contains and how it would be integrated."""
-    scene = problem.scene()
+    """Print what the scenes of a file contain and how they would be integrated."""
     console.print(f"[bold]{escape(problem.title)}[/]: {escape(problem.name)} is valid.")
-    console.print(_scene_table(problem, scene))
-    table = Table(title="What is simulated", show_header=False)
-    table.add_column()
-    table.add_column()
+    for name, part in problem.parts.items():
+        console.print(_scene_table(part, part.scene(), name))
+        console.print(_simulated(part, part.scene()))
+    if problem.variables:
+        verb = "optimise" if problem.table.minimise or problem.table.trade_off is None else "tradeoff"
+        console.print(f"{len(problem.variables)} variables, {len(problem.table.require)} requirements: "
+                      f"plough-opt {verb} {escape(problem.name)}")  # fmt: skip
+    if problem.shares:
+        console.print(f"{len(problem.shares)} shares, designed as one machine: drafts, powers and masses are limited"
+                      " together, all else for each share; the objective is the sum over the shares.",
+                      soft_wrap=True)  # fmt: skip
+    if problem.table.uncertain is not None:
+        names = ", ".join(key for key in problem.table.uncertain if key.startswith("soil."))
+        console.print(f"Uncertain: {escape(names)}: optimise designs for them, all else takes the nominal soil.",
+                      soft_wrap=True)  # fmt: skip
+    for warning in dict.fromkeys(text for part in problem.parts.values() for text in part.scene().warnings()):
+        console.print(f"[yellow]Note:[/] {escape(warning)}.")
+
+
+def _simulated(problem: Problem, scene: Scene) -> Grid:
+    """Return how a scene would be integrated."""
+    rows = []
     if scene.effects.motion:
         equation = equation_of_motion(Structure.of(scene))
-        table.add_row("equation of motion", f"2 states, {equation.function.n_nodes()} nodes")
-        table.add_row("its parameters", ", ".join(equation.names))
+        rows.append(("equation of motion", f"2 states, {equation.function.n_nodes()} nodes"))
+        rows.append(("its parameters", ", ".join(equation.names)))
         frequency = float(scene.natural_frequency) / (2.0 * math.pi)
         if scene.effects.printed.repelling_spring:
-            table.add_row("growth under the print's repelling spring", f"exp({float(scene.natural_frequency):.4g}/s t)")
+            growth = f"exp({float(scene.natural_frequency):.4g}/s t)"
+            rows.append(("growth under the print's repelling spring", growth))
         else:
-            table.add_row("natural frequency", f"{frequency:.4g} Hz")
+            rows.append(("natural frequency", f"{frequency:.4g} Hz"))
     else:
-        table.add_row("quasi-static", "no equation of motion")
+        rows.append(("quasi-static", "no equation of motion"))
     for wave in scene.effects.waves:
-        table.add_row("frequency of the strength wave", f"{float(scene.tow_speed / wave.wavelength):.4g} Hz")
+        rows.append(("frequency of the strength wave", f"{float(scene.tow_speed / wave.wavelength):.4g} Hz"))
     if scene.effects.random_strength is not None:
-        table.add_row("random strength", f"{100.0 * float(scene.effects.random_strength.variance) ** 0.5:.3g} % RMS")
+        rows.append(("random strength", f"{100.0 * float(scene.effects.random_strength.variance) ** 0.5:.3g} % RMS"))
         for quantity, name, unit in (
             ("mount force", "stationary_force_rms", "N"),
             ("deflection", "stationary_displacement_rms", "m"),
         ):
             value = float(getattr(scene, name))
-            table.add_row(f"stationary RMS of the {quantity}", shown(problem, name, value, unit))
-    console.print(table)
-    if problem.variables:
-        verb = "optimise" if problem.table.minimise or problem.table.trade_off is None else "tradeoff"
-        console.print(f"{len(problem.variables)} variables, {len(problem.table.require)} requirements: "
-                      f"plough-opt {verb} {escape(problem.name)}")  # fmt: skip
-    if problem.table.uncertain is not None:
-        names = ", ".join(key for key in problem.table.uncertain if key.startswith("soil."))
-        console.print(f"Uncertain: {escape(names)}: optimise designs for them, all else takes the nominal soil.",
-                      soft_wrap=True)  # fmt: skip
-    for warning in dict.fromkeys(scene.warnings()):
-        console.print(f"[yellow]Note:[/] {escape(warning)}.")
+            rows.append((f"stationary RMS of the {quantity}", shown(problem, name, value, unit)))
+    return Grid.pairs("What is simulated", *rows)
 
 
 def print_effects(console: Console, costs: Sequence[EffectCost]) -> None:
@@ -147,7 +166,7 @@ def print_comparison(console: Console, comparison: Comparison) -> None:
             console.print(f"* {escape(sentence)}", soft_wrap=True)
 
 
-def _scene_table(problem: Problem, scene: Scene) -> Grid:
+def _scene_table(problem: Problem, scene: Scene, share: str = "") -> Grid:
     rows = [("soil", scene.soil.name)]
     if not scene.law.lacks("cone_index"):
         rows.append(("cone index", problem.readings or f"{float(cone_index(scene.soil)) / 1e3:.4g} kPa"))
@@ -162,4 +181,5 @@ def _scene_table(problem: Problem, scene: Scene) -> Grid:
         rows.append(("ambient pressure's part of the static draft", f"{100.0 * float(scene.ambient_share):.0f} %"))
     if scene.medium != "plastic":
         rows.append(("law of resistance", scene.law.label))
-    return Grid.pairs("Scene, variables at their guesses" if problem.variables else "Scene", *rows)
+    title = f"Scene of the share '{share}'" if share else "Scene"
+    return Grid.pairs(f"{title}, variables at their guesses" if problem.variables else title, *rows)

@@ -9,12 +9,16 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from plough_opt.core.origin import Origin
 from plough_opt.core.picture_files import COLOURS
 from plough_opt.design import Limit, LocalOptimum
+from plough_opt.motion import Run
 from plough_opt.motion.vocabulary import called
 
 # Part of a limit's size that is shown on either side of it: less would magnify rounding.
 _LEAST_ROOM = 0.02
+SIDE_BY_SIDE = {"mount_force": "N", "deflection": "m"}
+"""Results over time that are drawn of several runs, with their units."""
 
 
 def plot_designs(designs: Mapping[str, LocalOptimum]) -> Figure:
@@ -59,6 +63,23 @@ def _draw_limit(axes: Axes, limit: Limit, found: Sequence[Limit | None]) -> None
     axes.set_ylabel(limit.shown.heading(called(limit.name)), rotation=0, ha="right", va="center")
     for side in ("left", "right", "top"):
         axes.spines[side].set_visible(False)
+
+
+def draw_side_by_side(axes: Axes, runs: Mapping[str, Run], name: str, origin: Origin) -> None:
+    """Draw a result of several runs over time, each in a colour.
+
+    Args:
+        axes: where.
+        runs: name -> run of numbers.
+        name: of the result, one of `SIDE_BY_SIDE`.
+        origin: of the runs, which has the unit.
+    """
+    size = max(float(np.max(np.abs(getattr(run, name)))) for run in runs.values())
+    unit = origin.common(SIDE_BY_SIDE[name], {name: size})
+    for (label, run), colour in zip(runs.items(), itertools.cycle(COLOURS), strict=False):
+        axes.plot(run.time, getattr(run, name) / unit.factor, color=colour, linewidth=1.2, label=label)
+    axes.set(xlabel="time [s]", ylabel=unit.heading(called(name)))
+    axes.legend(fontsize="small")
 
 
 def plot_forces(runs: Mapping[str, tuple[Sequence[float], Sequence[float]]]) -> Figure:

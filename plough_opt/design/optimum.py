@@ -22,6 +22,7 @@ from plough_opt.design.local_optimum import LocalOptimum
 from plough_opt.design.record import Search
 from plough_opt.design.sensitivity import Sensitivities, Sensitivity
 from plough_opt.design.tolerance import Spread
+from plough_opt.motion.machine import Machine
 from plough_opt.motion.run import Run
 from plough_opt.motion.simulation import repeat
 
@@ -50,7 +51,7 @@ class Optimum(LocalOptimum):
         search: what was looked at, and what was not.
         seconds: time that the solve took [s].
         warnings: what a reader of the numbers must know.
-        run: the run of numbers at this design, where the question has one run, as a problem file has.
+        run: the run of numbers at this design, or those of several shares, where a problem file has the question.
         origin: what made it.
     """
 
@@ -64,7 +65,7 @@ class Optimum(LocalOptimum):
     evaluate: Callable[[Any], np.ndarray] = field(repr=False, default=as_number)
     sensitivities: Sensitivities | None = field(repr=False, default=None)
     rounder: Callable[[Mapping[str, Any]], Rounded] | None = field(repr=False, default=None)
-    run: Run | None = field(default=None, compare=False)
+    run: Run | Machine | None = field(default=None, compare=False)
     origin: Origin = field(default=Origin(), compare=False)
 
     def __call__(self, item: Any) -> Any:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Sequence
 
 import numpy as np
@@ -18,6 +17,7 @@ from plough_opt.design.polishing import AS_FOUND
 from plough_opt.design.program import Program
 from plough_opt.design.tolerance import spread
 from plough_opt.motion.judgement import remarks
+from plough_opt.motion.machine import alike_once
 from plough_opt.motion.scene import Scene
 from plough_opt.motion.simulation import repeat
 
@@ -25,7 +25,6 @@ from plough_opt.motion.simulation import repeat
 _SMALL = 0.25
 # Mounts whose frequencies differ by less than this part are named as one, and of more than so many the first.
 _ONE_MOUNT, _MOST_MOUNTS = 0.02, 4
-_NUMBER = re.compile(r"\d[\d.e+-]*")
 
 
 def designs_without_value(explored: Explored | None) -> tuple[str, ...]:
@@ -146,18 +145,7 @@ def warnings_at(program: Program, point: Point, p: Vector, scenes: Sequence[tupl
             moving += repeat(scene, float(parameters[-1])).warnings
     still = program.exact.quasi_static_scenes([*program.values(point.y), *p])
     slow = (NO_COMPILER,) if program.compiled and program.built.interpreted else ()
-    return (*slow, *_alike_once([*moving, *(text for scene in still for text in scene.warnings())]))
-
-
-def _alike_once(sentences: Sequence[str]) -> list[str]:
-    """Return sentences each once; of those that differ in numbers only, the first, which says of how many it speaks."""
-    alike: dict[str, list[str]] = {}
-    for text in dict.fromkeys(sentences):
-        alike.setdefault(_NUMBER.sub("#", text), []).append(text)
-    return [
-        own[0] if len(own) == 1 else f"{own[0]}; and with other numbers in {len(own) - 1} further scenes of this design"
-        for own in alike.values()
-    ]
+    return (*slow, *alike_once([*moving, *(text for scene in still for text in scene.warnings())]))
 
 
 def names_of(program: Program, scenes: Sequence[Sequence[Scene]]) -> list[str]:

@@ -171,7 +171,7 @@ class SavedOptimum(Kept):
         cls, best: Optimum, run: Run | None = None, title: str = "", sensitivities: Sequence[Sensitivity] = ()
     ) -> SavedOptimum:
         """Take what is worth keeping of an optimum, its run if it has one, and what it was asked."""
-        run = run or best.run
+        run = run or (best.run if isinstance(best.run, Run) else None)
         return cls(
             layout=SCHEMA,
             title=title or best.origin.title,

@@ -21,6 +21,7 @@ from plough_opt.core.tables import Grid, Page, Readable, data_frame
 from plough_opt.motion.accuracy import Accuracy
 from plough_opt.motion.averages import Averages, Checks
 from plough_opt.motion.equation import GAP, SLIP, STICK
+from plough_opt.motion.response import response_table
 from plough_opt.motion.scene import Scene
 from plough_opt.motion.settled import Settled
 from plough_opt.motion.terms import (
@@ -107,41 +108,7 @@ class Run(Readable):
 
     def response(self) -> Grid:
         """Return the table of the results of a run of numbers, each in one unit: see `Origin`."""
-        forces = {"mean_draft": self.mean_draft, "force_rms": self.force_rms, "mount_force": self.peak_force}
-        lengths = {
-            "deflection": self.peak_deflection,
-            "mean_deflection": self.mean_deflection,
-            "displacement_rms": self.displacement_rms,
-        }
-        force, length = self.origin.common("N", forces), self.origin.common("m", lengths)
-        rows = [
-            ("mean draft", force.text(self.mean_draft)),
-            ("RMS of the mount force", force.text(self.force_rms)),
-            ("mean deflection", length.text(self.mean_deflection)),
-            ("RMS of the deflection", length.text(self.displacement_rms)),
-            ("tow power", self.origin.common("W", {"tow_power": self.tow_power}).text(self.tow_power)),
-        ]
-        if self.scene.effects.random_strength is not None:
-            rows += [
-                ("stationary RMS of the mount force", force.text(float(self.scene.stationary_force_rms))),
-                ("stationary RMS of the deflection", length.text(float(self.scene.stationary_displacement_rms))),
-            ]
-        if not self.scene.law.lacks("loosened_radius"):
-            section, radius = self.specific_draft, float(self.scene.loosened_radius)
-            rows += [
-                ("draft per loosened section", self.origin.common("Pa", {"specific_draft": section}).text(section)),
-                ("loosened radius", self.origin.common("m", {"loosened_radius": radius}).text(radius)),
-            ]
-        rows += [
-            ("peak mount force", force.text(self.peak_force)),
-            ("peak deflection", length.text(self.peak_deflection)),
-        ]
-        grid = Grid.pairs("Response", *rows)
-        if self.scene.effects.orbit == "periodic":
-            comes = {True: "comes to this orbit", False: "comes to another motion", None: "has not settled"}
-            grid.row("largest Floquet multiplier", f"{max(map(abs, self.floquet)):.4g}")
-            grid.row("a share from equilibrium", comes[self.settles.orbit])
-        return grid
+        return response_table({"": self}, self.origin)
 
     def to_dataframe(self) -> pandas.DataFrame:
         """Return a row for each output time of a run of numbers, SI; ``attrs["units"]`` has the units.

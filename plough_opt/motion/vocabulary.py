@@ -82,6 +82,7 @@ class Measure:
         random: belongs to strength that varies along the path, and stands in tables where that is random.
         label: under which a run's table shows it on the command line; "" where the table holds it anyhow, or not.
         measured: whether it can be measured in the field, and so be calibrated with.
+        adds: whether several shares in one frame have it together, as their sum.
     """
 
     unit: Unit
@@ -91,6 +92,7 @@ class Measure:
     random: bool = False
     label: str = ""
     measured: bool = False
+    adds: bool = False
 
     def check(self, name: str, law: ResistanceLaw) -> None:
         """Refuse a measure that a law of resistance does not give.
@@ -108,16 +110,16 @@ class Measure:
 
 
 MEASURES: dict[str, Measure] = {
-    "mean_draft": Measure(Unit("N"), lambda run: run.mean_draft, measured=True),
+    "mean_draft": Measure(Unit("N"), lambda run: run.mean_draft, measured=True, adds=True),
     "force_rms": Measure(Unit("N"), lambda run: run.force_rms, measured=True),
     "mean_deflection": Measure(Unit("m"), lambda run: run.mean_deflection, measured=True),
     "displacement_rms": Measure(Unit("m"), lambda run: run.displacement_rms, measured=True),
-    "tow_power": Measure(Unit("W"), lambda run: run.tow_power, measured=True),
+    "tow_power": Measure(Unit("W"), lambda run: run.tow_power, measured=True, adds=True),
     "specific_draft": Measure(Unit("Pa"), lambda run: run.specific_draft, ("loosened_radius",)),
     "loosened_radius": Measure(Unit("m"), lambda run: run.scene.loosened_radius, ("loosened_radius",), measured=True),
     "half_angle": Measure(Unit("rad"), lambda run: run.scene.cone.half_angle),
-    "moving_mass": Measure(Unit("kg"), lambda run: run.scene.mass),
-    "added_mass": Measure(Unit("kg"), lambda run: run.scene.carried_soil, ("added_mass",), measured=True),
+    "moving_mass": Measure(Unit("kg"), lambda run: run.scene.mass, adds=True),
+    "added_mass": Measure(Unit("kg"), lambda run: run.scene.carried_soil, ("added_mass",), measured=True, adds=True),
     "cone_index": Measure(Unit("Pa"), lambda run: cone_index(run.scene.soil), ("cone_index",), measured=True),
     "stationary_force_rms": Measure(Unit("N"), lambda run: run.scene.stationary_force_rms, ("motion",), random=True),
     "stationary_displacement_rms": Measure(
@@ -144,7 +146,7 @@ def called(name: str) -> str:
     """Return what tables and pictures call a quantity, a result, a limit of one, or a name of one's own.
 
     Args:
-        name: such as "share.height", "force_rms", "loosened_radius at_least" or "my draft".
+        name: such as "share.height", "front.share.height", "force_rms", "loosened_radius at_least" or "my draft".
     """
     if name in _CALLED:
         return _CALLED[name]
@@ -155,4 +157,7 @@ def called(name: str) -> str:
     first, _, side = name.rpartition(" ")
     if side in _SIDES:
         return f"{called(first)}, {_SIDES[side]}"
+    share, _, key = name.partition(".")
+    if share.isidentifier() and (key in MEASURES or key in EVERY):
+        return f"{called(key)}, {share}"
     return name if " " in name else name.rpartition(".")[2].replace("_", " ")

@@ -64,6 +64,7 @@ class Optimisation:
         """Optimise at a point."""
         problem = fixed_at(self.problem, values)
         best, run = _solved(problem.optimise)
+        assert isinstance(run, Run)  # several shares are refused before a sweep begins
         numbers = {
             "objective": best.objective,
             **best.variables,

@@ -7,7 +7,7 @@ from typing import Any
 
 from plough_opt.core.quantities import EVERY, IN_FILES
 from plough_opt.motion.vocabulary import MEASURES
-from plough_opt.problem_file.schema import LimitTable, ProblemFile, TermTable, VariableTable
+from plough_opt.problem_file.schema import SHARE_TABLES, LimitTable, ProblemFile, TermTable, VariableTable
 
 _DIALECT = "https://json-schema.org/draft/2020-12/schema"
 
@@ -39,6 +39,12 @@ def file_schema() -> dict[str, Any]:
         "additionalProperties": goal,  # results of the file's own
     }
     tables["uncertain"] = {"type": "object"}
+    # What a share leaves out stands above, a bound of its variables too.
+    definitions["VariableOfShare"] = {k: own for k, own in definitions["VariableTable"].items() if k != "required"}
+    own = {name: {"$ref": f"#/properties/{name}"} for name in SHARE_TABLES}
+    own["variables"] = _of(IN_FILES, "VariableOfShare")
+    share = {"type": "object", "properties": own, "additionalProperties": False}
+    tables["shares"] = {"type": "object", "additionalProperties": share}
     return {"$schema": _DIALECT, **_without_null(schema), "title": "plough_opt problem file"}
 
 

@@ -10,6 +10,7 @@ from plough_opt.core.kinds import check_kind
 from plough_opt.core.quantities import quantities
 from plough_opt.problem_file.lines import nested_line
 from plough_opt.problem_file.schema import ProblemTable
+from plough_opt.problem_file.shares import TABLE, choose_share, join_dotted_variables
 from plough_opt.problem_file.source import TOO_DEEP, Source, unreadable
 
 # Characters of a change: a table in one line, and more.
@@ -43,6 +44,10 @@ def apply_override(source: Source, text: str) -> str:
         raise InputError(f"--set {text}: '{path}' is not a key: name a table and a key, like scene.tow_speed")
     if keys[0] not in ProblemTable.model_fields:
         raise InputError(f"--set {text}: no table is named '{keys[0]}': {nearest(keys[0], ProblemTable.model_fields)}")
+    value = _value(written.strip(), text)
+    if keys == [TABLE]:
+        choose_share(source, value)
+        return ""
     place: Any = source.data
     for depth, key in enumerate(keys[:-1], start=1):
         if key not in place:
@@ -50,27 +55,33 @@ def apply_override(source: Source, text: str) -> str:
         place = place.setdefault(key, {})
         if not isinstance(place, dict):
             raise InputError(f"--set {text}: '{path}' is not a key: '{key}' holds a value already")
-    place[keys[-1]] = value = _value(written.strip(), text)
+    place[keys[-1]] = value
     if wrong := unreadable({path: value}):
         raise InputError(f"--set {text}: {wrong[1]}")
     source.overridden[tuple(keys)] = text
-    variables = source.data.get("variables")
-    if isinstance(variables, dict) and variables.pop(".".join(keys), None) is not None:
+    share = 2 if keys[0] == TABLE else 0
+    own = source.data[TABLE][keys[1]] if share else source.data  # whose variables these are
+    if isinstance(own, dict):
+        join_dotted_variables(own)
+    variables = own.get("variables") if isinstance(own, dict) else None
+    if isinstance(variables, dict) and variables.pop(".".join(keys[share:]), None) is not None:
         return f"'{path}' is a variable of the file: it is fixed at {written.strip()}"
     return ""
 
 
 def _split(path: str, text: str) -> list[str]:
     """Split a dotted path; a variable's own dotted name stays whole, with or without quotes."""
-    if not path.startswith("variables."):
+    before, found, rest = path.partition("variables.")
+    around = before.split(".")[:-1]
+    if not found or around not in ([], [TABLE, *around[1:2]]):
         return path.split(".")
-    rest = path.removeprefix("variables.").replace('"', "").replace("'", "")
+    rest = rest.replace('"', "").replace("'", "")
     name, _, side = rest.rpartition(".")
     if rest in quantities():
-        return ["variables", rest]
+        return [*around, "variables", rest]
     if name not in quantities():
         raise InputError(f"--set {text}: '{name or rest}' cannot be a variable: {nearest(name or rest, quantities())}")
-    return ["variables", name, side]
+    return [*around, "variables", name, side]
 
 
 def _value(written: str, text: str) -> Any:

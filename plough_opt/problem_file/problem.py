@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Literal
+from typing import TypeVar
 
 from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import Expression
 from plough_opt.core.kinds import check_switch, mapping_of
 from plough_opt.core.origin import Origin
-from plough_opt.core.quantities import BESIDE, EVERY, MOST_WAVES, QUANTITIES, quantities, wave_table
+from plough_opt.core.quantities import BESIDE, EVERY, QUANTITIES
 from plough_opt.core.units import Display
 from plough_opt.design import Design, Optimum, Over, Progress
 from plough_opt.design.effort import Search
@@ -19,19 +19,22 @@ from plough_opt.design.tolerance import Judge
 from plough_opt.exchange.component import Component, Input, build
 from plough_opt.motion import Run, simulate
 from plough_opt.motion.accuracy import Accuracy
-from plough_opt.motion.effects import Effects, HarmonicBalance, Smooth, StickSlip
+from plough_opt.motion.machine import Machine
 from plough_opt.motion.scene import Scene
+from plough_opt.motion.vocabulary import Measure
+from plough_opt.problem_file.effects import effects_of
 from plough_opt.problem_file.front import EXAMPLE, front_of
 from plough_opt.problem_file.interface import input_ports, wanted_outputs
-from plough_opt.problem_file.named import medium_of, own_effects_of
+from plough_opt.problem_file.named import medium_of
 from plough_opt.problem_file.own_measures import measures_of
-from plough_opt.problem_file.schema import RANDOM, ProblemTable
+from plough_opt.problem_file.schema import ProblemTable
+from plough_opt.problem_file.shares import by_share
 from plough_opt.soil.geometry import Wedge
-from plough_opt.soil.random_strength import RandomStrength, Spectrum
+from plough_opt.soil.random_strength import Spectrum
 from plough_opt.soil.soil import Soil, named_soil
-from plough_opt.soil.waves import StrengthWave
 from plough_opt.studies.tradeoff import Goal, TradeOff, trade_off
 
+_T = TypeVar("_T")
 _READING = "soil.cone_index"
 _SIDES = ("lower", "upper", "guess")
 
@@ -65,6 +68,9 @@ class Problem:
         spectrum: of the record that random strength is read from, if it is.
         text: the whole file.
         overrides: the changes that were made to it, in order.
+        shares: name of a share -> the file as it is for this share alone; empty for one share without a name. Of
+            several shares, ``fixed``, ``variables`` and the table ``require`` hold what is common under its own key,
+            and what is of one share under "front.share.height".
     """
 
     name: str
@@ -78,6 +84,7 @@ class Problem:
     spectrum: Spectrum | None = None
     text: str = field(default="", repr=False)
     overrides: tuple[str, ...] = ()
+    shares: Mapping[str, Problem] = field(default_factory=dict)
 
     @property
     def title(self) -> str:
@@ -87,11 +94,18 @@ class Problem:
     @property
     def cautions(self) -> tuple[str, ...]:
         """Values that are so unusual in the unit that the file gives them in that another was probably meant."""
+        if self.shares:
+            return tuple(dict.fromkeys(text for part in self.shares.values() for text in part.cautions))
         bounds = {f"{key} {side}": (key, getattr(v, side)) for key, v in self.variables.items() for side in _SIDES}
         every = {**{key: (key, value) for key, value in self.fixed.items()}, **bounds}
         found = ((name, self.origin.display(key, EVERY[key].unit, x), x, EVERY[key].slip(x))
                  for name, (key, x) in every.items())  # fmt: skip
         return tuple(f"{name} = {display.text(x)}: {slip}" for name, display, x, slip in found if slip)
+
+    @property
+    def parts(self) -> Mapping[str, Problem]:
+        """The file as it is for each of its shares; for itself under "" where it has one share without a name."""
+        return self.shares or {"": self}
 
     @property
     def origin(self) -> Origin:
@@ -123,7 +137,16 @@ class Problem:
         return found
 
     def scene(self, changes: Mapping[str, Expression] | None = None) -> Scene:
-        """Return the scene with the variables at their guesses, or with changed values, numbers or symbols."""
+        """Return the scene with the variables at their guesses, or with changed values, numbers or symbols.
+
+        Raises:
+            InputError: the file has several shares.
+        """
+        if self.shares:
+            raise InputError(
+                f"{self.name} has several shares, {', '.join(self.shares)}, and this is of one: choose it by --set"
+                f" shares={next(iter(self.shares))}, in Python by problem.shares"
+            )
         values = self.values(changes)
         share = Wedge(
             angle=values["share.wedge_angle"],
@@ -138,7 +161,7 @@ class Problem:
             stiffness=values["scene.stiffness"],
             mass=values["scene.frame_mass"] + steel,
             tow_speed=values["scene.tow_speed"],
-            effects=self._effects(values),
+            effects=effects_of(self.table.effects, values, self.spectrum),
             medium=medium_of(self.table.scene.medium),
         )
 
@@ -164,31 +187,25 @@ class Problem:
         note = {"name": f"{base.name}, changed", "source": f"{base.source}; changed in {self.name}: {changed}"}
         return Soil(**(properties | note))
 
-    def _effects(self, values: Mapping[str, Expression]) -> Effects:
-        table = self.table.effects
-        tables = [name for name in map(wave_table, range(1, MOST_WAVES + 1)) if f"{name}.amplitude" in values]
-        waves = [
-            StrengthWave(values[f"{name}.amplitude"], values[f"{name}.wavelength"], values.get(f"{name}.phase", 0.0))
-            for name in tables
-        ]
-        random = [values.get(f"{RANDOM}.{key}") for key in ("rms", "correlation_length")]
-        return Effects(
-            motion=table.motion,
-            inertial_drag=table.inertial_drag,
-            added_mass=table.added_mass,
-            ambient_pressure=table.ambient_pressure,
-            contact=_contact(table.contact, values),
-            start=table.start,
-            entry=table.entry,
-            strength_wave=waves[0] if len(waves) == 1 else tuple(waves) or None,
-            random_strength=RandomStrength(*random) if None not in random else self.spectrum,
-            tow_ramp=values.get("effects.tow_ramp"),
-            damping=values.get("effects.damping"),
-            rate_term=values.get("effects.rate_term"),
-            orbit=HarmonicBalance(table.harmonics) if table.orbit == "harmonic_balance" else table.orbit,
-            formulation=table.formulation,
-            own=own_effects_of(table.own),
-        )
+    def machine(self, changes: Mapping[str, float] | None = None) -> Machine:
+        """Simulate all shares of a file with several."""
+        runs = {name: part.simulate(self._of_share(name, self.values(changes))) for name, part in self.shares.items()}
+        return Machine(runs, self.origin)
+
+    def _of_share(self, share: str, values: Mapping[str, _T]) -> dict[str, _T]:
+        """Return what a share has, by its own keys, of values by those of all shares."""
+        found = {}
+        for name, value in values.items():
+            whose, key = self._split(name)
+            own = f"{share}.{key}"
+            if whose == share or not (whose or own in self.variables or own in self.fixed):
+                found[key] = value
+        return found
+
+    def _split(self, name: str) -> tuple[str, str]:
+        """Return share and key of a name such as "front.share.height"; no share where all have it."""
+        share, _, key = name.partition(".")
+        return (share, key) if share in self.shares else ("", name)
 
     def simulate(self, changes: Mapping[str, float] | None = None) -> Run:
         """Simulate the scene of `scene`."""
@@ -196,8 +213,8 @@ class Problem:
         run = simulate(self.scene(changes), duration, accuracy=self.accuracy, outputs=outputs)
         return replace(run, origin=self.origin)
 
-    def design(self, *, parameters: bool = False) -> tuple[Design, Run]:
-        """Return the design and its symbolic run.
+    def design(self, *, parameters: bool = False) -> tuple[Design, Run | Machine]:
+        """Return the design and its symbolic run, of several shares those of all.
 
         Args:
             parameters: declare every quantity that is no variable as a parameter of the design under its key, so that
@@ -210,16 +227,16 @@ class Problem:
         self._refuse_without_variables()
         if not self.table.minimise:
             raise InputError(f"{self.name}: nothing to minimise: a [minimise] table is missing")
-        design, run = self._required(parameters)
-        design.minimise(self._objective(run), over=self.over)
-        return design, run
+        design, runs = self._required(parameters)
+        design.minimise(self._objective(*runs.values()), over=self.over)
+        return design, Machine(runs) if self.shares else runs[""]
 
-    def _objective(self, run: Run) -> Expression:
-        """Return the sum of the [minimise] table."""
+    def _objective(self, *runs: Run) -> Expression:
+        """Return the sum of the [minimise] table, over all shares."""
         objective: Expression = 0.0
         measures = measures_of(self.table)
         for name, term in self.table.minimise.items():
-            objective = objective + measures[name].of(run) / measures[name].unit.parse(term.per)
+            objective = objective + _sum(measures[name], runs) / measures[name].unit.parse(term.per)
         return objective
 
     def _refuse_without_variables(self) -> None:
@@ -227,40 +244,48 @@ class Problem:
             why = "every variable is fixed" if self.notes else "a [variables] table is missing"
             raise InputError(f"{self.name}: nothing to choose: {why}")
 
-    def _required(self, parameters: bool = False) -> tuple[Design, Run]:
-        """Return the design with its requirements and without an objective, and its symbolic run."""
+    def _required(self, parameters: bool = False) -> tuple[Design, dict[str, Run]]:
+        """Return the design with its requirements and without an objective, and the symbolic run of each share."""
         design = Design()
         symbols = {
-            key: design.variable(
-                key,
+            name: design.variable(
+                name,
                 guess=v.guess,
                 lower=v.lower,
                 upper=v.upper,
                 unit=v.unit,
                 log=v.log,
                 tolerance=v.tolerance,
-                domain=_domain(key),
+                domain=_domain(self._split(name)[1]),
                 display=v.display,
             )
-            for key, v in self.variables.items()
+            for name, v in self.variables.items()
         }
-        scene = self.scene(symbols)
+        chosen = dict(symbols)
         if parameters:
-            units = quantities()
-            symbols |= {
-                key: design.parameter(key, x, unit=units[key].symbol, domain=_domain(key))
-                for key, x in self._numbers().items()
-            }
+            for name, x in self._numbers().items():
+                key = self._split(name)[1]
+                symbols[name] = design.parameter(name, x, unit=EVERY[key].unit, domain=_domain(key))
+        runs = {name: part._symbolic(*(self._of_share(name, own) for own in (symbols, chosen)))
+                for name, part in self.parts.items()}  # fmt: skip
+        known = measures_of(self.table)
+        for name, limit in self.table.require.items():
+            share, result = self._split(name)
+            measure = known[result]
+            low, high = (None if side is None else measure.unit.parse(side) for side in (limit.at_least, limit.at_most))
+            value = _sum(measure, [runs[share]] if share in runs else [*runs.values()])
+            design.require(name, value, at_least=low, at_most=high, unit=measure.unit.symbol,
+                           display=self.displays.get(name))  # fmt: skip
+        return design, runs
+
+    def _symbolic(self, symbols: Mapping[str, Expression], chosen: Mapping[str, Expression]) -> Run:
+        """Return the run of the scene with symbols for its quantities, of which some are chosen by the design."""
+        scene = self.scene(chosen)
+        if len(symbols) > len(chosen):
             soil = replace(self.scene(symbols).soil, name=scene.soil.name, source=scene.soil.source)
             scene = replace(self.scene(symbols), soil=soil)
         duration = self.values(symbols).get("scene.duration")
-        run = simulate(scene, duration, accuracy=self.accuracy, outputs=self.table.scene.outputs)
-        for name, limit in self.table.require.items():
-            measure = measures_of(self.table)[name]
-            low, high = (None if side is None else measure.unit.parse(side) for side in (limit.at_least, limit.at_most))
-            design.require(name, measure.of(run), at_least=low, at_most=high, unit=measure.unit.symbol,
-                           display=self.displays.get(name))  # fmt: skip
-        return design, run
+        return simulate(scene, duration, accuracy=self.accuracy, outputs=self.table.scene.outputs)
 
     def component(
         self,
@@ -301,6 +326,10 @@ class Problem:
 
     def _numbers(self) -> dict[str, float]:
         """Return every quantity that is no variable, by key, the properties of a named soil included."""
+        if self.shares:
+            given = {share: {key for key in part.fixed if f"{share}.{key}" in self.fixed}
+                     for share, part in self.shares.items()}  # fmt: skip
+            return by_share({share: part._numbers() for share, part in self.shares.items()}, given)
         soil = self.scene().soil
         own = {name: getattr(soil, one.key) for name, one in QUANTITIES.items() if one.owner == "soil"}
         every = {**own, **self.fixed}
@@ -316,12 +345,18 @@ class Problem:
         search: Search = "auto",
         judge: Judge = "tolerance",
         seed: int = 0,
-    ) -> tuple[Optimum, Run]:
-        """Return the optimum and its run of numbers: see `design` for ``parameters``, `Design.solve` for the rest."""
+    ) -> tuple[Optimum, Run | Machine]:
+        """Return the optimum and its run of numbers, of several shares those of all.
+
+        See `design` for ``parameters``, and `Design.solve` for the rest.
+        """
         design, run = self.design(parameters=parameters)
         best = design.solve(search=search, judge=judge, seed=seed, progress=progress)
-        origin = self.made(seed)
-        found = replace(best(run), origin=origin)
+        origin, found = self.made(seed), best(run)
+        if self.shares:
+            runs = {name: replace(own, origin=self.shares[name].made(seed)) for name, own in found.runs.items()}
+            found = replace(found, runs=runs)
+        found = replace(found, origin=origin)
         return replace(best, run=found, origin=origin), found
 
     def trade_off(self, points: int | None = None, progress: Progress | None = None) -> TradeOff:
@@ -338,10 +373,10 @@ class Problem:
         if self.table.trade_off is None:
             raise InputError(f"{self.name}: nothing to trade: add a table {EXAMPLE}")
         table = front_of(self.table.trade_off)
-        design, run = self._required()
+        design, runs = self._required()
         measures = measures_of(self.table)
         goals = [
-            Goal(name, measures[name].of(run), measures[name].unit.symbol, maximise)
+            Goal(name, _sum(measures[name], [*runs.values()]), measures[name].unit.symbol, maximise)
             for name, maximise in table.maximise.items()
         ]
         count = table.points if points is None else points
@@ -349,16 +384,13 @@ class Problem:
         return replace(found, origin=self.origin)
 
 
+def _sum(measure: Measure, runs: Sequence[Run]) -> Expression:
+    """Return a result of one run, or the sum over several."""
+    first, *rest = map(measure.of, runs)
+    return sum(rest, first)
+
+
 def _domain(key: str) -> tuple[float, float]:
     """Return the ends of the model's domain of a quantity."""
     quantity = EVERY[key]
     return quantity.low, quantity.high
-
-
-def _contact(law: str, values: Mapping[str, Expression]) -> Literal["resisting"] | Smooth | StickSlip:
-    """Return the contact law that a file names."""
-    if law == "smooth":
-        return Smooth(values["effects.contact_width"])
-    if law == "stick_slip":
-        return StickSlip(values.get("effects.breakaway", StickSlip.breakaway))
-    return "resisting"

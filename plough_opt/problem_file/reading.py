@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 import math
 import re
@@ -20,6 +21,7 @@ from plough_opt.design import Over
 from plough_opt.laws.law import ResistanceLaw
 from plough_opt.motion.accuracy import Accuracy
 from plough_opt.motion.vocabulary import Measure
+from plough_opt.problem_file.frame import joined
 from plough_opt.problem_file.front import TABLE, check_front
 from plough_opt.problem_file.overrides import apply_override
 from plough_opt.problem_file.own_measures import check_own, display_of_own, measures_of
@@ -37,6 +39,8 @@ from plough_opt.problem_file.schema import (
     TermTable,
     VariableTable,
 )
+from plough_opt.problem_file.shares import TABLE as TABLE_OF_SHARES
+from plough_opt.problem_file.shares import choose_share, join_dotted_variables, names_of_shares
 from plough_opt.problem_file.source import Keys, Source
 from plough_opt.problem_file.strength_file import spectrum_of_file
 from plough_opt.problem_file.uncertain import check_joint, check_uncertain, join_dotted
@@ -61,11 +65,24 @@ def read_problem(path: str | Path, overrides: Iterable[str] = ()) -> Problem:
     check_kind("overrides", overrides, list | tuple, "a list of texts such as 'scene.tow_speed=\"2.5 m/s\"'")
     overrides = tuple(overrides)
     notes = tuple(note for text in overrides if (note := apply_override(source, text)))
-    _join_dotted_variables(source.data)
+    names = names_of_shares(source)
+    if not names:
+        return _read(source, Path(path).parent, notes, overrides)
+    parts, own = {}, {}
+    for name in names:
+        view = copy.copy(source)
+        own[name] = choose_share(view, name)
+        parts[name] = _read(view, Path(path).parent, notes, (*overrides, f"{TABLE_OF_SHARES}={name}"))
+    return joined(parts, own, overrides)
+
+
+def _read(source: Source, folder: Path, notes: tuple[str, ...], overrides: tuple[str, ...]) -> Problem:
+    """Return what a file says of one share."""
+    join_dotted_variables(source.data)
     join_dotted(source.data)
     over = _over(source)
-    readings = average_readings(source, Path(path).parent)
-    spectrum = spectrum_of_file(source, Path(path).parent)
+    readings = average_readings(source, folder)
+    spectrum = spectrum_of_file(source, folder)
     try:
         table = ProblemFile.model_validate(source.data)
     except ValidationError as error:
@@ -92,24 +109,6 @@ def check_changed(problem: Problem) -> None:
     source.raise_noted()
     _check_values(source, problem)
     source.raise_noted()
-
-
-def _join_dotted_variables(data: dict[str, Any]) -> None:
-    """Read share.height = {...} under [variables], without quotes, as "share.height" = {...}."""
-    variables = data.get("variables")
-    if not isinstance(variables, dict):
-        return
-    for key in quantities():
-        *tables, name = key.split(".")
-        place: Any = variables
-        for table in tables:
-            place = place.get(table) if isinstance(place, dict) else None
-        if isinstance(place, dict) and name in place:
-            variables[key] = place.pop(name)
-    for table in ("soil", "share", "scene", "effects"):
-        left = variables.get(table)
-        if isinstance(left, dict) and not any(left.values()):
-            del variables[table]
 
 
 def _over(source: Source) -> Over | None:

@@ -27,6 +27,8 @@ from plough_opt.soil.soil import Adjust
 Written = StrictStr | StrictFloat
 RANDOM = "effects.random_strength"
 """The table of random strength."""
+SHARE_TABLES = ("soil", "share", "scene", "effects", "variables", "require")
+"""The tables that may say something else of one share of several."""
 
 
 _T = TypeVar("_T", bound="Table")
@@ -174,6 +176,7 @@ class ProblemTable(Table):
     measures: dict[str, MeasureTable] = {}
     trade_off: dict[str, Any] | None = None  # read by plough_opt.problem_file.front
     uncertain: dict[str, Any] | None = None  # read by plough_opt.problem_file.uncertain
+    shares: dict[str, dict[str, Any]] = {}  # read by plough_opt.problem_file.shares
 
 
 def _with_quantities(name: str, table: type[_T], owner: str = "", **fields: Any) -> type[_T]:

@@ -50,6 +50,7 @@ class Source:
         self.text = text.replace("\r\n", "\n")
         self.overridden: dict[Keys, str] = {}
         self.begun: dict[Keys, str] = {}  # tables that an override had to make
+        self.share: Keys = ()  # where the table of the share stands that was chosen from several
         self._noted: list[InputError] = []
         self._unlisted = 0  # mistakes that are counted only
         for number, line in enumerate(self.text.split("\n"), start=1):
@@ -96,7 +97,8 @@ class Source:
 
     def line_of(self, keys: Sequence[str]) -> int | None:
         """Return the line on which a key, or failing that the table around it, begins."""
-        places = (".".join(keys[:count]) for count in range(len(keys), 0, -1))
+        tables = ((*self.share,), ()) if self.share else ((),)
+        places = (".".join((*table, *keys[:count])) for count in range(len(keys), 0, -1) for table in tables)
         return next((self._line_of[place] for place in places if place in self._line_of), None)
 
     @cached_property
@@ -106,6 +108,7 @@ class Source:
     def error(self, keys: Sequence[str], message: str) -> InputError:
         """Return an error about a key, with its line or the override that set it."""
         for path, text in self.overridden.items():
+            path = path[len(self.share) :] if self.share and path[: len(self.share)] == self.share else path
             within_entry = keys[0] in ("variables", "minimise", "require") and len(keys) >= 2
             if path == tuple(keys[: len(path)]) or (within_entry and path[:2] == tuple(keys) and path[2] != "log"):
                 return PlacedError(f"--set {text}: {message}", 0)

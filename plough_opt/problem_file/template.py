@@ -55,6 +55,11 @@ loosened_radius = { at_least = "0.15 m" }
 half_angle      = { at_most = "15 deg" }     # of the equivalent cone; above 20 deg the theory does not hold
 deflection      = { at_most = "0.12 m" }     # at every output time; mean_deflection limits the average
 
+# [shares.front]                  # several shares in one frame, designed as one machine: each has a table that says
+# [shares.rear]                   # what differs from the tables above, an empty one for nothing
+# soil.cohesion = "15 kPa"
+# variables."share.height" = { upper = "0.4 m" }        # chosen for this share alone
+
 # [measures]                      # results of your own, to minimise, require or trade like the others
 # power_per_width = { value = "tow_power / (2 * loosened_radius)", unit = "kW/m" }
 """

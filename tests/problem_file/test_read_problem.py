@@ -105,8 +105,9 @@ def test_what_the_template_comments_out_is_right_too(read):
     left = ("motion", "damping", "formulation", "medium")
     text = "\n".join(line for line in lines if not line.startswith(left))
     problem = read(text)
-    scene = problem.scene()
+    scene = problem.shares["front"].scene()
     assert scene.soil.cohesion == pytest.approx(25e3)
+    assert problem.shares["rear"].scene().soil.cohesion == pytest.approx(15e3)
     assert scene.soil.ambient_pressure == pytest.approx(5e3)
     assert (scene.effects.tow_ramp, scene.effects.rate_term) == (0.5, pytest.approx(0.01))
     assert problem.table.scene.outputs == 400

@@ -5,6 +5,8 @@ from __future__ import annotations
 from plough_opt.app.page.content import Report
 from plough_opt.core.errors import InputError, NotConverged
 from plough_opt.design import Progress, Sensitivity
+from plough_opt.motion import Run
+from plough_opt.motion.machine import Machine
 from plough_opt.problem_file import Problem
 from plough_opt.studies.accuracy.study import study_accuracy
 
@@ -22,6 +24,7 @@ def reported(problem: Problem, told: Progress, *, seed: int = 0, accuracy: bool 
         accuracy: whether to study what accuracy costs.
     """
     best, unknown = None, ""
+    run: Run | Machine
     sensitivities: tuple[Sensitivity, ...] = ()
     if problem.variables:
         best, run = problem.optimise(told, parameters=True, seed=seed)
@@ -33,6 +36,7 @@ def reported(problem: Problem, told: Progress, *, seed: int = 0, accuracy: bool 
     else:
         told("simulating", 0.0)
         run = problem.simulate()
+    assert isinstance(run, Run)  # several shares are refused
     study = None
     if accuracy:
         lasting = run.scene.effects.orbit != "transient"

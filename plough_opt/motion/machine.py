@@ -1,0 +1,118 @@
+"""Machine: the runs of several shares in one frame, which draws all of them at one speed."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+from plough_opt.core.expressions import Expression
+from plough_opt.core.origin import Origin
+from plough_opt.core.picture_files import drawn
+from plough_opt.core.tables import Grid, Page, Readable
+from plough_opt.motion.response import response_table
+from plough_opt.motion.run import Run
+
+if TYPE_CHECKING:
+    import pandas
+    from matplotlib.figure import Figure
+
+
+_NUMBER: Final = re.compile(r"\d[\d.e+-]*")
+
+
+def alike_once(sentences: Sequence[str]) -> list[str]:
+    """Return sentences each once; of those that differ in numbers only, the first, which says of how many it speaks."""
+    alike: dict[str, list[str]] = {}
+    for text in dict.fromkeys(sentences):
+        alike.setdefault(_NUMBER.sub("#", text), []).append(text)
+    return [
+        own[0] if len(own) == 1 else f"{own[0]}; and with other numbers in {len(own) - 1} further scenes of this design"
+        for own in alike.values()
+    ]
+
+
+@dataclass(frozen=True, repr=False, eq=False)
+class Machine(Readable):
+    """The runs of several shares in one frame.
+
+    Attributes:
+        runs: name of a share -> its run.
+        origin: what made it.
+
+    Example:
+        >>> import plough_opt as po
+        >>> soil, share = po.named_soil("serozem"), po.Wedge("30 deg", "15 deg", "25 cm")
+        >>> runs = {
+        ...     name: po.simulate(po.Scene(soil, share, stiffness, 30.0, 2.0, po.Effects(motion=False)), 1.0)
+        ...     for name, stiffness in (("front", 5e4), ("rear", 1e5))
+        ... }
+        >>> machine = po.Machine(runs)
+        >>> round(float(machine.mean_draft / runs["front"].mean_draft), 9)
+        2.0
+    """
+
+    runs: Mapping[str, Run]
+    origin: Origin = field(default=Origin())
+
+    @property
+    def mean_draft(self) -> Expression:
+        """Mean draft of all shares together [N]."""
+        return sum(run.mean_draft for run in self.runs.values())
+
+    @property
+    def tow_power(self) -> Expression:
+        """Power that the frame needs for all shares [W]."""
+        return sum(run.tow_power for run in self.runs.values())
+
+    @property
+    def error_estimate(self) -> float:
+        """The largest error estimate of the runs, relative [-]."""
+        return max(run.error_estimate for run in self.runs.values())
+
+    @property
+    def seconds(self) -> float:
+        """Time that all runs and their checks took [s]."""
+        return sum(run.seconds for run in self.runs.values())
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What a reader of the numbers must know of any of the shares."""
+        return tuple(alike_once([text for run in self.runs.values() for text in run.warnings]))
+
+    def page(self) -> Page:
+        """Return the results of all shares side by side, and of the frame."""
+        trust = f"relative error about {self.error_estimate:.0e}, {self.seconds:.2f} s"
+        return Page(
+            f"{len(self.runs)} shares in one frame", (self.response(),), self.warnings, trust, self.origin.title
+        )
+
+    def response(self) -> Grid:
+        """Return the table of the results, a column for each share, and one for what adds up; one unit in a row."""
+        return response_table(self.runs, self.origin)
+
+    def to_dataframe(self) -> pandas.DataFrame:
+        """Return a row for each share and output time, SI; ``attrs["units"]`` has the units.
+
+        Raises:
+            InputError: symbolic runs, or pandas is not installed.
+        """
+        frames = {name: run.to_dataframe() for name, run in self.runs.items()}
+        import pandas
+
+        found = pandas.concat(frames, names=["share", None]).reset_index("share").reset_index(drop=True)
+        found.attrs["units"] = next(iter(frames.values())).attrs["units"]
+        return found
+
+    def plot(self, target: str | Path | None = None) -> Figure:
+        """Draw mount force and deflection of every share over time.
+
+        Args:
+            target: file to write (.png, .svg, .pdf), or None.
+
+        Raises:
+            InputError: a file name without a known ending, or a place that cannot be written.
+        """
+        return drawn("plot_machine", self, target=target)

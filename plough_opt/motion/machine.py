@@ -8,7 +8,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
+from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import Expression
+from plough_opt.core.kinds import check_kind, mapping_of, shown
 from plough_opt.core.origin import Origin
 from plough_opt.core.picture_files import drawn
 from plough_opt.core.tables import Grid, Page, Readable
@@ -42,6 +44,9 @@ class Machine(Readable):
         runs: name of a share -> its run.
         origin: what made it.
 
+    Raises:
+        InputError: no runs, or something else among them.
+
     Example:
         >>> import plough_opt as po
         >>> soil, share = po.named_soil("serozem"), po.Wedge("30 deg", "15 deg", "25 cm")
@@ -56,6 +61,13 @@ class Machine(Readable):
 
     runs: Mapping[str, Run]
     origin: Origin = field(default=Origin())
+
+    def __post_init__(self) -> None:
+        runs = mapping_of("runs", self.runs, "a share's name -> its run")
+        for name, run in runs.items():
+            check_kind(f"the run of {shown(name)}", run, Run, "a Run, as po.simulate returns one")
+        if not runs:
+            raise InputError("a machine needs the run of one share or more")
 
     @property
     def mean_draft(self) -> Expression:

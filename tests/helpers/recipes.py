@@ -194,6 +194,7 @@ def recipes():
             "sigma": 100.0, "weights": None, "time": None, "name": "a", "lines": ()}),
         "Measurements.row": (lambda **a: measured().row(**a), {"number": 1}),
         "Measurements.at": (lambda **a: measured().at(**a), {"number": 1}),
+        "Machine": (po.Machine, {"runs": {"left": po.simulate(moving(5e4), 0.1)}}),
         "Optimum()": (lambda **a: optimum()(**a), {"item": design()[1]}),
         "Optimum.sensitivity": (lambda **a: optimum().sensitivity(**a), {"name": "speed", "check": False}),
         "Optimum.rounded": (lambda angle: optimum().rounded(angle=angle), {"angle": 0.01}),

@@ -14,7 +14,7 @@ from plough_opt.studies.tradeoff.caveats import caveats
 from plough_opt.studies.tradeoff.certificate import FrontPoint, certify
 from plough_opt.studies.tradeoff.front import Hole
 from plough_opt.studies.tradeoff.goal import Axis, Goal
-from plough_opt.studies.tradeoff.notes import against_the_search, looked_at, notes_on
+from plough_opt.studies.tradeoff.notes import looked_at, notes_on
 from plough_opt.studies.tradeoff.plane import Array
 from plough_opt.studies.tradeoff.program import FrontProgram
 from plough_opt.studies.tradeoff.result import TradeOff
@@ -50,7 +50,6 @@ def assembled(
     if not samples:
         raise NotConverged(f"no point of the front could be certified: {failures[-1].reason}", "Not_Certified")
     points = certified.points(samples)
-    at = np.array([front.normalised(np.array(point.objectives) * signs / front.scales) for point in points])
     others = certified.points(certified.others())
     variables = front.program.declared.variables
     return TradeOff(
@@ -65,7 +64,6 @@ def assembled(
         holes=tuple(hole(points[a], points[b], failures, signs) for a, b in order.holes),
         notes=(
             *notes_on(tracer, goals, points),
-            *against_the_search(tracer, at),
             *_caveats(front, samples),
         ),
         search=looked_at(tracer),

@@ -43,6 +43,8 @@ class FrontPoint:
             one by one, which takes too long.
         needle: whether the median of some objective is worse than its own by more than 5 % of it and of its range over
             the front: no workshop can hit such a design.
+        confirmed: whether it is certified as a local optimum; False of a design that is simulated and meets all
+            requirements, and beside which the optimiser found no optimum that can be made.
     """
 
     objectives: tuple[float, ...]
@@ -58,13 +60,14 @@ class FrontPoint:
     weights: tuple[float, ...] | None = None
     medians: tuple[float, ...] | None = None
     needle: bool = False
+    confirmed: bool = True
 
     @property
     def doubt(self) -> str:
-        """Why this is no certified optimum; empty for one that is."""
-        if not self.residual <= _RESIDUAL:
+        """Why this does not belong to a front; empty where it does."""
+        if self.confirmed and not self.residual <= _RESIDUAL:
             return f"the first-order conditions are met to {self.residual:.1e} only"
-        if self.curvature is not None and not self.curvature >= _BENDS_DOWN:
+        if self.confirmed and self.curvature is not None and not self.curvature >= _BENDS_DOWN:
             return f"it is no minimum: in a direction that no limit holds the curvature is {self.curvature:.1e}"
         if not self.violation <= _VIOLATED:
             return f"integrated tightly it violates a requirement by a relative {self.violation:.1e}"
@@ -107,6 +110,7 @@ def certify(front: FrontProgram, sample: Sample, signs: Vector) -> FrontPoint:
         gap=front.gap(point.y, sample.level),
         curvature=front.levels[sample.level].least_curvature(point, sample.p),
         weights=weights,
+        confirmed=sample.confirmed,
     )
 
 

@@ -45,7 +45,7 @@ class Front:
         title: of the question.
         goals: the objectives.
         variables: the design's variables.
-        points: certified designs that no other dominates which was found.
+        points: designs that no other dominates which was found: certified optima, and what is named as unconfirmed.
         dominated: certified local optima that some design beats in all objectives.
         failures: positions without a certified design, and why.
         parts: numbers of the points of each connected part.

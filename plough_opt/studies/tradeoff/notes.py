@@ -8,10 +8,7 @@ import numpy as np
 
 from plough_opt.studies.tradeoff.certificate import FrontPoint
 from plough_opt.studies.tradeoff.goal import Goal
-from plough_opt.studies.tradeoff.missing import beating
-from plough_opt.studies.tradeoff.plane import Array
-from plough_opt.studies.tradeoff.reaching import NOT_REACHED, Reaching
-from plough_opt.studies.tradeoff.samples import MATTERS
+from plough_opt.studies.tradeoff.reaching import Reaching
 
 # Relative ranges of all objectives below this are hardly a conflict, of one of them below the second too small to act
 # on; below the third they are rounding.
@@ -19,7 +16,7 @@ _HARDLY, _SMALL, _ROUNDING = 0.02, 1e-3, 1e-8
 
 
 def notes_on(tracer: Reaching, goals: Sequence[Goal], points: Sequence[FrontPoint]) -> tuple[str, ...]:
-    """Return sentences on objectives that hardly conflict, on needles, and on an error that is larger than wanted."""
+    """Return sentences on objectives that hardly conflict, on needles, on what is no optimum, and on the error."""
     front = tracer.front
     notes = []
     names = [f"'{goal.name}'" for goal in goals]
@@ -27,9 +24,7 @@ def notes_on(tracer: Reaching, goals: Sequence[Goal], points: Sequence[FrontPoin
     values = np.array([point.objectives for point in points])
     ranges = np.ptp(values, axis=0) / np.maximum(np.max(np.abs(values), axis=0), np.finfo(float).tiny)
     small = [k for k, change in enumerate(ranges) if change < _SMALL]
-    if len(points) == 1 and any(failure.reason.startswith(NOT_REACHED) for failure in tracer.failures):
-        notes.append(f"of {listed} one design was found alone, though some were seen that are better in one of them")
-    elif len(points) == 1:
+    if len(points) == 1:
         best = "both" if len(goals) == 2 else "all three"
         given_up = tracer.front.rounded_off
         within = f", to within {100.0 * given_up:.2g} %" if given_up > _ROUNDING else ""
@@ -52,6 +47,11 @@ def notes_on(tracer: Reaching, goals: Sequence[Goal], points: Sequence[FrontPoin
     if any(point.needle for point in points):
         count = sum(point.needle for point in points)
         notes.append(f"{count} of {len(points)} designs are needles: within their tolerances no workshop can hit them")
+    if unconfirmed := sum(not point.confirmed for point in points):
+        notes.append(
+            f"{unconfirmed} of {len(points)} designs are unconfirmed: simulated, and better than every optimum found that"
+            " can be made, but no optima themselves"
+        )
     wanted, gap = front.wanted_error, max(point.gap for point in points)
     if wanted is not None and gap > wanted:
         notes.append(f"the wanted relative error {wanted:.1e} was not reached everywhere: the largest is {gap:.1e}")
@@ -66,32 +66,6 @@ def looked_at(tracer: Reaching) -> str:
     over = ", ".join(cloud.front.program.declared.variables[k].name for k in vary)
     slow = "" if cloud.vectorised else ", few because their runs are integrated one by one"
     return f"{cloud.tried} designs tried over {over}{slow}."
-
-
-def against_the_search(tracer: Reaching, at: Array) -> tuple[str, ...]:
-    """Return a sentence where some design that was looked at is better than points of the front.
-
-    Args:
-        tracer: what searched.
-        at: normalised objectives of the front's points.
-    """
-    worst = by_how_much(tracer, at) if tracer.searcher.vary else 0.0
-    if worst <= MATTERS:
-        return ()
-    return (
-        "some designs that were looked at, and can be made, are better than a point of the front in every objective,"
-        f" by up to {100.0 * worst:.2g} % of the ranges: search more thoroughly",
-    )
-
-
-def by_how_much(tracer: Reaching, at: Array) -> float:
-    """Return by how much a design of the cloud that is no needle is better in all objectives than a point, or 0."""
-    y, scaled = tracer.cloud.feasible
-    designs = tracer.front.normalised(scaled)
-    much = beating(at, designs)
-    better = np.flatnonzero(much > MATTERS)
-    sound = better[~tracer.cloud.needles(y[better], scaled[better])]
-    return float(np.max(much[sound], initial=0.0))
 
 
 def _listed(words: Sequence[str]) -> str:

@@ -145,6 +145,8 @@ def draw_front(axes: Axes, front: Drawing) -> None:
         colour = COLOURS[number % len(COLOURS)]
         axes.plot(own[:, 0], own[:, 1], "o-", color=colour, markersize=4, linewidth=1.3, zorder=4,
                   label=label)  # fmt: skip
+    if len(open_ones := places[[not point.confirmed for point in front.points]]):
+        axes.plot(open_ones[:, 0], open_ones[:, 1], "o", color="white", markersize=3, zorder=5, label="unconfirmed")
     for number, (before, after) in enumerate(zip(front.parts, front.parts[1:], strict=False)):
         ends = places[[before[-1], after[0]]]
         axes.plot(ends[:, 0], ends[:, 1], ":", color="black", linewidth=1.0, zorder=3,

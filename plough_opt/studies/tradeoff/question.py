@@ -120,7 +120,7 @@ def trade_off(
         tracer.trace(anchors)
         _refine(tracer, front, told)
         tracer.look_inward()
-    tracer.confess()
+    tracer.add_unconfirmed()
     told("checking", 0.0)
     return assembled(front, tracer, goals, title, Times(started, building))
 

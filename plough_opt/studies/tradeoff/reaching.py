@@ -19,14 +19,11 @@ from plough_opt.studies.tradeoff.samples import (
     NOT_WORSE,
     OTHERS,
     ROUGHLY,
-    Failure,
+    SOUGHT,
     Sample,
     Samples,
 )
 from plough_opt.studies.tradeoff.searching import Searcher
-
-NOT_REACHED = "Not_Reached"
-"""Status of a design that was seen beyond the front, and beside which the optimiser found none."""
 
 # Rounds of following missed designs, and how many in each.
 _ROUNDS, _AT_ONCE = 12, 6
@@ -36,6 +33,8 @@ _LOOKS = 4
 _SPREADS = 0.1, 0.03, 0.01, 0.003
 # At how many others: between the ripples of a force they must see the dips.
 _BESIDE = 4096
+# The same of missed designs that are no optima, as those at the edge of a needle are.
+_EDGE_SPREADS, _BESIDE_EDGE = (0.03, 0.01, 0.003, 0.001), 1024
 
 
 class Reaching(Samples):
@@ -74,8 +73,12 @@ class Reaching(Samples):
             open_ones = np.flatnonzero(beyond > 0.0)
             best = y[open_ones[thinned(at[open_ones], ROUGHLY)]]
             best = np.vstack([best, *(sample.point.y for sample in self.ordered())])
-            parents = best[rng.integers(len(best), size=_BESIDE)]
-            self.cloud.look(np.clip(parents + spread * rng.standard_normal(parents.shape), 0.0, 1.0))
+            self._look_around(best, spread, _BESIDE, rng)
+
+    def _look_around(self, best: Vector, spread: float, count: int, rng: np.random.Generator) -> None:
+        """Look at so many designs about some, as far from them as a spread says."""
+        parents = best[rng.integers(len(best), size=count)]
+        self.cloud.look(np.clip(parents + spread * rng.standard_normal(parents.shape), 0.0, 1.0))
 
     def _held_against_samples(self) -> tuple[Vector, Vector, Vector]:
         """Return the cloud's designs, their normalised objectives, and by how much each is better than all samples.
@@ -152,7 +155,7 @@ class Reaching(Samples):
         """Follow the designs that the front misses now; return whether any led to what no sample was as good as."""
         found_any = False
         for number in range(_ROUNDS):
-            missed = [y for y, _, _ in self.missed(sparse=True)]
+            missed = self.missed(self._tried)
             for k, y in enumerate(missed[:_AT_ONCE]):
                 self.told("following designs that the front misses", (number + k / _AT_ONCE) / _ROUNDS)
                 self._tried.add(y.tobytes())
@@ -172,28 +175,25 @@ class Reaching(Samples):
         better = np.all(others <= sample.at + MATTERS, axis=1) & np.any(others < sample.at - MATTERS, axis=1)
         return bool(np.any(better))
 
-    def missed(self, *, sparse: bool = False) -> list[tuple[Vector, Vector, float]]:
+    def missed(self, known: set[bytes]) -> list[Vector]:
         """Return designs by which the front could be better, where it was to be searched, none beside another.
 
-        Args:
-            sparse: whether to add designs that lie where the front has too few points, or that beat one of its points,
-                and to leave out those that were tried in vain, which would hide others beside them.
+        They are better than the front, beat one of its points, or lie where it has too few.
 
-        Returns:
-            Of each the scaled variables, the normalised objectives, and the gain.
+        Args:
+            known: designs that are left out, as bytes: those that were tried in vain would hide others beside them.
         """
         if not self.searcher.vary:
             return []
         y, at, beyond = self._held_against_samples()
         own = np.array([sample.at for sample in self.ordered()])
-        left, best, gain = np.flatnonzero(beyond > MATTERS), np.empty(0, dtype=int), np.empty(0)
+        left, best, gain = np.flatnonzero(beyond > SOUGHT), np.empty(0, dtype=int), np.empty(0)
         while len(left):
             best = left[thinned(at[left], self.matters)]
             gain = beyond_front(own, at[best], self.step)
-            if sparse:
-                few = self.uncovered(own, at[best])
-                gain[few] = np.maximum(gain[few], 2.0 * self.matters)
-                best, gain = self._with_beating(own, at, left, best, gain)
+            few = self.uncovered(own, at[best])
+            gain[few] = np.maximum(gain[few], 2.0 * self.matters)
+            best, gain = self._with_beating(own, at, left, best, gain)
             order = np.argsort(-gain, kind="stable")
             order = order[gain[order] > self.matters][:MOST_JUDGED]
             best, gain = best[order], gain[order]
@@ -203,20 +203,20 @@ class Reaching(Samples):
             self._pricks |= {int(k) for k in best[needles]}
             left, best = np.setdiff1d(left, best[needles]), best[:0]
         chosen: list[int] = []
-        for j, k in enumerate(best):
-            if sparse and y[k].tobytes() in self._tried:
+        for k in best:
+            if y[k].tobytes() in known:
                 continue
-            if all(np.max(np.abs(at[k] - at[best[i]])) > self.step / 2.0 for i in chosen):
-                chosen.append(j)
-        return [(y[best[j]], at[best[j]], float(gain[j])) for j in chosen]
+            if all(np.max(np.abs(at[k] - at[i])) > self.step / 2.0 for i in chosen):
+                chosen.append(int(k))
+        return [y[k] for k in chosen]
 
     def _with_beating(
         self, own: Vector, at: Vector, left: NDArray[np.intp], best: NDArray[np.intp], gain: Vector
     ) -> tuple[NDArray[np.intp], Vector]:
         """Return designs and their gains, and with them those that are better than a point in all objectives."""
         much = beating(own, at[left])
-        better = left[much > MATTERS]
-        better = better[thinned(at[better], MATTERS)]
+        better = left[much > SOUGHT]
+        better = better[thinned(at[better], SOUGHT)]
         fresh = np.setdiff1d(better, best)
         gain[np.isin(best, better)] = np.maximum(gain[np.isin(best, better)], 2.0 * self.matters)
         return np.r_[best, fresh], np.r_[gain, np.full(len(fresh), 2.0 * self.matters)]
@@ -226,11 +226,24 @@ class Reaching(Samples):
         """How many needles were seen beyond the front, those that others beat apart."""
         return len(self._pricks)
 
-    def confess(self) -> None:
-        """Keep as failures the missed designs beside which no optimum was found."""
-        for _, at, gain in self.missed():
-            reason = (
-                f"{NOT_REACHED}: a design of the search is better here than the front by {100.0 * gain:.2g} % of its"
-                " range, and the optimiser found no optimum beside it"
-            )
-            self.failures.append(Failure(tuple(at.tolist()), reason))
+    def add_unconfirmed(self) -> None:
+        """Add the missed designs beside which no optimum was found, as they were seen.
+
+        The best that can be made may be no optimum: where an optimum is a needle, such designs lie at its edge.
+        """
+        added: set[bytes] = set()
+        rng = np.random.default_rng([SEED, 0])
+        for spread in _EDGE_SPREADS:
+            if not (missed := self.missed(added)):
+                return
+            if self.cloud.vectorised:
+                self.told("looking beside designs that are no optima", 0.0)
+                self._look_around(np.array(missed), spread, _BESIDE_EDGE, rng)
+        while missed := self.missed(added):
+            for y in missed:
+                added.add(y.tobytes())
+                at = self.front.normalised(self.front.objectives(y, self.coarsest))
+                # A search integrates more roughly, and may have been wrong about it.
+                if beyond_points(np.array([own.at for own in self.ordered()]), at[None])[0] > SOUGHT:
+                    p = self.position(at)
+                    self.found.append(Sample(as_it_is(self.front.program, p, y), p, at, self.coarsest, confirmed=False))

@@ -102,7 +102,8 @@ class TradeOff(Readable, Front):
         table.writerow(["status", "part", *(_heading(axis) for axis in (*self.goals, *self.variables)), *rates,
                         *(f"margin of {name}" for name in margins), "active", "branch", "residual", "gap"])  # fmt: skip
         part_of = {k: number for number, part in enumerate(self.parts, start=1) for k in part}
-        rows = [("front", part_of[k], point) for k, point in enumerate(self.points)]
+        status_of = {True: "front", False: "unconfirmed"}
+        rows = [(status_of[point.confirmed], part_of[k], point) for k, point in enumerate(self.points)]
         for status, part, point in (*rows, *(("dominated", "", point) for point in self.dominated)):
             values = [*point.objectives, *(point.variables[v.name] for v in self.variables)]
             found = [rate_of(point, of, by) for of, by in pairs]

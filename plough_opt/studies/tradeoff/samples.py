@@ -24,6 +24,9 @@ OTHERS = 1e-4
 MATTERS = 1e-3
 """Of the range of an objective: a design that is better by less is no better."""
 
+SOUGHT = 5e-4
+"""The same for what is followed: half of it, for the front is judged in ranges, and by runs, that differ a little."""
+
 ROUGHLY = 1e-2
 """Of ranges: designs are thinned to so much for which the program is written, or beside which others are looked at."""
 
@@ -59,6 +62,7 @@ class Sample:
         inward: at an end, an optimum and its parameters a little along the front, where the multipliers are unique.
         scenes: of its runs, with numbers, and how long each runs [s], once it is certified.
         needle: whether no workshop can hit it; None until that is asked.
+        confirmed: whether it is an optimum; else a design that the search saw, beside which none was found.
     """
 
     point: Point
@@ -71,6 +75,7 @@ class Sample:
     inward: tuple[Point, Vector] | None = None
     scenes: list[tuple[Scene, float]] = field(default_factory=list)
     needle: bool | None = None
+    confirmed: bool = True
 
 
 @dataclass(frozen=True)
@@ -285,7 +290,7 @@ class Samples(ABC):
 
     def to_the_last_digits(self, samples: Sequence[Sample]) -> None:
         """Solve samples with exact slopes."""
-        samples = [sample for sample in samples if self.front.by_differences(sample.level)]
+        samples = [one for one in samples if one.confirmed and self.front.by_differences(one.level)]
         for number, sample in enumerate(samples):
             self.told("solving to the last digits", number / len(samples))
             chosen = self.front.level_for(sample.point.y, exact=True)
@@ -329,7 +334,7 @@ class Samples(ABC):
 
     def is_efficient(self, sample: Sample) -> bool:
         """Return whether no objective would rather be worse: a local optimum may be held back by its position."""
-        return bool(np.all(self.front.slopes(sample.point, sample.p) > 0.0))
+        return not sample.confirmed or bool(np.all(self.front.slopes(sample.point, sample.p) > 0.0))
 
     @abstractmethod
     def order(self, samples: Sequence[Sample]) -> Order:

@@ -55,6 +55,8 @@ def draw_surface(axes: Axes, front: Drawing) -> None:
             axes.plot_trisurf(*own.T, triangles=corners, color=colour, alpha=0.35, linewidth=0.3, edgecolor=colour)  # type: ignore[attr-defined]
         label = "front" if len(front.parts) == 1 else f"front, part {number + 1}"
         axes.plot(*own.T, "o", color=colour, markersize=4, label=label)
+    if len(open_ones := places[[not point.confirmed for point in front.points]]):
+        axes.plot(*open_ones.T, "o", color="white", markersize=2.5, label="unconfirmed", zorder=9)
     if len(beaten):
         axes.plot(*beaten.T, "x", color=MUTED, markersize=4.5, label="local optima, dominated")
     if front.knee is not None:

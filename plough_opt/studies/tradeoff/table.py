@@ -24,7 +24,8 @@ def front_page(front: Front) -> Page:
         parts.append(f"Limits that decide every design: {', '.join(everywhere)}.")
     parts += [front.search] if front.search else []
     parts += [f"No certified design near {'; '.join(places)}: {reason}." for reason, places in _failures(front).items()]
-    gap, residual = (max(getattr(point, name) for point in front.points) for name in ("gap", "residual"))
+    gap = max(point.gap for point in front.points)
+    residual = max((point.residual for point in front.points if point.confirmed), default=0.0)
     footer = (
         f"{len(front.dominated)} further local optima are dominated, {len(front.needles)} are needles; first-order"
         f" conditions met to {residual:.0e}, re-integrated tightly: gap {gap:.0e}; {front.seconds:.1f} s,"
@@ -48,6 +49,7 @@ def _table(front: Front, everywhere: Sequence[str]) -> Grid:
     limits = list(dict.fromkeys(name for point in front.points for name in point.active if name not in everywhere))
     if limits:
         lines.append("limits: " + ", ".join(f"{k} {name}" for k, name in enumerate(limits, start=1)))
+    unconfirmed = not all(point.confirmed for point in front.points)
     branches = any(point.branch for point in front.points)
     axes = [*zip((*front.goals, *front.variables), (*front.objectives.T, *front.designs.T), strict=True)]
     displays = [front.display(axis) for axis, _ in axes]
@@ -59,6 +61,7 @@ def _table(front: Front, everywhere: Sequence[str]) -> Grid:
     ]
     columns = [Column(heading.replace(" ", between), fold=True) for heading in headings]
     columns += [Column("branch", left=True, fold=True)] if branches else []
+    columns += [Column("status", left=True, fold=True)] if unconfirmed else []
     columns += [Column("limits", left=True)] if limits else []
     table = Grid(tuple(columns), caption="\n".join(lines))
     for part in front.parts:
@@ -67,6 +70,7 @@ def _table(front: Front, everywhere: Sequence[str]) -> Grid:
             values = [display.number(float(own[k])) for (_, own), display in zip(axes, displays, strict=True)]
             values += ["" if (cost := front.cost(k, *pair)) is None else f"{cost:.3g}" for pair in pairs]
             values += [point.branch] if branches else []
+            values += ["" if point.confirmed else "unconfirmed"] if unconfirmed else []
             decided = " ".join(str(number) for number, name in enumerate(limits, start=1) if name in point.active)
             values += [decided] if limits else []
             table.row(*values, bold=point is front.knee, end=k == part[-1])

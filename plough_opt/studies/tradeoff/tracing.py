@@ -13,7 +13,7 @@ from plough_opt.design.ipopt import Point, Vector
 from plough_opt.studies.tradeoff.plane import efficient, gaps, needed, spread
 from plough_opt.studies.tradeoff.program import FrontProgram
 from plough_opt.studies.tradeoff.reaching import Reaching
-from plough_opt.studies.tradeoff.samples import MATTERS, OTHERS, Order, Sample
+from plough_opt.studies.tradeoff.samples import OTHERS, SOUGHT, Order, Sample
 from plough_opt.studies.tradeoff.searching import Searcher
 
 # A position farther from its limit is held by none: the branch has ended.
@@ -38,7 +38,7 @@ _SEARCHED = (-0.5, 0.0, 0.5)
 class Tracer(Reaching):
     """The local optima of a front of two objectives."""
 
-    matters = MATTERS
+    matters = SOUGHT
 
     def __init__(self, front: FrontProgram, searcher: Searcher, positions: int, progress: Progress) -> None:
         """Take the program, what searches over its variables, and the number of positions."""

@@ -16,20 +16,9 @@ DEFAULT = {"front": (5, 6), "surface": (9,)}
 KNOWN = {(kind, number): case for kind in DEFAULT for number, case in study.problems(kind).items()}
 
 
-# Of the first, the best designs of a stretch lie at the edge of what is a needle: an optimum within it beats the
-# designs beside it that can be made, which are no optima, by up to 3 % of the ranges. Of the second one point is
-# beaten by 0.11 %.
-SHORT = {
-    ("front", 25): "designs beside needles are no optima, and are not returned",
-    ("front", 35): "a point is beaten by a little more than counts",
-}
-
-
 def case(kind, number):
     """Return a parameter with its marks."""
     marks = [] if number in DEFAULT[kind] else [pytest.mark.slow]
-    if (kind, number) in SHORT:
-        marks.append(pytest.mark.xfail(reason=SHORT[kind, number], strict=True))
     return pytest.param(kind, number, marks=marks, id=f"{kind} {number}")
 
 
@@ -50,7 +39,6 @@ def test_the_whole_front_is_found(kind, number):
     verdict = study.judge_front(problem, truth, front)
     assert verdict.right, (verdict, front.failures)
     assert np.all(np.isfinite(front.objectives))
-    assert not any("search more thoroughly" in note for note in front.notes)
     if len(goals) == 2:
         wanted = np.array(truth["objectives"])
         behind = (drawn(front)[:, None, :] - wanted[None, :, :]) / np.ptp(wanted, axis=0)

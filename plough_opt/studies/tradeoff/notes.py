@@ -52,7 +52,7 @@ def notes_on(tracer: Reaching, goals: Sequence[Goal], points: Sequence[FrontPoin
             f"{unconfirmed} of {len(points)} designs are unconfirmed: simulated, and better than every optimum found that"
             " can be made, but no optima themselves"
         )
-    wanted, gap = front.wanted_error, max(point.gap for point in points)
+    wanted, gap = front.wanted_error, max((point.gap for point in points if point.confirmed), default=0.0)
     if wanted is not None and gap > wanted:
         notes.append(f"the wanted relative error {wanted:.1e} was not reached everywhere: the largest is {gap:.1e}")
     return tuple(notes)

@@ -188,6 +188,7 @@ class Reaching(Samples):
         y, at, beyond = self._held_against_samples()
         own = np.array([sample.at for sample in self.ordered()])
         left, best, gain = np.flatnonzero(beyond > SOUGHT), np.empty(0, dtype=int), np.empty(0)
+        left = np.setdiff1d(left, list(self._pricks))
         while len(left):
             best = left[thinned(at[left], self.matters)]
             gain = beyond_front(own, at[best], self.step)

@@ -49,8 +49,8 @@ def notes_on(tracer: Reaching, goals: Sequence[Goal], points: Sequence[FrontPoin
         notes.append(f"{count} of {len(points)} designs are needles: within their tolerances no workshop can hit them")
     if unconfirmed := sum(not point.confirmed for point in points):
         notes.append(
-            f"{unconfirmed} of {len(points)} designs are unconfirmed: simulated, and better than every optimum found that"
-            " can be made, but no optima themselves"
+            f"{unconfirmed} of {len(points)} designs are unconfirmed: simulated, and better than every optimum that"
+            " was found and can be made, but no optima themselves"
         )
     wanted, gap = front.wanted_error, max((point.gap for point in points if point.confirmed), default=0.0)
     if wanted is not None and gap > wanted:

@@ -13,7 +13,7 @@ import numpy as np
 from plough_opt.core.domain import check_text, plain_number
 from plough_opt.core.errors import InputError, nearest, unprintable
 from plough_opt.core.expressions import Expression, is_casadi
-from plough_opt.core.kinds import check_callable, check_choice, check_switch, shown
+from plough_opt.core.kinds import check_callable, check_choice, check_kind, check_switch, shown
 from plough_opt.core.origin import Origin
 from plough_opt.core.quantities import ask_about
 from plough_opt.core.units import Display, has_unit, in_si, unit_of
@@ -271,6 +271,7 @@ def _read(
 ) -> tuple[list[Any], str, Display | None]:
     """Return numbers in SI, their unit, and the unit in which reports give them."""
     check_text(f"unit of '{name}'", unit)
+    check_kind(f"display of '{name}'", display, Display | None, "None or a Display, as Display('cm', 0.01)")
     unit, written = unit_of(what, unit, *values)
     numbers = [
         None if value is None and sides is _SIDES else plain_number(what + side, in_si(what + side, value, unit))

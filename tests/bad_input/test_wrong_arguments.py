@@ -72,13 +72,7 @@ def test_wrong_arguments_are_told(count, tmp_path, monkeypatch):
 
 
 def test_right_arguments_are_taken():
-    missing = (
-        "load",
-        "read_measurements",
-        "read_penetrometer",
-        "read_strength_record",
-        "Sweep.load",
-    )  # whose files there are none
+    missing = ("load", "read_measurements", "read_penetrometer", "read_strength_record", "Sweep.load")  # files
     elsewhere = ("trade_off", "calibrate", "sweep", "study_accuracy", "study_design", "uncertainty.verify")
     for name, (function, arguments) in recipes().items():
         if name in missing:

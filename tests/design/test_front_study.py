@@ -12,7 +12,7 @@ import plough_opt as po
 # Of a range: straight lines between the points of a curve lie so little beside what is curved between them.
 BESIDE = 2e-3
 # Some that take little time; of the curves one has a dip of the force that is a part of the front by itself.
-DEFAULT = {"front": (5, 6), "surface": (9,)}
+DEFAULT = {"front": (5, 6), "surface": ()}
 KNOWN = {(kind, number): case for kind in DEFAULT for number, case in study.problems(kind).items()}
 
 

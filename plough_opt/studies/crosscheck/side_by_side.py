@@ -79,6 +79,9 @@ def compare(
     check_single("a comparison", [x for x in (width, rake_angle, rupture_ratio, surcharge, adhesion) if x is not None])
     if rupture_ratio is not None:
         check_domain("rupture distance ratio m", rupture_ratio, at_least=1.0)
+    check_kind("laws", laws, list | tuple, "a list of resistance laws")
+    for law in laws:
+        check_kind("laws: one of them", law, ResistanceLaw, "a resistance law, as McKyesAli(depth=0.35)")
     tools = tool_set(scene, depth, width, rake_angle, surcharge, adhesion)
     course = _speeds(scene, speeds)
     soil = scene.soil if scene.effects.ambient_pressure else dataclasses.replace(scene.soil, ambient_pressure=0.0)

@@ -11,7 +11,7 @@ import pytest
 from scipy import stats
 
 import plough_opt as po
-from plough_opt.core.expressions import exp, holds_several
+from plough_opt.core.expressions import exp
 
 SOIL = po.named_soil("serozem")
 CONE = po.Cone(0.2, 0.25)
@@ -55,12 +55,6 @@ def test_an_array_of_one_number_is_that_number():
     assert alone == pytest.approx([po.resistance(CONE, _denser(), v, 0.0) for v in (1.0, 2.0)], rel=1e-15)
 
 
-def test_several_values_are_found_wherever_they_are():
-    assert holds_several((1.0, {"a": [ca.MX.sym("x", 2)]}))
-    assert holds_several(dataclasses.replace(SOIL, cohesion=np.array([1.0, 2.0])))
-    assert not holds_several((1.0, "text", None, [np.array(2.0), np.array([2.0]), ca.MX.sym("x")], CONE))
-
-
 # --- numbers that are none ---
 
 
@@ -72,11 +66,6 @@ def test_lists_are_no_numbers(value):
         po.resistance(CONE, SOIL, value, 0.0)
 
 
-def test_places_in_the_elastic_medium_may_be_lists():
-    places = po.elastic.fourier.wedge_stress([0.2, 0.3], [0.1, 0.1], lambda x: 0.1 * x, 0.5, SOIL, 2.0).yy
-    assert places == pytest.approx(po.elastic.wedge_stress([0.2, 0.3], [0.1, 0.1], NODES, SOIL, 2.0).yy, rel=1e-12)
-
-
 @pytest.mark.parametrize("kind", [np.int8, np.uint8, np.int16, np.uint16, np.float16])
 def test_numbers_of_few_bytes_are_refused(kind):
     # A cone of 10 m would have a negative volume of bytes.
@@ -84,21 +73,10 @@ def test_numbers_of_few_bytes_are_refused(kind):
         po.Cone(0.2, np.array([1, 10], dtype=kind))
 
 
-@pytest.mark.parametrize("kind", [int, np.int32, np.int64, np.float32, float])
-def test_other_whole_and_real_numbers_are_taken(kind):
-    assert po.Cone(0.2, kind(2)).volume == pytest.approx(po.Cone(0.2, 2.0).volume, rel=1e-6)
-
-
 @pytest.mark.parametrize("value", ["30 deg", None, [30.0], True, float("nan")])
 def test_degrees_of_what_is_no_number(value):
     with pytest.raises(po.DomainError, match=r"angle = .* must be (a number|finite)"):
         po.deg(value)
-
-
-@pytest.mark.parametrize("name", [None, 3, ["serozem"], {"name": "serozem"}])
-def test_a_soil_is_named_by_text(name):
-    with pytest.raises(po.InputError, match="no soil is named"):
-        po.named_soil(name)
 
 
 # --- other things in the place of a soil, a share, effects or a switch ---
@@ -126,20 +104,6 @@ def test_a_switch_is_on_or_off(name, value):
         po.Effects(**{name: value})
 
 
-@pytest.mark.parametrize("name", ["motion", "inertial_drag", "added_mass", "ambient_pressure", "entry"])
-def test_a_switch_of_numpy_is_a_switch(name):
-    effects = po.Effects(start="rest", **{name: np.True_})
-    assert effects == po.Effects(start="rest", **{name: True})
-    # Printed and written to files as what it is.
-    assert type(getattr(effects, name)) is bool
-
-
-@pytest.mark.parametrize("wave", [(0.3, 0.2), {"amplitude": 0.3, "wavelength": 0.2}, 0.3, po.StrengthWave])
-def test_a_strength_wave_is_one(wave):
-    with pytest.raises(po.InputError, match=r"strength_wave = .* must be None or a StrengthWave"):
-        po.Effects(strength_wave=wave)
-
-
 @pytest.mark.parametrize("call", [po.resistance_coefficients, po.soil_reaction, po.added_mass, po.loosened_radius])
 def test_forces_are_those_of_a_cone_in_a_soil(call):
     with pytest.raises(po.InputError, match=r"must be a Cone: take its equivalent_cone\(\)"):
@@ -148,11 +112,6 @@ def test_forces_are_those_of_a_cone_in_a_soil(call):
         call(0.3, SOIL)
     with pytest.raises(po.InputError, match="the soil = 'serozem' must be a Soil, for instance named_soil"):
         call(CONE, "serozem")
-
-
-@pytest.mark.parametrize("ramp", [np.array([0.0, 1.0]), np.array([0.0, 0.0])])
-def test_several_ramps_ramp_if_one_does(ramp):
-    assert po.Effects(tow_ramp=ramp).ramps == bool(ramp.any())
 
 
 # --- what leaves the process, or the package ---
@@ -174,11 +133,6 @@ def test_errors_come_back_from_another_process(error):
     assert type(copy) is type(error)
     assert str(copy) == str(error)
     assert vars(copy) == vars(error)
-
-
-def test_the_message_of_an_error_is_a_sentence():
-    assert str(po.InfeasibleDesign("no design", {"draft": 3.0}, [])) == "no design"
-    assert str(po.NotConverged("it stopped", "Restoration_Failed")) == "it stopped"
 
 
 def test_type_checkers_are_told_that_there_are_types():
@@ -256,6 +210,7 @@ def test_arguments_of_another_kind_are_refused(verb):
 
 MEDIUM = po.Soil(1600.0, 0.8, 2e4, 0.5, 0.5, 0.0, youngs_modulus=2e7, poisson_ratio=0.3)
 BEYOND = {
+    "whole number": lambda: po.Cone(10**400, 0.25),
     "speed": lambda: po.resistance(CONE, SOIL, 1e308, 0.0),
     "largest speed but one": lambda: po.resistance(CONE, SOIL, 1.1e60, 0.0),
     "place beside a wedge": lambda: po.elastic.wedge_stress(1e308, 0.1, NODES, MEDIUM, 2.0),

@@ -12,7 +12,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from plough_opt.core.domain import check_domain
+from plough_opt.core.domain import LARGEST, check_domain
 from plough_opt.core.errors import DomainError, ImplausibleValue
 from plough_opt.core.expressions import Expression
 from plough_opt.core.units import has_unit, in_si
@@ -129,7 +129,8 @@ class Quantity:
     def slip(self, value: Any) -> str:
         """Return, of a number that is not plausible in SI but would be in a unit that is often meant, a question."""
         low, high = self.plausible
-        if not isinstance(value, int | float | np.number) or low <= value <= high or not value:
+        # A whole number may be larger than any float.
+        if not isinstance(value, int | float | np.number) or low <= value <= high or not value or abs(value) > LARGEST:
             return ""
         for symbol, factor in _SLIPS.get(self.unit, ()):
             if max(low, self.low) <= value * factor <= min(high, self.high):

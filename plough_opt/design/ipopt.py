@@ -69,8 +69,8 @@ NEAR: dict[str, Any] = {
 }
 # From a search's bottom, right to some 1e-6: a barrier that low moves it no further than that from its limits. A higher
 # one drives it along flat valleys first, from which it takes five times as many iterations back.
-_FROM_BOTTOM: dict[str, Any] = NEAR | {"ipopt.mu_init": 1e-8, "ipopt.bound_mult_init_method": "mu-based"}
-_BEGINNINGS = {"far": FAR, "near": NEAR, "bottom": _FROM_BOTTOM}
+FROM_BOTTOM: dict[str, Any] = NEAR | {"ipopt.mu_init": 1e-8, "ipopt.bound_mult_init_method": "mu-based"}
+_BEGINNINGS = {"far": FAR, "near": NEAR, "bottom": FROM_BOTTOM}
 # Where the objective no longer falls, as along a valley, the last digits of the derivatives are not waited for.
 _ENOUGH: dict[str, Any] = {
     "ipopt.acceptable_iter": 3,

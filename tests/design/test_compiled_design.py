@@ -6,6 +6,7 @@ import types
 import casadi as ca
 import numpy as np
 import pytest
+from helpers.small_designs import design
 
 import plough_opt as po
 from plough_opt.design.ipopt import LastPoint
@@ -15,8 +16,7 @@ from plough_opt.design.program import Program
 @pytest.fixture
 def small(r1_scene, r1_soil):
     """A design of stiffness and height under a wave, short enough to solve in a moment."""
-    d = po.Design()
-    height = d.variable("height", guess=0.25, lower=0.2, upper=0.4, unit="m")
+    d, height = design(height=(0.25, 0.2, 0.4, "m"))
     k0 = d.variable("stiffness", guess=5e4, lower=1e4, upper=2e5, unit="N/m", log=True)
     cohesion = d.parameter("cohesion", 15e3, unit="Pa")
     soil = dataclasses.replace(r1_soil, cohesion=cohesion)

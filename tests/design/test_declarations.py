@@ -6,6 +6,7 @@ import re
 import casadi as ca
 import numpy as np
 import pytest
+from helpers.small_designs import design
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -77,8 +78,7 @@ def test_a_name_declared_twice_is_refused(first, second):
 
 @pytest.mark.parametrize("name", ["", "  ", 3, None])
 def test_what_is_declared_has_a_name(name):
-    d = po.Design()
-    x = d.variable("x", guess=0.5, lower=0.0, upper=1.0)
+    d, x = design(x=(0.5, 0.0, 1.0))
     for declare in (
         lambda: d.variable(name, **WELL),
         lambda: d.parameter(name, 1.0),
@@ -108,8 +108,7 @@ def test_a_parameter_without_a_finite_value_is_refused(value):
     ],
 )
 def test_limits_that_cannot_be_are_refused_by_name(limits, sentence):
-    d = po.Design()
-    x = d.variable("x", guess=0.5, lower=0.0, upper=1.0)
+    d, x = design(x=(0.5, 0.0, 1.0))
     with pytest.raises(po.InputError) as caught:
         d.require("loosened radius", x, unit="m", **limits)
     assert str(caught.value).startswith("requirement 'loosened radius'")
@@ -117,16 +116,14 @@ def test_limits_that_cannot_be_are_refused_by_name(limits, sentence):
 
 
 def test_two_requirements_of_one_name_are_refused():
-    d = po.Design()
-    x = d.variable("x", guess=0.5, lower=0.0, upper=1.0)
+    d, x = design(x=(0.5, 0.0, 1.0))
     d.require("radius", x, at_least=0.1)
     with pytest.raises(po.InputError, match="'radius' is declared already"):
         d.require("radius", x, at_most=0.9)
 
 
 def test_an_objective_must_be_one_number():
-    d = po.Design()
-    x = d.variable("x", guess=0.5, lower=0.0, upper=1.0)
+    d, x = design(x=(0.5, 0.0, 1.0))
     with pytest.raises(po.InputError, match="objective must be one number, not 2"):
         d.minimise(ca.vertcat(x, x**2))
 
@@ -139,8 +136,7 @@ def test_an_objective_must_be_an_expression():
 
 
 def test_a_requirement_must_have_a_value():
-    d = po.Design()
-    x = d.variable("x", guess=0.5, lower=0.0, upper=1.0)
+    d, x = design(x=(0.5, 0.0, 1.0))
     d.minimise(1.0 + x)
 
     def require_and_solve():
@@ -175,16 +171,14 @@ def test_solving_without_variables_is_refused():
 
 
 def test_a_foreign_symbol_is_named():
-    d = po.Design()
-    x = d.variable("x", guess=0.5, lower=0.0, upper=1.0)
+    d, x = design(x=(0.5, 0.0, 1.0))
     d.minimise(x * ca.MX.sym("stranger"))
     with pytest.raises(po.InputError, match=r"'objective' holds symbols that this design did not declare \(stranger\)"):
         d.solve()
 
 
 def test_a_foreign_symbol_in_a_requirement_is_named():
-    d = po.Design()
-    x = d.variable("x", guess=0.5, lower=0.0, upper=1.0)
+    d, x = design(x=(0.5, 0.0, 1.0))
     d.minimise(x)
     d.require("radius", x + ca.MX.sym("stranger"), at_least=0.1)
     with pytest.raises(po.InputError, match=r"'radius' holds symbols .* \(stranger\)"):
@@ -193,8 +187,7 @@ def test_a_foreign_symbol_in_a_requirement_is_named():
 
 def test_a_symbol_of_another_design_is_refused_although_its_name_is_the_same():
     other = po.Design().variable("x", guess=0.5, lower=0.0, upper=1.0)
-    d = po.Design()
-    x = d.variable("x", guess=0.5, lower=0.0, upper=1.0)
+    d, x = design(x=(0.5, 0.0, 1.0))
     d.minimise((x - other) ** 2)
     with pytest.raises(po.InputError, match="x"):
         d.solve()
@@ -202,8 +195,7 @@ def test_a_symbol_of_another_design_is_refused_although_its_name_is_the_same():
 
 @pytest.mark.parametrize("where", ["objective", "requirement"])
 def test_a_model_without_a_value_at_the_start_names_what_fails(where):
-    d = po.Design()
-    x = d.variable("x", guess=-0.5, lower=-1.0, upper=1.0, unit="m")
+    d, x = design(x=(-0.5, -1.0, 1.0, "m"))
     bad = ca.log(x)
     d.minimise(bad if where == "objective" else x**2)
     d.require("radius", bad if where == "requirement" else x, at_least=-3.0)
@@ -228,8 +220,7 @@ def test_bounds_outside_the_models_domain_are_named(r1_scene, r1_wave, side, bou
 
 
 def test_a_parameter_without_a_value_at_solve_is_refused():
-    d = po.Design()
-    x = d.variable("x", guess=0.5, lower=0.0, upper=1.0)
+    d, x = design(x=(0.5, 0.0, 1.0))
     p = d.parameter("cohesion", 0.3)
     d.minimise((x - p) ** 2)
     with pytest.raises(po.InputError):

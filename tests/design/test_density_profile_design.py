@@ -5,6 +5,7 @@ import dataclasses
 import casadi as ca
 import numpy as np
 import pytest
+from helpers.small_designs import design
 from scipy.optimize import brentq, minimize_scalar
 
 import plough_opt as po
@@ -52,8 +53,7 @@ def test_a_scene_of_a_profile_moves_with_the_reaction_of_its_soil(r1_soil, r1_wa
 @pytest.fixture(scope="module")
 def sized(r1_soil):
     """Return a design of the smallest draft that loosens 0.1 m, in soil whose profile is a parameter."""
-    d = po.Design()
-    height = d.variable("height", guess=0.2, lower=0.1, upper=0.4, unit="m")
+    d, height = design(height=(0.2, 0.1, 0.4, "m"))
     width = d.parameter("width", 0.1, unit="m")
     soil = soil_of(r1_soil, width=width)
     cone = po.Cone(po.deg(12.0), height)
@@ -90,8 +90,7 @@ def test_a_profile_parameter_is_a_designs_variable(r1_soil, r1_wave):
     def price(run, core):
         return run.mean_draft / 1e3 + ((core - 1500.0) / 300.0) ** 2
 
-    d = po.Design()
-    core = d.variable("core", guess=1600.0, lower=1450.0, upper=1900.0, unit="kg/m^3")
+    d, core = design(core=(1600.0, 1450.0, 1900.0, "kg/m^3"))
     effects = {"strength_wave": r1_wave, "damping": 300.0}
     run = po.simulate(scene_of(soil_of(r1_soil, core=core), **effects), 0.5, outputs=50)
     d.minimise(price(run, core))
@@ -111,8 +110,7 @@ def test_a_profile_parameter_is_a_designs_variable(r1_soil, r1_wave):
 
 
 def test_bounds_without_a_front_are_refused_by_name(r1_soil):
-    d = po.Design()
-    core = d.variable("core", guess=1600.0, lower=1300.0, upper=1900.0, unit="kg/m^3")
+    d, core = design(core=(1600.0, 1300.0, 1900.0, "kg/m^3"))
     d.minimise(po.simulate(scene_of(soil_of(r1_soil, core=core)), 0.5, outputs=10).mean_draft / 1e3)
     with pytest.raises(po.DomainError, match="at the lower bound of 'core': "):
         d.solve()

@@ -6,6 +6,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from helpers.differences import differences
+from helpers.small_designs import design
 
 import plough_opt as po
 from plough_opt.design.nlp import averages_only
@@ -213,8 +214,7 @@ def test_run_with_a_parameter(small, built):
 
 
 def test_run_of_parameters_alone(built, r1_scene, r1_wave):
-    d = po.Design()
-    x = d.variable("x", guess=0.5, lower=0.0, upper=1.0)
+    d, x = design(x=(0.5, 0.0, 1.0))
     k0 = d.parameter("stiffness", 2e4)
     run = po.simulate(r1_scene(stiffness=k0, strength_wave=r1_wave), 0.5, accuracy=FIXED, outputs=5)
     d.minimise(run.mean_draft / 1e3 * (1.0 + (x - 0.3) ** 2))
@@ -225,10 +225,7 @@ def test_run_of_parameters_alone(built, r1_scene, r1_wave):
 
 
 def test_duration_speed_and_wave_may_vary(built, r1_soil):
-    d = po.Design()
-    duration = d.variable("duration", guess=0.8, lower=0.4, upper=1.2)
-    speed = d.variable("speed", guess=2.0, lower=1.0, upper=3.0)
-    wavelength = d.variable("wavelength", guess=0.6, lower=0.3, upper=0.9)
+    d, duration, speed, wavelength = design(duration=(0.8, 0.4, 1.2), speed=(2.0, 1.0, 3.0), wavelength=(0.6, 0.3, 0.9))
     damping = d.variable("damping", guess=200.0, lower=10.0, upper=1e3, log=True)
     share = po.Wedge(po.deg(25.0), po.deg(15.0), 0.25)
     effects = po.Effects(strength_wave=po.StrengthWave(0.3, wavelength), damping=damping)

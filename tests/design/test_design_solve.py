@@ -5,6 +5,7 @@ import math
 import casadi as ca
 import numpy as np
 import pytest
+from helpers.small_designs import design
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
@@ -25,9 +26,7 @@ TRUE_ANGLE, TRUE_HEIGHT = po.deg(39.11469851), 0.2002828632
 
 
 def test_minimum_of_a_quadratic_inside_its_bounds():
-    d = po.Design()
-    x = d.variable("x", guess=0.9, lower=0.0, upper=1.0)
-    y = d.variable("y", guess=-3.0, lower=-5.0, upper=5.0)
+    d, x, y = design(x=(0.9, 0.0, 1.0), y=(-3.0, -5.0, 5.0))
     d.minimise(7.0 + (x - 0.25) ** 2 + 3.0 * (y - 2.0) ** 2)
     best = d.solve()
     # The gradient is within 1e-10 of the start's objective of 82, and the objective's error is its square.
@@ -38,8 +37,7 @@ def test_minimum_of_a_quadratic_inside_its_bounds():
 
 
 def test_an_active_bound_is_kept_exactly_and_the_objective_never_undercuts_the_truth():
-    d = po.Design()
-    x = d.variable("x", guess=0.5, lower=0.2, upper=1.0)
+    d, x = design(x=(0.5, 0.2, 1.0))
     y = d.variable("y", guess=2.0, lower=1.0, upper=3.0, log=True)
     d.minimise(2.0 + x**2 - y)
     best = d.solve()
@@ -51,8 +49,7 @@ def test_an_active_bound_is_kept_exactly_and_the_objective_never_undercuts_the_t
 
 
 def test_multipliers_of_bounds_are_the_slopes_of_the_objective():
-    d = po.Design()
-    x = d.variable("x", guess=0.5, lower=0.2, upper=1.0, unit="m")
+    d, x = design(x=(0.5, 0.2, 1.0, "m"))
     y = d.variable("y", guess=2.0, lower=1.0, upper=3.0, log=True)
     z = d.variable("z", guess=2.0, lower=1.0, upper=3.0)
     d.minimise(x**2 - 5.0 * ca.log(y) + (z - 2.5) ** 2)
@@ -79,9 +76,7 @@ def test_rosenbrock_with_log_scaled_variables():
 
 
 def test_an_objective_that_is_zero_at_the_start_does_no_harm():
-    d = po.Design()
-    x = d.variable("x", guess=0.5, lower=0.0, upper=1.0)
-    y = d.variable("y", guess=0.5, lower=0.0, upper=1.0)
+    d, x, y = design(x=(0.5, 0.0, 1.0), y=(0.5, 0.0, 1.0))
     d.minimise((x - y) + (x - 0.3) ** 2 - 0.04)
     best = d.solve()
     # At y = 1 the rest is x + (x - 0.3)^2, smallest at x = 0.
@@ -91,8 +86,7 @@ def test_an_objective_that_is_zero_at_the_start_does_no_harm():
 
 @pytest.mark.parametrize("size", [1e-9, 1.0, 1e9])
 def test_the_objective_may_have_any_size(size):
-    d = po.Design()
-    x = d.variable("x", guess=0.9, lower=0.0, upper=1.0)
+    d, x = design(x=(0.9, 0.0, 1.0))
     d.minimise(size * ((x - 0.25) ** 2 + 1.0))
     best = d.solve()
     assert best.variables["x"] == pytest.approx(0.25, abs=1e-8)
@@ -101,8 +95,7 @@ def test_the_objective_may_have_any_size(size):
 
 @pytest.mark.parametrize("size", [1e-6, 1.0, 1e6])
 def test_a_requirement_may_have_any_size(size):
-    d = po.Design()
-    x = d.variable("x", guess=0.9, lower=0.0, upper=1.0)
+    d, x = design(x=(0.9, 0.0, 1.0))
     d.minimise(x**2)
     d.require("force", size * x, at_least=0.4 * size, unit="N")
     best = d.solve()
@@ -115,8 +108,7 @@ def test_a_requirement_may_have_any_size(size):
 
 @pytest.mark.parametrize("size", [1e3, 1e6, 1e9])
 def test_a_limit_of_zero_on_a_large_quantity(size):
-    d = po.Design()
-    x = d.variable("x", guess=0.9, lower=0.0, upper=1.0)
+    d, x = design(x=(0.9, 0.0, 1.0))
     d.minimise(x**2)
     d.require("reserve", size * (x - 0.4) * (x + 1.0), at_least=0.0, unit="N")
     best = d.solve()
@@ -125,9 +117,7 @@ def test_a_limit_of_zero_on_a_large_quantity(size):
 
 
 def test_a_quantity_may_be_required_to_have_one_value():
-    d = po.Design()
-    x = d.variable("x", guess=0.9, lower=0.0, upper=1.0)
-    y = d.variable("y", guess=0.9, lower=0.0, upper=1.0)
+    d, x, y = design(x=(0.9, 0.0, 1.0), y=(0.9, 0.0, 1.0))
     d.minimise(x**2 + 2.0 * y**2)
     d.require("sum", x + y, at_least=0.9, at_most=0.9)
     best = d.solve()
@@ -138,8 +128,7 @@ def test_a_quantity_may_be_required_to_have_one_value():
 
 
 def test_a_column_is_required_in_every_entry():
-    d = po.Design()
-    x = d.variable("x", guess=0.5, lower=0.0, upper=1.0)
+    d, x = design(x=(0.5, 0.0, 1.0))
     d.minimise(-x)
     d.require("path", ca.vertcat(x, 2.0 * x, 0.5 * x), at_most=0.8)
     best = d.solve()
@@ -150,24 +139,21 @@ def test_a_column_is_required_in_every_entry():
 
 
 def test_structural_zeros_in_a_column_count_as_zeros():
-    d = po.Design()
-    x = d.variable("x", guess=0.5, lower=0.0, upper=1.0)
+    d, x = design(x=(0.5, 0.0, 1.0))
     d.minimise((x - 0.9) ** 2)
     d.require("path", ca.vertcat(ca.MX(1, 1), x), at_least=-1.0, at_most=0.8)
     assert d.solve().variables["x"] == pytest.approx(0.8, rel=1e-8)
 
 
 def test_a_row_of_values_is_limited_like_a_column():
-    d = po.Design()
-    x = d.variable("x", guess=0.5, lower=0.0, upper=1.0)
+    d, x = design(x=(0.5, 0.0, 1.0))
     d.minimise(-x)
     d.require("path", ca.horzcat(x, 2.0 * x), at_most=0.8)
     assert d.solve().variables["x"] == pytest.approx(0.4, rel=1e-8)
 
 
 def test_a_requirement_that_is_no_expression_is_checked_all_the_same():
-    d = po.Design()
-    x = d.variable("x", guess=0.5, lower=0.0, upper=1.0)
+    d, x = design(x=(0.5, 0.0, 1.0))
     d.minimise((x - 0.25) ** 2)
     d.require("given", 3.0, at_most=4.0)
     best = d.solve()
@@ -177,8 +163,7 @@ def test_a_requirement_that_is_no_expression_is_checked_all_the_same():
 
 @pytest.mark.parametrize("constant", [0.0, 1.0])
 def test_nothing_to_gain_is_still_a_design(constant):
-    d = po.Design()
-    x = d.variable("x", guess=0.5, lower=0.0, upper=1.0)
+    d, x = design(x=(0.5, 0.0, 1.0))
     d.minimise(constant)
     d.require("least", x, at_least=0.7)
     best = d.solve()
@@ -217,16 +202,14 @@ def test_the_order_of_declaration_does_not_matter():
 
 def test_a_look_up_table_may_stand_in_the_objective():
     table = ca.interpolant("table", "bspline", [np.linspace(0.0, 1.0, 21).tolist()], np.linspace(0.0, 1.0, 21) ** 2)
-    d = po.Design()
-    x = d.variable("x", guess=0.9, lower=0.0, upper=1.0)
+    d, x = design(x=(0.9, 0.0, 1.0))
     d.minimise(1.0 + table(x) - 0.5 * x)
     # A cubic spline through a parabola is that parabola.
     assert d.solve().variables["x"] == pytest.approx(0.25, abs=1e-8)
 
 
 def test_a_requirement_added_later_counts():
-    d = po.Design()
-    x = d.variable("x", guess=0.5, lower=0.0, upper=1.0)
+    d, x = design(x=(0.5, 0.0, 1.0))
     d.minimise(x)
     assert d.solve().variables["x"] == pytest.approx(0.0, abs=1e-8)
     d.require("least", x, at_least=0.3)
@@ -237,8 +220,7 @@ def test_a_requirement_added_later_counts():
 
 def test_progress_is_told_in_order():
     told = []
-    d = po.Design()
-    x = d.variable("x", guess=0.5, lower=0.0, upper=1.0)
+    d, x = design(x=(0.5, 0.0, 1.0))
     d.minimise((x - 0.25) ** 2)
     d.solve(progress=lambda stage, fraction: told.append((stage, fraction)))
     stages = [stage for stage, _ in told]

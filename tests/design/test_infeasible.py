@@ -5,6 +5,7 @@ import re
 
 import casadi as ca
 import pytest
+from helpers.small_designs import design
 
 import plough_opt as po
 from plough_opt.design import ipopt
@@ -31,8 +32,7 @@ def test_the_shortfall_of_an_impossible_radius(build_r1):
 
 
 def test_requirements_that_contradict_each_other():
-    d = po.Design()
-    x = d.variable("x", guess=0.5, lower=0.0, upper=1.0)
+    d, x = design(x=(0.5, 0.0, 1.0))
     d.minimise(x**2)
     d.require("large", 10.0 * x, at_least=8.0, unit="m")
     d.require("small", 10.0 * x, at_most=2.0, unit="m")
@@ -70,8 +70,7 @@ def test_a_bound_alone_can_block():
 
 
 def test_a_requirement_on_a_number_that_fails():
-    d = po.Design()
-    x = d.variable("x", guess=0.5, lower=0.0, upper=1.0)
+    d, x = design(x=(0.5, 0.0, 1.0))
     d.minimise(x)
     d.require("given", 3.0, at_most=2.0, unit="m")
     with pytest.raises(po.InfeasibleDesign) as caught:
@@ -80,8 +79,7 @@ def test_a_requirement_on_a_number_that_fails():
 
 
 def test_an_equality_that_cannot_hold():
-    d = po.Design()
-    x = d.variable("x", guess=0.5, lower=0.0, upper=1.0)
+    d, x = design(x=(0.5, 0.0, 1.0))
     d.minimise(x)
     d.require("exact", x, at_least=1.5, at_most=1.5)
     with pytest.raises(po.InfeasibleDesign) as caught:
@@ -90,8 +88,7 @@ def test_an_equality_that_cannot_hold():
 
 
 def test_requirements_that_touch_in_one_point_are_feasible():
-    d = po.Design()
-    x = d.variable("x", guess=0.9, lower=0.0, upper=1.0)
+    d, x = design(x=(0.9, 0.0, 1.0))
     d.minimise(x**2)
     d.require("least", x, at_least=0.4)
     d.require("most", x, at_most=0.4)
@@ -100,9 +97,7 @@ def test_requirements_that_touch_in_one_point_are_feasible():
 
 
 def test_a_conflict_names_only_what_takes_part():
-    d = po.Design()
-    x = d.variable("x", guess=0.5, lower=0.0, upper=1.0, unit="m")
-    y = d.variable("y", guess=0.5, lower=0.0, upper=1.0, unit="m")
+    d, x, y = design(x=(0.5, 0.0, 1.0, "m"), y=(0.5, 0.0, 1.0, "m"))
     d.minimise(x + y)
     d.require("long", x, at_least=2.0, unit="m")
     d.require("easy", y, at_least=0.25, unit="m")
@@ -119,9 +114,7 @@ def test_a_start_that_violates_everything_is_no_obstacle(build_r1):
 
 
 def test_feasible_designs_behind_a_bend_are_found():
-    d = po.Design()
-    x = d.variable("x", guess=-0.9, lower=-1.0, upper=1.0)
-    y = d.variable("y", guess=-0.9, lower=-1.0, upper=1.0)
+    d, x, y = design(x=(-0.9, -1.0, 1.0), y=(-0.9, -1.0, 1.0))
     d.minimise((x + 1.0) ** 2 + (y + 1.0) ** 2)
     d.require("inside", (x - 0.5) ** 2 + (y - 0.5) ** 2, at_most=0.04)
     d.require("outside", (x - 0.5) ** 2 + (y - 0.5) ** 2, at_least=0.01)
@@ -135,9 +128,7 @@ def test_feasible_designs_behind_a_bend_are_found():
 
 
 def _rosenbrock():
-    d = po.Design()
-    x = d.variable("x", guess=-1.2, lower=-2.0, upper=2.0)
-    y = d.variable("y", guess=1.0, lower=-2.0, upper=2.0)
+    d, x, y = design(x=(-1.2, -2.0, 2.0), y=(1.0, -2.0, 2.0))
     d.minimise((1.0 - x) ** 2 + 100.0 * (y - x**2) ** 2)
     return d, x, y
 
@@ -168,16 +159,14 @@ def test_too_few_iterations_with_requirements_are_not_called_infeasible(monkeypa
 
 
 def test_an_objective_with_a_kink_never_looks_like_an_optimum():
-    d = po.Design()
-    x = d.variable("x", guess=0.9, lower=0.0, upper=1.0)
+    d, x = design(x=(0.9, 0.0, 1.0))
     d.minimise(1.0 + ca.fabs(x - 0.3))
     assert _unconfirmed(d).variables["x"] == pytest.approx(0.3, abs=1e-5)
 
 
 @pytest.mark.parametrize("size", [1.0, 1e6])
 def test_the_shortfall_of_a_limit_of_zero_is_in_the_requirements_own_unit(size):
-    d = po.Design()
-    x = d.variable("x", guess=0.5, lower=0.0, upper=1.0)
+    d, x = design(x=(0.5, 0.0, 1.0))
     d.minimise(1.0 + x)
     d.require("margin", size * (x - 1.25), at_least=0.0, unit="N")
     with pytest.raises(po.InfeasibleDesign, match="'margin'") as caught:
@@ -188,8 +177,7 @@ def test_the_shortfall_of_a_limit_of_zero_is_in_the_requirements_own_unit(size):
 
 
 def test_more_equalities_than_variables_leave_no_room_to_confirm_an_optimum():
-    d = po.Design()
-    x = d.variable("x", guess=0.5, lower=0.0, upper=1.0)
+    d, x = design(x=(0.5, 0.0, 1.0))
     d.minimise(1.0 + x**2)
     d.require("one", x, at_least=0.8, at_most=0.8)
     d.require("same in other words", x + 1.0, at_least=1.8, at_most=1.8)
@@ -197,8 +185,7 @@ def test_more_equalities_than_variables_leave_no_room_to_confirm_an_optimum():
 
 
 def test_noise_is_no_optimum():
-    d = po.Design()
-    x = d.variable("x", guess=0.1, lower=0.0, upper=1.0)
+    d, x = design(x=(0.1, 0.0, 1.0))
     d.minimise(1.0 + x + 1e-3 * ca.sin(1e7 * x))
     # The noise is 1e-3, and lowest beside 0: whichever of its dips is found, it is not called more than it is.
     best = d.solve()
@@ -207,8 +194,7 @@ def test_noise_is_no_optimum():
 
 
 def test_a_model_that_breaks_between_the_bounds_says_so():
-    d = po.Design()
-    x = d.variable("x", guess=0.9, lower=0.0, upper=1.0)
+    d, x = design(x=(0.9, 0.0, 1.0))
     d.minimise(ca.sqrt(x - 0.5) + x)
     # Below 0.5 there is no value, and at it the slope is infinite.
     assert _unconfirmed(d).objective == pytest.approx(0.5, abs=5e-2)

@@ -4,6 +4,7 @@ import subprocess
 import sys
 
 import pytest
+from helpers.small_designs import design
 
 import plough_opt as po
 from plough_opt.design import ipopt
@@ -14,8 +15,7 @@ from concurrent.futures import ThreadPoolExecutor
 import plough_opt as po
 
 def solved(upper):
-    d = po.Design()
-    height = d.variable("height", guess=0.25, lower=0.1, upper=0.5, unit="m")
+    d, height = design(height=(0.25, 0.1, 0.5, "m"))
     k0 = d.variable("stiffness", guess=5e4, lower=1e4, upper=upper, unit="N/m", log=True)
     cone = po.Cone(po.deg(10.0), height)
     wave = po.StrengthWave(amplitude=0.3, wavelength=0.2)
@@ -40,8 +40,7 @@ def test_designs_in_threads_are_those_one_after_the_other():
 
 @pytest.mark.filterwarnings("ignore")  # CasADi tells of every evaluation that failed
 def test_an_interruption_ends_a_solve_and_not_the_next(monkeypatch):
-    d = po.Design()
-    x = d.variable("x", guess=0.5, lower=0.1, upper=1.0)
+    d, x = design(x=(0.5, 0.1, 1.0))
     d.minimise(x + 1.0 / x)
     d.require("sum", x, at_most=0.8)
 
@@ -56,8 +55,7 @@ def test_an_interruption_ends_a_solve_and_not_the_next(monkeypatch):
 
 
 def test_what_no_variable_can_mend_is_said():
-    d = po.Design()
-    x = d.variable("x", guess=0.5, lower=0.1, upper=1.0)
+    d, x = design(x=(0.5, 0.1, 1.0))
     d.minimise(x**2)
     d.require("fixed", 0.0 * x + 2.0, at_most=1.0)
     with pytest.raises(po.InfeasibleDesign, match="no variable of this design changes it"):

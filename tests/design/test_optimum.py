@@ -8,6 +8,7 @@ from dataclasses import asdict, dataclass
 import casadi as ca
 import numpy as np
 import pytest
+from helpers.small_designs import design
 
 import plough_opt as po
 from plough_opt.design import program as program_module
@@ -266,8 +267,7 @@ def test_the_model_is_written_once_for_all_solves(monkeypatch, with_parameter):
 
 
 def test_a_parameter_that_moves_an_optimum_known_by_hand():
-    d = po.Design()
-    x = d.variable("x", guess=0.9, lower=0.0, upper=1.0)
+    d, x = design(x=(0.9, 0.0, 1.0))
     target = d.parameter("target", 0.25)
     d.minimise(2.0 + (x - target) ** 2)
     d.require("least", x - 0.5 * target, at_least=0.05)
@@ -289,8 +289,7 @@ def test_an_optimum_outlives_later_solves(with_parameter):
 
 
 def test_a_design_for_two_soils(r1_soil):
-    d = po.Design()
-    height = d.variable("height", guess=0.25, lower=0.10, upper=0.50, unit="m")
+    d, height = design(height=(0.25, 0.10, 0.50, "m"))
     k0 = d.variable("stiffness", guess=5e4, lower=1e4, upper=5e5, unit="N/m", log=True)
     share = po.Wedge(po.deg(30.0), po.deg(15.0), height)
     effects = po.Effects(strength_wave=po.StrengthWave(0.3, 0.6), damping=300.0)

@@ -6,6 +6,7 @@ from pathlib import Path
 import casadi as ca
 import numpy as np
 import pytest
+from helpers.small_designs import design
 
 import plough_opt as po
 from plough_opt.app import main
@@ -179,8 +180,7 @@ def test_another_word_is_refused():
 @pytest.mark.parametrize("log", [False, True])
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_a_bound_on_a_peak_is_solved_in_place(log, sign):
-    d = po.Design()
-    x = d.variable("x", guess=0.5, lower=0.0, upper=1.0)
+    d, x = design(x=(0.5, 0.0, 1.0))
     peak = d.variable("peak", guess=90.0, lower=0.01, upper=100.0, log=log)
     curves = [3.0 + ca.sin(11.0 * x), 3.0 + ca.cos(7.0 * x)]
     d.minimise(sign * peak)
@@ -206,9 +206,7 @@ def test_a_bound_on_a_peak_is_solved_in_place(log, sign):
 
 
 def test_variables_of_runs_and_of_products_are_searched():
-    d = po.Design()
-    x = d.variable("x", guess=0.5, lower=0.1, upper=1.0)
-    y = d.variable("y", guess=0.5, lower=0.1, upper=1.0)
+    d, x, y = design(x=(0.5, 0.1, 1.0), y=(0.5, 0.1, 1.0))
     d.minimise(x + y)
     d.require("product", x * y, at_least=0.1)
     program = Program(d.declared)

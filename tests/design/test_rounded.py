@@ -7,6 +7,7 @@ from pathlib import Path
 
 import casadi as ca
 import pytest
+from helpers.small_designs import design
 
 import plough_opt as po
 from plough_opt.design import Rounded
@@ -89,8 +90,7 @@ def test_an_optimum_in_the_catalogue_costs_nothing():
 
 
 def test_an_optimum_on_its_bound_is_a_multiple_of_the_step():
-    d = po.Design()
-    x = d.variable("x", guess=0.5, lower=0.3, upper=1.0)
+    d, x = design(x=(0.5, 0.3, 1.0))
     d.minimise(x)
     found = d.solve().rounded(x=0.1)
     assert found.variables == pytest.approx({"x": 0.3}, rel=1e-15)
@@ -112,9 +112,7 @@ def test_a_side_that_is_infeasible_is_named():
 
 def test_a_far_value_that_others_make_better_is_found():
     """The catalogue's best lies in another basin than the optimum, and with the others held it is the worst."""
-    d = po.Design()
-    x = d.variable("x", guess=0.1, lower=0.0, upper=1.0)
-    y = d.variable("y", guess=0.1, lower=0.0, upper=1.0)
+    d, x, y = design(x=(0.1, 0.0, 1.0), y=(0.1, 0.0, 1.0))
     near, far = (x - 0.11) ** 2 + (y - 0.1) ** 2, (x - 0.9) ** 2 + (y - 0.9) ** 2
     # Two wells: the narrower one is deeper by 0.1 at its bottom, between the values of the catalogue.
     d.minimise(2.0 - 1.1 * ca.exp(-near / 0.0005) - ca.exp(-far / 0.005))

@@ -7,6 +7,7 @@ import time
 import casadi as ca
 import numpy as np
 import pytest
+from helpers.small_designs import design
 from scipy.optimize import differential_evolution, minimize_scalar
 
 import plough_opt as po
@@ -39,9 +40,7 @@ def _on_other_mounts(scene, stiffness):
 @pytest.fixture
 def waves():
     """A scalar objective with four basins on [0, 1], the deepest at the left."""
-    d = po.Design()
-    x = d.variable("x", guess=0.9, lower=0.0, upper=1.0)
-    y = d.variable("y", guess=0.9, lower=-1.0, upper=1.0)
+    d, x, y = design(x=(0.9, 0.0, 1.0), y=(0.9, -1.0, 1.0))
     d.minimise(3.0 + x + ca.sin(20.0 * x) + (y - 0.25) ** 2)
     return d
 
@@ -78,8 +77,7 @@ def test_a_near_search_stays_in_the_basin_of_its_guess(waves, search):
 
 
 def test_a_near_search_is_never_worse_than_a_feasible_guess():
-    d = po.Design()
-    x = d.variable("x", guess=0.52, lower=0.0, upper=1.0)
+    d, x = design(x=(0.52, 0.0, 1.0))
     # From 0.52 a long step downhill ends in the wide, higher basin at 0.9; that of the guess, at 0.5, is narrow.
     d.minimise(2.0 + 4.0 * (x - 0.9) ** 2 - 2.0 * ca.exp(-(((x - 0.5) / 0.05) ** 2)))
     best = d.solve(search="near")
@@ -87,8 +85,7 @@ def test_a_near_search_is_never_worse_than_a_feasible_guess():
 
 
 def test_nor_where_runs_are_followed_one_by_one():
-    d = po.Design()
-    x = d.variable("x", guess=0.0, lower=0.0, upper=1.0)
+    d, x = design(x=(0.0, 0.0, 1.0))
     share, effects = po.Wedge(po.deg(30), po.deg(15), 0.25), po.Effects(contact=po.StickSlip(), start="towed")
     run = po.simulate(po.Scene(po.named_soil("serozem"), share, 5e4 * (1.0 + x), 45.0, 1.0, effects), 0.1)
     # The optimiser first moves away from a bound, and so out of the basin that lies at it, which is deeper.
@@ -343,8 +340,7 @@ def test_coarse_steps_by_wish_are_reported_honestly(build_r1):
 
 
 def test_a_goal_reached_exactly_is_no_lack_of_accuracy(r1_scene, r1_wave):
-    d = po.Design()
-    height = d.variable("height", guess=0.25, lower=0.2, upper=0.4, unit="m")
+    d, height = design(height=(0.25, 0.2, 0.4, "m"))
     run = po.simulate(r1_scene(height=height, strength_wave=r1_wave), 0.5, outputs=5)
     d.minimise((run.mean_draft / 600.0 - 1.0) ** 2)
     best = d.solve()
@@ -354,9 +350,7 @@ def test_a_goal_reached_exactly_is_no_lack_of_accuracy(r1_scene, r1_wave):
 
 
 def test_designs_without_a_value_are_passed_over():
-    d = po.Design()
-    x = d.variable("x", guess=0.9, lower=0.0, upper=1.0)
-    y = d.variable("y", guess=0.9, lower=0.0, upper=1.0)
+    d, x, y = design(x=(0.9, 0.0, 1.0), y=(0.9, 0.0, 1.0))
     d.minimise((ca.log(x - 0.5) + 1.0) ** 2 + (y - 0.5) ** 2)
     best = d.solve()
     assert best.variables["x"] == pytest.approx(0.5 + math.exp(-1.0), abs=1e-6)

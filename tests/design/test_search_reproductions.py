@@ -4,6 +4,7 @@ import math
 from dataclasses import replace
 
 import pytest
+from helpers.small_designs import design
 from independent import study
 from independent.build import as_design
 from independent.problem import Limit, Problem, Variable
@@ -197,8 +198,7 @@ def test_ripples_of_a_basin_are_no_optima_of_their_own():
 
 
 def test_a_guess_that_is_the_optimum_already_is_solved():
-    d = po.Design()
-    height = d.variable("height", guess=0.25, lower=0.15, upper=0.4, unit="m")
+    d, height = design(height=(0.25, 0.15, 0.4, "m"))
     d.minimise(((height - 0.3) ** 2 - 0.0025) ** 2 * 1e4)
     best = d.solve()
     # Both 0.25 and 0.35 are optima, of zero.
@@ -269,16 +269,14 @@ BEYOND = [
     ("name", "lower", "upper", "law"), BEYOND, ids=[f"{k}-{name}" for k, (name, *_) in enumerate(BEYOND)]
 )
 def test_bounds_beyond_the_domain_are_refused_without_a_run(name, lower, upper, law):
-    d = po.Design()
-    x = d.variable("x", guess=0.3, lower=lower, upper=upper)
+    d, x = design(x=(0.3, lower, upper))
     d.minimise(law(x))
     with pytest.raises(po.DomainError, match=rf"at the (lower|upper) bound of 'x': {name}"):
         d.solve()
 
 
 def test_a_law_of_a_runs_result_is_no_obstacle():
-    d = po.Design()
-    height = d.variable("height", guess=0.3, lower=0.1, upper=0.5)
+    d, height = design(height=(0.3, 0.1, 0.5))
     share = po.Cone(0.2, height)
     scene = po.Scene(_soil(), share, 5e4, 80.0, 1.5, po.Effects(strength_wave=po.StrengthWave(0.3, 0.4)))
     run = po.simulate(scene, 0.5)

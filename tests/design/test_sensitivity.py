@@ -7,6 +7,7 @@ from types import SimpleNamespace
 
 import casadi as ca
 import pytest
+from helpers.small_designs import design
 
 import plough_opt as po
 
@@ -108,8 +109,7 @@ def test_an_equality_whichever_way_it_pulls(centre):
 
 
 def test_two_limits_of_one_requirement_are_two_questions():
-    d = po.Design()
-    x = d.variable("x", guess=0.0, lower=-5.0, upper=5.0)
+    d, x = design(x=(0.0, -5.0, 5.0))
     d.minimise(ca.exp(-x))
     d.require("band", 2.0 * x, at_least=-1.0, at_most=3.0)
     best = d.solve()
@@ -328,8 +328,7 @@ def test_an_optimum_without_curvature_is_refused():
 
 
 def test_limits_that_decide_twice_are_refused():
-    d = po.Design()
-    x = d.variable("x", guess=1.5, lower=1.0, upper=2.0)
+    d, x = design(x=(1.5, 1.0, 2.0))
     d.minimise(x**2)
     d.require("the same", 2.0 * x, at_least=2.0)
     with pytest.raises(po.InputError, match=r"the same at_least.*x lower"):

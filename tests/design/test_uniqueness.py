@@ -3,6 +3,7 @@
 import casadi as ca
 import numpy as np
 import pytest
+from helpers.small_designs import design
 
 import plough_opt as po
 
@@ -64,8 +65,7 @@ def test_designs_along_the_flat_direction_are_as_good(two_angles):
 
 
 def test_a_variable_that_nothing_depends_on():
-    d = po.Design()
-    x = d.variable("x", guess=0.9, lower=0.0, upper=1.0)
+    d, x = design(x=(0.9, 0.0, 1.0))
     d.variable("idle", guess=0.3, lower=0.0, upper=2.0)
     d.minimise(1.0 + (x - 0.25) ** 2)
     best = d.solve()
@@ -77,9 +77,7 @@ def test_a_variable_that_nothing_depends_on():
 
 
 def test_a_sum_of_which_only_the_total_matters():
-    d = po.Design()
-    x = d.variable("x", guess=0.9, lower=0.0, upper=1.0)
-    y = d.variable("y", guess=0.3, lower=0.0, upper=2.0)
+    d, x, y = design(x=(0.9, 0.0, 1.0), y=(0.3, 0.0, 2.0))
     d.minimise(1.0 + (x + y - 1.2) ** 2)
     best = d.solve()
     (direction,) = best.flat_directions
@@ -88,9 +86,7 @@ def test_a_sum_of_which_only_the_total_matters():
 
 
 def test_a_constant_objective_leaves_every_direction_flat():
-    d = po.Design()
-    x = d.variable("x", guess=0.9, lower=0.0, upper=1.0)
-    y = d.variable("y", guess=0.3, lower=0.0, upper=2.0)
+    d, x, y = design(x=(0.9, 0.0, 1.0), y=(0.3, 0.0, 2.0))
     d.minimise(1.0)
     d.require("sum", x + y, at_most=2.5)
     best = d.solve()
@@ -99,9 +95,7 @@ def test_a_constant_objective_leaves_every_direction_flat():
 
 
 def test_a_flat_line_along_an_active_limit():
-    d = po.Design()
-    x = d.variable("x", guess=0.9, lower=0.0, upper=1.0)
-    y = d.variable("y", guess=0.3, lower=0.0, upper=1.0)
+    d, x, y = design(x=(0.9, 0.0, 1.0), y=(0.3, 0.0, 1.0))
     d.minimise(x + y)
     d.require("sum", x + y, at_least=0.7)
     best = d.solve()
@@ -112,9 +106,7 @@ def test_a_flat_line_along_an_active_limit():
 
 @pytest.mark.parametrize("objective", ["steep", "gentle", "quartic", "corner"])
 def test_a_unique_optimum_has_no_flat_direction(objective):
-    d = po.Design()
-    x = d.variable("x", guess=0.9, lower=0.0, upper=1.0)
-    y = d.variable("y", guess=0.3, lower=0.0, upper=1.0)
+    d, x, y = design(x=(0.9, 0.0, 1.0), y=(0.3, 0.0, 1.0))
     d.minimise(
         {
             "steep": 1.0 + 1e4 * (x - 0.25) ** 2 + (y - 0.5) ** 2,
@@ -130,8 +122,7 @@ def test_a_unique_optimum_has_no_flat_direction(objective):
 
 @pytest.mark.parametrize("others", [0, 1])
 def test_a_start_on_top_of_a_hill_is_left(others):
-    d = po.Design()
-    x = d.variable("x", guess=0.5, lower=0.0, upper=1.0)
+    d, x = design(x=(0.5, 0.0, 1.0))
     hill = 2.0 - (x - 0.5) ** 2
     for k in range(others):
         hill += (d.variable(f"y{k}", guess=0.5, lower=0.0, upper=1.0) - 0.3) ** 2

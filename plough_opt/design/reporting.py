@@ -188,3 +188,10 @@ def gap_of(program: Program, p: Vector, point: Point) -> float:
     """Return the relative difference of the optimiser's objective at a point from the tightly integrated one."""
     exact = float(program.exact_values(point.y, p)[0][0].item())
     return abs(point.f * program.objective_scale - exact) / max(abs(exact), _SMALL * program.objective_scale)
+
+
+def broken_by(program: Program, p: Vector, point: Point) -> float:
+    """Return by what part of its size the most broken requirement is beyond its limit in the tight integration."""
+    values = zip(program.exact_values(point.y, p)[0][1:], program.scales, strict=True)
+    g = np.concatenate([np.ravel(value) / scale for value, scale in values] or [np.empty(0)])
+    return float(np.max(np.maximum(program.low - g, g - program.high), initial=0.0))

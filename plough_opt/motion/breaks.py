@@ -17,10 +17,11 @@ import casadi as ca
 import numpy as np
 
 from plough_opt.core.expressions import Expression
+from plough_opt.motion.effects.tow_ramp import ramp_time
 from plough_opt.motion.equation import equation_of_motion
 from plough_opt.motion.pooling import pooled
 from plough_opt.motion.signals import signals
-from plough_opt.motion.terms import Structure, ramp_time, start_speed, strut
+from plough_opt.motion.terms import Structure, start_speed, strut
 from plough_opt.motion.timeline import Timeline
 
 # A kink is missed by 1e-3 of a step, and what it leaves of a second derivative by the fourth power of that.
@@ -94,7 +95,7 @@ def unbroken(structure: Structure, timeline: Timeline, one: ca.Function, count: 
         one: (Taylor coefficients of the state, span, parameters) -> (those of the state after it, of the moments).
         count: number of parameters by which these are differentiated.
     """
-    if not timeline.moving or structure.contact != "smooth":
+    if not timeline.moving or not structure.smooth:
         return one
     state, span, p = (ca.MX.sym(one.name_in(k), *one.size_in(k)) for k in range(3))
     at = ca.MX.sym("at", 2)

@@ -92,10 +92,10 @@ def unsound_own(scene: Scene, last: Run | None, pause: float) -> str | None:
         places = [*zip(last.travel.tolist(), last.speed.tolist(), strict=True)]
         travel, speed = places[-1]
         places += [(travel + float(beyond) * pause * speed, speed) for beyond in _BEYOND]
-    for k, term in enumerate(structure.own):
+    for term in structure.own:
         for travel, speed in places:
             with np.errstate(all="ignore"):
-                force = float(as_number(term.force(k, p, travel, speed)))
+                force = float(as_number(term.force(p, travel, speed)))
             if not math.isfinite(force):
                 return (
                     f"the own effect {term.kind.__name__} returns {force} N at a travel of {travel:.6g} m and a speed"

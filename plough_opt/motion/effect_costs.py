@@ -5,7 +5,6 @@ Operations are counted, not clocked: they are the same at every repetition and o
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
@@ -16,7 +15,8 @@ from plough_opt.core.errors import InputError, IntegrationError
 from plough_opt.core.expressions import as_number
 from plough_opt.motion import simulate
 from plough_opt.motion.accuracy import Accuracy
-from plough_opt.motion.effects import Effects, Smooth, StickSlip
+from plough_opt.motion.effects import TERMS, Effects
+from plough_opt.motion.effects.entry import Entry
 from plough_opt.motion.equation import equation_of_motion
 from plough_opt.motion.integrators import integration
 from plough_opt.motion.plan import MOST_ADAPTIVE, OUTPUTS, coarser, forced_rate, numbers_of, steps_for, timeline_of
@@ -24,7 +24,6 @@ from plough_opt.motion.quasi_static import GAUSS_POINTS, MORE_POINTS
 from plough_opt.motion.runge_kutta import step
 from plough_opt.motion.scene import Scene
 from plough_opt.motion.terms import Structure, resistance
-from plough_opt.soil.waves import StrengthWave
 
 
 @dataclass(frozen=True)
@@ -86,28 +85,22 @@ def _cost(
 
 def _pairs(scene: Scene, duration: float | None) -> dict[str, tuple[dict[str, Any], dict[str, Any]]]:
     """Return, for every effect, the changes that switch it on and off."""
-    own = scene.effects
-    speed = float(as_number(scene.tow_speed)) or 1.0
-    critical = 2.0 * math.sqrt(float(as_number(scene.stiffness)) * float(as_number(scene.inertia)))
-    start = own.start if own.start != "equilibrium" else "towed"
-    smooth = own.contact if isinstance(own.contact, Smooth) else Smooth(0.1 * speed)
-    slip = own.contact if isinstance(own.contact, StickSlip) else StickSlip()
-    wave = own.strength_wave or StrengthWave(0.3, 0.2)
-    return {
+    effects, plain = scene.effects, Effects()
+    start = effects.start if effects.start != "equilibrium" else "towed"
+    pairs: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
         "equation of motion": ({"motion": True}, {"motion": False}),
-        "inertial drag": ({"inertial_drag": True}, {"inertial_drag": False}),
         "added mass": ({"added_mass": True}, {"added_mass": False}),
         "ambient pressure": ({"ambient_pressure": True}, {"ambient_pressure": False}),
         "start at rest": ({"start": "rest"}, {"start": "equilibrium"}),
-        "strength wave": ({"strength_wave": wave}, {"strength_wave": None}),
-        "tow ramp": ({"tow_ramp": own.tow_ramp or 0.1 * (duration or 1.0)}, {"tow_ramp": None}),
-        "damping": ({"damping": own.damping or 0.1 * critical}, {"damping": None}),
-        "rate term": ({"rate_term": own.rate_term or 0.01}, {"rate_term": None}),
-        "smooth contact": ({"contact": smooth}, {"contact": "resisting"}),
-        "stick and slip": ({"contact": slip}, {"contact": "resisting"}),
-        "entry": ({"entry": True, "start": start}, {"entry": False, "start": start}),
-        "periodic orbit": ({"orbit": "periodic"}, {"orbit": "transient"}),
     }
+    for kind in TERMS:
+        if kind.label:
+            on = getattr(effects, kind.field) if kind.of(scene) else kind.usual(scene, duration or 1.0)
+            begins = {"start": start} if kind is Entry else {}
+            off = False if on is True else getattr(plain, kind.field)
+            pairs[kind.label] = {kind.field: on, **begins}, {kind.field: off, **begins}
+    pairs["periodic orbit"] = {"orbit": "periodic"}, {"orbit": "transient"}
+    return pairs
 
 
 def _size(scene: Scene) -> tuple[int, int, int]:

@@ -7,7 +7,6 @@ wholly in the soil, and before 0; behind a strut whose speed ramps up the last o
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Final
@@ -15,18 +14,18 @@ from typing import Final
 import casadi as ca
 
 from plough_opt.core.expressions import Expression
+from plough_opt.motion.effects.tow_ramp import Strut
 from plough_opt.motion.terms import (
     Structure,
-    Strut,
     carried_mass,
     hold,
     inertia_at,
-    ramp_time,
+    pull,
     resistance,
     resistance_change,
     start_deflection,
+    start_force,
     start_rate,
-    start_resistance,
     start_speed,
     strut,
 )
@@ -65,7 +64,7 @@ def equation_of_motion(structure: Structure) -> EquationOfMotion:
     """Build the differential equation of a structure; terms that are off leave no trace in it."""
     symbols = {name: ca.SX.sym(name) for name in structure.names}
     now = _Now(structure, symbols)
-    if structure.contact == "stick_slip":
+    if structure.sticks:
         rates, zeros, after = now.rates_of_modes(), [now.until_contact_changes()], [now.after_contact_changed()]
     elif structure.entry:
         rates, zeros, after = now.rates_of_entry(), [now.until_it_turns()], [now.after_it_turned()]
@@ -73,9 +72,9 @@ def equation_of_motion(structure: Structure) -> EquationOfMotion:
         rates, zeros, after = ca.vertcat(now.rate, now.slipping()), [], []
     counted = now.state[4 if structure.events else 2 :]
     rates, after = ca.vertcat(rates, ca.SX.zeros(counted.numel())), [ca.vertcat(state, counted) for state in after]
-    for what, until in now.until_counted():
-        zeros.append(ca.if_else(what < 0.5, until, 1.0))
-        after.append(ca.substitute(now.state, what, 1.0))
+    for term, ended in zip(structure.ending, ca.vertsplit(counted), strict=True):
+        zeros.append(ca.if_else(ended < 0.5, term.until(now.p, now.time, now.travel), 1.0))
+        after.append(ca.substitute(now.state, ended, 1.0))
     everything = ca.vertcat(rates, *zeros, *after)
     used = {symbol.name() for symbol in ca.symvar(everything)} & set(structure.names)
     names = tuple(name for name in structure.names if name in used)
@@ -91,15 +90,13 @@ def equation_of_motion(structure: Structure) -> EquationOfMotion:
 def start_state(structure: Structure, p: dict[str, Expression]) -> Expression:
     """Return the state at time 0 as a column."""
     first = ca.vertcat(0.0, start_rate(structure, p))
-    counted = (0.0,) * (structure.entry + structure.ends_ramp)
-    if structure.contact != "stick_slip":
+    counted = (0.0,) * len(structure.ending)
+    if not structure.sticks:
         return ca.vertcat(first, *((0.0, SLIP) if structure.entry else ()), *counted)
     # A share without speed sticks, unless the mount already pulls enough.
     speed = 0.0 if structure.start == "rest" else start_speed(structure, p)
-    pull = 0.0 if structure.relaxed else start_resistance(structure, p)
-    if structure.damper:
-        pull = pull + p["damping"] * start_rate(structure, p)
-    held = pull < hold(structure, p, -start_deflection(structure, p))
+    pulled = start_force(structure, p) + pull(structure, p, 0.0, start_rate(structure, p))
+    held = pulled < hold(structure, p, -start_deflection(structure, p))
     return ca.vertcat(first, 0.0, ca.if_else(speed > 0.0, SLIP, ca.if_else(held, STICK, SLIP)), *counted)
 
 
@@ -111,14 +108,11 @@ class _Now:
         self.time = ca.SX.sym("time")
         self.w, self.rate = ca.SX.sym("w"), ca.SX.sym("rate")
         self.opening, self.mode = ca.SX.sym("opening"), ca.SX.sym("mode")
-        self.entered, self.ramped = ca.SX.sym("entered"), ca.SX.sym("ramped")
         modes = (self.opening, self.mode) if structure.events else ()
-        counted = ((structure.entry, self.entered), (structure.ends_ramp, self.ramped))
-        self.state = ca.vertcat(self.w, self.rate, *modes, *(symbol for there, symbol in counted if there))
+        ended = {term.state: ca.SX.sym(term.state) for term in structure.ending}
+        self.state = ca.vertcat(self.w, self.rate, *modes, *ended.values())
         self.structure = structure
-        self.p = p | {"entered": self.entered, "behind": self.opening} if structure.entry else p
-        if structure.ends_ramp:
-            self.p = self.p | {"ramped": self.ramped}
+        self.p = p | ended | ({"behind": self.opening} if structure.entry else {})
         self.mount: Strut = strut(structure, self.p, self.time)
         self.travel = self.mount.path - start_deflection(structure, p) - self.w
 
@@ -140,9 +134,7 @@ class _Now:
     @property
     def pull(self) -> Expression:
         """Mount force P [N]."""
-        first = 0.0 if self.structure.relaxed else start_resistance(self.structure, self.p)
-        damper = self.p["damping"] * self.rate if self.structure.damper else 0.0
-        return first + self.p["stiffness"] * self.w + damper
+        return start_force(self.structure, self.p) + pull(self.structure, self.p, self.w, self.rate)
 
     @property
     def hold(self) -> Expression:
@@ -156,10 +148,7 @@ class _Now:
             soil = resistance(structure, p, self.travel, self.speed)
         else:
             soil = resistance_change(structure, p, self.travel, self.mount.gain - self.rate)
-        force = soil - p["stiffness"] * self.w
-        if structure.damper:
-            force = force - p["damping"] * self.rate
-        acceleration = force / inertia_at(structure, p, self.travel)
+        acceleration = (soil - pull(structure, p, self.w, self.rate)) / inertia_at(structure, p, self.travel)
         return acceleration + self.mount.acceleration if structure.ramp else acceleration
 
     def rates_of_modes(self) -> Expression:
@@ -192,18 +181,11 @@ class _Now:
     def until_it_turns(self) -> Expression:
         """Return what becomes negative when a share that enters turns back, or is at its furthest point again."""
         turning = ca.if_else(self.mode > STICK, self.opening, self._stopping)
-        return ca.if_else(self.entered < 0.5, turning, 1.0)
+        return ca.if_else(self.p["entered"] < 0.5, turning, 1.0)
 
     def after_it_turned(self) -> Expression:
         """Return the state after that."""
         return ca.vertcat(self.w, self.rate, 0.0, ca.if_else(self.mode > STICK, SLIP, GAP))
-
-    def until_counted(self) -> Iterator[tuple[ca.SX, Expression]]:
-        """Yield the states that become 1 once and for all, and what becomes negative when they do."""
-        if self.structure.entry:
-            yield self.entered, self.p["height"] - self.travel
-        if self.structure.ends_ramp:
-            yield self.ramped, ramp_time(self.p) - self.time
 
     def _by_mode(self, slip: Expression, stick: Expression, gap: Expression) -> Expression:
         """Choose by the mode, element by element."""

@@ -15,7 +15,7 @@ from plough_opt.motion.methods import METHODS, is_stepped, tableau_of
 from plough_opt.motion.orbit import orbit_map
 from plough_opt.motion.runge_kutta import run_map
 from plough_opt.motion.signals import signals
-from plough_opt.motion.terms import Structure, lightest_mass, start_resistance
+from plough_opt.motion.terms import Structure, lightest_mass, pull, start_resistance
 from plough_opt.motion.timeline import Timeline
 
 # Lower than any force that matters; keeps the scales of a scene without forces above zero.
@@ -132,18 +132,17 @@ def _by_casadi(structure: Structure, accuracy: Accuracy, timeline: Timeline) -> 
 def _expected(structure: Structure, p: dict[str, Any], duration: Any) -> Any:
     """Return the sizes of a `Sized` run that a scene lets expect, so that one absolute tolerance fits all."""
     # A parameter that nothing in the equation needs moves nothing, and counts as zero here.
-    own = (name for k, term in enumerate(structure.own) for name in term.names(k))
-    complete = {**dict.fromkeys(("static", "drag", "rate_term", "tow_speed", *own), 0.0), **p}
+    complete = dict.fromkeys(structure.names, 0.0) | p
     stiffness = ca.fabs(p["stiffness"])  # below zero where a spring repels
     hardness = ca.sqrt(stiffness * lightest_mass(p))
     force = start_resistance(structure, complete) + complete["tow_speed"] * hardness + _LEAST_FORCE
-    if structure.relaxed and structure.contact == "stick_slip":
+    if structure.relaxed and structure.sticks:
         # Soil that only resists may be far stronger than a relaxed spring ever pulls.
         force = ca.fmin(force, complete["tow_speed"] * (stiffness * duration + hardness) + _LEAST_FORCE)
     deflection, rate = force / stiffness, force / hardness
     squared, others = [deflection], []
     if structure.damper:
-        squared.append(force + p["damping"] * rate)
+        squared.append(force + pull(structure, p, 0.0, rate))
     if structure.ramp:
         others.append(force * (p["tow_speed"] + rate))
     return ca.vertcat(deflection, rate, *squared, *others, *squared)
@@ -152,7 +151,7 @@ def _expected(structure: Structure, p: dict[str, Any], duration: Any) -> Any:
 def _units(structure: Structure, sizes: Any) -> Any:
     """Return the units of an equation's states: deflection, rate, a gap's opening; mode and entry count."""
     modes = (sizes[0], 1.0) if structure.events else ()
-    return ca.vertcat(sizes[0], sizes[1], *modes, *(1.0,) * (structure.entry + structure.ends_ramp))
+    return ca.vertcat(sizes[0], sizes[1], *modes, *(1.0,) * len(structure.ending))
 
 
 def _scaled_equation(structure: Structure) -> tuple[dict[str, ca.SX], ca.Function | None]:

@@ -15,12 +15,13 @@ import casadi as ca
 
 from plough_opt.motion.breaks import moving_ramp, spans_of, start_and_size, telling, unbroken
 from plough_opt.motion.dop853 import NODES, STAGES, WEIGHTS
+from plough_opt.motion.effects.tow_ramp import ramp_time
 from plough_opt.motion.equation import equation_of_motion, start_state
 from plough_opt.motion.integrators import Integration
 from plough_opt.motion.pooling import Average, pairs, pooled, product
 from plough_opt.motion.readings import at_outputs
 from plough_opt.motion.signals import signals
-from plough_opt.motion.terms import Structure, ramp_time
+from plough_opt.motion.terms import Structure
 from plough_opt.motion.timeline import Timeline
 
 Along = tuple[float, ...]

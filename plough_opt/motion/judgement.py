@@ -143,9 +143,9 @@ def refuse_weak_rest(scene: Scene, run: Run) -> None:
         InputError: one does, somewhere along a run under `StickSlip`.
     """
     structure, p = Structure.of(scene), parameters(scene)
-    for k, term in enumerate(structure.own):
+    for term in structure.own:
         held, slips = (np.broadcast_to(as_number(force), run.travel.shape) for force in (
-            term.at_rest(k, p, run.travel), term.force(k, p, run.travel, 0.0)))  # fmt: skip
+            term.at_rest(p, run.travel), term.force(p, run.travel, 0.0)))  # fmt: skip
         if np.any(weak := ~(held >= slips * (1.0 - _MISSED))):
             worst = int(np.argmax(weak))
             raise InputError(

@@ -15,10 +15,11 @@ import casadi as ca
 import numpy as np
 
 from plough_opt.core.expressions import Expression
+from plough_opt.motion.effects.strength_waves import wave_names
 from plough_opt.motion.equation import equation_of_motion
 from plough_opt.motion.runge_kutta import run_from
 from plough_opt.motion.signals import signals
-from plough_opt.motion.terms import Structure, own_force, repeat_length, start_deflection, wave_names
+from plough_opt.motion.terms import Structure, pull, resistance_change, start_deflection
 from plough_opt.motion.timeline import Timeline
 
 # The residual is in units of `_size`. CasADi prints every input of a root that it fails to find; here such a root
@@ -27,8 +28,8 @@ _OPTIONS = {"abstol": 1e-12, "max_iter": 60, "error_on_fail": False, "show_eval_
 _FOUND = 1e-8
 # Wave amplitude below which the unit of the unknowns no longer follows it, so that it has derivatives at 0.
 _LEAST_AMPLITUDE = 1e-3
-# Places in a wavelength at which own resistances are looked at: enough for their first harmonic beside 14 more.
-_OWN_SAMPLES = 16
+# Places in the shortest wavelength at which the resistance is looked at: enough for its first harmonic beside 14 more.
+_SAMPLES = 16
 
 
 def orbit_map(structure: Structure, timeline: Timeline) -> ca.Function:
@@ -53,68 +54,64 @@ def monodromy(structure: Structure, timeline: Timeline) -> ca.Function:
 def _response(structure: Structure, p: dict[str, Expression]) -> tuple[Expression, Expression, Expression]:
     """Return mean, sine and cosine coefficients [m] of w in the linear forced response about steady sliding.
 
-    For each wave M w'' + d w' + k0 w = F0 + Fs sin(theta) + Fc cos(theta), theta = n (omega t - 2 pi z0/ell) + phi,
-    with its n turns in the common length; d = c + 2 V0 (F0 kappa + Fd) + dO/dL', where own resistances O(L, L') on the
-    steady path are a series in theta too, of which this is the first harmonic. Coefficients are columns by n.
+    On the steady path L = V0 t, theta = omega t, the resistance is a series Fm + sum of Fs sin(n theta) + Fc cos(n
+    theta), with an n for each wave's turns in the common length; so M w'' + d w' + k0 w is that series at the lag
+    2 pi z0/ell, with d = c + dF/dL'. Coefficients are columns by n.
     """
-    speed = p["tow_speed"]
-    omega = 2.0 * math.pi * speed / repeat_length(structure, p)
-    rate = p["static"] * p["rate_term"] if structure.rate else 0.0
-    drag = p["drag"] if structure.drag else 0.0
-    damping = (p["damping"] if structure.damper else 0.0) + 2.0 * speed * (rate + drag)
-    mean: Expression = 0.0
-    own_sine: Expression = 0.0
-    own_cosine: Expression = 0.0
-    if structure.own:
-        mean, own_sine, own_cosine, slope = ca.vertsplit(_own_series(structure)(_own_parameters(structure, p)))
-        damping = damping + slope
-    lag = 2.0 * math.pi / repeat_length(structure, p) * start_deflection(structure, p)
-    sines, cosines = ([0.0] * max(structure.turns or (1,)) for _ in range(2))
-    for k in range(structure.waves):
-        amplitude, _, shift = wave_names(k)
-        n = structure.turns[k] if structure.turns else 1
-        strength = p[amplitude] * (p["static"] + rate * speed**2)
-        along_sine, along_cosine = strength + own_sine, own_cosine
-        if structure.phased:
-            along_sine = strength * ca.cos(p[shift]) + own_sine
-            along_cosine = strength * ca.sin(p[shift]) + own_cosine
-        spring, damped = p["stiffness"] - p["inertia"] * (n * omega) ** 2, damping * n * omega
-        size = 1.0 / (spring**2 + damped**2)
-        sine = size * (spring * along_sine + damped * along_cosine)
-        cosine = size * (spring * along_cosine - damped * along_sine)
-        sines[n - 1] = sines[n - 1] + sine * ca.cos(n * lag) + cosine * ca.sin(n * lag)
-        cosines[n - 1] = cosines[n - 1] + cosine * ca.cos(n * lag) - sine * ca.sin(n * lag)
-    return mean / p["stiffness"], ca.vertcat(*sines), ca.vertcat(*cosines)
+    names, repeats = signals(structure).parameters, _repeats(structure, p)
+    omega = 2.0 * math.pi * p["tow_speed"] / repeats
+    mean, along_sine, along_cosine, slope = _series(structure)(ca.vertcat(*(p[name] for name in names)))
+    turns = _turns(structure)
+    n = ca.DM(turns)
+    damping = pull(structure, p, 0.0, 1.0) + slope
+    spring, damped = p["stiffness"] - p["inertia"] * (n * omega) ** 2, damping * n * omega
+    size = 1.0 / (spring**2 + damped**2)
+    sine = size * (spring * along_sine + damped * along_cosine)
+    cosine = size * (spring * along_cosine - damped * along_sine)
+    lag = n * (2.0 * math.pi / repeats * start_deflection(structure, p))
+    every = ca.DM.eye(turns[-1])[:, [turn - 1 for turn in turns]]
+    sines = ca.mtimes(every, sine * ca.cos(lag) + cosine * ca.sin(lag))
+    return mean / p["stiffness"], sines, ca.mtimes(every, cosine * ca.cos(lag) - sine * ca.sin(lag))
 
 
-def _own_parameters(structure: Structure, p: dict[str, Expression]) -> Expression:
-    """Return what `_own_series` takes: tow speed, wavelength, quantities of the own resistances."""
-    names = [name for k, term in enumerate(structure.own) for name in term.names(k)]
-    return ca.vertcat(p["tow_speed"], p["wavelength"], *(p[name] for name in names))
+def _repeats(structure: Structure, p: dict[str, Expression]) -> Expression:
+    """Return the length [m] after which the soil repeats itself."""
+    assert structure.wave is not None  # an orbit has some
+    return structure.wave.repeats(p)
+
+
+def _turns(structure: Structure) -> list[int]:
+    """Return the numbers of turns of the waves in the common length, ascending."""
+    assert structure.wave is not None  # an orbit has some
+    return sorted({*(structure.wave.turns or (1,))})
 
 
 @lru_cache(maxsize=32)
-def _own_series(structure: Structure) -> ca.Function:
-    """Return of own resistances on the steady path L = V0 t: mean change since L = 0, first harmonic, slope by speed.
+def _series(structure: Structure) -> ca.Function:
+    """Return of the resistance on the steady path: mean change since the start, sines, cosines, mean slope by speed.
 
-    As one column: mean [N], sine and cosine coefficients [N], mean derivative by the share's speed [N s/m].
+    A Function of the parameters of `signals`, in N and N s/m; sines and cosines are columns by `_turns`.
     """
-    names = [name for k, term in enumerate(structure.own) for name in term.names(k)]
-    given, travel, speed = ca.SX.sym("given", 2 + len(names)), ca.SX.sym("travel"), ca.SX.sym("speed")
-    known = dict(zip(names, ca.vertsplit(given[2:]), strict=True))
-    force = ca.SX(own_force(structure, known, travel, speed))
-    at = ca.Function("own", [travel, speed, given], [force, ca.jacobian(force, speed)])
-    phases = 2.0 * math.pi * np.arange(_OWN_SAMPLES) / _OWN_SAMPLES
-    found = [at(given[1] * phase / (2.0 * math.pi), given[0], given) for phase in phases]
-    forces, slopes = (ca.densify(ca.horzcat(*column)) for column in zip(*found, strict=True))
-    weights = ca.DM(np.column_stack([np.ones_like(phases), 2.0 * np.sin(phases), 2.0 * np.cos(phases)]) / _OWN_SAMPLES)
-    series = ca.mtimes(forces - forces[0], weights).T
-    return ca.Function("own_series", [given], [ca.vertcat(series, ca.sum2(slopes) / _OWN_SAMPLES)])
+    names, turns = signals(structure).parameters, _turns(structure)
+    given, travel, gain = ca.SX.sym("given", len(names)), ca.SX.sym("travel"), ca.SX.sym("gain")
+    known = dict(zip(names, ca.vertsplit(given), strict=True))
+    force = ca.SX(resistance_change(structure, known, travel, gain))
+    slope = ca.substitute(ca.jacobian(force, gain), gain, 0.0)
+    at = ca.Function("at", [travel, given], [ca.densify(ca.substitute(force, gain, 0.0)), ca.densify(slope)])
+    count = _SAMPLES * turns[-1]
+    phases = 2.0 * math.pi * np.arange(count) / count
+    p = ca.MX.sym("p", len(names))
+    repeats = _repeats(structure, dict(zip(names, ca.vertsplit(p), strict=True)))
+    forces, slopes = at.map(count)(ca.DM(phases).T / (2.0 * math.pi) * repeats, ca.repmat(p, 1, count))
+    sines, cosines = (2.0 / count * function(np.outer(phases, turns)) for function in (np.sin, np.cos))
+    found = [ca.sum2(forces) / count, *((forces @ ca.DM(b)).T for b in (sines, cosines)), ca.sum2(slopes) / count]
+    return ca.Function("series", [p], found)
 
 
 def _size(structure: Structure, p: dict[str, Expression]) -> Expression:
     """Return the unit [m] of an orbit's unknowns: the waves' deflection of the spring."""
-    amplitude = ca.sqrt(sum(p[wave_names(k)[0]] ** 2 for k in range(structure.waves)) + _LEAST_AMPLITUDE**2)
+    assert structure.wave is not None  # an orbit has some
+    amplitude = ca.sqrt(sum(p[wave_names(k)[0]] ** 2 for k in range(structure.wave.count)) + _LEAST_AMPLITUDE**2)
     return amplitude * p["static"] / p["stiffness"] + 1e-30
 
 
@@ -123,12 +120,13 @@ def _shooting(structure: Structure, timeline: Timeline) -> ca.Function:
     x, p = ca.MX.sym("x", 2), ca.MX.sym("p", len(signals(structure).parameters) + 1)
     known = signals(structure).named(p)
     mean, sines, cosines = _response(structure, known)
-    omega = 2.0 * math.pi * known["tow_speed"] / repeat_length(structure, known)
+    omega = 2.0 * math.pi * known["tow_speed"] / _repeats(structure, known)
     size = _size(structure, known)
     unit = ca.vertcat(size, size * omega)
     once = run_from(structure, Timeline(1, timeline.steps))
     miss = (once(x * unit, p)[0][:, -1] - x * unit) / unit
-    first = _root(x, p, miss, ca.vertcat(mean + ca.sum1(cosines), omega * ca.dot(_turns(sines), sines)) / unit) * unit
+    turning = omega * ca.dot(ca.DM(range(1, sines.numel() + 1)), sines)
+    first = _root(x, p, miss, ca.vertcat(mean + ca.sum1(cosines), turning) / unit) * unit
     results = run_from(structure, timeline)(first, p)
     return ca.Function("orbit", [p], list(results), {"never_inline": True})
 
@@ -150,7 +148,7 @@ def _balanced(structure: Structure) -> ca.Function:
     x, p = ca.MX.sym("x", 2 * count + 1), ca.MX.sym("p", len(signals(structure).parameters) + 1)
     known = signals(structure).named(p)
     mean, sines, cosines = _response(structure, known)
-    omega = 2.0 * math.pi * known["tow_speed"] / repeat_length(structure, known)
+    omega = 2.0 * math.pi * known["tow_speed"] / _repeats(structure, known)
     size = _size(structure, known)
     w, rate, acceleration = (size * ca.mtimes(ca.DM(b), x) for b in (basis, slope, bend))
     rate, acceleration = rate * omega, acceleration * omega**2
@@ -165,11 +163,6 @@ def _balanced(structure: Structure) -> ca.Function:
     rest = ca.MX.zeros(count - sines.numel())
     guess = ca.vertcat(mean / size, cosines / size, rest, sines / size, rest)
     return ca.Function("balanced", [p], [_root(x, p, out_of_balance, guess) * size])
-
-
-def _turns(coefficients: Expression) -> ca.DM:
-    """Return 1, 2, ... for the coefficients of as many harmonics."""
-    return ca.DM(np.arange(1.0, coefficients.numel() + 1.0))
 
 
 def _root(x: ca.MX, p: ca.MX, residual: ca.MX, guess: ca.MX) -> ca.MX:
@@ -196,7 +189,7 @@ def _from_series(structure: Structure, timeline: Timeline, series: ca.Function) 
     """Return states at the outputs, means and variances of a Fourier series."""
     p = ca.MX.sym("p", len(signals(structure).parameters) + 1)
     known = signals(structure).named(p)
-    omega = 2.0 * math.pi * known["tow_speed"] / repeat_length(structure, known)
+    omega = 2.0 * math.pi * known["tow_speed"] / _repeats(structure, known)
     x = series(p)
     count = (x.numel() - 1) // 2
     basis, slope, _ = _basis(count, 2.0 * math.pi * timeline.output_fractions)

@@ -13,10 +13,11 @@ import numpy as np
 from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import Expression, as_number, is_symbolic, maximum, sqrt
 from plough_opt.motion.accuracy import DEFAULT_DERIVATIVES, DEFAULT_TOLERANCE, Accuracy
-from plough_opt.motion.effects import Smooth
+from plough_opt.motion.effects import TERMS, Smooth
+from plough_opt.motion.effects.own import Own, slopes
 from plough_opt.motion.methods import METHODS, ORDER_8
 from plough_opt.motion.scene import Scene
-from plough_opt.motion.terms import Structure, lightest_mass, own_slopes, parameters
+from plough_opt.motion.terms import Structure, lightest_mass, parameters
 from plough_opt.motion.timeline import Timeline
 
 OUTPUTS = 400
@@ -87,9 +88,7 @@ def numbers_of(scene: Scene) -> dict[str, float]:
         InputError: one is an array.
     """
     p = {name: _number(name, value) for name, value in parameters(scene).items()}
-    if scene.effects.own:
-        p |= zip(("own_stiffness", "own_damping"), own_slopes(scene), strict=True)
-    return p
+    return p | slopes(Own.of(scene), p) if scene.effects.own else p
 
 
 def _number(name: str, value: Expression) -> float:
@@ -102,11 +101,9 @@ def _number(name: str, value: Expression) -> float:
 
 def forced_rate(p: Mapping[str, Any]) -> Any:
     """Return the fastest angular frequency [rad/s] that the strut and the soil impose."""
-    # The wave is a sine of the travel, to which the share's own oscillation adds harmonics.
-    fastest = 2.0 * math.pi / p["ramp_time"] if "ramp_time" in p else 0.0
-    for name, value in p.items():
-        if name.startswith("wavelength"):
-            fastest = maximum(fastest, 4.0 * math.pi * p["tow_speed"] / value)
+    fastest: Any = 0.0
+    for kind in TERMS:
+        fastest = maximum(fastest, kind.rates(p).imposed)
     return fastest
 
 
@@ -146,13 +143,9 @@ def summed_and_lasting_phase(p: Mapping[str, Any], duration: Any) -> tuple[Any, 
 
 def _rates(p: Mapping[str, Any]) -> tuple[Any, Any, Any]:
     """Return the mount's angular frequency [rad/s], the rate of decay [1/s] and `forced_rate`."""
-    inertia = lightest_mass(p)
-    drag = 2.0 * p.get("drag", 0.0) * p.get("tow_speed", 0.0)
-    # Steepest slope of the smooth contact's step, at its strongest soil.
-    strongest = 1.0 + sum(value for name, value in p.items() if name.startswith("wave_amplitude"))
-    creep = 315.0 / 128.0 * p["static"] * strongest / p["width"] if "width" in p else 0.0
-    decay = (p.get("damping", 0.0) + p.get("own_damping", 0.0) + drag + creep) / inertia
-    stiffness = abs(p["stiffness"]) + p.get("own_stiffness", 0.0)
+    inertia, rates = lightest_mass(p), [kind.rates(p) for kind in TERMS]
+    decay = sum(each.damping + each.steepest for each in rates) / inertia
+    stiffness = abs(p["stiffness"]) + sum(each.stiffness for each in rates)
     return sqrt(stiffness / inertia), decay, forced_rate(p)
 
 
@@ -165,7 +158,7 @@ def ringing(p: Mapping[str, float], duration: float) -> float:
     """Return the phase [rad] of the share's own oscillation from a start that is not steady, until it has died away."""
     inertia: float = lightest_mass(p)
     frequency = math.sqrt(abs(p["stiffness"]) / inertia)
-    decay = (p.get("damping", 0.0) + 2.0 * p.get("drag", 0.0) * p.get("tow_speed", 0.0)) / (2.0 * inertia)
+    decay = sum(kind.rates(p).damping for kind in TERMS) / (2.0 * inertia)
     lasts = min(duration, _DECAYED / decay) if decay > 0.0 else duration
     return frequency * lasts
 

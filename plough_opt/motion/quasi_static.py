@@ -12,10 +12,11 @@ from plough_opt.core.labels import unlabelled
 from plough_opt.motion.accuracy import Accuracy
 from plough_opt.motion.averages import Averages
 from plough_opt.motion.breaks import ends
+from plough_opt.motion.effects.tow_ramp import ramp_time
 from plough_opt.motion.embedding import labelled
 from plough_opt.motion.run import Run
 from plough_opt.motion.scene import Scene
-from plough_opt.motion.terms import Structure, parameters, ramp_time, resistance, start_speed, strut
+from plough_opt.motion.terms import Structure, parameters, resistance, start_speed, strut
 from plough_opt.motion.timeline import Timeline
 
 GAUSS_POINTS = 10

@@ -29,10 +29,11 @@ from plough_opt.motion.terms import (
     carried_mass,
     inertia_at,
     parameters,
+    pull,
     resistance,
     start_deflection,
+    start_force,
     start_rate,
-    start_resistance,
     start_speed,
     strut,
 )
@@ -296,14 +297,14 @@ def assemble(
     gain = mount.gain - rate
     deflection = start_deflection(structure, p) + w
     travel = mount.path - deflection
-    force = mount_force(structure, p, states)
+    force = start_force(structure, p) + pull(structure, p, w, rate)
     soil = resistance(structure, p, travel, u0 + gain)
     acceleration = (force - soil) / inertia_at(structure, p, travel)
     carried = carried_mass(structure, p, travel) if structure.events else _added_mass(scene)
     soil = soil + carried * acceleration
     speed, opening = u0 + gain, 0.0 * w + 0.0
     mode = opening
-    if structure.contact == "stick_slip":
+    if structure.sticks:
         opening, mode = states[:, 2], states[:, 3]
         if not is_casadi(mode):
             # An implicit method solves for modes too, and rounds them.
@@ -331,26 +332,18 @@ def _added_mass(scene: Scene) -> Expression:
         return scene.reaction.added_mass
 
 
-def mount_force(structure: Structure, p: dict[str, Expression], states: Expression) -> Expression:
-    """Return P at the outputs [N] from (w; w') as two columns over them."""
-    first = 0.0 if structure.relaxed else start_resistance(structure, p)
-    force = first + p["stiffness"] * states[:, 0]
-    return force + p["damping"] * states[:, 1] if structure.damper else force
-
-
 def averages_of(
     scene: Scene, structure: Structure, p: dict[str, Expression], means: Expression, variances: Expression
 ) -> Averages:
     """Add the values at the start back to the averages of the changes since then: see `assemble`."""
-    stiffness, first = p["stiffness"], 0.0 if structure.relaxed else start_resistance(structure, p)
     with unlabelled():
         scale = scene.steady_resistance
     displacement_rms = rms(variances[0], scale / scene.stiffness)
     if structure.damper:
-        mean_draft = first + p["damping"] * start_rate(structure, p) + means[1]
+        mean_draft = start_force(structure, p) + pull(structure, p, 0.0, start_rate(structure, p)) + means[1]
         force_rms = rms(variances[1], scale)
     else:
-        mean_draft = first + stiffness * means[0]
+        mean_draft = start_force(structure, p) + p["stiffness"] * means[0]
         force_rms = scene.stiffness * displacement_rms
     return Averages(
         mean_draft=mean_draft,

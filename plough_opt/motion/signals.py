@@ -9,7 +9,7 @@ import casadi as ca
 
 from plough_opt.core.expressions import Expression
 from plough_opt.motion.equation import equation_of_motion
-from plough_opt.motion.terms import Structure, start_deflection, start_rate, start_speed, strut
+from plough_opt.motion.terms import Structure, pull, start_force, start_rate, start_speed, strut
 
 
 @dataclass(frozen=True)
@@ -44,16 +44,12 @@ def signals(structure: Structure) -> Signals:
     if structure.ends_ramp:
         ramped = ca.SX.sym("ramped")
         state, symbols = ca.vertcat(state, ramped), symbols | {"ramped": ramped}
-    force = symbols["stiffness"] * w
-    values = [w]
-    if structure.damper:
-        force = force + symbols["damping"] * (rate - start_rate(structure, symbols))
-        values.append(force)
+    force = pull(structure, symbols, w, rate - start_rate(structure, symbols))
+    values = [w, force] if structure.damper else [w]
     squared = len(values)
     if structure.ramp:
-        first = symbols["stiffness"] * start_deflection(structure, symbols)
         speed = start_speed(structure, symbols) + strut(structure, symbols, time).gain
-        values.append((first + force) * speed)
+        values.append((start_force(structure, symbols) + force) * speed)
     expression = ca.vertcat(*values)
     # A start at rest needs the strut's speed even where nothing else does.
     everything = ca.vertcat(expression, start_rate(structure, symbols))

@@ -8,7 +8,6 @@ at events.
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Literal
 
 import casadi as ca
@@ -21,6 +20,7 @@ from plough_opt.motion.terms import (
     carried_mass,
     hold,
     inertia_at,
+    pull,
     resistance,
     start_deflection,
     start_rate,
@@ -42,8 +42,6 @@ class Share:
     def __init__(self, scene: Scene, structure: Structure, kind: StrutInput, q: dict[str, ca.SX]) -> None:
         """Make the symbols."""
         self.structure, self.kind, self.q = structure, kind, q
-        # The whole resistance, not its difference from the one at the start.
-        self.at_rest = replace(structure, ramp=True, start="equilibrium")
         self.time, self.input = ca.SX.sym("time"), ca.SX.sym("input")
         self.travel, self.speed = ca.SX.sym("travel"), ca.SX.sym("speed")
         self.z = ca.SX.sym("deflection")
@@ -84,8 +82,9 @@ class Share:
     @property
     def pull(self) -> Expression:
         """Mount force P [N]."""
-        spring = self.q["stiffness"] * self.deflection
-        return spring + self.q["damping"] * (self.strut_speed - self.speed) if self.structure.damper else spring
+        # Where the strut's place is the input there is no damper.
+        rate = self.strut_speed - self.speed if self.structure.damper else 0.0
+        return pull(self.structure, self.q, self.deflection, rate)
 
     @property
     def slipping(self) -> Expression:
@@ -95,7 +94,7 @@ class Share:
     @property
     def steady(self) -> Expression:
         """Resistance [N] without the added mass's part."""
-        return resistance(self.at_rest, self.p, self.travel, self.speed)
+        return resistance(self.structure, self.p, self.travel, self.speed)
 
     @property
     def carried(self) -> Expression:
@@ -107,7 +106,7 @@ class Share:
     @property
     def hold(self) -> Expression:
         """Mount force [N] at which a sticking share moves."""
-        return hold(self.at_rest, self.p, self.travel)
+        return hold(self.structure, self.p, self.travel)
 
     def by_mode(self, slip: Expression, stick: Expression, gap: Expression) -> Expression:
         """Choose by the mode."""
@@ -117,7 +116,7 @@ class Share:
     @property
     def sticks(self) -> bool:
         """Whether stick and gap are among the modes."""
-        return self.structure.contact == "stick_slip"
+        return self.structure.sticks
 
     @property
     def rates(self) -> ca.SX:
@@ -199,10 +198,8 @@ class Share:
         mode: Expression = SLIP
         if self.sticks:
             buried = {"entered": 0.0, "behind": 0.0} if structure.entry else {}
-            held = hold(self.at_rest, p | buried, place - first)
-            pull = p["stiffness"] * first
-            if structure.damper:
-                pull = pull + p["damping"] * start_rate(structure, p)
-            mode = ca.if_else(speed > 0.0, SLIP, ca.if_else(pull < held, STICK, SLIP))
+            held = hold(self.structure, p | buried, place - first)
+            force = pull(structure, p, first, start_rate(structure, p))
+            mode = ca.if_else(speed > 0.0, SLIP, ca.if_else(force < held, STICK, SLIP))
         discrete = (mode, place - first, *((0.0,) if structure.entry else ())) if structure.events else ()
         return x, ca.vertcat(*discrete) if discrete else ca.SX(0, 1)

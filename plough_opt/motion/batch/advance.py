@@ -120,7 +120,7 @@ def _last_terms(layout: Layout, series: list[ca.SX], highest: int, p: ca.SX) -> 
     total = ca.SX(0)
     for k in range(_LAST):
         total = total + ca.fabs(series[highest - k]) * rate**k
-    unknown = layout.structure.own or layout.structure.contact == "smooth"
+    unknown = layout.structure.own or layout.structure.smooth
     return _WEIGHT * (_UNKNOWN if unknown else 1.0) * total
 
 

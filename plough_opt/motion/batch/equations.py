@@ -18,8 +18,9 @@ from plough_opt.motion.batch.deviation import slopes
 from plough_opt.motion.batch.layout import Layout
 from plough_opt.motion.batch.operations import Array
 from plough_opt.motion.equation import equation_of_motion
+from plough_opt.motion.plan import summed_rate
 from plough_opt.motion.scene import Scene
-from plough_opt.motion.terms import parameters, start_deflection, start_rate, start_resistance
+from plough_opt.motion.terms import parameters, pull, start_deflection, start_force, start_rate
 
 RESULTS = ("mean_draft", "force_rms", "mean_deflection", "displacement_rms", "tow_power")
 """Names of the results of each design, before its error."""
@@ -88,7 +89,7 @@ def setup(
     start = Start(
         rate=rate,
         phase=phase,
-        force=(0.0 if structure.relaxed else start_resistance(structure, known)) + known.get("damping", 0.0) * rate,
+        force=start_force(structure, known) + pull(structure, known, 0.0, rate),
         deflection=start_deflection(structure, known),
         tow_speed=scene.tow_speed,
         stiffness=scene.stiffness,
@@ -140,18 +141,8 @@ def _phase_and_part(layout: Layout) -> ca.Function:
         bent, decay = bent + ca.fabs(spring + square) / (_MOMENTS * square), decay - damper / (2.0 * _MOMENTS)
     # The slower decay of an overdamped mount, times the duration.
     decay = duration * ca.fmax(decay - ca.sqrt(ca.fmax(decay**2 - square, 0.0)), 0.0)
-    phase = duration * _summed_rates(layout, known, p)
+    phase = duration * summed_rate(known)
     # The root of the mean square of (1 - exp(-g u))/g over u from 0 to 1 is nearly this.
     remembered = 1.0 / ca.sqrt(3.0 + decay * (2.0 + decay))
     part = _PART / ((1.0 + _BENT * bent) * remembered * (_FEWEST + phase / _PHASE_PER_STEP))
     return ca.Function("phase_and_part", [p], [phase, part])
-
-
-def _summed_rates(layout: Layout, known: dict[str, ca.SX], p: ca.SX) -> ca.SX:
-    """Return the sum of all frequencies and rates of decay [1/s], a smooth bound of `plan.fastest_rate`."""
-    zero = ca.SX(0)
-    decay = known.get("damping", zero) + 2.0 * known.get("drag", zero) * known.get("tow_speed", zero)
-    if "width" in known:
-        decay = decay + 2.0 * known["static"] / known["width"]
-    ramp = 2.0 * math.pi / known["ramp_time"] if "ramp_time" in known else 0.0
-    return layout.fastest_frequency(p) + decay / known["inertia"] + ramp

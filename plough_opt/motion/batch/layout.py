@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import casadi as ca
 
+from plough_opt.motion.effects.strength_waves import StrengthWaves
 from plough_opt.motion.signals import signals
-from plough_opt.motion.terms import Structure, wave_names
+from plough_opt.motion.terms import Structure
 
 
 @dataclass(frozen=True)
@@ -69,8 +69,6 @@ class Layout:
 
     def fastest_frequency(self, p: ca.SX) -> ca.SX:
         """Return the sum of the mount's own frequency and the fastest wave's [rad/s]."""
-        passing = ca.SX(0)
-        for k in range(self.structure.waves):
-            length = self.value(p, wave_names(k)[1])
-            passing = ca.fmax(passing, 2.0 * math.pi * self.value(p, "tow_speed") / length)
+        known = dict(zip(self.parameters, ca.vertsplit(p), strict=False))
+        passing: ca.SX = StrengthWaves.rates(known).imposed / 2.0
         return self.own_frequency(p) + passing

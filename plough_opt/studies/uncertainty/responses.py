@@ -27,7 +27,7 @@ from plough_opt.motion.batch.domain_check import DomainCheck
 from plough_opt.motion.integrators import integration
 from plough_opt.motion.plan import phase, steps_for
 from plough_opt.motion.scene import Scene
-from plough_opt.motion.terms import Structure, parameters, start_deflection, start_rate, start_resistance
+from plough_opt.motion.terms import Structure, parameters, start_deflection, start_force, start_rate
 from plough_opt.soil.soil import Soil
 from plough_opt.studies.uncertainty.samples import SoilSamples
 
@@ -189,7 +189,7 @@ def _per_soil(result: Vector, count: int) -> Vector:
 def _start_values(scene: Scene, symbols: Sequence[ca.MX]) -> ca.Function:
     """Return the symbols of a scene -> deflection [m] and mount force [N] at its start."""
     structure, known = Structure.of(scene), parameters(scene)
-    first = 0.0 if structure.relaxed else start_resistance(structure, known)
+    first = start_force(structure, known)
     force = first + known.get("damping", 0.0) * start_rate(structure, known)
     return ca.Function("start", list(symbols), [ca.MX(start_deflection(structure, known)), ca.MX(force)])
 

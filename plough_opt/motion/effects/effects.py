@@ -2,143 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field, fields, is_dataclass
-from enum import Enum
-from types import BuiltinFunctionType, FunctionType
-from typing import Any, Final, Literal, Protocol, runtime_checkable
+from dataclasses import dataclass, field
+from typing import Literal
 
 import numpy as np
 
 from plough_opt.core.errors import InputError
-from plough_opt.core.expressions import COUNT, Expression, as_number, is_casadi, is_count, is_symbolic, maximum, minimum
+from plough_opt.core.expressions import COUNT, Expression, as_number, is_count, is_symbolic
 from plough_opt.core.kinds import check_choice, check_kind, check_switch, shown
 from plough_opt.core.quantities import MOST_WAVES, settle
 from plough_opt.laws.printed import Formulation, Printed, errors_of
+from plough_opt.motion.effects.own import OwnResistance, check_own
+from plough_opt.motion.effects.smooth import Smooth
+from plough_opt.motion.effects.stick_slip import StickSlip
 from plough_opt.soil.random_strength import RandomStrength, Spectrum
 from plough_opt.soil.waves import StrengthWave, turns_of
 
 MOST_HARMONICS = 64
 """Largest number of harmonics of a harmonic balance."""
-
-# What prints all that it is, or its own place in memory, beside single numbers and expressions.
-_DISTINCT = (str, bool, int, float, type(None), np.generic, Enum, type, FunctionType, BuiltinFunctionType, np.ufunc)
-
-
-@dataclass(frozen=True)
-class Smooth:
-    """One-sided contact without memory: the resistance is multiplied by a smooth step of the share's speed.
-
-    The step is 0 for L' <= 0 and 1 above the width w, u^5 (126 - 420 u + 540 u^2 - 315 u^3 + 70 u^4) with u = L'/w
-    between, smooth enough at both ends that second derivatives of a run keep their digits. It tends to `StickSlip`
-    for a width that tends to 0, but only where no gap opens.
-
-    Args:
-        width: speed [m/s] above which the soil resists fully, above 0.
-    """
-
-    width: Expression
-
-    def __post_init__(self) -> None:
-        settle(self, width="effects.contact_width")
-
-    def step(self, speed: Expression) -> tuple[Expression, Expression]:
-        """Return the step at a speed of the share [m/s], from 0 to 1, and its slope by that [s/m]."""
-        u = minimum(maximum(speed / self.width, 0.0), 1.0)
-        # Four derivatives vanish at the ends, so that steps which cross one keep the digits of second derivatives.
-        step = u**5 * (126.0 + u * (u * (540.0 + u * (70.0 * u - 315.0)) - 420.0))
-        return step, 630.0 * (u * (1.0 - u)) ** 4 / self.width
-
-
-@dataclass(frozen=True)
-class StickSlip:
-    """Soil that keeps its density on unloading, and so cannot push: the share slips, sticks, or leaves a gap.
-
-    * Slip, L' > 0 at the furthest point: the resistance of (25). Where L' falls to 0 the share sticks if the mount
-      force P lies between 0 and ``breakaway`` times the static resistance, leaves a gap if P < 0, and else slips on.
-    * Stick, L' = 0: until P reaches ``breakaway`` F0(L), or 0.
-    * Gap, behind the furthest point: no soil and no added mass; at the furthest point the share takes up the added
-      mass, m v = (m + m_a) v', and slips on.
-
-    CasADi says on the error stream, whenever an integrator with events or a derivative of one is built, that its
-    support of them is experimental; a library leaves a program's streams alone. Every run is checked by a second one.
-
-    Derivatives are those through the times at which it moves and stops; CasADi has the second ones of a gradient only:
-    see `plough_opt.simulate`.
-
-    Args:
-        breakaway: resistance at which a sticking share moves, over the static resistance [-], at least 1.
-    """
-
-    breakaway: Expression = 1.0
-
-    def __post_init__(self) -> None:
-        settle(self, breakaway="effects.breakaway")
-
-
-@runtime_checkable
-class OwnResistance(Protocol):
-    """A resistance that the toolkit does not know, such as that of the shank: a frozen dataclass with this method.
-
-    Its fields are what it needs: single numbers or expressions, tuples of them, text, switches or functions. Effects of
-    one class are told apart by what these print, so that arrays and tables are refused. For example::
-
-        @dataclass(frozen=True)
-        class Shank:
-            static: float
-            viscous: float
-
-            def force(self, travel, speed):
-                return self.static + self.viscous * speed
-    """
-
-    def force(self, travel: Expression, speed: Expression) -> Expression:
-        """Return the force [N] against the motion at a travel L [m] and a speed L' [m/s].
-
-        Under `StickSlip` it acts while the share slips, and is zero in a gap, like the soil.
-
-        Written with arithmetic and the functions of `plough_opt.core.expressions`, so that it takes symbols.
-        """
-
-
-OWN_EFFECTS: Final[dict[str, type[OwnResistance]]] = {}
-"""Name -> class of own effects that problem files may name; a field's metadata gives its unit: {"unit": "N"}."""
-
-
-@runtime_checkable
-class RestingResistance(OwnResistance, Protocol):
-    """An own resistance that says what it is at rest too, as `StickSlip` needs it."""
-
-    def at_rest(self, travel: Expression) -> Expression:
-        """Return the largest force [N] that holds a resting share at a travel L [m], no less than `force` at no speed.
-
-        Written like `force`.
-        """
-
-
-def _indistinct(effect: OwnResistance) -> str | None:
-    """Return the type of something in an own effect's fields that two different effects may print alike, if any."""
-    waiting: list[Any] = [effect]
-    while waiting:
-        item = waiting.pop()
-        if is_dataclass(item) and not isinstance(item, type):
-            waiting += [getattr(item, each.name) for each in fields(item)]
-        elif isinstance(item, Mapping):
-            waiting += item.values()
-        elif isinstance(item, list | tuple):
-            waiting += item
-        elif is_casadi(item):
-            if item.numel() != 1:
-                return f"a column of type {type(item).__name__}"
-        elif not isinstance(item, _DISTINCT) and not _prints_its_place(item):
-            return f"a value of type {type(item).__name__}"
-    return None
-
-
-def _prints_its_place(item: Any) -> bool:
-    """Return whether something prints by its place in memory, as objects do unless they say otherwise."""
-    printed: object = type(item).__repr__
-    return printed is object.__repr__
 
 
 @dataclass(frozen=True)
@@ -225,7 +106,7 @@ class Effects:
             self._refuse_without_motion()
         if self.entry and self.start == "equilibrium":
             raise InputError("entry begins at first contact, where nothing is steady: take start = 'rest' or 'towed'")
-        self._check_own()
+        check_own(self.own, resting=isinstance(self.contact, StickSlip))
         if self.orbit != "transient":
             self._refuse_on_an_orbit()
         if self.printed.repelling_spring and self.contact != "resisting":
@@ -247,31 +128,6 @@ class Effects:
         check_kind("random_strength", self.random_strength, RandomStrength | Spectrum | None, wanted)
         if len(self.waves) > MOST_WAVES:
             raise InputError(f"strength_wave has {len(self.waves)} waves: give the {MOST_WAVES} largest at most")
-
-    def _check_own(self) -> None:
-        """Refuse own resistances that are none, or that a contact law would not know what to do with."""
-        if not isinstance(self.own, tuple):
-            raise InputError(f"own = {shown(self.own)} must be a tuple of effects, as (Shank(150.0, 80.0),)")
-        for effect in self.own:
-            if isinstance(effect, type) or not (is_dataclass(effect) and isinstance(effect, OwnResistance)):
-                raise InputError(
-                    f"own effect {shown(effect)} must be a frozen dataclass with a method force(travel, speed) in"
-                    " newtons"
-                )
-            if (found := _indistinct(effect)) is not None:
-                raise InputError(
-                    f"own effect {type(effect).__name__} holds {found}, and effects are compared by their repr,"
-                    " which may be the same for another one: give single numbers, or tuples of them, and wrap a lookup"
-                    " table in a function, as lambda travel: table(travel)"
-                )
-        if self.own and isinstance(self.contact, StickSlip):
-            for effect in self.own:
-                if not isinstance(effect, RestingResistance):
-                    raise InputError(
-                        f"own effect {type(effect).__name__} does not say what it is at rest or in a gap: give it a"
-                        " method at_rest(travel), the largest force that it holds a resting share with; it is then"
-                        " zero in a gap, like the soil; or take contact = 'resisting' or Smooth"
-                    )
 
     def _refuse_on_an_orbit(self) -> None:
         """Refuse what a lasting orbit cannot have."""

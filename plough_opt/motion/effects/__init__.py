@@ -1,0 +1,23 @@
+"""Effects: what a scene contains, and how each of them enters the equation of motion, one class a file."""
+
+from plough_opt.motion.effects.damping import Damping
+from plough_opt.motion.effects.effects import MOST_HARMONICS, Effects, HarmonicBalance
+from plough_opt.motion.effects.entry import Entry
+from plough_opt.motion.effects.inertial_drag import InertialDrag
+from plough_opt.motion.effects.own import OWN_EFFECTS, Own, OwnResistance, RestingResistance
+from plough_opt.motion.effects.rate_term import RateTerm
+from plough_opt.motion.effects.smooth import Smooth, SmoothContact
+from plough_opt.motion.effects.stick_slip import StickSlip, StickSlipContact
+from plough_opt.motion.effects.strength_waves import StrengthWaves
+from plough_opt.motion.effects.term import Term
+from plough_opt.motion.effects.tow_ramp import TowRamp
+
+__all__ = [
+    "MOST_HARMONICS", "OWN_EFFECTS", "TERMS", "Effects", "HarmonicBalance", "OwnResistance", "RestingResistance",
+    "Smooth", "StickSlip",
+]  # fmt: skip
+
+TERMS: tuple[type[Term], ...] = (
+    StrengthWaves, RateTerm, InertialDrag, Entry, SmoothContact, StickSlipContact, Own, TowRamp, Damping,
+)  # fmt: skip
+"""The effects in the order in which they make up the resistance."""

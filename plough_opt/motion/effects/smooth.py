@@ -1,0 +1,65 @@
+"""Contact `Smooth`: soil that resists only a share that moves forwards, without memory."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from plough_opt.core.expressions import Expression, as_number, maximum, minimum
+from plough_opt.core.quantities import settle
+from plough_opt.motion.effects.term import Parameters, Place, Rates, Term, Towed
+
+
+@dataclass(frozen=True)
+class Smooth:
+    """One-sided contact without memory: the resistance is multiplied by a smooth step of the share's speed.
+
+    The step is 0 for L' <= 0 and 1 above the width w, u^5 (126 - 420 u + 540 u^2 - 315 u^3 + 70 u^4) with u = L'/w
+    between, smooth enough at both ends that second derivatives of a run keep their digits. It tends to `StickSlip`
+    for a width that tends to 0, but only where no gap opens.
+
+    Args:
+        width: speed [m/s] above which the soil resists fully, above 0.
+    """
+
+    width: Expression
+
+    def __post_init__(self) -> None:
+        settle(self, width="effects.contact_width")
+
+    def step(self, speed: Expression) -> tuple[Expression, Expression]:
+        """Return the step at a speed of the share [m/s], from 0 to 1, and its slope by that [s/m]."""
+        u = minimum(maximum(speed / self.width, 0.0), 1.0)
+        # Four derivatives vanish at the ends, so that steps which cross one keep the digits of second derivatives.
+        step = u**5 * (126.0 + u * (u * (540.0 + u * (70.0 * u - 315.0)) - 420.0))
+        return step, 630.0 * (u * (1.0 - u)) ** 4 / self.width
+
+
+class SmoothContact(Term):
+    """Factor `Smooth.step` on all resistance of the soil."""
+
+    label, field = "smooth contact", "contact"
+    names = ("width",)
+    kinked = True
+
+    @classmethod
+    def of(cls, scene: Towed) -> tuple[Term, ...]:
+        return (cls(),) if isinstance(scene.effects.contact, Smooth) else ()
+
+    def values(self, scene: Towed) -> dict[str, Expression]:
+        return {"width": scene.effects.contact.width}
+
+    @classmethod
+    def usual(cls, scene: Any, duration: float) -> Smooth:
+        return Smooth(0.1 * (float(as_number(scene.tow_speed)) or 1.0))
+
+    def resist(self, force: Expression, at: Place, p: Parameters) -> Expression:
+        return at.of(lambda _, speed: Smooth(p["width"]).step(speed)[0]) * force
+
+    @staticmethod
+    def rates(p: Parameters) -> Rates:
+        if "width" not in p:
+            return Rates()
+        # Steepest slope of the step, at its strongest soil.
+        strongest = 1.0 + sum(value for name, value in p.items() if name.startswith("wave_amplitude"))
+        return Rates(steepest=315.0 / 128.0 * p["static"] * strongest / p["width"])

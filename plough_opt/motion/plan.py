@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import replace
-from functools import lru_cache
+from functools import lru_cache, reduce
 from typing import Any
 
 import numpy as np
@@ -101,10 +101,7 @@ def _number(name: str, value: Expression) -> float:
 
 def forced_rate(p: Mapping[str, Any]) -> Any:
     """Return the fastest angular frequency [rad/s] that the strut and the soil impose."""
-    fastest: Any = 0.0
-    for kind in TERMS:
-        fastest = maximum(fastest, kind.rates(p).imposed)
-    return fastest
+    return reduce(maximum, [rate for kind in TERMS for rate in kind.imposed(p)] or [0.0])
 
 
 def is_imposed(name: str) -> bool:

@@ -31,7 +31,6 @@ from plough_opt.motion.terms import (
     parameters,
     pull,
     resistance,
-    start_deflection,
     start_force,
     start_rate,
     start_speed,
@@ -295,9 +294,10 @@ def assemble(
     w, rate = states[:, 0], states[:, 1]
     mount, u0 = strut(structure, p, time), start_speed(structure, p)
     gain = mount.gain - rate
-    deflection = start_deflection(structure, p) + w
+    first = start_force(structure, p)
+    deflection = first / p["stiffness"] + w
     travel = mount.path - deflection
-    force = start_force(structure, p) + pull(structure, p, w, rate)
+    force = first + pull(structure, p, w, rate)
     soil = resistance(structure, p, travel, u0 + gain)
     acceleration = (force - soil) / inertia_at(structure, p, travel)
     carried = carried_mass(structure, p, travel) if structure.events else _added_mass(scene)
@@ -336,19 +336,20 @@ def averages_of(
     scene: Scene, structure: Structure, p: dict[str, Expression], means: Expression, variances: Expression
 ) -> Averages:
     """Add the values at the start back to the averages of the changes since then: see `assemble`."""
+    first = start_force(structure, p)
     with unlabelled():
         scale = scene.steady_resistance
     displacement_rms = rms(variances[0], scale / scene.stiffness)
     if structure.damper:
-        mean_draft = start_force(structure, p) + pull(structure, p, 0.0, start_rate(structure, p)) + means[1]
+        mean_draft = first + pull(structure, p, 0.0, start_rate(structure, p)) + means[1]
         force_rms = rms(variances[1], scale)
     else:
-        mean_draft = start_force(structure, p) + p["stiffness"] * means[0]
+        mean_draft = first + p["stiffness"] * means[0]
         force_rms = scene.stiffness * displacement_rms
     return Averages(
         mean_draft=mean_draft,
         force_rms=force_rms,
-        mean_deflection=start_deflection(structure, p) + means[0],
+        mean_deflection=first / p["stiffness"] + means[0],
         displacement_rms=displacement_rms,
         tow_power=means[-1] if structure.ramp else mean_draft * p["tow_speed"],
     )

@@ -187,7 +187,7 @@ def start_force(structure: Structure, p: Parameters) -> Expression:
 
 def start_deflection(structure: Structure, p: Parameters) -> Expression:
     """Return z0 [m]: steady deflection, or zero from rest."""
-    return 0.0 if structure.relaxed else start_resistance(structure, p) / p["stiffness"]
+    return start_force(structure, p) / p["stiffness"]
 
 
 def start_rate(structure: Structure, p: Parameters) -> Expression:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import reduce
 
 import casadi as ca
 
@@ -70,5 +71,5 @@ class Layout:
     def fastest_frequency(self, p: ca.SX) -> ca.SX:
         """Return the sum of the mount's own frequency and the fastest wave's [rad/s]."""
         known = dict(zip(self.parameters, ca.vertsplit(p), strict=False))
-        passing: ca.SX = StrengthWaves.rates(known).imposed / 2.0
+        passing: ca.SX = reduce(ca.fmax, StrengthWaves.imposed(known), ca.SX(0)) / 2.0
         return self.own_frequency(p) + passing

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from plough_opt.core.expressions import Expression, as_number, is_symbolic, maximum, sin
-from plough_opt.motion.effects.term import Parameters, Place, Rates, Term, Towed
+from plough_opt.core.expressions import Expression, as_number, is_symbolic, sin
+from plough_opt.motion.effects.term import Parameters, Place, Term, Towed
 from plough_opt.soil.waves import StrengthWave
 
 
@@ -66,13 +66,9 @@ class StrengthWaves(Term):
         return p["wavelength"] * self.turns[0] if self.turns else p["wavelength"]
 
     @staticmethod
-    def rates(p: Parameters) -> Rates:
+    def imposed(p: Parameters) -> list[Any]:
         # The wave is a sine of the travel, to which the share's own oscillation adds harmonics.
-        fastest: Any = 0.0
-        for name, value in p.items():
-            if name.startswith("wavelength"):
-                fastest = maximum(fastest, 4.0 * math.pi * p["tow_speed"] / value)
-        return Rates(imposed=fastest)
+        return [4.0 * math.pi * p["tow_speed"] / length for name, length in p.items() if name.startswith("wavelength")]
 
 
 def wave_names(k: int) -> tuple[str, str, str]:

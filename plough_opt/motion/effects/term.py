@@ -90,13 +90,14 @@ class Rates(NamedTuple):
         stiffness: steepest slope of its force by the travel [N/m], beside the mount's.
         damping: slope by the speed [N s/m], as long as the share slides.
         steepest: the same, that it only reaches somewhere.
-        imposed: fastest angular frequency [rad/s] that it imposes.
     """
 
     stiffness: Any = 0.0
     damping: Any = 0.0
     steepest: Any = 0.0
-    imposed: Any = 0.0
+
+
+_NOTHING = Rates()
 
 
 @dataclass(frozen=True)
@@ -157,4 +158,9 @@ class Term:
     @staticmethod
     def rates(p: Parameters) -> Rates:
         """Return how it moves a share: of an effect whose parameters are not there, nothing."""
-        return Rates()
+        return _NOTHING
+
+    @staticmethod
+    def imposed(p: Parameters) -> Sequence[Any]:
+        """Return the angular frequencies [rad/s] that it imposes on a share."""
+        return ()

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from plough_opt.core.expressions import Expression, minimum, where
-from plough_opt.motion.effects.term import Parameters, Rates, Term, Towed
+from plough_opt.motion.effects.term import Parameters, Term, Towed
 
 # Time [s] in which no mount moves: forces change by 1e-11 of themselves or so.
 _SHORTEST_RAMP = 1e-9
@@ -55,8 +55,8 @@ class TowRamp(Term):
         return ramp_time(p) - time
 
     @staticmethod
-    def rates(p: Parameters) -> Rates:
-        return Rates(imposed=2.0 * math.pi / p["ramp_time"]) if "ramp_time" in p else Rates()
+    def imposed(p: Parameters) -> tuple[Any, ...]:
+        return (2.0 * math.pi / p["ramp_time"],) if "ramp_time" in p else ()
 
 
 def ramp_time(p: Parameters) -> Any:

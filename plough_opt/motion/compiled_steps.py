@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import ctypes
-from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import lru_cache
 from typing import Any
 
 import casadi as ca
@@ -30,21 +29,14 @@ _SOURCE = """
 #include <string.h>
 enum {{ SIGNALS = {count}, SQUARED = {squared}, MOMENTS = SIGNALS + SQUARED, DURATION = {given} }};
 
-/* Steps, and of each output the first and the number of the ends of steps from which it is read, with their weights:
-   of w and of its rate in w, of w and of its rate in the rate. */
-typedef struct {{
-  long long steps, outputs;
-  const double *span, *size;
-  const long long *first, *count;
-  const double *weight;
-}} Times;
-
-static double *read(const Times *t, const double *x, double duration, double *out) {{
-  const double *weight = t->weight;
-  for (long long o = 0; o < t->outputs; o++) {{
+/* `first` and `count`: of each output the first and the number of the ends of steps from which it is read, with their
+   weights: of w and of its rate in w, of w and of its rate in the rate. */
+static double *read(long long outputs, const long long *first, const long long *count, const double *weight,
+                    const double *x, double duration, double *out) {{
+  for (long long o = 0; o < outputs; o++) {{
     double sum[4] = {{0.0, 0.0, 0.0, 0.0}};
-    const double *end = x + 2 * t->first[o];
-    for (long long n = t->count[o]; n > 0; n--, end += 2, weight += 4)
+    const double *end = x + 2 * first[o];
+    for (long long n = count[o]; n > 0; n--, end += 2, weight += 4)
       for (int j = 0; j < 4; j++) sum[j] += end[j % 2] * weight[j];
     *out++ = sum[0] + duration * sum[1];
     *out++ = sum[2] / duration + sum[3];
@@ -52,59 +44,37 @@ static double *read(const Times *t, const double *x, double duration, double *ou
   return out;
 }}
 
-static void average(const Times *t, const double *moments, double *mean, double *variance) {{
+static void average(long long steps, const double *span, const double *moments, double *mean, double *variance) {{
   memset(mean, 0, SIGNALS * sizeof(double));
   memset(variance, 0, SQUARED * sizeof(double));
-  for (long long k = 0; k < t->steps; k++)
-    for (int j = 0; j < SIGNALS; j++) mean[j] += moments[MOMENTS * k + j] * t->size[k];
-  for (long long k = 0; k < t->steps; k++)
+  for (long long k = 0; k < steps; k++)
+    for (int j = 0; j < SIGNALS; j++) mean[j] += moments[MOMENTS * k + j] * span[2 * k + 1];
+  for (long long k = 0; k < steps; k++)
     for (int j = 0; j < SQUARED; j++) {{
       const double drift = moments[MOMENTS * k + j] - mean[j];
-      variance[j] += (moments[MOMENTS * k + SIGNALS + j] + drift * drift) * t->size[k];
+      variance[j] += (moments[MOMENTS * k + SIGNALS + j] + drift * drift) * span[2 * k + 1];
     }}
 }}
 
 /* Writes the states at the outputs, the means and the mean squares about them; returns 1 for want of memory. */
-CASADI_SYMBOL_EXPORT int motion_follow(const Times *t, const double *p, double *out) {{
-  double *x = malloc((2 * (t->steps + 1) + MOMENTS * t->steps) * sizeof(double));
+CASADI_SYMBOL_EXPORT int motion_follow(long long steps, long long outputs, const double *span, const long long *first,
+    const long long *count, const double *weight, const double *p, double *out) {{
+  double *x = malloc((2 * (steps + 1) + MOMENTS * steps) * sizeof(double));
   if (!x) return 1;
-  double *moments = x + 2 * (t->steps + 1), *into[] = {{x, 0}};
+  double *moments = x + 2 * (steps + 1), *into[] = {{x, 0}};
   motion_start(&p, into, 0, 0, 0);
-  for (long long k = 0; k < t->steps; k++) {{
-    const double *given[] = {{x + 2 * k, t->span + 2 * k, p}};
+  for (long long k = 0; k < steps; k++) {{
+    const double *given[] = {{x + 2 * k, span + 2 * k, p}};
     into[0] = x + 2 * (k + 1);
     into[1] = moments + MOMENTS * k;
     motion_step(given, into, 0, 0, 0);
   }}
-  out = read(t, x, p[DURATION], out);
-  average(t, moments, out, out + SIGNALS);
+  out = read(outputs, first, count, weight, x, p[DURATION], out);
+  average(steps, span, moments, out, out + SIGNALS);
   free(x);
   return 0;
 }}
 """
-
-
-class _Times(ctypes.Structure):
-    """`Times` of the C source."""
-
-    _fields_ = [
-        ("steps", ctypes.c_longlong),
-        ("outputs", ctypes.c_longlong),
-        *((name, ctypes.c_void_p) for name in ("span", "size", "first", "count", "weight")),
-    ]
-
-
-@dataclass(frozen=True)
-class _TimesInC:
-    """A timeline for C, with the arrays to which it points."""
-
-    times: _Times
-    arrays: list[NDArray[Any]]
-
-    @cached_property
-    def address(self) -> int:
-        """Where it lies."""
-        return ctypes.addressof(self.times)
 
 
 class CompiledSteps:
@@ -114,7 +84,7 @@ class CompiledSteps:
         """Take the library of the structure."""
         self._observed = signals(structure)
         self._follow = loaded.motion_follow
-        self._follow.argtypes = [ctypes.c_void_p] * 3
+        self._follow.argtypes = [*[ctypes.c_longlong] * 2, *[ctypes.c_void_p] * 6]
 
     def __call__(self, timeline: Timeline, p: list[float]) -> tuple[Array, Array, Array] | None:
         """Return the states at the outputs (a row each), means and mean squares; None where they are not finite.
@@ -123,10 +93,11 @@ class CompiledSteps:
             timeline: steps, which do not end at the outputs.
             p: the equation's parameters, the duration last.
         """
-        times, given = _times(timeline), np.array(p)
+        arrays, given = _times(timeline), np.array(p)
         end = 2 * len(timeline.output_fractions)
         found = np.empty(end + self._observed.count + self._observed.squared)
-        if self._follow(times.address, given.ctypes.data, found.ctypes.data):
+        sizes = len(arrays[0]), end // 2
+        if self._follow(*sizes, *(array.ctypes.data for array in (*arrays, given, found))):
             raise MemoryError(f"there is no room for the states at the ends of {timeline.steps} steps")
         if not np.isfinite(found).all():
             return None
@@ -153,18 +124,16 @@ def _source(structure: Structure) -> str:
 
 
 @lru_cache(maxsize=256)
-def _times(timeline: Timeline) -> _TimesInC:
-    """Return a timeline for C."""
+def _times(timeline: Timeline) -> tuple[NDArray[Any], ...]:
+    """Return a timeline for C: spans of the steps; of the outputs the first end, the number of ends, and weights."""
     read, nodes = readings(timeline), timeline.nodes
-    pattern, sizes = read.w_by_w.sparsity(), np.diff(nodes)
+    pattern = read.w_by_w.sparsity()
     # Ends from which an output is read lie side by side.
     starts = np.array(pattern.colind(), dtype=np.int64)
     weights = read.w_by_w, read.w_by_rate, read.rate_by_w, read.rate_by_rate
-    arrays = [
-        np.column_stack([nodes[:-1], sizes]),
-        sizes,
+    return (
+        np.column_stack([nodes[:-1], np.diff(nodes)]),
         np.array(pattern.row(), dtype=np.int64)[starts[:-1]],
         np.diff(starts),
         np.column_stack([part.nonzeros() for part in weights]),
-    ]
-    return _TimesInC(_Times(len(sizes), len(timeline.output_fractions), *(a.ctypes.data for a in arrays)), arrays)
+    )

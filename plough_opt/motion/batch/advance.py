@@ -87,8 +87,7 @@ def _solution(
 ) -> tuple[list[ca.SX], list[ca.SX], list[list[ca.SX]]]:
     """Return the coefficients of w, of w' and of the switches, whose signs decide on the right-hand side's formula."""
     motion, graph = equation_of_motion(layout.structure), Graph()
-    time, rate = graph.clock(x[0]), graph.given(x[2])
-    w = graph.given(x[1], rate=rate)
+    time, w, rate = graph.clock(x[0]), graph.given(x[1]), graph.given(x[2])
     own = [graph.constant(layout.value(p, name)) for name in motion.names]
     slopes = series_of(graph, motion.function, [[time], [w, rate], own], late)
     for k in range(order):

@@ -106,7 +106,7 @@ def test_refusals_state_the_least_shortfall(numbers):
 
 
 @pytest.mark.parametrize("kind", ["search", "edge"])
-def test_truths_are_what_the_simulator_without_a_compiler_says(kind):
+def test_truths_are_what_the_simulator_says(kind):
     for number in sorted(KNOWN[kind])[:3]:
         problem, truth = KNOWN[kind][number]
         found = evaluate(problem, problem.positions([truth["design"]]))

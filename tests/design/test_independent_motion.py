@@ -4,8 +4,8 @@ import itertools
 
 import numpy as np
 import pytest
-from independent import fast
-from independent.motion import NAMES, Motion, share, simulate
+from independent.fast import simulate
+from independent.motion import NAMES, Motion, share
 from scipy.integrate import solve_ivp
 
 R1_SOIL = (1400.0, 0.8, 15e3, np.radians(30.0), 0.5, 1e4)
@@ -103,19 +103,3 @@ def test_designs_side_by_side_do_not_touch():
         # Sums over stages are taken in another order in shorter arrays.
         assert alone.mean_draft[0] == pytest.approx(together.mean_draft[number], rel=1e-12)
         assert alone.displacement_rms[0] == pytest.approx(together.displacement_rms[number], rel=1e-10)
-
-
-@pytest.mark.skipif(not fast.available(), reason="no C compiler")
-@pytest.mark.parametrize("ramp", [0.0, 0.3])
-def test_the_same_in_c_finds_the_same(ramp):
-    s = share(R1_SOIL, np.linspace(0.2, 0.9, 20), 0.3, 0.25)
-    motion = Motion(
-        s.static, s.drag, 40.0 + s.steel + s.added_mass, np.geomspace(5e3, 5e5, 20), 150.0, 2.0, 0.3, 0.4, ramp,
-        "towed", 0.8,
-    )  # fmt: skip
-    wanted, found = simulate(motion, paths=True), fast.simulate(motion, paths=True)
-    for name in NAMES:
-        # The same operations, whose sums are taken in another order.
-        assert getattr(found, name) == pytest.approx(getattr(wanted, name), rel=1e-11), name
-    assert found.deflection == pytest.approx(wanted.deflection, rel=1e-11)
-    assert found.mount_force == pytest.approx(wanted.mount_force, rel=1e-10)

@@ -229,7 +229,7 @@ def test_a_file_asks_for_the_worst_within_tolerances(tmp_path, capsys):
     assert problem.variables["share.height"].tolerance == pytest.approx(5e-3, rel=1e-15)
     assert problem.variables["scene.stiffness"].tolerance == "2 %"
     assert [v.tolerance for v in problem.design()[0].declared.variables] == [None, pytest.approx(5e-3), "2 %"]
-    assert main(["optimise", str(path), "--set", "scene.outputs=4"]) == 0
+    assert main(["optimise", str(path), "--set", "scene.outputs=4", "--search", "near"]) == 0
     assert "Within the tolerances: the objective is the worst of 64 designs" in " ".join(
         capsys.readouterr().out.split()
     )

@@ -8,7 +8,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from helpers.small_designs import design
-from scipy.optimize import differential_evolution, minimize_scalar
+from scipy.optimize import minimize_scalar
 
 import plough_opt as po
 from plough_opt.design import derivatives, solving
@@ -218,65 +218,6 @@ def test_cotton_is_no_worse_than_a_fine_scan(cotton):
         # Every basin is an optimum that the search found as well; 1e-5 off, its bottom is 1e-8 too high.
         assert any(optimum.objective == pytest.approx(polished.fun, rel=1e-7) for optimum in cotton.best.local_optima)
     assert cotton.best.objective <= best * (1.0 + 1e-9)
-
-
-@pytest.mark.slow
-def test_no_better_design_of_r1_exists(r1, r1_soil):
-    """Differential evolution over all three variables, with the requirements as penalties."""
-    wave = po.StrengthWave(0.3, 0.6)
-
-    def penalised(x):
-        scenes, penalties = [], []
-        for angle, height, log in np.atleast_2d(x.T):
-            share = po.Wedge(float(angle), po.deg(15.0), float(height))
-            cone = share.equivalent_cone()
-            mass = 20.0 + cone.solid_mass(7850.0)
-            scenes.append(po.Scene(r1_soil, share, math.exp(log), mass, 2.0, po.Effects(strength_wave=wave)))
-            radius = float(po.loosened_radius(cone, r1_soil))
-            penalties.append(max(0.0, 1.0 - radius / 0.12) + max(0.0, cone.half_angle / po.deg(15.0) - 1.0))
-        mean, rms, _ = _averages(scenes, 2.0, 600)
-        soft = np.maximum(0.0, mean / np.array([scene.stiffness for scene in scenes]) / 0.15 - 1.0)
-        return (mean + rms) / 1e3 + 100.0 * (np.array(penalties) + soft)
-
-    found = differential_evolution(
-        penalised,
-        [(po.deg(5.0), po.deg(60.0)), (0.1, 0.5), (math.log(5e3), math.log(5e5))],
-        popsize=30,
-        maxiter=100,
-        tol=1e-10,
-        seed=1,
-        vectorized=True,
-        updating="deferred",
-        polish=False,
-    )
-    # The penalty is linear and steep, so no violation pays; the evolution ends within some 1e-7 of the optimum.
-    assert found.fun >= r1.best.objective * (1.0 - 1e-9)
-    assert found.fun == pytest.approx(r1.best.objective, rel=1e-4)
-
-
-@pytest.mark.slow
-def test_r1_is_no_worse_than_a_grid_over_its_geometry(r1, r1_soil):
-    """Along the limit on the radius, which every good design touches, and over all stiffnesses."""
-    wave, best = po.StrengthWave(0.3, 0.6), math.inf
-    unit = po.loosened_radius(po.Cone(math.pi / 4, 1.0), r1_soil)
-    for half_angle in po.deg(np.linspace(5.0, 15.0, 21)):
-        for radius in (0.12, 0.125, 0.14):
-            height = radius / (math.tan(half_angle) * unit)
-            if not 0.1 <= height <= 0.5:
-                continue
-            cone = po.Cone(float(half_angle), height)
-            mass = 20.0 + cone.solid_mass(7850.0)
-            scenes = [
-                po.Scene(r1_soil, cone, float(k), mass, 2.0, po.Effects(strength_wave=wave))
-                for k in np.geomspace(5e3, 5e5, 300)
-            ]
-            mean, rms, _ = _averages(scenes, 2.0, 600)
-            allowed = mean / np.array([scene.stiffness for scene in scenes]) <= 0.15
-            if np.any(allowed):
-                best = min(best, float(np.min(((mean + rms) / 1e3)[allowed])))
-    assert best >= r1.best.objective * (1.0 - 1e-9)
-    # The last line of the grid is the geometry of the optimum.
-    assert best == pytest.approx(r1.best.objective, rel=1e-8)
 
 
 # --- steps of integration ------------------------------------------------------------------------------------

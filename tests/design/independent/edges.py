@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from independent import fast
 from independent.generate import draw
 from independent.problem import evaluate
 from independent.truth import Question, optima, sample, truth_of
@@ -21,7 +20,7 @@ SLACKS = (1e-3, 2e-2)
 def _draw(number, random, least):
     """Return a random problem with so many requirements, and the number of one of them that can be tightened."""
     for attempt in range(1000):
-        problem = draw(_FIRST_SEED + 1000 * number + attempt, fast.simulate)
+        problem = draw(_FIRST_SEED + 1000 * number + attempt)
         if len(problem.limits) >= least and len(problem.variables) <= _MOST_VARIABLES:
             return problem, int(random.integers(len(problem.limits)))
     raise AssertionError(f"number {number} draws no problem")
@@ -37,7 +36,7 @@ def _end(problem, k):
     """Return the best value that a requirement's measure has among designs that keep the others, and the designs."""
     r = problem.limits[k]
     y = sample(problem, 12, np.random.default_rng(3))
-    found = evaluate(problem, y, simulate=fast.simulate, phase=1.6)
+    found = evaluate(problem, y, phase=1.6)
     best = np.min(found.violations[k, np.isfinite(found.objective)])
     sign = 1.0 if r.side == "at_most" else -1.0
     limit = r.limit * (1.0 + sign * best)
@@ -70,7 +69,7 @@ def infeasible(number):
     sign = 1.0 if problem.limits[k].side == "at_most" else -1.0
     problem = replace(_tightened(problem, k, best / (1.0 + sign * short)), name=f"infeasible {number}")
     found = optima(problem, question=Question(tuple(range(len(problem.limits)))), extra=near)
-    values = evaluate(problem, found[0].y, simulate=fast.simulate, phase=0.5)
+    values = evaluate(problem, found[0].y, phase=0.5)
     lacking = {r.measure: float(v) for r, v in zip(problem.limits, values.violations[:, 0], strict=True) if v > 1e-7}
     truth = {
         "shortfall": found[0].value,

@@ -5,7 +5,6 @@ from itertools import combinations
 
 import numpy as np
 
-from independent import fast
 from independent.generate import draw
 from independent.problem import PATHS, box_sample, evaluate, measure, sign_of
 from independent.truth import MET, optima, sample
@@ -33,8 +32,8 @@ def undominated(objectives):
 
 def objectives_of(problem, names, y, phase=_ROUGH):
     """Return the objectives of designs to minimise, a row each; infinite where a requirement is not met."""
-    measures = measure(problem, y, fast.simulate, phase)
-    found = evaluate(problem, y, simulate=fast.simulate, phase=phase)
+    measures = measure(problem, y, phase)
+    found = evaluate(problem, y, phase=phase)
     values = np.array([sign_of(name) * measures[name] for name in names]).T
     values[~(found.worst <= MET) | ~np.all(np.isfinite(values), axis=1)] = np.inf
     return values
@@ -44,7 +43,7 @@ def front(number):
     """Return a problem, two objectives that conflict in it, and designs of their front, needles apart."""
     for attempt in range(1000):
         seed = _FIRST_SEED + 1000 * number + attempt
-        problem = draw(seed, fast.simulate)
+        problem = draw(seed)
         still = problem.start == "equilibrium" and problem.wave is None
         if (
             still
@@ -101,7 +100,7 @@ def _broad(problem, names, y, values):
         if not new:
             return best
         boxes = np.vstack([box_sample(problem, y[k], 64) for k in new])
-        measures = measure(problem, boxes, fast.simulate, _ROUGH)
+        measures = measure(problem, boxes, _ROUGH)
         medians = np.array([np.median(measures[name].reshape(len(new), 64), axis=1) for name in names]).T
         needles = np.any(medians > (1.0 + _NEEDLE) * values[new], axis=1)
         known |= dict.fromkeys(new)

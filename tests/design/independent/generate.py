@@ -21,11 +21,11 @@ _REQUIREMENTS = (
 _SAMPLE, _LEAST_LEFT = 1024, 30
 
 
-def draw(seed, simulate):
+def draw(seed):
     """Return the problem of a seed; its limits come from a sample of its designs."""
     for attempt in range(100):
         random = np.random.default_rng([seed, attempt])
-        problem = _with_limits(_bare(f"search {seed}", random), random, simulate)
+        problem = _with_limits(_bare(f"search {seed}", random), random)
         if problem is not None:
             return problem
     raise AssertionError(f"seed {seed} draws no problem")
@@ -93,10 +93,10 @@ def _bare(name, random):
     )
 
 
-def _with_limits(problem, random, simulate):
+def _with_limits(problem, random):
     """Add requirements that some designs meet, and an objective of order one; None if nothing is left to choose."""
     y = qmc.Sobol(len(problem.variables), seed=random).random(_SAMPLE)
-    values = measure(problem, y, simulate, 1.0, paths=True)
+    values = measure(problem, y, 1.0, paths=True)
     worst = {name: np.max(v, axis=0) if v.ndim == 2 else v for name, v in values.items()}
     left = np.isfinite(worst["mean_draft"])
     limits = []
@@ -117,7 +117,7 @@ def _with_limits(problem, random, simulate):
     chosen = random.choice(names, size=int(random.integers(1, 4)), replace=False)
     objective = {str(name): _digits(random.uniform(0.2, 1.0) / np.median(worst[name][left])) for name in sorted(chosen)}
     made = Problem(**{**problem.__dict__, "limits": tuple(limits), "objective": objective})
-    found = evaluate(made, y[left], simulate=simulate, phase=1.0).objective
+    found = evaluate(made, y[left], phase=1.0).objective
     return made if np.all(np.isfinite(list(objective.values()))) and _spread(found) > 1e-2 else None
 
 

@@ -17,13 +17,13 @@ from pathlib import Path
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from independent import edges, fast, fronts, study, surfaces, truth
+from independent import edges, fronts, study, surfaces, truth
 from independent.generate import draw
 
 
 def search(seed):
     """Return the problem of a seed and its truth."""
-    problem = draw(seed, fast.simulate)
+    problem = draw(seed)
     return {"problem": problem.plain(), "truth": truth.truth_of(problem)}
 
 

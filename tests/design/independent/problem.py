@@ -4,7 +4,7 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 
-from independent import motion
+from independent import fast, motion
 
 QUANTITIES = (
     "wedge angle",
@@ -139,18 +139,17 @@ class Found:
         return np.sum(np.maximum(self.violations, 0.0), axis=0)
 
 
-def evaluate(problem, y, *, simulate=motion.simulate, phase=0.5, rows=False):
+def evaluate(problem, y, *, phase=0.5, rows=False):
     """Return what designs at positions, a row each, are worth.
 
     Args:
         problem: the problem.
         y: positions between the bounds.
-        simulate: of `motion`, or the same in C.
-        phase: see `motion.simulate`.
+        phase: see `fast.simulate`.
         rows: whether to return paths at every output.
     """
     y = np.atleast_2d(y)
-    measures = measure(problem, y, simulate, phase, paths=any(r.measure in PATHS for r in problem.limits))
+    measures = measure(problem, y, phase, paths=any(r.measure in PATHS for r in problem.limits))
     objective = sum(weight * measures[name] for name, weight in problem.objective.items())
     all_rows = {k: r.violation(measures[r.measure]) for k, r in enumerate(problem.limits)}
     worst = [np.max(v, axis=0) if v.ndim == 2 else v for v in all_rows.values()]
@@ -161,7 +160,7 @@ def evaluate(problem, y, *, simulate=motion.simulate, phase=0.5, rows=False):
     return Found(objective, violations, {k: v for k, v in all_rows.items() if v.ndim == 2} if rows else {})
 
 
-def measure(problem, y, simulate=motion.simulate, phase=0.5, *, paths=False):
+def measure(problem, y, phase=0.5, *, paths=False):
     """Return all measures of designs by name; paths have a row for each output."""
     y = np.atleast_2d(y)
     x = {name: np.full(len(y), value) for name, value in problem.fixed.items()}
@@ -173,7 +172,7 @@ def measure(problem, y, simulate=motion.simulate, phase=0.5, *, paths=False):
         s.static, s.drag, mass, x["stiffness"], x["damping"], x["tow speed"], amplitude, wavelength, x["ramp time"],
         problem.start, problem.duration,
     )  # fmt: skip
-    found = simulate(runs, phase=phase, paths=paths)
+    found = fast.simulate(runs, phase=phase, paths=paths)
     return {
         **{name: getattr(found, name) for name in motion.NAMES},
         "deflection": found.deflection,

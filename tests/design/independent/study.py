@@ -6,14 +6,10 @@ from pathlib import Path
 
 import numpy as np
 
-from independent import fast, motion
 from independent.problem import Problem, box_quartiles, evaluate, measure, sign_of
 
 RELATIVE = 1e-6
 """Part of the objective, and of each limit, to which an answer must agree with the truth."""
-
-# The same steps, twenty times faster where a compiler is: see `test_independent_motion.py`.
-_SIMULATE = fast.simulate if fast.available() else motion.simulate
 
 # Of a needle, whose box spreads widely, the median of 256 designs is known to a part of itself.
 _OF_A_MEDIAN = 1e-2
@@ -69,13 +65,13 @@ def judge(problem, truth, variables):
         variables: the answer's variables by name.
     """
     y = problem.positions([[variables[v.name] for v in problem.variables]])
-    found = evaluate(problem, y, simulate=_SIMULATE)
+    found = evaluate(problem, y)
     excess = _excess(found.objective[0], truth["objective"])
     violation = float(found.worst[0])
     met = violation <= RELATIVE
     if met and excess <= RELATIVE and not truth["needle"]:
         return Verdict(True, excess, np.nan, violation)
-    low, median, high = box_quartiles(problem, y, simulate=_SIMULATE, phase=1.3)
+    low, median, high = box_quartiles(problem, y, phase=1.3)
     spread = high - low
     wanted = truth["best_median"] * (1.0 + _OF_A_MEDIAN) if truth["needle"] else truth["median"]
     median_excess = _excess(median, wanted)
@@ -155,13 +151,13 @@ def judge_front(problem, truth, front):
     wanted = np.array(truth["objectives"])
     size = np.array(truth["range"]) if "range" in truth else np.ptp(wanted, axis=0)
     y = problem.positions([[point.variables[v.name] for v in problem.variables] for point in front.points])
-    measures = measure(problem, y, _SIMULATE)
+    measures = measure(problem, y)
     found = np.array([sign_of(name) * measures[name] for name in truth["names"]]).T
     behind = (found[:, None, :] - wanted[None, :, :]) / size
     missing = float(np.max(np.min(np.max(behind, axis=2), axis=0)))
     uncovered = float(np.max(np.min(np.max(np.abs(behind), axis=2), axis=0)))
     dominated = float(np.max(np.min(behind, axis=2)))
-    violation = float(np.max(evaluate(problem, y, simulate=_SIMULATE).worst))
+    violation = float(np.max(evaluate(problem, y).worst))
     not_reached = sum(failure.reason.startswith("Not_Reached") for failure in front.failures)
     whole = missing <= SPACING if len(size) == 2 else uncovered <= COVERED
     right = whole and dominated <= DOMINATED and violation <= RELATIVE and not not_reached

@@ -6,7 +6,7 @@ from itertools import combinations
 
 import numpy as np
 
-from independent import fast, study
+from independent import study
 from independent.fronts import objectives_of
 from independent.generate import draw
 from independent.problem import PATHS, box_sample, measure, sign_of
@@ -74,7 +74,7 @@ def surface(number):
         return _described(number, problem, [*truth["names"], third], np.random.default_rng([number, 5]))
     for attempt in range(1000):
         seed = _FIRST_SEED + 1000 * number + attempt
-        problem = draw(seed, fast.simulate)
+        problem = draw(seed)
         still = problem.start == "equilibrium" and problem.wave is None
         count = len(problem.variables)
         if (
@@ -166,7 +166,7 @@ def _gains_little(problem, names, y, values, size, left, best):
 def _needles(problem, names, y, values, size):
     """Return which designs are needles."""
     boxes = np.vstack([box_sample(problem, own, 64) for own in y])
-    measures = measure(problem, boxes, fast.simulate, _ROUGH)
+    measures = measure(problem, boxes, _ROUGH)
     medians = [np.median(sign_of(name) * measures[name].reshape(len(y), 64), axis=1) for name in names]
     spread = np.nan_to_num(np.array(medians).T - values, nan=np.inf)
     return np.any(spread > _NEEDLE * np.maximum(np.abs(values), size), axis=1)

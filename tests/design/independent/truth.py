@@ -7,7 +7,6 @@ import numpy as np
 from scipy.optimize import Bounds, differential_evolution, minimize
 from scipy.stats import qmc
 
-from independent import fast
 from independent.lockstep import Lockstep
 from independent.problem import PATHS, box_quartiles, evaluate
 
@@ -69,12 +68,12 @@ class Question:
         follow = np.ones(len(y), dtype=bool)
         if len(plain) < len(problem.limits):
             bare = replace(problem, limits=tuple(problem.limits[k] for k in plain))
-            found = evaluate(bare, y, simulate=fast.simulate, phase=_ROUGH)
+            found = evaluate(bare, y, phase=_ROUGH)
             kept = np.array([self.giving is None or k not in self.giving for k in plain], dtype=bool)
             short = np.sum(np.maximum(found.violations[kept], 0.0), axis=0)
             follow = short <= MET
             values = np.minimum(np.nan_to_num(_BEYOND * (2.0 + short), nan=_NO_VALUE, posinf=_NO_VALUE), _NO_VALUE)
-        values[follow] = self.worth(evaluate(problem, y[follow], simulate=fast.simulate, phase=_ROUGH))
+        values[follow] = self.worth(evaluate(problem, y[follow], phase=_ROUGH))
         return values
 
 
@@ -136,11 +135,11 @@ def polished(problem, starts, *, question=_OBJECTIVE, reach=1.0, phase=_GOOD):
         starts: positions, a row each.
         question: what is minimised.
         reach: how far from its start a design may go.
-        phase: see `motion.simulate`.
+        phase: see `fast.simulate`.
     """
 
     def together(y):
-        found = evaluate(problem, y, simulate=fast.simulate, phase=phase, rows=True)
+        found = evaluate(problem, y, phase=phase, rows=True)
         whole = [found.rows[k] if k in found.rows else found.violations[k : k + 1] for k in range(len(problem.limits))]
         return found.objective, np.vstack(whole) if whole else np.zeros((0, len(y)))
 
@@ -257,10 +256,10 @@ def optima(problem, seed=0, *, question=_OBJECTIVE, extra=(), thrifty=False):
     ]
     # The evolution's own designs remain in the race.
     everything = np.vstack([*ends, near, everything[np.argsort(values, kind="stable")[:50]]])
-    values = question.worth(evaluate(problem, everything, simulate=fast.simulate, phase=_GOOD))
+    values = question.worth(evaluate(problem, everything, phase=_GOOD))
     order = np.argsort(values, kind="stable")
     everything = np.vstack([finished(problem, everything[order[:6]], question), everything[order[:200]]])
-    values = question.worth(evaluate(problem, everything, simulate=fast.simulate, phase=_FINE))
+    values = question.worth(evaluate(problem, everything, phase=_FINE))
     kept = []
     for k in np.argsort(values, kind="stable"):
         if values[k] < _BEYOND and all(np.max(np.abs(everything[k] - other.y)) > _SAME for other in kept):
@@ -275,7 +274,7 @@ def truth_of(problem, seed=0, extra=()):
         return None
     best = found[0]
     near = [b for b in found if b.value <= best.value + 0.6 * abs(best.value)][:60]
-    medians = [box_quartiles(problem, b.y, simulate=fast.simulate, phase=_ROUGH)[1] for b in near]
+    medians = [box_quartiles(problem, b.y, phase=_ROUGH)[1] for b in near]
     robust = int(np.argmin(medians))
     return {
         "objective": best.value,

@@ -6,11 +6,14 @@ from collections.abc import Iterable, Mapping, Sequence
 from os import PathLike
 from pathlib import Path
 from types import UnionType
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
 from plough_opt.core.errors import InputError, nearest, short
+
+NOT_NUMBERS: Final = (TypeError, ValueError, OverflowError, RuntimeError)
+"""What Python, NumPy and CasADi raise for a value that is no number; the last is CasADi's, of symbols and columns."""
 
 
 def shown(value: object, most: int = 60) -> str:

@@ -130,7 +130,8 @@ class Quantity:
         """Return, of a number that is not plausible in SI but would be in a unit that is often meant, a question."""
         low, high = self.plausible
         # A whole number may be larger than any float.
-        if not isinstance(value, int | float | np.number) or low <= value <= high or not value or abs(value) > LARGEST:
+        known = isinstance(value, int | float | np.number) and -LARGEST <= value <= LARGEST
+        if not known or low <= value <= high or not value:
             return ""
         for symbol, factor in _SLIPS.get(self.unit, ()):
             if max(low, self.low) <= value * factor <= min(high, self.high):

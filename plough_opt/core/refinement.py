@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import Expression, as_number, is_count
-from plough_opt.core.kinds import check_callable, check_kind, shown
+from plough_opt.core.kinds import NOT_NUMBERS, check_callable, check_kind, shown
 
 _REPEATS = 5
 # Relative error below which differences are rounding, and further refinement gains nothing.
@@ -104,7 +104,7 @@ def _value(quantity: Callable[[int], Expression], size: int) -> NDArray[np.float
         value = as_number(result)
     except InputError:
         raise
-    except (TypeError, ValueError):
+    except NOT_NUMBERS:
         raise InputError(f"the quantity returned {shown(result)} at size {size}, and must return numbers") from None
     if not np.all(np.isfinite(value)):
         raise InputError(f"the result at size {size} is not finite: refine a result that has a value")

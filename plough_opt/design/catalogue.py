@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from plough_opt.core.errors import InputError, nearest
-from plough_opt.core.kinds import shown
+from plough_opt.core.kinds import NOT_NUMBERS, shown
 from plough_opt.core.units import in_words
 from plough_opt.design.declarations import Variable
 
@@ -111,7 +111,7 @@ def _number_of(variables: Sequence[Variable], name: str) -> int:
 def _allowed(number: int, v: Variable, catalogue: Catalogue) -> Allowed:
     try:
         values = np.atleast_1d(np.asarray(catalogue, dtype=float)).ravel()
-    except (TypeError, ValueError, OverflowError):
+    except NOT_NUMBERS:
         values = np.array([])
     if not values.size or not np.all(np.isfinite(values)):
         raise InputError(f"the catalogue of '{v.name}' must hold finite numbers, not {shown(catalogue)}")

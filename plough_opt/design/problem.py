@@ -13,7 +13,7 @@ import numpy as np
 from plough_opt.core.domain import check_text, plain_number
 from plough_opt.core.errors import InputError, nearest, unprintable
 from plough_opt.core.expressions import Expression, is_casadi
-from plough_opt.core.kinds import check_callable, check_choice, check_kind, check_switch, shown
+from plough_opt.core.kinds import NOT_NUMBERS, check_callable, check_choice, check_kind, check_switch, shown
 from plough_opt.core.origin import Origin
 from plough_opt.core.quantities import ask_about
 from plough_opt.core.units import Display, has_unit, in_si, unit_of
@@ -308,5 +308,5 @@ def _expression(what: str, value: Expression) -> ca.MX:
         return ca.vec(ca.MX(value))
     try:
         return ca.MX(ca.DM(np.atleast_1d(np.asarray(value, dtype=float))))
-    except (TypeError, ValueError, OverflowError):
+    except NOT_NUMBERS:
         raise InputError(f"{what}: {shown(value)} is neither an expression nor a number") from None

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from plough_opt.core.csv_rows import check_rising, columns_of, raise_listed, readings_of, table_of
 from plough_opt.core.domain import LARGEST, LEAST, check_text, plain_number
 from plough_opt.core.errors import InputError
-from plough_opt.core.kinds import path_of, shown
+from plough_opt.core.kinds import NOT_NUMBERS, path_of, shown
 from plough_opt.core.units import Unit
 from plough_opt.problem_file.ranges import read_axis
 from plough_opt.problem_file.source import Source
@@ -47,7 +47,7 @@ class Penetrometer:
         check_text("the name of a penetrometer's file", self.name)
         try:
             found = np.array(self.insertions, dtype=float)
-        except (TypeError, ValueError, OverflowError, RuntimeError, NotImplementedError):
+        except NOT_NUMBERS:
             found = np.array([])
         if found.ndim != 1 or not found.size or not np.all((found >= LEAST) & (found <= LARGEST)):
             raise InputError(

@@ -20,6 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 from plough_opt.core.domain import check_domain
 from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import Expression, arcsinh, column, exp, holds_casadi, is_casadi, one_node, rms, sqrt
+from plough_opt.core.kinds import NOT_NUMBERS
 from plough_opt.core.quadrature import gauss_legendre
 from plough_opt.core.quantities import settle
 from plough_opt.soil.waves import StrengthWave
@@ -132,7 +133,7 @@ class Spectrum:
         given = (wave_number, density, density if lower is None else lower, density if upper is None else upper)
         try:
             columns = [np.array(values, dtype=float) for values in given]
-        except (TypeError, ValueError, OverflowError):
+        except NOT_NUMBERS:
             raise InputError("a spectrum's wave numbers and densities must be numbers") from None
         q = columns[0]
         if q.ndim != 1 or len(q) < 2 or any(values.shape != q.shape for values in columns):

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from plough_opt.core.domain import LARGEST, check_domain, check_text, plain_number
 from plough_opt.core.errors import InputError
-from plough_opt.core.kinds import check_kind, shown
+from plough_opt.core.kinds import NOT_NUMBERS, check_kind, shown
 from plough_opt.core.picture_files import COLOURS, save
 from plough_opt.core.quantities import MOST_WAVES
 from plough_opt.soil.random_strength import Spectrum
@@ -64,7 +64,7 @@ class StrengthRecord:
         check_text("the name of a record", name)
         try:
             x, y = (np.asarray(given, dtype=float).copy() for given in (position, value))
-        except (TypeError, ValueError, OverflowError, RuntimeError, NotImplementedError):  # the last two are CasADi's
+        except NOT_NUMBERS:
             raise InputError(f"{name}: positions and values must be numbers") from None
         check_kind("the rig", rig, Rig | None, "a Rig, or None of strength itself")
         if x.ndim != 1 or x.shape != y.shape:

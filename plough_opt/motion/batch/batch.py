@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from plough_opt.core.domain import check_single
 from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import Expression, as_number, is_casadi, is_count, is_symbolic, template_of
-from plough_opt.core.kinds import check_kind, shown
+from plough_opt.core.kinds import NOT_NUMBERS, check_kind, shown
 from plough_opt.core.quantities import BESIDE
 from plough_opt.motion.batch.advance import advance
 from plough_opt.motion.batch.c_source import Kernels
@@ -162,7 +162,7 @@ class Batch:
         """Return values with a row for each input."""
         try:
             array = np.asarray(values, dtype=float)
-        except (TypeError, ValueError, OverflowError) as error:
+        except NOT_NUMBERS as error:
             raise InputError(f"the values of a batch must be numbers, in SI units: {error}") from None
         if array.ndim != 2 or array.shape[1] != self._inputs:
             raise InputError(

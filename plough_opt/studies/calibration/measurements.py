@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from plough_opt.core.domain import check_text
 from plough_opt.core.errors import InputError
-from plough_opt.core.kinds import check_kind, check_named, mapping_of, shown
+from plough_opt.core.kinds import NOT_NUMBERS, check_kind, check_named, mapping_of, shown
 from plough_opt.core.quantities import every_quantity
 from plough_opt.core.units import Unit
 from plough_opt.motion.vocabulary import MEASURES
@@ -136,7 +136,7 @@ class Measurements:
         """Return a column of finite numbers; a single number applies to all rows."""
         try:
             column = np.array(given, dtype=float)
-        except (TypeError, ValueError, OverflowError):
+        except NOT_NUMBERS:
             raise InputError(f"{self.name}: '{key}' must be a column of numbers, SI units") from None
         if column.ndim == 0 and hasattr(self, "values"):
             column = np.full(self.rows, float(column))

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from plough_opt.core.errors import InputError, PloughError
+from plough_opt.core.kinds import NOT_NUMBERS
 from plough_opt.core.processors import one_of_several
 
 Array = NDArray[np.float64]
@@ -170,7 +171,7 @@ def _numbers(results: Mapping[str, float]) -> dict[str, float]:
     for name, number in results.items():
         try:
             numbers[name] = float(number)
-        except (TypeError, ValueError, OverflowError) as error:
+        except NOT_NUMBERS as error:
             raise InputError(f"{name} = {str(number)[:80]!r} is not a number: {error}") from None
     return numbers
 

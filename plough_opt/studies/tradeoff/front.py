@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from plough_opt.core.errors import InputError
-from plough_opt.core.kinds import shown
+from plough_opt.core.kinds import NOT_NUMBERS, shown
 from plough_opt.core.origin import Origin, versions
 from plough_opt.core.units import Display
 from plough_opt.studies.tradeoff import plane, space
@@ -197,7 +197,7 @@ class Front:
     def _corner(self, reference: Sequence[float]) -> Array:
         try:
             found = np.asarray(reference, dtype=float)
-        except (TypeError, ValueError, OverflowError):
+        except NOT_NUMBERS:
             found = np.empty(0)
         if found.shape != (len(self.goals),) or not np.all(np.isfinite(found)):
             raise InputError(f"reference = {shown(reference)} must be {len(self.goals)} objectives, finite numbers")

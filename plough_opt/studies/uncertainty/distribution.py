@@ -17,7 +17,7 @@ from scipy.stats import qmc
 from plough_opt.core.domain import check_text, plain_number
 from plough_opt.core.errors import DomainError, InputError, nearest
 from plough_opt.core.expressions import is_casadi
-from plough_opt.core.kinds import shown
+from plough_opt.core.kinds import NOT_NUMBERS, shown
 from plough_opt.core.quantities import QUANTITIES
 from plough_opt.soil.soil import Soil
 from plough_opt.studies.uncertainty.samples import SoilSamples
@@ -328,7 +328,7 @@ def _pair_of(name: str, ends: Any) -> tuple[float, float]:
     """Return bounds, or raise InputError if they are not two numbers."""
     try:
         lower, upper = map(float, ends)
-    except (TypeError, ValueError):
+    except NOT_NUMBERS:
         raise InputError(
             f"within: the bounds of {name} are {shown(ends)}: give two numbers, SI units, either may be infinite"
         ) from None
@@ -339,7 +339,7 @@ def _numbers(what: str, values: ArrayLike) -> Vector:
     """Return a number or an array as an array, or raise InputError for anything else and for NaN."""
     array: Vector | None = None
     if not isinstance(values, str | bytes | bool | np.bool_ | None):
-        with contextlib.suppress(TypeError, ValueError, OverflowError, RuntimeError, NotImplementedError):
+        with contextlib.suppress(*NOT_NUMBERS):
             array = np.asarray(values, dtype=float)
     if array is None or np.any(np.isnan(array)):
         raise InputError(f"{what} = {shown(values)} must be a number or an array of numbers")

@@ -15,7 +15,7 @@ import numpy as np
 from plough_opt.core.domain import LARGEST, LEAST, plain_number
 from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import Expression, is_casadi, sqrt, where
-from plough_opt.core.kinds import shown
+from plough_opt.core.kinds import NOT_NUMBERS, shown
 from plough_opt.studies.uncertainty import smoothing
 
 # Halvings that reduce a range of a million widths to 1e-9 widths, an error that one step of Newton's method squares.
@@ -207,7 +207,7 @@ def _column(values: Expression) -> Expression:
         return column
     try:
         numbers = np.asarray(values, dtype=float).ravel()
-    except (TypeError, ValueError, OverflowError):
+    except NOT_NUMBERS:
         raise InputError(f"{shown(values)} are not samples: give a column of numbers") from None
     if not len(numbers):
         raise InputError(_NO_SAMPLES)

@@ -50,6 +50,7 @@ def test_no_conflict_is_said_only_where_needles_alone_conflict():
         assert np.median(box) > found[k, 1] * (1.0 + _NEEDLE)
 
 
+@pytest.mark.slow
 def test_more_mass_on_a_softer_mount_conflicts():
     problem = mount(
         soil=(1300.0, 0.722, 5e3, np.radians(30.0), 0.4, 5e3),

@@ -179,6 +179,7 @@ def test_once_rounded_or_pickled_there_is_nothing_to_round():
         pickle.loads(pickle.dumps(_solved()[0])).rounded(y=0.1)
 
 
+@pytest.mark.slow
 def test_cotton_against_designs_with_these_values_as_numbers():
     file = Path(__file__).parents[2] / "problems" / "cotton_subsoiler.toml"
     few = ["scene.outputs=50"]

@@ -47,6 +47,8 @@ ONE_OF = {
     "elastic/test_wedge_field": 2,
     "elastic/test_contact": 3,
     "hard_cases/test_extremes": 2,
+    "hard_cases/test_hard_designs": 3,
+    "hard_cases/test_resonance": 3,
     "hard_cases/test_singular_designs": 2,
     "hard_cases/test_sticking_entry": 2,
     "motion/test_combination_derivatives": 3,

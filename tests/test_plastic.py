@@ -46,14 +46,15 @@ def coefficient(request):
     return quantity, precise, size, [differentiated(quantity, symbol, size) for symbol in (ca.SX, ca.MX)]
 
 
-@pytest.mark.parametrize(("density_ratio", "friction_angle"), [*itertools.product(RATIOS, ANGLES)])
-def test_coefficient_with_gradient_and_hessian_up_to_its_singularities(coefficient, density_ratio, friction_angle):
+@pytest.mark.parametrize("density_ratio", RATIOS)
+def test_coefficient_with_gradient_and_hessian_up_to_its_singularities(coefficient, density_ratio):
     quantity, precise, size, functions = coefficient
-    point = (density_ratio, friction_angle, 2e4, 101325.0)[:size]
-    assert_close(quantity(*point), precise(*hp.exact(point)), DIGITS, "float")
-    wanted = hp.derivatives(precise, point)
-    for function in functions:
-        assert_derivatives(function(point), wanted, DIGITS, NAMES[:size])
+    for friction_angle in ANGLES:
+        point = (density_ratio, friction_angle, 2e4, 101325.0)[:size]
+        assert_close(quantity(*point), precise(*hp.exact(point)), DIGITS, f"float at {friction_angle}")
+        wanted = hp.derivatives(precise, point)
+        for function in functions:
+            assert_derivatives(function(point), wanted, DIGITS, NAMES[:size])
 
 
 @pytest.mark.parametrize("density_ratio", [0.9, 0.99, 0.999])

@@ -334,6 +334,7 @@ def test_what_is_beyond_the_ends_is_refused_in_words(simulated, sentence):
     assert sentence in str(caught.value)
 
 
+@pytest.mark.slow
 def test_a_design_that_reaches_for_a_wall_passes_over_what_is_too_fast_and_says_so():
     d = po.Design()
     stiffness = d.variable("stiffness", guess=1e6, lower=1e4, upper=1e12, unit="N/m", log=True)

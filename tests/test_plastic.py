@@ -1,6 +1,5 @@
 """Pressure of the plastic gas on the cavity wall, equation (23), against 120 digits and against its derivation."""
 
-import itertools
 import math
 
 import casadi as ca

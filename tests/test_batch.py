@@ -121,6 +121,7 @@ SMOOTH = [
 ]
 
 
+@pytest.mark.usefixtures("no_compiler")
 @pytest.mark.parametrize(
     "more", [pytest.param(one, marks=pytest.mark.slow if k else ()) for k, one in enumerate(SMOOTH)], ids=str
 )
@@ -157,6 +158,7 @@ class Kinked:
         return self.size * (corners + where(sin(5.0 * travel) > 0.3, 1.0, 0.5))
 
 
+@pytest.mark.usefixtures("no_compiler")
 def test_own_resistances(batch_of, r1_scene, r1_wave):
     effects = {"strength_wave": r1_wave, "own": (Wiggly(60.0),)}
     result = batch_of(**effects)(DESIGNS)
@@ -174,13 +176,6 @@ def test_own_resistances_with_corners(batch_of, r1_scene, r1_wave):
     assert np.all(errors(result, runs, DESIGNS[:2, 2]) < 1e-8)
 
 
-def test_repelling_spring_of_the_print(batch_of, r1_scene, r1_wave):
-    effects = {"strength_wave": r1_wave, "formulation": "printed"}
-    result = batch_of(0.1, **effects)(DESIGNS[:2])
-    runs = [single(r1_scene, design, 0.1, **effects) for design in DESIGNS[:2]]
-    assert np.all(errors(result, runs, DESIGNS[:2, 2]) < 1e-9)
-
-
 def test_duration_and_ramp_of_each_design(r1_scene, r1_wave):
     k0, duration, ramp = (ca.MX.sym(name) for name in ("k0", "duration", "ramp"))
     batch = po.Batch(r1_scene(25.0, 0.25, k0, strength_wave=r1_wave, tow_ramp=ramp), duration, [k0, duration, ramp])
@@ -194,11 +189,6 @@ def test_duration_and_ramp_of_each_design(r1_scene, r1_wave):
     assert list(result.failed) == [False, False, False, True, True]
     assert "tow ramp" in result.reasons[3]
     assert result.reasons[4] == "duration = -1 s must be above 0 s"
-
-
-def test_symbols_of_either_kind(batch_of, r1_wave):
-    by_mx, by_sx = (batch_of(kind=kind, strength_wave=r1_wave, error=1e-6)(DESIGNS) for kind in (ca.MX, ca.SX))
-    assert by_mx.mean_draft == pytest.approx(by_sx.mean_draft, rel=1e-13)
 
 
 def test_a_column_of_symbols(r1_scene, r1_wave, batch_of):
@@ -314,16 +304,6 @@ def test_wrong_inputs(batch_of, r1_scene, r1_wave):
             batch(DESIGNS, threads=threads)
 
 
-@pytest.mark.parametrize("compiled", [True, False])
-def test_inputs_on_which_nothing_depends(r1_scene, r1_wave, compiled, request):
-    if not compiled:
-        request.getfixturevalue("no_compiler")
-    scene = r1_scene(25.0, 0.25, 5e4, strength_wave=r1_wave)
-    result = po.Batch(scene, 1.0, [ca.MX.sym("idle"), ca.MX.sym("other")])(np.ones((3, 2)))
-    # The batch wants a relative error of 1e-6.
-    assert result.mean_draft == pytest.approx([po.simulate(scene, 1.0).mean_draft] * 3, rel=1e-6)
-
-
 def test_one_design_that_cannot_be_computed_leaves_the_others(r1_soil, r1_wave):
     height = ca.MX.sym("height")
     scene = po.Scene(r1_soil, po.Cone(0.2, height), 5e4, 25.0, 2.0, po.Effects(strength_wave=r1_wave))
@@ -367,12 +347,6 @@ def test_threads_share_many_designs(batch_of, r1_wave):
     assert list(one.reasons) == [20000]
 
 
-def test_nothing_to_simulate(batch_of, r1_wave):
-    result = batch_of(0.5, strength_wave=r1_wave, error=1e-4)(np.empty((0, 3)))
-    assert len(result) == 0
-    assert result.reasons == {}
-
-
 def test_result_is_data(batch_of, r1_wave):
     result = batch_of(0.5, strength_wave=r1_wave, error=1e-4)(DESIGNS)
     assert {field.name for field in dataclasses.fields(result)} >= {*NAMES, "reasons", "seconds", "warnings"}
@@ -383,15 +357,3 @@ def test_result_is_data(batch_of, r1_wave):
     # Arrays have no single truth: a result is equal to itself alone.
     assert result == result
     assert result != dataclasses.replace(result)
-
-
-def test_many_designs_outside_the_domain(batch_of, r1_wave):
-    batch = batch_of(0.1, strength_wave=r1_wave, error=1e-3)
-    random = np.random.default_rng(5)
-    values = np.column_stack([random.uniform(-0.3, 1.9, 600), random.uniform(-0.1, 0.4, 600), np.full(600, 5e4)])
-    result = batch(values)
-    inside = (values[:, 0] > 0.0) & (values[:, 0] < math.pi / 2) & (values[:, 1] > 0.0)
-    assert np.array_equal(result.failed, ~inside)
-    assert all("must be" in reason for reason in result.reasons.values())
-    # Not one of them is sound.
-    assert batch(values[~inside]).failed.all()

@@ -57,19 +57,6 @@ def test_states_and_events_come_with_what_needs_them_alone(costs):
     assert all((cost.states, cost.events) == (0, 0) for cost in rest)
 
 
-def test_operations_are_ratios_and_refusals_have_reasons(costs):
-    assert "damping needs motion" in costs["equation of motion"].refused
-    own = {name: cost.operations for name, cost in costs.items() if name != "periodic orbit"}
-    assert all(math.isfinite(ratio) and ratio > 0.0 for ratio in own.values())
-    assert [name for name, cost in costs.items() if cost.refused] == ["equation of motion"]
-    assert costs["periodic orbit"].operations is None
-
-
-def test_they_are_counted_and_so_repeat_to_the_digit(costs):
-    again = {cost.name: cost for cost in effect_costs(SCENE, 0.1)}
-    assert again == costs
-
-
 @pytest.mark.parametrize("on", [False, True])
 def test_of_order_8_they_are_the_steps_times_the_operations_of_a_step(on):
     effects = replace(SCENE.effects, strength_wave=po.StrengthWave(0.3, 0.2) if on else None)
@@ -84,12 +71,6 @@ def test_of_events_they_are_those_of_every_evaluation(costs):
     # The equation is evaluated at least six times in each of the steps of an explicit method of order 4(5).
     assert costs["stick and slip"].operations > 1.0
     assert costs["entry"].operations > 1.0
-
-
-def test_of_a_share_without_motion_they_are_those_of_a_quadrature():
-    scene = replace(SCENE, effects=replace(SCENE.effects, damping=None))
-    found = {cost.name: cost for cost in effect_costs(scene, 0.1)}
-    assert found["equation of motion"].operations > 1.0
 
 
 def test_a_lasting_orbit_is_measured_too():

@@ -6,12 +6,10 @@ import casadi as ca
 import numpy as np
 import pytest
 from test_source_equations import (
-    ALPHA,
     AWAY,
     B1,
     CAVITY,
     CONE,
-    ETA,
     FRONT,
     LENGTH,
     MU,
@@ -114,12 +112,6 @@ def test_22_to_the_letter_is_far_off():
     assert abs(printed + sigma(r)) > 0.04 * abs(sigma(r))  # and of another size
 
 
-def test_23_needs_the_undisturbed_density_in_b1():
-    # With the current density rho in the place of rho0 behind the front b1 would be 1, and the front infinitely far.
-    assert plastic.density(0.5 * FRONT, CAVITY, SOIL) == pytest.approx(RHO0 / B1, rel=1e-14)
-    assert FRONT / CAVITY.radius == pytest.approx(1.0 / math.sqrt(1.0 - RHO0 / (RHO0 / B1)), rel=1e-14)
-
-
 def test_24_needs_the_ambient_pressure():
     # A share at rest in soil without strength feels no net force: what presses on its face presses on its back.
     weak = po.Soil(1350.0, 0.6, 0.0, 0.0, 0.5, PA)
@@ -154,18 +146,3 @@ def test_27_with_its_printed_spring_runs_away():
     assert printed.deflection[-1] == pytest.approx(grown, rel=1e-7)
     assert np.max(np.abs(derived.deflection)) <= rest + math.hypot(rest, 2.0 / omega)
     assert grown > 10.0 * np.max(np.abs(derived.deflection))
-
-
-def test_27_needs_the_acceleration_on_the_left():
-    """A sum of forces scales with the square of the unit of time; mass times speed does not."""
-    scene, run = motion("derived", 0.3)
-    forces = run.mount_force - run.soil_resistance
-    acceleration = np.gradient(run.speed, run.time, edge_order=2)
-    scale = np.max(np.abs(forces))
-    np.testing.assert_allclose(scene.mass * acceleration[1:-1], forces[1:-1], atol=2e-3 * scale)
-    assert np.max(np.abs(scene.mass * run.speed - forces)) > 0.5 * scale
-
-
-def test_the_elastic_constants_of_these_tests_are_those_of_the_medium():
-    assert pytest.approx((SPEED / elastic.shear_wave_speed(SOIL)) ** 2, rel=1e-14) == 1.0 - ETA**2
-    assert 0.0 < ETA < ALPHA < 1.0

@@ -12,7 +12,7 @@ import pytest
 
 import plough_opt as po
 from plough_opt.app import main
-from plough_opt.core.files import ascii_json, write_file, write_files, write_folder, write_new
+from plough_opt.core.files import write_file, write_files, write_folder, write_new
 
 PROBLEMS = Path(__file__).parents[1] / "problems"
 
@@ -189,12 +189,6 @@ def test_a_signal_that_ends_the_process_leaves_nothing_behind(tmp_path, kind, nu
     assert list(tmp_path.iterdir()) == []
 
 
-def test_signals_are_as_they_were_afterwards(tmp_path):
-    before = [signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGHUP)]
-    write_file(tmp_path / "a", "table", "one")
-    assert [signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGHUP)] == before
-
-
 @pytest.mark.parametrize("encoding", ["ascii", *(pytest.param(x, marks=pytest.mark.slow) for x in ("cp1252", "utf-8"))])
 def test_json_is_the_same_whatever_the_streams_encoding(tmp_path, encoding):
     title = 'Grubber für Шымкент, ≤ 40 \N{TRACTOR} "quoted"'
@@ -204,9 +198,3 @@ def test_json_is_the_same_whatever_the_streams_encoding(tmp_path, encoding):
     line = [sys.executable, "-m", "plough_opt", "simulate", str(path), *QUICK, "--json"]
     done = subprocess.run(line, capture_output=True, check=True, env=os.environ | {"PYTHONIOENCODING": encoding})
     assert json.loads(done.stdout.decode("ascii"))["title"] == title
-
-
-def test_json_beyond_ascii_is_escaped_as_json_is():
-    text = '{"a": "é\N{TRACTOR}", "b": 1}'
-    assert json.loads(ascii_json(text)) == json.loads(text)
-    assert ascii_json(text).isascii()

@@ -16,18 +16,6 @@ def whole(*outputs, symbol):
     return ca.Function("whole", [symbol], list(outputs), {"never_inline": True})
 
 
-def labels_in(expression, symbol):
-    """Return the labels that an expression's graph calls, with the Functions that have none."""
-    function = whole(expression, symbol=symbol)
-    nodes = [function.instruction_MX(k) for k in range(function.n_instructions())]
-    calls = [
-        node.which_function()
-        for k, node in enumerate(nodes)
-        if function.instruction_id(k) == ca.OP_CALL  # other nodes have no function
-    ]
-    return [label_of(call) for call in calls]
-
-
 VALUES = {
     "scalar": lambda x: ca.sin(x[0]) * ca.exp(x[1]) + x[2] ** 3,
     "column": lambda x: ca.vertcat(x[0] * x[1], ca.cos(x[2]), x[0] ** 2),
@@ -75,15 +63,6 @@ def test_a_label_is_found_with_its_meaning_and_what_it_carries():
     assert np.asarray(carried(POINT)).ravel().tolist() == [-1.3, 4.2]
 
 
-def test_labels_of_labels_are_all_found():
-    x = ca.MX.sym("x")
-    inner = attach(x**2, x, LOW, LOW)
-    outer = attach(ca.exp(inner), 2.0 * x, HIGH, HIGH)
-    assert {label.meaning for label in labels_in(outer, x)} == {LOW, HIGH}
-    gradient = whole(ca.jacobian(outer, x), symbol=x)
-    assert float(gradient(0.5)) == pytest.approx(np.exp(0.25), rel=4e-16)
-
-
 def test_equal_keys_share_a_function_and_others_do_not():
     x = ca.MX.sym("x", 3)
     first, again = (attach(x[k], x[2], LOW, LOW) for k in (0, 1))
@@ -113,22 +92,6 @@ def test_numbers_and_scalar_symbols_carry_nothing():
         (m, ca.DM(2.0)),
     ]:
         assert attach(value, carried, LOW, LOW) is value
-
-
-def test_other_functions_have_no_label():
-    x = ca.MX.sym("x")
-    stranger = ca.Function("label", [x], [x**2], {"never_inline": True})
-    assert label_of(stranger) is None
-    assert labels_in(stranger(x) + attach(x, x, LOW, LOW), x).count(None) == 1
-
-
-def test_a_graph_with_a_label_is_substituted_and_evaluated_as_any_other():
-    x, z = ca.MX.sym("x"), ca.MX.sym("z")
-    y = attach(x**2, x, LOW, LOW)
-    (moved,) = ca.graph_substitute([y], [x], [3.0 * z])
-    assert float(whole(moved, symbol=z)(2.0)) == 36.0
-    assert [label.meaning for label in labels_in(moved, z)] == [LOW]
-    assert float(ca.Function("f", [x], [y]).map(3)([1.0, 2.0, 3.0])[2]) == 9.0
 
 
 def called(meanings, key):

@@ -81,10 +81,3 @@ def test_pieces_of_different_threads_do_not_mix():
         other.submit(sieve.write, OTHER).result()
         sieve.write(NOTICE[50:])
     assert stream.getvalue() == OTHER
-
-
-def test_all_else_is_the_streams():
-    stream = io.StringIO()
-    Sieve(stream).writelines(["a", "b"])
-    assert stream.getvalue() == "ab"
-    assert Sieve(sys.__stderr__).fileno() == 2

@@ -146,15 +146,6 @@ def test_value_gradient_and_hessian(quantity, arguments):
                 check(own[2][i, j], at[2][i][j], hessian[i][j], f"d2/d {name} d {other}")
 
 
-@pytest.mark.parametrize("changes", [{}, {"friction_angle": 0.0}, {"density_ratio": 0.3, "acceleration": -40.0}])
-def test_the_closed_integral_of_the_oracle_is_the_integral_of_momentum(changes):
-    # (14) over the Lagrangian radius, as it is derived, against the same over the particle's radius.
-    particle = pf.Particle(*hp.exact(point(0.3, **changes)))
-    constant = pf.Profile(lambda _s, c, _w: c, lambda s, c, _w: c * s**2)
-    field = pf.Field(constant, particle.density_ratio, None, *particle[1:4], *particle[5:])
-    assert abs(field.pressure(particle.r) / particle.pressure - 1) < hp.mp.mpf(10) ** -70
-
-
 @pytest.mark.parametrize(("r", "sentence"), [(-0.01, "at least 0 m"), (0.2, "ahead of the front nothing moves")])
 def test_radii_outside_the_field_are_refused(r, sentence):
     with pytest.raises(po.DomainError, match=sentence):

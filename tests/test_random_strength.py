@@ -80,15 +80,6 @@ def test_a_table_is_integrated_through_its_resonance(damping, near):
     assert (own.stationary_force_rms, own.stationary_displacement_rms) == pytest.approx((force, place), rel=near)
 
 
-def test_a_long_table_keeps_variance_and_response():
-    """Thousands of places are joined to a hundred: the response of a model's spectrum stays within the joining."""
-    own = scene()
-    q = np.linspace(0.0, 400.0, 20_001)
-    found = scene(po.Spectrum(q, RANDOM.density(q)))
-    assert found.stationary_force_rms == pytest.approx(own.stationary_force_rms, rel=2e-3)
-    assert found.effects.random_strength.variance == pytest.approx(RANDOM.variance, rel=0.01)  # 1 % lies beyond
-
-
 @pytest.mark.parametrize("effects", [{"damping": 600.0}, {"damping": 50.0, "rate_term": 0.03}])
 def test_waves_have_the_rms_of_their_linearised_orbit(effects):
     waves = tuple(po.StrengthWave(0.02 + 0.01 * k, 1.2 / (k + 1), 0.7 * k) for k in range(3))
@@ -157,14 +148,6 @@ def test_realisations_followed_by_the_real_equation_have_it(random, draws, near)
     for name in ("force_rms", "displacement_rms"):
         found = np.sqrt(np.mean([getattr(run, name) ** 2 for run in runs]))
         assert found == pytest.approx(getattr(own, f"stationary_{name}"), rel=near), name
-
-
-@pytest.mark.parametrize("random", [RANDOM, TABLE], ids=["model", "table"])
-def test_the_variance_along_a_drawn_path_is_the_spectrum_s(random):
-    """Parseval: over a path much longer than the longest wave the mean square of the sum is that of its waves."""
-    drawn = realisation(scene(random), 100, 1).effects.own[0]
-    path = np.linspace(0.0, 2000.0, 50_003)
-    assert np.var(drawn.force(path, 0.0) / drawn.static) == pytest.approx(random.variance, rel=0.01)
 
 
 def test_the_spectrum_of_a_record_gives_the_response_to_what_was_recorded():

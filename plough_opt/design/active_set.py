@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from plough_opt.core.errors import InputError, NotConverged
+from plough_opt.design.declarations import EVERYWHERE
 from plough_opt.design.ipopt import Point, Vector
 from plough_opt.design.optimality import PULLS, free_directions, newton_step, reduced_curvatures, symmetric
 from plough_opt.design.program import Program
@@ -49,25 +50,35 @@ _FLAT = (
 
 @dataclass(frozen=True)
 class Side:
-    """One side of a limit, scaled: sign * (row of (g, y)) - bound >= 0, or == 0.
+    """One side of a limit: sign * (row of (g, y)) - bound >= 0, or == 0, scaled.
 
     Attributes:
         name: as a user asks for it, like "stiffness lower" or "loosened radius at_least".
+        owner: name of the requirement or variable.
+        limit: the limit, in ``unit``.
+        unit: SI unit.
         row: number of its value in the requirements' values followed by the variables.
         sign: 1 for a lower limit, -1 for an upper one.
-        bound: the limit times the sign.
-        per_unit: change of ``bound`` with the limit, in the limit's unit.
+        bound: the scaled limit times the sign.
+        per_unit: change of ``bound`` with the limit.
         equality: whether lower and upper limit are one.
         log: d ln(slope) / d scaled variable, of a bound of a log-scaled variable; else 0.
+        domain: ends of the model's domain, in ``unit``.
+        hidden: whether nobody asks for it: it was not declared, or its variable is held.
     """
 
     name: str
+    owner: str
+    limit: float
+    unit: str
     row: int
     sign: float
     bound: float
     per_unit: float
-    equality: bool
+    equality: bool = False
     log: float = 0.0
+    domain: tuple[float, float] = EVERYWHERE
+    hidden: bool = False
 
 
 @dataclass(frozen=True)
@@ -118,7 +129,7 @@ class ActiveSet:
         self._program, self._p = program, p
         self._nlp = program.with_parameters_varied()
         self.n = len(point.y)
-        self.sides = _sides(program, point, fixed)
+        self.sides = sides_of(program, point, fixed)
         self._rows = np.array([side.row for side in self.sides])
         self._signs = np.array([side.sign for side in self.sides])
         self._bounds = np.array([side.bound for side in self.sides])
@@ -178,8 +189,7 @@ class ActiveSet:
             if side.row >= count and not side.equality:
                 # In the variable's own unit, where a bound that moves meets it.
                 v = program.declared.variables[side.row - count]
-                limit = v.lower if side.sign > 0.0 else v.upper
-                self.slack[k] = (float(v.unscaled(float(y[side.row - count]))) - limit) * side.per_unit
+                self.slack[k] = (float(v.unscaled(float(y[side.row - count]))) - side.limit) * side.per_unit
 
     # --- how it moves ------------------------------------------------------------------------------------
 
@@ -286,24 +296,28 @@ class ActiveSet:
         return not curvatures.size or bool(curvatures[0] > least)
 
 
-def _sides(program: Program, point: Point, fixed: Sequence[int]) -> list[Side]:
+def sides_of(program: Program, point: Point, fixed: Sequence[int]) -> list[Side]:
     """Return every side of every limit; a variable that is held is one side that stays."""
     found = []
-    requirements = program.declared.requirements
-    for row, owner in enumerate(program.owner):
-        r, scale = requirements[owner], program.scales[owner]
+    declared, own = program.declared, len(program.own_requirements)
+    for row, k in enumerate(program.owner):
+        r, scale = declared.requirements[k], program.scales[k]
+        hidden = r.auxiliary or k >= own
         if r.at_least is not None and r.at_least == r.at_most:
-            found.append(Side(r.name, row, 1.0, r.at_least / scale, 1.0 / scale, True))
+            bound = r.at_least / scale
+            found.append(Side(r.name, r.name, r.at_least, r.unit, row, 1.0, bound, 1.0 / scale, True, hidden=hidden))
             continue
-        for name, sign, limit in (("at_least", 1.0, r.at_least), ("at_most", -1.0, r.at_most)):
+        for end, sign, limit in (("at_least", 1.0, r.at_least), ("at_most", -1.0, r.at_most)):
             if limit is not None:
-                found.append(Side(f"{r.name} {name}", row, sign, sign * limit / scale, sign / scale, False))
-    for k, v in enumerate(program.declared.variables):
-        row, per_unit = len(program.owner) + k, 1.0 / slope(program, k, float(point.y[k]))
+                name, bound = f"{r.name} {end}", sign * limit / scale
+                found.append(Side(name, r.name, limit, r.unit, row, sign, bound, sign / scale, hidden=hidden))
+    for k, v in enumerate(declared.variables):
+        row, y = len(program.owner) + k, float(point.y[k])
+        per_unit, log = 1.0 / slope(program, k, y), math.log(v.upper / v.lower) if v.log else 0.0
         if k in fixed:
-            found.append(Side(v.name, row, 1.0, float(point.y[k]), per_unit, True))
+            found.append(Side(v.name, v.name, v.value(y), v.unit, row, 1.0, y, per_unit, True, hidden=True))
             continue
-        log = math.log(v.upper / v.lower) if v.log else 0.0
-        found.append(Side(f"{v.name} lower", row, 1.0, 0.0, per_unit, False, log))
-        found.append(Side(f"{v.name} upper", row, -1.0, -1.0, -per_unit, False, log))
+        for end, sign, limit, bound in (("lower", 1.0, v.lower, 0.0), ("upper", -1.0, v.upper, -1.0)):
+            how = (row, sign, bound, sign * per_unit, False, log, v.domain, v.auxiliary)
+            found.append(Side(f"{v.name} {end}", v.name, limit, v.unit, *how))
     return found

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -103,6 +103,15 @@ def _helps(landscape: Landscape, y: Vector, requirement: int) -> bool:
     return bool(after < (1.0 - _HELPS) * before)
 
 
+def failures(program: Program, conflicts: Mapping[str, float]) -> str:
+    """Say by how much which requirements fail."""
+    return ", ".join(
+        f"'{r.name}' ({r.limits_text()}) fails by {in_words(conflicts[r.name], r.unit)}"
+        for r in program.declared.requirements
+        if r.name in conflicts
+    )
+
+
 def is_feasible(point: Point) -> bool:
     """Return whether the least violation is none."""
     return point.f < _VIOLATED
@@ -128,8 +137,7 @@ def infeasible(
         if s > _VIOLATED
     }
     pull = np.zeros(count)
-    for multiplier, requirement in zip(point.lam_g, program.owner, strict=True):
-        pull[requirement] = max(pull[requirement], abs(multiplier))
+    np.maximum.at(pull, program.owner, np.abs(point.lam_g))
     blockers = [
         f"requirement '{r.name}' {r.limits_text()}"
         for k, (r, force) in enumerate(zip(declared.requirements, pull, strict=True))
@@ -139,11 +147,7 @@ def infeasible(
         if abs(multiplier) > _HOLDS:
             side, bound = ("upper", variable.upper) if multiplier > 0 else ("lower", variable.lower)
             blockers.append(f"{side} bound {in_words(bound, variable.unit)} of '{variable.name}'")
-    fails = ", ".join(
-        f"'{r.name}' ({r.limits_text()}) fails by {in_words(conflicts[r.name], r.unit)}"
-        for r in declared.requirements
-        if r.name in conflicts
-    )
+    fails = failures(program, conflicts)
     alone = "no variable of this design changes it" if len(conflicts) == 1 else "against them stand only each other"
     against = f"against it stand {' and '.join(blockers)}" if blockers else alone
     place = declared.describe(program.values(np.clip(point.y[:n], 0.0, 1.0)))

@@ -192,6 +192,8 @@ class _Descent:
     def __init__(self, landscape: Landscape, box: tuple[Vector, Vector]) -> None:
         self._landscape, self._box, self._stalled = landscape, box, False
         self._known: tuple[bytes, tuple[float, Vector, Vector, Vector]] | None = None
+        # What each row gives way for each further unknown, of which a descent has none.
+        self._give = np.zeros((len(landscape.program.owner), 0))
         # Whether it breaks a requirement, its merit, and the design.
         self._best: tuple[tuple[bool, float], Vector] = ((True, np.inf), box[0])
 
@@ -243,17 +245,25 @@ class _Descent:
         return self._derivatives(x)[1]
 
     def _constraints(self, rows: np.ndarray) -> list[dict[str, Any]]:
-        program = self._landscape.program
-        return [
-            {
-                "type": "ineq",
-                "fun": lambda x, some=some, at=at, sign=sign: sign * (self._derivatives(x)[2][some] - at),
-                "jac": lambda x, some=some, sign=sign: sign * self._derivatives(x)[3][some],
-            }
-            for limit, sign in ((program.low[rows], 1.0), (program.high[rows], -1.0))
-            if len(some := rows[np.isfinite(limit)])
-            for at in (limit[np.isfinite(limit)],)
-        ]
+        """Return rows of the requirements as SLSQP takes them; what they give way follows the variables."""
+        program, n = self._landscape.program, self._landscape.dimensions
+        constraints = []
+        for limit, sign in ((program.low[rows], 1.0), (program.high[rows], -1.0)):
+            some = rows[np.isfinite(limit)]
+            if not len(some):
+                continue
+            at, give = limit[np.isfinite(limit)], self._give[some]
+
+            def fun(x: Vector, some: Any = some, at: Any = at, give: Any = give, sign: float = sign) -> Vector:
+                margins: Vector = sign * (self._derivatives(x)[2][some] - at) + give @ x[n:]
+                return margins
+
+            def jac(x: Vector, some: Any = some, give: Any = give, sign: float = sign) -> Vector:
+                slopes: Vector = np.hstack([sign * self._derivatives(x)[3][some], give])
+                return slopes
+
+            constraints.append({"type": "ineq", "fun": fun, "jac": jac})
+        return constraints
 
     def _merit(self, _y: Vector, f: float, violations: Vector) -> tuple[bool, float]:
         """Return what the best design of a descent has least of: first of all, it meets the requirements."""
@@ -344,6 +354,7 @@ class _LeastViolation(_Descent):
         super().__init__(landscape, (np.r_[box[0], np.zeros(count)], np.r_[box[1], np.full(count, np.inf)]))
         self._n, self._count = n, count
         self._weights = np.array([float(k not in ignored) for k in range(count)])
+        self._give = np.eye(count)[landscape.program.owner]
 
     def _begin(self, start: Vector) -> Vector:
         try:
@@ -360,24 +371,3 @@ class _LeastViolation(_Descent):
 
     def _gradient(self, _: Vector) -> Vector:
         return np.concatenate([np.zeros(self._n), self._weights])
-
-    def _constraints(self, rows: np.ndarray) -> list[dict[str, Any]]:
-        program = self._landscape.program
-        owner = np.array(program.owner)
-        constraints = []
-        for limit, sign in ((program.low[rows], 1.0), (program.high[rows], -1.0)):
-            some = rows[np.isfinite(limit)]
-            if not len(some):
-                continue
-            at, give = limit[np.isfinite(limit)], np.eye(self._count)[owner[some]]
-
-            def fun(x: Vector, some: Any = some, at: Any = at, give: Any = give, sign: float = sign) -> Vector:
-                margins: Vector = sign * (self._derivatives(x)[2][some] - at) + give @ x[self._n :]
-                return margins
-
-            def jac(x: Vector, some: Any = some, give: Any = give, sign: float = sign) -> Vector:
-                slopes: Vector = np.hstack([sign * self._derivatives(x)[3][some], give])
-                return slopes
-
-            constraints.append({"type": "ineq", "fun": fun, "jac": jac})
-        return constraints

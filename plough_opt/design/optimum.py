@@ -279,12 +279,12 @@ class Rounded(Optimum):
         side = "below" if self.cost < 0.0 else "above"
         cost = "as" if abs(self.cost_percent) < _ROUNDING else f"{abs(self.cost_percent):.3g} % {side}"
         text = (
-            f"{_values_in_words(self.variables, units)}: objective {self.objective:.9g},"
+            f"{values_in_words(self.variables, units)}: objective {self.objective:.9g},"
             f" {cost} that of the optimum; {self._looked_at()}"
         )
         for choice in self.infeasible:
             fails = ", ".join(f"'{name}' fails by {in_words(x, units[name])}" for name, x in choice.conflicts.items())
-            text += f"; {_values_in_words(choice.values, units)} is infeasible: {fails or 'not solved'}"
+            text += f"; {values_in_words(choice.values, units)} is infeasible: {fails or 'not solved'}"
         return text
 
     def _looked_at(self) -> str:
@@ -296,7 +296,8 @@ class Rounded(Optimum):
         return f"all {self.combinations} combinations were optimised" if self.combinations > 1 else "the only one"
 
 
-def _values_in_words(values: Mapping[str, float], units: Mapping[str, str]) -> str:
+def values_in_words(values: Mapping[str, float], units: Mapping[str, str]) -> str:
+    """Return values of variables with their units."""
     return ", ".join(f"{name} = {in_words(value, units[name])}" for name, value in values.items())
 
 

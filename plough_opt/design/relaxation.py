@@ -45,7 +45,6 @@ def relaxed(nlp: Nlp, owner: list[int], count: int) -> Nlp:
 def first_slack(g: Vector, low: Vector, high: Vector, owner: list[int], count: int) -> Vector:
     """Return slacks that make a start feasible: the largest violation of each requirement, either way."""
     slack = np.zeros(2 * count)
-    for value, least, most, requirement in zip(g, low, high, owner, strict=True):
-        slack[requirement] = max(slack[requirement], least - value)
-        slack[count + requirement] = max(slack[count + requirement], value - most)
+    np.maximum.at(slack[:count], owner, low - g)
+    np.maximum.at(slack[count:], owner, g - high)
     return slack

@@ -12,13 +12,12 @@ from functools import partial
 import numpy as np
 
 from plough_opt.core.errors import InfeasibleDesign, InputError
-from plough_opt.core.units import in_words
 from plough_opt.design.catalogue import Allowed, Catalogue, allowed
-from plough_opt.design.infeasible import infeasible, is_feasible
+from plough_opt.design.infeasible import failures, infeasible, is_feasible
 from plough_opt.design.ipopt import Point, Vector
 from plough_opt.design.landscape import Landscape
 from plough_opt.design.local_optimum import LocalOptimum
-from plough_opt.design.optimum import Choice, Rounded
+from plough_opt.design.optimum import Choice, Rounded, values_in_words
 from plough_opt.design.polishing import AS_FOUND, as_it_is
 from plough_opt.design.program import Program
 from plough_opt.design.screening import promising
@@ -168,17 +167,12 @@ def _solved(program: Program, p: Vector, start: Vector, fixed: list[int]) -> tup
 
 def _nothing(program: Program, tried: Sequence[Choice], looked_at: int) -> InfeasibleDesign:
     """Return the error that says of the best combinations which requirements fail."""
-    requirements = {r.name: r for r in program.declared.requirements}
-    texts = []
     least = sorted(tried, key=lambda choice: sum(choice.conflicts.values()) or math.inf)
     units = {v.name: v.unit for v in program.declared.variables}
-    for choice in least[:_MOST_NAMED]:
-        values = ", ".join(f"{name} = {in_words(x, units[name])}" for name, x in choice.values.items())
-        fails = ", ".join(
-            f"'{name}' ({requirements[name].limits_text()}) fails by {in_words(x, requirements[name].unit)}"
-            for name, x in choice.conflicts.items()
-        )
-        texts.append(f"{values}: {fails or 'not solved'}")
+    texts = [
+        f"{values_in_words(choice.values, units)}: {failures(program, choice.conflicts) or 'not solved'}"
+        for choice in least[:_MOST_NAMED]
+    ]
     many = f"none of {looked_at} combinations of values" if looked_at > 1 else "the only combination of values does not"
     verb = " meets" if looked_at > 1 else " meet"
     rest = f"; and so on, {len(tried)} of them optimised" if len(tried) > len(texts) else ""

@@ -12,7 +12,7 @@ import numpy as np
 from plough_opt.core.errors import InputError, NotConverged, nearest
 from plough_opt.core.kinds import check_kind, check_switch, shown
 from plough_opt.core.units import in_words
-from plough_opt.design.active_set import ActiveSet, Move, slope
+from plough_opt.design.active_set import ActiveSet, Move, sides_of, slope
 from plough_opt.design.declarations import EVERYWHERE
 from plough_opt.design.ipopt import Point, SolveOptions, Solver, Vector
 from plough_opt.design.program import Program
@@ -173,26 +173,13 @@ class Sensitivities:
 
     @cached_property
     def _limits(self) -> dict[str, _Target]:
-        found = {}
-        for r in self._program.own_requirements:
-            if r.auxiliary:
-                continue
-            given = {
-                f"{r.name} {side}": x for side, x in (("at_least", r.at_least), ("at_most", r.at_most)) if x is not None
-            }
-            if r.at_least == r.at_most:
-                found[r.name] = _Target(r.low, r.unit, side=r.name)
-                continue
-            found |= {name: _Target(limit, r.unit, side=name) for name, limit in given.items()}
-            if len(given) == 1:
-                found[r.name] = next(iter(found[name] for name in given))
-        for k, v in enumerate(self._program.declared.variables):
-            if k not in self._fixed and not v.auxiliary:
-                found |= {
-                    name: _Target(bound, v.unit, side=name, domain=v.domain)
-                    for name, bound in ((f"{v.name} lower", v.lower), (f"{v.name} upper", v.upper))
-                }
-        return found
+        """Limits that can be asked for: those of a requirement by its name too, where it has just one."""
+        sides = [side for side in sides_of(self._program, self._point, self._fixed) if not side.hidden]
+        found = {side.name: _Target(side.limit, side.unit, side=side.name, domain=side.domain) for side in sides}
+        names: dict[str, set[str]] = {}
+        for side in sides:
+            names.setdefault(side.owner, set()).add(side.name)
+        return found | {owner: found[min(own)] for owner, own in names.items() if len(own) == 1}
 
     # --- units -------------------------------------------------------------------------------------------
 

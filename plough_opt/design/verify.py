@@ -61,21 +61,19 @@ class TightEvaluation:
         parts = split(list(expressions), list(symbols))
         self.runs = parts.runs
         self._inputs = [ca.Function("inputs", list(symbols), [run.inputs, run.quantities]) for run in parts.runs]
-        self._scenes = [
-            (label.meaning, ca.Function("quantities", list(symbols), [carried]))
-            for label, carried in parts.labels
-            if isinstance(label.meaning, Scene)
-        ]
-        self._calls = [
-            (label.meaning, ca.Function("quantities", list(symbols), [carried]))
-            for label, carried in parts.labels
-            if isinstance(label.meaning, Call)
-        ]
-        limits = {label.meaning for label, _ in parts.labels if isinstance(label.meaning, Limit)}
-        self.limits = {
-            limit: ca.vertcat(*(carried for label, carried in parts.labels if label.meaning == limit))
-            for limit in sorted(limits, key=lambda limit: limit.name)
-        }
+        limits: dict[Limit, list[ca.MX]] = {}
+        # Scenes that are not integrated, and laws, each with what gives its quantities.
+        self._scenes: list[tuple[Scene, ca.Function]] = []
+        self._calls: list[tuple[Call, ca.Function]] = []
+        for label, carried in parts.labels:
+            quantities = ca.Function("quantities", list(symbols), [ca.densify(ca.vec(carried))])
+            if isinstance(label.meaning, Limit):
+                limits.setdefault(label.meaning, []).append(carried)
+            elif isinstance(label.meaning, Scene):
+                self._scenes.append((label.meaning, quantities))
+            elif isinstance(label.meaning, Call):
+                self._calls.append((label.meaning, quantities))
+        self.limits = {limit: ca.vertcat(*limits[limit]) for limit in sorted(limits, key=lambda limit: limit.name)}
         self._algebra = ca.Function("algebra", [*symbols, *parts.results], list(parts.expressions))
 
     def inputs(self, run: int, numbers: Sequence[float]) -> tuple[Vector, Scene]:
@@ -102,10 +100,7 @@ class TightEvaluation:
         Raises:
             DomainError: a scene lies outside the model's domain.
         """
-        return [
-            with_numbers(template, np.asarray(quantities(*numbers)).ravel().tolist())
-            for template, quantities in self._scenes
-        ]
+        return [with_numbers(template, quantities(*numbers).nonzeros()) for template, quantities in self._scenes]
 
     def check_calls(self, numbers: Sequence[float]) -> None:
         """Refuse numbers that lead a law in the expressions beyond its domain.
@@ -114,7 +109,7 @@ class TightEvaluation:
             DomainError: they do.
         """
         for call, quantities in self._calls:
-            call.check(np.asarray(quantities(*numbers)).ravel().tolist())
+            call.check(quantities(*numbers).nonzeros())
 
     def followed(self, run: int, parameters: Vector, scene: Scene) -> Run:
         """Return a run from a start, as it was re-integrated.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -30,50 +30,40 @@ class Allowed:
     Attributes:
         number: of the variable.
         variable: the variable.
-        offered: the catalogue's values between the bounds, rising; empty of a step.
+        offered: the catalogue's values between the bounds, rising; or multiples of ``step`` by number.
         step: of which multiples are allowed; 0 of a catalogue.
     """
 
     number: int
     variable: Variable
-    offered: tuple[float, ...]
+    offered: Sequence[float] | range
     step: float = 0.0
 
     @property
     def count(self) -> int:
         """Number of values."""
-        first, last = self._multiples()
-        return last - first + 1 if self.step else len(self.offered)
+        return len(self.offered)
 
     def values(self) -> list[float]:
         """Return all values, rising."""
-        first, last = self._multiples()
-        return self._between(range(first, last + 1)) if self.step else list(self.offered)
+        return self._at(self.offered)
 
     def beside(self, optimum: float) -> list[float]:
         """Return the nearest values at or below and at or above an optimum's."""
-        v = self.variable
-        below = math.floor(optimum / self.step) if self.step else 0
-        first, last = self._multiples()
-        inside = list(self.offered)
+        v, near = self.variable, self.offered
         if self.step:
-            inside = self._between(k for k in range(below - 1, below + 3) if first <= k <= last)
+            below = math.floor(optimum / self.step) - 1 - self.offered[0]
+            near = self.offered[max(0, min(int(below), self.count - 1)) :][:5]
+        inside = self._at(near)
         itself = min(inside, key=lambda x: abs(x - optimum))
         if abs(itself - optimum) <= _ITSELF * (v.upper - v.lower):
             return [itself]
         lower, higher = [x for x in inside if x < optimum], [x for x in inside if x > optimum]
-        return [*([max(lower)] if lower else []), *([min(higher)] if higher else [])]
+        return [*lower[-1:], *higher[:1]]
 
-    def _multiples(self) -> tuple[int, int]:
-        """Return the first and the last multiple of the step between the bounds."""
-        if not self.step:
-            return 0, -1
-        v, reserve = self.variable, _rounding(self.variable)
-        return math.ceil((v.lower - reserve) / self.step), math.floor((v.upper + reserve) / self.step)
-
-    def _between(self, multiples: Iterable[int]) -> list[float]:
+    def _at(self, offered: Sequence[float] | range) -> list[float]:
         v = self.variable
-        return [min(max(self.step * k, v.lower), v.upper) for k in multiples]
+        return [min(max(self.step * k, v.lower), v.upper) for k in offered] if self.step else list(offered)
 
 
 def allowed(variables: Sequence[Variable], catalogues: Mapping[str, Catalogue]) -> list[Allowed]:
@@ -115,15 +105,17 @@ def _allowed(number: int, v: Variable, catalogue: Catalogue) -> Allowed:
         values = np.array([])
     if not values.size or not np.all(np.isfinite(values)):
         raise InputError(f"the catalogue of '{v.name}' must hold finite numbers, not {shown(catalogue)}")
+    # By how much a value may be beyond a bound and still be the bound.
+    reserve = _ROUNDING * (v.upper - v.lower)
     if np.ndim(catalogue) == 0:
         step = float(values[0])
         if step <= 0.0:
             raise InputError(f"the step of '{v.name}' must be above 0, not {step:g}")
         if max(abs(v.lower), abs(v.upper)) / _MOST_MULTIPLES > step:
             raise InputError(f"the step {step:g} of '{v.name}' is too small to count to its bounds: take a larger one")
-        found = Allowed(number, v, (), step)
+        first, last = math.ceil((v.lower - reserve) / step), math.floor((v.upper + reserve) / step)
+        found = Allowed(number, v, range(first, last + 1), step)
     else:
-        reserve = _rounding(v)
         inside = values[(values >= v.lower - reserve) & (values <= v.upper + reserve)]
         found = Allowed(number, v, tuple(np.unique(np.clip(inside, v.lower, v.upper)).tolist()))
     if not found.count:
@@ -132,8 +124,3 @@ def _allowed(number: int, v: Variable, catalogue: Catalogue) -> Allowed:
             f" {in_words(v.upper, v.unit)}: offer one that does, or widen the bounds"
         )
     return found
-
-
-def _rounding(v: Variable) -> float:
-    """Return by how much a value may be beyond a bound and still be the bound."""
-    return _ROUNDING * (v.upper - v.lower)

@@ -64,10 +64,10 @@ class Variable:
         """The unit in which reports give it."""
         return self.display or customary(self.unit, self.lower, self.upper)
 
-    def scaled(self, value: float) -> float:
+    def scaled(self, value: Expression) -> Expression:
         """Return a value as its position between the bounds, 0 to 1."""
         if self.log:
-            return math.log(value / self.lower) / math.log(self.upper / self.lower)
+            return log(value / self.lower) / math.log(self.upper / self.lower)
         return (value - self.lower) / (self.upper - self.lower)
 
     def unscaled(self, y: Expression) -> Expression:
@@ -98,19 +98,13 @@ class Variable:
         Parts are of the scaled interval, as those of `tolerance_interval` are.
         """
         if self.tolerance is None:
-            y = self._position(value)
+            y = self.scaled(value)
             low, high = maximum(y - _TOLERANCE, 0.0), minimum(y + _TOLERANCE, 1.0)
         else:
             half = self._half_width(value)
-            low = self._position(maximum(value - half, self.lower))
-            high = self._position(minimum(value + half, self.upper))
+            low = self.scaled(maximum(value - half, self.lower))
+            high = self.scaled(minimum(value + half, self.upper))
         return self.unscaled(low + (high - low) * part)
-
-    def _position(self, value: Expression) -> Expression:
-        """Return `scaled` of an expression."""
-        if self.log:
-            return log(value / self.lower) / math.log(self.upper / self.lower)
-        return (value - self.lower) / (self.upper - self.lower)
 
     def _half_width(self, value: Expression) -> Expression:
         """Return the tolerance at a value, in the variable's unit, where one was declared."""

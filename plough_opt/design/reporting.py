@@ -83,49 +83,26 @@ def _requirements(program: Program, point: Point, found: Sequence[Vector]) -> li
     for k, (r, value) in enumerate(zip(program.declared.requirements, found, strict=True)):
         if r.auxiliary:
             continue
-        numbers, own = value.ravel(), pulls[owner == k]
+        numbers, own, scale = value.ravel(), pulls[owner == k], program.scales[k]
         margins = np.minimum(numbers - r.low, r.high - numbers)
         worst = int(np.argmin(margins))
-        margin = float(margins[worst])
-        limits.append(
-            Limit(
-                name=r.name,
-                kind="requirement",
-                value=float(numbers[worst]),
-                limits=r.limits_text(),
-                margin=margin,
-                multiplier=float(np.sum(own) * program.objective_scale / program.scales[k]),
-                active=decides(margin / program.scales[k], float(np.max(own))),
-                unit=r.unit,
-                display=r.shown,
-                low=r.at_least,
-                high=r.at_most,
-            )
-        )
+        margin, multiplier = float(margins[worst]), float(np.sum(own) * program.objective_scale / scale)
+        active = decides(margin / scale, float(np.max(own)))
+        at = (float(numbers[worst]), r.limits_text(), margin, multiplier, active)
+        limits.append(Limit(r.name, "requirement", *at, r.unit, r.shown, r.at_least, r.at_most))
     return limits
 
 
 def _bounds(program: Program, point: Point, values: Vector) -> list[Limit]:
     limits = []
-    for v, value, y, multiplier in zip(program.declared.variables, values, point.y, point.lam_y, strict=True):
+    for v, x, y, pull in zip(program.declared.variables, values.tolist(), point.y, np.abs(point.lam_y), strict=True):
         if v.auxiliary:
             continue
-        slope = value * math.log(v.upper / v.lower) if v.log else v.upper - v.lower
-        limits.append(
-            Limit(
-                name=v.name,
-                kind="bound",
-                value=float(value),
-                limits=f"{v.shown.text(v.lower)} to {v.shown.text(v.upper)}",
-                margin=float(min(value - v.lower, v.upper - value)),
-                multiplier=float(abs(multiplier) * program.objective_scale / slope),
-                active=decides(float(min(y, 1.0 - y)), float(abs(multiplier))),
-                unit=v.unit,
-                display=v.shown,
-                low=v.lower,
-                high=v.upper,
-            )
-        )
+        slope = x * math.log(v.upper / v.lower) if v.log else v.upper - v.lower
+        text = f"{v.shown.text(v.lower)} to {v.shown.text(v.upper)}"
+        margin, multiplier = min(x - v.lower, v.upper - x), float(pull * program.objective_scale / slope)
+        active = decides(float(min(y, 1.0 - y)), float(pull))
+        limits.append(Limit(v.name, "bound", x, text, margin, multiplier, active, v.unit, v.shown, v.lower, v.upper))
     return limits
 
 

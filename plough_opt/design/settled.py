@@ -44,7 +44,7 @@ class Linear:
         """
         v, moving = self.variable, np.flatnonzero(np.abs(self.rows) > _NO_SLOPE)
         y = points[:, self.number]
-        value = v.lower * (v.upper / v.lower) ** y if v.log else v.lower + (v.upper - v.lower) * y
+        value = np.asarray(v.unscaled(y))
         slopes, own = self.rows[moving], g[:, moving]
         with np.errstate(invalid="ignore"):
             ends = (low[moving] - own) / slopes, (high[moving] - own) / slopes
@@ -54,11 +54,7 @@ class Linear:
         wanted = least if self.objective > 0.0 else most if self.objective < 0.0 else nearest
         best = np.clip(np.where(np.isnan(wanted), value, value + wanted), v.lower, v.upper)
         moved = points.copy()
-        moved[:, self.number] = np.clip(
-            np.log(best / v.lower) / np.log(v.upper / v.lower) if v.log else (best - v.lower) / (v.upper - v.lower),
-            0,
-            1,
-        )
+        moved[:, self.number] = np.clip(v.scaled(best), 0.0, 1.0)
         change = best - value
         return moved, f + self.objective * change, g + change[:, None] * self.rows
 

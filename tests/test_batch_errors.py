@@ -20,14 +20,6 @@ PATH = (0.012, -0.4, 3.0, 20.0, -90.0)
 CHAOTIC = (0.639427778, 0.482322562, 8104.16376)
 
 
-@pytest.fixture(scope="module", autouse=True)
-def cache(tmp_path_factory):
-    """Keep what is compiled in a folder of these tests."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("cache")))
-        yield
-
-
 @pytest.fixture
 def batch_of(r1_scene, r1_wave):
     """Build a batch of the wedge angle, the height and the stiffness of a scene of problem R1."""

@@ -33,6 +33,7 @@ def entries_of(contest, family, word=""):
     return [entry for entry in contest.entries if entry.family == family and word in entry.label]
 
 
+@pytest.mark.slow
 def test_the_reference_is_an_interior_optimum_by_two_integrators(contest, r1_soil, r1_wave):
     best = contest.optima[0]
     # Objective and optimality by two methods that share nothing: far below what IPOPT's tolerance of 1e-10 leaves.

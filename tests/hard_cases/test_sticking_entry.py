@@ -76,6 +76,7 @@ def test_an_independent_solver_agrees(solved, name):
     assert run.tow_power == pytest.approx(expected.tow_power, rel=0, abs=2e-8 * size * scene.tow_speed)
 
 
+@pytest.mark.slow
 def test_the_scenes_reach_every_change_while_the_share_enters(solved):
     events = [(scene, change) for scene, _, books in map(solved, SCENES) for change in books.changes]
     entering = [(change.old, change.new) for scene, change in events if change.travel < scene.cone.height]

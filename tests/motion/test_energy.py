@@ -98,6 +98,7 @@ def test_energy_is_in_balance_where_soil_is_left_behind_and_taken_up_again(loose
         assert abs(imbalance(heavier, run, books, 1.5)) > 1e5 * ALLOWED
 
 
+@pytest.mark.slow
 def test_those_scenes_lose_energy_at_recapture(loose):
     books = [loose(k)[2] for k in range(len(LOOSE_ROWS))]
     recaptured = [book for book in books if book.count(GAP, SLIP) > 0]

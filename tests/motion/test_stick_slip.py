@@ -128,6 +128,7 @@ def test_an_independent_solver_agrees(solved, name):
     assert run.tow_power == pytest.approx(expected.tow_power, rel=0, abs=2e-8 * size * scene.tow_speed)
 
 
+@pytest.mark.slow
 def test_the_scenes_reach_every_change_of_mode(solved):
     counts = {
         change: sum(solved(name)[2].count(*change) for name in SCENES)

@@ -144,6 +144,7 @@ def test_a_point_that_kills_the_workers_of_a_cluster_is_undetermined(cluster, tm
         assert found.column("sine").tolist()[6:] == [2.0 * np.sin(6.0), 2.0 * np.sin(7.0)]
 
 
+@pytest.mark.slow
 def test_mpi_gives_the_same_bits(script, counted_text, inline, tmp_path):
     pytest.importorskip("mpi4py.futures", reason="mpi4py is not installed")
     # Beside this Python where its wheel was installed.

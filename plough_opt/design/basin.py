@@ -27,18 +27,17 @@ _LOOKED, _LOOKS, _LESS, _NEARER = 128, 5, 0.2, 0.999
 _BETWEEN, _ACROSS, _BARRIER = 40, 256, 1e-3
 
 
-def near_optimum(program: Program, landscape: Landscape, p: Vector, start: Vector) -> Point:
+def near_optimum(landscape: Landscape, start: Vector) -> Point:
     """Return the optimum of the guess's basin; from an infeasible guess, of that of the nearest feasible design.
 
     Args:
-        program: the design's program.
         landscape: of the program.
-        p: parameters.
         start: the guess, scaled.
 
     Raises:
         InfeasibleDesign: no design was found that meets the requirements.
     """
+    program, p = landscape.program, landscape.p
     if not landscape.vectorised:
         program.build(p, starts=[start])
         begins, point = as_it_is(program, p, start), program.solve(start, p)
@@ -49,7 +48,7 @@ def near_optimum(program: Program, landscape: Landscape, p: Vector, start: Vecto
     if not begin.feasible[0]:
         begin = _nearest_feasible(landscape, begin)
     if not begin.feasible[0]:
-        begin = _far_feasible(program, landscape, p, start)
+        begin = _far_feasible(landscape, start)
     y = begin.points[0]
     end = landscape.descend(y).points[0]
     y = end if _downhill(landscape, y, end) else _descended_in_steps(landscape, y)
@@ -99,26 +98,25 @@ def _nearest_feasible(landscape: Landscape, start: Seen) -> Seen:
     return found
 
 
-def _far_feasible(program: Program, landscape: Landscape, p: Vector, start: Vector) -> Seen:
+def _far_feasible(landscape: Landscape, start: Vector) -> Seen:
     """Return a feasible design near a start beside which there is none."""
     seen = sample_of(landscape)
     if np.any(seen.feasible):
         others = seen.points[seen.feasible]
         return landscape.nearest_feasible(start, others[np.argmin(np.sum((others - start) ** 2, axis=1))])
     every = tuple(range(len(start)))
-    effort = effort_of("auto", len(start), program.population.runs, landscape.vectorised)
-    explored = Explorer(landscape, start, every, judgement(landscape, "bare"), lambda _stage, _part: None).explored(
-        effort
-    )
+    effort = effort_of("auto", len(start), landscape.program.population.runs, landscape.vectorised)
+    search = Explorer(landscape, start, every, judgement(landscape, "bare"), lambda _stage, _part: None)
+    explored = search.explored(effort)
     if len(explored.bottoms.f) and explored.bottoms.feasible[0]:
         return explored.bottoms.of([0])
-    return landscape(feasible_from(program, landscape, p, explored, start)[None])
+    return landscape(feasible_from(landscape, explored, start)[None])
 
 
 def first_optimum(program: Program, p: Vector) -> Point:
     """Return the optimum of the basin of a program's guess."""
     program.prepare(p)
-    return near_optimum(program, Landscape(program, p), p, program.start())
+    return near_optimum(Landscape(program, p), program.start())
 
 
 def _downhill(landscape: Landscape, start: Vector, end: Vector) -> bool:

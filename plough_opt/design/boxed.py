@@ -10,16 +10,14 @@ import casadi as ca
 import numpy as np
 
 from plough_opt.design.declarations import Declarations, Requirement, Variable
-from plough_opt.design.effort import Search
-from plough_opt.design.exploring import Progress
 from plough_opt.design.ipopt import Vector
 from plough_opt.design.landscape import FEASIBLE, Landscape
 from plough_opt.design.optimum import Optimum
 from plough_opt.design.program import Program
 from plough_opt.design.sampling import sample_of
-from plough_opt.design.solving import solve_program
+from plough_opt.design.solving import Request, solve_program
 from plough_opt.design.split import split
-from plough_opt.design.tolerance import BOX_DESIGNS, Judge, boxes, unit_box
+from plough_opt.design.tolerance import BOX_DESIGNS, boxes, unit_box
 
 Over = Literal["mean", "worst"]
 """What is minimised within the tolerances."""
@@ -44,14 +42,14 @@ class Boxed:
         self._bare, self._over = bare, over
         self._built: dict[bytes, tuple[Program, tuple[float, float] | None]] = {}
 
-    def solve(self, p: Vector, how: tuple[Search, Judge, int], progress: Progress, started: float) -> Optimum:
-        """Return the best optimum; ``how`` is search, judge and seed of `plough_opt.Design.solve`."""
-        bounds = None
+    def solve(self, request: Request) -> Optimum:
+        """Return the best optimum."""
+        bounds, p = None, request.p
         if self._over == "worst":
-            progress("looking at tolerances", 0.0)
+            request.progress("looking at tolerances", 0.0)
             bounds = bounds_of_worst(self._bare, p)
         while True:
-            best = solve_program(self._program(p, bounds), p, how, progress, started)
+            best = solve_program(self._program(p, bounds), request)
             if bounds is None or best.objective > bounds[0] + _AT_THE_BOUND * (bounds[1] - bounds[0]):
                 return best
             # No sampled design was nearly as low.

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from plough_opt.design.effort import Effort
 from plough_opt.design.ipopt import Vector
 from plough_opt.design.landscape import Landscape, Seen
-from plough_opt.design.sampling import MANY, SEED, evolved, lowest_around, sample, spread_out
+from plough_opt.design.sampling import MANY, SEED, evolved, lines_through, lowest_around, sample, spread_out
 from plough_opt.design.shortfall import Shortfall, without_objective
 from plough_opt.design.ways import SAME, barriers, straight_below
 
@@ -57,73 +57,70 @@ class Explored:
     least: Seen | None = None
 
 
+@dataclass
 class Explorer:
-    """Rounds of looking for basins."""
+    """Rounds of looking for basins.
 
-    def __init__(
-        self,
-        landscape: Landscape | Shortfall,
-        start: Vector,
-        vary: tuple[int, ...],
-        judge: Callable[[Vector], Vector],
-        progress: Progress,
-        seed: int = 0,
-        enough: Callable[[], bool] = lambda: False,
-    ) -> None:
-        """Take what to search.
+    Attributes:
+        landscape: what is searched.
+        start: the guess, scaled; variables that are not searched stay there until the descents.
+        vary: numbers of the variables that are searched.
+        judge: scaled designs, a row each -> by what they are compared, in units of the merit.
+        progress: called with what is being done.
+        seed: of the samples.
+        enough: whether to end at once.
+    """
 
-        Args:
-            landscape: what is searched.
-            start: the guess, scaled; variables that are not searched stay there until the descents.
-            vary: numbers of the variables that are searched.
-            judge: scaled designs, a row each -> by what they are compared, in units of the merit.
-            progress: called with what is being done.
-            seed: of the samples.
-            enough: whether to end at once.
-        """
-        self._seed = seed
-        self._landscape, self._start, self._vary = landscape, start, list(vary)
-        self._judge, self._progress, self._enough = judge, progress, enough
-        # Whether so few designs meet the requirements that any of them is better than any other design.
-        self._narrow = False
-        # Then only designs that break the requirements by no more are descended from.
-        self._least_of_sample = np.inf
-        self._least: Seen | None = None
-        self._dense = False
-        self._samples: list[Seen] = []
-        # Ends of descents, by what they are compared, and of pairs of them whether a barrier lies between.
-        self._found: list[Seen] = []
-        self._judged: list[float] = []
-        self._parted: dict[tuple[int, int], bool] = {}
-        # Of every followed point, the number of the descent that it led to.
-        self._followed: list[int] = []
+    landscape: Landscape | Shortfall
+    start: Vector
+    vary: Sequence[int]
+    judge: Callable[[Vector], Vector]
+    progress: Progress
+    seed: int = 0
+    enough: Callable[[], bool] = lambda: False
+    # Whether so few designs meet the requirements that any of them is better than any other design.
+    _narrow: bool = False
+    # Then only designs that break the requirements by no more are descended from.
+    _least_of_sample: float = np.inf
+    _least: Seen | None = None
+    _dense: bool = False
+    _samples: list[Seen] = field(default_factory=list)
+    # Ends of descents, by what they are compared, and of pairs of them whether a barrier lies between.
+    _found: list[Seen] = field(default_factory=list)
+    _judged: list[float] = field(default_factory=list)
+    _parted: dict[tuple[int, int], bool] = field(default_factory=dict)
+    # Of every followed point, the number of the descent that it led to.
+    _followed: list[int] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        self.vary = list(self.vary)
 
     def explored(self, effort: Effort) -> Explored:
         """Return what rounds of an effort see."""
         began, rounds = time.perf_counter(), 0
-        while rounds == 0 or effort.more(rounds, self._landscape.tried, began):
+        while rounds == 0 or effort.more(rounds, self.landscape.tried, began):
             self._round(effort, rounds)
             rounds += 1
-        self._progress("telling basins apart", 0.0)
+        self.progress("telling basins apart", 0.0)
         bottoms, basin = self._basins()
         return Explored(self._samples[0].joined(*self._samples[1:]), bottoms, *self._reached(basin), self._least)
 
     def _round(self, effort: Effort, number: int) -> None:
-        rng = np.random.default_rng([SEED, self._seed, number])
-        n = len(self._vary)
-        self._progress(f"trying {effort.designs} designs", 0.0)
-        points, uniform = sample(n, effort.designs, self._start[self._vary], rng)
-        seen = self._landscape(self._whole(points))
+        rng = np.random.default_rng([SEED, self.seed, number])
+        n = len(self.vary)
+        self.progress(f"trying {effort.designs} designs", 0.0)
+        points, uniform = sample(n, effort.designs, self.start[self.vary], rng)
+        seen = self.landscape(self._whole(points))
         self._samples.append(seen)
         if not np.any(np.isfinite(seen.merit)):
             return
         few = np.count_nonzero(seen.feasible) < effort.population
-        if few and isinstance(self._landscape, Landscape) and self._landscape.vectorised:
-            met = self._met(self._landscape, effort, points, seen, rng)
+        if few and isinstance(self.landscape, Landscape) and self.landscape.vectorised:
+            met = self._met(self.landscape, effort, points, seen, rng)
             if met is None:
                 return
-            points, seen = np.vstack([points, met.points[:, self._vary]]), seen.joined(met)
-        self._descend(effort, points, seen, rng, [] if number else [self._start], uniform)
+            points, seen = np.vstack([points, met.points[:, self.vary]]), seen.joined(met)
+        self._descend(effort, points, seen, rng, [] if number else [self.start], uniform)
 
     def _met(
         self, landscape: Landscape, effort: Effort, points: Vector, seen: Seen, rng: np.random.Generator
@@ -132,14 +129,14 @@ class Explorer:
         shortfall = Shortfall(landscape)
         search = Explorer(
             shortfall,
-            self._start,
-            tuple(self._vary),
+            self.start,
+            tuple(self.vary),
             lambda y: shortfall(y).merit,
-            self._progress,
-            self._seed,
+            self.progress,
+            self.seed,
             lambda: shortfall.met >= effort.population,
         )
-        search._descend(replace(effort, followed=0), points, without_objective(seen), rng, [self._start], None)
+        search._descend(replace(effort, followed=0), points, without_objective(seen), rng, [self.start], None)
         self._narrow, self._least_of_sample = True, float(seen.violation.min())
         met = shortfall.designs()
         if met is None and not np.any(seen.feasible):
@@ -174,9 +171,9 @@ class Explorer:
         starts = [*(seen.points[k] for k in lowest[: effort.descents]), *further]
         ends: list[int] = []
         for done, start in enumerate(starts):
-            if self._enough():
+            if self.enough():
                 return
-            self._progress(f"descending from {len(starts)} low designs", done / len(starts))
+            self.progress(f"descending from {len(starts)} low designs", done / len(starts))
             ends.append(self._end_of(start))
         known = {int(k): end for k, end in zip(lowest[: effort.descents], ends, strict=False)}
         chance = [] if uniform is None or self._narrow else [int(downhill[k]) for k in uniform]
@@ -184,13 +181,13 @@ class Explorer:
             # What was followed may settle which basins there are.
             self._follow(seen, chance, known, effort.followed)
         if not (self._dense and self._settled()):
-            for island in range(effort.islands if len(self._vary) > 1 else 0):
-                if self._enough():
+            for island in range(effort.islands if len(self.vary) > 1 else 0):
+                if self.enough():
                     return
                 self._end_of(self._evolved(effort, points, seen, island, rng))
         self._scan()
         self._look_closer(rng)
-        if self._narrow or isinstance(self._landscape, Shortfall):
+        if self._narrow or isinstance(self.landscape, Shortfall):
             self._search_face(effort, rng)
         if not self._dense:
             self._follow(seen, chance, known, effort.followed)
@@ -223,46 +220,44 @@ class Explorer:
     def _search_face(self, effort: Effort, rng: np.random.Generator) -> None:
         """Search again among the variables that the best design does not have at a bound, the others held."""
         bottoms, _ = self._basins()
-        if not len(bottoms.f) or self._enough():
+        if not len(bottoms.f) or self.enough():
             return
         best = bottoms.points[0]
-        free = [k for k in self._vary if _AT_A_BOUND < best[k] < 1.0 - _AT_A_BOUND]
-        if not 2 <= len(free) < len(self._vary):
+        free = [k for k in self.vary if _AT_A_BOUND < best[k] < 1.0 - _AT_A_BOUND]
+        if not 2 <= len(free) < len(self.vary):
             return
-        self._progress("searching among the variables that are at no bound", 0.0)
-        face = Explorer(self._landscape, best, tuple(free), self._judge, self._progress, self._seed, self._enough)
+        self.progress("searching among the variables that are at no bound", 0.0)
+        face = Explorer(self.landscape, best, tuple(free), self.judge, self.progress, self.seed, self.enough)
         face._narrow, face._least_of_sample = self._narrow, self._least_of_sample
         designs, islands = min(effort.designs, _ON_A_FACE), min(effort.islands, _FACE_ISLANDS)
         effort = replace(effort, designs=designs, islands=islands, descents=_FACE_DESCENTS, followed=0)
         points, _ = sample(len(free), designs, best[free], rng)
-        face._descend(effort, points, self._landscape(face._whole(points)), rng, [], None)
+        face._descend(effort, points, self.landscape(face._whole(points)), rng, [], None)
         self._found += face._found
 
     def _scan(self) -> None:
         """Descend from the dips along each variable through the best design, for which a sample may be too thin."""
-        if not self._landscape.vectorised or self._enough():
+        if not self.landscape.vectorised or self.enough():
             return
         bottoms, _ = self._basins()
         if not len(bottoms.f):
             return
-        lines = np.repeat(bottoms.points[0][None], _ALONG * len(self._vary), axis=0)
-        for k, variable in enumerate(self._vary):
-            lines[k * _ALONG : (k + 1) * _ALONG, variable] = np.linspace(0.0, 1.0, _ALONG)
-        seen = self._landscape(lines)
+        lines = lines_through(bottoms.points[0], _ALONG, self.vary)
+        seen = self.landscape(lines)
         promising = self._promises(seen)
         merit = np.pad(self._merit(seen).reshape(-1, _ALONG), ((0, 0), (1, 1)), constant_values=np.inf)
         dips = np.flatnonzero(((merit[:, 1:-1] < merit[:, :-2]) & (merit[:, 1:-1] <= merit[:, 2:])).ravel())
-        for k in dips[np.argsort(self._merit(seen)[dips], kind="stable")][: _DIPS * len(self._vary)]:
+        for k in dips[np.argsort(self._merit(seen)[dips], kind="stable")][: _DIPS * len(self.vary)]:
             if promising[k] and np.max(np.abs(lines[k] - bottoms.points[0])) > _BESIDE:
-                self._progress("descending from dips along each variable", 0.0)
+                self.progress("descending from dips along each variable", 0.0)
                 self._end_of(lines[k])
 
     def _look_closer(self, rng: np.random.Generator) -> None:
         """Look around the best designs, and again around a better one: basins with ripples have their own basins."""
-        if not self._landscape.vectorised or len(self._vary) < 2:
+        if not self.landscape.vectorised or len(self.vary) < 2:
             return
         for _ in range(_CLOSER):
-            if self._enough():
+            if self.enough():
                 return
             bottoms, _ = self._basins()
             before = len(self._found)
@@ -270,11 +265,11 @@ class Explorer:
                 (at, near) for at in bottoms.points[:_CLOSELY] for near in (_NARROWER if self._narrow else (_NEAR,))
             ]
             for number, (at, near) in enumerate(looks):
-                self._progress("looking closer at the best designs", number / len(looks))
-                points, _ = sample(len(self._vary), _AROUND, np.full(len(self._vary), 0.5), rng)
+                self.progress("looking closer at the best designs", number / len(looks))
+                points, _ = sample(len(self.vary), _AROUND, np.full(len(self.vary), 0.5), rng)
                 around = np.repeat(at[None], len(points), axis=0)
-                around[:, self._vary] = np.clip(at[self._vary] + near * (2.0 * points - 1.0), 0.0, 1.0)
-                seen = self._landscape(around)
+                around[:, self.vary] = np.clip(at[self.vary] + near * (2.0 * points - 1.0), 0.0, 1.0)
+                seen = self.landscape(around)
                 lowest, _ = lowest_around(points, self._merit(seen))
                 promising = self._promises(seen)
                 for k in lowest[:_DIPS]:
@@ -292,13 +287,13 @@ class Explorer:
                 if most == 0 or not np.isfinite(seen.merit[end]):
                     return
                 most -= 1
-                self._progress("following designs drawn at random", number / min(len(ends), _MOST_FOLLOWED))
+                self.progress("following designs drawn at random", number / min(len(ends), _MOST_FOLLOWED))
                 known[end] = self._end_of(seen.points[end])
             self._followed.append(known[end])
 
     def _end_of(self, start: Vector) -> int:
         """Return the number of the end to which a start leads, in a dense sample of a known one if it falls there."""
-        landscape = self._landscape
+        landscape = self.landscape
         if self._found and self._dense and isinstance(landscape, Landscape) and landscape.vectorised:
             below = straight_below(landscape, start, self._found[0].joined(*self._found[1:]))
             if below is not None:
@@ -308,7 +303,7 @@ class Explorer:
 
     def _descended(self, start: Vector) -> Seen:
         """Return where a descent leads; runs that are integrated one by one are left to the optimiser."""
-        landscape = self._landscape
+        landscape = self.landscape
         if not landscape.vectorised:
             return landscape(start[None])
         if self._narrow and isinstance(landscape, Landscape) and not landscape(start[None]).feasible[0]:
@@ -321,15 +316,15 @@ class Explorer:
 
     def _whole(self, points: Vector) -> Vector:
         """Return designs whose searched variables are given, the others at the start."""
-        whole = np.repeat(self._start[None], len(points), axis=0)
-        whole[:, self._vary] = points
+        whole = np.repeat(self.start[None], len(points), axis=0)
+        whole[:, self.vary] = points
         return whole
 
     def _evolved(self, effort: Effort, points: Vector, seen: Seen, island: int, rng: np.random.Generator) -> Vector:
         """Return the best design of an evolution that begins from a part of the sample."""
-        self._progress(f"evolution, island {island + 1} of {effort.islands}", island / effort.islands)
+        self.progress(f"evolution, island {island + 1} of {effort.islands}", island / effort.islands)
         best = evolved(
-            lambda x: self._merit(self._landscape(self._whole(x))),
+            lambda x: self._merit(self.landscape(self._whole(x))),
             points[self._part(effort, points, seen, island)],
             effort.generations,
             rng,
@@ -355,7 +350,7 @@ class Explorer:
         if np.any(found.feasible):
             sound = np.flatnonzero(found.feasible)
         if len(found.f) > len(self._judged):
-            self._judged += self._judge(found.points[len(self._judged) :]).tolist()
+            self._judged += self.judge(found.points[len(self._judged) :]).tolist()
         judged = np.array(self._judged)[sound]
         bottoms: list[int] = []
         for k in sound[np.argsort(judged, kind="stable")]:
@@ -373,9 +368,9 @@ class Explorer:
         near = np.flatnonzero(np.max(np.abs(others - own), axis=1) < SAME)
         if len(near):
             return int(near[0])
-        if not self._landscape.vectorised:
+        if not self.landscape.vectorised:
             return None
         if new := [j for j in bottoms if (k, j) not in self._parted]:
-            for j, parted in zip(new, barriers(self._landscape, found.of([k]), found.of(new)).tolist(), strict=True):
+            for j, parted in zip(new, barriers(self.landscape, found.of([k]), found.of(new)).tolist(), strict=True):
                 self._parted[k, j] = self._parted[j, k] = parted
         return next((number for number, j in enumerate(bottoms) if not self._parted[k, j]), None)

@@ -29,19 +29,18 @@ _NOT_WORSE, _FINER = 1e-6, 2.0
 _HELPS = 1e-3
 
 
-def feasible_from(program: Program, landscape: Landscape, p: Vector, explored: Explored, start: Vector) -> Vector:
+def feasible_from(landscape: Landscape, explored: Explored, start: Vector) -> Vector:
     """Return a scaled design that meets all requirements, after a search that found none.
 
     Args:
-        program: the design's program.
         landscape: what was searched.
-        p: parameters.
         explored: what was seen.
         start: the guess, which is tried too.
 
     Raises:
         InfeasibleDesign: the least violation that was found, from several designs, is one.
     """
+    program = landscape.program
     starts = [start, *_apart(explored.sample)]
     known: Sequence[float] = [np.inf] * len(starts)
     if landscape.vectorised:
@@ -56,8 +55,8 @@ def feasible_from(program: Program, landscape: Landscape, p: Vector, explored: E
         ends = ends.of(ends.violation <= (1.0 + _NEAR_LEAST) * ends.violation[0])
         starts, known = list(ends.points), ends.violation.tolist()
     starts = starts[:_POLISHED]
-    program.build(p, starts=starts)
-    points = [_polished(program, landscape, p, one, violation) for one, violation in zip(starts, known, strict=False)]
+    program.build(landscape.p, starts=starts)
+    points = [_polished(landscape, one, violation) for one, violation in zip(starts, known, strict=False)]
     n = len(start)
     solved = [point for point in points if point.solved] or points
     best = min(solved, key=lambda point: point.f)
@@ -66,11 +65,12 @@ def feasible_from(program: Program, landscape: Landscape, p: Vector, explored: E
     raise infeasible(program, best, landscape.tried, lambda k: _helps(landscape, best.y[:n], k))
 
 
-def _polished(program: Program, landscape: Landscape, p: Vector, y: Vector, violation: float) -> Point:
+def _polished(landscape: Landscape, y: Vector, violation: float) -> Point:
     """Return the design of least violation beside another, whose violation is known, or else where it leads.
 
     Where paths kink the optimiser may come to no better design: then it is the other with its violations.
     """
+    program, p = landscape.program, landscape.p
     if not np.isfinite(violation):
         return program.solve_relaxed(y, p)
     for box, exact in _BESIDE:

@@ -87,7 +87,7 @@ class Landscape:
 
     def __init__(self, program: Program, p: Vector) -> None:
         """Take a program whose scales are set."""
-        self.program, self._p = program, p
+        self.program, self.p = program, p
         self.dimensions = len(program.declared.variables)
         owner = np.array(program.owner, dtype=int)
         self.first_rows: list[int] = np.flatnonzero(np.diff(owner, prepend=-1)).tolist()
@@ -101,7 +101,7 @@ class Landscape:
     def rows(self, points: Vector, *, finer: float = 1.0, together: int = 1) -> tuple[Vector, Vector]:
         """Return the scaled objective and requirements, a row for each design."""
         self.tried += len(points)
-        f, g = self.program.population(points, self._p, finer=finer, together=together)
+        f, g = self.program.population(points, self.p, finer=finer, together=together)
         return f / self.objective_scale, g / self._scale
 
     def of_the_design(self) -> Landscape:
@@ -109,8 +109,8 @@ class Landscape:
         bare = self.program.bare
         if bare is None:
             return self
-        bare.prepare(self._p)
-        return Landscape(bare, self._p)
+        bare.prepare(self.p)
+        return Landscape(bare, self.p)
 
     def violations(self, g: Vector) -> Vector:
         """Return by what each requirement is violated at its worst, a row for each design; infinite without a value."""

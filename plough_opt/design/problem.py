@@ -23,7 +23,7 @@ from plough_opt.design.effort import Search
 from plough_opt.design.exploring import Progress
 from plough_opt.design.optimum import Optimum
 from plough_opt.design.program import Program
-from plough_opt.design.solving import solve_program
+from plough_opt.design.solving import Request, solve_program
 from plough_opt.design.tolerance import Judge
 
 Written: TypeAlias = Any
@@ -219,12 +219,12 @@ class Design:
         declared = self.declared
         if self._program is None or self._program.compiled != compiled:
             self._program, self._boxed = Program(declared, compiled=compiled), None
-        report = progress or _silent
+        request = Request(values, search, judge, seed, progress or _silent, started)
         if self._over is None:
-            found = solve_program(self._program, values, (search, judge, seed), report, started)
+            found = solve_program(self._program, request)
         else:
             self._boxed = self._boxed or Boxed(self._program, self._over)
-            found = self._boxed.solve(values, (search, judge, seed), report, started)
+            found = self._boxed.solve(request)
         own = {p.name: float(value) for p, value in zip(self._parameters, values, strict=True)}
         return replace(found, origin=Origin.now(declarations=declared.plain(own), seed=seed))
 

@@ -59,8 +59,9 @@ def as_made(best: LocalOptimum) -> tuple[str, ...]:
     )
 
 
-def local_optimum(program: Program, p: Vector, point: Point, name: str, landscape: Landscape) -> LocalOptimum:
+def local_optimum(landscape: Landscape, point: Point, name: str) -> LocalOptimum:
     """Return the report on a point, from the tightly integrated model."""
+    program, p = landscape.program, landscape.p
     found, check = program.exact_values(point.y, p)
     objective = float(found[0].item())
     values = program.values(point.y)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -46,6 +46,15 @@ def sample(n: int, count: int, start: Vector, rng: np.random.Generator) -> tuple
     half = count // 2
     points[half:] = np.clip((1.0 + 2.0 * _STRETCH) * points[half:] - _STRETCH, 0.0, 1.0)
     return np.vstack([points, start[None], np.full((1, n), 0.5)]), rng.permutation(half)
+
+
+def lines_through(y: Vector, count: int, variables: Sequence[int] | None = None) -> Vector:
+    """Return so many designs along each of some variables through a design, by default all; a row each."""
+    vary = range(len(y)) if variables is None else variables
+    lines = np.repeat(y[None], count * len(vary), axis=0)
+    for k, variable in enumerate(vary):
+        lines[k * count : (k + 1) * count, variable] = np.linspace(0.0, 1.0, count)
+    return lines
 
 
 def lowest_around(points: Vector, merit: Vector) -> tuple[np.ndarray, np.ndarray]:

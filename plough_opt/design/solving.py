@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
+from dataclasses import dataclass
 from functools import partial
 
 import casadi as ca
@@ -36,6 +36,7 @@ from plough_opt.design.reporting import (
     warnings_at,
 )
 from plough_opt.design.rounding import rounded
+from plough_opt.design.sampling import lines_through
 from plough_opt.design.sensitivity import Sensitivities
 from plough_opt.design.tolerance import Judge, judgement, ranked
 from plough_opt.design.verify import TightEvaluation
@@ -58,134 +59,212 @@ _SAME = 1e-4
 _ALONG, _FINER_LINES, _LOWER, _MOST_BETTER, _MOST_LINES = 256, 2.0, 1e-8, 2, 4
 
 
-def solve_program(
-    program: Program, p: Vector, how: tuple[Search, Judge, int], progress: Progress, started: float
-) -> Optimum:
-    """Return the best optimum of a program; ``how`` is search, judge and seed of `Design.solve`."""
-    search, judge, seed = how
-    variables = program.declared.variables
-    vary = searched(search, variables)
-    progress("preparing the model", 0.0)
-    program.prepare(p, any_guess=bool(vary))
-    landscape = Landscape(program, p)
-    # What the algebra gives for a design is not searched.
-    given = {variable.number for variable in landscape.settled}
-    vary = tuple(k for k in vary if k not in given) or vary
-    explored: Explored | None = None
-    if vary:
-        explored, points = _searched(program, landscape, p, how, vary, progress)
-    else:
-        progress("solving from the guess", 0.0)
-        points = [near_optimum(program, landscape, p, program.start())]
-    points, missed = _refined(program, p, points, progress)
-    progress("checking", 0.0)
-    order = ranked(landscape, judge, np.array([point.y for point in points]))
-    points, unsure = with_sure_derivatives(program, p, [points[k] for k in order])
-    missed += unsure
-    scenes = [scenes_at(program, point, p) for point in points]
-    names = names_of(program, [[scene for _, scene in own] for own in scenes])
-    last = to_the_last_digit(program, p, points[0])
-    points[0] = minimum_from(program, p, last, landscape.lower_from if landscape.vectorised else None)
-    optima = [local_optimum(program, p, point, name, landscape) for point, name in zip(points, names, strict=True)]
-    directions = [] if points[0].status == AS_FOUND else flat_directions(program, p, points[0])
-    best = optima[0]
-    return Optimum(
-        **{name: getattr(best, name) for name in LocalOptimum.__dataclass_fields__},
-        status="unconfirmed" if points[0].status == AS_FOUND else "not unique" if directions else "solved",
-        over=program.over,
-        flat_directions=tuple(_in_units(program, points[0], d) for d in directions),
-        local_optima=tuple(optima),
-        search=_record(program, landscape, (search, seed), vary, explored, len(points), time.perf_counter() - started),
-        seconds=time.perf_counter() - started,
-        warnings=(
-            *missed,
-            *designs_without_value(explored),
-            *unconfirmed(points[0]),
-            *as_made(best),
-            *warnings_at(program, points[0], p, scenes[0]),
-        ),
-        evaluate=partial(_evaluated, program, p, program.values(points[0].y)),
-        sensitivities=Sensitivities(program, p, points[0]),
-        rounder=partial(
-            rounded, program, p, judge, points[0], best, partial(_report, program, p), partial(_evaluated, program, p)
-        ),
-    )
+@dataclass(frozen=True)
+class Request:
+    """What is asked of a solve: see `plough_opt.Design.solve`.
+
+    Attributes:
+        p: values of all parameters.
+        search: what to search, or how thoroughly.
+        judge: by what optima are compared.
+        seed: of the samples.
+        progress: called with what is being done.
+        started: when it began [s].
+    """
+
+    p: Vector
+    search: Search
+    judge: Judge
+    seed: int
+    progress: Progress
+    started: float
 
 
-def _searched(
-    program: Program,
-    landscape: Landscape,
-    p: Vector,
-    how: tuple[Search, Judge, int],
-    vary: tuple[int, ...],
-    progress: Progress,
-) -> tuple[Explored, list[Point]]:
-    """Return what a search over some variables saw, and the local optima of the basins that can be best.
+def solve_program(program: Program, request: Request) -> Optimum:
+    """Return the best optimum of a program.
 
     Raises:
         InfeasibleDesign: no design was found that meets the requirements.
         NotConverged: no design has a value, or IPOPT made none of those that were found an optimum.
     """
-    search, judge, seed = how
-    start = program.start()
-    effort = effort_of(search, len(vary), program.population.runs, landscape.vectorised)
-    judged = judgement(landscape, judge)
-    explored = Explorer(landscape, start, vary, judged, progress, seed).explored(effort)
-    if not len(explored.bottoms.f) and explored.least is None:
-        raise NotConverged(
-            f"none of {landscape.tried} designs between the bounds has a value: tighten the bounds, or shorten the"
-            " duration",
-            "no value",
+    vary = searched(request.search, program.declared.variables)
+    request.progress("preparing the model", 0.0)
+    program.prepare(request.p, any_guess=bool(vary))
+    return _Solve(program, request).solved(vary)
+
+
+class _Solve:
+    """A solve of a program that is prepared."""
+
+    def __init__(self, program: Program, request: Request) -> None:
+        self._program, self._request, self._p, self._progress = program, request, request.p, request.progress
+        self._landscape = Landscape(program, request.p)
+        self._judged = judgement(self._landscape, request.judge)
+
+    def solved(self, vary: tuple[int, ...]) -> Optimum:
+        """Return the best optimum, after a search over variables by number, or without any in the guess's basin."""
+        program, p, landscape = self._program, self._p, self._landscape
+        # What the algebra gives for a design is not searched.
+        given = {variable.number for variable in landscape.settled}
+        vary = tuple(k for k in vary if k not in given) or vary
+        explored: Explored | None = None
+        if vary:
+            explored, points = self._search(vary)
+        else:
+            self._progress("solving from the guess", 0.0)
+            points = [near_optimum(landscape, program.start())]
+        missed = self._refine(points)
+        self._progress("checking", 0.0)
+        order = ranked(landscape, self._request.judge, np.array([point.y for point in points]))
+        points, unsure = with_sure_derivatives(program, p, [points[k] for k in order])
+        scenes = [scenes_at(program, point, p) for point in points]
+        names = names_of(program, [[scene for _, scene in own] for own in scenes])
+        last = to_the_last_digit(program, p, points[0])
+        first = points[0] = minimum_from(program, p, last, landscape.lower_from if landscape.vectorised else None)
+        optima = [local_optimum(landscape, point, name) for point, name in zip(points, names, strict=True)]
+        confirmed = first.status != AS_FOUND
+        directions = flat_directions(program, p, first) if confirmed else []
+        warnings = (
+            *missed,
+            *unsure,
+            *designs_without_value(explored),
+            *unconfirmed(first),
+            *as_made(optima[0]),
+            *warnings_at(program, first, p, scenes[0]),
         )
-    bottoms, points = explored.bottoms, []
-    if np.any(bottoms.feasible) or not program.declared.requirements:
-        points = _optima(program, landscape, p, bottoms, (judged, len(vary), effort.rounds), progress)
-    if not points and program.declared.requirements:
-        progress("looking for a design that meets the requirements", 0.0)
-        y = feasible_from(program, landscape, p, explored, start)
-        bottoms = landscape.descend(y) if landscape.vectorised else landscape(y[None])
-        points = _optima(program, landscape, p, bottoms, (judged, len(vary), effort.rounds), progress)
-        if not points and (met := as_it_is(program, p, y)).solved:
-            points = [met]
-    if not points:
-        place = program.declared.describe(program.values(bottoms.points[0]))
-        raise NotConverged(
-            f"no optimum was found; the best design that was seen is {place}: check the bounds, or search more"
-            " thoroughly",
-            "no optimum",
+        evaluate = partial(_evaluated, program, p)
+        return Optimum(
+            **optima[0].__dict__,
+            status="unconfirmed" if not confirmed else "not unique" if directions else "solved",
+            over=program.over,
+            flat_directions=tuple(_in_units(program, first, d) for d in directions),
+            local_optima=tuple(optima),
+            search=self._record(vary, explored, len(points)),
+            seconds=time.perf_counter() - self._request.started,
+            warnings=warnings,
+            evaluate=partial(evaluate, program.values(first.y)),
+            sensitivities=Sensitivities(program, p, first),
+            rounder=partial(
+                rounded, program, p, self._request.judge, first, optima[0], partial(_report, program, p), evaluate
+            ),
         )
-    return explored, points
 
+    def _search(self, vary: tuple[int, ...]) -> tuple[Explored, list[Point]]:
+        """Return what a search over some variables saw, and the local optima of the basins that can be best."""
+        program, landscape, request = self._program, self._landscape, self._request
+        start, required = program.start(), bool(program.declared.requirements)
+        effort = effort_of(request.search, len(vary), program.population.runs, landscape.vectorised)
+        explored = Explorer(landscape, start, vary, self._judged, self._progress, request.seed).explored(effort)
+        if not len(explored.bottoms.f) and explored.least is None:
+            raise NotConverged(
+                f"none of {landscape.tried} designs between the bounds has a value: tighten the bounds, or shorten the"
+                " duration",
+                "no value",
+            )
+        size = len(vary), effort.rounds
+        bottoms, points = explored.bottoms, []
+        if np.any(bottoms.feasible) or not required:
+            points = self._optima(bottoms, *size)
+        if not points and required:
+            self._progress("looking for a design that meets the requirements", 0.0)
+            y = feasible_from(landscape, explored, start)
+            bottoms = landscape.descend(y) if landscape.vectorised else landscape(y[None])
+            points = self._optima(bottoms, *size)
+            if not points and (met := as_it_is(program, self._p, y)).solved:
+                points = [met]
+        if not points:
+            place = program.declared.describe(program.values(bottoms.points[0]))
+            raise NotConverged(
+                f"no optimum was found; the best design that was seen is {place}: check the bounds, or search more"
+                " thoroughly",
+                "no optimum",
+            )
+        return explored, points
 
-def _optima(
-    program: Program,
-    landscape: Landscape,
-    p: Vector,
-    bottoms: Seen,
-    size: tuple[Callable[[Vector], Vector], int, int],
-    progress: Progress,
-) -> list[Point]:
-    """Return the local optima of the bottoms that can be best.
+    def _optima(self, bottoms: Seen, variables: int, rounds: int) -> list[Point]:
+        """Return the local optima of the bottoms that can be best, of a search over so many variables and rounds."""
+        program, landscape, p = self._program, self._landscape, self._p
+        program.scale_by(float(bottoms.f[np.argmin(bottoms.merit)]) * landscape.objective_scale)
+        chosen = _that_can_win(self._judged(bottoms.points), variables <= _FEW_VARIABLES, rounds)
+        build_surely(program, p, list(bottoms.points[chosen]))
+        points: list[Point] = []
+        for number, k in enumerate(chosen):
+            self._progress(f"optimising basin {number + 1} of {len(chosen)}", number / len(chosen))
+            point = polished(program, p, bottoms.points[k])
+            if point.solved and not any(np.max(np.abs(point.y - other.y)) < _SAME for other in points):
+                points.append(point)
+        if points and landscape.vectorised:
+            self._add_along_each_variable(points)
+        return points
 
-    Args:
-        program: the design's program.
-        landscape: in which the bottoms lie.
-        p: parameters.
-        bottoms: of basins.
-        size: what they are judged by, number of variables, and rounds of the search.
-        progress: called with what is being done.
-    """
-    judged, variables, rounds = size
-    program.scale_by(float(bottoms.f[np.argmin(bottoms.merit)]) * landscape.objective_scale)
-    chosen = _that_can_win(judged(bottoms.points), variables <= _FEW_VARIABLES, rounds)
-    build_surely(program, p, list(bottoms.points[chosen]))
-    points: list[Point] = []
-    for number, k in enumerate(chosen):
-        progress(f"optimising basin {number + 1} of {len(chosen)}", number / len(chosen))
-        point = polished(program, p, bottoms.points[k])
-        if point.solved and not any(np.max(np.abs(point.y - other.y)) < _SAME for other in points):
-            points.append(point)
-    return _along_each_variable(program, landscape, p, points) if points and landscape.vectorised else points
+    def _add_along_each_variable(self, points: list[Point]) -> None:
+        """Add the optima to which steps of one variable alone lead from the lowest: ripples of a flat valley."""
+        landscape = self._landscape
+        for _ in range(_MOST_LINES):
+            best = min(points, key=lambda point: point.f)
+            lines = lines_through(best.y, _ALONG)
+            seen, own = landscape(lines, finer=_FINER_LINES), landscape(best.y[None], finer=_FINER_LINES)
+            merit = np.where(seen.feasible, seen.merit, np.inf).reshape(-1, _ALONG)
+            lowest = np.arange(len(merit)) * _ALONG + np.argmin(merit, axis=1)
+            level = own.merit[0] - _LOWER * abs(own.merit[0])
+            better = [k for k in lowest[np.argsort(seen.merit[lowest], kind="stable")] if merit.flat[k] < level]
+            ends = [landscape.descend(lines[k]).points[0] for k in better[:_MOST_BETTER]]
+            found = [polished(self._program, self._p, end) for end in ends]
+            lower = [point for point in found if point.solved and point.f < best.f - _LOWER * abs(best.f)]
+            if not lower:
+                return
+            points.append(min(lower, key=lambda point: point.f))
+
+    def _refine(self, points: list[Point]) -> tuple[str, ...]:
+        """Take more integration steps until objective and limits are those of the tight integration, or say so."""
+        program, p = self._program, self._p
+        wanted = program.wanted_error
+        if wanted is None:
+            gap = max(gap_of(program, p, point) for point in points)
+            coarse = f"the optimiser's objective is off by a relative {gap:.1e}: take more steps or a tighter tolerance"
+            return (coarse,) if gap > _COARSE else ()
+        last, begin = math.inf, program.built.refinement
+        for refinement in range(1, _REFINEMENTS + 1):
+            errors = [self._error_of_steps(point) for point in points]
+            if max(errors) <= wanted:
+                return ()
+            if max(errors) > _FALLS * last:  # a motion too sensitive for any number of steps
+                break
+            last = max(errors)
+            self._progress(f"refining: error {last:.1e}", refinement / _REFINEMENTS)
+            program.build(p, begin * _FINER**refinement, [point.y for point in points])
+            for k, error in enumerate(errors):
+                if error > wanted:
+                    points[k] = solved_again(program, p, points[k])
+        error = max(self._error_of_steps(point) for point in points)
+        text = f"the wanted relative error {wanted:.1e} of objective and limits was not reached: it is {error:.1e}"
+        return () if error <= wanted else (text,)
+
+    def _error_of_steps(self, point: Point) -> float:
+        """Return the relative gap of the objective, or of a limit that the tight run breaks by more."""
+        return max(gap_of(self._program, self._p, point), broken_by(self._program, self._p, point))
+
+    def _record(self, vary: tuple[int, ...], explored: Explored | None, polished: int) -> SearchRecord:
+        """Return the record of a search, or of none."""
+        program, landscape, request = self._program, self._landscape, self._request
+        variables = program.declared.variables
+        own, none = [k for k, v in enumerate(variables) if not v.auxiliary], np.empty(0)
+        sample = explored.sample if explored else Seen(np.empty((0, len(variables))), none, none)
+        return SearchRecord(
+            asked=str(request.search),
+            variables=tuple(variables[k].name for k in vary),
+            designs=landscape.tried if explored else 0,
+            one_by_one=not landscape.vectorised,
+            basins=len(explored.bottoms.f) if explored else 1,
+            polished=polished,
+            followed=explored.followed if explored else 0,
+            reached=explored.reached if explored else 0,
+            seed=request.seed,
+            seconds=time.perf_counter() - request.started,
+            values=program.values_of(sample.points)[:, own],
+            objective=sample.f * landscape.objective_scale,
+            violation=sample.violation,
+        )
 
 
 def _that_can_win(judged: Vector, few: bool, rounds: int) -> list[int]:
@@ -197,100 +276,11 @@ def _that_can_win(judged: Vector, few: bool, rounds: int) -> list[int]:
     return [int(k) for k in order if judged[k] <= limit][: _MOST_OF_MANY * rounds]
 
 
-def _along_each_variable(program: Program, landscape: Landscape, p: Vector, points: list[Point]) -> list[Point]:
-    """Return optima with those to which steps of one variable alone lead from the lowest: ripples of a flat valley."""
-    points = list(points)
-    for _ in range(_MOST_LINES):
-        best = min(points, key=lambda point: point.f)
-        n = len(best.y)
-        lines = np.repeat(best.y[None], _ALONG * n, axis=0)
-        for k in range(n):
-            lines[k * _ALONG : (k + 1) * _ALONG, k] = np.linspace(0.0, 1.0, _ALONG)
-        seen, own = landscape(lines, finer=_FINER_LINES), landscape(best.y[None], finer=_FINER_LINES)
-        merit = np.where(seen.feasible, seen.merit, np.inf).reshape(n, -1)
-        lowest = [k * _ALONG + int(np.argmin(row)) for k, row in enumerate(merit)]
-        level = own.merit[0] - _LOWER * abs(own.merit[0])
-        better = [
-            k for k in sorted(lowest, key=lambda k: float(seen.merit[k])) if seen.merit[k] < level and seen.feasible[k]
-        ]
-        found = [polished(program, p, landscape.descend(lines[k]).points[0]) for k in better[:_MOST_BETTER]]
-        lower = [point for point in found if point.solved and point.f < best.f - _LOWER * abs(best.f)]
-        if not lower:
-            return points
-        points.append(min(lower, key=lambda point: point.f))
-    return points
-
-
-def _record(
-    program: Program,
-    landscape: Landscape,
-    asked: tuple[Search, int],
-    vary: tuple[int, ...],
-    explored: Explored | None,
-    polished: int,
-    seconds: float,
-) -> SearchRecord:
-    """Return the record of a search, or of none."""
-    own = [k for k, v in enumerate(program.declared.variables) if not v.auxiliary]
-    n = len(program.declared.variables)
-    sample = explored.sample if explored else Seen(np.empty((0, n)), np.empty(0), np.empty(0))
-    return SearchRecord(
-        asked=str(asked[0]),
-        variables=tuple(program.declared.variables[k].name for k in vary),
-        designs=landscape.tried if explored else 0,
-        one_by_one=not landscape.vectorised,
-        basins=len(explored.bottoms.f) if explored else 1,
-        polished=polished,
-        followed=explored.followed if explored else 0,
-        reached=explored.reached if explored else 0,
-        seed=asked[1],
-        seconds=seconds,
-        values=program.values_of(sample.points)[:, own],
-        objective=sample.f * landscape.objective_scale,
-        violation=sample.violation,
-    )
-
-
-def _refined(
-    program: Program, p: Vector, points: list[Point], progress: Progress
-) -> tuple[list[Point], tuple[str, ...]]:
-    """Take more integration steps until objective and limits are those of the tight integration."""
-    wanted = program.wanted_error
-    if wanted is None:
-        gap = max(gap_of(program, p, point) for point in points)
-        coarse = f"the optimiser's objective is off by a relative {gap:.1e}: take more steps or a tighter tolerance"
-        return points, (coarse,) if gap > _COARSE else ()
-    last, begin = math.inf, program.built.refinement
-    for refinement in range(1, _REFINEMENTS + 1):
-        errors = [_error_of_steps(program, p, point) for point in points]
-        if max(errors) <= wanted:
-            return points, ()
-        if max(errors) > _FALLS * last:  # a motion too sensitive for any number of steps
-            break
-        last = max(errors)
-        progress(f"refining: error {max(errors):.1e}", refinement / _REFINEMENTS)
-        program.build(p, begin * _FINER**refinement, [point.y for point in points])
-        for k, error in enumerate(errors):
-            if error > wanted:
-                points[k] = solved_again(program, p, points[k])
-    error = max(_error_of_steps(program, p, point) for point in points)
-    if error <= wanted:
-        return points, ()
-    return points, (
-        f"the wanted relative error {wanted:.1e} of objective and limits was not reached: it is {error:.1e}",
-    )
-
-
-def _error_of_steps(program: Program, p: Vector, point: Point) -> float:
-    """Return the relative gap of the objective, or of a limit that the tight run breaks by more."""
-    return max(gap_of(program, p, point), broken_by(program, p, point))
-
-
 def _report(program: Program, p: Vector, point: Point) -> tuple[LocalOptimum, tuple[str, ...]]:
     """Return the report on a point, named as if it were alone, and its warnings."""
     scenes = scenes_at(program, point, p)
     (name,) = names_of(program, [[scene for _, scene in scenes]])
-    return local_optimum(program, p, point, name, Landscape(program, p)), warnings_at(program, point, p, scenes)
+    return local_optimum(Landscape(program, p), point, name), warnings_at(program, point, p, scenes)
 
 
 def _in_units(program: Program, point: Point, direction: Vector) -> dict[str, float]:

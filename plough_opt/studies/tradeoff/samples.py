@@ -161,7 +161,7 @@ class Samples(ABC):
         if not self.searcher.vary:
             self.told("solving from the guess", 0.0)
             program = self.front.program
-            starts = [[near_optimum(program, self.cloud.landscape(p), p, program.start()).y] for p in self.alone()]
+            starts = [[near_optimum(self.cloud.landscape(p), program.start()).y] for p in self.alone()]
         else:
             starts = [list(self.searcher.bottoms(p).points) for p in self.alone()]
         self._normalise_roughly([own[0] for own in starts])

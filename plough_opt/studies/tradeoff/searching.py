@@ -70,7 +70,7 @@ class Searcher:
             )
         if not np.any(explored.bottoms.feasible):
             self.told("looking for a design that meets the requirements", 0.0)
-            y = feasible_from(self.cloud.front.program, landscape, p, explored, self._start)
+            y = feasible_from(landscape, explored, self._start)
             return landscape.descend(y) if landscape.vectorised else landscape(y[None])
         values = judged(explored.bottoms.points)
         limit = values.min() + _CAN_WIN * abs(values.min())

@@ -19,10 +19,9 @@ from plough_opt.core.quantities import BESIDE
 from plough_opt.motion.batch.advance import advance
 from plough_opt.motion.batch.c_source import Kernels
 from plough_opt.motion.batch.domain_check import DomainCheck
-from plough_opt.motion.batch.engine import engine_of
+from plough_opt.motion.batch.engine import Array, engine_of
 from plough_opt.motion.batch.equations import RESULTS, Start, of_column, setup
 from plough_opt.motion.batch.layout import Layout
-from plough_opt.motion.batch.operations import Array, OperationList
 from plough_opt.motion.batch.result import BatchResult
 from plough_opt.motion.effects import StickSlip
 from plough_opt.motion.scene import Scene
@@ -87,13 +86,13 @@ class Batch:
         # One order more for every digit of the wanted error, of which a step may make a small part.
         order = round(10.0 - math.log10(error))
         ends = self._layout.ends
-        parts = tuple((OperationList.of(advance(self._layout, order, part)), end) for part, end in enumerate(ends))
-        maps = {name: OperationList.of(one) for name, one in functions.items() if one.is_a("SXFunction")}
+        parts = tuple((advance(self._layout, order, part), end) for part, end in enumerate(ends))
+        maps = {name: one for name, one in functions.items() if one.is_a("SXFunction")}
         self._engine = engine_of(functions, Kernels(maps, parts, self._layout.allowed + 1))
 
     @property
     def compiled(self) -> bool:
-        """Whether a C compiler was found; without one NumPy does the same operations: see `warnings`."""
+        """Whether a C compiler was found; without one CasADi interprets the same operations: see `warnings`."""
         return self._engine.compiled
 
     @property
@@ -102,8 +101,8 @@ class Batch:
         if self.compiled:
             return ()
         return (
-            "no C compiler was found ($CC, cc, gcc, clang): NumPy evaluates the batch, with the same results"
-            " but 20 to 40 times slower for thousands of designs, and more than 100 times for hundreds",
+            "no C compiler was found ($CC, cc, gcc, clang): CasADi interprets the batch, with the same results"
+            " but 100 to 200 times slower",
         )
 
     def __call__(self, values: ArrayLike, *, threads: int = 1) -> BatchResult:

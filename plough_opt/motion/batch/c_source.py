@@ -8,7 +8,8 @@ from dataclasses import dataclass
 
 import casadi as ca
 
-from plough_opt.motion.batch.operations import LANE_BY_LANE, LIBRARY, LIBRARY_OF_TWO, OperationList, code_of
+from plough_opt.core.errors import InputError
+from plough_opt.motion.batch.operations import OperationList
 
 _BINARY = {ca.OP_ADD: "+", ca.OP_SUB: "-", ca.OP_MUL: "*", ca.OP_DIV: "/"}
 _COMPARISONS = {ca.OP_LT: "<", ca.OP_LE: "<=", ca.OP_EQ: "==", ca.OP_NE: "!="}
@@ -20,10 +21,17 @@ _SIMPLE = {
     ca.OP_TWICE: "{0} + {0}",
     ca.OP_INV: "1.0 / {0}",
 }
+
+
+def _named(names: str) -> dict[int, str]:
+    """Return functions of C by CasADi's code of each, which has the same name."""
+    return {int(getattr(ca, f"OP_{name.upper()}")): name for name in names.split()}
+
+
 # C's name of each function that the vector library has, of one argument and of two, and of those that it lacks.
-_LIBRARY = {ca.OP_ERF: "erf"} | {code_of(name): name for name in LIBRARY}
-_LIBRARY_OF_TWO = {ca.OP_CONSTPOW: "pow"} | {code_of(name): name for name in LIBRARY_OF_TWO}
-_LANE_BY_LANE = {code_of(name): name for name in LANE_BY_LANE}
+_LIBRARY = _named("exp expm1 log log1p sin cos tan asin acos atan sinh cosh tanh asinh acosh atanh erf")
+_LIBRARY_OF_TWO = {ca.OP_CONSTPOW: "pow"} | _named("pow atan2 hypot")
+_LANE_BY_LANE = _named("floor ceil sqrt")
 _OWN = {ca.OP_FABS: "v_fabs", ca.OP_SIGN: "v_sign", ca.OP_FMIN: "v_min", ca.OP_FMAX: "v_max"}
 
 _HEAD = """
@@ -129,32 +137,50 @@ _PART = """    {{
     }}"""
 
 
+def _in_c(code: int) -> str:
+    """Return C's name of a function.
+
+    Raises:
+        InputError: an operation that has no vector form.
+    """
+    functions = _LIBRARY | _LIBRARY_OF_TWO | _LANE_BY_LANE
+    if code not in functions:
+        raise InputError(f"a batch cannot do CasADi's operation number {code}")
+    return functions[code]
+
+
 @dataclass(frozen=True)
 class Kernels:
     """The operations that a batch compiles.
 
     Attributes:
-        maps: Functions of one argument, by name.
-        parts: of the motion, in time: (one step, position in the parameters of the time at which the part ends).
+        maps: Functions of SX of one argument, by name.
+        parts: of the motion, in time: (one step, of SX, position in the parameters of the time at which the part ends).
         parameters: number of a step's parameters.
     """
 
-    maps: dict[str, OperationList]
-    parts: tuple[tuple[OperationList, int], ...]
+    maps: dict[str, ca.Function]
+    parts: tuple[tuple[ca.Function, int], ...]
     parameters: int
 
 
 def c_source(kernels: Kernels) -> str:
-    """Return the C source of a library with a function for each map, and one that runs all steps."""
-    lines = head([*kernels.maps.values(), *(step for step, _ in kernels.parts)])
+    """Return the C source of a library with a function for each map, and one that runs all steps.
+
+    Raises:
+        InputError: an operation that has no vector form.
+    """
+    maps = {name: OperationList.of(one) for name, one in kernels.maps.items()}
+    steps = [(OperationList.of(step), end) for step, end in kernels.parts]
+    lines = head([*maps.values(), *(step for step, _ in steps)])
     lines.append("int64_t lanes(void) { return LANES; }")
-    for name, one in kernels.maps.items():
+    for name, one in maps.items():
         inputs = 1 + max((element for _, element in one.inputs.values()), default=0)
         body = Statements(one, ("x",)).body(None)
         lines.append(_MAP.format(name=name, inputs=inputs, results=len(one.results), body=body))
-    state = len(kernels.parts[0][0].results)
+    state = len(steps[0][0].results)
     parts = []
-    for step, end in kernels.parts:
+    for step, end in steps:
         text = Statements(step, ("x", "p"))
         parts.append(_PART.format(once=text.body(True), each=text.body(False), end=end, state=state))
     lines.append(_RUN.format(parameters=kernels.parameters, state=state, parts="\n".join(parts)))
@@ -239,5 +265,5 @@ class Statements:
             return f"~{self._mask(of[0])}"
         if code == ca.OP_IF_ELSE_ZERO:
             return f"(V)((M){self._vector(of[1])} & {self._mask(of[0])})"
-        name = _OWN.get(code) or f"v_{(_LIBRARY | _LIBRARY_OF_TWO | _LANE_BY_LANE)[code]}"
+        name = _OWN.get(code) or f"v_{_in_c(code)}"
         return f"{name}({', '.join(self._vector(k) for k in of)})"

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from plough_opt.core.errors import PloughError
 from plough_opt.core.expressions import is_quantity, map_expressions
 from plough_opt.core.quantities import BESIDE
-from plough_opt.motion.batch.operations import Array
+from plough_opt.motion.batch.engine import Array
 from plough_opt.motion.scene import Scene
 
 # Designs among which a valid one is looked for.

@@ -1,4 +1,4 @@
-"""Evaluates a batch's operations: as compiled C, or by NumPy."""
+"""Evaluates a batch's operations: as compiled C, or by CasADi's interpreter."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from plough_opt.core.compiler import Variant, library
 from plough_opt.motion.batch.c_source import Kernels, c_source
-from plough_opt.motion.batch.operations import Array, OperationList
 
 _FLAGS = (
     "-O3",
@@ -29,12 +28,12 @@ _VARIANTS: tuple[Variant, ...] = (
     ((*_FLAGS, "-march=native"), ("-lm",)),
     (_FLAGS, ("-lm",)),
 )
-# Designs that NumPy takes at once: enough to hide its calls, few enough for the processor's cache.
-_BLOCK = 4096
+
+Array = NDArray[np.float64]
 
 
 class Engine:
-    """Evaluates maps and integrates, here by NumPy, operation by operation.
+    """Evaluates maps and integrates, here by CasADi's interpreter, design by design.
 
     Arrays have a row for each element and a column for each design.
     """
@@ -42,16 +41,13 @@ class Engine:
     compiled = False
 
     def __init__(self, functions: dict[str, ca.Function], kernels: Kernels) -> None:
-        """Take the maps; CasADi evaluates those that are not among the kernels."""
+        """Take the maps, and the steps among the kernels."""
         self._functions = functions
         self._kernels = kernels
 
     def evaluate(self, name: str, rows: Array) -> Array:
         """Return the results of a map."""
-        with np.errstate(all="ignore"):
-            if name in self._kernels.maps:
-                return self._kernels.maps[name]([rows])
-            return np.asarray(self._functions[name].map(rows.shape[1])(rows))
+        return np.asarray(self._functions[name].map(rows.shape[1])(rows))
 
     def run(self, p: Array, states: Array, order: NDArray[np.int64], most: int) -> Array:
         """Integrate designs from their states, in place; return the number of steps of each.
@@ -62,33 +58,13 @@ class Engine:
             order: the designs to integrate, in this order.
             most: limit on the number of steps.
         """
-        steps = np.zeros(p.shape[1])
-        with np.errstate(all="ignore"):
-            for first in range(0, len(order), _BLOCK):
-                which = order[first : first + _BLOCK]
-                x, taken = states[:, which], np.zeros(len(which))
-                for step, end in self._kernels.parts:
-                    x = _integrated(step, x, p[:, which], end, taken, most)
-                states[:, which], steps[which] = x, taken
-        return steps
-
-
-def _integrated(step: OperationList, x: Array, p: Array, end: int, taken: Array, most: int) -> Array:
-    """Return the states at the end of a part of the motion, and count the steps in `taken`.
-
-    Designs at their end are left out of the arrays.
-    """
-    which = np.flatnonzero((x[0] < p[end]) & (taken < most))
-    going, own, once = x[:, which], p[:, which], step.once([x[:, which], p[:, which]])
-    while len(which) > 0:
-        going = step([going, own], once)
-        taken[which] += 1.0
-        open_ = (going[0] < own[end]) & (taken[which] < most)
-        if not np.all(open_):
-            x[:, which[~open_]] = going[:, ~open_]
-            which, going, own = which[open_], going[:, open_], own[:, open_]
-            once = step.once([going, own])
-    return x
+        taken = np.zeros(p.shape[1])
+        for step, end in self._kernels.parts:
+            which = order
+            while len(which := which[(states[0, which] < p[end, which]) & (taken[which] < most)]):
+                states[:, which] = np.asarray(step.map(len(which))(states[:, which], p[:, which]))
+                taken[which] += 1.0
+        return taken
 
 
 class _Compiled(Engine):
@@ -106,7 +82,7 @@ class _Compiled(Engine):
         if name not in self._kernels.maps:
             return super().evaluate(name, rows)
         rows = np.ascontiguousarray(rows)
-        results = np.empty((len(self._kernels.maps[name].results), rows.shape[1]))
+        results = np.empty((self._kernels.maps[name].numel_out(), rows.shape[1]))
         function = getattr(self._library, name)
         function.restype = None
         function(ctypes.c_int64(rows.shape[1]), _pointer(rows), _pointer(results))

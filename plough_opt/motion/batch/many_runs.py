@@ -1,9 +1,9 @@
 """Runs of one structure at very many parameters, side by side, each by its own number of steps of order 8.
 
 A search needs the states at the outputs and the averages of thousands of designs, though not exactly. The steps are
-those of `plough_opt.motion.runge_kutta`, in C for a vector register of designs at a time, or in NumPy if there is no
-compiler. Outputs within a step are interpolated by the polynomial of degree 5 through deflection, rate and acceleration
-at both ends.
+those of `plough_opt.motion.runge_kutta`, in C for a vector register of designs at a time, or as CasADi interprets them
+if there is no compiler. Outputs within a step are interpolated by the polynomial of degree 5 through deflection, rate
+and acceleration at both ends.
 """
 
 from __future__ import annotations
@@ -18,13 +18,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from plough_opt.core.compiler import Variant, library
+from plough_opt.motion.accuracy import Accuracy
 from plough_opt.motion.batch.c_source import Statements, head
-from plough_opt.motion.batch.operations import Array, OperationList
+from plough_opt.motion.batch.engine import Array
+from plough_opt.motion.batch.operations import OperationList
 from plough_opt.motion.equation import equation_of_motion, start_state
+from plough_opt.motion.integrators import integration
 from plough_opt.motion.plan import summed_and_lasting_phase
 from plough_opt.motion.runge_kutta import step
 from plough_opt.motion.signals import signals
 from plough_opt.motion.terms import Structure
+from plough_opt.motion.timeline import Timeline
 
 PHASE_PER_STEP = 2.6
 """Phase [rad] by `summed_rate` in one step: averages are then right to some 1e-5 of an oscillation."""
@@ -147,7 +151,7 @@ class ManyRuns:
     @property
     def compiled(self) -> bool:
         """Whether the runs are integrated by machine code."""
-        return not isinstance(self._run, _ByArrays)
+        return isinstance(self._run, _ByLibrary)
 
     def __call__(
         self, p: Array, *, finer: float = 1.0, together: int = 1, threads: int = 1, count: int | None = None
@@ -203,12 +207,10 @@ def _before_kink(known: dict[str, Array], duration: Array, steps: Array) -> tupl
 
 
 @lru_cache(maxsize=32)
-def _runner(structure: Structure) -> _ByLibrary | _ByArrays:
+def _runner(structure: Structure) -> _ByLibrary | _Interpreted:
     """Return the fastest way to integrate that this system allows."""
-    begin, one = _operations(structure)
-    observed = signals(structure)
-    path = library(_source(structure, begin, one), _VARIANTS)
-    return _ByArrays(begin, one, observed.count, observed.squared) if path is None else _ByLibrary(path)
+    path = library(_source(structure), _VARIANTS)
+    return _Interpreted(structure) if path is None else _ByLibrary(path)
 
 
 class _ByLibrary:
@@ -235,69 +237,22 @@ class _ByLibrary:
         self._function(given.shape[1], len(which), *arrays, results.shape[1], outputs, begin)
 
 
-def _sizes(total: Array, early: Array, kink: Array) -> tuple[Array, Array]:
-    """Return the steps before the kink and after it, as fractions of the duration."""
-    return kink / np.maximum(early, 1.0), (1.0 - kink) / np.maximum(total - early, 1.0)
+class _Interpreted:
+    """Integration by CasADi, for machines without a compiler: with at least as many steps, a power of two of them."""
 
-
-class _ByArrays:
-    """Integration by NumPy, operation by operation, for machines without a compiler."""
-
-    def __init__(self, begin: OperationList, one: OperationList, count: int, squared: int) -> None:
-        """Take the results of `_operations`, the number of signals and the number of those with an RMS."""
-        self._begin, self._one, self._count, self._squared = begin, one, count, squared
+    def __init__(self, structure: Structure) -> None:
+        self._structure = structure
 
     def __call__(self, given: Array, which: NDArray[np.int64], outputs: int, results: Array) -> None:
         """Fill in the results of runs, as `_ByLibrary` does."""
-        given = given[:, which]
-        p, (total, early, kink) = given[:-3], given[-3:]
-        with np.errstate(all="ignore"):
-            before, after = _sizes(total, early, kink)
-            x = self._begin([p])
-            ends = np.empty((int(total[-1]) + 1, 3, p.shape[1]))
-            mean, square = np.zeros((self._count, p.shape[1])), np.zeros((self._squared, p.shape[1]))
-            time = np.zeros(p.shape[1])
-            for k in range(len(ends)):
-                # Runs at their end still need their acceleration there.
-                on = slice(int(np.searchsorted(total, k)), None)
-                first = k < early[on]
-                size_now = np.where(first, before[on], after[on])
-                now = np.where(first, k * before[on], kink[on] + (k - early[on]) * after[on])
-                y = self._one([x[:, on], np.stack([now, size_now]), p[:, on]])
-                ends[k, :2, on], ends[k, 2, on] = x[:, on], y[2]
-                going = total[on] > k
-                x[:, on] = np.where(going, y[:2], x[:, on])
-                part = size_now / (time[on] + size_now)
-                distance = y[3 : 3 + self._count] - mean[:, on]
-                spread = square[:, on] + part * distance[: self._squared] ** 2
-                pooled = (1.0 - part) * spread + part * y[3 + self._count :]
-                square[:, on] = np.where(going, pooled, square[:, on])
-                mean[:, on] = np.where(going, mean[:, on] + part * distance, mean[:, on])
-                time[on] += np.where(going, size_now, 0.0)
-            read = _read(ends, given, outputs) if outputs else np.empty((0, p.shape[1]))
-        results[which] = np.vstack([read, mean, square]).T
-
-
-def _read(ends: Array, given: Array, outputs: int) -> Array:
-    """Return the states at the outputs, two rows for each.
-
-    The polynomial of degree 5 through deflection, rate and acceleration at both ends of a step is evaluated between.
-    """
-    duration, total, early, kink = given[-4:]
-    before, after = _sizes(total, early, kink)
-    t = np.linspace(0.0, 1.0, outputs + 1)[:, None]
-    first = t < kink
-    at = np.where(first, t / np.where(before > 0.0, before, 1.0), early + (t - kink) / after)
-    k = np.minimum(at.astype(int), total.astype(int) - 1)
-    u, h = at - k, np.where(first, before, after) * duration
-    column = np.arange(given.shape[1])
-    (w, r, c), (w1, r1, c1) = (np.moveaxis(ends[k + j, :, column], 2, 0) for j in (0, 1))
-    r, c, r1, c1 = h * r, 0.5 * h**2 * c, h * r1, 0.5 * h**2 * c1
-    d, e, g = w1 - w - r - c, r1 - r - 2.0 * c, c1 - c
-    c3, c4, c5 = 10.0 * d - 4.0 * e + g, -15.0 * d + 7.0 * e - 2.0 * g, 6.0 * d - 3.0 * e + g
-    value = w + u * (r + u * (c + u * (c3 + u * (c4 + u * c5))))
-    slope = (r + u * (2.0 * c + u * (3.0 * c3 + u * (4.0 * c4 + u * 5.0 * c5)))) / h
-    return np.stack([value, slope], axis=1).reshape(-1, given.shape[1])
+        steps = 2.0 ** np.ceil(np.log2(given[-3]))
+        for count in np.unique(steps[which]):
+            own = which[steps[which] == count]
+            timeline = Timeline(outputs or 1, int(count), aligned=self._structure.ramp, moving=self._structure.ramp)
+            run = integration(self._structure, Accuracy("dop853", steps=int(count)), timeline).function
+            states, *averages = (np.asarray(part).T for part in run.map(len(own))(given[:-3, own]))
+            read = states.reshape(len(own), -1) if outputs else np.empty((len(own), 0))
+            results[own] = np.hstack([read, *averages])
 
 
 _WIDEST = 8
@@ -320,7 +275,8 @@ def _operations(structure: Structure) -> tuple[OperationList, OperationList]:
     )
 
 
-def _source(structure: Structure, begin: OperationList, one: OperationList) -> str:
+def _source(structure: Structure) -> str:
+    begin, one = _operations(structure)
     observed = signals(structure)
     text = Statements(one, ("x", "s", "p"))
     body = _SOURCE.format(

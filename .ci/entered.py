@@ -7,7 +7,6 @@ JSON file that is written: processor time of the whole session [s], and per modu
 import ast
 import builtins
 import importlib.machinery
-import importlib.util
 import json
 import os
 import sys
@@ -15,8 +14,9 @@ import time
 from collections import defaultdict
 from pathlib import Path
 
+import pytest
+
 NAME = "plough_opt"
-PACKAGE = Path(importlib.util.find_spec(NAME).origin).parent
 _entered = set()
 
 
@@ -32,7 +32,7 @@ class Noting(importlib.machinery.SourceFileLoader):
         """Return the module's code, from its source in any case."""
         path = self.get_filename(fullname)
         tree = ast.parse(self.get_data(path), path)
-        module = Path(path).relative_to(PACKAGE).as_posix()
+        module = Path(path).as_posix().rpartition(f"/{NAME}/")[2]
         for function in [node for node in ast.walk(tree) if isinstance(node, ast.FunctionDef)]:
             note = ast.parse(f"__entered__(({module!r}, {first_line(function)}))").body[0]
             function.body.insert(1 if ast.get_docstring(function) is not None else 0, note)
@@ -53,6 +53,13 @@ class Finder(importlib.machinery.PathFinder):
         return spec
 
 
+@pytest.hookimpl(tryfirst=True)
+def pytest_load_initial_conftests():
+    """Take over before the first module of the package is read."""
+    builtins.__entered__ = _entered.add
+    sys.meta_path.insert(0, Finder)
+
+
 def pytest_sessionfinish():
     """Write what was entered."""
     modules = defaultdict(list)
@@ -60,7 +67,3 @@ def pytest_sessionfinish():
         modules[module].append(line)
     told = {"seconds": time.process_time(), "entered": modules}
     Path(os.environ["ENTERED"]).write_text(json.dumps(told), encoding="utf-8")
-
-
-builtins.__entered__ = _entered.add
-sys.meta_path.insert(0, Finder)

@@ -11,18 +11,20 @@ a test fails. Survivors are printed with their place: each is an equivalent chan
 import argparse
 import ast
 import json
+import multiprocessing
 import os
 import random
 import resource
 import shutil
-import subprocess
+import signal
 import sys
 import tempfile
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
-from entered import first_line
+import entered
+import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 ROOMS = ("soil", "laws", "motion", "design", "studies")
@@ -30,6 +32,21 @@ ROOMS = ("soil", "laws", "motion", "design", "studies")
 ASIDE = {"bad_input", "benchmarks", "cli", "export", "problem_file", "report"}
 # Seconds after which a session is taken to hang, however little processor time it has had on a busy machine.
 PATIENCE = 1800
+# Sessions are forked from a process that has read what takes long to read, but nothing of the package.
+SERVER = multiprocessing.get_context("forkserver")
+SERVER.set_forkserver_preload(
+    [
+        "casadi",
+        "matplotlib.figure",
+        "mpmath",
+        "pint",
+        "pydantic",
+        "rich",
+        "scipy.integrate",
+        "scipy.optimize",
+        "scipy.stats",
+    ]
+)
 SWAPS = {
     ast.Add: ast.Sub, ast.Sub: ast.Add, ast.Mult: ast.Div, ast.Div: ast.Mult, ast.Lt: ast.LtE, ast.LtE: ast.Lt,
     ast.Gt: ast.GtE, ast.GtE: ast.Gt, ast.Eq: ast.NotEq, ast.NotEq: ast.Eq, ast.And: ast.Or, ast.Or: ast.And,
@@ -127,7 +144,7 @@ def _mutant(path: Path, source: str, k: int) -> Mutant:
     after = ast.unparse(node.test if isinstance(node, ast.If) else node)
     text = ast.unparse(ast.fix_missing_locations(tree))
     module = path.relative_to(ROOT / "plough_opt").as_posix()
-    return Mutant(module, node.lineno, max(map(first_line, around), default=0), f"{before}  ->  {after}", text)
+    return Mutant(module, node.lineno, max(map(entered.first_line, around), default=0), f"{before}  ->  {after}", text)
 
 
 # --- tests ------------------------------------------------------------------------------------------------------------
@@ -142,31 +159,35 @@ def copied(source: Path, to: Path) -> Path:
     return to
 
 
-def run(copy: Path, files: list[str], seconds: float, *options: str, **environment: str) -> bool:
+def run(copy: Path, files: list[str], seconds: float, told: str = "") -> bool:
     """Return True if files of tests pass in a copy, in as much processor time as is given."""
+    process = SERVER.Process(target=_session, args=(copy, files, seconds, told))
+    process.start()
+    process.join(PATIENCE)
+    if process.is_alive():
+        os.killpg(process.pid, signal.SIGKILL)
+        process.join()
+    return process.exitcode == 0
+
+
+def _session(copy: Path, files: list[str], seconds: float, told: str) -> None:
+    """Run pytest in a process that has the libraries already, and end it with pytest's status."""
+    os.setpgid(0, 0)
+    resource.setrlimit(resource.RLIMIT_CPU, (int(seconds) + 1,) * 2)
+    os.chdir(copy)
+    sys.path[:0] = [str(copy), str(copy / ".ci")]
     # Machine code of a mutant must not be found in the cache later.
-    environment = os.environ | {"PYTHONPATH": f"{copy}{os.pathsep}{copy / '.ci'}",
-                                "XDG_CACHE_HOME": str(copy / "cache")} | environment  # fmt: skip
-    command = [sys.executable, "-m", "pytest", "-q", "-x", "-p", "no:cacheprovider", *options, *files]
-    try:
-        done = subprocess.run(
-            command,
-            cwd=copy,
-            env=environment,
-            capture_output=True,
-            timeout=PATIENCE,
-            check=False,
-            preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_CPU, (int(seconds) + 1,) * 2),
-        )
-    except subprocess.TimeoutExpired:
-        return False
-    return done.returncode == 0
+    os.environ |= {"PYTHONPATH": str(copy), "XDG_CACHE_HOME": str(copy / "cache"), "ENTERED": told}
+    with Path(os.environ.get("OUTP", os.devnull)).open("w") as nowhere:
+        os.dup2(nowhere.fileno(), 1)
+        os.dup2(nowhere.fileno(), 2)
+    os._exit(pytest.main(["-q", "-x", "-p", "no:cacheprovider", *files], plugins=[entered] if told else []))
 
 
 def tested(copy: Path, file: str) -> Tested | None:
     """Return what a file of tests enters, or None if a test fails in the copy of the package as it is."""
     told = copy / (file.replace("/", "-") + ".json")
-    if not run(copy, [file], PATIENCE, "-p", "entered", ENTERED=str(told)):
+    if not run(copy, [file], PATIENCE, str(told)):
         return None
     return Tested(file, **json.loads(told.read_text(encoding="utf-8")))
 

@@ -115,52 +115,22 @@ def test_limits_that_cannot_be_are_refused_by_name(limits, sentence):
     assert re.search(sentence, str(caught.value))
 
 
-def test_two_requirements_of_one_name_are_refused():
-    d, x = design(x=(0.5, 0.0, 1.0))
-    d.require("radius", x, at_least=0.1)
-    with pytest.raises(po.InputError, match="'radius' is declared already"):
-        d.require("radius", x, at_most=0.9)
-
-
-def test_an_objective_must_be_one_number():
-    d, x = design(x=(0.5, 0.0, 1.0))
-    with pytest.raises(po.InputError, match="objective must be one number, not 2"):
-        d.minimise(ca.vertcat(x, x**2))
-
-
-def test_an_objective_must_be_an_expression():
-    d = po.Design()
-    d.variable("x", guess=0.5, lower=0.0, upper=1.0)
-    with pytest.raises(po.InputError):
-        d.minimise("mean draft")
-
-
-def test_a_requirement_must_have_a_value():
-    d, x = design(x=(0.5, 0.0, 1.0))
-    d.minimise(1.0 + x)
-
-    def require_and_solve():
-        d.require("radius", ca.MX(0, 1), at_least=0.0)
-        d.solve()
-
-    with pytest.raises(po.InputError, match="radius"):
-        require_and_solve()
-
-
-def test_an_sx_expression_is_refused():
-    d = po.Design()
-    d.variable("x", guess=0.5, lower=0.0, upper=1.0)
-    with pytest.raises(po.InputError, match="the objective is an SX expression"):
-        d.minimise(ca.SX.sym("x") ** 2)
-    with pytest.raises(po.InputError, match="'radius' is an SX expression"):
-        d.require("radius", ca.SX.sym("x"), at_least=0.0)
-
-
-def test_solving_without_an_objective_is_refused():
-    d = po.Design()
-    d.variable("x", guess=0.5, lower=0.0, upper=1.0)
-    with pytest.raises(po.InputError, match="nothing to minimise"):
-        d.solve()
+@pytest.mark.parametrize(
+    ("declare", "sentence"),
+    [
+        (lambda d, x: [d.require("radius", x, **{side: 0.1}) for side in ("at_least", "at_most")],
+         "'radius' is declared already"),
+        (lambda d, x: d.minimise(ca.vertcat(x, x**2)), "objective must be one number, not 2"),
+        (lambda d, _: d.minimise("mean draft"), "the objective: 'mean draft' is neither an expression nor a number"),
+        (lambda d, _: d.require("radius", ca.MX(0, 1), at_least=0.0), "'radius' has no value to limit"),
+        (lambda d, _: d.minimise(ca.SX.sym("x") ** 2), "the objective is an SX expression"),
+        (lambda d, _: d.require("radius", ca.SX.sym("x"), at_least=0.0), "'radius' is an SX expression"),
+        (lambda d, _: d.solve(), "nothing to minimise"),
+    ],
+)  # fmt: skip
+def test_what_is_no_objective_and_no_requirement_is_refused(declare, sentence):
+    with pytest.raises(po.InputError, match=sentence):
+        declare(*design(x=(0.5, 0.0, 1.0)))
 
 
 def test_solving_without_variables_is_refused():
@@ -170,26 +140,21 @@ def test_solving_without_variables_is_refused():
         d.solve()
 
 
-def test_a_foreign_symbol_is_named():
+@pytest.mark.parametrize(
+    ("objective", "requirement", "sentence"),
+    [
+        (lambda x: x * ca.MX.sym("stranger"), None, r"'objective' holds symbols that .* not declare \(stranger\)"),
+        (lambda x: x, lambda x: x + ca.MX.sym("stranger"), r"'radius' holds symbols .* \(stranger\)"),
+        # A namesake of another design.
+        (lambda x: (x - design(x=(0.5, 0.0, 1.0))[1]) ** 2, None, r"'objective' holds symbols .* \(x\)"),
+    ],
+)
+def test_a_foreign_symbol_is_named(objective, requirement, sentence):
     d, x = design(x=(0.5, 0.0, 1.0))
-    d.minimise(x * ca.MX.sym("stranger"))
-    with pytest.raises(po.InputError, match=r"'objective' holds symbols that this design did not declare \(stranger\)"):
-        d.solve()
-
-
-def test_a_foreign_symbol_in_a_requirement_is_named():
-    d, x = design(x=(0.5, 0.0, 1.0))
-    d.minimise(x)
-    d.require("radius", x + ca.MX.sym("stranger"), at_least=0.1)
-    with pytest.raises(po.InputError, match=r"'radius' holds symbols .* \(stranger\)"):
-        d.solve()
-
-
-def test_a_symbol_of_another_design_is_refused_although_its_name_is_the_same():
-    other = po.Design().variable("x", guess=0.5, lower=0.0, upper=1.0)
-    d, x = design(x=(0.5, 0.0, 1.0))
-    d.minimise((x - other) ** 2)
-    with pytest.raises(po.InputError, match="x"):
+    d.minimise(objective(x))
+    if requirement:
+        d.require("radius", requirement(x), at_least=0.1)
+    with pytest.raises(po.InputError, match=sentence):
         d.solve()
 
 

@@ -6,7 +6,6 @@ import sys
 import pytest
 from helpers.small_designs import design
 
-import plough_opt as po
 from plough_opt.design import ipopt
 
 # In a process of its own, whose output and errors threads must not lose.
@@ -53,11 +52,3 @@ def test_an_interruption_ends_a_solve_and_not_the_next(monkeypatch):
         with pytest.raises(KeyboardInterrupt):
             d.solve()
     assert d.solve().variables["x"] == pytest.approx(0.8, rel=1e-9)
-
-
-def test_what_no_variable_can_mend_is_said():
-    d, x = design(x=(0.5, 0.1, 1.0))
-    d.minimise(x**2)
-    d.require("fixed", 0.0 * x + 2.0, at_most=1.0)
-    with pytest.raises(po.InfeasibleDesign, match="no variable of this design changes it"):
-        d.solve()

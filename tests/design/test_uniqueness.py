@@ -65,8 +65,7 @@ def test_designs_along_the_flat_direction_are_as_good(two_angles):
 
 
 def test_a_variable_that_nothing_depends_on():
-    d, x = design(x=(0.9, 0.0, 1.0))
-    d.variable("idle", guess=0.3, lower=0.0, upper=2.0)
+    d, x, _ = design(x=(0.9, 0.0, 1.0), idle=(0.3, 0.0, 2.0))
     d.minimise(1.0 + (x - 0.25) ** 2)
     best = d.solve()
     assert best.status == "not unique"
@@ -76,13 +75,20 @@ def test_a_variable_that_nothing_depends_on():
     assert best.variables["x"] == pytest.approx(0.25, abs=1e-8)
 
 
-def test_a_sum_of_which_only_the_total_matters():
-    d, x, y = design(x=(0.9, 0.0, 1.0), y=(0.3, 0.0, 2.0))
-    d.minimise(1.0 + (x + y - 1.2) ** 2)
+@pytest.mark.parametrize(
+    ("objective", "limit", "total"),
+    [(lambda total: 1.0 + (total - 1.2) ** 2, {"at_most": 3.0}, 1.2), (lambda total: total, {"at_least": 0.7}, 0.7)],
+    ids=["in the objective", "along an active limit"],
+)
+def test_a_sum_of_which_only_the_total_matters(objective, limit, total):
+    d, x, y = design(x=(0.9, 0.0, 1.0), y=(0.3, 0.0, 1.0))
+    d.minimise(objective(x + y))
+    d.require("sum", x + y, **limit)
     best = d.solve()
+    assert best.status == "not unique"
     (direction,) = best.flat_directions
-    assert direction["x"] == pytest.approx(-direction["y"], rel=1e-9)
-    assert best.variables["x"] + best.variables["y"] == pytest.approx(1.2, abs=1e-8)
+    assert direction["x"] == pytest.approx(-direction["y"], rel=1e-6)
+    assert best.variables["x"] + best.variables["y"] == pytest.approx(total, abs=1e-8)
 
 
 def test_a_constant_objective_leaves_every_direction_flat():
@@ -92,16 +98,6 @@ def test_a_constant_objective_leaves_every_direction_flat():
     best = d.solve()
     assert best.status == "not unique"
     assert len(best.flat_directions) == 2
-
-
-def test_a_flat_line_along_an_active_limit():
-    d, x, y = design(x=(0.9, 0.0, 1.0), y=(0.3, 0.0, 1.0))
-    d.minimise(x + y)
-    d.require("sum", x + y, at_least=0.7)
-    best = d.solve()
-    assert best.status == "not unique"
-    (direction,) = best.flat_directions
-    assert direction["x"] == pytest.approx(-direction["y"], rel=1e-6)
 
 
 @pytest.mark.parametrize("objective", ["steep", "gentle", "quartic", "corner"])

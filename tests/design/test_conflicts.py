@@ -14,12 +14,12 @@ BEATEN = 1e-3
 _NEEDLE = 0.05
 
 
-def mount(*, soil, chisel, variables, limits, speed, wave, damping, duration, steel, mass):
+def mount(variables, limits, *, chisel, speed, damping, mass=0.0, **others):
     """Return a problem of a share under a wave, from equilibrium."""
     fixed = {"chisel angle": chisel, "tow speed": speed, "damping": damping, "ramp time": 0.0, "frame mass": mass}
     fixed = {k: v for k, v in fixed.items() if k not in [own.name for own in variables]}
     names = {"force_rms": 1.0, "mean_deflection": 1.0}
-    return Problem("mount", soil, fixed, wave, "equilibrium", duration, steel, variables, limits, names)
+    return Problem("mount", fixed=fixed, variables=variables, limits=limits, objective=names, **others)
 
 
 ANGLE = Variable("wedge angle", np.radians(5.0), np.radians(60.0), np.radians(25.0), False)
@@ -29,10 +29,10 @@ FLAT = Limit("half angle", "at_most", np.radians(15.0))
 
 def test_no_conflict_is_said_only_where_needles_alone_conflict():
     problem = mount(
+        (ANGLE, HEIGHT, Variable("stiffness", 2e4, 5e6, 1e5, True)),
+        (Limit("loosened radius", "at_least", 0.14), FLAT),
         soil=(1600.0, 0.914, 35e3, np.radians(32.0), 0.5, 101325.0),
-        chisel=np.radians(12.0), speed=1.2, wave=(0.4, 0.25), damping=100.0, duration=1.0, steel=True, mass=60.0,
-        variables=(ANGLE, HEIGHT, Variable("stiffness", 2e4, 5e6, 1e5, True)),
-        limits=(Limit("loosened radius", "at_least", 0.14), FLAT),
+        chisel=np.radians(12.0), speed=1.2, wave=(0.4, 0.25), damping=100.0, mass=60.0,
     )  # fmt: skip
     design, run = as_design(problem)
     front = po.trade_off(design, po.Goal("deflection", run.mean_deflection), po.Goal("force", run.force_rms))
@@ -53,11 +53,10 @@ def test_no_conflict_is_said_only_where_needles_alone_conflict():
 @pytest.mark.slow
 def test_more_mass_on_a_softer_mount_conflicts():
     problem = mount(
+        (ANGLE, HEIGHT, Variable("stiffness", 1e4, 1e6, 1e5, True), Variable("frame mass", 10.0, 120.0, 50.0, False)),
+        (FLAT, Limit("loosened radius", "at_least", 0.1), Limit("mean_deflection", "at_most", 0.06)),
         soil=(1300.0, 0.722, 5e3, np.radians(30.0), 0.4, 5e3),
-        chisel=np.radians(10.0), speed=1.5, wave=(0.3, 0.4), damping=150.0, duration=1.5, steel=False, mass=0.0,
-        variables=(ANGLE, HEIGHT, Variable("stiffness", 1e4, 1e6, 1e5, True),
-                   Variable("frame mass", 10.0, 120.0, 50.0, False)),
-        limits=(FLAT, Limit("loosened radius", "at_least", 0.1), Limit("mean_deflection", "at_most", 0.06)),
+        chisel=np.radians(10.0), speed=1.5, wave=(0.3, 0.4), damping=150.0, duration=1.5, steel=False,
     )  # fmt: skip
     design, run = as_design(problem)
     (mass,) = [v.symbol for v in design.declared.variables if v.name == "frame mass"]

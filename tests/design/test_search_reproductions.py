@@ -30,9 +30,6 @@ RIPPLED = Problem(
     soil=HARDPAN,
     fixed=_fixed(math.radians(12.0), tow_speed=1.2, frame_mass=60.0, damping=100.0),
     wave=(0.4, 0.25),
-    start="equilibrium",
-    duration=1.0,
-    steel=True,
     variables=(
         Variable("wedge angle", math.radians(5.0), math.radians(60.0), math.radians(25.0), False),
         Variable("height", 0.1, 0.5, 0.25, False),
@@ -56,20 +53,13 @@ SPEED_ALONE = Problem(
     ),
     wave=(0.50109438, 0.23664525),
     start="towed",
-    duration=1.0,
-    steel=True,
     variables=(Variable("tow speed", 0.532908, 3.393752, 2.511933, False),),
-    limits=(),
     objective={"tow_power": 1.335076707e-4},
 )
 RAMP = Problem(
     name="a ramp without a wave",
     soil=(1519.3285, 0.79038276, 4454.5792, 0.3058192, 0.21067524, 5e3),
     fixed=_fixed(0.24310669, frame_mass=79.074618, tow_speed=2.5578359, ramp_time=0.22016189),
-    wave=None,
-    start="equilibrium",
-    duration=1.0,
-    steel=True,
     variables=(
         Variable("wedge angle", 0.12422092, 0.81414239, 0.16105732, False),
         Variable("height", 0.1, 0.40828244, 0.24434388, False),
@@ -87,7 +77,6 @@ NARROW = Problem(
     soil=(1573.497751, 0.925009, 18671.096312, 0.619228, 0.166995, 5e3),
     fixed=_fixed(0.320828, frame_mass=16.690185, tow_speed=2.755835),
     wave=(0.373844, 0.125527),
-    start="equilibrium",
     duration=0.8,
     steel=False,
     variables=(
@@ -103,7 +92,6 @@ SPEED_AND_MASS = Problem(
     soil=SEROZEM,
     fixed=_fixed(math.radians(15.0), wedge_angle=math.radians(30.0), damping=100.0),
     wave=(0.3, 0.6),
-    start="equilibrium",
     duration=2.0,
     steel=False,
     variables=(
@@ -120,9 +108,6 @@ RUNS_AWAY = Problem(
     soil=(1346.07046849, 0.889198156145, 7750.94794373, 0.409361372356, 0.323724741816, 2e4),
     fixed={"chisel angle": 0.429756708846, "ramp time": 0.0},
     wave=(0.441871377853, 0.933249522673),
-    start="equilibrium",
-    duration=1.0,
-    steel=True,
     variables=(
         Variable("wedge angle", 0.170660224692, 1.19025661758, 0.72810012427, False),
         Variable("height", 0.1, 0.369899822407, 0.352448565623, False),

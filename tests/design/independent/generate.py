@@ -88,8 +88,6 @@ def _bare(name, random):
         duration=duration,
         steel=bool(random.random() < 0.8),
         variables=tuple(variables),
-        limits=(),
-        objective={},
     )
 
 

@@ -1,6 +1,6 @@
 """A design problem as plain data, and what the independent simulator says of its designs."""
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 
 import numpy as np
 
@@ -82,13 +82,13 @@ class Problem:
     name: str
     soil: tuple[float, ...]
     fixed: dict[str, float]
-    wave: tuple[float, float] | None
-    start: str
-    duration: float
-    steel: bool
-    variables: tuple[Variable, ...]
-    limits: tuple[Limit, ...]
-    objective: dict[str, float]
+    wave: tuple[float, float] | None = None
+    start: str = "equilibrium"
+    duration: float = 1.0
+    steel: bool = True
+    variables: tuple[Variable, ...] = ()
+    limits: tuple[Limit, ...] = ()
+    objective: dict[str, float] = field(default_factory=dict)
 
     def plain(self):
         """Return what `of_plain` takes, for JSON."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import secrets
@@ -163,13 +164,7 @@ def check_file(path: str | Path, ending: str, kind: str) -> Path:
 
 def ascii_json(text: str) -> str:
     """Return JSON with everything beyond ASCII escaped, so that it is the same in every encoding."""
-    return re.sub(r"[^\x00-\x7f]", lambda found: _escaped(found[0]), text)
-
-
-def _escaped(character: str) -> str:
-    """Return a character as escaped in JSON: its code units of UTF-16, two for a surrogate pair."""
-    units = character.encode("utf-16-be", "surrogatepass").hex()
-    return "".join(f"\\u{units[k : k + 4]}" for k in range(0, len(units), 4))
+    return re.sub(r"[^\x00-\x7f]", lambda found: json.dumps(found[0])[1:-1], text)
 
 
 def _is_stream(target: Path) -> bool:

@@ -17,7 +17,7 @@ import casadi as ca
 import numpy as np
 
 from plough_opt.core.expressions import Expression
-from plough_opt.motion.effects.tow_ramp import ramp_time
+from plough_opt.motion.effects import ramp_time
 from plough_opt.motion.equation import equation_of_motion
 from plough_opt.motion.pooling import pooled
 from plough_opt.motion.signals import signals
@@ -129,15 +129,14 @@ def _crossings(structure: Structure, width: int) -> ca.Function:
     """
     motion, observed = equation_of_motion(telling(structure, width)), signals(structure)
     states, span = [ca.SX.sym("first", 2), ca.SX.sym("last", 2)], ca.SX.sym("span", width)
-    p = ca.SX.sym("p", len(observed.parameters) + 1)
-    known = told(observed.named(p), span)
+    p, known = observed.symbols(ca.SX)
+    known = told(known, span)
     start, size = start_and_size(span, p[-1], known)
-    own = ca.vertcat(*(known[name] for name in motion.names))
     speeds, slopes = [], []
     for time, state in zip((start, start + size), states, strict=True):
         mount = strut(structure, known, time)
         speeds.append(start_speed(structure, known) + mount.gain - state[1])
-        slopes.append(size * (mount.acceleration - motion.function(time, state, own)[1]))
+        slopes.append(size * (mount.acceleration - motion.rates(time, state, known)[1]))
     change = speeds[1] - speeds[0]
     bend, twist = 3.0 * change - 2.0 * slopes[0] - slopes[1], slopes[0] + slopes[1] - 2.0 * change
     found = []

@@ -114,8 +114,8 @@ def compiled_steps(structure: Structure) -> CompiledSteps | None:
 
 def _source(structure: Structure) -> str:
     one, observed = step(structure), signals(structure)
-    p = ca.SX.sym("p", len(observed.parameters) + 1)
-    first = ca.densify(ca.SX(start_state(structure, observed.named(p))))
+    p, known = observed.symbols(ca.SX)
+    first = ca.densify(ca.SX(start_state(structure, known)))
     generator = ca.CodeGenerator("motion.c")
     generator.add(ca.Function("motion_start", [p], [first]))
     generator.add(ca.Function("motion_step", one.sx_in(), one.call(one.sx_in())))

@@ -15,8 +15,7 @@ from plough_opt.core.errors import InputError, IntegrationError
 from plough_opt.core.expressions import as_number
 from plough_opt.motion import simulate
 from plough_opt.motion.accuracy import Accuracy
-from plough_opt.motion.effects import TERMS, Effects
-from plough_opt.motion.effects.entry import Entry
+from plough_opt.motion.effects import TERMS, Effects, Entry
 from plough_opt.motion.equation import equation_of_motion
 from plough_opt.motion.integrators import integration
 from plough_opt.motion.plan import MOST_ADAPTIVE, OUTPUTS, coarser, forced_rate, numbers_of, steps_for, timeline_of

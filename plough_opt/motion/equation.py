@@ -7,6 +7,7 @@ wholly in the soil, and before 0; behind a strut whose speed ramps up the last o
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Final
@@ -14,7 +15,7 @@ from typing import Final
 import casadi as ca
 
 from plough_opt.core.expressions import Expression
-from plough_opt.motion.effects.tow_ramp import Strut
+from plough_opt.motion.effects import Strut
 from plough_opt.motion.terms import (
     Structure,
     carried_mass,
@@ -52,6 +53,10 @@ class EquationOfMotion:
     function: ca.Function
     events: ca.Function | None
     names: tuple[str, ...]
+
+    def rates(self, time: Expression, state: Expression, p: Mapping[str, Expression]) -> Expression:
+        """Return the rate of the state, of parameters by name."""
+        return self.function(time, state, ca.vertcat(*(p[name] for name in self.names)))
 
     @property
     def states(self) -> int:

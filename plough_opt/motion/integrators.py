@@ -112,8 +112,7 @@ def _by_casadi(structure: Structure, accuracy: Accuracy, timeline: Timeline) -> 
     asked = [int(i) for i in np.searchsorted(times, timeline.output_fractions[1:])]
     name = "motion" if transition is None else _EVENTFUL
     solver = ca.integrator(name, accuracy.method, equation, 0.0, times.tolist(), options)
-    p = ca.MX.sym("p", len(observed.parameters) + 1)
-    known = observed.named(p)
+    p, known = observed.symbols(ca.MX)
     sizes = ca.MX.sym("sizes", 2 + observed.count + observed.squared)
     unit = _units(structure, sizes)
     first = start_state(structure, known)
@@ -164,11 +163,10 @@ def _scaled_equation(structure: Structure) -> tuple[dict[str, ca.SX], ca.Functio
     fraction = ca.SX.sym("fraction")
     count = motion.states
     x = ca.SX.sym("x", count + observed.squared)
-    p = ca.SX.sym("p", len(observed.parameters) + 1)
+    p, known = observed.symbols(ca.SX)
     sizes = ca.SX.sym("sizes", 2 + observed.count + observed.squared)
     unit = _units(structure, sizes)
     _, of_means, of_spreads = ca.vertsplit(sizes, [0, 2, 2 + observed.count, sizes.numel()])
-    known = observed.named(p)
     duration = p[-1]
     time, state = fraction * duration, x[:count] * unit
     own = ca.vertcat(*(known[name] for name in motion.names))

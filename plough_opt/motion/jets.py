@@ -15,7 +15,7 @@ import casadi as ca
 
 from plough_opt.motion.breaks import moving_ramp, spans_of, start_and_size, telling, unbroken
 from plough_opt.motion.dop853 import NODES, STAGES, WEIGHTS
-from plough_opt.motion.effects.tow_ramp import ramp_time
+from plough_opt.motion.effects import ramp_time
 from plough_opt.motion.equation import equation_of_motion, start_state
 from plough_opt.motion.integrators import Integration
 from plough_opt.motion.pooling import Average, pairs, pooled, product
@@ -257,8 +257,7 @@ def _expanded(
     parameters = ca.vertcat(p[:-1], span[4:])
     known, e = observed.named(ca.vertcat(parameters, p[-1])), p[list(varying)]
     time, state = moment[0], jet[:, 0]
-    own = ca.vertcat(*(known[name] for name in motion.names))
-    value = ca.vertcat(motion.function(time, state, own), observed.function(time, state, parameters))
+    value = ca.vertcat(motion.rates(time, state, known), observed.function(time, state, parameters))
     given = ca.vertcat(time, state, e)
     slopes = ca.vertcat(moment[1:], jet[:, 1 : 1 + count], seeds)
     columns = [value, ca.mtimes(ca.jacobian(value, given), slopes)]

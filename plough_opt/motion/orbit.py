@@ -15,7 +15,7 @@ import casadi as ca
 import numpy as np
 
 from plough_opt.core.expressions import Expression
-from plough_opt.motion.effects.strength_waves import wave_names
+from plough_opt.motion.effects import wave_names
 from plough_opt.motion.equation import equation_of_motion
 from plough_opt.motion.runge_kutta import run_from
 from plough_opt.motion.signals import signals
@@ -117,8 +117,7 @@ def _size(structure: Structure, p: dict[str, Expression]) -> Expression:
 
 def _shooting(structure: Structure, timeline: Timeline) -> ca.Function:
     """Return the orbit to which one period of steps returns."""
-    x, p = ca.MX.sym("x", 2), ca.MX.sym("p", len(signals(structure).parameters) + 1)
-    known = signals(structure).named(p)
+    (p, known), x = signals(structure).symbols(ca.MX), ca.MX.sym("x", 2)
     mean, sines, cosines = _response(structure, known)
     omega = 2.0 * math.pi * known["tow_speed"] / _repeats(structure, known)
     size = _size(structure, known)
@@ -133,8 +132,8 @@ def _shooting(structure: Structure, timeline: Timeline) -> ca.Function:
 
 def _linear(structure: Structure) -> ca.Function:
     """Return the Fourier coefficients of the linear response: mean, cosines, sines."""
-    p = ca.MX.sym("p", len(signals(structure).parameters) + 1)
-    mean, sines, cosines = _response(structure, signals(structure).named(p))
+    p, known = signals(structure).symbols(ca.MX)
+    mean, sines, cosines = _response(structure, known)
     return ca.Function("linear", [p], [ca.vertcat(mean, cosines, sines)])
 
 
@@ -145,8 +144,7 @@ def _balanced(structure: Structure) -> ca.Function:
     samples = 4 * count + 12
     phases = 2.0 * math.pi * np.arange(samples) / samples
     basis, slope, bend = _basis(count, phases)
-    x, p = ca.MX.sym("x", 2 * count + 1), ca.MX.sym("p", len(signals(structure).parameters) + 1)
-    known = signals(structure).named(p)
+    (p, known), x = signals(structure).symbols(ca.MX), ca.MX.sym("x", 2 * count + 1)
     mean, sines, cosines = _response(structure, known)
     omega = 2.0 * math.pi * known["tow_speed"] / _repeats(structure, known)
     size = _size(structure, known)
@@ -187,8 +185,7 @@ def _basis(count: int, phases: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.n
 
 def _from_series(structure: Structure, timeline: Timeline, series: ca.Function) -> ca.Function:
     """Return states at the outputs, means and variances of a Fourier series."""
-    p = ca.MX.sym("p", len(signals(structure).parameters) + 1)
-    known = signals(structure).named(p)
+    p, known = signals(structure).symbols(ca.MX)
     omega = 2.0 * math.pi * known["tow_speed"] / _repeats(structure, known)
     x = series(p)
     count = (x.numel() - 1) // 2

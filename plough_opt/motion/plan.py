@@ -13,8 +13,7 @@ import numpy as np
 from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import Expression, as_number, is_symbolic, maximum, sqrt
 from plough_opt.motion.accuracy import DEFAULT_DERIVATIVES, DEFAULT_TOLERANCE, Accuracy
-from plough_opt.motion.effects import TERMS, Smooth
-from plough_opt.motion.effects.own import Own, slopes
+from plough_opt.motion.effects import TERMS, Own, Smooth, slopes
 from plough_opt.motion.methods import METHODS, ORDER_8
 from plough_opt.motion.scene import Scene
 from plough_opt.motion.terms import Structure, lightest_mass, parameters

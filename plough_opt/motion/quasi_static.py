@@ -12,7 +12,7 @@ from plough_opt.core.labels import unlabelled
 from plough_opt.motion.accuracy import Accuracy
 from plough_opt.motion.averages import Averages
 from plough_opt.motion.breaks import ends
-from plough_opt.motion.effects.tow_ramp import ramp_time
+from plough_opt.motion.effects import ramp_time
 from plough_opt.motion.embedding import labelled
 from plough_opt.motion.run import Run
 from plough_opt.motion.scene import Scene

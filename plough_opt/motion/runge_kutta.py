@@ -36,7 +36,6 @@ def step(structure: Structure, width: int = 2, tableau: Tableau = DOP853) -> ca.
     p = ca.SX.sym("p", len(observed.parameters) + 1 - structure.tells_ramp)
     given = ca.vertcat(p[:-1], span[4:])
     known = observed.named(ca.vertcat(given, p[-1]))
-    own = ca.vertcat(*(known[name] for name in motion.names))
     start, size = start_and_size(span, p[-1], known)
 
     rates: list[ca.SX] = []
@@ -48,7 +47,7 @@ def step(structure: Structure, width: int = 2, tableau: Tableau = DOP853) -> ca.
             if coefficient != 0.0:
                 stage = stage + (size * coefficient) * rate
         time = start + node * size
-        rates.append(motion.function(time, stage, own))
+        rates.append(motion.rates(time, stage, known))
         if weight != 0.0:
             change = observed.function(time, stage, given) - first
             mean += weight * change
@@ -63,8 +62,7 @@ def step(structure: Structure, width: int = 2, tableau: Tableau = DOP853) -> ca.
 
 def run_map(structure: Structure, timeline: Timeline, tableau: Tableau = DOP853) -> ca.Function:
     """Return the whole run as a Function of the parameters: see `plough_opt.motion.integrators.Integration`."""
-    p = ca.MX.sym("p", len(signals(structure).parameters) + 1)
-    known = signals(structure).named(p)
+    p, known = signals(structure).symbols(ca.MX)
     results = run_from(structure, timeline, tableau)(start_state(structure, known), p)
     return ca.Function("run_map", [p], list(results), {"never_inline": True})
 
@@ -74,7 +72,7 @@ def run_from(structure: Structure, timeline: Timeline, tableau: Tableau = DOP853
     """Return the run from any state: (state at time 0, parameters) -> states at the outputs, means, variances."""
     observed = signals(structure)
     first = ca.MX.sym("first", 2)
-    p = ca.MX.sym("p", len(observed.parameters) + 1)
+    p, _ = observed.symbols(ca.MX)
     ramp = moving_ramp(structure, timeline, p)
     spans = spans_of(timeline, p[-1], ramp)
     sizes = spans[1, :] if ramp is None else spans[1, :] + spans[3, :] * (ramp / p[-1])

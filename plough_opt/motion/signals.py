@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import TypeVar
 
 import casadi as ca
 
 from plough_opt.core.expressions import Expression
 from plough_opt.motion.equation import equation_of_motion
 from plough_opt.motion.terms import Structure, pull, start_force, start_rate, start_speed, strut
+
+Symbols = TypeVar("Symbols", ca.SX, ca.MX)
 
 
 @dataclass(frozen=True)
@@ -29,6 +32,11 @@ class Signals:
     parameters: tuple[str, ...]
     count: int
     squared: int
+
+    def symbols(self, kind: type[Symbols]) -> tuple[Symbols, dict[str, Expression]]:
+        """Return a column of symbols of a kind for the parameters, the duration last, and those before it by name."""
+        p = kind.sym("p", len(self.parameters) + 1)
+        return p, self.named(p)
 
     def named(self, p: Expression) -> dict[str, Expression]:
         """Return a column of the parameters, with the duration last, by name; without the duration."""

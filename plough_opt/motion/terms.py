@@ -17,15 +17,22 @@ from typing import Any, Literal, TypeVar
 
 from plough_opt.core.expressions import Expression
 from plough_opt.core.labels import unlabelled
-from plough_opt.motion.effects import TERMS, HarmonicBalance
-from plough_opt.motion.effects.damping import Damping
-from plough_opt.motion.effects.entry import Entry
-from plough_opt.motion.effects.own import Own
-from plough_opt.motion.effects.smooth import SmoothContact
-from plough_opt.motion.effects.stick_slip import StickSlipContact
-from plough_opt.motion.effects.strength_waves import StrengthWaves
-from plough_opt.motion.effects.term import Changed, Parameters, Place, Term
-from plough_opt.motion.effects.tow_ramp import Strut, TowRamp
+from plough_opt.motion.effects import (
+    TERMS,
+    Changed,
+    Damping,
+    Entry,
+    HarmonicBalance,
+    Own,
+    Parameters,
+    Place,
+    SmoothContact,
+    StickSlipContact,
+    StrengthWaves,
+    Strut,
+    Term,
+    TowRamp,
+)  # fmt: skip
 from plough_opt.motion.scene import Scene
 
 _Kind = TypeVar("_Kind", bound=Term)

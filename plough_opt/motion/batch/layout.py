@@ -7,7 +7,7 @@ from functools import reduce
 
 import casadi as ca
 
-from plough_opt.motion.effects.strength_waves import StrengthWaves
+from plough_opt.motion.effects import StrengthWaves
 from plough_opt.motion.signals import signals
 from plough_opt.motion.terms import Structure
 

@@ -262,11 +262,9 @@ _WIDEST = 8
 def _operations(structure: Structure) -> tuple[OperationList, OperationList]:
     """Return parameters -> state at the start, and (state, span, parameters) -> (state after a step, w'', moments)."""
     motion, observed = equation_of_motion(structure), signals(structure)
-    state, span, p = ca.SX.sym("state", 2), ca.SX.sym("span", 2), ca.SX.sym("p", len(observed.parameters) + 1)
-    known = observed.named(p)
-    own = ca.vertcat(*(known[name] for name in motion.names))
+    (p, known), state, span = observed.symbols(ca.SX), ca.SX.sym("state", 2), ca.SX.sym("span", 2)
     following, moments = step(structure)(state, span, p)
-    acceleration = motion.function(span[0] * p[-1], state, own)[1]
+    acceleration = motion.rates(span[0] * p[-1], state, known)[1]
     result = ca.cse(ca.densify(ca.vertcat(following, acceleration, moments)))
     first = ca.densify(ca.SX(start_state(structure, known)))
     return (

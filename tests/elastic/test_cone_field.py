@@ -11,7 +11,6 @@ from helpers.field_cases import (
     BODIES,
     EPS,
     MU,
-    RHO,
     assert_accurate,
     assert_derivatives,
     cone,
@@ -135,13 +134,6 @@ def test_at_rest_derivatives_are_finite_and_even_in_speed(symbol):
     assert_derivatives(found, wanted, size, NAMES, DERIVATIVES, [0, 1, 3, 6])
 
 
-def test_beside_the_shear_wave_inputs_are_magnified_and_nothing_else():
-    for gap in (1e-3, 1e-6, 1e-9, 1e-12):
-        values = inputs(0.22, 0.1, "diamond", 1.0 - gap)
-        wanted, size = precise(precise_cone, values)
-        assert_accurate(cone(*values), wanted[0], size[0], NAMES, VALUES)
-
-
 # --- equations -------------------------------------------------------------------------------------------------------
 
 
@@ -220,53 +212,7 @@ def test_far_ahead_nothing_moves(body):
         assert max(map(abs, found[2:])) < 4.0 * MU * max(radii) ** 2 / away**2
 
 
-@bodies
-def test_far_behind_the_shank_is_a_widened_cylinder(body):
-    """u_r = S/r and sigma_tt = -sigma_rr = 2 mu S/r^2 of Lame's solution for the pressurised hole."""
-    section, r = BODIES[body][1][-1] ** 2 / 2.0, 0.1
-    found = cone(*inputs(1e5, r, body, 0.3))
-    assert found.radial == pytest.approx(section / r, rel=1e-9, abs=1e-14)
-    assert found.tt == pytest.approx(2.0 * MU * section / r**2, rel=1e-7, abs=1e-4)
-    assert found.rr == pytest.approx(-2.0 * MU * section / r**2, rel=1e-7, abs=1e-4)
-
-
-def test_speed_of_the_shear_wave_leaves_plane_sections():
-    """As V0 -> c2 the shear part of u_r is 2 S(x)/r in every section: the difference of two speeds is not felt."""
-    x, r, body = np.array([0.1, 0.3, 0.6]), np.full(3, 0.05), "wedge"
-    section = (0.1 * np.minimum(x, 0.5)) ** 2 / 2.0
-    medium = oracle.Medium(*inputs(0, 0, body, 1.0 - 1e-12)[2:6])
-    nodes = nodes_of(inputs(0, 0, body))
-    of_dilatation = [float(oracle.source_integrals(a, b, nodes, medium.alpha)[1][0]) for a, b in zip(x, r, strict=True)]
-    found = cone(*inputs(x, r, body, 1.0 - 1e-12)).radial
-    np.testing.assert_allclose(found, np.array(of_dilatation) + 2.0 * section / r, rtol=1e-9)
-
-
 # --- invariances -----------------------------------------------------------------------------------------------------
-
-
-@everywhere
-@pytest.mark.parametrize("speed", [0.3, *slow([1e-6, 0.99])])
-def test_a_node_on_a_straight_face_changes_nothing(point, speed):
-    whole, split = ((0.5,), (0.0625,)), ((0.125, 0.375, 0.5), (0.015625, 0.046875, 0.0625))
-    wanted, size = precise(precise_cone, inputs(*point, split, speed))
-    assert_accurate(cone(*inputs(*point, split, speed)), wanted[0], size[0], NAMES, VALUES)
-    assert_accurate(cone(*inputs(*point, whole, speed)), wanted[0], size[0], NAMES, VALUES)
-
-
-@everywhere
-def test_units_of_length_and_stress_scale_out(point):
-    soil, speed = ground(0.6)
-    stiff = po.Soil(2.0 * RHO, 0.8, 15e3, 0.5, 0.3, youngs_modulus=2.0 * soil.youngs_modulus, poisson_ratio=0.3)
-    small = [(0.0, 0.0), (0.25, 0.025), (0.5, 0.0)]
-    large = [(4.0 * a, 4.0 * b) for a, b in small]
-    scaled = (4.0 * point[0], 4.0 * point[1])
-    # Powers of two: nothing is rounded differently.
-    stress = vars(po.elastic.cone_stress(*point, small, soil, speed))
-    for name, value in vars(po.elastic.cone_stress(*scaled, large, stiff, speed)).items():
-        assert value == 2.0 * stress[name]
-    displacement = vars(po.elastic.cone_displacement(*point, small, soil, speed))
-    for name, value in vars(po.elastic.cone_displacement(*scaled, large, stiff, speed)).items():
-        assert value == 4.0 * displacement[name]
 
 
 @everywhere

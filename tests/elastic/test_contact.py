@@ -78,29 +78,6 @@ def test_pressure_at_rest_at_the_rayleigh_speed_and_at_the_shear_waves(nu):
     assert factor(soil, po.elastic.shear_wave_speed(soil)) == pytest.approx(-math.sqrt(2.0 * (1.0 - nu)), rel=1e-7)
 
 
-def test_pressure_of_a_straight_wedge_is_antisymmetric_about_its_middle():
-    (soil, speed), nodes = ground(), [(0.0, 0.0), (0.5, 0.05)]
-    # Powers of two: no distance is rounded.
-    x = 2.0 ** -np.arange(3.0, 40.0)
-    ahead, behind = (po.elastic.wedge_pressure(at, nodes, soil, speed) for at in (x, 0.5 - x))
-    np.testing.assert_allclose(ahead, -behind, rtol=4 * EPS)
-    assert np.all(np.diff(ahead) < 0.0)
-    assert ahead[0] < 0.0
-
-
-def test_diamond_is_pulled_at_both_ends_only():
-    """p = (mu K t/pi) ln(x (l - x)/(x - l/2)^2) changes its sign at (1 -+ 1/sqrt(2)) l/2."""
-    (soil, speed), length = ground(), 0.5
-    nodes = [(0.0, 0.0), (0.25, 0.025), (0.5, 0.0)]
-    for turn in ((1.0 - math.sqrt(0.5)) * length / 2.0, (1.0 + math.sqrt(0.5)) * length / 2.0):
-        ahead, at, behind = (po.elastic.wedge_pressure(turn + dx, nodes, soil, speed) for dx in (-1e-6, 0.0, 1e-6))
-        assert ahead * behind < 0.0
-        assert abs(at) < 1e-9 * abs(ahead)
-    x = 0.1
-    wanted = MU * factor(soil, speed) * 0.1 / math.pi * math.log(x * (length - x) / (x - length / 2.0) ** 2)
-    assert po.elastic.wedge_pressure(x, nodes, soil, speed) == pytest.approx(wanted, rel=8 * EPS)
-
-
 # --- force on a wedge ------------------------------------------------------------------------------------------------
 
 
@@ -140,13 +117,6 @@ def test_signed_drag_is_zero(body, speed):
             shares = (right - left) / (b - a) * pressure * (weight * distance)[inside]
             drag, parts = drag + np.sum(shares), parts + np.sum(np.abs(shares))
     assert abs(drag) < 1e-10 * parts
-
-
-def test_friction_of_a_clinging_diamond_by_hand():
-    """4 mu0 mu K t l ln(2)/pi."""
-    (soil, speed), nodes = ground(), [(0.0, 0.0), (0.25, 0.025), (0.5, 0.0)]
-    wanted = 4.0 * FRICTION * MU * factor(soil, speed) * 0.1 * 0.5 * math.log(2.0) / math.pi
-    assert po.elastic.wedge_force(nodes, soil, speed, separation=False) == pytest.approx(wanted, rel=8 * EPS)
 
 
 def straight_force(E, nu, speed, length, thickness, tool_friction, ambient_pressure):
@@ -267,24 +237,6 @@ def test_gradient_and_hessian_of_the_force_on_a_straight_wedge(speed):
     assert_derivatives_of_force(expressions(force_of_straight_wedge, values), wanted, values, FORCES)
 
 
-def force_of_ogive(nu, speed, place, first, second):
-    soil = po.Soil(RHO, 0.8, 0.0, 0.5, FRICTION, 1e5, youngs_modulus=4.16e7, poisson_ratio=nu)
-    return po.elastic.wedge_force([(0.0, 0.0), (place, first), (0.6, second)], soil, speed)
-
-
-def precise_force_of_ogive(nu, speed, place, first, second):
-    nodes = [(mp.mpf(0), mp.mpf(0)), (place, first), (mp.mpf(0.6), second)]
-    return oracle.wedge_force(nodes, oracle.Medium(4.16e7, nu, RHO, speed), mp.mpf(FRICTION), mp.mpf(1e5))
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("speed", [2.0, 95.0])
-def test_gradient_and_hessian_of_the_force_on_an_ogive(speed):
-    values = [0.3, speed, 0.2, 0.03, 0.05]
-    wanted = hp.derivatives(precise_force_of_ogive, values)
-    assert_derivatives_of_force(expressions(force_of_ogive, values), wanted, values, 10 * FORCES)
-
-
 # --- pressure and force on a cone ------------------------------------------------------------------------------------
 
 
@@ -387,41 +339,6 @@ def test_gradient_of_the_force_on_a_cone(speed):
         moved = [force_of_cone(*values[:i], xi + k * h, *values[i + 1 :]) for k in (-2, -1, 1, 2)]
         difference = (moved[0] - 8.0 * moved[1] + 8.0 * moved[2] - moved[3]) / (12.0 * h)
         assert slope * xi == pytest.approx(difference * xi, rel=1e-9, abs=1e-9 * float(value))
-
-
-@pytest.mark.slow
-def test_gradient_and_hessian_of_the_force_on_a_cone():
-    values = [4.16e7, 0.3, 60.0, 0.5, 0.05, 0.3]
-    with mp.workdps(60):
-        # Quadrature to 60 digits carries a step of 1e-15.
-        wanted = differences(precise_force_of_cone, hp.exact(values), mp.mpf(10) ** -15)
-    assert_derivatives_of_force(expressions(force_of_cone, values), wanted, values, FORCES)
-
-
-def differences(function, x, step):
-    """Return value, gradient and Hessian by central differences with a step relative to each input."""
-    h = [step * xi for xi in x]
-
-    def at(*moves):
-        y = list(x)
-        for i, sign in moves:
-            y[i] += sign * h[i]
-        return function(*y)
-
-    n, value = len(x), at()
-    ahead, behind = [at((i, 1)) for i in range(n)], [at((i, -1)) for i in range(n)]
-    gradient = [(p - q) / (2 * s) for p, q, s in zip(ahead, behind, h, strict=True)]
-    hessian = [[(ahead[i] - 2 * value + behind[i]) / h[i] ** 2 if i == j else None for j in range(n)] for i in range(n)]
-    for i, j in itertools.combinations(range(n), 2):
-        ends = at((i, 1), (j, 1)) + at((i, -1), (j, -1)) + 2 * value
-        hessian[i][j] = hessian[j][i] = (ends - ahead[i] - ahead[j] - behind[i] - behind[j]) / (2 * h[i] * h[j])
-    return value, gradient, hessian
-
-
-def test_ambient_pressure_does_not_matter_where_the_cone_is_pressed_everywhere():
-    nodes = [(0.0, 0.0), (0.5, 0.05)]
-    forces = [po.elastic.cone_force(nodes, *ground(ambient_pressure=p)) for p in (0.0, 1e5, 1e7)]
-    assert forces[0] == forces[1] == forces[2] == po.elastic.cone_force(nodes, *ground(), separation=False)
 
 
 # --- numbers, symbols, shares, refusals ------------------------------------------------------------------------------

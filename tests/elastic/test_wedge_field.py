@@ -124,16 +124,6 @@ def test_at_rest_derivatives_are_finite_and_even_in_speed(symbol):
     assert_derivatives(found, wanted, size, NAMES, DERIVATIVES, even)
 
 
-def test_static_stress_by_hand():
-    """Flamant's solution for the pressure under a rigid wedge, -(mu/(1-nu)) (g/pi) [ln(A/B)/2 + y^2/B - y^2/A]."""
-    (soil, _), x, y, g, length = ground(), 0.2, 0.1, 0.1, 0.5
-    A, B = x**2 + y**2, (x - length) ** 2 + y**2
-    wanted = -MU / 0.7 * g / math.pi * (0.5 * math.log(A / B) + y**2 / B - y**2 / A)
-    assert po.elastic.wedge_stress(x, y, [(0, 0), (length, g * length)], soil, 0.0).yy == pytest.approx(
-        wanted, rel=1e-14
-    )
-
-
 # --- equations -------------------------------------------------------------------------------------------------------
 
 
@@ -206,19 +196,6 @@ def test_boundary_conditions_on_the_whole_line(body, speed):
 
 
 @bodies
-def test_far_ahead_nothing_moves(body):
-    length, thickness = BODIES[body][0][-1], max(BODIES[body][1])
-    soil, speed = ground()
-    for distance in (1e2, 1e4, 1e6):
-        at = (-distance * length, distance * length / 3.0, nodes_of(inputs(0, 0, body)), soil, speed)
-        stress = po.elastic.wedge_stress(*at)
-        bound = MU * thickness / (distance * length)
-        assert max(map(abs, (stress.xx, stress.yy, stress.xy, stress.zz))) < 2.0 * bound
-        # The wake of a body that is open behind is a parallel slot: its half thickness turns by an angle only.
-        assert abs(po.elastic.wedge_displacement(*at)) < thickness
-
-
-@bodies
 @everywhere
 def test_upper_and_lower_half_mirror_each_other(body, point):
     above, below = wedge(*inputs(*point, body)), wedge(*inputs(point[0], -point[1], body))
@@ -229,50 +206,6 @@ def test_upper_and_lower_half_mirror_each_other(body, point):
 
 
 # --- invariances -----------------------------------------------------------------------------------------------------
-
-
-@everywhere
-@pytest.mark.parametrize("speed", [1e-6, 0.3, 0.99])
-def test_a_node_on_a_straight_face_changes_nothing(point, speed):
-    whole, split = ((0.5,), (0.0625,)), ((0.125, 0.375, 0.5), (0.015625, 0.046875, 0.0625))
-    wanted, size = precise(precise_wedge, inputs(*point, whole, speed))
-    assert_accurate(wedge(*inputs(*point, split, speed)), wanted[0], size[0], NAMES, 2 * VALUES)
-
-
-def test_fields_of_two_bodies_add():
-    positions, first, second, both = (0.2, 0.5), (0.02, 0.01), (0.005, 0.03), (0.025, 0.04)
-    parts = [precise(precise_wedge, inputs(0.3, 0.2, (positions, h), 0.6)) for h in (first, second)]
-    wanted, size = (sum(arrays)[0] for arrays in zip(*parts, strict=True))
-    assert_accurate(wedge(*inputs(0.3, 0.2, (positions, both), 0.6)), wanted, size, NAMES, VALUES)
-
-
-@everywhere
-def test_only_the_distance_from_the_tip_counts(point):
-    (soil, speed), shift = ground(0.6), 1.0
-    nodes = [(0.0, 0.0), (0.25, 0.025), (0.5, 0.0)]
-    moved = [(a + shift, b) for a, b in nodes]
-    x = point[0] + shift
-    # Where the shifted distance is rounded, so is the one it is compared with.
-    here, there = (
-        po.elastic.wedge_stress(*at, soil, speed) for at in ((x - shift, point[1], nodes), (x, point[1], moved))
-    )
-    for name, value in vars(here).items():
-        assert getattr(there, name) == value
-
-
-@everywhere
-def test_units_of_length_and_stress_scale_out(point):
-    soil, speed = ground(0.6)
-    stiff = po.Soil(2.0 * RHO, 0.8, 15e3, 0.5, 0.3, youngs_modulus=2.0 * soil.youngs_modulus, poisson_ratio=0.3)
-    small = [(0.0, 0.0), (0.25, 0.025), (0.5, 0.0)]
-    large = [(4.0 * a, 4.0 * b) for a, b in small]
-    scaled = (4.0 * point[0], 4.0 * point[1])
-    # Powers of two: nothing is rounded differently.
-    stress = vars(po.elastic.wedge_stress(*point, small, soil, speed))
-    for name, value in vars(po.elastic.wedge_stress(*scaled, large, stiff, speed)).items():
-        assert value == pytest.approx(2.0 * stress[name], rel=4 * EPS)
-    here, there = (po.elastic.wedge_displacement(*at, soil, speed) for at in ((*point, small), (*scaled, large)))
-    assert there == pytest.approx(4.0 * here, rel=4 * EPS, abs=4 * EPS * 0.1)
 
 
 # --- special speeds --------------------------------------------------------------------------------------------------
@@ -295,25 +228,6 @@ def test_rayleigh_speed_of_the_literature():
     soil, _ = ground(nu=0.25)
     # Poisson solid: 0.9194017 c2, e.g. Achenbach, Wave Propagation in Elastic Solids, 1973, section 5.11.
     assert po.elastic.rayleigh_speed(soil) / po.elastic.shear_wave_speed(soil) == pytest.approx(0.9194017, abs=5e-8)
-
-
-@bodies
-def test_at_the_rayleigh_speed_the_face_is_free_and_the_inside_stressed(body):
-    soil, _ = ground()
-    nodes = nodes_of(inputs(0, 0, body))
-    speed = po.elastic.rayleigh_speed(soil)
-    slow = po.elastic.wedge_pressure(0.04, nodes, soil, 0.0)
-    # dK/dV0 is about -10/c2 here, and the speed is right to a few units in its last place.
-    assert abs(po.elastic.wedge_pressure(0.04, nodes, soil, speed)) < 100 * EPS * abs(slow)
-    inside = po.elastic.wedge_stress(0.04, 0.05, nodes, soil, speed)
-    assert min(map(abs, (inside.xx, inside.yy, inside.xy))) > 1e-3 * abs(slow)
-
-
-def test_beside_the_shear_wave_inputs_are_magnified_and_nothing_else():
-    for gap in (1e-3, 1e-6, 1e-9, 1e-12):
-        values = inputs(0.2, 0.1, "diamond", 1.0 - gap)
-        wanted, size = precise(precise_wedge, values)
-        assert_accurate(wedge(*values), wanted[0], size[0], NAMES, VALUES)
 
 
 def test_at_the_shear_wave_speed_the_field_is_the_limit_from_below():

@@ -319,11 +319,6 @@ def force_of_cone(E, nu, speed, length, radius, tool_friction):
     return po.elastic.cone_force([(0.0, 0.0), (length, radius)], soil, speed)
 
 
-def precise_force_of_cone(E, nu, speed, length, radius, tool_friction):
-    nodes = [(mp.mpf(0), mp.mpf(0)), (length, radius)]
-    return oracle.cone_force(nodes, oracle.Medium(E, nu, RHO, speed), tool_friction, mp.mpf(1e5), separation=False)
-
-
 @pytest.mark.parametrize("speed", [95.0, *slow([2.0])])
 def test_gradient_of_the_force_on_a_cone(speed):
     values = [4.16e7, 0.3, speed, 0.5, 0.05, 0.3]

@@ -205,9 +205,6 @@ def test_upper_and_lower_half_mirror_each_other(body, point):
         assert getattr(above, name) == -getattr(below, name)
 
 
-# --- invariances -----------------------------------------------------------------------------------------------------
-
-
 # --- special speeds --------------------------------------------------------------------------------------------------
 
 

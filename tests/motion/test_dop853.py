@@ -13,13 +13,3 @@ def test_coefficients_are_scipys():
     for k, row in enumerate(STAGES):
         assert list(row) == list(DOP853.A[k][:k])
         assert not np.any(DOP853.A[k][k:])
-
-
-@pytest.mark.parametrize("power", range(8))
-def test_polynomials_up_to_order_8_are_integrated(power):
-    # The coefficients are rounded, and up to 5 in size.
-    assert np.dot(WEIGHTS, np.array(NODES) ** power) == pytest.approx(1.0 / (power + 1), rel=1e-14)
-
-
-def test_stages_are_consistent():
-    assert [sum(row) for row in STAGES] == pytest.approx(list(NODES), rel=0, abs=1e-13)

@@ -9,7 +9,6 @@ import dataclasses
 import numpy as np
 import pytest
 from helpers import three_modes
-from helpers.three_modes import GAP, SLIP
 from test_effect_combinations import COVERING, covering, label, refused, scene_of
 
 import plough_opt as po
@@ -96,72 +95,3 @@ def test_energy_is_in_balance_where_soil_is_left_behind_and_taken_up_again(loose
         # With m + m_a in the place of m it does not hold: the energy of carried soil is work on the soil.
         heavier = dataclasses.replace(scene, mass=scene.inertia)
         assert abs(imbalance(heavier, run, books, 1.5)) > 1e5 * ALLOWED
-
-
-@pytest.mark.slow
-def test_those_scenes_lose_energy_at_recapture(loose):
-    books = [loose(k)[2] for k in range(len(LOOSE_ROWS))]
-    recaptured = [book for book in books if book.count(GAP, SLIP) > 0]
-    assert len(recaptured) >= len(LOOSE_ROWS) - 1
-    assert sum(book.count(GAP, SLIP) for book in recaptured) > 60
-    # Without the loss the balance would be off by a million times what is allowed.
-    losses = [book.capture_loss / book.soil_work for book in recaptured]
-    assert min(losses) > 2e-3
-    assert max(losses) > 0.02
-
-
-# --- momentum at recapture, while the strut's speed still rises ---
-
-RAMPED = {
-    "from rest": (1.5, {"stiffness": 2e4, "start": "rest"}),
-    "damper and rate": (1.5, {"stiffness": 2e4, "damping": 10.0, "rate_term": 0.08}),
-    "entering from rest": (
-        3.0, {"stiffness": 2e4, "cohesion": 4e3, "angle": 60.0, "speed": 0.4, "start": "rest", "entry": True},
-    ),
-    "entering with a damper": (
-        2.0,
-        {"stiffness": 3e4, "cohesion": 4e3, "angle": 70.0, "start": "towed", "entry": True, "damping": 10.0,
-         "inertial_drag": False},
-    ),
-}  # fmt: skip
-
-
-@pytest.mark.parametrize("name", RAMPED)
-def test_soil_recaptured_during_a_tow_ramp_keeps_the_momentum(r1_soil, name):
-    ramp, chosen = RAMPED[name]
-    scene = loose_scene(r1_soil, contact=po.StickSlip(), tow_ramp=ramp, **chosen)
-    books = three_modes.follow(scene, ramp)
-    events = list(books.changes)
-    captures = [k for k, change in enumerate(events) if (change.old, change.new) == (GAP, SLIP)]
-    k = max(captures, key=lambda k: events[k].speed)
-    opened, capture = events[k - 1], events[k]
-    assert opened.new == GAP
-    assert 0.0 < opened.time < capture.time < ramp
-
-    def speed_at(moment):
-        return float(po.simulate(scene, moment, outputs=1).speed[-1])
-
-    # A straight line through two speeds on either side reaches the moment of the recapture.
-    near = 1e-6
-    before = 2.0 * speed_at(capture.time - near) - speed_at(capture.time - 2.0 * near)
-    after = 2.0 * speed_at(capture.time + near) - speed_at(capture.time + 2.0 * near)
-    depth = min(capture.travel / scene.cone.height, 1.0) if scene.effects.entry else 1.0
-    assert not scene.effects.entry or depth < 0.6
-    carried = depth**3 * scene.reaction.added_mass
-    assert before > 0.05
-    # Errors of 1e-8 of the speed, about 1 m/s, in two speeds of a tenth of that.
-    assert after / before == pytest.approx(scene.mass / (scene.mass + carried), rel=1e-6)
-    # Momentum is kept, energy is not: the books call it work on the soil.
-    lost = scene.mass * before**2 / 2.0 - (scene.mass + carried) * after**2 / 2.0
-    assert lost == pytest.approx(scene.mass * before**2 / 2.0 * carried / (scene.mass + carried), rel=1e-5)
-
-
-def test_what_the_books_lose_at_recapture_is_all_that_momentum_allows(r1_soil):
-    # The kinetic energy of m that is left is that of m alone: what m_a has now is work on the soil, and so is the loss.
-    ramp, chosen = RAMPED["from rest"]
-    scene = loose_scene(r1_soil, contact=po.StickSlip(), tow_ramp=ramp, **chosen)
-    books = three_modes.follow(scene, ramp)
-    captures = [change for change in books.changes if (change.old, change.new) == (GAP, SLIP)]
-    m, both = scene.mass, scene.inertia
-    expected = sum(m * change.speed**2 / 2.0 * (1.0 - (m / both) ** 2) for change in captures)
-    assert books.capture_loss == pytest.approx(expected, rel=1e-14)

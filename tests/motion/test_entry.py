@@ -119,43 +119,6 @@ def test_an_independent_solver_agrees(r1_soil, share, start, contact, others):
 # --- what entry leaves behind ---
 
 
-@pytest.mark.parametrize("contact", LAWS.values(), ids=LAWS)
-def test_once_buried_the_force_is_that_without_entry(r1_soil, contact):
-    damped = {"contact": contact, "damping": 700.0, "strength_wave": WAVE, "start": "towed"}
-    entering, buried = (
-        po.simulate(scene_of(r1_soil, entry=entry, speed=0.5, **damped), 6.0, outputs=600) for entry in (True, False)
-    )
-    late = entering.time > 4.0
-    # Both start differently; exp(-c t/2M) leaves nothing of that after 4 s.
-    assert entering.mount_force[late] == pytest.approx(buried.mount_force[late], rel=1e-6)
-    assert largest(entering.mount_force - buried.mount_force) > 0.2 * scene_of(r1_soil).reaction.static
-
-
-def test_the_undamped_force_of_a_buried_share_keeps_the_mean_and_the_frequency_of_no_entry(r1_soil):
-    scene = scene_of(r1_soil, inertial_drag=False, speed=2.0, stiffness=5e4)
-    start = 0.4
-    period = 2.0 * math.pi / scene.natural_frequency
-    run = po.simulate(scene, start + 20.0 * period, outputs=4000)
-    late = run.time >= start
-    assert np.all(run.travel[late] > scene.cone.height)
-    waves = np.column_stack(
-        [np.ones(np.sum(late)), *(f(scene.natural_frequency * run.time[late]) for f in (np.cos, np.sin))]
-    )
-    found, *_ = np.linalg.lstsq(waves, run.mount_force[late], rcond=None)
-    assert found[0] == pytest.approx(scene.reaction.static, rel=1e-8)
-    assert waves @ found == pytest.approx(run.mount_force[late], rel=0, abs=1e-6 * scene.reaction.static)
-
-
-def test_a_share_that_never_comes_so_far_feels_the_square_alone(r1_soil):
-    scene = scene_of(r1_soil, speed=0.1, start="rest")
-    run = po.simulate(scene, 1.0, outputs=10)
-    taller = po.Wedge(SHARE.angle, SHARE.chisel_angle, 2.0 * SHARE.height)
-    other = scene_of(r1_soil, share=taller, speed=0.1, start="rest", mass=24.0)
-    # F0 goes with h^2 and the added mass with h^3: the buried part of a taller share of the same shape is the same.
-    assert 0.0 < max(run.travel) < scene.cone.height
-    assert po.simulate(other, 1.0, outputs=10).mount_force == pytest.approx(run.mount_force, rel=1e-7)
-
-
 @pytest.mark.parametrize("start", ["rest", "towed"])
 @pytest.mark.parametrize("stiffness", [1e3, 5e3, 2e4])
 def test_a_share_that_turns_back_stays_as_deep_as_it_was(r1_soil, start, stiffness):

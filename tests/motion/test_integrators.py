@@ -62,58 +62,6 @@ def test_estimate_of_a_named_method_covers_its_error(r1_scene, accuracy):
     assert abs(coarse.force_rms - fine.force_rms) <= 2 * coarse.error_estimate * fine.mean_draft + 1e-10
 
 
-# --- orders of convergence ---
-
-
-def error_of(scene, accuracy, fine):
-    run = po.simulate(scene, 2.0, accuracy=accuracy, outputs=10)
-    return np.max(np.abs(run.mount_force - fine.mount_force)) / np.max(np.abs(fine.mount_force))
-
-
-def order_of(scene, name, steps):
-    """Return the order between two numbers of steps, the larger twice the smaller."""
-    fine = po.simulate(scene, 2.0, accuracy=po.Accuracy("dop853", steps=4000), outputs=10)
-    coarse, finer = (error_of(scene, po.Accuracy(name, steps=n), fine) for n in (steps, 2 * steps))
-    # Between rounding and the range in which the leading term does not yet rule.
-    assert 1e-11 < finer < coarse < 1e-3
-    return np.log2(coarse / finer)
-
-
-@pytest.mark.parametrize(
-    "effects",
-    [
-        {"strength_wave": WAVE},
-        {"strength_wave": WAVE, "start": "rest"},
-        {"strength_wave": WAVE, "start": "rest", "damping": 300.0, "rate_term": 0.05},
-        # The ramp ends between two outputs and between two of the equal steps.
-        {"strength_wave": WAVE, "tow_ramp": 0.371234, "damping": 300.0},
-        {"strength_wave": WAVE, "tow_ramp": 0.371234, "start": "rest"},
-    ],
-    ids=["smooth", "rest", "damper and rate", "ramp", "ramp from rest"],
-)
-def test_order_8(r1_scene, effects):
-    assert order_of(r1_scene(**effects), "dop853", 100) >= 7.8
-
-
-def test_order_5_of_collocation(r1_scene):
-    # Radau points of degree 3.
-    assert order_of(r1_scene(strength_wave=WAVE), "collocation", 240) == pytest.approx(5.0, abs=0.1)
-
-
-def test_order_4_of_rk(r1_scene):
-    assert order_of(r1_scene(strength_wave=WAVE), "rk", 2560) == pytest.approx(4.0, abs=0.1)
-
-
-def test_averages_keep_order_8_too(r1_scene):
-    scene = r1_scene(strength_wave=WAVE, tow_ramp=0.371234, damping=300.0)
-    fine = po.simulate(scene, 2.0, accuracy=po.Accuracy("dop853", steps=4000), outputs=10)
-    # So many that steps double on both sides of the ramp's end, where few would be too few.
-    coarse, finer = (po.simulate(scene, 2.0, accuracy=po.Accuracy("dop853", steps=n), outputs=10) for n in (120, 240))
-    for average in AVERAGES:
-        errors = [abs(getattr(run, average) - getattr(fine, average)) for run in (coarse, finer)]
-        assert np.log2(errors[0] / errors[1]) >= 7.8, average
-
-
 # --- derivatives ---
 
 

@@ -6,7 +6,6 @@ import math
 import numpy as np
 import pytest
 from helpers.orbit_oracle import follow, monodromy, orbit, period
-from scipy.integrate import solve_bvp
 
 import plough_opt as po
 
@@ -91,62 +90,6 @@ def test_orbit_is_the_one_that_scipy_finds_by_shooting(solved, name):
     assert run.scene.tow_speed - run.speed == pytest.approx(
         true.rate, rel=0, abs=1e-9 * np.max(np.abs(true.rate)) + 2e-15
     )
-
-
-@pytest.mark.parametrize("name", CASES)
-def test_averages_are_those_of_the_outputs_of_scipy(solved, name):
-    run, true = solved(name)
-    mean, deflection = average(true.force), average(true.deflection)
-    rms = math.sqrt(average((true.force - mean) ** 2))
-    assert run.mean_draft == pytest.approx(mean, rel=1e-10)
-    assert run.mean_deflection == pytest.approx(deflection, rel=1e-10)
-    assert run.force_rms == pytest.approx(rms, rel=2e-10, abs=1e-14 * mean)
-    spread = math.sqrt(average((true.deflection - deflection) ** 2))
-    assert run.displacement_rms == pytest.approx(spread, rel=2e-10, abs=1e-14 * deflection)
-    assert run.tow_power == pytest.approx(mean * run.scene.tow_speed, rel=1e-10)
-
-
-@pytest.mark.parametrize("name", CASES)
-def test_it_returns_after_one_wavelength(solved, name):
-    run, _ = solved(name)
-    wavelength = run.scene.effects.strength_wave.wavelength
-    assert run.duration == pytest.approx(wavelength / run.scene.tow_speed, rel=1e-15)
-    assert list(run.time) == pytest.approx(np.linspace(0.0, run.duration, OUTPUTS + 1), rel=1e-14)
-    assert run.travel[-1] - run.travel[0] == pytest.approx(wavelength, rel=1e-12)
-    for values in (run.deflection, run.speed, run.mount_force, run.soil_resistance):
-        assert values[-1] == pytest.approx(values[0], rel=0, abs=2e-11 * np.max(np.abs(values)))
-
-
-@pytest.mark.parametrize("name", CASES)
-def test_the_struts_work_over_a_wavelength_goes_into_soil_and_damper(solved, name):
-    run, _ = solved(name)
-    rate = run.scene.tow_speed - run.speed
-    damper = average((run.scene.effects.damping or 0.0) * rate**2)
-    on_soil = average(run.soil_resistance * run.speed)
-    assert run.tow_power == pytest.approx(on_soil + damper, rel=1e-11)
-    # Over a period no momentum is gained either.
-    assert average(run.soil_resistance) == pytest.approx(run.mean_draft, rel=1e-11)
-
-
-@pytest.mark.parametrize("name", ["damped", "soft and damped", "strongest, damped"])
-def test_it_solves_the_boundary_value_problem(solved, name):
-    run, _ = solved(name)
-    scene, reaction, wave = run.scene, run.scene.reaction, run.scene.effects.strength_wave
-    static = scene.steady_resistance / scene.stiffness
-
-    def rates(t, y):
-        speed = scene.tow_speed - y[1]
-        wavy = np.sin(2 * np.pi * (scene.tow_speed * t - static - y[0]) / wave.wavelength)
-        force = reaction.static * wave.amplitude * wavy + reaction.drag * (speed**2 - scene.tow_speed**2)
-        pull = scene.stiffness * y[0] + scene.effects.damping * y[1]
-        return np.vstack([y[1], (force - pull) / scene.inertia])
-
-    times = np.linspace(0.0, run.duration, 60)
-    found = solve_bvp(rates, lambda a, b: a - b, times, np.zeros((2, 60)), tol=1e-9, max_nodes=20000)
-    assert found.success
-    change = run.deflection - static
-    # Collocation of order four at a residual of 1e-9.
-    assert found.sol(run.time)[0] == pytest.approx(change, rel=0, abs=1e-8 * np.max(np.abs(change)))
 
 
 @pytest.mark.parametrize("name", ["damped", "resonant and damped", "strongest, damped"])

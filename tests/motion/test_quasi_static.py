@@ -94,26 +94,6 @@ def test_smallest_wave_keeps_its_digits(quasi_scene):
     assert run.force_rms == pytest.approx(1e-9 * run.scene.reaction.static / math.sqrt(2), rel=1e-8)
 
 
-@pytest.mark.parametrize("effects", [{}, {"tow_ramp": 0.3, "rate_term": 0.05}])
-def test_mass_has_no_influence(quasi_scene, effects):
-    scene = quasi_scene(strength_wave=WAVE, **effects)
-    run = po.simulate(scene, 2.0)
-    for other in (
-        dataclasses.replace(scene, mass=1000.0),
-        dataclasses.replace(scene, effects=dataclasses.replace(scene.effects, added_mass=False)),
-    ):
-        found = po.simulate(other, 2.0)
-        assert all(getattr(found, name) == getattr(run, name) for name in AVERAGES)
-        assert all(list(getattr(found, name)) == list(getattr(run, name)) for name in ARRAYS)
-
-
-def test_stiffness_moves_the_deflection_only(quasi_scene):
-    soft, stiff = (po.simulate(quasi_scene(stiffness=k, strength_wave=WAVE), 2.0) for k in (1e4, 1e6))
-    # Exactly: nothing oscillates on the mount, so its frequency must not set the quadrature's panels either.
-    assert soft.mean_draft == stiff.mean_draft
-    assert soft.mean_deflection == pytest.approx(100 * stiff.mean_deflection, rel=1e-14)
-
-
 def test_stiff_mounts_tend_to_it(r1_scene, quasi_scene):
     def difference(stiffness):
         moving = po.simulate(r1_scene(stiffness=stiffness, strength_wave=WAVE, damping=2000.0), 0.5)

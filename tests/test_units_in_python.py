@@ -12,7 +12,7 @@ import pytest
 import plough_opt as po
 from plough_opt.app.main import main
 from plough_opt.core.quantities import EVERY
-from plough_opt.motion.vocabulary import with_quantities
+from plough_opt.motion.scene_quantities import with_quantities
 from plough_opt.problem_file import TEMPLATE
 
 U = pint.UnitRegistry()

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from plough_opt.app.messages import LOG
-from plough_opt.app.terminal import console, print_page, progress, read, wrote
+from plough_opt.app.terminal import give, progress, read
 from plough_opt.core.errors import InputError, NotConverged, nearest
 from plough_opt.core.quantities import quantities
 from plough_opt.core.units import customary
@@ -65,8 +65,6 @@ def add_options(verb: argparse.ArgumentParser) -> None:
 def calibrate(options: argparse.Namespace) -> None:
     """Find a file's unknowns from measurements, and say what these can and cannot tell."""
     problem = read(options)
-    if options.output is not None and Path(options.output).is_dir():
-        raise InputError(f"the output '{options.output}' is a folder: name a file in it")
     from plough_opt.studies.calibration import calibrate as run
     from plough_opt.studies.calibration import read_measurements
     from plough_opt.studies.calibration.intervals import check_level
@@ -89,20 +87,9 @@ def calibrate(options: argparse.Namespace) -> None:
         told("what to measure next", 0.8)
         text = fit.to_json() if options.json or options.output is not None else ""
         quality = "" if options.json else _quality(fit, options.folds)
-        fit.next_measurements()
-    if options.json:
-        print(text)
-    else:
         page = fit.page()
-        print_page(console(), replace(page, parts=(*page.parts, *([quality] if quality else []))))
-    if options.plot is not None:
-        from plough_opt.app import plots
-
-        wrote(plots.save(fit.plot(), options.plot))
-    if options.output is not None:
-        from plough_opt.core.files import write_file
-
-        wrote(write_file(options.output, "fit", text + "\n"))
+    page = replace(page, parts=(*page.parts, *([quality] if quality else [])))
+    give(options, page, lambda: text, fit.plot)
 
 
 def _refuse_twice(paths: Sequence[str]) -> None:

@@ -12,14 +12,13 @@ from plough_opt.app import report
 from plough_opt.app.against import asked_of
 from plough_opt.app.messages import printable
 from plough_opt.app.sensitivity_table import sensitivities_of, with_sensitivities
-from plough_opt.app.terminal import console, print_page, progress, read, wrote
+from plough_opt.app.terminal import console, give, progress, read, wrote
 from plough_opt.app.uncertain import optimise_uncertain
 from plough_opt.core.errors import InputError
 from plough_opt.core.files import write_new
 from plough_opt.design.effort import Search
 from plough_opt.laws.penetration import cone_index
 from plough_opt.motion.effect_costs import effect_costs
-from plough_opt.motion.machine import Machine
 from plough_opt.problem_file import TEMPLATE
 from plough_opt.soil.soil import named_soil, soil_names
 
@@ -85,18 +84,7 @@ def simulate(options: argparse.Namespace) -> None:
         told("simulating", 0.0)
         run = problem.machine() if problem.shares else problem.simulate()
     page = report.run_page(problem, run)
-    if options.json:
-        if isinstance(run, Machine):
-            raise InputError("--json is of one share: choose it by --set shares=NAME")
-        from plough_opt.exchange.results import SavedRun
-
-        print(SavedRun.of(run, problem.title).model_copy(update={"shown": page}).to_json())
-    else:
-        print_page(console(), page)
-    if options.plot:
-        from plough_opt.app import plots
-
-        wrote(plots.save(run.plot(), options.plot))
+    give(options, page, lambda: run.to_json(page), run.plot)
 
 
 def optimise(options: argparse.Namespace) -> None:
@@ -114,19 +102,11 @@ def optimise(options: argparse.Namespace) -> None:
             seed=options.seed,
         )
         asked = sensitivities_of(best, told) if options.sensitivity else ()
+    best = dataclasses.replace(best, sensitivities=asked)
     page = best.page()
     page = dataclasses.replace(page, parts=(*page.parts, *report.own_results(problem, run)))
     page = with_sensitivities(page, problem, asked)
-    if options.json:
-        from plough_opt.exchange.results import SavedOptimum
-
-        print(SavedOptimum.of(best, None, problem.title, asked).model_copy(update={"shown": page}).to_json())
-    else:
-        print_page(console(), page)
-    if options.plot:
-        from plough_opt.app import plots
-
-        wrote(plots.save(plots.plot_optimum(best, run), options.plot))
+    give(options, page, lambda: best.to_json(page), best.plot)
 
 
 def search_of(text: str) -> Search:
@@ -139,30 +119,16 @@ def search_of(text: str) -> Search:
 def tradeoff(options: argparse.Namespace) -> None:
     """Draw the front of the two or three results that a file trades."""
     problem = read(options)
-    for kind, name in (("table", options.csv), ("output", options.output)):
-        if name is not None and Path(name).is_dir():
-            raise InputError(f"the {kind} '{name}' is a folder: name a file in it")
     with progress() as told:
         front = problem.trade_off(options.points, told)
-    if options.json:
-        print(front.to_json())
-    else:
-        print_page(console(), front.page())
-    if options.plot is not None:
-        from plough_opt.app import plots
-
-        wrote(plots.save(front.plot(), options.plot))
+    give(options, front.page(), front.to_json, front.plot)
     if options.csv is not None:
         wrote(front.to_csv(options.csv))
-    if options.output is not None:
-        wrote(front.save(options.output))
 
 
 def accuracy(options: argparse.Namespace) -> None:
     """Show what accuracy costs in time on a file's scene, with every variable at its guess, or on its design."""
     problem = read(options)
-    if options.output is not None and Path(options.output).is_dir():
-        raise InputError(f"the output '{options.output}' is a folder: name a file in it")
     from plough_opt.studies.accuracy.study import study_accuracy, study_design
 
     with progress() as told:
@@ -177,13 +143,4 @@ def accuracy(options: argparse.Namespace) -> None:
         study = dataclasses.replace(
             study, notes=(*study.notes, "the soil is the nominal one: its uncertainty takes no part")
         )
-    if options.json:
-        print(study.to_json())
-    else:
-        print_page(console(), study.page())
-    if options.plot is not None:
-        from plough_opt.app import plots
-
-        wrote(plots.save(study.plot(), options.plot))
-    if options.output is not None:
-        wrote(study.save(options.output))
+    give(options, study.page(), study.to_json, study.plot)

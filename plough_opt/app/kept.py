@@ -4,21 +4,32 @@ from __future__ import annotations
 
 import argparse
 import json
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from plough_opt.app.terminal import check_outputs, console, print_page, wrote
+from plough_opt.app.terminal import check_outputs, console, give
 from plough_opt.core.errors import InputError
 from plough_opt.core.quantities import EVERY
 from plough_opt.core.tables import Grid, Page
 from plough_opt.core.units import Display
 from plough_opt.design import LocalOptimum
-from plough_opt.exchange.results import SavedRun, is_store, load
+from plough_opt.exchange.results import is_store, load
+from plough_opt.motion import Run
+from plough_opt.motion.machine import Machine
+from plough_opt.motion.scene_quantities import quantities_of
 from plough_opt.motion.vocabulary import called
 from plough_opt.studies.sweep.result import Sweep
 
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
 # Results of a run that are set side by side.
-_AVERAGES = {"mean_draft": "N", "force_rms": "N", "mean_deflection": "m", "displacement_rms": "m", "tow_power": "W"}
+_RESULTS = {
+    "N": ("mean_draft", "force_rms", "peak_force"),
+    "m": ("mean_deflection", "displacement_rms", "peak_deflection"),
+    "W": ("tow_power",),
+}
 
 
 def add_show(verb: argparse.ArgumentParser) -> None:
@@ -41,18 +52,13 @@ def show(options: argparse.Namespace) -> None:
     path = Path(options.file)
     if is_store(path):
         with Sweep.load(path) as swept:
-            if options.json:
-                print(swept.to_json())
-            else:
-                print_page(console(), swept.page())
+            give(options, swept.page(), swept.to_json)
         return
     found = load(path)
-    if options.json:
-        print(found.to_json())
-        return
-    print_page(console(), found.page())
-    for line in found.origin.lines(found.versions) if hasattr(found, "origin") else ():
-        console().print(line, markup=False, soft_wrap=True)
+    give(options, found.shown_page(), lambda: path.read_text(encoding="utf-8").rstrip())
+    if not options.json:
+        for line in found.origin.lines(found.made_by) if hasattr(found, "origin") else ():
+            console().print(line, markup=False, soft_wrap=True)
 
 
 def compare(options: argparse.Namespace) -> None:
@@ -62,23 +68,25 @@ def compare(options: argparse.Namespace) -> None:
     check_outputs(options)
     found = {_name(path, options.file): load(path) for path in options.file}
     for name, one in found.items():
-        if not isinstance(_run(one), SavedRun) and _design(one) is None:
+        if not _runs(one) and _design(one) is None:
             raise InputError(f"'{name}' holds neither a design nor a run: compare what optimise or simulate saved")
-    if options.json:
-        print(json.dumps({name: _numbers(one) for name, one in found.items()}, indent=2, allow_nan=False))
-    else:
-        changed = {name: " ".join(one.origin.overrides) or "nothing" for name, one in found.items()}
-        notes = tuple(f"{name}: {one.origin.file}, changed by --set: {changed[name]}" for name, one in found.items())
-        print_page(console(), Page(f"{len(found)} results side by side", (_table(found), *notes)))
-    if options.plot is not None:
-        from plough_opt.app import plots
+    numbers = {name: _numbers(one) for name, one in found.items()}
+    origins = {name: one.origin for name, one in found.items() if hasattr(one, "origin")}
+    changed = {name: " ".join(origin.overrides) or "nothing" for name, origin in origins.items()}
+    notes = tuple(f"{name}: {origins[name].file}, changed by --set: {text}" for name, text in changed.items())
+    page = Page(f"{len(found)} results side by side", (_table(found, numbers), *notes))
+    plain = {name: {key: value for key, (value, _) in own.items()} for name, own in numbers.items()}
+    give(options, page, lambda: json.dumps(plain, indent=2, allow_nan=False), lambda: _figure(found))
 
-        designs = {name: design for name, one in found.items() if (design := _design(one)) is not None}
-        if designs:
-            figure = plots.plot_designs(designs)
-        else:
-            figure = plots.plot_forces({name: (one.time, one.mount_force) for name, one in found.items()})
-        wrote(plots.save(figure, options.plot))
+
+def _figure(found: Mapping[str, Any]) -> Figure:
+    from plough_opt.app import plots
+
+    designs = {name: design for name, one in found.items() if (design := _design(one)) is not None}
+    if designs:
+        return plots.plot_designs(designs)
+    runs = {f"{name} {share}".rstrip(): run for name, one in found.items() for share, run in _runs(one).items()}
+    return plots.plot_forces(runs)
 
 
 def _name(path: str, paths: list[str]) -> str:
@@ -87,67 +95,55 @@ def _name(path: str, paths: list[str]) -> str:
 
 
 def _design(saved: Any) -> LocalOptimum | None:
-    """Return the best design of a saved result, if it has one."""
-    best = getattr(saved, "best", None)
+    """Return the best design of a result, if it has one."""
+    best = getattr(saved, "best", saved)
     return best if isinstance(best, LocalOptimum) else None
 
 
-def _run(saved: Any) -> SavedRun | None:
-    """Return the run of a saved result, if it has one."""
-    run = saved if isinstance(saved, SavedRun) else getattr(saved, "run", None)
-    return run if isinstance(run, SavedRun) else None
+def _runs(saved: Any) -> Mapping[str, Run]:
+    """Return the runs of a result by share; one by itself under ""."""
+    run = saved if isinstance(saved, Run | Machine) else getattr(saved, "run", None)
+    return {} if run is None else run.runs if isinstance(run, Machine) else {"": run}
 
 
-def _numbers(saved: Any) -> dict[str, float]:
-    """Return the numbers of a saved result, SI: quantities, objective, variables, requirements and averages."""
-    design, run = _design(saved), _run(saved)
-    found: dict[str, float] = {}
-    if run is not None:
-        found |= run.quantities
+def _numbers(saved: Any) -> dict[str, tuple[float, Display | None]]:
+    """Return quantities, objective, variables, requirements and results, SI, with the units that they are shown in."""
+    design = _design(saved)
+    found: dict[str, tuple[float, Display | None]] = {}
+    for share, run in _runs(saved).items():
+        before = f"{share}." if share else ""
+        for name, value in quantities_of(run.scene).items():
+            if value is not None:
+                found[before + name] = float(value), None
     if design is not None:
-        found |= {"objective": design.objective, **{limit.name: limit.value for limit in design.limits}}
-    if run is not None:
-        found |= {name: getattr(run.averages, name) for name in _AVERAGES}
-        found |= {"peak_force": run.peak_force, "peak_deflection": run.peak_deflection}
+        found["objective"] = design.objective, Display("", 1.0)
+        found |= {limit.name: (limit.value, limit.shown) for limit in design.limits}
+    for share, run in _runs(saved).items():
+        before = f"{share}." if share else ""
+        for unit, names in _RESULTS.items():
+            own = {name: float(getattr(run, name)) for name in names}
+            display = run.origin.common(unit, own)
+            found |= {before + name: (value, display) for name, value in own.items()}
     return found
 
 
-def _table(found: dict[str, Any]) -> Grid:
+def _table(found: Mapping[str, Any], numbers: Mapping[str, Mapping[str, tuple[float, Display | None]]]) -> Grid:
     """Return a row for each number that differs, or is a result; each row has one unit."""
     grid = Grid.of("", "", *found)
-    numbers = {name: _numbers(one) for name, one in found.items()}
-    units = {name: unit for one in found.values() for name, unit in _units(one).items()}
     for key in dict.fromkeys(key for own in numbers.values() for key in own):
-        values = [own.get(key) for own in numbers.values()]
-        if key not in units and len(set(values)) == 1:
-            continue  # a quantity that all have alike
-        unit = EVERY[key].unit if key in EVERY else ""
-        origin = next(iter(found.values())).origin
-        display = units.get(key) or origin.display(key, unit, *(x for x in values if x is not None))
-        decides = [_decides(one, key) for one in found.values()]
-        grid.row(called(key), *("" if x is None else f"{display.text(x, 6)}{mark}"
-                                          for x, mark in zip(values, decides, strict=True)))  # fmt: skip
+        cells = [own.get(key) for own in numbers.values()]
+        values = [None if cell is None else cell[0] for cell in cells]
+        display = next((cell[1] for cell in reversed(cells) if cell is not None and cell[1] is not None), None)
+        if display is None:
+            if len(set(values)) == 1:
+                continue  # a quantity that all have alike
+            quantity = EVERY[key if key in EVERY else key.partition(".")[2]]
+            origin = next(iter(_runs(next(iter(found.values()))).values())).origin
+            display = origin.display(quantity.name, quantity.unit, *(x for x in values if x is not None))
+        decides = [(design := _design(one)) is not None and key in design.active for one in found.values()]
+        texts = [
+            "" if x is None else f"{display.text(x, 6)}{' *' * own}" for x, own in zip(values, decides, strict=True)
+        ]
+        grid.row(called(key), *texts)
     grid.caption = "* this limit decides the design" if any("*" in cell for row in grid.rows for cell in row) else ""
     return grid
-
-
-def _decides(saved: Any, key: str) -> str:
-    """Return a mark on a limit that decides a design."""
-    design = _design(saved)
-    return " *" if design is not None and key in design.active else ""
-
-
-def _units(saved: Any) -> dict[str, Display]:
-    """Return the unit in which each result of a saved one is shown."""
-    design, run = _design(saved), _run(saved)
-    found: dict[str, Display] = {}
-    if run is not None:
-        forces = {"mean_draft": run.averages.mean_draft, "mount_force": run.peak_force}
-        lengths = {"deflection": run.peak_deflection, "mean_deflection": run.averages.mean_deflection}
-        common = {"N": saved.origin.common("N", forces), "m": saved.origin.common("m", lengths)}
-        common["W"] = saved.origin.common("W", {"tow_power": run.averages.tow_power})
-        found |= {name: common[unit] for name, unit in _AVERAGES.items()}
-        found |= {"peak_force": common["N"], "peak_deflection": common["m"]}
-    if design is not None:
-        found |= {"objective": Display("", 1.0), **{limit.name: limit.shown for limit in design.limits}}
-    return found

@@ -82,17 +82,12 @@ def draw_side_by_side(axes: Axes, runs: Mapping[str, Run], name: str, origin: Or
     axes.legend(fontsize="small")
 
 
-def plot_forces(runs: Mapping[str, tuple[Sequence[float], Sequence[float]]]) -> Figure:
-    """Draw the mount forces of several runs over time.
+def plot_forces(runs: Mapping[str, Run]) -> Figure:
+    """Draw the mount forces of several runs of numbers over time.
 
     Args:
-        runs: name -> times [s] and forces [N].
+        runs: name -> run.
     """
     figure = Figure(figsize=(8.0, 4.0), layout="constrained")
-    axes = figure.subplots()
-    for (name, (time, force)), colour in zip(runs.items(), itertools.cycle(COLOURS), strict=False):
-        axes.plot(time, np.asarray(force) / 1e3, color=colour, linewidth=1.2, label=name)
-    axes.set_xlabel("time [s]")
-    axes.set_ylabel("mount force [kN]")
-    axes.legend(fontsize="small")
+    draw_side_by_side(figure.subplots(), runs, "mount_force", next(iter(runs.values())).origin)
     return figure

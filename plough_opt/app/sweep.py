@@ -11,12 +11,10 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from plough_opt.app.messages import LOG, quiet
-from plough_opt.app.terminal import console, print_page, read, wrote
+from plough_opt.app.terminal import give, read, wrote
 from plough_opt.core.errors import InputError, NotConverged
 from plough_opt.problem_file.sweeping import ProblemSweep, What
 from plough_opt.studies.sweep.sweeping import sweep as run_sweep
-
-_PLACES = ("store", "csv", "npz", "plot")
 
 
 def add_options(verb: argparse.ArgumentParser) -> None:
@@ -50,7 +48,6 @@ def add_options(verb: argparse.ArgumentParser) -> None:
 
 def sweep(options: argparse.Namespace) -> None:
     """Simulate or optimise a file at every point of a grid or a sample; an interrupted sweep goes on."""
-    _check_places(options)
     if options.workers is not None and options.workers < 1:
         raise InputError(f"--workers {options.workers}: a sweep takes one or more")
     if options.scheduler is not None and options.workers is not None:
@@ -81,16 +78,10 @@ def sweep(options: argparse.Namespace) -> None:
         )
     try:
         found.origin, found.how = asked.origin, asked.how
-        if options.json:
-            print(found.to_json())
-        else:
-            print_page(console(), found.page())
+        give(options, found.page(), found.to_json, found.plot)
         for name, write in (("csv", found.to_csv), ("npz", found.to_npz)):
             if getattr(options, name) is not None:
                 wrote(write(getattr(options, name)))
-        if options.plot is not None:
-            found.plot(options.plot)
-            wrote(Path(options.plot))
         if found.failed == len(found):
             raise NotConverged("every point failed; the reasons stand above and in the tables", "failed")
         if undetermined := len(list(found.undetermined)):
@@ -101,14 +92,6 @@ def sweep(options: argparse.Namespace) -> None:
             )
     finally:
         found.close()
-
-
-def _check_places(options: argparse.Namespace) -> None:
-    """Refuse folders in the place of files."""
-    for name in _PLACES:
-        path = getattr(options, name)
-        if path is not None and Path(path).is_dir():
-            raise InputError(f"--{name} '{path}' is a folder: name a file in it")
 
 
 def _over(options: argparse.Namespace) -> dict[str, object]:

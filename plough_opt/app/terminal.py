@@ -6,11 +6,11 @@ import argparse
 import os
 import signal
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from types import FrameType
-from typing import NoReturn
+from typing import TYPE_CHECKING, NoReturn
 
 from rich.console import Console
 from rich.markup import escape
@@ -19,9 +19,14 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from plough_opt import design as designs
 from plough_opt.app.messages import LOG, printable, quiet, stepwise
 from plough_opt.core.errors import InputError, short
+from plough_opt.core.files import write_file
 from plough_opt.core.heartbeat import heartbeat
+from plough_opt.core.picture_files import save
 from plough_opt.core.tables import Page
 from plough_opt.problem_file import Problem, read_problem
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 # Options that name a file to be written.
 _OUTPUTS = ("plot", "csv", "npz", "output", "description", "store")
@@ -73,6 +78,8 @@ def check_outputs(options: argparse.Namespace) -> None:
         if (written := getattr(options, name, None)) is None:
             continue
         place = _place(written)
+        if place.is_dir() and not hasattr(options, "to"):  # an export may be a folder
+            raise InputError(f"--{name} '{written}' is a folder: name a file in it")
         if other := taken.get(place):
             raise InputError(f"--{name} '{written}' is {other}, which it would overwrite: name another file")
         taken[place] = f"the file of --{name} too"
@@ -155,6 +162,27 @@ def print_page(to: Console, page: Page) -> None:
         to.print(f"[yellow]Note:[/] {escape(printable(note))}.", soft_wrap=True)
     if page.footer:
         to.print(page.footer, markup=False, soft_wrap=True)
+
+
+def give(
+    options: argparse.Namespace, page: Page, to_json: Callable[[], str], plot: Callable[[], Figure] | None = None
+) -> None:
+    """Print a result as --json asks, and write its picture and its JSON where --plot and --output ask for these.
+
+    Args:
+        options: of the command.
+        page: what the result shows.
+        to_json: returns it as JSON.
+        plot: returns its picture.
+    """
+    if options.json:
+        print(to_json())
+    else:
+        print_page(console(), page)
+    if plot is not None and options.plot is not None:
+        wrote(save(plot(), options.plot))
+    if getattr(options, "output", None) is not None:
+        wrote(write_file(options.output, "output", f"{to_json()}\n"))
 
 
 def wrote(path: Path) -> None:

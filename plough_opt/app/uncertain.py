@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from plough_opt.app.terminal import console, print_page, progress, wrote
+from plough_opt.app.terminal import give, progress
 from plough_opt.core.errors import InputError
 from plough_opt.problem_file import Problem
 
@@ -20,13 +20,4 @@ def optimise_uncertain(problem: Problem, options: argparse.Namespace) -> None:
 
     with progress() as told:
         found = optimise_robust(problem, told)
-    if options.json:
-        from plough_opt.studies.uncertainty.result import SavedRobust
-
-        print(SavedRobust.of(found, problem.title).to_json())
-    else:
-        print_page(console(), found.page())
-    if options.plot:
-        from plough_opt.app import plots
-
-        wrote(plots.save(found.plot(), options.plot))
+    give(options, found.page(), found.to_json, found.plot)

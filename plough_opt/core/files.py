@@ -13,7 +13,6 @@ import tempfile
 import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from importlib import import_module
 from pathlib import Path
 from types import FrameType
 from typing import IO, Final, TypeAlias
@@ -44,21 +43,6 @@ def write_file(path: str | Path, kind: str, content: Content) -> Path:
     """
     write_files({Path(path): content}, kind)
     return Path(path)
-
-
-def kept(form: str, result: object, path: str | Path) -> Path:
-    """Write a result as JSON by a form of `plough_opt.exchange.results`, which knows every result and stands above.
-
-    Args:
-        form: name of the class there.
-        result: what it takes.
-        path: the file; what is there is replaced.
-
-    Raises:
-        InputError: a place that cannot be written.
-    """
-    made = getattr(import_module("plough_opt.exchange.results"), form).of(result)
-    return write_file(path, "result", f"{made.to_json()}\n")
 
 
 def write_files(files: Mapping[Path, Content], kind: str) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from html import escape
@@ -192,15 +193,19 @@ class Page:
         )
 
 
-class Readable:
+class Readable(ABC):
     """A result that prints its tables and shows them in a notebook with its picture.
 
     A class of results defines `page`, and `plot` where it has a picture.
     """
 
+    @abstractmethod
     def page(self) -> Page:
         """Return what the result shows of itself."""
-        raise NotImplementedError
+
+    def shown_page(self) -> Page:
+        """Return `page`, or what was shown when it was saved, of a result that was read from a file."""
+        return getattr(self, "_shown", None) or self.page()
 
     def picture(self) -> Figure | None:
         """Return the picture that a notebook shows, or None."""
@@ -209,16 +214,16 @@ class Readable:
 
     def __str__(self) -> str:
         """Return the tables of the command line as text."""
-        return str(self.page())
+        return str(self.shown_page())
 
     def __repr__(self) -> str:
         """Return in a line what was found; the numbers would fill pages."""
-        return f"<{type(self).__name__}: {self.page().heading}>"
+        return f"<{type(self).__name__}: {self.shown_page().heading}>"
 
     def _repr_html_(self) -> str:
         """Return tables and picture for a notebook."""
         figure = self.picture()
-        return self.page().html("" if figure is None else _image(figure))
+        return self.shown_page().html("" if figure is None else _image(figure))
 
 
 def _image(figure: Figure) -> str:

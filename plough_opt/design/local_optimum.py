@@ -6,8 +6,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from plough_opt.core.kept import Keepable
 from plough_opt.core.picture_files import drawn
-from plough_opt.core.tables import Grid, Page, Readable, data_frame
+from plough_opt.core.tables import Grid, Page, data_frame
 from plough_opt.core.units import Display, customary
 from plough_opt.design.tolerance import Spread
 
@@ -67,7 +68,7 @@ class Limit:
 
 
 @dataclass(frozen=True, repr=False)
-class LocalOptimum(Readable):
+class LocalOptimum(Keepable):
     """One local optimum.
 
     Attributes:
@@ -89,6 +90,7 @@ class LocalOptimum(Readable):
     error_estimate: float
     iterations: int
     spread: Spread | None = None
+    kind = "local optimum"
 
     def page(self) -> Page:
         """Return the design as tables: variables with their bounds, requirements with their margins."""

@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from plough_opt.core.errors import InputError
-from plough_opt.core.expressions import as_number, is_casadi, map_expressions
-from plough_opt.core.files import kept
+from plough_opt.core.expressions import is_casadi, map_expressions
 from plough_opt.core.kinds import mapping_of
 from plough_opt.core.origin import Origin
 from plough_opt.core.picture_files import drawn
+from plough_opt.core.plain import to_plain
 from plough_opt.core.tables import Grid, Page, Part, data_frame
 from plough_opt.core.units import in_words
 from plough_opt.design.local_optimum import LocalOptimum
@@ -32,7 +32,12 @@ if TYPE_CHECKING:
 
 # Per cent of an objective below which a cost is the rounding of none.
 _ROUNDING = 1e-9
-_LEFT_BEHIND = "this optimum was pickled without its design: evaluate expressions before, or solve again"
+_LEFT_BEHIND = "this optimum was kept without its design: evaluate expressions before, or solve again"
+
+
+def _left_behind(_expression: object) -> np.ndarray:
+    """Stand in for the design's graph in an optimum that was pickled or read from a file."""
+    raise InputError(_LEFT_BEHIND)
 
 
 @dataclass(frozen=True, repr=False)
@@ -51,6 +56,7 @@ class Optimum(LocalOptimum):
         search: what was looked at, and what was not.
         seconds: time that the solve took [s].
         warnings: what a reader of the numbers must know.
+        sensitivities: those to every parameter and limit, where they were asked for before the optimum was saved.
         run: the run of numbers at this design, or those of several shares, where a problem file has the question.
         origin: what made it.
     """
@@ -62,11 +68,14 @@ class Optimum(LocalOptimum):
     search: Search | None = None
     seconds: float = 0.0
     warnings: tuple[str, ...] = ()
-    evaluate: Callable[[Any], np.ndarray] = field(repr=False, default=as_number)
-    sensitivities: Sensitivities | None = field(repr=False, default=None)
+    evaluate: Callable[[Any], np.ndarray] = field(repr=False, default=_left_behind)
+    differentiated: Sensitivities | None = field(repr=False, default=None)
     rounder: Callable[[Mapping[str, Any]], Rounded] | None = field(repr=False, default=None)
+    sensitivities: tuple[Sensitivity, ...] = field(default=(), compare=False)
     run: Run | Machine | None = field(default=None, compare=False)
     origin: Origin = field(default=Origin(), compare=False)
+    kind = "optimum"
+    unkept = frozenset({"evaluate", "differentiated", "rounder"})
 
     def __call__(self, item: Any) -> Any:
         """Return an expression, or any object with expressions nested in it, with numbers in their place.
@@ -132,13 +141,9 @@ class Optimum(LocalOptimum):
         columns |= {name: [one.variables[name] for one in found] for name in self.variables}
         return data_frame(columns, {one.name: one.unit for one in self.limits if one.kind == "bound"})
 
-    def save(self, path: str | Path) -> Path:
-        """Write the optimum, its run and what made it as JSON; `plough_opt.load` reads it as a `SavedOptimum`.
-
-        Raises:
-            InputError: the place cannot be written.
-        """
-        return kept("SavedOptimum", self, path)
+    def also_kept(self) -> dict[str, Any]:
+        """Return the best design once more, by itself."""
+        return {"best": to_plain(self.local_optima[0], LocalOptimum)} if self.local_optima else {}
 
     def plot(self, target: str | Path | None = None) -> Figure:
         """Draw share and response, where the optimum has its run, and what the search saw; else the variables.
@@ -169,6 +174,10 @@ class Optimum(LocalOptimum):
                 not curve, or its limits decide more than once.
             NotConverged: the optimum is not determined well enough, or could not be solved again.
         """
+        if self.differentiated is None and not check:
+            for one in self.sensitivities:
+                if one.name == name:
+                    return one
         return self._asked()(name, check=check)
 
     def every_sensitivity(self) -> tuple[Sensitivity, ...]:
@@ -177,7 +186,7 @@ class Optimum(LocalOptimum):
         Raises:
             InputError, NotConverged: as `sensitivity`.
         """
-        return self._asked().every()
+        return self.sensitivities or self._asked().every()
 
     def rounded(
         self, catalogues: Mapping[str, float | Sequence[float]] | None = None, /, **more: float | Sequence[float]
@@ -207,13 +216,13 @@ class Optimum(LocalOptimum):
         if self.flat_directions:
             along = "; ".join(", ".join(name for name, change in d.items() if change) for d in self.flat_directions)
             raise InputError(f"the optimum is not unique, and has no sensitivity: fix one of {along}")
-        if self.sensitivities is None:
+        if self.differentiated is None:
             raise InputError(_LEFT_BEHIND)
-        return self.sensitivities
+        return self.differentiated
 
     def __getstate__(self) -> dict[str, Any]:
         """Leave the design's graph, which cannot be pickled, behind."""
-        return {**self.__dict__, "evaluate": _left_behind, "sensitivities": None, "rounder": None}
+        return {**self.__dict__, "evaluate": _left_behind, "differentiated": None, "rounder": None}
 
     def _with_numbers(self, item: Any) -> Any:
         if isinstance(item, Run):
@@ -257,6 +266,7 @@ class Rounded(Optimum):
     tried: tuple[Choice, ...] = ()
     combinations: int = 0
     screened: int = 0
+    kind = "rounded optimum"
 
     @property
     def cost(self) -> float:
@@ -303,8 +313,3 @@ def values_in_words(values: Mapping[str, float], units: Mapping[str, str]) -> st
 
 def _is_run_or_expression(item: object) -> bool:
     return isinstance(item, Run) or is_casadi(item)
-
-
-def _left_behind(_expression: object) -> np.ndarray:
-    """Stand in for the design's graph after pickling."""
-    raise InputError(_LEFT_BEHIND)

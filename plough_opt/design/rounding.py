@@ -95,7 +95,7 @@ def rounded(
         seconds=time.perf_counter() - started,
         warnings=warnings,
         evaluate=partial(evaluate, numbers),
-        sensitivities=Sensitivities(program, p, reached, fixed),
+        differentiated=Sensitivities(program, p, reached, fixed),
         fixed=tuple(names),
         unrounded=best.objective,
         tried=tuple(sorted(tried, key=lambda choice: ranks.get(str(choice.values), len(ranks)))),

@@ -143,7 +143,7 @@ class _Solve:
             seconds=time.perf_counter() - self._request.started,
             warnings=warnings,
             evaluate=partial(evaluate, program.values(first.y)),
-            sensitivities=Sensitivities(program, p, first),
+            differentiated=Sensitivities(program, p, first),
             rounder=partial(
                 rounded, program, p, self._request.judge, first, optima[0], partial(_report, program, p), evaluate
             ),

@@ -10,10 +10,11 @@ from typing import TYPE_CHECKING, Final
 
 from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import Expression
+from plough_opt.core.kept import Keepable
 from plough_opt.core.kinds import check_kind, mapping_of, shown
 from plough_opt.core.origin import Origin
 from plough_opt.core.picture_files import drawn
-from plough_opt.core.tables import Grid, Page, Readable
+from plough_opt.core.tables import Grid, Page
 from plough_opt.motion.response import response_table
 from plough_opt.motion.run import Run
 
@@ -37,7 +38,7 @@ def alike_once(sentences: Sequence[str]) -> list[str]:
 
 
 @dataclass(frozen=True, repr=False, eq=False)
-class Machine(Readable):
+class Machine(Keepable):
     """The runs of several shares in one frame.
 
     Attributes:
@@ -61,6 +62,7 @@ class Machine(Readable):
 
     runs: Mapping[str, Run]
     origin: Origin = field(default=Origin())
+    kind = "machine"
 
     def __post_init__(self) -> None:
         runs = mapping_of("runs", self.runs, "a share's name -> its run")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,16 +13,17 @@ from numpy.typing import NDArray
 from plough_opt.core.domain import check_domain
 from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import Expression, column, is_casadi, rms, where
-from plough_opt.core.files import kept
+from plough_opt.core.kept import Keepable
 from plough_opt.core.labels import unlabelled
 from plough_opt.core.origin import Origin
 from plough_opt.core.picture_files import drawn, from_above
-from plough_opt.core.tables import Grid, Page, Readable, data_frame
+from plough_opt.core.tables import Grid, Page, data_frame
 from plough_opt.motion.accuracy import Accuracy
 from plough_opt.motion.averages import Averages, Checks
 from plough_opt.motion.equation import GAP, SLIP, STICK
 from plough_opt.motion.response import response_table
 from plough_opt.motion.scene import Scene
+from plough_opt.motion.scene_quantities import quantities_of
 from plough_opt.motion.settled import Settled
 from plough_opt.motion.terms import (
     Structure,
@@ -49,7 +50,7 @@ OUTPUTS: Final = {
 
 
 @dataclass(frozen=True, repr=False, eq=False)
-class Run(Readable):
+class Run(Keepable):
     """A simulated run: arrays over the output times, averages, and how far they can be trusted.
 
     Of a scene of numbers every value is a float or an array of n + 1 outputs; of a symbolic scene each is
@@ -88,6 +89,7 @@ class Run(Readable):
     accuracy: Accuracy
     checks: Checks | None = None
     origin: Origin = field(default=Origin())
+    kind = "run"
 
     def __repr__(self) -> str:
         """Return in a line what was found; the arrays would fill pages."""
@@ -152,14 +154,33 @@ class Run(Readable):
         path: Path = from_above("animation", "write_animation")(self, target, slower)
         return path
 
-    def save(self, path: str | Path) -> Path:
-        """Write a run of numbers as JSON, making its folder; `plough_opt.load` reads it as a `SavedRun`.
+    def to_json(self, page: Page | None = None) -> str:
+        """Return a run of numbers as JSON: see `Keepable.to_json`.
 
         Raises:
-            InputError: a symbolic run, or a place that cannot be written.
+            InputError: a symbolic run.
         """
         self._known("file")
-        return kept("SavedRun", self, path)
+        return super().to_json(page)
+
+    def also_kept(self) -> dict[str, Any]:
+        """Return results that follow from the others, and the scene's quantities by their names in files."""
+        names = ("error_estimate", "seconds", "warnings", "peak_force", "peak_deflection")
+        section = None if self.scene.law.lacks("loosened_radius") else self.specific_draft
+        quantities = {name: x for name, x in quantities_of(self.scene).items() if x is not None}
+        return {**{name: getattr(self, name) for name in names}, "specific_draft": section,
+                "ambient_share": self.scene.ambient_share, "quantities": quantities}  # fmt: skip
+
+    def check_kept(self) -> None:
+        """Refuse arrays of other lengths than the times, and averages that are no numbers."""
+        if self.checks is None:
+            raise ValueError("a run of numbers has its checks")
+        for name in OUTPUTS:
+            if np.shape(getattr(self, name)) != np.shape(self.time) or np.ndim(self.time) != 1:
+                raise ValueError(f"{name} must have a number for each output time")
+        for name in Averages.__dataclass_fields__:
+            if np.ndim(getattr(self.averages, name)):
+                raise ValueError(f"averages.{name} must be a number")
 
     def picture(self) -> Figure | None:
         """Return the picture for a notebook; a symbolic run has none."""

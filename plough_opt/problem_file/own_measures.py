@@ -15,7 +15,8 @@ from plough_opt.core.expressions import Expression
 from plough_opt.core.quantities import EVERY, QUANTITIES
 from plough_opt.core.units import Display, Unit, registry
 from plough_opt.motion import Run
-from plough_opt.motion.vocabulary import MEASURES, Measure, quantity_of
+from plough_opt.motion.scene_quantities import quantity_of
+from plough_opt.motion.vocabulary import MEASURES, Measure
 from plough_opt.problem_file.schema import ProblemTable
 from plough_opt.problem_file.source import Source
 

@@ -7,7 +7,7 @@ import pytest
 from helpers.known_soil import steady_scene
 
 import plough_opt as po
-from plough_opt.motion.vocabulary import with_quantities
+from plough_opt.motion.scene_quantities import with_quantities
 
 PROBLEMS = Path(__file__).resolve().parents[2] / "problems"
 

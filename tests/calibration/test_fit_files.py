@@ -25,7 +25,7 @@ def test_a_fit_survives_its_file(fitted, tmp_path):
     assert again.next_measurements() == fitted.next_measurements()
     assert again.next_measurement.words() == fitted.next_measurement.words()
     content = json.loads(path.read_text(encoding="utf-8"))
-    assert (content["kind"], content["schema"]) == ("calibration", 1)
+    assert (content["kind"], content["schema"]) == ("calibration", 2)
     assert again.plot() is not None
 
 

@@ -184,9 +184,9 @@ class TestSimulate:
         path.write_text(done.out, encoding="utf-8")
         saved, run = po.load(path), po.read_problem(reference, ["scene.outputs=20"]).simulate()
         assert saved.to_json() == done.out.rstrip("\n")
-        assert saved.title == "R1: reference problem with three local optima"
+        assert saved.origin.title == "R1: reference problem with three local optima"
         assert saved.averages == run.averages
-        assert saved.mount_force == list(run.mount_force)
+        assert saved.mount_force.tolist() == run.mount_force.tolist()
 
     def test_the_json_stands_alone_on_its_stream(self, cli, reference, tmp_path):
         picture = tmp_path / "run.png"
@@ -238,7 +238,7 @@ class TestOptimise:
         saved = po.load(path)
         assert done.status == 0
         assert saved.to_json() == done.out.rstrip("\n")
-        assert saved.best.objective == pytest.approx(0.825005709, abs=1e-9)
+        assert saved.objective == pytest.approx(0.825005709, abs=1e-9)
         assert len(saved.local_optima) == 3
         averages = saved.run.averages
         assert averages.mean_draft / 1e3 + averages.force_rms / 1e3 == pytest.approx(0.825005709, abs=1e-8)

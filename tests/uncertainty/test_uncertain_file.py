@@ -13,7 +13,7 @@ from plough_opt.problem_file.robust_design import optimise_robust
 from plough_opt.problem_file.uncertain import Asked, asked_of
 from plough_opt.studies.uncertainty import measures
 from plough_opt.studies.uncertainty.picture import Panel, plot_spread
-from plough_opt.studies.uncertainty.result import SavedRobust
+from plough_opt.studies.uncertainty.result import RobustOptimum
 
 matplotlib.use("Agg")
 FIELD = Path(__file__).parents[2] / "problems" / "uncertain_field.toml"
@@ -77,9 +77,9 @@ def test_json_holds_both_optima_and_every_check(written, capsys, tmp_path):
     found = json.loads(text)
     assert found["kind"] == "robust optimum"
     (tmp_path / "found.json").write_text(text, encoding="utf-8")
-    assert SavedRobust.load(tmp_path / "found.json").to_json() == text.rstrip()
+    assert RobustOptimum.load(tmp_path / "found.json").to_json() == text.rstrip()
     with pytest.raises(po.InputError, match="not a robust optimum"):
-        SavedRobust.load(FIELD)
+        RobustOptimum.load(FIELD)
     assert found["best"]["variables"]["share.height"] > found["nominal"]["variables"]["share.height"]
     names = [(check["result"], check["text"]) for check in found["checks"]]
     assert names == [("mean_draft", "mean of the largest 10 %"), ("loosened_radius", "probability of at least 0.15")]

@@ -20,7 +20,7 @@ from plough_opt.exchange.component.graph import graph
 from plough_opt.exchange.component.ports import Input, Output, Port, check_names, measure_of, port_of
 from plough_opt.motion.accuracy import Accuracy
 from plough_opt.motion.scene import Scene
-from plough_opt.motion.vocabulary import quantity_of, with_quantities
+from plough_opt.motion.scene_quantities import quantity_of, with_quantities
 
 SAMPLES = 400
 """Default number of intervals between the output times of results at every output time."""

@@ -12,7 +12,7 @@ from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import Expression, is_quantity, map_expressions, template_of
 from plough_opt.core.quantities import EVERY, QUANTITIES
 from plough_opt.motion.scene import Scene
-from plough_opt.motion.vocabulary import quantities_of, with_quantities
+from plough_opt.motion.scene_quantities import quantities_of, with_quantities
 
 
 @dataclass(frozen=True)

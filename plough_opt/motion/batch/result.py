@@ -10,9 +10,11 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from plough_opt.core.kept import Keepable
 from plough_opt.core.picture_files import drawn
-from plough_opt.core.tables import Grid, Page, Readable, data_frame
+from plough_opt.core.tables import Grid, Page, data_frame
 from plough_opt.core.units import customary
+from plough_opt.motion.vocabulary import called
 
 if TYPE_CHECKING:
     import pandas
@@ -29,7 +31,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class BatchResult(Readable):
+class BatchResult(Keepable):
     """Results of a batch, an element for each design in the order in which they were given.
 
     Attributes:
@@ -59,6 +61,7 @@ class BatchResult(Readable):
     wanted: float
     seconds: float
     warnings: tuple[str, ...]
+    kind = "batch"
 
     def __repr__(self) -> str:
         """Return a summary in one line; the arrays would fill pages."""
@@ -77,7 +80,7 @@ class BatchResult(Readable):
             values = getattr(self, name)[~self.failed]
             if unit and len(values):
                 ends = [float(x) for x in (np.min(values), np.median(values), np.max(values))]
-                table.row(name.replace("_", " "), *(customary(unit, *ends).text(x) for x in ends))
+                table.row(called(name), *(customary(unit, *ends).text(x) for x in ends))
         reasons = dict(itertools.islice(self.reasons.items(), _QUOTED))
         lost = [f"design {number} has no result: {reason}" for number, reason in reasons.items()]
         lost += [f"... and {len(self.reasons) - _QUOTED} more: see reasons"] if len(self.reasons) > _QUOTED else []

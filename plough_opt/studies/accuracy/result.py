@@ -6,14 +6,11 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
-from pydantic import BaseModel, ConfigDict
-
-from plough_opt.core.files import write_file
+from plough_opt.core.kept import Keepable
 from plough_opt.core.origin import Origin
-from plough_opt.core.tables import Column, Grid, Page, Part, Readable, data_frame
-from plough_opt.exchange.results import SCHEMA, Saved, read_saved
+from plough_opt.core.tables import Column, Grid, Page, Part, data_frame
 from plough_opt.studies.accuracy.contest import AUTO, COMPILED, Entry, cheapest, efficient, error_text
 from plough_opt.studies.accuracy.methods import MACHINE_CODE
 from plough_opt.studies.accuracy.optimum import REPORTED, REQUIREMENTS, TRUE, VARIABLES
@@ -56,7 +53,7 @@ class Question:
 
 
 @dataclass(frozen=True, repr=False)
-class AccuracyStudy(Readable):
+class AccuracyStudy(Keepable):
     """Error against time of everything that can do a scene.
 
     Times are those of this machine at this hour: their ratios say more than they do.
@@ -86,6 +83,7 @@ class AccuracyStudy(Readable):
     versions: Mapping[str, str] = field(default_factory=dict)
     thoroughness: tuple[Thoroughness, ...] = ()
     origin: Origin = field(default=Origin(), compare=False)
+    kind = "accuracy study"
 
     @property
     def questions(self) -> tuple[Question, ...]:
@@ -262,79 +260,9 @@ class AccuracyStudy(Readable):
             default=question.default,
         )
 
-    def to_json(self) -> str:
-        """Return the study as JSON text, with versions and a schema number."""
-        return SavedStudy.of(self).to_json()
-
-    def save(self, path: str | Path) -> Path:
-        """Write `to_json` to a file.
-
-        Raises:
-            InputError: a place that cannot be written.
-        """
-        return write_file(path, "study", self.to_json() + "\n")
-
-    @staticmethod
-    def load(path: str | Path) -> AccuracyStudy:
-        """Read a study that `save` or the command line wrote.
-
-        Raises:
-            InputError: no such file, or not a study of this layout.
-        """
-        return read_saved(path, "study", "an accuracy study", SavedStudy.model_validate_json).study()
-
-
-class SavedEntry(BaseModel):
-    """An entry as JSON, in which a failure has no time."""
-
-    model_config = ConfigDict(frozen=True)
-
-    family: str
-    method: str
-    setting: str
-    seconds: float | None
-    setup: float
-    errors: dict[str, float]
-    failure: str | None
-    elsewhere: str = ""
-    checked: float | None = None
-
-
-class SavedStudy(Saved):
-    """A study as JSON: SI units."""
-
-    kind: Literal["accuracy study"] = "accuracy study"
-    duration: float | None
-    wanted: float
-    entries: tuple[SavedEntry, ...]
-    floors: dict[str, float]
-    notes: tuple[str, ...]
-    defaults: dict[str, tuple[str, str]]
-    advice: str
-    thoroughness: tuple[Thoroughness, ...] = ()
-
-    @classmethod
-    def of(cls, study: AccuracyStudy) -> SavedStudy:
-        """Take a study."""
-        same = ("family", "method", "setting", "setup", "failure", "elsewhere", "checked")
-        entries = tuple(
-            SavedEntry(**{name: getattr(e, name) for name in same}, errors=dict(e.errors),
-                       seconds=None if e.failure else e.seconds)
-            for e in study.entries
-        )  # fmt: skip
-        names = ("title", "duration", "wanted", "notes", "advice", "thoroughness", "origin")
-        own: Any = {name: getattr(study, name) for name in names}
-        return cls(layout=SCHEMA, versions=dict(study.versions), floors=dict(study.floors),
-                   defaults=dict(study.defaults), entries=entries, **own)  # fmt: skip
-
-    def study(self) -> AccuracyStudy:
-        """Return the study."""
-        entries = tuple(
-            Entry(**(e.model_dump() | {"seconds": float("inf") if e.seconds is None else e.seconds}))
-            for e in self.entries
-        )  # fmt: skip
-        return AccuracyStudy(self.title, self.duration, self.wanted, entries, self.floors, self.notes, self.defaults,
-                             self.versions, self.thoroughness, self.origin)  # fmt: skip
+    def also_kept(self) -> dict[str, Any]:
+        """Return the advice."""
+        return {"advice": self.advice}
 
 
 _FORCES = {"mean draft": "mean\ndraft", "RMS": "RMS", "last force": "last\nforce", "trajectory": "trajec-\ntory"}

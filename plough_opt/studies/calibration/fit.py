@@ -10,9 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from plough_opt.core.errors import InputError
-from plough_opt.core.files import write_file
-from plough_opt.core.tables import Page, Readable, data_frame
-from plough_opt.exchange.results import Form
+from plough_opt.core.kept import Keepable
+from plough_opt.core.tables import Page, data_frame
 from plough_opt.motion.scene import Scene
 from plough_opt.soil.soil import Soil
 from plough_opt.studies.calibration.caveats import caveats
@@ -36,11 +35,14 @@ Vector = NDArray[np.float64]
 
 
 @dataclass(frozen=True, repr=False)
-class Fit(Readable, Fitted):
+class Fit(Keepable, Fitted):
     """A calibration: unknowns with their uncertainty, and how well the model follows the data.
 
     Its attributes are those of `Fitted`.
     """
+
+    kind = "calibration"
+    unkept = frozenset({"source"})
 
     def cross_validation(self, folds: int | None = None, *, seed: int = 1) -> CrossValidation:
         """Return how well the model predicts rows that took no part in its fit.
@@ -114,10 +116,10 @@ class Fit(Readable, Fitted):
             save(figure, target)
         return figure
 
-    def to_json(self) -> str:
-        """Return the fit as JSON text with versions and a schema number; infinite numbers as "Infinity"."""
+    def to_json(self, page: Page | None = None) -> str:
+        """Return the fit as JSON, with its intervals and the ranking of measurements: see `Keepable.to_json`."""
         if self.source is None:
-            return _FORM.to_json(self)
+            return super().to_json(page)
         self.intervals(0.95, "linearised")
         self.intervals(0.95, "profile")
         intervals = tuple(
@@ -125,27 +127,8 @@ class Fit(Readable, Fitted):
             for (level, kind), every in self.source.known.items()
             for name, interval in every.items()
         )
-        return _FORM.to_json(self, saved_intervals=intervals, saved_next=self.next_measurements())
-
-    def save(self, path: str | Path) -> Path:
-        """Write the fit as JSON, making its folder.
-
-        Raises:
-            InputError: the place cannot be written.
-        """
-        return write_file(path, "fit", self.to_json() + "\n")
-
-    @classmethod
-    def load(cls, path: str | Path) -> Fit:
-        """Read a fit that `save` wrote; it cannot compute further.
-
-        Raises:
-            InputError: no such file, or not a fit of this layout.
-        """
-        return _FORM.load(path, "fit", "a calibration")
-
-
-_FORM = Form(Fit, "calibration", unsaved=("source",))
+        whole = replace(self, source=None, saved_intervals=intervals, saved_next=self.next_measurements())
+        return whole.to_json(page or self.page())
 
 
 def reported(calibration: Calibrator, data: Data, estimate: Estimate, seconds: float) -> Fit:

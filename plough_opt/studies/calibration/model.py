@@ -12,7 +12,7 @@ from plough_opt.core.kinds import shown
 from plough_opt.core.quantities import quantities
 from plough_opt.motion.accuracy import Accuracy
 from plough_opt.motion.scene import Scene
-from plough_opt.motion.vocabulary import quantities_of, with_quantities
+from plough_opt.motion.scene_quantities import quantities_of, with_quantities
 
 
 class Bounded(Protocol):

@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, overload
 
 from plough_opt.core.files import write_file
-from plough_opt.core.tables import Page, Readable, data_frame
-from plough_opt.exchange.results import Form
+from plough_opt.core.kept import Keepable
+from plough_opt.core.tables import Page, data_frame
 from plough_opt.studies.tradeoff.front import Front, rate_of
 from plough_opt.studies.tradeoff.goal import Axis
 from plough_opt.studies.tradeoff.table import front_page
@@ -22,11 +22,13 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, repr=False)
-class TradeOff(Readable, Front):
+class TradeOff(Keepable, Front):
     """A front of designs, from the best in the first objective on: a curve between two, a surface between three.
 
     Its attributes are those of `Front`.
     """
+
+    kind = "trade-off"
 
     def page(self) -> Page:
         """Return the front as a table by parts, its holes, what a little more costs, and what has no result."""
@@ -74,18 +76,6 @@ class TradeOff(Readable, Front):
             save(figure, target)
         return figure
 
-    def to_json(self) -> str:
-        """Return the front as JSON text with versions and a schema number."""
-        return _FORM.to_json(self)
-
-    def save(self, path: str | Path) -> Path:
-        """Write the front as JSON, making its folder.
-
-        Raises:
-            InputError: the place cannot be written.
-        """
-        return write_file(path, "front", self.to_json() + "\n")
-
     def to_csv(self, path: str | Path) -> Path:
         """Write a table of all points, SI units, the efficient ones first.
 
@@ -111,18 +101,6 @@ class TradeOff(Readable, Front):
             table.writerow([status, part, *map(repr, values), *rates, *(repr(point.margins[name]) for name in margins),
                             "; ".join(point.active), point.branch, repr(point.residual), repr(point.gap)])  # fmt: skip
         return write_file(path, "table", text.getvalue())
-
-    @classmethod
-    def load(cls, path: str | Path) -> TradeOff:
-        """Read a front that `save` wrote.
-
-        Raises:
-            InputError: no such file, or not a front of this layout.
-        """
-        return _FORM.load(path, "front", "a front")
-
-
-_FORM = Form(TradeOff, "trade-off")
 
 
 def _heading(axis: Axis) -> str:

@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, Literal
+from typing import TYPE_CHECKING, Any, Final
 
-from pydantic import FiniteFloat
-
-from plough_opt.core.origin import Origin, versions
+from plough_opt.core.kept import Keepable
+from plough_opt.core.origin import Origin
 from plough_opt.core.picture_files import save
-from plough_opt.core.tables import Grid, Page, Part, Readable, data_frame
-from plough_opt.design import LocalOptimum, Optimum
-from plough_opt.exchange.results import SCHEMA, Kept, SavedRun, read_saved
+from plough_opt.core.tables import Grid, Page, Part, data_frame
+from plough_opt.design import Optimum
 from plough_opt.motion import Run
 from plough_opt.motion.vocabulary import MEASURES, called
 from plough_opt.studies.uncertainty.robust import Robust
@@ -38,7 +35,7 @@ _MOST_PANELS: Final = 4
 
 
 @dataclass(frozen=True, repr=False)
-class RobustOptimum(Readable):
+class RobustOptimum(Keepable):
     """The result of a robust design question.
 
     Attributes:
@@ -64,6 +61,8 @@ class RobustOptimum(Readable):
     failures: tuple[str, ...] = ()
     requirements: Mapping[str, tuple[str, str]] = field(default_factory=dict)
     origin: Origin = field(default=Origin(), compare=False)
+    kind = "robust optimum"
+    unkept = frozenset({"robust"})
 
     def page(self) -> Page:
         """Return the soil, the robust design beside the nominal one, and the fresh samples of both."""
@@ -95,13 +94,18 @@ class RobustOptimum(Readable):
         heading = f"Robust design: objective {self.best.objective:.9g} ({self.best.status})"
         return Page(heading, tuple(parts), notes, footer, self.origin.title)
 
-    def save(self, path: str | Path) -> Path:
-        """Write the result as JSON, making its folder; `plough_opt.load` reads a `SavedRobust`.
-
-        Raises:
-            InputError: the place cannot be written.
-        """
-        return SavedRobust.of(self).save(path)
+    def also_kept(self) -> dict[str, Any]:
+        """Return the soil's distribution in words, and what the question drew and found."""
+        if self.robust is None:
+            return {}
+        pairs = self.robust.field.correlation.items()
+        return {
+            "soil": self.robust.field.in_words(), "correlation": {" and ".join(pair): x for pair, x in pairs},
+            "samples": len(self.robust.samples), "seed": self.robust.seed, "fresh_samples": self.fresh.samples,
+            "checks": self.fresh.checks, "nominal_checks": self.nominal_fresh.checks,
+            "warnings": (*self.best.warnings, *self.failures),
+            "seconds": self.best.seconds + self.nominal.seconds + self.fresh.seconds,
+        }  # fmt: skip
 
     def _written(self, check: Check) -> Check:
         """Return a check whose limits are written as the question writes them."""
@@ -147,61 +151,3 @@ class RobustOptimum(Readable):
         frame = data_frame(columns | {"nominal": [self.nominal.variables[name] for name in names]}, {})
         frame.attrs["units"] = {limit.name: limit.unit for limit in self.best.limits if limit.kind == "bound"}
         return frame
-
-
-class SavedRobust(Kept):
-    """A robust optimum: SI units; the soil's distribution in words, the optima, the checks and the indices."""
-
-    kind: Literal["robust optimum"] = "robust optimum"
-    soil: str
-    correlation: dict[str, float]
-    samples: int
-    seed: int
-    fresh_samples: int
-    best: LocalOptimum
-    nominal: LocalOptimum
-    checks: tuple[Check, ...]
-    nominal_checks: tuple[Check, ...]
-    indices: dict[str, dict[str, str | list[FiniteFloat] | list[str]]]
-    warnings: tuple[str, ...]
-    seconds: float
-    run: SavedRun
-
-    @classmethod
-    def of(cls, found: RobustOptimum, title: str = "") -> SavedRobust:
-        """Take what is worth keeping."""
-        robust = found.robust
-        return cls(
-            layout=SCHEMA,
-            title=title or found.origin.title,
-            versions=versions(),
-            origin=found.origin,
-            shown=found.page(),
-            soil=robust.field.in_words(),
-            correlation={" and ".join(pair): value for pair, value in robust.field.correlation.items()},
-            samples=len(robust.samples),
-            seed=robust.seed,
-            fresh_samples=found.fresh.samples,
-            best=found.best.local_optima[0],
-            nominal=found.nominal.local_optima[0],
-            checks=found.fresh.checks,
-            nominal_checks=found.nominal_fresh.checks,
-            indices={name: _plain(own) for name, own in found.indices.items()},
-            warnings=(*found.best.warnings, *found.failures),
-            seconds=found.best.seconds + found.nominal.seconds + found.fresh.seconds,
-            run=SavedRun.of(found.run, title),
-        )
-
-    @classmethod
-    def load(cls, path: str | Path) -> SavedRobust:
-        """Read what ``to_json`` wrote.
-
-        Raises:
-            InputError: no such file, or not a robust optimum of this layout.
-        """
-        return read_saved(path, "robust optimum", "a robust optimum", cls.model_validate_json)
-
-
-def _plain(indices: SobolIndices) -> dict[str, Any]:
-    fields = dataclasses.asdict(indices)
-    return {name: value.tolist() if hasattr(value, "tolist") else value for name, value in fields.items()}

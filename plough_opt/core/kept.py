@@ -1,0 +1,160 @@
+"""Results as JSON: what made them, what they showed of themselves, and their fields, from which they are made again."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import Any, ClassVar, Final, Self, TypeVar
+
+from plough_opt.core.errors import InputError, short
+from plough_opt.core.files import ascii_json, write_file
+from plough_opt.core.kinds import path_of, shown
+from plough_opt.core.origin import Origin, versions
+from plough_opt.core.plain import Misfit, fields_of, from_plain, to_plain
+from plough_opt.core.tables import Page, Readable
+
+SCHEMA: Final = 2
+"""Number of the layout of kept results; it rises when a key changes its meaning."""
+
+# Characters of a kept result, some hundred times the longest that the commands write.
+_MOST_BYTES: Final = 100_000_000
+_HEAD: Final = ("schema", "kind", "title", "versions", "shown")
+_Result = TypeVar("_Result", bound="Keepable")
+
+
+class Keepable(Readable):
+    """A result that can be kept as JSON and be read back; a dataclass.
+
+    Attributes:
+        kind: by which a file says what it holds.
+        unkept: names of fields that only compute further, and are None in a result that was read.
+    """
+
+    kind: ClassVar[str]
+    unkept: ClassVar[frozenset[str]] = frozenset()
+
+    def also_kept(self) -> dict[str, Any]:
+        """Return what a file says beside the fields, for others who read it."""
+        return {}
+
+    def check_kept(self) -> None:
+        """Refuse fields that do not go with each other, of a result that was read.
+
+        Raises:
+            ValueError: such fields.
+        """
+
+    @property
+    def made_by(self) -> dict[str, str]:
+        """Versions of the packages that made the result, and the machine."""
+        return dict(getattr(self, "_made_by", None) or getattr(self, "versions", None) or versions())
+
+    def to_json(self, page: Page | None = None) -> str:
+        """Return the result as strictly valid JSON of ASCII characters, SI units, infinite numbers as "Infinity".
+
+        Args:
+            page: what it shows of itself, where that is more than `page` says.
+
+        Raises:
+            InputError: something in it that is no data.
+        """
+        origin: Origin = getattr(self, "origin", Origin())
+        own = (SCHEMA, self.kind, origin.title, self.made_by, to_plain(page or self.shown_page(), Page))
+        beside = getattr(self, "_beside", None)  # of a result that was read
+        beside = to_plain(self.also_kept()) if beside is None else beside
+        plain = dict(zip(_HEAD, own, strict=True)) | beside | to_plain(self, type(self))
+        return ascii_json(json.dumps(plain, indent=2, allow_nan=False))
+
+    def save(self, path: str | Path) -> Path:
+        """Write the result as JSON, making its folder; `plough_opt.load` reads it back.
+
+        Raises:
+            InputError: something in it that is no data, or a place that cannot be written.
+        """
+        return write_file(path, "result", f"{self.to_json()}\n")
+
+    @classmethod
+    def load(cls, path: str | Path) -> Self:
+        """Read a result that `save`, or a command with ``--json``, wrote.
+
+        Raises:
+            InputError: no such file, or not a result of this kind and layout.
+        """
+        return read_result(path, {cls.kind: cls})
+
+
+def read_result(path: str | Path, kinds: dict[str, type[_Result]]) -> _Result:
+    """Return the result that a JSON file holds.
+
+    Args:
+        path: the file.
+        kinds: what it may hold: kind -> class.
+
+    Raises:
+        InputError: no such file, or another kind or layout.
+    """
+    path = path_of("the result", path)
+    try:
+        with path.open("rb") as file:
+            content = file.read(_MOST_BYTES + 1)
+        text = content.decode("utf-8")
+    except (OSError, ValueError) as error:
+        raise InputError(f"the result {shown(str(path), 200)} cannot be read: {short(str(error), 200)}") from None
+    if len(content) > _MOST_BYTES:
+        raise InputError(f"the result '{path}' is too long: at most {_MOST_BYTES // 1_000_000} MB can be read")
+    try:
+        return _result_of(_parsed(text), kinds)
+    except (ValueError, RecursionError, TypeError) as error:
+        place = error.place if isinstance(error, Misfit) else ""
+        kind = next(iter(kinds)) if len(kinds) == 1 else "result"
+        wanted = f"{'an' if kind[0] in 'aeiou' else 'a'} {kind}"
+        raise InputError(
+            f"'{path}' is not {wanted} of this version (schema {SCHEMA}): at {short(place or 'its beginning')}:"
+            f" {short(str(error), 200)}; name another file, or write it anew"
+        ) from None
+
+
+def _result_of(data: Any, kinds: dict[str, type[_Result]]) -> _Result:
+    """Return the result that a document holds.
+
+    Raises:
+        ValueError: not a document of these kinds.
+    """
+    if not isinstance(data, dict):
+        raise Misfit("", "Input should be an object")
+    for key, known in (("schema", [SCHEMA]), ("kind", [*kinds])):
+        if data.get(key) not in known or isinstance(data[key], bool):
+            raise Misfit(key, f"{key} = {data.get(key)!r:.60}: Input should be {' or '.join(map(repr, known))}")
+    found: _Result = from_plain(kinds[data["kind"]], data)
+    found.check_kept()
+    from_plain(str, data.get("title"), "title")
+    for name, hint, key in (("_shown", Page, "shown"), ("_made_by", dict[str, str], "versions")):
+        object.__setattr__(found, name, from_plain(hint, data.get(key), key))
+    beside = {key: own for key, own in data.items() if key not in _HEAD and key not in fields_of(type(found))}
+    object.__setattr__(found, "_beside", beside)
+    return found
+
+
+def _parsed(text: str) -> Any:
+    """Return strictly valid JSON.
+
+    Raises:
+        ValueError: not JSON, NaN, or a number beyond all floats.
+    """
+
+    def refuse(constant: str) -> Any:
+        raise ValueError(f"Invalid JSON: {constant}")
+
+    try:
+        data = json.loads(text, parse_constant=refuse)
+    except ValueError as error:
+        raise ValueError(f"Invalid JSON: {error}") from None
+    rest = [data]
+    while rest:
+        value = rest.pop()
+        if isinstance(value, dict | list):
+            rest += value.values() if isinstance(value, dict) else value
+        elif isinstance(value, int | float) and not abs(value) <= sys.float_info.max:
+            raise ValueError("a number is beyond all floats")
+    return data

@@ -1,0 +1,262 @@
+"""Dataclasses as the plain data that JSON has, and back by their annotations, strictly: no text passes for a number."""
+
+from __future__ import annotations
+
+import inspect
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import MISSING, Field, fields, is_dataclass, make_dataclass
+from types import NoneType, UnionType
+from typing import Any, Final, Literal, Union, get_args, get_origin, get_type_hints
+
+import numpy as np
+
+from plough_opt.core.errors import InputError
+
+# What may be unknown: a motion that cannot be predicted, what data do not determine, the time of what failed -> the
+# texts that stand for infinity there, as JSON has none.
+_MAY_BE_INFINITE: Final = {
+    **dict.fromkeys(("error_estimate", "standard_error", "sigma", "errors", "Entry.seconds"), ("Infinity",)),
+    **dict.fromkeys(("Interval.lower", "Interval.upper"), ("Infinity", "-Infinity")),
+}
+_EVERY_END: Final = ("Infinity", "-Infinity")
+_CLASS, _FUNCTION = "class", "function"
+
+
+class Misfit(ValueError):
+    """Plain data that is not what it should be, and where."""
+
+    def __init__(self, place: str, why: str) -> None:
+        super().__init__(why)
+        self.place = place
+
+
+def to_plain(value: Any, hint: Any = Any) -> Any:
+    """Return a value as plain data; NaN is None, and what is infinite a text.
+
+    Args:
+        value: a dataclass, an array, a number, a text, a function of a module, or containers of these.
+        hint: its annotation; a dataclass that does not follow from that is named.
+
+    Raises:
+        InputError: something else in it.
+    """
+    if isinstance(value, np.ndarray | np.generic):
+        value = value.tolist()
+    if isinstance(value, float):
+        return value if np.isfinite(value) else None if np.isnan(value) else _EVERY_END[value < 0.0]
+    if value is None or isinstance(value, bool | int | str):
+        return value
+    if isinstance(value, complex):
+        return [value.real, value.imag]
+    if isinstance(value, Mapping):
+        inner = get_args(hint)[1] if len(get_args(hint)) == 2 else Any
+        return {str(key): to_plain(own, inner) for key, own in value.items()}
+    if isinstance(value, list | tuple | set):
+        entries = sorted(value) if isinstance(value, set) else value
+        return [to_plain(own, _entry(hint, k)) for k, own in enumerate(entries)]
+    kind = type(value)
+    if inspect.isfunction(value):
+        return {_FUNCTION: _path(value)}
+    if not (is_dataclass(kind) or kind in _classes(hint)):
+        raise InputError(f"a value of type {kind.__name__} cannot be kept: {value!r:.60}")
+    hints = annotations_of(kind)
+    plain = {name: to_plain(getattr(value, name), hints.get(name, Any)) for name in fields_of(kind)}
+    known = _classes(hint)
+    return plain if known == [kind] else {_CLASS: kind.__name__ if kind in known else _path(kind), **plain}
+
+
+def from_plain(hint: Any, data: Any, place: str = "", infinite: Sequence[str] = ()) -> Any:
+    """Return the value that `to_plain` made plain.
+
+    Args:
+        hint: its annotation.
+        data: what JSON has.
+        place: where it stands, for messages.
+        infinite: texts that may stand for a number.
+
+    Raises:
+        Misfit: plain data of another kind.
+    """
+    misfit = None
+    for alternative in _alternatives(hint):
+        try:
+            return _read(alternative, data, place, infinite)
+        except Misfit as error:
+            if misfit is None or len(error.place) > len(misfit.place):
+                misfit = error
+    raise misfit or Misfit(place, f"{data!r:.60} is not expected here")
+
+
+def _read(hint: Any, data: Any, place: str, infinite: Sequence[str]) -> Any:
+    """Return plain data as one annotation that is no union has it."""
+    origin, inner = get_origin(hint) or hint, get_args(hint)
+    if hint is Any:
+        return _read_any(data, place)
+    if hint is object:
+        return data
+    if origin is Literal:
+        _expect(any(data == own and type(data) is type(own) for own in inner), place, f"must be one of {inner}")
+        return data
+    if origin is np.ndarray:
+        return _array(data, place, _EVERY_END)
+    if origin is float:
+        if isinstance(data, str) and data in infinite:
+            return float(data)
+        _expect(_is_number(data), place, "Input should be a valid number")
+        return float(data)
+    if origin in (int, str, bool, NoneType):
+        _expect(type(data) is origin, place, f"Input should be {'null' if origin is NoneType else origin.__name__}")
+        return data
+    if origin is complex:
+        return complex(*from_plain(tuple[float, float], data, place))
+    if origin in (tuple, list, set, Sequence):
+        _expect(isinstance(data, list), place, "Input should be a list")
+        if origin is tuple and inner[-1:] != (...,):
+            _expect(len(data) == len(inner), place, f"Input should have {len(inner)} entries")
+        found = [from_plain(_entry(hint, k), own, _inside(place, k), infinite) for k, own in enumerate(data)]
+        return found if origin is Sequence else origin(found)
+    if isinstance(origin, type) and issubclass(origin, Mapping):
+        _expect(isinstance(data, dict), place, "Input should be an object")
+        key = int if inner[0] is int else str
+        return {key(name): from_plain(inner[1], own, _inside(place, name), infinite) for name, own in data.items()}
+    if origin is Callable:
+        return _known(_member(data, _FUNCTION, place)) or _missing(_member(data, _FUNCTION, place))
+    return _object(hint, data, place)
+
+
+def _object(hint: type, data: Any, place: str) -> Any:
+    """Return an instance of a class, or of the one that the data names."""
+    _expect(isinstance(data, dict), place, "Input should be an object")
+    name = data.get(_CLASS, hint.__name__)
+    kind = hint if name == hint.__name__ else _known(name)
+    if kind is None and ":" in str(name) and not is_dataclass(hint):
+        kind = _stand_in(hint, name, [key for key in data if key != _CLASS])
+    _expect(kind is hint or (isinstance(kind, type) and is_dataclass(kind)), place, f"is no {hint.__name__}")
+    hints, given = annotations_of(kind), {}
+    for key, default in fields_of(kind).items():
+        if key in data:
+            ends = _MAY_BE_INFINITE.get(key) or _MAY_BE_INFINITE.get(f"{kind.__name__}.{key}", ())
+            own = hints.get(key, object)
+            if data[key] is not None or default is not None or own is not Any:
+                given[key] = from_plain(own, data[key], _inside(place, key), ends)
+        else:
+            _expect(default is not MISSING, _inside(place, key), "Field required")
+    given |= {one.name: None for one in fields(kind) if one.name in unkept_of(kind) and _default(one) is MISSING}
+    found = kind(**given)
+    _expect(isinstance(found, hint), place, f"is no {hint.__name__}")
+    return found
+
+
+def _read_any(data: Any, place: str) -> Any:
+    """Return an expression of numbers: one, or an array of them."""
+    if isinstance(data, list):
+        return _array(data, place, ())
+    _expect(_is_number(data), place, "Input should be a valid number")
+    return data
+
+
+def _array(data: Any, place: str, infinite: Sequence[str]) -> Any:
+    """Return lists of numbers as an array; None is NaN in it where what is infinite may stand too."""
+
+    def number(own: Any) -> Any:
+        if isinstance(own, list):
+            return [number(inner) for inner in own]
+        if infinite and (own is None or own in infinite):
+            return float(own or "nan")
+        _expect(_is_number(own), place, "Input should be a valid number")
+        return own
+
+    _expect(isinstance(data, list), place, "Input should be a list")
+    return np.array(number(data), dtype=float)
+
+
+def _is_number(data: Any) -> bool:
+    return isinstance(data, int | float) and not isinstance(data, bool)
+
+
+def _expect(holds: bool, place: str, why: str) -> None:
+    if not holds:
+        raise Misfit(place, why)
+
+
+def _inside(place: str, key: object) -> str:
+    return f"{place}.{key}" if place else str(key)
+
+
+def _member(data: Any, key: str, place: str) -> str:
+    _expect(isinstance(data, dict) and isinstance(data.get(key), str), place, f"must name a {key}")
+    return str(data[key])
+
+
+def _alternatives(hint: Any) -> tuple[Any, ...]:
+    return get_args(hint) if get_origin(hint) in (Union, UnionType) else (hint,)
+
+
+def _classes(hint: Any) -> list[type]:
+    """Return the classes with fields that an annotation allows."""
+    plain = (int, float, str, bool, complex, NoneType)
+    return [own for own in _alternatives(hint) if isinstance(own, type) and own not in plain]
+
+
+def _entry(hint: Any, number: int) -> Any:
+    """Return the annotation of an entry of a list or a tuple."""
+    inner = [own for own in _alternatives(hint) if get_origin(own) in (tuple, list, set, Sequence)]
+    entries = get_args(inner[0]) if inner else ()
+    if not entries:
+        return Any
+    return entries[min(number, len(entries) - 1)] if entries[-1] is not ... else entries[0]
+
+
+def annotations_of(kind: type[Any]) -> dict[str, Any]:
+    """Return the annotations of a class's fields, none of a class in a function whose names are gone."""
+    try:
+        return get_type_hints(kind if is_dataclass(kind) else inspect.getattr_static(kind, "__init__"))
+    except NameError:
+        return {}
+
+
+def unkept_of(kind: type[Any]) -> frozenset[str]:
+    """Return the fields of a class that are no data: what computes further."""
+    return getattr(kind, "unkept", frozenset())
+
+
+def fields_of(kind: type[Any]) -> dict[str, Any]:
+    """Return the fields of a class that are kept, and their defaults; of other classes their arguments."""
+    if not is_dataclass(kind):
+        return dict.fromkeys(inspect.signature(kind).parameters, MISSING)
+    return {one.name: _default(one) for one in fields(kind) if one.init and one.name not in unkept_of(kind)}
+
+
+def _default(one: Field[Any]) -> Any:
+    """Return the default of a field, MISSING where it has none."""
+    return one.default if one.default_factory is MISSING else one.default_factory
+
+
+def _path(thing: Any) -> str:
+    return f"{thing.__module__}:{thing.__qualname__}"
+
+
+def _known(path: Any) -> Any:
+    """Return a user's class or function in a module that is imported already, or None: a file imports nothing."""
+    module, _, names = str(path).partition(":")
+    thing = None if module.partition(".")[0] in sys.stdlib_module_names else sys.modules.get(module)
+    for name in names.split("."):
+        thing = getattr(thing, name, None)
+    return thing
+
+
+def _missing(path: str) -> Callable[..., Any]:
+    """Return what stands in the place of a function that is not there."""
+
+    def refuse(*_arguments: object, **_more: object) -> Any:
+        raise InputError(f"the result holds '{path}', which is not defined here: define or import it, and load again")
+
+    return refuse
+
+
+def _stand_in(hint: type, path: str, names: Sequence[str]) -> type:
+    """Return a class in the place of one that is not there, which holds and shows its fields and computes nothing."""
+    methods = dict.fromkeys(("force", "at_rest", "reaction"), _missing(path))
+    return make_dataclass(path.rpartition(".")[2].rpartition(":")[2], names, bases=(hint,), frozen=True,
+                          namespace={**methods, "label": path})  # fmt: skip

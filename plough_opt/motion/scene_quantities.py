@@ -1,0 +1,65 @@
+"""The quantities of a scene by the names that problem files give them, such as "share.height"."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from typing import Any
+
+from plough_opt.core.errors import InputError, nearest
+from plough_opt.core.expressions import Expression
+from plough_opt.core.quantities import QUANTITIES
+from plough_opt.motion.scene import Scene
+
+
+def quantity_of(scene: Scene, name: str) -> Expression:
+    """Return a scene's quantity by name.
+
+    Raises:
+        InputError: an unknown name, or a quantity that the scene does not have.
+    """
+    if name not in QUANTITIES:
+        raise InputError(f"a scene has no quantity '{name}': {nearest(name, QUANTITIES)}")
+    value = _at(scene, QUANTITIES[name].path)
+    if value is None:
+        raise InputError(f"the scene has no '{name}': give it one, or leave the name out")
+    return value
+
+
+def quantities_of(scene: Scene) -> dict[str, Expression | None]:
+    """Return a scene's quantities by name, None for those that it does not have."""
+    return {name: _at(scene, quantity.path) for name, quantity in QUANTITIES.items()}
+
+
+def _at(value: Any, path: tuple[str | int, ...]) -> Any:
+    for step in path:
+        if isinstance(step, int):  # one wave stands by itself, several in a tuple
+            several = value if isinstance(value, tuple) else (value,)
+            value = several[step] if step < len(several) else None
+        else:
+            value = getattr(value, step, None)
+    return value
+
+
+def with_quantities(scene: Scene, changes: Mapping[str, Expression]) -> Scene:
+    """Return a scene with other values of some quantities, by name, numbers or expressions.
+
+    Raises:
+        InputError: an unknown name, or a quantity that the scene does not have.
+        DomainError: a number outside the model's domain.
+    """
+    for name, value in changes.items():
+        quantity_of(scene, name)
+        scene = _replaced(scene, QUANTITIES[name].path, value)
+    return scene
+
+
+def _replaced(value: Any, path: tuple[str | int, ...], new: Expression) -> Any:
+    if not path:
+        return new
+    step, rest = path[0], path[1:]
+    if isinstance(step, int):
+        if not isinstance(value, tuple):
+            return _replaced(value, rest, new)
+        return (*value[:step], _replaced(value[step], rest, new), *value[step + 1 :])
+    return dataclasses.replace(value, **{step: _replaced(getattr(value, step), rest, new)})

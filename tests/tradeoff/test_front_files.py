@@ -17,7 +17,7 @@ def test_json_and_back(broken, tmp_path):
     assert back == po.load(path) == replace(broken, versions=dict(broken.versions))
     assert np.array_equal(back.designs, broken.designs)
     text = json.loads(path.read_text(encoding="utf-8"))
-    assert text["schema"] == 1
+    assert text["schema"] == 2
     assert text["kind"] == "trade-off"
     assert text["versions"]["plough_opt"]
 
@@ -30,8 +30,8 @@ def test_a_front_of_one_design_comes_back(tmp_path, plane):
 
 def test_files_that_are_no_front(tmp_path):
     path = tmp_path / "other.json"
-    path.write_text('{"schema": 1, "kind": "run"}', encoding="utf-8")
-    with pytest.raises(po.InputError, match="is not a front of this version"):
+    path.write_text('{"schema": 2, "kind": "run"}', encoding="utf-8")
+    with pytest.raises(po.InputError, match="is not a trade-off of this version"):
         po.TradeOff.load(path)
     with pytest.raises(po.InputError, match="cannot be read"):
         po.TradeOff.load(tmp_path / "none.json")

@@ -342,5 +342,5 @@ def test_a_pickled_optimum_keeps_its_numbers_and_says_what_it_lost():
     best = d.solve()
     again = pickle.loads(pickle.dumps(best))
     assert (again.objective, again.variables, again.limits) == (best.objective, best.variables, best.limits)
-    with pytest.raises(po.InputError, match="pickled without its design"):
+    with pytest.raises(po.InputError, match="kept without its design"):
         again(run.mean_draft)

@@ -175,7 +175,7 @@ def test_once_rounded_or_pickled_there_is_nothing_to_round():
         found.rounded(y=0.1)
     again = pickle.loads(pickle.dumps(found))
     assert (again.variables, again.cost, again.tried) == (found.variables, found.cost, found.tried)
-    with pytest.raises(po.InputError, match="pickled without its design"):
+    with pytest.raises(po.InputError, match="kept without its design"):
         pickle.loads(pickle.dumps(_solved()[0])).rounded(y=0.1)
 
 

@@ -337,7 +337,7 @@ def test_limits_that_decide_twice_are_refused():
 
 def test_a_pickled_optimum_says_that_it_left_its_design_behind():
     best = pickle.loads(pickle.dumps(_cost_against_yield().solve()))
-    with pytest.raises(po.InputError, match="pickled without its design"):
+    with pytest.raises(po.InputError, match="kept without its design"):
         best.sensitivity("weight")
 
 

@@ -34,6 +34,10 @@ def no_lines_that_depend_on_time():
 
 # Of how many cases of a parametrised test one runs by default, by file or by test; all run with the slow tests.
 ONE_OF = {
+    "cli/test_cli::test_a_reader_that_has_seen_enough_is_no_error": 3,
+    "cli/test_cli::test_a_title_in_another_script_is_printed_on_any_terminal": 2,
+    "cli/test_cli::test_bad_input": 3,
+    "cli/test_cli_files::test_environments_that_cannot_be_are_bad_input": 2,
     "design/test_design_nlp::test_methods_of_casadi_agree_with_order_8": 3,
     "design/test_implied_limits": 3,
     "design/test_independent_motion": 3,
@@ -69,6 +73,7 @@ ONE_OF = {
     "motion/test_wanted_cost": 3,
     "test_accuracy_study": 2,
     "test_batch": 3,
+    "test_batch_compiler": 3,
     "test_density_profile": 2,
     "test_forces": 4,
     "test_plastic_derivatives": 3,

@@ -1,11 +1,11 @@
 """The elastic medium around a thin wedge or a slender cone in 120-digit arithmetic: what the toolkit is judged by.
 
-Three descriptions of one field, of which only the last is fast:
+Two descriptions of one field, of which only the second is fast:
 
 1. Fourier integrals over potentials whose amplitudes are solved for, wave number by wave number, from the boundary
    conditions (`wedge_gradient_by_waves`, `cone_displacement_by_waves`).
-2. Integrals of the potentials' kernels over the profile (`wedge_gradient_by_kernels`, `cone_displacement_by_kernels`).
-3. The antiderivatives of those kernels at the nodes, nothing rearranged against cancellation (all other functions).
+2. The potentials' kernels integrated over each straight piece in closed form, nothing rearranged against cancellation
+   (all other functions).
 
 `test_oracle.py` shows that they agree. Nothing is imported from the toolkit. A body is a list of nodes
 (x, half thickness or radius), joined by straight lines and followed by a parallel shank. V0 must not be zero: at rest
@@ -141,53 +141,6 @@ def _integrate_waves(waves, decay, extent, halvings=0):
         for t, w in rule
     ]
     return list(sum(parts[1:], parts[0]) / mp.pi)
-
-
-def wedge_gradient_by_kernels(x, y, nodes, medium):
-    """Return ux_x, uy_y, ux_y, uy_x as integrals of the potentials' second derivatives over the half thickness.
-
-    phi = -(1 + eta^2)/(2 pi alpha m) int h ln(X^2 + alpha^2 y^2) ds, psi = -2/(pi m) int h atan(X/(eta y)) ds.
-    """
-    alpha, eta, m = medium.alpha, medium.eta, medium.m
-    of_phi, of_psi = -(1 + eta**2) / (2 * mp.pi * alpha * m), -2 / (mp.pi * m)
-
-    def integral(kernel):
-        def straight(a, left, b, right):
-            return mp.quad(lambda s: (left + (right - left) * (s - a) / (b - a)) * kernel(x - s), [a, (a + b) / 2, b])
-
-        end, shank = nodes[-1]
-        total = mp.fsum(straight(*piece) for piece in segments(nodes))
-        return total + (shank * mp.quad(lambda s: kernel(x - s), [end, end + 1, mp.inf]) if shank else 0)
-
-    def phi_xx(X):
-        D = X**2 + (alpha * y) ** 2
-        return 2 * (1 / D - 2 * X**2 / D**2)
-
-    def phi_xy(X):
-        return -4 * alpha**2 * X * y / (X**2 + (alpha * y) ** 2) ** 2
-
-    def phi_yy(X):
-        D = X**2 + (alpha * y) ** 2
-        return 2 * alpha**2 * (1 / D - 2 * (alpha * y) ** 2 / D**2)
-
-    def psi_xx(X):
-        return -2 * X * eta * y / (X**2 + (eta * y) ** 2) ** 2
-
-    def psi_xy(X):
-        D = X**2 + (eta * y) ** 2
-        return eta * (1 / D - 2 * (eta * y) ** 2 / D**2)
-
-    def psi_yy(X):
-        return 2 * eta**3 * X * y / (X**2 + (eta * y) ** 2) ** 2
-
-    shear = of_psi * integral(psi_xy)
-    turn = of_phi * integral(phi_xy)
-    return [
-        of_phi * integral(phi_xx) + shear,
-        of_phi * integral(phi_yy) - shear,
-        turn + of_psi * integral(psi_yy),
-        turn - of_psi * integral(psi_xx),
-    ]
 
 
 def wedge_pressure(x, nodes, medium):
@@ -410,34 +363,3 @@ def cone_displacement_by_waves(x, r, nodes, medium, section_factor=HALF):
     # Down to p = 1e-8 of the first interval, which leaves an error of 1e-10 of the result.
     axial, radial = _integrate_waves(waves, eta * r, abs(x) + nodes[-1][0], halvings=26)
     return axial, radial + section_factor * nodes[-1][1] ** 2 / (2 * r)
-
-
-def cone_displacement_by_kernels(x, r, nodes, medium, section_factor=HALF):
-    """Return the displacements as integrals of potentials over S: the kernel of K0(k r p) is 1/(2 rho).
-
-    u_x = ((1 + eta^2) int S d/dx(1/(2 rho_alpha)) - 2 eta^2 int S d/dx(1/(2 rho_eta)))/m and
-    u_r = ((1 + eta^2) int S d/dr(1/(2 rho_alpha)) - 2 int S d/dr(1/(2 rho_eta)))/m, the shank included.
-    """
-    eta, m = medium.eta, medium.m
-
-    def integral(kernel):
-        def straight(a, left, b, right):
-            return mp.quad(
-                lambda s: (left + (right - left) * (s - a) / (b - a)) ** 2 * kernel(x - s), [a, (a + b) / 2, b]
-            )
-
-        end, shank = nodes[-1]
-        total = mp.fsum(straight(*piece) for piece in segments(nodes))
-        total += shank**2 * mp.quad(lambda s: kernel(x - s), [end, end + 1, mp.inf]) if shank else 0
-        return section_factor * total
-
-    def d_dx(k):
-        return integral(lambda X: -X / (2 * mp.sqrt(X**2 + (k * r) ** 2) ** 3))
-
-    def d_dr(k):
-        return integral(lambda X: -(k**2) * r / (2 * mp.sqrt(X**2 + (k * r) ** 2) ** 3))
-
-    return (
-        ((1 + eta**2) * d_dx(medium.alpha) - 2 * eta**2 * d_dx(eta)) / m,
-        ((1 + eta**2) * d_dr(medium.alpha) - 2 * d_dr(eta)) / m,
-    )

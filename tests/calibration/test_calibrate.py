@@ -30,7 +30,7 @@ def test_scene_problem_and_function_give_the_same(measured, three, fitted):
     )
     from_file = po.calibrate(problem, measured)
     for name, value in from_file.values.items():
-        # Bounds and guesses differ, the optimum does not: IPOPT stops within 1e-4 of a standard error.
+        # Bounds and guesses differ, the optimum does not: the search stops within 1e-4 of a standard error.
         assert abs(value - fitted.values[name]) < 1e-3 * fitted.standard_errors[name]
 
 
@@ -107,7 +107,7 @@ def test_a_fit_refuses_what_it_cannot_say(fitted):
         fitted.next_measurements([po.Candidate("mount_force")])
 
 
-def test_no_start_that_converges_is_said(measured, three, monkeypatch):
+def test_a_fit_that_does_not_converge_is_refused(measured, three, monkeypatch):
     from plough_opt.studies.calibration import least_squares
 
     calibration = po.Calibration(steady_scene(), measured, three)
@@ -153,7 +153,7 @@ def test_the_mass_of_a_scene_is_found_by_the_name_that_components_have():
     runs = [po.simulate(with_quantities(heavier, {"scene.tow_speed": v}), 1.0) for v in speeds]
     data = po.Measurements("force_rms", [run.force_rms for run in runs], {"scene.tow_speed": speeds})
     found = po.calibrate(scene, data, {"scene.mass": ("20 kg", "100 kg")}, duration=1.0)
-    # Exact data: IPOPT's tolerance is what is left.
+    # Exact data: the tolerance of the search is what is left.
     assert found.values["scene.mass"] == pytest.approx(60.0, rel=1e-8)
     assert po.component(scene, 1.0, inputs=["scene.mass"], outputs=["force_rms"]).inputs[0].name == "scene.mass"
 

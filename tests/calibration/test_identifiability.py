@@ -18,7 +18,7 @@ def confounded(measured):
     return po.calibrate(steady_scene(), measured, STRENGTH)
 
 
-def test_cohesion_and_ambient_pressure_are_told_apart_by_no_draft(confounded):
+def test_no_draft_separates_cohesion_and_ambient_pressure(confounded):
     (found,) = confounded.unidentifiable
     assert found.structural
     # F0 goes with nu p_a + 2 k cos(theta)/(1 + sin(theta)): p_a can be offset by tan(theta) of itself in cohesion.
@@ -108,24 +108,26 @@ def test_an_unknown_that_was_measured_itself_settles_it(measured):
     assert fit.cross_validation().rows.tolist() == list(range(len(measured.values)))
 
 
-def test_profile_ends_are_where_the_loss_has_risen(fitted, measured):
+def test_profile_ends_are_where_the_loss_has_risen(fitted):
     """Against a profile by SciPy: the other unknowns fitted at each value of the first."""
-    program, y = fitted.source.calibration.program, fitted.source.estimate.y
-    weights = 1.0 / measured.sigma
+    found = fitted.source.estimate
     limit = fitted.total + 0.5 * stats.norm.ppf(0.975) ** 2
 
     def rise(own):
         def loss(rest):
-            return program.total(np.array([own, *rest]), measured.values, weights)
+            return found.problem.total(np.array([own, *rest]), found.data)
 
-        return optimize.minimize(loss, y[1:], method="Nelder-Mead", options={"xatol": 1e-9, "fatol": 1e-11}).fun - limit
+        return (
+            optimize.minimize(loss, found.y[1:], method="Nelder-Mead", options={"xatol": 1e-9, "fatol": 1e-11}).fun
+            - limit
+        )
 
-    cohesion = fitted.source.calibration.unknowns[0]
+    cohesion = fitted.source.setup.unknowns[0]
     for end in fitted.intervals()["soil.cohesion"]:
         assert abs(rise(cohesion.scaled(end))) < 1e-6
 
 
-def test_several_optima_that_fit_are_told(measured, three):
+def test_several_optima_that_fit_are_reported(measured, three):
     fit = po.calibrate(steady_scene(), measured, three)
     assert len(fit.optima) == 1
     assert not any("local optima" in warning for warning in fit.warnings)

@@ -51,7 +51,7 @@ def both(request, regression):
 
 def test_values_errors_and_correlation(both):
     fit, found, covariance, _, _, _ = both
-    # IPOPT stops within 1e-4 of a standard error, and here far closer.
+    # The search stops within 1e-4 of a standard error, and here far closer.
     np.testing.assert_allclose(list(fit.values.values()), found, rtol=1e-7)
     errors = np.sqrt(np.diag(covariance))
     np.testing.assert_allclose(list(fit.standard_errors.values()), errors, rtol=1e-7)

@@ -59,17 +59,15 @@ def test_the_calibrated_scene_predicts_the_record(from_record, record):
 
 
 def test_slopes_of_a_record_are_those_of_differences(from_record):
-    program, y, step = from_record.source.calibration.program, np.array([0.3, 0.4]), 1e-5
-    slope = program.slope(y)
-    for k in range(2):
-        by = np.zeros(2)
-        by[k] = step
-        difference = (program.predict(y + by) - program.predict(y - by)) / (2.0 * step)
+    problem, y, step = from_record.source.setup.problem, np.array([0.3, 0.4]), 1e-5
+    slope = problem.at(y)[1]
+    for k, by in enumerate(step * np.eye(2)):
+        difference = (problem.predict(y + by) - problem.predict(y - by)) / (2.0 * step)
         # step^2 = 1e-10 times third derivatives of some hundred times the slope.
         np.testing.assert_allclose(slope[:, k], difference, rtol=1e-5, atol=1e-7 * np.max(np.abs(difference)))
 
 
-def test_neighbours_that_depend_on_each_other_are_told(record):
+def test_neighbours_that_depend_on_each_other_are_reported(record):
     times, exact, _ = record
     drift = 60.0 * np.sin(2.0 * np.pi * times / 0.17)
     data = po.Measurements("mount_force", exact + drift, time=times, name="drifting")
@@ -85,7 +83,7 @@ def test_mean_drafts_of_runs_under_a_strength_wave(motion):
     data = po.Measurements("mean_draft", exact, {"scene.tow_speed": speeds}, sigma=0.01 * exact)
     guess = moving_scene(cohesion=35e3, **effects)
     fit = po.calibrate(guess, data, {"soil.cohesion": (1e3, 80e3)}, duration=0.3, starts=1)
-    # The symbolic run's steps err by 1e-8, IPOPT by 1e-4 of the standard error, some 2 % here.
+    # The symbolic run's steps err by 1e-8, the search by 1e-4 of the standard error, some 2 % here.
     assert fit.values["soil.cohesion"] == pytest.approx(20e3, rel=1e-5)
 
 

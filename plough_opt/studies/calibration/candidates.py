@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Final
 
@@ -11,9 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from plough_opt.core.errors import DomainError, InputError
+from plough_opt.core.kinds import check_kind
+from plough_opt.studies.calibration.estimate import Estimate
 from plough_opt.studies.calibration.identifiability import UNIFORM
-from plough_opt.studies.calibration.measurements import RECORD, Measurements, measurable, result_unit
-from plough_opt.studies.calibration.model import Model
+from plough_opt.studies.calibration.measurements import RECORD, measurable, result_unit
+from plough_opt.studies.calibration.prediction import row_function
+from plough_opt.studies.calibration.setup import Setup
 from plough_opt.studies.calibration.unknown import Unknown, amount
 
 Vector = NDArray[np.float64]
@@ -83,101 +86,103 @@ class NextMeasurement:
         return f"{self.candidate.describe()}: {'; '.join(largest) or 'hardly any gain'}"
 
 
-def ranked(
-    candidates: Sequence[tuple[Candidate, float, Vector]], unknowns: Sequence[Unknown], y: Vector, information: Vector
+def next_measurements(
+    setup: Setup, fit: Estimate, candidates: Sequence[Candidate] | None = None
 ) -> tuple[NextMeasurement, ...]:
     """Return candidates by their gain of information, the best first.
 
     This is D-optimal, with the bounds as prior knowledge: a uniform distribution between them.
 
     Args:
-        candidates: each with the standard deviation of its error and its derivatives by the scaled unknowns (p).
-        unknowns: to be found.
-        y: scaled unknowns at the fit.
-        information: of the data (p, p).
+        setup: model, data and unknowns.
+        fit: the estimate from the data.
+        candidates: default: other conditions, other results, and the unknowns by themselves.
+
+    Raises:
+        InputError: a candidate of another type, or none that is a measurement of this scene.
     """
-    now = np.linalg.inv(information + np.eye(len(unknowns)) / UNIFORM**2)
-    slopes = np.array([unknown.slope(float(y[k])) for k, unknown in enumerate(unknowns)])
-    before = np.sqrt(np.diag(now)) * slopes
-    units = {unknown.name: unknown.unit for unknown in unknowns}
+    if candidates is None:
+        candidates = _proposals(setup)
+    check_kind("the candidates", candidates, Sequence, "a list of po.Candidate")
+    for one in candidates:
+        check_kind("a candidate", one, Candidate, "a po.Candidate")
+    unknowns = setup.unknowns
+    slopes = np.array([unknown.slope(float(y)) for unknown, y in zip(unknowns, fit.y, strict=True)])
+    weighted = fit.slope * fit.data.weights[:, None]
+    now = np.linalg.inv(weighted.T @ weighted / fit.variance + np.eye(len(unknowns)) / UNIFORM**2)
+    before, units = np.sqrt(np.diag(now)) * slopes, {unknown.name: unknown.unit for unknown in unknowns}
     ranking = []
-    for candidate, sigma, slope in candidates:
+    for candidate in candidates:
+        try:
+            sigma, slope = _measurement(candidate, setup, fit, slopes)
+        except (DomainError, InputError):  # the scene has no such result, or not at these conditions
+            continue
         row = slope / sigma
         step = now @ row
         gain = float(row @ step)
         after = np.sqrt(np.maximum(np.diag(now - np.outer(step, step) / (1.0 + gain)), 0.0)) * slopes
         errors = {u.name: (float(before[k]), float(after[k])) for k, u in enumerate(unknowns)}
         ranking.append(NextMeasurement(candidate, sigma, 0.5 * math.log1p(gain), errors, units))
+    if not ranking:
+        raise InputError("none of the candidates is a measurement of this scene")
     return tuple(sorted(ranking, key=lambda item: -item.information))
 
 
-def proposals(model: Model, measured: Sequence[Measurements], unknowns: Sequence[Unknown]) -> list[Candidate]:
+def _measurement(candidate: Candidate, setup: Setup, fit: Estimate, slopes: Vector) -> tuple[float, Vector]:
+    """Return the standard deviation of a candidate's error, and its derivatives by the scaled unknowns.
+
+    Raises:
+        DomainError: conditions outside the model's domain.
+        InputError: a result or a condition that the scene does not have.
+    """
+    for k, unknown in enumerate(setup.unknowns):
+        if unknown.name == candidate.result:
+            return candidate.sigma or _direct_error(unknown), slopes[k] * np.eye(len(slopes))[k]
+    if candidate.result not in measurable() or candidate.result == RECORD:
+        raise InputError(f"'{candidate.result}' is neither a single result of a run nor one of the unknowns")
+    middles = {key: float(np.median(column)) for m in setup.measured for key, column in m.conditions.items()}
+    row = row_function(setup.model, setup.unknowns, {}, candidate.result, fixed={**middles, **candidate.conditions})
+    value, slope = row(fit.y, np.zeros(0))
+    size, observed = abs(float(value)), np.abs(fit.data.observed)
+    counts = (fit.data.weights > 0.0) & (observed > 0.0)
+    relative = float(np.median(fit.deviation[counts] / observed[counts]))
+    return candidate.sigma or max(relative * size, 1e-12 * max(1.0, size)), np.asarray(slope).ravel()
+
+
+def _proposals(setup: Setup) -> list[Candidate]:
     """Return candidates beside the data: other conditions, other results, and the unknowns by themselves."""
-    names = {unknown.name for unknown in unknowns}
-    results = [m.result for m in measured if m.result in measurable() and m.result != RECORD] or ["mean_draft"]
+    names = {unknown.name for unknown in setup.unknowns}
+    results = [m.result for m in setup.measured if m.result in measurable() and m.result != RECORD] or ["mean_draft"]
     candidates: list[Candidate] = []
     for result in dict.fromkeys(results):
         candidates.append(Candidate(result))
         for key, factors in _FACTORS.items():
-            if key not in names and (middle := _middle(key, model, measured)):
-                ends = [min(x, _STEEPEST) if key == "share.wedge_angle" else x for x in (f * middle for f in factors)]
-                candidates += [Candidate(result, {key: value}) for value in ends]
-        if "soil.ambient_pressure" not in names and (middle := _middle("soil.ambient_pressure", model, measured)):
-            candidates.append(
-                Candidate(
-                    result,
-                    {"soil.ambient_pressure": middle + _DEEPER},
-                    why=f"{result} at an ambient pressure {_DEEPER / 1e3:g} kPa higher",
-                )
-            )
+            if key not in names and (middle := _middle(key, setup)):
+                most = _STEEPEST if key == "share.wedge_angle" else math.inf
+                candidates += [Candidate(result, {key: min(factor * middle, most)}) for factor in factors]
+        key = "soil.ambient_pressure"
+        if key not in names and (middle := _middle(key, setup)):
+            why = f"{result} at an ambient pressure {_DEEPER / 1e3:g} kPa higher"
+            candidates.append(Candidate(result, {key: middle + _DEEPER}, why=why))
         if "soil.tool_friction" in names:
             why = f"{result} of a coated share, of known tool friction {_COATED:g}"
             candidates.append(Candidate(result, {"soil.tool_friction": _COATED}, why=why))
     if "loosened_radius" not in results:
         candidates.append(Candidate("loosened_radius", why="loosened_radius"))
-    direct = [Candidate(u.name, sigma=_DIRECT * (u.upper - u.lower),
-                        why=f"{u.name} by itself, to ±{amount(_DIRECT * (u.upper - u.lower), u.unit)}")
-              for u in unknowns]  # fmt: skip
-    return [*candidates, *direct]
+    for unknown in setup.unknowns:
+        error = _direct_error(unknown)
+        why = f"{unknown.name} by itself, to ±{amount(error, unknown.unit)}"
+        candidates.append(Candidate(unknown.name, sigma=error, why=why))
+    return candidates
 
 
-def evaluated(
-    candidates: Sequence[Candidate],
-    unknowns: Sequence[Unknown],
-    y: Vector,
-    error: float,
-    row: Callable[[Candidate], tuple[float, Vector]],
-) -> list[tuple[Candidate, float, Vector]]:
-    """Return candidates with standard deviation and derivatives, without those that the scene cannot have.
-
-    Args:
-        candidates: possible measurements.
-        unknowns: to be found.
-        y: scaled unknowns at the fit.
-        error: relative standard deviation of the data.
-        row: candidate -> its value and derivatives by the scaled unknowns.
-    """
-    names = [unknown.name for unknown in unknowns]
-    rows = []
-    for candidate in candidates:
-        if candidate.result in names:
-            k = names.index(candidate.result)
-            slope = np.zeros(len(names))
-            slope[k] = unknowns[k].slope(float(y[k]))
-            rows.append((candidate, candidate.sigma or _DIRECT * (unknowns[k].upper - unknowns[k].lower), slope))
-            continue
-        try:
-            value, slope = row(candidate)
-        except (DomainError, InputError):
-            continue
-        sigma = candidate.sigma or max(error * abs(value), 1e-12 * max(1.0, abs(value)))
-        rows.append((candidate, sigma, slope))
-    return rows
+def _direct_error(unknown: Unknown) -> float:
+    return _DIRECT * (unknown.upper - unknown.lower)
 
 
-def _middle(key: str, model: Model, measured: Sequence[Measurements]) -> float | None:
-    columns = [m.conditions[key] for m in measured if key in m.conditions]
-    return float(np.median(np.concatenate(columns))) if columns else model.current.get(key)
+def _middle(key: str, setup: Setup) -> float | None:
+    columns = [m.conditions[key] for m in setup.measured if key in m.conditions]
+    return float(np.median(np.concatenate(columns))) if columns else setup.model.current.get(key)
 
 
 def _condition(key: str, value: float) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import is_count
 from plough_opt.core.kinds import shown
-from plough_opt.studies.calibration.estimate import Data, estimate
-from plough_opt.studies.calibration.least_squares import LeastSquares
+from plough_opt.studies.calibration.estimate import Estimate, estimate
 from plough_opt.studies.calibration.measurements import RECORD, measurable
+from plough_opt.studies.calibration.setup import Setup
 
 Vector = NDArray[np.float64]
 
@@ -41,47 +41,42 @@ class CrossValidation:
     rms_fitted: Mapping[str, float]
 
 
-def cross_validate(
-    program: LeastSquares, data: Data, y: Vector, deviation: Vector, results: list[str], folds: int | None, seed: int
-) -> CrossValidation:
-    """Leave parts out in turn.
+def cross_validate(setup: Setup, fit: Estimate, folds: int | None, seed: int) -> CrossValidation:
+    """Leave parts of the rows out in turn.
 
     Args:
-        program: the fit.
-        data: all rows.
-        y: scaled unknowns of the fit to all rows.
-        deviation: standard deviation of each measurement, SI.
-        results: what each row measured.
+        setup: model, data and unknowns.
+        fit: the fit to all rows.
         folds: number of parts, from 2 to the number of rows; None: each row by itself, 20 parts for over 60 rows, and 5
             if the rows need runs.
         seed: of the shuffling; rows of a record stay in order, as the errors of neighbours are correlated.
+
+    Raises:
+        InputError: an invalid number of folds.
+        NotConverged: a fit without some of the rows has no optimum.
     """
-    order = np.array([k for k, result in enumerate(results) if result in measurable()], dtype=np.intp)
+    problem, data = setup.problem, fit.data
+    results = np.array([m.result for m in setup.measured for _ in range(m.rows)])
+    order = np.flatnonzero(np.isin(results, measurable()))
     count = len(order)
     if folds is None:
-        folds = (count if count <= _MOST_LEFT_OUT else 20) if program.predictor.closed else min(5, count)
+        folds = (count if count <= _MOST_LEFT_OUT else 20) if problem.closed else min(5, count)
     if not is_count(folds) or not 2 <= folds <= count:
         raise InputError(f"folds = {shown(folds)} must be a whole number from 2 to {count}, the number of rows")
+    rows = order.copy()
     if RECORD not in results and folds < count:
         np.random.default_rng(seed).shuffle(order)
-    errors = np.zeros(len(data.observed))
+    errors = np.zeros(len(results))
     for part in np.array_split(order, folds):
-        kept = data.weights.copy()
-        kept[part] = 0.0
-        if np.sum(kept > 0.0) < program.unknowns:
+        weights = setup.data.weights.copy()
+        weights[part] = 0.0
+        if np.sum(weights > 0.0) < problem.unknowns:
             raise InputError(f"{folds} folds leave fewer rows than unknowns: use more folds")
-        without = Data(data.observed, kept, data.stated)
-        fit = estimate(program, without, y, starts=1)
-        errors[part] = (program.predict(fit.y) - data.observed)[part]
-    fitted = program.predict(y) - data.observed
-    names = np.array(results)
-    every = [result for result in dict.fromkeys(results) if result in measurable()]
-    rows = np.sort(order)
-    return CrossValidation(
-        folds,
-        rows,
-        errors[rows],
-        errors[rows] / deviation[rows],
-        {name: float(np.sqrt(np.mean(errors[names == name] ** 2))) for name in every},
-        {name: float(np.sqrt(np.mean(fitted[names == name] ** 2))) for name in every},
-    )
+        without = estimate(problem, replace(data, weights=weights), fit.y, starts=1)
+        errors[part] = (without.predicted - data.observed)[part]
+
+    def rms(of: Vector) -> dict[str, float]:
+        return {str(name): float(np.sqrt(np.mean(of[results == name] ** 2))) for name in dict.fromkeys(results[rows])}
+
+    standardised = errors[rows] / fit.deviation[rows]
+    return CrossValidation(folds, rows, errors[rows], standardised, rms(errors), rms(fit.predicted - data.observed))

@@ -1,31 +1,40 @@
-"""The result of a calibration: `Fit`, with tables, pictures and files."""
+"""The result of a calibration: `Fit`, with intervals, tables, pictures and files."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from plough_opt.core.errors import InputError
 from plough_opt.core.kept import Keepable
-from plough_opt.core.tables import Page, data_frame
+from plough_opt.core.kinds import check_choice
+from plough_opt.core.origin import Origin, versions
+from plough_opt.core.tables import Page, Part, data_frame
 from plough_opt.motion.scene import Scene
 from plough_opt.soil.soil import Soil
+from plough_opt.studies.calibration.candidates import Candidate, NextMeasurement, next_measurements
 from plough_opt.studies.calibration.caveats import caveats
-from plough_opt.studies.calibration.cross_validation import CrossValidation
-from plough_opt.studies.calibration.estimate import NOMINAL, Data, Estimate
-from plough_opt.studies.calibration.fitted import Calibrator, Fitted, Source
-from plough_opt.studies.calibration.identifiability import undetermined
+from plough_opt.studies.calibration.cross_validation import CrossValidation, cross_validate
+from plough_opt.studies.calibration.estimate import Estimate
+from plough_opt.studies.calibration.identifiability import Undetermined, undetermined
+from plough_opt.studies.calibration.intervals import Interval, Kind, check_level, interval
 from plough_opt.studies.calibration.parts import (
+    Correlation,
+    FittedUnknown,
     KnownInterval,
+    Row,
     correlations_of,
     fitted_unknowns,
     rows_of,
 )
-from plough_opt.studies.calibration.report import fit_page
+from plough_opt.studies.calibration.report import next_table, unknowns_table
+from plough_opt.studies.calibration.setup import NOMINAL, Setup
 
 if TYPE_CHECKING:
     import pandas
@@ -33,16 +42,148 @@ if TYPE_CHECKING:
 
 Vector = NDArray[np.float64]
 
+# Correlations above this are worth a line.
+_CORRELATED: Final = 0.5
+
+
+@dataclass(frozen=True)
+class Source:
+    """The calibration and the estimate behind a fit, and the results computed from them so far."""
+
+    setup: Setup
+    estimate: Estimate
+    intervals: dict[tuple[float, Kind], dict[str, Interval]] = field(default_factory=dict)
+    ranking: list[NextMeasurement] = field(default_factory=list)
+
 
 @dataclass(frozen=True, repr=False)
-class Fit(Keepable, Fitted):
+class Fit(Keepable):
     """A calibration: unknowns with their uncertainty, and how well the model follows the data.
 
-    Its attributes are those of `Fitted`.
+    Attributes:
+        title: of the calibration.
+        unknowns: their values and standard errors.
+        correlations_found: of the errors of determined unknowns, each pair once.
+        unidentifiable: combinations that the data do not determine.
+        rows: the data beside the fit.
+        loss: name of the loss.
+        total: sum of the losses.
+        optima: sums of the losses at all distinct local optima.
+        freedom: degrees of freedom, rows that count less the determined directions.
+        scatter: root of the sum of squares over the degrees of freedom, of residuals over the stated sigma, or over the
+            mean measured value if none is stated.
+        stated: whether sigma was stated.
+        status: of the solver.
+        warnings: about the numbers.
+        seconds: time taken.
+        saved_intervals: those in a file.
+        saved_next: the ranking in a file.
+        versions: of packages, and the machine.
+        origin: what made it.
     """
 
     kind = "calibration"
     unkept = frozenset({"source"})
+
+    title: str
+    unknowns: tuple[FittedUnknown, ...]
+    correlations_found: tuple[Correlation, ...]
+    unidentifiable: tuple[Undetermined, ...]
+    rows: tuple[Row, ...]
+    loss: str
+    total: float
+    optima: tuple[float, ...]
+    freedom: int
+    scatter: float
+    stated: bool
+    status: str
+    warnings: tuple[str, ...]
+    seconds: float
+    saved_intervals: tuple[KnownInterval, ...] = ()
+    saved_next: tuple[NextMeasurement, ...] = ()
+    versions: Mapping[str, str] = field(default_factory=versions)
+    source: Source | None = field(default=None, repr=False, compare=False)
+    origin: Origin = field(default=Origin(), compare=False)
+
+    @property
+    def values(self) -> dict[str, float]:
+        """Unknown -> value, SI."""
+        return {unknown.name: unknown.value for unknown in self.unknowns}
+
+    @property
+    def standard_errors(self) -> dict[str, float]:
+        """Unknown -> standard error, SI; infinite if the data do not determine it."""
+        return {unknown.name: unknown.standard_error for unknown in self.unknowns}
+
+    @property
+    def correlations(self) -> dict[tuple[str, str], float]:
+        """Two determined unknowns -> correlation of their errors, in either order."""
+        pairs = {(c.first, c.second): c.value for c in self.correlations_found}
+        return pairs | {(second, first): value for (first, second), value in pairs.items()}
+
+    @property
+    def observed(self) -> Vector:
+        """Measured values, SI."""
+        return np.array([row.observed for row in self.rows])
+
+    @property
+    def predicted(self) -> Vector:
+        """Fitted values, SI."""
+        return np.array([row.predicted for row in self.rows])
+
+    @property
+    def residuals(self) -> Vector:
+        """Predicted less observed, SI."""
+        return np.array([row.residual for row in self.rows])
+
+    @property
+    def standardised(self) -> Vector:
+        """Residuals over the standard deviation of a measurement; 0 of rows of weight 0."""
+        return np.array([row.residual / row.sigma if row.sigma > 0.0 else 0.0 for row in self.rows])
+
+    def intervals(self, level: float = 0.95, kind: Kind = "profile") -> dict[str, Interval]:
+        """Return the confidence interval of every unknown, SI.
+
+        Args:
+            level: confidence, between 0 and 1.
+            kind: "profile": of the profile likelihood, which includes the model's curvature; "linearised": standard
+                error times quantile. Quantiles are normal if sigma is stated, and Student's if it is estimated.
+
+        Raises:
+            InputError: an invalid level or kind, or one that a saved fit does not contain.
+        """
+        level = check_level(level)
+        check_choice("kind", kind, ("profile", "linearised"))
+        known = self._known_intervals()
+        if (level, kind) not in known:
+            source = self._source_to(f"compute {kind} intervals of level {level:g} of")
+            unknowns = source.setup.unknowns
+            own = {u.name: interval(source.estimate, u, k, level, kind) for k, u in enumerate(unknowns)}
+            known = source.intervals
+            known[level, kind] = own
+        return dict(known[level, kind])
+
+    def next_measurements(self, candidates: Sequence[Candidate] | None = None) -> tuple[NextMeasurement, ...]:
+        """Return further measurements by their gain of information, the best first.
+
+        Args:
+            candidates: possible measurements; default: other wedge angles, heights, speeds and depths, a tool of known
+                friction, the loosened radius, and each unknown by itself.
+
+        Raises:
+            InputError: a candidate of another type, or candidates for a fit from a file, which has only its own.
+        """
+        if candidates is not None:
+            source = self._source_to("rank other candidates for")
+            return next_measurements(source.setup, source.estimate, candidates)
+        if self.source is not None and not self.source.ranking:
+            self.source.ranking.extend(next_measurements(self.source.setup, self.source.estimate))
+        return self._known_ranking()
+
+    @property
+    def next_measurement(self) -> NextMeasurement:
+        """The candidate with the largest gain of information."""
+        return self.next_measurements()[0]
 
     def cross_validation(self, folds: int | None = None, *, seed: int = 1) -> CrossValidation:
         """Return how well the model predicts rows that took no part in its fit.
@@ -57,14 +198,19 @@ class Fit(Keepable, Fitted):
             NotConverged: a fit without some of the rows has no optimum.
         """
         source = self._source_to("cross-validate")
-        return source.calibration.cross_validation(source.data, source.estimate, folds, seed)
+        return cross_validate(source.setup, source.estimate, folds, seed)
 
     @property
     def scene(self) -> Scene:
         """The scene with the calibrated values."""
         source = self._source_to("take the scene of")
-        scene = source.calibration.model.scene(self.values)
-        return replace(scene, soil=self._named(scene.soil))
+        scene = source.setup.model.scene(self.values)
+        own = [name.removeprefix("soil.") for name in self.values if name.startswith("soil.")]
+        if not own:
+            return scene
+        files = ", ".join(dict.fromkeys(m.name for m in source.setup.measured))
+        origin = f"{', '.join(own)} from {files}; {scene.soil.source}"
+        return replace(scene, soil=replace(scene.soil, name=f"{scene.soil.name}, calibrated", source=origin))
 
     @property
     def soil(self) -> Soil:
@@ -72,8 +218,24 @@ class Fit(Keepable, Fitted):
         return self.scene.soil
 
     def page(self) -> Page:
-        """Return the unknowns, the undetermined combinations, the next measurements, and the scatter about the fit."""
-        return fit_page(self)
+        """Return the unknowns, the undetermined combinations, the next measurements, and the scatter about the fit.
+
+        Intervals and the ranking of further measurements take time, and are shown only if they are already computed.
+        """
+        level, intervals = self._last_intervals()
+        parts: list[Part] = [unknowns_table(self.unknowns, level, intervals, self.origin)]
+        correlated = [c for c in self.correlations_found if abs(c.value) >= _CORRELATED]
+        for c in sorted(correlated, key=lambda c: -abs(c.value)):
+            parts.append(f"Errors of {c.first} and {c.second} are correlated: {c.value:+.3f}.")
+        parts += [f"Not determined: {item.words}." for item in self.unidentifiable]
+        if ranking := self._known_ranking():
+            parts.append(next_table(self.unknowns, ranking, self.origin))
+        kind = "times the stated sigma" if self.stated else "of the mean measured value"
+        parts.append(f"Scatter about the fit: {self.scatter:.3g} {kind}, {self.freedom} degrees of freedom.")
+        footer = f"Converged: no step lowers the loss ({self.status}); {self.seconds:.2f} s"
+        files = ", ".join(dict.fromkeys(row.place.partition(",")[0] for row in self.rows))
+        heading = f"{len(self.unknowns)} unknowns from {len(self.rows)} rows of {files}"
+        return Page(heading, tuple(parts), self.warnings, footer, self.title)
 
     def to_dataframe(self) -> pandas.DataFrame:
         """Return a row for each measured row beside the fit, SI; the unit of each is a column.
@@ -85,19 +247,6 @@ class Fit(Keepable, Fitted):
         frame = data_frame({name: [getattr(row, name) for row in self.rows] for name in names}, {})
         frame.attrs["units"] = {row.result: row.unit for row in self.rows}
         return frame
-
-    def _named(self, soil: Soil) -> Soil:
-        own = [unknown.name.removeprefix("soil.") for unknown in self.unknowns if unknown.name.startswith("soil.")]
-        if not own:
-            return soil
-        files = ", ".join(dict.fromkeys(m.name for m in self._source_to("name").calibration.measured))
-        return replace(soil, name=f"{soil.name}, calibrated", source=f"{', '.join(own)} from {files}; {soil.source}")
-
-    def _source_to(self, verb: str) -> Source:
-        """Return the source of a fit that is not from a file."""
-        if self.source is None:
-            raise InputError(f"this fit comes from a file: calibrate again to {verb} it")
-        return self.source
 
     def plot(self, target: str | Path | None = None) -> Figure:
         """Draw measured against predicted values, residuals, and their distribution.
@@ -123,34 +272,56 @@ class Fit(Keepable, Fitted):
         self.intervals(0.95, "linearised")
         self.intervals(0.95, "profile")
         intervals = tuple(
-            KnownInterval(name, level, kind, interval)
-            for (level, kind), every in self.source.known.items()
-            for name, interval in every.items()
+            KnownInterval(name, level, kind, own)
+            for (level, kind), every in self.source.intervals.items()
+            for name, own in every.items()
         )
         whole = replace(self, source=None, saved_intervals=intervals, saved_next=self.next_measurements())
         return whole.to_json(page or self.page())
 
+    def _source_to(self, verb: str) -> Source:
+        """Return the source of a fit that is not from a file."""
+        if self.source is None:
+            raise InputError(f"this fit comes from a file: calibrate again to {verb} it")
+        return self.source
 
-def reported(calibration: Calibrator, data: Data, estimate: Estimate, seconds: float) -> Fit:
-    """Return the fit of an estimate."""
-    unknowns, spread = calibration.unknowns, estimate.spread
-    errors = np.sqrt(np.diag(spread.covariance))
-    unscaled = data.weights * (estimate.predicted - data.observed)
+    def _known_intervals(self) -> dict[tuple[float, Kind], dict[str, Interval]]:
+        """Return the intervals computed so far, or those in the file, by level and kind."""
+        if self.source is not None:
+            return self.source.intervals
+        known: dict[tuple[float, Kind], dict[str, Interval]] = {}
+        for item in self.saved_intervals:
+            known.setdefault((item.level, item.asked), {})[item.name] = item.interval
+        return known
+
+    def _last_intervals(self) -> tuple[float, dict[str, Interval]]:
+        """Return the level and the profile intervals that were computed last; empty if there are none."""
+        profiles = [(level, own) for (level, kind), own in self._known_intervals().items() if kind == "profile"]
+        return profiles[-1] if profiles else (0.0, {})
+
+    def _known_ranking(self) -> tuple[NextMeasurement, ...]:
+        return self.saved_next if self.source is None else tuple(self.source.ranking)
+
+
+def reported(title: str, setup: Setup, estimate: Estimate, started: float) -> Fit:
+    """Return the fit of an estimate; ``started`` is the reading of the clock at its beginning."""
+    unknowns, data = setup.unknowns, setup.data
+    unscaled = data.weights * (estimate.predicted - estimate.data.observed)
     scatter = float(np.sqrt(np.sum(unscaled**2) / max(estimate.freedom, 1)))
     return Fit(
-        title=calibration.title,
-        unknowns=fitted_unknowns(unknowns, errors, estimate),
-        correlations_found=correlations_of(unknowns, errors, estimate),
-        unidentifiable=undetermined(unknowns, estimate.y, spread),
-        rows=rows_of(calibration.measured, data, estimate),
-        loss=calibration.loss.name,
-        total=estimate.stop.loss,
+        title=title,
+        unknowns=fitted_unknowns(unknowns, estimate),
+        correlations_found=correlations_of(unknowns, estimate),
+        unidentifiable=undetermined(unknowns, estimate.y, estimate.spread),
+        rows=rows_of(setup.measured, estimate),
+        loss=estimate.problem.loss.name,
+        total=estimate.best.loss,
         optima=estimate.optima,
         freedom=estimate.freedom,
         scatter=scatter if data.stated else NOMINAL * scatter,
         stated=data.stated,
-        status=estimate.stop.status,
-        warnings=caveats(calibration.rows, calibration.model, unknowns, estimate),
-        seconds=seconds,
-        source=Source(calibration, data, estimate),
+        status=estimate.best.status,
+        warnings=caveats(setup, estimate),
+        seconds=time.perf_counter() - started,
+        source=Source(setup, estimate),
     )

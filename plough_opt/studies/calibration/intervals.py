@@ -2,26 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Final, Literal
 
 import numpy as np
-from numpy.typing import NDArray
+from scipy import optimize
 
-from plough_opt.core.errors import InputError
+from plough_opt.core.errors import InputError, NotConverged
 from plough_opt.core.kinds import shown
-from plough_opt.studies.calibration.estimate import Data, Estimate
-from plough_opt.studies.calibration.least_squares import LeastSquares
+from plough_opt.studies.calibration.estimate import Estimate
+from plough_opt.studies.calibration.least_squares import AT_BOUND
 from plough_opt.studies.calibration.unknown import Unknown
 
-Vector = NDArray[np.float64]
 Kind = Literal["profile", "linearised"]
 
-_AT_BOUND: Final = 1e-6
+# Within so small a part of the bounds the loss is quadratic.
 _STRAIGHT: Final = 1e-6
-# How far towards the linearised end the search for the profile's end begins.
-_BEGIN: Final = 0.98
+# Of a standard error: how accurately the ends are found.
+_ACCURACY: Final = 1e-7
 
 
 @dataclass(frozen=True)
@@ -54,54 +53,56 @@ def check_level(level: float) -> float:
     return float(level)
 
 
-def interval(
-    program: LeastSquares, unknowns: Sequence[Unknown], data: Data, fit: Estimate, k: int, level: float, kind: Kind
-) -> Interval:
-    """Return the interval of one unknown.
+def interval(fit: Estimate, unknown: Unknown, k: int, level: float, kind: Kind) -> Interval:
+    """Return the interval of unknown number k.
 
     Profile: all values with which, the other unknowns adjusted, the loss rises by no more than the quantile allows.
     Linearised: standard error times quantile, on the unknown's own scale (its logarithm where that is scaled).
     """
     if not fit.spread.determined[k]:
         return Interval(-np.inf, np.inf, kind=kind)
-    quantile = fit.quantile(level)
+    reach = fit.quantile(level) * float(np.sqrt(fit.spread.covariance[k, k]))
+    low, high = fit.y[k] - reach, fit.y[k] + reach
+    if reach < _STRAIGHT:
+        kind = "linearised"
+    if kind == "profile":
+        try:
+            low, high = (_profile_end(fit, k, sign, fit.quantile(level)) for sign in (-1.0, 1.0))
+        except NotConverged:
+            kind = "linearised"
+    beyond = {"lower": low <= AT_BOUND, "upper": high >= 1.0 - AT_BOUND}
+    lower = unknown.lower if beyond["lower"] else float(unknown.value(low))
+    upper = unknown.upper if beyond["upper"] else float(unknown.value(high))
+    return Interval(lower, upper, tuple(side for side, clipped in beyond.items() if clipped), kind)
+
+
+def _profile_end(fit: Estimate, k: int, sign: float, quantile: float) -> float:
+    """Return the end of the profile's interval in scaled unknown k on one side, or the bound if that comes first.
+
+    Raises:
+        NotConverged: the other unknowns could not be adjusted.
+    """
     error = float(np.sqrt(fit.spread.covariance[k, k]))
-    wald = [float(fit.y[k]) + sign * quantile * error for sign in (-1.0, 1.0)]
-    # Within so small a part of the bounds the loss is quadratic.
-    if kind == "linearised" or quantile * error < _STRAIGHT:
-        return _interval(unknowns[k], wald, "linearised")
-    ends = []
-    for sign in (-1.0, 1.0):
-        end = _profile_end(program, data, fit, k, sign, quantile)
-        if end is None:
-            return _interval(unknowns[k], wald, "linearised")
-        ends.append(end)
-    return _interval(unknowns[k], ends, "profile")
-
-
-def _profile_end(
-    program: LeastSquares, data: Data, fit: Estimate, k: int, sign: float, quantile: float
-) -> float | None:
-    """Return an end of the profile's interval in the scaled unknown, or None if the search failed."""
-    direction = np.zeros(program.unknowns)
-    direction[k] = sign
-    error = np.sqrt(fit.spread.covariance[k, k])
-    along = fit.spread.covariance[:, k] / error
-    start = np.clip(fit.y + _BEGIN * sign * quantile * along, 0.0, 1.0)
-    limit = fit.stop.loss + 0.5 * quantile**2 * fit.raise_
+    along = fit.spread.covariance[:, k] / error**2
     centre = fit.y if fit.spread.free.shape[1] else None
-    for begin in (start, fit.y):
-        stop = program.extreme(direction, begin, data.observed, fit.weights, limit, centre)
-        if stop.solved:
-            break
-    return float(stop.y[k]) if stop.solved else None
+    known = {float(fit.y[k]): fit.best}
 
+    def excess(own: float) -> float:
+        """Return the root of the loss's rise, in quantiles: nearly a straight line."""
+        if own not in known:
+            nearest = min(known, key=lambda other: abs(other - own))
+            start = np.clip(known[nearest].y + (own - nearest) * along, 0.0, 1.0)
+            start[k] = own
+            known[own] = found = fit.problem.solve(start, fit.data, centre, held=k)
+            if not found.converged:
+                raise NotConverged(f"the profile likelihood has no optimum: {found.status}", found.status)
+        return float(np.sqrt(max(2.0 * (known[own].loss - fit.best.loss), 0.0) / fit.rise)) - quantile
 
-def _interval(unknown: Unknown, ends: Sequence[float], kind: Kind) -> Interval:
-    low, high = ends
-    clipped = tuple(
-        side for side, beyond in (("lower", low <= _AT_BOUND), ("upper", high >= 1.0 - _AT_BOUND)) if beyond
-    )
-    lower = unknown.lower if "lower" in clipped else float(unknown.value(low))
-    upper = unknown.upper if "upper" in clipped else float(unknown.value(high))
-    return Interval(lower, upper, clipped, kind)
+    near, reach = float(fit.y[k]), sign * quantile * error
+    while True:
+        far = min(max(near + reach, 0.0), 1.0)
+        if excess(far) >= 0.0:
+            return float(optimize.brentq(excess, near, far, xtol=_ACCURACY * error))
+        if far in (0.0, 1.0):
+            return far
+        near, reach = far, 2.0 * reach

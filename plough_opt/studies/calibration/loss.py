@@ -4,63 +4,72 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final
 
-from plough_opt.core.expressions import Expression, absolute, log1p, maximum, minimum, sqrt, where
+import numpy as np
+from numpy.typing import NDArray
+
 from plough_opt.core.kinds import check_named
+
+Vector = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class Loss:
-    """A loss rho of a residual r over its standard deviation, with rho = r^2/2 for small r.
+    """A loss c^2/2 rho(z) of a residual r over its standard deviation, with z = (r/c)^2, and rho = z for small z.
 
     Attributes:
         name: as `calibrate` takes it.
-        value: r -> rho.
-        weight: r -> rho'/r, the weight of the squared residual in a Gauss-Newton step.
-        curvature: r -> rho''.
-        robust: whether large residuals count for less than their squares.
+        size: c; residuals well above it count for less than their squares, if the loss is robust.
+        rho: z -> rho and its first two derivatives, as `scipy.optimize.least_squares` expects them.
     """
 
     name: str
-    value: Callable[[Expression], Expression]
-    weight: Callable[[Expression], Expression]
-    curvature: Callable[[Expression], Expression]
-    robust: bool = True
+    size: float
+    rho: Callable[[Any], tuple[Any, Any, Any]]
+
+    @property
+    def robust(self) -> bool:
+        """Whether large residuals count for less than their squares."""
+        return self.name != "squares"
+
+    def value(self, r: Vector) -> Vector:
+        """Return the losses of residuals."""
+        return np.asarray(0.5 * self.size**2 * self.rho((r / self.size) ** 2)[0])
+
+    def weight(self, r: Vector) -> Vector:
+        """Return the derivative of the loss over the residual: the weight of its square in a Gauss-Newton step."""
+        return np.asarray(self.rho((r / self.size) ** 2)[1])
+
+    def curvature(self, r: Vector) -> Vector:
+        """Return the second derivative of the loss."""
+        z = (r / self.size) ** 2
+        _, first, second = self.rho(z)
+        return np.asarray(first + 2.0 * z * second)
+
+
+def _huber(z: Any) -> tuple[Any, Any, Any]:
+    root = np.sqrt(np.maximum(z, 1.0))
+    return np.where(z <= 1.0, z, 2.0 * root - 1.0), 1.0 / root, np.where(z <= 1.0, 0.0, -0.5 / root**3)
+
+
+def _soft_l1(z: Any) -> tuple[Any, Any, Any]:
+    root = np.sqrt(1.0 + z)
+    return 2.0 * z / (1.0 + root), 1.0 / root, -0.5 / root**3
 
 
 # Tuning constants with which an estimate from normal errors has 95 % of the efficiency of least squares.
 HUBER, SOFT_L1, CAUCHY = 1.345, 1.287, 2.385
 
-
-def _soft(r: Expression) -> Expression:
-    return sqrt(1.0 + (r / SOFT_L1) ** 2)
-
-
 LOSSES: Final = {
     loss.name: loss
     for loss in (
-        Loss("squares", lambda r: 0.5 * r**2, lambda r: 1.0 + 0.0 * r, lambda r: 1.0 + 0.0 * r, robust=False),
-        Loss(
-            "huber",
-            lambda r: where(absolute(r) <= HUBER, 0.5 * r**2, HUBER * absolute(r) - 0.5 * HUBER**2),
-            lambda r: minimum(1.0, HUBER / maximum(absolute(r), 1e-300)),
-            lambda r: where(absolute(r) <= HUBER, 1.0 + 0.0 * r, 0.0 * r),
-        ),
-        Loss(
-            "soft_l1",
-            lambda r: r**2 / (1.0 + _soft(r)),
-            lambda r: 1.0 / _soft(r),
-            lambda r: 1.0 / _soft(r) ** 3,
-        ),
-        Loss(
-            "cauchy",
-            lambda r: 0.5 * CAUCHY**2 * log1p((r / CAUCHY) ** 2),
-            lambda r: 1.0 / (1.0 + (r / CAUCHY) ** 2),
-            lambda r: (1.0 - (r / CAUCHY) ** 2) / (1.0 + (r / CAUCHY) ** 2) ** 2,
-        ),
+        Loss("squares", 1.0, lambda z: (z, np.ones_like(z), np.zeros_like(z))),
+        Loss("huber", HUBER, _huber),
+        Loss("soft_l1", SOFT_L1, _soft_l1),
+        Loss("cauchy", CAUCHY, lambda z: (np.log1p(z), 1.0 / (1.0 + z), -1.0 / (1.0 + z) ** 2)),
     )
-}  # fmt: skip
+}
 
 
 def loss_of(name: str) -> Loss:

@@ -4,16 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from plough_opt.studies.calibration.estimate import Data, Estimate
+from plough_opt.studies.calibration.estimate import Estimate
 from plough_opt.studies.calibration.intervals import Interval, Kind
 from plough_opt.studies.calibration.measurements import Measurements, result_unit
 from plough_opt.studies.calibration.unknown import Unknown
-
-Vector = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -87,48 +85,31 @@ class KnownInterval:
     interval: Interval
 
 
-def fitted_unknowns(unknowns: Sequence[Unknown], errors: Vector, fit: Estimate) -> tuple[FittedUnknown, ...]:
+def fitted_unknowns(unknowns: Sequence[Unknown], fit: Estimate) -> tuple[FittedUnknown, ...]:
     """Return every unknown with its standard error."""
-    determined = fit.spread.determined
+    errors = np.where(fit.spread.determined, np.sqrt(np.diag(fit.spread.covariance)), np.inf)
     return tuple(
-        FittedUnknown(
-            u.name,
-            u.unit,
-            float(u.value(float(fit.y[k]))),
-            float(errors[k] * u.slope(float(fit.y[k]))) if determined[k] else np.inf,
-            u.lower,
-            u.upper,
-            bool(determined[k]),
-        )
-        for k, u in enumerate(unknowns)
+        FittedUnknown(u.name, u.unit, float(u.value(y)), float(error * u.slope(y)), u.lower, u.upper, error < np.inf)
+        for u, y, error in zip(unknowns, fit.y.tolist(), errors.tolist(), strict=True)
     )
 
 
-def correlations_of(unknowns: Sequence[Unknown], errors: Vector, fit: Estimate) -> tuple[Correlation, ...]:
+def correlations_of(unknowns: Sequence[Unknown], fit: Estimate) -> tuple[Correlation, ...]:
     """Return the correlations of the determined unknowns."""
-    spread = fit.spread
-    known = [k for k in range(len(unknowns)) if spread.determined[k] and errors[k] > 0.0]
+    errors = np.sqrt(np.diag(fit.spread.covariance))
     return tuple(
-        Correlation(unknowns[i].name, unknowns[j].name, float(spread.covariance[i, j] / (errors[i] * errors[j])))
-        for at, i in enumerate(known)
-        for j in known[at + 1 :]
+        Correlation(unknowns[i].name, unknowns[j].name, float(fit.spread.covariance[i, j] / (errors[i] * errors[j])))
+        for i, j in combinations(np.flatnonzero(errors > 0.0).tolist(), 2)
     )
 
 
-def rows_of(measured: Sequence[Measurements], data: Data, fit: Estimate) -> tuple[Row, ...]:
+def rows_of(measured: Sequence[Measurements], fit: Estimate) -> tuple[Row, ...]:
     """Return every measured row beside the fit."""
-    deviation = np.divide(fit.variance**0.5, fit.weights, out=np.full(len(fit.weights), np.inf),
-                          where=fit.weights > 0.0)  # fmt: skip
     error = np.sqrt(np.maximum(np.einsum("ni,ij,nj->n", fit.slope, fit.spread.covariance, fit.slope), 0.0))
-    rows, first = [], 0
-    for m in measured:
-        for k in range(m.rows):
-            i = first + k
-            rows.append(Row(
-                place=m.row(k), result=m.result, unit=result_unit(m.result).symbol, conditions=m.at(k),
-                time=None if m.time is None else float(m.time[k]), observed=float(data.observed[i]),
-                predicted=float(fit.predicted[i]), sigma=float(deviation[i]), standard_error=float(error[i]),
-                residual=float(fit.predicted[i] - data.observed[i]),
-            ))  # fmt: skip
-        first += m.rows
-    return tuple(rows)
+    columns = (fit.data.observed, fit.predicted, fit.deviation, error, fit.predicted - fit.data.observed)
+    numbers = iter(np.column_stack(columns).tolist())
+    return tuple(
+        Row(m.row(k), m.result, result_unit(m.result).symbol, m.at(k), None if m.time is None else float(m.time[k]),
+            *next(numbers))
+        for m in measured for k in range(m.rows)
+    )  # fmt: skip

@@ -1,4 +1,4 @@
-"""Predictions of the model for every row of measurements: a Function of the scaled unknowns, and its derivatives."""
+"""Predictions of the model for every row of measurements: a Function of the scaled unknowns, with derivatives."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, Final, TypeAlias
 
 import casadi as ca
 import numpy as np
@@ -24,32 +24,21 @@ from plough_opt.studies.calibration.model import Model
 from plough_opt.studies.calibration.unknown import Unknown
 
 Vector = NDArray[np.float64]
+Numbers: TypeAlias = Sequence[Expression] | Vector
+SceneOfRows: TypeAlias = tuple[Scene, Expression | None, NDArray[np.intp]]
+"""A scene, its duration [s] or None, and the numbers of the rows that were measured in it."""
 
 # Results of a scene that do not depend on its motion.
-_OF_SCENE: dict[str, Callable[[Scene], Expression]] = {
+_OF_SCENE: Final[dict[str, Callable[[Scene], Expression]]] = {
     "loosened_radius": lambda scene: scene.loosened_radius,
     "added_mass": lambda scene: scene.carried_soil,
     "cone_index": lambda scene: cone_index(scene.soil),
 }
 # Phase [rad] between output times, and nodes of the polynomial that interpolates the force: an error of 1e-8.
 _PHASE, _NODES, _OUTPUTS = 0.25, 8, 400
-_MOST_OUTPUTS = 20_000
-_MOST_EXPANDED = 1000
-
-
-@dataclass(frozen=True)
-class Predictor:
-    """Predictions for some rows.
-
-    Attributes:
-        value: scaled unknowns (p) -> predictions (n), SI.
-        both: scaled unknowns -> (predictions, their Jacobian (n, p)), from one evaluation.
-        closed: whether they are scalar expressions, without runs.
-    """
-
-    value: ca.Function
-    both: ca.Function
-    closed: bool
+_MOST_OUTPUTS: Final = 20_000
+# The scalar operations of more rows would fill the memory.
+_MOST_EXPANDED: Final = 1000
 
 
 @dataclass(frozen=True)
@@ -67,134 +56,96 @@ class Rows:
     unknowns: tuple[Unknown, ...]
 
     @cached_property
-    def _distinct(self) -> tuple[NDArray[np.float64], NDArray[np.intp]]:
-        """Return distinct conditions (m, c) and which of them each row has."""
-        table = np.array(list(self.measured.conditions.values())).T.reshape(self.measured.rows, -1)
-        if table.shape[1] == 0:
-            return np.zeros((1, 0)), np.zeros(self.measured.rows, dtype=np.intp)
-        distinct, which = np.unique(table, axis=0, return_inverse=True)
-        return distinct, which.ravel()
+    def _distinct(self) -> tuple[Vector, NDArray[np.intp]]:
+        """Distinct conditions (m, c), and which of them each row has."""
+        columns = [np.zeros(self.measured.rows), *self.measured.conditions.values()]  # one at least
+        distinct, which = np.unique(np.column_stack(columns), axis=0, return_inverse=True)
+        return distinct[:, 1:], which.ravel()
 
-    def predictor(self) -> Predictor:
-        """Return the predictions for the rows.
+    @property
+    def direct(self) -> bool:
+        """Whether an unknown was measured itself."""
+        return self.measured.result not in measurable()
+
+    def scenes(self, y: Numbers) -> list[SceneOfRows]:
+        """Return the distinct scenes at scaled unknowns, with their durations and their rows.
+
+        Raises:
+            InputError: a row whose conditions are outside the model's domain.
+        """
+        found = []
+        for number, conditions in enumerate([] if self.direct else self._distinct[0].tolist()):
+            rows = np.flatnonzero(self._distinct[1] == number)
+            values = _values(self.unknowns, y) | dict(zip(self.measured.conditions, conditions, strict=True))
+            try:
+                scene = self.model.scene(values)
+                scene.check_reaction()
+            except DomainError as error:
+                raise InputError(f"{self.measured.row(int(rows[0]))}: {error}") from None
+            time = self.measured.time
+            found.append((scene, self.model.duration_of(values) if time is None else float(np.max(time[rows])), rows))
+        return found
+
+    def predicted(self, y: ca.MX, guess: Vector) -> tuple[ca.MX, ca.MX, bool]:
+        """Return the predictions (n) at scaled unknowns, their Jacobian (n, p), and whether they need no runs.
 
         Raises:
             InputError: a row whose conditions are outside the model's domain, or a missing duration.
         """
-        if self.measured.result in {unknown.name for unknown in self.unknowns}:
-            return self._direct()
-        self._check()
-        return self._record() if self.measured.result == RECORD else self._mapped()
-
-    def scenes(self, y: Vector) -> list[tuple[Scene, Expression | None, NDArray[np.intp]]]:
-        """Return the distinct scenes of numbers, with their durations and their rows."""
+        if self.direct:
+            k = [unknown.name for unknown in self.unknowns].index(self.measured.result)
+            value = ca.MX.ones(self.measured.rows) * self.unknowns[k].value(y[k])
+            return value, ca.jacobian(value, y), True
+        for scene, duration, _ in self.scenes(guess):
+            needs_run = not is_closed(scene, self.measured.result) and scene.effects.orbit == "transient"
+            if needs_run and (duration is None or not duration > 0.0):
+                raise InputError(f"{self.measured.name}: {self.measured.result} of this scene is a run's: give the"
+                                 " duration of the run, in seconds")  # fmt: skip
+        if self.measured.result == RECORD:
+            value = self._record(y, guess)
+            return value, ca.jacobian(value, y), False
         distinct, which = self._distinct
-        scenes = []
-        for number, conditions in enumerate(distinct):
-            values = self._values(y, conditions)
-            rows = np.flatnonzero(which == number)
-            scenes.append((self.model.scene(values), self._duration(values, rows), rows))
-        return scenes
+        function = row_function(self.model, self.unknowns, self.measured.at(0), self.measured.result)
+        value, slope = function.map(len(distinct))(ca.repmat(y, 1, len(distinct)), ca.DM(distinct.T))
+        return value.T[which.tolist(), :], slope.T[which.tolist(), :], function.is_a("SXFunction")
 
-    def _values(self, y: Sequence[Expression] | Vector, conditions: Sequence[Expression] | Vector
-                ) -> dict[str, Expression]:  # fmt: skip
-        own = {unknown.name: unknown.value(y[k]) for k, unknown in enumerate(self.unknowns)}
-        return {**own, **dict(zip(self.measured.conditions, conditions, strict=True))}
-
-    def _duration(self, values: Mapping[str, Expression], rows: NDArray[np.intp]) -> Expression | None:
-        if self.measured.time is not None:
-            return float(np.max(self.measured.time[rows]))
-        return self.model.duration_of(values)
-
-    def _check(self) -> None:
-        """Raise InputError, which names the row, if a scene is outside the model's domain or needs a duration."""
-        guess = np.array([unknown.scaled(unknown.guess) for unknown in self.unknowns])
-        distinct, which = self._distinct
-        for number, conditions in enumerate(distinct):
-            try:
-                scene = self.model.scene(self._values(guess, [float(value) for value in conditions]))
-                scene.check_reaction()
-            except DomainError as error:
-                row = self.measured.row(int(np.argmax(which == number)))
-                raise InputError(f"{row}: {error}") from None
-            if not is_closed(scene, self.measured.result) and scene.effects.orbit == "transient":
-                duration = self._duration(self._values(guess, conditions), np.flatnonzero(which == number))
-                if duration is None or not duration > 0.0:
-                    raise InputError(f"{self.measured.name}: {self.measured.result} of this scene is a run's: give the"
-                                     " duration of the run, in seconds")  # fmt: skip
-
-    def _direct(self) -> Predictor:
-        """Return the predictions for an unknown that was measured itself."""
-        y = ca.MX.sym("y", len(self.unknowns))
-        k = [unknown.name for unknown in self.unknowns].index(self.measured.result)
-        value = ca.MX.ones(self.measured.rows) * self.unknowns[k].value(y[k])
-        return _predictor(y, value, ca.jacobian(value, y), value, closed=True)
-
-    def _mapped(self) -> Predictor:
-        """Return the predictions for results with one value for each distinct condition."""
-        distinct, which = self._distinct
-        alone, both = row_functions(self.model, self.unknowns, self.measured.at(0), self.measured.result)
-        y = ca.MX.sym("y", len(self.unknowns))
-        at, conditions, rows = ca.repmat(y, 1, len(distinct)), ca.DM(distinct.T), which.tolist()
-        value = alone.map(len(distinct))(at, conditions)
-        again, slope = both.map(len(distinct))(at, conditions)
-        closed = alone.is_a("SXFunction")
-        return _predictor(y, value.T[rows, :], slope.T[rows, :], again.T[rows, :], closed)
-
-    def _record(self) -> Predictor:
-        """Return the predictions for the mount force at the times of a run for each distinct condition."""
-        distinct, which = self._distinct
-        assert self.measured.time is not None
-        y = ca.MX.sym("y", len(self.unknowns))
+    def _record(self, y: ca.MX, guess: Vector) -> ca.MX:
+        """Return the mount force at the times of a run for each distinct condition."""
         parts, order = [], []
-        for number, conditions in enumerate(distinct):
-            rows = np.flatnonzero(which == number)
-            values = self._values([y[k] for k in range(len(self.unknowns))], [float(c) for c in conditions])
-            guess = self._values(np.array([u.scaled(u.guess) for u in self.unknowns]), conditions)
-            times = self.measured.time[rows]
-            duration = float(np.max(times))
-            outputs = _outputs(self.model.scene(guess), duration, times)
-            run = simulate(self.model.scene(values), duration, accuracy=self.model.accuracy, outputs=outputs)
-            parts.append(ca.DM(reading(times / duration, outputs)) @ run.mount_force)
+        at_guess = self.scenes(guess)
+        for (scene, duration, rows), (example, _, _) in zip(self.scenes(ca.vertsplit(y)), at_guess, strict=True):
+            parts.append(_force_at(scene, duration, self.measured, rows, self.model, example))
             order.extend(rows.tolist())
-        stacked = ca.vertcat(*parts)[np.argsort(order).tolist()]
-        return _predictor(y, stacked, ca.jacobian(stacked, y), stacked, closed=False)
+        return ca.MX(ca.vertcat(*parts))[np.argsort(order).tolist(), 0]
 
 
-def _predictor(y: ca.MX, value: ca.MX, slope: ca.MX, again: ca.MX, closed: bool) -> Predictor:
-    """Return a predictor from expressions; `again` is the value in the same graph as the slope."""
-    own = ca.Function("value", [y], [ca.densify(value)])
-    both = ca.Function("both", [y], [ca.densify(again), ca.densify(slope)])
-    # The scalar operations of many rows would fill the memory: these stay mapped.
-    if closed and own.numel_out() <= _MOST_EXPANDED:
-        return Predictor(own.expand(), both.expand(), True)
-    return Predictor(own, both, False)
+def predictor(sets: Sequence[Rows], guess: Vector) -> ca.Function:
+    """Return scaled unknowns (p) -> (predictions of all sets (n), their Jacobian (n, p)); of scalars if without runs.
+
+    Raises:
+        InputError: a row whose conditions are outside the model's domain, or a missing duration.
+    """
+    y = ca.MX.sym("y", len(guess))
+    values, slopes, closed = zip(*(rows.predicted(y, guess) for rows in sets), strict=True)
+    whole = ca.Function("predicted", [y], [ca.densify(ca.vertcat(*values)), ca.densify(ca.vertcat(*slopes))])
+    return whole.expand() if all(closed) and whole.numel_out(0) <= _MOST_EXPANDED else whole
 
 
-def joined(predictors: Sequence[Predictor], count: int) -> Predictor:
-    """Return the predictions of several sets, one below the other, as a function of `count` unknowns."""
-    y = ca.MX.sym("y", count)
-    value = ca.vertcat(*(p.value(y) for p in predictors))
-    pairs = [p.both(y) for p in predictors]
-    again, slope = (ca.vertcat(*(pair[k] for pair in pairs)) for k in (0, 1))
-    return _predictor(y, value, slope, again, closed=all(p.closed for p in predictors))
-
-
-def row_functions(
+def row_function(
     model: Model,
     unknowns: Sequence[Unknown],
     conditions: Mapping[str, float],
     result: str,
     fixed: Mapping[str, float] | None = None,
-) -> tuple[ca.Function, ca.Function]:
-    """Return two Functions of scaled unknowns and conditions: a result; the same and its derivatives as a column.
+) -> ca.Function:
+    """Return scaled unknowns and conditions -> (a result, its derivatives by the unknowns as a column).
 
     Args:
         model: to calibrate.
         unknowns: to be found.
         conditions: names of the conditions, with valid values.
         result: the measured result.
-        fixed: further conditions, which are constants of the Functions.
+        fixed: further conditions, which are constants of the Function.
     """
     fixed = dict(fixed or {})
     example = model.scene({**{unknown.name: unknown.guess for unknown in unknowns}, **conditions, **fixed})
@@ -202,33 +153,52 @@ def row_functions(
     # A law with quadratures of matrices, or loops, would be unrolled by scalar operations.
     kind: Any = ca.SX if closed and example.law.scalar else ca.MX
     y, c = kind.sym("y", len(unknowns)), kind.sym("c", len(conditions))
-    values = {unknown.name: unknown.value(y[k]) for k, unknown in enumerate(unknowns)}
-    values |= {key: c[k] for k, key in enumerate(conditions)} | fixed
+    values = _values(unknowns, ca.vertsplit(y)) | {key: c[k] for k, key in enumerate(conditions)} | fixed
     scene = model.scene(values)
     if result in _OF_SCENE:
         value = _OF_SCENE[result](scene)
     elif closed:
         value = scene.steady_resistance
     else:
-        run = simulate(scene, model.duration_of(values), accuracy=model.accuracy)
-        value = MEASURES[result].of(run)
+        value = MEASURES[result].of(simulate(scene, model.duration_of(values), accuracy=model.accuracy))
     value = kind(value)
-    if kind is ca.SX:
-        slope = ca.densify(ca.jacobian(value, y))
-    else:
-        # Forward through the integration: the reverse mode takes far longer to build.
-        slope = ca.horzcat(*(ca.jtimes(value, y, ca.DM.eye(len(unknowns))[:, k]) for k in range(len(unknowns))))
-    return ca.Function("alone", [y, c], [value]), ca.Function("both", [y, c], [value, ca.densify(slope).T])
+    # Forward through an integration: the reverse mode takes far longer to build.
+    slope = [ca.jtimes(value, y, column) for column in ca.horzsplit(ca.DM.eye(len(unknowns)))]
+    return ca.Function("row", [y, c], [value, ca.densify(ca.vertcat(*slope))])
 
 
 def is_closed(scene: Scene, result: str) -> bool:
     """Return whether a result needs no run: the mean draft of a steady motion is the resistance."""
-    if result in _OF_SCENE or result not in measurable():
+    if result in _OF_SCENE:
         return True
     effects = scene.effects
     steady = not effects.waves and not effects.ramps and not effects.entry and not effects.own
     from_steady = not effects.motion or effects.start == "equilibrium"
     return result == "mean_draft" and steady and from_steady and not effects.printed.repelling_spring
+
+
+def checked(rows: Rows, scene: Scene, duration: Expression | None, which: NDArray[np.intp]) -> Vector:
+    """Return the results of some rows from a run of numbers, which checks its own error."""
+    if rows.measured.result == RECORD:
+        force = _force_at(scene, duration, rows.measured, which, rows.model, scene)
+        return np.asarray(force, dtype=float).ravel()
+    run = simulate(scene, duration, accuracy=rows.model.accuracy)
+    return np.full(len(which), float(as_number(MEASURES[rows.measured.result].of(run))))
+
+
+def _values(unknowns: Sequence[Unknown], y: Numbers) -> dict[str, Expression]:
+    return {unknown.name: unknown.value(y[k]) for k, unknown in enumerate(unknowns)}
+
+
+def _force_at(
+    scene: Scene, duration: Any, measured: Measurements, rows: NDArray[np.intp], model: Model, example: Scene
+) -> Expression:
+    """Return the mount force of a run at the times of some rows; an example in numbers sets its number of outputs."""
+    assert measured.time is not None
+    times = measured.time[rows]
+    outputs = _outputs(example, duration, times)
+    run = simulate(scene, duration, accuracy=model.accuracy, outputs=outputs)
+    return ca.DM(reading(times / duration, outputs)) @ run.mount_force
 
 
 def _outputs(scene: Scene, duration: float, times: Vector) -> int:
@@ -250,27 +220,11 @@ def reading(fractions: Vector, outputs: int) -> Vector:
     weights = np.zeros((len(fractions), outputs + 1))
     for row, fraction in enumerate(fractions):
         place = fraction * outputs
-        nearest = round(place)
-        if abs(place - nearest) < 1e-9 * outputs:
-            weights[row, nearest] = 1.0
-            continue
+        if abs(place - round(place)) < 1e-9 * outputs:
+            place = float(round(place))
         first = min(max(math.floor(place) - _NODES // 2 + 1, 0), outputs + 1 - _NODES)
         nodes = np.arange(first, first + _NODES)
         for k in nodes:
             others = nodes[nodes != k]
             weights[row, k] = np.prod((place - others) / (k - others))
     return weights
-
-
-def checked(scene: Scene, duration: Expression | None, measured: Measurements, rows: NDArray[np.intp],
-            model: Model) -> Vector:  # fmt: skip
-    """Return the results of some rows from a run of numbers, which checks its own error."""
-    if measured.result == RECORD:
-        assert measured.time is not None
-        assert duration is not None
-        times = measured.time[rows]
-        outputs = _outputs(scene, float(duration), times)
-        run = simulate(scene, duration, accuracy=model.accuracy, outputs=outputs)
-        return np.asarray(reading(times / float(duration), outputs) @ run.mount_force, dtype=float)
-    run = simulate(scene, duration, accuracy=model.accuracy)
-    return np.full(len(rows), float(as_number(MEASURES[measured.result].of(run))))

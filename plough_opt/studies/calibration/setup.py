@@ -1,0 +1,161 @@
+"""What a calibration is made of: model, measurements and unknowns, checked, with their least-squares problem."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from plough_opt.core.errors import DomainError, InputError
+from plough_opt.motion.scene import Scene
+from plough_opt.studies.calibration.least_squares import Data, LeastSquares
+from plough_opt.studies.calibration.loss import loss_of
+from plough_opt.studies.calibration.measurements import Measurements, measurable
+from plough_opt.studies.calibration.model import Described, Model, SceneOf, model_of
+from plough_opt.studies.calibration.prediction import Rows, predictor
+from plough_opt.studies.calibration.unknown import Unknown, unknowns_of
+
+Vector = NDArray[np.float64]
+
+NOMINAL: Final = 0.01
+"""Standard deviation, as a part of the mean measured value, from which weights follow if no sigma is stated."""
+
+# The search begins at least so far from the bounds.
+_INSIDE: Final = 0.02
+
+
+@dataclass(frozen=True)
+class Setup:
+    """A checked calibration.
+
+    Attributes:
+        model: the scene as a function of its quantities.
+        unknowns: to be found.
+        rows: the sets of measurements.
+        problem: the sum of losses.
+        data: measured values and their weights.
+    """
+
+    model: Model
+    unknowns: tuple[Unknown, ...]
+    rows: tuple[Rows, ...]
+    problem: LeastSquares
+    data: Data
+
+    @property
+    def measured(self) -> tuple[Measurements, ...]:
+        """The sets of measurements."""
+        return tuple(rows.measured for rows in self.rows)
+
+    @property
+    def places(self) -> list[str]:
+        """Name of every row in messages."""
+        return [m.row(k) for m in self.measured for k in range(m.rows)]
+
+    @property
+    def guess(self) -> Vector:
+        """Scaled unknowns at their guesses."""
+        return _guess(self.unknowns)
+
+
+def setup_of(
+    given: Described | Scene | SceneOf,
+    data: Measurements | Sequence[Measurements],
+    unknown: Mapping[str, Any] | None,
+    loss: str,
+    duration: float | None,
+) -> Setup:
+    """Return a calibration, checked; the arguments are those of `Calibration`.
+
+    Raises:
+        InputError: an unknown name, invalid bounds, too few rows, or data that do not belong to the scene.
+    """
+    measured = (data,) if isinstance(data, Measurements) else tuple(data) if isinstance(data, Sequence) else ()
+    if not measured or not all(isinstance(m, Measurements) for m in measured):
+        raise InputError("the data must be Measurements, one set or several: po.read_measurements reads a file")
+    if not any(np.any(m.values) for m in measured):
+        raise InputError(f"{measured[0].name}: every measured value is 0, which fits no soil: check the column")
+    own, model = loss_of(loss), model_of(given, duration)
+    if unknown is None and isinstance(given, Described):
+        columns = {key for m in measured for key in m.conditions}
+        unknown = {key: (v.lower, v.upper, v.guess) for key, v in given.variables.items() if key not in columns}
+    unknowns = unknowns_of(unknown or {}, model.current)
+    _check_names(measured, unknowns)
+    _check_bounds(model, measured, unknowns)
+    rows = tuple(Rows(m, model, unknowns) for m in measured)
+    problem = LeastSquares(predictor(rows, _guess(unknowns)), own)
+    setup = Setup(model, unknowns, rows, problem, _data(measured))
+    _check_count(setup)
+    _check_finite(setup)
+    return setup
+
+
+def _guess(unknowns: Sequence[Unknown]) -> Vector:
+    return np.array([unknown.scaled(unknown.guess) for unknown in unknowns])
+
+
+def _check_names(measured: Sequence[Measurements], unknowns: Sequence[Unknown]) -> None:
+    """Raise InputError if a column is an unknown too, or if neither a result nor an unknown was measured."""
+    names = {unknown.name for unknown in unknowns}
+    for m in measured:
+        if both := names & set(m.conditions):
+            raise InputError(f"{m.name}: '{min(both)}' is a column of the data, and so cannot be an unknown")
+        if m.result not in measurable() and m.result not in names:
+            known = ", ".join(sorted(names))
+            raise InputError(f"{m.name}: '{m.result}' was measured, and is not among the unknowns: {known}")
+
+
+def _check_bounds(model: Model, measured: Sequence[Measurements], unknowns: Sequence[Unknown]) -> None:
+    """Raise InputError if bounds or the first row are outside the model's domain; `Rows` checks the other rows."""
+    first = next((m for m in measured if m.result in measurable()), measured[0])
+    guess = {unknown.name: unknown.guess for unknown in unknowns} | first.at(0)
+    tried = [(first.row(0), guess)]
+    for own in unknowns:
+        tried += [(f"lower bound of '{own.name}'", guess | {own.name: own.lower})]
+        tried += [(f"upper bound of '{own.name}'", guess | {own.name: own.upper})]
+    for place, values in tried:
+        try:
+            model.scene(values)
+        except DomainError as error:
+            raise InputError(f"{place}: {error}") from None
+
+
+def _data(measured: Sequence[Measurements]) -> Data:
+    """Return values and weights of all rows.
+
+    Raises:
+        InputError: some sets state sigma, and others do not.
+    """
+    stated = {m.sigma is not None for m in measured}
+    if len(stated) > 1:
+        without = next(m.name for m in measured if m.sigma is None)
+        raise InputError(f"{without}: no sigma is stated, but other sets state theirs: give each set one")
+    weights = []
+    for m in measured:
+        nominal = NOMINAL * float(np.mean(np.abs(m.values))) or 1.0
+        relative = np.ones(m.rows) if m.weights is None else m.weights
+        weights.append(np.sqrt(relative) / nominal if m.sigma is None else 1.0 / m.sigma)
+    return Data(np.concatenate([m.values for m in measured]), np.concatenate(weights), stated.pop())
+
+
+def _check_count(setup: Setup) -> None:
+    """Raise InputError if there are too few rows."""
+    data, unknowns = setup.data, setup.unknowns
+    least = len(unknowns) + (0 if data.stated and not setup.problem.loss.robust else 1)
+    if data.count < least:
+        why = "" if data.stated else ", and the scatter is to be estimated too: state sigma, or measure more"
+        raise InputError(
+            f"{setup.measured[0].name}: {data.count} rows are too few for {len(unknowns)} unknowns"
+            f" ({', '.join(u.name for u in unknowns)}): at least {least} are needed{why}"
+        )
+
+
+def _check_finite(setup: Setup) -> None:
+    """Raise InputError if a prediction or its derivatives at the guesses are not finite."""
+    values, slopes = setup.problem.at(np.clip(setup.guess, _INSIDE, 1.0 - _INSIDE))
+    finite = np.isfinite(values) & np.isfinite(slopes).all(axis=1)
+    for k in np.flatnonzero(~finite)[:1]:
+        raise InputError(f"{setup.places[k]}: the model gives no finite number at these conditions")

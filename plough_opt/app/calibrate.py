@@ -85,6 +85,7 @@ def calibrate(options: argparse.Namespace) -> None:
         told("intervals", 0.5)
         fit.intervals(options.level)
         told("what to measure next", 0.8)
+        fit.next_measurements()  # which the page shows
         text = fit.to_json() if options.json or options.output is not None else ""
         quality = "" if options.json else _quality(fit, options.folds)
         page = fit.page()

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from plough_opt.motion.integrators import Integration, integration
-from plough_opt.motion.jets import Along, jets, jets_of
+from plough_opt.motion.jets import jets_of
 from plough_opt.motion.plan import finer
 from plough_opt.motion.signals import signals
 from plough_opt.motion.terms import start_deflection
@@ -23,17 +23,14 @@ _MOST_RUNS, _FEWEST_RUNS, _MOST_STEPS = 8, 2, 10_000
 _FINER = 1.5
 # An RMS below this part of the mean counts as that part: what swings less is rounding.
 _LEAST_SWING = 1e-3
-# By how much less each further parameter changes along a direction, so that no two effects cancel by symmetry.
-_TAPER = 0.2
 
 
 def derivative_error(solver: Integration, first: int, varying: tuple[int, ...], given: Vector) -> float:
     """Return the largest error of first and second derivatives of runs, those of an orbit excepted, which is 0.
 
-    Derivatives are by relative changes of the parameters, of steps of order 8 along two directions in which all of them
-    change, for by all pairs they take several times as long; across kinks, or where the duration is one of them, by all
-    pairs. They are compared with those of half as many steps again, or of a tenth of the tolerance; through events the
-    first ones only, for the second ones take as long as a solve.
+    Derivatives are by relative changes of the parameters, the second ones by all pairs. They are compared with those of
+    half as many steps again, or of a tenth of the tolerance; through events the first ones only, for the second ones
+    take as long as a solve.
 
     Args:
         solver: integrates the runs.
@@ -45,27 +42,21 @@ def derivative_error(solver: Integration, first: int, varying: tuple[int, ...], 
         Relative to the largest of result, first and second derivatives, for each kind of result: deflection and speed
         at the outputs (the largest of all outputs), means and mean squares.
     """
-    own, count = solver.structure, len(varying)
-    if own.orbit != "transient" or not varying:
+    if solver.structure.orbit != "transient" or not varying:
         return 0.0
-    both = solver, finer_than(solver)
-    if solver.accuracy.order_8 and not own.kinked and len(given) - 1 not in varying:
-        pairs = [tuple(_by_changes(one, varying, along) for one in both) for along in _directions(count)]
-    else:
-        order = 2 if solver.accuracy.order_8 else 1
-        pairs = [tuple(_by_each(one, varying, order) for one in both)]
+    order = 2 if solver.accuracy.order_8 else 1
+    ours, finer_ones = (_by_each(one, varying, order) for one in (solver, finer_than(solver)))
     most = max(_FEWEST_RUNS, min(_MOST_RUNS, _MOST_STEPS // solver.timeline.steps))
     chosen = np.unique(np.linspace(0, given.shape[1] - 1, most).round().astype(int))
     worst = 0.0
     for p in given.T[chosen]:
-        for used, better in pairs:
-            try:
-                found = difference_of_jets(solver, p, used(p), better(p), first)
-            except RuntimeError:  # no end of the finer integration
-                return math.inf
-            if not math.isfinite(found):
-                return math.inf
-            worst = max(worst, found)
+        try:
+            found = difference_of_jets(solver, p, ours(p), finer_ones(p), first)
+        except RuntimeError:  # no end of the finer integration
+            return math.inf
+        if not math.isfinite(found):
+            return math.inf
+        worst = max(worst, found)
     return worst
 
 
@@ -80,22 +71,6 @@ def _by_each(solver: Integration, varying: tuple[int, ...], order: int) -> Calla
         return columns
 
     return found
-
-
-def _by_changes(solver: Integration, varying: tuple[int, ...], along: Along) -> Callable[[Vector], Vector]:
-    """Return parameters -> results with first and second derivative along a direction."""
-    jet = jets(solver.structure, solver.timeline, varying, 2, along)
-    return lambda p: np.asarray(jet(p))
-
-
-def _directions(count: int) -> tuple[Along, ...]:
-    """Return relative changes of parameters: of all in the same sense, and of every second one in the other.
-
-    What cancels along one of them, as changes of inertia and stiffness do in the mount's frequency, adds up along the
-    other.
-    """
-    same = tuple(1.0 / (1.0 + _TAPER * k) for k in range(count))
-    return (same,) if count == 1 else (same, tuple((-1.0) ** k * part for k, part in enumerate(same)))
 
 
 def finer_than(solver: Integration) -> Integration:

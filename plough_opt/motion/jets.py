@@ -24,9 +24,6 @@ from plough_opt.motion.signals import signals
 from plough_opt.motion.terms import Structure
 from plough_opt.motion.timeline import Timeline
 
-Along = tuple[float, ...]
-"""Relative changes of parameters, which make a direction."""
-
 
 def weighted_curvature(integration: Integration, varying: tuple[int, ...]) -> ca.Function:
     """Return (parameters, weights) -> second derivatives of the weighted sum of the results by the varying parameters.
@@ -67,9 +64,7 @@ def jets_of(integration: Integration, varying: tuple[int, ...], order: int) -> c
 
 
 @lru_cache(maxsize=64)
-def jets(
-    structure: Structure, timeline: Timeline, varying: tuple[int, ...], order: int, along: Along | None = None
-) -> ca.Function:
+def jets(structure: Structure, timeline: Timeline, varying: tuple[int, ...], order: int) -> ca.Function:
     """Return the run's outputs with their derivatives as one Function of the parameters.
 
     Args:
@@ -77,8 +72,6 @@ def jets(
         timeline: steps and outputs.
         varying: positions of the parameters to differentiate by; the duration is the last parameter.
         order: 1 for first derivatives, 2 for second derivatives too.
-        along: a direction to differentiate along, in the place of each parameter by itself: a relative change for each
-            of them, the duration not among them.
 
     Returns:
         Function of the parameters; its single result has a row for each output (states at the output
@@ -86,19 +79,19 @@ def jets(
         value, the first derivatives and, with order 2, the second ones of `pairs`.
     """
     observed = signals(structure)
-    p, count = ca.MX.sym("p", len(observed.parameters) + 1), 1 if along else len(varying)
+    (p, _), count = observed.symbols(ca.MX), len(varying)
     ramp = moving_ramp(structure, timeline, p)
     spans = spans_of(timeline, p[-1], ramp)
     steps = spans.shape[1]
-    first = _start_jet(structure, varying, order, along)(p)
-    one = unbroken(structure, timeline, _jet_step(structure, varying, order, spans.shape[0], along), count)
+    first, ramp_part = _at_start(structure, varying, order)(p)
+    one = unbroken(structure, timeline, _jet_step(structure, varying, order, spans.shape[0]), count)
     states, moments = one.mapaccum(steps)(first, spans, ca.repmat(p, 1, steps))
     width = first.shape[1]
     columns = [moments[:, column::width] for column in range(width)]
-    part = None if ramp is None else _ramp_part(structure, varying, order, along)(p)
+    part = None if ramp is None else ramp_part
     averages = pooled(columns, _average(spans, part, count), observed.count, count)
     paths = [ca.horzcat(first[:, column], states[:, column::width]) for column in range(width)]
-    own = [False] if along else [position == p.numel() - 1 for position in varying]
+    own = [position == p.numel() - 1 for position in varying]
     read = _read(timeline, paths, (p[-1], ramp), own)
     result = ca.vertcat(ca.horzcat(*map(ca.vec, read)), *averages)
     return ca.Function("jets", [p], [result])
@@ -165,38 +158,20 @@ def _expand(y: ca.SX, e: ca.SX, order: int) -> ca.SX:
     return ca.substitute(ca.horzcat(*columns), e, ca.SX.zeros(e.numel()))
 
 
-def _seeds(p: ca.SX, varying: tuple[int, ...], along: Along | None) -> ca.SX:
-    """Return how the varying parameters change with what is differentiated by, a column for each of that."""
-    return ca.SX.eye(len(varying)) if along is None else p[list(varying)] * ca.DM(along)
-
-
-def _at_start(
-    structure: Structure, varying: tuple[int, ...], along: Along | None
-) -> tuple[ca.SX, ca.SX, ca.SX, dict[str, ca.SX]]:
-    """Return symbols of the parameters and of changes, the parameters changed by these, and the same by name."""
+def _at_start(structure: Structure, varying: tuple[int, ...], order: int) -> ca.Function:
+    """Return parameters -> jets of the state at time 0 and of the ramp's part of the duration, 0 without a ramp."""
     names = signals(structure).parameters
-    p, e = ca.SX.sym("p", len(names) + 1), ca.SX.sym("e", 1 if along else len(varying))
+    p, e = ca.SX.sym("p", len(names) + 1), ca.SX.sym("e", len(varying))
     shifted = ca.SX(p)
-    shifted[list(varying)] = p[list(varying)] + ca.mtimes(_seeds(p, varying, along), e)
-    return p, e, shifted, dict(zip(names, ca.vertsplit(shifted[:-1]), strict=True))
-
-
-def _start_jet(structure: Structure, varying: tuple[int, ...], order: int, along: Along | None) -> ca.Function:
-    """Return the jet of the state at time 0 as a Function of the parameters."""
-    p, e, _, known = _at_start(structure, varying, along)
-    return ca.Function("start", [p], [ca.densify(_expand(start_state(structure, known), e, order))])
-
-
-def _ramp_part(structure: Structure, varying: tuple[int, ...], order: int, along: Along | None) -> ca.Function:
-    """Return the jet of the ramp's part of the duration as a Function of the parameters."""
-    p, e, shifted, known = _at_start(structure, varying, along)
-    return ca.Function("ramp_part", [p], [ca.densify(_expand(ramp_time(known) / shifted[-1], e, order))])
+    shifted[list(varying)] = p[list(varying)] + e
+    known = dict(zip(names, ca.vertsplit(shifted[:-1]), strict=True))
+    part = ramp_time(known) / shifted[-1] if structure.ramp else ca.SX(0)
+    results = (_expand(ca.densify(y), e, order) for y in (start_state(structure, known), part))
+    return ca.Function("at_start", [p], [ca.densify(jet) for jet in results])
 
 
 @lru_cache(maxsize=64)
-def _jet_step(
-    structure: Structure, varying: tuple[int, ...], order: int, width: int, along: Along | None
-) -> ca.Function:
+def _jet_step(structure: Structure, varying: tuple[int, ...], order: int, width: int) -> ca.Function:
     """Return one step of the jet: (jet of the state, span, parameters) -> (jet of the state, of the moments).
 
     The span is that of `plough_opt.motion.runge_kutta.step`, of that width.
@@ -204,13 +179,12 @@ def _jet_step(
     The derivatives solve the equation of motion expanded at every stage, which takes a fraction of the operations of
     the whole step differentiated.
     """
-    observed, count = signals(structure), 1 if along else len(varying)
-    p, span = ca.SX.sym("p", len(observed.parameters) + 1), ca.SX.sym("span", width)
-    seeds = _seeds(p, varying, along)
+    observed, count = signals(structure), len(varying)
+    (p, known), span = observed.symbols(ca.SX), ca.SX.sym("span", width)
     jet = ca.SX.sym("jet", 2, _width(count, order))
-    start, size = start_and_size(span, p[-1], observed.named(p))
+    start, size = start_and_size(span, p[-1], known)
     # Of the step by the parameters: nothing, unless the duration or a ramp's time is one of them.
-    lateness, lengthening = (ca.mtimes(ca.jacobian(time, p[list(varying)]), seeds) for time in (start, size))
+    lateness, lengthening = (ca.jacobian(time, p[list(varying)]) for time in (start, size))
 
     def moved(weights: Sequence[float], rates: Sequence[ca.SX]) -> ca.SX:
         """Return the jet of the state after a part of the step."""
@@ -227,7 +201,7 @@ def _jet_step(
         return following
 
     # Of the same symbols, so that what depends on the parameters alone is shared by the stages.
-    at = _expanded(telling(structure, width), varying, order, (p, span), seeds)
+    at = _expanded(telling(structure, width), varying, order, (p, span))
     _, first, _ = at(ca.horzcat(start, lateness), jet, 0.0, p, span)
     found: list[list[ca.SX]] = []
     for row, node in zip(STAGES, NODES, strict=True):
@@ -242,15 +216,13 @@ def _jet_step(
     return ca.Function("jet_step", [jet, span, p], [ca.densify(moved(WEIGHTS, rates)), ca.densify(moments)])
 
 
-def _expanded(
-    structure: Structure, varying: tuple[int, ...], order: int, symbols: tuple[ca.SX, ca.SX], seeds: ca.SX
-) -> ca.Function:
+def _expanded(structure: Structure, varying: tuple[int, ...], order: int, symbols: tuple[ca.SX, ca.SX]) -> ca.Function:
     """Return the equation of motion and the signals as a Function of jets, of parameters p and of a span, in symbols.
 
     It takes the time [s] with its slopes, the jet of the state, the stacked one of the signals at the start of the
     step, p and the span; it returns the stacked jets of the rate, of the signals' changes and of the changes' squares.
     """
-    motion, observed, count = equation_of_motion(structure), signals(structure), seeds.shape[1]
+    motion, observed, count = equation_of_motion(structure), signals(structure), len(varying)
     moment, jet = ca.SX.sym("moment", 1, 1 + count), ca.SX.sym("jet", 2, _width(count, order))
     first = ca.SX.sym("first", observed.count, jet.shape[1])
     p, span = symbols
@@ -259,7 +231,7 @@ def _expanded(
     time, state = moment[0], jet[:, 0]
     value = ca.vertcat(motion.rates(time, state, known), observed.function(time, state, parameters))
     given = ca.vertcat(time, state, e)
-    slopes = ca.vertcat(moment[1:], jet[:, 1 : 1 + count], seeds)
+    slopes = ca.vertcat(moment[1:], jet[:, 1 : 1 + count], ca.SX.eye(count))
     columns = [value, ca.mtimes(ca.jacobian(value, given), slopes)]
     if order == 2:
         bends = [ca.mtimes([slopes.T, ca.hessian(row, given)[0], slopes]) for row in ca.vertsplit(value)]

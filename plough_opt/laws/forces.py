@@ -53,7 +53,8 @@ def resistance_coefficients(cone: Cone, soil: Soil) -> ResistanceCoefficients:
         InputError: no cone or no soil, or arrays with a density profile.
         DomainError: a density profile without a compaction front.
     """
-    _check_kinds(cone, soil)
+    check_cone(cone)
+    check_soil(soil)
     p = _mean_wall_pressure(cone, soil)
     slope = cone.slope
     return ResistanceCoefficients(
@@ -61,16 +62,15 @@ def resistance_coefficients(cone: Cone, soil: Soil) -> ResistanceCoefficients:
     )
 
 
-def _check_kinds(cone: Cone, soil: Soil) -> None:
-    """Refuse something else in the place of the cone or the soil.
+def check_cone(cone: Cone) -> None:
+    """Refuse something else in the place of the cone.
 
     Raises:
-        InputError: a wedge, whose forces are those of its equivalent cone, the name of a soil, or anything else.
+        InputError: a wedge, whose forces are those of its equivalent cone, or anything else.
     """
     if not isinstance(cone, Cone):
         remedy = ": take its equivalent_cone()" if isinstance(cone, Wedge) else ""
         raise InputError(f"the cone = {shown(cone)} must be a Cone{remedy}")
-    check_soil(soil)
 
 
 def _mean_wall_pressure(cone: Cone, soil: Soil) -> WallPressure:
@@ -104,7 +104,8 @@ def soil_reaction(cone: Cone, soil: Soil) -> SoilReaction:
     (1 + mu0 cot(beta)) tan^2(beta) is taken as tan(beta) (tan(beta) + mu0), so nothing is singular for a
     slender cone. Domain, arguments and errors are those of `resistance_coefficients`.
     """
-    _check_kinds(cone, soil)
+    check_cone(cone)
+    check_soil(soil)
     p = _mean_wall_pressure(cone, soil)
     slope = cone.slope
     face = math.pi * cone.height**2 * slope * (slope + soil.tool_friction)
@@ -158,6 +159,7 @@ def loosened_radius(cone: Cone, soil: Soil) -> Expression:
         InputError: no cone or no soil.
         DomainError: a density profile without a compaction front.
     """
-    _check_kinds(cone, soil)
+    check_cone(cone)
+    check_soil(soil)
     at_base = Cavity(radius=cone.height * cone.slope, rate=0.0, acceleration=0.0)
     return front_radius(at_base, soil)

@@ -8,11 +8,10 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from plough_opt.core.domain import check_domain
-from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import Expression, cos, expm1_ratio, log, sin, sqrt, tan
-from plough_opt.core.kinds import shown
+from plough_opt.laws.forces import check_cone
 from plough_opt.laws.law import ResistanceLaw, ShareInSoil, SoilReaction
-from plough_opt.soil.geometry import Cone, Wedge
+from plough_opt.soil.geometry import Cone
 from plough_opt.soil.soil import Soil, check_soil
 
 
@@ -106,9 +105,7 @@ def spherical_cavity_draft(cone: Cone, soil: Soil, speed: Expression) -> Express
 
 def _reaction(cone: Cone, soil: Soil, speed: Expression) -> SoilReaction:
     """Return the draft's part at rest, and what the squared speed multiplies; the speed is checked only."""
-    if not isinstance(cone, Cone):
-        remedy = ": take its equivalent_cone()" if isinstance(cone, Wedge) else ""
-        raise InputError(f"the cone = {shown(cone)} must be a Cone{remedy}")
+    check_cone(cone)
     check_domain("speed", speed, "m/s", at_least=0.0)
     cavity = spherical_cavity(soil)
     along = sin(cone.half_angle)

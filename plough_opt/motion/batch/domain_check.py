@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-from bisect import bisect_left
 from collections.abc import Callable
 from typing import Any
 
@@ -11,26 +10,28 @@ import numpy as np
 from numpy.typing import NDArray
 
 from plough_opt.core.errors import PloughError
-from plough_opt.core.expressions import is_quantity, map_expressions
-from plough_opt.core.quantities import BESIDE
+from plough_opt.core.expressions import is_quantity, map_expressions, template_of
+from plough_opt.core.quantities import BESIDE, QUANTITIES
 from plough_opt.motion.batch.engine import Array
 from plough_opt.motion.scene import Scene
-
-# Designs among which a valid one is looked for.
-_TRIALS = 32
+from plough_opt.motion.vocabulary import quantities_of
 
 
 class DomainCheck:
     """Builds a scene again with arrays as its quantities, and finds the designs for which that raises an error.
 
-    If the arrays are refused, a quantity is suspect where it lies outside the interval accepted with the other
-    quantities of a valid design. Suspect designs are checked one by one, the others by halves.
+    If the arrays are refused, designs with a quantity outside its own domain are checked one by one, the others by
+    halves.
     """
 
     def __init__(self, template: Scene, fixed: list[float | None]) -> None:
         """Take a scene with placeholders, and for each of them its number, or None if it varies between designs."""
         self._template = template
         self._fixed = fixed
+        names = {id(value): name for name, value in quantities_of(template).items() if value is not None}
+        placed = zip(template_of(template)[1], fixed, strict=True)
+        varying = [QUANTITIES.get(names.get(id(value), "")) for value, number in placed if number is None]
+        self._domains = [*varying, BESIDE["scene.duration"]]
 
     def reasons(self, rows: Array) -> dict[int, str]:
         """Return the reasons why designs are refused, by their position.
@@ -56,23 +57,11 @@ class DomainCheck:
         return True
 
     def _outside(self, rows: Array) -> NDArray[np.bool_]:
-        """Return which designs have a quantity outside the interval accepted beside the others of a valid design."""
+        """Return which designs have a quantity outside its own domain."""
         suspect = np.zeros(rows.shape[1], dtype=bool)
-        valid = next((row for row in rows.T[:_TRIALS] if self._accepts(row.tolist().__getitem__)), None)
-        if valid is None:
-            return suspect
-        for changed, values in enumerate(rows):
-
-            def accepts(x: Any, changed: int = changed) -> bool:
-                return self._accepts(lambda k: x if k == changed else float(valid[k]))
-
-            if not accepts(values):
-                # NaN is sorted to the end, where it is refused as too large.
-                ordered = np.sort(values)
-                middle = int(np.searchsorted(ordered, valid[changed]))
-                top = bisect_left(range(middle, len(ordered)), True, key=lambda k: not accepts(float(ordered[k])))
-                low = bisect_left(range(middle + 1), True, key=lambda k: accepts(float(ordered[k])))
-                suspect |= ~((values >= ordered[low]) & (values <= ordered[middle + top - 1]))
+        for values, quantity in zip(rows, self._domains, strict=True):
+            if quantity is not None:
+                suspect |= ~((values >= quantity.low) & (values <= quantity.high))
         return suspect
 
     def _search(self, rows: Array, where: NDArray[np.int64], reasons: dict[int, str]) -> None:

@@ -5,8 +5,8 @@ from itertools import combinations
 
 import numpy as np
 
-from independent.generate import draw
-from independent.problem import PATHS, box_sample, evaluate, measure, sign_of
+from independent.generate import draw_moving
+from independent.problem import box_sample, evaluate, measure, sign_of
 from independent.truth import MET, optima, sample
 
 _FIRST_SEED = 90_000
@@ -41,24 +41,15 @@ def objectives_of(problem, names, y, phase=_ROUGH):
 
 def front(number):
     """Return a problem, two objectives that conflict in it, and designs of their front, needles apart."""
-    for attempt in range(1000):
-        seed = _FIRST_SEED + 1000 * number + attempt
-        problem = draw(seed)
-        still = problem.start == "equilibrium" and problem.wave is None
-        if (
-            still
-            or not 2 <= len(problem.variables) <= _MOST_VARIABLES
-            or any(r.measure in PATHS for r in problem.limits)
-        ):
-            continue
-        random = np.random.default_rng([seed, 4])
-        pairs = list(combinations(("mean_draft", "force_rms", "displacement_rms", "mean_deflection"), 2))
+    pairs = list(combinations(("mean_draft", "force_rms", "displacement_rms", "mean_deflection"), 2))
+
+    def describe(problem, random):
         names = pairs[int(random.integers(len(pairs)))]
         found = _front(problem, names, random)
-        if found is not None:
-            plain = replace(problem, name=f"front {number}", objective=dict.fromkeys(names, 1.0)).plain()
-            return {"problem": plain, "truth": {"names": names, **found}}
-    raise AssertionError(f"number {number} draws no front")
+        plain = replace(problem, name=f"front {number}", objective=dict.fromkeys(names, 1.0)).plain()
+        return found and {"problem": plain, "truth": {"names": names, **found}}
+
+    return draw_moving(number, _FIRST_SEED, (2, _MOST_VARIABLES), 4, describe)
 
 
 def _front(problem, names, random):

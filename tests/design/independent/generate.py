@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.stats import qmc
 
-from independent.problem import QUANTITIES, Limit, Problem, Variable, evaluate, measure
+from independent.problem import PATHS, QUANTITIES, Limit, Problem, Variable, evaluate, measure
 
 # How often a problem has one to eight variables, and how often a quantity is among them.
 _SIZES = (0.12, 0.15, 0.25, 0.15, 0.12, 0.09, 0.06, 0.06)
@@ -29,6 +29,28 @@ def draw(seed):
         if problem is not None:
             return problem
     raise AssertionError(f"seed {seed} draws no problem")
+
+
+def draw_moving(number, first_seed, counts, stream, describe):
+    """Return what is made of the first problem that moves, has so many variables, and limits averages alone.
+
+    Args:
+        number: of what is made.
+        first_seed: of number 0.
+        counts: least and largest number of variables.
+        stream: of random numbers.
+        describe: (problem, random numbers) -> what is made of it, or None.
+    """
+    for seed in range(first_seed + 1000 * number, first_seed + 1000 * (number + 1)):
+        problem = draw(seed)
+        still = problem.start == "equilibrium" and problem.wave is None
+        paths = any(r.measure in PATHS for r in problem.limits)
+        if still or paths or not counts[0] <= len(problem.variables) <= counts[1]:
+            continue
+        found = describe(problem, np.random.default_rng([seed, stream]))
+        if found is not None:
+            return found
+    raise AssertionError(f"number {number} draws nothing")
 
 
 def _digits(value, digits=6):

@@ -8,8 +8,8 @@ import numpy as np
 
 from independent import study
 from independent.fronts import objectives_of
-from independent.generate import draw
-from independent.problem import PATHS, box_sample, measure, sign_of
+from independent.generate import draw_moving
+from independent.problem import box_sample, measure, sign_of
 from independent.truth import optima, sample
 
 _FIRST_SEED = 700_000
@@ -72,24 +72,12 @@ def surface(number):
         of, third = _OF_FRONTS[number]
         problem, truth = study.problems("front")[of]
         return _described(number, problem, [*truth["names"], third], np.random.default_rng([number, 5]))
-    for attempt in range(1000):
-        seed = _FIRST_SEED + 1000 * number + attempt
-        problem = draw(seed)
-        still = problem.start == "equilibrium" and problem.wave is None
-        count = len(problem.variables)
-        if (
-            still
-            or not _FEWEST_VARIABLES <= count <= _MOST_VARIABLES
-            or any(r.measure in PATHS for r in problem.limits)
-        ):
-            continue
-        random = np.random.default_rng([seed, 5])
-        triples = list(combinations(_NAMES, 3))
-        names = triples[int(random.integers(len(triples)))]
-        described = _described(number, problem, names, random)
-        if described is not None:
-            return described
-    raise AssertionError(f"number {number} draws no surface")
+    triples = list(combinations(_NAMES, 3))
+
+    def describe(problem, random):
+        return _described(number, problem, triples[int(random.integers(len(triples)))], random)
+
+    return draw_moving(number, _FIRST_SEED, (_FEWEST_VARIABLES, _MOST_VARIABLES), 5, describe)
 
 
 def _described(number, problem, names, random):

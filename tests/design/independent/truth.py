@@ -7,7 +7,6 @@ import numpy as np
 from scipy.optimize import Bounds, differential_evolution, minimize
 from scipy.stats import qmc
 
-from independent.lockstep import Lockstep
 from independent.problem import PATHS, box_quartiles, evaluate
 
 # Rad in a step: of the sample and the evolution some 1e-5, of polishing 1e-7, and of the last polishing 1e-10.
@@ -88,32 +87,24 @@ def sample(problem, power, random):
 
 
 def evolved(problem, question, y, values, random, effort):
-    """Return the designs to which islands of differential evolution lead, and their worth."""
+    """Return the designs to which islands of differential evolution lead, and their neighbours on the islands."""
     _, islands, members, generations, _ = effort
-    together = Lockstep(lambda rows: (question.roughly(problem, rows),))
     order = np.argsort(values, kind="stable")
-
-    def island(k):
+    found = []
+    for k in range(islands):
         # Good designs and others, of each island its own part of the sample.
         own = order[k::islands]
         others = random.choice(own, size=members - members // 2, replace=False)
-        first = y[np.concatenate([own[: members // 2], others])]
-        strategy = ("best1bin", "rand1bin", "randtobest1bin", "currenttobest1bin")[k % 4]
-        seed = int(random.integers(2**31))
-
-        def run():
-            done = differential_evolution(
-                lambda x: together(np.clip(x.T, 0.0, 1.0))[0],
-                [(0.0, 1.0)] * y.shape[1],
-                strategy=strategy, init=first, maxiter=generations, mutation=(0.4, 0.9), recombination=0.9,
-                tol=1e-10, atol=0.0, polish=False, vectorized=True, updating="deferred", rng=seed,
-            )  # fmt: skip
-            return np.clip(done.x, 0.0, 1.0), done.population
-
-        return run
-
-    found = together.run([island(k) for k in range(islands)])
-    return np.vstack([np.vstack([x[None], population]) for x, population in found])
+        done = differential_evolution(
+            lambda x: question.roughly(problem, np.clip(x.T, 0.0, 1.0)),
+            [(0.0, 1.0)] * y.shape[1],
+            strategy=("best1bin", "rand1bin", "randtobest1bin", "currenttobest1bin")[k % 4],
+            init=y[np.concatenate([own[: members // 2], others])],
+            maxiter=generations, mutation=(0.4, 0.9), recombination=0.9, tol=1e-10, atol=0.0, polish=False,
+            vectorized=True, updating="deferred", rng=int(random.integers(2**31)),
+        )  # fmt: skip
+        found += [np.clip(done.x, 0.0, 1.0)[None], done.population]
+    return np.vstack(found)
 
 
 def spread_starts(y, values, count, apart):
@@ -128,7 +119,7 @@ def spread_starts(y, values, count, apart):
 
 
 def polished(problem, starts, *, question=_OBJECTIVE, reach=1.0, phase=_GOOD):
-    """Return the designs to which SLSQP leads, from each start side by side.
+    """Return the designs to which SLSQP leads, from each start.
 
     Args:
         problem: the problem.
@@ -137,46 +128,38 @@ def polished(problem, starts, *, question=_OBJECTIVE, reach=1.0, phase=_GOOD):
         reach: how far from its start a design may go.
         phase: see `fast.simulate`.
     """
+    sizes = [401 if r.measure in PATHS else 1 for r in problem.limits]
+    owner = np.repeat(np.arange(len(sizes)), sizes)
 
-    def together(y):
+    def look(y):
         found = evaluate(problem, y, phase=phase, rows=True)
-        whole = [found.rows[k] if k in found.rows else found.violations[k : k + 1] for k in range(len(problem.limits))]
+        whole = [found.rows[k] if k in found.rows else found.violations[k : k + 1] for k in range(len(sizes))]
         return found.objective, np.vstack(whole) if whole else np.zeros((0, len(y)))
 
-    lockstep = Lockstep(together)
-    sizes = [401 if r.measure in ("deflection", "mount force") else 1 for r in problem.limits]
-    owner = np.repeat(np.arange(len(sizes)), sizes)
-    results = lockstep.run([_polish(lockstep, start, owner, len(sizes), question, reach) for start in starts])
-    return np.array(results)
+    return np.array([_polished(look, start, owner, len(sizes), question, reach) for start in starts])
 
 
-def _polish(lockstep, start, owner, count, question, reach):
-    def run():
-        y = start
-        for k in range(_ROUNDS):
-            objective, gaps = lockstep(y[None])
-            if not np.isfinite(objective[0]):
-                return y
-            scale = max(abs(objective[0]), 1e-12)
-            slack = np.zeros(count)
-            for r in range(count):
-                slack[r] = max(0.0, np.max(gaps[owner == r, 0]))
-            kept = np.zeros(len(owner), dtype=bool)
-            for r in range(count):
-                own = np.flatnonzero(owner == r)
-                kept[own[np.argsort(-gaps[own, 0], kind="stable")[:_ROWS]]] = True
-            away = reach * 0.3**k if k else reach
-            new = _once(lockstep, y, np.flatnonzero(kept), owner, slack, scale, question, away)
-            moved = np.max(np.abs(new - y))
-            y = new
-            if moved < 1e-8:
-                break
-        return y
-
-    return run
+def _polished(look, y, owner, count, question, reach):
+    for k in range(_ROUNDS):
+        objective, gaps = look(y[None])
+        if not np.isfinite(objective[0]):
+            return y
+        slack = np.zeros(count)
+        np.maximum.at(slack, owner, gaps[:, 0])
+        # Of each requirement the rows nearest to its limit.
+        own = [np.flatnonzero(owner == r) for r in range(count)]
+        rows = [rows[np.argsort(-gaps[rows, 0], kind="stable")[:_ROWS]] for rows in own]
+        kept = np.sort(np.concatenate(rows)) if rows else np.zeros(0, dtype=int)
+        scale = max(abs(objective[0]), 1e-12)
+        new = _once(look, y, kept, owner, slack, scale, question, reach * 0.3**k)
+        moved = np.max(np.abs(new - y))
+        y = new
+        if moved < 1e-8:
+            break
+    return y
 
 
-def _once(lockstep, y, kept, owner, slack, scale, question, away):
+def _once(look, y, kept, owner, slack, scale, question, away):
     """Return where SLSQP leads with some rows of the requirements, which give way by slacks if lacking."""
     n, own = len(y), owner[kept]
     known = {}
@@ -186,7 +169,7 @@ def _once(lockstep, y, kept, owner, slack, scale, question, away):
         if key not in known:
             step = np.where(x[:n] > 0.5, -_DIFFERENCE, _DIFFERENCE)
             points = np.vstack([x[:n], x[:n] + np.diag(step), x[:n] + 2.0 * np.diag(step)])
-            f, g = lockstep(np.clip(points, 0.0, 1.0))
+            f, g = look(np.clip(points, 0.0, 1.0))
             f, g = np.nan_to_num(f / scale, posinf=1e6), np.nan_to_num(g[kept], posinf=1e6)
             slopes = [
                 (4.0 * v[..., 1 : n + 1] - 3.0 * v[..., :1] - v[..., n + 1 :]) / (2.0 * step) for v in (f[None], g)

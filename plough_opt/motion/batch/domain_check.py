@@ -14,7 +14,7 @@ from plough_opt.core.expressions import is_quantity, map_expressions, template_o
 from plough_opt.core.quantities import BESIDE, QUANTITIES
 from plough_opt.motion.batch.engine import Array
 from plough_opt.motion.scene import Scene
-from plough_opt.motion.vocabulary import quantities_of
+from plough_opt.motion.scene_quantities import quantities_of
 
 
 class DomainCheck:

@@ -8,7 +8,7 @@ import re
 import tempfile
 import zipfile
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, Literal
 
 import numpy as np
 
@@ -16,11 +16,12 @@ from plough_opt.core.compiler import compile_library, find_compiler
 from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import as_number, is_casadi, is_symbolic, map_expressions
 from plough_opt.core.files import check_file, write_file
+from plough_opt.core.kinds import check_choice
 from plough_opt.core.quantities import BESIDE
 from plough_opt.exchange.export.fmu_description import build_description, documentation, model_description
 from plough_opt.exchange.export.fmu_equations import model_of
-from plough_opt.exchange.export.fmu_share import StrutInput
 from plough_opt.exchange.export.fmu_source import c_source
+from plough_opt.exchange.named_scene import NamedScene
 from plough_opt.motion.scene import Scene
 
 _NAME: Final = re.compile(r"[A-Za-z_]\w{0,62}", re.ASCII)
@@ -36,7 +37,7 @@ def write_fmu(
     scene: Scene,
     path: str | Path,
     *,
-    strut: StrutInput = "speed",
+    strut: Literal["speed", "position"] = "speed",
     steel_density: float | None = None,
     duration: float | None = None,
     name: str = "plough_share",
@@ -67,11 +68,10 @@ def write_fmu(
         InputError: a scene that is not an initial value problem, symbols or arrays in it, a strut's position where its
             speed is needed, a name that is not a C identifier, no compiler, or a path that cannot be written.
     """
-    target, scene = check_file(path, ".fmu", "FMU"), _numbers(scene)
-    _check(scene, strut, steel_density, duration, name)
-    model = model_of(scene, strut, steel_density)
-    pushes = scene.effects.contact == "resisting"
-    source, token = c_source(model, pushes=pushes, by_speed=strut == "speed")
+    target, scene, by_speed = check_file(path, ".fmu", "FMU"), _numbers(scene), strut == "speed"
+    _check(scene, strut, duration, name)
+    model = model_of(NamedScene(scene, steel_density=steel_density), by_speed=by_speed)
+    source, token = c_source(model, pushes=scene.effects.contact == "resisting", by_speed=by_speed)
     description = f"{scene.describe()}; the strut's {strut} is the input"
     content = {
         "modelDescription.xml": model_description(model, name, token, description, duration),
@@ -85,10 +85,9 @@ def write_fmu(
     return write_file(target, "FMU", _archive(content))
 
 
-def _check(scene: Scene, strut: str, steel_density: float | None, duration: float | None, name: str) -> None:
+def _check(scene: Scene, strut: str, duration: float | None, name: str) -> None:
     """Raise InputError or DomainError if a scene or an option cannot be exported."""
-    if strut not in ("speed", "position"):
-        raise InputError(f"strut = {strut!r} must be 'speed' or 'position', which the FMU's input is to be")
+    check_choice("strut", strut, ("speed", "position"), ", which the FMU's input is to be")
     if not _NAME.fullmatch(name):
         raise InputError(f"name = {name!r} must be a C identifier: letters, digits and _, at most 63, no digit first")
     if not scene.effects.motion:
@@ -99,8 +98,6 @@ def _check(scene: Scene, strut: str, steel_density: float | None, duration: floa
         )
     if duration is not None:
         BESIDE["scene.duration"].check(duration)
-    if steel_density is not None:
-        BESIDE["scene.steel_density"].check(steel_density)
     scene.check_reaction()
 
 

@@ -8,8 +8,9 @@ from collections.abc import Iterable
 from importlib.metadata import version
 from xml.etree import ElementTree
 
-from plough_opt.exchange.export.fmu_equations import Model
-from plough_opt.exchange.export.fmu_variables import UNITS, Variable
+from plough_opt.core.units import registry
+from plough_opt.exchange.export.fmu_equations import KINDS, Model
+from plough_opt.exchange.export.fmu_variables import Variable
 
 _CATEGORIES = {
     "logStatusWarning": "warnings about a run",
@@ -17,6 +18,17 @@ _CATEGORIES = {
 }
 # Relative tolerance that the FMU proposes: the default error of forces.
 _TOLERANCE = 1e-8
+# Kind of variables -> causality, variability and initial value by FMI 3.0.
+_KINDS = {
+    **dict.fromkeys(("states", "outputs"), ("output", "continuous", "calculated")),
+    **dict.fromkeys(("rates", "indicators"), ("local", "continuous", "calculated")),
+    "calculated": ("calculatedParameter", "tunable", "calculated"),
+    "inputs": ("input", "continuous", "exact"),
+    "parameters": ("parameter", "tunable", "exact"),
+    "discrete": ("output", "discrete", "calculated"),
+}
+# Base units as FMI and as pint call them.
+_BASE = {"kg": "kilogram", "m": "meter", "s": "second", "rad": "radian"}
 
 
 def _references(model: Model) -> dict[str, str]:
@@ -79,8 +91,9 @@ def build_description(name: str, source: str) -> bytes:
 def documentation(model: Model, name: str, description: str, notes: Iterable[str]) -> bytes:
     """Return documentation/index.html: the variables, and warnings about the results."""
     rows = "\n".join(
-        f"<tr><td>{html.escape(v.name)}</td><td>{html.escape(v.unit)}</td><td>{html.escape(v.description)}</td></tr>"
-        for v in (*model.names.inputs, *model.parameters, *_outputs(model))
+        f"<tr><td>{html.escape(v.name)}</td><td>{html.escape(_spelled(v.unit))}</td>"
+        f"<td>{html.escape(v.description)}</td></tr>"
+        for v in (*model.of_kind["inputs"], *model.of_kind["parameters"], *_outputs(model))
     )
     items = "\n".join(f"<li>{html.escape(note)}</li>" for note in notes)
     text = (
@@ -94,7 +107,7 @@ def documentation(model: Model, name: str, description: str, notes: Iterable[str
 
 def _outputs(model: Model) -> tuple[Variable, ...]:
     """Return the variables with the causality "output": states, forces, and the mode."""
-    return (*model.names.states, *model.names.outputs, *model.names.discrete)
+    return tuple(one for kind in KINDS if _KINDS[kind][0] == "output" for one in model.of_kind[kind])
 
 
 def _written(root: ElementTree.Element) -> bytes:
@@ -103,38 +116,35 @@ def _written(root: ElementTree.Element) -> bytes:
     return text + b"\n"
 
 
+def _spelled(unit: str) -> str:
+    """Return a unit as FMI spells it: N.s/m, m/s2."""
+    return unit.replace("^", "").replace("*", ".")
+
+
 def _units(parent: ElementTree.Element, model: Model) -> None:
-    used = {"s", *(variable.unit for variable in model.variables)}
-    for name, unit in UNITS.items():
-        if name in used:
-            element = ElementTree.SubElement(parent, "Unit", name=name)
-            ElementTree.SubElement(element, "BaseUnit", {base: str(power) for base, power in unit.base.items()})
-            for shown, factor in unit.shown.items():
-                ElementTree.SubElement(element, "DisplayUnit", name=shown, factor=repr(factor))
+    """Define the units of the variables by SI's base units, and those in which tools may show them instead."""
+    shown: dict[str, set[str]] = {"s": set()}
+    for variable in model.variables:
+        shown.setdefault(variable.unit, set()).add(variable.shown)
+    for unit, others in shown.items():
+        if not unit:
+            continue
+        element = ElementTree.SubElement(parent, "Unit", name=_spelled(unit))
+        powers = dict(registry().Quantity(1.0, unit).to_base_units().unit_items())
+        base = {symbol: f"{powers[name]:g}" for symbol, name in _BASE.items() if name in powers}
+        ElementTree.SubElement(element, "BaseUnit", base)
+        for other in sorted(others - {""}):
+            factor = registry().Quantity(1.0, unit).to(other).magnitude
+            ElementTree.SubElement(element, "DisplayUnit", name=other, factor=repr(factor))
 
 
 def _variables(parent: ElementTree.Element, model: Model) -> None:
-    names, reference = model.names, _references(model)
-    ElementTree.SubElement(
-        parent,
-        "Float64",
-        name="time",
-        valueReference="0",
-        causality="independent",
-        variability="continuous",
-        unit="s",
-        description="time",
-    )
-    for group, causality, variability, initial in (
-        ((*names.states, *names.outputs), "output", "continuous", "calculated"),
-        (names.rates, "local", "continuous", "calculated"),
-        (names.indicators, "local", "continuous", "calculated"),
-        (model.calculated, "calculatedParameter", "tunable", "calculated"),
-        (names.inputs, "input", "continuous", "exact"),
-        (model.parameters, "parameter", "tunable", "exact"),
-        (names.discrete, "output", "discrete", "calculated"),
-    ):
-        for variable in group:
+    time = {"name": "time", "valueReference": "0", "causality": "independent", "variability": "continuous"}
+    ElementTree.SubElement(parent, "Float64", time | {"unit": "s", "description": "time"})
+    reference = _references(model)
+    for kind in KINDS:
+        causality, variability, initial = _KINDS[kind]
+        for variable in model.of_kind[kind]:
             attributes = {
                 "name": variable.name,
                 "valueReference": reference[variable.name],
@@ -142,37 +152,29 @@ def _variables(parent: ElementTree.Element, model: Model) -> None:
                 "variability": variability,
                 "initial": initial,
                 "description": variable.description,
-                **_numbers(variable),
+                "nominal": repr(variable.magnitude),
+                "unit": _spelled(variable.unit),
+                "displayUnit": variable.shown,
+                "min": repr(variable.low) if math.isfinite(variable.low) else "",
+                "max": repr(variable.high) if math.isfinite(variable.high) else "",
+                "start": repr(variable.start) if initial == "exact" else "",
+                "derivative": reference.get(variable.derivative, ""),
+                "reinit": "true" if variable.name == "speed" and model.of_kind["discrete"] else "",
             }
-            if initial == "exact":
-                attributes["start"] = repr(variable.start)
-            if variable.derivative:
-                attributes["derivative"] = reference[variable.derivative]
-            if variable.name == "speed" and names.discrete:
-                attributes["reinit"] = "true"
-            ElementTree.SubElement(parent, "Float64", attributes)
-
-
-def _numbers(variable: Variable) -> dict[str, str]:
-    """Return unit, limits and order of magnitude as attributes."""
-    attributes = {"nominal": repr(variable.magnitude), "unit": variable.unit, "displayUnit": variable.shown}
-    for name, limit in (("min", variable.low), ("max", variable.high)):
-        attributes[name] = repr(limit) if math.isfinite(limit) else ""
-    return {name: text for name, text in attributes.items() if text}
+            ElementTree.SubElement(parent, "Float64", {name: text for name, text in attributes.items() if text})
 
 
 def _structure(parent: ElementTree.Element, model: Model) -> None:
-    names, reference = model.names, _references(model)
-
-    def listed(kind: str, variables: Iterable[Variable]) -> None:
+    of_kind, reference = model.of_kind, _references(model)
+    unknown = (*_outputs(model), *of_kind["rates"], *of_kind["calculated"])
+    for name, variables in (
+        ("Output", _outputs(model)),
+        ("ContinuousStateDerivative", of_kind["rates"]),
+        ("InitialUnknown", sorted(unknown, key=lambda variable: int(reference[variable.name]))),
+        ("EventIndicator", of_kind["indicators"]),
+    ):
         for variable in variables:
             attributes = {"valueReference": reference[variable.name]}
-            if kind != "InitialUnknown" and variable.name in model.depends:
+            if name != "InitialUnknown" and variable.name in model.depends:
                 attributes["dependencies"] = " ".join(reference[on] for on in model.depends[variable.name])
-            ElementTree.SubElement(parent, kind, attributes)
-
-    unknown = (*_outputs(model), *names.rates, *model.calculated)
-    listed("Output", _outputs(model))
-    listed("ContinuousStateDerivative", names.rates)
-    listed("InitialUnknown", sorted(unknown, key=lambda variable: int(reference[variable.name])))
-    listed("EventIndicator", names.indicators)
+            ElementTree.SubElement(parent, name, attributes)

@@ -1,50 +1,22 @@
-"""Parameters of an exported share: names, units and domains, and the scene with other values of them."""
+"""Variables of an exported share: names, units, domains and orders of magnitude."""
 
 from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, field, replace
-from typing import Any, Final
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from operator import attrgetter
+from typing import Any
 
-from plough_opt.core.errors import InputError
+import casadi as ca
+
 from plough_opt.core.expressions import Expression, is_quantity, map_expressions, template_of
-from plough_opt.core.quantities import EVERY, QUANTITIES
+from plough_opt.core.quantities import EVERY
+from plough_opt.exchange.export.fmu_share import Share
+from plough_opt.exchange.named_scene import NamedScene
 from plough_opt.motion.scene import Scene
-from plough_opt.motion.scene_quantities import quantities_of, with_quantities
-
-
-@dataclass(frozen=True)
-class Unit:
-    """A unit in SI.
-
-    Attributes:
-        base: exponents of its base units.
-        shown: units that a tool may show instead, and their factors.
-    """
-
-    base: Mapping[str, int]
-    shown: Mapping[str, float] = field(default_factory=dict)
-
-
-UNITS: Final = {
-    "s": Unit({"s": 1}),
-    "m": Unit({"m": 1}, {"mm": 1e3}),
-    "m/s": Unit({"m": 1, "s": -1}, {"km/h": 3.6}),
-    "m/s2": Unit({"m": 1, "s": -2}),
-    "kg": Unit({"kg": 1}),
-    "kg/m3": Unit({"kg": 1, "m": -3}),
-    "N": Unit({"kg": 1, "m": 1, "s": -2}, {"kN": 1e-3}),
-    "N/m": Unit({"kg": 1, "s": -2}, {"kN/m": 1e-3}),
-    "N.s/m": Unit({"kg": 1, "s": -1}),
-    "N.s2/m2": Unit({"kg": 1, "m": -1}),
-    "Pa": Unit({"kg": 1, "m": -1, "s": -2}, {"kPa": 1e-3}),
-    "rad": Unit({"rad": 1}, {"deg": 180.0 / math.pi}),
-    "s2/m2": Unit({"s": 2, "m": -2}),
-    "1": Unit({}),
-}
-"""Units of an exported share by name; a display value is the value times the factor."""
+from plough_opt.soil.geometry import Wedge
 
 
 @dataclass(frozen=True)
@@ -53,7 +25,7 @@ class Variable:
 
     Attributes:
         name: as in a problem file.
-        unit: of `UNITS`, or "" if it is unknown.
+        unit: SI unit, "1" of a pure number, or "" if it is unknown.
         description: in words.
         start: its value, if it has one before the start.
         low: its least value.
@@ -83,97 +55,122 @@ class Variable:
         return self.nominal or abs(self.start) or 1.0
 
 
-def _variable(name: str) -> Variable:
-    """Return the variable of a quantity; units of an FMU are spelled without "^" and "*"."""
-    quantity = EVERY[name]
-    return Variable(
-        name,
-        quantity.unit.replace("^", "").replace("*", ".") or "1",
-        quantity.meaning,
-        low=quantity.low,
-        high=quantity.high,
-        above=quantity.above,
-        below=quantity.below,
-        shown=quantity.shown,
-    )
+def parameters_of(named: NamedScene) -> Iterator[Variable]:
+    """Yield the parameters of a scene of numbers with their values."""
+    for name, value in named.values.items():
+        one = EVERY[name]
+        domain = one.low, one.high, one.above, one.below
+        variable = Variable(name, one.unit or "1", one.meaning, float(value), *domain, shown=one.shown)
+        if name != "effects.tow_ramp":
+            yield variable
+        elif named.scene.effects.ramps:  # which a ramp of no time does not
+            yield replace(variable, above=True)
+    numbers = template_of(_further(named.scene))[1]
+    for (name, description), value in zip(_further_names(named.scene).items(), numbers, strict=True):
+        yield Variable(name, "", description, float(value))
 
 
-# A motion in the plastic gas does not use these.
-_UNUSED = ("soil.youngs_modulus", "soil.poisson_ratio", *(n for n in QUANTITIES if n.startswith("effects.random")))
-_FRAME, _STEEL = "scene.frame_mass", "scene.steel_density"
+def _further(scene: Scene) -> tuple[Any, Any]:
+    """Return what holds numbers that no registry names: of the soil's density profile, and of own resistances."""
+    profile = scene.soil.density_profile
+    return () if profile is None else profile.parameters, scene.effects.own
 
 
-def parameters_of(scene: Scene, steel_density: float | None) -> list[Variable]:
-    """Return the parameters of a scene of numbers with their values.
-
-    Args:
-        scene: the scene.
-        steel_density: of the share's material [kg/m^3], if its own mass is part of the scene's and follows its shape.
-
-    Raises:
-        InputError: a share of that material is heavier than all that moves.
-    """
-    return [replace(variable, start=float(value)) for variable, value in _offered(scene, steel_density)]
-
-
-def _offered(scene: Scene, steel_density: float | None) -> Iterator[tuple[Variable, Any]]:
-    """Yield every parameter and its value."""
-    for name, value in quantities_of(scene).items():
-        if name == "scene.mass" and steel_density is not None:
-            yield _variable(_FRAME), _frame_mass(scene, steel_density)
-            yield _variable(_STEEL), steel_density
-        elif name == "effects.tow_ramp":
-            if scene.effects.ramps:
-                yield replace(_variable(name), above=True), value
-        elif value is not None and name not in _UNUSED:
-            yield _variable(name), value
-    if scene.soil.density_profile is not None:
-        for k, value in enumerate(scene.soil.density_profile.parameters):
-            yield Variable(_profile_name(k), "", f"number {k + 1} that the density profile needs"), value
-    for k, effect in enumerate(scene.effects.own):
-        for name, value in zip(_own_names(k, effect), template_of(effect)[1], strict=True):
-            yield Variable(name, "", f"{name.rpartition('.')[2]} of the resistance {type(effect).__name__}"), value
+def _further_names(scene: Scene) -> dict[str, str]:
+    """Return names of those numbers, of an own resistance its fields' where every number is a field, and meanings."""
+    profile, effects = _further(scene)
+    names = {f"soil.density_profile.parameters[{k}]": f"number {k} of the density profile" for k in _counted(profile)}
+    for k, effect in zip(_counted(effects), effects, strict=True):
+        numbers = template_of(effect)[1]
+        fields = [f.name for f in dataclasses.fields(effect) if is_quantity(getattr(effect, f.name))]
+        if len(fields) != len(numbers) or not all(map(str.isascii, fields)):
+            fields = [f"parameters[{j}]" for j in _counted(numbers)]
+        names |= {f"effects.own[{k}].{field}": f"{field} of the resistance {type(effect).__name__}" for field in fields}
+    return names
 
 
-def _profile_name(k: int) -> str:
-    return f"soil.density_profile.parameters[{k + 1}]"
+def _counted(values: Sequence[object]) -> range:
+    return range(1, len(values) + 1)
 
 
-def _own_names(k: int, effect: Any) -> list[str]:
-    """Return a name for every quantity of an own resistance: its field's, where every quantity is a field."""
-    fields = [f.name for f in dataclasses.fields(effect) if is_quantity(getattr(effect, f.name)) and f.name.isascii()]
-    count = len(template_of(effect)[1])
-    names = fields if len(fields) == count else [f"parameters[{j + 1}]" for j in range(count)]
-    return [f"effects.own[{k + 1}].{name}" for name in names]
-
-
-def _frame_mass(scene: Scene, steel_density: float) -> float:
-    solid = scene.cone.solid_mass(steel_density)
-    # A frame without mass may come out below zero by rounding.
-    frame = float(scene.mass - solid)
-    if frame < -1e-12 * solid:
-        raise InputError(
-            f"a share of {steel_density:.6g} kg/m^3 has {solid:.6g} kg, more than the {scene.mass:.6g} kg of all that"
-            " moves: give the scene the mass of frame and share together, or leave steel_density out"
-        )
-    return max(frame, 0.0)
-
-
-def scene_with(scene: Scene, values: Mapping[str, Expression]) -> Scene:
-    """Return the scene with the values of its parameters, by the names of `parameters_of`."""
-    scene = with_quantities(scene, {name: value for name, value in values.items() if name in QUANTITIES})
-    if _FRAME in values:
-        scene = replace(scene, mass=values[_FRAME] + scene.cone.solid_mass(values[_STEEL]))
+def scene_with(named: NamedScene, values: Mapping[str, Expression]) -> Scene:
+    """Return the scene with a value for each of the parameters of `parameters_of`, by name."""
+    names = iter(_further_names(named.scene))
+    parameters, own = map_expressions(_further(named.scene), lambda _: values[next(names)], is_quantity)
+    scene, _ = named.replaced({name: value for name, value in values.items() if name in EVERY})
     if (profile := scene.soil.density_profile) is not None:
-        numbers = tuple(values[_profile_name(k)] for k in range(len(profile.parameters)))
-        scene = replace(scene, soil=replace(scene.soil, density_profile=replace(profile, parameters=numbers)))
-    own = tuple(
-        _own_with(effect, [values[name] for name in _own_names(k, effect)])
-        for k, effect in enumerate(scene.effects.own)
-    )
+        scene = replace(scene, soil=replace(scene.soil, density_profile=replace(profile, parameters=parameters)))
     return replace(scene, effects=replace(scene.effects, own=own))
 
 
-def _own_with(effect: Any, values: Iterable[Expression]) -> Any:
-    remaining = iter(values)
-    return map_expressions(effect, lambda _: next(remaining), is_quantity)
+def variables_of(share: Share, scene: Scene) -> dict[str, dict[Variable, Expression]]:
+    """Return the variables that change in a run with their expressions, by kind.
+
+    Args:
+        share: at one moment.
+        scene: of numbers, from which the orders of magnitude are.
+    """
+    nominal, by_speed, events = _magnitudes(scene), share.by_speed, share.structure.events
+
+    def variable(name: str, unit: str, description: str, shown: str = "", **more: Any) -> Variable:
+        return Variable(name, unit, description, nominal=nominal.get(unit, 0.0), shown=shown, **more)
+
+    travel = variable("travel", "m", "travel L of the share")
+    speed = variable("speed", "m/s", "speed L' of the share", "km/h")
+    deflection = variable("deflection", "m", "deflection z of the mount's spring, compression positive", "mm")
+    place = variable("strut_position", "m", "path s of the strut")
+    ramp = ", to which it rises in the time effects.tow_ramp" if share.structure.ramp else ""
+    driven = variable("strut_speed", "m/s", f"speed s' of the strut{ramp}", "km/h", start=float(scene.tow_speed))
+    travel_rate = variable("der(travel)", "m/s", "rate of the travel", derivative="travel")
+    acceleration = variable("der(speed)", "m/s^2", "acceleration L'' of the share", derivative="speed")
+    swing = variable("der(deflection)", "m/s", "rate z' of the deflection", derivative="deflection")
+    pull = variable("mount_force", "N", "mount force P of spring and damper on the share", "kN")
+    resistance = variable("soil_resistance", "N", "resistance F of the soil with its added mass", "kN")
+    opening = variable("opening", "m", "how far the share is behind its furthest travel")
+    mode = variable("mode", "1", "0: the share slips, 1: it sticks, 2: it is behind its furthest travel")
+    furthest = variable("furthest_travel", "m", "furthest travel when the share last turned back")
+    buried = variable("buried", "1", "1 once the whole share was in the soil, before that 0")
+    event = "negative once an event has happened"
+    indicators = {variable(f"event_indicator[{k}]", "", event): one for k, one in enumerate(share.indicators, start=1)}
+    return {
+        "states": {travel: share.travel, speed: share.speed} | ({deflection: share.deflection} if by_speed else {}),
+        "rates": {travel_rate: share.speed, acceleration: share.acceleration}
+        | ({swing: share.strut_speed - share.speed} if by_speed else {}),
+        "outputs": {pull: share.pull, resistance: share.resistance}
+        | ({place: share.travel + share.deflection} if by_speed else {deflection: share.deflection})
+        | ({opening: share.opening} if events else {}),
+        "indicators": indicators,
+        "inputs": {driven if by_speed else place: share.input},
+        "discrete": ({mode: share.mode, furthest: share.furthest} if events else {})
+        | ({buried: share.entered} if share.structure.entry else {}),
+    }
+
+
+def _magnitudes(scene: Scene) -> dict[str, float]:
+    """Return orders of magnitude by unit, all above 0."""
+    speed, frequency = float(scene.tow_speed), float(scene.natural_frequency)
+    force = abs(float(scene.steady_resistance)) or speed * math.sqrt(scene.stiffness * scene.inertia) or 1.0
+    length = force / float(scene.stiffness)
+    return {"N": force, "m": length, "m/s": speed or length * frequency, "m/s^2": force / float(scene.inertia)}
+
+
+def calculated(scene: Scene, symbolic: Scene) -> dict[Variable, ca.SX]:
+    """Return the variables that depend on the parameters alone, with expressions of a scene of the symbols of these."""
+    gas, carries = not scene.law.lacks("loosened_radius"), not scene.law.lacks("added_mass")
+    half_angle = Variable("share.half_angle", "rad", "half angle beta of the equivalent cone", shown="deg")
+    radius = Variable("share.loosened_radius", "m", "radius r* of the compaction front at the share's base")
+    static = Variable("share.static_resistance", "N", "static resistance F0", shown="kN")
+    drag = Variable("share.drag_coefficient", "N*s^2/m^2", "resistance Fd per squared speed")
+    carried = Variable("share.added_mass", "kg", "mass m_a of soil that the share carries along")
+    found = {}
+    for variable, path, present in (
+        (half_angle, "cone.half_angle", isinstance(scene.share, Wedge)),
+        (radius, "loosened_radius", gas),
+        (static, "reaction.static", True),
+        (drag, "reaction.drag", scene.effects.inertial_drag),
+        (carried, "reaction.added_mass", scene.effects.added_mass and carries),
+    ):
+        if present:
+            value = attrgetter(path)
+            found[replace(variable, nominal=abs(float(value(scene))))] = value(symbolic)
+    return found

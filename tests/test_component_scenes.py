@@ -173,7 +173,7 @@ def test_what_cannot_be_is_refused_with_the_reason(r1_scene):
     assert "the duration is missing" in _refused(scene, None)
     assert "needs a steel_density" in _refused(scene, inputs=["scene.frame_mass"])
     assert "follows from steel_density" in _refused(scene, inputs=["scene.mass"], steel_density=7850.0)
-    assert "kg heavier than all that moves" in _refused(scene, steel_density=78500.0)
+    assert "more than the 23.1724 kg of all that moves" in _refused(scene, steel_density=78500.0)
     assert "twice" in _refused(scene, inputs=["scene.stiffness", "scene.stiffness"])
     own = po.Output("scene_stiffness", of=lambda run: run.scene.stiffness)
     assert "'scene.stiffness' and 'scene_stiffness' clash" in _refused(scene, outputs=[own])

@@ -3,29 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any, TypeVar
 
 import casadi as ca
 
 from plough_opt.core.domain import check_single, plain_number
-from plough_opt.core.errors import DomainError, InputError, nearest
+from plough_opt.core.errors import DomainError, InputError
 from plough_opt.core.expressions import Expression, as_number, holds_casadi, is_count, is_symbolic, map_expressions
-from plough_opt.core.kinds import shown
-from plough_opt.core.quantities import BESIDE, EVERY, QUANTITIES
+from plough_opt.core.kinds import check_kind, shown
+from plough_opt.core.quantities import EVERY
 from plough_opt.core.quantity import Quantity
-from plough_opt.exchange.component.box import Box, Make
+from plough_opt.exchange.component.box import Box
 from plough_opt.exchange.component.function import Component
-from plough_opt.exchange.component.graph import graph
-from plough_opt.exchange.component.ports import Input, Output, Port, check_names, measure_of, port_of
+from plough_opt.exchange.component.ports import Input, Output, Port, check_names, identifier, measure_of, port_of
+from plough_opt.exchange.component.scenes import Make, Scenes
+from plough_opt.exchange.named_scene import NamedScene
+from plough_opt.motion import OUTPUTS
 from plough_opt.motion.accuracy import Accuracy
 from plough_opt.motion.scene import Scene
-from plough_opt.motion.scene_quantities import quantity_of, with_quantities
 
-SAMPLES = 400
-"""Default number of intervals between the output times of results at every output time."""
-
-_DURATION, _FRAME, _STEEL = BESIDE
 _T = TypeVar("_T", Input, Output)
 
 
@@ -37,7 +34,7 @@ def component(
     outputs: Sequence[str | Output],
     steel_density: float | None = None,
     accuracy: Accuracy | None = None,
-    samples: int = SAMPLES,
+    samples: int = OUTPUTS,
     name: str = "share",
 ) -> Component:
     """Return a scene as one named CasADi Function of some of its quantities.
@@ -62,11 +59,22 @@ def component(
     """
     check_single("a component", (scene, duration))
     steel = None if steel_density is None else plain_number("steel_density", steel_density)
-    base = _Base(scene, duration, steel)
+    named = NamedScene(scene, duration, steel)
     listed = _listed(inputs, Input)
     check_names("input", [one.name for one in listed])
-    ports = [_symbol_port(one) if one.symbol is not None else _quantity_port(one, base) for one in listed]
-    make, notes = _Scenes(base, listed), base.notes(ports)
+    ports = [_quantity_port(one, named) if one.symbol is None else _symbol_port(one) for one in listed]
+    symbols = {one.name: one.symbol for one in listed if one.symbol is not None}
+    expressions = _function_of_symbols(symbols, (scene, duration))
+
+    def make(values: Mapping[str, Expression]) -> tuple[Scene, Expression | None]:
+        own = {name: value for name, value in values.items() if name not in symbols}
+        if expressions is None:
+            return named.replaced(own)
+        results = iter(expressions.call([values[name] for name in symbols]))
+        changed, lasting = map_expressions((scene, duration), lambda _: _simple(next(results)))
+        return replace(named, scene=changed, duration=lasting).replaced(own)
+
+    notes = _mass_notes(named, [port.name for port in ports])
     return build(make, ports, outputs, accuracy=accuracy, samples=samples, name=name, notes=notes)
 
 
@@ -76,7 +84,7 @@ def build(
     outputs: Sequence[str | Output],
     *,
     accuracy: Accuracy | None = None,
-    samples: int = SAMPLES,
+    samples: int = OUTPUTS,
     name: str = "share",
     notes: Sequence[str] = (),
 ) -> Component:
@@ -99,8 +107,7 @@ def build(
     check_names("output", [one.name for one in wanted])
     check_names("input or output", [*(port.name for port in inputs), *(one.name for one in wanted)])
     accuracy = Accuracy() if accuracy is None else accuracy
-    if not isinstance(accuracy, Accuracy):
-        raise InputError(f"accuracy = {shown(accuracy)} must be a po.Accuracy(...)")
+    check_kind("accuracy", accuracy, Accuracy, "a po.Accuracy(...)")
     if not accuracy.order_8:
         raise InputError(
             f"accuracy method '{accuracy.method}' cannot be part of a component, whose steps are fixed: use 'auto', or"
@@ -108,39 +115,31 @@ def build(
         )
     if not is_count(samples):
         raise InputError(f"samples = {shown(samples)} must be a whole number from 1 on: intervals between output times")
-    box = Box(tuple(inputs), make, name)
-    measures = [measure_of(one, box.scene.law) for one in wanted]
-    results = [of for _, of in measures]
-    # A run with two output times shows which results are columns.
-    columns = any(size > 1 for size in box.sizes(results))
-    resolved = box.resolved(accuracy, samples if columns else 1)
-    arguments = [port.argument for port in inputs]
-    function = graph(name, arguments, box.make_of_column, results, resolved.resolution)
+    scenes = Scenes(name, tuple(inputs), make)
+    measures = {identifier(one.name): measure_of(one, scenes.scene.law) for one in wanted}
+    results = {argument: of for argument, (_, of) in measures.items()}
+    resolved = Box(scenes, accuracy, samples if scenes.gives_columns(results) else 1).resolved()
+    function = scenes.function(results, resolved.resolution)
+    values = function.call([port.value for port in inputs])
     ends = [
-        Port(one.name, unit, one.lower, one.upper, value=0.0, size=function.numel_out(k))
-        for k, (one, (unit, _)) in enumerate(zip(wanted, measures, strict=True))
+        Port(one.name, unit, one.lower, one.upper, _largest(one, value), value.numel())
+        for one, (unit, _), value in zip(wanted, measures.values(), values, strict=True)
     ]
-    names = [port.argument for port in ends]
-    values = [port.value for port in inputs]
-    symbols = function.mx_in()
-    function = ca.Function(name, symbols, function.call(symbols), arguments, names, {"default_in": values})
-    ends = [replace(port, value=_largest(port, value)) for port, value in zip(ends, function.call(values), strict=True)]
-    own = Accuracy("dop853", steps=resolved.resolution.steps) if box.scene.effects.motion else Accuracy()
-    return Component(function, tuple(inputs), tuple(ends), own, resolved.error, (*resolved.warnings, *notes))
+    own = Accuracy("dop853", steps=resolved.resolution.steps) if scenes.scene.effects.motion else Accuracy()
+    return Component(function, scenes.inputs, tuple(ends), own, resolved.error, (*resolved.warnings, *notes))
 
 
-def _largest(port: Port, values: ca.DM) -> float:
+def _largest(output: Output, values: ca.DM) -> float:
     """Return the largest value of an output."""
     if not values.is_regular():
-        raise DomainError(f"'{port.name}' has no finite value at the inputs' values: check what it computes")
+        raise DomainError(f"'{output.name}' has no finite value at the inputs' values: check what it computes")
     return float(ca.mmax(values))
 
 
 def _listed(given: Any, kind: type[_T]) -> list[_T]:
     """Return inputs or outputs as a list, made from names where names are given; one name alone is a list of one."""
     word = kind.__name__
-    if not isinstance(given, str | Sequence):
-        raise InputError(f"{word.lower()}s = {shown(given)} must be a list of names, or of po.{word}(name, ...)")
+    check_kind(f"{word.lower()}s", given, str | Sequence, f"a list of names, or of po.{word}(name, ...)")
     listed = [kind(one) if isinstance(one, str) else one for one in ([given] if isinstance(given, str) else given)]
     for one in listed:
         if not isinstance(one, kind):
@@ -148,76 +147,12 @@ def _listed(given: Any, kind: type[_T]) -> list[_T]:
     return listed
 
 
-@dataclass(frozen=True)
-class _Base:
-    """A scene with its duration, and the density of the share's steel if the mass depends on it."""
-
-    scene: Scene
-    duration: Expression | None
-    steel: float | None
-
-    def __post_init__(self) -> None:
-        if self.steel is None:
-            return
-        if holds_casadi((self.scene.mass, self.scene.share)):
-            raise InputError(
-                "steel_density belongs to a scene of numbers: this scene's mass or share is an expression, which can"
-                " include the share's own mass"
-            )
-        BESIDE[_STEEL].check(self.steel)
-        if self.frame < 0.0:
-            raise InputError(
-                f"a share of {self.steel:g} kg/m^3 is {-self.frame:.4g} kg heavier than all that moves,"
-                f" {self.scene.mass:.4g} kg: raise the scene's mass, or leave steel_density out"
-            )
-
-    @property
-    def frame(self) -> float:
-        """Mass that moves beside the share [kg]."""
-        return float(self.scene.mass - self.scene.cone.solid_mass(self.steel))
-
-    def value(self, name: str) -> tuple[Quantity, Expression]:
-        """Return a quantity and its value."""
-        if self.steel is None and name in (_FRAME, _STEEL):
-            raise InputError(
-                f"'{name}' needs a steel_density, which divides the mass into frame and share: give that too"
-            )
-        if self.steel is not None and name == "scene.mass":
-            raise InputError(f"'scene.mass' follows from steel_density and '{_FRAME}': use that one")
-        if name not in BESIDE:
-            if name not in QUANTITIES:
-                raise InputError(f"no quantity is named '{name}': {nearest(name, EVERY)}")
-            return QUANTITIES[name], quantity_of(self.scene, name)
-        value = {_DURATION: self.duration, _FRAME: self.frame if self.steel is not None else None, _STEEL: self.steel}
-        if value[name] is None:
-            raise InputError(f"'{name}' cannot be an input: the duration is missing")
-        return BESIDE[name], value[name]
-
-    def notes(self, ports: Sequence[Port]) -> tuple[str, ...]:
-        """Return a warning if the share's shape varies and the mass does not."""
-        names = {port.name for port in ports}
-        follows = self.steel is not None or holds_casadi(self.scene.mass) or "scene.mass" in names
-        if follows or not self.scene.effects.motion or not any(name.startswith("share.") for name in names):
-            return ()
-        return (
-            f"the moving mass stays {self.scene.mass:.4g} kg whatever the share's size; a steel_density couples it",
-        )
-
-    def changed(self, changes: Mapping[str, Expression]) -> tuple[Scene, Expression | None]:
-        """Return scene and duration with other values."""
-        scene = with_quantities(self.scene, {key: value for key, value in changes.items() if key not in BESIDE})
-        if self.steel is not None:
-            steel = scene.cone.solid_mass(changes.get(_STEEL, self.steel))
-            scene = replace(scene, mass=changes.get(_FRAME, self.frame) + steel)
-        return scene, changes.get(_DURATION, self.duration)
-
-
-def _quantity_port(one: Input, base: _Base) -> Port:
+def _quantity_port(one: Input, named: NamedScene) -> Port:
     """Return the port of a quantity of the scene."""
-    quantity, value = base.value(one.name)
+    value = named.value(one.name)
     if is_symbolic(value) and one.value is None:
         raise InputError(f"'{one.name}' is an expression of the scene: make its symbol the input, or give it a value")
-    return port_of(one, quantity, float(as_number(value)) if one.value is None else one.value)
+    return port_of(one, EVERY[one.name], float(as_number(value)) if one.value is None else one.value)
 
 
 def _symbol_port(one: Input) -> Port:
@@ -233,54 +168,44 @@ def _symbol_port(one: Input) -> Port:
     return port_of(one, Quantity(one.name, one.name, "", one.unit or "", middle, ()), middle)
 
 
-class _Scenes:
-    """Makes scenes of a component's inputs: first the scene's symbols are replaced, then quantities set by name."""
+def _function_of_symbols(symbols: Mapping[str, Any], of: tuple[Scene, Expression | None]) -> ca.Function | None:
+    """Return all expressions in scene and duration as a Function of symbols; None where all are numbers.
 
-    def __init__(self, base: _Base, inputs: Sequence[Input]) -> None:
-        """Take the scene, and the inputs, of which some may be its symbols."""
-        self._base = base
-        self._symbols = {one.name: one.symbol for one in inputs if one.symbol is not None}
-        self._expressions = self._function_of_symbols()
+    Raises:
+        InputError: symbols of inputs that the scene does not hold, or others that it holds.
+    """
+    expressions: list[Any] = []
 
-    def __call__(self, values: Mapping[str, Expression]) -> tuple[Scene, Expression | None]:
-        """Return scene and duration at values of the inputs, numbers or symbols."""
-        base = self._base
-        if self._expressions is not None:
-            results = iter(self._expressions.call([values[name] for name in self._symbols]))
-            scene, duration = map_expressions((base.scene, base.duration), lambda _: _simple(next(results)))
-            base = replace(base, scene=scene, duration=duration)
-        return base.changed({name: value for name, value in values.items() if name not in self._symbols})
+    def collect(expression: Expression) -> Expression:
+        expressions.append(expression)
+        return expression
 
-    def _function_of_symbols(self) -> ca.Function | None:
-        """Return all expressions in the scene as a Function of its symbols; None for a scene of numbers.
-
-        Raises:
-            InputError: symbols of inputs that the scene does not hold, or others that it holds.
-        """
-        expressions: list[Any] = []
-
-        def collect(expression: Expression) -> Expression:
-            expressions.append(expression)
-            return expression
-
-        map_expressions((self._base.scene, self._base.duration), collect)
-        if not expressions:
-            if self._symbols:
-                raise InputError(
-                    f"the scene does not hold the symbol of input '{next(iter(self._symbols))}': it is made of numbers"
-                )
-            return None
-        symbols: list[Any] = list(self._symbols.values())
-        known = {hash(symbol) for symbol in symbols}
-        others = {s.name() for e in expressions if is_symbolic(e) for s in ca.symvar(e) if hash(s) not in known}
-        if others:
+    map_expressions(of, collect)
+    if not expressions:
+        if symbols:
             raise InputError(
-                f"the scene holds symbols that are not inputs ({', '.join(sorted(others))}): make each an Input with"
-                " its symbol"
+                f"the scene does not hold the symbol of input '{next(iter(symbols))}': it is made of numbers"
             )
-        function = ca.Function("quantities", symbols, expressions)
-        return function if function.is_a("SXFunction") else function.expand()
+        return None
+    known = {hash(symbol) for symbol in symbols.values()}
+    others = {s.name() for e in expressions if is_symbolic(e) for s in ca.symvar(e) if hash(s) not in known}
+    if others:
+        raise InputError(
+            f"the scene holds symbols that are not inputs ({', '.join(sorted(others))}): make each an Input with"
+            " its symbol"
+        )
+    function = ca.Function("quantities", [*symbols.values()], expressions)
+    return function if function.is_a("SXFunction") else function.expand()
 
 
 def _simple(value: Expression) -> Expression:
     return value if is_symbolic(value) else float(as_number(value))
+
+
+def _mass_notes(named: NamedScene, inputs: Sequence[str]) -> tuple[str, ...]:
+    """Return a warning if the share's shape varies and the mass does not."""
+    mass = named.scene.mass
+    follows = named.steel_density is not None or holds_casadi(mass) or "scene.mass" in inputs
+    if follows or not named.scene.effects.motion or not any(name.startswith("share.") for name in inputs):
+        return ()
+    return (f"the moving mass stays {mass:.4g} kg whatever the share's size; a steel_density couples it",)

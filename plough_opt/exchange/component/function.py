@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from functools import cached_property
 from typing import Any
@@ -88,16 +89,19 @@ class Component(ca.Function):
         return results[0] if len(results) == 1 else tuple(results)
 
     def _complete(self, named: Mapping[str, Expression]) -> list[Expression]:
-        known = {name for port in self.inputs for name in (port.name, port.argument)}
-        for name in named:
+        """Return every input, those that are not named at their values."""
+        known = {name: port for port in self.inputs for name in (port.argument, port.name)}
+        values = {port: port.value for port in self.inputs}
+        for name, value in named.items():
             if name not in known:
                 raise InputError(
                     f"'{self.name()}' has no input '{name}': {nearest(name, [p.name for p in self.inputs])}"
                 )
-        for port in self.inputs:
-            if port.name != port.argument and {port.name, port.argument} <= {*named}:
+            port = known[name]
+            if name == port.name != port.argument in named:
                 raise InputError(f"'{port.name}' is given twice, as '{port.argument}' too: leave one of the two out")
-        return [named.get(p.name, named.get(p.argument, p.value)) for p in self.inputs]
+            values[port] = value
+        return [*values.values()]
 
     def _number(self, port: Port, value: Expression) -> float:
         number = as_number(value) if is_casadi(value) else np.asarray(value)
@@ -143,7 +147,7 @@ class Component(ca.Function):
         Component.__init__(self, ca.Function.deserialize(state["serialization"]), **state["own"])
 
     def __copy__(self) -> Component:
-        """Return itself: it is immutable."""
+        """Return itself: it is immutable, and CasADi's own copy knows nothing of ports."""
         return self
 
     def __deepcopy__(self, memo: Any = None) -> Component:
@@ -166,11 +170,14 @@ class Component(ca.Function):
 
 def _limits(port: Port) -> str:
     """Return the bounds of a port in words."""
-    if np.isfinite(port.lower) and np.isfinite(port.upper):
-        return f" {port.lower:g} to {port.upper:g}"
-    if np.isfinite(port.lower):
-        return f" at least {port.lower:g}"
-    return f" at most {port.upper:g}" if np.isfinite(port.upper) else ""
+    match math.isfinite(port.lower), math.isfinite(port.upper):
+        case True, True:
+            return f" {port.lower:g} to {port.upper:g}"
+        case True, False:
+            return f" at least {port.lower:g}"
+        case False, True:
+            return f" at most {port.upper:g}"
+    return ""
 
 
 def _plain(value: Any) -> float | NDArray[np.float64]:

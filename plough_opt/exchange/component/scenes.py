@@ -1,0 +1,167 @@
+"""The scenes of a component's inputs, and Functions of these: small scalar graphs around one loop over steps."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import casadi as ca
+
+from plough_opt.core.errors import InputError
+from plough_opt.core.expressions import Expression, as_number
+from plough_opt.core.quantities import BESIDE
+from plough_opt.exchange.component.ports import Port
+from plough_opt.motion import Run
+from plough_opt.motion.accuracy import Accuracy
+from plough_opt.motion.integrators import Integration, integration
+from plough_opt.motion.plan import timeline_of
+from plough_opt.motion.quasi_static import quasi_static
+from plough_opt.motion.run import assemble
+from plough_opt.motion.scene import Scene
+from plough_opt.motion.terms import Structure, parameters
+from plough_opt.motion.timeline import Timeline
+
+Make = Callable[[Mapping[str, Expression]], tuple[Scene, Expression | None]]
+"""Values of the inputs by name, numbers or symbols -> scene and duration [s]."""
+
+Results = Mapping[str, Callable[[Run], Expression]]
+"""Name of each result -> its value in a symbolic run, a scalar or a column."""
+
+GAUSS_POINTS = 10
+"""Nodes in each panel of a quasi-static average."""
+
+
+@dataclass(frozen=True)
+class Resolution:
+    """How finely a run is resolved.
+
+    Attributes:
+        steps: of order 8, or panels of a quasi-static average.
+        outputs: equal intervals between output times.
+        points: nodes in a panel.
+    """
+
+    steps: int
+    outputs: int
+    points: int = GAUSS_POINTS
+
+    def finer(self, motion: bool) -> Resolution:
+        """Return a finer resolution, whose results check those of this one."""
+        return replace(self, steps=2 * self.steps) if motion else replace(self, points=self.points + 6)
+
+
+@dataclass(frozen=True)
+class Scenes:
+    """The scenes of some inputs.
+
+    Attributes:
+        name: of Functions.
+        inputs: names, units, bounds and values.
+        make: values of the inputs -> scene and duration.
+
+    Raises:
+        InputError: a scene that fixed steps cannot integrate, or one without a duration.
+    """
+
+    name: str
+    inputs: tuple[Port, ...]
+    make: Make
+
+    def __post_init__(self) -> None:
+        effects = self.scene.effects
+        if effects.events:
+            what = "a share that enters the soil" if effects.entry else "stick and slip"
+            raise InputError(
+                f"{what} cannot be a component: its events need an adaptive integrator, and a component's steps are"
+                " fixed; use contact = Smooth(width) and no entry, or simulate the scene itself"
+            )
+
+    @cached_property
+    def scene(self) -> Scene:
+        """The scene at the inputs' values."""
+        return self.at([port.value for port in self.inputs])[0]
+
+    def at(self, x: Sequence[Expression]) -> tuple[Scene, Expression]:
+        """Return scene and duration of inputs in order.
+
+        Raises:
+            InputError: no duration, or one for an orbit.
+        """
+        scene, duration = self.make({port.name: value for port, value in zip(self.inputs, x, strict=True)})
+        if scene.effects.orbit == "transient":
+            if duration is None:
+                raise InputError("the duration is missing: how long shall the scene be simulated, in seconds?")
+            BESIDE["scene.duration"].check(duration)
+            return scene, duration
+        if duration is not None:
+            raise InputError("a lasting orbit has a duration of its own, one wavelength of the soil: leave it out")
+        return scene, scene.wave_period
+
+    def at_numbers(self, x: Iterable[float]) -> tuple[Scene, float]:
+        """Return scene and duration of numbers in order."""
+        scene, duration = self.at([float(value) for value in x])
+        return scene, float(as_number(duration))
+
+    def place(self, x: Iterable[float]) -> str:
+        """Return values of the inputs in words."""
+        return ", ".join(
+            f"{port.name} = {value:.6g} {port.unit}".rstrip() for port, value in zip(self.inputs, x, strict=True)
+        )
+
+    @cached_property
+    def _symbolic(self) -> tuple[Any, list[Any], Scene, Expression]:
+        """Return a kind of symbols, symbols of the inputs, and scene and duration of these."""
+        # A law with large sums or loops is one node of MX.
+        kind: Any = ca.SX if self.scene.law.scalar else ca.MX
+        x = [kind.sym(port.argument) for port in self.inputs]
+        return kind, x, *self.at(x)
+
+    def function(self, results: Results, resolution: Resolution) -> ca.Function:
+        """Return results of a run, each a dense column, as a Function of the inputs, left out at their values.
+
+        Args:
+            results: by name.
+            resolution: steps and outputs.
+        """
+        kind, x, scene, duration = self._symbolic
+        arguments, values = [port.argument for port in self.inputs], [port.value for port in self.inputs]
+        names, options = list(results), {"default_in": values}
+
+        def columns(run: Run) -> list[Any]:
+            return [ca.densify(ca.vec(kind(result(run)))) for result in results.values()]
+
+        if not scene.effects.motion:
+            timeline = self._timeline(resolution)
+            found = columns(quasi_static(scene, duration, timeline, Accuracy(), resolution.points))
+            return ca.Function(self.name, x, found, arguments, names, options)
+        solver, given = self.motion(resolution)
+        moved = solver.function
+        states, means, variances = of_run = [kind.sym(f"o{k}", *moved.size_out(k)) for k in range(moved.n_out())]
+        fractions = solver.timeline.output_fractions
+        run = assemble(scene, duration, fractions, states.T, means, variances, solver.accuracy)
+        around = ca.Function("results", [*x, *of_run], columns(run))
+        symbols = [ca.MX.sym(argument) for argument in arguments]
+        found = around.call([*symbols, *moved.call(given.call(symbols))])
+        return ca.Function(self.name, symbols, found, arguments, names, options)
+
+    def gives_columns(self, results: Results) -> bool:
+        """Return whether any result is a column, which a run with two output times shows."""
+        function = self.function(results, Resolution(1, 1))
+        return any(function.numel_out(k) > 1 for k in range(function.n_out()))
+
+    def motion(self, resolution: Resolution) -> tuple[Integration, ca.Function]:
+        """Return the integration of a run, and its parameters, the duration last, as a Function of the inputs."""
+        _, x, scene, duration = self._symbolic
+        timeline = self._timeline(resolution)
+        solver = integration(Structure.of(scene), Accuracy("dop853", steps=timeline.steps), timeline)
+        p = parameters(scene)
+        return solver, ca.Function("parameters", x, [ca.vertcat(*(p[key] for key in solver.names), duration)])
+
+    def _timeline(self, resolution: Resolution) -> Timeline:
+        """Return the times of a run of symbols."""
+        _, _, scene, duration = self._symbolic
+        # With outputs at its two ends alone none lies between steps.
+        method: str | None = "dop853" if scene.effects.motion and resolution.outputs > 1 else None
+        return timeline_of(scene, duration, resolution.outputs, resolution.steps, method, symbolic=True)

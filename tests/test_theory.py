@@ -43,16 +43,3 @@ def test_links_within_the_page_lead_to_headings():
     headings = {re.sub(r"[^\w -]", "", heading).strip().lower().replace(" ", "-")
                 for heading in re.findall(r"^#+ (.+)$", TEXT, flags=re.MULTILINE)}  # fmt: skip
     assert set(re.findall(r"\]\(#([\w-]+)\)", TEXT)) <= headings
-
-
-def test_formulas_survive_markdown():
-    """A display formula is a fenced block; in a line a backslash before punctuation needs the backquoted form."""
-    prose = re.sub(r"```.*?```", "", TEXT, flags=re.DOTALL)
-    assert "$$" not in prose
-    backquoted = re.sub(r"\$`[^`\n]+`\$", "", prose)
-    for formula in re.findall(r"\$([^$\n]+)\$", backquoted):
-        assert not re.search(r"\\[^A-Za-z]|\*", formula), formula
-        assert formula.count("{") == formula.count("}"), formula
-    for formula in re.findall(r"```math\n(.*?)```", TEXT, flags=re.DOTALL):
-        assert formula.count(r"\left") == formula.count(r"\right")
-        assert formula.count("{") == formula.count("}")

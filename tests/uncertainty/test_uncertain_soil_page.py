@@ -11,14 +11,6 @@ TEXT = (ROOT / "docs" / "uncertain_soil.md").read_text(encoding="utf-8")
 BLOCKS = re.findall(r"```(\w+)\n(.*?)```", TEXT, flags=re.DOTALL)
 
 
-def test_example_runs(capsys):
-    (example,) = (text for language, text in BLOCKS if language == "python")
-    exec(compile(example, "uncertain_soil.md", "exec"), {})  # the page's own text
-    out = capsys.readouterr().out
-    assert "radius, probability of at least 0.15" in out
-    assert "variance of draft" in out
-
-
 def test_tables_are_those_of_the_problem_file():
     given = tomllib.loads("".join(text for language, text in BLOCKS if language == "toml"))
     file = tomllib.loads((ROOT / "problems" / "uncertain_field.toml").read_text(encoding="utf-8"))

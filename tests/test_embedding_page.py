@@ -1,4 +1,4 @@
-"""docs/embedding.md: its commands and examples run, in order."""
+"""docs/embedding.md: its tables hold every name."""
 
 import re
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""docs/soils.md: its examples run, and its numbers are those of the code."""
+"""docs/soils.md: its numbers are those of the code."""
 
 import re
 import shutil

@@ -1,4 +1,4 @@
-"""docs/theory.md: every equation has its function and its test, and its formulas survive GitHub's Markdown."""
+"""docs/theory.md: every equation has its function and its test."""
 
 import inspect
 import re

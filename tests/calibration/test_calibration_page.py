@@ -1,4 +1,4 @@
-"""docs/calibration.md: its examples run, its formulas survive Markdown, its constants are those of the code."""
+"""docs/calibration.md: its constants are those of the code."""
 
 import re
 from pathlib import Path

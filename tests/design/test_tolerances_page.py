@@ -1,4 +1,4 @@
-"""docs/tolerances.md: its examples run in order, its tables are read."""
+"""docs/tolerances.md: its table of variables is read."""
 
 import re
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""docs/uncertain_soil.md: its example runs, its tables are read, its figures are those of the problem file."""
+"""docs/uncertain_soil.md: its tables are read, its figures are those of the problem file."""
 
 import re
 import tomllib

@@ -83,7 +83,7 @@ class Side:
 
 @dataclass(frozen=True)
 class Change:
-    """What changes: parameters by ``q``, and the limits of the sides by ``b``, scaled."""
+    """A change of the parameters by ``q`` and of the limits of the sides by ``b``, scaled."""
 
     q: Vector
     b: Vector

@@ -20,7 +20,7 @@ from plough_opt.design.split import split
 from plough_opt.design.tolerance import BOX_DESIGNS, boxes, unit_box
 
 Over = Literal["mean", "worst"]
-"""What is minimised within the tolerances."""
+"""The objective over the tolerances: its mean, or the worst."""
 
 WORST = "worst objective"
 """Name of the variable that no design in the box exceeds."""

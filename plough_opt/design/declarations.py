@@ -1,4 +1,4 @@
-"""What a design declares: variables, parameters, requirements; checked when they are declared."""
+"""The declarations of a design: variables, parameters, requirements; checked when they are declared."""
 
 from __future__ import annotations
 

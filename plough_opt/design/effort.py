@@ -15,7 +15,7 @@ Search = str | int | Sequence[str]
 """Words, names of variables, a number of designs, or a text such as "20 s"."""
 
 WORDS = ("auto", "thorough", "near", "local")
-"""What `search` may say: the last is another word for the one before it."""
+"""Words that `search` takes: the last means the same as the one before it."""
 
 # By number of variables: designs of a sample, a power of two, and islands of the evolution that begins from it. One
 # evolution in two to four misses the best basin of a problem of four and more variables, so there are several.

@@ -11,7 +11,7 @@ import numpy as np
 from plough_opt.design.effort import Effort
 from plough_opt.design.ipopt import Vector
 from plough_opt.design.landscape import Landscape, Seen
-from plough_opt.design.sampling import MANY, SEED, evolved, lines_through, lowest_around, sample, spread_out
+from plough_opt.design.sampling import MANY, SEED, evolved, lines_through, lowest_around, sample
 from plough_opt.design.shortfall import Shortfall, without_objective
 from plough_opt.design.ways import SAME, barriers, straight_below
 
@@ -39,7 +39,7 @@ _EXPECTED = 0.1
 
 @dataclass(frozen=True)
 class Explored:
-    """What a search saw.
+    """The result of a search.
 
     Attributes:
         sample: the designs of the samples.
@@ -323,9 +323,10 @@ class Explorer:
     def _evolved(self, effort: Effort, points: Vector, seen: Seen, island: int, rng: np.random.Generator) -> Vector:
         """Return the best design of an evolution that begins from a part of the sample."""
         self.progress(f"evolution, island {island + 1} of {effort.islands}", island / effort.islands)
+        order = np.argsort(self._merit(seen), kind="stable")
         best = evolved(
             lambda x: self._merit(self.landscape(self._whole(x))),
-            points[self._part(effort, points, seen, island)],
+            points[order[island :: effort.islands][: effort.population]],
             effort.generations,
             rng,
             # Islands begin from disjoint parts of the best; every second one mutates random designs, not the best one.
@@ -334,13 +335,6 @@ class Explorer:
         )
         whole: Vector = self._whole(best[None])[0]
         return whole
-
-    def _part(self, effort: Effort, points: Vector, seen: Seen, island: int) -> np.ndarray:
-        """Return the numbers of the designs from which an island begins."""
-        order: np.ndarray = np.argsort(self._merit(seen), kind="stable")[island :: effort.islands]
-        if not self._narrow:
-            return order[: effort.population]
-        return spread_out(points, order, seen.feasible, effort.population)
 
     def _basins(self) -> tuple[Seen, list[int | None]]:
         """Return the lowest design of each basin, the best first, and the basin of each descent's end."""

@@ -208,8 +208,8 @@ class Solver:
         y, p = nlp.values.mx_in()
         self._problem = {"x": y, "p": p, "f": parts["f"](y, p), "g": parts["g"](y, p)}
         # Multipliers of bounds come from IPOPT itself, and of parameters none are asked for.
-        unasked = {"no_nlp_grad": True, "calc_lam_p": False}
-        self._derivatives = {"grad_f": parts["grad_f"], "jac_g": parts["jac_g"], **unasked}
+        savings = {"no_nlp_grad": True, "calc_lam_p": False}
+        self._derivatives = {"grad_f": parts["grad_f"], "jac_g": parts["jac_g"], **savings}
         self._low, self._high = ca.DM(low), ca.DM(high)
         self._solvers: dict[tuple[str, bool, bool], ca.Function] = {}
 

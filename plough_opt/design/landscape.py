@@ -43,7 +43,7 @@ _ROUNDS, _GAIN = 6, 1e-7
 
 @dataclass(frozen=True)
 class Seen:
-    """What was seen of designs, a row each.
+    """Designs that were looked at, a row each.
 
     Attributes:
         points: scaled variables.

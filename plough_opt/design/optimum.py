@@ -270,12 +270,12 @@ class Rounded(Optimum):
 
     @property
     def cost(self) -> float:
-        """What the rounding adds to the objective."""
+        """Increase of the objective by the rounding."""
         return self.objective - self.unrounded
 
     @property
     def cost_percent(self) -> float:
-        """What the rounding adds to the objective, in per cent of it; NaN where it is 0."""
+        """Increase of the objective by the rounding, in per cent of it; NaN where it is 0."""
         return 100.0 * self.cost / abs(self.unrounded) if self.unrounded else math.nan
 
     @property

@@ -79,7 +79,7 @@ class Design:
             tolerance: half width, in ``unit``, within which a workshop makes it, or a part of the value as "0.5 %". The
                 optimum is judged over it. Default: 0.3 % of the range between the bounds, of the logarithm's with
                 ``log``.
-            domain: ends of the model's domain, in ``unit``: how far sensitivities hold is told within it.
+            domain: ends of the model's domain, in ``unit``: sensitivities hold no further than that.
             display: unit in which reports give it, if not a customary one.
 
         Raises:
@@ -107,7 +107,7 @@ class Design:
             name: what to call it in reports.
             value: its value, where a solve says nothing else: in ``unit``, or with a unit of its own.
             unit: SI unit, for reports.
-            domain: ends of the model's domain, in ``unit``: how far sensitivities hold is told within it.
+            domain: ends of the model's domain, in ``unit``: sensitivities hold no further than that.
 
         Raises:
             InputError: a value that is not finite or lies outside the domain, a plain number with a unit that is not

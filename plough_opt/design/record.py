@@ -12,7 +12,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Search:
-    """What a search did.
+    """A record of a search.
 
     How likely further basins are follows from N uniform designs that were followed to their basins, of which there are
     w, by the Bayesian rule of Boender and Rinnooy Kan, "Bayesian stopping rules for multistart global optimization

@@ -21,8 +21,6 @@ MANY = 6
 _STRETCH = 0.15
 # Neighbours of a point in the sample, for each variable, that tell whether it is the lowest around.
 _NEIGHBOURS = 4
-# Distances, the largest first, by which feasible designs differ of which there are few.
-_SPREAD = (0.1, 0.03, 0.01, 0.003, 0.0)
 # Keeps the arithmetic of an evolution finite where designs have no value.
 _WORST = 1e30
 # Designs of a sample that looks for one that meets the requirements.
@@ -114,27 +112,3 @@ def evolved(
     )
     best: Vector = found.x
     return best
-
-
-def spread_out(points: Vector, order: np.ndarray, feasible: np.ndarray, count: int) -> np.ndarray:
-    """Return the numbers of the first designs in an order that are apart, feasible ones before others.
-
-    Where evolution has found what meets the requirements, the best are many and nearly the same.
-
-    Args:
-        points: a row for each design.
-        order: of the designs, the best first.
-        feasible: whether each meets the requirements.
-        count: number of designs wanted.
-    """
-    for apart in _SPREAD:
-        chosen: list[int] = []
-        for k in order[feasible[order]]:
-            if len(chosen) < count and (
-                not chosen or np.min(np.max(np.abs(points[chosen] - points[k]), axis=1)) > apart
-            ):
-                chosen.append(int(k))
-        if 2 * len(chosen) >= count:
-            break
-    others = order[~np.isin(order, chosen)]
-    return np.concatenate([np.array(chosen, dtype=int), others])[:count]

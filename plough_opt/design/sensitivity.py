@@ -1,4 +1,4 @@
-"""What an optimum owes to a parameter or a limit: derivatives, elasticities, and how far they hold."""
+"""How an optimum changes with a parameter or a limit: derivatives, elasticities, and how far they hold."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ def _percent(name: str, elasticity: float | None, derivative: float, unit: str) 
 
 @dataclass(frozen=True)
 class _Target:
-    """What is asked for: a parameter by its number, or a limit by the name of its sides."""
+    """A parameter by its number, or a limit by the name of its sides."""
 
     value: float
     unit: str

@@ -61,7 +61,7 @@ _ALONG, _FINER_LINES, _LOWER, _MOST_BETTER, _MOST_LINES = 256, 2.0, 1e-8, 2, 4
 
 @dataclass(frozen=True)
 class Request:
-    """What is asked of a solve: see `plough_opt.Design.solve`.
+    """The arguments of a solve: see `plough_opt.Design.solve`.
 
     Attributes:
         p: values of all parameters.

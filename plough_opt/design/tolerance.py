@@ -33,7 +33,7 @@ _FINER = 2.0
 
 @dataclass(frozen=True)
 class Spread:
-    """What becomes of a design within its tolerances, from a sample of `BOX_DESIGNS` designs.
+    """Objective and margins of a design within its tolerances, from a sample of `BOX_DESIGNS` designs.
 
     Attributes:
         median: of the objective, over the designs that have a value.

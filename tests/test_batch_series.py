@@ -8,6 +8,7 @@ import pytest
 from plough_opt.core.expressions import as_number
 from plough_opt.motion.batch.c_source import Kernels
 from plough_opt.motion.batch.engine import engine_of
+from plough_opt.motion.batch.interpreter import Interpreter
 from plough_opt.motion.batch.rules import series_of
 from plough_opt.motion.batch.series import Graph
 
@@ -103,7 +104,7 @@ def _operations():
     return ca.Function("operations", [v], [inner(v[0], v[1], v[2])])
 
 
-def test_operations_in_c(tmp_path, monkeypatch):
+def test_operations_in_c_and_numpy(tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     function = _operations()
     x, p = ca.SX.sym("x", 2), ca.SX.sym("p", 2)
@@ -121,7 +122,7 @@ def test_operations_in_c(tmp_path, monkeypatch):
     rows[1, 5] = 0.0
     expected = np.asarray(function.map(rows.shape[1])(rows))
     # The C library's vector functions keep four units in the last place, of which atanh near 1 makes ten times as many.
-    assert plain.evaluate("operations", rows) == pytest.approx(expected, rel=1e-14, abs=1e-15)
+    assert Interpreter(function)(rows) == pytest.approx(expected, rel=1e-14, abs=1e-15)
     assert engine.evaluate("operations", rows) == pytest.approx(expected, rel=1e-14, abs=1e-15)
     # The sum 0 + 1 + ... (n - 1) over what divides it, for each design its own number of steps.
     ends, parts = np.arange(203.0) % 17.0, random.uniform(1.0, 2.0, 203)

@@ -19,8 +19,9 @@ from plough_opt.core.quantities import BESIDE
 from plough_opt.motion.batch.advance import advance
 from plough_opt.motion.batch.c_source import Kernels
 from plough_opt.motion.batch.domain_check import DomainCheck
-from plough_opt.motion.batch.engine import Array, engine_of
+from plough_opt.motion.batch.engine import engine_of
 from plough_opt.motion.batch.equations import RESULTS, Start, of_column, setup
+from plough_opt.motion.batch.interpreter import Array
 from plough_opt.motion.batch.layout import Layout
 from plough_opt.motion.batch.result import BatchResult
 from plough_opt.motion.effects import StickSlip
@@ -92,7 +93,7 @@ class Batch:
 
     @property
     def compiled(self) -> bool:
-        """Whether a C compiler was found; without one CasADi interprets the same operations: see `warnings`."""
+        """Whether a C compiler was found; without one NumPy does the same operations: see `warnings`."""
         return self._engine.compiled
 
     @property
@@ -101,8 +102,8 @@ class Batch:
         if self.compiled:
             return ()
         return (
-            "no C compiler was found ($CC, cc, gcc, clang): CasADi interprets the batch, with the same results"
-            " but 100 to 200 times slower",
+            "no C compiler was found ($CC, cc, gcc, clang): NumPy evaluates the batch, with the same results"
+            " but 20 to 40 times slower for thousands of designs, and more than 100 times for hundreds",
         )
 
     def __call__(self, values: ArrayLike, *, threads: int = 1) -> BatchResult:

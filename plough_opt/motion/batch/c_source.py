@@ -29,9 +29,9 @@ def _named(names: str) -> dict[int, str]:
 
 
 # C's name of each function that the vector library has, of one argument and of two, and of those that it lacks.
-_LIBRARY = _named("exp expm1 log log1p sin cos tan asin acos atan sinh cosh tanh asinh acosh atanh erf")
-_LIBRARY_OF_TWO = {ca.OP_CONSTPOW: "pow"} | _named("pow atan2 hypot")
-_LANE_BY_LANE = _named("floor ceil sqrt")
+LIBRARY = _named("exp expm1 log log1p sin cos tan asin acos atan sinh cosh tanh asinh acosh atanh erf")
+LIBRARY_OF_TWO = {ca.OP_CONSTPOW: "pow"} | _named("pow atan2 hypot")
+LANE_BY_LANE = _named("floor ceil sqrt")
 _OWN = {ca.OP_FABS: "v_fabs", ca.OP_SIGN: "v_sign", ca.OP_FMIN: "v_min", ca.OP_FMAX: "v_max"}
 
 _HEAD = """
@@ -143,7 +143,7 @@ def _in_c(code: int) -> str:
     Raises:
         InputError: an operation that has no vector form.
     """
-    functions = _LIBRARY | _LIBRARY_OF_TWO | _LANE_BY_LANE
+    functions = LIBRARY | LIBRARY_OF_TWO | LANE_BY_LANE
     if code not in functions:
         raise InputError(f"a batch cannot do CasADi's operation number {code}")
     return functions[code]
@@ -191,9 +191,9 @@ def head(lists: Sequence[OperationList]) -> list[str]:
     """Return the C types and functions that the statements of some lists use."""
     codes = {operation.code for one in lists for operation in one.operations}
     lines = [_HEAD]
-    lines += [f"EACH({name})" for code, name in _LANE_BY_LANE.items() if code in codes]
-    lines += [f"LIBRARY({name})" for code, name in _LIBRARY.items() if code in codes]
-    lines += [f"LIBRARY_OF_TWO({name})" for name in sorted({_LIBRARY_OF_TWO[c] for c in codes & set(_LIBRARY_OF_TWO)})]
+    lines += [f"EACH({name})" for code, name in LANE_BY_LANE.items() if code in codes]
+    lines += [f"LIBRARY({name})" for code, name in LIBRARY.items() if code in codes]
+    lines += [f"LIBRARY_OF_TWO({name})" for name in sorted({LIBRARY_OF_TWO[c] for c in codes & set(LIBRARY_OF_TWO)})]
     return lines
 
 

@@ -1,4 +1,4 @@
-"""Evaluates a batch's operations: as compiled C, or by CasADi's interpreter."""
+"""Evaluates a batch's operations: as compiled C, or by NumPy."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from plough_opt.core.compiler import Variant, library
 from plough_opt.motion.batch.c_source import Kernels, c_source
+from plough_opt.motion.batch.interpreter import Array, Interpreter
 
 _FLAGS = (
     "-O3",
@@ -28,12 +29,12 @@ _VARIANTS: tuple[Variant, ...] = (
     ((*_FLAGS, "-march=native"), ("-lm",)),
     (_FLAGS, ("-lm",)),
 )
-
-Array = NDArray[np.float64]
+# Designs that NumPy takes at once: enough to hide its calls, few enough for the processor's cache.
+_BLOCK = 4096
 
 
 class Engine:
-    """Evaluates maps and integrates, here by CasADi's interpreter, design by design.
+    """Evaluates maps and integrates, here by NumPy, operation by operation.
 
     Arrays have a row for each element and a column for each design.
     """
@@ -41,7 +42,7 @@ class Engine:
     compiled = False
 
     def __init__(self, functions: dict[str, ca.Function], kernels: Kernels) -> None:
-        """Take the maps, and the steps among the kernels."""
+        """Take the maps, which CasADi evaluates, and the steps among the kernels."""
         self._functions = functions
         self._kernels = kernels
 
@@ -59,11 +60,14 @@ class Engine:
             most: limit on the number of steps.
         """
         taken = np.zeros(p.shape[1])
-        for step, end in self._kernels.parts:
-            which = order
-            while len(which := which[(states[0, which] < p[end, which]) & (taken[which] < most)]):
-                states[:, which] = np.asarray(step.map(len(which))(states[:, which], p[:, which]))
-                taken[which] += 1.0
+        with np.errstate(all="ignore"):
+            for step, end in self._kernels.parts:
+                interpreted = Interpreter(step)
+                for first in range(0, len(order), _BLOCK):
+                    which = order[first : first + _BLOCK]
+                    while len(which := which[(states[0, which] < p[end, which]) & (taken[which] < most)]):
+                        states[:, which] = interpreted(states[:, which], p[:, which])
+                        taken[which] += 1.0
         return taken
 
 

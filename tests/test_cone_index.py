@@ -87,14 +87,6 @@ def test_arrays_and_symbols():
         assert [float(one) for one in back(1.5e6)] == pytest.approx([1.5e6, 1.0], rel=1e-12)
 
 
-def test_a_profile_has_the_index_of_a_cone_of_its_own_size():
-    flat = po.named_soil("serozem").with_density_profile(lambda r: 1350.0 / 0.794 + 0.0 * r)
-    # A constant profile is the constant density ratio; the quadrature is exact for it up to rounding.
-    assert po.cone_index(flat) == pytest.approx(po.cone_index(po.named_soil("serozem")), rel=1e-13)
-    with pytest.raises(po.InputError, match=r"density profile: set strength_factor"):
-        po.Soil.from_cone_index(1e6, soil=flat)
-
-
 @pytest.mark.parametrize(
     ("reading", "soil", "adjust", "words"),
     [

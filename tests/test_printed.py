@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import plough_opt as po
-from plough_opt.laws.printed import FORMULATIONS, errors_of, printed_coefficients, printed_resistance
+from plough_opt.laws.printed import errors_of, printed_coefficients, printed_resistance
 
 CONES = [po.Cone(po.deg(half_angle), height) for half_angle, height in ((3.0, 0.4), (11.0, 0.25), (19.0, 0.1))]
 NONE = {"pi_twice": False, "one_third": False, "repelling_spring": False}
@@ -55,17 +55,6 @@ def test_the_letter_by_hand():
     assert force == pytest.approx(math.pi * (1 + 0.4 * 2) * inner * 0.04, rel=1e-14)
 
 
-@pytest.mark.parametrize("kind", [ca.SX, ca.MX])
-def test_the_letter_takes_symbols(kind):
-    x = kind.sym("x", 4)
-    soil = po.Soil(1400.0, x[0], 15e3, x[1], 0.5, ambient_pressure=1e4)
-    of_x = ca.Function("force", [x], [printed_resistance(po.Cone(x[2], 0.25), soil, x[3], 1.0)])
-    numbers = (0.8, 0.5, 0.2, 2.0)
-    same = po.Soil(1400.0, 0.8, 15e3, 0.5, 0.5, ambient_pressure=1e4)
-    expected = printed_resistance(po.Cone(0.2, 0.25), same, 2.0, 1.0)
-    assert float(of_x(numbers)) == pytest.approx(expected, rel=1e-14)
-
-
 def test_the_letter_divides_by_friction(r1_soil):
     smooth = dataclasses.replace(r1_soil, friction_angle=0.0)
     for refused in (lambda: printed_coefficients(CONES[0], smooth), lambda: printed_resistance(CONES[0], smooth, 1, 1)):
@@ -96,13 +85,6 @@ def test_errors_multiply(r1_scene, count):
         assert scene.stiffness == derived.stiffness
 
 
-def test_printed_is_short_for_all_errors(r1_scene):
-    assert po.Effects(formulation="printed").printed == po.Printed() == only(*FACTORS)
-    assert r1_scene(formulation="printed").reaction == r1_scene(formulation=po.Printed()).reaction
-    assert po.Effects().printed == po.Effects(formulation="derived").printed == only()
-    assert FORMULATIONS.keys() == {"derived", "printed"}
-
-
 def test_without_errors_nothing_is_touched(r1_scene, r1_soil):
     reaction = po.soil_reaction(CONES[1], r1_soil)
     assert only().reaction(reaction) is reaction
@@ -110,15 +92,6 @@ def test_without_errors_nothing_is_touched(r1_scene, r1_soil):
     symbol = ca.MX.sym("stiffness")
     assert r1_scene(stiffness=symbol).restoring_stiffness is symbol
     assert r1_scene(formulation=only()).warnings() == r1_scene().warnings()
-
-
-def test_the_print_changes_neither_ratio_nor_effect(r1_scene):
-    printed = r1_scene(formulation="printed")
-    assert printed.ambient_share == pytest.approx(r1_scene().ambient_share, rel=1e-13)
-    assert r1_scene(formulation="printed", ambient_pressure=False).ambient_share == 0.0
-    off = r1_scene(formulation="printed", inertial_drag=False, added_mass=False)
-    assert (off.reaction.drag, off.reaction.added_mass, off.inertia) == (0.0, 0.0, off.mass)
-    assert printed.natural_frequency == pytest.approx(math.sqrt(5e4 / printed.inertia), rel=1e-15)
 
 
 @pytest.mark.parametrize("errors", [("pi_twice",), ("one_third",), ("repelling_spring",), tuple(FACTORS)])

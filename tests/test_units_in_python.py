@@ -112,22 +112,6 @@ def test_what_was_meant_is_asked_about_once_and_not_where_the_toolkit_makes_it_a
         assert with_quantities(scene, {"scene.stiffness": 60.0}).stiffness == 60.0
 
 
-def test_bounds_of_a_variable_in_another_unit_are_asked_about():
-    d = po.Design()
-    with pytest.warns(po.ImplausibleValue, match=r"variable 'k' = 500 N/m: did you mean 500 kN/m\?") as caught:
-        d.variable("k", guess=50.0, lower=10.0, upper=500.0, unit="N/m")
-    with pytest.warns(po.ImplausibleValue, match=r"parameter 'c' = 20 Pa: did you mean 20 kPa\?"):
-        d.parameter("c", 20.0, unit="Pa")
-    assert caught[0].filename == __file__
-
-
-def test_degrees_in_the_place_of_radians_are_refused_with_the_question():
-    with pytest.raises(po.DomainError, match=r"wedge angle = 30 rad must be below 1.5708 rad; did you mean 30 deg\?"):
-        po.Wedge(30.0, 0.2, 0.25)
-    with pytest.raises(po.DomainError, match=r"friction angle = 95 rad must be below 1.5708 rad$"):
-        po.Soil(1350.0, 0.794, 2e4, 95.0, 0.5)
-
-
 def test_typical_values_are_plausible_and_slips_lead_back_inside():
     for quantity in EVERY.values():
         assert quantity.slip(quantity.typical) == "", quantity.name

@@ -4,8 +4,9 @@
 
 Each scene is hard in its own way: a smooth transient, a mount so stiff that it rings thousands of times, a mount in
 resonance with the soil's waves, a share that sticks and slips, and one that enters the soil. Errors are those of mean
-draft and RMS force against a reference in the machine's widest floats, which is no contestant. Tables show derivatives
-too, but for the stiff mount, where their reference would take minutes; a JSON file of each scene holds every figure.
+draft and RMS force against a reference in the machine's widest floats, which is not a contestant. Tables show
+derivatives too, but for the stiff mount, where their reference would take minutes; a JSON file of each scene holds
+every figure.
 """
 
 from __future__ import annotations

@@ -32,7 +32,7 @@ _GROUND: Final = LinearSegmentedColormap.from_list("ground", ["#F7E7CE", "#B5946
 
 
 def write_animation(run: Run, target: str | Path, slower: float) -> Path:
-    """Write the motion of a run of numbers: see `Run.animate`."""
+    """Write the motion of a numeric run: see `Run.animate`."""
     path = path_of("the animation", target)
     check_domain("slower", slower, "times", above=0.0)
     if not changing(run):

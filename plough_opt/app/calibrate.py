@@ -45,7 +45,7 @@ def add_options(verb: argparse.ArgumentParser) -> None:
         default=[],
         metavar='KEY="RANGE"',
         help='what to find, and its bounds: soil.cohesion="1..80 kPa"; repeatable (default: the [variables] of the file'
-        " that are no column of the data)",
+        " that are not columns of the data)",
     )
     verb.add_argument(
         "--known",
@@ -63,7 +63,7 @@ def add_options(verb: argparse.ArgumentParser) -> None:
 
 
 def calibrate(options: argparse.Namespace) -> None:
-    """Find a file's unknowns from measurements, and say what these can and cannot tell."""
+    """Find a file's unknowns from measurements, and report which of them the data determine."""
     problem = read(options)
     from plough_opt.studies.calibration import calibrate as run
     from plough_opt.studies.calibration import read_measurements

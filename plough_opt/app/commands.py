@@ -1,4 +1,4 @@
-"""What each command does: read, compute, report; files are written last, when nothing can fail any more."""
+"""The commands: each reads, computes and reports; files are written last, when nothing can fail any more."""
 
 from __future__ import annotations
 

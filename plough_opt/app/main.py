@@ -70,7 +70,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _drop_output() -> None:
-    """Leave nothing to be flushed at exit into a stream that takes no more; one that is no file has nothing."""
+    """Leave nothing to be flushed at exit into a stream that takes no more; one that is not a file has nothing."""
     with contextlib.suppress(AttributeError, OSError):
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 

@@ -68,9 +68,9 @@ def plot_share(scene: Scene) -> Figure:
     """Draw the share's faces laid flat beside its equivalent cone in the soil, to one scale.
 
     Raises:
-        InputError: no scene of numbers.
+        InputError: no numeric scene.
     """
-    check_kind("the scene", scene, Scene, "a Scene of numbers")
+    check_kind("the scene", scene, Scene, "a numeric Scene")
     figure = Figure(figsize=(13, 4.4), layout="constrained")
     left, right = figure.subplots(1, 2, sharey=True, width_ratios=(1.0, 1.24))
     draw_cone(right, scene)
@@ -159,7 +159,7 @@ def plot_batch(found: BatchResult) -> Figure:
 
 def plot_machine(machine: Machine) -> Figure:
     """Draw mount force and deflection of several shares in one frame over time, a colour for each share."""
-    check_kind("the machine", machine, Machine, "a Machine of runs of numbers")
+    check_kind("the machine", machine, Machine, "a Machine of numeric runs")
     figure = Figure(figsize=(9.0, 6.0), layout="constrained")
     figure.suptitle(machine.origin.title)
     for axes, name in zip(figure.subplots(2, 1, sharex=True), SIDE_BY_SIDE, strict=True):
@@ -172,10 +172,10 @@ def plot_optimum(best: Optimum, run: Run | Machine) -> Figure:
 
     Args:
         best: the optimum.
-        run: its run of numbers; of several shares the responses, without the shares' shapes.
+        run: its numeric run; of several shares the responses, without the shares' shapes.
     """
     check_kind("the optimum", best, Optimum, "an Optimum, as Design.solve returns one")
-    check_kind("the run", run, Run | Machine, "a Run of numbers, as po.simulate returns one")
+    check_kind("the run", run, Run | Machine, "a numeric Run, as po.simulate returns one")
     panels = list(best.variables) if best.search is not None and len(best.search.objective) > 0 else []
     required = [limit for limit in best.limits if limit.kind == "requirement"]
     rows = -(-len(panels) // _PANELS)

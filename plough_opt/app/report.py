@@ -58,7 +58,7 @@ def print_soils(console: Console, soils: Sequence[Soil]) -> None:
 
 
 def run_page(problem: Problem, run: Run | Machine) -> Page:
-    """Return a run of numbers, or those of several shares, with each scene."""
+    """Return a numeric run, or those of several shares, with each scene."""
     page, runs = run.page(), runs_of(run)
     scenes = [_scene_table(part, runs[name].scene, name) for name, part in problem.parts.items()]
     return replace(page, parts=(*scenes, *page.parts, *own_results(problem, run)))

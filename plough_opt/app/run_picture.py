@@ -32,16 +32,16 @@ def subject(run: Run) -> str:
 
 
 def plot_run(run: Run, limits: Sequence[Limit] = ()) -> Figure:
-    """Draw forces, deflection and speed of a run of numbers over time, those that change.
+    """Draw forces, deflection and speed of a numeric run over time, those that change.
 
     Args:
-        run: of numbers.
+        run: numeric.
         limits: requirements, of which those on what is drawn are shown.
 
     Raises:
         InputError: no run.
     """
-    check_kind("the run", run, Run, "a Run of numbers, as po.simulate returns one")
+    check_kind("the run", run, Run, "a numeric Run, as po.simulate returns one")
     panels = changing(run)
     figure = Figure(figsize=(9, 1.0 + 2.3 * max(1, len(panels))), layout="constrained")
     figure.suptitle(subject(run))

@@ -70,7 +70,7 @@ def draw_side_by_side(axes: Axes, runs: Mapping[str, Run], name: str, origin: Or
 
     Args:
         axes: where.
-        runs: name -> run of numbers.
+        runs: name -> numeric run.
         name: of the result, one of `SIDE_BY_SIDE`.
         origin: of the runs, which has the unit.
     """
@@ -83,7 +83,7 @@ def draw_side_by_side(axes: Axes, runs: Mapping[str, Run], name: str, origin: Or
 
 
 def plot_forces(runs: Mapping[str, Run]) -> Figure:
-    """Draw the mount forces of several runs of numbers over time.
+    """Draw the mount forces of several numeric runs over time.
 
     Args:
         runs: name -> run.

@@ -59,7 +59,7 @@ def sweep(options: argparse.Namespace) -> None:
     store = options.store or _store_of(options.file, asked)
     notes = list(asked.notes)
     if options.samples is not None and options.samples & (options.samples - 1):
-        notes.append(f"{options.samples} samples are no power of two: a Sobol sample is even at 64, 128, 256, ...")
+        notes.append(f"{options.samples} samples are not a power of two: a Sobol sample is even at 64, 128, 256, ...")
     for note in notes:
         LOG.info("note: %s", note)
     with _executor(options.scheduler) as (executor, workers):

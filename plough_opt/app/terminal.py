@@ -57,7 +57,7 @@ def _check_matplotlib() -> None:
 
 
 def check_outputs(options: argparse.Namespace) -> None:
-    """Refuse outputs that are an input or the same file twice, have no folder to stand in, or are no pictures.
+    """Refuse outputs that are an input or the same file twice, have no folder to stand in, or are not pictures.
 
     Raises:
         InputError: as said.
@@ -134,7 +134,7 @@ def what_was_written() -> str:
 
 
 def console() -> Console:
-    """Return where results go; as wide as its tables need when it is no terminal."""
+    """Return where results go; as wide as its tables need when it is not a terminal."""
     terminal = _Console(highlight=False)
     return terminal if terminal.is_terminal else _Console(highlight=False, width=120)
 

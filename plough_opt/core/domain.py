@@ -15,7 +15,7 @@ LARGEST: Final = 1e60
 """Largest size of a number, in SI units: fourth powers and products of several stay within floating point."""
 
 LEAST: Final = 1.0 / LARGEST
-"""Least size of a number by whose powers is divided."""
+"""Least size of a number: its powers are denominators, and must not underflow."""
 
 # Numbers of fewer bytes have three digits, or overflow when squared.
 _LEAST_BYTES = 4

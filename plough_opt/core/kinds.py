@@ -13,7 +13,7 @@ import numpy as np
 from plough_opt.core.errors import InputError, nearest, short
 
 NOT_NUMBERS: Final = (TypeError, ValueError, OverflowError, RuntimeError)
-"""What Python, NumPy and CasADi raise for a value that is no number; the last is CasADi's, of symbols and columns."""
+"""Errors of Python, NumPy and CasADi for a value that is not a number; CasADi's is for symbols and columns."""
 
 
 def shown(value: object, most: int = 60) -> str:

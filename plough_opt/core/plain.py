@@ -89,7 +89,7 @@ def from_plain(hint: Any, data: Any, place: str = "", infinite: Sequence[str] = 
 
 
 def _read(hint: Any, data: Any, place: str, infinite: Sequence[str]) -> Any:
-    """Return plain data as one annotation that is no union has it."""
+    """Return plain data as one annotation that is not a union has it."""
     origin, inner = get_origin(hint) or hint, get_args(hint)
     if hint is Any:
         return _read_any(data, place)

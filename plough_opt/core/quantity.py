@@ -110,7 +110,7 @@ class Quantity:
             stacklevel: of the warning, 2 for the caller's line.
 
         Raises:
-            InputError: a text that is no quantity, or a unit of another kind.
+            InputError: a text that is not a quantity, or a unit of another kind.
             DomainError: as `check`.
         """
         if type(value) is not float:
@@ -127,7 +127,7 @@ class Quantity:
         return value
 
     def slip(self, value: Any) -> str:
-        """Return, of a number that is not plausible in SI but would be in a unit that is often meant, a question."""
+        """Return a question if a number is implausible in SI but plausible in another customary unit, else ""."""
         low, high = self.plausible
         # A whole number may be larger than any float.
         known = isinstance(value, int | float | np.number) and -LARGEST <= value <= LARGEST

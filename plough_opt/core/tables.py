@@ -158,7 +158,7 @@ Part: TypeAlias = Grid | str
 
 @dataclass(frozen=True)
 class Page:
-    """What a result shows of itself.
+    """A result as it is shown.
 
     Attributes:
         heading: what it is, in a line.

@@ -21,7 +21,7 @@ _QUANTITY = re.compile(
     r"\s*(?P<number>[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?)\s*"
     r"(?P<unit>(?:[^\W\d_]|[°%])(?:[\w°%/*^.·³²()-]| (?=\S))*|)\s*"
 )
-# Characters of a quantity, and powers of its unit: pint would compute 9^9^9 before it says that it is no unit.
+# Characters of a quantity, and powers of its unit: pint would compute 9^9^9 before it says that it is not a unit.
 _LONGEST: Final = 100
 _POWER = re.compile(r"(?:\^|\*\*)(?!\s*-?[0-9](?:\.[0-9])?(?![\w.^]|\s*(?:\^|\*\*)))")
 # What users write; the nearest of these is suggested for a unit that pint does not know.
@@ -143,7 +143,7 @@ def in_si(what: str, value: Any, unit: str) -> Any:
         unit: SI unit.
 
     Raises:
-        InputError: a text that is no quantity, or a unit of another kind.
+        InputError: a text that is not a quantity, or a unit of another kind.
     """
     if not has_unit(value):
         return value
@@ -265,7 +265,7 @@ def display_of(value: object, unit: Unit) -> Display:
 
 
 def _root(written: str, value: object) -> tuple[float, str]:
-    """Return a unit's factor to root units and those units; unlike dimensions, they tell an angle from a number."""
+    """Return a unit's factor to root units and those units; they distinguish an angle from a number."""
     try:
         factor, root = registry().get_root_units(registry().parse_units(written.replace("%", "percent")))
     except Exception as error:  # pint's parser raises whatever it stumbles over

@@ -94,7 +94,7 @@ def _number_of(variables: Sequence[Variable], name: str) -> int:
         return names.index(name)
     short = ["".join(c if c.isalnum() else "_" for c in own.rpartition(".")[2]) for own in names]
     if short.count(name) != 1:
-        raise InputError(f"'{name}' is no variable of this design: {nearest(name, names)}")
+        raise InputError(f"'{name}' is not a variable of this design: {nearest(name, names)}")
     return short.index(name)
 
 

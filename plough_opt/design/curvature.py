@@ -1,4 +1,4 @@
-"""Second-order conditions: optima that are not unique, and stationary points that are no optima."""
+"""Second-order conditions: optima that are not unique, and stationary points that are not optima."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def minimum_from(
 ) -> Point:
     """Return the point itself, or where it leads downhill if it is a hilltop or a saddle, with its curvatures.
 
-    IPOPT accepts any stationary point that it starts on; the reduced Hessian tells.
+    IPOPT accepts any stationary point that it starts on; the reduced Hessian decides.
 
     Args:
         program: the design's program.

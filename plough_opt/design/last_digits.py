@@ -20,7 +20,7 @@ from plough_opt.design.quadratic import made_convex, optimum_step
 _STATIONARY: Final = 1e-10
 # Steps, and how long one is at most: a start further away is not nearly optimal.
 _STEPS, _LONGEST = 5, 0.02
-# By what factor a step must at least bring the conditions nearer: less is no convergence.
+# By what factor a step must at least bring the conditions nearer: less is not convergence.
 _FALLS: Final = 0.5
 # Scaled step of the differences: between the rounding of a run (some 1e-13) and the narrowest ripples (some 1e-2); and
 # the factor on a search's steps with which they are run.
@@ -32,7 +32,7 @@ _KINK: Final = 0.05
 _ROUNDS: Final = 3
 # Limits are kept by so much, scaled, so that rounding breaks none.
 _KEPT: Final = 1e-11
-# Scaled margin that leaves no room, and of slopes of length 1 what tells one from the others.
+# Scaled margin that leaves no room, and the least difference of slopes of length 1.
 _TOUCHING, _ALIKE = 1e-8, 1e-7
 
 

@@ -72,7 +72,7 @@ class LocalOptimum(Keepable):
     """One local optimum.
 
     Attributes:
-        name: what tells it from the others: its branch under a strength wave, and its place in the order.
+        name: distinct from the others: its branch under a strength wave, and its place in the order.
         objective: objective of the tightly integrated model.
         variables: name -> value, SI units.
         limits: every requirement and every variable's bounds.

@@ -19,7 +19,7 @@ MANY = 6
 
 # Half of the sample is stretched by so much on either side and clipped, so that bounds and corners are sampled.
 _STRETCH = 0.15
-# Neighbours of a point in the sample, for each variable, that tell whether it is the lowest around.
+# Neighbours of a point in the sample, for each variable, which decide whether it is a local minimum.
 _NEIGHBOURS = 4
 # Keeps the arithmetic of an evolution finite where designs have no value.
 _WORST = 1e30

@@ -1,4 +1,4 @@
-"""The straight ways between designs: what tells whether they lie in one basin."""
+"""The straight ways between designs, which show whether they lie in one basin."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def straight_below(landscape: Landscape, start: Vector, ends: Seen) -> int | Non
         if len(near) == _NEAREST:
             break
     parts = 0.5 - 0.5 * np.cos(np.linspace(0.0, np.pi, _DOWN))
-    # Most ways rise at once or not at all: a few positions tell of most that they do.
+    # Most ways rise at once or not at all: a few positions suffice for most that do.
     for some in (parts[::_COARSE], parts):
         if near:
             near = [k for k, falls in zip(near, _fall(landscape, start, ends.points[near], some), strict=True) if falls]

@@ -23,7 +23,7 @@ class NamedScene:
     """A scene and its duration by the names of their quantities, as "share.height" and "scene.duration".
 
     Args:
-        scene: of numbers or symbols.
+        scene: numeric or symbols.
         duration: simulated time [s], or None.
         steel_density: of the share [kg/m^3]. The scene's mass then is that of "scene.frame_mass" and of a share of
             "scene.steel_density". None: it is a quantity of its own, "scene.mass".
@@ -42,7 +42,7 @@ class NamedScene:
             return
         if holds_casadi((self.scene.mass, self.scene.share)):
             raise InputError(
-                "steel_density belongs to a scene of numbers: this scene's mass or share is an expression, which can"
+                "steel_density belongs to a numeric scene: this scene's mass or share is an expression, which can"
                 " include the share's own mass"
             )
         BESIDE[STEEL].check(self.steel_density)

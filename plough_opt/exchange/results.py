@@ -60,5 +60,5 @@ def is_store(path: Path) -> bool:
     try:
         with path.open("rb") as file:
             return file.read(len(_STORE)) == _STORE
-    except OSError:  # which `load` tells
+    except OSError:  # which `load` reports
         return False

@@ -31,7 +31,7 @@ class SoilReaction:
 
 @dataclass(frozen=True)
 class ShareInSoil:
-    """What a law computes a resistance from.
+    """Share, soil and speed from which a law computes a resistance.
 
     Attributes:
         share: the share, a `Wedge` or the `Cone` that was given in its place.
@@ -50,7 +50,7 @@ STEADY: Final = dict.fromkeys(
     ("motion", "strength_wave", "random_strength", "tow_ramp", "rate_term", "own"),
     "gives the force of steady sliding only",
 )
-"""What a law lacks that is no polynomial of the speed: see `ResistanceLaw.lacking`."""
+"""The parts that are missing in a law that is not a polynomial of the speed: see `ResistanceLaw.lacking`."""
 
 
 @runtime_checkable

@@ -27,11 +27,11 @@ class Accuracy:
             CasADi's fixed-step ``"collocation"`` and ``"rk"``, of order 5 and 4 (RMS by
             ``"rk"`` from a start at which the force has a slope: 3); or a tableau of one's own, by its name in
             `plough_opt.motion.methods.METHODS`.
-        error: for ``"auto"``, the wanted relative error: of a run of numbers that of every result, each on its own
+        error: for ``"auto"``, the wanted relative error: of a numeric run that of every result, each on its own
             scale, as in its ``error_estimate``; default 1e-8.
         steps: for a fixed-step method, steps over the whole duration; default: as many as the scene's
             fastest oscillation needs for 1e-8, or of a symbolic scene, whose time scales are unknown, at
-            least 400 of order 8. Under ``"auto"`` a design chooses and refines them by itself. In a run of numbers
+            least 400 of order 8. Under ``"auto"`` a design chooses and refines them by itself. In a numeric run
             order 8 takes a few more: the outermost in two, for what is read between them, and some on either side of
             the end of a ramp.
         derivatives: for ``"auto"``, the wanted error of the first and second derivatives of a symbolic scene's averages

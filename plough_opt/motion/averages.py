@@ -1,4 +1,4 @@
-"""What a run says in single numbers, and what is known about them."""
+"""Averages of a run, and its error estimate and warnings."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class Averages:
 
 @dataclass(frozen=True)
 class Checks:
-    """What is known about a run of numbers beside its results.
+    """Error estimate, time and warnings of a numeric run.
 
     Attributes:
         error_estimate: estimated relative error [-] of every result: see `plough_opt.simulate`.

@@ -2,7 +2,7 @@
 
 Across a kink steps of order 8 lose their order, and derivatives by what moves the kink lose most: each differentiation
 one order more. So a step ends there. The end of a ramp is a time, and moves with it. The ends of the smooth contact's
-step are found in the motion; that part of a step is no function of the parameters to a derivative, for where the
+step are found in the motion; that part of a step is not a function of the parameters to a derivative, for where the
 motion has four derivatives a step may as well end a little beside.
 """
 
@@ -49,7 +49,8 @@ def ends(timeline: Timeline, duration: Expression, ramp: Expression) -> tuple[Ex
 def telling(structure: Structure, width: int) -> Structure:
     """Return a structure whose ramp is over where a step of a span of that width says so.
 
-    At the end itself a stage cannot tell: there the ramp's formula and the constant speed differ in second derivatives.
+    At the end itself a stage cannot decide: there the ramp's formula and the constant speed differ in second
+    derivatives.
     """
     return structure if width == 2 else replace(structure, tells_ramp=True)
 

@@ -37,7 +37,7 @@ def refuse_runaway(scene: Scene, duration: float) -> None:
 def waves_in_flight(scene: Scene, p: Mapping[str, float], duration: float) -> float:
     """Return the phase [rad] of the soil's strength that a share passes which a repelling spring drives away.
 
-    Drag, which slows it down or ends the motion in finite time, is left out: with it no such phase is told.
+    Drag, which slows it down or ends the motion in finite time, is left out: with it no such phase is reported.
     """
     if not scene.effects.printed.repelling_spring or "wavelength" not in p or "drag" in p or "rate_term" in p:
         return 0.0
@@ -54,7 +54,7 @@ def failed_by(scene: Scene, duration: float, solver: Integration, last: Run | No
     """Return the error that says when and why an integration failed, and what to do.
 
     Args:
-        scene: of numbers.
+        scene: numeric.
         duration: of the run [s].
         solver: what failed.
         last: the motion until shortly before, if any could be followed.
@@ -75,10 +75,10 @@ def failed_by(scene: Scene, duration: float, solver: Integration, last: Run | No
 
 
 def unsound_own(scene: Scene, last: Run | None, pause: float) -> str | None:
-    """Return which of the user's own resistances is no finite number along a motion or shortly beyond, if any.
+    """Return which of the user's own resistances is not a finite number along a motion or shortly beyond, if any.
 
     Args:
-        scene: of numbers.
+        scene: numeric.
         last: a motion; None: the start alone.
         pause: time beyond its end [s].
     """

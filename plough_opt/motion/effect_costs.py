@@ -27,7 +27,7 @@ from plough_opt.motion.terms import Structure, resistance
 
 @dataclass(frozen=True)
 class EffectCost:
-    """What one effect adds to a scene.
+    """The change of a scene's results by one effect.
 
     Attributes:
         name: the effect.
@@ -50,7 +50,7 @@ class EffectCost:
 
 
 def effect_costs(scene: Scene, duration: float | None) -> list[EffectCost]:
-    """Count every effect on a scene of numbers; one that the scene lacks is tried with a strength of its own order.
+    """Count every effect on a numeric scene; one that the scene lacks is tried with a strength of its own order.
 
     Args:
         scene: the scene.

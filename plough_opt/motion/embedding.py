@@ -18,7 +18,7 @@ from plough_opt.motion.scene import Scene
 
 @dataclass(frozen=True)
 class Embedding:
-    """What a Function in a graph is: (parameters with the duration last, quantities of the scene) -> a run's results.
+    """A Function in a graph: (parameters with the duration last, quantities of the scene) -> a run's results.
 
     The quantities have no influence; they let a design rebuild the scene.
 
@@ -87,7 +87,7 @@ def embedding_of(function: ca.Function) -> Embedding | None:
 
 
 def _key(template: Scene) -> Hashable:
-    """Return what tells templates apart: their print, and the classes and the function of a density profile in them."""
+    """Return a key of a template: its repr, and the classes and the function of a density profile in it."""
     profile = template.soil.density_profile
     return repr(template), classes_in(template), None if profile is None else id(profile.density)
 

@@ -133,7 +133,7 @@ class _Now:
 
     @property
     def _stopping(self) -> Expression:
-        """What becomes negative when the share stops: its speed, but for rounding of a share that barely moves yet."""
+        """Becomes negative when the share stops: its speed, but for rounding of a share that barely moves yet."""
         return self.speed + _STANDSTILL * self.p["tow_speed"]
 
     @property

@@ -1,4 +1,4 @@
-"""A scene of numbers followed once, by a method with its setting, or a reason why it cannot be."""
+"""A numeric scene followed once, by a method with its setting, or a reason why it cannot be."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ _COARSE_STEPS = 10_000
 
 @dataclass(frozen=True)
 class Case:
-    """A scene of numbers over a time, read once for all its integrations.
+    """A numeric scene over a time, read once for all its integrations.
 
     Attributes:
         scene: the scene.

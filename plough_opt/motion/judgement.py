@@ -1,4 +1,4 @@
-"""What is refused before a motion is followed, why one failed, and what a reader of a finished run must know."""
+"""Errors before a motion is followed, reasons why one failed, and warnings about a finished run."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ _RETREAT = 1e-9
 _GRAZES = 5e-3
 # A multiplier above 1 by less is that of an undamped mount, rounded.
 _MARGINAL = 1e-8
-# Speeds backwards of a slipping share above this fraction are no rounding of the time at which it stopped.
+# Speeds backwards of a slipping share above this fraction are not the rounding of the time at which it stopped.
 _MISSED = 1e-5
 
 
@@ -71,7 +71,7 @@ def refuse_countless_waves(scene: Scene, p: Mapping[str, float], duration: float
     """Refuse a wave, or a ramp, so short beside the run that following it would take minutes.
 
     Args:
-        scene: of numbers.
+        scene: numeric.
         p: its parameters.
         duration: of the run [s].
         most: phase [rad] that is followed.
@@ -87,13 +87,13 @@ def refuse_countless_waves(scene: Scene, p: Mapping[str, float], duration: float
 
 
 def refuse_stiff_orbit(scene: Scene) -> None:
-    """Refuse a lasting orbit so stiff that finding it, or what tells a stand-in's error, would take minutes.
+    """Refuse a lasting orbit so stiff that finding it, or the error of its approximation, would take minutes.
 
     Args:
-        scene: of numbers, with an orbit.
+        scene: numeric, with an orbit.
 
     Raises:
-        IntegrationError: it is beyond what is sought unasked.
+        IntegrationError: it is stiffer than what is computed by default.
     """
     total = phase(numbers_of(scene), float(as_number(scene.wave_period))) if scene.effects.waves else 0.0
     if total <= MOST_SHOT:
@@ -111,7 +111,7 @@ def refuse_drifting_own(scene: Scene) -> None:
     """Refuse a lasting orbit under own resistances that are not the same one wavelength on.
 
     Args:
-        scene: of numbers, with an orbit.
+        scene: numeric, with an orbit.
 
     Raises:
         InputError: they differ.
@@ -222,7 +222,7 @@ def stability(run: Run) -> tuple[tuple[complex, ...], tuple[str, ...]]:
     structure, numbers = Structure.of(run.scene), numbers_of(run.scene)
     p = ca.DM([*(numbers[name] for name in signals(structure).parameters), float(run.duration)])
     start = ca.DM([run.deflection[0] - start_deflection(structure, numbers), run.scene.tow_speed - run.speed[0]])
-    # An orbit of numbers has a number of steps; derivatives by the start are known less exactly by the same.
+    # A numeric orbit has a number of steps; derivatives by the start are known less exactly by the same.
     once = Timeline(1, 2 * (run.accuracy.steps or 1))
     found = np.linalg.eigvals(monodromy(structure, once)(start, p).full())
     largest = float(np.max(np.abs(found)))

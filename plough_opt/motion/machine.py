@@ -93,7 +93,7 @@ class Machine(Keepable):
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What a reader of the numbers must know of any of the shares."""
+        """Warnings about any of the shares."""
         return tuple(alike_once([text for run in self.runs.values() for text in run.warnings]))
 
     def page(self) -> Page:

@@ -37,7 +37,7 @@ STIFF_TOLERANCE = 1e-9
 PHASE_PER_STEP = 0.5
 """Phase [rad] of the fastest oscillation in one step of order 8 that leaves a relative error of some 1e-10."""
 
-# The same by `summed_rate`, which usually does; where it does not, the check tells, and steps are repeated finer.
+# The same by `summed_rate`, which usually does; where it does not, the check finds out, and steps are repeated finer.
 _USUAL_PHASE = 0.475
 # Phase, by `summed_rate`, in a long step whose error others are chosen by, and by how much those are more than the law
 # of order 8 says, and more than the last at least.
@@ -52,16 +52,16 @@ _COARSER = 0.75
 _RUN_FINER = 0.2
 
 MOST_RINGING = 2e4
-"""Phase [rad] of the share's own oscillation from a start that is not steady, which is followed unasked."""
+"""Phase [rad] of the share's own oscillation from a start that is not steady, up to which it is followed by default."""
 
 MOST_FORCED = 1e6
-"""Phase [rad] that strut and soil impose over a run which is followed unasked."""
+"""Phase [rad] that strut and soil impose over a run, up to which it is followed by default."""
 
 MOST_PANELLED = 4e5
 """The same of a quasi-static run, whose panels are in memory at once."""
 
 MOST_SHOT = 1e4
-"""Phase [rad] of the fastest part of a motion over one wavelength whose lasting orbit is sought unasked."""
+"""Phase [rad] of the fastest part of a motion over one wavelength; up to it a lasting orbit is computed by default."""
 
 MOST_OUTPUTS = 10_000_000
 """Output intervals of a run, whose arrays are in memory at once."""
@@ -81,7 +81,7 @@ _FEWEST_ADAPTIVE = 1e4
 
 
 def numbers_of(scene: Scene) -> dict[str, float]:
-    """Return the parameters of a scene of numbers, by name, and the steepest slopes of its own effects.
+    """Return the parameters of a numeric scene, by name, and the steepest slopes of its own effects.
 
     Raises:
         InputError: one is an array.

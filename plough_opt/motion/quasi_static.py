@@ -20,7 +20,7 @@ from plough_opt.motion.terms import Structure, parameters, resistance, start_spe
 from plough_opt.motion.timeline import Timeline
 
 GAUSS_POINTS = 10
-"""Gauss-Legendre nodes in each panel of the averages of a run of numbers."""
+"""Gauss-Legendre nodes in each panel of the averages of a numeric run."""
 
 MORE_POINTS = 6
 """How many more nodes check them."""

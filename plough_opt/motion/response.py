@@ -1,4 +1,4 @@
-"""The table of results of runs of numbers, one or several side by side."""
+"""The table of results of numeric runs, one or several side by side."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _LIMITED: Final = {"peak_force": "mount_force", "peak_deflection": "deflection"}
 
 
 def response_table(runs: Mapping[str, Any], origin: Origin) -> Grid:
-    """Return the table of results of runs of numbers side by side, each row in one unit: see `Origin`.
+    """Return the table of results of numeric runs side by side, each row in one unit: see `Origin`.
 
     Args:
         runs: heading of a column -> run; of several the sum stands behind them, of what adds up.

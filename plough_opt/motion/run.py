@@ -53,7 +53,7 @@ OUTPUTS: Final = {
 class Run(Keepable):
     """A simulated run: arrays over the output times, averages, and how far they can be trusted.
 
-    Of a scene of numbers every value is a float or an array of n + 1 outputs; of a symbolic scene each is
+    Of a numeric scene every value is a float or an array of n + 1 outputs; of a symbolic scene each is
     a CasADi expression (arrays: a column), and the run has no error estimate, time taken or peak of its own.
 
     Attributes:
@@ -71,7 +71,7 @@ class Run(Keepable):
         mode: 0 where the share slips, 1 where it sticks, 2 in a gap; zero but under `StickSlip`.
         averages: mean draft and the like; each is also an attribute of the run.
         accuracy: method and setting that were used.
-        checks: error estimate, time taken and warnings of a run of numbers, each also an attribute of the run.
+        checks: error estimate, time taken and warnings of a numeric run, each also an attribute of the run.
         origin: what made it.
     """
 
@@ -101,7 +101,7 @@ class Run(Keepable):
         )
 
     def page(self) -> Page:
-        """Return the results of a run of numbers as a table, with what a reader must know."""
+        """Return the results of a numeric run as a table, with what a reader must know."""
         if self.checks is None:
             return Page(repr(self))
         head = f"{self.duration:g} s of a {self.scene.describe()}, by {self.accuracy.method}"
@@ -109,11 +109,11 @@ class Run(Keepable):
         return Page(head, (self.response(),), self.warnings, trust, self.origin.title)
 
     def response(self) -> Grid:
-        """Return the table of the results of a run of numbers, each in one unit: see `Origin`."""
+        """Return the table of the results of a numeric run, each in one unit: see `Origin`."""
         return response_table({"": self}, self.origin)
 
     def to_dataframe(self) -> pandas.DataFrame:
-        """Return a row for each output time of a run of numbers, SI; ``attrs["units"]`` has the units.
+        """Return a row for each output time of a numeric run, SI; ``attrs["units"]`` has the units.
 
         Raises:
             InputError: a symbolic run, or pandas is not installed.
@@ -155,7 +155,7 @@ class Run(Keepable):
         return path
 
     def to_json(self, page: Page | None = None) -> str:
-        """Return a run of numbers as JSON: see `Keepable.to_json`.
+        """Return a numeric run as JSON: see `Keepable.to_json`.
 
         Raises:
             InputError: a symbolic run.
@@ -172,9 +172,9 @@ class Run(Keepable):
                 "ambient_share": self.scene.ambient_share, "quantities": quantities}  # fmt: skip
 
     def check_kept(self) -> None:
-        """Refuse arrays of other lengths than the times, and averages that are no numbers."""
+        """Refuse arrays of other lengths than the times, and averages that are not numbers."""
         if self.checks is None:
-            raise ValueError("a run of numbers has its checks")
+            raise ValueError("a numeric run has its checks")
         for name in OUTPUTS:
             if np.shape(getattr(self, name)) != np.shape(self.time) or np.ndim(self.time) != 1:
                 raise ValueError(f"{name} must have a number for each output time")
@@ -224,12 +224,12 @@ class Run(Keepable):
 
     @property
     def peak_force(self) -> float:
-        """Largest mount force at an output time [N]; of a run of numbers only."""
+        """Largest mount force at an output time [N]; of a numeric run only."""
         return self._peak("peak_force", self.mount_force, "mount_force")
 
     @property
     def peak_deflection(self) -> float:
-        """Largest deflection at an output time [m]; of a run of numbers only."""
+        """Largest deflection at an output time [m]; of a numeric run only."""
         return self._peak("peak_deflection", self.deflection, "deflection")
 
     @property
@@ -239,12 +239,12 @@ class Run(Keepable):
 
     @property
     def seconds(self) -> float:
-        """Time that the run and its check took [s]. A run of numbers only."""
+        """Time that the run and its check took [s]. A numeric run only."""
         return self._known("time taken").seconds
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What a reader of the numbers must know: limits of the theory, a retreating share, missed accuracy."""
+        """Warnings: limits of the theory, a retreating share, an accuracy that was not reached."""
         if self.checks is None:
             return ("a symbolic run cannot be checked: simulate the scene with numbers, for instance best(run)",)
         return (*self.scene.warnings(), *self.checks.notes)
@@ -254,7 +254,7 @@ class Run(Keepable):
         """Floquet multipliers of a periodic orbit [-]: factors by which deviations grow in one wavelength.
 
         Raises:
-            InputError: a run of expressions, or one that is no periodic orbit.
+            InputError: a run of expressions, or one that is not a periodic orbit.
         """
         multipliers = self._known("Floquet multipliers").floquet
         if not multipliers:
@@ -266,7 +266,7 @@ class Run(Keepable):
         """To which motion a share comes that starts from equilibrium: this periodic orbit, or what else.
 
         Raises:
-            InputError: a run of expressions, or one that is no periodic orbit.
+            InputError: a run of expressions, or one that is not a periodic orbit.
         """
         found = self._known("motion to which a share settles").settles
         if found is None:

@@ -129,7 +129,7 @@ class Scene:
         )
 
     def check_reaction(self) -> None:
-        """Refuse a scene of numbers outside the domain of its law of resistance, or a strength below 0 somewhere.
+        """Refuse a numeric scene outside the domain of its law of resistance, or a strength below 0 somewhere.
 
         Limits that a design keeps by requirements, such as the shear wave's speed, are left out.
 
@@ -297,7 +297,7 @@ class Scene:
 
     @property
     def branch(self) -> str:
-        """Of a scene of numbers "soft" or "stiff", its mount below or above resonance with the wave; else ""."""
+        """Of a numeric scene "soft" or "stiff", its mount below or above resonance with the wave; else ""."""
         if not float(as_number(self.wave_frequency)) > 0.0:
             return ""
         return "soft" if float(as_number(self.natural_frequency / self.wave_frequency)) < 1.0 else "stiff"
@@ -318,7 +318,7 @@ class Scene:
         return 1.0 - bare / total
 
     def describe(self) -> str:
-        """Return, for a scene of numbers, a clause that tells which it is."""
+        """Return, for a numeric scene, a clause that names it."""
         spring = " of a repelling spring, as printed," if self.effects.printed.repelling_spring else ""
         angle, height, stiffness, inertia, speed = (
             float(as_number(value))
@@ -330,7 +330,7 @@ class Scene:
         )
 
     def warnings(self) -> tuple[str, ...]:
-        """Return, for a scene of numbers, what a reader of its results must know about the theory's limits."""
+        """Return, for a numeric scene, what a reader of its results must know about the theory's limits."""
         found = []
         if errors := self.effects.printed.errors:
             found.append(

@@ -1,4 +1,4 @@
-"""Which motion a share comes to, as a run of a lasting orbit tells it: see `plough_opt.motion.settling`."""
+"""The motion to which a share settles, as a run of a lasting orbit reports it: see `plough_opt.motion.settling`."""
 
 from __future__ import annotations
 

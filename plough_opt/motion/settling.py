@@ -1,7 +1,7 @@
 """To which motion a share comes that starts from equilibrium: the lasting orbit that was found, or another one.
 
 Under one wave several motions can last: the orbit that repeats itself with every wavelength, others that repeat
-themselves after several, and some that never do. Multipliers tell of an orbit whether a slight deviation dies; which
+themselves after several, and some that never do. Multipliers of an orbit show whether a slight deviation dies; which
 motion a start leads to shows only by following it. The share is followed from wavelength to wavelength, by the steps
 of the orbit, and its states at their ends are compared with the orbit's and with earlier ones.
 """

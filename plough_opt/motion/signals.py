@@ -1,4 +1,4 @@
-"""What is averaged over a run: deflection, mount force, tow power, each as change since the start."""
+"""Signals that are averaged over a run: deflection, mount force and tow power, each as change since the start."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`simulate`: one verb for scenes of numbers, checked, and for symbolic scenes inside a design."""
+"""`simulate`: one verb for numeric scenes, checked, and for symbolic scenes inside a design."""
 
 from __future__ import annotations
 
@@ -56,13 +56,13 @@ def simulate(
             the soil's strength and must be left out.
         accuracy: method and setting, or the error to reach; default: a relative error of 1e-8.
         outputs: number of equal intervals between output times, at least 1.
-        compiled: of a scene of numbers, follow a motion from its start by steps of order 8 in machine code, by the
+        compiled: of a numeric scene, follow a motion from its start by steps of order 8 in machine code, by the
             system's C compiler. Translating takes about a second, once for scenes of like effects on a machine; then a
             run takes about a quarter of the time, with the same result. Where there is no compiler, or
             another method or model takes the run, a warning says so.
 
     Returns:
-        A `Run` of numbers or of expressions. A run of numbers is integrated a second time, more coarsely, of a method
+        A `Run` of numbers or of expressions. A numeric run is integrated a second time, more coarsely, of a method
         that is named more finely, and ``error_estimate`` is the largest difference of the two, twice that where the
         second run is not the coarser or the contact has kinks, and after events no less than 1e-11, or than what a stop
         between the outputs may change that the integrator may have passed over. It covers every result, each relative
@@ -73,14 +73,14 @@ def simulate(
         A size below 1e-7 of what the motion's forces, deflections or speeds reach counts as that. Soil resistance and
         speed jump at an event, and count where both runs are in the same mode. What is left of double precision, some
         1e-13 of those, is not in it, nor what the model leaves out. An estimate above the wanted error, or of a
-        named method above 1e-6, is told in ``warnings``, and that a motion is too sensitive to be predicted. Of a
+        named method above 1e-6, is reported in ``warnings``, and that a motion is too sensitive to be predicted. Of a
         stand-in for the lasting orbit it is the difference from that orbit. A symbolic run is an exactly
         differentiable expression that has no such estimate.
         Its derivatives aim at ``Accuracy(derivatives=...)``. Of stick and slip, and of entry, second derivatives are
         those of a gradient, ``casadi.hessian(f, x)`` or ``jacobian(gradient(f, x), x)``: of a forward derivative, as
         in ``jacobian(jacobian(f, x), x)``, CasADi has none and raises a ``RuntimeError``.
         A symbolic quasi-static run in which the tow speed, the wavelength or the ramp's time is a symbol averages over
-        as many panels as it has outputs, at least 400: enough for some hundred waves, and told by nothing beyond.
+        as many panels as it has outputs, at least 400: enough for some hundred waves; more are not reported.
 
     Raises:
         DomainError: the duration is not positive.

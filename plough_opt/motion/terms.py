@@ -43,7 +43,7 @@ _COMMON = ("inertia", "stiffness", "static", "tow_speed", "mass", "added_mass")
 
 @dataclass(frozen=True)
 class Structure:
-    """What a scene's equation of motion contains, apart from numbers: scenes alike in this share one graph.
+    """The terms of a scene's equation of motion, without their numbers: scenes with equal terms share one graph.
 
     Attributes:
         terms: the effects that are on, in the order of `TERMS`.

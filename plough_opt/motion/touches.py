@@ -27,7 +27,7 @@ _FOUR: Final = 1e-5
 def unseen(run: Run, rate: float, error: float) -> float:
     """Return by how much of its largest speed a motion may change at most by a stop that was passed over [-].
 
-    Where the speed cannot be told from zero, the share may have stopped. It would have gone on at once, behind a gap
+    Where the speed may be zero, the share may have stopped. It would have gone on at once, behind a gap
     if the mount had pulled it back by then, for a time in which no soil resists; with a breakaway ratio above 1 it
     would have been held until the mount pulled so much more.
 

@@ -1,4 +1,4 @@
-"""Scenes of numbers: integrated by a method that suits them, checked by another or a finer one, and judged."""
+"""Numeric scenes: integrated by a method that suits them, checked by another or a finer one, and judged."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ from plough_opt.motion.touches import unseen
 _LOG = logging.getLogger(__name__)
 _TIGHTENINGS = 3
 # The same of steps of order 8, whose number follows from an error that was measured; how much shorter they become where
-# the error is too large to tell, and up to where it is not.
+# the error is too large to be estimated, and up to where it is not.
 _MEASURED = 6
 _ANEW = 1.4
 # How many times more outputs are followed where a share may have stopped between them.
@@ -167,7 +167,7 @@ def _hopeless(case: Case, found: Followed, error: float, wanted: float) -> bool:
 
 
 def _by_measured_steps(case: Case, wanted: float) -> tuple[tuple[Followed, float] | None, IntegrationError | None]:
-    """Integrate by steps of order 8: by long ones first, whose error tells how many reach the wanted one.
+    """Integrate by steps of order 8: by long ones first, whose error shows how many reach the wanted one.
 
     The long steps are the same whatever is wanted, and the tighter that is the more are taken: a looser error costs no
     more.
@@ -260,7 +260,7 @@ def _told(case: Case, found: Followed, error: float, wanted: float | None) -> tu
     if wanted is None:
         return error, (f"the estimated relative error is {error:.1e}: take more steps or a tighter tolerance",)
     missed = f"the wanted relative error {wanted:.1e} was not reached"
-    # The coarse steps of an implicit method tell nothing of the motion's own sensitivity.
+    # The coarse steps of an implicit method say nothing about the motion's own sensitivity.
     if error > TELLING and found.run.accuracy.method != "rosenbrock":
         apart = _shaken(case, found)
         if apart > _SENSITIVE * _SHAKEN:

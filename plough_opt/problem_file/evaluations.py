@@ -1,4 +1,4 @@
-"""What a sweep computes at a point of a problem file: a simulation, one of very many, or a whole optimisation."""
+"""Evaluations of a problem file at a point of a sweep: a simulation, one of very many, or a whole optimisation."""
 
 from __future__ import annotations
 
@@ -168,7 +168,7 @@ def fixed_at(problem: Problem, values: Mapping[str, float]) -> Problem:
 
 
 def _of_run(problem: Problem, run: Run) -> dict[str, float]:
-    """Return what is worth a column of a run of numbers."""
+    """Return what is worth a column of a numeric run."""
     law, random = run.scene.law, run.scene.effects.random_strength is not None
     known = {name: one for name, one in measures_of(problem.table).items() if not one.everywhere}
     chosen = {name: one for name, one in known.items() if (random or not one.random) and one.given_by(law)}

@@ -19,7 +19,7 @@ POINTS, FEWEST, MOST = 40, 5, 1000
 
 @dataclass(frozen=True)
 class FrontTable:
-    """What a file trades against what.
+    """The trade-off that a file describes.
 
     Attributes:
         maximise: name of each of the measures -> whether more of it is better.

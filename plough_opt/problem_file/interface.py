@@ -1,4 +1,4 @@
-"""What of a problem file becomes an input or output of a component."""
+"""Inputs and outputs of a component that a problem file describes."""
 
 from __future__ import annotations
 

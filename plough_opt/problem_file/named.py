@@ -1,4 +1,4 @@
-"""What a problem file gives by a name and quantities of its own: the law of resistance, and own effects."""
+"""Parts that a problem file gives by name with their quantities: the law of resistance, and own effects."""
 
 from __future__ import annotations
 

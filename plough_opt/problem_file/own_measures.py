@@ -41,7 +41,7 @@ _EXAMPLE: Final = '"tow_power / (2 * loosened_radius)"'
 
 @dataclass(frozen=True)
 class _Known:
-    """What the names of an expression stand for.
+    """Values of the names in an expression.
 
     Attributes:
         name: name, such as "mean_draft" or "share.height" -> value.

@@ -59,7 +59,7 @@ class Problem:
     Attributes:
         name: the file's name.
         table: the file's tables, validated, quantities in SI.
-        fixed: key such as "share.height" -> its value, SI, for every quantity that is no variable.
+        fixed: key such as "share.height" -> its value, SI, for every quantity that is not a variable.
         variables: key -> bounds and guess.
         displays: key or measure -> the unit in which the file writes it.
         notes: what overrides changed beyond their own key.
@@ -109,7 +109,7 @@ class Problem:
 
     @property
     def origin(self) -> Origin:
-        """What made the results of this file."""
+        """Origin of the results of this file."""
         return self.made()
 
     def made(self, seed: int | None = None) -> Origin:
@@ -217,8 +217,8 @@ class Problem:
         """Return the design and its symbolic run, of several shares those of all.
 
         Args:
-            parameters: declare every quantity that is no variable as a parameter of the design under its key, so that
-                the optimum can be asked what it owes to it.
+            parameters: declare every quantity that is not a variable as a parameter of the design under its key, for
+                sensitivities of the optimum to it.
 
         Raises:
             InputError: the file has no variables or nothing to minimise.
@@ -325,7 +325,7 @@ class Problem:
         )
 
     def _numbers(self) -> dict[str, float]:
-        """Return every quantity that is no variable, by key, the properties of a named soil included."""
+        """Return every quantity that is not a variable, by key, the properties of a named soil included."""
         if self.shares:
             given = {share: {key for key in part.fixed if f"{share}.{key}" in self.fixed}
                      for share, part in self.shares.items()}  # fmt: skip
@@ -346,7 +346,7 @@ class Problem:
         judge: Judge = "tolerance",
         seed: int = 0,
     ) -> tuple[Optimum, Run | Machine]:
-        """Return the optimum and its run of numbers, of several shares those of all.
+        """Return the optimum and its numeric run, of several shares those of all.
 
         See `design` for ``parameters``, and `Design.solve` for the rest.
         """

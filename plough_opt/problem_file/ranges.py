@@ -30,7 +30,7 @@ def read_axis(text: str, unit: Unit, *, sampled: bool = False) -> tuple[Axis, Di
     """
     match = _RANGE.fullmatch(text)
     if match is None and ".." in text:
-        raise InputError(f'"{text}" is no range: {_how(unit)}')
+        raise InputError(f'"{text}" is not a range: {_how(unit)}')
     if match is None and sampled:
         raise InputError(f'"{text}" has no two ends for a sample to fill: {_how(unit)}')
     if match is None:
@@ -92,7 +92,7 @@ def _count(written: str, unit: Unit) -> int:
     try:
         return int(written)
     except ValueError:
-        raise InputError(f'":{written}" is no number of values: {_how(unit)}') from None
+        raise InputError(f'":{written}" is not a number of values: {_how(unit)}') from None
 
 
 def _how(unit: Unit) -> str:

@@ -32,7 +32,7 @@ def optimise_robust(problem: Problem, progress: Progress) -> RobustOptimum:
 
     Args:
         problem: a file with a table [uncertain].
-        progress: told what is being done.
+        progress: called with the present step in words, and the part done.
 
     Raises:
         InputError: nothing to choose or to minimise, or soils without result.

@@ -1,4 +1,4 @@
-"""What a problem file may contain, table by table; every quantity is kept in SI."""
+"""Contents of a problem file, table by table; every quantity is kept in SI."""
 
 from __future__ import annotations
 

@@ -22,7 +22,7 @@ def names_of_shares(source: Source) -> tuple[str, ...]:
     """Return the names of a file's shares, none where it has one share without a name.
 
     Raises:
-        InputError: a table that is no share, or says of a share what the whole frame has.
+        InputError: a table that is not a share, or says of a share what the whole frame has.
     """
     shares = source.data.get(TABLE)
     if shares is None or source.share:

@@ -27,7 +27,7 @@ def read_strength_record(path: str | Path, rig: Rig | None = None, *, tow_speed:
 
     Args:
         path: the file.
-        rig: the mount on which a force was felt, without which a force does not tell the soil's strength.
+        rig: the mount on which a force was felt, without which the soil's strength does not follow from a force.
         tow_speed: of a penetrometer or load cell whose readings are over time [m/s]; default: the rig's.
 
     Raises:

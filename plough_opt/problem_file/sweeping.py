@@ -33,7 +33,7 @@ MANY: Final = 10_000
 
 @dataclass(frozen=True)
 class ProblemSweep:
-    """What a sweep of a problem file will do.
+    """Plan of a sweep of a problem file.
 
     Attributes:
         evaluation: what is computed at a point.

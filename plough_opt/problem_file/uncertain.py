@@ -1,4 +1,4 @@
-"""The [uncertain] table: distributions of soil properties, and what a file asks of results that vary with them."""
+"""The [uncertain] table: distributions of soil properties, and the measures of results that vary with them."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ _ASKED_EXAMPLES = '"expected", "mean + 2 std", "cvar 0.9", "worst" or "nominal"'
 
 @dataclass(frozen=True)
 class UncertainTable:
-    """What a file says of its soil.
+    """The uncertain soil of a file.
 
     Attributes:
         distributions: property of the soil -> kind and SI values.
@@ -73,7 +73,7 @@ def asked_of(text: str) -> Asked:
     """
     match = _ASKED.fullmatch(text.strip())
     if match is None:
-        raise InputError(f'"{text}" is no measure: take {_ASKED_EXAMPLES}')
+        raise InputError(f'"{text}" is not a measure: take {_ASKED_EXAMPLES}')
     if match[1]:
         return Asked("nominal" if match[1] == "nominal" else "expected" if match[1] == "expected" else "worst")
     try:
@@ -86,7 +86,7 @@ def asked_of(text: str) -> Asked:
     except ValueError as error:
         if isinstance(error, InputError):
             raise
-        raise InputError(f'"{text}" is no measure: take {_ASKED_EXAMPLES}') from None
+        raise InputError(f'"{text}" is not a measure: take {_ASKED_EXAMPLES}') from None
 
 
 def uncertain_of(table: Mapping[str, Any]) -> UncertainTable:
@@ -228,7 +228,7 @@ def _check_distribution(source: Source, key: str, entry: Any) -> None:
     for name in entry:
         if name not in ("distribution", *needed, *more):
             allowed = ["distribution", *needed, *more]
-            raise source.error((TABLE, key, name), f"'{key}.{name}' is no key of a {kind} distribution:"
+            raise source.error((TABLE, key, name), f"'{key}.{name}' is not a key of a {kind} distribution:"
                                f" {nearest(name, allowed)}")  # fmt: skip
         if name != "distribution":
             try:

@@ -101,7 +101,7 @@ def _front_square(square: Expression, soil: Soil) -> Expression:
 
 
 def _check_profile(front_radius: np.ndarray, soil: Soil) -> None:
-    """Raise DomainError if a profile of numbers does not exceed the undisturbed density behind the front."""
+    """Raise DomainError if a numeric profile does not exceed the undisturbed density behind the front."""
     profile = soil.density_profile
     assert profile is not None
     places = np.linspace(0.0, 1.0, 2 * profile.order + 1)

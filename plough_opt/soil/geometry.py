@@ -161,7 +161,7 @@ class Wedge:
 
     @property
     def opening(self) -> float:
-        """Angle between the faces that `mesh` takes by default [rad]; of a share of numbers."""
+        """Angle between the faces that `mesh` takes by default [rad]; of a numeric share."""
         angle, chisel_angle, _ = _numbers(self, "angle", "chisel_angle", "height")
         return own_opening(angle, chisel_angle, float(self.equivalent_cone().slope))
 

@@ -114,7 +114,7 @@ class RandomStrength:
 class Spectrum:
     """One-sided density of relative strength over the wave number, whose integral is the variance; linear between.
 
-    It is no dataclass: its columns are a measurement, and no quantities that a design or a map of scenes could vary.
+    It is not a dataclass: its columns are a measurement, not quantities that a design or a map of scenes could vary.
 
     Attributes:
         wave_number: q [rad/m], rising.

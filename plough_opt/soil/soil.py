@@ -172,7 +172,7 @@ class Soil:
         return replace(soil, **changed, name=f"{soil.name}, by cone index", source=source)
 
     def warnings(self) -> tuple[str, ...]:
-        """Return warnings about the properties of a soil of numbers."""
+        """Return warnings about the properties of a numeric soil."""
         warned = []
         cohesion, ratio, factor = (
             np.max(as_number(value)) for value in (self.cohesion, self.density_ratio, self.strength_factor)

@@ -32,7 +32,7 @@ _SEGMENTS, _NEIGHBOURS = 8, 1.0 / 36.0
 _FINE = 8
 # Two-sided 95 %.
 _LEVEL = 0.95
-# How near to the rig's resonance its response no longer tells of the soil, as a part of that frequency.
+# How near to the rig's resonance its response no longer depends on the soil, as a part of that frequency.
 _NEAR_RESONANCE = 0.2
 # Least part of the soil's fluctuation that the rig must pass on: a quotient of less is noise.
 _LEAST_RESPONSE = 0.1
@@ -140,7 +140,7 @@ class FoundWave:
 
 @dataclass(frozen=True)
 class RecordWaves:
-    """What a record holds.
+    """The contents of a record.
 
     Attributes:
         found: waves, the largest first.
@@ -165,7 +165,7 @@ class RecordWaves:
         """Draw the spectrum with its confidence band and the waves; the file's ending chooses the format.
 
         Raises:
-            InputError: an ending that is no picture format, or a place that cannot be written.
+            InputError: an ending that is not a picture format, or a place that cannot be written.
         """
         from matplotlib.figure import Figure  # slow to import, and rarely needed
 
@@ -248,7 +248,7 @@ def spectrum_of(record: StrengthRecord) -> Spectrum:
 
 
 def strength_spectrum(record: StrengthRecord, *, base_diameter: float = 0.0) -> Spectrum:
-    """Return the spectrum of the soil's strength that a record tells, as `Effects` takes it for random strength.
+    """Return the spectrum of the soil's strength from a record, as `Effects` takes it for random strength.
 
     Of a force the rig's response is divided out, and the spectrum is taken as linear across the wave numbers of the
     rig's resonance; those that it hardly passes on are left out, and so are waves shorter than two spacings.
@@ -258,7 +258,7 @@ def strength_spectrum(record: StrengthRecord, *, base_diameter: float = 0.0) -> 
         base_diameter: of the share [m]: shorter waves are left out, which its base averages.
 
     Raises:
-        InputError: a diameter that is no number of metres, or one beside which nothing of the record is left.
+        InputError: a diameter that is not a number of metres, or one beside which nothing of the record is left.
     """
     diameter = _checked(record, base_diameter)
     found = spectrum_of(record)
@@ -273,7 +273,7 @@ def strength_spectrum(record: StrengthRecord, *, base_diameter: float = 0.0) -> 
 
 
 def _checked(record: StrengthRecord, base_diameter: float) -> float:
-    """Refuse what is no record, and return a base's diameter [m]."""
+    """Raise InputError for anything but a record, and return a base's diameter [m]."""
     check_kind("the record", record, StrengthRecord, "a StrengthRecord, as read_strength_record returns one")
     check_domain("base_diameter", base_diameter, "m", at_least=0.0)
     return plain_number("base_diameter", base_diameter)
@@ -298,7 +298,7 @@ def _wave_numbers(record: StrengthRecord, base_diameter: float) -> tuple[Vector,
         if np.any(near):
             notes.append(
                 f"waves of {2 * math.pi / record.rig.resonance:.3g} m are left out, give or take"
-                f" {100 * _NEAR_RESONANCE:.0f} %: there the rig resonates, and its force tells of itself"
+                f" {100 * _NEAR_RESONANCE:.0f} %: there the rig resonates, and its force shows its own oscillation"
             )
         if np.any(deaf):
             longest = 2 * math.pi / float(np.min(grid[deaf]))

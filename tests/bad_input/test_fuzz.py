@@ -1,6 +1,6 @@
 """Thousands of wrong inputs: each is answered by a message with its place and a remedy, none by a traceback.
 
-Warnings are errors in these tests, so that a warning is no answer either. Every case is seeded by its number.
+Warnings are errors in these tests, so that a warning is not an answer either. Every case is seeded by its number.
 """
 
 import contextlib

@@ -1,6 +1,6 @@
 """Every argument of every public function, given wrongly: an error that says what is wrong, or an answer without NaN.
 
-Warnings are errors in these tests, so that a warning is no answer either.
+Warnings are errors in these tests, so that a warning is not an answer either.
 """
 
 import random

@@ -33,7 +33,7 @@ def identifiable(found):
 def test_intervals_hold_the_truth_as_often_as_they_say(script, number):
     """A thin version: sixty trials tell a coverage of 95 % from one below some 82 %."""
     found = script.CASES[number].run(60)
-    # Of right intervals, this many or fewer of sixty cover once in two thousand; all sixty is no rare event (5 %).
+    # Of right intervals, this many or fewer of sixty cover once in two thousand; all sixty is not a rare event (5 %).
     least = stats.binom.ppf(5e-4, 60, 0.95) / 60
     for own in identifiable(found):
         assert own.rate("profile") >= least

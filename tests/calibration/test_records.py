@@ -48,7 +48,7 @@ def test_a_record_gives_strength_and_damping(from_record):
 
 
 def test_the_calibrated_scene_predicts_the_record(from_record, record):
-    """The run of numbers, with its own check, is what was fitted."""
+    """The numeric run, with its own check, is what was fitted."""
     run = po.simulate(from_record.scene, 0.4)
     spline = interpolate.CubicSpline(run.time, run.mount_force)
     # A cubic spline through 400 intervals of some 60 oscillations' phase errs by 1e-5 of the peak.

@@ -147,7 +147,7 @@ def test_an_optimum_that_is_not_unique_is_printed_with_a_note(cli, file):
 
 
 def test_no_range_leaves_the_models_domain(cli, cotton):
-    """Half a revolution of friction or a chisel of 103 degrees is no soil and no share, whatever the slopes say."""
+    """Half a revolution of friction or a chisel of 103 degrees is neither soil nor share, whatever the slopes say."""
     saved = json.loads(cli("optimise", cotton, "--sensitivity", "--json").out)
     ends = {item["name"]: (item["valid_from"], item["valid_to"], item["then"]) for item in saved["sensitivities"]}
     assert len(ends) > 10

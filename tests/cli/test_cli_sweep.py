@@ -105,7 +105,7 @@ def test_failures_are_told(cli, reference, tmp_path, monkeypatch):
     assert "and 2 more failed" in done.out
     assert table.read_text().count("'loosened_radius'") == 3
     assert "note: 'share.height' is a variable of the file: every point fixes it" in done.err
-    assert "note: 3 samples are no power of two" in done.err
+    assert "note: 3 samples are not a power of two" in done.err
     assert "no solution: every point failed" in done.err
 
 

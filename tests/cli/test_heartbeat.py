@@ -1,4 +1,4 @@
-"""Lines that say that a computation is under way, on a stream that is no terminal."""
+"""Lines that say that a computation is under way, on a stream that is not a terminal."""
 
 import io
 import time

@@ -239,9 +239,9 @@ def test_an_integer_parameter_is_a_number(with_parameter):
 
 def test_an_unknown_parameter_is_refused_with_the_nearest(with_parameter):
     d, _, _ = with_parameter(15e3)
-    with pytest.raises(po.InputError, match="'cohesoin' is no parameter of this design: did you mean 'cohesion'"):
+    with pytest.raises(po.InputError, match="'cohesoin' is not a parameter of this design: did you mean 'cohesion'"):
         d.solve(parameters={"cohesoin": 20e3})
-    with pytest.raises(po.InputError, match="'height' is no parameter of this design"):
+    with pytest.raises(po.InputError, match="'height' is not a parameter of this design"):
         d.solve(parameters={"height": 0.2})
 
 

@@ -165,7 +165,7 @@ def test_its_sensitivities_and_catalogue_choices_are_of_the_whole_box():
         by_hand[value] = np.max(2.0 * xs + parts / 2.0 * smallest)
     assert found.variables["x"] == min(by_hand, key=by_hand.get)
     assert found.objective == pytest.approx(min(by_hand.values()), rel=1e-8)
-    with pytest.raises(po.InputError, match="is no variable"):
+    with pytest.raises(po.InputError, match="is not a variable"):
         best.rounded({"worst objective": [5.0]})
 
 

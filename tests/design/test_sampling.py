@@ -26,7 +26,7 @@ def test_unscrambled_points_are_those_of_scipy(n, monkeypatch):
     if n > MOST_DIMENSIONS:
         monkeypatch.setattr("scipy.stats.qmc.Sobol", lambda n, **_: Sobol(n, scramble=False))
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # a hundred is no power of two
+        warnings.simplefilter("ignore")  # a hundred is not a power of two
         assert np.array_equal(sobol_points(n, 100, Zeros()), Sobol(n, scramble=False).random(100))
 
 

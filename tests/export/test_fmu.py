@@ -163,7 +163,7 @@ def test_another_scene_by_its_parameters_starts_from_its_own_equilibrium(r1_soil
     # Angles in degrees and speeds in km/h come back with an error of rounding.
     for name, value in told.items():
         assert found[name][0] == pytest.approx(value, rel=1e-13)
-    # The start is no integration: the steady deflection of (27) to rounding.
+    # The start is not an integration: the steady deflection of (27) to rounding.
     assert found["deflection"][0] == pytest.approx(second.steady_resistance / second.stiffness, rel=1e-13)
 
 

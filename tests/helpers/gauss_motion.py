@@ -78,7 +78,7 @@ def _start(scene):
 
 
 def follow(scene, duration, steps=60, kinks=()):
-    """Return the `Motion` of a scene of numbers; steps end at the end of the tow ramp and at further kinks."""
+    """Return the `Motion` of a numeric scene; steps end at the end of the tow ramp and at further kinks."""
     k, c, inertia = scene.stiffness, scene.effects.damping or 0.0, scene.inertia
 
     def rates(t, z, rate):

@@ -16,7 +16,7 @@ LATE = mp.mpf(1e-4)
 
 
 class PreciseShare:
-    """The forces of a scene of numbers, in the travel L and the speed L', from the model's equations."""
+    """The forces of a numeric scene, in the travel L and the speed L', from the model's equations."""
 
     def __init__(self, scene):
         effects, reaction = scene.effects, scene.reaction

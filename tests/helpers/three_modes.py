@@ -65,7 +65,7 @@ class Motion:
 
 
 class _Share:
-    """The forces of a scene of numbers, written from the model's equations."""
+    """The forces of a numeric scene, written from the model's equations."""
 
     def __init__(self, scene):
         e, reaction = scene.effects, scene.reaction
@@ -184,7 +184,7 @@ class _Share:
 
 
 def follow(scene, duration, outputs=20, tolerance=TIGHT):
-    """Return the `Motion` of a scene of numbers."""
+    """Return the `Motion` of a numeric scene."""
     share = _Share(scene)
     times = np.linspace(0.0, duration, outputs + 1)
     rough = _path(share, scene, (duration, times), (share.static, share.static / share.k), 1e3 * tolerance)

@@ -252,7 +252,7 @@ def check_slope_and_curvature(effects):
     at, direction = drawn(effects)
     values, slope, bend = errors(effects, at, direction, method_of(effects))
     run = simulated(effects, at, None)
-    # A run of numbers promises 1e-8.
+    # A numeric run promises 1e-8.
     assert values == pytest.approx(results(run), rel=0, abs=2e-8 * np.max(np.abs(run.mount_force)))
     if is_smooth(effects):
         # Tolerance 1e-13 over the step. In a step of integration that meets an end of the smooth step its fifth

@@ -18,7 +18,7 @@ STEPS = {"smooth": 2e-2}
 
 
 def scene_of(x, **effects):
-    """Return the scene of numbers or symbols."""
+    """Return the numeric scene or symbols."""
     if "amplitude" in x:
         effects["strength_wave"] = po.StrengthWave(x["amplitude"], x["wavelength"])
     if "ramp" in x:

@@ -31,7 +31,7 @@ def workers_here():
             parent = int((entry / "stat").read_text().rpartition(")")[2].split()[1])
             if parent == os.getpid() and "plough_opt.studies.sweep.worker" in (entry / "cmdline").read_text():
                 found.append(int(entry.name))
-        except (OSError, ValueError, IndexError):  # what is no process, or gone already
+        except (OSError, ValueError, IndexError):  # what is not a process, or gone already
             continue
     return found
 

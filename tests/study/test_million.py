@@ -33,7 +33,7 @@ def test_memory_does_not_grow_with_the_points(tmp_path, inline):
         tracemalloc.stop()
     early = max(peak for stored, peak in peaks if stored <= count // 4)
     late = max(peak for stored, peak in peaks if stored > count // 4)
-    # A task's arrays come and go in any order: one more of them at once, 2048 rows of some 20 numbers, is no growth.
+    # A task's arrays come and go in any order: one more of them at once, 2048 rows of some 20 numbers, is not growth.
     one_task = 2048 * 20 * 8 * 8
     assert late < early + one_task
     assert written < early + one_task

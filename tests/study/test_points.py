@@ -41,7 +41,7 @@ def test_a_sample_is_that_of_scipy(blocks):
 
 
 def test_a_sample_of_any_number_of_points_does_not_warn():
-    # The tests turn warnings into errors, and SciPy warns of a first draw that is no power of two.
+    # The tests turn warnings into errors, and SciPy warns of a first draw that is not a power of two.
     assert Sample({"a": po.Range(0.0, 1.0)}, 100, seed=0).block(0, 100).shape == (100, 1)
 
 

@@ -53,7 +53,7 @@ def test_every_row_carries_the_checksum_that_the_documentation_says(store):
 
 SPOILT = {
     "a number": "UPDATE points SET sine = sine + 1e-16 WHERE point = 4",
-    "a cell that is no number": "UPDATE points SET sine = 'much' WHERE point = 4",
+    "a cell that is not a number": "UPDATE points SET sine = 'much' WHERE point = 4",
     "an empty cell": "UPDATE points SET sine = NULL WHERE point = 4",
     "a quantity": "UPDATE points SET b = 1.5 WHERE point = 4",
     "a reason": "UPDATE points SET reason = 'none' WHERE point = 0",

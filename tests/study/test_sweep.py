@@ -147,7 +147,7 @@ def test_a_store_of_another_question_is_refused_and_the_difference_named(inline,
 
 def test_a_file_that_is_no_store_is_refused(inline, tmp_path):
     text = tmp_path / "text.db"
-    text.write_text("this is no database, however long it may be" * 40)
+    text.write_text("this is not a database, however long it may be" * 40)
     with pytest.raises(po.InputError, match="file is not a database"):
         po.sweep(swept.waves, OVER, executor=inline, store=text)
     connection = sqlite3.connect(tmp_path / "other.db")

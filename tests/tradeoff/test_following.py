@@ -98,7 +98,7 @@ def test_another_question_is_built_anew():
 @pytest.mark.parametrize(
     ("parameters", "message"),
     [
-        ({"C": 2.0}, "'C' is no parameter of this design: valid names: c"),
+        ({"C": 2.0}, "'C' is not a parameter of this design: valid names: c"),
         ({"c": "two"}, "parameter 'c': 'two' is not a number"),
         ({"c": np.nan}, "parameter 'c': nan must be a finite number"),
     ],

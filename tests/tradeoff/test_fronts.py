@@ -214,7 +214,7 @@ def test_a_point_that_bends_down_is_no_optimum(convex, concave):
     # Two variables, and the position holds one direction: across it both objectives bend like y^2.
     assert middle.curvature > 0.1
     assert concave.points[10].curvature is None
-    assert "it is no minimum" in replace(middle, curvature=-1e-3).doubt
+    assert "it is not a minimum" in replace(middle, curvature=-1e-3).doubt
     assert replace(middle, curvature=-1e-9).doubt == ""
 
 
@@ -286,7 +286,7 @@ def test_objectives_that_cannot_be(plane):
     d, x, y = plane
     with pytest.raises(po.InputError, match="must be one number, not 2"):
         po.trade_off(d, x, ca.vertcat(x, y))
-    with pytest.raises(po.InputError, match="is no expression of a design's variables"):
+    with pytest.raises(po.InputError, match="is not an expression of a design's variables"):
         po.trade_off(d, x, 3.0)
     for name in ("", " ", 3, None):
         with pytest.raises(po.InputError, match=r"an objective's name = .* must be a text"):

@@ -23,7 +23,7 @@ _ROUNDING = 1e-9
 
 @dataclass(frozen=True)
 class Report:
-    """What a report is about.
+    """Contents of a report.
 
     Attributes:
         problem: the file.

@@ -1,4 +1,4 @@
-"""What a report is about, found: the optimum, its sensitivities, and what accuracy costs on its scene."""
+"""Compute the contents of a report: the optimum, its sensitivities, and the cost of accuracy for its scene."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def reported(problem: Problem, told: Progress, *, seed: int = 0, accuracy: bool 
 
     Args:
         problem: the file.
-        told: called with what is being done and the part that is done.
+        told: called with the present step in words, and the part done.
         seed: of the search's samples.
         accuracy: whether to study what accuracy costs.
     """

@@ -223,7 +223,7 @@ _UNUSED = """\
 """
 
 _OUTSIDE = """\
-/* Whether an input lies outside its bounds by more than the rounding of an optimiser, or is no number. */
+/* Whether an input lies outside its bounds by more than the rounding of an optimiser, or is not a number. */
 static int {name}_outside(const double *inputs) {{
   int k;
   for (k = 0; k < {count}; ++k) {{

@@ -51,7 +51,7 @@ def write_fmu(
     the parameters and from the input at that time. Parameters may change at events ("tunable").
 
     Args:
-        scene: of numbers, with motion from a start. Its tow speed is the input's default.
+        scene: numeric, with motion from a start. Its tow speed is the input's default.
         path: of the FMU, ending in .fmu; an existing file is replaced, and nothing is written if anything fails.
         strut: whether the input is the strut's ``"speed"`` [m/s] or ``"position"`` [m].
         steel_density: of the share's material [kg/m^3]; the share's own mass is then a part of the scene's, computed

@@ -19,7 +19,7 @@ from plough_opt.soil.geometry import Cone, Wedge
 
 @dataclass(frozen=True)
 class Request:
-    """What an export is made of.
+    """The arguments of an export.
 
     Attributes:
         path: of the file or folder.
@@ -46,7 +46,7 @@ class Request:
 
 @dataclass(frozen=True)
 class Written:
-    """What an export has written.
+    """Files that an export has written.
 
     Attributes:
         paths: of the files or of the folder.

@@ -58,7 +58,7 @@ class FunctionComponent(om.ExplicitComponent):  # type: ignore[misc]
     def _values(self, inputs: Any) -> list[float]:
         """Return the inputs, or refuse those outside their bounds, for which steps and checks were not chosen.
 
-        A driver that is told so tries another step.
+        The driver then tries another step.
         """
         values = [float(inputs[port["argument"]].item()) for port in self._sources]
         for value, port in zip(values, self._sources, strict=True):

@@ -25,7 +25,7 @@ _LETTERS: Final = 0.03
 
 @dataclass(frozen=True)
 class _Part:
-    """A share of numbers, the body that it is, and how a wedge is bent."""
+    """A numeric share, the body that it is, and how a wedge is bent."""
 
     share: Wedge | Cone
     body: Solid
@@ -36,7 +36,7 @@ class _Part:
 def write_part(
     share: Wedge | Cone, path: str | Path, *, opening: float | None = None, thickness: float | None = None
 ) -> Path:
-    """Write a share of numbers as a part for a workshop; the file's ending chooses the format.
+    """Write a numeric share as a part for a workshop; the file's ending chooses the format.
 
     * ``.stl``: triangles in millimetres, for printing and milling (trimesh).
     * ``.gltf``, ``.glb``: triangles in metres with y up, as the format wants them, for viewing (trimesh).

@@ -163,7 +163,7 @@ class Effects:
         if self.printed.repelling_spring:
             raise InputError(
                 "the print's repelling spring needs motion: a share that it repels never follows the strut, so there"
-                " is no quasi-static limit; take formulation = 'derived'"
+                " is not a quasi-static limit; take formulation = 'derived'"
             )
 
     @property
@@ -190,5 +190,5 @@ class Effects:
 
     @property
     def ramps(self) -> bool:
-        """Whether the strut's speed ramps up; a ramp of zero duration is no ramp."""
+        """Whether the strut's speed ramps up; a ramp of zero duration is not a ramp."""
         return self.tow_ramp is not None and (is_symbolic(self.tow_ramp) or bool(np.any(as_number(self.tow_ramp) > 0)))

@@ -28,7 +28,7 @@ class OwnResistance(Protocol):
     """A resistance that the toolkit does not know, such as that of the shank: a frozen dataclass with this method.
 
     Its fields are what it needs: single numbers or expressions, tuples of them, text, switches or functions. Effects of
-    one class are told apart by what these print, so that arrays and tables are refused. For example::
+    one class are distinguished by their repr, so that arrays and tables are refused. For example::
 
         @dataclass(frozen=True)
         class Shank:
@@ -64,7 +64,7 @@ class RestingResistance(OwnResistance, Protocol):
 
 
 def check_own(own: Any, resting: bool) -> None:
-    """Refuse own resistances that are none, that two scenes could not be told apart by, or that lack ``at_rest``.
+    """Refuse own resistances of the wrong type, without a distinct repr, or without ``at_rest``.
 
     Args:
         own: of a scene's `Effects`.

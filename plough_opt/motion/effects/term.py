@@ -136,7 +136,7 @@ class Term:
 
     @classmethod
     def usual(cls, scene: Any, duration: float) -> Any:
-        """Return a strength of the order that a scene of numbers calls for, to try the effect with."""
+        """Return a strength of the order that a numeric scene calls for, to try the effect with."""
         raise NotImplementedError
 
     def resist(self, force: Expression, at: Place, p: Parameters) -> Expression:

@@ -1,1 +1,1 @@
-"""What accuracy costs: error against time for every method that can do a scene or a design."""
+"""Cost of accuracy: error against time for every method that can simulate a scene or solve a design."""

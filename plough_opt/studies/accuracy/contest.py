@@ -13,7 +13,7 @@ AUTO, COMPILED, BARE = "auto", "auto, compiled", "dop853, compiled"
 
 # Ratio of times that a repetition may give to what takes equally long.
 _AS_CHEAP = 1.1
-# Part of an error below which another is told from it.
+# Part of an error by which another must differ from it to count as different.
 _TELLING = 0.9
 
 

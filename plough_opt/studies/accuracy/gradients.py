@@ -43,10 +43,10 @@ class ReferenceGradient:
 def reference_gradient(scene: Scene, duration: float | None, *, tries: int = 2) -> ReferenceGradient:
     """Return the gradient of mean draft and RMS by central differences of order 8 of the reference motion.
 
-    Differences over shorter and shorter steps are compared, which tells their error.
+    Differences over shorter and shorter steps are compared, which gives their error.
 
     Args:
-        scene: of numbers.
+        scene: numeric.
         duration: simulated time [s]; None for a lasting orbit.
         tries: how many step lengths are tried at most, at least 2.
 

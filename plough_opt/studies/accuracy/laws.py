@@ -30,7 +30,7 @@ _STANDSTILL = 2 * EPS
 
 @dataclass(frozen=True)
 class Piece:
-    """What holds until the next event.
+    """The law that holds until the next event.
 
     Attributes:
         ramping: whether the strut's speed still rises.
@@ -75,7 +75,7 @@ class Laws:
 
     @classmethod
     def of(cls, scene: Scene) -> Laws:
-        """Read them off a scene of numbers with a motion.
+        """Read them off a numeric scene with a motion.
 
         Raises:
             InputError: no motion, or an own resistance that loses digits.

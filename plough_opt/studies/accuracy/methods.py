@@ -65,10 +65,10 @@ _Number = TypeVar("_Number", int, float)
 
 @dataclass(frozen=True)
 class Task:
-    """What contestants have to do.
+    """The task of all methods.
 
     Attributes:
-        scene: of numbers.
+        scene: numeric.
         duration: simulated time [s], of a lasting orbit its own.
         outputs: number of intervals between output times.
         allowance: time [s] that one use of a contestant may take.
@@ -190,7 +190,7 @@ def _automatic_track(task: Task, name: str, errors: Callable[[Run], Mapping[str,
         label=text,
         prepare=partial(_automatic, task, compiled=name == COMPILED),
         errors=errors,
-        # What the toolkit does unasked is told even where it takes long.
+        # The default is reported even if it takes long.
         patient=lambda accuracy: _PATIENCE if accuracy == DEFAULT else 1.0,
         narrows=False,
     )

@@ -30,7 +30,7 @@ _Errors: TypeAlias = Callable[[Run], Mapping[str, float]]
 
 @dataclass(frozen=True)
 class References:
-    """What models are measured by; None where there is none.
+    """References for models; None if there is none.
 
     Attributes:
         motion: the scene's own motion.

@@ -1,4 +1,4 @@
-"""What the accuracy of an optimum costs: transcriptions, integrators, derivatives and compiled functions.
+"""Cost of the accuracy of an optimum: transcriptions, integrators, derivatives and compiled functions.
 
 Each method solves the same design locally from the same start. Its error has several faces: of the objective that it
 reports; of the objective in truth, at the design that it found; of the variables; and how far that design breaks a
@@ -99,7 +99,7 @@ _DIFFERENCES: tuple[Literal["central", "forward"], ...] = ("central", "forward")
 
 @dataclass(frozen=True)
 class DesignContest:
-    """What accuracy costs for a design.
+    """Cost of accuracy for a design.
 
     Attributes:
         optima: the reference first; then further local optima in which a contestant ended.
@@ -211,7 +211,7 @@ class _Judge:
         return Entry(*named, seconds, setup, errors, elsewhere=elsewhere)
 
     def _errors(self, found: Found) -> tuple[dict[str, float], str]:
-        """Return a contestant's errors, and a clause that tells where it ended if not in the reference."""
+        """Return a contestant's errors, and a clause on where it ended if not in the reference."""
         number = self._basin(found.y)
         best, program = self.optima[number], self._tight
         values, _ = program.exact_values(found.y, self._p)

@@ -1,7 +1,7 @@
 """One step of z'' = f(t, z, z') by Chebyshev polynomials and Picard's iteration, in the machine's widest floats.
 
 Clenshaw, Norton: The solution of nonlinear ordinary differential equations in Chebyshev series, Computer Journal 6
-(1963), 88-92. The solution of a step is a polynomial, whose last coefficients tell how exact it is, and on which
+(1963), 88-92. The solution of a step is a polynomial, whose last coefficients show how accurate it is, and on which
 events are found to all its digits.
 """
 

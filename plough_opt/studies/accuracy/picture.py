@@ -44,7 +44,7 @@ _LEAST: Final = 1e-19
 
 @dataclass(frozen=True)
 class Panel:
-    """What a panel shows.
+    """Contents of a panel.
 
     Attributes:
         title: of the panel.

@@ -59,8 +59,8 @@ def profile_reaction(cone: Cone, soil: Soil, panels: int, degree: int) -> WideRe
     """Return what the soil's density profile adds up to.
 
     Args:
-        cone: of numbers.
-        soil: of numbers, with a density profile.
+        cone: numeric.
+        soil: numeric, with a density profile.
         panels: of psi over the radius; an eighth of them over particles and face.
         degree: of psi in a panel, and points of Gauss's rule in each of the others.
 

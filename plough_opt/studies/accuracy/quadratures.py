@@ -34,7 +34,7 @@ ORDERS: Final = (2, 4, 8, 16, 32, 64)
 """Orders of a density profile's quadrature that are tried."""
 
 PANELS: Final = ((64, 24), (48, 20))
-"""Panels and degree of the reference for them, and of what tells its error."""
+"""Panels and degree of the reference for them, and of the solution that estimates its error."""
 
 POINTS: Final = (1, 2, 4, 10)
 """Gauss-Legendre points in each panel of a quasi-static course that are tried."""

@@ -1,4 +1,4 @@
-"""A reference that is no contestant: the motion followed in the widest floats, to all their digits.
+"""A reference that is not a contestant: the motion followed in the widest floats, to all their digits.
 
 Every smooth piece of the motion (`plough_opt.studies.accuracy.laws`) is a chain of Chebyshev polynomials
 (`plough_opt.studies.accuracy.picard`); events end a piece where a polynomial has its root. Averages are Gauss-Legendre
@@ -24,7 +24,7 @@ from plough_opt.studies.accuracy.picard import EPS, PI, WIDE, Step, Wide, first_
 
 DEGREE: Final = 24
 CHECK_DEGREE: Final = 18
-"""Degrees of the polynomials of the reference, and of the solution that tells its error."""
+"""Degrees of the polynomials of the reference, and of the solution that estimates its error."""
 
 WIDER: Final = bool(np.finfo(WIDE).eps < np.finfo(np.float64).eps)
 """Whether the machine has floats wider than a double."""
@@ -42,7 +42,7 @@ _SLOW = 0.1
 
 
 class Response(Protocol):
-    """What a contestant and the reference have in common: averages, and the mount force at the outputs."""
+    """Results that method and reference have in common: averages, and the mount force at the outputs."""
 
     @property
     def mean_draft(self) -> Any:
@@ -125,7 +125,7 @@ def _over(difference: Any, size: Any) -> float:
 
 
 def reference_run(scene: Scene, duration: float | None = None, *, outputs: int = 400) -> Reference:
-    """Follow the motion of a scene of numbers in the widest floats; a lasting orbit has its own duration.
+    """Follow the motion of a numeric scene in the widest floats; a lasting orbit has its own duration.
 
     Args:
         scene: with a motion; ``orbit`` is ``"transient"`` or ``"periodic"``.
@@ -146,7 +146,7 @@ def reference_run(scene: Scene, duration: float | None = None, *, outputs: int =
         guess = beside_orbit(scene)
         both = [orbit(laws, guess, outputs, degree) for degree in (DEGREE, CHECK_DEGREE)]
     else:
-        raise InputError("a stand-in for the lasting orbit is no motion: the reference of all of them is the orbit")
+        raise InputError("a stand-in for the lasting orbit is not a motion: the reference of all of them is the orbit")
     errors = {name: max(float(EPS), error) for name, error in errors_of(both[1], both[0]).items()}
     return replace(both[0], error=max(errors.values()), errors=errors, seconds=time.perf_counter() - started)
 
@@ -189,7 +189,7 @@ def orbit(laws: Laws, guess: tuple[Wide, Wide], outputs: int, degree: int) -> Re
 
 
 class _Course:
-    """What is noted while a motion is followed."""
+    """Record of a motion while it is followed."""
 
     def __init__(self, laws: Laws, times: Wide) -> None:
         self.laws, self.times = laws, times

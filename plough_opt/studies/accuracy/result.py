@@ -1,4 +1,4 @@
-"""What a study found: entries, the efficient front, advice in a sentence, tables, pictures and files."""
+"""Result of a study: entries, the efficient front, advice in a sentence, tables, pictures and files."""
 
 from __future__ import annotations
 
@@ -87,7 +87,7 @@ class AccuracyStudy(Keepable):
 
     @property
     def questions(self) -> tuple[Question, ...]:
-        """What the scene's contestants are ranked by."""
+        """The error by which the methods are ranked."""
         found = (replace(question, default=self.defaults.get(question.reference, ("", ""))) for question in _QUESTIONS)
         return tuple(question for question in found if question.reference in self.floors and self.of(question))
 
@@ -130,7 +130,7 @@ class AccuracyStudy(Keepable):
             )
         else:
             advice = f"for {error_text(self.wanted)} take {best.label}: {_result(best, key)}"
-            # "auto" integrates twice by what stands here once, and is told of below.
+            # "auto" integrates twice by what stands here once, and is described below.
             twice = () if best.checked is None else (AUTO, COMPILED)
             others = [entry for entry in entries if entry.method not in (best.method, *twice)]
             second = cheapest(others, key, self.wanted)

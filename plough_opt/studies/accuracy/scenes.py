@@ -1,4 +1,4 @@
-"""The contest of all that can do a scene of numbers, against references that take no part in it."""
+"""The contest of all that can do a numeric scene, against references that take no part in it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What accuracy costs in time, on a scene or on a design: which methods are worth theirs, and what to take."""
+"""Time that accuracy costs, for a scene or a design: the efficient methods, and which one to choose."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def study_accuracy(
     """Measure error against time of every method, model and quadrature that can do a scene.
 
     Args:
-        scene: of numbers. A stand-in for a lasting orbit is measured with all others against that orbit.
+        scene: numeric. A stand-in for a lasting orbit is measured with all others against that orbit.
         duration: simulated time [s]; None for a lasting orbit.
         wanted: relative error that the advice is about [-], from 1e-15 to 0.1.
         outputs: number of equal intervals between output times, at which mount forces are compared.
@@ -62,7 +62,7 @@ def study_accuracy(
         InputError: symbols in the scene, or a setting outside its range.
         DomainError: the duration is not positive.
     """
-    check_kind("the scene", scene, Scene, "a Scene of numbers")
+    check_kind("the scene", scene, Scene, "a numeric Scene")
     _check_said(title, progress, derivatives=derivatives, thin=thin)
     if holds_casadi(scene):
         scene = map_expressions(scene, lambda value: float(as_number(value)))
@@ -165,7 +165,7 @@ def _versions() -> dict[str, str]:
 
 
 def _check_said(title: str, progress: Told | None, **switches: bool) -> None:
-    """Refuse what is no title, no function to tell, or neither on nor off."""
+    """Raise InputError for a title, a progress function or a switch of the wrong type."""
     check_text("title", title)
     if progress is not None:
         check_callable("progress", progress, "of what is done and the part done")

@@ -1,4 +1,4 @@
-"""What the thoroughness of a search costs: how often it finds the best, against its time, on a design of one's own."""
+"""Cost of a thorough search: how often it finds the best optimum of a design, against its time."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from plough_opt.core.errors import InfeasibleDesign, NotConverged
 from plough_opt.design import Design, Optimum
 from plough_opt.design.effort import Search
 
-# From the basin of the guess to four times the search that is taken unasked.
+# From the basin of the guess to four times the default search.
 _EFFORTS: Final[tuple[Search, ...]] = ("near", 250, 1000, "auto", "thorough")
 # Seeds of the samples; a thin study takes fewer.
 _SEEDS, _THIN_SEEDS = 8, 3
@@ -50,7 +50,7 @@ def thoroughness(
         design: with something to minimise.
         limit: time of one search [s] above which an effort is tried with one seed only, and a larger one not at all.
         thin: take fewer seeds.
-        told: called with what is being done and the part done.
+        told: called with the present step in words, and the part done.
 
     Raises:
         InfeasibleDesign: no search found a design that meets the requirements.

@@ -222,7 +222,7 @@ def _lifted(question: Question, run: int, form: Transcription, first: Vector) ->
         return _shot_once(own, form.accuracy, outputs)
     if structure.events or structure.orbit != "transient":
         what = "events" if structure.events else "a lasting orbit"
-        raise InputError(f"a run with {what} is only shot as a whole: its states are no unknowns of a mesh")
+        raise InputError(f"a run with {what} is only shot as a whole: its states are not unknowns of a mesh")
     if isinstance(form, MultipleShooting):
         mesh, piece = Timeline(outputs, form.segments, timeline.kink), _segment(structure, form.steps)
     else:

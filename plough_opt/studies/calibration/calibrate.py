@@ -28,7 +28,7 @@ class Calibration:
     """A calibration whose model is built once, for fits to many sets of observed values.
 
     Args:
-        given: a problem file; a scene of numbers; or a function of values by key, such as "soil.cohesion", that accepts
+        given: a problem file; a numeric scene; or a function of values by key, such as "soil.cohesion", that accepts
             symbols and returns a scene.
         data: one set of measurements, or several.
         unknown: key of a problem file -> (lower, upper) or (lower, upper, guess), SI or text with units; default: the
@@ -98,7 +98,7 @@ def calibrate(
         print(fit.values, fit.intervals(0.95), fit.unidentifiable)
 
     Args:
-        given: a problem file, a scene of numbers, or a function of values by key that returns a scene.
+        given: a problem file, a numeric scene, or a function of values by key that returns a scene.
         data: one set of measurements, or several.
         unknown: key of a problem file -> (lower, upper) or (lower, upper, guess), SI or text with units.
         **options: loss, duration, starts and title, and everything more about these three: see `Calibration`.

@@ -109,7 +109,7 @@ def _optima(fit: Estimate) -> Iterator[str]:
 
 
 def _checked(setup: Setup, fit: Estimate, at_fit: list[list[SceneOfRows]]) -> Iterator[str]:
-    """Yield a warning if runs of numbers, which check their own error, differ from the fitted values."""
+    """Yield a warning if numeric runs, which check their own error, differ from the fitted values."""
     worst, done = 0.0, 0
     for (rows, numbers), scenes in zip(_parts(setup, np.arange(len(fit.residuals))), at_fit, strict=True):
         for scene, duration, which in scenes:

@@ -92,7 +92,7 @@ def model_of(given: Described | Scene | SceneOf, duration: float | None = None) 
     """Return the model of a problem, a scene or a function.
 
     Args:
-        given: a problem, a scene of numbers, or a function of values by key that returns a scene.
+        given: a problem, a numeric scene, or a function of values by key that returns a scene.
         duration: simulated time [s], if not the problem's.
 
     Raises:
@@ -122,8 +122,8 @@ def _of_file(problem: Described, values: Mapping[str, Expression]) -> Scene:
 
 
 def _current(scene: Scene) -> dict[str, float]:
-    """Return the quantities that a scene of numbers has, by name."""
+    """Return the quantities that a numeric scene has, by name."""
     values = {name: value for name, value in quantities_of(scene).items() if value is not None}
     if any(map(is_symbolic, values.values())):
-        raise InputError("the scene holds symbols: calibrate a scene of numbers, and name its unknowns")
+        raise InputError("the scene holds symbols: calibrate a numeric scene, and name its unknowns")
     return {name: float(as_number(value)) for name, value in values.items()}

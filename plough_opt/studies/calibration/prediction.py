@@ -178,7 +178,7 @@ def is_closed(scene: Scene, result: str) -> bool:
 
 
 def checked(rows: Rows, scene: Scene, duration: Expression | None, which: NDArray[np.intp]) -> Vector:
-    """Return the results of some rows from a run of numbers, which checks its own error."""
+    """Return the results of some rows from a numeric run, which checks its own error."""
     if rows.measured.result == RECORD:
         force = _force_at(scene, duration, rows.measured, which, rows.model, scene)
         return np.asarray(force, dtype=float).ravel()

@@ -1,4 +1,4 @@
-"""What a calibration is made of: model, measurements and unknowns, checked, with their least-squares problem."""
+"""A calibration before it is solved: model, measurements and unknowns, checked, with the least-squares problem."""
 
 from __future__ import annotations
 

@@ -51,7 +51,7 @@ class Comparison:
 
     @property
     def standings(self) -> tuple[str, ...]:
-        """What of each model is not verified, with its source."""
+        """The parts of each model that are not verified, with its source."""
         return tuple(dict.fromkeys(f"{_family(row)}: {row.standing} ({row.source})" for row in self.others))
 
     def ratios(self, row: ModelDraft) -> tuple[float, ...]:

@@ -1,4 +1,4 @@
-"""What one draft model says at several speeds."""
+"""Drafts of one model at several speeds."""
 
 from __future__ import annotations
 

@@ -48,7 +48,7 @@ def compare(
     adhesion: float = 0.0,
     laws: Sequence[ResistanceLaw] = (),
 ) -> Comparison:
-    """Return the drafts of other models beside this one's quasi-static mean draft of a scene of numbers.
+    """Return the drafts of other models beside this one's quasi-static mean draft of a numeric scene.
 
     Args:
         scene: its soil, share and effects; the mount and its motion do not enter.
@@ -70,7 +70,7 @@ def compare(
         InputError: a scene with symbols, or an unknown texture or point.
         DomainError: an argument that is outside every model's domain.
     """
-    check_kind("the scene", scene, Scene, "a Scene of numbers")
+    check_kind("the scene", scene, Scene, "a numeric Scene")
     if holds_casadi((scene, depth, width, rake_angle, speeds, rupture_ratio, surcharge, adhesion)):
         raise InputError("a comparison is of numbers: evaluate the scene with best(scene) first")
     for name, value, known in (("texture", texture, TEXTURES), ("point", point, POINTS)):

@@ -1,4 +1,4 @@
-"""What tines a scene is compared with: given, or estimated from the share and said so."""
+"""Tines with which a scene is compared: given, or estimated from the share with a note."""
 
 from __future__ import annotations
 

@@ -168,7 +168,7 @@ def hole(before: FrontPoint, after: FrontPoint, failures: Sequence[Failure], sig
     """Return a hole; it is not settled where the optimiser failed within."""
     ends = np.array([before.objectives, after.objectives]) * signs
     low, high = ends.min(axis=0), ends.max(axis=0)
-    # Failures are told by the optimiser's integration, ends by the tight one.
+    # Failures are found by the optimiser's integration, ends by the tight one.
     low, high = low - _EDGE * (high - low), high + _EDGE * (high - low)
     within = [
         failure

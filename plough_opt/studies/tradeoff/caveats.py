@@ -1,4 +1,4 @@
-"""What a reader of a front's numbers must know about the theory's limits at its designs."""
+"""Warnings about the theory's limits at the designs of a front."""
 
 from __future__ import annotations
 

@@ -13,7 +13,7 @@ from plough_opt.motion.scene import Scene
 from plough_opt.studies.tradeoff.program import FrontProgram
 from plough_opt.studies.tradeoff.samples import Sample
 
-# Scaled by objective and limits: residuals above are no optimum, violations above no design.
+# Scaled by objective and limits: with larger residuals a point is not an optimum, with larger violations not a design.
 _RESIDUAL = 1e-6
 _VIOLATED = 1e-6
 # Relative curvatures above are none, or the rounding of none.
@@ -68,7 +68,7 @@ class FrontPoint:
         if self.confirmed and not self.residual <= _RESIDUAL:
             return f"the first-order conditions are met to {self.residual:.1e} only"
         if self.confirmed and self.curvature is not None and not self.curvature >= _BENDS_DOWN:
-            return f"it is no minimum: in a direction that no limit holds the curvature is {self.curvature:.1e}"
+            return f"it is not a minimum: in a direction that no limit holds the curvature is {self.curvature:.1e}"
         if not self.violation <= _VIOLATED:
             return f"integrated tightly it violates a requirement by a relative {self.violation:.1e}"
         return ""

@@ -18,7 +18,7 @@ from plough_opt.studies.tradeoff.samples import Failure
 
 Array = plane.Array
 
-# Rates are told for so much of an objective, which a front must hold.
+# Rates are given for this change of an objective, which a front must span.
 _ONE_PER_CENT = 0.01
 
 

@@ -33,7 +33,7 @@ class Goal:
                 f"an objective's name = {shown(self.name)} must be a text that says what it is, as 'draft'"
             )
         if not is_casadi(self.expression) or isinstance(self.expression, ca.SX):
-            raise InputError(f"the objective '{self.name}' is no expression of a design's variables")
+            raise InputError(f"the objective '{self.name}' is not an expression of a design's variables")
         if self.expression.numel() != 1:
             raise InputError(
                 f"the objective '{self.name}' must be one number, not {self.expression.numel()}: sum or average it"

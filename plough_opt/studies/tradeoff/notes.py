@@ -16,7 +16,7 @@ _HARDLY, _SMALL, _ROUNDING = 0.02, 1e-3, 1e-8
 
 
 def notes_on(tracer: Reaching, goals: Sequence[Goal], points: Sequence[FrontPoint]) -> tuple[str, ...]:
-    """Return sentences on objectives that hardly conflict, on needles, on what is no optimum, and on the error."""
+    """Return sentences on objectives that hardly conflict, needles, points that are not optima, and the error."""
     front = tracer.front
     notes = []
     names = [f"'{goal.name}'" for goal in goals]

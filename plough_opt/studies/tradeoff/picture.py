@@ -34,7 +34,7 @@ _CONSTANT: Final = 1e-4
 
 @dataclass(frozen=True)
 class Drawing:
-    """What is drawn of a front.
+    """The parts of a front that are drawn.
 
     Attributes:
         title: above everything.
@@ -73,7 +73,7 @@ class Drawing:
 
     @property
     def heading(self) -> str:
-        """What stands above everything: the title, and the variables that are the same in every design."""
+        """Heading: the title, and the variables that are the same in every design."""
         same = [v for v in self.variables if v not in self.varying]
         values = (self.display(v).text(self.points[0].variables[v.name], 4) for v in same)
         words = ", ".join(f"{called(v.name)} {value}" for v, value in zip(same, values, strict=True))

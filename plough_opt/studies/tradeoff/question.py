@@ -80,8 +80,8 @@ def trade_off(
         progress: called with what is being done and the fraction done.
 
     Raises:
-        InputError: more than three objectives, one that is no scalar expression of this design, an unknown parameter,
-            or nothing to vary.
+        InputError: more than three objectives, one that is not a scalar expression of this design, an unknown
+            parameter, or nothing to vary.
         InfeasibleDesign: no design was found that meets the requirements.
         NotConverged: an objective alone has no optimum that the optimiser finds, or no point could be certified.
     """
@@ -184,13 +184,13 @@ def _checked(front: FrontProgram, changed: Mapping[str, float]) -> dict[str, flo
     """Return changed parameters as floats.
 
     Raises:
-        InputError: a name that is no parameter, or a value that is no finite number.
+        InputError: a name that is not a parameter, or a value that is not a finite number.
     """
     names = [parameter.name for parameter in front.own_parameters]
     found = {}
     for name, value in changed.items():
         if name not in names:
-            raise InputError(f"'{name}' is no parameter of this design: {nearest(name, names)}")
+            raise InputError(f"'{name}' is not a parameter of this design: {nearest(name, names)}")
         found[name] = plain_number(f"parameter '{name}'", value)
     return found
 

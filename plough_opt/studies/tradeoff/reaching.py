@@ -33,7 +33,7 @@ _LOOKS = 4
 _SPREADS = 0.1, 0.03, 0.01, 0.003
 # At how many others: between the ripples of a force they must see the dips.
 _BESIDE = 4096
-# The same of missed designs that are no optima, as those at the edge of a needle are.
+# The same of missed designs that are not optima, as those at the edge of a needle are.
 _EDGE_SPREADS, _BESIDE_EDGE = (0.03, 0.01, 0.003, 0.001), 1024
 
 
@@ -138,7 +138,7 @@ class Reaching(Samples):
         return self.kept(point, p, level)
 
     def reach_all(self, *, look: bool = True) -> None:
-        """Follow the designs that the cloud has beyond the front, until none is left that is no needle.
+        """Follow the designs that the cloud has beyond the front, until none is left that is not a needle.
 
         Args:
             look: whether to look beside the front first; where that shows what the front misses, it is done again.
@@ -238,7 +238,7 @@ class Reaching(Samples):
             if not (missed := self.missed(added)):
                 return
             if self.cloud.vectorised:
-                self.told("looking beside designs that are no optima", 0.0)
+                self.told("looking beside designs that are not optima", 0.0)
                 self._look_around(np.array(missed), spread, _BESIDE_EDGE, rng)
         while missed := self.missed(added):
             for y in missed:

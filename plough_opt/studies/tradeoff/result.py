@@ -1,4 +1,4 @@
-"""What a trade-off found: its front with tables, pictures and files."""
+"""Result of a trade-off: its front with tables, pictures and files."""
 
 from __future__ import annotations
 

@@ -169,7 +169,7 @@ class Samples(ABC):
         return starts
 
     def _normalise_roughly(self, ends: Sequence[Vector]) -> None:
-        """Normalise by the starts, so that needles can be told from others."""
+        """Normalise by the starts, so that needles can be recognised."""
         at = self.cloud.look(np.array(ends))[0]
         low, high = at.min(axis=0), at.max(axis=0)
         self._ranges = np.maximum(high - low, _SAME_OBJECTIVES * np.maximum(np.abs(at).max(axis=0), 1.0))
@@ -323,7 +323,7 @@ class Samples(ABC):
     # --- searching ---------------------------------------------------------------------------------------
 
     def sound(self) -> list[Sample]:
-        """Return the samples that are no needles, which beat no design that can be made; all where all are."""
+        """Return the samples that are not needles, which beat no design that can be made; all where all are."""
         fresh = [sample for sample in self.found if sample.needle is None]
         if fresh:
             scaled = self.front.scaled(np.array([sample.at for sample in fresh]))

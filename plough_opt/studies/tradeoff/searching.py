@@ -38,7 +38,7 @@ class Searcher:
         """Take a cloud, what `plough_opt.trade_off` was asked to search, and where to report.
 
         Raises:
-            InputError: a name that is no variable, or what is no effort.
+            InputError: a name that is not a variable, or an invalid effort.
         """
         program = cloud.front.program
         self.cloud, self.told = cloud, progress

@@ -120,7 +120,7 @@ class SurfaceTracer(Reaching):
     def orders(self) -> list[Vector]:
         """Return the parameters for each objective alone, with either other one next: six questions.
 
-        An optimum of one objective that leaves the others open is no anchor: it does not bound them.
+        An optimum of one objective that leaves the others open is not an anchor: it does not bound them.
         """
         return [self.in_ranges(weights) for weights in IN_TURN]
 

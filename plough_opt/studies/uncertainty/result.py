@@ -1,4 +1,4 @@
-"""A robust optimum beside the nominal one, and what fresh samples of the soil say of both."""
+"""A robust optimum beside the nominal one, both verified on fresh samples of the soil."""
 
 from __future__ import annotations
 

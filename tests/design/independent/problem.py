@@ -69,7 +69,7 @@ class Problem:
     Attributes:
         name: kind and seed.
         soil: density, density ratio, cohesion, friction angle, tool friction, ambient pressure.
-        fixed: values of the quantities that are no variables.
+        fixed: values of the quantities that are not variables.
         wave: amplitude and wavelength of the strength wave, or None.
         start: "equilibrium", "rest" or "towed".
         duration: of the run [s].

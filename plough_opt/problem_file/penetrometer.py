@@ -93,7 +93,8 @@ def read_penetrometer(path: str | Path, depth: tuple[float, float]) -> Penetrome
     """Read a penetrometer's CSV file and average every insertion over a range of depth.
 
     The first line that is neither empty nor begins with ``#`` names the columns with their units: ``depth``, and
-    ``cone_index``, either once with a column ``insertion`` of their numbers (without it there is one insertion), or once for each insertion. Depths of an insertion rise; between readings the cone index is taken linear.
+    ``cone_index``, either once for each insertion, or once with a column ``insertion`` of their numbers (without it
+    there is one insertion). Depths of an insertion rise; between readings the cone index is linear.
 
     Args:
         path: the file.

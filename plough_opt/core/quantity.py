@@ -129,8 +129,10 @@ class Quantity:
     def slip(self, value: Any) -> str:
         """Return a question if a number is implausible in SI but plausible in another customary unit, else ""."""
         low, high = self.plausible
+        # In Python's own floats: NumPy's short ones cannot be compared with numbers beyond their range.
+        value = value.item() if isinstance(value, np.integer | np.floating) else value
         # A whole number may be larger than any float.
-        known = isinstance(value, int | float | np.number) and -LARGEST <= value <= LARGEST
+        known = isinstance(value, int | float) and -LARGEST <= value <= LARGEST
         if not known or low <= value <= high or not value:
             return ""
         for symbol, factor in _SLIPS.get(self.unit, ()):

@@ -1,4 +1,4 @@
-"""What fresh samples say: values of a design for many soils, intervals, claims that do not hold."""
+"""Verification by fresh samples: values of a design for many soils, intervals, claims that do not hold."""
 
 import numpy as np
 import pytest

@@ -164,7 +164,7 @@ class ActiveSet:
         if not self._curved(self.gradients[active, : self.n], _SLOW_CURVATURE):
             raise InputError(_FLAT)
         raise NotConverged(
-            "the limits that decide this optimum cannot be told from those that just do not", "unsettled"
+            "the limits that decide this optimum cannot be distinguished from those that just do not", "unsettled"
         )
 
     def _newton_step(self, active: Mask, gradient: Vector, gaps: Vector) -> tuple[Vector, Vector]:
@@ -277,8 +277,8 @@ class ActiveSet:
         a = self.gradients[self.deciding, : self.n]
         if len(a) and np.linalg.matrix_rank(a / np.linalg.norm(a, axis=1, keepdims=True).clip(1e-300), _RANK) < len(a):
             raise InputError(
-                f"the limits that decide ({', '.join(self.deciding_names)}) are more than the variables can tell"
-                " apart: which of them pulls is open, and so is every derivative; drop or loosen one of them"
+                f"the limits that decide ({', '.join(self.deciding_names)}) are more than there are variables:"
+                " which of them pulls is open, and so is every derivative; drop or loosen one of them"
             )
         if len(self.weak) > _MOST_WEAK:
             raise InputError(

@@ -113,7 +113,7 @@ def searched(search: Search, variables: Sequence[Variable]) -> tuple[int, ...]:
     """Return the numbers of the variables to search; none where the guess's basin is asked for.
 
     Raises:
-        InputError: a name that is no variable, or what is no effort.
+        InputError: a name that is not a variable, or an invalid effort.
     """
     names = [v.name for v in variables]
     every = tuple(range(len(names)))

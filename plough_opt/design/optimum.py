@@ -57,7 +57,7 @@ class Optimum(LocalOptimum):
         seconds: time that the solve took [s].
         warnings: what a reader of the numbers must know.
         sensitivities: those to every parameter and limit, where they were asked for before the optimum was saved.
-        run: the run of numbers at this design, or those of several shares, where a problem file has the question.
+        run: the numeric run at this design, or those of several shares, where a problem file has the question.
         origin: what made it.
     """
 

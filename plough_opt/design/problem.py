@@ -83,8 +83,8 @@ class Design:
             display: unit in which reports give it, if not a customary one.
 
         Raises:
-            InputError: no name, or one declared before, what is no number, plain numbers with a unit that is not SI, or
-                bounds that contradict each other or the guess.
+            InputError: no name, or one declared before, a value that is not a number, plain numbers with a
+                unit that is not SI, or bounds that contradict each other or the guess.
         """
         self._refuse_again(name)
         what = f"variable '{name}'"
@@ -162,7 +162,7 @@ class Design:
             display: unit in which reports give them, if not a customary one.
 
         Raises:
-            InputError: no limit, or one that is no number, plain limits with a unit that is not SI, limits that
+            InputError: no limit, or one that is not a number, plain limits with a unit that is not SI, limits that
                 contradict each other, no name, or one used before.
         """
         self._refuse_again(name)
@@ -253,7 +253,7 @@ class Design:
             raise InputError(f"parameters = {shown(changed)} must be a dictionary: name -> value")
         for name in changed:
             if name not in names:
-                raise InputError(f"'{name}' is no parameter of this design: {nearest(name, names)}")
+                raise InputError(f"'{name}' is not a parameter of this design: {nearest(name, names)}")
         return np.array([plain_number(f"parameter '{p.name}'", changed.get(p.name, p.value)) for p in self._parameters])
 
 

@@ -168,7 +168,7 @@ class Sensitivities:
         raise InputError(
             f"{shown(name)} is neither a parameter nor a limit of this design: {hint}{end} Parameters:"
             f" {', '.join(parameters) or 'none'}; limits: {', '.join(self._limits)}. A quantity that was given as a"
-            " number is no part of the design: declare it with design.parameter"
+            " number is not a part of the design: declare it with design.parameter"
         )
 
     @cached_property

@@ -40,7 +40,7 @@ def component(
     """Return a scene as one named CasADi Function of some of its quantities.
 
     Args:
-        scene: of numbers, some of which become inputs; or with CasADi symbols, each of which is an `Input`'s.
+        scene: numeric, some of which become inputs; or with CasADi symbols, each of which is an `Input`'s.
         duration: simulated time [s]; leave it out for a lasting orbit, whose duration is that of one wavelength.
         inputs: names of quantities, as in problem files ("share.height", "soil.cohesion", "scene.duration"), or
             `Input`s with bounds. The number of steps follows from the bounds.

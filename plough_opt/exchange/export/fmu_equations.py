@@ -47,7 +47,7 @@ class Model:
 
 
 def model_of(named: NamedScene, *, by_speed: bool) -> Model:
-    """Build the equations of a scene of numbers with motion from a start.
+    """Build the equations of a numeric scene with motion from a start.
 
     Args:
         named: the scene.

@@ -56,7 +56,7 @@ class Variable:
 
 
 def parameters_of(named: NamedScene) -> Iterator[Variable]:
-    """Yield the parameters of a scene of numbers with their values."""
+    """Yield the parameters of a numeric scene with their values."""
     for name, value in named.values.items():
         one = EVERY[name]
         domain = one.low, one.high, one.above, one.below
@@ -108,7 +108,7 @@ def variables_of(share: Share, scene: Scene) -> dict[str, dict[Variable, Express
 
     Args:
         share: at one moment.
-        scene: of numbers, from which the orders of magnitude are.
+        scene: numeric, from which the orders of magnitude are.
     """
     nominal, by_speed, events = _magnitudes(scene), share.by_speed, share.structure.events
 

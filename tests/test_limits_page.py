@@ -5,9 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from plough_opt.core import csv_rows, quantities, units
+from plough_opt.core import csv_rows, kept, quantities, units
 from plough_opt.design import effort
-from plough_opt.exchange import results
 from plough_opt.motion import plan
 from plough_opt.motion.effects import MOST_HARMONICS
 from plough_opt.problem_file import lines, overrides, own_measures, schema, source, uncertain
@@ -36,7 +35,7 @@ TABLES = {
     "CSV files of measurements and penetrometer readings": (
         csv_rows._MOST_BYTES, csv_rows._LONGEST_LINE, csv_rows._MOST_LISTED,
     ),
-    "Saved results (`po.load`)": (results._MOST_BYTES,),
+    "Saved results (`po.load`)": (kept._MOST_BYTES,),
     "Questions": (
         axes.MOST_VALUES, points.MOST_SAMPLES, distribution._MOST_SAMPLES, uncertain.MOST_FRESH, question._MOST,
         effort._MOST_TRIED, MOST_HARMONICS, profile._MOST_PIECES, plan.MOST_OUTPUTS,

@@ -9,7 +9,7 @@ from fmpy.validation import validate_fmu
 from helpers.fmu_tools import ARRAYS, CLOSELY, WITHIN, Stepped, differences, instance_of, simulated
 
 import plough_opt as po
-from plough_opt.exchange.export.fmu import write_fmu
+from plough_opt.export import write_fmu
 
 DURATION = 1.2
 SHARE = po.Wedge(po.deg(45.0), po.deg(15.0), 0.25)

@@ -21,7 +21,7 @@ from helpers.fmu_tools import WITHIN, differences, instance_of, simulated
 
 import plough_opt as po
 from plough_opt.core.expressions import exp
-from plough_opt.exchange.export.fmu import write_fmu
+from plough_opt.export import write_fmu
 
 DOUBLES = ctypes.POINTER(ctypes.c_double)
 ROOT = Path(__file__).parents[2]

@@ -10,7 +10,7 @@ import pytest
 import plough_opt as po
 import plough_opt.exchange.export
 from plough_opt.core.expressions import log
-from plough_opt.exchange.export import PloughComponent, write_openmdao
+from plough_opt.export import PloughComponent, write_openmdao
 
 om = pytest.importorskip("openmdao.api")
 
@@ -25,6 +25,14 @@ OPTIMUM, OBJECTIVE = (
 def in_a_folder_of_its_own(tmp_path, monkeypatch):
     monkeypatch.setenv("OPENMDAO_REPORTS", "0")
     monkeypatch.chdir(tmp_path)
+
+
+@pytest.fixture
+def small(r1_scene):
+    """Builds the component of a name that costs least."""
+    return lambda name: po.component(
+        r1_scene(motion=False), 1.0, inputs=["share.height"], outputs=["mean_draft"], name=name
+    )
 
 
 def _problem(component):
@@ -196,36 +204,29 @@ def test_without_openmdao_the_extra_is_named(monkeypatch):
         importlib.import_module("plough_opt.exchange.export.openmdao")
 
 
-@pytest.mark.parametrize("name", ["openmdao", "json", "class"])
-def test_a_name_that_no_module_can_have_is_refused(r1_scene, tmp_path, name):
-    made = po.component(r1_scene(motion=False), 1.0, inputs=["share.height"], outputs=["mean_draft"], name=name)
+@pytest.mark.parametrize("name", ["openmdao", "json", "class", "any", "function_component"])
+def test_a_name_of_another_module_or_of_a_class_that_is_needed_is_refused(small, tmp_path, name):
     with pytest.raises(po.InputError, match=f"a module cannot be named '{name}'"):
-        write_openmdao(made, tmp_path / "new")
+        write_openmdao(small(name), tmp_path / "new")
     assert not (tmp_path / "new").exists()
 
 
-@pytest.mark.parametrize("name", ["path", "Path", "INPUTS", "OUTPUTS", "om", "units_of"])
-def test_a_name_that_the_module_has_too_is_no_obstacle(r1_scene, tmp_path, name):
-    made = po.component(r1_scene(motion=False), 1.0, inputs=["share.height"], outputs=["mean_draft"], name=name)
-    folder = write_openmdao(made, tmp_path / "new")
+def test_a_name_that_the_module_has_too_is_no_obstacle(small, tmp_path):
+    names = ["path", "Path", "INPUTS", "OUTPUTS", "om", "units_of"]
+    wanted = [made(made.inputs[0].value) for made in map(small, names)]
+    folders = [str(write_openmdao(small(name), tmp_path / f"of_{name}")) for name in names]
     code = f"""
-import sys
-sys.path.insert(0, {str(folder)!r})
-import {name} as module, openmdao.api as om
-problem = om.Problem(reports=None)
-own = "".join(part[:1].upper() + part[1:] for part in {name!r}.split("_"))
-problem.model.add_subsystem("share", getattr(module, own)(), promotes=["*"])
-problem.setup()
-problem.run_model()
-print(float(problem["mean_draft"][0]))
+import importlib, sys
+sys.path += {folders}
+import openmdao.api as openmdao
+for name in {names}:
+    own = "".join(part[:1].upper() + part[1:] for part in name.split("_"))
+    problem = openmdao.Problem(reports=None)
+    problem.model.add_subsystem("share", getattr(importlib.import_module(name), own)(), promotes=["*"])
+    problem.setup()
+    problem.run_model()
+    print(float(problem["mean_draft"][0]))
 """
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
-    assert float(done.stdout) == made(made.inputs[0].value)
-
-
-@pytest.mark.parametrize("name", ["any", "function_component"])
-def test_a_class_that_the_module_needs_is_refused(r1_scene, tmp_path, name):
-    made = po.component(r1_scene(motion=False), 1.0, inputs=["share.height"], outputs=["mean_draft"], name=name)
-    with pytest.raises(po.InputError, match=f"a module cannot be named '{name}'"):
-        write_openmdao(made, tmp_path / "new")
+    assert [*map(float, done.stdout.split())] == wanted

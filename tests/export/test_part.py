@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import plough_opt as po
-from plough_opt.exchange.export import write_part
+from plough_opt.export import write_part
 
 SHARE = po.Wedge(po.deg(37), po.deg(15), 0.25)
 CONE = SHARE.equivalent_cone()

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import plough_opt as po
-from plough_opt.exchange.export import write_casadi
+from plough_opt.export import write_casadi
 
 READER = """
 import sys

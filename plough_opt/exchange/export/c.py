@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Mapping
 from importlib.metadata import version
 from pathlib import Path
 
@@ -40,11 +40,11 @@ def write_c(component: Component, path: str | Path) -> Path:
         InputError: the folder exists or cannot be written, or a component that has no C.
     """
     target = check_new_folder(path, "C source")
-    name = component.name()
+    name, functions = component.name(), _functions(component)
     files = {
         f"{name}.h": _header(component),
-        f"{name}.c": _source(component),
-        f"{name}_test.c": _test(component),
+        f"{name}.c": _source(component, functions),
+        f"{name}_test.c": _test(component, functions),
         "Makefile": _MAKEFILE.replace("NAME", name),
     }
     return write_folder(target, "C source", files)
@@ -53,7 +53,7 @@ def write_c(component: Component, path: str | Path) -> Path:
 def _header(component: Component) -> str:
     """Return the header: what goes in, what comes out, and two functions."""
     name, upper = component.name(), component.name().upper()
-    told = "\n".join(f" * {line}".rstrip() for line in _commented(str(component)).splitlines())
+    told = "\n".join(f" * {line}".rstrip() for line in str(component).replace("*/", "* /").splitlines())
     values = sum(port.size for port in component.outputs)
     return f"""/* Written by plough_opt {version("plough_opt")}.
 {told}
@@ -95,15 +95,27 @@ int {name}_jacobian(const double *inputs, double *jacobian);
 """
 
 
-def _source(component: Component) -> str:
+def _functions(component: Component) -> dict[str, ca.Function]:
+    """Return the Functions of all inputs, a column, to all outputs, and to the Jacobian.
+
+    The Jacobian is transposed, for CasADi's matrices run column by column.
+    """
+    name, x = component.name(), ca.MX.sym("x", len(component.inputs))
+    each = ca.vertsplit(x)
+    return {
+        "evaluate": ca.Function(f"{name}_values", [x], [ca.vertcat(*component.call(each))]),
+        "jacobian": ca.Function(f"{name}_slopes", [x], [component.slopes(*each).T]),
+    }
+
+
+def _source(component: Component, functions: Mapping[str, ca.Function]) -> str:
     """Return what CasADi writes of the Functions, and around it the header's two and its tables."""
     name = component.name()
-    functions = {"values": _values(component), "slopes": _slopes(component)}
     outputs = [(port, k) for port in component.outputs for k in range(port.size)]
     parts = [
         f'#include <float.h>\n#include <math.h>\n#include <stdlib.h>\n\n#include "{name}.h"\n',
         _UNUSED,
-        _graph(name, list(functions.values())),
+        _graph(name, functions.values()),
         _strings(f"{name}_input_names", (port.name for port in component.inputs)),
         _strings(f"{name}_input_units", (port.unit for port in component.inputs)),
         _doubles(f"{name}_input_lower", [port.lower for port in component.inputs]),
@@ -112,26 +124,12 @@ def _source(component: Component) -> str:
         _strings(f"{name}_output_names", (_element(port, k) for port, k in outputs)),
         _strings(f"{name}_output_units", (port.unit for port, _ in outputs)),
         _OUTSIDE.format(name=name, count=len(component.inputs), beyond=float(BEYOND).hex()),
-        _call(name, "evaluate", functions["values"]),
-        _call(name, "jacobian", functions["slopes"]),
+        *(_call(name, verb, function) for verb, function in functions.items()),
     ]
     return "\n".join(parts)
 
 
-def _values(component: Component) -> ca.Function:
-    """Return the Function of all inputs, a column, to all outputs, a column."""
-    x = ca.MX.sym("x", len(component.inputs))
-    stacked = ca.vertcat(*component.call(ca.vertsplit(x)))
-    return ca.Function(f"{component.name()}_values", [x], [stacked])
-
-
-def _slopes(component: Component) -> ca.Function:
-    """Return the Function of all inputs to the Jacobian, transposed, for CasADi's matrices run column by column."""
-    x = ca.MX.sym("x", len(component.inputs))
-    return ca.Function(f"{component.name()}_slopes", [x], [component.slopes(*ca.vertsplit(x)).T])
-
-
-def _graph(name: str, functions: Sequence[ca.Function]) -> str:
+def _graph(name: str, functions: Collection[ca.Function]) -> str:
     """Return CasADi's C of Functions.
 
     Raises:
@@ -172,26 +170,12 @@ def _call(name: str, verb: str, function: ca.Function) -> str:
 """
 
 
-def _test(component: Component) -> str:
+def _test(component: Component, functions: Mapping[str, ca.Function]) -> str:
     """Return a program that compares values and derivatives with those that Python finds now."""
-    name, upper = component.name(), component.name().upper()
     points = [*inside(component.inputs)[:_POINTS], *corners(component.inputs)[: _POINTS + 3]]
-    values, slopes = _values(component), _slopes(component)
-    wanted = [values(x).full().ravel() for x in points]
-    derivatives = [slopes(x).full().ravel(order="F") for x in points]
-    return _TEST.format(
-        name=name,
-        upper=upper,
-        count=len(points),
-        points=_rows(points),
-        values=_rows(wanted),
-        derivatives=_rows(derivatives),
-        most=ULP,
-    )
-
-
-def _commented(text: str) -> str:
-    return text.replace("*/", "* /")
+    rows = {verb: _rows(function(x).full().ravel(order="F") for x in points) for verb, function in functions.items()}
+    name = component.name()
+    return _TEST.format(name=name, upper=name.upper(), count=len(points), points=_rows(points), most=ULP, **rows)
 
 
 def _element(port: Port, k: int) -> str:
@@ -257,10 +241,10 @@ static const double inputs[POINTS][{upper}_INPUTS] = {{
 {points}
 }};
 static const double outputs[POINTS][{upper}_OUTPUTS] = {{
-{values}
+{evaluate}
 }};
 static const double slopes[POINTS][SLOPES] = {{
-{derivatives}
+{jacobian}
 }};
 
 /* The number of doubles from one to another. */

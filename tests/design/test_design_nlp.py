@@ -1,5 +1,6 @@
 """The program that IPOPT sees: values and first and second derivatives, against references of their own."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import casadi as ca
@@ -133,82 +134,93 @@ FIXED = po.Accuracy("dop853", steps=60)
 POINT = np.array([0.61, 0.43, 0.37])
 
 
-def test_averages_only(small, built):
+def usual(case):
+    """Ask for the usual objective and a path of a case's run."""
+    case.design.minimise(case.run.mean_draft / 1e3 + case.run.force_rms / 1e3)
+    case.design.require("deflection", case.run.deflection, at_most=0.2)
+    return case.design
+
+
+def averages(small):
     case = small(FIXED)
     case.design.minimise(case.run.mean_draft / 1e3 + case.run.force_rms / 1e3)
     case.design.require("mean deflection", case.run.mean_deflection, at_most=0.15)
     case.design.require("radius", po.loosened_radius(case.cone, case.scene.soil), at_least=0.05)
-    program = built(case.design)
-    _check_against_ad(program, POINT)
-    _check_against_differences(program, POINT)
+    return case.design
 
 
-def test_path_requirements(small, built):
+def paths(small):
     case = small(FIXED)
     case.design.minimise(case.run.force_rms / 1e3)
     case.design.require("deflection", case.run.deflection, at_most=0.2)
     case.design.require("force", case.run.mount_force, at_least=-5e3, at_most=5e3)
     case.design.require("speed", case.run.speed, at_least=-1.0)
     case.design.require("soil", case.run.soil_resistance, at_most=1e4)
-    program = built(case.design)
-    assert len(program.owner) == 4 * 6
-    _check_against_ad(program, POINT)
-    _check_against_differences(program, POINT)
+    return case.design
 
 
-def test_two_runs_side_by_side(small, built):
+def two_runs(small):
     case = small(FIXED)
     hard = po.Soil(1500.0, 0.82, 30e3, po.deg(32.0), 0.45, 1e4)
-    scene = po.Scene(
-        hard, case.scene.share, case.k0, case.scene.mass, 1.5, po.Effects(damping=300.0, inertial_drag=False)
-    )
+    effects = po.Effects(damping=300.0, inertial_drag=False)
+    scene = po.Scene(hard, case.scene.share, case.k0, case.scene.mass, 1.5, effects)
     other = po.simulate(scene, 0.5, accuracy=po.Accuracy("dop853", steps=35), outputs=7)
     case.design.minimise((2.0 * case.run.mean_draft + other.mean_draft) / 1e3 + other.force_rms / 1e2)
     case.design.require("deflection", other.deflection, at_most=0.2)
     case.design.require("both", case.run.mean_deflection * other.mean_deflection, at_most=0.01)
-    program = built(case.design)
-    assert len(program.exact.runs) == 2
-    _check_against_ad(program, POINT)
-    _check_against_differences(program, POINT)
+    return case.design
 
 
-def test_one_scene_at_two_speeds(small, built):
+def two_speeds(small):
     slow = small(FIXED)
-    d = slow.design
-    fast = po.simulate(
-        po.Scene(slow.scene.soil, slow.scene.share, slow.k0, slow.scene.mass, 3.0, slow.scene.effects),
-        0.8,
-        accuracy=FIXED,
-        outputs=5,
-    )
-    d.minimise((slow.run.mean_draft + fast.mean_draft) / 1e3 + (slow.run.force_rms + fast.force_rms) / 1e3)
-    program = built(d)
-    assert len(program.exact.runs) == 2
-    _check_against_ad(program, POINT)
-    _check_against_differences(program, POINT)
+    fast = po.simulate(replace(slow.scene, tow_speed=3.0), 0.8, accuracy=FIXED, outputs=5)
+    both = [run.mean_draft + run.force_rms for run in (slow.run, fast)]
+    slow.design.minimise(sum(both) / 1e3)
+    return slow.design
 
 
-def test_quasi_static_run(small, built):
-    case = small(motion=False, effects={"strength_wave": po.StrengthWave(0.3, 0.6), "tow_ramp": 0.3})
-    case.design.minimise(case.run.mean_draft / 1e3 + case.run.force_rms / 1e3)
-    case.design.require("deflection", case.run.deflection, at_most=0.2)
-    program = built(case.design)
-    assert len(program.exact.runs) == 0
-    _check_against_ad(program, POINT)
-    _check_against_differences(program, POINT)
+def quasi_static(small):
+    return usual(small(motion=False, effects={"strength_wave": po.StrengthWave(0.3, 0.6), "tow_ramp": 0.3}))
 
 
-def test_run_with_a_parameter(small, built):
+def with_parameters(small):
     case = small(FIXED)
     d = case.design
     cohesion, speed = d.parameter("cohesion", 22e3, unit="Pa"), d.parameter("speed", 1.7, unit="m/s")
     soil = po.Soil(1400.0, 0.8, cohesion, po.deg(30.0), 0.5, 1e4)
-    scene = po.Scene(soil, case.scene.share, case.k0, case.scene.mass, speed, case.scene.effects)
-    run = po.simulate(scene, 0.8, accuracy=FIXED, outputs=5)
-    d.minimise(run.mean_draft / 1e3 + run.force_rms / cohesion)
-    d.require("deflection", run.deflection, at_most=0.2)
-    program = built(d)
-    assert len(program.exact.runs) == 1
+    case.run = po.simulate(replace(case.scene, soil=soil, tow_speed=speed), 0.8, accuracy=FIXED, outputs=5)
+    usual(case)
+    d.minimise(case.run.mean_draft / 1e3 + case.run.force_rms / cohesion)
+    return d
+
+
+def every_effect(small):
+    wave = po.StrengthWave(0.3, 0.6)
+    effects = {"strength_wave": wave, "tow_ramp": 0.137, "damping": 250.0, "rate_term": 0.05, "start": "rest"}
+    case = small(FIXED, effects=effects)
+    run = case.run
+    case.design.minimise(run.mean_draft / 1e3 + run.force_rms / 1e3 + run.tow_power / 1e3 + run.displacement_rms)
+    for name in ("deflection", "speed", "travel", "mount_force", "soil_resistance"):
+        case.design.require(name, getattr(run, name), at_most=1e4)
+    return case.design
+
+
+# Designs with the number of their runs and of the rows of their requirements.
+DESIGNS = {
+    averages: (1, 2),
+    paths: (1, 4 * 6),
+    two_runs: (2, 8 + 1),
+    two_speeds: (2, 0),
+    quasi_static: (0, 6),
+    with_parameters: (1, 6),
+    every_effect: (1, 5 * 6),
+}
+
+
+@pytest.mark.parametrize("declare", DESIGNS)
+def test_derivatives_are_those_of_casadi_and_of_differences(small, built, declare):
+    program = built(declare(small))
+    assert (len(program.exact.runs), len(program.owner)) == DESIGNS[declare]
     _check_against_ad(program, POINT)
     _check_against_differences(program, POINT)
 
@@ -249,16 +261,10 @@ def test_every_combination_of_effects(small, built, effects):
 
 
 def test_automatic_steps_agree_with_ad_of_as_many_steps(small, built):
-    case = small()
-    case.design.minimise(case.run.mean_draft / 1e3 + case.run.force_rms / 1e3)
-    case.design.require("deflection", case.run.deflection, at_most=0.2)
-    program = built(case.design)
+    program = built(usual(small()))
     (steps,) = program.built.steps
     whole = 5 * max(1, round(steps / 5))
-    same = small(po.Accuracy("dop853", steps=whole))
-    same.design.minimise(same.run.mean_draft / 1e3 + same.run.force_rms / 1e3)
-    same.design.require("deflection", same.run.deflection, at_most=0.2)
-    explicit = built(same.design)
+    explicit = built(usual(small(po.Accuracy("dop853", steps=whole))))
     a, b = _evaluations(program, POINT), _evaluations(explicit, POINT)
     assert a.f == pytest.approx(b.f, rel=1e-13)
     _close(a.gradient, b.gradient, 1e-11)
@@ -280,13 +286,9 @@ def test_automatic_steps_agree_with_ad_of_as_many_steps(small, built):
     ],
 )
 def test_methods_of_casadi_agree_with_order_8(small, built, accuracy, values, first, second):
-    found = []
-    for method in (accuracy, po.Accuracy("dop853", steps=400)):
-        case = small(method)
-        case.design.minimise(case.run.mean_draft / 1e3 + case.run.force_rms / 1e3)
-        case.design.require("deflection", case.run.deflection, at_most=0.2)
-        found.append(_evaluations(built(case.design), POINT))
-    own, reference = found
+    own, reference = (
+        _evaluations(built(usual(small(method))), POINT) for method in (accuracy, po.Accuracy("dop853", steps=400))
+    )
     assert own.f == pytest.approx(reference.f, rel=values)
     _close(own.g, reference.g, values)
     _close(own.gradient, reference.gradient, first)
@@ -330,24 +332,6 @@ def test_steps_that_nobody_set_are_enough_or_warned_of(mount, method):
     # With five outputs one step for each would be far too coarse.
     best = mount(po.Accuracy(method)).solve(search="local")
     assert best.gap <= 1e-8 or any("error" in warning for warning in best.warnings)
-
-
-def test_every_effect_on(small, built):
-    effects = {
-        "strength_wave": po.StrengthWave(0.3, 0.6),
-        "tow_ramp": 0.137,
-        "damping": 250.0,
-        "rate_term": 0.05,
-        "start": "rest",
-    }
-    case = small(FIXED, effects=effects)
-    d, run = case.design, case.run
-    d.minimise(run.mean_draft / 1e3 + run.force_rms / 1e3 + run.tow_power / 1e3 + run.displacement_rms)
-    for name in ("deflection", "speed", "travel", "mount_force", "soil_resistance"):
-        d.require(name, getattr(run, name), at_most=1e4)
-    program = built(d)
-    _check_against_ad(program, POINT)
-    _check_against_differences(program, POINT)
 
 
 def test_no_run_at_all(built):

@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import casadi as ca
 
 from plough_opt.core.errors import InputError
-from plough_opt.motion.batch.operations import OperationList
 
 _BINARY = {ca.OP_ADD: "+", ca.OP_SUB: "-", ca.OP_MUL: "*", ca.OP_DIV: "/"}
 _COMPARISONS = {ca.OP_LT: "<", ca.OP_LE: "<=", ca.OP_EQ: "==", ca.OP_NE: "!="}
@@ -137,18 +134,6 @@ _PART = """    {{
     }}"""
 
 
-def _in_c(code: int) -> str:
-    """Return C's name of a function.
-
-    Raises:
-        InputError: an operation that has no vector form.
-    """
-    functions = LIBRARY | LIBRARY_OF_TWO | LANE_BY_LANE
-    if code not in functions:
-        raise InputError(f"a batch cannot do CasADi's operation number {code}")
-    return functions[code]
-
-
 @dataclass(frozen=True)
 class Kernels:
     """The operations that a batch compiles.
@@ -170,100 +155,145 @@ def c_source(kernels: Kernels) -> str:
     Raises:
         InputError: an operation that has no vector form.
     """
-    maps = {name: OperationList.of(one) for name, one in kernels.maps.items()}
-    steps = [(OperationList.of(step), end) for step, end in kernels.parts]
-    lines = head([*maps.values(), *(step for step, _ in steps)])
-    lines.append("int64_t lanes(void) { return LANES; }")
-    for name, one in maps.items():
-        inputs = 1 + max((element for _, element in one.inputs.values()), default=0)
-        body = Statements(one, ("x",)).body(None)
-        lines.append(_MAP.format(name=name, inputs=inputs, results=len(one.results), body=body))
-    state = len(steps[0][0].results)
+    lines = [head(), "int64_t lanes(void) { return LANES; }"]
+    for name, one in kernels.maps.items():
+        text = Statements(one, ("x",))
+        body = "\n".join([*text.once, *text.each])
+        lines.append(_MAP.format(name=name, inputs=one.numel_in(0), results=one.numel_out(), body=body))
+    state = kernels.parts[0][0].numel_out()
     parts = []
-    for step, end in steps:
+    for step, end in kernels.parts:
         text = Statements(step, ("x", "p"))
-        parts.append(_PART.format(once=text.body(True), each=text.body(False), end=end, state=state))
+        once, each = "\n".join(text.once), "\n".join(text.each)
+        parts.append(_PART.format(once=once, each=each, end=end, state=state))
     lines.append(_RUN.format(parameters=kernels.parameters, state=state, parts="\n".join(parts)))
     return "\n".join(lines)
 
 
-def head(lists: Sequence[OperationList]) -> list[str]:
-    """Return the C types and functions that the statements of some lists use."""
-    codes = {operation.code for one in lists for operation in one.operations}
-    lines = [_HEAD]
-    lines += [f"EACH({name})" for code, name in LANE_BY_LANE.items() if code in codes]
-    lines += [f"LIBRARY({name})" for code, name in LIBRARY.items() if code in codes]
-    lines += [f"LIBRARY_OF_TWO({name})" for name in sorted({LIBRARY_OF_TWO[c] for c in codes & set(LIBRARY_OF_TWO)})]
-    return lines
+def head() -> str:
+    """Return the C types and functions that statements use; a compiler drops those that are left over."""
+    lines = [_HEAD, *(f"EACH({name})" for name in LANE_BY_LANE.values())]
+    lines += [f"LIBRARY({name})" for name in LIBRARY.values()]
+    return "\n".join([*lines, *(f"LIBRARY_OF_TWO({name})" for name in sorted({*LIBRARY_OF_TWO.values()}))])
+
+
+@dataclass(frozen=True)
+class _Value:
+    """A value in C: a vector of doubles, or of masks, whose bits are all 0 or all 1.
+
+    Attributes:
+        text: its name, or of a constant its number.
+        once: whether it depends on the last argument alone, which is the same in every step.
+        constant: the number, of a constant.
+        is_mask: whether it is a condition.
+    """
+
+    text: str
+    once: bool = True
+    constant: float | None = None
+    is_mask: bool = False
+
+    @classmethod
+    def of(cls, constant: float) -> _Value:
+        """Return a constant."""
+        text = repr(constant).replace("inf", "INFINITY")
+        return cls(f"({text})" if constant < 0.0 else text, constant=constant)
+
+    @property
+    def number(self) -> str:
+        """It as an operand of arithmetic."""
+        return f"v_one({self.text})" if self.is_mask else self.text
+
+    @property
+    def vector(self) -> str:
+        """It as an argument of a function of vectors."""
+        return self.number if self.constant is None else f"((V){{0}} + {self.text})"
+
+    @property
+    def mask(self) -> str:
+        """It as a condition."""
+        return self.text if self.is_mask else f"({self.vector} != 0.0)"
 
 
 class Statements:
-    """A list of operations as C statements.
+    """A Function of SX, whose only result is a dense column, as C statements.
 
-    Values are vectors of doubles, and conditions vectors of masks, whose bits are all 0 or all 1.
+    Attributes:
+        once: those that run once before all steps.
+        each: those that run in every step, with the results at their end.
     """
 
-    def __init__(self, operations: OperationList, arrays: tuple[str, ...]) -> None:
-        """Take the operations, and the names of the arrays that hold the arguments."""
-        self._list = operations
-        self._arrays = arrays
-        self._masks: set[int] = set()
+    def __init__(self, function: ca.Function, arrays: tuple[str, ...]) -> None:
+        """Write the statements.
 
-    def body(self, once: bool | None) -> str:
-        """Return the statements that run once before all steps (True), in every step (False), or all (None)."""
-        lines = []
-        for operation in self._list.operations:
-            text = self._expression(operation.code, operation.of)
-            if self._is_mask(operation.code):
-                self._masks.add(operation.value)
-            if once is None or operation.once == once:
-                kind = "M" if operation.value in self._masks else "V"
-                lines.append(f"const {kind} a{operation.value} = {text};")
-        if not once:
-            lines += [f"y[{j}] = (V){{0}} + {self._number(k)};" for j, k in enumerate(self._list.results)]
-        return "\n".join(lines)
+        Args:
+            function: what they compute.
+            arrays: names of the arrays that hold its arguments.
 
-    @staticmethod
-    def _is_mask(code: int) -> bool:
-        return code in _COMPARISONS or code in _LOGICAL or code == ca.OP_NOT
+        Raises:
+            InputError: an operation that has no vector form.
+        """
+        self.once: list[str] = []
+        self.each: list[str] = []
+        self._inverses: dict[str, _Value] = {}
+        work: dict[int, _Value] = {}
+        results = []
+        for k in range(function.n_instructions()):
+            code, into, of = function.instruction_id(k), function.instruction_output(k), function.instruction_input(k)
+            if code == ca.OP_INPUT:
+                work[into[0]] = _Value(f"{arrays[of[0]]}[{of[1]}]", once=of[0] == function.n_in() - 1)
+            elif code == ca.OP_CONST:
+                work[into[0]] = _Value.of(function.instruction_constant(k))
+            elif code == ca.OP_OUTPUT:
+                results.append(f"y[{into[1]}] = (V){{0}} + {work[of[0]].number};")
+            else:
+                work[into[0]] = self._apply(code, [work[j] for j in of])
+        self.each += results
 
-    def _number(self, k: int) -> str:
-        """Return a value as an operand of arithmetic."""
-        if k in self._list.constants:
-            value = self._list.constants[k]
-            if math.isinf(value):
-                return "INFINITY" if value > 0.0 else "(-INFINITY)"
-            return f"({value!r})" if value < 0.0 else repr(value)
-        if k in self._list.inputs:
-            argument, element = self._list.inputs[k]
-            return f"{self._arrays[argument]}[{element}]"
-        return f"v_one(a{k})" if k in self._masks else f"a{k}"
+    def _apply(self, code: int, of: list[_Value]) -> _Value:
+        """Return an operation's result.
 
-    def _vector(self, k: int) -> str:
-        """Return a value as an argument of a function of vectors."""
-        text = self._number(k)
-        return f"((V){{0}} + {text})" if k in self._list.constants else text
+        A division by what is the same in every step becomes a product with its inverse, which is computed once.
+        """
+        if code == ca.OP_DIV and of[1].once and not of[0].once:
+            code, of = ca.OP_MUL, [of[0], self._inverse(of[1])]
+        is_mask = code in _COMPARISONS or code in _LOGICAL or code == ca.OP_NOT
+        name = f"a{len(self.once) + len(self.each)}"
+        value = _Value(name, all(each.once for each in of), is_mask=is_mask)
+        lines = self.once if value.once else self.each
+        lines.append(f"const {'M' if is_mask else 'V'} {name} = {_expression(code, of)};")
+        return value
 
-    def _mask(self, k: int) -> str:
-        """Return a value as a condition."""
-        return f"a{k}" if k in self._masks else f"({self._vector(k)} != 0.0)"
+    def _inverse(self, of: _Value) -> _Value:
+        if of.text not in self._inverses:
+            self._inverses[of.text] = (
+                self._apply(ca.OP_INV, [of]) if of.constant is None else _Value.of(1.0 / of.constant)
+            )
+        return self._inverses[of.text]
 
-    def _expression(self, code: int, of: tuple[int, ...]) -> str:
-        if code in _BINARY:
-            left, right = (self._vector(of[0]), self._number(of[1]))
-            return f"{left} {_BINARY[code]} {right}"
-        if code in _SIMPLE:
-            return _SIMPLE[code].format(self._vector(of[0]))
-        if code in (ca.OP_EQ, ca.OP_NE) and all(k in self._masks for k in of):
-            both = f"a{of[0]} ^ a{of[1]}"
-            return both if code == ca.OP_NE else f"~({both})"
-        if code in _COMPARISONS:
-            return f"{self._vector(of[0])} {_COMPARISONS[code]} {self._vector(of[1])}"
-        if code in _LOGICAL:
-            return f"{self._mask(of[0])} {_LOGICAL[code]} {self._mask(of[1])}"
-        if code == ca.OP_NOT:
-            return f"~{self._mask(of[0])}"
-        if code == ca.OP_IF_ELSE_ZERO:
-            return f"(V)((M){self._vector(of[1])} & {self._mask(of[0])})"
-        name = _OWN.get(code) or f"v_{_in_c(code)}"
-        return f"{name}({', '.join(self._vector(k) for k in of)})"
+
+def _expression(code: int, of: list[_Value]) -> str:
+    """Return an operation in C.
+
+    Raises:
+        InputError: one that has no vector form.
+    """
+    if code in _BINARY:
+        return f"{of[0].vector} {_BINARY[code]} {of[1].number}"
+    if code in _SIMPLE:
+        return _SIMPLE[code].format(of[0].vector)
+    if code in (ca.OP_EQ, ca.OP_NE) and all(each.is_mask for each in of):
+        both = f"{of[0].text} ^ {of[1].text}"
+        return both if code == ca.OP_NE else f"~({both})"
+    if code in _COMPARISONS:
+        return f"{of[0].vector} {_COMPARISONS[code]} {of[1].vector}"
+    if code in _LOGICAL:
+        return f"{of[0].mask} {_LOGICAL[code]} {of[1].mask}"
+    if code == ca.OP_NOT:
+        return f"~{of[0].mask}"
+    if code == ca.OP_IF_ELSE_ZERO:
+        return f"(V)((M){of[1].vector} & {of[0].mask})"
+    functions = LIBRARY | LIBRARY_OF_TWO | LANE_BY_LANE
+    if code not in _OWN and code not in functions:
+        raise InputError(f"a batch cannot do CasADi's operation number {code}")
+    return f"{_OWN.get(code) or f'v_{functions[code]}'}({', '.join(each.vector for each in of)})"

@@ -21,7 +21,6 @@ from plough_opt.core.compiler import Variant, library
 from plough_opt.motion.accuracy import Accuracy
 from plough_opt.motion.batch.c_source import Statements, head
 from plough_opt.motion.batch.interpreter import Array
-from plough_opt.motion.batch.operations import OperationList
 from plough_opt.motion.equation import equation_of_motion, start_state
 from plough_opt.motion.integrators import integration
 from plough_opt.motion.plan import summed_and_lasting_phase
@@ -259,7 +258,7 @@ _WIDEST = 8
 """Doubles in the widest vector register."""
 
 
-def _operations(structure: Structure) -> tuple[OperationList, OperationList]:
+def _operations(structure: Structure) -> tuple[ca.Function, ca.Function]:
     """Return parameters -> state at the start, and (state, span, parameters) -> (state after a step, w'', moments)."""
     motion, observed = equation_of_motion(structure), signals(structure)
     (p, known), state, span = observed.symbols(ca.SX), ca.SX.sym("state", 2), ca.SX.sym("span", 2)
@@ -268,22 +267,22 @@ def _operations(structure: Structure) -> tuple[OperationList, OperationList]:
     result = ca.cse(ca.densify(ca.vertcat(following, acceleration, moments)))
     first = ca.densify(ca.SX(start_state(structure, known)))
     return (
-        OperationList.of(ca.Function("begin", [p], [first])),
-        OperationList.of(ca.Function("advance", [state, span, p], [result])),
+        ca.Function("begin", [p], [first]),
+        ca.Function("advance", [state, span, p], [result]),
     )
 
 
 def _source(structure: Structure) -> str:
     begin, one = _operations(structure)
     observed = signals(structure)
-    text = Statements(one, ("x", "s", "p"))
+    first, text = Statements(begin, ("p",)), Statements(one, ("x", "s", "p"))
     body = _SOURCE.format(
         given=len(observed.parameters) + 1,
-        width=len(one.results),
+        width=one.numel_out(),
         count=observed.count,
         squared=observed.squared,
-        start=Statements(begin, ("p",)).body(None),
-        once=text.body(True),
-        each=text.body(False),
+        start="\n".join([*first.once, *first.each]),
+        once="\n".join(text.once),
+        each="\n".join(text.each),
     )
-    return "\n".join([*head([begin, one]), body])
+    return "\n".join([head(), body])

@@ -46,7 +46,6 @@ from plough_opt.problem_file.strength_file import spectrum_of_file
 from plough_opt.problem_file.uncertain import check_joint, check_uncertain, join_dotted
 from plough_opt.soil.soil import named_soil
 
-_DURATION = ("scene", "duration")
 _PER_CENT = re.compile(r"\s*([0-9]+\.?[0-9]*|\.[0-9]+)\s*%\s*")
 
 
@@ -184,15 +183,11 @@ def _raw(data: Any, key: str) -> object:
 
 def _variable(source: Source, key: str, declared: VariableTable) -> FileVariable:
     unit = quantities()[key]
-    bounds = {}
-    for side in ("lower", "upper", "guess"):
-        written = getattr(declared, side)
-        if written is None:
-            continue
-        try:
-            bounds[side] = unit.parse(written)
-        except InputError as error:
-            raise source.error(("variables", key, side), f"'{key}' {side} {error}") from None
+    bounds = {
+        side: source.parsed(("variables", key, side), unit, written, f"'{key}' {side}")
+        for side in ("lower", "upper", "guess")
+        if (written := getattr(declared, side)) is not None
+    }
     lower, upper = bounds["lower"], bounds["upper"]
     if not lower < upper:
         raise InputError(
@@ -213,50 +208,53 @@ def _variable(source: Source, key: str, declared: VariableTable) -> FileVariable
 def _tolerance(source: Source, key: str, written: str | float | None) -> float | str | None:
     """Return a half width in SI, or a part of the value in per cent as it is written."""
     place = ("variables", key, "tolerance")
-    if written is None or (isinstance(written, str) and (part := _PER_CENT.fullmatch(written)) and float(part[1]) >= 0):
+    if written is None or (isinstance(written, str) and _PER_CENT.fullmatch(written)):
         return written
-    try:
-        half = quantities()[key].parse(written)
-    except InputError as error:
-        raise source.error(place, f"'{key}' tolerance {error}, or as a part of the value like \"0.5 %\"") from None
+    more = ', or as a part of the value like "0.5 %"'
+    half = source.parsed(place, quantities()[key], written, f"'{key}' tolerance", more)
     if half < 0.0:
         raise source.error(place, f"'{key}' tolerance = {written} must not be below 0")
     return half
 
 
 def _check_complete(source: Source, table: ProblemTable, known: set[str]) -> None:
-    """Note every quantity that is neither given nor a variable."""
+    """Note every quantity that is neither given nor a variable, and every one that nothing in the file needs."""
     if not known <= {*quantities()}:
         return  # a misspelt variable is noted already, and would be missing here once more
+    decided = {table.soil.adjusted} if known & {*READINGS} else set()
     if table.soil.name is not None:
         with source.noting(("soil", "name")):
             named_soil(table.soil.name)
-    elif missing := [name for name in _required("soil") if name not in known | _decided(table, known)]:
+    elif missing := [name for name in _required("soil") if name not in known | decided]:
         with source.noting(("soil",)):
             names = ", ".join(f"'{IN_FILES[name].key}'" for name in missing)
             verb = "is" if len(missing) == 1 else "are"
             raise InputError(f"{names} {verb} missing: give them in [soil], or the 'name' of a known soil")
-    for key in _decided(table, known) & known:
-        with source.noting(("variables", key) if key in table.variables else tuple(key.split("."))):
-            raise InputError(f"'{key}' follows from the cone index: leave it out, or let that adjust another property")
-    wave = [*_wave_keys(source, table, known), *_random_keys(source, table, known)]
-    width = ("effects.contact_width",) if table.effects.contact == "smooth" else ()
+    effects = table.effects
+    orbit = effects.orbit != "transient"
+    random = [key for key in IN_FILES if IN_FILES[key].owner == RANDOM]
+    excess = dict.fromkeys(decided, "follows from the cone index: leave it out, or let that adjust another property")
     for key, law in (("effects.contact_width", "smooth"), ("effects.breakaway", "stick_slip")):
-        if key in known and table.effects.contact != law:
-            with source.noting(("variables", key) if key in table.variables else tuple(key.split("."))):
-                raise InputError(f"'{key}' belongs to contact = \"{law}\", which [effects] does not ask for")
-    orbit = table.effects.orbit != "transient"
-    if orbit and "scene.duration" in known:
-        with source.noting(("variables", "scene.duration") if "scene.duration" in table.variables else _DURATION):
-            raise InputError("a lasting orbit has a duration of its own, one wavelength of the soil: leave it out")
-    if table.effects.orbit != "harmonic_balance" and "harmonics" in table.effects.model_fields_set:
+        if effects.contact != law:
+            excess[key] = f'belongs to contact = "{law}", which [effects] does not ask for'
+    if orbit:
+        excess["scene.duration"] = "must go: a lasting orbit has a duration of its own, one wavelength of the soil"
+    if _at(table, RANDOM) is None:
+        excess |= dict.fromkeys(random, f"has no {RANDOM} to belong to: give that in [effects]")
+    elif _at(table, f"{RANDOM}.record") is not None:
+        excess |= dict.fromkeys(random, "and a record are given: take one")
+    for key in sorted({*excess} & known):
+        with source.noting(("variables", key) if key in table.variables else tuple(key.split("."))):
+            raise InputError(f"'{key}' {excess[key]}")
+    if effects.orbit != "harmonic_balance" and "harmonics" in effects.model_fields_set:
         with source.noting(("effects", "harmonics")):
             raise InputError("'effects.harmonics' belongs to orbit = \"harmonic_balance\"")
-    required = [key for key in _required("share", "scene") if not (orbit and key == "scene.duration")]
-    for key in (*required, *wave, *width):
+    needed = [*_required("share", "scene"), *_wave_keys(source, table, known), *random]
+    needed += ["effects.contact_width"] if effects.contact == "smooth" else []
+    for key in needed:
         owner, _, name = key.rpartition(".")
-        with source.noting(tuple(owner.split("."))):
-            if key not in known:
+        if key not in known | {*excess}:
+            with source.noting(tuple(owner.split("."))):
                 raise InputError(f"'{name}' is missing: give it in [{owner}] or make '{key}' a variable")
 
 
@@ -278,24 +276,6 @@ def _wave_keys(source: Source, table: ProblemTable, known: set[str]) -> list[str
         missing = missing or ("" if own or given else name)
         keys += needed if own or given else []
     return keys
-
-
-def _random_keys(source: Source, table: ProblemTable, known: set[str]) -> list[str]:
-    """Return the quantities that random strength must have: both, or none beside a record."""
-    keys = [key for key in IN_FILES if IN_FILES[key].owner == RANDOM]
-    absent = _at(table, RANDOM) is None
-    if not absent and _at(table, f"{RANDOM}.record") is None:
-        return keys
-    why = f"has no {RANDOM} to belong to: give that in [effects]" if absent else "and a record are given: take one"
-    for key in {*keys} & known:
-        with source.noting(("variables", key) if key in table.variables else tuple(key.split("."))):
-            raise InputError(f"'{key}' {why}")
-    return []
-
-
-def _decided(table: ProblemTable, known: set[str]) -> set[str]:
-    """Return the property that a cone index decides."""
-    return {table.soil.adjusted} if known & {*READINGS} else set()
 
 
 def _required(*owners: str) -> list[str]:
@@ -325,12 +305,8 @@ def _check_measure(
         verb = "minimised" if kind == "minimise" else "required"
         raise InputError(f"'{name}' cannot be {verb}: {nearest(name, allowed)}")
     known[name].check(name, law)
-    values = {}
-    for side, written in sides.items():
-        try:
-            values[side] = known[name].unit.parse(written)
-        except InputError as error:
-            raise source.error((*place, side), f"'{name}' {side} {error}") from None
+    unit = known[name].unit
+    values = {side: source.parsed((*place, side), unit, one, f"'{name}' {side}") for side, one in sides.items()}
     if kind == "minimise" and values["per"] <= 0.0:
         raise source.error((*place, "per"), f"'{name}' per = {sides['per']} must be above 0")
     if kind == "require" and not values:

@@ -15,6 +15,7 @@ from pydantic import ValidationError
 
 from plough_opt.core.errors import DomainError, InputError, nearest, short, unprintable
 from plough_opt.core.kinds import shown
+from plough_opt.core.units import Unit
 from plough_opt.problem_file.lines import MOST_TABLES, lines_of, nested_line
 
 Keys = tuple[str, ...]
@@ -131,6 +132,24 @@ class Source:
             self._noted.append(self.error(keys, f"{prefix}{error}"))
         except ArithmeticError:  # overflow, or a difference of huge numbers that is 0
             self._noted.append(self.error(keys, f"{prefix}too large or too small to compute with: check its unit"))
+
+    def parsed(self, keys: Keys, unit: Unit, written: object, what: str, more: str = "") -> float:
+        """Return a written quantity in SI.
+
+        Args:
+            keys: where it stands.
+            unit: its SI unit.
+            written: what the file says.
+            what: what it is, as messages begin.
+            more: added to the message.
+
+        Raises:
+            InputError: no quantity of this unit; the message has the line.
+        """
+        try:
+            return unit.parse(written)
+        except InputError as error:
+            raise self.error(keys, f"{what} {error}{more}") from None
 
     def raise_noted(self) -> None:
         """Raise one error that lists everything noted, in the order of the lines; nothing if nothing was."""

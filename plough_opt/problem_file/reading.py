@@ -231,14 +231,15 @@ def _check_complete(source: Source, table: ProblemTable, known: set[str]) -> Non
             verb = "is" if len(missing) == 1 else "are"
             raise InputError(f"{names} {verb} missing: give them in [soil], or the 'name' of a known soil")
     effects = table.effects
-    orbit = effects.orbit != "transient"
     random = [key for key in IN_FILES if IN_FILES[key].owner == RANDOM]
     excess = dict.fromkeys(decided, "follows from the cone index: leave it out, or let that adjust another property")
     for key, law in (("effects.contact_width", "smooth"), ("effects.breakaway", "stick_slip")):
         if effects.contact != law:
             excess[key] = f'belongs to contact = "{law}", which [effects] does not ask for'
-    if orbit:
-        excess["scene.duration"] = "must go: a lasting orbit has a duration of its own, one wavelength of the soil"
+    if effects.orbit != "transient":
+        excess["scene.duration"] = (
+            "is needless: a lasting orbit has a duration of its own, one wavelength: leave it out"
+        )
     if _at(table, RANDOM) is None:
         excess |= dict.fromkeys(random, f"has no {RANDOM} to belong to: give that in [effects]")
     elif _at(table, f"{RANDOM}.record") is not None:

@@ -70,7 +70,18 @@ NEAR: dict[str, Any] = {
 # From a search's bottom, right to some 1e-6: a barrier that low moves it no further than that from its limits. A higher
 # one drives it along flat valleys first, from which it takes five times as many iterations back.
 FROM_BOTTOM: dict[str, Any] = NEAR | {"ipopt.mu_init": 1e-8, "ipopt.bound_mult_init_method": "mu-based"}
-_BEGINNINGS = {"far": FAR, "near": NEAR, "bottom": FROM_BOTTOM}
+# From a neighbour's optimum and multipliers, along a front.
+_FROM_NEIGHBOUR: dict[str, Any] = {
+    "ipopt.max_iter": 40,
+    "ipopt.mu_init": 1e-6,
+    "ipopt.warm_start_init_point": "yes",
+    "ipopt.warm_start_bound_push": 1e-9,
+    "ipopt.warm_start_bound_frac": 1e-9,
+    "ipopt.warm_start_slack_bound_push": 1e-9,
+    "ipopt.warm_start_slack_bound_frac": 1e-9,
+    "ipopt.warm_start_mult_bound_push": 1e-9,
+}
+_BEGINNINGS = {"neighbour": _FROM_NEIGHBOUR, "far": FAR, "near": NEAR, "bottom": FROM_BOTTOM}
 # Where the objective no longer falls, as along a valley, the last digits of the derivatives are not waited for.
 _ENOUGH: dict[str, Any] = {
     "ipopt.acceptable_iter": 3,
@@ -221,6 +232,7 @@ class Solver:
         upper: Vector | float = 1.0,
         options: SolveOptions = FROM_AFAR,
         limits: tuple[Vector, Vector] | None = None,
+        neighbour: Point | None = None,
     ) -> Point:
         """Return the local optimum that IPOPT reaches from a start.
 
@@ -231,10 +243,14 @@ class Solver:
             upper: upper bounds.
             options: how to go about it.
             limits: of the requirements, where they are not those that it was built with.
+            neighbour: an optimum near the start, from whose multipliers to begin.
         """
         low, high = (self._low, self._high) if limits is None else limits
         given = {"x0": start, "p": p, "lbx": lower, "ubx": upper, "lbg": low, "ubg": high}
         begin = "bottom" if options.near else "far"
+        if neighbour is not None:
+            begin = "neighbour"
+            given |= {"lam_x0": neighbour.lam_y, "lam_g0": neighbour.lam_g}
         if not options.exact:
             point = self._attempt(given, begin, False, options.enough)
             if options.near and options.enough and point.status == "Maximum_Iterations_Exceeded":

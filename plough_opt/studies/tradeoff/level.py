@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any, Final
+from typing import Final
 
-import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from plough_opt.design.ipopt import OPTIONS, Point, Solver, Vector
+from plough_opt.design.ipopt import Point, SolveOptions, Solver, Vector
 from plough_opt.design.nlp import Nlp
 from plough_opt.design.optimality import (
     PULLS,
@@ -21,17 +20,6 @@ from plough_opt.design.optimality import (
 )
 from plough_opt.design.quadratic import made_convex, optimum_step
 
-_WARM: Final[dict[str, Any]] = {
-    "ipopt.warm_start_init_point": "yes",
-    "ipopt.warm_start_bound_push": 1e-9,
-    "ipopt.warm_start_bound_frac": 1e-9,
-    "ipopt.warm_start_slack_bound_push": 1e-9,
-    "ipopt.warm_start_slack_bound_frac": 1e-9,
-    "ipopt.warm_start_mult_bound_push": 1e-9,
-    "ipopt.mu_init": 1e-6,
-    "ipopt.hessian_approximation": "limited-memory",
-    "ipopt.max_iter": 40,
-}
 _STEPS: Final = 15
 # Longest step in a scaled variable: beyond it a neighbour is none.
 _LONGEST: Final = 0.3
@@ -60,7 +48,6 @@ class Level(Solver):
         super().__init__(nlp, low, high)
         self._least, self._largest = low, high  # as NumPy has them; the solver's own are CasADi's
         self.nlp, self._rough = nlp, rough
-        self._warm: ca.Function | None = None
         self._curvature: Vector | None = None
         self._slopes: dict[bytes, tuple[Vector, Vector, Vector, Vector]] = {}
         self._values: dict[bytes, tuple[Vector, Vector]] = {}
@@ -168,12 +155,7 @@ class Level(Solver):
             start: scaled variables.
             p: parameters.
         """
-        if self._warm is None:
-            self._warm = ca.nlpsol("follow", "ipopt", self._problem, OPTIONS | self._derivatives | _WARM)
-        result = self._warm(
-            x0=start, p=p, lbx=0.0, ubx=1.0, lbg=self._low, ubg=self._high, lam_x0=at.lam_y, lam_g0=at.lam_g
-        )
-        return Point.of(result, self._warm.stats())
+        return self.solve(start, p, options=SolveOptions(exact=False), neighbour=at)
 
 
 def _touches(margins: Vector, multipliers: Vector) -> NDArray[np.bool_]:

@@ -39,7 +39,7 @@ lowest:
 lines:
 	$(PYTHON) .ci/lines.py plough_opt tests
 
-# How many small changes of the code the tests notice; takes an hour on four cores.
+# How many small changes of the code the tests notice; some forty minutes on four idle cores.
 mutants: $(READY)
 	$(BIN)/python .ci/mutants.py --count 200
 

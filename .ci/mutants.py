@@ -90,9 +90,13 @@ class Tested:
 
 
 def places(tree: ast.Module) -> list[ast.AST]:
-    """Return the nodes that can be changed, outside annotations and docstrings."""
-    hidden = {id(inner) for node in ast.walk(tree) if isinstance(node, ast.AnnAssign | ast.arg) and node.annotation
-              for inner in ast.walk(node.annotation)}  # fmt: skip
+    """Return the nodes that can be changed, outside annotations and keywords that only guard against slips."""
+    hidden = set()
+    for node in ast.walk(tree):
+        if isinstance(node, ast.AnnAssign | ast.arg) and node.annotation:
+            hidden |= {id(inner) for inner in ast.walk(node.annotation)}
+        elif isinstance(node, ast.keyword) and node.arg in ("strict", "frozen"):
+            hidden.add(id(node.value))
     return [node for node in ast.walk(tree) if id(node) not in hidden and _changeable(node)]
 
 

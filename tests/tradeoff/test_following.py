@@ -77,7 +77,7 @@ def test_fronts_of_several_parameters_share_a_build(monkeypatch):
     real = program_module.build_nlp
     monkeypatch.setattr(program_module, "build_nlp", lambda *a: built.append(1) or real(*a))
     d, goals = shifted()
-    for c in (1.0, 2.0, 3.0):
+    for c in (1.0, 3.0):
         front = po.trade_off(d, *goals, points=9, parameters={"c": c})
         assert np.sqrt(front.objectives).sum(axis=1) == pytest.approx(c, abs=1e-8)
     # The other objective weighs 1e-4 at the ends.
@@ -87,12 +87,12 @@ def test_fronts_of_several_parameters_share_a_build(monkeypatch):
 
 def test_another_question_is_built_anew():
     d, (first, second) = shifted()
-    front = po.trade_off(d, first, second, points=9)
-    assert po.trade_off(d, po.Goal("a", first), po.Goal("b", -second, maximise=True), points=9).objectives[
-        :, 1
-    ] == pytest.approx(-front.objectives[:, 1], abs=1e-9)
+    local = {"points": 9, "search": "local"}
+    front = po.trade_off(d, first, second, **local)
+    other = po.trade_off(d, po.Goal("a", first), po.Goal("b", -second, maximise=True), **local)
+    assert other.objectives[:, 1] == pytest.approx(-front.objectives[:, 1], abs=1e-9)
     d.require("kept", first, at_least=0.25)
-    assert po.trade_off(d, first, second, points=9).objectives[0, 0] == pytest.approx(0.25, rel=1e-8)
+    assert po.trade_off(d, first, second, **local).objectives[0, 0] == pytest.approx(0.25, rel=1e-8)
 
 
 @pytest.mark.parametrize(

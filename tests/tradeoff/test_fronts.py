@@ -229,7 +229,7 @@ def test_positions_without_a_design_are_named():
     x = d.variable("x", guess=0.9, lower=0.0, upper=1.0)
     # The root has no value between 0.4 and 0.6, into which both objectives pull from either side.
     second = 1.0 - x + 1e-3 * ca.sqrt((x - 0.5) ** 2 - 0.01)
-    front = po.trade_off(d, x, second, points=21)
+    front = po.trade_off(d, x, second, points=11)
     assert any("no finite number" in failure.reason for failure in front.failures)
     (hole,) = front.holes
     assert not hole.settled

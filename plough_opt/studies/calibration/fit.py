@@ -260,7 +260,7 @@ class Fit(Keepable):
         from plough_opt.core.picture_files import save
         from plough_opt.studies.calibration.picture import figure_of
 
-        figure = figure_of(self.title, self.rows)
+        figure = figure_of(self.title, self.rows, self.origin)
         if target is not None:
             save(figure, target)
         return figure

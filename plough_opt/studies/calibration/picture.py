@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Final
 
 import numpy as np
@@ -12,28 +12,35 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from scipy import stats
 
+from plough_opt.core.origin import Origin
 from plough_opt.core.picture_files import COLOURS
 from plough_opt.core.quantities import EVERY
-from plough_opt.core.units import Unit
+from plough_opt.core.quantity import Quantity
+from plough_opt.core.units import Display, Unit
 from plough_opt.motion.vocabulary import called
 from plough_opt.studies.calibration.parts import Row
-from plough_opt.studies.calibration.unknown import CUSTOMARY
 
 Vector = NDArray[np.float64]
 
 _MUTED: Final = "#8A8A8A"
 
 
-def figure_of(title: str, rows: Sequence[Row]) -> Figure:
-    """Return four panels: measured against predicted, residuals against both, and their quantiles."""
+def figure_of(title: str, rows: Sequence[Row], origin: Origin) -> Figure:
+    """Return four panels: measured against predicted, residuals against both, and their quantiles.
+
+    Args:
+        title: of the picture.
+        rows: the data beside the fit.
+        origin: of the fit, which has the units that its question is written in.
+    """
     counted = [row for row in rows if math.isfinite(row.sigma) and row.sigma > 0.0]
-    kinds = list(dict.fromkeys((row.result, row.unit) for row in counted))
+    kinds = {row.result: _display(row, counted, origin) for row in counted}
     figure = Figure(figsize=(11, 8.4), layout="constrained")
     axes = figure.subplots(2, 2)
     _draw_fit(axes[0, 0], counted, kinds)
-    _draw_residuals(axes[0, 1], counted, kinds, [row.predicted / _scale(row, counted) for row in counted],
+    _draw_residuals(axes[0, 1], counted, kinds, [row.predicted / kinds[row.result].factor for row in counted],
                     _predicted_label(kinds))  # fmt: skip
-    shown, values, label = _varied(counted)
+    shown, values, label = _varied(counted, origin)
     _draw_residuals(axes[1, 0], shown, kinds, values, label)
     _draw_quantiles(axes[1, 1], counted)
     if title:
@@ -41,12 +48,12 @@ def figure_of(title: str, rows: Sequence[Row]) -> Figure:
     return figure
 
 
-def _draw_fit(axes: Axes, rows: Sequence[Row], kinds: Sequence[tuple[str, str]]) -> None:
+def _draw_fit(axes: Axes, rows: Sequence[Row], kinds: Mapping[str, Display]) -> None:
     """Draw measured over predicted values with their errors; several results each over its largest value."""
     low, high = math.inf, -math.inf
-    for number, (result, _) in enumerate(kinds):
+    for number, (result, display) in enumerate(kinds.items()):
         own = [row for row in rows if row.result == result]
-        scale = np.array([_scale(row, rows) for row in own])
+        scale = display.factor
         predicted, observed = (
             np.array([getattr(row, key) for row in own]) / scale for key in ("predicted", "observed")
         )
@@ -65,10 +72,9 @@ def _draw_fit(axes: Axes, rows: Sequence[Row], kinds: Sequence[tuple[str, str]])
     axes.legend(fontsize="small")
 
 
-def _draw_residuals(axes: Axes, rows: Sequence[Row], kinds: Sequence[tuple[str, str]], places: Sequence[float],
+def _draw_residuals(axes: Axes, rows: Sequence[Row], kinds: Mapping[str, Display], places: Sequence[float],
                     label: str) -> None:  # fmt: skip
-    names = [result for result, _ in kinds]
-    for number, result in enumerate(names):
+    for number, result in enumerate(kinds):
         own = [k for k, row in enumerate(rows) if row.result == result]
         axes.plot([places[k] for k in own], [_standardised(rows[k]) for k in own], "o", markersize=4,
                   color=COLOURS[number % len(COLOURS)], label=called(result))  # fmt: skip
@@ -95,19 +101,18 @@ def _standardised(row: Row) -> float:
     return row.residual / row.sigma
 
 
-def _scale(like: Row, rows: Sequence[Row]) -> float:
-    """Return the scale of a result: its customary unit, or if there are several results its largest value."""
-    if len({row.result for row in rows}) == 1:
-        return CUSTOMARY.get(like.unit, ("", 1.0))[1]
-    return max(abs(row.predicted) for row in rows if row.result == like.result)
+def _display(like: Row, rows: Sequence[Row], origin: Origin) -> Display:
+    """Return the unit of a result; of several results that stand beside each other the largest value of each."""
+    own = [abs(row.predicted) for row in rows if row.result == like.result]
+    several = len({row.result for row in rows}) > 1
+    return Display("", max(own)) if several else origin.display(like.result, like.unit, *own)
 
 
-def _predicted_label(kinds: Sequence[tuple[str, str]]) -> str:
+def _predicted_label(kinds: Mapping[str, Display]) -> str:
     if len(kinds) > 1:
         return "predicted, over the largest of its kind"
-    result, unit = kinds[0]
-    symbol = CUSTOMARY.get(unit, (unit, 1.0))[0]
-    return f"predicted {called(result)} [{symbol}]" if symbol else f"predicted {called(result)}"
+    ((result, display),) = kinds.items()
+    return f"predicted {display.heading(called(result))}"
 
 
 def _coordinates(row: Row) -> dict[str, float]:
@@ -115,7 +120,7 @@ def _coordinates(row: Row) -> dict[str, float]:
     return own if row.time is None else {"time": row.time, **own}
 
 
-def _varied(rows: Sequence[Row]) -> tuple[Sequence[Row], list[float], str]:
+def _varied(rows: Sequence[Row], origin: Origin) -> tuple[Sequence[Row], list[float], str]:
     """Return rows and the coordinate of their residuals: time, the speed if it varies, or the most varied condition."""
     counts: dict[str, set[float]] = {}
     for row in rows:
@@ -125,13 +130,12 @@ def _varied(rows: Sequence[Row]) -> tuple[Sequence[Row], list[float], str]:
     name = preferred[0] if preferred else max(counts, key=lambda key: len(counts[key]), default="")
     if not name:
         return rows, [float(k) for k in range(1, len(rows) + 1)], "number of the row"
-    unit, scale = ("s", 1.0) if name == "time" else _unit(name)
+    display = Display("s", 1.0) if name == "time" else origin.displays.get(name) or _usual(EVERY[name])
     shown = [row for row in rows if name in _coordinates(row)]
-    values = [_coordinates(row)[name] / scale for row in shown]
-    return shown, values, f"{called(name)} [{unit}]" if unit else called(name)
+    return shown, [_coordinates(row)[name] / display.factor for row in shown], display.heading(called(name))
 
 
-def _unit(name: str) -> tuple[str, float]:
-    quantity = EVERY[name]
-    shown = quantity.shown or quantity.unit
-    return shown, Unit(quantity.unit).split(f"1 {shown}")[1]
+def _usual(quantity: Quantity) -> Display:
+    """Return the unit in which a quantity is usually given."""
+    symbol = quantity.shown or quantity.unit
+    return Display(symbol, Unit(quantity.unit).split(f"1 {symbol}")[1])

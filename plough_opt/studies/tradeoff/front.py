@@ -11,6 +11,7 @@ from plough_opt.core.errors import InputError
 from plough_opt.core.kinds import NOT_NUMBERS, shown
 from plough_opt.core.origin import Origin, versions
 from plough_opt.core.units import Display
+from plough_opt.motion.vocabulary import called
 from plough_opt.studies.tradeoff import plane, space
 from plough_opt.studies.tradeoff.certificate import FrontPoint
 from plough_opt.studies.tradeoff.goal import Axis
@@ -169,14 +170,14 @@ class Front:
         self._check(number, of, by)
         gains, gives = self.goals[by], self.goals[of]
         at, cost = self.points[number].objectives, self.cost(number, of, by)
-        values = [f"{goal.name} {cell}" for goal, cell in zip(self.goals, self.cells(at), strict=True)]
+        values = [f"{called(goal.name)} {cell}" for goal, cell in zip(self.goals, self.cells(at), strict=True)]
         place = f"at {', '.join(values[:-1])} and {values[-1]}"
         if cost is None and len(self.points) > 1 and self._change(by) < _ONE_PER_CENT:
-            return f"{place}: the whole front changes {gains.name} by {100.0 * self._change(by):.2g} % only"
+            return f"{place}: the whole front changes {called(gains.name)} by {100.0 * self._change(by):.2g} % only"
         if cost is None:
             return f"{place}: no finite rate"
         more, costs = ("more" if gains.maximise else "less"), ("less" if gives.maximise else "more")
-        return f"{place}: 1 % {more} {gains.name} costs {cost:.3g} % {costs} {gives.name}"
+        return f"{place}: 1 % {more} {called(gains.name)} costs {cost:.3g} % {costs} {called(gives.name)}"
 
     def _check(self, number: int, of: int, by: int) -> None:
         """Refuse numbers that are none of a point, or of two objectives."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from plough_opt.core.tables import Column, Grid, Page
+from plough_opt.motion.vocabulary import called
 from plough_opt.studies.tradeoff.front import Front
 
 
@@ -21,7 +22,7 @@ def front_page(front: Front) -> Page:
         costs = "; ".join(front.in_words(number, of, by).partition(": ")[2] for of, by in _pairs(front))
         parts.append(f"Knee (bold), at {_place(front, front.knee.objectives)}: {costs}.")
     if everywhere:
-        parts.append(f"Limits that decide every design: {', '.join(everywhere)}.")
+        parts.append(f"Limits that decide every design: {', '.join(map(called, everywhere))}.")
     parts += [front.search] if front.search else []
     parts += [f"No certified design near {'; '.join(places)}: {reason}." for reason, places in _failures(front).items()]
     gap = max(point.gap for point in front.points)
@@ -31,7 +32,7 @@ def front_page(front: Front) -> Page:
         f" conditions met to {residual:.0e}, re-integrated tightly: gap {gap:.0e}; {front.seconds:.1f} s,"
         f" {front.building:.1f} s of them for building"
     )
-    names = ", ".join(goal.name for goal in front.goals)
+    names = ", ".join(called(goal.name) for goal in front.goals)
     return Page(f"Front of {len(front.points)} designs: {names}", tuple(parts), front.notes, footer, front.title)
 
 
@@ -43,12 +44,12 @@ def _table(front: Front, everywhere: Sequence[str]) -> Grid:
         everywhere: limits that decide every design, which no row repeats.
     """
     pairs = _pairs(front)
-    what = [f"of {front.goals[of].name} for 1 % {_more(front, by)}" for of, by in pairs]
+    what = [f"of {called(front.goals[of].name)} for 1 % {_more(front, by)}" for of, by in pairs]
     heads = ["1 % costs"] if len(pairs) == 1 else [f"cost ({letter})" for letter in "abc"]
     lines = [f"{head}: {text}" for head, text in zip(heads, what, strict=True)]
     limits = list(dict.fromkeys(name for point in front.points for name in point.active if name not in everywhere))
     if limits:
-        lines.append("limits: " + ", ".join(f"{k} {name}" for k, name in enumerate(limits, start=1)))
+        lines.append("limits: " + ", ".join(f"{k} {called(name)}" for k, name in enumerate(limits, start=1)))
     unconfirmed = not all(point.confirmed for point in front.points)
     branches = any(point.branch for point in front.points)
     axes = [*zip((*front.goals, *front.variables), (*front.objectives.T, *front.designs.T), strict=True)]
@@ -56,7 +57,7 @@ def _table(front: Front, everywhere: Sequence[str]) -> Grid:
     # What a surface has is just as wide as 120 characters with headings of one word in a line.
     between = " " if len(pairs) == 1 else "\n"
     headings = [
-        *(display.heading(_words(axis.name)) for (axis, _), display in zip(axes, displays, strict=True)),
+        *(display.heading(called(axis.name)) for (axis, _), display in zip(axes, displays, strict=True)),
         *(f"{head} [%]" for head in heads),
     ]
     columns = [Column(heading.replace(" ", between), fold=True) for heading in headings]
@@ -77,11 +78,6 @@ def _table(front: Front, everywhere: Sequence[str]) -> Grid:
     return table
 
 
-def _words(name: str) -> str:
-    """Return a name without its table, in words."""
-    return name.rpartition(".")[2].replace("_", " ")
-
-
 def _failures(front: Front) -> dict[str, list[str]]:
     """Return why the optimiser failed, in words, and near which places."""
     found: dict[str, list[str]] = {}
@@ -100,7 +96,7 @@ def _pairs(front: Front) -> list[tuple[int, int]]:
 
 def _more(front: Front, number: int) -> str:
     goal = front.goals[number]
-    return f"{'more' if goal.maximise else 'less'} {goal.name}"
+    return f"{'more' if goal.maximise else 'less'} {called(goal.name)}"
 
 
 def _place(front: Front, values: Sequence[float]) -> str:

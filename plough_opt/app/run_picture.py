@@ -36,7 +36,7 @@ def plot_run(run: Run, limits: Sequence[Limit] = ()) -> Figure:
 
     Args:
         run: numeric.
-        limits: requirements, of which those on what is drawn are shown.
+        limits: requirements beside those of the run's question; those on what is drawn are shown.
 
     Raises:
         InputError: no run.
@@ -73,7 +73,7 @@ def draw_force(axes: Axes, run: Run, limits: Sequence[Limit] = ()) -> None:
     axes.plot(run.time, run.mount_force / unit.factor, color=OWN, linewidth=1.4, label="mount force")
     _draw_mean(axes, "mean draft", run.mean_draft, run.force_rms, unit)
     _shade_modes(axes, run)
-    _finish(axes, run, "force", unit, _of(limits, "mount_force", "mean_draft"))
+    _finish(axes, run, "force", unit, limits_of(run, limits, "mount_force", "mean_draft"))
 
 
 def draw_deflection(axes: Axes, run: Run, limits: Sequence[Limit] = ()) -> None:
@@ -81,7 +81,7 @@ def draw_deflection(axes: Axes, run: Run, limits: Sequence[Limit] = ()) -> None:
     unit = run.origin.common("m", {"deflection": run.peak_deflection, "mean_deflection": run.mean_deflection})
     axes.plot(run.time, run.deflection / unit.factor, color=OWN, linewidth=1.2, label="deflection")
     _draw_mean(axes, "mean", run.mean_deflection, run.displacement_rms, unit)
-    _finish(axes, run, "deflection", unit, _of(limits, "deflection", "mean_deflection"))
+    _finish(axes, run, "deflection", unit, limits_of(run, limits, "deflection", "mean_deflection"))
 
 
 def draw_speed(axes: Axes, run: Run, limits: Sequence[Limit] = ()) -> None:
@@ -89,7 +89,7 @@ def draw_speed(axes: Axes, run: Run, limits: Sequence[Limit] = ()) -> None:
     unit = run.origin.display("scene.tow_speed", "m/s")
     axes.plot(run.time, _strut_speed(run) / unit.factor, color=STRUT, linewidth=1.0, linestyle="--", label="strut")
     axes.plot(run.time, run.speed / unit.factor, color=OWN, linewidth=1.2, label="share")
-    _finish(axes, run, "speed", unit, _of(limits, "speed"))
+    _finish(axes, run, "speed", unit, limits_of(run, limits, "speed"))
 
 
 def _strut_speed(run: Run) -> NDArray[np.float64]:
@@ -121,11 +121,11 @@ def _finish(axes: Axes, run: Run, name: str, unit: Display, limits: Iterable[tup
     axes.legend(loc="upper right", ncols=5, fontsize="x-small")
 
 
-def _of(limits: Sequence[Limit], *names: str) -> list[tuple[str, float]]:
-    """Return the limits of some results, each with its name in words."""
-    found = ((called(limit.name), end) for limit in limits for end in (limit.low, limit.high)
-             if limit.kind == "requirement" and limit.name in names)  # fmt: skip
-    return [(words, end) for words, end in found if end is not None]
+def limits_of(run: Run, limits: Sequence[Limit], *names: str) -> list[tuple[str, float]]:
+    """Return the limits of some results, by the question or as they are given, each with its name in words."""
+    given = {limit.name: (limit.low, limit.high) for limit in limits if limit.kind == "requirement"}
+    every = {**run.origin.limits, **given}
+    return [(called(name), end) for name in names for end in every.get(name, ()) if end is not None]
 
 
 def _changes(values: NDArray[np.float64]) -> bool:

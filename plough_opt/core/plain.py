@@ -209,9 +209,9 @@ def _entry(hint: Any, number: int) -> Any:
 
 
 def annotations_of(kind: type[Any]) -> dict[str, Any]:
-    """Return the annotations of a class's fields, none of a class in a function whose names are gone."""
+    """Return the annotations of a dataclass, none of one in a function whose names are gone, or of another class."""
     try:
-        return get_type_hints(kind if is_dataclass(kind) else inspect.getattr_static(kind, "__init__"))
+        return get_type_hints(kind) if is_dataclass(kind) else {}
     except NameError:
         return {}
 

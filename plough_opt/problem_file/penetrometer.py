@@ -148,6 +148,7 @@ def average_readings(source: Source, folder: Path) -> str:
         between, _ = read_axis(depth, Unit("m"), sampled=True)
         assert isinstance(between, Range)  # a sample's axis is one
         found = read_penetrometer(folder / written, (between.lower, between.upper))
+        source.read_files[written] = (folder / written).read_text(encoding="utf-8")
         soil["cone_index"] = f"{found.mean / 1e6!r} MPa"
         _spread_in(source.data.get("uncertain"), found)
         return f"{found.mean / 1e6:.4g} MPa, mean of {len(found.insertions)} insertions over {depth} in {written}"

@@ -67,6 +67,7 @@ class Problem:
         readings: which penetrometer readings decide the soil, in words.
         spectrum: of the record that random strength is read from, if it is.
         text: the whole file.
+        data: name of a file that it reads, as it is written there -> the whole file.
         overrides: the changes that were made to it, in order.
         shares: name of a share -> the file as it is for this share alone; empty for one share without a name. Of
             several shares, ``fixed``, ``variables`` and the table ``require`` hold what is common under its own key,
@@ -83,6 +84,7 @@ class Problem:
     readings: str = ""
     spectrum: Spectrum | None = None
     text: str = field(default="", repr=False)
+    data: Mapping[str, str] = field(default_factory=dict, repr=False)
     overrides: tuple[str, ...] = ()
     shares: Mapping[str, Problem] = field(default_factory=dict)
 
@@ -118,7 +120,15 @@ class Problem:
         Args:
             seed: of the samples that are drawn.
         """
-        return Origin.now(self.title, self.displays, (Path(self.name).name, self.text, self.overrides), seed=seed)
+        limits = {name: self._ends(name) for name in self.table.require}
+        return Origin.now(self.title, self.displays, file=Path(self.name).name, text=self.text, seed=seed,
+                          overrides=self.overrides, data=self.data, limits=limits)  # fmt: skip
+
+    def _ends(self, name: str) -> tuple[float | None, float | None]:
+        """Return the limits of a required result, SI."""
+        unit, limit = measures_of(self.table)[self._split(name)[1]].unit, self.table.require[name]
+        low, high = (None if side is None else unit.parse(side) for side in (limit.at_least, limit.at_most))
+        return low, high
 
     @property
     def accuracy(self) -> Accuracy:
@@ -269,10 +279,9 @@ class Problem:
         runs = {name: part._symbolic(*(self._of_share(name, own) for own in (symbols, chosen)))
                 for name, part in self.parts.items()}  # fmt: skip
         known = measures_of(self.table)
-        for name, limit in self.table.require.items():
+        for name in self.table.require:
             share, result = self._split(name)
-            measure = known[result]
-            low, high = (None if side is None else measure.unit.parse(side) for side in (limit.at_least, limit.at_most))
+            measure, (low, high) = known[result], self._ends(name)
             value = _sum(measure, [runs[share]] if share in runs else [*runs.values()])
             design.require(name, value, at_least=low, at_most=high, unit=measure.unit.symbol,
                            display=self.displays.get(name))  # fmt: skip

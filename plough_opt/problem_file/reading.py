@@ -89,7 +89,7 @@ def _read(source: Source, folder: Path, notes: tuple[str, ...], overrides: tuple
     source.raise_noted()
     problem = dataclasses.replace(
         _checked(source, table, notes), over=over, readings=readings, spectrum=spectrum, text=source.text,
-        overrides=overrides,
+        data=source.read_files, overrides=overrides,
     )  # fmt: skip
     source.raise_noted()
     _check_values(source, problem)

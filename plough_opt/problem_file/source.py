@@ -52,6 +52,7 @@ class Source:
         self.overridden: dict[Keys, str] = {}
         self.begun: dict[Keys, str] = {}  # tables that an override had to make
         self.share: Keys = ()  # where the table of the share stands that was chosen from several
+        self.read_files: dict[str, str] = {}  # files of data that were read, as they are written -> their texts
         self._noted: list[InputError] = []
         self._unlisted = 0  # mistakes that are counted only
         for number, line in enumerate(self.text.split("\n"), start=1):

@@ -67,6 +67,7 @@ def spectrum_of_file(source: Source, folder: Path) -> Spectrum | None:
         return None
     with source.noting((*place, "record")):
         record = read_strength_record(folder / entry["record"])
+        source.read_files[entry["record"]] = (folder / entry["record"]).read_text(encoding="utf-8")
         with source.noting((*place, "base_diameter"), prefix="'base_diameter' "):
             diameter = Unit("m").parse(entry.get("base_diameter", "0 m"))
             return strength_spectrum(record, base_diameter=diameter)

@@ -8,14 +8,13 @@ from typing import Any, Final
 import numpy as np
 
 from plough_opt.app.page.content import Report, nice
-from plough_opt.app.run_picture import changing
+from plough_opt.app.run_picture import changing, limits_of
 from plough_opt.core.picture_files import COLOURS
 from plough_opt.core.units import Display
 from plough_opt.design.landscape import FEASIBLE
 from plough_opt.motion import Run
 from plough_opt.motion.terms import Structure, parameters, start_speed, strut
 from plough_opt.motion.vocabulary import called
-from plough_opt.problem_file.own_measures import measures_of
 from plough_opt.soil.geometry import Wedge
 from plough_opt.soil.solid import Solid
 from plough_opt.studies.accuracy.contest import Entry
@@ -94,15 +93,7 @@ def _chart(
 
 def _limits(report: Report, *names: str) -> list[tuple[str, float, str, str]]:
     """Return the limits that the file sets to some results, as lines."""
-    found = []
-    for name in names:
-        own = report.problem.table.require.get(name)
-        for side in (own.at_least, own.at_most) if own else ():
-            if side is not None:
-                found.append(
-                    (f"limit of {called(name)}", measures_of(report.problem.table)[name].unit.parse(side), _RED, "")
-                )
-    return found
+    return [(f"limit of {words}", end, _RED, "") for words, end in limits_of(report.run, (), *names)]
 
 
 def search(report: Report) -> list[dict[str, Any]]:

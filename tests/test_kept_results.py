@@ -1,18 +1,24 @@
 """Saved results: what made them, shown again as they were printed, side by side, strictly valid JSON."""
 
 import contextlib
+import dataclasses
+import functools
 import hashlib
 import io
 import json
 import math
 import platform
 import shutil
+import subprocess
 from pathlib import Path
 
+import casadi as ca
+import numpy as np
 import pytest
 
 import plough_opt as po
 from plough_opt.app.main import main
+from plough_opt.problem_file.robust_design import optimise_robust
 
 ROOT = Path(__file__).parents[1]
 QUICK = ("--set", "effects.motion=false", "--set", "scene.outputs=10")
@@ -213,3 +219,148 @@ def test_a_front_and_its_units_are_read_back(printed, tmp_path):
     shown = printed("show", output)
     assert text.splitlines()[:12] == shown.splitlines()[:12]
     assert po.load(output).origin.overrides == ("effects.motion=false", "scene.outputs=10")
+
+
+def test_the_problem_is_kept_whole_with_its_data_and_can_be_computed_again(printed, tmp_path, monkeypatch, capsys):
+    kept, empty = tmp_path / "run.json", tmp_path / "empty"
+    empty.mkdir()
+    kept.write_text(printed("simulate", ROOT / "problems" / "field.toml", "--json"), encoding="utf-8")
+    monkeypatch.chdir(empty)
+    shown = printed("show", kept, "--problem")
+    for name in ("field.toml", "insertions.csv", "transect.csv"):
+        assert (ROOT / "problems" / name).read_text(encoding="utf-8").rstrip() in shown
+    printed("show", kept, "--restore", "again")
+    found = po.load(kept)
+    again = po.read_problem(empty / "again" / "field.toml", found.origin.overrides).simulate()
+    assert again.mean_draft == found.mean_draft
+    assert main(["show", str(kept), "--restore", "again"]) == 2  # nothing is overwritten
+    assert "again" in capsys.readouterr().err
+
+
+def test_a_run_of_a_file_is_drawn_with_the_files_limits(printed, tmp_path):
+    kept = tmp_path / "run.json"
+    kept.write_text(printed("simulate", ROOT / "problems" / "cotton_subsoiler.toml", "--json"), encoding="utf-8")
+    for made in (po.load(kept), po.read_problem(ROOT / "problems" / "cotton_subsoiler.toml").simulate()):
+        (axes,) = [axes for axes in made.plot().axes if axes.get_ylabel().startswith("deflection")]
+        limit = [line for line in axes.lines if line.get_label().startswith("limit of the deflection")]
+        assert [line.get_ydata()[0] for line in limit] == [0.12]  # in metres, as the file has it
+
+
+def test_functions_and_effects_that_are_not_there_are_named_and_not_run(tmp_path):
+    scene = dataclasses.replace(SCENE, effects=po.Effects(own=(Drag(30.0),)))
+    path = po.simulate(scene, 0.1).save(tmp_path / "own.json")
+    assert po.load(path).scene == scene  # this module is there
+    text = path.read_text(encoding="utf-8").replace("test_kept_results:Drag", "elsewhere:Drag")
+    path.write_text(text, encoding="utf-8")
+    found = po.load(path)
+    assert "mean draft" in str(found)
+    (effect,) = found.scene.effects.own
+    assert effect.newtons == 30.0
+    with pytest.raises(po.InputError, match="'elsewhere:Drag', which is not defined here"):
+        effect.force(0.0, 1.0)
+    # Nor is a class taken that is no effect, or that belongs to Python.
+    for name in ("subprocess:Popen", "plough_opt.soil.geometry:Cone"):
+        path.write_text(text.replace("elsewhere:Drag", name), encoding="utf-8")
+        if name.startswith("plough"):
+            with pytest.raises(po.InputError, match="own"):
+                po.load(path)
+        else:
+            assert type(po.load(path).scene.effects.own[0]).__name__ == "Popen"  # a stand-in of that name
+            assert not isinstance(po.load(path).scene.effects.own[0], subprocess.Popen)
+
+
+@dataclasses.dataclass(frozen=True)
+class Drag:
+    newtons: float
+
+    def force(self, travel, speed):
+        return self.newtons + 0.0 * travel * speed
+
+
+SCENE = po.Scene(
+    po.named_soil("serozem"), po.Cone(po.deg(10), 0.25), 5e4, 20.0, 2.0,
+    po.Effects(damping=400.0, strength_wave=po.StrengthWave(0.3, 0.2)),
+)  # fmt: skip
+STILL = dataclasses.replace(SCENE, effects=po.Effects(motion=False))
+
+
+@functools.cache
+def run():
+    return po.simulate(SCENE, 0.2, outputs=20)
+
+
+def design():
+    d = po.Design()
+    height = d.variable("height", guess="250 mm", lower="100 mm", upper="500 mm")
+    d.require("half height", height / 2.0, at_least="60 mm")
+    return d, height
+
+
+@functools.cache
+def optimum():
+    d, height = design()
+    d.minimise(height**2)
+    best = d.solve(search=200)
+    return dataclasses.replace(best, run=run(), sensitivities=best.every_sensitivity())
+
+
+def batch():
+    mass = ca.MX.sym("mass")
+    return po.Batch(dataclasses.replace(SCENE, mass=mass), 0.2, [mass])(np.array([[20.0], [30.0], [-1.0]]))
+
+
+def fit():
+    measured = po.Measurements("mean_draft", [7e3, 8e3, 9e3], {"scene.tow_speed": [1.0, 1.5, 2.0]}, sigma=100.0)
+    return po.calibrate(STILL, measured, {"soil.cohesion": (1e3, 8e4)})
+
+
+def front():
+    d, height = design()
+    goals = po.Goal("draft", 5000.0 * (0.1 + height**2), "N"), po.Goal("radius", 0.1 + height, "m", maximise=True)
+    return po.trade_off(d, *goals, points=5)
+
+
+def robust():
+    path = ROOT / "problems" / "uncertain_field.toml"
+    return optimise_robust(po.read_problem(path, ["uncertain.samples=8", "uncertain.fresh=100"]), lambda *_: None)
+
+
+EVERY = {
+    "Run": run,
+    "Machine": lambda: po.Machine({"front": run(), "rear": run()}),
+    "Optimum": optimum,
+    "LocalOptimum": lambda: optimum().local_optima[0],
+    "Rounded": lambda: optimum().rounded(height=0.05),
+    "BatchResult": batch,
+    "Fit": fit,
+    "TradeOff": front,
+    "AccuracyStudy": lambda: po.study_accuracy(STILL, 0.1, thin=True, allowance=0.01),
+    "RobustOptimum": robust,
+}
+
+
+@pytest.mark.parametrize("name", EVERY)
+def test_what_is_loaded_is_what_was_saved(name, tmp_path):
+    """The same class, words, tables, pictures and frames, and the same file if it is saved once more."""
+    made = EVERY[name]()
+    assert type(made).__name__ == name
+    path = made.save(tmp_path / "deep" / "result.json")
+    strict(path.read_text(encoding="utf-8"))
+    found = po.load(path)
+    assert type(found) is type(made)
+    assert type(found).load(path).to_json() == found.to_json()
+    assert (str(found), repr(found)) == (str(made), repr(made))
+    assert found.save(tmp_path / "again.json").read_bytes() == path.read_bytes()
+    assert found._repr_html_().partition("<img")[0] == made._repr_html_().partition("<img")[0]
+    assert drawn(found.plot()) == drawn(made.plot())
+    again, frame = found.to_dataframe(), made.to_dataframe()
+    assert again.equals(frame)
+    assert again.attrs == frame.attrs
+
+
+def drawn(figure):
+    """Return what stands on a picture: titles, axes, and the ends of their scales."""
+    return [
+        (axes.get_title(), axes.get_xlabel(), axes.get_ylabel(), axes.get_xlim(), axes.get_ylim())
+        for axes in figure.axes
+    ]

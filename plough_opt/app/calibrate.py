@@ -81,7 +81,9 @@ def calibrate(options: argparse.Namespace) -> None:
     data += [_known(text, [m.sigma is not None for m in data]) for text in options.known]
     with progress() as told:
         told("calibrating", 0.0)
-        fit = replace(run(problem, data, unknown, loss=options.loss), origin=problem.origin)
+        fit = run(problem, data, unknown, loss=options.loss)
+        measured = {Path(path).name: Path(path).read_text(encoding="utf-8-sig") for path in options.data}
+        fit = replace(fit, origin=replace(fit.origin, data={**fit.origin.data, **measured}))
         told("intervals", 0.5)
         fit.intervals(options.level)
         told("what to measure next", 0.8)

@@ -8,8 +8,10 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from plough_opt.app.terminal import check_outputs, console, give
+from plough_opt.app.messages import printable
+from plough_opt.app.terminal import check_outputs, console, give, wrote
 from plough_opt.core.errors import InputError
+from plough_opt.core.origin import Origin
 from plough_opt.core.quantities import EVERY
 from plough_opt.core.tables import Grid, Page
 from plough_opt.core.units import Display
@@ -36,6 +38,8 @@ def add_show(verb: argparse.ArgumentParser) -> None:
     """Add the options of `show`."""
     verb.add_argument("file", metavar="FILE", help="a saved result (JSON), or the store of a sweep")
     verb.add_argument("--json", action="store_true", help="print the result as JSON (SI units)")
+    verb.add_argument("--problem", action="store_true", help="print the whole problem in its place, with its data")
+    verb.add_argument("--restore", metavar="FOLDER", help="write the problem and its data, to compute it again")
     verb.set_defaults(run=show)
 
 
@@ -51,14 +55,21 @@ def show(options: argparse.Namespace) -> None:
     """Print a saved result again, and what made it."""
     path = Path(options.file)
     if is_store(path):
+        if options.problem or options.restore:
+            raise InputError("the store of a sweep holds its question, not its problem file: --json prints it")
         with Sweep.load(path) as swept:
             give(options, swept.page(), swept.to_json)
         return
     found = load(path)
-    give(options, found.shown_page(), lambda: path.read_text(encoding="utf-8").rstrip())
-    if not options.json:
-        for line in found.origin.lines(found.made_by) if hasattr(found, "origin") else ():
+    origin: Origin = getattr(found, "origin", Origin())
+    if options.problem:
+        print("\n".join(map(printable, origin.problem().splitlines())))
+    else:
+        give(options, found.shown_page(), lambda: path.read_text(encoding="utf-8").rstrip())
+        for line in () if options.json else origin.lines(found.made_by):
             console().print(line, markup=False, soft_wrap=True)
+    if options.restore is not None:
+        wrote(origin.restore(options.restore))
 
 
 def compare(options: argparse.Namespace) -> None:

@@ -9,6 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from plough_opt.app.run_picture import limits_of
 from plough_opt.core.origin import Origin
 from plough_opt.core.picture_files import COLOURS
 from plough_opt.design import Limit, LocalOptimum
@@ -78,6 +79,8 @@ def draw_side_by_side(axes: Axes, runs: Mapping[str, Run], name: str, origin: Or
     unit = origin.common(SIDE_BY_SIDE[name], {name: size})
     for (label, run), colour in zip(runs.items(), itertools.cycle(COLOURS), strict=False):
         axes.plot(run.time, getattr(run, name) / unit.factor, color=colour, linewidth=1.2, label=label)
+        for _, end in limits_of(run, (), name):
+            axes.axhline(end / unit.factor, color=colour, linewidth=1.6, linestyle=":", label=f"limit of {label}")
     axes.set(xlabel="time [s]", ylabel=unit.heading(called(name)))
     axes.legend(fontsize="small")
 

@@ -142,7 +142,8 @@ def _object(hint: type, data: Any, place: str) -> Any:
                 given[key] = from_plain(own, data[key], _inside(place, key), ends)
         else:
             _expect(default is not MISSING, _inside(place, key), "Field required")
-    given |= {one.name: None for one in fields(kind) if one.name in unkept_of(kind) and _default(one) is MISSING}
+    given |= {one.name: None for one in (fields(kind) if unkept_of(kind) else ())
+              if one.name in unkept_of(kind) and _default(one) is MISSING}  # fmt: skip
     found = kind(**given)
     _expect(isinstance(found, hint), place, f"is no {hint.__name__}")
     return found

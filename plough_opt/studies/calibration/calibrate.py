@@ -107,4 +107,5 @@ def calibrate(
         InputError: an unknown name, invalid bounds, too few rows, or data that do not belong to the scene.
         NotConverged: no start led to an optimum.
     """
-    return Calibration(given, data, unknown, **options).fit()
+    fit = Calibration(given, data, unknown, **options).fit()
+    return replace(fit, origin=getattr(given, "origin", fit.origin))

@@ -124,8 +124,8 @@ def test_two_mistakes_are_both_named(cli, loosening, tmp_path):
     [
         (("--plot", "front.bmp"), "no known picture format"),
         (("--points", "3"), "must be a whole number from 5 to 1000"),
-        (("--csv", "/"), "the table '/' is a folder"),
-        (("--output", "/"), "the output '/' is a folder"),
+        (("--csv", "/"), "--csv '/' is a folder"),
+        (("--output", "/"), "--output '/' is a folder"),
     ],
 )
 def test_wrong_options(cli, loosening, options, expected):

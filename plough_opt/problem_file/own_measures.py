@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import ast
 import operator
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any, Final
@@ -197,3 +197,9 @@ def check_own(source: Source, table: ProblemTable) -> bool:
             own_measure(own.value, own.unit)
             sound += 1
     return sound == len(table.measures)
+
+
+def total_of(measure: Measure, runs: Sequence[Run]) -> Expression:
+    """Return a result of one run, or the sum over several."""
+    first, *rest = map(measure.of, runs)
+    return sum(rest, first)

@@ -21,12 +21,11 @@ from plough_opt.motion import Run, simulate
 from plough_opt.motion.accuracy import Accuracy
 from plough_opt.motion.machine import Machine
 from plough_opt.motion.scene import Scene
-from plough_opt.motion.vocabulary import Measure
 from plough_opt.problem_file.effects import effects_of
 from plough_opt.problem_file.front import EXAMPLE, front_of
 from plough_opt.problem_file.interface import input_ports, wanted_outputs
 from plough_opt.problem_file.named import medium_of
-from plough_opt.problem_file.own_measures import measures_of
+from plough_opt.problem_file.own_measures import measures_of, total_of
 from plough_opt.problem_file.schema import ProblemTable
 from plough_opt.problem_file.shares import by_share
 from plough_opt.soil.geometry import Wedge
@@ -246,7 +245,7 @@ class Problem:
         objective: Expression = 0.0
         measures = measures_of(self.table)
         for name, term in self.table.minimise.items():
-            objective = objective + _sum(measures[name], runs) / measures[name].unit.parse(term.per)
+            objective = objective + total_of(measures[name], runs) / measures[name].unit.parse(term.per)
         return objective
 
     def _refuse_without_variables(self) -> None:
@@ -282,7 +281,7 @@ class Problem:
         for name in self.table.require:
             share, result = self._split(name)
             measure, (low, high) = known[result], self._ends(name)
-            value = _sum(measure, [runs[share]] if share in runs else [*runs.values()])
+            value = total_of(measure, [runs[share]] if share in runs else [*runs.values()])
             design.require(name, value, at_least=low, at_most=high, unit=measure.unit.symbol,
                            display=self.displays.get(name))  # fmt: skip
         return design, runs
@@ -385,18 +384,12 @@ class Problem:
         design, runs = self._required()
         measures = measures_of(self.table)
         goals = [
-            Goal(name, _sum(measures[name], [*runs.values()]), measures[name].unit.symbol, maximise)
+            Goal(name, total_of(measures[name], [*runs.values()]), measures[name].unit.symbol, maximise)
             for name, maximise in table.maximise.items()
         ]
         count = table.points if points is None else points
         found = trade_off(design, *goals, points=count, title=self.title, progress=progress)
         return replace(found, origin=self.origin)
-
-
-def _sum(measure: Measure, runs: Sequence[Run]) -> Expression:
-    """Return a result of one run, or the sum over several."""
-    first, *rest = map(measure.of, runs)
-    return sum(rest, first)
 
 
 def _domain(key: str) -> tuple[float, float]:

@@ -25,11 +25,11 @@ def test_table_and_files(cli, loosening, tmp_path):
     done = cli("tradeoff", loosening, *BRIEF, "--plot", picture, "--csv", table, "--output", output)
     assert done.status == 0
     assert "Front of 5 designs" in done.out
-    assert "Limits that decide every design: half_angle." in done.out
+    assert "Limits that decide every design: half angle." in done.out
     # One sentence on what holds of every design, whatever its figures.
     assert done.out.count("Note: ") == 1, done.out
     assert "Note: at 5 of 5 designs: ambient pressure (101.3 kPa) carries 73 % of the static draft" in done.out
-    assert "1 % costs: of loosened_radius for 1 % less mean_draft" in done.out
+    assert "1 % costs: of loosened radius for 1 % less mean draft" in done.out
     for path in (picture, table, output):
         assert f"wrote {path}" in done.err.replace("\n", "")
     assert picture.read_text(encoding="utf-8").lstrip().startswith("<?xml")

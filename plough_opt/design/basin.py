@@ -7,7 +7,7 @@ import numpy as np
 from plough_opt.design.derivatives import build_surely
 from plough_opt.design.effort import effort_of
 from plough_opt.design.exploring import Explorer
-from plough_opt.design.infeasible import feasible_from, infeasible, is_feasible
+from plough_opt.design.infeasible import feasible_from, from_least_violation
 from plough_opt.design.ipopt import Point, Vector
 from plough_opt.design.landscape import Landscape, Seen
 from plough_opt.design.polishing import as_it_is, polished
@@ -43,7 +43,7 @@ def near_optimum(landscape: Landscape, start: Vector) -> Point:
         begins, point = as_it_is(program, p, start), program.solve(start, p)
         if point.solved and not (begins.solved and point.f > begins.f):
             return point
-        return polished(program, p, start) if begins.solved else _from_least_violation(program, p, start)
+        return polished(program, p, start) if begins.solved else from_least_violation(program, p, start)
     begin = landscape(start[None])
     if not begin.feasible[0]:
         begin = _nearest_feasible(landscape, begin)
@@ -126,14 +126,3 @@ def _downhill(landscape: Landscape, start: Vector, end: Vector) -> bool:
     merit = landscape(start + parts * (end - start)).merit
     rise = np.max(merit - np.minimum.accumulate(merit))
     return bool(rise <= _BARRIER * abs(merit[0]))
-
-
-def _from_least_violation(program: Program, p: Vector, start: Vector) -> Point:
-    """Return the optimum from the nearest design that meets the requirements."""
-    n = len(start)
-    loose = program.solve_relaxed(start, p)
-    if not is_feasible(loose):
-        raise infeasible(program, loose)
-    y = np.clip(loose.y[:n], 0.0, 1.0)
-    point = program.solve(y, p)
-    return point if point.solved else as_it_is(program, p, y)

@@ -12,6 +12,7 @@ from plough_opt.core.units import in_words
 from plough_opt.design.exploring import Explored
 from plough_opt.design.ipopt import Point, Vector
 from plough_opt.design.landscape import MET, Landscape, Seen
+from plough_opt.design.polishing import as_it_is
 from plough_opt.design.program import Program
 
 # Scaled by each limit: violations below are rounding, multipliers below do not hold anything back.
@@ -101,6 +102,23 @@ def _helps(landscape: Landscape, y: Vector, requirement: int) -> bool:
     end = landscape.least_violation(np.clip(y, 0.0, 1.0), frozenset({requirement})).points
     after = landscape.violations(landscape.rows(end)[1])[0][others].sum()
     return bool(after < (1.0 - _HELPS) * before)
+
+
+def from_least_violation(program: Program, p: Vector, start: Vector, fixed: Sequence[int] = ()) -> Point:
+    """Return the optimum, with some variables held, from the design near a start that meets the requirements.
+
+    Raises:
+        InfeasibleDesign: none was found.
+    """
+    loose, held = program.solve_relaxed(start, p, fixed), list(fixed)
+    if not is_feasible(loose):
+        raise infeasible(program, loose)
+    y = np.clip(loose.y[: len(start)], 0.0, 1.0)
+    if len(held) < len(y):
+        point = program.solve_with_fixed(y, p, held) if held else program.solve(y, p)
+        if point.solved:
+            return point
+    return as_it_is(program, p, y)
 
 
 def failures(program: Program, conflicts: Mapping[str, float]) -> str:

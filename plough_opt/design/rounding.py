@@ -13,7 +13,7 @@ import numpy as np
 
 from plough_opt.core.errors import InfeasibleDesign, InputError
 from plough_opt.design.catalogue import Allowed, Catalogue, allowed
-from plough_opt.design.infeasible import failures, infeasible, is_feasible
+from plough_opt.design.infeasible import failures, from_least_violation
 from plough_opt.design.ipopt import Point, Vector
 from plough_opt.design.landscape import Landscape
 from plough_opt.design.local_optimum import LocalOptimum
@@ -157,11 +157,10 @@ def _solved(program: Program, p: Vector, start: Vector, fixed: list[int]) -> tup
             return begins, {}
     if not program.declared.requirements:
         return None, {}
-    loose = program.solve_relaxed(start, p, fixed)
-    if not is_feasible(loose):
-        return None, infeasible(program, loose).conflicts
-    nearest = np.clip(loose.y[: len(start)], 0.0, 1.0)
-    point = program.solve_with_fixed(nearest, p, fixed) if len(fixed) < len(start) else as_it_is(program, p, nearest)
+    try:
+        point = from_least_violation(program, p, start, fixed)
+    except InfeasibleDesign as error:
+        return None, error.conflicts
     return (point if point.solved else None), {}
 
 

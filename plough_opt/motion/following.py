@@ -64,7 +64,7 @@ class Case:
         """
         structure = Structure.of(scene)
         code = compiled_steps(structure) if compiled and scene.effects.motion and structure.stepped else None
-        return cls(scene, duration, outputs, structure, numbers_of(scene), code)
+        return cls(scene, duration, outputs, structure, numbers_of(scene, structure), code)
 
     @property
     def every(self) -> int:

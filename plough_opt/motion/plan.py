@@ -80,13 +80,13 @@ _ADAPTIVE_PER_PHASE = 300.0
 _FEWEST_ADAPTIVE = 1e4
 
 
-def numbers_of(scene: Scene) -> dict[str, float]:
+def numbers_of(scene: Scene, structure: Structure | None = None) -> dict[str, float]:
     """Return the parameters of a numeric scene, by name, and the steepest slopes of its own effects.
 
     Raises:
         InputError: one is an array.
     """
-    p = {name: _number(name, value) for name, value in parameters(scene).items()}
+    p = {name: _number(name, value) for name, value in parameters(scene, structure).items()}
     return p | slopes(Own.of(scene), p) if scene.effects.own else p
 
 

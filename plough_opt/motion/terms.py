@@ -151,11 +151,11 @@ class Structure:
         return tuple(term for term in self.terms if term.state and (self.ends_ramp or not isinstance(term, TowRamp)))
 
 
-def parameters(scene: Scene) -> dict[str, Expression]:
+def parameters(scene: Scene, structure: Structure | None = None) -> dict[str, Expression]:
     """Return the numbers that the equation of motion may need, by name, in SI units."""
+    structure = structure or Structure.of(scene)
     with unlabelled():  # a run is checked with its scene
         inertia, reaction = scene.inertia, scene.reaction
-        structure = Structure.of(scene)
         values = {
             "inertia": inertia,
             "stiffness": scene.restoring_stiffness,

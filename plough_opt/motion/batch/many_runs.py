@@ -162,7 +162,7 @@ class ManyRuns:
             finer: factor on the number of steps.
             together: number of consecutive rows that take equally many steps, so that their results differ by their
                 parameters alone. It divides the number of rows.
-            threads: number of threads; the results do not depend on it.
+            threads: number of threads of machine code; the results do not depend on it.
             count: number of steps of all runs, instead of one for each.
         """
         columns = np.ascontiguousarray(p.T)
@@ -186,7 +186,7 @@ class ManyRuns:
         # Designs with similar numbers of steps wait little for each other.
         order = sound[np.argsort(steps[sound], kind="stable")]
         chunks = [order[k : k + _CHUNK] for k in range(0, len(order), _CHUNK)]
-        if threads > 1 and len(chunks) > 1:
+        if threads > 1 and len(chunks) > 1 and self.compiled:
             with ThreadPoolExecutor(threads) as pool:
                 list(pool.map(lambda chunk: self._run(given, chunk, self._outputs, results), chunks))
         else:

@@ -6,9 +6,7 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-
-from plough_opt.core.expressions import Expression, as_number, is_symbolic, sin
+from plough_opt.core.expressions import Expression, sin
 from plough_opt.motion.effects.term import Parameters, Place, Term, Towed
 from plough_opt.soil.waves import StrengthWave
 
@@ -36,14 +34,13 @@ class StrengthWaves(Term):
     @classmethod
     def of(cls, scene: Towed) -> tuple[Term, ...]:
         effects, waves = scene.effects, scene.effects.waves
-        phased = any(is_symbolic(w.phase) or bool(np.any(as_number(w.phase) != 0.0)) for w in waves)
+        phased = any(not isinstance(wave.phase, int | float) or wave.phase != 0.0 for wave in waves)
         turns = effects.turns if effects.orbit != "transient" and len(waves) > 1 else ()
         return (cls(len(waves), phased, turns),) if waves else ()
 
     def values(self, scene: Towed) -> dict[str, Expression]:
-        numbers = (x for wave in scene.effects.waves for x in (wave.amplitude, wave.wavelength, wave.phase))
-        every = (name for k in range(self.count) for name in wave_names(k))
-        return {name: value for name, value in zip(every, numbers, strict=True) if name in self.names}
+        waves = ((wave.amplitude, wave.wavelength, wave.phase) for wave in scene.effects.waves)
+        return dict(zip(self.names, (x for wave in waves for x in wave[: 2 + self.phased]), strict=True))
 
     @classmethod
     def usual(cls, scene: Any, duration: float) -> StrengthWave:

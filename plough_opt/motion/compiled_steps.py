@@ -93,11 +93,10 @@ class CompiledSteps:
             timeline: steps, which do not end at the outputs.
             p: the equation's parameters, the duration last.
         """
-        arrays, given = _times(timeline), np.array(p)
+        (arrays, addresses), given = _times(timeline), np.array(p)
         end = 2 * len(timeline.output_fractions)
         found = np.empty(end + self._observed.count + self._observed.squared)
-        sizes = len(arrays[0]), end // 2
-        if self._follow(*sizes, *(array.ctypes.data for array in (*arrays, given, found))):
+        if self._follow(len(arrays[0]), end // 2, *addresses, given.ctypes.data, found.ctypes.data):
             raise MemoryError(f"there is no room for the states at the ends of {timeline.steps} steps")
         if not np.isfinite(found).all():
             return None
@@ -124,16 +123,20 @@ def _source(structure: Structure) -> str:
 
 
 @lru_cache(maxsize=256)
-def _times(timeline: Timeline) -> tuple[NDArray[Any], ...]:
-    """Return a timeline for C: spans of the steps; of the outputs the first end, the number of ends, and weights."""
+def _times(timeline: Timeline) -> tuple[list[NDArray[Any]], list[int]]:
+    """Return a timeline for C, and the addresses of its arrays.
+
+    Those are the spans of the steps; of the outputs the first end, the number of ends, and their weights.
+    """
     read, nodes = readings(timeline), timeline.nodes
     pattern = read.w_by_w.sparsity()
     # Ends from which an output is read lie side by side.
     starts = np.array(pattern.colind(), dtype=np.int64)
     weights = read.w_by_w, read.w_by_rate, read.rate_by_w, read.rate_by_rate
-    return (
+    arrays = [
         np.column_stack([nodes[:-1], np.diff(nodes)]),
         np.array(pattern.row(), dtype=np.int64)[starts[:-1]],
         np.diff(starts),
         np.column_stack([part.nonzeros() for part in weights]),
-    )
+    ]
+    return arrays, [array.ctypes.data for array in arrays]

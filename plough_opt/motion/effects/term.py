@@ -54,8 +54,7 @@ class Changed:
         return Changed(self.first**2, self.change * (2.0 * self.first + self.change))
 
 
-@dataclass(frozen=True)
-class Place:
+class Place(NamedTuple):
     """Where a share is, and how fast.
 
     Attributes:

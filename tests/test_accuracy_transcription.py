@@ -12,13 +12,7 @@ import plough_opt as po
 from plough_opt.core.errors import InputError
 from plough_opt.design.program import Program
 from plough_opt.studies.accuracy.local_solve import Start, solve_transcribed
-from plough_opt.studies.accuracy.transcription import (
-    Collocation,
-    MultipleShooting,
-    Question,
-    SingleShooting,
-    transcribe,
-)
+from plough_opt.studies.accuracy.transcription import Mesh, Question, transcribe
 
 # Wedge angle [deg], height [m], stiffness [N/m], objective.
 L1 = (39.11469851, 0.2002828632, 5000.0, 0.8250057092)
@@ -55,25 +49,33 @@ def solved(question, form, truth):
     """Return the objective and the variables of the optimum beside a true one."""
     given = (po.deg(truth[0]), truth[1], truth[2])
     y = np.array([v.scaled(x) for v, x in zip(question.program.declared.variables, given, strict=True)])
-    scalar = isinstance(form, Collocation)
+    scalar = isinstance(form, Mesh) and form.degree > 0
     found = solve_transcribed(transcribe(question, form, y), Start(y, True, 60.0), scalar=scalar)()
     return found.f * question.program.objective_scale, question.program.values(found.y)
 
 
 def single(steps, method="dop853"):
-    return SingleShooting(po.Accuracy(method, steps=steps))
+    return po.Accuracy(method, steps=steps)
+
+
+def shots(segments, steps):
+    return Mesh(segments, steps=steps)
+
+
+def collocation(intervals, degree, points="radau"):
+    return Mesh(intervals, degree=degree, points=points)
 
 
 # The finer mesh leaves errors of 1e-8 to 1e-4, far above the truth's last digit, 5e-11.
 @pytest.mark.parametrize(
     ("form", "order", "mesh"),
     [
-        pytest.param(lambda n: Collocation(n, 2, "legendre"), 4, 100, id="legendre-2"),
-        pytest.param(lambda n: Collocation(n, 4, "legendre"), 8, 30, id="legendre-4"),
-        pytest.param(lambda n: Collocation(n, 3, "radau"), 5, 60, id="radau-3"),
-        pytest.param(lambda n: Collocation(n, 2, "radau"), 3, 200, id="radau-2", marks=pytest.mark.slow),
-        pytest.param(lambda n: Collocation(n, 4, "radau"), 7, 40, id="radau-4", marks=pytest.mark.slow),
-        pytest.param(lambda n: Collocation(n, 3, "legendre"), 6, 40, id="legendre-3", marks=pytest.mark.slow),
+        pytest.param(lambda n: collocation(n, 2, "legendre"), 4, 100, id="legendre-2"),
+        pytest.param(lambda n: collocation(n, 4, "legendre"), 8, 30, id="legendre-4"),
+        pytest.param(lambda n: collocation(n, 3, "radau"), 5, 60, id="radau-3"),
+        pytest.param(lambda n: collocation(n, 2, "radau"), 3, 200, id="radau-2", marks=pytest.mark.slow),
+        pytest.param(lambda n: collocation(n, 4, "radau"), 7, 40, id="radau-4", marks=pytest.mark.slow),
+        pytest.param(lambda n: collocation(n, 3, "legendre"), 6, 40, id="legendre-3", marks=pytest.mark.slow),
     ],
 )
 def test_error_of_the_optimum_falls_in_the_order_of_the_collocation(r1, form, order, mesh):
@@ -87,7 +89,7 @@ def test_error_of_the_optimum_falls_in_the_order_of_the_collocation(r1, form, or
 
 def test_shooting_by_segments_has_the_optimum_of_shooting_once(r1):
     coarse, fine = (solved(r1, single(steps), L3) for steps in (48, 96))
-    segments, values = solved(r1, MultipleShooting(8, 12), L3)
+    segments, values = solved(r1, shots(8, 12), L3)
     # The same steps in another form: what is left is IPOPT's tolerance.
     assert segments == pytest.approx(fine[0], abs=1e-11)
     np.testing.assert_allclose(values, fine[1], rtol=1e-8)
@@ -98,14 +100,14 @@ def test_shooting_by_segments_has_the_optimum_of_shooting_once(r1):
     ("truth", "form"),
     [
         pytest.param(L1, single(120), id="L1-single"),
-        pytest.param(L1, MultipleShooting(10, 12), id="L1-multiple"),
-        pytest.param(L1, Collocation(80, 5, "legendre"), id="L1-legendre"),
-        pytest.param(L3, Collocation(120, 5, "radau"), id="L3-radau"),
-        pytest.param(L3, MultipleShooting(16, 13), id="L3-multiple", marks=pytest.mark.slow),
+        pytest.param(L1, shots(10, 12), id="L1-multiple"),
+        pytest.param(L1, collocation(80, 5, "legendre"), id="L1-legendre"),
+        pytest.param(L3, collocation(120, 5, "radau"), id="L3-radau"),
+        pytest.param(L3, shots(16, 13), id="L3-multiple", marks=pytest.mark.slow),
         pytest.param(L2, single(600), id="L2-single", marks=pytest.mark.slow),
-        pytest.param(L2, MultipleShooting(30, 20), id="L2-multiple", marks=pytest.mark.slow),
-        pytest.param(L2, Collocation(400, 5, "legendre"), id="L2-legendre", marks=pytest.mark.slow),
-        pytest.param(L2, Collocation(500, 5, "radau"), id="L2-radau", marks=pytest.mark.slow),
+        pytest.param(L2, shots(30, 20), id="L2-multiple", marks=pytest.mark.slow),
+        pytest.param(L2, collocation(400, 5, "legendre"), id="L2-legendre", marks=pytest.mark.slow),
+        pytest.param(L2, collocation(500, 5, "radau"), id="L2-radau", marks=pytest.mark.slow),
     ],
 )
 def test_a_fine_mesh_finds_each_true_optimum(r1, truth, form):
@@ -139,11 +141,11 @@ def rich(r1_soil, r1_wave):
     "form",
     [
         single(200),
-        MultipleShooting(20, 10),
-        Collocation(40, 5, "radau"),
-        Collocation(40, 5, "legendre"),
+        shots(20, 10),
+        collocation(40, 5, "radau"),
+        collocation(40, 5, "legendre"),
     ],
-    ids=lambda form: type(form).__name__ + getattr(form, "points", ""),
+    ids=str,
 )
 def test_every_result_of_a_run_is_that_of_the_tight_integration(rich, form):
     own = transcribe(rich, form)
@@ -162,9 +164,7 @@ def test_every_result_of_a_run_is_that_of_the_tight_integration(rich, form):
     np.testing.assert_allclose(np.asarray(found["g"]).ravel()[: len(truth)], truth, rtol=0.0, atol=1e-8)
 
 
-@pytest.mark.parametrize(
-    "form", [MultipleShooting(10, 1), Collocation(10, 2, "radau"), Collocation(10, 3, "legendre")], ids=str
-)
+@pytest.mark.parametrize("form", [shots(10, 1), collocation(10, 2, "radau"), collocation(10, 3, "legendre")], ids=str)
 def test_derivatives_of_a_transcription_are_those_of_its_values(rich, form):
     own = transcribe(rich, form)
     g = ca.vertcat(*own.g)
@@ -189,14 +189,14 @@ def test_a_run_whose_averages_alone_count_takes_the_mesh_that_is_asked_for(r1, r
     def unknowns(question, form):
         own = transcribe(question, form)
         assert len(own.start) == own.x.numel() == len(own.lower) == len(own.upper)
-        return len(own.start) - own.variables
+        return len(own.start) - len(question.program.start())
 
     assert unknowns(r1, single(50)) == 0
-    assert unknowns(r1, MultipleShooting(7, 5)) == 7 * 2 + 2
-    assert unknowns(r1, Collocation(7, 3)) == 7 * (3 + 1) * 2 + 2
+    assert unknowns(r1, shots(7, 5)) == 7 * 2 + 2
+    assert unknowns(r1, collocation(7, 3)) == 7 * (3 + 1) * 2 + 2
     assert [r1.intervals(7), rich.intervals(7), rich.intervals(24)] == [7, 10, 20]
     # Ten outputs and the ramp's end between two of them; three means, two spreads.
-    assert unknowns(rich, MultipleShooting(1, 5)) == 11 * 2 + 5
+    assert unknowns(rich, shots(1, 5)) == 11 * 2 + 5
 
 
 def test_a_run_with_events_is_shot_as_a_whole_only(r1_soil, r1_wave):
@@ -206,7 +206,7 @@ def test_a_run_with_events_is_shot_as_a_whole_only(r1_soil, r1_wave):
     effects = po.Effects(strength_wave=r1_wave, contact=po.StickSlip())
     d.minimise(po.simulate(po.Scene(r1_soil, share, k0, 25.0, 2.0, effects), 0.2).mean_draft / 1e3)
     question = question_of(d)
-    for form in (MultipleShooting(4, 5), Collocation(4, 3)):
+    for form in (shots(4, 5), collocation(4, 3)):
         with pytest.raises(InputError, match="events is only shot as a whole"):
             transcribe(question, form)
 
@@ -216,7 +216,7 @@ def test_a_design_without_a_moving_run_has_nothing_to_transcribe():
     x = d.variable("x", guess=0.5, lower=0.0, upper=2.0)
     d.minimise((x - 1.25) ** 2)
     question = question_of(d)
-    for form in (single(5), MultipleShooting(3, 2), Collocation(3, 2)):
+    for form in (single(5), shots(3, 2), collocation(3, 2)):
         own = transcribe(question, form)
         found = solve_transcribed(own, Start(own.start, False, 10.0), scalar=True)()
         # The interior point ends within its tolerance of 1e-10 of a parabola's end.

@@ -73,7 +73,7 @@ def test_the_wanted_error_is_met(count, capsys):
             continue
         run = po.simulate(scene, duration, accuracy=po.Accuracy(error=wanted), outputs=OUTPUTS)
         assert truth.error < 1e-13, seed
-        made = errors_of(run, truth)
+        made = errors_of(run, truth.run)
         error = max(made["averages"], made["trajectory"])
         methods[run.accuracy.method] = methods.get(run.accuracy.method, 0) + 1
         # Double precision leaves some 1e-13 of the largest force.

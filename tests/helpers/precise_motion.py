@@ -4,6 +4,8 @@ What ends a piece is not searched for here: the caller says when and what, and i
 misses zero there.
 """
 
+import math
+
 import mpmath
 
 import plough_opt as po
@@ -28,7 +30,9 @@ class PreciseShare:
         self.static, self.drag, self.added = (number(x) for x in (reaction.static, reaction.drag, reaction.added_mass))
         self.rate, self.ramp, self.v0 = (number(x) for x in (effects.rate_term, effects.tow_ramp, scene.tow_speed))
         wave = effects.strength_wave
-        self.wave = (number(wave.amplitude), 2 * mp.pi / number(wave.wavelength)) if wave else (mp.zero, mp.zero)
+        # The equation has 2 pi as a double: its rounding, times the radians of a motion, is none of the integration's.
+        turn = mp.mpf(2.0 * math.pi)
+        self.wave = (number(wave.amplitude), turn / number(wave.wavelength)) if wave else (mp.zero, mp.zero)
         contact = effects.contact
         self.width = number(contact.width) if isinstance(contact, po.Smooth) else None
         self.breakaway = number(contact.breakaway) if isinstance(contact, po.StickSlip) else None

@@ -76,8 +76,9 @@ def sampled(seed):
     return (scene, duration, outputs) if phase(numbers_of(scene), duration) < MOST_PHASE else None
 
 
-def errors(run, truth):
+def errors(run, reference):
     """Return by name the errors of a run's results, each relative to its own scale, beyond the rounding of doubles."""
+    truth = reference.run
     scene = run.scene
     stiffness, speed = scene.stiffness, float(np.max(np.abs(truth.speed))) + scene.tow_speed
     hardness = math.sqrt(stiffness * scene.inertia)
@@ -87,7 +88,7 @@ def errors(run, truth):
         "z": ROUNDING * force / stiffness,
         "speed": ROUNDING * (speed + force / hardness),
     }
-    moments = np.array([float(moment) for moment, _ in truth.events] or [-math.inf])
+    moments = np.array([float(moment) for moment, _ in reference.events] or [-math.inf])
     apart = np.min(np.abs(run.time[:, None] - moments), axis=1) > BESIDE * run.duration
     peak_z = float(np.max(np.abs(truth.deflection)))
     found = {}

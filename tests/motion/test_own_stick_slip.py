@@ -68,8 +68,8 @@ def test_motion_is_that_of_the_wide_reference(wave):
     exact = reference_run(own, 1.0, outputs=200)
     assert run.error_estimate < 1e-8
     assert any(name == "move" for _, name in exact.events)
-    assert run.mean_draft == pytest.approx(float(exact.mean_draft), rel=1e-8)
-    force = np.asarray(exact.mount_force, dtype=float)
+    assert run.mean_draft == pytest.approx(float(exact.run.mean_draft), rel=1e-8)
+    force = np.asarray(exact.run.mount_force, dtype=float)
     np.testing.assert_allclose(run.mount_force, force, rtol=0.0, atol=1e-7 * run.peak_force)
 
 

@@ -8,8 +8,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import plough_opt as po
-from plough_opt.studies.accuracy.laws import Laws
-from plough_opt.studies.accuracy.reference import follow
+from plough_opt.studies.accuracy.following import Motion, follow
 
 WAVES = (po.StrengthWave(0.2, 0.2), po.StrengthWave(0.1, 0.3, 0.7), po.StrengthWave(0.05, 0.12, -2.0))
 SHARE = po.Wedge(po.deg(30), po.deg(15), 0.25)
@@ -84,7 +83,7 @@ def test_small_waves_add_up_in_the_linear_response():
 def test_the_wide_reference_and_events_agree():
     for effects in ({"contact": po.StickSlip(1.1)}, {"entry": True, "start": "rest"}):
         made = scene(**effects)
-        reference = follow(Laws.of(made), np.longdouble(1.0), 200, 12)
+        reference = follow(Motion(made), np.longdouble(1.0), 200, 12).run()
         run = po.simulate(made, 1.0, outputs=200)
         size = float(np.max(np.abs(reference.deflection)))
         assert run.deflection == pytest.approx(reference.deflection.astype(float), rel=0, abs=1e-7 * size)

@@ -1,20 +1,44 @@
-"""A contest of methods: what each costs, how far it is from the reference, and which are worth their time."""
+"""A contest: methods over their settings, what each costs, how far it is off, and which are worth their time.
+
+Of every method some settings are tried in any case. Of those that may be the cheapest all settings are halved again and
+again, down to neighbours that differ by a tenth in cost, of which the one misses the wanted error and the other reaches
+it: where that ends depends on the method's errors alone, neither on a clock nor on what else was tried. Then each
+method's coarsest setting is measured in turns, so that what else the machine does meets all alike.
+"""
 
 from __future__ import annotations
 
+import contextlib
 import math
 import statistics
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from typing import Any, Final
 
-AUTO, COMPILED, BARE = "auto", "auto, compiled", "dop853, compiled"
-"""Names of what chooses and checks by itself, interpreted and in machine code, and of bare steps in machine code."""
+from plough_opt.core.errors import PloughError
 
 # Ratio of times that a repetition may give to what takes equally long.
 _AS_CHEAP = 1.1
 # Part of an error by which another must differ from it to count as different.
 _TELLING = 0.9
+# How much longer the next finer setting may be expected to take.
+_NEXT: Final = 3.0
+# Methods are narrowed down whose time is within so many times the least, and measured again in turns within this.
+_WORTH: Final = 4.0
+_CLOSE: Final = 1.6
+# Turns in which the closest are measured again, and the time [s] of one turn of one of them at the least; the fewest
+# turns where they take long, and how many times the allowance of one use all of them may.
+_TURNS: Final = 15
+_LEAST_TURN: Final = 3e-3
+_FEWEST_TURNS: Final = 3
+_ALL_TURNS: Final = 2.0
+# The coarsest number of steps in eighths of a power of two: a 128th of the usual one.
+_COARSEST: Final = -56
+
+Use = Callable[[], object]
+Told = Callable[[str, float], None]
+"""Called with what is being done, and with the part that is done."""
 
 
 @dataclass(frozen=True)
@@ -22,8 +46,7 @@ class Entry:
     """One method with one setting in a contest.
 
     Attributes:
-        family: what kind of choice it is: ``"integrator"``, ``"model"``, ``"quadrature"``, ``"transcription"``,
-            ``"derivatives"``.
+        family: what kind of choice it is, such as ``"integrator"`` or ``"quadrature"``.
         method: its name.
         setting: its setting as text, such as ``"tolerance 1e-08"`` or ``"40 steps"``.
         seconds: median processor time of one use after a warm-up [s], of what may be the cheapest the least of several
@@ -52,14 +75,233 @@ class Entry:
         return f"{self.method}, {self.setting}" if self.setting else self.method
 
 
-def error_text(error: float) -> str:
-    """Return an error that is asked for as text, with no more digits than it has."""
-    return min((f"{error:.{digits}e}" for digits in range(3)), key=lambda text: (float(text) != error, len(text)))
+@dataclass(frozen=True)
+class Track:
+    """A method over its settings.
+
+    Attributes:
+        family: of its entries.
+        method: its name.
+        prepare: setting -> what returns its result, or (what is timed, what returns its result).
+        errors: result -> its errors.
+        rungs: its settings from coarse to fine; neighbours differ by about a tenth in cost.
+        shown: places of those that are tried in any case; None of all, and then of no others.
+        label: setting -> its text.
+        least: setting -> time [s] that it takes at the very least.
+        patience: setting -> how many times the allowance it may take.
+        elsewhere: result -> a clause as of `Entry`.
+        check: setting -> the use of `simulate` by it; None of what has no check, or is one.
+    """
+
+    family: str
+    method: str
+    prepare: Callable[[Any], Use | tuple[Use, Callable[[], Any]]]
+    errors: Callable[[Any], Mapping[str, float]]
+    rungs: Sequence[Any] = ("",)
+    shown: Sequence[int] | None = None
+    label: Callable[[Any], str] = str
+    least: Callable[[Any], float] = lambda _: 0.0
+    patience: Callable[[Any], float] = lambda _: 1.0
+    elsewhere: Callable[[Any], str] = lambda _: ""
+    check: Callable[[Any], Use] | None = None
 
 
-def median_time(
-    action: Callable[[], object], *, budget: float = 0.5, least: int = 3, most: int = 15, warm: bool = False
-) -> float:
+def rungs_of(usual: float, factors: Sequence[float], unit: int = 1) -> tuple[tuple[int, ...], tuple[int, ...]]:
+    """Return numbers of steps from coarse to fine in ratios of 2^(1/8), and the places of some multiples of a number.
+
+    Args:
+        usual: number of steps.
+        factors: multiples of it that are tried in any case, powers of two.
+        unit: of which every number is a multiple.
+    """
+
+    def steps(eighths: float) -> int:
+        return max(1, math.ceil(usual * math.exp2(eighths / 8.0) / unit - 1e-9)) * unit
+
+    rungs = list(dict.fromkeys(steps(k) for k in range(_COARSEST, 8 * round(math.log2(max(factors))) + 1)))
+    shown = dict.fromkeys(rungs.index(steps(8.0 * math.log2(factor))) for factor in factors)
+    return tuple(rungs), tuple(shown)
+
+
+def failure(family: str, method: str, reason: object, setting: str = "") -> Entry:
+    """Return the entry of a contestant without a result."""
+    return Entry(family, method, setting, math.inf, failure=str(reason))
+
+
+def measured(
+    tracks: Sequence[Track],
+    key: str,
+    wanted: float,
+    allowance: float,
+    *,
+    floor: float = 0.0,
+    told: Told = lambda _stage, _part: None,
+) -> list[Entry]:
+    """Return the entries of tracks: what is shown, and what leads to the cheapest setting that reaches an error.
+
+    Args:
+        tracks: of contestants that are ranked together.
+        key: of `Entry.errors`, by which.
+        wanted: error to reach [-].
+        allowance: time [s] that one use may take.
+        floor: error [-] of the reference itself.
+        told: called with the method that is next and the part done.
+    """
+    tried = [_Tried(track, allowance) for track in tracks]
+    for k, one in enumerate(tried):
+        told(f"{one.track.family}: {one.track.method}", k / len(tried))
+        one.try_shown()
+    best = min((one.cheapest(key, wanted) for one in tried), default=math.inf)
+    for one in tried:
+        if one.track.shown is not None and one.cheapest(key, wanted) <= _WORTH * best < math.inf:
+            one.narrow(key, wanted)
+    _measure_in_turns(tried, key, wanted, allowance)
+    entries = [entry for one in tried for entry in one.entries.values()]
+    for family in dict.fromkeys(track.family for track in tracks):
+        front = efficient([entry for entry in entries if entry.family == family], key, floor)
+        for one in tried:
+            one.check(front)
+    return [one.entries[place] for one in tried for place in sorted(one.entries)]
+
+
+class _Tried:
+    """The settings of a track that were tried: place -> entry, and what is timed."""
+
+    def __init__(self, track: Track, allowance: float) -> None:
+        self.track = track
+        self.entries: dict[int, Entry] = {}
+        self.uses: dict[int, Use] = {}
+        self._allowance = allowance
+
+    def try_shown(self) -> None:
+        """Try what is tried in any case, until it takes too long."""
+        track, expected = self.track, 0.0
+        for place in range(len(track.rungs)) if track.shown is None else track.shown:
+            setting = track.rungs[place]
+            expected = max(expected, track.least(setting))
+            allowed = self._allowance * track.patience(setting)
+            if expected > allowed:
+                self._fail(place, f"cut off: expected to take {expected:.2g} s, {allowed:.2g} s allowed")
+            else:
+                expected = _NEXT * self._try(place)
+
+    def _try(self, place: int) -> float:
+        """Measure a setting; return the time [s] of one use, or of its failure."""
+        track, setting = self.track, self.track.rungs[place]
+        started, clock = time.process_time(), time.perf_counter()
+        try:
+            prepared = track.prepare(setting)
+            use, find = prepared if isinstance(prepared, tuple) else (prepared, prepared)
+            built = time.perf_counter() - clock  # by a compiler, perhaps, which is another process
+            solving = time.process_time()
+            found = find()
+            seconds = time.process_time() - solving
+            errors, elsewhere = track.errors(found), track.elsewhere(found)
+        except (PloughError, RuntimeError) as error:
+            self._fail(place, _reason(error))
+            return time.process_time() - started
+        first = solving + seconds - started
+        # A repetition may take just longer than a limit that the first just kept.
+        with contextlib.suppress(PloughError, RuntimeError):
+            seconds = median_time(use, budget=0.1 * self._allowance, warm=True)
+        setup = max(built, first - seconds)
+        self.entries[place] = Entry(
+            track.family, track.method, track.label(setting), seconds, setup, errors, elsewhere=elsewhere
+        )
+        self.uses[place] = use
+        return seconds
+
+    def _fail(self, place: int, reason: str) -> None:
+        track = self.track
+        self.entries[place] = failure(track.family, track.method, reason, track.label(track.rungs[place]))
+
+    def reaches(self, place: int, key: str, wanted: float) -> bool:
+        """Return whether a setting that was tried reaches an error."""
+        return cheapest([self.entries[place]], key, wanted) is not None
+
+    def cheapest(self, key: str, wanted: float) -> float:
+        """Return the least time [s] of a setting that reaches an error; infinite where none does."""
+        return min((e.seconds for p, e in self.entries.items() if self.reaches(p, key, wanted)), default=math.inf)
+
+    def coarsest(self, key: str, wanted: float) -> int | None:
+        """Return the place of the coarsest setting that was tried and reaches an error; None where none does."""
+        return min((place for place in self.entries if self.reaches(place, key, wanted)), default=None)
+
+    def narrow(self, key: str, wanted: float) -> None:
+        """Halve the settings down to a pair of neighbours of which the finer one alone reaches an error.
+
+        The halving goes over all settings, so that it comes to the same pair whichever of them were tried before; what
+        is finer than one that is known to reach the error is not tried, for it may take long.
+        """
+        known, bad, good = self.coarsest(key, wanted), -1, len(self.track.rungs) - 1
+        assert known is not None  # what nothing reaches is not narrowed down
+        while good - bad > 1:
+            middle = (good + bad) // 2
+            if middle >= known:
+                good = middle
+                continue
+            shown = middle in self.entries
+            if not shown:
+                self._try(middle)
+            if self.reaches(middle, key, wanted):
+                good = middle
+            else:
+                bad = middle
+                if self.entries[middle].failure is not None and not shown:
+                    del self.entries[middle]  # too coarse to have a result, and asked for by nobody
+
+    def check(self, front: Sequence[Entry]) -> None:
+        """Measure `simulate` by the settings that are efficient, which checks them."""
+        check = self.track.check
+        for place, entry in self.entries.items():
+            if check is not None and entry in front:
+                with contextlib.suppress(PloughError):
+                    seconds = median_time(check(self.track.rungs[place]), budget=0.1 * self._allowance)
+                    self.entries[place] = replace(entry, checked=seconds)
+
+
+def _measure_in_turns(tried: list[_Tried], key: str, wanted: float, allowance: float) -> None:
+    """Measure again, one after the other and all of them several times, what may be the cheapest.
+
+    That is of every method that was narrowed down the coarsest setting, however long it seemed to take, and what seemed
+    to take hardly longer than the cheapest. The least time counts: what else the machine does only adds to it.
+    """
+    best = min((one.cheapest(key, wanted) for one in tried), default=math.inf)
+    close = [
+        (one, place)
+        for one in tried
+        for place, entry in one.entries.items()
+        if one.reaches(place, key, wanted)
+        and entry.seconds <= (_WORTH if place == one.coarsest(key, wanted) else _CLOSE) * best
+    ]
+    if len(close) < 2:
+        return
+    taken: list[list[float]] = [[] for _ in close]
+    spent = 0.0
+    for turn in range(_TURNS):
+        if turn >= _FEWEST_TURNS and spent > _ALL_TURNS * allowance:
+            break
+        for (one, place), seconds in zip(close, taken, strict=True):
+            often = max(1, math.ceil(_LEAST_TURN / max(one.entries[place].seconds, 1e-9)))
+            use, started = one.uses[place], time.process_time()
+            for _ in range(often):
+                with contextlib.suppress(PloughError, RuntimeError):
+                    use()
+            seconds.append((time.process_time() - started) / often)
+            spent += often * seconds[-1]
+    for (one, place), seconds in zip(close, taken, strict=True):
+        one.entries[place] = replace(one.entries[place], seconds=min(seconds))
+
+
+def _reason(error: Exception) -> str:
+    """Return a failure's reason; of CasADi's own, which go over many lines, the last."""
+    if isinstance(error, PloughError):
+        return str(error)
+    lines = [line.strip() for line in str(error).splitlines() if line.strip()]
+    return f"CasADi gave up: {lines[-1] if lines else type(error).__name__}"
+
+
+def median_time(action: Use, *, budget: float = 0.5, least: int = 3, most: int = 15, warm: bool = False) -> float:
     """Return the median processor time [s] of an action after a warm-up.
 
     Processor time is that of this process: what else the machine does meanwhile is not in it.

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
@@ -12,11 +11,10 @@ import casadi as ca
 import numpy as np
 
 from plough_opt.core.compiler import find_compiler
-from plough_opt.core.errors import IntegrationError, PloughError
-from plough_opt.core.expressions import Expression, as_number
+from plough_opt.core.errors import IntegrationError
 from plough_opt.motion import Run, simulate
 from plough_opt.motion.accuracy import DEFAULT_ERROR, Accuracy
-from plough_opt.motion.compiled_steps import CompiledSteps, compiled_steps
+from plough_opt.motion.compiled_steps import compiled_steps
 from plough_opt.motion.effects import StickSlip
 from plough_opt.motion.integrators import integration
 from plough_opt.motion.judgement import refuse_missed_event
@@ -27,18 +25,19 @@ from plough_opt.motion.scene import Scene
 from plough_opt.motion.signals import signals
 from plough_opt.motion.terms import Structure
 from plough_opt.motion.timeline import Timeline
-from plough_opt.studies.accuracy.contest import AUTO, BARE, COMPILED, Entry, efficient, error_text, median_time
-from plough_opt.studies.accuracy.gradients import AVERAGES, QUANTITIES, ReferenceGradient
-from plough_opt.studies.accuracy.reference import Reference, errors_of
-from plough_opt.studies.accuracy.tracks import Track, Use, measured, rungs_of
+from plough_opt.studies.accuracy.contest import Entry, Track, Use, failure, measured, rungs_of
+from plough_opt.studies.accuracy.reference import AVERAGES, QUANTITIES, Reference, ReferenceGradient, errors_of
+
+AUTO, COMPILED, BARE = "auto", "auto, compiled", "dop853, compiled"
+"""Names of what chooses and checks by itself, interpreted and in machine code, and of bare steps in machine code."""
+
+MACHINE_CODE: Final = "machine code"
+"""Family of what is compiled."""
 
 ERRORS: Final = (1e-3, 1e-5, 1e-6, 1e-8, 1e-10)
 TOLERANCES: Final = (1e-4, 1e-6, 1e-8, 1e-10, 1e-12)
 FACTORS: Final = (0.125, 0.25, 0.5, 1.0, 2.0, 4.0)
 """Settings tried: wanted errors of "auto", relative tolerances, and multiples of the steps taken by default."""
-
-DEFAULT: Final = Accuracy(error=DEFAULT_ERROR)
-"""The default of `simulate`."""
 
 GRADIENT_TOLERANCES: Final = (1e-6, 1e-9)
 GRADIENT_FACTORS: Final = (0.5, 1.0, 2.0)
@@ -53,14 +52,11 @@ _GRADIENT = 10.0
 _ALL_TOLERANCES: Final = tuple(float(f"{digit}e-{power}") for power in range(2, 13) for digit in (5, 3, 2, 1))
 # Least error that "auto" takes.
 _TIGHTEST = 1e-12
-# How many times its allowance the default may take.
+# How many times its allowance the default may take: what the toolkit does by itself is shown even where it takes long.
 _PATIENCE = 20.0
 
-
-MACHINE_CODE: Final = "machine code"
-"""Family of what is compiled."""
-
 _Number = TypeVar("_Number", int, float)
+Prepared = tuple[Use, Callable[[], Run]]
 
 
 @dataclass(frozen=True)
@@ -88,21 +84,35 @@ class Task:
         """The duration as `simulate` takes it."""
         return self.duration if self.scene.effects.orbit == "transient" else None
 
-    @property
-    def timing(self) -> float:
-        """Time [s] in which one use is repeated for its median."""
-        return 0.1 * self.allowance
-
     def some(self, settings: tuple[_Number, ...]) -> tuple[_Number, ...]:
         """Return the settings, or every other one and the last: a thin study then reaches what a full one does."""
         if not self.thin:
             return settings
         return settings[::2] if len(settings) % 2 else settings[::2] + settings[-1:]
 
+    def ranked(self, tracks: list[Track], key: str, floor: float = 0.0) -> list[Entry]:
+        """Return the entries of tracks that are ranked by an error."""
+        return measured(tracks, key, self.wanted, self.allowance, floor=floor)
 
-def prepared(task: Task, accuracy: Accuracy) -> tuple[Callable[[], object], Callable[[], Run]]:
+    def timeline(self, accuracy: Accuracy) -> Timeline:
+        """Return the times of a run by a named method."""
+        steps = accuracy.steps or most_steps(phase(numbers_of(self.scene), self.duration))
+        return timeline_of(self.scene, self.duration, self.outputs, steps, accuracy.method)
+
+    def assembled(self, accuracy: Accuracy, timeline: Timeline, states: Any, means: Any, variances: Any) -> Run:
+        """Return a run of finite results.
+
+        Raises:
+            IntegrationError: they are not.
+        """
+        if not all(np.all(np.isfinite(part)) for part in (states, means, variances)):
+            raise IntegrationError("the result is not finite")
+        return assemble(self.scene, self.duration, timeline.output_fractions, states, means, variances, accuracy)
+
+
+def prepared(task: Task, accuracy: Accuracy) -> Prepared:
     """Return one integration by a named method, without the check that `simulate` adds, and the run that it gives."""
-    timeline = _timeline(task, accuracy)
+    timeline = task.timeline(accuracy)
     solver = integration(Structure.of(task.scene), accuracy, timeline)
     known = numbers_of(task.scene)
     p = ca.DM([*(known[name] for name in solver.names), task.duration])
@@ -113,7 +123,7 @@ def prepared(task: Task, accuracy: Accuracy) -> tuple[Callable[[], object], Call
 
     def run() -> Run:
         states, means, variances = (np.asarray(result) for result in once())
-        found = _assembled(task, accuracy, timeline, states.T, means.ravel(), variances.ravel())
+        found = task.assembled(accuracy, timeline, states.T, means.ravel(), variances.ravel())
         if isinstance(task.scene.effects.contact, StickSlip):
             refuse_missed_event(found)
         return found
@@ -121,79 +131,90 @@ def prepared(task: Task, accuracy: Accuracy) -> tuple[Callable[[], object], Call
     return once, run
 
 
-def _compiled(task: Task, code: CompiledSteps, accuracy: Accuracy) -> tuple[Callable[[], object], Callable[[], Run]]:
-    """Return the same in machine code."""
-    timeline, known = _timeline(task, accuracy), numbers_of(task.scene)
-    p = [*(known[name] for name in signals(Structure.of(task.scene)).parameters), task.duration]
+def _in_machine_code(task: Task, accuracy: Accuracy) -> Prepared:
+    """Return the same by steps of order 8 in machine code."""
+    structure = Structure.of(task.scene)
+    code, timeline, known = compiled_steps(structure), task.timeline(accuracy), numbers_of(task.scene)
+    assert code is not None  # else it takes no part
+    p = [*(known[name] for name in signals(structure).parameters), task.duration]
 
-    def run() -> Run:
+    def once() -> tuple[Any, ...]:
         found = code(timeline, p)
         if found is None:
             raise IntegrationError("the result is not finite")
-        return _assembled(task, accuracy, timeline, *found)
+        return found
 
-    return lambda: code(timeline, p), run
-
-
-def _timeline(task: Task, accuracy: Accuracy) -> Timeline:
-    steps = accuracy.steps or most_steps(phase(numbers_of(task.scene), task.duration))
-    return timeline_of(task.scene, task.duration, task.outputs, steps, accuracy.method)
+    return once, lambda: task.assembled(accuracy, timeline, *once())
 
 
-def _assembled(task: Task, accuracy: Accuracy, timeline: Timeline, states: Any, means: Any, variances: Any) -> Run:
-    """Return a run of finite results.
-
-    Raises:
-        IntegrationError: they are not.
-    """
-    if not all(np.all(np.isfinite(part)) for part in (states, means, variances)):
-        raise IntegrationError("the result is not finite")
-    return assemble(task.scene, task.duration, timeline.output_fractions, states, means, variances, accuracy)
+def simulated(task: Task, accuracy: Accuracy, *, compiled: bool = False) -> Callable[[], Run]:
+    """Return the use of `simulate`, which checks itself."""
+    return partial(simulate, task.scene, task.given, accuracy=accuracy, outputs=task.outputs, compiled=compiled)
 
 
-def values(task: Task, reference: Reference) -> list[Entry]:
-    """Return every method that can integrate the scene, over its settings from coarse to fine."""
-    errors = partial(_errors_from, reference)
-    tracks, refused = [_automatic_track(task, AUTO, errors)], []
+def integrators(task: Task, reference: Reference) -> list[Entry]:
+    """Return every method that can integrate the scene over its settings, and steps of order 8 in machine code."""
+
+    def errors(run: Run) -> Mapping[str, float]:
+        return errors_of(run, reference.run)
+
+    def automatic(family: str, name: str, *, compiled: bool) -> Track:
+        return Track(
+            family, name, partial(simulated, task, compiled=compiled), errors, automatic_settings(task), label=text,
+            patience=lambda accuracy: _PATIENCE if accuracy.error == DEFAULT_ERROR else 1.0,
+        )  # fmt: skip
+
+    def named(family: str, name: str, method: str, prepare: Callable[[Task, Accuracy], Prepared]) -> Track:
+        check = partial(simulated, task, compiled=family == MACHINE_CODE)
+        return _track(task, family, method, partial(prepare, task), errors, name=name, check=check)
+
+    families = [[automatic("integrator", AUTO, compiled=False)]]
+    refused = []
     for method in (*fixed_step(), *adaptive()):
         if reason := refusal(task.scene, method):
-            refused.append(failure("integrator", method, "", reason))
+            refused.append(failure("integrator", method, reason))
         else:
-            tracks.append(_track(task, "integrator", method, partial(prepared, task), errors))
-    return [*measured(tracks, "averages", task.wanted, task.allowance), *refused]
+            families[0].append(named("integrator", method, method, prepared))
+    structure = Structure.of(task.scene)
+    if structure.stepped and find_compiler() is not None and compiled_steps(structure) is not None:
+        bare = named(MACHINE_CODE, BARE, "dop853", _in_machine_code)
+        families.append([automatic(MACHINE_CODE, COMPILED, compiled=True), bare])
+    floor = reference.errors["averages"]
+    found = [task.ranked(tracks, "averages", floor) for tracks in families]
+    return [*found[0], *refused, *(entry for entries in found[1:] for entry in entries)]
 
 
-def in_machine_code(task: Task, reference: Reference) -> list[Entry]:
-    """Return what is there in machine code: steps of order 8, bare and chosen and checked by "auto"."""
-    if not (task.scene.effects.motion and Structure.of(task.scene).stepped and find_compiler() is not None):
-        return []
-    code = compiled_steps(Structure.of(task.scene))
-    if code is None:
-        return []
-    errors = partial(_errors_from, reference)
-    bare = _track(task, MACHINE_CODE, "dop853", partial(_compiled, task, code), errors)
-    tracks = [_automatic_track(task, COMPILED, errors), replace(bare, method=BARE)]
-    return measured(tracks, "averages", task.wanted, task.allowance)
+def gradients(task: Task, reference: ReferenceGradient) -> list[Entry]:
+    """Return the derivatives of mean draft and RMS by every method, as CasADi differentiates its run."""
+    at = [float(getattr(task.scene, name)) for name in QUANTITIES]
 
+    def prepare(accuracy: Accuracy) -> tuple[Use, Callable[[], Any]]:
+        x = ca.MX.sym("x", len(QUANTITIES))
+        varied: dict[str, Any] = dict(zip(QUANTITIES, ca.vertsplit(x), strict=True))
+        scene = replace(task.scene, **varied)
+        run = simulate(scene, task.given, accuracy=accuracy, outputs=1)
+        averages = ca.vertcat(*(getattr(run, name) for name in AVERAGES))
+        function = ca.Function("gradient", [x], [ca.densify(ca.jacobian(averages, x))])
 
-def _errors_from(reference: Reference, found: Run) -> Mapping[str, float]:
-    return errors_of(found, reference)
+        def find() -> Any:
+            found = np.asarray(function(at)) * at
+            if not np.all(np.isfinite(found)):
+                raise IntegrationError("the result is not finite")
+            return found
 
+        return lambda: function(at), find
 
-def _automatic_track(task: Task, name: str, errors: Callable[[Run], Mapping[str, float]]) -> Track:
-    settings = tuple(automatic_settings(task))
-    return Track(
-        family="integrator" if name == AUTO else MACHINE_CODE,
-        method=name,
-        rungs=settings,
-        shown=tuple(range(len(settings))),
-        label=text,
-        prepare=partial(_automatic, task, compiled=name == COMPILED),
-        errors=errors,
-        # The default is reported even if it takes long.
-        patient=lambda accuracy: _PATIENCE if accuracy == DEFAULT else 1.0,
-        narrows=False,
-    )
+    def errors(found: Any) -> Mapping[str, float]:
+        size = np.max(np.abs(reference.values))
+        wrong = np.max(np.abs(found - reference.values), axis=1) / (size if size > 0 else 1.0)
+        own = zip(("mean draft", "RMS"), wrong, strict=True)
+        return {"gradient": float(np.max(wrong)), **{f"gradient of {name}": float(w) for name, w in own}}
+
+    tracks = [Track("derivatives", AUTO, prepare, errors, (Accuracy(),), label=text)]
+    for method in (*fixed_step(), *adaptive()):
+        if not refusal(task.scene, method):
+            tracks.append(_track(replace(task, outputs=1), "derivatives", method, prepare, errors, slower=_GRADIENT))
+    return task.ranked(tracks, "gradient")
 
 
 def _track(
@@ -203,52 +224,28 @@ def _track(
     prepare: Callable[[Accuracy], tuple[Use, Callable[[], Any]]],
     errors: Callable[[Any], Mapping[str, float]],
     *,
-    gradient: bool = False,
+    name: str = "",
+    slower: float = 1.0,
+    check: Callable[[Any], Use] | None = None,
 ) -> Track:
     """Return a named method over its settings."""
-    rungs, shown = settings_of(replace(task, outputs=1) if gradient else task, method, gradient=gradient)
+    rungs, shown = settings_of(task, method, gradient=family == "derivatives")
     return Track(
-        family=family,
-        method=method,
-        rungs=rungs,
-        shown=shown,
-        label=text,
-        prepare=prepare,
-        errors=errors,
-        least=lambda accuracy: (_GRADIENT if gradient else 1.0) * hopeless(task, accuracy),
-    )
-
-
-def with_checks(task: Task, entries: list[Entry], floor: float) -> list[Entry]:
-    """Return entries of `values`, the efficient ones with the time that `simulate` takes by them, which checks itself.
-
-    Args:
-        task: what they did.
-        entries: of all methods.
-        floor: relative error of their reference [-].
-    """
-    front = efficient(entries, "averages", floor)
-
-    def checked(entry: Entry) -> Entry:
-        if entry not in front or entry.method in (AUTO, COMPILED):
-            return entry
-        compiled = entry.family == MACHINE_CODE
-        method: str = "dop853" if compiled else next(m for m in (*fixed_step(), *adaptive()) if m == entry.method)
-        accuracy = next(a for a in settings_of(task, method)[0] if text(a) == entry.setting)
-        try:
-            use, _ = _automatic(task, accuracy, compiled=compiled)
-            return replace(entry, checked=median_time(use, budget=task.timing))
-        except PloughError:
-            return entry
-
-    return [checked(entry) for entry in entries]
+        family, name or method, prepare, errors, rungs, shown, text,
+        least=lambda accuracy: slower * hopeless(task, accuracy), check=check,
+    )  # fmt: skip
 
 
 def refusal(scene: Scene, method: str) -> str:
     """Return why a method cannot do a scene, or nothing."""
-    if scene.effects.orbit != "transient" and method not in ORDER_8:
+    return refused(method, orbits=scene.effects.orbit != "transient", events=scene.effects.events)
+
+
+def refused(method: str, *, orbits: bool, events: bool) -> str:
+    """Return why a method cannot do lasting orbits, or motions with events, or nothing."""
+    if orbits and method not in ORDER_8:
         return "finds no lasting orbit"
-    if scene.effects.events and not METHODS[method].locates_events:
+    if events and not METHODS[method].locates_events:
         return "finds no events, which stick and slip and the entry of a share have"
     return ""
 
@@ -275,23 +272,16 @@ def settings_of(task: Task, method: str, *, gradient: bool = False) -> tuple[tup
     return tuple(Accuracy(method, steps=steps) for steps in rungs), shown
 
 
+def error_text(error: float) -> str:
+    """Return an error that is asked for as text, with no more digits than it has."""
+    return min((f"{error:.{digits}e}" for digits in range(3)), key=lambda text: (float(text) != error, len(text)))
+
+
 def text(accuracy: Accuracy) -> str:
     """Return a setting as text."""
     if accuracy.method == "auto":
         return f"error {error_text(accuracy.error)}" if accuracy.error else "default"
     return f"{accuracy.steps} steps" if accuracy.steps else f"tolerance {accuracy.tolerance:.0e}"
-
-
-def failure(family: str, method: str, setting: str, reason: object) -> Entry:
-    """Return the entry of a contestant without a result."""
-    return Entry(family, method, setting, math.inf, failure=str(reason))
-
-
-def _automatic(task: Task, accuracy: Accuracy, *, compiled: bool) -> tuple[Callable[[], object], Callable[[], Run]]:
-    def run() -> Run:
-        return simulate(task.scene, task.given, accuracy=accuracy, outputs=task.outputs, compiled=compiled)
-
-    return run, run
 
 
 def hopeless(task: Task, accuracy: Accuracy) -> float:
@@ -302,43 +292,3 @@ def hopeless(task: Task, accuracy: Accuracy) -> float:
         # Stability holds the steps of an explicit method to the fastest oscillation, whether or not it swings.
         return fastest_rate(numbers_of(task.scene)) * task.duration / _PHASE_OF_A_STEP * _ONE_STEP
     return 0.0
-
-
-def gradients(task: Task, reference: ReferenceGradient) -> list[Entry]:
-    """Return the derivatives of mean draft and RMS by every method, as CasADi differentiates its run."""
-    at = [float(as_number(getattr(task.scene, name))) for name in QUANTITIES]
-
-    def prepare(accuracy: Accuracy) -> tuple[Use, Callable[[], Any]]:
-        function = gradient_function(task, accuracy)
-
-        def find() -> Any:
-            found = np.asarray(function(at)) * at
-            if not np.all(np.isfinite(found)):
-                raise IntegrationError("the result is not finite")
-            return found
-
-        return lambda: function(at), find
-
-    def errors(found: Any) -> Mapping[str, float]:
-        size = np.max(np.abs(reference.values))
-        wrong = np.max(np.abs(found - reference.values), axis=1) / (size if size > 0 else 1.0)
-        own = zip(("mean draft", "RMS"), wrong, strict=True)
-        return {"gradient": float(np.max(wrong)), **{f"gradient of {name}": float(w) for name, w in own}}
-
-    default = Track("derivatives", AUTO, (Accuracy(),), (0,), text, prepare, errors)
-    tracks = [
-        _track(task, "derivatives", method, prepare, errors, gradient=True)
-        for method in (*fixed_step(), *adaptive())
-        if not refusal(task.scene, method)
-    ]
-    return measured([default, *tracks], "gradient", task.wanted, task.allowance)
-
-
-def gradient_function(task: Task, accuracy: Accuracy) -> ca.Function:
-    """Return the derivatives of `AVERAGES`, a row each, by `QUANTITIES`, as CasADi finds them."""
-    x = ca.MX.sym("x", len(QUANTITIES))
-    varied: dict[str, Any] = dict(zip(QUANTITIES, ca.vertsplit(x), strict=True))
-    scene = replace(task.scene, **varied)
-    run = simulate(scene, task.given, accuracy=accuracy, outputs=1)
-    averages: Expression = ca.vertcat(*(getattr(run, name) for name in AVERAGES))
-    return ca.Function("gradient", [x], [ca.densify(ca.jacobian(averages, x))])

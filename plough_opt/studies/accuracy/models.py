@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping
+from dataclasses import replace
 from functools import partial
-from typing import Any, Final, TypeAlias
+from typing import Any, Final
 
 from plough_opt.core.errors import PloughError
 from plough_opt.core.expressions import as_number
@@ -15,30 +15,12 @@ from plough_opt.motion.effects import HarmonicBalance
 from plough_opt.motion.plan import forced_rate, numbers_of, steps_for, timeline_of
 from plough_opt.motion.quasi_static import quasi_static
 from plough_opt.motion.scene import Scene
-from plough_opt.studies.accuracy.contest import Entry
-from plough_opt.studies.accuracy.methods import Task, failure, prepared, settings_of, text
+from plough_opt.studies.accuracy.contest import Entry, Track, failure
+from plough_opt.studies.accuracy.methods import Prepared, Task, prepared, settings_of, text
 from plough_opt.studies.accuracy.reference import Reference, errors_of
-from plough_opt.studies.accuracy.tracks import Track, measured
 
 HARMONICS: Final = (1, 3, 8, 16)
 """Numbers of harmonics tried."""
-
-
-_Prepared: TypeAlias = tuple[Callable[[], object], Callable[[], Run]]
-_Errors: TypeAlias = Callable[[Run], Mapping[str, float]]
-
-
-@dataclass(frozen=True)
-class References:
-    """References for models; None if there is none.
-
-    Attributes:
-        motion: the scene's own motion.
-        lasting: the lasting orbit that the scene's motion may tend to.
-    """
-
-    motion: Reference | None
-    lasting: Reference | None
 
 
 def lasting_orbit(scene: Scene) -> Scene | None:
@@ -52,57 +34,55 @@ def lasting_orbit(scene: Scene) -> Scene | None:
         return None
 
 
-def period_of(scene: Scene) -> float:
-    """Return the time [s] in which a share passes one wavelength."""
-    return float(as_number(scene.wave_period))
+def models(task: Task, motion: Reference | None, lasting: Reference | None) -> list[Entry]:
+    """Return the models; errors called "lasting ..." are those from the averages of the lasting orbit.
 
+    Args:
+        task: the scene, and how long.
+        motion: the scene's own motion, or None if there is no reference of it.
+        lasting: the lasting orbit that the scene's motion may tend to, or None.
+    """
 
-def models(task: Task, references: References) -> list[Entry]:
-    """Return the models; errors called "lasting ..." are those from the averages of the lasting orbit."""
-    errors = partial(_errors, references)
-    still = "quasi-static"
+    def errors(found: Run) -> Mapping[str, float]:
+        return _errors("", found, motion) | _errors("lasting ", found, lasting)
+
+    refused, tracks = [], []
     if task.scene.effects.entry:
-        first = [failure("model", still, "", "has a share that is wholly buried, and so no entry")]
-        tracks = []
+        refused.append(failure("model", "quasi-static", "has a share that is wholly buried, and so no entry"))
     else:
-        first, tracks = [], [_single(still, lambda _: _quasi_static(task), errors)]
+        tracks.append(Track("model", "quasi-static", lambda _: _quasi_static(task), errors))
     orbit = lasting_orbit(task.scene)
     transient = task.scene.effects.orbit == "transient"
-    if orbit is not None and not (transient and references.lasting is None):
-        tracks += _around(replace(task, scene=orbit, duration=period_of(orbit)), errors, transient=transient)
-    key = "lasting averages" if transient else "averages"
-    return [*first, *measured(tracks, key, task.wanted, task.allowance)]
+    if orbit is not None and not (transient and lasting is None):
+        around = replace(task, scene=orbit, duration=float(as_number(orbit.wave_period)))
+        tracks += _around(around, errors)
+        if transient:
+            rungs, shown = settings_of(around, "dop853")
+            tracks.append(Track("model", "lasting orbit", partial(prepared, around), errors, rungs, shown, text))
+    return [*refused, *task.ranked(tracks, "lasting averages" if transient else "averages")]
 
 
-def _around(task: Task, errors: _Errors, *, transient: bool) -> Iterator[Track]:
-    """Yield what computes a lasting orbit; shooting itself only beside a motion from a start."""
+def _around(task: Task, errors: Callable[[Run], Mapping[str, float]]) -> list[Track]:
+    """Return what stands in for a lasting orbit."""
     steps = settings_of(task, "dop853")[0][-1]
 
-    def prepare(kind: Any) -> _Prepared:
+    def prepare(kind: Any) -> Prepared:
         effects = replace(task.scene.effects, orbit=kind)
         return prepared(replace(task, scene=replace(task.scene, effects=effects)), steps)
 
-    yield _single("linearised", lambda _: prepare("linearised"), errors)
+    balances = tuple(map(HarmonicBalance, range(1, HARMONICS[-1] + 1)))
     shown = tuple(count - 1 for count in task.some(HARMONICS))
-    yield Track(
-        family="model",
-        method="harmonic balance",
-        rungs=tuple(range(1, HARMONICS[-1] + 1)),
-        shown=shown,
-        label=lambda count: f"{count} harmonics" if count > 1 else "1 harmonic",
-        prepare=lambda count: prepare(HarmonicBalance(count)),
-        errors=errors,
-    )
-    if transient:
-        rungs, places = settings_of(task, "dop853")
-        yield Track("model", "lasting orbit", rungs, places, text, partial(prepared, task), errors)
+    return [
+        Track("model", "linearised", lambda _: prepare("linearised"), errors),
+        Track("model", "harmonic balance", prepare, errors, balances, shown, _counted),
+    ]
 
 
-def _single(name: str, prepare: Callable[[Any], _Prepared], errors: _Errors) -> Track:
-    return Track("model", name, (None,), (0,), lambda _: "", prepare, errors)
+def _counted(balance: HarmonicBalance) -> str:
+    return f"{balance.harmonics} harmonic{'s' * (balance.harmonics > 1)}"
 
 
-def _quasi_static(task: Task) -> tuple[Callable[[], object], Callable[[], Run]]:
+def _quasi_static(task: Task) -> Callable[[], Run]:
     """Return the quasi-static limit of a scene, over the same time."""
     effects = replace(
         task.scene.effects, motion=False, start="equilibrium", damping=None, contact="resisting", orbit="transient"
@@ -110,21 +90,15 @@ def _quasi_static(task: Task) -> tuple[Callable[[], object], Callable[[], Run]]:
     scene = replace(task.scene, effects=effects)
     steps = steps_for(forced_rate(numbers_of(scene)) * task.duration)
     timeline = timeline_of(scene, task.duration, task.outputs, steps)
-
-    def run() -> Run:
-        return quasi_static(scene, task.duration, timeline, Accuracy())
-
-    return run, run
+    return partial(quasi_static, scene, task.duration, timeline, Accuracy())
 
 
-def _errors(references: References, found: Run) -> Mapping[str, float]:
-    """Return the errors from both references; mount forces are compared where the outputs are the same times."""
-    errors: dict[str, float] = {}
-    for prefix, reference in (("", references.motion), ("lasting ", references.lasting)):
-        if reference is None:
-            continue
-        same = len(found.time) == len(reference.time) and abs(found.time[-1] - reference.time[-1]) < 1e-9
-        for name, error in errors_of(found, reference).items():
-            if same or name in ("averages", "mean draft", "RMS"):
-                errors[prefix + name] = error
-    return errors
+def _errors(prefix: str, found: Run, reference: Reference | None) -> dict[str, float]:
+    """Return the errors from a reference; mount forces are compared where the outputs are the same times."""
+    if reference is None:
+        return {}
+    truth = reference.run
+    same = len(found.time) == len(truth.time) and abs(found.time[-1] - truth.time[-1]) < 1e-9
+    own = errors_of(found, truth)
+    names = own if same else ("averages", "mean draft", "RMS")
+    return {prefix + name: own[name] for name in names}

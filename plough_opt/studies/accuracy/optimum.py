@@ -7,18 +7,16 @@ requirement in truth.
 
 from __future__ import annotations
 
-import contextlib
 import math
-import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
-from typing import Literal
+from typing import Final
 
 import casadi as ca
 import numpy as np
 
-from plough_opt.core.errors import InputError, NotConverged, PloughError
+from plough_opt.core.errors import InputError, NotConverged
 from plough_opt.design import Design
 from plough_opt.design.basin import first_optimum
 from plough_opt.design.curvature import minimum_from
@@ -28,29 +26,18 @@ from plough_opt.design.program import Program
 from plough_opt.motion.accuracy import Accuracy
 from plough_opt.motion.methods import METHODS, is_stepped
 from plough_opt.motion.plan import steps_for
-from plough_opt.studies.accuracy.contest import Entry, median_time
+from plough_opt.studies.accuracy.contest import Entry, Told, Track, measured
 from plough_opt.studies.accuracy.local_solve import (
     Derivatives,
     Found,
-    Functions,
     Solve,
     Start,
     compiled,
-    functions_of,
     solve_nlp,
     solve_transcribed,
-    without_derivatives,
 )
 from plough_opt.studies.accuracy.tight_optimum import Certificate, TightOptimum
-from plough_opt.studies.accuracy.transcription import (
-    Collocation,
-    MultipleShooting,
-    Points,
-    Question,
-    SingleShooting,
-    Transcription,
-    transcribe,
-)
+from plough_opt.studies.accuracy.transcription import Mesh, Points, Question, Transcription, transcribe
 
 REPORTED = "objective as reported"
 TRUE = "objective in truth"
@@ -63,8 +50,9 @@ _FINER = 4.0
 _SAME = 1e-4
 # Move of each scaled variable, towards the middle, to a start beside the optimum.
 _BESIDE = 0.02
-# A method whose derivatives are noisy cannot meet the toolkit's 1e-10.
-_NOISY = 1e-6
+# Tolerance of IPOPT, the toolkit's own; a method whose derivatives are noisy cannot meet it.
+_TIGHT: Final = 1e-10
+_NOISY: Final = 1e-6
 # Phase [rad] of the fastest oscillation in a step of order 8, and tolerance where it has events, of single shooting.
 _SINGLE = 0.8
 _TIGHTER = 1e-10
@@ -88,13 +76,13 @@ _ADAPTIVE: tuple[tuple[str, tuple[float, ...]], ...] = (
 )
 _HESSIAN, GRADIENT = "exact Hessian, carried along", "exact gradient, L-BFGS"
 _OF_GRAPH = "exact Hessian, of the graph"
-_COMPILED: tuple[tuple[Derivatives, str, str], ...] = (
-    ("exact", _HESSIAN, "-O1"),
-    ("gradient", GRADIENT, "-O1"),
-    ("gradient", GRADIENT, "-O3"),
+_CARRIED: tuple[tuple[str, Derivatives, float], ...] = (
+    (_HESSIAN, "exact", _TIGHT),
+    (GRADIENT, "gradient", _TIGHT),
+    ("central differences, L-BFGS", "central", _NOISY),
+    ("forward differences, L-BFGS", "forward", _NOISY),
 )
 _NO_CODE = "finds the lasting orbit by Newton's method, which CasADi does not translate into C"
-_DIFFERENCES: tuple[Literal["central", "forward"], ...] = ("central", "forward")
 
 
 @dataclass(frozen=True)
@@ -110,24 +98,21 @@ class DesignContest:
     entries: tuple[Entry, ...]
 
 
-def design_entries(design: Design, *, budget: float = 0.5, limit: float = 10.0, near: bool = False) -> list[Entry]:
-    """Return the rows of `design_contest`."""
-    return list(design_contest(design, budget=budget, limit=limit, near=near).entries)
-
-
 def design_contest(
     design: Design,
     *,
+    wanted: float = 1e-6,
     budget: float = 0.5,
     limit: float = 10.0,
     near: bool = False,
     thin: bool = False,
-    progress: Callable[[str, float], None] | None = None,
+    progress: Told | None = None,
 ) -> DesignContest:
     """Solve a design locally by every method, and measure error and time of each.
 
     Args:
         design: with something to minimise; its parameters have their declared values.
+        wanted: relative error of the objective [-]; what reaches it soonest is measured again.
         budget: time [s] after which a solve is not repeated more than thrice for its median, as in `median_time`.
         limit: time [s] after which IPOPT gives up; the row says so.
         near: start beside the optimum, as a solve with slightly changed parameters would, instead of at the guess.
@@ -143,28 +128,16 @@ def design_contest(
     best = judge.reference()
     question = judge.question
     y = best.y + _BESIDE * np.where(best.y < 0.5, 1.0, -1.0) if near else question.program.start()
-    start = Start(y, near, limit)
-    methods = _methods(question, best, start)
-    if thin:
-        names = dict.fromkeys((method.family, method.name) for method in methods)
-        alike = [[method for method in methods if (method.family, method.name) == name] for name in names]
-        methods = [method for settings in alike for method in settings[::2]]
-    entries = []
-    for k, method in enumerate(methods):
-        if progress is not None:
-            progress(f"{method.family}: {method.name}, {method.setting}", k / len(methods))
-        entries.append(judge.entry(method, budget))
+    contestants = _Contestants(question, best, Start(y, near, limit))
+    tracks = [
+        Track(
+            family, name, lambda setting: setting[1](), judge.errors, settings[:: 2 if thin else 1],
+            label=lambda setting: setting[0], patience=lambda _: math.inf, elsewhere=judge.elsewhere,
+        )
+        for (family, name), settings in contestants.settings().items()
+    ]  # fmt: skip
+    entries = measured(tracks, REPORTED, wanted, 10.0 * budget, told=progress or (lambda _stage, _part: None))
     return DesignContest(tuple(judge.optima), tuple(entries))
-
-
-@dataclass(frozen=True)
-class _Method:
-    """A contestant: what it is called, and what builds its solve."""
-
-    family: str
-    name: str
-    setting: str
-    build: Callable[[], Solve]
 
 
 class _Judge:
@@ -179,6 +152,7 @@ class _Judge:
         self.question = Question.of(self._tight, self._p)
         self._certificate = Certificate(self.question)
         self.optima: list[TightOptimum] = []
+        self._basins: dict[bytes, int] = {}
 
     def reference(self) -> TightOptimum:
         """Return the local optimum to which the guess leads, by the toolkit's steps and then by finer ones."""
@@ -191,45 +165,37 @@ class _Judge:
         self.optima.append(self._certificate.tight(point))
         return self.optima[0]
 
-    def entry(self, method: _Method, budget: float) -> Entry:
-        """Return the row of a contestant."""
-        named = (method.family, method.name, method.setting)
-        started = time.perf_counter()
-        setup = 0.0
-        try:
-            solve = method.build()
-            setup = time.perf_counter() - started
-            started = time.process_time()
-            found = solve()
-            seconds = time.process_time() - started
-            errors, elsewhere = self._errors(found)
-        except (PloughError, RuntimeError) as error:
-            return Entry(*named, float("inf"), setup, {}, _in_a_line(error))
-        # A repetition may take just longer than the limit that the first just kept.
-        with contextlib.suppress(PloughError, RuntimeError):
-            seconds = median_time(solve, budget=budget, warm=True)
-        return Entry(*named, seconds, setup, errors, elsewhere=elsewhere)
-
-    def _errors(self, found: Found) -> tuple[dict[str, float], str]:
-        """Return a contestant's errors, and a clause on where it ended if not in the reference."""
-        number = self._basin(found.y)
-        best, program = self.optima[number], self._tight
+    def errors(self, found: Found) -> Mapping[str, float]:
+        """Return the errors of what a contestant found."""
+        best, program = self.optima[self._basin(found.y)], self._tight
         values, _ = program.exact_values(found.y, self._p)
         size = max(abs(best.objective), program.objective_scale * 1e-12)
         limits = [r.margin(v) for r, v in zip(program.declared.requirements, values[1:], strict=True)]
         broken = [max(0.0, -margin) / scale for margin, scale in zip(limits, program.scales, strict=True)]
-        errors = {
+        return {
             REPORTED: abs(found.f * program.objective_scale - best.objective) / size,
             TRUE: abs(float(values[0].item()) - best.objective) / size,
             VARIABLES: float(np.max(np.abs(found.y - best.y))),
             REQUIREMENTS: max(broken, default=0.0),
         }
+
+    def elsewhere(self, found: Found) -> str:
+        """Return a clause that says where a contestant ended, if not in the reference."""
+        number = self._basin(found.y)
         if number == 0:
-            return errors, ""
-        return errors, f"ended in another optimum, {best.objective:.7g} instead of {self.optima[0].objective:.7g}"
+            return ""
+        return (
+            f"ended in another optimum, {self.optima[number].objective:.7g} instead of {self.optima[0].objective:.7g}"
+        )
 
     def _basin(self, y: Vector) -> int:
         """Return the number of the tight optimum to which a design leads; one that is new is added."""
+        key = y.tobytes()
+        if key not in self._basins:
+            self._basins[key] = self._new_basin(y)
+        return self._basins[key]
+
+    def _new_basin(self, y: Vector) -> int:
         for number, optimum in enumerate(self.optima):
             if np.max(np.abs(y - optimum.y)) < _SAME:
                 return number
@@ -243,115 +209,94 @@ class _Judge:
         return len(self.optima) - 1
 
 
-def _in_a_line(error: Exception) -> str:
-    """Return a failure's reason; of CasADi's own, which go over many lines, the last."""
-    lines = [line.strip() for line in str(error).splitlines() if line.strip()]
-    reason = lines[-1] if lines else type(error).__name__
-    return reason if isinstance(error, PloughError) else f"CasADi gave up: {reason}"
+Setting = tuple[str, Callable[[], Solve]]
+"""A setting as text, and what builds its solve."""
 
 
-# --- contestants -----------------------------------------------------------------------------------------
+class _Contestants:
+    """Settings of every contestant; without a moving run there is nothing to transcribe or to integrate."""
 
+    def __init__(self, question: Question, best: TightOptimum, start: Start) -> None:
+        self._question, self._start = question, start
+        self._total = max(question.phase(y) for y in (best.y, start.y))
+        self._found: dict[tuple[str, str], list[Setting]] = {}
 
-def _methods(question: Question, best: TightOptimum, start: Start) -> list[_Method]:
-    """Return the contestants; without a moving run there is nothing to transcribe or to integrate."""
-    runs = question.parts.runs
-    if not runs:
-        return _derivatives(question, start)
-    total = max(question.phase(y) for y in (best.y, start.y))
+    def settings(self) -> dict[tuple[str, str], list[Setting]]:
+        """Return the settings by family and method."""
+        if self._question.parts.runs:
+            self._transcriptions()
+            self._integrators()
+        self._derivatives()
+        return self._found
 
-    def steps(angle: float) -> int:
-        return question.intervals(steps_for(total, angle))
+    def _add(self, family: str, name: str, text: str, build: Callable[[], Solve]) -> None:
+        self._found.setdefault((family, name), []).append((text, build))
 
-    return [
-        *_transcriptions(question, start, steps),
-        *_integrators(question, start, steps),
-        *_derivatives(question, start),
-    ]
+    def _steps(self, angle: float) -> int:
+        """Return how many steps of so many radians a run takes."""
+        return self._question.intervals(steps_for(self._total, angle))
 
+    def _transcriptions(self) -> None:
+        """Add the forms of the program, each with exact derivatives by CasADi."""
+        count = self._steps(_SINGLE)
+        single, text = Accuracy("dop853", steps=count), f"{count} steps of order 8"
+        if self._question.refusal("dop853"):
+            single, text = Accuracy("erk", tolerance=_TIGHTER), f"erk, tolerance {_TIGHTER:.0e}"
+        self._add("transcription", "single shooting", text, partial(self._by_casadi, single))
+        for segments in dict.fromkeys(map(self._question.intervals, _SEGMENTS)):
+            each = math.ceil(count / segments)
+            text = f"{segments} segments of {each} step{'s' * (each > 1)}"
+            build = partial(self._by_casadi, Mesh(segments, steps=each))
+            self._add("transcription", "multiple shooting", text, build)
+        for points, degree, angles in _MESHES:
+            for intervals in dict.fromkeys(map(self._steps, angles)):
+                build = partial(self._by_casadi, Mesh(intervals, degree=degree, points=points))
+                text = f"{intervals} intervals of degree {degree}"
+                self._add("transcription", f"collocation, {points.title()}", text, build)
 
-def _transcriptions(question: Question, start: Start, steps: Callable[[float], int]) -> list[_Method]:
-    """Return the forms of the program, each with exact derivatives by CasADi."""
-    count = steps(_SINGLE)
-    single, text = Accuracy("dop853", steps=count), f"{count} steps of order 8"
-    if question.refusal("dop853"):
-        single, text = Accuracy("erk", tolerance=_TIGHTER), f"erk, tolerance {_TIGHTER:.0e}"
-    forms: list[tuple[str, str, Transcription]] = [("single shooting", text, SingleShooting(single))]
-    for segments in dict.fromkeys(map(question.intervals, _SEGMENTS)):
-        each = math.ceil(count / segments)
-        forms.append(
-            (
-                "multiple shooting",
-                f"{segments} segments of {each} step{'s' * (each > 1)}",
-                MultipleShooting(segments, each),
-            )
-        )
-    for points, degree, angles in _MESHES:
-        for intervals in dict.fromkeys(map(steps, angles)):
-            form = Collocation(intervals, degree, points)
-            forms.append((f"collocation, {points.title()}", f"{intervals} intervals of degree {degree}", form))
-    return [
-        _Method("transcription", name, text, partial(_by_casadi, question, form, start, "exact", 1e-10))
-        for name, text, form in forms
-    ]
+    def _integrators(self) -> None:
+        """Add single shooting by other integrators, each with an exact gradient and limited-memory BFGS."""
+        others = {name: METHODS[name].finer for name in METHODS if is_stepped(name) and name not in ("auto", "dop853")}
+        fixed = (*_FIXED, *((name, (1.0 / by, 0.5 / by)) for name, by in others.items()))
+        settings = [
+            (Accuracy(method, steps=count), f"{count} steps", _TIGHT)
+            for method, angles in fixed for count in dict.fromkeys(map(self._steps, angles))
+        ] + [
+            (Accuracy(method, tolerance=tolerance), f"tolerance {tolerance:.0e}", _NOISY)
+            for method, tolerances in _ADAPTIVE for tolerance in tolerances
+        ]  # fmt: skip
+        for accuracy, text, tolerance in settings:
+            build = partial(self._by_casadi, accuracy, "gradient", tolerance)
+            if reason := self._question.refusal(accuracy.method):
+                build = partial(_refuse, reason)
+            self._add("integrator", accuracy.method, text, build)
 
+    def _derivatives(self) -> None:
+        """Add choices of derivatives, interpreted and compiled, of the program that `Design.solve` takes."""
+        question = self._question
+        counts = [count for count in question.steps if count is not None]
+        unit = "harmonics" if question.orbits else "steps of order 8"
+        text = ", ".join(f"{count} {unit}" for count in dict.fromkeys(counts))
 
-def _integrators(question: Question, start: Start, steps: Callable[[float], int]) -> list[_Method]:
-    """Return single shooting by other integrators, each with an exact gradient and limited-memory BFGS."""
-    methods = []
-    settings: list[tuple[Accuracy, str, float]] = []
-    others = {name: METHODS[name].finer for name in METHODS if is_stepped(name) and name not in ("auto", "dop853")}
-    for method, angles in (*_FIXED, *((name, (1.0 / by, 0.5 / by)) for name, by in others.items())):
-        counts = dict.fromkeys(map(steps, angles))
-        settings += [(Accuracy(method, steps=count), f"{count} steps", 1e-10) for count in counts]
-    for method, tolerances in _ADAPTIVE:
-        settings += [(Accuracy(method, tolerance=t), f"tolerance {t:.0e}", _NOISY) for t in tolerances]
-    for accuracy, text, tolerance in settings:
-        reason = question.refusal(accuracy.method)
-        build = partial(_by_casadi, question, SingleShooting(accuracy), start, "gradient", tolerance)
-        methods.append(_Method("integrator", accuracy.method, text, partial(_refuse, reason) if reason else build))
-    return methods
+        def built(derivatives: Derivatives, tolerance: float, change: Callable[[Nlp], Nlp] = lambda nlp: nlp) -> Solve:
+            # The toolkit's own program: derivatives carried along the steps.
+            nlp = build_nlp(question.parts, question.y, ca.MX.sym("p", 0), list(question.steps))
+            return solve_nlp(change(nlp), question, self._start, derivatives, tolerance)
+
+        for name, derivatives, tolerance in _CARRIED:
+            self._add("derivatives", name, text, partial(built, derivatives, tolerance))
+        if counts and not question.orbits:
+            build = partial(self._by_casadi, Accuracy("dop853", steps=max(counts)))
+            self._add("derivatives", _OF_GRAPH, text, build)
+        build = partial(_refuse, _NO_CODE) if question.orbits else partial(built, "gradient", _TIGHT, compiled)
+        self._add("compiled", f"{GRADIENT}, compiled", text, build)
+
+    def _by_casadi(self, form: Transcription, derivatives: Derivatives = "exact", tolerance: float = _TIGHT) -> Solve:
+        """Return the solve of a transcription; collocation, of many small pieces, as scalar operations."""
+        own = transcribe(self._question, form, self._start.y)
+        scalar = isinstance(form, Mesh) and not form.steps
+        return solve_transcribed(own, self._start, derivatives, tolerance, scalar=scalar)
 
 
 def _refuse(reason: str) -> Solve:
     raise InputError(reason)
-
-
-def _derivatives(question: Question, start: Start) -> list[_Method]:
-    """Return choices of derivatives, interpreted and compiled, of the program that `Design.solve` takes."""
-
-    def built(use: Derivatives, change: Callable[[Functions], Functions] | None = None, tol: float = 1e-10) -> Solve:
-        own = functions_of(_carried(question), use)
-        return solve_nlp(own if change is None else change(own), question, start, use, tol)
-
-    counts = [count for count in question.steps if count is not None]
-    unit = "harmonics" if question.orbits else "steps of order 8"
-    text = ", ".join(f"{count} {unit}" for count in dict.fromkeys(counts))
-    rows: list[tuple[str, str, Callable[[], Solve]]] = [
-        ("derivatives", _HESSIAN, partial(built, "exact")),
-        ("derivatives", GRADIENT, partial(built, "gradient")),
-    ]
-    if counts and not question.orbits:
-        form = SingleShooting(Accuracy("dop853", steps=max(counts)))
-        rows.append(("derivatives", _OF_GRAPH, partial(_by_casadi, question, form, start, "exact", 1e-10)))
-    for differences in _DIFFERENCES:
-        blind = partial(without_derivatives, variables=len(start.y), method=differences)
-        name = f"{differences} differences, L-BFGS"
-        rows.append(("derivatives", name, partial(built, differences, blind, _NOISY)))
-    for use, name, flag in _COMPILED:
-        build = partial(_refuse, _NO_CODE) if question.orbits else partial(built, use, partial(compiled, flags=[flag]))
-        rows.append(("compiled", f"{name}, cc {flag}", build))
-    return [_Method(family, name, text, build) for family, name, build in rows]
-
-
-def _carried(question: Question) -> Nlp:
-    """Return the toolkit's own program: derivatives carried along the steps."""
-    return build_nlp(question.parts, question.y, ca.MX.sym("p", 0), list(question.steps))
-
-
-def _by_casadi(
-    question: Question, form: Transcription, start: Start, derivatives: Derivatives, tolerance: float
-) -> Solve:
-    """Return the solve of a transcription; collocation, of many small pieces, as scalar operations."""
-    own = transcribe(question, form, start.y)
-    return solve_transcribed(own, start, derivatives, tolerance, scalar=isinstance(form, Collocation))

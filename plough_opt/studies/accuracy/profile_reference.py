@@ -1,13 +1,12 @@
 """The resistance by a density profile in the widest floats, from equations (14) to (24) as they stand.
 
 The quadratures of `soil.plastic` and `laws.forces` are nested Gauss rules in variables of their own. Here
-psi is a chain of Chebyshev polynomials over the radius, the front its root, and what remains are integrals over the
-particles s and over the cone's face x, each in several panels.
+psi is an integral of its own for every radius, the front its root, and what remains are integrals over the particles s
+and over the cone's face x, all by Gauss's rule in several panels.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,11 +16,10 @@ from plough_opt.core.expressions import as_number
 from plough_opt.soil import plastic
 from plough_opt.soil.geometry import Cone
 from plough_opt.soil.soil import Soil
-from plough_opt.studies.accuracy.picard import PI, WIDE, Basis, Wide, chebyshev, gauss
+from plough_opt.studies.accuracy.chebyshev import gauss
+from plough_opt.studies.accuracy.wide import PI, WIDE, Wide
 
 _NEWTON = 5
-# The table of psi ends a little beyond the front at the base.
-_BEYOND = WIDE(1.001)
 
 
 @dataclass(frozen=True)
@@ -33,36 +31,14 @@ class WideReaction:
     added_mass: Wide
 
 
-@dataclass(frozen=True)
-class _Psi:
-    """psi(r), the integral of b(s) s from 0 to r, as polynomials in panels of one width [m]."""
-
-    width: Wide
-    coefficients: Wide
-
-    @classmethod
-    def of(cls, ratio: Callable[[Wide], Wide], end: Wide, panels: int, degree: int) -> _Psi:
-        basis, width = Basis.of(degree), end / panels
-        places = width * (np.arange(panels)[:, None] + (basis.nodes + 1) / 2)
-        parts = width / 2 * (ratio(places) * places) @ basis.integral.T
-        before = np.concatenate([[WIDE(0)], np.cumsum(parts[:-1, -1])])
-        return cls(width, (parts + before[:, None]) @ basis.coefficients.T)
-
-    def __call__(self, r: Wide) -> Wide:
-        panel = np.minimum((r / self.width).astype(int), len(self.coefficients) - 1)
-        rows = chebyshev(2 * (r / self.width - panel) - 1, self.coefficients.shape[1] - 1)
-        found: Wide = np.sum(rows * self.coefficients[panel], axis=-1)
-        return found
-
-
-def profile_reaction(cone: Cone, soil: Soil, panels: int, degree: int) -> WideReaction:
+def profile_reaction(cone: Cone, soil: Soil, panels: int, count: int) -> WideReaction:
     """Return what the soil's density profile adds up to.
 
     Args:
         cone: numeric.
         soil: numeric, with a density profile.
-        panels: of psi over the radius; an eighth of them over particles and face.
-        degree: of psi in a panel, and points of Gauss's rule in each of the others.
+        panels: of every integral.
+        count: points of Gauss's rule in each panel.
 
     Raises:
         InputError: a profile that takes no wide floats.
@@ -80,18 +56,25 @@ def profile_reaction(cone: Cone, soil: Soil, panels: int, degree: int) -> WideRe
             raise InputError(f"the density profile takes no wide floats: {error}") from None
         return density / (found.reshape(r.shape) if found.size == r.size else found + 0 * r)
 
-    points, weights = _over(height, max(2, panels // 8), degree)
+    parts, weights = _over(WIDE(1), panels, count)
+
+    def psi(r: Wide) -> Wide:
+        s = r[..., None] * parts
+        return r * ((ratio(s) * s) @ weights)
+
+    points, shares = height * parts, height * weights
     radius = points * slope
     front = _fronts(soil, radius)
-    psi = _Psi.of(ratio, np.max(front) * _BEYOND, panels, degree)
     for _ in range(_NEWTON):
         front = front - (front**2 - 2 * psi(front) - radius**2) / (2 * front * (1 - ratio(front)))
-    strength, rate, inertia = _wall(soil, psi, ratio, radius, front, max(2, panels // 8), degree)
+    s = front[:, None] * parts
+    y = np.sqrt(radius[:, None] ** 2 + 2 * psi(s))
+    strength, rate, inertia = _wall(soil, radius, front, 1 - ratio(front), (s, y, weights))
     face = 2 * PI * slope * (slope + friction)
     return WideReaction(
-        static=face * (weights @ (points * strength)),
-        drag=face * slope**2 * density * (weights @ (points * rate)),
-        added_mass=face * slope**2 * density * (weights @ (points**2 * inertia)),
+        static=face * (shares @ (points * strength)),
+        drag=face * slope**2 * density * (shares @ (points * rate)),
+        added_mass=face * slope**2 * density * (shares @ (points**2 * inertia)),
     )
 
 
@@ -109,9 +92,17 @@ def _fronts(soil: Soil, radius: Wide) -> Wide:
 
 
 def _wall(
-    soil: Soil, psi: _Psi, ratio: Callable[[Wide], Wide], radius: Wide, front: Wide, panels: int, count: int
+    soil: Soil, radius: Wide, front: Wide, jump: Wide, particles: tuple[Wide, Wide, Wide]
 ) -> tuple[Wide, Wide, Wide]:
-    """Return the wall's gauge pressure at rest [Pa], and its coefficients of rho0 R'^2 and rho0 R R''."""
+    """Return the wall's gauge pressure at rest [Pa], and its coefficients of rho0 R'^2 and rho0 R R''.
+
+    Args:
+        soil: numeric.
+        radius: R of the wall, for each point of the face [m].
+        front: radius of the front there [m].
+        jump: 1 - b at the front.
+        particles: where they began s and where they are y, a row for each wall [m]; weights of their integral.
+    """
     angle, cohesion, ambient = (
         WIDE(float(as_number(value))) for value in (soil.friction_angle, soil.cohesion, soil.ambient_pressure)
     )
@@ -119,11 +110,9 @@ def _wall(
     nu, tau = 2 * mu / (1 + mu), 2 * cohesion * np.cos(angle)
     log = np.log(front / radius)
     growth = np.expm1(nu * log) / nu if nu > 0 else log
-    parts, weights = _over(WIDE(1), panels, count)
-    s = front[:, None] * parts
-    y = np.sqrt(radius[:, None] ** 2 + 2 * psi(s.ravel()).reshape(s.shape))
+    s, y, weights = particles
     share = (y / radius[:, None]) ** nu * s / y**2 * front[:, None]
     inertia = share @ weights
     slowing = (share * (radius[:, None] / y) ** 2) @ weights
-    jump = np.exp(nu * log) * (radius / front) ** 2 / (1 - ratio(front))
-    return growth * (nu * ambient + tau / (1 + mu)), jump + inertia - slowing, inertia
+    driven = np.exp(nu * log) * (radius / front) ** 2 / jump
+    return growth * (nu * ambient + tau / (1 + mu)), driven + inertia - slowing, inertia

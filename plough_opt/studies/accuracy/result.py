@@ -11,10 +11,9 @@ from typing import TYPE_CHECKING, Any
 from plough_opt.core.kept import Keepable
 from plough_opt.core.origin import Origin
 from plough_opt.core.tables import Column, Grid, Page, Part, data_frame
-from plough_opt.studies.accuracy.contest import AUTO, COMPILED, Entry, cheapest, efficient, error_text
-from plough_opt.studies.accuracy.methods import MACHINE_CODE
+from plough_opt.studies.accuracy.contest import Entry, cheapest, efficient
+from plough_opt.studies.accuracy.methods import AUTO, COMPILED, MACHINE_CODE, error_text
 from plough_opt.studies.accuracy.optimum import REPORTED, REQUIREMENTS, TRUE, VARIABLES
-from plough_opt.studies.accuracy.scenes import CONTACT, COURSE, DERIVATIVES, LASTING, MOTION, PROFILE
 from plough_opt.studies.accuracy.thoroughness import Thoroughness
 
 if TYPE_CHECKING:
@@ -22,8 +21,16 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-OPTIMUM = "optimum"
-"""Name of the reference of a design."""
+MOTION, LASTING, DERIVATIVES, PROFILE, COURSE, CONTACT, OPTIMUM = (
+    "motion",
+    "lasting orbit",
+    "gradient",
+    "density profile",
+    "quasi-static course",
+    "elastic contact",
+    "optimum",
+)
+"""Names of the references."""
 
 # Ratio of times that says nothing.
 _NOISE = 1.15

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import platform
-from collections.abc import Iterator
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from importlib.metadata import version
+from typing import TypeVar
 
 from plough_opt.core.domain import check_domain, check_text, plain_number
-from plough_opt.core.errors import InputError
+from plough_opt.core.errors import InputError, PloughError
 from plough_opt.core.expressions import as_number, holds_casadi, is_count, map_expressions
 from plough_opt.core.kinds import check_callable, check_kind, check_switch, shown
 from plough_opt.core.origin import versions
@@ -16,21 +18,36 @@ from plough_opt.core.processors import available
 from plough_opt.core.quantities import BESIDE
 from plough_opt.design import Design
 from plough_opt.laws.elastic_medium import ElasticMedium
+from plough_opt.laws.plastic_gas import PlasticGas
 from plough_opt.motion.accuracy import DEFAULT_ERROR
 from plough_opt.motion.plan import MOST_OUTPUTS, forced_rate, numbers_of, steps_for
 from plough_opt.motion.scene import Scene
-from plough_opt.studies.accuracy.methods import Task
-from plough_opt.studies.accuracy.models import period_of
+from plough_opt.studies.accuracy.contest import Entry, Told
+from plough_opt.studies.accuracy.methods import Task, gradients, integrators
+from plough_opt.studies.accuracy.models import lasting_orbit, models
 from plough_opt.studies.accuracy.optimum import GRADIENT, VARIABLES, design_contest
-from plough_opt.studies.accuracy.result import OPTIMUM, AccuracyStudy
-from plough_opt.studies.accuracy.scenes import CONTACT, COURSE, DERIVATIVES, MOTION, PROFILE, Told, contest
+from plough_opt.studies.accuracy.quadratures import Found, density_profile, elastic_contact, quasi_static_course
+from plough_opt.studies.accuracy.reference import Reference, reference_gradient, reference_run
+from plough_opt.studies.accuracy.result import (
+    CONTACT,
+    COURSE,
+    DERIVATIVES,
+    LASTING,
+    MOTION,
+    OPTIMUM,
+    PROFILE,
+    AccuracyStudy,
+)
 from plough_opt.studies.accuracy.thoroughness import thoroughness
+from plough_opt.studies.accuracy.wide import WIDER
 
 OUTPUTS = 40
 """Default number of intervals between output times: few, so that coarse steps can take part."""
 
 ALLOWANCE = 1.0
 """Default time [s] that one use of a contestant may take."""
+
+_T = TypeVar("_T")
 
 
 def study_accuracy(
@@ -63,10 +80,9 @@ def study_accuracy(
         DomainError: the duration is not positive.
     """
     check_kind("the scene", scene, Scene, "a numeric Scene")
-    _check_said(title, progress, derivatives=derivatives, thin=thin)
+    _check(wanted, title, progress, derivatives=derivatives, thin=thin)
     if holds_casadi(scene):
         scene = map_expressions(scene, lambda value: float(as_number(value)))
-    check_domain("wanted error", plain_number("wanted", wanted), at_least=1e-15, at_most=0.1)
     check_domain("time allowed to a contestant", plain_number("allowance", allowance), "s", above=0.0)
     if not is_count(outputs) or outputs > MOST_OUTPUTS:
         raise InputError(f"outputs = {shown(outputs)} must be a whole number from 1 to {MOST_OUTPUTS}")
@@ -74,20 +90,20 @@ def study_accuracy(
         if duration is not None:
             raise InputError("a lasting orbit has a duration of its own, one wavelength of the soil: leave it out")
         scene = replace(scene, effects=replace(scene.effects, orbit="periodic"))
-        duration = period_of(scene)
+        duration = float(as_number(scene.wave_period))
     if duration is None:
         raise InputError("the duration is missing: how long shall the scene be simulated, in seconds?")
     BESIDE["scene.duration"].check(plain_number("duration", duration))
-    task = Task(scene, float(duration), int(outputs), float(allowance), thin, wanted)
-    found = contest(task, derivatives=derivatives, told=progress)
+    hall = _Hall(Task(scene, float(duration), int(outputs), float(allowance), thin, wanted))
+    hall.fill(progress or (lambda _stage, _part: None), derivatives=derivatives)
     return AccuracyStudy(
         title=title,
-        duration=task.duration,
+        duration=hall.task.duration,
         wanted=wanted,
-        entries=found.entries,
-        floors=found.floors,
-        notes=found.notes,
-        defaults=dict(_defaults(task)),
+        entries=tuple(hall.entries),
+        floors=hall.floors,
+        notes=tuple(hall.notes),
+        defaults=_defaults(hall.task),
         versions=_versions(),
     )
 
@@ -124,10 +140,9 @@ def study_design(
         NotConverged: the reference was not found.
     """
     check_kind("the design", design, Design, "a Design")
-    _check_said(title, progress, near=near, thin=thin)
-    check_domain("wanted error", plain_number("wanted", wanted), at_least=1e-15, at_most=0.1)
+    _check(wanted, title, progress, near=near, thin=thin)
     check_domain("time allowed to a solve", plain_number("limit", limit), "s", above=0.0)
-    found = design_contest(design, limit=limit, near=near, thin=thin, progress=progress)
+    found = design_contest(design, wanted=wanted, limit=limit, near=near, thin=thin, progress=progress)
     ours = [(e.method, e.setting) for e in found.entries if (e.family, e.method) == ("derivatives", GRADIENT)]
     return AccuracyStudy(
         title=title,
@@ -141,17 +156,90 @@ def study_design(
     )
 
 
-def _defaults(task: Task) -> Iterator[tuple[str, tuple[str, str]]]:
-    """Yield the default method for each reference."""
-    yield MOTION, ("auto", f"error {DEFAULT_ERROR:.0e}")
-    yield DERIVATIVES, ("auto", "default")
-    yield CONTACT, ("graded cells", "")
+class _Hall:
+    """Entries, errors of references, and notes on what has none, as they come in."""
+
+    def __init__(self, task: Task) -> None:
+        self.task = task
+        self.entries: list[Entry] = []
+        self.floors: dict[str, float] = {}
+        self.notes: list[str] = []
+
+    def fill(self, told: Told, *, derivatives: bool) -> None:
+        """Measure every contestant that can do the scene, against references that take no part."""
+        task, scene = self.task, self.task.scene
+        if scene.effects.motion:
+            told("following the reference", 0.0)
+            self._motion(told)
+            if derivatives:
+                told("derivatives", 0.6)
+                self._derivatives()
+            if not WIDER:
+                self.notes.append("this machine has no floats wider than a double: the references are no better")
+        elif isinstance(scene.law, ElasticMedium):
+            self._quadrature(CONTACT, partial(elastic_contact, task))
+        else:
+            self._quadrature(COURSE, partial(quasi_static_course, task))
+        if scene.soil.density_profile is not None and isinstance(scene.law, PlasticGas):
+            told("quadratures", 0.9)
+            self._quadrature(PROFILE, partial(density_profile, task))
+
+    def _motion(self, told: Told) -> None:
+        """Measure integrators and models."""
+        scene, outputs = self.task.scene, self.task.outputs
+        around = lasting_orbit(scene)
+        own = self._reference(MOTION, partial(reference_run, scene, self.task.given, outputs=outputs))
+        lasting = None
+        if scene.effects.orbit == "transient" and around is not None:
+            lasting = self._reference(LASTING, partial(reference_run, around, outputs=outputs))
+        if own is not None:
+            told("integrators", 0.1)
+            self.entries += integrators(self.task, own)
+        if own is not None or lasting is not None:
+            told("models", 0.5)
+            self.entries += models(self.task, own, lasting)
+
+    def _derivatives(self) -> None:
+        reference = self._noted(DERIVATIVES, partial(reference_gradient, self.task.scene, self.task.given))
+        if reference is not None:
+            self.floors[DERIVATIVES] = reference.error
+            self.entries += gradients(self.task, reference)
+
+    def _reference(self, name: str, find: Callable[[], Reference]) -> Reference | None:
+        found = self._noted(name, find)
+        if found is not None:
+            self.floors |= {name: found.errors["averages"], f"{name}, trajectory": found.errors["trajectory"]}
+        return found
+
+    def _quadrature(self, name: str, measure: Callable[[], Found]) -> None:
+        found = self._noted(name, measure)
+        if found is not None:
+            entries, self.floors[name] = found
+            self.entries += entries
+
+    def _noted(self, name: str, find: Callable[[], _T]) -> _T | None:
+        """Return what is found, or None and a note that says why there is none."""
+        try:
+            return find()
+        except PloughError as error:
+            self.notes.append(f"no reference of the {name}: {error}")
+            return None
+
+
+def _defaults(task: Task) -> dict[str, tuple[str, str]]:
+    """Return the default method for each reference."""
+    defaults = {
+        MOTION: ("auto", f"error {DEFAULT_ERROR:.0e}"),
+        DERIVATIVES: ("auto", "default"),
+        CONTACT: ("graded cells", ""),
+    }
     profile = task.scene.soil.density_profile
     if profile is not None:
-        yield PROFILE, ("density profile", f"order {profile.order}")
+        defaults[PROFILE] = "density profile", f"order {profile.order}"
     if not task.scene.effects.motion and not isinstance(task.scene.law, ElasticMedium):
         panels = max(task.outputs, steps_for(forced_rate(numbers_of(task.scene)) * task.duration))
-        yield COURSE, ("quasi-static", f"10 points in each of {panels} panels")
+        defaults[COURSE] = "quasi-static", f"10 points in each of {panels} panels"
+    return defaults
 
 
 def _versions() -> dict[str, str]:
@@ -164,10 +252,11 @@ def _versions() -> dict[str, str]:
     }
 
 
-def _check_said(title: str, progress: Told | None, **switches: bool) -> None:
-    """Raise InputError for a title, a progress function or a switch of the wrong type."""
+def _check(wanted: float, title: str, progress: Told | None, **switches: bool) -> None:
+    """Refuse a wanted error out of range, and what is no title, no function, or neither on nor off."""
     check_text("title", title)
     if progress is not None:
         check_callable("progress", progress, "of what is done and the part done")
     for name, value in switches.items():
         check_switch(name, value)
+    check_domain("wanted error", plain_number("wanted", wanted), at_least=1e-15, at_most=0.1)

@@ -16,7 +16,7 @@ from plough_opt.design.optimality import decides, newton_step, symmetric
 from plough_opt.design.program import Program
 from plough_opt.motion.accuracy import Accuracy
 from plough_opt.motion.plan import steps_for
-from plough_opt.studies.accuracy.transcription import Question, SingleShooting, transcribe
+from plough_opt.studies.accuracy.transcription import Question, transcribe
 
 # Tolerance of the adaptive method; and phase [rad] in a step of order 8, which takes its place where a lasting orbit is
 # to be found.
@@ -71,7 +71,7 @@ class Certificate:
             accuracy = (
                 Accuracy("dop853", steps=steps) if self._question.orbits else Accuracy("erk", tolerance=_TOLERANCE)
             )
-            own = transcribe(self._question, SingleShooting(accuracy))
+            own = transcribe(self._question, accuracy)
             results = [ca.gradient(own.f, own.x), own.g[0], ca.jacobian(own.g[0], own.x)]
             self._built = ca.Function("certificate", [own.x], results)
         return tuple(np.asarray(result) for result in self._built(y))
@@ -93,13 +93,13 @@ class Certificate:
     def _polished(self, point: Point) -> tuple[Vector, float, float]:
         """Return scaled variables on the limits that decide, what is left of the conditions, and the next step."""
         program, y, n = self._program, point.y, len(point.y)
-        sides = _Sides.of(program, point, np.asarray(program.nlp.values(y, self._p)[1]).ravel())
+        deciding, limits = _deciding(program, point, np.asarray(program.nlp.values(y, self._p)[1]).ravel())
         hessian = symmetric(np.asarray(program.nlp.hess_lag(y, self._p, 1.0, point.lam_g)))
         best = (y, np.inf, np.inf)
         for _ in range(_MOST_STEPS):
             gradient, g, jacobian = self._derivatives(y)
-            rows = np.vstack([jacobian, np.eye(n)])[sides.rows]
-            margins = np.r_[g.ravel(), y][sides.rows] - sides.limits
+            rows = np.vstack([jacobian, np.eye(n)])[deciding]
+            margins = np.r_[g.ravel(), y][deciding] - limits
             move, pulls = newton_step(hessian, gradient.ravel(), rows, margins, _FLAT)
             left = np.r_[gradient.ravel() - rows.T @ pulls, margins]
             residual, step = float(np.max(np.abs(left))), float(np.max(np.abs(move)))
@@ -111,23 +111,19 @@ class Certificate:
         return best
 
 
-@dataclass(frozen=True)
-class _Sides:
-    """The limits that decide: rows of requirements and, after them, variables; and the values that these take."""
+def _deciding(program: Program, point: Point, g: Vector) -> tuple[Vector, Vector]:
+    """Return rows of requirements and, after them, variables that are on a limit that decides; and these limits.
 
-    rows: Vector
-    limits: Vector
-
-    @classmethod
-    def of(cls, program: Program, point: Point, g: Vector) -> _Sides:
-        """Read them off where IPOPT stopped: a multiplier is negative at a lower limit."""
-        low = np.r_[program.low, np.zeros(len(point.y))]
-        high = np.r_[program.high, np.ones(len(point.y))]
-        values, pulls = np.r_[g, point.y], np.r_[point.lam_g, point.lam_y]
-        rows, limits = [], []
-        for row, (value, pull) in enumerate(zip(values, pulls, strict=True)):
-            limit = low[row] if pull < 0.0 else high[row]
-            if decides(abs(value - limit), abs(pull)) or low[row] == high[row]:
-                rows.append(row)
-                limits.append(limit)
-        return cls(np.array(rows, int), np.array(limits))
+    They are read off where IPOPT stopped: a multiplier is negative at a lower limit.
+    """
+    low = np.r_[program.low, np.zeros(len(point.y))]
+    high = np.r_[program.high, np.ones(len(point.y))]
+    values, pulls = np.r_[g, point.y], np.r_[point.lam_g, point.lam_y]
+    limits = np.asarray(np.where(pulls < 0.0, low, high))
+    rows = [
+        row
+        for row, margin in enumerate(np.abs(values - limits))
+        if decides(margin, abs(pulls[row])) or low[row] == high[row]
+    ]
+    chosen = np.array(rows, int)
+    return chosen, limits[chosen]

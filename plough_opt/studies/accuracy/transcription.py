@@ -9,6 +9,7 @@ Nonlinear Programming, 2nd ed., 2010, chapters 3 and 4.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Literal
 
 import casadi as ca
@@ -22,12 +23,12 @@ from plough_opt.design.split import EmbeddedRun, Split, split
 from plough_opt.motion.accuracy import Accuracy
 from plough_opt.motion.equation import equation_of_motion, start_state
 from plough_opt.motion.integrators import integration
-from plough_opt.motion.methods import METHODS, ORDER_8
 from plough_opt.motion.plan import MOST_ADAPTIVE, phase, with_setting
 from plough_opt.motion.runge_kutta import step
 from plough_opt.motion.signals import signals
 from plough_opt.motion.terms import Structure
 from plough_opt.motion.timeline import Timeline
+from plough_opt.studies.accuracy.methods import refused
 
 Points = Literal["radau", "legendre"]
 
@@ -36,41 +37,25 @@ _START_STEPS = 2000
 
 
 @dataclass(frozen=True)
-class SingleShooting:
-    """Every run is a function of the design's variables, by a named method with its setting."""
-
-    accuracy: Accuracy
-
-
-@dataclass(frozen=True)
-class MultipleShooting:
-    """The states at the ends of segments are unknowns; within each segment go steps of order 8.
-
-    Args:
-        segments: number wanted over the duration; at least one for each output that the design uses.
-        steps: steps in each segment.
-    """
-
-    segments: int
-    steps: int
-
-
-@dataclass(frozen=True)
-class Collocation:
-    """The states at all points of a mesh are unknowns; at them a polynomial satisfies the equation of motion.
+class Mesh:
+    """States between intervals of the duration are unknowns: direct multiple shooting, or direct collocation.
 
     Args:
         intervals: number wanted over the duration; at least one for each output that the design uses.
-        degree: of the polynomial in an interval; order 2 degree - 1 of Radau's points, 2 degree of Legendre's.
+        steps: steps of order 8 in each, of multiple shooting; 0 of collocation.
+        degree: of the polynomial of collocation, whose states at all points are unknowns too and satisfy the equation
+            of motion there; order 2 degree - 1 of Radau's points, 2 degree of Legendre's.
         points: ``"radau"`` or ``"legendre"``.
     """
 
     intervals: int
-    degree: int
+    steps: int = 0
+    degree: int = 0
     points: Points = "radau"
 
 
-Transcription = SingleShooting | MultipleShooting | Collocation
+Transcription = Accuracy | Mesh
+"""Single shooting by a method with its setting: every run is a function of the design's variables. Or a mesh."""
 
 
 @dataclass(frozen=True)
@@ -103,10 +88,10 @@ class Question:
         parts = split(ca.graph_substitute(expressions, declared.symbols(), given), [y])
         return cls(program, p, y, parts, tuple(program.built.steps))
 
-    def uses_averages_only(self, run: int) -> bool:
-        """Return whether objective and requirements use no more of a run than its averages."""
-        full = ca.Function("full", [self.y, *self.parts.results], list(self.parts.expressions))
-        return averages_only(self.parts.runs[run], full, 1 + run)
+    @cached_property
+    def full(self) -> ca.Function:
+        """(y, results of the runs) -> objective and requirements."""
+        return ca.Function("full", [self.y, *self.parts.results], list(self.parts.expressions))
 
     @property
     def events(self) -> bool:
@@ -120,11 +105,7 @@ class Question:
 
     def refusal(self, method: str) -> str:
         """Return why a method of integration cannot do the runs, or nothing."""
-        if self.orbits and method not in ORDER_8:
-            return "finds no lasting orbit"
-        if self.events and not METHODS[method].locates_events:
-            return "finds no events, which stick and slip and the entry of a share have"
-        return ""
+        return refused(method, orbits=self.orbits, events=self.events)
 
     def phase(self, y: Vector) -> float:
         """Return the phase [rad] of the fastest oscillation of any run at scaled variables."""
@@ -137,7 +118,8 @@ class Question:
 
     def outputs_used(self, run: int) -> int:
         """Return the number of intervals between the outputs of a run that the design uses: one for averages alone."""
-        return 1 if self.uses_averages_only(run) else self.parts.runs[run].integration.timeline.outputs
+        own = self.parts.runs[run]
+        return 1 if averages_only(own, self.full, 1 + run) else own.integration.timeline.outputs
 
     def intervals(self, wanted: int) -> int:
         """Return how many steps, segments or intervals a wanted number becomes, for they end at every output used."""
@@ -159,7 +141,6 @@ class Transcribed:
         lower: lower bounds of x.
         upper: upper bounds of x.
         start: where to start: the design, and the run that belongs to it.
-        variables: number of scaled variables at the front of x.
     """
 
     x: ca.MX
@@ -170,7 +151,6 @@ class Transcribed:
     lower: Vector
     upper: Vector
     start: Vector
-    variables: int
 
 
 def transcribe(question: Question, form: Transcription, first: Vector | None = None) -> Transcribed:
@@ -186,8 +166,7 @@ def transcribe(question: Question, form: Transcription, first: Vector | None = N
     """
     first = question.program.start() if first is None else first
     lifts = [_lifted(question, k, form, first) for k in range(len(question.parts.runs))]
-    full = ca.Function("full", [question.y, *question.parts.results], list(question.parts.expressions))
-    f, g = full(question.y, *(lift.results for lift in lifts))
+    f, g = question.full(question.y, *(lift.results for lift in lifts))
     ties = [block for lift in lifts for block in lift.ties]
     start = np.concatenate([first, *(lift.start for lift in lifts)])
     free = np.full(len(start) - len(first), np.inf)
@@ -201,7 +180,6 @@ def transcribe(question: Question, form: Transcription, first: Vector | None = N
         lower=np.r_[np.zeros(len(first)), -free],
         upper=np.r_[np.ones(len(first)), free],
         start=start,
-        variables=len(first),
     )
 
 
@@ -218,16 +196,13 @@ class _Lift:
 def _lifted(question: Question, run: int, form: Transcription, first: Vector) -> _Lift:
     own, outputs = question.parts.runs[run], question.outputs_used(run)
     structure, timeline = own.integration.structure, own.integration.timeline
-    if isinstance(form, SingleShooting):
-        return _shot_once(own, form.accuracy, outputs)
+    if isinstance(form, Accuracy):
+        return _shot_once(own, form, outputs)
     if structure.events or structure.orbit != "transient":
         what = "events" if structure.events else "a lasting orbit"
         raise InputError(f"a run with {what} is only shot as a whole: its states are not unknowns of a mesh")
-    if isinstance(form, MultipleShooting):
-        mesh, piece = Timeline(outputs, form.segments, timeline.kink), _segment(structure, form.steps)
-    else:
-        mesh = Timeline(outputs, form.intervals, timeline.kink)
-        piece = _collocated(structure, form.degree, form.points)
+    mesh = Timeline(outputs, form.intervals, timeline.kink)
+    piece = _segment(structure, form.steps) if form.steps else _collocated(structure, form.degree, form.points)
     path = _Path.of(own, ca.Function("inputs", [question.y], [own.inputs])(first), timeline.kink)
     return _tied(own, mesh, piece, path)
 

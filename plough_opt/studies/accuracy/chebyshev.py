@@ -1,4 +1,4 @@
-"""One step of z'' = f(t, z, z') by Chebyshev polynomials and Picard's iteration, in the machine's widest floats.
+"""One step of x' = f(t, x) by Chebyshev polynomials and Picard's iteration, in the machine's widest floats.
 
 Clenshaw, Norton: The solution of nonlinear ordinary differential equations in Chebyshev series, Computer Journal 6
 (1963), 88-92. The solution of a step is a polynomial, whose last coefficients show how accurate it is, and on which
@@ -10,23 +10,14 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any, Final, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 
-WIDE: Final = np.longdouble
-"""The widest floats of the machine: 64 bits of mantissa on x86, elsewhere often the 53 of a double."""
+from plough_opt.studies.accuracy.wide import EPS, PI, WIDE, Wide
 
-EPS: Final = np.finfo(WIDE).eps
-"""Rounding of `WIDE`."""
-
-PI: Final = WIDE("3.14159265358979323846264338327950288419716939937511")
-
-Wide: TypeAlias = Any
-"""A number of `WIDE`, or an array of them."""
-
-Acceleration: TypeAlias = Callable[[Wide, Wide], Wide]
-"""z'' from z and z' at the nodes of a step."""
+Rates: TypeAlias = Callable[[Wide, Wide], Wide]
+"""Rates of the states, a row each, from times and states."""
 
 _MOST_SWEEPS = 60
 # Rounding of a sweep, in units of the last place, beyond which it no longer converges.
@@ -95,75 +86,66 @@ def gauss(count: int) -> tuple[Wide, Wide]:
 
 @dataclass(frozen=True)
 class Step:
-    """Solution of a step: Chebyshev coefficients of z [m] and z' [m/s] over the time from its start.
+    """Solution of a step: polynomials over the time from its start.
 
     Attributes:
         start: time [s].
         size: length [s].
-        z: coefficients of z.
-        rate: coefficients of z'.
-        used: part of the coefficients of z' that are above rounding; 1 where all but the last are.
+        coefficients: of Chebyshev's polynomials, a row for each state.
+        used: part of the second state's coefficients that are above rounding; 1 where all but the last are.
     """
 
     start: Wide
     size: Wide
-    z: Wide
-    rate: Wide
+    coefficients: Wide
     used: float
 
-    def at(self, times: Wide) -> tuple[Wide, Wide]:
-        """Return z and z' at times within the step."""
-        rows = chebyshev(2 * (times - self.start) / self.size - 1, len(self.z) - 1)
-        return rows @ self.z, rows @ self.rate
+    def at(self, times: Wide) -> Wide:
+        """Return the states, a row each, at times within the step."""
+        places = 2 * (times - self.start) / self.size - 1
+        return self.coefficients @ chebyshev(places, self.coefficients.shape[1] - 1).T
 
 
-def step(
-    degree: int,
-    when: tuple[Wide, Wide],
-    state: tuple[Wide, Wide],
-    law: Callable[[Wide], Acceleration],
-    scales: tuple[Wide, Wide],
-) -> Step | None:
+def step(degree: int, start: Wide, size: Wide, first: Wide, rates: Rates, scales: Wide) -> Step | None:
     """Return the solution of one step, or None where the step is too long for the degree.
 
     Args:
         degree: of the polynomials.
-        when: start and size of the step [s].
-        state: z [m] and z' [m/s] at its start.
-        law: from the times of the nodes to what gives z'' there.
-        scales: sizes of z and z', to which rounding is relative.
+        start: of the step [s].
+        size: of the step [s].
+        first: states at the start; the second is the rate of the first.
+        rates: of the states.
+        scales: sizes of the first two states, to which rounding is relative.
     """
-    basis, (start, size) = Basis.of(degree), when
-    since = size * (basis.nodes + 1) / 2
+    basis = Basis.of(degree)
+    times = start + size * (basis.nodes + 1) / 2
     # A step that is too long diverges, which is one way to find that out.
     with np.errstate(over="ignore", invalid="ignore"):
-        found = _solved(size / 2 * basis.integral, since, law(start + since), state, scales)
-    if found is None:
+        states = _solved(size / 2 * basis.integral, times, first, rates, scales)
+    if states is None:
         return None
-    z, rate, largest = found
-    coefficients = basis.coefficients @ rate
-    above = np.flatnonzero(np.abs(coefficients) > _TAIL * EPS * largest)
+    coefficients = states @ basis.coefficients.T
+    largest = max(scales[1], np.max(np.abs(states[1])))
+    above = np.flatnonzero(np.abs(coefficients[1]) > _TAIL * EPS * largest)
     used = (1.0 + above[-1]) / degree if above.size else 0.0
-    return None if used > 1.0 else Step(start, size, basis.coefficients @ z, coefficients, used)
+    return None if used > 1.0 else Step(start, size, coefficients, used)
 
 
-def _solved(
-    integral: Wide, since: Wide, acceleration: Acceleration, state: tuple[Wide, Wide], scales: tuple[Wide, Wide]
-) -> tuple[Wide, Wide, Wide] | None:
-    """Return z and z' at the nodes, and the size of z'; None where the iteration does not converge."""
-    z0, rate0 = state
-    z, rate = z0 + rate0 * since, rate0 + 0 * since
+def _solved(integral: Wide, times: Wide, first: Wide, rates: Rates, scales: Wide) -> Wide | None:
+    """Return the states at the nodes; None where the iteration does not converge."""
+    states = first[:, None] + np.zeros(len(times), WIDE)
+    states[0] += first[1] * (times - times[0])
     last = np.inf
     for _ in range(_MOST_SWEEPS):
-        new_rate = rate0 + integral @ acceleration(z, rate)
-        new_z = z0 + integral @ new_rate
-        sizes = max(scales[0], np.max(np.abs(new_z))), max(scales[1], np.max(np.abs(new_rate)))
-        moved = float(max(np.max(np.abs(new_z - z)) / sizes[0], np.max(np.abs(new_rate - rate)) / sizes[1]) / EPS)
-        z, rate = new_z, new_rate
+        new = first[:, None] + rates(times, states) @ integral.T
+        new[0] = first[0] + integral @ new[1]
+        sizes = np.maximum(scales, np.max(np.abs(new[:2]), axis=1))
+        moved = float(np.max(np.max(np.abs(new - states)[:2], axis=1) / sizes) / EPS)
+        states = new
         if not moved < _LOST:
             return None
         if moved <= _CONVERGED or (moved < _STALLED and moved >= last):
-            return z, rate, sizes[1]
+            return states
         last = moved
     return None
 

@@ -1,0 +1,287 @@
+"""A motion followed in the widest floats, to all their digits.
+
+Every smooth piece of the motion is a chain of Chebyshev polynomials (`plough_opt.studies.accuracy.chebyshev`); events
+end a piece where a polynomial has its root. Averages are Gauss-Legendre quadratures of the polynomials.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+from functools import lru_cache, partial
+from typing import Any, Final
+
+import casadi as ca
+import numpy as np
+
+from plough_opt.core.errors import InputError, IntegrationError
+from plough_opt.motion import Run, simulate
+from plough_opt.motion.accuracy import Accuracy
+from plough_opt.motion.equation import GAP, SLIP, STICK, equation_of_motion, start_state
+from plough_opt.motion.run import assemble
+from plough_opt.motion.scene import Scene
+from plough_opt.motion.signals import signals
+from plough_opt.motion.terms import Structure, lightest_mass, parameters, start_deflection, start_resistance
+from plough_opt.studies.accuracy.chebyshev import Step, first_end, gauss, step
+from plough_opt.studies.accuracy.wide import EPS, PI, WIDE, Wide, WideGraph, in_wide_floats
+
+_MOST_EVENTS = 200_000
+# Steps of a whole motion, which take minutes, and after how many it is seen whether they will do.
+_MOST_STEPS = 400_000
+_WATCHED = 2000
+# Events at one time after which the motion is taken to hang there.
+_MOST_AT_ONCE = 12
+_SHORTEST = 1e-16
+_SHOOTINGS = 20
+# Part of the last miss above which the slope of a shot is found anew.
+_SLOW = 0.1
+# What ends a mode of contact; and what ends it while a share enters that never leaves contact.
+_ENDS_OF_CONTACT: Final = {SLIP: "stop", STICK: "move", GAP: "recapture"}
+_ENDS_OF_ENTRY: Final = {SLIP: "retreat", GAP: "advance"}
+
+
+@dataclass(frozen=True)
+class _Graphs:
+    """What a structure's motion is computed by, in wide floats."""
+
+    rates: WideGraph
+    events: WideGraph
+    signals: WideGraph
+    start: WideGraph
+    names: tuple[str, ...]
+
+    @classmethod
+    @lru_cache(maxsize=8)
+    def of(cls, structure: Structure) -> _Graphs:
+        """Translate the graphs of a structure, all with the parameters ``names``."""
+        motion, observed = equation_of_motion(structure), signals(structure)
+        p = ca.SX.sym("p", len(observed.parameters))
+        known = dict(zip(observed.parameters, ca.vertsplit(p), strict=True))
+        own = ca.vertcat(*(known[name] for name in motion.names))
+        time, state = ca.SX.sym("time"), ca.SX.sym("state", motion.states)
+        seen = ca.vertcat(state[:2], state[-1]) if structure.ends_ramp else state[:2]
+        at = [time, state, p]
+        events: Any = [] if motion.events is None else motion.events(time, state, own)
+        return cls(
+            in_wide_floats(at, [motion.function(time, state, own)]),
+            in_wide_floats(at, list(events)),
+            in_wide_floats(at, [observed.function(time, seen, p)]),
+            in_wide_floats([p], [start_state(structure, known)]),
+            observed.parameters,
+        )
+
+
+class Motion:
+    """The equation of motion of a scene in the widest floats.
+
+    Attributes:
+        scene: the scene, with wide numbers.
+        structure: what its motion contains.
+    """
+
+    def __init__(self, scene: Scene) -> None:
+        """Take a numeric scene.
+
+        Raises:
+            InputError: no motion, or one in whose place stands another.
+        """
+        if not scene.effects.motion:
+            raise InputError("a quasi-static scene has no motion to follow")
+        if scene.effects.orbit not in ("transient", "periodic"):
+            raise InputError("a stand-in for the lasting orbit is not a motion: the reference is the orbit")
+        speed = WIDE(scene.tow_speed)
+        self.scene = replace(scene, stiffness=WIDE(scene.stiffness), mass=WIDE(scene.mass), tow_speed=speed)
+        self.structure = Structure.of(scene)
+        self._graphs, p = _Graphs.of(self.structure), parameters(self.scene)
+        self._p = {name: WIDE(value) for name, value in p.items()}
+        self._numbers = [self._p[name] for name in self._graphs.names]
+        stiffness = abs(self._p["stiffness"])
+        self.hardness = np.sqrt(stiffness * lightest_mass(self._p))
+        self.swing = self.hardness / stiffness
+        # What rounds: the forces, and from a start that is not steady the speed that the mount must take up; soil that
+        # does not resist at all leaves the rounding of that.
+        steady = self.structure.start == "equilibrium" and not self.structure.ramp
+        least = speed * self.hardness * (EPS if steady else 1)
+        force = start_resistance(self.structure, self._p) + least
+        self.scales = np.array([force / stiffness, force / self.hardness])
+
+    @property
+    def ramp(self) -> Wide:
+        """When the strut's ramp ends, if that is no event [s]; else 0."""
+        return WIDE(0) if self.structure.ends_ramp else self._p.get("ramp_time", WIDE(0))
+
+    def start(self) -> Wide:
+        """Return the state at time 0."""
+        return self._graphs.start(self._numbers)[0][:, 0]
+
+    def rates(self, times: Wide, states: Wide) -> Wide:
+        """Return the rates of the states, a row each, at times."""
+        return self._graphs.rates([times], states, self._numbers)[0]
+
+    def ends(self, times: Wide, states: Wide) -> Wide:
+        """Return what is positive until an event, a row for each kind."""
+        return self._graphs.events([times], states, self._numbers)[0]
+
+    def after(self, kind: int, time: Wide, state: Wide) -> Wide:
+        """Return the state after an event."""
+        columns = self._graphs.events([np.array([time])], state[:, None], self._numbers)[1]
+        return columns.reshape(-1, len(state))[kind]
+
+    def signals(self, times: Wide, states: Wide) -> Wide:
+        """Return what is averaged, a row each."""
+        return self._graphs.signals([times], states, self._numbers)[0]
+
+    def names(self, state: Wide) -> list[str]:
+        """Return what ends the piece that begins with a state, a name for each kind of event."""
+        if not self.structure.events:
+            return []
+        ends = _ENDS_OF_CONTACT if self.structure.sticks else _ENDS_OF_ENTRY
+        counted = (term.state for term in self.structure.ending)
+        return [ends[round(float(state[3]))], *("buried" if name == "entered" else str(name) for name in counted)]
+
+    def run(self, duration: Wide, fractions: Wide, states: Wide, moments: tuple[Wide, Wide]) -> Run:
+        """Return the run of states at fractions of the duration, with means and variances of the signals."""
+        known = self.structure, dict(self._p)
+        return assemble(self.scene, duration, fractions, states, *moments, Accuracy(), known)
+
+
+@dataclass
+class Followed:
+    """Record of a motion while it is followed.
+
+    Attributes:
+        motion: the motion.
+        times: output times [s].
+        states: at the output times reached, a row each.
+        events: time and name of each.
+    """
+
+    motion: Motion
+    times: Wide
+    states: list[Wide] = field(default_factory=list)
+    events: list[tuple[Wide, str]] = field(default_factory=list)
+    _sums: list[tuple[Wide, Wide]] = field(default_factory=list)
+
+    def note(self, done: Step, end: Wide) -> None:
+        """Note outputs and quadrature nodes of a step up to its end, or to an event."""
+        nodes, weights = gauss(done.coefficients.shape[1] + 1)
+        half = (end - done.start) / 2
+        inner = done.start + half * (nodes + 1)
+        self._sums.append((half * weights, self.motion.signals(inner, done.at(inner))))
+        at = self.times[len(self.states) :]
+        self.states += list(done.at(at[: int(np.searchsorted(at, end, "right"))]).T)
+
+    def run(self) -> Run:
+        """Return the run, its averages in two passes."""
+        weights, values = (np.concatenate(parts, axis=-1) for parts in zip(*self._sums, strict=True))
+        shares = weights / np.sum(weights)
+        means = values @ shares
+        squared = signals(self.motion.structure).squared
+        variances = (values - means[:, None])[:squared] ** 2 @ shares
+        fractions = self.times / self.times[-1]
+        return self.motion.run(self.times[-1], fractions, np.array(self.states), (means, variances))
+
+
+def follow(motion: Motion, duration: Wide, outputs: int, degree: int, first: Wide | None = None) -> Followed:
+    """Follow a motion once, by polynomials of one degree.
+
+    Args:
+        motion: of a scene.
+        duration: simulated time [s].
+        outputs: number of equal intervals between output times.
+        degree: of the polynomials.
+        first: state at the start, in the place of the scene's own.
+
+    Raises:
+        IntegrationError: steps or pauses between events grow too short, or the steps too many.
+    """
+    state = motion.start() if first is None else first
+    times = duration * np.arange(outputs + 1) / WIDE(outputs)
+    # Rounding may put the last output behind the end, where no step reaches it.
+    times[-1] = duration
+    course = Followed(motion, times)
+    now, size, at_once = WIDE(0), motion.swing, 0
+    steps, watched = 0, WIDE(0)
+    while now < duration:
+        stop = motion.ramp if now < motion.ramp < duration else duration
+        # The last step takes what would else be left for one of no length.
+        whole = stop - now <= size * WIDE(1.001)
+        done = step(degree, now, stop - now if whole else size, state, motion.rates, motion.scales)
+        if done is None:
+            size = min(size, stop - now) / 2
+            if size < _SHORTEST * duration:
+                raise IntegrationError(
+                    f"the reference stops at t = {float(now):.6g} s: the forces are not smooth there"
+                )
+            continue
+        steps += 1
+        if steps % _WATCHED == 0:
+            if (now - watched) * _MOST_STEPS < _WATCHED * duration:
+                raise IntegrationError(
+                    f"the reference would take more than {_MOST_STEPS} steps at t = {float(now):.6g} s: the forces"
+                    " change too fast there"
+                )
+            watched = now
+        end, kind = _next_event(motion, state, done, stop if whole else now + size)
+        course.note(done, end)
+        at_once = at_once + 1 if kind is not None and end - now <= 4 * EPS * end else 0
+        name = None if kind is None else motion.names(state)[kind]
+        now, state = end, done.at(np.array([end]))[:, 0]
+        if kind is not None and name is not None:
+            course.events.append((now, name))
+            state = motion.after(kind, now, state)
+        if at_once > _MOST_AT_ONCE or len(course.events) > _MOST_EVENTS:
+            raise IntegrationError(f"the reference finds events without end at t = {float(now):.6g} s")
+        if not whole or done.used > 0.9:
+            size = done.size * WIDE(min(2.0, max(0.5, 0.9 / max(done.used, 0.1))))
+    return course
+
+
+def _next_event(motion: Motion, state: Wide, done: Step, end: Wide) -> tuple[Wide, int | None]:
+    """Return when the piece ends within a step, and by what; the step's end and None where it does not."""
+    first = None
+    for kind in range(len(motion.names(state))):
+        found = first_end(partial(_end, motion, done, kind), done.start, end - done.start)
+        if found is not None and (first is None or found < end):
+            end, first = found, kind
+    return end, first
+
+
+def _end(motion: Motion, done: Step, kind: int, times: Wide) -> Wide:
+    return motion.ends(times, done.at(times))[kind]
+
+
+def orbit(motion: Motion, guess: Wide, outputs: int, degree: int) -> Followed:
+    """Return the lasting orbit beside a state, by Newton's method on the motion over one wavelength.
+
+    Raises:
+        IntegrationError: none was found.
+    """
+    period, speed, state = motion.scene.wave_period, motion.scene.tow_speed, guess
+    unit = np.array([abs(state[0]) + speed * period / (2 * PI), speed])
+
+    def after(first: Wide) -> Wide:
+        return follow(motion, period, 1, degree, first).states[-1]
+
+    least, slope = np.inf, None
+    for _ in range(_SHOOTINGS):
+        miss = after(state) - state
+        size = float(np.max(np.abs(miss) / unit))
+        if size <= 2 * EPS or (size < 1e4 * EPS and size >= least):
+            return follow(motion, period, outputs, degree, state)
+        if slope is None or size > _SLOW * least:
+            nudges = np.diag(WIDE(math.sqrt(EPS)) * unit)
+            slope = [(after(state + nudge) - after(state - nudge)) / (2 * np.max(nudge)) for nudge in nudges]
+        least = size
+        # (slope - 1) step = - miss, for two unknowns: NumPy solves systems of doubles only.
+        (a, c), (b, d) = slope
+        a, d = a - 1, d - 1
+        state = state - np.array([d * miss[0] - b * miss[1], a * miss[1] - c * miss[0]]) / (a * d - b * c)
+    raise IntegrationError("no lasting orbit was found beside that of the run")
+
+
+def beside_orbit(scene: Scene) -> Wide:
+    """Return a state beside the lasting orbit; it decides which orbit is found, and none of its digits."""
+    run = simulate(scene, outputs=1)
+    first = start_deflection(Structure.of(scene), parameters(scene))
+    return np.array([run.deflection[0] - first, float(scene.tow_speed) - run.speed[0]], WIDE)

@@ -101,7 +101,7 @@ def thinned(few, many):
     return pytest.mark.parametrize("count", [few, pytest.param(many, marks=pytest.mark.slow)])
 
 
-@thinned(120, 2000)
+@thinned(70, 2000)
 def test_problem_files(count, tmp_path):
     for name in ("insertions.csv", "transect.csv"):
         shutil.copy(PROBLEMS / name, tmp_path)
@@ -113,7 +113,7 @@ def test_problem_files(count, tmp_path):
     run(count, answer, tmp_path)
 
 
-@thinned(60, 500)
+@thinned(40, 500)
 def test_changes_on_the_command_line(count, tmp_path):
     def change(rng):
         key = rng.choice(KEYS)
@@ -129,7 +129,7 @@ def test_changes_on_the_command_line(count, tmp_path):
     run(count, answer, tmp_path)
 
 
-@thinned(60, 300)
+@thinned(40, 300)
 def test_tables_of_measurements(count, tmp_path):
     def answer(rng, path):
         path.write_text(mutated(rng.choice(TABLES), rng), encoding="utf-8", errors="surrogatepass", newline="")
@@ -138,7 +138,7 @@ def test_tables_of_measurements(count, tmp_path):
     run(count, answer, tmp_path)
 
 
-@thinned(60, 500)
+@thinned(40, 500)
 def test_readings_of_a_penetrometer(count, tmp_path):
     """Downwards and along a path, from the file to what a scene takes of it."""
     readers = {

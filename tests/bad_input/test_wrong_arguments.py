@@ -64,7 +64,7 @@ def complaint(name, argument, wrong):
     return f"answer {answer}" if is_number and np.any(np.isnan(answer)) else None
 
 
-@pytest.mark.parametrize("count", [500, pytest.param(None, marks=pytest.mark.slow)], ids=["some", "all"])
+@pytest.mark.parametrize("count", [300, pytest.param(None, marks=pytest.mark.slow)], ids=["some", "all"])
 def test_wrong_arguments_are_told(count, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)  # where a sweep may put its store
     told = {case: said for case in cases()[:count] if (said := complaint(*case))}

@@ -37,16 +37,13 @@ BRIEF = ("--set", "scene.duration=0.2 s", "--set", "scene.outputs=20")
 class TestInit:
     """`init` writes the template, and never over a file."""
 
-    def test_it_writes_the_template_and_says_what_next(self, cli, tmp_path):
+    def test_it_writes_the_template_which_is_right_and_says_what_next(self, cli, tmp_path):
         path = tmp_path / "share.toml"
         done = cli("init", path)
         assert done.status == 0
         assert path.read_text(encoding="utf-8") == TEMPLATE
         assert f"plough-opt optimise {path}" in " ".join(done.out.split())
-
-    def test_what_it_writes_is_right(self, cli, tmp_path):
-        cli("init", tmp_path / "share.toml")
-        assert cli("check", tmp_path / "share.toml").status == 0
+        assert cli("check", path).status == 0
 
     def test_it_leaves_an_existing_file_alone(self, cli, tmp_path):
         path = tmp_path / "share.toml"
@@ -88,7 +85,7 @@ class TestSoils:
 class TestCheck:
     """`check` says what a file's scene contains."""
 
-    def test_it_shows_every_quantity_in_the_unit_of_the_file(self, cli, cotton):
+    def test_it_shows_every_quantity_in_the_unit_of_the_file_and_what_follows(self, cli, cotton):
         done = cli("check", cotton)
         assert (done.status, done.err) == (0, "")
         assert "Subsoiler for cotton on serozem" in done.out
@@ -104,9 +101,7 @@ class TestCheck:
             "effects.strength_wave.wavelength": "0.2 m",
         }.items():
             assert cells(done.out, row) == [shown]
-
-    def test_it_shows_what_follows_from_them(self, cli, cotton):
-        out = cli("check", cotton).out
+        out = done.out
         # 2 m/s over a wave of 0.2 m; sqrt(k/M)/2 pi of the mount with the masses shown above it.
         assert cells(out, "frequency of the strength wave") == ["10 Hz"]
         mass = sum(amount(cells(out, row)[0]) for row in ("moving mass with the share", "added mass of soil"))
@@ -133,9 +128,10 @@ class TestCheck:
         assert "2 variables" in done.out
 
     def test_a_quasi_static_scene_has_no_equation_of_motion(self, cli, reference):
-        out = cli("check", reference, "--set", "effects.motion=false").out
+        out = cli("check", reference, "--set", "effects.motion=false", "--set", "title=a [red]title[/red] [/]").out
         assert cells(out, "quasi-static") == ["no equation of motion"]
         assert "natural frequency" not in out
+        assert "a [red]title[/red] [/]" in out
 
     def test_a_default_is_shown_with_its_unit(self, cli, cotton, tmp_path):
         path = tmp_path / "share.toml"
@@ -152,9 +148,6 @@ class TestCheck:
         assert done.status == 0
         assert f"{name} is valid" in done.out
         assert f"plough-opt optimise {name}" in done.out
-
-    def test_brackets_in_a_title_are_shown(self, cli, cotton):
-        assert "a [red]title[/red] [/]" in cli("check", cotton, "--set", "title=a [red]title[/red] [/]").out
 
 
 class TestSimulate:
@@ -231,22 +224,18 @@ class TestOptimise:
         assert (limits, decides) == ("at most 0.15 m", "")
         assert amount(value) + amount(margin) == pytest.approx(0.15, abs=1e-5)
 
-    def test_its_json_reads_back_equal(self, optimised_json, tmp_path):
-        done, _ = optimised_json
+    def test_its_json_reads_back_equal_and_its_picture_is_an_svg(self, optimised_json, tmp_path):
+        done, picture = optimised_json
         path = tmp_path / "r1.json"
         path.write_text(done.out, encoding="utf-8")
         saved = po.load(path)
-        assert done.status == 0
+        assert (done.status, done.err) == (0, f"wrote {picture}\n")
         assert saved.to_json() == done.out.rstrip("\n")
         assert saved.objective == pytest.approx(0.825005709, abs=1e-9)
         assert len(saved.local_optima) == 3
         averages = saved.run.averages
         assert averages.mean_draft / 1e3 + averages.force_rms / 1e3 == pytest.approx(0.825005709, abs=1e-8)
-
-    def test_its_picture_is_an_svg(self, optimised_json):
-        done, picture = optimised_json
         assert ET.parse(picture).getroot().tag.endswith("svg")
-        assert done.err == f"wrote {picture}\n"
 
     def test_an_impossible_requirement_is_no_solution_and_the_conflict_is_named(self, infeasible):
         assert (infeasible.status, infeasible.out) == (1, "")
@@ -315,13 +304,8 @@ class TestBadInput:
         assert expected in done.err
         assert {path: path.read_bytes() for path in Path.cwd().iterdir()} == before
 
-    def test_several_mistakes_are_several_lines(self, cli):
-        text = Path("wrong.toml").read_text(encoding="utf-8").replace("damping", "dampin")
-        Path("wrong.toml").write_text(text, encoding="utf-8")
-        assert len(cli("check", "wrong.toml").err.splitlines()) == 2
-
     @pytest.mark.parametrize("verb", ["simulate", "optimise"])
-    @pytest.mark.parametrize("picture", ["run.jpg", "run", "new/run.gif"])
+    @pytest.mark.parametrize("picture", ["run.jpg", "", "new/run.gif"])
     def test_a_picture_that_cannot_be_is_refused_before_anything_is_computed(self, cli, monkeypatch, verb, picture):
         def compute(*_):
             raise AssertionError("computed")
@@ -329,9 +313,6 @@ class TestBadInput:
         monkeypatch.setattr(po.Problem, verb, compute)
         assert cli(verb, "subsoiler.toml", "--plot", picture).status == 2
         assert not Path("new").exists()
-
-    def test_an_empty_picture_name_is_not_ignored(self, cli):
-        assert cli("simulate", "subsoiler.toml", "--plot", "").status == 2
 
     @pytest.mark.parametrize(
         "arguments",
@@ -408,15 +389,12 @@ class TestProcess:
         assert "'loosened_radius' (at least 1 m)" in done.err
         assert "Traceback" not in done.err
 
-    @pytest.mark.parametrize(
-        "arguments", [["check", "nothing.toml"], ["check", "/"], ["simulate", "nothing.toml", "--set"]]
-    )
-    def test_bad_input(self, command, arguments):
-        done = command(*arguments)
+    def test_bad_input(self, command):
+        done = command("check", "nothing.toml")
         assert (done.status, done.out) == (2, "")
         assert "Traceback" not in done.err
 
-    @pytest.mark.parametrize("arguments", [["soils"], ["soils", "--json"], ["check"]], ids=" ".join)
+    @pytest.mark.parametrize("arguments", [["soils", "--json"], ["check"]], ids=" ".join)
     def test_a_reader_that_has_seen_enough_is_no_error(self, command, cotton, arguments):
         reading, writing = os.pipe()
         os.close(reading)
@@ -426,10 +404,8 @@ class TestProcess:
             os.close(writing)
         assert (done.status, done.err) == (0, "")
 
-    @pytest.mark.parametrize("arguments", [["check"], ["simulate", "--json"]], ids=" ".join)
-    def test_a_title_in_another_script_is_printed_on_any_terminal(self, command, cotton, arguments):
-        verb, *options = arguments
-        done = command(verb, cotton, *options, *BRIEF, "--set", "title=Плуг", environment={"PYTHONIOENCODING": "ascii"})
+    def test_a_title_in_another_script_is_printed_on_any_terminal(self, command, cotton):
+        done = command("check", cotton, "--set", "title=Плуг", environment={"PYTHONIOENCODING": "ascii"})
         assert done.status == 0
         assert "Traceback" not in done.err
 

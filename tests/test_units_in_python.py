@@ -161,3 +161,32 @@ def test_an_implausible_value_of_a_file_is_asked_about(capsys, tmp_path):
     said = capsys.readouterr().err
     assert f"note: {caution}" in said
     assert "ImplausibleValue" not in said
+
+
+def test_durations_bounds_and_limits_take_texts_and_pint():
+    scene = po.Scene(po.named_soil("serozem"), po.Cone("10 deg", "25 cm"), "50 kN/m", "30 kg", "2 m/s")
+    stiffness = ca.MX.sym("stiffness")
+    varied = dataclasses.replace(scene, stiffness=stiffness, effects=po.Effects(damping=400.0))
+    for duration in ("200 ms", 0.2 * U.s):
+        run = po.simulate(scene, duration)
+        assert run.duration == 0.2
+        batch = po.Batch(varied, duration, [stiffness])([[5e4]])
+        assert batch.mean_draft == po.Batch(varied, 0.2, [stiffness])([[5e4]]).mean_draft
+        given = po.Input("scene.stiffness", "20 kN/m", 200.0 * U.kN / U.m)
+        assert (given.lower, given.upper) == pytest.approx((2e4, 2e5), rel=1e-15)
+        made = po.component(scene, duration, inputs=[given], outputs=[po.Output("mean_draft", upper="8 kN")])
+        assert made.outputs[0].upper == 8e3
+        assert made(5e4) == po.component(scene, 0.2, inputs=["scene.stiffness"], outputs=["mean_draft"])(5e4)
+
+
+@pytest.mark.parametrize(
+    ("make", "said"),
+    [
+        (lambda: po.Input("scene.stiffness", "20 kN"), "wrong unit"),
+        (lambda: po.Output("mean_draft", upper="8 m"), "wrong unit"),
+        (lambda: po.Input("gap", 1.0, 2.0, unit="mm", symbol=ca.MX.sym("gap")), "is a plain number, and 'mm' is no SI"),
+    ],
+)
+def test_bounds_of_another_kind_are_refused(make, said):
+    with pytest.raises(po.InputError, match=said):
+        make()

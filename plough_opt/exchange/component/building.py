@@ -12,7 +12,7 @@ from plough_opt.core.domain import check_single, plain_number
 from plough_opt.core.errors import DomainError, InputError
 from plough_opt.core.expressions import Expression, as_number, holds_casadi, is_count, is_symbolic, map_expressions
 from plough_opt.core.kinds import check_kind, shown
-from plough_opt.core.quantities import EVERY
+from plough_opt.core.quantities import BESIDE, EVERY
 from plough_opt.core.quantity import Quantity
 from plough_opt.exchange.component.box import Box
 from plough_opt.exchange.component.function import Component
@@ -57,6 +57,7 @@ def component(
             says why.
         DomainError: bounds outside the model's domain.
     """
+    duration = None if duration is None else BESIDE["scene.duration"].read(duration)
     check_single("a component", (scene, duration))
     steel = None if steel_density is None else plain_number("steel_density", steel_density)
     named = NamedScene(scene, duration, steel)

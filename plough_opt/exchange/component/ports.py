@@ -15,7 +15,9 @@ from plough_opt.core.domain import check_domain, plain_number
 from plough_opt.core.errors import InputError, nearest, unprintable
 from plough_opt.core.expressions import Expression
 from plough_opt.core.kinds import shown
+from plough_opt.core.quantities import EVERY
 from plough_opt.core.quantity import Quantity
+from plough_opt.core.units import has_unit, in_si, unit_of
 from plough_opt.laws.law import ResistanceLaw
 from plough_opt.motion import Run
 from plough_opt.motion.vocabulary import MEASURES
@@ -35,6 +37,8 @@ _PEAKS = {"peak_force": "mount_force", "peak_deflection": "deflection"}
 class Input:
     """A requested input: a quantity of the scene by its name, or a symbol in the scene.
 
+    Bounds and value are numbers in SI units, texts such as "50 kN/m", or pint quantities.
+
     Args:
         name: a quantity's name in problem files, as "share.height"; with ``symbol`` any name.
         lower: least value that the component accepts; default: half the scene's value.
@@ -42,6 +46,14 @@ class Input:
         value: value used if the input is left out; default: the scene's.
         unit: SI unit; known for a quantity of the scene.
         symbol: a CasADi symbol in the scene; it needs bounds.
+
+    Raises:
+        InputError: a text that is no quantity of this kind, or plain numbers with a unit that is not SI.
+
+    Example:
+        >>> import plough_opt as po
+        >>> po.Input("scene.stiffness", "20 kN/m", "200 kN/m").upper
+        200000.0
     """
 
     name: str
@@ -50,6 +62,21 @@ class Input:
     value: float | None = None
     unit: str | None = None
     symbol: Expression | None = None
+
+    def __post_init__(self) -> None:
+        known = EVERY.get(self.name) if self.symbol is None and isinstance(self.name, str) else None
+        _read_in_si(self, None if known is None else known.unit, ("lower", "upper", "value"))
+
+
+def _read_in_si(owner: Input | Output, unit: str | None, sides: Sequence[str]) -> None:
+    """Read fields that may be texts or pint quantities in a unit, or in the owner's own, which becomes SI."""
+    values = [getattr(owner, side) for side in sides]
+    if unit is None:
+        unit, _ = unit_of(f"'{owner.name}'", owner.unit or "", *values)
+        if owner.unit is not None or any(map(has_unit, values)):
+            object.__setattr__(owner, "unit", unit)
+    for side, value in zip(sides, values, strict=True):
+        object.__setattr__(owner, side, in_si(f"'{owner.name}': {side}", value, unit))
 
 
 @dataclass(frozen=True)
@@ -74,6 +101,8 @@ class Output:
     unit: str | None = None
 
     def __post_init__(self) -> None:
+        known = MEASURES.get(self.name) if self.of is None and isinstance(self.name, str) else None
+        _read_in_si(self, None if known is None else known.unit.symbol, ("lower", "upper"))
         for side in ("lower", "upper"):
             limit = getattr(self, side)
             if not (isinstance(limit, float) and math.isinf(limit)):

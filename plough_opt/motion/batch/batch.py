@@ -71,7 +71,7 @@ class Batch:
         _refuse(scene)
         if not (isinstance(error, int | float | np.number) and 1e-11 <= error <= 1e-2):
             raise InputError(f"error = {shown(error)} must lie between 1e-11 and 1e-2")
-        BESIDE["scene.duration"].check(duration)
+        duration = BESIDE["scene.duration"].read(duration, stacklevel=2)
         check_single("the duration of a batch", duration)
         symbols = _symbols(inputs)
         self._error = error

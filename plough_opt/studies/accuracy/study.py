@@ -93,7 +93,7 @@ def study_accuracy(
         duration = float(as_number(scene.wave_period))
     if duration is None:
         raise InputError("the duration is missing: how long shall the scene be simulated, in seconds?")
-    BESIDE["scene.duration"].check(plain_number("duration", duration))
+    duration = plain_number("duration", BESIDE["scene.duration"].read(duration))
     hall = _Hall(Task(scene, float(duration), int(outputs), float(allowance), thin, wanted))
     hall.fill(progress or (lambda _stage, _part: None), derivatives=derivatives)
     return AccuracyStudy(

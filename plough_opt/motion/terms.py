@@ -254,12 +254,6 @@ def pull(structure: Structure, p: Parameters, deflection: Expression, rate: Expr
     return force
 
 
-def buried(structure: Structure, p: Parameters, travel: Expression) -> Expression:
-    """Return the part H/h of the share's height that is in the soil [-]."""
-    entry = structure.find(Entry)
-    return 1.0 if entry is None else entry.buried(p, travel)
-
-
 def inertia_at(structure: Structure, p: Parameters, travel: Expression) -> Expression:
     """Return the mass of the share and of the soil that it carries at a travel L [kg]."""
     return p["mass"] + carried_mass(structure, p, travel) if structure.events else p["inertia"]
@@ -272,4 +266,7 @@ def lightest_mass(p: Parameters) -> Any:
 
 def carried_mass(structure: Structure, p: Parameters, travel: Expression) -> Expression:
     """Return the added mass of soil at a travel L [kg] in a structure with events."""
-    return p["added_mass"] * buried(structure, p, travel) ** 3 if structure.carries else 0.0
+    if not structure.carries:
+        return 0.0
+    entry = structure.find(Entry)
+    return p["added_mass"] if entry is None else p["added_mass"] * entry.buried(p, travel) ** 3

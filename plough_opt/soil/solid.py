@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
@@ -13,6 +12,7 @@ from numpy.typing import NDArray
 
 from plough_opt.core.domain import check_domain
 from plough_opt.core.errors import InputError
+from plough_opt.core.expressions import is_count
 
 SEGMENTS = 4096
 """Sides of the polygon that replaces a cone's base: area, angle and volume are then within 4e-7 of the cone's."""
@@ -110,19 +110,12 @@ def share_solid(angle: float, chisel_angle: float, height: float, opening: float
 
 def cone_solid(radius: float, height: float, segments: int) -> Solid:
     """Return a cone as a pyramid: see `plough_opt.Cone.mesh`."""
-    if isinstance(segments, bool) or not isinstance(segments, int) or not (
-        _LEAST_SEGMENTS <= segments <= _MOST_SEGMENTS
-    ):  # fmt: skip
+    if not is_count(segments) or not _LEAST_SEGMENTS <= segments <= _MOST_SEGMENTS:
         raise InputError(f"segments = {segments!r} must be a whole number from {_LEAST_SEGMENTS} to {_MOST_SEGMENTS:,}")
     turn = 2.0 * math.pi * np.arange(segments) / segments
     rim = np.column_stack([np.full(segments, height), radius * np.cos(turn), radius * np.sin(turn)])
     vertices = np.vstack([[0.0, 0.0, 0.0], rim, [height, 0.0, 0.0]])
-    after = _after(segments)
+    after = [(k + 1, (k + 1) % segments + 1) for k in range(segments)]  # neighbours on the rim
     side = tuple((0, second, first) for first, second in after)
     base = tuple((segments + 1, first, second) for first, second in after)
     return Solid(vertices, (*side, *base), working=segments)
-
-
-def _after(count: int) -> Sequence[tuple[int, int]]:
-    """Return the numbers, from 1, of neighbours on a rim."""
-    return [(k + 1, (k + 1) % count + 1) for k in range(count)]

@@ -79,14 +79,14 @@ def calibrate(options: argparse.Namespace) -> None:
         )
     _note_guesses(problem, unknown, data)
     data += [_known(text, [m.sigma is not None for m in data]) for text in options.known]
-    with progress() as told:
-        told("calibrating", 0.0)
+    with progress() as notify:
+        notify("calibrating", 0.0)
         fit = run(problem, data, unknown, loss=options.loss)
         measured = {Path(path).name: Path(path).read_text(encoding="utf-8-sig") for path in options.data}
         fit = replace(fit, origin=replace(fit.origin, data={**fit.origin.data, **measured}))
-        told("intervals", 0.5)
+        notify("intervals", 0.5)
         fit.intervals(options.level)
-        told("what to measure next", 0.8)
+        notify("what to measure next", 0.8)
         fit.next_measurements()  # which the page shows
         text = fit.to_json() if options.json or options.output is not None else ""
         quality = "" if options.json else _quality(fit, options.folds)
@@ -166,10 +166,10 @@ def _quality(fit: Fit, folds: int | None) -> str:
             raise
         return f"No cross-validation: {error}."
     units = {row.result: row.unit for row in fit.rows}
-    errors = "; ".join(f"{name} {_told(x, units[name])} (of the fit {_told(found.rms_fitted[name], units[name])})"
+    errors = "; ".join(f"{name} {_text(x, units[name])} (of the fit {_text(found.rms_fitted[name], units[name])})"
                        for name, x in found.rms.items())  # fmt: skip
     return f"RMS error of rows that took no part, {found.folds} folds: {errors}."
 
 
-def _told(value: float, unit: str) -> str:
+def _text(value: float, unit: str) -> str:
     return customary(unit, value).text(value, 3)

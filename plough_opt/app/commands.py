@@ -62,8 +62,8 @@ def check(options: argparse.Namespace) -> None:
         return
     report.print_check(console(), problem)
     if options.effects:
-        with progress() as told:
-            told("measuring the effects", 0.0)
+        with progress() as notify:
+            notify("measuring the effects", 0.0)
             found = effect_costs(problem.scene(), problem.values().get("scene.duration"))
         report.print_effects(console(), found)
     if comparison is not None:
@@ -80,8 +80,8 @@ def check(options: argparse.Namespace) -> None:
 def simulate(options: argparse.Namespace) -> None:
     """Simulate a file's scene with every variable at its guess."""
     problem = read(options)
-    with progress() as told:
-        told("simulating", 0.0)
+    with progress() as notify:
+        notify("simulating", 0.0)
         run = problem.machine() if problem.shares else problem.simulate()
     page = report.run_page(problem, run)
     give(options, page, lambda: run.to_json(page), run.plot)
@@ -93,15 +93,15 @@ def optimise(options: argparse.Namespace) -> None:
     if problem.table.uncertain is not None:
         optimise_uncertain(problem, options)
         return
-    with progress() as told:
+    with progress() as notify:
         best, run = problem.optimise(
-            told,
+            notify,
             parameters=options.sensitivity,
             search=search_of(options.search),
             judge=options.judge,
             seed=options.seed,
         )
-        asked = sensitivities_of(best, told) if options.sensitivity else ()
+        asked = sensitivities_of(best, notify) if options.sensitivity else ()
     best = dataclasses.replace(best, sensitivities=asked)
     page = best.page()
     page = dataclasses.replace(page, parts=(*page.parts, *report.own_results(problem, run)))
@@ -119,8 +119,8 @@ def search_of(text: str) -> Search:
 def tradeoff(options: argparse.Namespace) -> None:
     """Draw the front of the two or three results that a file trades."""
     problem = read(options)
-    with progress() as told:
-        front = problem.trade_off(options.points, told)
+    with progress() as notify:
+        front = problem.trade_off(options.points, notify)
     give(options, front.page(), front.to_json, front.plot)
     if options.csv is not None:
         wrote(front.to_csv(options.csv))
@@ -131,8 +131,8 @@ def accuracy(options: argparse.Namespace) -> None:
     problem = read(options)
     from plough_opt.studies.accuracy.study import study_accuracy, study_design
 
-    with progress() as told:
-        common = {"wanted": options.error, "title": problem.title, "progress": told, "thin": options.thin}
+    with progress() as notify:
+        common = {"wanted": options.error, "title": problem.title, "progress": notify, "thin": options.thin}
         if options.design:
             study = study_design(problem.design()[0], limit=10.0 * options.seconds, **common)
         else:

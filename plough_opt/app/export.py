@@ -21,9 +21,9 @@ _OPTIONS: Final = tuple(sorted({option for own in FORMATS.values() for option in
 
 def add_options(verb: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
-    told = "; ".join(f"{name}: {own}" for name, own in FORMATS.items())
+    formats_text = "; ".join(f"{name}: {own}" for name, own in FORMATS.items())
     verb.add_argument("--json", action="store_true", help="print what was written as JSON")
-    verb.add_argument("--to", required=True, choices=FORMATS, metavar="FORMAT", help=told)
+    verb.add_argument("--to", required=True, choices=FORMATS, metavar="FORMAT", help=formats_text)
     verb.add_argument("--output", required=True, metavar="PATH", help="file or folder to write")
     verb.add_argument(
         "--inputs", metavar="NAMES", help="quantities to vary, as share.height,soil.cohesion (default: the variables)"
@@ -71,8 +71,8 @@ def export(options: argparse.Namespace) -> None:
 
 
 def _component(problem: Problem, options: argparse.Namespace, name: str) -> Component:
-    with progress() as told:
-        told("building the component", 0.0)
+    with progress() as notify:
+        notify("building the component", 0.0)
         names = (_names("inputs", options.inputs), _names("outputs", options.outputs))
         return problem.component(*names, name=name)
 

@@ -55,11 +55,11 @@ def best_of(problem: Problem, at: str | None) -> Callable[[], Scene] | None:
 
 def _best(problem: Problem) -> Scene:
     """Return the scene of the best design, of the robust one where the soil is uncertain."""
-    with progress() as told:
+    with progress() as notify:
         if problem.table.uncertain is None:
-            run = problem.optimise(told)[1]
+            run = problem.optimise(notify)[1]
             assert isinstance(run, Run)  # several shares are refused
             return run.scene
         from plough_opt.problem_file.robust_design import optimise_robust  # scipy.stats is slow to import
 
-        return optimise_robust(problem, told).run.scene
+        return optimise_robust(problem, notify).run.scene

@@ -16,9 +16,9 @@ from plough_opt.problem_file import Problem
 _NONE = 1e-9
 
 
-def sensitivities_of(best: Optimum, told: Progress) -> tuple[Sensitivity, ...]:
+def sensitivities_of(best: Optimum, notify: Progress) -> tuple[Sensitivity, ...]:
     """Return all sensitivities of an optimum, or none and a note that says why it has none."""
-    told("sensitivities", 1.0)
+    notify("sensitivities", 1.0)
     try:
         return best.every_sensitivity()
     except (InputError, NotConverged) as error:

@@ -213,11 +213,11 @@ def progress() -> Iterator[designs.Progress]:
     with Progress(*columns, console=stream, transient=True) as bar:
         task = bar.add_task("reading", total=1.0)
 
-        def told(stage: str, fraction: float) -> None:
+        def notify(stage: str, fraction: float) -> None:
             _stop_if_interrupted()
             bar.update(task, description=stage, completed=fraction)
 
-        yield told
+        yield notify
     _stop_if_interrupted()
 
 
@@ -225,11 +225,11 @@ def _step_by_step() -> designs.Progress:
     """Return a progress whose stages are messages of their own, which -q silences."""
     last = ""
 
-    def told(stage: str, _fraction: float) -> None:
+    def notify(stage: str, _fraction: float) -> None:
         nonlocal last
         _stop_if_interrupted()
         if stage != last:
             LOG.debug(stage)
             last = stage
 
-    return told
+    return notify

@@ -18,6 +18,6 @@ def optimise_uncertain(problem: Problem, options: argparse.Namespace) -> None:
         )
     from plough_opt.problem_file.robust_design import optimise_robust  # scipy.stats is slow to import
 
-    with progress() as told:
-        found = optimise_robust(problem, told)
+    with progress() as notify:
+        found = optimise_robust(problem, notify)
     give(options, found.page(), found.to_json, found.plot)

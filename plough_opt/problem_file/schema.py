@@ -183,8 +183,8 @@ def _with_quantities(name: str, table: type[_T], owner: str = "", **fields: Any)
     """Return a table with a field for each of its quantities; its name here is what other processes find it by."""
     for quantity in IN_FILES.values():
         if quantity.owner == owner:
-            told = Field(default=quantity.default, description=quantity.meaning)
-            fields[quantity.key] = (Annotated[float, Unit(quantity.unit)] | None, told)
+            declared = Field(default=quantity.default, description=quantity.meaning)
+            fields[quantity.key] = (Annotated[float, Unit(quantity.unit)] | None, declared)
     return create_model(name, __base__=table, __module__=__name__, **fields)
 
 

@@ -37,8 +37,8 @@ def report(options: argparse.Namespace) -> None:
     problem = read(options)
     _check(problem)
     text = Path(options.file).read_text(encoding="utf-8")
-    with progress() as told:
-        found = reported(problem, told, seed=options.seed, accuracy=not options.no_accuracy)
+    with progress() as notify:
+        found = reported(problem, notify, seed=options.seed, accuracy=not options.no_accuracy)
     found = replace(found, provenance=_provenance(options, text), text=text)
     path = write_page(found, options.output)
     if options.json:

@@ -14,12 +14,12 @@ from plough_opt.studies.accuracy.study import study_accuracy
 _ALLOWANCE = 0.1
 
 
-def reported(problem: Problem, told: Progress, *, seed: int = 0, accuracy: bool = True) -> Report:
+def reported(problem: Problem, notify: Progress, *, seed: int = 0, accuracy: bool = True) -> Report:
     """Return what a report says of a problem, without its provenance.
 
     Args:
         problem: the file.
-        told: called with the present step in words, and the part done.
+        notify: called with the present step in words, and the part done.
         seed: of the search's samples.
         accuracy: whether to study what accuracy costs.
     """
@@ -27,19 +27,19 @@ def reported(problem: Problem, told: Progress, *, seed: int = 0, accuracy: bool 
     run: Run | Machine
     sensitivities: tuple[Sensitivity, ...] = ()
     if problem.variables:
-        best, run = problem.optimise(told, parameters=True, seed=seed)
-        told("sensitivities", 1.0)
+        best, run = problem.optimise(notify, parameters=True, seed=seed)
+        notify("sensitivities", 1.0)
         try:
             sensitivities = best.every_sensitivity()
         except (InputError, NotConverged) as error:
             unknown = str(error)
     else:
-        told("simulating", 0.0)
+        notify("simulating", 0.0)
         run = problem.simulate()
     assert isinstance(run, Run)  # several shares are refused
     study = None
     if accuracy:
         lasting = run.scene.effects.orbit != "transient"
         duration = None if lasting else problem.values().get("scene.duration")
-        study = study_accuracy(run.scene, duration, allowance=_ALLOWANCE, derivatives=False, thin=True, progress=told)
+        study = study_accuracy(run.scene, duration, allowance=_ALLOWANCE, derivatives=False, thin=True, progress=notify)
     return Report(problem, run, best, sensitivities, unknown, study)

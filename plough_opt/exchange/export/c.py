@@ -53,10 +53,10 @@ def write_c(component: Component, path: str | Path) -> Path:
 def _header(component: Component) -> str:
     """Return the header: what goes in, what comes out, and two functions."""
     name, upper = component.name(), component.name().upper()
-    told = "\n".join(f" * {line}".rstrip() for line in str(component).replace("*/", "* /").splitlines())
+    comment = "\n".join(f" * {line}".rstrip() for line in str(component).replace("*/", "* /").splitlines())
     values = sum(port.size for port in component.outputs)
     return f"""/* Written by plough_opt {version("plough_opt")}.
-{told}
+{comment}
  *
  * Inputs in this order, outputs in this order, columns of several values without gaps.
  * Compile with -ffp-contract=off for the numbers that Python gives.

@@ -110,16 +110,16 @@ def _casadi(request: Request) -> Written:
     component, description = request.component(), request.options.get("description")
     path = _later("serialised", "write_casadi")(component, request.path, description)
     load = shlex.quote(f"import casadi; print(casadi.Function.load({path.as_posix()!r}))")
-    told = "  # such a file can run code when it is loaded: take none from strangers"
-    return Written((path, *([Path(description)] if description else [])), str(component), f"python -c {load}{told}")
+    warning = "  # such a file can run code when it is loaded: take none from strangers"
+    return Written((path, *([Path(description)] if description else [])), str(component), f"python -c {load}{warning}")
 
 
 def _openmdao(request: Request) -> Written:
     component = request.component()
     path = _later("openmdao", "write_openmdao")(component, request.path)
     module = path / component.name()
-    told = f"{module}.py holds an openmdao.api.ExplicitComponent; add_design declares variables and constraints"
-    return Written((path,), str(component), told)
+    hint = f"{module}.py holds an openmdao.api.ExplicitComponent; add_design declares variables and constraints"
+    return Written((path,), str(component), hint)
 
 
 def _fmu(request: Request) -> Written:

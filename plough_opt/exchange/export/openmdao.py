@@ -39,8 +39,8 @@ class PloughComponent(openmdao_client.FunctionComponent):
     """
 
     def __init__(self, component: Component, **options: Any) -> None:
-        told = described(component)
-        super().__init__(component, told["inputs"], told["outputs"], **options)
+        ports = described(component)
+        super().__init__(component, ports["inputs"], ports["outputs"], **options)
 
 
 def write_openmdao(component: Component, path: str | Path) -> Path:
@@ -70,7 +70,7 @@ def write_openmdao(component: Component, path: str | Path) -> Path:
 
 def _module(component: Component) -> str:
     """Return the module's text: the class of any Function, and the data of this one."""
-    name, told = component.name(), described(component)
+    name, ports = component.name(), described(component)
     _, _, client = inspect.getsource(openmdao_client).partition('"""\n')
     imports, _, classes = client.strip().partition("\n\n\n")
     return f'''"""Written by plough_opt {version("plough_opt")}.
@@ -81,9 +81,9 @@ def _module(component: Component) -> str:
 from pathlib import Path as _Path
 {imports}
 
-_INPUTS = {pprint.pformat(told["inputs"], width=110, sort_dicts=False)}
+_INPUTS = {pprint.pformat(ports["inputs"], width=110, sort_dicts=False)}
 
-_OUTPUTS = {pprint.pformat(told["outputs"], width=110, sort_dicts=False)}
+_OUTPUTS = {pprint.pformat(ports["outputs"], width=110, sort_dicts=False)}
 
 
 {classes}

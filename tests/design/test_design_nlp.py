@@ -451,7 +451,7 @@ def test_motions_that_need_too_many_steps_are_passed_over_and_refused(r1_scene, 
     best = d.solve()
     assert np.mean(np.isnan(best.search.objective)) > 0.1
     fast = po.Design()
-    k0 = fast.variable("stiffness", guess=1e11, lower=5e10, upper=1e12, unit="N/m", log=True)
+    k0 = fast.variable("stiffness", guess=7e11, lower=5e11, upper=1e12, unit="N/m", log=True)
     fast.minimise(po.simulate(r1_scene(stiffness=k0, strength_wave=r1_wave), 1.0, outputs=5).mean_draft / 1e3)
     with pytest.raises(po.PloughError, match="shorten"):
         fast.solve()

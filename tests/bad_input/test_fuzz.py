@@ -4,6 +4,7 @@ Warnings are errors in these tests, so that a warning is not an answer either. E
 """
 
 import contextlib
+import dataclasses
 import io
 import json
 import random
@@ -204,8 +205,9 @@ def test_a_text_is_no_number_of_a_saved_result(command, tmp_path):
     text = printed_by(*command)
     path, kinds = tmp_path / "saved.json", {}
     path.write_text(text, encoding="utf-8")
-    po.load(path)
-    for place in numbers_in(json.loads(text)):
+    # What stands there for other readers alone is not read back.
+    read = {one.name for one in dataclasses.fields(po.load(path))} | {"schema", "shown"}
+    for place in (place for place in numbers_in(json.loads(text)) if place[0] in read):
         kinds.setdefault(tuple("#" if isinstance(key, int) else key for key in place), place)
     for place in kinds.values():
         data = json.loads(text)

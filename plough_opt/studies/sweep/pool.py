@@ -10,7 +10,7 @@ import subprocess
 import threading
 import time
 from concurrent.futures import BrokenExecutor, Executor, Future
-from typing import Any, Final
+from typing import Any, BinaryIO, Final, cast
 
 from plough_opt.core.errors import InputError
 from plough_opt.core.processors import available
@@ -231,7 +231,7 @@ class _Process:
     def __init__(self, environment: dict[str, str]) -> None:
         pipe = subprocess.PIPE
         self.began = time.monotonic()
-        self._process = subprocess.Popen(command(), stdin=pipe, stdout=pipe, bufsize=0, env=environment)
+        self._process = subprocess.Popen(command(), stdin=pipe, stdout=pipe, env=environment)
 
     def lives(self) -> bool:
         """Return whether the process runs."""
@@ -239,13 +239,11 @@ class _Process:
 
     def send(self, message: object) -> None:
         """Send a message to the process."""
-        assert self._process.stdin is not None
-        send(self._process.stdin.fileno(), message)
+        send(cast(BinaryIO, self._process.stdin), message)
 
     def receive(self) -> Any:
         """Wait for a message from the process."""
-        assert self._process.stdout is not None
-        return receive(self._process.stdout.fileno(), self.lives)
+        return receive(cast(BinaryIO, self._process.stdout))
 
     def kill(self) -> None:
         """End it at once."""
@@ -254,8 +252,8 @@ class _Process:
     def end(self) -> str:
         """Wait for the end of the process, which must be near, and return how it ended."""
         for pipe in (self._process.stdin, self._process.stdout):
-            if pipe is not None:
-                pipe.close()
+            with contextlib.suppress(OSError):  # of what could not be sent
+                cast(BinaryIO, pipe).close()
         status = self._process.wait()
         if status >= 0:
             return f"with exit status {status}"

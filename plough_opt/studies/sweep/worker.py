@@ -1,7 +1,7 @@
 """A worker process of a sweep, and the messages between it and the pool that started it.
 
 The pool writes to the standard input of the process and reads from its standard output; output of the work itself goes
-to the error stream. A message is a pickle, after its length.
+to the error stream. A message is a pickle.
 """
 
 from __future__ import annotations
@@ -11,13 +11,10 @@ import os
 import pickle
 import queue
 import re
-import select
-import struct
 import sys
 import threading
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, BinaryIO, Final
 
 from plough_opt.core.additions import load_additions
 from plough_opt.core.notices import Sieve
@@ -31,10 +28,6 @@ _OF_LAUNCHERS: Final = re.compile(r"(PMI|PMIX|OMPI|PRTE|HYDI?|PALS|MPI)_")
 _THREADS: Final = (
     "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "BLIS_NUM_THREADS", "VECLIB_MAXIMUM_THREADS",
 )  # fmt: skip
-_LENGTH: Final = struct.Struct("<Q")
-_PIECE: Final = 1 << 20
-# How often to check whether a silent process still runs [s].
-_GLANCE: Final = 1.0
 
 # True in a worker while it imports the script that started it.
 _preparing = False
@@ -69,50 +62,34 @@ def preparation() -> dict[str, Any]:
     return data
 
 
-def send(descriptor: int, message: object) -> None:
+def send(file: BinaryIO, message: object) -> None:
     """Write a message.
 
     Raises:
-        OSError: the reader has closed the pipe.
+        OSError: the reader has ended.
     """
-    pickled = pickle.dumps(message)
-    for part in (_LENGTH.pack(len(pickled)), pickled):
-        rest = memoryview(part)
-        while rest:
-            rest = rest[os.write(descriptor, rest[:_PIECE]) :]
+    pickle.dump(message, file)
+    file.flush()
 
 
-def receive(descriptor: int, alive: Callable[[], bool] = lambda: True) -> Any:
+def receive(file: BinaryIO) -> Any:
     """Read a message.
-
-    Args:
-        descriptor: to read from.
-        alive: returns whether the writer still runs; its own children may hold the pipe open after its death.
 
     Raises:
         EOFError: the writer has ended.
     """
-    (length,) = _LENGTH.unpack(_read(descriptor, _LENGTH.size, alive))
-    return pickle.loads(_read(descriptor, length, alive))
-
-
-def _read(descriptor: int, count: int, alive: Callable[[], bool]) -> bytes:
-    content = bytearray()
-    while len(content) < count:
-        # Windows cannot select pipes; there a read waits for their end.
-        while os.name == "posix" and not select.select([descriptor], [], [], _GLANCE)[0]:
-            if not alive():
-                raise EOFError
-        piece = os.read(descriptor, min(count - len(content), _PIECE))
-        if not piece:
-            raise EOFError
-        content += piece
-    return bytes(content)
+    try:
+        return pickle.load(file)
+    except pickle.UnpicklingError as error:  # which ends within a message
+        raise EOFError from error
 
 
 def serve() -> None:
     """Execute the pool's calls until it ends; this is the main function of a worker."""
-    inlet, outlet = os.dup(0), os.dup(1)
+    inlet, outlet = os.fdopen(os.dup(0), "rb"), os.fdopen(os.dup(1), "wb")
+    if hasattr(os, "register_at_fork"):
+        # A child that outlives this process must not hold its pipe open, by which the pool sees its end.
+        os.register_at_fork(after_in_child=outlet.close)
     os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
     os.dup2(2, 1)
     sys.stderr = Sieve(sys.stderr)
@@ -142,7 +119,7 @@ def _prepare(data: dict[str, Any], evaluation: bytes) -> None:
     _preparing = False
 
 
-def _listen(inlet: int, calls: queue.SimpleQueue[Any]) -> None:
+def _listen(inlet: BinaryIO, calls: queue.SimpleQueue[Any]) -> None:
     """Queue the pool's calls, and end this process with the pool, even if that is killed during a computation here."""
     try:
         while True:

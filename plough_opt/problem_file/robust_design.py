@@ -14,7 +14,7 @@ from plough_opt.motion import Run, simulate
 from plough_opt.problem_file.own_measures import measures_of
 from plough_opt.problem_file.problem import Problem
 from plough_opt.problem_file.schema import LimitTable, TermTable
-from plough_opt.problem_file.uncertain import Asked, UncertainTable, asked_of, distribution_of, uncertain_of
+from plough_opt.problem_file.uncertain import ChosenMeasure, UncertainTable, distribution_of, measure_of, uncertain_of
 from plough_opt.soil.soil import Soil
 from plough_opt.studies.uncertainty import Robust, SoilDistribution, sobol_indices, verify
 from plough_opt.studies.uncertainty.result import RobustOptimum
@@ -44,9 +44,9 @@ def optimise_robust(problem: Problem, progress: Progress) -> RobustOptimum:
     field = distribution_of(table, problem.scene().soil)
     design, _ = problem.design()
     nominal = design.solve(progress=progress)
-    question = _Question(problem, table, field)
+    design_of = _RobustDesign(problem, table, field)
     progress("sampling the soil", 0.0)
-    best, robust, failures = best_robust(nominal.variables, question.build, question.spreads, progress)
+    best, robust, failures = best_robust(nominal.variables, design_of.build, design_of.spreads, progress)
     progress("verifying on fresh samples", 0.0)
     seed = 20_000 + table.seed
     fresh, nominal_fresh = (verify(robust, at, samples=table.fresh, seed=seed) for at in (best, nominal.variables))
@@ -68,7 +68,7 @@ def _in_words(problem: Problem, varying: set[str]) -> dict[str, tuple[str, str]]
     return found
 
 
-class _Question:
+class _RobustDesign:
     """The file's design over samples of its soil, built again for every start."""
 
     def __init__(self, problem: Problem, table: UncertainTable, field: SoilDistribution) -> None:
@@ -138,21 +138,21 @@ class _Question:
 
     def _term(self, robust: Robust, run: Run, name: str, term: TermTable) -> Expression:
         per = self._measures[name].unit.parse(term.per)
-        return self._measure(robust, run, name, asked_of(term.measure or "expected"), term.width) / per
+        return self._measure(robust, run, name, measure_of(term.measure or "expected"), term.width) / per
 
     def _measure(
-        self, robust: Robust, run: Run, name: str, asked: Asked, written: object, low_is_bad: bool = False
+        self, robust: Robust, run: Run, name: str, chosen: ChosenMeasure, written: object, low_is_bad: bool = False
     ) -> Expression:
         """Return a measure of a result; where small values are bad, of its lower tail."""
-        if asked.kind == "nominal" or not self._spreads.get(name):
+        if chosen.kind == "nominal" or not self._spreads.get(name):
             return self._measures[name].of(run)
-        if asked.kind == "expected":
+        if chosen.kind == "expected":
             return robust.expected(name)
-        if asked.kind == "mean_plus":
-            return robust.mean_plus(name, asked.number)
+        if chosen.kind == "mean_plus":
+            return robust.mean_plus(name, chosen.number)
         width = self._width(name, written)
-        if asked.kind == "cvar":
-            return robust.cvar(name, asked.number, width=width, tail="lower" if low_is_bad else "upper")
+        if chosen.kind == "cvar":
+            return robust.cvar(name, chosen.number, width=width, tail="lower" if low_is_bad else "upper")
         return robust.worst(name, width=width, tail="lower" if low_is_bad else "upper")
 
     def _width(self, name: str, written: object) -> float:
@@ -174,8 +174,10 @@ class _Question:
         if limit.measure is None and self._spreads.get(name):
             design.require(name, robust.every(name, at_least=low, at_most=high), at_least=low, at_most=high, unit=unit)
             return
-        asked = asked_of(limit.measure or "nominal")
-        if asked.kind in ("cvar", "worst") and low is not None and high is not None:
-            raise InputError(f"{self._problem.name}: '{name}': a {asked.kind} is limited from one side: give one limit")
-        value = self._measure(robust, run, name, asked, limit.width, low is not None)
+        chosen = measure_of(limit.measure or "nominal")
+        if chosen.kind in ("cvar", "worst") and low is not None and high is not None:
+            raise InputError(
+                f"{self._problem.name}: '{name}': a {chosen.kind} is limited from one side: give one limit"
+            )
+        value = self._measure(robust, run, name, chosen, limit.width, low is not None)
         design.require(name, value, at_least=low, at_most=high, unit=unit)

@@ -6,7 +6,7 @@ import math
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias, cast
 
 from plough_opt.core.errors import InputError, nearest
 from plough_opt.core.expressions import as_number
@@ -34,8 +34,12 @@ _KINDS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {  # what each need
 }
 # Properties on which the cone index does not depend.
 _WITHOUT_LEVEL = ("density", "youngs_modulus", "poisson_ratio")
-_ASKED = re.compile(r"(nominal|expected|worst)|cvar\s+([\d.]+)|mean\s*([+-])\s*([\d.]+)\s*std")
-_ASKED_EXAMPLES = '"expected", "mean + 2 std", "cvar 0.9", "worst" or "nominal"'
+_NUMBER = r"(?:\d+\.?\d*|\.\d+)"
+_MEASURE = re.compile(
+    rf"(?P<plain>nominal|expected|worst)|cvar\s+(?P<level>{_NUMBER})"
+    rf"|mean\s*(?P<sign>[+-])\s*(?P<factor>{_NUMBER})\s*std"
+)
+_MEASURE_EXAMPLES = '"expected", "mean + 2 std", "cvar 0.9", "worst" or "nominal"'
 
 
 @dataclass(frozen=True)
@@ -57,36 +61,34 @@ class UncertainTable:
     seed: int = 1
 
 
-@dataclass(frozen=True)
-class Asked:
-    """A measure that a file asks for: its kind, and the level or the factor that belongs to it."""
+MeasureKind: TypeAlias = Literal["nominal", "expected", "worst", "cvar", "mean_plus"]
 
-    kind: Literal["nominal", "expected", "worst", "cvar", "mean_plus"]
+
+@dataclass(frozen=True)
+class ChosenMeasure:
+    """The measure of a term or a requirement: its kind, and the level or the factor that belongs to it."""
+
+    kind: MeasureKind
     number: float = 0.0
 
 
-def asked_of(text: str) -> Asked:
-    """Read a measure.
+def measure_of(text: str) -> ChosenMeasure:
+    """Return the measure that a file names.
 
     Raises:
-        InputError: none that is known.
+        InputError: an unknown measure, or an invalid level.
     """
-    match = _ASKED.fullmatch(text.strip())
+    match = _MEASURE.fullmatch(text.strip())
     if match is None:
-        raise InputError(f'"{text}" is not a measure: take {_ASKED_EXAMPLES}')
-    if match[1]:
-        return Asked("nominal" if match[1] == "nominal" else "expected" if match[1] == "expected" else "worst")
-    try:
-        if match[2]:
-            level = float(match[2])
-            if not 0.0 < level < 1.0:
-                raise InputError(f'"{text}": the level of a cvar must lie between 0 and 1, 0.9 being the worst tenth')
-            return Asked("cvar", level)
-        return Asked("mean_plus", float(match[3] + match[4]))
-    except ValueError as error:
-        if isinstance(error, InputError):
-            raise
-        raise InputError(f'"{text}" is not a measure: take {_ASKED_EXAMPLES}') from None
+        raise InputError(f'"{text}" is not a measure: take {_MEASURE_EXAMPLES}')
+    if match["level"] is not None:
+        level = float(match["level"])
+        if not 0.0 < level < 1.0:
+            raise InputError(f'"{text}": the level of a cvar must lie between 0 and 1, 0.9 being the worst tenth')
+        return ChosenMeasure("cvar", level)
+    if match["factor"] is not None:
+        return ChosenMeasure("mean_plus", float(match["sign"] + match["factor"]))
+    return ChosenMeasure(cast(MeasureKind, match["plain"]))
 
 
 def uncertain_of(table: Mapping[str, Any]) -> UncertainTable:
@@ -152,7 +154,7 @@ def join_dotted(data: dict[str, Any]) -> None:
 
 
 def check_uncertain(source: Source, table: ProblemTable) -> None:
-    """Note everything that is wrong in the table, and in what the file asks of results that vary."""
+    """Note every error in the table, and in the measures of terms and requirements."""
     if table.uncertain is None:
         _refuse_measures(source, table)
         return
@@ -182,7 +184,7 @@ def check_uncertain(source: Source, table: ProblemTable) -> None:
             )
         if table.scene.law.lacks("uncertain"):
             raise InputError(table.scene.law.refusal("uncertain", TABLE))
-    _check_asked(source, table)
+    _check_measures(source, table)
 
 
 def check_joint(source: Source, table: ProblemTable, soil: Callable[[], Soil]) -> None:
@@ -279,13 +281,13 @@ def _made(name: str, values: Mapping[str, Any]) -> Any:
     return stats.beta(middle * size, (1.0 - middle) * size, lower, upper - lower)
 
 
-def _check_asked(source: Source, table: ProblemTable) -> None:
-    """Note measures that cannot be asked for."""
+def _check_measures(source: Source, table: ProblemTable) -> None:
+    """Note invalid measures."""
     known = measures_of(table)
     for name, term in table.minimise.items():
         with source.noting(("minimise", name)):
             if term.measure is not None:
-                asked_of(term.measure)
+                measure_of(term.measure)
             _check_width(source, ("minimise", name), term.width, known.get(name))
     for name, limit in table.require.items():
         with source.noting(("require", name)):
@@ -295,7 +297,7 @@ def _check_asked(source: Source, table: ProblemTable) -> None:
                     ' measure = "nominal"'
                 )
             if limit.measure is not None:
-                asked_of(limit.measure)
+                measure_of(limit.measure)
             _check_probability(limit, name)
             _check_width(source, ("require", name), limit.width, known.get(name))
 

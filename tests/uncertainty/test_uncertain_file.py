@@ -10,7 +10,7 @@ import pytest
 import plough_opt as po
 from plough_opt.app import main
 from plough_opt.problem_file.robust_design import optimise_robust
-from plough_opt.problem_file.uncertain import Asked, asked_of
+from plough_opt.problem_file.uncertain import ChosenMeasure, measure_of
 from plough_opt.studies.uncertainty import measures
 from plough_opt.studies.uncertainty.picture import Panel, plot_spread
 from plough_opt.studies.uncertainty.result import RobustOptimum
@@ -139,16 +139,16 @@ def test_overrides_reach_a_distribution(written):
 @pytest.mark.parametrize(
     ("text", "wanted"),
     [
-        ("expected", Asked("expected")),
-        ("cvar 0.9", Asked("cvar", 0.9)),
-        ("mean + 2 std", Asked("mean_plus", 2.0)),
-        ("mean - 1.5 std", Asked("mean_plus", -1.5)),
-        ("worst", Asked("worst")),
-        ("nominal", Asked("nominal")),
+        ("expected", ChosenMeasure("expected")),
+        ("cvar 0.9", ChosenMeasure("cvar", 0.9)),
+        ("mean + 2 std", ChosenMeasure("mean_plus", 2.0)),
+        ("mean - 1.5 std", ChosenMeasure("mean_plus", -1.5)),
+        ("worst", ChosenMeasure("worst")),
+        ("nominal", ChosenMeasure("nominal")),
     ],
 )
 def test_measures_in_words(text, wanted):
-    assert asked_of(text) == wanted
+    assert measure_of(text) == wanted
 
 
 @pytest.mark.parametrize(
@@ -169,7 +169,7 @@ def test_measures_in_words(text, wanted):
         ("samples = 8", "samples = 3", 5, "whole number from 8"),
         ("samples = 8", "sample = 8", 5, "'samples'"),
         ('"cvar 0.9"', '"cvar 90"', 23, "between 0 and 1"),
-        ('"cvar 0.9"', '"median"', 23, "no measure"),
+        ('"cvar 0.9"', '"median"', 23, "not a measure"),
         ('width = "100 N"', 'width = "100 m"', 23, "wrong unit"),
         ('width = "100 N"', 'width = "0 N"', 23, "above 0"),
         ("probability = 0.9", "probability = 1.0", 25, "between 0 and 1"),
@@ -178,7 +178,7 @@ def test_measures_in_words(text, wanted):
         ("loosened_radius = {", 'deflection = { at_most = "0.1 m" }\nloosened_radius = {', 25, "every output time"),
     ],
 )
-def test_mistakes_are_told_with_their_line(written, capsys, old, new, line, words):
+def test_mistakes_are_reported_with_their_line(written, capsys, old, new, line, words):
     assert main(["optimise", written((old, new))]) == 2
     error = capsys.readouterr().err
     assert f"line {line}:" in error

@@ -4,7 +4,7 @@ import re
 import tomllib
 from pathlib import Path
 
-from plough_opt.problem_file.uncertain import asked_of, uncertain_of
+from plough_opt.problem_file.uncertain import measure_of, uncertain_of
 
 ROOT = Path(__file__).parents[2]
 TEXT = (ROOT / "docs" / "uncertain_soil.md").read_text(encoding="utf-8")
@@ -24,4 +24,4 @@ def test_tables_are_those_of_the_problem_file():
 def test_every_measure_of_the_table_is_known():
     for text in re.findall(r"^\| `([^`=]+)` \|", TEXT, flags=re.MULTILINE):
         if text not in ("uniform", "triangular", "beta", "normal"):
-            asked_of(text)
+            measure_of(text)

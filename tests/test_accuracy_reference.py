@@ -344,6 +344,28 @@ def test_every_output_of_an_orbit_is_there_whatever_its_period_rounds_to():
     assert errors_of(run, found.run)["trajectory"] < 1e-11
 
 
+def test_an_orbit_under_two_waves_takes_the_way_after_which_both_repeat_themselves():
+    waves = (po.StrengthWave(0.3, 0.2), po.StrengthWave(0.2, 0.3, 1.0))
+    share = scene(strength_wave=waves, damping=400.0, orbit="periodic")
+    found = reference_run(share, outputs=6)
+    assert float(found.run.time[-1]) == pytest.approx(0.6 / 2.0, rel=1e-15)
+    run = po.simulate(share, accuracy=po.Accuracy(error=1e-11), outputs=6)
+    assert errors_of(run, found.run)["trajectory"] < 1e-10
+
+
+def test_an_own_resistance_that_only_casadi_computes_has_a_reference():
+    @dataclass(frozen=True)
+    class Creeping:
+        size: float
+
+        def force(self, _travel, speed):
+            return self.size * (ca.tanh(speed) if isinstance(speed, ca.SX) else np.tanh(speed))
+
+    share = scene(own=(Creeping(300.0),), strength_wave=WAVE, damping=100.0)
+    run = po.simulate(share, 0.2, accuracy=po.Accuracy(error=1e-11), outputs=5)
+    assert errors_of(run, reference_run(share, 0.2, outputs=5).run)["trajectory"] < 1e-10
+
+
 def test_the_default_run_is_as_close_as_it_says():
     share, duration = OTHERS["wave"]
     run = po.simulate(share, duration, outputs=20)

@@ -19,10 +19,10 @@ from plough_opt.core.expressions import exp
 from plough_opt.laws.forces import soil_reaction
 from plough_opt.studies.accuracy import contest, methods, picture, quadratures
 from plough_opt.studies.accuracy import study as studies
-from plough_opt.studies.accuracy.contest import Entry, cheapest, efficient
+from plough_opt.studies.accuracy.contest import Entry, cheapest, duration_text, efficient
 from plough_opt.studies.accuracy.methods import AUTO, BARE, COMPILED, Task, prepared
 from plough_opt.studies.accuracy.profile_reference import profile_reaction
-from plough_opt.studies.accuracy.result import AccuracyStudy, duration_text
+from plough_opt.studies.accuracy.result import AccuracyStudy
 from plough_opt.studies.accuracy.wide import EPS
 
 PROBLEMS = Path(__file__).parents[1] / "problems"

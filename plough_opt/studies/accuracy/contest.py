@@ -355,3 +355,12 @@ def cheapest(entries: Sequence[Entry], error: str, wanted: float) -> Entry | Non
     good = [entry for entry in entries if entry.failure is None and entry.errors.get(error, math.inf) <= wanted]
     least = min((entry.seconds for entry in good), default=math.inf)
     return next((entry for entry in good if entry.seconds <= _AS_CHEAP * least), None)
+
+
+def duration_text(seconds: float) -> str:
+    """Return a time with its unit."""
+    # A thousandth that rounding makes a little less is one still.
+    for least, unit in ((1.0, "s"), (1e-3, "ms")):
+        if seconds >= 0.99 * least:
+            return f"{seconds / least:.3g} {unit}"
+    return f"{seconds * 1e6:.3g} µs"

@@ -77,6 +77,8 @@ class Motion:
     Attributes:
         scene: the scene, with wide numbers.
         structure: what its motion contains.
+        swing: inverse of the lightest share's angular frequency on its mount [s].
+        scales: sizes of w [m] and w' [m/s], to which rounding is relative.
     """
 
     def __init__(self, scene: Scene) -> None:
@@ -96,14 +98,14 @@ class Motion:
         self._p = {name: WIDE(value) for name, value in p.items()}
         self._numbers = [self._p[name] for name in self._graphs.names]
         stiffness = abs(self._p["stiffness"])
-        self.hardness = np.sqrt(stiffness * lightest_mass(self._p))
-        self.swing = self.hardness / stiffness
+        hardness = np.sqrt(stiffness * lightest_mass(self._p))
+        self.swing = hardness / stiffness
         # What rounds: the forces, and from a start that is not steady the speed that the mount must take up; soil that
         # does not resist at all leaves the rounding of that.
         steady = self.structure.start == "equilibrium" and not self.structure.ramp
-        least = speed * self.hardness * (EPS if steady else 1)
+        least = speed * hardness * (EPS if steady else 1)
         force = start_resistance(self.structure, self._p) + least
-        self.scales = np.array([force / stiffness, force / self.hardness])
+        self.scales = np.array([force / stiffness, force / hardness])
 
     @property
     def ramp(self) -> Wide:

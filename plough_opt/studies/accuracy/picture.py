@@ -16,7 +16,7 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from plough_opt.core.picture_files import COLOURS
-from plough_opt.studies.accuracy.contest import Entry
+from plough_opt.studies.accuracy.contest import Entry, duration_text
 
 _BLUE, _RED, _GREEN, _PINK, _ORANGE, _SKY, _GREY = COLOURS
 _STYLES: Final[dict[str, tuple[str, str]]] = {
@@ -116,17 +116,9 @@ def _dress(axes: Axes, panel: Panel) -> None:
     axes.axhline(panel.wanted, color="black", linestyle=(0, (4, 3)), linewidth=1.0, zorder=2)
     axes.xaxis.set_major_locator(_Times(numticks=8))
     axes.xaxis.set_minor_formatter(NullFormatter())
-    axes.xaxis.set_major_formatter(FuncFormatter(lambda seconds, _: _time(seconds)))
+    axes.xaxis.set_major_formatter(FuncFormatter(lambda seconds, _: duration_text(seconds)))
     axes.yaxis.set_major_locator(LogLocator(numticks=8))
     axes.grid(alpha=0.25)
-
-
-def _time(seconds: float) -> str:
-    """Return seconds with their unit."""
-    for least, unit in ((1.0, "s"), (1e-3, "ms"), (1e-6, "µs")):
-        if seconds >= 0.99 * least:
-            return f"{seconds / least:.3g} {unit}"
-    return f"{seconds * 1e9:.3g} ns"
 
 
 def legend(target: Axes | Figure, lines: dict[str, Line2D], **where: Any) -> None:

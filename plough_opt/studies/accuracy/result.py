@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from plough_opt.core.kept import Keepable
 from plough_opt.core.origin import Origin
 from plough_opt.core.tables import Column, Grid, Page, Part, data_frame
-from plough_opt.studies.accuracy.contest import Entry, cheapest, efficient
+from plough_opt.studies.accuracy.contest import Entry, cheapest, duration_text, efficient
 from plough_opt.studies.accuracy.methods import AUTO, COMPILED, MACHINE_CODE, error_text
 from plough_opt.studies.accuracy.optimum import REPORTED, REQUIREMENTS, TRUE, VARIABLES
 from plough_opt.studies.accuracy.thoroughness import Thoroughness
@@ -321,11 +321,3 @@ def _beside(entry: Entry, best: Entry | None, question: Question) -> str:
     if not _times(ratio):
         return f"{text}, about as long"
     return f"{text}, {_times(ratio)}as long" if ratio > 1.0 else f"{text}, {_times(1.0 / ratio)}faster"
-
-
-def duration_text(seconds: float) -> str:
-    """Return a time with its unit."""
-    for limit, factor, unit in ((1e-3, 1e6, "µs"), (1.0, 1e3, "ms")):
-        if seconds < limit:
-            return f"{seconds * factor:.3g} {unit}"
-    return f"{seconds:.3g} s"

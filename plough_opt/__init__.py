@@ -51,8 +51,9 @@ if TYPE_CHECKING:
     from plough_opt.problem_file.penetrometer import Penetrometer, read_penetrometer
     from plough_opt.problem_file.strength_file import read_strength_record
     from plough_opt.problem_file.sweeping import sweep
+    from plough_opt.soil.record_waves import RecordWaves
     from plough_opt.soil.rig import Rig
-    from plough_opt.soil.strength_record import RecordWaves, StrengthRecord, strength_spectrum, strength_waves
+    from plough_opt.soil.strength_record import StrengthRecord, strength_spectrum, strength_waves
     from plough_opt.studies import crosscheck
     from plough_opt.studies.accuracy.result import AccuracyStudy
     from plough_opt.studies.accuracy.study import study_accuracy, study_design
@@ -87,7 +88,7 @@ _LATER = {
     "read_penetrometer": "plough_opt.problem_file.penetrometer",
     "read_problem": "plough_opt.problem_file",
     "read_strength_record": "plough_opt.problem_file.strength_file",
-    "RecordWaves": "plough_opt.soil.strength_record",
+    "RecordWaves": "plough_opt.soil.record_waves",
     "Rig": "plough_opt.soil.rig",
     "StrengthRecord": "plough_opt.soil.strength_record",
     "strength_spectrum": "plough_opt.soil.strength_record",

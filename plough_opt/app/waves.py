@@ -15,8 +15,8 @@ from plough_opt.core.quantities import wave_table
 from plough_opt.core.units import Unit
 
 if TYPE_CHECKING:
+    from plough_opt.soil.record_waves import RecordWaves
     from plough_opt.soil.rig import Rig
-    from plough_opt.soil.strength_record import RecordWaves
 
 _RIG = {
     "mass": ("kg", "20 kg", "mass on the rig that felt the force"),

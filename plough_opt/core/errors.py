@@ -12,23 +12,61 @@ _LONGEST_NAME: Final = 100
 
 
 class PloughError(Exception):
-    """Base class of every error that the toolkit raises on purpose."""
+    """Base class of every error that the toolkit raises on purpose.
+
+    Example:
+        >>> import plough_opt as po
+        >>> issubclass(po.InputError, po.PloughError)
+        True
+    """
 
 
 class DomainError(PloughError, ValueError):
-    """A value is outside the domain in which the model's equations hold."""
+    """A value is outside the domain in which the model's equations hold.
+
+    Example:
+        >>> import plough_opt as po
+        >>> try:
+        ...     po.Cone("10 deg", -1.0)
+        ... except po.DomainError as error:
+        ...     print(error)
+        share height = -1 m must be above 0 m
+    """
 
 
 class ImplausibleValue(UserWarning):
-    """A plain number is possible, but so unusual in SI units that another unit was probably meant."""
+    """A plain number is possible, but so unusual in SI units that another unit was probably meant.
+
+    Example:
+        >>> import plough_opt as po
+        >>> po.StrengthWave(0.3, "200 m").wavelength  # as a text this is meant; as 200.0 it would carry the warning
+        200.0
+        >>> issubclass(po.ImplausibleValue, UserWarning)
+        True
+    """
 
 
 class InputError(PloughError, ValueError):
-    """An option, a name or a file is not what was expected."""
+    """An option, a name or a file is not what was expected.
+
+    Example:
+        >>> import plough_opt as po
+        >>> try:
+        ...     po.named_soil("serozen")
+        ... except po.InputError as error:
+        ...     print("did you mean 'serozem'" in str(error))
+        True
+    """
 
 
 class IntegrationError(PloughError, RuntimeError):
-    """The equation of motion could not be integrated; the message names scene, time and likely cause."""
+    """The equation of motion could not be integrated; the message names scene, time and likely cause.
+
+    Example:
+        >>> import plough_opt as po
+        >>> issubclass(po.IntegrationError, po.PloughError)
+        True
+    """
 
 
 class InfeasibleDesign(PloughError, RuntimeError):
@@ -37,6 +75,19 @@ class InfeasibleDesign(PloughError, RuntimeError):
     Attributes:
         conflicts: name of the requirement -> least violation, in the requirement's own unit.
         blockers: names of the requirements and bounds that stand against them.
+
+    Example:
+        >>> import plough_opt as po
+        >>> design = po.Design()
+        >>> height = design.variable("height", guess="250 mm", lower="100 mm", upper="500 mm")
+        >>> design.require("half of it", height / 2.0, at_least="60 mm")
+        >>> design.require("more than there is", height, at_least="2 m")
+        >>> design.minimise(height)
+        >>> try:
+        ...     best = design.solve()
+        ... except po.InfeasibleDesign as error:
+        ...     print("more than there is" in str(error))
+        True
     """
 
     def __init__(self, message: str, conflicts: dict[str, float], blockers: list[str]) -> None:
@@ -50,7 +101,13 @@ class InfeasibleDesign(PloughError, RuntimeError):
 
 
 class NotConverged(PloughError, RuntimeError):
-    """The optimiser stopped without an optimum; ``status`` is IPOPT's return status."""
+    """The optimiser stopped without an optimum; ``status`` is IPOPT's return status.
+
+    Example:
+        >>> import plough_opt as po
+        >>> issubclass(po.NotConverged, po.PloughError)
+        True
+    """
 
     def __init__(self, message: str, status: str) -> None:
         super().__init__(message, status)

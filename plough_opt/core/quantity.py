@@ -97,6 +97,11 @@ class Quantity:
         """Its name within that table."""
         return self.name.rpartition(".")[2]
 
+    @property
+    def domain(self) -> tuple[float, float]:
+        """The ends of the model's domain."""
+        return self.low, self.high
+
     @cached_property
     def ordinary(self) -> tuple[float, float]:
         """Between which a number lies that is in the domain and plausible: almost every one, so it is read at once."""

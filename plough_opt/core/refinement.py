@@ -27,6 +27,12 @@ class Refinement:
         sizes: orders, or numbers of knots, ascending.
         errors: largest difference from the result at twice the largest size, relative to the largest value of that.
         seconds: median time of one evaluation, after a warm-up [s].
+
+    Example:
+        >>> import plough_opt as po
+        >>> found = po.refine(lambda n: 1.0 + 1.0 / n**2, [8, 16, 32])
+        >>> found.sizes
+        (8, 16, 32)
     """
 
     sizes: tuple[int, ...]
@@ -82,6 +88,12 @@ def refine(quantity: Callable[[int], Expression], sizes: Sequence[int]) -> Refin
 
     Raises:
         InputError: no sizes, sizes below 1, or a result that is not finite.
+
+    Example:
+        >>> import plough_opt as po
+        >>> found = po.refine(lambda n: 1.0 + 1.0 / n**2, [8, 16, 32])
+        >>> bool(found.errors[0] > found.errors[2])
+        True
     """
     check_callable("the quantity", quantity, "of the size")
     check_kind("sizes", sizes, Sequence | np.ndarray, "a list of whole numbers from 1 on")

@@ -80,6 +80,16 @@ class LocalOptimum(Keepable):
         error_estimate: relative difference of two tight integrations of the objective, by different methods.
         iterations: of IPOPT.
         spread: objective and margins within the tolerances; None of runs with events and orbits, which take too long.
+
+    Example:
+        >>> import plough_opt as po
+        >>> design = po.Design()
+        >>> height = design.variable("height", guess="250 mm", lower="100 mm", upper="500 mm")
+        >>> design.require("half of it", height / 2.0, at_least="60 mm")
+        >>> design.minimise(height**2)
+        >>> best = design.solve(search="near")
+        >>> best.local_optima[0].active
+        ('half of it',)
     """
 
     name: str

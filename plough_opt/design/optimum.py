@@ -59,6 +59,16 @@ class Optimum(LocalOptimum):
         sensitivities: those to every parameter and limit, where they were asked for before the optimum was saved.
         run: the numeric run at this design, or those of several shares, where a problem file has the question.
         origin: what made it.
+
+    Example:
+        >>> import plough_opt as po
+        >>> design = po.Design()
+        >>> height = design.variable("height", guess="250 mm", lower="100 mm", upper="500 mm")
+        >>> design.require("half of it", height / 2.0, at_least="60 mm")
+        >>> design.minimise(height**2)
+        >>> best = design.solve(search="near")
+        >>> best.status
+        'solved'
     """
 
     over: str = ""

@@ -42,6 +42,16 @@ class Design:
         d.minimise(run.mean_draft / 1e3 + run.force_rms / 1e3)
         d.require("loosened radius", loosened_radius(cone, soil), at_least=0.12, unit="m")
         best = d.solve()
+
+    Example:
+        >>> import plough_opt as po
+        >>> design = po.Design()
+        >>> height = design.variable("height", guess="250 mm", lower="100 mm", upper="500 mm")
+        >>> design.require("half of it", height / 2.0, at_least="60 mm")
+        >>> design.minimise(height**2)
+        >>> best = design.solve(search="near")
+        >>> round(best.variables["height"], 9)
+        0.12
     """
 
     def __init__(self) -> None:

@@ -52,6 +52,12 @@ def resistance_coefficients(cone: Cone, soil: Soil) -> ResistanceCoefficients:
     Raises:
         InputError: no cone or no soil, or arrays with a density profile.
         DomainError: a density profile without a compaction front.
+
+    Example:
+        >>> import plough_opt as po
+        >>> soil, cone = po.named_soil("serozem"), po.Cone("10 deg", "25 cm")
+        >>> bool(po.resistance_coefficients(cone, soil).A > 0.0)
+        True
     """
     check_cone(cone)
     check_soil(soil)
@@ -103,6 +109,12 @@ def soil_reaction(cone: Cone, soil: Soil) -> SoilReaction:
 
     (1 + mu0 cot(beta)) tan^2(beta) is taken as tan(beta) (tan(beta) + mu0), so nothing is singular for a
     slender cone. Domain, arguments and errors are those of `resistance_coefficients`.
+
+    Example:
+        >>> import plough_opt as po
+        >>> soil, cone = po.named_soil("serozem"), po.Cone("10 deg", "25 cm")
+        >>> float(po.soil_reaction(cone, soil).added_mass) > 0.0
+        True
     """
     check_cone(cone)
     check_soil(soil)
@@ -129,6 +141,13 @@ def resistance(cone: Cone, soil: Soil, speed: Expression, acceleration: Expressi
     Raises:
         DomainError: a speed below 0, which the plastic gas does not follow, or a number that is not finite.
         InputError: as `resistance_coefficients`.
+
+    Example:
+        >>> import plough_opt as po
+        >>> soil, cone = po.named_soil("serozem"), po.Cone("10 deg", "25 cm")
+        >>> slow, fast = (po.resistance(cone, soil, speed, 0.0) for speed in (1.0, 2.0))
+        >>> bool(fast > slow)
+        True
     """
     check_domain("speed", speed, "m/s", at_least=0.0, why="the plastic gas does not follow a share that retreats")
     check_domain("acceleration", acceleration, "m/s^2")
@@ -141,6 +160,12 @@ def added_mass(cone: Cone, soil: Soil) -> Expression:
     """Return the mass of soil that the share carries along, pi (1 + mu0 cot(beta)) C rho0 h^3 [kg], equation (26).
 
     Arguments and errors are those of `resistance_coefficients`.
+
+    Example:
+        >>> import plough_opt as po
+        >>> soil, cone = po.named_soil("serozem"), po.Cone("10 deg", "25 cm")
+        >>> float(po.added_mass(cone, soil)) > 0.0
+        True
     """
     return soil_reaction(cone, soil).added_mass
 
@@ -158,6 +183,12 @@ def loosened_radius(cone: Cone, soil: Soil) -> Expression:
     Raises:
         InputError: no cone or no soil.
         DomainError: a density profile without a compaction front.
+
+    Example:
+        >>> import plough_opt as po
+        >>> soil, cone = po.named_soil("serozem"), po.Cone("10 deg", "25 cm")
+        >>> round(float(po.loosened_radius(cone, soil)), 3) > 0.04
+        True
     """
     check_cone(cone)
     check_soil(soil)

@@ -22,6 +22,11 @@ class SoilReaction:
         static: F0 [N].
         drag: Fd [N s^2/m^2].
         added_mass: m_a [kg].
+
+    Example:
+        >>> import plough_opt as po
+        >>> po.SoilReaction(static=2e3).drag
+        0.0
     """
 
     static: Expression
@@ -38,6 +43,12 @@ class ShareInSoil:
         cone: the cone of equal height and surface.
         soil: the soil, without ambient pressure where a scene takes none.
         speed: V0 of the strut [m/s].
+
+    Example:
+        >>> import plough_opt as po
+        >>> soil, cone = po.named_soil("serozem"), po.Cone("10 deg", "25 cm")
+        >>> po.ShareInSoil(cone, cone, soil, 2.0).speed
+        2.0
     """
 
     share: Wedge | Cone

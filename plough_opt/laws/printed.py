@@ -42,6 +42,11 @@ class Printed:
 
     Raises:
         InputError: a switch that is neither True nor False.
+
+    Example:
+        >>> import plough_opt as po
+        >>> po.Effects(formulation=po.Printed(repelling_spring=False)).printed.pi_twice
+        True
     """
 
     pi_twice: bool = True

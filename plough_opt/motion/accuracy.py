@@ -45,6 +45,11 @@ class Accuracy:
 
     Raises:
         InputError: an unknown method, or a setting that the method does not have.
+
+    Example:
+        >>> import plough_opt as po
+        >>> po.Accuracy(error=1e-6).error
+        1e-06
     """
 
     method: str = "auto"

@@ -73,6 +73,15 @@ class Run(Keepable):
         accuracy: method and setting that were used.
         checks: error estimate, time taken and warnings of a numeric run, each also an attribute of the run.
         origin: what made it.
+
+    Example:
+        >>> import plough_opt as po
+        >>> still = po.Effects(motion=False)
+        >>> share = po.Wedge("30 deg", "15 deg", "25 cm")
+        >>> scene = po.Scene(po.named_soil("serozem"), share, "50 kN/m", "30 kg", "2 m/s", still)
+        >>> run = po.simulate(scene, "1 s")
+        >>> bool(run.mean_draft == run.force_rms)
+        False
     """
 
     scene: Scene

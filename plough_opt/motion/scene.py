@@ -64,6 +64,14 @@ class Scene:
         DomainError: a number outside its domain.
         InputError: an unknown medium, an effect that has no meaning in it, or something else in the place of soil,
             share or effects.
+
+    Example:
+        >>> import plough_opt as po
+        >>> still = po.Effects(motion=False)
+        >>> share = po.Wedge("30 deg", "15 deg", "25 cm")
+        >>> scene = po.Scene(po.named_soil("serozem"), share, "50 kN/m", "30 kg", "2 m/s", still)
+        >>> round(float(scene.cone.height), 3)
+        0.25
     """
 
     soil: Soil

@@ -88,6 +88,14 @@ def simulate(
             integration method for a quasi-static scene, SX symbols with a method that cannot take them, or a symbolic
             scene that shall be compiled.
         IntegrationError: the method failed; the message says for which scene, when and the likely cause.
+
+    Example:
+        >>> import plough_opt as po
+        >>> still = po.Effects(motion=False)
+        >>> share = po.Wedge("30 deg", "15 deg", "25 cm")
+        >>> scene = po.Scene(po.named_soil("serozem"), share, "50 kN/m", "30 kg", "2 m/s", still)
+        >>> po.simulate(scene, "1 s").duration
+        1.0
     """
     _check_kinds(scene, accuracy, outputs)
     check_switch("compiled", compiled)

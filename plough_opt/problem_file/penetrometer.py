@@ -38,6 +38,12 @@ class Penetrometer:
 
     Raises:
         InputError: no insertions, or a cone index that is not above 0.
+
+    Example:
+        >>> import plough_opt as po
+        >>> readings = po.read_penetrometer("problems/insertions.csv", (0.25, 0.45))
+        >>> len(readings.insertions)
+        8
     """
 
     name: str
@@ -107,6 +113,11 @@ def read_penetrometer(path: str | Path, depth: tuple[float, float]) -> Penetrome
     Raises:
         InputError: no such file, a column or cell that cannot be, each with its line, or an insertion that does not
             reach over the range.
+
+    Example:
+        >>> import plough_opt as po
+        >>> po.read_penetrometer("problems/insertions.csv", (0.25, 0.45)).mean > 1e5
+        True
     """
     path = path_of("the file of readings", path)
     ends = depth if isinstance(depth, Sequence) and not isinstance(depth, str | bytes) else ()

@@ -68,9 +68,13 @@ class Problem:
         text: the whole file.
         data: name of a file that it reads, as it is written there -> the whole file.
         overrides: the changes that were made to it, in order.
-        shares: name of a share -> the file as it is for this share alone; empty for one share without a name. Of
-            several shares, ``fixed``, ``variables`` and the table ``require`` hold what is common under its own key,
-            and what is of one share under "front.share.height".
+        shares: name of a share -> the file as it is for this share alone; none in a file of one. What one of several
+            shares has by itself is under "front.share.height" in ``fixed``, ``variables`` and the table ``require``.
+
+    Example:
+        >>> import plough_opt as po
+        >>> list(po.read_problem("problems/cotton_subsoiler.toml").variables)
+        ['share.wedge_angle', 'share.height', 'scene.stiffness']
     """
 
     name: str
@@ -99,9 +103,9 @@ class Problem:
             return tuple(dict.fromkeys(text for part in self.shares.values() for text in part.cautions))
         bounds = {f"{key} {side}": (key, getattr(v, side)) for key, v in self.variables.items() for side in _SIDES}
         every = {**{key: (key, value) for key, value in self.fixed.items()}, **bounds}
-        found = ((name, self.origin.display(key, EVERY[key].unit, x), x, EVERY[key].slip(x))
+        found = ((f"{name} = {self.origin.display(key, EVERY[key].unit, x).text(x)}", EVERY[key].slip(x))
                  for name, (key, x) in every.items())  # fmt: skip
-        return tuple(f"{name} = {display.text(x)}: {slip}" for name, display, x, slip in found if slip)
+        return tuple(f"{value}: {slip}" for value, slip in found if slip)
 
     @property
     def parts(self) -> Mapping[str, Problem]:
@@ -265,7 +269,7 @@ class Problem:
                 unit=v.unit,
                 log=v.log,
                 tolerance=v.tolerance,
-                domain=_domain(self._split(name)[1]),
+                domain=EVERY[self._split(name)[1]].domain,
                 display=v.display,
             )
             for name, v in self.variables.items()
@@ -274,7 +278,7 @@ class Problem:
         if parameters:
             for name, x in self._numbers().items():
                 key = self._split(name)[1]
-                symbols[name] = design.parameter(name, x, unit=EVERY[key].unit, domain=_domain(key))
+                symbols[name] = design.parameter(name, x, unit=EVERY[key].unit, domain=EVERY[key].domain)
         runs = {name: part._symbolic(*(self._of_share(name, own) for own in (symbols, chosen)))
                 for name, part in self.parts.items()}  # fmt: skip
         known = measures_of(self.table)
@@ -390,9 +394,3 @@ class Problem:
         count = table.points if points is None else points
         found = trade_off(design, *goals, points=count, title=self.title, progress=progress)
         return replace(found, origin=self.origin)
-
-
-def _domain(key: str) -> tuple[float, float]:
-    """Return the ends of the model's domain of a quantity."""
-    quantity = EVERY[key]
-    return quantity.low, quantity.high

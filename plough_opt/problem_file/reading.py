@@ -59,6 +59,12 @@ def read_problem(path: str | Path, overrides: Iterable[str] = ()) -> Problem:
     Raises:
         InputError: the file does not exist, is not TOML, or holds something that cannot be; the message gives file,
             line, key, what was expected and the nearest valid name, for everything that is wrong in a table.
+
+    Example:
+        >>> import plough_opt as po
+        >>> problem = po.read_problem("problems/cotton_subsoiler.toml", ["scene.tow_speed=9 km/h"])
+        >>> problem.scene().tow_speed
+        2.5
     """
     source = Source.read(path_of("the problem file", path))
     check_kind("overrides", overrides, list | tuple, "a list of texts such as 'scene.tow_speed=\"2.5 m/s\"'")

@@ -33,6 +33,11 @@ def read_strength_record(path: str | Path, rig: Rig | None = None, *, tow_speed:
     Raises:
         InputError: no such file, a column or cell that cannot be, each with its line, a force without a rig, or times
             without a speed.
+
+    Example:
+        >>> import plough_opt as po
+        >>> len(po.read_strength_record("problems/transect.csv").position) > 100
+        True
     """
     path = path_of("the file of readings", path)
     place, headings, rows = readings_of(path, _EXAMPLE)

@@ -142,6 +142,11 @@ def sweep(
         InputError: something that cannot be swept; a store of another question, or one that is damaged or loses rows; a
             broken executor, or workers none of which lives long enough.
         KeyboardInterrupt: interrupted; the message says what is stored.
+
+    Example:
+        >>> import plough_opt as po
+        >>> problem = po.read_problem("problems/cotton_subsoiler.toml")
+        >>> swept = po.sweep(problem, {"soil.cohesion": "5..45 kPa:9"}, store="out/sweep.db")  # doctest: +SKIP
     """
     rest: dict[str, Any] = {
         "samples": samples, "seed": seed, "store": store, "executor": executor, "workers": workers, "retry": retry,

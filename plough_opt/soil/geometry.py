@@ -23,6 +23,11 @@ def deg(angle: Expression) -> Expression:
 
     Raises:
         DomainError: not a number, or one that is not finite.
+
+    Example:
+        >>> import plough_opt as po
+        >>> round(po.deg(180.0), 6)
+        3.141593
     """
     check_domain("angle", angle, "degrees")
     return angle * (math.pi / 180.0)
@@ -40,6 +45,11 @@ class Cone:
 
     Raises:
         DomainError: an angle or height outside its domain.
+
+    Example:
+        >>> import plough_opt as po
+        >>> round(float(po.Cone("10 deg", "25 cm").volume), 6)
+        0.000509
     """
 
     half_angle: Expression
@@ -83,7 +93,7 @@ class Cone:
 
         Example:
             >>> cone = Cone(half_angle=deg(14), height=0.25)
-            >>> round(cone.mesh().volume / cone.volume, 5)
+            >>> round(float(cone.mesh().volume / cone.volume), 5)
             1.0
         """
         half_angle, height = _numbers(self, "half_angle", "height")
@@ -103,6 +113,12 @@ class Wedge:
 
     Raises:
         DomainError: an angle or height outside its domain.
+
+    Example:
+        >>> import plough_opt as po
+        >>> share = po.Wedge(angle="30 deg", chisel_angle="15 deg", height="25 cm")
+        >>> share.equivalent_cone().height
+        0.25
     """
 
     angle: Expression
@@ -151,8 +167,8 @@ class Wedge:
         Example:
             >>> share = Wedge(angle=deg(37), chisel_angle=deg(15), height=0.25)
             >>> block = share.mesh()
-            >>> round(block.working_area / share.area, 9), round(block.volume / share.equivalent_cone().volume, 9)
-            (1.0, 1.0)
+            >>> round(float(block.working_area / share.area), 9)
+            1.0
         """
         angle, chisel_angle, height = _numbers(self, "angle", "chisel_angle", "height")
         own = self.opening if opening is None else plain_number("opening", opening)

@@ -124,6 +124,11 @@ class Spectrum:
 
     Raises:
         InputError: columns that are not alike, fewer than two places, or numbers that cannot be.
+
+    Example:
+        >>> import plough_opt as po
+        >>> round(po.Spectrum([0.0, 1.0, 2.0], [0.0, 0.1, 0.0]).variance, 12)
+        0.1
     """
 
     def __init__(

@@ -25,6 +25,11 @@ class Rig:
 
     Raises:
         DomainError: a number outside its domain.
+
+    Example:
+        >>> import plough_opt as po
+        >>> po.Rig(mass=40.0, stiffness=2e5, damping=400.0, tow_speed=1.5).tow_speed
+        1.5
     """
 
     mass: float

@@ -89,6 +89,12 @@ class Soil:
     Raises:
         DomainError: a property outside its domain.
         InputError: a name that cannot be printed.
+
+    Example:
+        >>> import plough_opt as po
+        >>> soil = po.Soil("1.35 g/cm^3", 0.8, "20 kPa", "28 deg", 0.5)
+        >>> soil.cohesion
+        20000.0
     """
 
     density: Expression
@@ -153,7 +159,7 @@ class Soil:
         Example:
             >>> import plough_opt as po
             >>> soil = po.Soil.from_cone_index(1.5e6, soil=po.named_soil("serozem"))
-            >>> round(soil.strength_factor, 4)
+            >>> round(float(soil.strength_factor), 4)
             5.7373
         """
         cone_index = EVERY["soil.cone_index"].read(cone_index, stacklevel=2)
@@ -283,7 +289,13 @@ _NAMED = {
 
 
 def soil_names() -> tuple[str, ...]:
-    """Return the valid names for `named_soil`."""
+    """Return the valid names for `named_soil`.
+
+    Example:
+        >>> import plough_opt as po
+        >>> "serozem" in po.soil_names()
+        True
+    """
     return tuple(_NAMED)
 
 
@@ -295,6 +307,11 @@ def named_soil(name: str) -> Soil:
 
     Raises:
         InputError: an unknown name; the message suggests the nearest.
+
+    Example:
+        >>> import plough_opt as po
+        >>> po.named_soil("serozem").cohesion
+        20000.0
     """
     check_named("no soil is named {}", name, _NAMED)
     return _NAMED[name]

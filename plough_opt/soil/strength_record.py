@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
-from pathlib import Path
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -14,9 +13,9 @@ from numpy.typing import ArrayLike, NDArray
 from plough_opt.core.domain import LARGEST, check_domain, check_text, plain_number
 from plough_opt.core.errors import InputError
 from plough_opt.core.kinds import NOT_NUMBERS, check_kind, shown
-from plough_opt.core.picture_files import COLOURS, save
 from plough_opt.core.quantities import MOST_WAVES
 from plough_opt.soil.random_strength import Spectrum
+from plough_opt.soil.record_waves import FoundWave, RecordWaves
 from plough_opt.soil.rig import Rig
 from plough_opt.soil.waves import StrengthWave
 
@@ -53,6 +52,14 @@ class StrengthRecord:
     Raises:
         InputError: fewer than 32 points or more than a million, positions that do not rise, or numbers that are not
             finite.
+
+    Example:
+        >>> import numpy as np
+        >>> import plough_opt as po
+        >>> x = np.linspace(0.0, 8.0, 161)
+        >>> record = po.StrengthRecord(x, 1e6 + 2e5 * np.sin(9.0 * x))
+        >>> len(record.position)
+        161
     """
 
     position: Vector
@@ -119,70 +126,6 @@ class StrengthRecord:
         return found
 
 
-@dataclass(frozen=True)
-class FoundWave:
-    """A strength wave of a record with its 95 % interval.
-
-    Attributes:
-        wave: amplitude [-], wavelength [m], phase [rad] at the record's first position.
-        amplitude: half width of its interval [-].
-        wavelength: half width [m].
-        phase: half width [rad].
-        part: of the record's variance that it carries.
-    """
-
-    wave: StrengthWave
-    amplitude: float
-    wavelength: float
-    phase: float
-    part: float
-
-
-@dataclass(frozen=True)
-class RecordWaves:
-    """The contents of a record.
-
-    Attributes:
-        found: waves, the largest first.
-        spectrum: of the record.
-        variance: of relative strength [-].
-        left_out: part of the variance that the waves do not carry.
-        notes: what a reader must know.
-    """
-
-    found: tuple[FoundWave, ...]
-    spectrum: Spectrum
-    variance: float
-    left_out: float
-    notes: tuple[str, ...] = field(default_factory=tuple)
-
-    @property
-    def waves(self) -> tuple[StrengthWave, ...]:
-        """The waves, as `Effects` takes them."""
-        return tuple(one.wave for one in self.found)
-
-    def plot(self, path: str | Path) -> Path:
-        """Draw the spectrum with its confidence band and the waves; the file's ending chooses the format.
-
-        Raises:
-            InputError: an ending that is not a picture format, or a place that cannot be written.
-        """
-        from matplotlib.figure import Figure  # slow to import, and rarely needed
-
-        figure = Figure(figsize=(7.0, 4.2), layout="constrained")
-        axes, s = figure.subplots(), self.spectrum
-        length = 2.0 * math.pi / s.wave_number
-        axes.fill_between(length, s.lower, s.upper, color=COLOURS[5], alpha=0.4, label="95 % band")
-        axes.loglog(length, s.density, color=COLOURS[0], label="spectrum")
-        for number, one in enumerate(self.found, start=1):
-            label = f"{number}: {one.wave.wavelength:.3g} m, amplitude {one.wave.amplitude:.2g}"
-            axes.axvline(float(one.wave.wavelength), color=COLOURS[1], lw=1.0, ls=(0, (4, number)), label=label)
-        axes.set_xlabel("wavelength [m]")
-        axes.set_ylabel("spectrum of relative strength [m/rad]")
-        axes.legend(fontsize=8)
-        return save(figure, path)
-
-
 def strength_waves(record: StrengthRecord, part: float = 0.8, *, base_diameter: float = 0.0) -> RecordWaves:
     """Return the strength waves that carry a wanted part of a record's variance.
 
@@ -200,6 +143,14 @@ def strength_waves(record: StrengthRecord, part: float = 0.8, *, base_diameter: 
 
     Raises:
         InputError: a part that cannot be, or a record without fluctuation.
+
+    Example:
+        >>> import numpy as np
+        >>> import plough_opt as po
+        >>> x = np.linspace(0.0, 8.0, 161)
+        >>> record = po.StrengthRecord(x, 1e6 + 2e5 * np.sin(9.0 * x))
+        >>> po.strength_waves(record).variance > 0.0
+        True
     """
     if isinstance(part, bool) or not (isinstance(part, int | float) and 0.0 < part <= 1.0):
         raise InputError(f"part = {shown(part)} of the variance must be above 0 and at most 1")
@@ -259,6 +210,14 @@ def strength_spectrum(record: StrengthRecord, *, base_diameter: float = 0.0) -> 
 
     Raises:
         InputError: a diameter that is not a number of metres, or one beside which nothing of the record is left.
+
+    Example:
+        >>> import numpy as np
+        >>> import plough_opt as po
+        >>> x = np.linspace(0.0, 8.0, 161)
+        >>> record = po.StrengthRecord(x, 1e6 + 2e5 * np.sin(9.0 * x))
+        >>> po.strength_spectrum(record).variance > 0.0
+        True
     """
     diameter = _checked(record, base_diameter)
     found = spectrum_of(record)

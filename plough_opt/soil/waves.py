@@ -30,6 +30,11 @@ class StrengthWave:
         wavelength: ell [m], above 0.
         phase: at travel 0 [rad], at most one turn either way. A start at equilibrium is at the deflection of the mean
             strength all the same.
+
+    Example:
+        >>> import plough_opt as po
+        >>> po.StrengthWave(amplitude=0.3, wavelength="20 cm").wavelength
+        0.2
     """
 
     amplitude: Expression

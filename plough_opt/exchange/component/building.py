@@ -56,6 +56,14 @@ def component(
         InputError: an unknown name, an input without bounds, or a scene that cannot be such a Function; the message
             says why.
         DomainError: bounds outside the model's domain.
+
+    Example:
+        >>> import plough_opt as po
+        >>> soil, cone = po.named_soil("serozem"), po.Cone("10 deg", "25 cm")
+        >>> scene = po.Scene(soil, cone, 5e4, 30.0, 2.0, po.Effects(motion=False))
+        >>> made = po.component(scene, 1.0, inputs=["share.height"], outputs=["mean_draft"])
+        >>> made.outputs[0].unit
+        'N'
     """
     duration = None if duration is None else BESIDE["scene.duration"].read(duration)
     check_single("a component", (scene, duration))

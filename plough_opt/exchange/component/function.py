@@ -39,6 +39,14 @@ class Component(ca.Function):
         error_estimate: largest relative error [-] found at corners of the bounds and points inside: of mean draft and
             RMS force relative to the larger of them, of the mount force relative to its peak.
         warnings: about its results.
+
+    Example:
+        >>> import plough_opt as po
+        >>> soil, cone = po.named_soil("serozem"), po.Cone("10 deg", "25 cm")
+        >>> scene = po.Scene(soil, cone, 5e4, 30.0, 2.0, po.Effects(motion=False))
+        >>> made = po.component(scene, 1.0, inputs=["share.height"], outputs=["mean_draft"])
+        >>> [port.name for port in made.inputs]
+        ['share.height']
     """
 
     inputs: tuple[Port, ...]

@@ -92,6 +92,11 @@ class Output:
 
     Raises:
         InputError: limits that contradict each other.
+
+    Example:
+        >>> import plough_opt as po
+        >>> po.Output("mean_draft", upper="8 kN").upper
+        8000.0
     """
 
     name: str

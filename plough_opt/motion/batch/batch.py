@@ -63,6 +63,17 @@ class Batch:
     Raises:
         InputError: a scene of another kind, inputs that are not symbols or repeat one, or other symbols in the scene.
         DomainError: a duration that is a number not above 0.
+
+    Example:
+        >>> import casadi as ca
+        >>> import plough_opt as po
+        >>> stiffness = ca.MX.sym("stiffness")
+        >>> damped = po.Effects(damping=400.0, strength_wave=po.StrengthWave(0.3, 0.2))
+        >>> cone = po.Cone("10 deg", "25 cm")
+        >>> scene = po.Scene(po.named_soil("serozem"), cone, stiffness, "30 kg", "2 m/s", damped)
+        >>> found = po.Batch(scene, "0.2 s", [stiffness])([[5e4], [2e5]])
+        >>> len(found.mean_draft)
+        2
     """
 
     def __init__(

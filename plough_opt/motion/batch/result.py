@@ -48,6 +48,16 @@ class BatchResult(Keepable):
         wanted: the relative error that was wanted.
         seconds: time taken.
         warnings: about the batch as a whole.
+
+    Example:
+        >>> import casadi as ca
+        >>> import plough_opt as po
+        >>> mass = ca.MX.sym("mass")
+        >>> cone = po.Cone("10 deg", "25 cm")
+        >>> scene = po.Scene(po.named_soil("serozem"), cone, 5e4, mass, 2.0, po.Effects(damping=400.0))
+        >>> found = po.Batch(scene, 0.1, [mass])([[20.0], [-1.0]])
+        >>> list(found.reasons)
+        [1]
     """
 
     mean_draft: Array

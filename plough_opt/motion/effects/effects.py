@@ -28,6 +28,12 @@ class HarmonicBalance:
 
     Args:
         harmonics: their number, from 1 to 64.
+
+    Example:
+        >>> import plough_opt as po
+        >>> wave = po.StrengthWave(0.3, "20 cm")
+        >>> po.Effects(damping=400.0, strength_wave=wave, orbit=po.HarmonicBalance(3)).orbit.harmonics
+        3
     """
 
     harmonics: int = field(default=3, metadata=COUNT)
@@ -72,6 +78,11 @@ class Effects:
     Raises:
         InputError: an unknown choice, or effects that exclude each other; the message says why.
         DomainError: a value outside its domain.
+
+    Example:
+        >>> import plough_opt as po
+        >>> po.Effects(damping="400 N*s/m", strength_wave=po.StrengthWave(0.3, "20 cm")).damping
+        400.0
     """
 
     motion: bool = True

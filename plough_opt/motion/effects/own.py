@@ -37,6 +37,17 @@ class OwnResistance(Protocol):
 
             def force(self, travel, speed):
                 return self.static + self.viscous * speed
+
+    Example:
+        >>> from dataclasses import dataclass
+        >>> import plough_opt as po
+        >>> @dataclass(frozen=True)
+        ... class Shank:
+        ...     static: float
+        ...     def force(self, travel, speed):
+        ...         return self.static + 0.0 * speed
+        >>> isinstance(Shank(150.0), po.OwnResistance)
+        True
     """
 
     def force(self, travel: Expression, speed: Expression) -> Expression:

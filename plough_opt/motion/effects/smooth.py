@@ -20,6 +20,11 @@ class Smooth:
 
     Args:
         width: speed [m/s] above which the soil resists fully, above 0.
+
+    Example:
+        >>> import plough_opt as po
+        >>> po.Effects(contact=po.Smooth("0.05 m/s")).contact.width
+        0.05
     """
 
     width: Expression

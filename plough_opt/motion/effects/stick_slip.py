@@ -28,6 +28,11 @@ class StickSlip:
 
     Args:
         breakaway: resistance at which a sticking share moves, over the static resistance [-], at least 1.
+
+    Example:
+        >>> import plough_opt as po
+        >>> po.Effects(contact=po.StickSlip(breakaway=1.2)).contact.breakaway
+        1.2
     """
 
     breakaway: Expression = 1.0

@@ -78,6 +78,15 @@ class AccuracyStudy(Keepable):
         versions: of packages, and the machine.
         thoroughness: of a design, what each effort of a search finds, and in what time.
         origin: what made it.
+
+    Example:
+        >>> import plough_opt as po
+        >>> still = po.Effects(motion=False)
+        >>> share = po.Wedge("30 deg", "15 deg", "25 cm")
+        >>> scene = po.Scene(po.named_soil("serozem"), share, "50 kN/m", "30 kg", "2 m/s", still)
+        >>> study = po.study_accuracy(scene, "0.1 s", thin=True, allowance=0.01)
+        >>> len(study.entries) > 3
+        True
     """
 
     title: str

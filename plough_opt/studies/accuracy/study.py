@@ -78,6 +78,14 @@ def study_accuracy(
     Raises:
         InputError: symbols in the scene, or a setting outside its range.
         DomainError: the duration is not positive.
+
+    Example:
+        >>> import plough_opt as po
+        >>> still = po.Effects(motion=False)
+        >>> share = po.Wedge("30 deg", "15 deg", "25 cm")
+        >>> scene = po.Scene(po.named_soil("serozem"), share, "50 kN/m", "30 kg", "2 m/s", still)
+        >>> po.study_accuracy(scene, "0.1 s", thin=True, allowance=0.01).duration
+        0.1
     """
     check_kind("the scene", scene, Scene, "a numeric Scene")
     _check(wanted, title, progress, derivatives=derivatives, thin=thin)
@@ -138,6 +146,15 @@ def study_design(
         DomainError: a setting outside its range.
         InfeasibleDesign: no design meets the requirements.
         NotConverged: the reference was not found.
+
+    Example:
+        >>> import plough_opt as po
+        >>> design = po.Design()
+        >>> height = design.variable("height", guess="250 mm", lower="100 mm", upper="500 mm")
+        >>> design.require("half of it", height / 2.0, at_least="60 mm")
+        >>> design.minimise(height**2)
+        >>> best = design.solve(search="near")
+        >>> study = po.study_design(design, thin=True)  # doctest: +SKIP
     """
     check_kind("the design", design, Design, "a Design")
     _check(wanted, title, progress, near=near, thin=thin)

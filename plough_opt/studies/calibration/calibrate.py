@@ -40,6 +40,15 @@ class Calibration:
 
     Raises:
         InputError: an unknown name, invalid bounds, too few rows, or data that do not belong to the scene.
+
+    Example:
+        >>> import plough_opt as po
+        >>> still = po.Effects(motion=False)
+        >>> share = po.Wedge("30 deg", "15 deg", "25 cm")
+        >>> scene = po.Scene(po.named_soil("serozem"), share, "50 kN/m", "30 kg", "2 m/s", still)
+        >>> data = po.Measurements("mean_draft", [2000.0, 2300.0], {"scene.tow_speed": [1.0, 3.0]})
+        >>> po.Calibration(scene, data, {"soil.cohesion": ("1 kPa", "80 kPa")}).fit().loss
+        'squares'
     """
 
     def __init__(
@@ -106,6 +115,16 @@ def calibrate(
     Raises:
         InputError: an unknown name, invalid bounds, too few rows, or data that do not belong to the scene.
         NotConverged: no start led to an optimum.
+
+    Example:
+        >>> import plough_opt as po
+        >>> still = po.Effects(motion=False)
+        >>> share = po.Wedge("30 deg", "15 deg", "25 cm")
+        >>> scene = po.Scene(po.named_soil("serozem"), share, "50 kN/m", "30 kg", "2 m/s", still)
+        >>> data = po.Measurements("mean_draft", [2000.0, 2300.0], {"scene.tow_speed": [1.0, 3.0]})
+        >>> fit = po.calibrate(scene, data, {"soil.cohesion": ("1 kPa", "80 kPa")})
+        >>> fit.freedom
+        1
     """
     fit = Calibration(given, data, unknown, **options).fit()
     return replace(fit, origin=getattr(given, "origin", fit.origin))

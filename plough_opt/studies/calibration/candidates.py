@@ -41,6 +41,11 @@ class Candidate:
         conditions: key -> value, SI; the others are at the middle of those measured.
         sigma: standard deviation of its error, in the result's SI unit; None: the relative error of the data.
         why: its name, or "" for a description.
+
+    Example:
+        >>> import plough_opt as po
+        >>> po.Candidate("mean_draft", {"scene.tow_speed": 3.0}).result
+        'mean_draft'
     """
 
     result: str

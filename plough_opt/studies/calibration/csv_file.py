@@ -39,6 +39,11 @@ def read_measurements(path: str | Path) -> Measurements:
     Raises:
         InputError: no such file, or an invalid column or cell; the message lists each with line, column, the expected
             value and the nearest valid name.
+
+    Example:
+        >>> import plough_opt as po
+        >>> po.read_measurements("problems/synthetic_draft.csv").result
+        'mean_draft'
     """
     path = path_of("the file of measurements", path)
     rows = read_rows(path, "measurements")

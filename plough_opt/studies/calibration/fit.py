@@ -80,6 +80,16 @@ class Fit(Keepable):
         saved_next: the ranking in a file.
         versions: of packages, and the machine.
         origin: what made it.
+
+    Example:
+        >>> import plough_opt as po
+        >>> still = po.Effects(motion=False)
+        >>> share = po.Wedge("30 deg", "15 deg", "25 cm")
+        >>> scene = po.Scene(po.named_soil("serozem"), share, "50 kN/m", "30 kg", "2 m/s", still)
+        >>> data = po.Measurements("mean_draft", [2000.0, 2300.0], {"scene.tow_speed": [1.0, 3.0]})
+        >>> fit = po.calibrate(scene, data, {"soil.cohesion": ("1 kPa", "80 kPa")})
+        >>> list(fit.values)
+        ['soil.cohesion']
     """
 
     kind = "calibration"

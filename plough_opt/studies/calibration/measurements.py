@@ -54,6 +54,12 @@ class Measurements:
 
     Raises:
         InputError: an unknown name, columns of unequal length, or an invalid number; the message names the row.
+
+    Example:
+        >>> import plough_opt as po
+        >>> data = po.Measurements("mean_draft", [3.9e3, 4.1e3], {"scene.tow_speed": [1.0, 2.0]}, sigma=100.0)
+        >>> data.result
+        'mean_draft'
     """
 
     result: str

@@ -31,6 +31,11 @@ class Range:
     Raises:
         InputError: ends that are not finite numbers in ascending order, an invalid count, or a logarithmic range that
             does not begin above 0.
+
+    Example:
+        >>> import plough_opt as po
+        >>> po.Range(1.0, 3.0, 5).count
+        5
     """
 
     lower: float

@@ -70,6 +70,10 @@ class Sweep(Readable):
         already: number of points that were stored before this run began.
         origin: the problem behind it, if known.
         how: how the points were computed, in a sentence, if known.
+
+    Example:
+        >>> import plough_opt as po
+        >>> swept = po.Sweep.load("out/sweep.db")  # doctest: +SKIP
     """
 
     origin = Origin()

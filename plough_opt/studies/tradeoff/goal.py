@@ -20,6 +20,13 @@ class Goal:
         expression: scalar CasADi expression of the design's variables.
         unit: its unit, for reports.
         maximise: whether more of it is better.
+
+    Example:
+        >>> import plough_opt as po
+        >>> design = po.Design()
+        >>> height = design.variable("height", guess="250 mm", lower="100 mm", upper="500 mm")
+        >>> po.Goal("draft", 5e4 * height**2, unit="N").sign
+        1.0
     """
 
     name: str

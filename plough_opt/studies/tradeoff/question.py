@@ -84,6 +84,15 @@ def trade_off(
             parameter, or nothing to vary.
         InfeasibleDesign: no design was found that meets the requirements.
         NotConverged: an objective alone has no optimum that the optimiser finds, or no point could be certified.
+
+    Example:
+        >>> import plough_opt as po
+        >>> design = po.Design()
+        >>> height = design.variable("height", guess="250 mm", lower="100 mm", upper="500 mm")
+        >>> goals = po.Goal("draft", 5e4 * height**2, "N"), po.Goal("radius", height / 2.0, "m", maximise=True)
+        >>> front = po.trade_off(design, *goals, points=5, search="local")
+        >>> front.goals[1].maximise
+        True
     """
     started = time.perf_counter()
     if not is_count(points) or not _FEWEST <= points <= _MOST:

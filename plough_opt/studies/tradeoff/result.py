@@ -26,6 +26,16 @@ class TradeOff(Keepable, Front):
     """A front of designs, from the best in the first objective on: a curve between two, a surface between three.
 
     Its attributes are those of `Front`.
+
+    Example:
+        >>> import plough_opt as po
+        >>> design = po.Design()
+        >>> height = design.variable("height", guess="250 mm", lower="100 mm", upper="500 mm")
+        >>> draft = po.Goal("draft", 5e4 * height**2, "N")
+        >>> radius = po.Goal("radius", height / 2.0, "m", maximise=True)
+        >>> front = po.trade_off(design, draft, radius, points=5, search="local")
+        >>> len(front.points)
+        5
     """
 
     kind = "trade-off"

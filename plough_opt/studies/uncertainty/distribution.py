@@ -161,6 +161,13 @@ class SoilDistribution:
         InputError: an unknown property, no uncertain property, an object that is not a distribution, bounds without
             any probability between them, or contradictory correlations.
         DomainError: a distribution that extends outside the model's domain.
+
+    Example:
+        >>> from scipy import stats
+        >>> import plough_opt as po
+        >>> field = po.SoilDistribution(po.named_soil("serozem"), cohesion=stats.uniform(1e4, 1e4))
+        >>> "cohesion" in field.in_words()
+        True
     """
 
     soil: Soil

@@ -75,6 +75,15 @@ class Robust(Readable):
 
     Raises:
         InputError: results that are not scalars by name, or an invalid number of samples.
+
+    Example:
+        >>> from scipy import stats
+        >>> import plough_opt as po
+        >>> field = po.SoilDistribution(po.named_soil("serozem"), cohesion=stats.uniform(1e4, 1e4))
+        >>> cone = po.Cone("10 deg", "25 cm")
+        >>> robust = po.Robust(field, lambda soil: {"radius": po.loosened_radius(cone, soil)}, samples=8)
+        >>> len(robust.samples)
+        8
     """
 
     def __init__(

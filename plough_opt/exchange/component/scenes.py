@@ -119,7 +119,7 @@ class Scenes:
         return kind, x, *self.at(x)
 
     def function(self, results: Results, resolution: Resolution) -> ca.Function:
-        """Return results of a run, each a dense column, as a Function of the inputs, left out at their values.
+        """Return results of a run, each a dense column, as a Function of the inputs, whose defaults are their values.
 
         Args:
             results: by name.

@@ -72,7 +72,9 @@ def _read_in_si(owner: Input | Output, unit: str | None, sides: Sequence[str]) -
     """Read fields that may be texts or pint quantities in a unit, or in the owner's own, which becomes SI."""
     values = [getattr(owner, side) for side in sides]
     if unit is None:
-        unit, _ = unit_of(f"'{owner.name}'", owner.unit or "", *values)
+        # What is infinite is a limit that is left out.
+        given = [None if isinstance(value, float) and math.isinf(value) else value for value in values]
+        unit, _ = unit_of(f"'{owner.name}'", owner.unit or "", *given)
         if owner.unit is not None or any(map(has_unit, values)):
             object.__setattr__(owner, "unit", unit)
     for side, value in zip(sides, values, strict=True):

@@ -364,3 +364,18 @@ def drawn(figure):
         (axes.get_title(), axes.get_xlabel(), axes.get_ylabel(), axes.get_xlim(), axes.get_ylim())
         for axes in figure.axes
     ]
+
+
+def test_shares_in_one_frame_are_kept_shown_and_compared(printed, tmp_path):
+    words = (ROOT / "problems" / "two_shares.toml", "--set", "scene.duration=0.1 s", "--json")
+    slow, fast = tmp_path / "slow.json", tmp_path / "fast.json"
+    slow.write_text(printed("simulate", *words), encoding="utf-8")
+    fast.write_text(printed("simulate", *words, "--set", "scene.tow_speed=9 km/h"), encoding="utf-8")
+    assert strict(slow.read_text(encoding="utf-8"))["kind"] == "machine"
+    assert "together" in printed("show", slow)
+    text = printed("compare", slow, fast, "--plot", tmp_path / "both.svg")
+    for share in ("front", "rear"):
+        (row,) = [line for line in text.splitlines() if f"mean draft, {share}" in line]
+        cells = [cell.strip() for cell in row.split("│")[2:4]]
+        drafts = [po.load(path).runs[share].mean_draft for path in (slow, fast)]
+        assert cells == [f"{draft / 1e3:.6g} kN" for draft in drafts]

@@ -102,6 +102,6 @@ def called(name: str) -> str:
     if side in _SIDES:
         return f"{called(first)}, {_SIDES[side]}"
     share, _, key = name.partition(".")
-    if share.isidentifier() and (key in MEASURES or key in EVERY):
+    if share.isidentifier() and (key in MEASURES or key in EVERY or key.startswith("peak_")):
         return f"{called(key)}, {share}"
     return name if " " in name else name.rpartition(".")[2].replace("_", " ")

@@ -29,7 +29,7 @@ import pytest
 ROOT = Path(__file__).resolve().parents[1]
 ROOMS = ("soil", "laws", "motion", "design", "studies")
 # Folders of tests that are about other rooms, or about speed.
-ASIDE = {"bad_input", "benchmarks", "cli", "export", "problem_file", "report"}
+ASIDE = {"bad_input", "benchmarks", "cli", "problem_file"}
 # Seconds after which a session is taken to hang, however little processor time it has had on a busy machine.
 PATIENCE = 1800
 # Sessions are forked from a process that has read what takes long to read, but nothing of the package.

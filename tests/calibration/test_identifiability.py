@@ -1,6 +1,7 @@
 """What data cannot tell: against closed forms of the model's own degeneracies."""
 
 import math
+import re
 
 import numpy as np
 import pytest
@@ -27,6 +28,8 @@ def test_no_draft_separates_cohesion_and_ambient_pressure(confounded):
     assert "cannot be told apart" in found.words
     assert "the data determine" in found.words
     assert set(found.changes) == {"soil.cohesion", "soil.ambient_pressure"}
+    more, less = re.search(r"more ([\w.]+) can be offset by .+ less ([\w.]+);", found.words).groups()
+    assert {more, less} == set(found.changes)
 
 
 def test_what_is_not_determined_has_no_finite_interval(confounded):

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from plough_opt.core.errors import DomainError, IntegrationError
-from plough_opt.exchange.component.ports import corners, inside
+from plough_opt.exchange.component.ports import corners, inside, place
 from plough_opt.exchange.component.scenes import Resolution, Results, Scenes
 from plough_opt.motion.accuracy import DEFAULT_ERROR, Accuracy
 from plough_opt.motion.causes import refuse_runaway
@@ -141,7 +141,9 @@ class Box:
                 scene.check_reaction()
                 refuse_runaway(scene, duration)
             except (DomainError, IntegrationError) as error:
-                raise DomainError(f"at {self.scenes.place(x)}: {error}; give the inputs narrower bounds") from None
+                raise DomainError(
+                    f"at {place(self.scenes.inputs, x)}: {error}; give the inputs narrower bounds"
+                ) from None
             p = numbers_of(scene)
             if self._moves:
                 most = max(most, steps_for(phase(p, duration), _PHASE_PER_STEP))
@@ -149,7 +151,7 @@ class Box:
                 most = max(most, steps_for(forced_rate(p) * duration, _PHASE_PER_PANEL))
             if self.accuracy.steps is None and most > _MOST_STEPS:
                 raise DomainError(
-                    f"at {self.scenes.place(x)} the share oscillates so fast that the run would take {most} steps:"
+                    f"at {place(self.scenes.inputs, x)} the share oscillates so fast that the run would take {most} steps:"
                     " narrow the bounds on stiffness and mass, shorten the duration, or use the quasi-static scene"
                 )
         return most
@@ -162,7 +164,7 @@ class Box:
             values = {name: value.full().ravel() for name, value in zip(_CHECKED, function.call(list(x)), strict=True)}
             if not all(np.all(np.isfinite(value)) for value in values.values()):
                 raise DomainError(
-                    f"the {'motion' if self._moves else 'draft'} has no finite value at {self.scenes.place(x)}: give"
+                    f"the {'motion' if self._moves else 'draft'} has no finite value at {place(self.scenes.inputs, x)}: give"
                     " the inputs narrower bounds"
                 )
             found.append(values)
@@ -183,7 +185,7 @@ class Box:
         slowest = int(np.argmin(lowest))
         if lowest[slowest] < -_RETREAT * float(np.max(np.abs(results[slowest]["speed_"]))):
             notes.append(
-                f"within the bounds the share retreats, as at {self.scenes.place(self._points[slowest])} at up to"
+                f"within the bounds the share retreats, as at {place(self.scenes.inputs, self._points[slowest])} at up to"
                 f" {-lowest[slowest]:.3g} m/s, and this contact law ignores the gap that it leaves"
             )
         if scene.effects.orbit not in ("transient", "periodic"):

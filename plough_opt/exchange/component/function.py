@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from plough_opt.core.errors import DomainError, InputError, nearest
 from plough_opt.core.expressions import Expression, as_number, is_casadi, is_symbolic
 from plough_opt.core.kinds import shown
-from plough_opt.exchange.component.ports import Port
+from plough_opt.exchange.component.ports import Port, place
 from plough_opt.motion.accuracy import Accuracy
 
 # Part of the width between bounds by which a number may lie outside, because of rounding.
@@ -129,10 +129,8 @@ class Component(ca.Function):
     def _check_finite(self, results: Sequence[Any], given: Sequence[float]) -> None:
         for port, value in zip(self.outputs, results, strict=True):
             if not np.all(np.isfinite(value)):
-                place = ", ".join(
-                    f"{p.name} = {x:g} {p.unit}".rstrip() for p, x in zip(self.inputs, given, strict=True)
-                )
-                raise DomainError(f"'{port.name}' has no finite value at {place}: narrow the component's bounds")
+                where = place(self.inputs, given)
+                raise DomainError(f"'{port.name}' has no finite value at {where}: narrow the component's bounds")
 
     @cached_property
     def slopes(self) -> ca.Function:

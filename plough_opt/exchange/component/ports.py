@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -177,6 +177,11 @@ def port_of(one: Input, quantity: Quantity, value: float) -> Port:
 def identifier(name: str) -> str:
     """Return a name as an identifier of Python, C and CasADi."""
     return re.sub(r"\W+|_{2,}", "_", name, flags=re.ASCII).strip("_")
+
+
+def place(inputs: Sequence[Port], x: Iterable[float]) -> str:
+    """Return values of inputs in words."""
+    return ", ".join(f"{port.name} = {value:.6g} {port.unit}".rstrip() for port, value in zip(inputs, x, strict=True))
 
 
 def check_names(kind: str, names: Sequence[str]) -> None:

@@ -104,12 +104,6 @@ class Scenes:
         scene, duration = self.at([float(value) for value in x])
         return scene, float(as_number(duration))
 
-    def place(self, x: Iterable[float]) -> str:
-        """Return values of the inputs in words."""
-        return ", ".join(
-            f"{port.name} = {value:.6g} {port.unit}".rstrip() for port, value in zip(self.inputs, x, strict=True)
-        )
-
     @cached_property
     def _symbolic(self) -> tuple[Any, list[Any], Scene, Expression]:
         """Return a kind of symbols, symbols of the inputs, and scene and duration of these."""

@@ -196,7 +196,7 @@ def printed_by(verb, name, *options):
 
 
 # What may be infinite: what data do not determine, a motion that cannot be predicted, a design without a value.
-UNBOUNDED = {"error_estimate", "standard_error", "sigma", "interval", "errors", "values"}
+UNBOUNDED = {"error_estimate", "standard_error", "sigma", "interval", "errors", "search"}
 
 
 @pytest.mark.parametrize(
@@ -220,7 +220,7 @@ def test_a_text_is_no_number_of_a_saved_result(command, tmp_path):
         for wrong in ("NaN", "Infinity", "-Infinity", "1e400", "1", "inf"):
             if wrong == "Infinity" and UNBOUNDED & {*place}:
                 continue
-            if wrong == "-Infinity" and {"interval", "values"} & {*place}:
+            if wrong == "-Infinity" and {"interval", "search"} & {*place}:
                 continue
             inner[place[-1]] = wrong
             path.write_text(json.dumps(data), encoding="utf-8")

@@ -136,14 +136,13 @@ class Box:
         """
         most = 0
         for x in corners(self.scenes.inputs):
+            where = place(self.scenes.inputs, x)
             try:
                 scene, duration = self.scenes.at_numbers(x)
                 scene.check_reaction()
                 refuse_runaway(scene, duration)
             except (DomainError, IntegrationError) as error:
-                raise DomainError(
-                    f"at {place(self.scenes.inputs, x)}: {error}; give the inputs narrower bounds"
-                ) from None
+                raise DomainError(f"at {where}: {error}; give the inputs narrower bounds") from None
             p = numbers_of(scene)
             if self._moves:
                 most = max(most, steps_for(phase(p, duration), _PHASE_PER_STEP))
@@ -151,8 +150,8 @@ class Box:
                 most = max(most, steps_for(forced_rate(p) * duration, _PHASE_PER_PANEL))
             if self.accuracy.steps is None and most > _MOST_STEPS:
                 raise DomainError(
-                    f"at {place(self.scenes.inputs, x)} the share oscillates so fast that the run would take {most} steps:"
-                    " narrow the bounds on stiffness and mass, shorten the duration, or use the quasi-static scene"
+                    f"at {where} the share oscillates so fast that the run would take {most} steps: narrow the bounds"
+                    " on stiffness and mass, shorten the duration, or use the quasi-static scene"
                 )
         return most
 
@@ -163,10 +162,8 @@ class Box:
         for x in self._points:
             values = {name: value.full().ravel() for name, value in zip(_CHECKED, function.call(list(x)), strict=True)}
             if not all(np.all(np.isfinite(value)) for value in values.values()):
-                raise DomainError(
-                    f"the {'motion' if self._moves else 'draft'} has no finite value at {place(self.scenes.inputs, x)}: give"
-                    " the inputs narrower bounds"
-                )
+                what, where = "motion" if self._moves else "draft", place(self.scenes.inputs, x)
+                raise DomainError(f"the {what} has no finite value at {where}: give the inputs narrower bounds")
             found.append(values)
         return found
 
@@ -184,9 +181,10 @@ class Box:
         lowest = [float(np.min(values["speed_"])) for values in results]
         slowest = int(np.argmin(lowest))
         if lowest[slowest] < -_RETREAT * float(np.max(np.abs(results[slowest]["speed_"]))):
+            where = place(self.scenes.inputs, self._points[slowest])
             notes.append(
-                f"within the bounds the share retreats, as at {place(self.scenes.inputs, self._points[slowest])} at up to"
-                f" {-lowest[slowest]:.3g} m/s, and this contact law ignores the gap that it leaves"
+                f"within the bounds the share retreats, as at {where} at up to {-lowest[slowest]:.3g} m/s, and this"
+                " contact law ignores the gap that it leaves"
             )
         if scene.effects.orbit not in ("transient", "periodic"):
             notes.append("an approximation of the lasting orbit, whose own error is not in the error estimate")

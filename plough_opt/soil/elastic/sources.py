@@ -12,7 +12,6 @@ the axis.
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
-from functools import cached_property
 
 from plough_opt.core.expressions import Expression, arcsinh, arcsinh_ratio, one_node, sqrt, where
 from plough_opt.core.quadrature import gauss_legendre
@@ -66,55 +65,34 @@ class _State:
     eta: Expression
 
 
-@dataclass(frozen=True)
 class _Point:
-    """A point as seen from a place on the axis: distances and their differences over m, without cancellation."""
+    """A point as seen from a place on the axis: distances and their differences over m, without cancellation.
 
-    x: Expression
-    r: Expression
-    soil: _State
+    Attributes:
+        distance: |X|, on the side of X > 0 at 0, as the section S(x) is: their kinks cancel.
+        fast: rho_alpha.
+        slow: rho_eta.
+        change: (rho_alpha - rho_eta)/(m r^2).
+        inverse_change: (1/rho_alpha - 1/rho_eta)/m.
+        beyond_fast: rho_alpha - |X|, of which nothing is left beside the axis if it is computed so.
+        beyond_slow: rho_eta - |X|.
+    """
 
-    @cached_property
-    def distance(self) -> Expression:
-        """|X|, on the side of X > 0 at 0, as the section S(x) is: their kinks cancel."""
-        return where(self.x < 0.0, -self.x, self.x)
+    def __init__(self, x: Expression, r: Expression, soil: _State) -> None:
+        self.x, self.r, self.soil = x, r, soil
+        wide, narrow = (soil.alpha * r) ** 2, (soil.eta * r) ** 2
+        self.distance = where(x < 0.0, -x, x)
+        self.fast, self.slow = sqrt(x**2 + wide), sqrt(x**2 + narrow)
+        self.change = (1.0 - soil.kappa) / (self.fast + self.slow)
+        self.inverse_change = -(r**2) * self.change / (self.fast * self.slow)
+        self.beyond_fast, self.beyond_slow = wide / (self.fast + self.distance), narrow / (self.slow + self.distance)
 
-    @cached_property
-    def fast(self) -> Expression:
-        """rho_alpha."""
-        return sqrt(self.x**2 + (self.soil.alpha * self.r) ** 2)
-
-    @cached_property
-    def slow(self) -> Expression:
-        """rho_eta."""
-        return sqrt(self.x**2 + (self.soil.eta * self.r) ** 2)
-
-    @cached_property
-    def change(self) -> Expression:
-        """(rho_alpha - rho_eta)/(m r^2)."""
-        return (1.0 - self.soil.kappa) / (self.fast + self.slow)
-
-    @cached_property
-    def inverse_change(self) -> Expression:
-        """(1/rho_alpha - 1/rho_eta)/m."""
-        return -(self.r**2) * self.change / (self.fast * self.slow)
-
-    @cached_property
+    @property
     def scaled_inverse_change(self) -> Expression:
         """(alpha^2/rho_alpha - eta^2/rho_eta)/m."""
         return (1.0 - self.soil.kappa) / self.fast + self.soil.eta**2 * self.inverse_change
 
-    @cached_property
-    def beyond_fast(self) -> Expression:
-        """rho_alpha - |X|, of which nothing is left beside the axis if it is computed so."""
-        return (self.soil.alpha * self.r) ** 2 / (self.fast + self.distance)
-
-    @cached_property
-    def beyond_slow(self) -> Expression:
-        """rho_eta - |X|."""
-        return (self.soil.eta * self.r) ** 2 / (self.slow + self.distance)
-
-    @cached_property
+    @property
     def gap(self) -> Expression:
         """2 (rho_alpha - rho_eta)/(m r^2) - (rho_alpha - |X|)/r^2."""
         upper = (2.0 * self.distance + self.beyond_fast) * _stiffness(self.soil)

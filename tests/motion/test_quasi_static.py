@@ -81,6 +81,16 @@ def test_tow_ramp_by_adaptive_quadrature(quasi_scene, ramp, duration, rate_term)
     assert run.speed == pytest.approx([speed(t) for t in run.time], rel=1e-12, abs=1e-15)
 
 
+@pytest.mark.parametrize("value", [0.3, 0.371234, 1.0, 2.5])
+def test_a_symbolic_ramp_has_the_averages_of_numbers(quasi_scene, value):
+    """Its end moves among the panels, so that nodes and weights are expressions too."""
+    ramp = ca.MX.sym("ramp")
+    found = po.simulate(quasi_scene(strength_wave=WAVE, tow_ramp=ramp), 1.0, outputs=10)
+    run = po.simulate(quasi_scene(strength_wave=WAVE, tow_ramp=value), 1.0, outputs=10)
+    averages = ca.Function("averages", [ramp], [getattr(found, name) for name in AVERAGES])(value)
+    assert [float(one) for one in averages] == pytest.approx([getattr(run, name) for name in AVERAGES], rel=1e-11)
+
+
 def test_without_a_wave_nothing_varies(quasi_scene):
     run = po.simulate(quasi_scene(), 2.0)
     # The weights of 400 panels sum to one within some last bits.

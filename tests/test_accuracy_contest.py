@@ -143,7 +143,7 @@ class TestTracks:
 
     @pytest.fixture(autouse=True)
     def clock(self, monkeypatch):
-        # A use tells its name and its steps; nobody needs to wait for it.
+        # A use reports its name and its steps; nobody needs to wait for it.
         monkeypatch.setattr(contest, "median_time", lambda use, **_: CLOCKED[use()[0]] * 1e-3 * use()[1] / 40.0)
         monkeypatch.setattr(contest, "_measure_in_turns", lambda *_: None)
 

@@ -17,7 +17,7 @@ RANDOM = po.RandomStrength(0.2, 0.3)
 
 
 def _compared(scene, duration, inputs, outputs, at, **options):
-    """Return a component's outputs, and the same from simulating the scene of numbers ``at(values)``."""
+    """Return a component's outputs, and the same from simulating the numeric scene ``at(values)``."""
     made = po.component(scene, duration, inputs=inputs, outputs=outputs, samples=50, **options)
     values = [0.3 * port.lower + 0.7 * port.upper for port in made.inputs]
     run = po.simulate(at(*values), duration, outputs=50)

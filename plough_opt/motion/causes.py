@@ -61,17 +61,17 @@ def failed_by(scene: Scene, duration: float, solver: Integration, last: Run | No
         pause: time in which it then failed [s].
     """
     until = 0.0 if last is None else float(last.duration)
-    told = (
+    failure = (
         f"the motion of a {scene.describe()} could not be integrated by '{solver.accuracy.method}' beyond"
         f" t = {until:.4g} s of {duration:g} s: "
     )
     if (unsound := unsound_own(scene, last, pause)) is not None:
-        return Escape(told + unsound)
+        return Escape(failure + unsound)
     if scene.effects.printed.repelling_spring:
-        return Escape(told + _runaway(scene))
+        return Escape(failure + _runaway(scene))
     if last is not None and (driven := _driven_away(scene, last)) is not None:
-        return Escape(told + driven)
-    return IntegrationError(told + _too_much(scene, duration, solver))
+        return Escape(failure + driven)
+    return IntegrationError(failure + _too_much(scene, duration, solver))
 
 
 def unsound_own(scene: Scene, last: Run | None, pause: float) -> str | None:

@@ -39,7 +39,7 @@ KEYS = [
     "effects.entry", "soil.name", "effects", "uncertain.samples", "trade_off.points", "variables", "minimise",
     "effects.strength_wave", "effects.random_strength", "effects.random_strength.record",
 ]  # fmt: skip
-# What tells a reader where a mistake is, and what may stand there instead.
+# Words that show where a mistake is, and what is valid instead.
 PLACE = re.compile(
     r"FILE(, line \d+|, insertion|:|' is not|' cannot be read|' is too long)|--set |problems/cotton_subsoiler"
 )

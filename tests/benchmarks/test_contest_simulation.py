@@ -150,7 +150,7 @@ def _fixed_step_peers(values, truth, groups, peer):
         tool = _FixedSteps(run, *arguments)
         steps = steps or tool.fewest()
         error = tool.error(steps)
-        # The same steps; only rounding tells the tools apart.
+        # The same steps; the tools differ only by rounding.
         assert error < WANTED * (1.0 + 1e-3)
         found[name] = (lambda tool=tool, steps=steps: tool.all(steps), len(values), error)
     return found

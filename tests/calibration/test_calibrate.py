@@ -1,4 +1,4 @@
-"""What `calibrate` refuses, and the three ways to say what is calibrated."""
+"""Refusals of `calibrate`, and its three kinds of models."""
 
 from pathlib import Path
 

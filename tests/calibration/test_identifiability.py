@@ -1,4 +1,4 @@
-"""What data cannot tell: against closed forms of the model's own degeneracies."""
+"""Undetermined combinations, against closed forms of the model's own degeneracies."""
 
 import math
 import re
@@ -58,8 +58,8 @@ def test_what_is_determined_is_as_if_the_other_were_known(confounded, measured):
     assert own_high == pytest.approx(high, abs=0.03 * (high - low))
 
 
-def test_at_one_wedge_angle_another_one_tells_most():
-    """Cohesion and tool friction are one factor of the draft at one wedge angle; a coated share tells, and others."""
+def test_at_one_wedge_angle_another_one_helps_most():
+    """At one wedge angle cohesion and tool friction are one factor; a coated share or another angle separates them."""
     conditions, exact = drafts(np.linspace(0.8, 3.0, 8), [po.deg(40.0)])
     unknown = {name: BOUNDS[name] for name in ("soil.cohesion", "soil.tool_friction")}
     data = po.Measurements("mean_draft", exact, conditions, sigma=0.03 * exact)
@@ -72,7 +72,7 @@ def test_at_one_wedge_angle_another_one_tells_most():
     assert "tool friction 0.2" in ranking[0].candidate.describe() or "by itself" in described[0]
     gain = {item.candidate.describe(): item.information for item in ranking}
     other_angle = max(value for name, value in gain.items() if "wedge_angle" in name)
-    # Speed tells the two apart by the drag alone, some 1 % of the draft; height not at all.
+    # Speed separates the two by the drag alone, some 1 % of the draft; height not at all.
     assert other_angle > 2.0 * max(value for name, value in gain.items() if "tow_speed" in name)
     assert other_angle > 2.0 * max(value for name, value in gain.items() if "height" in name)
     # Then it is measured, and both are determined.

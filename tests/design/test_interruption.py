@@ -38,7 +38,7 @@ def test_designs_in_threads_are_those_one_after_the_other():
     assert done.stdout.split("\n")[0] == "all solved", done.stderr
 
 
-@pytest.mark.filterwarnings("ignore")  # CasADi tells of every evaluation that failed
+@pytest.mark.filterwarnings("ignore")  # CasADi reports every evaluation that failed
 def test_an_interruption_ends_a_solve_and_not_the_next(monkeypatch):
     d, x = design(x=(0.5, 0.1, 1.0))
     d.minimise(x + 1.0 / x)

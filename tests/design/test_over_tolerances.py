@@ -127,7 +127,7 @@ def test_runs_under_a_wave_keep_their_limits_in_the_whole_box():
     runs = [at(k) for k in box]
     assert best.objective == pytest.approx(max(float(run.force_rms) for run in runs) / 1e3, rel=1e-7)
     assert max(float(run.mean_deflection) for run in runs) <= 0.1 + 1e-8
-    # No other stiffness has a lower worst, as far as a fine grid tells.
+    # No other stiffness has a lower worst, as far as a fine grid shows.
     for y in np.linspace(0.0, 1.0, 21):
         around = [at(v.value(z)) for (z,) in boxes([v], np.array([[y]]))[::8]]
         if all(float(run.mean_deflection) <= 0.1 for run in around):

@@ -271,7 +271,7 @@ def test_coarse_steps_by_wish_are_reported_honestly(build_r1):
     scene = best(coarse.scene)
     mean, rms, _ = _averages([scene], 2.0, 1000)
     tight = float((mean + rms)[0]) / 1e3
-    # The objective is of the motion itself, integrated tightly, and the gap tells what the optimiser saw instead.
+    # The objective is of the motion itself, integrated tightly, and the gap shows what the optimiser saw instead.
     assert best.objective == pytest.approx(tight, rel=1e-9)
     mean, rms, _ = _averages([scene], 2.0, 20)
     seen = float((mean + rms)[0]) / 1e3

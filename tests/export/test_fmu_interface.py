@@ -1,4 +1,4 @@
-"""What an FMU tells and refuses: units, derivatives, states, parameters outside their domain, and bad exports."""
+"""Interface of an FMU: units, derivatives, states, parameters outside their domain, and bad exports."""
 
 import ctypes
 import re

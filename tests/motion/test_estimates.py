@@ -57,7 +57,7 @@ def test_no_result_is_further_from_the_truth_than_estimated(count, capsys):
     with capsys.disabled():
         print(f"\n{dict(kinds)}, estimate over error {np.median(ratios):.1f} in the median; beyond: {beyond}")
     assert kinds["runs"] > 0.6 * count
-    # Where nothing but rounding pulls, or a share grazes, the reference tells of itself that it is none.
+    # Where nothing but rounding pulls, or a share grazes, the reference itself reports that it is none.
     assert kinds["no truth"] < 0.06 * count
     assert len(beyond) <= 0.01 * kinds["runs"]
     assert np.median(ratios) <= 30.0

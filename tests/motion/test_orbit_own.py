@@ -102,6 +102,6 @@ def test_stiff_orbits_are_refused_at_once(r1_scene, orbit):
 def test_a_stiff_orbit_is_followed_by_a_method_by_name(r1_scene):
     wave = po.StrengthWave(0.3, 4.0)
     asked = po.Accuracy("dop853", steps=800)
-    # Phase 1.1e4: refused unasked; too few steps for it, which the method by name says in its own way.
+    # Phase 1.1e4: refused by default; too few steps for it, which the method by name says in its own way.
     with pytest.raises(po.IntegrationError, match="no lasting orbit"):
         po.simulate(r1_scene(stiffness=5e7, tow_speed=0.5, strength_wave=wave, orbit="periodic"), accuracy=asked)

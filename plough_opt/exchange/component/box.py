@@ -132,7 +132,7 @@ class Box:
         """Return the number of steps, or panels, that the fastest scene at a corner of the bounds needs.
 
         Raises:
-            DomainError: a scene outside the model's domain, or one that needs more steps than are taken unasked.
+            DomainError: a scene outside the model's domain, or one that needs more steps than the default limit.
         """
         most = 0
         for x in corners(self.scenes.inputs):

@@ -37,7 +37,7 @@ _ALL_TURNS: Final = 2.0
 _COARSEST: Final = -56
 
 Use = Callable[[], object]
-Told = Callable[[str, float], None]
+Progress = Callable[[str, float], None]
 """Called with what is being done, and with the part that is done."""
 
 
@@ -135,7 +135,7 @@ def measured(
     allowance: float,
     *,
     floor: float = 0.0,
-    told: Told = lambda _stage, _part: None,
+    progress: Progress = lambda _stage, _part: None,
 ) -> list[Entry]:
     """Return the entries of tracks: what is shown, and what leads to the cheapest setting that reaches an error.
 
@@ -145,11 +145,11 @@ def measured(
         wanted: error to reach [-].
         allowance: time [s] that one use may take.
         floor: error [-] of the reference itself.
-        told: called with the method that is next and the part done.
+        progress: called with the method that is next and the part done.
     """
     tried = [_Tried(track, allowance) for track in tracks]
     for k, one in enumerate(tried):
-        told(f"{one.track.family}: {one.track.method}", k / len(tried))
+        progress(f"{one.track.family}: {one.track.method}", k / len(tried))
         one.try_shown()
     best = min((one.cheapest(key, wanted) for one in tried), default=math.inf)
     for one in tried:

@@ -26,7 +26,7 @@ from plough_opt.design.program import Program
 from plough_opt.motion.accuracy import Accuracy
 from plough_opt.motion.methods import METHODS, is_stepped
 from plough_opt.motion.plan import steps_for
-from plough_opt.studies.accuracy.contest import Entry, Told, Track, measured
+from plough_opt.studies.accuracy.contest import Entry, Progress, Track, measured
 from plough_opt.studies.accuracy.local_solve import (
     Derivatives,
     Found,
@@ -106,7 +106,7 @@ def design_contest(
     limit: float = 10.0,
     near: bool = False,
     thin: bool = False,
-    progress: Told | None = None,
+    progress: Progress | None = None,
 ) -> DesignContest:
     """Solve a design locally by every method, and measure error and time of each.
 
@@ -136,7 +136,7 @@ def design_contest(
         )
         for (family, name), settings in contestants.settings().items()
     ]  # fmt: skip
-    entries = measured(tracks, REPORTED, wanted, 10.0 * budget, told=progress or (lambda _stage, _part: None))
+    entries = measured(tracks, REPORTED, wanted, 10.0 * budget, progress=progress or (lambda _stage, _part: None))
     return DesignContest(tuple(judge.optima), tuple(entries))
 
 

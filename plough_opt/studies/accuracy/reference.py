@@ -18,7 +18,7 @@ from plough_opt.studies.accuracy.wide import EPS, WIDE, Wide
 
 DEGREE: Final = 24
 CHECK_DEGREE: Final = 18
-"""Degrees of the polynomials of the reference, and of the solution that tells its error."""
+"""Degrees of the polynomials of the reference, and of the solution that estimates its error."""
 
 QUANTITIES: Final = ("stiffness", "mass", "tow_speed")
 """Quantities of a scene by which gradients are taken."""

@@ -22,7 +22,7 @@ from plough_opt.laws.plastic_gas import PlasticGas
 from plough_opt.motion.accuracy import DEFAULT_ERROR
 from plough_opt.motion.plan import MOST_OUTPUTS, forced_rate, numbers_of, steps_for
 from plough_opt.motion.scene import Scene
-from plough_opt.studies.accuracy.contest import Entry, Told
+from plough_opt.studies.accuracy.contest import Entry, Progress
 from plough_opt.studies.accuracy.methods import Task, gradients, integrators
 from plough_opt.studies.accuracy.models import lasting_orbit, models
 from plough_opt.studies.accuracy.optimum import GRADIENT, VARIABLES, design_contest
@@ -60,7 +60,7 @@ def study_accuracy(
     derivatives: bool = True,
     thin: bool = False,
     title: str = "",
-    progress: Told | None = None,
+    progress: Progress | None = None,
 ) -> AccuracyStudy:
     """Measure error against time of every method, model and quadrature that can do a scene.
 
@@ -102,16 +102,16 @@ def study_accuracy(
     if duration is None:
         raise InputError("the duration is missing: how long shall the scene be simulated, in seconds?")
     duration = plain_number("duration", BESIDE["scene.duration"].read(duration))
-    hall = _Hall(Task(scene, float(duration), int(outputs), float(allowance), thin, wanted))
-    hall.fill(progress or (lambda _stage, _part: None), derivatives=derivatives)
+    collected = _Collected(Task(scene, float(duration), int(outputs), float(allowance), thin, wanted))
+    collected.fill(progress or (lambda _stage, _part: None), derivatives=derivatives)
     return AccuracyStudy(
         title=title,
-        duration=hall.task.duration,
+        duration=collected.task.duration,
         wanted=wanted,
-        entries=tuple(hall.entries),
-        floors=hall.floors,
-        notes=tuple(hall.notes),
-        defaults=_defaults(hall.task),
+        entries=tuple(collected.entries),
+        floors=collected.floors,
+        notes=tuple(collected.notes),
+        defaults=_defaults(collected.task),
         versions=_versions(),
     )
 
@@ -124,7 +124,7 @@ def study_design(
     near: bool = False,
     thin: bool = False,
     title: str = "",
-    progress: Told | None = None,
+    progress: Progress | None = None,
 ) -> AccuracyStudy:
     """Measure error of the optimum against time of every transcription, integrator and kind of derivative.
 
@@ -169,11 +169,11 @@ def study_design(
         floors={OPTIMUM: found.optima[0].floor, f"{OPTIMUM}, {VARIABLES}": found.optima[0].off},
         defaults={OPTIMUM: ours[0]},
         versions=_versions(),
-        thoroughness=thoroughness(design, limit=limit, thin=thin, told=progress),
+        thoroughness=thoroughness(design, limit=limit, thin=thin, progress=progress),
     )
 
 
-class _Hall:
+class _Collected:
     """Entries, errors of references, and notes on what has none, as they come in."""
 
     def __init__(self, task: Task) -> None:
@@ -182,14 +182,14 @@ class _Hall:
         self.floors: dict[str, float] = {}
         self.notes: list[str] = []
 
-    def fill(self, told: Told, *, derivatives: bool) -> None:
+    def fill(self, progress: Progress, *, derivatives: bool) -> None:
         """Measure every contestant that can do the scene, against references that take no part."""
         task, scene = self.task, self.task.scene
         if scene.effects.motion:
-            told("following the reference", 0.0)
-            self._motion(told)
+            progress("following the reference", 0.0)
+            self._motion(progress)
             if derivatives:
-                told("derivatives", 0.6)
+                progress("derivatives", 0.6)
                 self._derivatives()
             if not WIDER:
                 self.notes.append("this machine has no floats wider than a double: the references are no better")
@@ -198,10 +198,10 @@ class _Hall:
         else:
             self._quadrature(COURSE, partial(quasi_static_course, task))
         if scene.soil.density_profile is not None and isinstance(scene.law, PlasticGas):
-            told("quadratures", 0.9)
+            progress("quadratures", 0.9)
             self._quadrature(PROFILE, partial(density_profile, task))
 
-    def _motion(self, told: Told) -> None:
+    def _motion(self, progress: Progress) -> None:
         """Measure integrators and models."""
         scene, outputs = self.task.scene, self.task.outputs
         around = lasting_orbit(scene)
@@ -210,10 +210,10 @@ class _Hall:
         if scene.effects.orbit == "transient" and around is not None:
             lasting = self._reference(LASTING, partial(reference_run, around, outputs=outputs))
         if own is not None:
-            told("integrators", 0.1)
+            progress("integrators", 0.1)
             self.entries += integrators(self.task, own)
         if own is not None or lasting is not None:
-            told("models", 0.5)
+            progress("models", 0.5)
             self.entries += models(self.task, own, lasting)
 
     def _derivatives(self) -> None:
@@ -269,7 +269,7 @@ def _versions() -> dict[str, str]:
     }
 
 
-def _check(wanted: float, title: str, progress: Told | None, **switches: bool) -> None:
+def _check(wanted: float, title: str, progress: Progress | None, **switches: bool) -> None:
     """Refuse a wanted error out of range, and what is no title, no function, or neither on nor off."""
     check_text("title", title)
     if progress is not None:

@@ -40,7 +40,7 @@ class Thoroughness:
 
 
 def thoroughness(
-    design: Design, *, limit: float, thin: bool, told: Callable[[str, float], None] | None = None
+    design: Design, *, limit: float, thin: bool, progress: Callable[[str, float], None] | None = None
 ) -> tuple[Thoroughness, ...]:
     """Return what each effort finds of a design, and in what time.
 
@@ -50,7 +50,7 @@ def thoroughness(
         design: with something to minimise.
         limit: time of one search [s] above which an effort is tried with one seed only, and a larger one not at all.
         thin: take fewer seeds.
-        told: called with the present step in words, and the part done.
+        progress: called with the present step in words, and the part done.
 
     Raises:
         InfeasibleDesign: no search found a design that meets the requirements.
@@ -58,8 +58,8 @@ def thoroughness(
     design.solve(search="near")  # builds what all searches share
     found: list[tuple[Search, list[tuple[Optimum | None, float]]]] = []
     for number, search in enumerate(_EFFORTS):
-        if told is not None:
-            told(f"searching: {search}", number / len(_EFFORTS))
+        if progress is not None:
+            progress(f"searching: {search}", number / len(_EFFORTS))
         seeds = range(1 if search == "near" else _THIN_SEEDS if thin else _SEEDS)
         runs = [_solved(design, search, 0)]
         if runs[0][1] <= limit:

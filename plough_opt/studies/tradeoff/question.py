@@ -104,13 +104,13 @@ def trade_off(
     if progress is not None:
         check_callable("progress", progress, "of what is done and the fraction done")
     goals = _goals((first, second, *others))
-    told = progress or _silent
-    told("building the model", 0.0)
+    notify = progress or _silent
+    notify("building the model", 0.0)
     front = _built(design, goals, compiled)
     front.prepare(_checked(front, parameters))
     building = time.perf_counter() - started
     kind = Tracer if len(goals) == 2 else SurfaceTracer
-    tracer = kind(front, Searcher(Cloud(front), search, told), int(points), told)
+    tracer = kind(front, Searcher(Cloud(front), search, notify), int(points), notify)
     anchors = _anchors(front, tracer)
     idle = _normalise(front, anchors)
     if len(idle) == 1 and len(goals) == 3:
@@ -127,10 +127,10 @@ def trade_off(
         tracer.kept(anchors[number][0], tracer.orders()[number], tracer.level_of_anchors)
     else:
         tracer.trace(anchors)
-        _refine(tracer, front, told)
+        _refine(tracer, front, notify)
         tracer.look_inward()
     tracer.add_unconfirmed()
-    told("checking", 0.0)
+    notify("checking", 0.0)
     return assembled(front, tracer, goals, title, Times(started, building))
 
 
@@ -176,7 +176,7 @@ def _normalise(front: FrontProgram, anchors: Sequence[Sequence[Point]]) -> list[
     return [int(k) for k in np.flatnonzero(apart < _NONE)]
 
 
-def _refine(tracer: Tracer | SurfaceTracer, front: FrontProgram, told: Progress) -> None:
+def _refine(tracer: Tracer | SurfaceTracer, front: FrontProgram, notify: Progress) -> None:
     """Solve what makes up the front to the last digits, by as many integration steps as the wanted error takes."""
     for refinement in range(_REFINEMENTS + 1):
         chosen = tracer.chosen()
@@ -184,7 +184,7 @@ def _refine(tracer: Tracer | SurfaceTracer, front: FrontProgram, told: Progress)
         coarse = [sample for sample in chosen if not front.accurate(sample.point.y, sample.level)]
         if not coarse or refinement == _REFINEMENTS:
             return
-        told("refining", (refinement + 1) / _REFINEMENTS)
+        notify("refining", (refinement + 1) / _REFINEMENTS)
         front.refine()
         tracer.solve_again()
 

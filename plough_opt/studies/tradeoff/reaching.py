@@ -145,7 +145,7 @@ class Reaching(Samples):
         """
         for _ in range(_LOOKS):
             if look and self.searcher.vary and self.cloud.vectorised:
-                self.told("looking beside the best designs", 0.0)
+                self.progress("looking beside the best designs", 0.0)
                 self._look_beside()
             look = self._follow_missed()
             if not look:
@@ -157,7 +157,7 @@ class Reaching(Samples):
         for number in range(_ROUNDS):
             missed = self.missed(self._tried)
             for k, y in enumerate(missed[:_AT_ONCE]):
-                self.told("following designs that the front misses", (number + k / _AT_ONCE) / _ROUNDS)
+                self.progress("following designs that the front misses", (number + k / _AT_ONCE) / _ROUNDS)
                 self._tried.add(y.tobytes())
                 known = len(self.found)
                 found = self.sample_beside(y)
@@ -238,7 +238,7 @@ class Reaching(Samples):
             if not (missed := self.missed(added)):
                 return
             if self.cloud.vectorised:
-                self.told("looking beside designs that are not optima", 0.0)
+                self.progress("looking beside designs that are not optima", 0.0)
                 self._look_around(np.array(missed), spread, _BESIDE_EDGE, rng)
         while missed := self.missed(added):
             for y in missed:

@@ -122,7 +122,7 @@ class Samples(ABC):
         self.front = front
         self.searcher = searcher
         self.cloud: Cloud = searcher.cloud
-        self.told = progress
+        self.progress = progress
         self.found: list[Sample] = []
         self.failures: list[Failure] = []
         self._ranges = np.ones(front.count)
@@ -159,7 +159,7 @@ class Samples(ABC):
             NotConverged: no design has a value.
         """
         if not self.searcher.vary:
-            self.told("solving from the guess", 0.0)
+            self.progress("solving from the guess", 0.0)
             program = self.front.program
             starts = [[near_optimum(self.cloud.landscape(p), program.start()).y] for p in self.alone()]
         else:
@@ -246,19 +246,19 @@ class Samples(ABC):
 
     # --- solving -----------------------------------------------------------------------------------------
 
-    def solve(self, near: Sample, start: Vector, p: Vector, *, told: bool = True) -> Sample | Point:
+    def solve(self, near: Sample, start: Vector, p: Vector, *, reported: bool = True) -> Sample | Point:
         """Return the optimum near a start as a sample, or where the optimiser stopped.
 
         Args:
             near: the sample whose multipliers and steps it starts with.
             start: scaled variables.
             p: parameters.
-            told: whether a failure is reported.
+            reported: whether a failure is reported.
         """
         point, level = self.optimum(near.point, start, p, near.coarsest)
         if point.solved:
             return self.kept(point, p, level)
-        if told:
+        if reported:
             self.fail(near, point)
         return point
 
@@ -292,7 +292,7 @@ class Samples(ABC):
         """Solve samples with exact slopes."""
         samples = [one for one in samples if one.confirmed and self.front.by_differences(one.level)]
         for number, sample in enumerate(samples):
-            self.told("solving to the last digits", number / len(samples))
+            self.progress("solving to the last digits", number / len(samples))
             chosen = self.front.level_for(sample.point.y, exact=True)
             level = self.front.levels[chosen]
             # Along a flat valley, where differences have an end that is none, corrections lead nowhere.

@@ -41,7 +41,7 @@ class Searcher:
             InputError: a name that is not a variable, or an invalid effort.
         """
         program = cloud.front.program
-        self.cloud, self.told = cloud, progress
+        self.cloud, self.progress = cloud, progress
         self.vary = searched(search, program.declared.variables)
         self._start = program.start()
         effort = effort_of(search, len(self.vary), program.population.runs, cloud.vectorised)
@@ -61,7 +61,7 @@ class Searcher:
         """
         landscape = self.cloud.landscape(p)
         judged = judgement(landscape, "tolerance")
-        explored = Explorer(landscape, self._start, self.vary, judged, self.told).explored(self._effort)
+        explored = Explorer(landscape, self._start, self.vary, judged, self.progress).explored(self._effort)
         if not np.any(np.isfinite(explored.sample.merit)):
             raise NotConverged(
                 f"none of {landscape.tried} designs between the bounds has a value: tighten the bounds, or shorten the"
@@ -69,7 +69,7 @@ class Searcher:
                 "no value",
             )
         if not np.any(explored.bottoms.feasible):
-            self.told("looking for a design that meets the requirements", 0.0)
+            self.progress("looking for a design that meets the requirements", 0.0)
             y = feasible_from(landscape, explored, self._start)
             return landscape.descend(y) if landscape.vectorised else landscape(y[None])
         values = judged(explored.bottoms.points)

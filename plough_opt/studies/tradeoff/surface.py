@@ -87,10 +87,10 @@ class SurfaceTracer(Reaching):
         ends = [self.kept(point, p, level) for p, points in zip(orders, anchors, strict=True) for point in points]
         self._start_in_the_middle(ends)
         for number, sample in enumerate(ends):
-            self.told(f"following branch {number + 1} of {len(ends)}", number / len(ends))
+            self.progress(f"following branch {number + 1} of {len(ends)}", number / len(ends))
             self._flood(sample, nearest(sample.at, self._steps))
         for number, corner in enumerate(_SEARCHED if self.searcher.vary else ()):
-            self.told(f"searching between the anchors, {number + 1} of {len(_SEARCHED)}", number / len(_SEARCHED))
+            self.progress(f"searching between the anchors, {number + 1} of {len(_SEARCHED)}", number / len(_SEARCHED))
             self._search_at(nearest(np.array(corner), self._steps))
         self._fill_gaps()
         self.reach_all()
@@ -102,7 +102,7 @@ class SurfaceTracer(Reaching):
         """Follow branches from the middle of the triangle: at an end of a front slopes may vanish that lead inside."""
         middle = nearest(np.full(3, 1.0 / 3.0), self._steps)
         p = self._question(middle)
-        self.told("solving in the middle", 0.0)
+        self.progress("solving in the middle", 0.0)
         y = self.cloud.best_at(p)
         if y is not None:
             found = self.sample_at(p, y)
@@ -169,13 +169,13 @@ class SurfaceTracer(Reaching):
         objective = int(np.argmin(place))
         return self.front.beside(objective, {k: float(place[k] - place[objective]) for k in range(3) if k != objective})
 
-    def _flood(self, sample: Sample, node: Node, *, told: bool = True, beaten: bool = True) -> None:
+    def _flood(self, sample: Sample, node: Node, *, reported: bool = True, beaten: bool = True) -> None:
         """Follow a branch from a node over all nodes that it reaches.
 
         Args:
             sample: on the branch.
             node: to begin at.
-            told: whether failures are reported.
+            reported: whether failures are reported.
             beaten: whether to go on where others beat the branch, which it may come out of.
         """
         visited: dict[Node, Sample] = {}
@@ -183,7 +183,7 @@ class SurfaceTracer(Reaching):
         seen = {node}
         while waiting:
             near, node = waiting.popleft()
-            found = self._step_to(node, near, self._extrapolated(visited, near, node), told=told)
+            found = self._step_to(node, near, self._extrapolated(visited, near, node), reported=reported)
             if found is None:
                 continue
             visited[node] = found
@@ -196,21 +196,21 @@ class SurfaceTracer(Reaching):
                         seen.add(fresh)
                         waiting.append((found, fresh))
 
-    def _step_to(self, node: Node, near: Sample, start: Vector, *, told: bool = True) -> Sample | None:
+    def _step_to(self, node: Node, near: Sample, start: Vector, *, reported: bool = True) -> Sample | None:
         """Return a new local optimum at a node, None where there is none or another branch has found it."""
-        found = self._sample_at(np.array(node) * self.step / 2.0, near, start, told=told)
+        found = self._sample_at(np.array(node) * self.step / 2.0, near, start, reported=reported)
         others = self._at.setdefault(node, [])
         if found is None or any(found is other for other in others):
             return None
         others.append(found)
         return found
 
-    def _sample_at(self, place: Vector, near: Sample, start: Vector, *, told: bool = True) -> Sample | None:
+    def _sample_at(self, place: Vector, near: Sample, start: Vector, *, reported: bool = True) -> Sample | None:
         """Return a local optimum at a place, or at the edge of the front that the place lies beyond."""
         p = self._question_at(place)
         point, level = self.optimum(near.point, start, p, near.coarsest, patient=False)
         if not point.solved:
-            if told:
+            if reported:
                 self.fail(near, point)
             return None
         return self.at_the_edge(p, point, level)
@@ -271,7 +271,7 @@ class SurfaceTracer(Reaching):
     def follow_all(self, sample: Sample) -> None:
         """Follow a branch from the node nearest to a sample."""
         # Where it comes out from behind others, the cloud has it again.
-        self._flood(sample, nearest(sample.at, self._steps), told=False, beaten=False)
+        self._flood(sample, nearest(sample.at, self._steps), reported=False, beaten=False)
 
     def _search_at(self, node: Node) -> None:
         """Search basins at a node, and follow what is new from there."""
@@ -298,11 +298,11 @@ class SurfaceTracer(Reaching):
                      if other not in front and other in self._inside]  # fmt: skip
             fresh = [pair for pair in fresh if pair not in tried]
             for k, (node, other) in enumerate(fresh):
-                self.told(f"looking into gaps, round {number + 1}", k / len(fresh))
+                self.progress(f"looking into gaps, round {number + 1}", k / len(fresh))
                 tried.add((node, other))
                 start = self._extrapolated(front, front[node], other)
                 if not any(self._is_at(sample, other) for sample in self._at.get(other, ())):
-                    self._step_to(other, front[node], start, told=False)
+                    self._step_to(other, front[node], start, reported=False)
             if not fresh:
                 return
 
@@ -312,8 +312,8 @@ class SurfaceTracer(Reaching):
         edges = {between(node, other): sample for node, sample in front.items() for other in neighbours(node)
                  if other in self._at and other not in front}  # fmt: skip
         for number, (node, sample) in enumerate(edges.items()):
-            self.told("refining the edges", number / len(edges))
-            self._step_to(node, sample, sample.point.y, told=False)
+            self.progress("refining the edges", number / len(edges))
+            self._step_to(node, sample, sample.point.y, reported=False)
 
     def _bridge(self) -> None:
         """Look half-way between the parts of the front: a narrow strip between them may have no node."""
@@ -328,7 +328,7 @@ class SurfaceTracer(Reaching):
                 if np.round(place, _PLACES).tobytes() not in tried:
                     tried.add(np.round(place, _PLACES).tobytes())
                     for sample in ends:
-                        self._sample_at(place, sample, sample.point.y, told=False)
+                        self._sample_at(place, sample, sample.point.y, reported=False)
 
     def efficient_ones(self) -> set[int]:
         """Return the identities of the samples that no other dominates."""

@@ -55,7 +55,7 @@ class Tracer(Reaching):
         level, orders = self.level_of_anchors, self.orders()
         starts = [(self.kept(point, p, level), 1 - k) for k, p in enumerate(orders) for point in anchors[k]]
         for number, (sample, objective) in enumerate(starts):
-            self.told(f"following branch {number + 1} of {len(starts)}", number / len(starts))
+            self.progress(f"following branch {number + 1} of {len(starts)}", number / len(starts))
             self.follow(sample, objective)
         self._search_inside()
         self.reach_all()
@@ -123,7 +123,7 @@ class Tracer(Reaching):
     def _search_inside(self) -> None:
         """Search basins at some positions, and follow what is new from there both ways."""
         for number, difference in enumerate(_SEARCHED if self.searcher.vary else ()):
-            self.told(f"searching between the anchors, {number + 1} of {len(_SEARCHED)}", number / len(_SEARCHED))
+            self.progress(f"searching between the anchors, {number + 1} of {len(_SEARCHED)}", number / len(_SEARCHED))
             self._search_at(difference)
 
     def _search_at(self, difference: float) -> None:
@@ -165,7 +165,7 @@ class Tracer(Reaching):
             fresh = [k for k in found if places[k] not in tried]
             if not fresh:
                 return
-            self.told("looking into gaps", number / _ROUNDS)
+            self.progress("looking into gaps", number / _ROUNDS)
             for k in fresh:
                 tried.add(places[k])
                 self._look_between(front[k], front[k + 1])
@@ -183,7 +183,7 @@ class Tracer(Reaching):
     def _end(self, sample: Sample, objective: int, limit: float) -> Sample | None:
         """Return the design of a branch with least of an objective, the other one limited."""
         p = self.front.below(objective, {1 - objective: limit})
-        found = self.solve(sample, sample.point.y, p, told=False)
+        found = self.solve(sample, sample.point.y, p, reported=False)
         return None if isinstance(found, Point) else found
 
     # --- finishing ---------------------------------------------------------------------------------------

@@ -116,20 +116,16 @@ def _parser() -> argparse.ArgumentParser:
             verb.add_argument("shell", choices=shtab.SUPPORTED_SHELLS, help="the shell")
         verb.set_defaults(run=run, parser=parser)
 
-    for name, run, text in (
-        ("check", commands.check, "check a problem file and say what its scene contains"),
-        ("simulate", commands.simulate, "simulate the scene with every variable at its guess"),
-        ("optimise", commands.optimise, "find the best share, and say what decided it"),
-        ("tradeoff", commands.tradeoff, "trade two or three results against each other, and draw the front"),
-        ("sweep", sweeps.sweep, "simulate or optimise at every point of a grid or a sample; resumable"),
-        (
-            "calibrate",
-            calibrations.calibrate,
-            "find soil and model parameters from measured draft, with their uncertainty",
-        ),
-        ("export", exports.export, "write the scene for other tools: C, CasADi, OpenMDAO, FMU"),
-        ("report", pages.report, "write everything about the best share as one page that any browser opens"),
-        ("accuracy", commands.accuracy, "show what accuracy costs in time, and say which method to take"),
+    for name, run, add, text in (
+        ("check", commands.check, _add_check, "check a problem file and say what its scene contains"),
+        ("simulate", commands.simulate, _add_shown, "simulate the scene with every variable at its guess"),
+        ("optimise", commands.optimise, _add_optimise, "find the best share, and say what decided it"),
+        ("tradeoff", commands.tradeoff, _add_tradeoff, "trade two or three results against each other: the front"),
+        ("sweep", sweeps.sweep, sweeps.add_options, "simulate or optimise at every point of a grid or a sample"),
+        ("calibrate", calibrations.calibrate, calibrations.add_options, "find soil parameters from measured draft"),
+        ("export", exports.export, exports.add_options, "write the scene for other tools: C, CasADi, OpenMDAO, FMU"),
+        ("report", pages.report, pages.add_options, "write everything about the best share as one page for a browser"),
+        ("accuracy", commands.accuracy, _add_accuracy, "show what accuracy costs in time: which method to take"),
     ):
         verb = verbs.add_parser(name, help=text, parents=[common], aliases=["optimize"] if name == "optimise" else [])
         file = verb.add_argument("file", metavar="FILE", help="problem file (TOML)")
@@ -141,54 +137,54 @@ def _parser() -> argparse.ArgumentParser:
             metavar='KEY="VALUE"',
             help='change a key of the file, like scene.tow_speed="2.5 m/s"; a variable is fixed by it; repeatable',
         )
+        add(verb)
         verb.set_defaults(run=run)
-        if name == "check":
-            verb.add_argument("--effects", action="store_true", help="print what each effect costs, on or off")
-            verb.add_argument("--json", action="store_true", help="print the scene's quantities as JSON (SI units)")
-            _add_against(verb)
-            continue
-        if name == "accuracy":
-            _add_accuracy(verb)
-            continue
-        if name == "calibrate":
-            calibrations.add_options(verb)
-            continue
-        if name == "export":
-            exports.add_options(verb)
-            continue
-        if name == "report":
-            pages.add_options(verb)
-            continue
-        if name == "sweep":
-            sweeps.add_options(verb)
-            continue
-        if name == "optimise":
-            verb.add_argument(
-                "--search",
-                metavar="HOW",
-                default="auto",
-                help="auto, thorough (four times as much), near (the guess's basin), a number of designs, a time as"
-                ' "20 s", or keys of variables, with commas (default: auto)',
-            )
-            verb.add_argument("--seed", type=int, default=0, metavar="N", help="of the search's samples (default: 0)")
-            verb.add_argument(
-                "--judge",
-                choices=("tolerance", "bare"),
-                default="tolerance",
-                help="compare optima by their median within the tolerances, or as they are (default: tolerance)",
-            )
-            verb.add_argument(
-                "--sensitivity",
-                action="store_true",
-                help="print by how many per cent the optimum changes per per cent of every quantity and limit",
-            )
-        verb.add_argument("--json", action="store_true", help="print JSON (SI units) instead of a table")
-        verb.add_argument("--plot", metavar="FILE", help="write a picture: .png, .svg or .pdf")
-        if name == "tradeoff":
-            verb.add_argument("--points", type=int, metavar="N", help="positions on the front (default: the file's)")
-            verb.add_argument("--csv", metavar="FILE", help="write a table of all points")
-            verb.add_argument("--output", metavar="FILE", help="write everything as JSON")
     return parser
+
+
+def _add_shown(verb: argparse.ArgumentParser) -> None:
+    """Add the options of a result that is printed and drawn."""
+    verb.add_argument("--json", action="store_true", help="print JSON (SI units) instead of a table")
+    verb.add_argument("--plot", metavar="FILE", help="write a picture: .png, .svg or .pdf")
+
+
+def _add_check(verb: argparse.ArgumentParser) -> None:
+    """Add the options of a check, and of the comparison with other draft models."""
+    verb.add_argument("--effects", action="store_true", help="print what each effect costs, on or off")
+    verb.add_argument("--json", action="store_true", help="print the scene's quantities as JSON (SI units)")
+    _add_against(verb)
+
+
+def _add_optimise(verb: argparse.ArgumentParser) -> None:
+    """Add the options of an optimisation."""
+    verb.add_argument(
+        "--search",
+        metavar="HOW",
+        default="auto",
+        help="auto, thorough (four times as much), near (the guess's basin), a number of designs, a time as"
+        ' "20 s", or keys of variables, with commas (default: auto)',
+    )
+    verb.add_argument("--seed", type=int, default=0, metavar="N", help="of the search's samples (default: 0)")
+    verb.add_argument(
+        "--judge",
+        choices=("tolerance", "bare"),
+        default="tolerance",
+        help="compare optima by their median within the tolerances, or as they are (default: tolerance)",
+    )
+    verb.add_argument(
+        "--sensitivity",
+        action="store_true",
+        help="print by how many per cent the optimum changes per per cent of every quantity and limit",
+    )
+    _add_shown(verb)
+
+
+def _add_tradeoff(verb: argparse.ArgumentParser) -> None:
+    """Add the options of a front."""
+    _add_shown(verb)
+    verb.add_argument("--points", type=int, metavar="N", help="positions on the front (default: the file's)")
+    verb.add_argument("--csv", metavar="FILE", help="write a table of all points")
+    verb.add_argument("--output", metavar="FILE", help="write everything as JSON")
 
 
 def _add_against(verb: argparse.ArgumentParser) -> None:
@@ -224,6 +220,5 @@ def _add_accuracy(verb: argparse.ArgumentParser) -> None:
     )
     verb.add_argument("--design", action="store_true", help="study the optimum of the design instead of its scene")
     verb.add_argument("--thin", action="store_true", help="try every other setting only")
-    verb.add_argument("--json", action="store_true", help="print every figure as JSON instead of tables")
+    _add_shown(verb)
     verb.add_argument("--output", metavar="FILE", help="write every figure as JSON")
-    verb.add_argument("--plot", metavar="FILE", help="write a picture: .png, .svg or .pdf")

@@ -47,6 +47,8 @@ def report(options: argparse.Namespace) -> None:
 
 
 def _check(problem: Problem) -> None:
+    if problem.shares:
+        problem.scene()  # which says to choose one
     if problem.table.uncertain is not None:
         raise InputError(
             f"{problem.name}: a report is about one soil: leave out the table [uncertain], or take plough-opt optimise"

@@ -109,6 +109,8 @@ def check_changed(problem: Problem) -> None:
     Raises:
         InputError: a quantity that belongs to an effect that is off, or one outside the model's domain.
     """
+    if problem.shares:
+        problem.scene()  # which says to choose one
     source = Source("", problem.name)
     _check_complete(source, problem.table, {*problem.fixed, *problem.variables})
     source.raise_noted()

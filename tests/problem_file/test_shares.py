@@ -217,8 +217,14 @@ def test_the_commands_show_them_side_by_side(tmp_path, capsys):
     found = json.loads(capsys.readouterr().out)
     assert found["quantities"]["rear.soil.cohesion"] == 30e3
     assert "soil.cohesion" not in found["quantities"]
-    assert main(["export", str(path), "--to", "c", "--output", str(tmp_path / "share.c")]) == 2
-    assert "--set shares=front" in capsys.readouterr().err
+    for words in (
+        ("export", "--to", "c", "--output", tmp_path / "share.c"),
+        ("sweep", "--over", "soil.cohesion=5..45 kPa:2"),
+        ("report", "-o", tmp_path / "share.html"),
+        ("accuracy",),
+    ):
+        assert main([words[0], str(path), *map(str, words[1:])]) == 2
+        assert "--set shares=front" in capsys.readouterr().err
 
 
 def test_a_machine_prints_its_table_and_draws_itself(tmp_path):

@@ -11,6 +11,9 @@ from helpers.small_designs import design
 import plough_opt as po
 from plough_opt.design.ipopt import LastPoint
 from plough_opt.design.program import Program
+from plough_opt.motion.batch import many_runs
+from plough_opt.motion.signals import signals
+from plough_opt.motion.terms import Structure, parameters
 
 
 @pytest.fixture
@@ -98,3 +101,23 @@ def test_without_a_compiler_it_is_interpreted(small, cache, monkeypatch):
     assert best.status == "solved"
     assert any("no C compiler was found" in warning for warning in best.warnings)
     assert not any("no C compiler" in warning for warning in small.solve().warnings)
+
+
+@pytest.mark.parametrize("ramp", [None, 0.13])
+def test_many_runs_without_a_compiler_are_those_with_one(r1_scene, monkeypatch, tmp_path, ramp):
+    """States at the outputs, means and mean squares: a search reads all of them."""
+    scene = r1_scene(strength_wave=po.StrengthWave(0.3, 0.6), damping=200.0, tow_ramp=ramp)
+    structure, known = Structure.of(scene), parameters(scene)
+    names = signals(structure).parameters
+    p = np.array([[*(float(known[name]) for name in names), 0.4]] * 3)
+    p[:, names.index("stiffness")] *= (0.5, 1.0, 2.0)
+    monkeypatch.setattr(many_runs, "_runner", many_runs._runner.__wrapped__)  # remembers nothing
+    compiled = many_runs.ManyRuns(structure, 5)
+    monkeypatch.setenv("PATH", str(tmp_path))
+    monkeypatch.delenv("CC", raising=False)
+    plain = many_runs.ManyRuns(structure, 5)
+    assert (compiled.compiled, plain.compiled) == (True, False)
+    for finer, near in ((1.0, 1e-4), (4.0, 1e-7)):
+        found, wanted = (runs(p, finer=finer) for runs in (plain, compiled))
+        # Between steps the compiled runs read a polynomial of degree 5: its slope errs by the fifth power of a step.
+        assert np.all(np.abs(found - wanted) <= near * np.max(np.abs(wanted), axis=0))

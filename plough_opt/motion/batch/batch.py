@@ -56,7 +56,7 @@ class Batch:
 
     Args:
         scene: with CasADi expressions of the inputs; transient motion under contact ``"resisting"`` or `Smooth`.
-        duration: simulated time [s], above 0; a float or an expression of the inputs.
+        duration: simulated time, above 0: a float [s], a text such as "2 s", or an expression of the inputs [s].
         inputs: symbols, in the order of the columns of values.
         error: wanted error of mean draft and RMS force, relative to the larger of them, from 1e-11 to 1e-2.
 

@@ -7,7 +7,7 @@ import plough_opt as po
 from plough_opt.design import program as program_module
 from plough_opt.design.quadratic import least
 from plough_opt.studies.tradeoff import level as level_module
-from plough_opt.studies.tradeoff.space import between, nearest, neighbours, off, parts_of, triangle, uncrowded, volume
+from plough_opt.studies.tradeoff.space import nearest, neighbours, off, parts_of, triangle, uncrowded, volume
 
 # --- quadratic programs -------------------------------------------------------------------------------------
 
@@ -121,7 +121,6 @@ def test_the_lattice():
         assert off(np.array(node) / 12.0 + 5.0, node, 6) == pytest.approx(0.0, abs=1e-12)
         for other in neighbours(node):
             assert off(np.array(other) / 12.0, node, 6) == pytest.approx(1.0)
-            assert off(np.array(between(node, other)) / 12.0, node, 6) == pytest.approx(0.5)
 
 
 def test_volume_is_that_of_the_boxes():

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from plough_opt.studies.tradeoff.missing import beating, beyond_front, beyond_points, thinned
+from plough_opt.studies.tradeoff.domination import beating, beyond_front, beyond_points, undominated
 
 LINE = np.column_stack([np.linspace(0.0, 1.0, 11), np.linspace(1.0, 0.0, 11)])
 
@@ -35,15 +35,15 @@ def test_designs_beyond_a_plane():
 
 def test_by_how_much_designs_beat_a_point():
     designs = np.array([[0.4, 0.5], [0.1, 0.95], [0.5, 0.6]])
-    assert beating(LINE, designs) == pytest.approx(
-        [max(min(a - c, b - d) for a, b in LINE) for c, d in designs], abs=1e-15
-    )
-    assert beating(LINE, np.empty((0, 2))).shape == (0,)
+    most, by = beating(LINE, designs)
+    assert by == pytest.approx([max(min(a - c, b - d) for c, d in designs) for a, b in LINE], abs=1e-15)
+    assert [most[0], most[10]] == [1, 0]
+    assert np.all(beating(LINE, np.empty((0, 2)))[1] == -np.inf)
 
 
 def test_thinned_designs_beat_all_others_to_a_tolerance():
     designs = np.random.default_rng(1).random((2000, 3))
-    kept = designs[thinned(designs, 0.01)]
+    kept = designs[undominated(designs, 0.01)]
     behind = np.max(kept[None] - designs[:, None], axis=2).min(axis=1)
     assert np.max(behind) <= 0.01
     assert not any(np.any(np.all(designs < own, axis=1)) for own in kept)

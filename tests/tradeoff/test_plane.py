@@ -3,25 +3,26 @@
 import numpy as np
 import pytest
 
-from plough_opt.studies.tradeoff.plane import area, efficient, gaps, knee, spread
+from plough_opt.studies.tradeoff.domination import in_order
+from plough_opt.studies.tradeoff.plane import area, gaps, knee, spread
 
 
 def test_efficient_rows_are_those_that_brute_force_finds():
     rng = np.random.default_rng(1)
     points = rng.random((300, 2))
     beaten = [any(np.all(other < point) for other in points) for point in points]
-    found = efficient(points)
+    found = in_order(points)
     assert sorted(found) == np.flatnonzero(~np.array(beaten)).tolist()
     assert np.all(np.diff(points[found, 0]) > 0.0)
     assert np.all(np.diff(points[found, 1]) < 0.0)
 
 
 def test_equal_rows_stay_once():
-    assert len(efficient(np.array([[0.0, 1.0], [0.0, 1.0], [1.0, 0.0], [1.0, 0.0]]))) == 2
+    assert len(in_order(np.array([[0.0, 1.0], [0.0, 1.0], [1.0, 0.0], [1.0, 0.0]]))) == 2
 
 
 def test_of_rows_as_good_in_one_objective_the_better_in_the_other_stays():
-    assert efficient(np.array([[0.0, 1.0], [0.0, 0.4], [1e-9, 0.2]])).tolist() == [2]
+    assert in_order(np.array([[0.0, 1.0], [0.0, 0.4], [1e-9, 0.2]])).tolist() == [2]
 
 
 def test_gaps_follow_rows_whose_neighbour_is_far():

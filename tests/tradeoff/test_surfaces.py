@@ -9,7 +9,8 @@ import pytest
 from matplotlib.figure import Figure
 
 import plough_opt as po
-from plough_opt.studies.tradeoff.space import distances, undominated
+from plough_opt.studies.tradeoff.domination import undominated
+from plough_opt.studies.tradeoff.space import distances
 
 POINTS, STEPS = 28, 6
 

@@ -1,7 +1,7 @@
 """Trade-offs: the curve of designs of which none is better in one objective without being worse in another."""
 
 from plough_opt.studies.tradeoff.goal import Goal
-from plough_opt.studies.tradeoff.question import trade_off
 from plough_opt.studies.tradeoff.result import TradeOff
+from plough_opt.studies.tradeoff.trade import trade_off
 
 __all__ = ["Goal", "TradeOff", "trade_off"]

@@ -1,4 +1,4 @@
-"""From local optima to a front: certified, put in order, with its parts, holes and sentences."""
+"""From candidates to a front: certified, put in order, with its parts, holes and sentences."""
 
 from __future__ import annotations
 
@@ -10,17 +10,15 @@ import numpy as np
 
 from plough_opt.core.errors import NotConverged
 from plough_opt.core.origin import Origin
-from plough_opt.studies.tradeoff.caveats import caveats
+from plough_opt.studies.tradeoff.candidates import MATTERS, Candidate, Failure
 from plough_opt.studies.tradeoff.certificate import FrontPoint, certify
+from plough_opt.studies.tradeoff.domination import Array
 from plough_opt.studies.tradeoff.front import Hole
 from plough_opt.studies.tradeoff.goal import Axis, Goal
-from plough_opt.studies.tradeoff.notes import looked_at, notes_on
-from plough_opt.studies.tradeoff.plane import Array
+from plough_opt.studies.tradeoff.notes import caveats, looked_at, notes_on
 from plough_opt.studies.tradeoff.program import FrontProgram
 from plough_opt.studies.tradeoff.result import TradeOff
-from plough_opt.studies.tradeoff.samples import MATTERS, Failure, Sample
-from plough_opt.studies.tradeoff.surface import SurfaceTracer
-from plough_opt.studies.tradeoff.tracing import Tracer
+from plough_opt.studies.tradeoff.tracer import Tracer
 
 # Of a hole's size: nearer to its ends is at them.
 _EDGE = 1e-3
@@ -36,21 +34,17 @@ class Times:
     building: float
 
 
-def assembled(
-    front: FrontProgram, tracer: Tracer | SurfaceTracer, goals: Sequence[Goal], title: str, times: Times
-) -> TradeOff:
+def assembled(front: FrontProgram, tracer: Tracer, goals: Sequence[Goal], title: str, times: Times) -> TradeOff:
     """Certify what was found, and return the efficient points in order with their parts and holes.
 
     Raises:
         NotConverged: no point could be certified.
     """
-    signs = np.array([goal.sign for goal in goals])
-    certified = _Certified(front, tracer, signs)
-    order, samples, failures = certified.order, certified.kept, certified.failures()
-    if not samples:
+    certified = _Certified(front, tracer)
+    order, failures = certified.order, certified.failures()
+    if not certified.kept:
         raise NotConverged(f"no point of the front could be certified: {failures[-1].reason}", "Not_Certified")
-    points = certified.points(samples)
-    others = certified.points(certified.others())
+    points, others = certified.points(certified.kept), certified.points(certified.others())
     variables = front.program.declared.variables
     return TradeOff(
         title=title,
@@ -61,11 +55,8 @@ def assembled(
         needles=tuple(point for point in others if point.needle),
         failures=failures,
         parts=order.parts,
-        holes=tuple(hole(points[a], points[b], failures, signs) for a, b in order.holes),
-        notes=(
-            *notes_on(tracer, goals, points),
-            *_caveats(front, samples),
-        ),
+        holes=tuple(hole(points[a], points[b], failures, front.signs) for a, b in order.holes),
+        notes=(*notes_on(tracer, goals, points), *caveats(front, [one.point.y for one in certified.kept])),
         search=looked_at(tracer),
         seconds=time.perf_counter() - times.started,
         building=times.building + front.building,
@@ -87,81 +78,66 @@ def _origin(front: FrontProgram, goals: Sequence[Goal], title: str) -> Origin:
 
 
 class _Certified:
-    """The samples that make up a front, with their certificates.
+    """The candidates that make up a front, with their certificates.
 
     Of the many that no other dominates, only those are certified that the front shows; where that casts doubt on one,
-    another takes its place.
+    another takes its place. Where all candidates are needles, they are shown as such.
 
     Attributes:
-        order: of `left`, how they make up the front.
-        kept: the samples of the front, in order.
+        order: how the candidates without a doubt make up the front.
+        kept: those of the front, in order.
     """
 
-    def __init__(self, front: FrontProgram, tracer: Tracer | SurfaceTracer, signs: Array) -> None:
-        """Certify the samples that make up the front."""
-        self._front, self._tracer, self._signs = front, tracer, signs
+    def __init__(self, front: FrontProgram, tracer: Tracer) -> None:
+        """Certify the candidates that make up the front."""
+        self._front, self._tracer = front, tracer
         self._points: dict[int, FrontPoint] = {}
-        self._doubtful: list[tuple[Sample, FrontPoint]] = []
-        self._left = tracer.sound()
+        self._left = tracer.sound() or tracer.found
         while True:
             self.order = tracer.order(self._left)
             self.kept = [self._left[k] for k in self.order.kept]
-            if not (fresh := [sample for sample in self.kept if id(sample) not in self._points]):
+            if not (fresh := [one for one in self.kept if id(one) not in self._points]):
                 break
             tracer.to_the_last_digits(fresh)
-            self._certify(fresh)
+            self._points |= {id(one): certify(front, one) for one in fresh}
+            self._left = [one for one in self._left if not self._doubt(one)]
 
-    def _certify(self, samples: Sequence[Sample]) -> None:
-        """Certify samples, and set those aside that are in doubt."""
-        for sample in samples:
-            sample.scenes = self._front.scenes(sample.point.y)
-            point = certify(self._front, sample, self._signs)
-            self._points[id(sample)] = point
-            if point.doubt:
-                self._doubtful.append((sample, point))
-        aside = {id(sample) for sample, _ in self._doubtful}
-        self._left = [sample for sample in self._left if id(sample) not in aside]
+    def _doubt(self, one: Candidate) -> str:
+        """Return what casts doubt on a candidate, as far as that was asked."""
+        return self._points[id(one)].doubt if id(one) in self._points else ""
 
-    def others(self) -> list[Sample]:
-        """Return the needles, and the samples that others dominate, as far as they can be certified."""
+    def others(self) -> list[Candidate]:
+        """Return the needles, and the candidates that others dominate, as far as they can be certified."""
         shown = {id(self._left[k]) for k in self.order.efficient}
-        found = [sample for sample in self._tracer.found if id(sample) not in shown]
-        self._certify([sample for sample in found if id(sample) not in self._points])
-        return [sample for sample in found if not self._points[id(sample)].doubt]
+        found = [one for one in self._tracer.found if id(one) not in shown]
+        fresh = [one for one in found if id(one) not in self._points]
+        self._points |= {id(one): certify(self._front, one, beaten=True) for one in fresh}
+        return [one for one in found if not self._doubt(one)]
 
-    def points(self, samples: Sequence[Sample]) -> tuple[FrontPoint, ...]:
-        """Return the certificates of samples, with what becomes of them within their tolerances."""
-        found = [self._points[id(sample)] for sample in samples]
-        medians = self._tracer.cloud.medians(np.array([sample.point.y for sample in samples])) if samples else None
+    def points(self, candidates: Sequence[Candidate]) -> tuple[FrontPoint, ...]:
+        """Return the certificates of candidates, with what becomes of them within their tolerances."""
+        found = [self._points[id(one)] for one in candidates]
+        medians = self._tracer.archive.medians(np.array([one.point.y for one in candidates])) if candidates else None
         if medians is None:
             return tuple(found)
-        own = medians * np.array(self._front.scales) * self._signs
         return tuple(
-            replace(point, medians=tuple(row.tolist()), needle=bool(sample.needle))
-            for sample, point, row in zip(samples, found, own, strict=True)
+            replace(point, medians=tuple((row * self._front.units).tolist()), needle=bool(one.needle))
+            for one, point, row in zip(candidates, found, medians, strict=True)
         )
 
     def failures(self) -> tuple[Failure, ...]:
         """Return what failed, in the objectives' own units; beside a design that another beats nothing is missing."""
-        front = self._front
-        found = []
-        places = np.array([sample.at for sample in self._tracer.found])
+        front, found = self._front, list[Failure]()
+        places = self._tracer.places(self._tracer.found)
         for failure in self._tracer.failures:
             at = np.array(failure.objectives)
-            if np.any(np.all(places <= at + _SAME, axis=1) & np.any(places < at - MATTERS, axis=1)):
-                continue
-            own = front.scaled(at) * front.scales * self._signs
-            found.append(replace(failure, objectives=tuple(own.tolist())))
-        for sample, point in self._doubtful:
+            if not np.any(np.all(places <= at + _SAME, axis=1) & np.any(places < at - MATTERS, axis=1)):
+                found.append(replace(failure, objectives=tuple((front.scaled(at) * front.units).tolist())))
+        for one in self._tracer.found:
             # One that a certified design is as good as leaves no place without one.
-            if not any(np.all(other.at <= sample.at + MATTERS) for other in self.kept):
-                found.append(Failure(point.objectives, point.doubt))
+            if self._doubt(one) and not any(np.all(other.at <= one.at + MATTERS) for other in self.kept):
+                found.append(Failure(self._points[id(one)].objectives, self._doubt(one)))
         return tuple(found)
-
-
-def _caveats(front: FrontProgram, samples: Sequence[Sample]) -> tuple[str, ...]:
-    still = [front.still_scenes(sample.point.y) for sample in samples]
-    return caveats([sample.scenes for sample in samples], still)
 
 
 def hole(before: FrontPoint, after: FrontPoint, failures: Sequence[Failure], signs: Array) -> Hole:

@@ -8,7 +8,6 @@ import numpy as np
 
 from plough_opt.design.ipopt import Point, Vector
 from plough_opt.design.landscape import Landscape
-from plough_opt.design.nlp import Nlp
 from plough_opt.design.program import Program
 from plough_opt.design.quadratic import made_convex
 from plough_opt.studies.tradeoff.level import Level
@@ -25,17 +24,14 @@ _STATIONARY = 5e-7
 class BatchLevel(Level):
     """A program whose designs and their neighbours are integrated side by side.
 
-    What it cannot do, such as IPOPT's search from afar, is done by the program of few steps.
-
     Attributes:
         stationary: as of any level; in units of short ranges the rounding of objectives is larger.
     """
 
-    def __init__(self, program: Program, rough: Nlp) -> None:
-        """Take the scaled program and the one of few steps."""
-        super().__init__(rough, rough, program.low, program.high)
+    def __init__(self, program: Program) -> None:
+        """Take a program that is built."""
+        super().__init__(program)
         self.stationary = _STATIONARY
-        self._program = program
         self._objective_scale = program.objective_scale
         self._scale = np.array(program.scales)[np.array(program.owner, dtype=int)]
 
@@ -65,16 +61,12 @@ class BatchLevel(Level):
             f, g = self._program.population(points, p, finer=_FINER, together=len(points))
         return f / self._objective_scale, g / self._scale
 
-    def follow(self, at: Point, start: Vector, p: Vector) -> Point:
-        """Return the optimum near a start by a search's descent, or by IPOPT and few steps, corrected."""
+    def from_afar(self, at: Point, start: Vector, p: Vector) -> Point:
+        """Return the optimum near a start by a search's descent, corrected."""
         end = Landscape(self._program, p).descend(start)
         if not end.feasible[0]:
             return replace(at, solved=False, status="Infeasible_Problem_Detected", y=end.points[0])
-        point = self.correct(at, end.points[0], p)
-        if point.solved:
-            return point
-        point = super().follow(at, start, p)
-        return self.correct(point, point.y, p) if point.solved else point
+        return self.correct(at, end.points[0], p)
 
     def _first_curvature(self, y: Vector, p: Vector, lam_g: Vector) -> Vector:
         """Return the Lagrangian's Hessian, its curvatures made positive, by differences of its slopes."""

@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from plough_opt.design.ipopt import Vector
 from plough_opt.design.optimality import PULLS, decides
-from plough_opt.motion.scene import Scene
+from plough_opt.studies.tradeoff.candidates import Candidate
 from plough_opt.studies.tradeoff.program import FrontProgram
-from plough_opt.studies.tradeoff.samples import Sample
 
 # Scaled by objective and limits: with larger residuals a point is not an optimum, with larger violations not a design.
 _RESIDUAL = 1e-6
@@ -31,12 +28,13 @@ class FrontPoint:
         active: names of the requirements and variables whose limits decide the design.
         rate: of two objectives, change of the second per change of the first along the front, in their units; None of
             a design that stands alone or is not on the front.
-        branch: under a strength wave "soft" or "stiff", by the natural frequency beside the wave's; else "".
+        branch: of a design on the front, under a strength wave, "soft" or "stiff", by the natural frequency beside the
+            wave's; else "".
         residual: of the first-order conditions, scaled.
         violation: largest violation of a requirement by the tightly integrated model, relative to its limit.
         gap: largest relative difference of the optimiser's objectives from the tightly integrated ones.
         curvature: least one of the Lagrangian where limits leave a direction, relative to the largest and roughly
-            integrated; None where they leave none.
+            integrated; None where they leave none, and of a design that others dominate.
         weights: of the objectives per their units, by the multipliers: along the front changes so weighted add up to
             nothing. None of a design that stands alone.
         medians: of each objective over the design's tolerances, as a search integrates; None where runs are integrated
@@ -74,16 +72,16 @@ class FrontPoint:
         return ""
 
 
-def certify(front: FrontProgram, sample: Sample, signs: Vector) -> FrontPoint:
-    """Return a sample's report from the tightly integrated model.
+def certify(front: FrontProgram, one: Candidate, *, beaten: bool = False) -> FrontPoint:
+    """Return a candidate's report from the tightly integrated model.
 
     Args:
         front: the program.
-        sample: a local optimum.
-        signs: of the objectives, -1 for one that is maximised.
+        one: the candidate.
+        beaten: whether it is not on the front, so that its curvature and branch are not asked for.
     """
-    program, point = front.program, sample.point
-    scaled, found = front.exact(point.y)
+    program, point, level = front.program, one.point, front.level(one.exact)
+    scaled, found = front.tight(point.y)
     margins, violation, active = {}, 0.0, []
     own_requirements = program.declared.requirements[:-1]  # the last one is the position on the front
     for k, (r, value) in enumerate(zip(own_requirements, found[:-1], strict=True)):
@@ -96,36 +94,29 @@ def certify(front: FrontProgram, sample: Sample, signs: Vector) -> FrontPoint:
     for v, y, multiplier in zip(program.declared.variables, point.y, point.lam_y, strict=True):
         if decides(float(min(y, 1.0 - y)), float(abs(multiplier))):
             active.append(v.name)
-    own = scaled * np.array(front.scales) * signs
-    weights = _weights(front, sample, signs)
+    weights = _weights(front, one)
+    waved = [] if beaten else [run.scene.branch for run in front.runs(point.y) if run.scene.effects.strength_wave]
     return FrontPoint(
-        objectives=tuple(own.tolist()),
+        objectives=tuple((scaled * front.units).tolist()),
         variables={v.name: float(x) for v, x in zip(program.declared.variables, program.values(point.y), strict=True)},
         margins=margins,
         active=tuple(active),
         rate=-weights[0] / weights[1] if weights is not None and front.count == 2 else None,
-        branch=_branch(front, sample.scenes),
-        residual=front.levels[sample.level].residual(point, sample.p),
+        branch=next(filter(None, waved), ""),
+        residual=level.residual(point, one.p),
         violation=violation,
-        gap=front.gap(point.y, sample.level),
-        curvature=front.levels[sample.level].least_curvature(point, sample.p),
+        gap=front.gap(point.y, exact=one.exact),
+        curvature=None if beaten or not one.confirmed else level.least_curvature(point, one.p),
         weights=weights,
-        confirmed=sample.confirmed,
+        confirmed=one.confirmed,
     )
 
 
-def _weights(front: FrontProgram, sample: Sample, signs: Vector) -> tuple[float, ...] | None:
+def _weights(front: FrontProgram, one: Candidate) -> tuple[float, ...] | None:
     """Return how much each objective weighs per its unit, those on a range of the front together 1."""
-    point, p = sample.inward or (sample.point, sample.p)
+    point, p = one.inward or (one.point, one.p)
     own = front.slopes(point, p) * front.span
     # Where positions do not decide, the weights are those of the question.
     if not front.holds(point) or np.any(own < -PULLS) or not own[-1] > PULLS:
         return None
-    return tuple((own / np.sum(own) / (front.span * front.scales * signs)).tolist())
-
-
-def _branch(front: FrontProgram, scenes: Sequence[tuple[Scene, float]]) -> str:
-    for run, (scene, _) in zip(front.program.exact.runs, scenes, strict=True):
-        if run.integration.structure.wave and scene.branch:
-            return scene.branch
-    return ""
+    return tuple((own / np.sum(own) / (front.span * front.units)).tolist())

@@ -13,11 +13,10 @@ from plough_opt.core.origin import Origin, versions
 from plough_opt.core.units import Display
 from plough_opt.motion.vocabulary import called
 from plough_opt.studies.tradeoff import plane, space
+from plough_opt.studies.tradeoff.candidates import Failure
 from plough_opt.studies.tradeoff.certificate import FrontPoint
+from plough_opt.studies.tradeoff.domination import Array
 from plough_opt.studies.tradeoff.goal import Axis
-from plough_opt.studies.tradeoff.samples import Failure
-
-Array = plane.Array
 
 # Rates are given for this change of an objective, which a front must span.
 _ONE_PER_CENT = 0.01

@@ -1,4 +1,4 @@
-"""Ways to solve the program of a trade-off with a given number of integration steps, from a neighbouring optimum."""
+"""From a neighbouring optimum to the one beside it, by sequential quadratic programming."""
 
 from __future__ import annotations
 
@@ -8,8 +8,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from plough_opt.design.ipopt import Point, SolveOptions, Solver, Vector
-from plough_opt.design.nlp import Nlp
+from plough_opt.design.ipopt import Point, SolveOptions, Vector
 from plough_opt.design.optimality import (
     PULLS,
     free_directions,
@@ -18,6 +17,7 @@ from plough_opt.design.optimality import (
     symmetric,
     without_rounding,
 )
+from plough_opt.design.program import Program
 from plough_opt.design.quadratic import made_convex, optimum_step
 
 _STEPS: Final = 15
@@ -33,8 +33,8 @@ _DAMPED: Final = 0.2
 _TELLING: Final = 1e-9
 
 
-class Level(Solver):
-    """A program with a number of integration steps.
+class Level:
+    """The program as it is built, with exact slopes.
 
     Attributes:
         nlp: its functions.
@@ -43,11 +43,10 @@ class Level(Solver):
 
     stationary = 1e-10
 
-    def __init__(self, nlp: Nlp, rough: Nlp, low: Vector, high: Vector) -> None:
-        """Take the program, one of fewer steps for first curvatures, and the scaled limits of its requirements."""
-        super().__init__(nlp, low, high)
-        self._least, self._largest = low, high  # as NumPy has them; the solver's own are CasADi's
-        self.nlp, self._rough = nlp, rough
+    def __init__(self, program: Program) -> None:
+        """Take a program that is built."""
+        self._program, self.nlp, self._rough = program, program.built.nlp, program.built.rough
+        self._low, self._high = program.low, program.high
         self._curvature: Vector | None = None
         self._slopes: dict[bytes, tuple[Vector, Vector, Vector, Vector]] = {}
         self._values: dict[bytes, tuple[Vector, Vector]] = {}
@@ -76,7 +75,7 @@ class Level(Solver):
     def residual(self, point: Point, p: Vector) -> float:
         """Return by how much an optimum misses the first-order conditions: slopes, limits, and one of two at each."""
         _, g, gradient, jacobian = self.slopes(point.y, p)
-        return residual(point, (g, gradient, jacobian), (self._least, self._largest))
+        return residual(point, (g, gradient, jacobian), (self._low, self._high))
 
     def least_curvature(self, point: Point, p: Vector) -> float | None:
         """Return the least curvature of the Lagrangian along directions that leave every limit in place.
@@ -85,7 +84,7 @@ class Level(Solver):
             Relative to the largest of the Lagrangian, roughly integrated; None where limits leave no direction.
         """
         _, g, _, jacobian = self.slopes(point.y, p)
-        touching = _touches(np.minimum(g - self._least, self._largest - g), point.lam_g)
+        touching = _touches(np.minimum(g - self._low, self._high - g), point.lam_g)
         bounds = _touches(np.minimum(point.y, 1.0 - point.y), point.lam_y)
         free = free_directions(np.concatenate([jacobian[touching], np.eye(len(point.y))[bounds]]))
         if not free.size:
@@ -122,7 +121,7 @@ class Level(Solver):
         stalled, shortest = 0, np.inf
         for number in range(_STEPS):
             f, g, gradient, jacobian = self.slopes(point.y, p)
-            y, limits = point.y, (self._least, self._largest)
+            y, limits = point.y, (self._low, self._high)
             found = optimum_step(curvature, y, (g, gradient, jacobian), limits, _LONGEST)
             if found is None:
                 return point
@@ -147,15 +146,17 @@ class Level(Solver):
         """Return the Lagrangian's Hessian, roughly integrated, with its curvatures made positive."""
         return made_convex(symmetric(np.asarray(self._rough.hess_lag(y, p, 1.0, lam_g))))
 
-    def follow(self, at: Point, start: Vector, p: Vector) -> Point:
-        """Return the optimum near a start by IPOPT, from the multipliers of a neighbour.
+    def from_afar(self, at: Point, start: Vector, p: Vector) -> Point:
+        """Return the optimum near a start that is further away, by IPOPT.
 
         Args:
             at: the neighbour.
             start: scaled variables.
             p: parameters.
         """
-        return self.solve(start, p, options=SolveOptions(exact=False), neighbour=at)
+        del at  # IPOPT finds multipliers of its own
+        point = self._program.solve(start, p, SolveOptions(near=True))
+        return point if point.solved else self._program.solve(start, p)
 
 
 def _touches(margins: Vector, multipliers: Vector) -> NDArray[np.bool_]:

@@ -1,4 +1,4 @@
-"""The plane of two normalised objectives, both minimised: domination, gaps, area, knee.
+"""Curves of two normalised objectives, both minimised: gaps, what is shown, area, knee.
 
 The objectives are 0 at their own optimum and 1 at the other's. On a connected front the sum of the changes of both
 objectives between neighbours on evenly spread positions is the same everywhere.
@@ -11,36 +11,12 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
-
-# Normalised differences below are rounding of the solves.
-EQUAL = 1e-7
-JOINED = 1.5
-"""Steps between neighbours above this many are a gap."""
+from plough_opt.studies.tradeoff.domination import JOINED, Array
 
 # Neighbours nearer than this many steps are one point twice.
 _NEAR = 0.1
 # A knee stands out from the line between the anchors by at least this.
 _STANDS_OUT = 1e-3
-
-
-def efficient(objectives: Array, equal: float = EQUAL) -> NDArray[np.intp]:
-    """Return which rows no other row dominates, from the best in the first objective on, equal rows once.
-
-    Args:
-        objectives: normalised, both minimised, shape (n, 2).
-        equal: differences below are none.
-    """
-    kept: list[int] = []
-    for k in np.lexsort((objectives[:, 1], objectives[:, 0])):
-        first, second = objectives[k]
-        if kept and second >= objectives[kept[-1], 1] - equal:
-            continue
-        # A row that is as good in the first objective to rounding, and better in the second, takes its place.
-        while kept and first <= objectives[kept[-1], 0] + equal:
-            kept.pop()
-        kept.append(int(k))
-    return np.array(kept, dtype=np.intp)
 
 
 def gaps(front: Array, step: float) -> list[int]:
@@ -91,14 +67,14 @@ def needed(front: Array, extra: Sequence[bool], step: float) -> NDArray[np.intp]
 
 
 def area(front: Array, reference: Array) -> float:
-    """Return the area that a front dominates up to a reference point, in the product of the objectives' units.
+    """Return the area that rows dominate up to a reference point, in the product of the objectives' units.
 
     Args:
-        front: objectives of efficient rows in order, both minimised.
+        front: objectives of each row, both minimised.
         reference: a point; rows beyond it count for nothing.
     """
     total, height = 0.0, float(reference[1])
-    for first, second in front:
+    for first, second in front[np.lexsort(front.T[::-1])]:
         if first < reference[0] and second < height:
             total += (float(reference[0]) - float(first)) * (height - float(second))
             height = float(second)

@@ -21,9 +21,10 @@ import numpy as np
 from plough_opt.core.errors import InputError, PloughError
 from plough_opt.design import Design
 from plough_opt.design.declarations import Declarations, Parameter, Requirement
-from plough_opt.design.ipopt import Point, SolveOptions, Vector
+from plough_opt.design.ipopt import Point, Vector
 from plough_opt.design.program import Program
 from plough_opt.design.verify import TightEvaluation
+from plough_opt.motion.run import Run
 from plough_opt.motion.scene import Scene
 from plough_opt.studies.tradeoff.batch_level import BatchLevel
 from plough_opt.studies.tradeoff.goal import Goal
@@ -33,8 +34,6 @@ _POSITION = "position on the front"
 _FINER = 1.5
 # Multipliers below this pull at nothing.
 _PULLS = 1e-6
-# Of the wanted error: around a design that reaches it with so much less, neighbours do too.
-_ROOM = 0.5
 
 
 class FrontProgram:
@@ -45,9 +44,12 @@ class FrontProgram:
         count: number of objectives.
         own_parameters: the design's.
         scales: sizes of the objectives, in their units.
+        signs: -1 for an objective that is maximised.
+        units: what a scaled objective is multiplied by to be one in its unit.
         rows: numbers of the constraints that set the position.
-        levels: ways to solve it, the finest first: with all integration steps, with two fifths of them, and by the
-            steps of a batch.
+        fine: solves it with exact slopes.
+        quick: solves it by the steps of a batch, with slopes by differences; without runs of automatic steps, or where
+            these are integrated one by one, the fine one.
         low: normalised objectives' zero, in scaled units.
         span: their range.
         building: time that was spent on writing it since it was last prepared [s].
@@ -67,10 +69,12 @@ class FrontProgram:
                     f" ({', '.join(strangers)}): make them with design.variable or design.parameter of this design"
                 )
         self.count = len(goals)
+        self.signs = np.array([goal.sign for goal in goals])
         self.own_parameters = tuple(declared.parameters)
         self._values = [parameter.value for parameter in self.own_parameters]
         self.scales = _sizes([goal.sign * ca.MX(goal.expression) for goal in goals], declared.symbols(),
                              [*(v.guess for v in declared.variables), *self._values])  # fmt: skip
+        self.units = self.signs * self.scales
         scaled = ca.vertcat(
             *(goal.sign * ca.MX(goal.expression) / s for goal, s in zip(goals, self.scales, strict=True))
         )
@@ -90,9 +94,9 @@ class FrontProgram:
         )
         first = self.program.owner.index(len(declared.requirements))
         self.rows = np.arange(first, first + self.count - 1)
-        self._exact: dict[bytes, tuple[Vector, list[Vector]]] = {}
-        self.levels: list[Level] = []
-        self._exact_ones = 0
+        self._tight: dict[bytes, tuple[Vector, list[Vector]]] = {}
+        self.fine: Level | None = None
+        self.quick: Level | None = None
         self.building = 0.0
         self.rounded_off = 0.0
         self._refinement = 1.0
@@ -109,9 +113,10 @@ class FrontProgram:
             DomainError: bounds that lead out of the model's domain.
         """
         self._values = [changed.get(parameter.name, parameter.value) for parameter in self.own_parameters]
-        self._exact.clear()
-        for level in self.levels:
-            level.forget()
+        self._tight.clear()
+        for level in (self.fine, self.quick):
+            if level is not None:
+                level.forget()
         self.normalise(np.zeros(self.count), np.ones(self.count))
         # With these parameters objective and positions are the scaled objectives.
         count = self.count
@@ -128,11 +133,7 @@ class FrontProgram:
         return np.array([*self._values, *weights, *np.ravel(normals), *positions])
 
     def build(self, starts: Sequence[Vector]) -> None:
-        """Write the program with enough integration steps at some designs, or keep what is written.
-
-        Args:
-            starts: scaled designs.
-        """
+        """Write the program with enough integration steps at some scaled designs, or keep what is written."""
         self._starts = list(starts)
         self._build()
 
@@ -145,17 +146,22 @@ class FrontProgram:
         program, began = self.program, time.perf_counter()
         program.build(self.nowhere(), self._refinement, self._starts)
         self.building += time.perf_counter() - began
-        if self.levels and self.levels[0].nlp is program.nlp:
-            return
-        # Fewer steps of machine code save less than their derivatives cost, which are interpreted.
-        fine = Level(program.nlp, program.rough, program.low, program.high)
-        self.levels = [fine]
-        if program.built.interpreted and self.wanted_error:
-            self.levels.append(Level(program.rough, program.rough, program.low, program.high))
-        self._exact_ones = len(self.levels)
-        if self.wanted_error and program.population.vectorised:
-            self.levels.append(BatchLevel(program, program.rough))
-            self._tell_batch()
+        if self.fine is None or self.fine.nlp is not program.built.nlp:
+            self.fine = self.quick = Level(program)
+            if self.wanted_error and program.population.vectorised:
+                self.quick = BatchLevel(program)
+        self.normalise(self.low, self.span)
+
+    def level(self, exact: bool) -> Level:
+        """Return what solves the program, with exact slopes or quickly."""
+        found = self.fine if exact else self.quick
+        assert found is not None  # whoever asks has called `build`
+        return found
+
+    @property
+    def by_differences(self) -> bool:
+        """Whether the quick way has its slopes by differences."""
+        return self.quick is not self.fine
 
     def nowhere(self) -> Vector:
         """Return parameters without objective or position."""
@@ -171,12 +177,8 @@ class FrontProgram:
     def normalise(self, low: Vector, span: Vector) -> None:
         """Set the scaled objectives that are 0, and the range that is 1."""
         self.low, self.span = low, span
-        self._tell_batch()
-
-    def _tell_batch(self) -> None:
-        for level in self.levels:
-            if isinstance(level, BatchLevel):
-                level.normalised(float(np.max((np.abs(self.low) + self.span) / self.span)))
+        if isinstance(self.quick, BatchLevel):
+            self.quick.normalised(float(np.max((np.abs(low) + span) / span)))
 
     # --- questions ---------------------------------------------------------------------------------------
 
@@ -219,28 +221,23 @@ class FrontProgram:
 
     # --- answers -----------------------------------------------------------------------------------------
 
-    def solve(self, at: Point, start: Vector, p: Vector, level: int = 0, *, patient: bool = True) -> Point:
-        """Return the optimum near a start: from a neighbour's multipliers, without these, or from afar.
+    def solve(self, at: Point, start: Vector, p: Vector, *, exact: bool = False) -> Point:
+        """Return the optimum near a start: from a neighbour's multipliers, or without these.
 
         Args:
             at: the neighbour.
             start: scaled variables.
             p: parameters.
-            level: number of the level.
-            patient: whether to look from afar, which takes long where there is no design.
+            exact: whether with exact slopes.
         """
-        point = self.levels[level].correct(at, start, p)
-        if not point.solved:
-            point = self.levels[level].follow(at, start, p)
-        if point.solved or not patient or self.by_differences(level):
-            return point
-        point = self.program.solve(start, p, SolveOptions(near=True))
-        return point if point.solved else self.program.solve(start, p)
+        level = self.level(exact)
+        point = level.correct(at, start, p)
+        return point if point.solved else level.from_afar(at, start, p)
 
-    def objectives(self, y: Vector, level: int = 0) -> Vector:
-        """Return the scaled objectives as the optimiser has them."""
-        f, g = self.levels[level].values(y, self._all)
-        return np.concatenate([f * self.program.objective_scale, g[self.rows] * self._row_scale])
+    def objectives(self, y: Vector, *, exact: bool = False) -> Vector:
+        """Return the normalised objectives as the optimiser has them."""
+        f, g = self.level(exact).values(y, self._all)
+        return self.normalised(np.concatenate([f * self.program.objective_scale, g[self.rows] * self._row_scale]))
 
     def look(self, points: Vector, finer: float, together: int) -> tuple[Vector, Vector]:
         """Return scaled objectives and all rows of requirements, in their units, of designs, a row for each.
@@ -254,20 +251,19 @@ class FrontProgram:
             f, g = self.program.population(points, self._all, finer=finer, together=together)
         return np.column_stack([f, g[:, self.rows]]), g
 
-    def exact(self, y: Vector) -> tuple[Vector, list[Vector]]:
+    def tight(self, y: Vector) -> tuple[Vector, list[Vector]]:
         """Return the scaled objectives and all requirements, integrated tightly."""
         key = y.tobytes()
-        if key not in self._exact:
+        if key not in self._tight:
             found = self.program.exact.values([*self.program.values(y), *self._all])
             row = 1 + self.program.owner[self.rows[0]]
-            self._exact[key] = np.concatenate([found[0].ravel(), found[row].ravel()]), found[1:]
-        return self._exact[key]
+            self._tight[key] = np.concatenate([found[0].ravel(), found[row].ravel()]), found[1:]
+        return self._tight[key]
 
-    def scenes(self, y: Vector) -> list[tuple[Scene, float]]:
-        """Return the scenes of the runs at a design, with numbers, and how long each runs [s]."""
-        exact, numbers = self.program.exact, self._numbers(y)
-        found = [exact.inputs(k, numbers) for k in range(len(exact.runs))]
-        return [(scene, float(parameters[-1])) for parameters, scene in found]
+    def runs(self, y: Vector) -> list[Run]:
+        """Return the runs at a design, integrated tightly."""
+        exact = self.program.exact
+        return [exact.followed(k, *exact.inputs(k, self._numbers(y))) for k in range(len(exact.runs))]
 
     def still_scenes(self, y: Vector) -> list[Scene]:
         """Return the scenes at a design, with numbers, that are not integrated."""
@@ -285,30 +281,14 @@ class FrontProgram:
         """Return objectives in units of the front's range as the program scales them."""
         return np.asarray(normalised * self.span + self.low)
 
-    def gap(self, y: Vector, level: int = 0) -> float:
+    def gap(self, y: Vector, *, exact: bool = True) -> float:
         """Return the largest relative difference of the optimiser's objectives from the tightly integrated ones."""
-        return _apart(self.objectives(y, level), self.exact(y)[0])
+        found, tight = self.scaled(self.objectives(y, exact=exact)), self.tight(y)[0]
+        return float(np.max(np.abs(found - tight) / np.maximum(np.abs(tight), 1e-3)))
 
-    def accurate(self, y: Vector, level: int = 0) -> bool:
-        """Return whether a level has enough integration steps at a design; a batch takes each design's own."""
-        wanted = self.wanted_error
-        return wanted is None or self.by_differences(level) or self.gap(y, level) <= wanted
-
-    def by_differences(self, level: int) -> bool:
-        """Return whether a level has its slopes by differences."""
-        return level >= self._exact_ones
-
-    def level_for(self, y: Vector, *, exact: bool = False) -> int:
-        """Return the coarsest level that is accurate around a design; ``exact`` one with exact slopes."""
-        wanted = self.wanted_error
-        if not exact and self.by_differences(len(self.levels) - 1):
-            return len(self.levels) - 1
-        if wanted is None or self._exact_ones == 1:
-            return 0
-        # A batch is right to far less than what is wanted, and takes a hundredth of the time.
-        known = self.objectives(y, self._exact_ones) if len(self.levels) > self._exact_ones else self.exact(y)[0]
-        levels = range(self._exact_ones - 1, 0, -1)
-        return next((k for k in levels if _apart(self.objectives(y, k), known) <= _ROOM * wanted), 0)
+    def accurate(self, y: Vector) -> bool:
+        """Return whether there are enough integration steps at a design."""
+        return self.wanted_error is None or self.gap(y) <= self.wanted_error
 
     def holds(self, point: Point) -> bool:
         """Return whether it is the position that decides where on the front an optimum lies."""
@@ -323,11 +303,6 @@ class FrontProgram:
         weights, normals, _ = self.asked(p)
         pulls = point.lam_g[self.rows] / self._row_scale
         return np.asarray(weights[1:] / self.program.objective_scale + pulls @ normals)
-
-
-def _apart(found: Vector, exact: Vector) -> float:
-    """Return the largest relative difference of scaled objectives."""
-    return float(np.max(np.abs(found - exact) / np.maximum(np.abs(exact), 1e-3)))
 
 
 def declarations(design: Design, goals: Sequence[Goal]) -> Declarations:

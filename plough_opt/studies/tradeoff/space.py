@@ -12,16 +12,11 @@ from itertools import permutations
 import numpy as np
 from numpy.typing import NDArray
 
-from plough_opt.studies.tradeoff.plane import EQUAL, Array, area, efficient
+from plough_opt.studies.tradeoff.domination import TOGETHER, Array
+from plough_opt.studies.tradeoff.plane import area
 
 Node = tuple[int, int, int]
 """A position on the plane of utopia, in half steps; the three add up to the same everywhere."""
-
-TOGETHER = 1.75
-"""Steps between places within which two points belong to one part."""
-
-ACROSS = np.array([[1.0, 1.0], [-1.0, 1.0], [0.0, -2.0]]) / np.sqrt([2.0, 6.0])
-"""Two directions across (1, 1, 1), as columns."""
 
 # Steps; of points that the tight integration gives their objectives.
 _EXACT = 1e-3
@@ -45,20 +40,20 @@ def neighbours(node: Node) -> Iterator[Node]:
         yield node[0] + a, node[1] + b, node[2] + c
 
 
-def between(node: Node, other: Node) -> Node:
-    """Return the node half-way."""
-    i, j, k = ((a + b) // 2 for a, b in zip(node, other, strict=True))
-    return i, j, k
-
-
 def nearest(at: Array, steps: int) -> Node:
     """Return the node nearest to the place of normalised objectives."""
-    place = (at - np.mean(at) + 1.0 / 3.0) * steps
-    whole = np.round(place).astype(int)
-    # Rounding may miss the sum by one: the entry that was rounded most makes up for it.
-    whole[np.argmax(np.abs(place - whole))] += steps - int(np.sum(whole))
-    i, j, k = (2 * int(x) for x in whole)
+    i, j, k = nearest_nodes(at[None], steps)[0].tolist()
     return i, j, k
+
+
+def nearest_nodes(objectives: Array, steps: int) -> NDArray[np.intp]:
+    """Return the same for many rows, a node each."""
+    places = (objectives - np.mean(objectives, axis=1, keepdims=True) + 1.0 / 3.0) * steps
+    whole = np.round(places).astype(int)
+    # Rounding may miss the sum by one: the entry that was rounded most makes up for it.
+    rows = np.arange(len(whole))
+    whole[rows, np.argmax(np.abs(places - whole), axis=1)] += steps - whole.sum(axis=1)
+    return np.asarray(2 * whole, dtype=np.intp)
 
 
 def off(at: Array, node: Node, steps: int) -> float:
@@ -73,20 +68,6 @@ def lattice(objectives: Array, steps: int) -> NDArray[np.intp]:
     halves = np.max(np.abs(2.0 * places - np.round(2.0 * places)), axis=1) < _EXACT
     wholes = np.max(np.abs(places - np.round(places)), axis=1) < _EXACT
     return np.where(wholes, 0, np.where(halves, 1, 2))
-
-
-def undominated(objectives: Array) -> NDArray[np.intp]:
-    """Return which rows no other row dominates, equal rows once.
-
-    Args:
-        objectives: normalised, all minimised, a row each.
-    """
-    kept: list[int] = []
-    # The best come first, and rows give way to kept ones only: of three that beat each other by rounding one must stay.
-    for k in np.argsort(objectives.sum(axis=1), kind="stable"):
-        if not np.any(np.all(objectives[kept] <= objectives[k] + EQUAL, axis=1)):
-            kept.append(int(k))
-    return np.array(sorted(kept), dtype=np.intp)
 
 
 def distances(objectives: Array) -> Array:
@@ -164,6 +145,5 @@ def volume(front: Array, reference: Array) -> float:
     total = 0.0
     for k in range(len(inside)):
         if heights[k + 1] > heights[k]:
-            slab = inside[: k + 1, :2]
-            total += area(slab[efficient(slab, equal=0.0)], reference[:2]) * float(heights[k + 1] - heights[k])
+            total += area(inside[: k + 1, :2], reference[:2]) * float(heights[k + 1] - heights[k])
     return total

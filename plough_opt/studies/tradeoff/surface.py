@@ -1,4 +1,4 @@
-"""Following a front of three objectives: from node to neighbouring node of a lattice, branch by branch."""
+"""Following a front of three objectives: from node to neighbouring node of a lattice, as far as it reaches."""
 
 from __future__ import annotations
 
@@ -7,36 +7,35 @@ from collections.abc import Sequence
 from itertools import permutations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from plough_opt.design.curvature import minimum_from
 from plough_opt.design.exploring import Progress
 from plough_opt.design.ipopt import Point, Vector
+from plough_opt.studies.tradeoff.candidates import MATTERS, Candidate, Order
+from plough_opt.studies.tradeoff.domination import beyond_points, undominated
 from plough_opt.studies.tradeoff.program import FrontProgram
-from plough_opt.studies.tradeoff.reaching import Reaching
-from plough_opt.studies.tradeoff.samples import Order, Sample
 from plough_opt.studies.tradeoff.searching import Searcher
 from plough_opt.studies.tradeoff.space import (
     Node,
-    between,
     covering,
     lattice,
     nearest,
+    nearest_nodes,
     neighbours,
     off,
     parts_of,
     positions,
     triangle,
     uncrowded,
-    undominated,
 )
+from plough_opt.studies.tradeoff.tracer import Tracer
 
 # Weight of the other objectives at the edges of the front, which limits on them and the best of one leave open. A tail
 # that gains less than so much of what it gives away is left out.
 _OTHERS = 0.01
 # Of the objectives of an anchor: of the one it is best in, of another and of the last, in all six orders.
 IN_TURN = np.array(list(permutations((1.0, 1e-3, 1e-6))))[[0, 1, 2, 4, 3, 5]]
-# Of a range: what is worse than the best by so much is nearly the best.
+# Of a range: what is worse than the best by less is nearly the best.
 _NEARLY = 0.02
 # Farthest that the lattice reaches beyond the triangle of utopia, in its sides.
 _BEYOND = 1.0
@@ -44,9 +43,6 @@ _BEYOND = 1.0
 _BESIDE = 1.0
 # Nearer is at the node.
 _EXACT = 1e-3
-_ROUNDS = 4
-# Decimals by which places are told apart.
-_PLACES = 4
 # Of six anchors none has to stay where it lies beside another.
 _LAST = np.full(6, 1)
 # Steps between points that are not on positions.
@@ -54,68 +50,78 @@ _ROOM = 0.7
 # Steps, in the objectives: no efficient design that was found is farther from a point, and none that was seen and can
 # be made from what was found. In a flat triangle of the lattice none is farther than two thirds from a corner.
 _COVERED = 0.67
-# Nodes at which basins are searched, as fractions of the triangle's corners.
-_SEARCHED = ((1 / 3, 1 / 3, 1 / 3), (0.5, 0.5, 0.0), (0.5, 0.0, 0.5), (0.0, 0.5, 0.5))
 
 
-class SurfaceTracer(Reaching):
-    """The local optima of a front of three objectives.
+class SurfaceTracer(Tracer):
+    """The candidates for a front of three objectives.
 
     Attributes:
-        step: distance of neighbouring positions in the normalised objectives.
         matters: more than of a curve, for triangles lie beside what is curved between its points.
     """
 
     matters = 5e-3
+    at_once, rounds = 20, 4
 
     def __init__(self, front: FrontProgram, searcher: Searcher, count: int, progress: Progress) -> None:
         """Take the program, what searches over its variables, and the least number of positions in the triangle."""
         super().__init__(front, searcher, progress)
         self._steps = positions(count)
         self.step = 1.0 / self._steps
+        self.spacing = _COVERED * self.step
         self._inside = set(triangle(self._steps))
-        self._at: dict[Node, list[Sample]] = {}
+        self._at: dict[Node, list[Candidate]] = {}
 
     def trace(self, anchors: Sequence[Sequence[Point]]) -> None:
-        """Follow every branch over the lattice from every optimum of an objective alone, and refine the edges.
+        """Find the designs at all nodes of the lattice that the front reaches, and what lies between and beyond them.
 
         Args:
             anchors: all local optima for each order of the objectives, as `orders` has them.
         """
-        orders = self.orders()
-        level = self.level_of_anchors
-        ends = [self.kept(point, p, level) for p, points in zip(orders, anchors, strict=True) for point in points]
-        self._start_in_the_middle(ends)
-        for number, sample in enumerate(ends):
-            self.progress(f"following branch {number + 1} of {len(ends)}", number / len(ends))
-            self._flood(sample, nearest(sample.at, self._steps))
-        for number, corner in enumerate(_SEARCHED if self.searcher.vary else ()):
-            self.progress(f"searching between the anchors, {number + 1} of {len(_SEARCHED)}", number / len(_SEARCHED))
-            self._search_at(nearest(np.array(corner), self._steps))
+        ends = [self.kept(point, p) for p, points in zip(self.orders(), anchors, strict=True) for point in points]
+        if self._looks_beside:
+            self.look_beside()
+            self._start_everywhere()
+        else:
+            self._start_in_the_middle(ends)
+            for number, one in enumerate(ends):
+                self.progress(f"following branch {number + 1} of {len(ends)}", number / len(ends))
+                self._flood(one, nearest(one.at, self._steps))
         self._fill_gaps()
         self.reach_all()
-        self._refine_edges()
-        self._bridge()
-        self.reach_all(look=False)
 
-    def _start_in_the_middle(self, ends: Sequence[Sample]) -> None:
+    def _start_everywhere(self) -> None:
+        """Solve at each node from the design of the archive nearest to it, of those that hardly any other beats.
+
+        That is asked of the designs with the least sums beside each node, which are few.
+        """
+        y, at = self.archive.feasible
+        nodes = nearest_nodes(at, self._steps)
+        lowest = np.argsort(at.sum(axis=1), kind="stable")
+        _, first = np.unique(nodes[lowest], axis=0, return_index=True)
+        best = np.flatnonzero(beyond_points(at[lowest[first]], at) > -MATTERS)
+        best = best[np.argsort([off(at[k], nodes[k], self._steps) for k in best], kind="stable")]
+        _, first = np.unique(nodes[best], axis=0, return_index=True)
+        best = best[first][~self.archive.needles(y[best[first]], at[best[first]])]
+        starts = [((int(i), int(j), int(k)), y[own]) for (i, j, k), own in zip(nodes[best], best, strict=True)]
+        self._inside &= {node for node, _ in starts}
+        for number, (node, start) in enumerate(starts):
+            self.progress("solving from the best designs seen", number / len(starts))
+            found = self.best_from(self._question(node), start)
+            if found is not None and not any(found is other for other in self._at.setdefault(node, [])):
+                self._at[node].append(found)
+
+    def _start_in_the_middle(self, ends: Sequence[Candidate]) -> None:
         """Follow branches from the middle of the triangle: at an end of a front slopes may vanish that lead inside."""
         middle = nearest(np.full(3, 1.0 / 3.0), self._steps)
         p = self._question(middle)
+        seen = self.archive.best_at(p)
         self.progress("solving in the middle", 0.0)
-        y = self.cloud.best_at(p)
-        if y is not None:
-            found = self.sample_at(p, y)
-            if not isinstance(found, Point):
+        starts = [self.front.program.start(), np.mean([one.point.y for one in ends], axis=0)]
+        for start in starts if seen is None else [seen, *starts]:
+            found = self.solve(ends[0], start, p, report=False)
+            if found is not None and self._is_at(found, middle):
                 self._flood(found, middle)
                 return
-        starts = [self.front.program.start(), np.mean([sample.point.y for sample in ends], axis=0)]
-        for start in starts:
-            if (point := self.front.levels[-1].solve(start, p)).solved:
-                found = self.solve(Sample(point, p, ends[0].at, coarsest=self.coarsest), point.y, p)
-                if not isinstance(found, Point) and self._is_at(found, middle):
-                    self._flood(found, middle)
-                    return
 
     def orders(self) -> list[Vector]:
         """Return the parameters for each objective alone, with either other one next: six questions.
@@ -136,25 +142,20 @@ class SurfaceTracer(Reaching):
             if not points:
                 return [*found, [], []]
             starts = [*self._toward(IN_TURN[2 * number + 1]), *own]
-            others = [self.front.solve(points[0], y, beside, self.coarsest) for y in starts]
-            others += [self.front.solve(point, point.y, beside, self.coarsest) for point in points]
-            others = [
-                self._to_the_last_digit(minimum_from(self.front.program, beside, point), beside)
-                for point in others
-                if point.solved
-            ]
+            others = [self.front.solve(points[0], y, beside) for y in starts]
+            others += [self.front.solve(point, point.y, beside) for point in points]
+            others = [minimum_from(self.front.program, beside, point) for point in others if point.solved]
             found += [points, sorted(others, key=lambda point: point.f)]
         return found
 
     def _toward(self, weights: Vector) -> list[Vector]:
-        """Return the design of the cloud that is nearly the best in the first of the objectives, and best in the next.
+        """Return the design of the archive that is nearly the best in the first objective, and best in the next.
 
         Args:
             weights: of the objectives; the larger, the earlier.
         """
         first, second, _ = np.argsort(-weights)
-        y, scaled = self.cloud.feasible
-        at = self.front.normalised(scaled)
+        y, at = self.archive.feasible
         near = np.flatnonzero(at[:, first] <= at[:, first].min(initial=np.inf) + _NEARLY)
         return [y[near[np.argmin(at[near, second])]]] if len(near) else []
 
@@ -169,83 +170,69 @@ class SurfaceTracer(Reaching):
         objective = int(np.argmin(place))
         return self.front.beside(objective, {k: float(place[k] - place[objective]) for k in range(3) if k != objective})
 
-    def _flood(self, sample: Sample, node: Node, *, reported: bool = True, beaten: bool = True) -> None:
+    def position(self, at: Vector) -> Vector:
+        """Return the parameters that ask for the front's design at the place of normalised objectives."""
+        return self._question_at(at - np.mean(at) + 1.0 / 3.0)
+
+    def _flood(self, one: Candidate, node: Node, *, report: bool = True) -> None:
         """Follow a branch from a node over all nodes that it reaches.
 
         Args:
-            sample: on the branch.
+            one: on the branch.
             node: to begin at.
-            reported: whether failures are reported.
-            beaten: whether to go on where others beat the branch, which it may come out of.
+            report: whether failures are reported, and whether to go on where others beat the branch, which it may come
+                out of.
         """
-        visited: dict[Node, Sample] = {}
-        waiting: deque[tuple[Sample, Node]] = deque([(sample, node)])
+        visited: dict[Node, Candidate] = {}
+        waiting: deque[tuple[Candidate, Node]] = deque([(one, node)])
         seen = {node}
         while waiting:
             near, node = waiting.popleft()
-            found = self._step_to(node, near, self._extrapolated(visited, near, node), reported=reported)
+            found = self._step_to(node, near, self._extrapolated(visited, near, node), report=report)
             if found is None:
                 continue
             visited[node] = found
-            if not beaten and self.is_beaten(found):
+            if not report and self.is_beaten(found):
                 continue
             held = self._is_at(found, node)
-            if held or (node in self._inside and self._is_beside(found, node)):
+            if held or (node in self._inside and off(found.at, node, self._steps) < _BESIDE):
                 for fresh in neighbours(node):
                     if fresh not in seen and (fresh in self._inside or (held and self._near(fresh))):
                         seen.add(fresh)
                         waiting.append((found, fresh))
 
-    def _step_to(self, node: Node, near: Sample, start: Vector, *, reported: bool = True) -> Sample | None:
+    def _step_to(self, node: Node, near: Candidate, start: Vector, *, report: bool = True) -> Candidate | None:
         """Return a new local optimum at a node, None where there is none or another branch has found it."""
-        found = self._sample_at(np.array(node) * self.step / 2.0, near, start, reported=reported)
+        found = self.solve(near, start, self._question(node), report=report)
         others = self._at.setdefault(node, [])
         if found is None or any(found is other for other in others):
             return None
         others.append(found)
         return found
 
-    def _sample_at(self, place: Vector, near: Sample, start: Vector, *, reported: bool = True) -> Sample | None:
-        """Return a local optimum at a place, or at the edge of the front that the place lies beyond."""
-        p = self._question_at(place)
-        point, level = self.optimum(near.point, start, p, near.coarsest, patient=False)
-        if not point.solved:
-            if reported:
-                self.fail(near, point)
-            return None
-        return self.at_the_edge(p, point, level)
-
-    def at_the_edge(self, p: Vector, point: Point, level: int) -> Sample:
-        """Return the sample of an optimum at a position; where the position does not hold it, that of the edge."""
-        if not self.front.holds(point):
-            objective = int(np.argmax(self.front.asked(p)[0][1:]))
-            p, point, level = self._improved(objective, p, point, level)
-        return self.kept(point, p, level)
-
-    def _improved(self, objective: int, p: Vector, point: Point, level: int) -> tuple[Vector, Point, int]:
-        """Return an efficient design at the edge of the front, no worse than an optimum beyond it.
+    def at_the_edge(self, p: Vector, point: Point) -> Candidate:
+        """Return the candidate of an optimum at a position; where the position does not hold it, that of the edge.
 
         The objective that is minimised there may leave the others open.
         """
-        at = self.front.normalised(self.front.objectives(point.y, level))
-        limits = {k: float(at[k]) for k in range(3) if k != objective}
-        better = self.front.below(objective, limits, _OTHERS)
-        found, found_level = self.optimum(point, point.y, better, level, patient=False)
-        return (better, found, found_level) if found.solved else (p, point, level)
+        if not self.front.holds(point):
+            objective = int(np.argmax(self.front.asked(p)[0][1:]))
+            at = self.front.objectives(point.y)
+            better = self.front.below(objective, {k: float(at[k]) for k in range(3) if k != objective}, _OTHERS)
+            found = self.front.solve(point, point.y, better)
+            if found.solved:
+                p, point = better, found
+        return self.kept(point, p)
 
-    def _is_at(self, sample: Sample, node: Node) -> bool:
+    def _is_at(self, one: Candidate, node: Node) -> bool:
         """Return whether a local optimum of a node is on the front at that very position."""
-        return self.is_efficient(sample) and off(sample.at, node, self._steps) < _EXACT
-
-    def _is_beside(self, sample: Sample, node: Node) -> bool:
-        """Return whether a local optimum lies within a step of a node."""
-        return off(sample.at, node, self._steps) < _BESIDE
+        return self.is_efficient(one) and off(one.at, node, self._steps) < _EXACT
 
     def _near(self, node: Node) -> bool:
         return min(node) >= -2 * _BEYOND * self._steps
 
     @staticmethod
-    def _extrapolated(visited: dict[Node, Sample], near: Sample, node: Node) -> Vector:
+    def _extrapolated(visited: dict[Node, Candidate], near: Candidate, node: Node) -> Vector:
         """Return where the branch leads from the node behind the neighbour, or the neighbour."""
         for middle in neighbours(node):
             if visited.get(middle) is near:
@@ -254,92 +241,57 @@ class SurfaceTracer(Reaching):
                     return np.clip(2.0 * near.point.y - behind.point.y, 0.0, 1.0)
         return near.point.y
 
-    def position(self, at: Vector) -> Vector:
-        """Return the parameters that ask for the front's design at the place of normalised objectives."""
-        return self._question_at(at - np.mean(at) + 1.0 / 3.0)
-
-    def uncovered(self, own: Vector, at: Vector) -> NDArray[np.bool_]:
-        """Return which designs lie far from every point, and at a place where none was sought.
+    def uncovered(self, own: Vector, at: Vector) -> Vector:
+        """Return how far designs lie from every point, if that is far, and at a place where none was sought; else 0.
 
         A surface that is a narrow band has few nodes, or none.
         """
-        apart = np.max(np.abs(at[:, None] - own[None]), axis=2).min(axis=1) > _COVERED * self.step
-        places, sought = (rows - rows.mean(axis=1, keepdims=True) for rows in (at, own))
-        away = np.max(np.abs(places[:, None] - sought[None]), axis=2).min(axis=1) > self.step / 2.0
-        return np.asarray(apart & away)
+        from scipy.spatial import KDTree  # slow to import
 
-    def follow_all(self, sample: Sample) -> None:
-        """Follow a branch from the node nearest to a sample."""
-        # Where it comes out from behind others, the cloud has it again.
-        self._flood(sample, nearest(sample.at, self._steps), reported=False, beaten=False)
+        if not len(own):
+            return np.full(len(at), np.inf)
+        apart, _ = KDTree(own).query(at, p=np.inf)
+        far = apart > _COVERED * self.step
+        places, sought = (rows - rows.mean(axis=1, keepdims=True) for rows in (at[far], own))
+        far[far] = KDTree(sought).query(places, p=np.inf)[0] > self.step / 2.0
+        return np.where(far, apart, 0.0)
 
-    def _search_at(self, node: Node) -> None:
-        """Search basins at a node, and follow what is new from there."""
-        p, here = self._question(node), self._at.setdefault(node, [])
-        for y in self.searcher.basins_at(p):
-            sample = self.sample_at(p, y)
-            if not isinstance(sample, Point) and not any(sample is other for other in here):
-                self._flood(sample, node)
-
-    # --- gaps --------------------------------------------------------------------------------------------
-
-    def _on_front(self) -> dict[Node, Sample]:
-        """Return the nodes at which there is an efficient design, with it."""
-        best = self.efficient_ones()
-        return {node: sample for node, own in self._at.items() for sample in own
-                if id(sample) in best and self._is_at(sample, node)}  # fmt: skip
+    def follow_all(self, one: Candidate) -> None:
+        """Follow a branch from the node nearest to a candidate, where the archive has too few designs to lead on."""
+        if not self._looks_beside:
+            self._flood(one, nearest(one.at, self._steps), report=False)
 
     def _fill_gaps(self) -> None:
         """Look for efficient designs at nodes that have none, from every neighbour that has one."""
         tried: set[tuple[Node, Node]] = set()
-        for number in range(_ROUNDS):
-            front = self._on_front()
+        while True:
+            best = {id(one) for one in self.ordered()}
+            front = {node: one for node, own in self._at.items() for one in own
+                     if id(one) in best and self._is_at(one, node)}  # fmt: skip
             fresh = [(node, other) for node in front for other in neighbours(node)
-                     if other not in front and other in self._inside]  # fmt: skip
-            fresh = [pair for pair in fresh if pair not in tried]
+                     if other not in front and other in self._inside and (node, other) not in tried]  # fmt: skip
             for k, (node, other) in enumerate(fresh):
-                self.progress(f"looking into gaps, round {number + 1}", k / len(fresh))
+                self.progress("looking into gaps", k / len(fresh))
                 tried.add((node, other))
-                start = self._extrapolated(front, front[node], other)
-                if not any(self._is_at(sample, other) for sample in self._at.get(other, ())):
-                    self._step_to(other, front[node], start, reported=False)
+                if not any(self._is_at(one, other) for one in self._at.get(other, ())):
+                    self._step_to(other, front[node], self._extrapolated(front, front[node], other), report=False)
             if not fresh:
                 return
 
-    def _refine_edges(self) -> None:
-        """Halve the steps where a part of the front ends."""
-        front = self._on_front()
-        edges = {between(node, other): sample for node, sample in front.items() for other in neighbours(node)
-                 if other in self._at and other not in front}  # fmt: skip
-        for number, (node, sample) in enumerate(edges.items()):
-            self.progress("refining the edges", number / len(edges))
-            self._step_to(node, sample, sample.point.y, reported=False)
+    # --- what makes up the front -------------------------------------------------------------------------
 
-    def _bridge(self) -> None:
-        """Look half-way between the parts of the front: a narrow strip between them may have no node."""
-        tried: set[bytes] = set()
-        for _ in range(_ROUNDS):
-            front = self.ordered()
-            _, holes = parts_of(np.array([sample.at for sample in front]), self.step)
-            for pair in holes:
-                ends = [front[k] for k in pair]
-                middle = np.mean([sample.at for sample in ends], axis=0)
-                place = middle - np.mean(middle) + 1.0 / 3.0
-                if np.round(place, _PLACES).tobytes() not in tried:
-                    tried.add(np.round(place, _PLACES).tobytes())
-                    for sample in ends:
-                        self._sample_at(place, sample, sample.point.y, reported=False)
+    def ordered(self) -> list[Candidate]:
+        """Return the candidates that no other dominates."""
+        own = [one for one in self.sound() if self.is_efficient(one)]
+        return [own[k] for k in sorted(undominated(self.places(own)))]
 
-    def efficient_ones(self) -> set[int]:
-        """Return the identities of the samples that no other dominates."""
-        own = [sample for sample in self.sound() if self.is_efficient(sample)]
-        return {id(own[k]) for k in undominated(np.array([sample.at for sample in own]).reshape(-1, 3))}
-
-    def order(self, samples: Sequence[Sample]) -> Order:
-        """Return how samples make up a front, from the best in the first objective on."""
-        at, step = np.array([sample.at for sample in samples]), self.step
-        own = np.flatnonzero([self.is_efficient(sample) for sample in samples])
-        order = own[undominated(at[own])]
+    def order(self, candidates: Sequence[Candidate]) -> Order:
+        """Return how candidates make up a front, from the best in the first objective on."""
+        at, step = self.places(candidates), self.step
+        own = np.flatnonzero([self.is_efficient(one) for one in candidates])
+        order = np.sort(own[undominated(at[own])])
+        if not len(order):
+            return Order(frozenset(), (), (), ())
         parts, ends = parts_of(at[order], step)
         anchors = np.argmin(at[order] @ IN_TURN.T, axis=0)
         rank = lattice(at[order], self._steps)
@@ -354,11 +306,6 @@ class SurfaceTracer(Reaching):
             tuple(tuple(sorted(number[row] for row in part if row in number)) for part in parts),
             tuple((number[a], number[b]) for a, b in ends),
         )
-
-    def ordered(self) -> list[Sample]:
-        """Return the samples that no other dominates."""
-        best = self.efficient_ones()
-        return [sample for sample in self.found if id(sample) in best]
 
     def look_inward(self) -> None:
         """Keep edge points unchanged; their weights already give the trade-off rates."""

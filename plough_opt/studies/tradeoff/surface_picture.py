@@ -13,9 +13,9 @@ from matplotlib.ticker import MaxNLocator
 from matplotlib.tri import Triangulation
 
 from plough_opt.core.picture_files import COLOURS
+from plough_opt.studies.tradeoff.domination import ACROSS
 from plough_opt.studies.tradeoff.goal import Axis
 from plough_opt.studies.tradeoff.picture import MUTED, Drawing, beside_panels, places_of, range_of
-from plough_opt.studies.tradeoff.space import ACROSS
 
 # Triangles with a side longer than so many times the usual one lie across a hole.
 _LONGEST: Final = 3.0

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from plough_opt.design.ipopt import Vector
 from plough_opt.design.landscape import FEASIBLE, Landscape
 from plough_opt.design.tolerance import NEEDLE, boxes
+from plough_opt.studies.tradeoff.domination import beyond_points
 from plough_opt.studies.tradeoff.program import FrontProgram
 
 # Factor on the steps of a search. Where a share oscillates fast on a stiff mount, those leave an error of a few parts
@@ -15,9 +16,11 @@ from plough_opt.studies.tradeoff.program import FrontProgram
 _FINER = 2.0
 # Looks at so many designs and more are kept whole: searches of several objectives begin with the same sample.
 _A_SAMPLE = 200
+# Designs that are held against their tolerances at once.
+_MOST_JUDGED = 100
 
 
-class Cloud:
+class Archive:
     """All designs that were looked at.
 
     Attributes:
@@ -31,9 +34,15 @@ class Cloud:
         self.tried = 0
         self._bare = Landscape(front.program, front.nowhere())
         self._position = front.program.owner[front.rows[0]]
-        self._parts: list[tuple[Vector, Vector]] = []
+        # Scaled variables and objectives of the designs that meet the requirements.
+        self._designs = np.empty((0, self._bare.dimensions))
+        self._objectives = np.empty((0, front.count))
+        self._fresh: list[tuple[Vector, Vector]] = []
         self._samples: dict[bytes, tuple[Vector, Vector]] = {}
         self._medians: dict[bytes, Vector] = {}
+        # Of each design by how much it is better than all optima that it was held against, and these.
+        self._beyond = np.empty(0)
+        self._against: dict[int, Vector] = {}
 
     @property
     def vectorised(self) -> bool:
@@ -71,22 +80,42 @@ class Cloud:
             each = self._bare.violations(rows / np.array(program.scales)[np.array(program.owner)])
             each[:, self._position] = 0.0
             good = np.all(np.isfinite(objectives), axis=1) & (each.sum(axis=1) <= FEASIBLE)
-        self._parts.append((points[good], objectives[good]))
+        self._fresh.append((points[good], objectives[good]))
 
     @property
     def feasible(self) -> tuple[Vector, Vector]:
-        """Scaled variables, and scaled objectives, of all designs that meet the requirements."""
-        count = self.front.count
-        empty = np.empty((0, self._bare.dimensions)), np.empty((0, count))
-        parts = [empty, *self._parts]
-        return np.concatenate([y for y, _ in parts]), np.concatenate([f for _, f in parts])
+        """Scaled variables, and normalised objectives, of all designs that meet the requirements."""
+        if self._fresh:
+            designs, objectives = zip(*self._fresh, strict=True)
+            self._designs = np.concatenate([self._designs, *designs])
+            self._objectives = np.concatenate([self._objectives, *objectives])
+            self._fresh = []
+        return self._designs, self.front.normalised(self._objectives)
 
     def best_at(self, p: Vector) -> Vector | None:
         """Return the design that is best by what parameters ask, of those that meet it; None without one."""
-        y, scaled = self.feasible
+        y, at = self.feasible
         weights, normals, limits = self.front.asked(p)
+        scaled = self.front.scaled(at)
         met = np.flatnonzero(np.all(scaled @ normals.T <= limits, axis=1))
         return np.asarray(y[met[np.argmin(scaled[met] @ weights[1:])]]) if len(met) else None
+
+    def beyond(self, optima: dict[int, Vector]) -> Vector:
+        """Return by how much each feasible design is better than all optima; infinite without one.
+
+        Args:
+            optima: normalised objectives of optima, by identities: of those that it was held against before none is
+                taken away.
+        """
+        _, at = self.feasible
+        fresh = {key: place for key, place in optima.items() if key not in self._against}
+        self._against |= fresh
+        known = len(self._beyond)
+        if fresh:
+            self._beyond = np.minimum(self._beyond, beyond_points(np.array(list(fresh.values())), at[:known]))
+        every = np.array(list(self._against.values())).reshape(-1, self.front.count)
+        self._beyond = np.r_[self._beyond, beyond_points(every, at[known:])]
+        return self._beyond
 
     # --- designs as they are made --------------------------------------------------------------------------
 
@@ -100,15 +129,16 @@ class Cloud:
             return None
         keys = [point.tobytes() for point in points]
         fresh = [k for k, key in enumerate(keys) if key not in self._medians]
-        if fresh:
-            around = boxes(self.front.program.declared.variables, points[fresh])
+        for first in range(0, len(fresh), _MOST_JUDGED):
+            part = fresh[first : first + _MOST_JUDGED]
+            around = boxes(self.front.program.declared.variables, points[part])
             found = self.front.look(around, 1.0, 1)[0]
             self.tried += len(around)
-            found = np.where(np.isfinite(found), found, np.inf).reshape(len(fresh), -1, self.front.count)
-            self._medians |= {keys[k]: median for k, median in zip(fresh, np.median(found, axis=1), strict=True)}
+            found = np.where(np.isfinite(found), found, np.inf).reshape(len(part), -1, self.front.count)
+            self._medians |= {keys[k]: median for k, median in zip(part, np.median(found, axis=1), strict=True)}
         return np.array([self._medians[key] for key in keys]).reshape(-1, self.front.count)
 
-    def needles(self, points: Vector, objectives: Vector) -> NDArray[np.bool_]:
+    def needles(self, points: Vector, at: Vector) -> NDArray[np.bool_]:
         """Return which designs no workshop can hit, none where that takes too long to look at.
 
         They are those whose median of some objective over the tolerances is above its own by more than 5 % of it and
@@ -116,29 +146,29 @@ class Cloud:
 
         Args:
             points: scaled variables, a row for each.
-            objectives: their scaled objectives.
+            at: their normalised objectives.
         """
         medians = self.medians(points)
         if medians is None:
             return np.zeros(len(points), dtype=bool)
-        much = NEEDLE * np.maximum(np.abs(objectives), self.front.span)
-        needles: NDArray[np.bool_] = np.any(medians - objectives > much, axis=1)
+        own = self.front.scaled(at)
+        needles: NDArray[np.bool_] = np.any(medians - own > NEEDLE * np.maximum(np.abs(own), self.front.span), axis=1)
         return needles
 
 
 class FrontLandscape(Landscape):
     """A question of the front's program over the scaled variables, its designs kept with all their objectives."""
 
-    def __init__(self, cloud: Cloud, p: Vector) -> None:
-        """Take the cloud that keeps the designs, and the parameters that ask."""
-        super().__init__(cloud.front.program, p)
-        self._cloud, self._asked = cloud, cloud.front.asked(p)
+    def __init__(self, archive: Archive, p: Vector) -> None:
+        """Take the archive that keeps the designs, and the parameters that ask."""
+        super().__init__(archive.front.program, p)
+        self._archive, self._asked = archive, archive.front.asked(p)
 
     def rows(self, points: Vector, *, finer: float = 1.0, together: int = 1) -> tuple[Vector, Vector]:
         """Return the scaled objective and requirements, a row for each design."""
         self.tried += len(points)
-        objectives, g = self._cloud.look(points, finer=finer, together=together)
+        objectives, g = self._archive.look(points, finer=finer, together=together)
         weights, normals, limits = self._asked
         g = g.copy()
-        g[:, self._cloud.front.rows] = objectives @ normals.T - limits
+        g[:, self._archive.front.rows] = objectives @ normals.T - limits
         return (weights[0] + objectives @ weights[1:]) / self.objective_scale, g / self._scale

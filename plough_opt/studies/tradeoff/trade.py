@@ -17,14 +17,15 @@ from plough_opt.core.kinds import check_callable, check_kind, check_switch, mapp
 from plough_opt.design import Design, Progress
 from plough_opt.design.effort import Search
 from plough_opt.design.ipopt import Point
+from plough_opt.studies.tradeoff.archive import Archive
 from plough_opt.studies.tradeoff.assembly import Times, assembled
-from plough_opt.studies.tradeoff.cloud import Cloud
+from plough_opt.studies.tradeoff.curve import CurveTracer
 from plough_opt.studies.tradeoff.goal import Goal
 from plough_opt.studies.tradeoff.program import FrontProgram, declarations
 from plough_opt.studies.tradeoff.result import TradeOff
 from plough_opt.studies.tradeoff.searching import Searcher
 from plough_opt.studies.tradeoff.surface import SurfaceTracer
-from plough_opt.studies.tradeoff.tracing import Tracer
+from plough_opt.studies.tradeoff.tracer import Tracer
 
 _FEWEST, _MOST = 5, 1000
 _REFINEMENTS = 4
@@ -109,8 +110,8 @@ def trade_off(
     front = _built(design, goals, compiled)
     front.prepare(_checked(front, parameters))
     building = time.perf_counter() - started
-    kind = Tracer if len(goals) == 2 else SurfaceTracer
-    tracer = kind(front, Searcher(Cloud(front), search, notify), int(points), notify)
+    kind = CurveTracer if len(goals) == 2 else SurfaceTracer
+    tracer = kind(front, Searcher(Archive(front), search, notify), int(points), notify)
     anchors = _anchors(front, tracer)
     idle = _normalise(front, anchors)
     if len(idle) == 1 and len(goals) == 3:
@@ -122,14 +123,15 @@ def trade_off(
     if idle:
         # An objective that conflicts with none leaves the design to one that may.
         number = next((k for k in range(len(anchors)) if k // (len(anchors) // len(goals)) not in idle), 0)
-        sizes = np.abs(front.objectives(anchors[number][0].y))
+        best = anchors[number][0]
+        sizes = np.abs(front.scaled(front.objectives(best.y)))
         front.normalise(np.zeros(len(goals)), np.maximum(sizes, _SMALLEST))
-        tracer.kept(anchors[number][0], tracer.orders()[number], tracer.level_of_anchors)
+        tracer.kept(best, tracer.orders()[number])
     else:
         tracer.trace(anchors)
         _refine(tracer, front, notify)
         tracer.look_inward()
-    tracer.add_unconfirmed()
+        tracer.add_unconfirmed()
     notify("checking", 0.0)
     return assembled(front, tracer, goals, title, Times(started, building))
 
@@ -148,45 +150,41 @@ def _built(design: Design, goals: Sequence[Goal], compiled: bool) -> FrontProgra
     return front
 
 
-def _anchors(front: FrontProgram, tracer: Tracer | SurfaceTracer) -> list[list[Point]]:
-    """Return all local optima of each objective alone, with enough integration steps for the wanted error."""
-    starts = tracer.begin()
-    for _ in range(_REFINEMENTS):
-        found = tracer.all_anchors(starts)
-        for number, points in enumerate(found):
-            if not points:
-                raise NotConverged(
-                    f"objective number {1 + number * front.count // len(found)} alone has no optimum that the optimiser"
-                    " finds: check the bounds, or search more thoroughly",
-                    "no optimum",
-                )
-        if all(front.accurate(point.y) for points in found for point in points):
-            break
-        front.refine()
+def _anchors(front: FrontProgram, tracer: CurveTracer | SurfaceTracer) -> list[list[Point]]:
+    """Return all local optima of each objective alone."""
+    found = tracer.all_anchors(tracer.begin())
+    for number, points in enumerate(found):
+        if not points:
+            raise NotConverged(
+                f"objective number {1 + number * front.count // len(found)} alone has no optimum that the optimiser"
+                " finds: check the bounds, or search more thoroughly",
+                "no optimum",
+            )
     return found
 
 
 def _normalise(front: FrontProgram, anchors: Sequence[Sequence[Point]]) -> list[int]:
-    """Normalise the objectives by their anchors; return those that are at their best at every anchor."""
-    ends = np.array([front.objectives(points[0].y) for points in anchors])
+    """Return the objectives that are at their best at every anchor; without one normalise by the anchors."""
+    ends = np.array([front.scaled(front.objectives(points[0].y)) for points in anchors])
     low, high = ends.min(axis=0), ends.max(axis=0)
-    front.normalise(low, high - low)
     apart = (high - low) / np.maximum(1e-3, np.max(np.abs(ends), axis=0))
     front.rounded_off = float(np.max(apart[apart < _NONE], initial=0.0))
-    return [int(k) for k in np.flatnonzero(apart < _NONE)]
+    idle = [int(k) for k in np.flatnonzero(apart < _NONE)]
+    if not idle:
+        front.normalise(low, high - low)
+    return idle
 
 
-def _refine(tracer: Tracer | SurfaceTracer, front: FrontProgram, notify: Progress) -> None:
+def _refine(tracer: Tracer, front: FrontProgram, notify: Progress) -> None:
     """Solve what makes up the front to the last digits, by as many integration steps as the wanted error takes."""
-    for refinement in range(_REFINEMENTS + 1):
+    for refinement in range(_REFINEMENTS):
         chosen = tracer.chosen()
         tracer.to_the_last_digits(chosen)
-        coarse = [sample for sample in chosen if not front.accurate(sample.point.y, sample.level)]
-        if not coarse or refinement == _REFINEMENTS:
+        if all(front.accurate(one.point.y) for one in chosen if one.exact):
             return
         notify("refining", (refinement + 1) / _REFINEMENTS)
         front.refine()
-        tracer.solve_again()
+        tracer.to_the_last_digits(tracer.found, again=True)
 
 
 def _checked(front: FrontProgram, changed: Mapping[str, float]) -> dict[str, float]:

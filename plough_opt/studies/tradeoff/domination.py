@@ -1,45 +1,93 @@
-"""By how much designs are better than a traced front: ends, branches and basins that it misses.
+"""Which designs beat others, and by how much designs are better than a front.
 
 All objectives are normalised and minimised, a row for each design.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 from numpy.typing import NDArray
 
-from plough_opt.studies.tradeoff.plane import JOINED, Array
-from plough_opt.studies.tradeoff.space import ACROSS, TOGETHER
+Array = NDArray[np.float64]
+
+EQUAL = 1e-7
+"""Normalised differences below are rounding of the solves."""
+
+JOINED = 1.5
+"""Steps between neighbours of a curve above this many are a gap."""
+
+TOGETHER = 1.75
+"""Steps between places within which two points of a surface belong to one part."""
+
+ACROSS = np.array([[1.0, 1.0], [-1.0, 1.0], [0.0, -2.0]]) / np.sqrt([2.0, 6.0])
+"""Two directions across (1, 1, 1), as columns."""
 
 # Designs that are compared with a front at once.
 _CHUNK = 20_000
+
+
+def undominated(designs: Array, tolerance: float = EQUAL) -> NDArray[np.intp]:
+    """Return rows that no row dominates, and of which none is better than another by less than a tolerance.
+
+    The rows with the least sums come first, and rows give way to kept ones only: of three that beat each other by
+    rounding one stays.
+    """
+    left = np.argsort(designs.sum(axis=1), kind="stable")
+    columns = designs[left].T.copy()
+    kept: list[int] = []
+    while len(left):
+        kept.append(int(left[0]))
+        better = columns[0] < columns[0, 0] - tolerance
+        for own in columns[1:]:
+            better |= own < own[0] - tolerance
+        left, columns = left[better], columns[:, better]
+    return np.array(kept, dtype=np.intp)
+
+
+def in_order(objectives: Array) -> NDArray[np.intp]:
+    """Return the rows of two objectives that no other row dominates, from the best in the first objective on."""
+    best = undominated(objectives)
+    return best[np.argsort(objectives[best, 0], kind="stable")]
 
 
 def beyond_points(front: Array, designs: Array) -> Array:
     """Return by how much each design is better than every point of a front in the objective in which it is least so.
 
     Args:
-        front: rows.
+        front: rows; without one every design is infinitely better.
         designs: rows to compare.
     """
     found = np.empty(len(designs))
-    for first in range(0, len(designs), _CHUNK):
-        part = designs[first : first + _CHUNK]
-        found[first : first + _CHUNK] = _behind(front, part).min(axis=1)
+    for rows, behind in _behind(front, designs, np.maximum):
+        found[rows] = behind.min(axis=1, initial=np.inf)
     return found
 
 
-def _behind(front: Array, designs: Array) -> Array:
-    """Return the largest objective that each point (a column) has more than each design (a row)."""
-    # Objective by objective: NumPy reduces a short axis slowly.
-    worst = front[:, 0] - designs[:, :1]
-    for k in range(1, front.shape[1]):
-        np.maximum(worst, front[:, k] - designs[:, k : k + 1], out=worst)
-    return worst
+def beating(front: Array, designs: Array) -> tuple[NDArray[np.intp], Array]:
+    """Return for each point of a front the design that beats it most, and by how much in the objective least beaten."""
+    most, by = np.zeros(len(front), dtype=np.intp), np.full(len(front), -np.inf)
+    for rows, behind in _behind(front, designs, np.minimum):
+        own = np.argmax(behind, axis=0)
+        better = behind[own, np.arange(len(front))] > by
+        most[better], by[better] = rows.start + own[better], behind[own, np.arange(len(front))][better]
+    return most, by
+
+
+def _behind(front: Array, designs: Array, extreme: np.ufunc) -> Iterator[tuple[slice, Array]]:
+    """Yield some designs, and of the objectives that each point (a column) has more than each of them an extreme."""
+    for first in range(0, len(designs), _CHUNK):
+        part = designs[first : first + _CHUNK]
+        # Objective by objective: NumPy reduces a short axis slowly.
+        behind = front[:, 0] - part[:, :1]
+        for k in range(1, front.shape[1]):
+            extreme(behind, front[:, k] - part[:, k : k + 1], out=behind)
+        yield slice(first, first + len(part)), behind
 
 
 def beyond_front(front: Array, designs: Array, step: float) -> Array:
-    """Return the same beyond the points and the straight lines, or triangles, between neighbours among them.
+    """Return the same as `beyond_points` beyond the lines, or triangles, between neighbours, too.
 
     Where a surface has no triangle, at its edges and in its holes, half a step beyond the points is none beyond it: so
     far apart are the points of an edge.
@@ -54,32 +102,6 @@ def beyond_front(front: Array, designs: Array, step: float) -> Array:
         return np.minimum(points, _under_curve(front, designs, step))
     under = _under_surface(front, designs, step)
     return np.where(np.isfinite(under), np.minimum(points, under), points - step / 2.0)
-
-
-def beating(front: Array, designs: Array) -> Array:
-    """Return by how much each design is better in all objectives than the point that it beats most; below 0: none."""
-    found = np.empty(len(designs))
-    for first in range(0, len(designs), _CHUNK):
-        part = designs[first : first + _CHUNK]
-        least = front[:, 0] - part[:, :1]
-        for k in range(1, front.shape[1]):
-            np.minimum(least, front[:, k] - part[:, k : k + 1], out=least)
-        found[first : first + _CHUNK] = least.max(axis=1)
-    return found
-
-
-def thinned(designs: Array, tolerance: float) -> NDArray[np.intp]:
-    """Return rows of which none is better than another by less than a tolerance, and that no row dominates."""
-    left = np.argsort(designs.sum(axis=1), kind="stable")
-    columns = designs[left].T.copy()
-    kept: list[int] = []
-    while len(left):
-        kept.append(int(left[0]))
-        better = columns[0] < columns[0, 0] - tolerance
-        for own in columns[1:]:
-            better |= own < own[0] - tolerance
-        left, columns = left[better], columns[:, better]
-    return np.array(kept, dtype=np.intp)
 
 
 def _under_curve(front: Array, designs: Array, step: float) -> Array:

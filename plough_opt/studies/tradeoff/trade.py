@@ -57,9 +57,9 @@ def trade_off(
     optima of each objective alone, at positions that are evenly spread in the normalised objectives, on a line for two
     of them and on a lattice for three, which goes on beyond the anchors' triangle to the edges of the surface. Unlike a
     weighted sum it finds the concave parts of a front. Ends and branches come from a sample of
-    all variables, evolution and descents, for each objective alone and at positions between them; then every design
-    that was looked at and is better than the front, by 0.1 % of the ranges and of a surface by 0.5 % or half a step at
-    its edges, is followed, unless it is a needle. What no search saw stays unknown. For example::
+    all variables, evolution and descents; then every design that was looked at and is better than the front, by 0.05 %
+    of the ranges and than the triangles of a surface by 0.5 %, is followed, unless it is a needle, and stands in the
+    front as unconfirmed where no optimum lies beside it. What no search saw stays unknown. For example::
 
         radius = po.Goal("loosened radius", po.loosened_radius(cone, soil), unit="m", maximise=True)
         front = po.trade_off(d, po.Goal("draft", run.mean_draft, unit="N"), radius)

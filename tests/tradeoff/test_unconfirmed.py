@@ -1,0 +1,56 @@
+"""Where an optimum is a needle, the best designs that can be made lie at its edge, and are not optima."""
+
+import csv
+
+import casadi as ca
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+
+import plough_opt as po
+
+# The search around needles takes a minute.
+pytestmark = pytest.mark.slow
+
+# Depth and width of a dip in the second objective: the tolerance, 0.3 % of a range of 1, is 1.5 times the width.
+DEPTH, WIDTH = 0.5, 0.002
+
+
+@pytest.fixture(scope="module")
+def front():
+    """Front of x against 2 - x, lower in a dip along z that is too narrow to be hit."""
+    d = po.Design()
+    x, z = d.variable("x", guess=0.4, lower=0.0, upper=1.0), d.variable("z", guess=0.47, lower=0.0, upper=1.0)
+    dip = DEPTH * ca.exp(-(((z - 0.5) / WIDTH) ** 2))
+    return po.trade_off(d, po.Goal("a", x), po.Goal("b", 2.0 - x - dip), points=9)
+
+
+def test_designs_at_the_edge_of_a_needle_stand_in_the_front_and_are_named(front):
+    assert len(front.needles) > 2
+    for needle in front.needles:
+        # Only in the dip is a design better than 2 - x.
+        assert abs(needle.variables["z"] - 0.5) < 3.0 * WIDTH
+    edge = [point for point in front.points if not point.confirmed]
+    assert len(edge) > 2
+    for point in edge:
+        x, z = point.variables["x"], point.variables["z"]
+        assert not point.needle
+        assert point.rate is None
+        assert point.doubt == ""
+        # As it is simulated: to rounding.
+        assert point.objectives == pytest.approx((x, 2.0 - x - DEPTH * np.exp(-(((z - 0.5) / WIDTH) ** 2))), rel=1e-12)
+        # By definition of a needle, with a range of 1 and values of at most 2.
+        assert point.medians[1] - point.objectives[1] <= 0.05 * 2.0
+    assert any(f"{len(edge)} of {len(front.points)} designs are unconfirmed" in note for note in front.notes)
+    assert not any("are needles: within" in note and note.startswith(f"{len(front.points)} of") for note in front.notes)
+
+
+def test_files_tables_and_pictures_tell_them_apart(front, tmp_path):
+    count = sum(not point.confirmed for point in front.points)
+    with front.to_csv(tmp_path / "front.csv").open(encoding="utf-8", newline="") as file:
+        assert [row["status"] for row in csv.DictReader(file)].count("unconfirmed") == count
+    assert po.load(front.save(tmp_path / "front.json")).points == front.points
+    assert str(front).count("unconfirmed") > 1
+    axes = front.plot(Figure().subplots())
+    (drawn,) = [line for line in axes.lines if line.get_label() == "unconfirmed"]
+    assert len(drawn.get_xdata()) == count

@@ -9,13 +9,17 @@ from plough_opt.app import main
 
 ROOT = Path(__file__).parents[1]
 TEXT = (ROOT / "docs" / "results.md").read_text(encoding="utf-8")
-BLOCKS = dict(re.findall(r"```(\w+)\n(.*?)```", TEXT, flags=re.DOTALL))
 
 
-def test_python_block_runs(capsys, monkeypatch, tmp_path):
+def code(language):
+    """Return the page's blocks in a language, one after the other."""
+    return "".join(re.findall(rf"```{language}\n(.*?)```", TEXT, flags=re.DOTALL))
+
+
+def test_python_blocks_run(capsys, monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
     names = {}
-    exec(BLOCKS["python"], names)
+    exec(code("python"), names)
     shown = capsys.readouterr().out
     assert "at least 120 mm" in shown
     assert "'lower': 0.1" in shown
@@ -25,7 +29,7 @@ def test_python_block_runs(capsys, monkeypatch, tmp_path):
 def test_shell_lines_run(capsys, monkeypatch, tmp_path):
     shutil.copytree(ROOT / "problems", tmp_path / "problems")
     monkeypatch.chdir(tmp_path)
-    for line in BLOCKS["sh"].splitlines():
+    for line in code("sh").splitlines():
         command, _, output = line.partition(" > ")
         assert main(shlex.split(command)[1:]) == 0
         shown = capsys.readouterr().out

@@ -51,6 +51,7 @@ def check(cost, folder, capsys):
         assert study.advice in printed
 
 
+@pytest.mark.slow
 def test_short_versions_of_the_scenes(cost, tmp_path, monkeypatch, capsys):
     short = {
         name: (dataclasses.replace(scene, stiffness=min(scene.stiffness, 2e5)), duration / 20.0)

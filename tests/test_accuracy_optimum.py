@@ -236,6 +236,7 @@ def test_an_orbit_is_solved_by_harmonics_and_by_shooting(r1_soil, r1_wave, monke
     assert all("Newton's method" in entry.failure for entry in entries_of(contest, "compiled"))
 
 
+@pytest.mark.slow
 def test_a_share_that_sticks_is_solved_by_what_finds_events(r1_soil, r1_wave, monkeypatch):
     monkeypatch.setattr(compiler, "find_compiler", lambda: None)
     d = short(r1_soil, r1_wave, duration=0.1, objective=lambda run: run.mean_draft / 1e3, contact=po.StickSlip())

@@ -170,6 +170,7 @@ def test_the_knee_of_the_triangle(convex, sphere):
 # --- shapes that are not whole ------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_hole_between_two_parts():
     d = po.Design()
     x = d.variable("x", guess=0.2, lower=0.0, upper=1.0)
@@ -197,6 +198,7 @@ def test_a_tail_that_gains_little_is_followed_to_its_end():
     assert np.max(np.diff(np.sort(np.r_[0.0, front.objectives[:, 0], 1.0]))) < 4.0 / 3.0 * step
 
 
+@pytest.mark.slow  # half a minute
 @pytest.mark.xfail(reason="a sheet that lies behind the front everywhere is not followed", strict=True)
 def test_what_is_dominated_stays_visible():
     d = po.Design()

@@ -71,8 +71,12 @@ class Search:
         if self.polished < self.basins:
             text += f", of which the {self.polished} that could be best were optimised"
         if self.unseen_basins is None:
-            return f"{text}. How many more there may be is not estimated: {self.followed} designs drawn at random led" \
-                f" to {self.reached} of them."  # fmt: skip
+            why = (
+                f"{self.followed} designs drawn at random led to {self.reached} of them"
+                if self.followed
+                else "no design drawn at random was followed to its basin"
+            )
+            return f"{text}. How many more there may be is not estimated: {why}."
         return (
             f"{text}. {self.followed} designs drawn at random led to {self.reached} of them, by which about"
             f" {self.unseen_basins:.2g} more are expected, in {100.0 * (self.unseen_volume or 0.0):.2g} % of the volume"

@@ -48,6 +48,9 @@ def apply_override(source: Source, text: str) -> str:
     if keys == [TABLE]:
         choose_share(source, value)
         return ""
+    shares = source.data.get(TABLE)
+    if keys[0] == TABLE and isinstance(shares, dict) and shares and keys[1] not in shares:
+        raise InputError(f"--set {text}: no share is named {short(repr(keys[1]))}: {nearest(keys[1], shares)}")
     place: Any = source.data
     for depth, key in enumerate(keys[:-1], start=1):
         if key not in place:

@@ -190,6 +190,8 @@ def test_a_mistake_is_named_with_its_line(tmp_path, old, new, said):
 def test_an_unknown_share_is_refused(tmp_path):
     with pytest.raises(po.InputError, match="did you mean 'rear'"):
         read(tmp_path, TWO, "shares=reer")
+    with pytest.raises(po.InputError, match="did you mean 'rear'"):
+        read(tmp_path, TWO, "shares.reer.soil.cohesion=3 kPa")
     with pytest.raises(po.InputError, match="no share is named"):
         read(tmp_path, FRAME, "shares=rear")
 

@@ -42,7 +42,7 @@ _ENDS_OF_ENTRY: Final = {SLIP: "retreat", GAP: "advance"}
 
 @dataclass(frozen=True)
 class _Graphs:
-    """What a structure's motion is computed by, in wide floats."""
+    """Functions that compute a structure's motion in wide floats."""
 
     rates: WideGraph
     events: WideGraph

@@ -270,7 +270,7 @@ def _versions() -> dict[str, str]:
 
 
 def _check(wanted: float, title: str, progress: Progress | None, **switches: bool) -> None:
-    """Refuse a wanted error out of range, and what is no title, no function, or neither on nor off."""
+    """Refuse a wanted error out of range, and a title, function or switch of another type."""
     check_text("title", title)
     if progress is not None:
         check_callable("progress", progress, "of what is done and the part done")

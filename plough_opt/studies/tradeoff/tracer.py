@@ -1,4 +1,4 @@
-"""What the archive has and a front misses: its ends, branches and basins are followed, or stand in it as they are."""
+"""Follow ends, branches and basins of the archive that a front misses, or add them to it as they are."""
 
 from __future__ import annotations
 

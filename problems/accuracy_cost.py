@@ -9,8 +9,6 @@ derivatives too, but for the stiff mount, where their reference would take minut
 every figure.
 """
 
-from __future__ import annotations
-
 import argparse
 import dataclasses
 import math

@@ -11,8 +11,6 @@ and soil of 1300 kg/m^3 with b1 below 0.49 would be locked denser than its own g
 0.2 and 0.4 are arithmetic and not soil.
 """
 
-from __future__ import annotations
-
 import argparse
 import math
 from collections.abc import Callable, Sequence

@@ -14,8 +14,6 @@ speed is added. Ballast saves slip and costs rolling resistance. A stiff mount o
 where a share gives way to a stone.
 """
 
-from __future__ import annotations
-
 import argparse
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

@@ -6,8 +6,6 @@ three follow from the others, because a limit holds exactly where only cost grow
 loosens the whole width, the tube that just bears its load, the slip that just pulls.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from itertools import pairwise
 from types import SimpleNamespace

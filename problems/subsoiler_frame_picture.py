@@ -1,7 +1,5 @@
 """The picture of `subsoiler_frame`: the machine across its width, its forces, its tubes, and its best spacing."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 from types import SimpleNamespace

@@ -1,7 +1,5 @@
 """The options of a comparison with other draft models, read from quantities with units."""
 
-from __future__ import annotations
-
 import argparse
 from typing import Any, Final
 

@@ -1,7 +1,5 @@
 """The motion of a run as a picture that moves: GIF for slides, HTML to play and step."""
 
-from __future__ import annotations
-
 import io
 import math
 from pathlib import Path

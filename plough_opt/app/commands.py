@@ -1,7 +1,5 @@
 """The commands: each reads, computes and reports; files are written last, when nothing can fail any more."""
 
-from __future__ import annotations
-
 import argparse
 import dataclasses
 import json

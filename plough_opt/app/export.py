@@ -1,7 +1,5 @@
 """`plough-opt export`: a file's scene for other tools, and its share as a part."""
 
-from __future__ import annotations
-
 import argparse
 import json
 from functools import partial

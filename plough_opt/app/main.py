@@ -4,8 +4,6 @@ Exit status: 0 solved; 1 the problem has no solution, or none was found; 2 the i
 goes on when it is asked again.
 """
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 import io

@@ -1,7 +1,5 @@
 """Messages on the error stream: notes and files written, with -v each step of a computation, with -q only errors."""
 
-from __future__ import annotations
-
 import argparse
 import logging
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """Options of `plough-opt export --to stl | gltf | dxf | step`, and the best design of a file, whose part is written."""
 
-from __future__ import annotations
-
 import argparse
 from collections.abc import Callable
 from typing import Final

@@ -1,7 +1,5 @@
 """Pictures: the share with its equivalent cone, the response over time, the search for an optimum."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 

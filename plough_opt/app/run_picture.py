@@ -1,7 +1,5 @@
 """A run over time: forces, deflection and speed, in the units of its question, with the limits that it must keep."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """`plough-opt schema` and `plough-opt completion`: what editors and shells complete by."""
 
-from __future__ import annotations
-
 import argparse
 import json
 

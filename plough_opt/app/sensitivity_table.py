@@ -1,7 +1,5 @@
 """The table of what an optimum owes to every quantity of its file, and to the limits that decide it."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

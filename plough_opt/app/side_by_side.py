@@ -1,7 +1,5 @@
 """Pictures of designs and of runs side by side."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Mapping, Sequence
 

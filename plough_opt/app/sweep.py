@@ -1,7 +1,5 @@
 """`plough-opt sweep`: a file's scene or design over a grid or a sample."""
 
-from __future__ import annotations
-
 import argparse
 import hashlib
 import json

@@ -1,7 +1,5 @@
 """The command `optimise` for a file with an uncertain soil: the robust optimum beside the nominal one."""
 
-from __future__ import annotations
-
 import argparse
 
 from plough_opt.app.terminal import give, progress

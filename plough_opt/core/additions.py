@@ -1,7 +1,5 @@
 """Additions from outside the package: modules that installed packages name, for the command line and for sweeps."""
 
-from __future__ import annotations
-
 from importlib.metadata import entry_points
 from typing import Final
 

@@ -1,7 +1,5 @@
 """C source to a loaded library, by the system's own compiler, kept in the user's cache."""
 
-from __future__ import annotations
-
 import ctypes
 import hashlib
 import os

@@ -1,7 +1,5 @@
 """Rows of CSV files whose headings name columns and their units, with limits on size and every mistake's place."""
 
-from __future__ import annotations
-
 import csv
 import math
 import re

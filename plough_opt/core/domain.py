@@ -1,7 +1,5 @@
 """Checks of numbers against the domain in which the equations hold."""
 
-from __future__ import annotations
-
 import math
 from typing import Any, Final
 

@@ -1,7 +1,5 @@
 """The toolkit's errors, whose messages say what to do; all of them are `PloughError`."""
 
-from __future__ import annotations
-
 import difflib
 import unicodedata
 from collections.abc import Iterable

@@ -4,8 +4,6 @@ CasADi symbols must never be passed to ``math.*`` or ``np.*`` (``math.sin`` of a
 every formula of the toolkit is written with the functions of this file.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 import numbers

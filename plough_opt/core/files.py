@@ -1,7 +1,5 @@
 """Files, written whole or not at all: first beside their places, and moved there once all of them are complete."""
 
-from __future__ import annotations
-
 import json
 import os
 import re

@@ -1,7 +1,5 @@
 """Lines on the progress of a long computation, for streams that are not terminals."""
 
-from __future__ import annotations
-
 import contextlib
 import threading
 import time

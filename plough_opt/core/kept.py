@@ -1,7 +1,5 @@
 """Results as JSON: what made them, what they showed of themselves, and their fields, from which they are made again."""
 
-from __future__ import annotations
-
 import json
 import sys
 from pathlib import Path

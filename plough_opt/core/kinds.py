@@ -1,7 +1,5 @@
 """Checks of the types of arguments, before anything is computed from them; messages name the argument."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping, Sequence
 from os import PathLike
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Labels in a CasADi graph, by which a design finds the meaning of values in it."""
 
-from __future__ import annotations
-
 import threading
 from collections import OrderedDict
 from collections.abc import Callable, Hashable, Iterator, Sequence

@@ -4,8 +4,6 @@ CasADi prints for every integrator with events, and for its derivatives, that th
 the toolkit gets these lines on its own stream; a user of the commands does not need them.
 """
 
-from __future__ import annotations
-
 import sys
 import threading
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """Dataclasses as the plain data that JSON has, and back by their annotations, strictly: no text passes for a number."""
 
-from __future__ import annotations
-
 import inspect
 import sys
 from collections.abc import Callable, Mapping, Sequence

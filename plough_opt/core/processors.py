@@ -1,7 +1,5 @@
 """The number of processors that a computation may use: those of its process, or one in each of several workers."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager

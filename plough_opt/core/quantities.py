@@ -4,8 +4,6 @@ Files, designs, components, exports, calibration, distributions, sweeps and the 
 quantity's name is its key in problem files, such as "soil.cohesion".
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable
 from typing import Any

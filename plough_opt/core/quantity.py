@@ -1,7 +1,5 @@
 """Quantity: the domain of a number, how it is read, and which slip of its unit is likely."""
 
-from __future__ import annotations
-
 import math
 import sys
 import warnings

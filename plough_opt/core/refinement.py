@@ -1,7 +1,5 @@
 """Error and time of a result by the order of its quadrature, its number of knots, or any other size."""
 
-from __future__ import annotations
-
 import sys
 import time
 from collections.abc import Callable, Sequence

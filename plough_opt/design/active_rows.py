@@ -4,8 +4,6 @@ A deflection that is limited at 401 outputs gives 401 rows, of which two or thre
 nearest ones, and again with others where its design breaks one that was left out.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

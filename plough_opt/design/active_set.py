@@ -9,8 +9,6 @@ where A holds the deciding sides' gradients and H, L_yq are blocks of the Hessia
 "Introduction to sensitivity and stability analysis in nonlinear programming", chapter 3).
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Sequence

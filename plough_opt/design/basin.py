@@ -1,7 +1,5 @@
 """The optimum of the basin in which a guess lies."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from plough_opt.design.derivatives import build_surely

@@ -1,7 +1,5 @@
 """A design question asked of the whole tolerance box: the mean or the worst objective, the requirements everywhere."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from typing import Literal

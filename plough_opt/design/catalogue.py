@@ -1,7 +1,5 @@
 """The values that variables may take in a catalogue or in steps, and how many combinations of them there are."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

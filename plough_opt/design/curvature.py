@@ -1,7 +1,5 @@
 """Second-order conditions: optima that are not unique, and stationary points that are not optima."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """The declarations of a design: variables, parameters, requirements; checked when they are declared."""
 
-from __future__ import annotations
-
 import math
 import re
 import sys

@@ -1,7 +1,5 @@
 """Derivatives of a program's runs at its best design: whether they reach the wanted error, by more steps if need be."""
 
-from __future__ import annotations
-
 import contextlib
 import math
 from collections.abc import Sequence

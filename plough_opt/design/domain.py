@@ -1,7 +1,5 @@
 """Whether a design's guess has a value, and whether its bounds stay within the model's domain."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

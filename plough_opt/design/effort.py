@@ -1,7 +1,5 @@
 """How thoroughly a design is searched."""
 
-from __future__ import annotations
-
 import re
 import time
 from collections.abc import Sequence

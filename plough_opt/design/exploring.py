@@ -1,7 +1,5 @@
 """A search over all variables: a sample, evolution on islands, descents, and the basins that they show."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace

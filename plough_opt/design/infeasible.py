@@ -1,7 +1,5 @@
 """Whether any design meets the requirements, and what to say when none was found."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 

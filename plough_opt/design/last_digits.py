@@ -4,8 +4,6 @@ Its curvatures, which need only be roughly right, come from differences of runs 
 evaluations of exact slopes do, where an interior-point method takes as many again for its barrier to vanish.
 """
 
-from __future__ import annotations
-
 import itertools
 from typing import Final
 

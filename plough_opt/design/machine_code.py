@@ -1,7 +1,5 @@
 """A design's Functions as machine code: the C that CasADi writes of them, by the system's compiler."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import casadi as ca

@@ -5,8 +5,6 @@ upper and negative at a lower limit, for which f_y + g_y' lam_g + lam_y = 0 (fir
 Lagrangian f + lam_g' g curves upwards along all directions that leave the deciding limits in place (second order).
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

@@ -1,7 +1,5 @@
 """From the bottoms that a search found to local optima: IPOPT's last digits, and never a worse design."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

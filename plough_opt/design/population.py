@@ -1,7 +1,5 @@
 """A design's objective and requirements at very many designs, side by side and roughly: what a search looks at."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any

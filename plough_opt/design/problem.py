@@ -1,7 +1,5 @@
 """Design: variables, parameters, an objective and named requirements, solved by IPOPT."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import replace

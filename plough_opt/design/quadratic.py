@@ -1,7 +1,5 @@
 """Small convex quadratic programs, by least distances (Lawson and Hanson 1974, chapter 23)."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from plough_opt.design.ipopt import Vector

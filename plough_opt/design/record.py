@@ -1,7 +1,5 @@
 """A record of what a search did: designs tried, basins found, and how likely there are more."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

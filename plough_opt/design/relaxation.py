@@ -1,7 +1,5 @@
 """Which requirements conflict, and by how much: the same program with every requirement allowed to give way."""
 
-from __future__ import annotations
-
 import casadi as ca
 import numpy as np
 

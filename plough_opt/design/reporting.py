@@ -1,7 +1,5 @@
 """The report on a local optimum: its limits, its name, and what a reader of its numbers must know."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 

@@ -1,7 +1,5 @@
 """An optimum in values that can be bought or made: the best of a catalogue's combinations, the rest solved again."""
 
-from __future__ import annotations
-
 import itertools
 import math
 import time

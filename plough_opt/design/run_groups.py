@@ -8,8 +8,6 @@ Whatever belongs to one run, such as its parameters, its results or the slopes o
 blocks of all runs stand side by side: that is the layout which CasADi's `map` takes and gives.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property

@@ -1,7 +1,5 @@
 """A space-filling sample of a design's variables, and the basins that show in it."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from typing import Any
 

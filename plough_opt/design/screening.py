@@ -1,7 +1,5 @@
 """Which combinations of catalogue values can be best: a look at all of them, and a closer one at the lowest."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

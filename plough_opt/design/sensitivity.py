@@ -1,7 +1,5 @@
 """How an optimum changes with a parameter or a limit: derivatives, elasticities, and how far they hold."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Variables that enter no run and all else in proportion, as a peak's bound: solved from the algebra in place."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

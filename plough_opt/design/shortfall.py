@@ -1,7 +1,5 @@
 """The shortfall of designs in the objective's place: a search of it looks for designs that meet all requirements."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from plough_opt.design.ipopt import Vector

@@ -1,7 +1,5 @@
 """Scrambled Sobol points: those of `scipy.stats.qmc.Sobol`, without its import of all of scipy.stats."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

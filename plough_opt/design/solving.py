@@ -1,7 +1,5 @@
 """From a program to its certified optimum: local solve, global search, refinement, report."""
 
-from __future__ import annotations
-
 import math
 import time
 from dataclasses import dataclass

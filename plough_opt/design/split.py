@@ -1,7 +1,5 @@
 """Expressions of a design, split into the runs inside them and the algebra around those runs."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import casadi as ca

@@ -1,7 +1,5 @@
 """How many steps the runs of a design's program take."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 

@@ -1,7 +1,5 @@
 """A design as a workshop makes it: its objective and margins over a box of tolerances around it."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache

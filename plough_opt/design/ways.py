@@ -1,7 +1,5 @@
 """The straight ways between designs, which show whether they lie in one basin."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

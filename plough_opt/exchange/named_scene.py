@@ -1,7 +1,5 @@
 """A scene whose quantities are read and replaced by the names that problem files give them."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property

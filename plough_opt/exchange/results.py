@@ -1,7 +1,5 @@
 """Kept results of every kind, read back as what they were."""
 
-from __future__ import annotations
-
 from importlib import import_module
 from pathlib import Path
 from typing import Any, Final

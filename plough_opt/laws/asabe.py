@@ -1,7 +1,5 @@
 """Draft of a subsoiler by ASABE D497, from depth, speed and soil texture."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from typing import Final
 

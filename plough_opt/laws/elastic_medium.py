@@ -1,7 +1,5 @@
 """The linear elastic medium as a law of resistance: the contact force of steady sliding on the equivalent cone."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar

@@ -1,7 +1,5 @@
 """Resistance of the soil to a moving share: equations (24)-(26), each with the factor pi once."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Godwin: the universal earthmoving equation for a narrow tine above its critical depth."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from typing import Final
 

@@ -1,7 +1,5 @@
 """Resistance laws: what a scene, and a comparison of draft models, ask of a law, whatever its physics."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from collections.abc import Mapping

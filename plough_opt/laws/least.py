@@ -1,7 +1,5 @@
 """The angle of rupture that makes a force least, as a number or as an expression with exact derivatives."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from functools import lru_cache

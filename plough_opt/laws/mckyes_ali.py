@@ -1,7 +1,5 @@
 """McKyes and Ali: a wedge of soil ahead of a narrow tine, with a crescent at each side."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Cone index: the pressure that a penetrometer reads, from the plastic gas around its 30 degree cone."""
 
-from __future__ import annotations
-
 import math
 
 from plough_opt.core.expressions import Expression

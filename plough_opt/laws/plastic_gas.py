@@ -1,7 +1,5 @@
 """The plastic gas as a law of resistance: equations (24)-(26) around the share's equivalent cone."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar

@@ -6,8 +6,6 @@ The left side of (27) keeps L'': the printed L' has the wrong unit. Nothing in t
 but a scene whose formulation asks for it.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, fields
 from typing import Final, Literal, TypeAlias

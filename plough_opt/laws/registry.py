@@ -1,7 +1,5 @@
 """The laws of resistance that have a name, in problem files and as ``Scene(medium=...)``."""
 
-from __future__ import annotations
-
 import dataclasses
 from functools import lru_cache
 from typing import Final

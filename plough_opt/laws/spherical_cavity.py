@@ -1,7 +1,5 @@
 """Spherical cavity in soil that locks, after Forrestal and Luk: pressure on the face of a cone."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Swick and Perumpral: the plane wedge with the inertia of the soil in its balance, least over the rupture plane."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass

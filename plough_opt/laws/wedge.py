@@ -5,8 +5,6 @@ the surface, balance of forces on the wedge gives every factor over sin(omega + 
 same.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, field
 from typing import Final

@@ -1,7 +1,5 @@
 """Accuracy: a method and its setting, or an error to reach."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Averages of a run, and its error estimate and warnings."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from plough_opt.core.expressions import Expression

@@ -6,8 +6,6 @@ step are found in the motion; that part of a step is not a function of the param
 motion has four derivatives a step may as well end a little beside.
 """
 
-from __future__ import annotations
-
 import itertools
 from dataclasses import replace
 from functools import lru_cache

@@ -1,7 +1,5 @@
 """Why a motion could not be followed, named by what is known of the scene and of the motion until then."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import replace

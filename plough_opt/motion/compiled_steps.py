@@ -1,7 +1,5 @@
 """Runs of order 8 in machine code: the same operations as CasADi's loop, by the system's compiler."""
 
-from __future__ import annotations
-
 import ctypes
 from functools import lru_cache
 from typing import Any

@@ -1,7 +1,5 @@
 """How far the derivatives of runs are off: those by their own steps against those by finer ones."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import replace

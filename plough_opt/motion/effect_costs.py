@@ -3,8 +3,6 @@
 Operations are counted, not clocked: they are the same at every repetition and on every machine.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any

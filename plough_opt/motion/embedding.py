@@ -1,7 +1,5 @@
 """A run inside somebody's graph: one call that carries its scene along, so that others can find and check it."""
 
-from __future__ import annotations
-
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass
 

@@ -5,8 +5,6 @@ behind its furthest point [m], and its mode, whose rate is zero. Of a share that
 wholly in the soil, and before 0; behind a strut whose speed ramps up the last one is 1 once the ramp is over.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache

@@ -1,7 +1,5 @@
 """How far two runs of a scene are apart: the measure behind the error estimate of a run."""
 
-from __future__ import annotations
-
 import math
 from typing import Final
 

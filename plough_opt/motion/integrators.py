@@ -1,7 +1,5 @@
 """The equation of motion under each integration method, behind one interface."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any

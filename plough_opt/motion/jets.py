@@ -6,8 +6,6 @@ step, costs a small multiple of the run itself and a graph of one step. Differen
 inside the optimiser's graph gives the same numbers for several times the time and memory.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from functools import lru_cache
 

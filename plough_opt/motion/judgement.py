@@ -1,7 +1,5 @@
 """Errors before a motion is followed, reasons why one failed, and warnings about a finished run."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 

@@ -1,7 +1,5 @@
 """The integration methods by name, and which of them are steps of a Butcher tableau, CasADi's, or chosen."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from typing import Final
 

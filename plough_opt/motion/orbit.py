@@ -6,8 +6,6 @@ returns; CasADi differentiates the root by the implicit function theorem. Both s
 Fourier series: of the waves' own terms, in closed form, about steady sliding; or of several that balance the equation.
 """
 
-from __future__ import annotations
-
 import math
 from functools import lru_cache
 

@@ -1,7 +1,5 @@
 """Which method, how many steps, and what checks it: choices made from a scene's own time scales."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import replace

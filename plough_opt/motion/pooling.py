@@ -1,7 +1,5 @@
 """Averages of a run from those of its steps, with their derivatives."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from typing import Any
 

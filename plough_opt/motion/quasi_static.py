@@ -1,7 +1,5 @@
 """The quasi-static limit: the share follows the strut rigidly, and no equation of motion is solved."""
 
-from __future__ import annotations
-
 from functools import partial
 
 import casadi as ca

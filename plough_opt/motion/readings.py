@@ -5,8 +5,6 @@ around an output time determine a polynomial whose error falls by a higher power
 What is read is linear in the states, so that derivatives with respect to anything are read in the same way.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Final

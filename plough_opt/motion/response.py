@@ -1,7 +1,5 @@
 """The table of results of numeric runs, one or several side by side."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any, Final
 

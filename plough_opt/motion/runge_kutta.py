@@ -4,8 +4,6 @@ A step is a small symbolic graph, the run a loop over it (``mapaccum``), so the
 size of the graph does not grow with the number of steps and every derivative is that of the numbers.
 """
 
-from __future__ import annotations
-
 from functools import lru_cache
 
 import casadi as ca

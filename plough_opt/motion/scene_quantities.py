@@ -1,7 +1,5 @@
 """The quantities of a scene by the names that problem files give them, such as "share.height"."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Mapping
 from typing import Any

@@ -1,7 +1,5 @@
 """The motion to which a share settles, as a run of a lasting orbit reports it: see `plough_opt.motion.settling`."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 

@@ -1,7 +1,5 @@
 """Signals that are averaged over a run: deflection, mount force and tow power, each as change since the start."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import TypeVar

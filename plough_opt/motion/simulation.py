@@ -1,7 +1,5 @@
 """`simulate`: one verb for numeric scenes, checked, and for symbolic scenes inside a design."""
 
-from __future__ import annotations
-
 import time
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """The times of a run: where it is sampled, and where a fixed-step method sets its steps."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from functools import cached_property

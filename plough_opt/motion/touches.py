@@ -5,8 +5,6 @@ less than a step shows none, in a run and in its check alike. Between outputs th
 speeds and accelerations.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Final
 

@@ -1,7 +1,5 @@
 """Numeric scenes: integrated by a method that suits them, checked by another or a finer one, and judged."""
 
-from __future__ import annotations
-
 import logging
 import math
 from dataclasses import replace

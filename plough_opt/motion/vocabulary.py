@@ -1,7 +1,5 @@
 """Quantities and results by the names that problem files give them, such as "share.height" and "mean_draft"."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 

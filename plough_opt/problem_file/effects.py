@@ -1,7 +1,5 @@
 """The effects that a problem file describes."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Literal
 

@@ -1,7 +1,5 @@
 """Evaluations of a problem file at a point of a sweep: a simulation, one of very many, or a whole optimisation."""
 
-from __future__ import annotations
-
 import dataclasses
 import threading
 from collections.abc import Callable, Mapping

@@ -1,7 +1,5 @@
 """The problem of several shares in one frame, joined of the file as it is for each of them."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Mapping
 from typing import Any

@@ -1,7 +1,5 @@
 """The [trade_off] table: two or three measures, each minimised or maximised, and a number of points."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any

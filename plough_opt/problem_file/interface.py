@@ -1,7 +1,5 @@
 """Inputs and outputs of a component that a problem file describes."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping, Sequence
 

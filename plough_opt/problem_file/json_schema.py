@@ -1,7 +1,5 @@
 """The JSON schema of problem files, by which editors complete keys and mark mistakes while a file is written."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from typing import Any
 

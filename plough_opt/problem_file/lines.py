@@ -1,7 +1,5 @@
 """Where each key of a TOML text stands, and where brackets are too deep, found in one pass."""
 
-from __future__ import annotations
-
 import re
 import tomllib
 from collections.abc import Iterator, Sequence

@@ -1,7 +1,5 @@
 """Parts that a problem file gives by name with their quantities: the law of resistance, and own effects."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Mapping
 from typing import Any, TypeVar

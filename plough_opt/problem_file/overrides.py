@@ -1,7 +1,5 @@
 """Changes to a problem file from the command line."""
 
-from __future__ import annotations
-
 import tomllib
 from typing import Any, Final
 

@@ -1,7 +1,5 @@
 """The [measures] table: a file's own results, simple expressions of results and quantities with a unit."""
 
-from __future__ import annotations
-
 import ast
 import operator
 from collections.abc import Callable, Mapping, Sequence

@@ -1,7 +1,5 @@
 """Readings of a penetrometer from a CSV file: cone index over depth, of one or several insertions."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Ranges and lists of quantities with units, such as "5..45 kPa:9", "10..1000 kN/m:7 log" or "5 kPa, 10 kPa"."""
 
-from __future__ import annotations
-
 import re
 from fractions import Fraction
 

@@ -1,7 +1,5 @@
 """Reading a problem file: everything that is wrong in it is listed, each mistake with its line."""
 
-from __future__ import annotations
-
 import copy
 import dataclasses
 import math

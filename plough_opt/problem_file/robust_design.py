@@ -1,7 +1,5 @@
 """A problem file with an uncertain soil as a robust design: solved, set beside the nominal one, verified."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from functools import cached_property
 

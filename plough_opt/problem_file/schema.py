@@ -1,7 +1,5 @@
 """Contents of a problem file, table by table; every quantity is kept in SI."""
 
-from __future__ import annotations
-
 from typing import Annotated, Any, Literal, TypeVar
 
 from pydantic import (

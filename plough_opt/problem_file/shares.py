@@ -1,7 +1,5 @@
 """The [shares] table: several shares in one frame, each as the file says but for what its own table says."""
 
-from __future__ import annotations
-
 import copy
 from collections.abc import Mapping
 from typing import Any, Final, TypeVar

@@ -1,7 +1,5 @@
 """Records of soil strength from a CSV file: cone index along a path, or a force with the rig that felt it."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -5,8 +5,6 @@ at the front y = r. For a constant density psi has a closed form; for a density 
 quadrature.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from plough_opt.core.domain import check_domain

@@ -1,7 +1,5 @@
 """The wedge-shaped share and the cone of equal height and surface: equations (5)-(7)."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -5,8 +5,6 @@ Stresses behind the front obey the law of Mohr and Coulomb. For a constant locke
 for a density profile (`Soil.with_density_profile`) there are Gauss-Legendre quadratures of the profile's order.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 

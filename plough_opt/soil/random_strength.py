@@ -7,8 +7,6 @@ About steady sliding at the tow speed V the deflection z answers to relative str
 and the stationary variances are the integrals of |H|^2 S(q) and omega^2 |H|^2 S(q) over q.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """The waves that a record of strength holds, with their intervals, as a result that draws itself."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, field
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The rig on which a force was recorded."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Closed bodies of flat faces: the wedge-shaped share as a block or bent from plate, and the cone of revolution."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from functools import cached_property

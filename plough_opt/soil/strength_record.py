@@ -1,7 +1,5 @@
 """Strength waves from a record along a field: its spectrum, and the waves that carry most of its variance."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

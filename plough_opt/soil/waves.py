@@ -1,7 +1,5 @@
 """Soil strength that varies along the path as one sine or a sum of several."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """`plough-opt report`: everything about a file's best share on one page."""
 
-from __future__ import annotations
-
 import argparse
 import hashlib
 import json

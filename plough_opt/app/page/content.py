@@ -1,7 +1,5 @@
 """The words and tables of a report: question, answer, requirements, sensitivities, soil, accuracy, provenance."""
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Sequence

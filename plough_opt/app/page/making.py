@@ -1,7 +1,5 @@
 """Compute the contents of a report: the optimum, its sensitivities, and the cost of accuracy for its scene."""
 
-from __future__ import annotations
-
 from plough_opt.app.page.content import Report
 from plough_opt.core.errors import InputError, NotConverged
 from plough_opt.design import Progress, Sensitivity

@@ -1,7 +1,5 @@
 """The numbers behind a report's pictures: charts, the share in three dimensions, the motion."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from typing import Any, Final
 

@@ -1,7 +1,5 @@
 """A report written as HTML: template, style, scripts and numbers in one file that asks nothing of a network."""
 
-from __future__ import annotations
-
 from importlib.resources import files
 from pathlib import Path
 from typing import Any, Final

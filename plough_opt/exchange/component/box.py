@@ -1,7 +1,5 @@
 """The box between a component's bounds: checks the scenes in it, and finds the number of steps that they all need."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """`component`: a scene as a Function of named inputs, with as many steps as the bounds on these need."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any, TypeVar

@@ -1,7 +1,5 @@
 """A component as C: source, header, and a test that holds it against the values that Python finds."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Collection, Iterable, Mapping
 from importlib.metadata import version

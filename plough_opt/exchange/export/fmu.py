@@ -1,7 +1,5 @@
 """FMU of a scene: a share on its mount for model exchange by the Functional Mock-up Interface, version 3.0."""
 
-from __future__ import annotations
-
 import io
 import platform
 import re

@@ -1,7 +1,5 @@
 """modelDescription.xml and its companions of an exported share."""
 
-from __future__ import annotations
-
 import html
 import math
 from collections.abc import Iterable

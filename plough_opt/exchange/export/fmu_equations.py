@@ -1,7 +1,5 @@
 """Equations of an exported share: Functions of its states, inputs and parameters."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import chain

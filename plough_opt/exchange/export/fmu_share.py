@@ -6,8 +6,6 @@ the deflection is s - L. The mode, the furthest travel, and whether an entering 
 at events.
 """
 
-from __future__ import annotations
-
 import casadi as ca
 
 from plough_opt.core.expressions import Expression, absolute

@@ -1,7 +1,5 @@
 """C source of an exported share: its numbers, its equations, and the functions of the FMI around them."""
 
-from __future__ import annotations
-
 import hashlib
 import math
 from collections.abc import Iterable

@@ -1,7 +1,5 @@
 """Variables of an exported share: names, units, domains and orders of magnitude."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from collections.abc import Iterator, Mapping, Sequence

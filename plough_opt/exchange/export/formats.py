@@ -1,7 +1,5 @@
 """The export formats by name: what a format is, which options it takes, and what writes it."""
 
-from __future__ import annotations
-
 import importlib
 import math
 import shlex

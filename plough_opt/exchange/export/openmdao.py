@@ -1,7 +1,5 @@
 """A component for OpenMDAO: in this process, or as a module of its own that needs casadi and openmdao only."""
 
-from __future__ import annotations
-
 import inspect
 import keyword
 import pprint

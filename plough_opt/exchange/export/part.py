@@ -1,7 +1,5 @@
 """The share as a part: STL, glTF, DXF and STEP, each written by the library that knows the format."""
 
-from __future__ import annotations
-
 import io
 import math
 from collections.abc import Callable

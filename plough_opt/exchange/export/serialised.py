@@ -1,7 +1,5 @@
 """A component as a file that CasADi alone can load."""
 
-from __future__ import annotations
-
 import json
 import tempfile
 from importlib.metadata import version

@@ -1,7 +1,5 @@
 """One step of a design as a CasADi Function: the Taylor series of the motion, how far it holds, and its averages."""
 
-from __future__ import annotations
-
 import itertools
 import math
 

@@ -1,7 +1,5 @@
 """`Batch`: simulation of very many designs."""
 
-from __future__ import annotations
-
 import math
 import time
 from collections.abc import Iterable, Iterator, Sequence

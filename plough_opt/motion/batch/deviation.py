@@ -8,8 +8,6 @@ Blanes, Casas, Oteo, Ros: The Magnus expansion and some of its applications, Phy
 of order 4; Kurzhanski, Valyi: Ellipsoidal Calculus for Estimation and Control, 1997, section 2.7, for the sum.
 """
 
-from __future__ import annotations
-
 from functools import lru_cache
 
 import casadi as ca

@@ -1,7 +1,5 @@
 """Finds the designs of a batch outside the model's domain, by the checks that a single scene has."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Callable
 from typing import Any

@@ -1,7 +1,5 @@
 """Evaluates a batch's operations: as compiled C, or by NumPy."""
 
-from __future__ import annotations
-
 import ctypes
 
 import casadi as ca

@@ -1,7 +1,5 @@
 """From the user's inputs to the parameters of the motion, and from its averages to the results, as CasADi Functions."""
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Sequence

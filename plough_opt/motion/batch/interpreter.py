@@ -1,7 +1,5 @@
 """A CasADi Function of SX on arrays: operation by operation as NumPy does it, on many designs side by side."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

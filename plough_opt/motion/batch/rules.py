@@ -1,7 +1,5 @@
 """The rule for each operation of a right-hand side whose arguments are Taylor series in time."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from functools import partial

@@ -1,7 +1,5 @@
 """A viscous damper in the mount."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

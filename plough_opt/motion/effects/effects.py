@@ -1,7 +1,5 @@
 """Effects: what a scene contains, and what excludes what."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from typing import Literal
 

@@ -1,7 +1,5 @@
 """A share that enters the soil from its surface."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from plough_opt.core.expressions import Expression, maximum, minimum, where

@@ -1,7 +1,5 @@
 """The part of the soil's resistance that is its inertia: it grows with the squared speed."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from plough_opt.core.expressions import Expression

@@ -1,7 +1,5 @@
 """Static resistance that grows with the squared speed, as a calibration may ask for it."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from plough_opt.core.expressions import Expression

@@ -1,7 +1,5 @@
 """Contact `Smooth`: soil that resists only a share that moves forwards, without memory."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Contact `StickSlip`: soil that only resists, with the events that come of it."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

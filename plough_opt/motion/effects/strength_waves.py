@@ -1,7 +1,5 @@
 """Soil strength that varies along the path as a sum of sines: see `plough_opt.soil.waves`."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Any

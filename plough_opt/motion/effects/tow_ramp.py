@@ -1,7 +1,5 @@
 """A strut whose speed rises from 0 to the tow speed."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Any

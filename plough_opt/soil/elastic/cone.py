@@ -5,8 +5,6 @@ S = section_factor R^2. With the potentials N and M of `plough_opt.soil.elastic.
 2 (N_alpha - N_eta)/m - N_alpha + 2 N_eta and the radial one 2 (M_alpha - M_eta)/m - M_alpha.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from plough_opt.core.domain import LEAST, check_domain

@@ -9,8 +9,6 @@ This truncates the solution in which the soil adheres to the face; the true prob
 behind, is a mixed one that the source's formulas do not cover. The force is an estimate.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Differences of logarithms and angles over a small number, without cancellation, and the limit to quadrature."""
 
-from __future__ import annotations
-
 from plough_opt.core.expressions import Expression, absolute, arctan2, arctan_ratio, arctanh_ratio, log, where
 
 FAR = 1.6

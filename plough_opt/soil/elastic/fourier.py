@@ -4,8 +4,6 @@ They are an independent method for the fields of the wedge and the cone, and the
 that are not straight. They need numbers; a design uses the closed forms with `knots` on its profile.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass

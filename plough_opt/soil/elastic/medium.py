@@ -1,7 +1,5 @@
 """The elastic soil at a speed: wave speeds, and the functions of the speed that all formulas share."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

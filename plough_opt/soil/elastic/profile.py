@@ -1,7 +1,5 @@
 """Profiles of a body: piecewise-linear nodes, those of a share, and knots on a smooth curve."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

@@ -9,8 +9,6 @@ for k = alpha and eta, and stresses need Q_alpha, P_alpha and the differences (Q
 (P_eta - P_alpha)/m, which lose no digits here at low speed (m -> 0).
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

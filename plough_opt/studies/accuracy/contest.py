@@ -6,8 +6,6 @@ it: where that ends depends on the method's errors alone, neither on a clock nor
 method's coarsest setting is measured in turns, so that what else the machine does meets all alike.
 """
 
-from __future__ import annotations
-
 import contextlib
 import math
 import statistics

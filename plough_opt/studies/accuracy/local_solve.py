@@ -1,7 +1,5 @@
 """One local solve of a design's program by IPOPT, with a choice of derivatives."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, Literal

@@ -1,7 +1,5 @@
 """Contestants that integrate the equation of motion: every method over its settings, values and gradients."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial

@@ -1,7 +1,5 @@
 """Contestants that leave something of the motion out: quasi-static, linearised, harmonic balance, lasting orbit."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import partial

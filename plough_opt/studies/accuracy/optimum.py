@@ -5,8 +5,6 @@ reports; of the objective in truth, at the design that it found; of the variable
 requirement in truth.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass

@@ -3,8 +3,6 @@
 Colours are those of Okabe and Ito (2008), which the colour-blind can tell apart; every method has a marker of its own.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -5,8 +5,6 @@ psi is an integral of its own for every radius, the front its root, and what rem
 and over the cone's face x, all by Gauss's rule in several panels.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

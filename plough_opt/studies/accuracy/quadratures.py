@@ -1,7 +1,5 @@
 """Contestants that integrate over space or path: density profiles, the quasi-static course, the elastic contact."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import replace

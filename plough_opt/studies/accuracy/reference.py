@@ -1,7 +1,5 @@
 """References that take no part in a contest: a motion in the widest floats, and the gradient of its averages."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace

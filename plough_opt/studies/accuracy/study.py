@@ -1,7 +1,5 @@
 """Time that accuracy costs, for a scene or a design: the efficient methods, and which one to choose."""
 
-from __future__ import annotations
-
 import platform
 from collections.abc import Callable
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Cost of a thorough search: how often it finds the best optimum of a design, against its time."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

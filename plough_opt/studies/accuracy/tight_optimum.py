@@ -4,8 +4,6 @@ IPOPT, which every contestant uses, stops a little inside the limits that decide
 them; its gradients are those of an adaptive integrator with a tolerance that no contestant has.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import casadi as ca

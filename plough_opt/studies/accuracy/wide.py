@@ -1,7 +1,5 @@
 """The machine's widest floats, and CasADi's graphs of scalars computed in them."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any, Final, TypeAlias
 

@@ -1,7 +1,5 @@
 """`calibrate`: a scene and measurements in, the unknowns with their uncertainty out."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """The next measurement: candidates ranked by how much they would reduce the uncertainty that the data leave."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field

@@ -1,7 +1,5 @@
 """Warnings about a fit: scatter, outliers, correlated errors, bounds, other optima, the model's own limits."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from typing import Any, Final

@@ -1,7 +1,5 @@
 """Cross-validation: each row predicted by a fit to the others."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 

@@ -1,7 +1,5 @@
 """Measurements from a CSV file: names and units in its header, every mistake listed with its line and column."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path

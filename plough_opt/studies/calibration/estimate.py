@@ -1,7 +1,5 @@
 """The estimate: the best fit from several starts, the scale of its residuals, and the accuracy of the unknowns."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 from typing import Final

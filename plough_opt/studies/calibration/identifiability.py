@@ -1,7 +1,5 @@
 """Identifiability: which combinations of unknowns the data determine, by the singular values of the Jacobian."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final

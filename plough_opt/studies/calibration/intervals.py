@@ -1,7 +1,5 @@
 """Confidence intervals: of the profile likelihood, and linearised."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Final, Literal

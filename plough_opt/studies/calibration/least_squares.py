@@ -1,7 +1,5 @@
 """The least-squares problem of a calibration, by SciPy's trust-region method with exact derivatives."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Final
 

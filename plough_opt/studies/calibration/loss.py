@@ -1,7 +1,5 @@
 """Losses of a standardised residual: squares, and robust ones that give outliers less weight."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Final

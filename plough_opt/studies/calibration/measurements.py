@@ -1,7 +1,5 @@
 """Measurements: one measured result over conditions or time, checked, SI units."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final

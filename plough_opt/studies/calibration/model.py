@@ -1,7 +1,5 @@
 """The model to calibrate: a scene as a function of its quantities by name."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Protocol, TypeAlias, runtime_checkable

@@ -1,7 +1,5 @@
 """Parts of a fit: unknowns, correlations and rows, as plain data."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations

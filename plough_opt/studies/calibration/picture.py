@@ -1,7 +1,5 @@
 """A fit as a picture: measured against predicted, residuals over the fit and over a condition, their quantiles."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from typing import Final

@@ -1,7 +1,5 @@
 """Predictions of the model for every row of measurements: a Function of the scaled unknowns, with derivatives."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass

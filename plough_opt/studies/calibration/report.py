@@ -1,7 +1,5 @@
 """Tables of a fit: the unknowns with their intervals, and the next measurements."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from typing import Final

@@ -1,7 +1,5 @@
 """A calibration before it is solved: model, measurements and unknowns, checked, with the least-squares problem."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final

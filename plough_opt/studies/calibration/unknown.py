@@ -1,7 +1,5 @@
 """Unknowns: quantities to find between bounds, scaled to the interval from 0 to 1."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Draft over speed by every model: one panel for each depth, in colours that the colour-blind can tell apart."""
 
-from __future__ import annotations
-
 import math
 import textwrap
 from collections.abc import Mapping, Sequence

@@ -1,7 +1,5 @@
 """Why draft models differ on a scene, in sentences with its own numbers."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Sequence
 

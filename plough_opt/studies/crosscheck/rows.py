@@ -1,7 +1,5 @@
 """Drafts of one model at several speeds."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Set other draft models beside a scene: what they need and the scene lacks is given, or estimated and said so."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from collections.abc import Iterator, Sequence

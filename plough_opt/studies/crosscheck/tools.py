@@ -1,7 +1,5 @@
 """Tines with which a scene is compared: given, or estimated from the share with a note."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """The values of a quantity in a sweep: a range, or a list."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass

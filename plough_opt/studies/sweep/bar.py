@@ -1,7 +1,5 @@
 """The progress bar of a sweep: points done, points per second, and remaining time."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import contextmanager
 

@@ -1,7 +1,5 @@
 """An SQLite file, opened to write or, on any medium, to read; statements, transactions, and errors that name it."""
 
-from __future__ import annotations
-
 import contextlib
 import shutil
 import sqlite3

@@ -4,8 +4,6 @@ Points are claimed in ranges. Every point below ``next`` is either stored or lie
 renews its lease while it runs. Every row of ``points`` has a checksum of its content.
 """
 
-from __future__ import annotations
-
 import json
 import struct
 import zlib

@@ -1,7 +1,5 @@
 """The points of a sweep by their number, computed when they are needed, so that a million of them take no memory."""
 
-from __future__ import annotations
-
 import hashlib
 import math
 from collections.abc import Mapping

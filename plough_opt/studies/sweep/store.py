@@ -3,8 +3,6 @@
 If a run dies, another takes over the ranges of points that it had claimed.
 """
 
-from __future__ import annotations
-
 import itertools
 import json
 import os

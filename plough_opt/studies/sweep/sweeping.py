@@ -1,7 +1,5 @@
 """`sweep`: a function of named numbers over a grid or a sample."""
 
-from __future__ import annotations
-
 import hashlib
 import inspect
 import pickle

@@ -1,7 +1,5 @@
 """Tables of a store as CSV and NPZ, written row by row, so that they need not fit into memory."""
 
-from __future__ import annotations
-
 import csv
 import io
 import itertools

@@ -4,8 +4,6 @@ The pool writes to the standard input of the process and reads from its standard
 to the error stream. A message is a pickle.
 """
 
-from __future__ import annotations
-
 import multiprocessing.spawn
 import os
 import pickle

@@ -1,7 +1,5 @@
 """From candidates to a front: certified, put in order, with its parts, holes and sentences."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """The program of a trade-off by the steps of a batch, with slopes by differences: some twenty times as fast."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Candidates for a front: local optima of each objective alone and beside others, kept once each."""
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, field

@@ -1,7 +1,5 @@
 """Certificates: what a front's points are, and how far each can be trusted."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Following a front of two objectives: from every optimum of either alone, position by position, both ways."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from itertools import pairwise
 from math import comb

@@ -3,8 +3,6 @@
 All objectives are normalised and minimised, a row for each design.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A front of designs: points, parts, holes, rates and costs in words."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 

@@ -1,7 +1,5 @@
 """Goal: an objective with a name, a unit and a direction."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 import casadi as ca

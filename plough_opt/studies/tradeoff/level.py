@@ -1,7 +1,5 @@
 """From a neighbouring optimum to the one beside it, by sequential quadratic programming."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Final
 

@@ -1,7 +1,5 @@
 """Sentences on a front as a whole: how much its objectives conflict, and what it was held against."""
 
-from __future__ import annotations
-
 import re
 from collections import Counter
 from collections.abc import Sequence

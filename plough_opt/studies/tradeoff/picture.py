@@ -1,7 +1,5 @@
 """A front as a picture: the objectives, and how each variable moves along them."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field

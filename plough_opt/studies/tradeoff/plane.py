@@ -4,8 +4,6 @@ The objectives are 0 at their own optimum and 1 at the other's. On a connected f
 objectives between neighbours on evenly spread positions is the same everywhere.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

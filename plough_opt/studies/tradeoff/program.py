@@ -8,8 +8,6 @@ which is an objective alone (n = 0), the normalised normal constraint (Messac, I
 objectives Messac and Mattson 2004) with w and n in units of the objectives' ranges, or limits of the others beside one.
 """
 
-from __future__ import annotations
-
 import copy
 import time
 from collections.abc import Mapping, Sequence

@@ -1,7 +1,5 @@
 """Starts for a front: the lowest designs of the basins of each objective alone, and of positions between these."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -4,8 +4,6 @@ A front is seen along (1, 1, 1): the objectives less their mean are its place on
 2004). Where neither of two designs dominates the other, their heights above it differ by no more than their places.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from itertools import permutations
 

@@ -1,7 +1,5 @@
 """Following a front of three objectives: from node to neighbouring node of a lattice, as far as it reaches."""
 
-from __future__ import annotations
-
 from collections import deque
 from collections.abc import Sequence
 from itertools import permutations

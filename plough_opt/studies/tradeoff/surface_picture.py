@@ -1,7 +1,5 @@
 """A front of three objectives as a picture: the surface, and how each variable moves over it."""
 
-from __future__ import annotations
-
 import math
 from typing import Final
 

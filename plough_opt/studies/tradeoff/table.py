@@ -1,7 +1,5 @@
 """A front as tables: its designs by parts, what a little more costs, what decides where, and what has no result."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 from plough_opt.core.tables import Column, Grid, Page

@@ -1,7 +1,5 @@
 """Follow ends, branches and basins of the archive that a front misses, or add them to it as they are."""
 
-from __future__ import annotations
-
 from abc import abstractmethod
 from collections.abc import Sequence
 

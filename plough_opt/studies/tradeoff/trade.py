@@ -1,7 +1,5 @@
 """`trade_off`: two or three objectives of a design in, their front out."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import replace

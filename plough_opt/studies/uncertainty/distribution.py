@@ -1,7 +1,5 @@
 """Distributions of soil properties: marginals from scipy.stats, truncated, correlated by a Gaussian copula."""
 
-from __future__ import annotations
-
 import contextlib
 import math
 from collections.abc import Mapping, Sequence

@@ -5,8 +5,6 @@ For numbers each measure is that of the samples, exactly. In a design it must be
 takes a width, in the unit of the values, over which it is smoothed, and its docstring gives the largest difference.
 """
 
-from __future__ import annotations
-
 import math
 
 import casadi as ca

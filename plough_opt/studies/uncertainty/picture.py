@@ -1,7 +1,5 @@
 """Picture of a result's spread over fresh samples, for several designs."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 

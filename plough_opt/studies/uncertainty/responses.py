@@ -4,8 +4,6 @@ The function is called once, with symbols for the uncertain properties; its runs
 can, and the algebra around them is evaluated for all soils at once.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property

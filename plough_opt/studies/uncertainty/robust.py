@@ -1,7 +1,5 @@
 """Robust: a design's results over common samples of its soil, and measures of them."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property, partial

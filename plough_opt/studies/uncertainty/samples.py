@@ -1,7 +1,5 @@
 """Samples of a soil: the same ones for every design, so that averages over them are smooth."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property

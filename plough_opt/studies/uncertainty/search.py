@@ -1,7 +1,5 @@
 """The best robust design: a search over all its variables, with widths of smoothing from its own results' spread."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable, Mapping
 

@@ -6,8 +6,6 @@ has the variance 1/9, so that averages over a density f differ from the sharp on
 f(0) width^2/18 to first order; the ramp lies above the sharp one by at most 35/256 of the width.
 """
 
-from __future__ import annotations
-
 from plough_opt.core.expressions import Expression, maximum, minimum
 
 KERNEL_VARIANCE = 1.0 / 9.0

@@ -1,7 +1,5 @@
 """Tables of designs for uncertain soil: the soil, the robust design beside the nominal one, the fresh samples."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Final

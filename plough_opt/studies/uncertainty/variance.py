@@ -1,7 +1,5 @@
 """Sobol indices: the part of a result's variance that each uncertain property explains."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 

@@ -4,8 +4,6 @@ An optimum over some samples fits these samples: it looks better on them than th
 independently, and that the optimiser did not use, show by how much.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

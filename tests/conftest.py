@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 import plough_opt as po
-from plough_opt.core import heartbeat
+from plough_opt.core import process as heartbeat
 
 HERE = Path(__file__).parent
 

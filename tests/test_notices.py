@@ -9,7 +9,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
-from plough_opt.core.notices import Sieve
+from plough_opt.core.process import Sieve
 
 NOTICE = 'CasADi - 2026-01-01 00:00:00 WARNING("Event support is experimental") [.../core/integrator.cpp:755]\n'
 OTHER = 'CasADi - 2026-01-01 00:00:00 WARNING("Something else") [.../core/function.cpp:1]\n'

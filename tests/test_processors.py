@@ -8,12 +8,12 @@ from concurrent.futures import ThreadPoolExecutor
 import pytest
 
 import plough_opt as po
-from plough_opt.core import processors
+from plough_opt.core import process as processors
 
 OWN_LIMIT = """
 import os
 os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
-from plough_opt.core.processors import available
+from plough_opt.core.process import available
 print(available())
 """
 

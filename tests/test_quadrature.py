@@ -3,7 +3,7 @@
 import mpmath
 import pytest
 
-from plough_opt.core.quadrature import gauss_legendre
+from plough_opt.core.expressions import gauss_legendre
 
 mp = mpmath.mp.clone()
 mp.dps = 50

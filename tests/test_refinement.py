@@ -9,7 +9,7 @@ import pytest
 
 import plough_opt as po
 from plough_opt.core import refinement
-from plough_opt.core.quadrature import gauss_legendre
+from plough_opt.core.expressions import gauss_legendre
 from plough_opt.core.refinement import Refinement
 
 

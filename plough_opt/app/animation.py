@@ -12,10 +12,9 @@ from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 
 from plough_opt.app.run_picture import LIMIT, OWN, SOIL, STRUT, changing, draw_deflection, subject
-from plough_opt.core.domain import check_domain
+from plough_opt.core.checks import check_domain, path_of
 from plough_opt.core.errors import InputError
 from plough_opt.core.files import check_file, write_file
-from plough_opt.core.kinds import path_of
 from plough_opt.motion import Run
 
 # Pictures in a second, and at most in a file, which then takes some 2 MB; and colours of each.

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from plough_opt.app.messages import printable
 from plough_opt.app.terminal import check_outputs, console, give, wrote
 from plough_opt.core.errors import InputError
-from plough_opt.core.origin import Origin
+from plough_opt.core.kept import Origin
 from plough_opt.core.quantities import EVERY
 from plough_opt.core.tables import Grid, Page
 from plough_opt.core.units import Display

@@ -24,9 +24,8 @@ from plough_opt.app import waves as strengths
 from plough_opt.app.messages import add_options, messages, printable
 from plough_opt.app.page import command as pages
 from plough_opt.app.terminal import interruptible, what_was_written
-from plough_opt.core.additions import load_additions
 from plough_opt.core.errors import DomainError, InputError, PloughError
-from plough_opt.core.notices import without_notices
+from plough_opt.core.process import load_additions, without_notices
 
 SOLVED, UNSOLVED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 

@@ -11,8 +11,10 @@ from numpy.typing import NDArray
 
 from plough_opt.app.run_picture import changing, draw_deflection, draw_force, draw_speed, plot_run, subject
 from plough_opt.app.side_by_side import SIDE_BY_SIDE, draw_side_by_side, plot_designs, plot_forces
-from plough_opt.core.kinds import check_kind
-from plough_opt.core.picture_files import COLOURS, FORMATS, check_format, save
+from plough_opt.core.checks import check_kind
+from plough_opt.core.files import COLOURS, check_format
+from plough_opt.core.files import PICTURE_FORMATS as FORMATS
+from plough_opt.core.files import save_figure as save
 from plough_opt.design import Limit, Optimum
 from plough_opt.design.landscape import FEASIBLE
 from plough_opt.motion import Run

@@ -7,8 +7,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from plough_opt.core.kinds import check_kind
-from plough_opt.core.picture_files import COLOURS
+from plough_opt.core.checks import check_kind
+from plough_opt.core.files import COLOURS
 from plough_opt.core.units import Display
 from plough_opt.design import Limit
 from plough_opt.motion import Run

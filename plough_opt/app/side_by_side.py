@@ -8,8 +8,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from plough_opt.app.run_picture import limits_of
-from plough_opt.core.origin import Origin
-from plough_opt.core.picture_files import COLOURS
+from plough_opt.core.files import COLOURS
+from plough_opt.core.kept import Origin
 from plough_opt.design import Limit, LocalOptimum
 from plough_opt.motion import Run
 from plough_opt.motion.vocabulary import called

@@ -19,9 +19,8 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from plough_opt import design as designs
 from plough_opt.app.messages import LOG, printable, quiet, stepwise
 from plough_opt.core.errors import InputError, short
-from plough_opt.core.files import write_file
-from plough_opt.core.heartbeat import heartbeat
-from plough_opt.core.picture_files import save
+from plough_opt.core.files import save_figure, write_file
+from plough_opt.core.process import heartbeat
 from plough_opt.core.tables import Page
 from plough_opt.problem_file import Problem, read_problem
 
@@ -180,7 +179,7 @@ def give(
     else:
         print_page(console(), page)
     if plot is not None and options.plot is not None:
-        wrote(save(plot(), options.plot))
+        wrote(save_figure(plot(), options.plot))
     if getattr(options, "output", None) is not None:
         wrote(write_file(options.output, "output", f"{to_json()}\n"))
 

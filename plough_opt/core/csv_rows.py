@@ -10,8 +10,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from plough_opt.core.checks import shown
 from plough_opt.core.errors import InputError, nearest, short
-from plough_opt.core.kinds import shown
 from plough_opt.core.units import Unit
 
 HEADING: Final = re.compile(r"\s*(?P<name>[\w.]+)\s*(?:\[(?P<unit>[^\]]*)\])?\s*")

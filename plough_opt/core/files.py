@@ -1,5 +1,7 @@
 """Files, written whole or not at all: first beside their places, and moved there once all of them are complete."""
 
+from __future__ import annotations
+
 import json
 import os
 import re
@@ -11,11 +13,15 @@ import tempfile
 import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from importlib import import_module
 from pathlib import Path
 from types import FrameType
-from typing import IO, Final, TypeAlias
+from typing import IO, TYPE_CHECKING, Any, Final, TypeAlias
 
 from plough_opt.core.errors import InputError
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 Content: TypeAlias = str | bytes | Callable[[IO[bytes]], object]
 """Content of a file: text (written as UTF-8), bytes, or a function that writes into a binary file."""
@@ -235,3 +241,58 @@ def _refused(kind: str, target: Path, error: OSError) -> InputError:
         f"the {kind} '{target}' cannot be written: {why[:1].lower()}{why[1:]}; nothing was changed: name another place,"
         " or make room there"
     )
+
+
+PICTURE_FORMATS = ("png", "svg", "pdf")
+
+COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#8A8A8A")
+"""The colours of Okabe and Ito (2008), which colour-blind people can distinguish, and a grey."""
+
+
+def from_above(module: str, name: str) -> Any:
+    """Return a function of the pictures' room, which knows every result and stands above them all.
+
+    It is imported when a picture is drawn.
+
+    Args:
+        module: such as "plots".
+        name: of the function.
+    """
+    return getattr(import_module(f"plough_opt.app.{module}"), name)
+
+
+def drawn(name: str, *arguments: Any, target: str | Path | None = None) -> Figure:
+    """Return a picture by a function of `plough_opt.plots`, written to a file where one is named.
+
+    Args:
+        name: of the function.
+        arguments: what it draws.
+        target: file to write, or None.
+
+    Raises:
+        InputError: a file name without a known ending, or a place that cannot be written.
+    """
+    figure: Figure = from_above("plots", name)(*arguments)
+    if target is not None:
+        save_figure(figure, target)
+    return figure
+
+
+def save_figure(figure: Figure, path: str | Path) -> Path:
+    """Write a figure to a file whole or not at all, making its folder; the ending determines the format.
+
+    Raises:
+        InputError: an ending that is not a known format, or a place that cannot be written.
+    """
+    check_format(path)
+    ending = Path(path).suffix[1:].lower()
+    return write_file(path, "plot", lambda file: figure.savefig(file, dpi=130, format=ending))
+
+
+def check_format(path: str | Path) -> None:
+    """Raise InputError for a file whose ending is not a picture format, or for a folder."""
+    if Path(path).suffix[1:].lower() not in PICTURE_FORMATS:
+        endings = ", ".join(f".{ending}" for ending in PICTURE_FORMATS)
+        raise InputError(f"the plot '{path}' has no known picture format: end its name in one of {endings}")
+    if Path(path).is_dir():
+        raise InputError(f"the plot '{path}' is a folder: name a file in it")

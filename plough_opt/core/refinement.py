@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from plough_opt.core.checks import NOT_NUMBERS, check_callable, check_kind, shown
 from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import Expression, as_number, is_count
-from plough_opt.core.kinds import NOT_NUMBERS, check_callable, check_kind, shown
 
 _REPEATS = 5
 # Relative error below which differences are rounding, and further refinement gains nothing.

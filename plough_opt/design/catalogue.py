@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from plough_opt.core.checks import NOT_NUMBERS, shown
 from plough_opt.core.errors import InputError, nearest
-from plough_opt.core.kinds import NOT_NUMBERS, shown
 from plough_opt.core.units import in_words
 from plough_opt.design.declarations import Variable
 

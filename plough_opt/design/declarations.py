@@ -11,9 +11,9 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from plough_opt.core.checks import shown
 from plough_opt.core.errors import InputError, short
 from plough_opt.core.expressions import Expression, absolute, exp, log, maximum, minimum
-from plough_opt.core.kinds import shown
 from plough_opt.core.units import Display, customary, in_words
 
 # Characters of an expression that a saved result quotes: a whole one fills pages.

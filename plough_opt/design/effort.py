@@ -5,8 +5,8 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from plough_opt.core.checks import shown
 from plough_opt.core.errors import InputError, nearest
-from plough_opt.core.kinds import shown
 from plough_opt.design.declarations import Variable
 
 Search = str | int | Sequence[str]

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from plough_opt.core.files import drawn
 from plough_opt.core.kept import Keepable
-from plough_opt.core.picture_files import drawn
 from plough_opt.core.tables import Grid, Page, data_frame
 from plough_opt.core.units import Display, customary
 from plough_opt.design.tolerance import Spread

@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from plough_opt.core.checks import mapping_of
 from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import is_casadi, map_expressions
-from plough_opt.core.kinds import mapping_of
-from plough_opt.core.origin import Origin
-from plough_opt.core.picture_files import drawn
+from plough_opt.core.files import drawn
+from plough_opt.core.kept import Origin
 from plough_opt.core.plain import to_plain
 from plough_opt.core.tables import Grid, Page, Part, data_frame
 from plough_opt.core.units import in_words

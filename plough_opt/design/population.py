@@ -8,7 +8,7 @@ import casadi as ca
 import numpy as np
 
 from plough_opt.core.errors import InputError
-from plough_opt.core.processors import available
+from plough_opt.core.process import available
 from plough_opt.design.nlp import algebra_of, averages_only, holds_maps
 from plough_opt.design.split import EmbeddedRun, Split
 from plough_opt.design.verify import Vector

@@ -8,11 +8,19 @@ from typing import Any, TypeAlias
 import casadi as ca
 import numpy as np
 
-from plough_opt.core.domain import check_text, plain_number
+from plough_opt.core.checks import (
+    NOT_NUMBERS,
+    check_callable,
+    check_choice,
+    check_kind,
+    check_switch,
+    check_text,
+    plain_number,
+    shown,
+)
 from plough_opt.core.errors import InputError, nearest, unprintable
 from plough_opt.core.expressions import Expression, is_casadi
-from plough_opt.core.kinds import NOT_NUMBERS, check_callable, check_choice, check_kind, check_switch, shown
-from plough_opt.core.origin import Origin
+from plough_opt.core.kept import Origin
 from plough_opt.core.quantities import ask_about
 from plough_opt.core.units import Display, has_unit, in_si, unit_of
 from plough_opt.design.boxed import Boxed, Over

@@ -15,7 +15,7 @@ from typing import Any
 
 import casadi as ca
 
-from plough_opt.core.processors import available
+from plough_opt.core.process import available
 from plough_opt.design.split import EmbeddedRun
 from plough_opt.motion.integrators import Integration, integration
 from plough_opt.motion.jets import jets_of, weighted_curvature

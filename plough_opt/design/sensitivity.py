@@ -7,8 +7,8 @@ from functools import cached_property
 
 import numpy as np
 
+from plough_opt.core.checks import check_kind, check_switch, shown
 from plough_opt.core.errors import InputError, NotConverged, nearest
-from plough_opt.core.kinds import check_kind, check_switch, shown
 from plough_opt.core.units import in_words
 from plough_opt.design.active_set import ActiveSet, Move, sides_of, slope
 from plough_opt.design.declarations import EVERYWHERE

@@ -4,9 +4,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 
+from plough_opt.core.checks import check_named
 from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import Expression, holds_casadi
-from plough_opt.core.kinds import check_named
 from plough_opt.core.quantities import BESIDE, EVERY, QUANTITIES
 from plough_opt.motion.scene import Scene
 from plough_opt.motion.scene_quantities import quantities_of, with_quantities

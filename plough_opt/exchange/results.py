@@ -4,9 +4,9 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any, Final
 
+from plough_opt.core.checks import path_of, shown
 from plough_opt.core.errors import InputError
 from plough_opt.core.kept import Keepable, read_result
-from plough_opt.core.kinds import path_of, shown
 
 # First bytes of an SQLite file.
 _STORE: Final = b"SQLite format 3"

@@ -3,9 +3,8 @@
 from dataclasses import dataclass, field
 from typing import Final
 
-from plough_opt.core.domain import check_domain
+from plough_opt.core.checks import check_domain, check_named
 from plough_opt.core.expressions import Expression
-from plough_opt.core.kinds import check_named
 from plough_opt.laws.law import ResistanceLaw, ShareInSoil, SoilReaction
 
 POINTS: Final = {"narrow": (226.0, 0.0, 1.8), "winged": (294.0, 0.0, 2.4)}

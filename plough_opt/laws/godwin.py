@@ -3,7 +3,7 @@
 from dataclasses import dataclass, field
 from typing import Final
 
-from plough_opt.core.domain import check_domain
+from plough_opt.core.checks import check_domain
 from plough_opt.core.expressions import Expression, cos, sin, tan
 from plough_opt.laws.law import ShareInSoil, SoilReaction
 from plough_opt.laws.wedge import (

@@ -10,10 +10,9 @@ import math
 from dataclasses import dataclass, fields
 from typing import Final, Literal, TypeAlias
 
-from plough_opt.core.domain import check_domain
+from plough_opt.core.checks import check_domain, shown
 from plough_opt.core.errors import InputError, nearest
 from plough_opt.core.expressions import Expression, cos, sin
-from plough_opt.core.kinds import shown
 from plough_opt.laws.forces import ResistanceCoefficients
 from plough_opt.laws.law import SoilReaction
 from plough_opt.soil.geometry import Cone

@@ -4,8 +4,8 @@ import dataclasses
 from functools import lru_cache
 from typing import Final
 
+from plough_opt.core.checks import check_named, shown
 from plough_opt.core.errors import InputError
-from plough_opt.core.kinds import check_named, shown
 from plough_opt.laws.asabe import AsabeD497
 from plough_opt.laws.elastic_medium import ElasticMedium
 from plough_opt.laws.godwin import UniversalEarthmoving

@@ -9,10 +9,9 @@ import math
 from dataclasses import dataclass, field
 from typing import Final
 
-from plough_opt.core.domain import LEAST, check_domain
+from plough_opt.core.checks import LEAST, check_domain, check_kind
 from plough_opt.core.errors import DomainError
 from plough_opt.core.expressions import Expression, arctan, arctan2, cos, sin, sqrt, tan
-from plough_opt.core.kinds import check_kind
 from plough_opt.laws.law import ResistanceLaw, ShareInSoil
 from plough_opt.soil.geometry import Wedge
 from plough_opt.soil.soil import Soil, check_soil

@@ -4,9 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from plough_opt.core.checks import check_named, shown
 from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import is_count
-from plough_opt.core.kinds import check_named, shown
 from plough_opt.motion.methods import METHODS, ORDER_8, adaptive, fixed_step
 
 DEFAULT_ERROR = 1e-8

@@ -8,12 +8,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
+from plough_opt.core.checks import check_kind, mapping_of, shown
 from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import Expression
-from plough_opt.core.kept import Keepable
-from plough_opt.core.kinds import check_kind, mapping_of, shown
-from plough_opt.core.origin import Origin
-from plough_opt.core.picture_files import drawn
+from plough_opt.core.files import drawn
+from plough_opt.core.kept import Keepable, Origin
 from plough_opt.core.tables import Grid, Page
 from plough_opt.motion.response import response_table
 from plough_opt.motion.run import Run

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from typing import Any, Final
 
-from plough_opt.core.origin import Origin
+from plough_opt.core.kept import Origin
 from plough_opt.core.tables import Grid
 
 # Peaks -> the names under which files limit them, and write their units.

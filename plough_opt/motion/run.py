@@ -10,13 +10,12 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from plough_opt.core.domain import check_domain
+from plough_opt.core.checks import check_domain
 from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import Expression, column, is_casadi, rms, where
-from plough_opt.core.kept import Keepable
+from plough_opt.core.files import drawn, from_above
+from plough_opt.core.kept import Keepable, Origin
 from plough_opt.core.labels import unlabelled
-from plough_opt.core.origin import Origin
-from plough_opt.core.picture_files import drawn, from_above
 from plough_opt.core.tables import Grid, Page, data_frame
 from plough_opt.motion.accuracy import Accuracy
 from plough_opt.motion.averages import Averages, Checks

@@ -8,10 +8,9 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TypeVar
 
-from plough_opt.core.domain import check_domain
+from plough_opt.core.checks import check_domain, shown
 from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import Expression, as_number, is_symbolic, rms, sqrt
-from plough_opt.core.kinds import shown
 from plough_opt.core.labels import checked_in_designs, unlabelled
 from plough_opt.core.quantities import settle
 from plough_opt.laws.law import ResistanceLaw, ShareInSoil, SoilReaction, without_pressure

@@ -5,10 +5,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from plough_opt.core.domain import check_domain, check_single
+from plough_opt.core.checks import check_domain, check_kind, check_single, check_switch, shown
 from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import Expression, as_number, holds_casadi, is_count, is_symbolic, map_expressions
-from plough_opt.core.kinds import check_kind, check_switch, shown
 from plough_opt.core.quantities import BESIDE
 from plough_opt.motion.accuracy import DEFAULT_ERROR, Accuracy
 from plough_opt.motion.averages import Checks

@@ -3,9 +3,9 @@
 import math
 from collections.abc import Callable, Mapping, Sequence
 
+from plough_opt.core.checks import check_kind, check_named
 from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import Expression
-from plough_opt.core.kinds import check_kind, check_named
 from plough_opt.core.quantities import EVERY
 from plough_opt.exchange.component import Input, Output, Port
 from plough_opt.exchange.component.ports import port_of

@@ -4,8 +4,8 @@ import dataclasses
 from collections.abc import Mapping
 from typing import Any, TypeVar
 
+from plough_opt.core.checks import check_named, shown
 from plough_opt.core.errors import InputError, nearest
-from plough_opt.core.kinds import check_named, shown
 from plough_opt.core.units import Unit
 from plough_opt.laws.law import ResistanceLaw
 from plough_opt.laws.registry import LAWS, law_of

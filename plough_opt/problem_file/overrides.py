@@ -3,8 +3,8 @@
 import tomllib
 from typing import Any, Final
 
+from plough_opt.core.checks import check_kind
 from plough_opt.core.errors import InputError, nearest, short
-from plough_opt.core.kinds import check_kind
 from plough_opt.core.quantities import quantities
 from plough_opt.problem_file.lines import nested_line
 from plough_opt.problem_file.schema import ProblemTable

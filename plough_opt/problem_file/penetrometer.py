@@ -9,10 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from plough_opt.core.checks import LARGEST, LEAST, NOT_NUMBERS, check_text, path_of, plain_number, shown
 from plough_opt.core.csv_rows import check_rising, columns_of, raise_listed, readings_of, table_of
-from plough_opt.core.domain import LARGEST, LEAST, check_text, plain_number
 from plough_opt.core.errors import InputError
-from plough_opt.core.kinds import NOT_NUMBERS, path_of, shown
 from plough_opt.core.units import Unit
 from plough_opt.problem_file.ranges import read_axis
 from plough_opt.problem_file.source import Source

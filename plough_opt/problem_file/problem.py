@@ -7,10 +7,10 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TypeVar
 
+from plough_opt.core.checks import check_switch, mapping_of
 from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import Expression
-from plough_opt.core.kinds import check_switch, mapping_of
-from plough_opt.core.origin import Origin
+from plough_opt.core.kept import Origin
 from plough_opt.core.quantities import BESIDE, EVERY, QUANTITIES
 from plough_opt.core.units import Display
 from plough_opt.design import Design, Optimum, Over, Progress

@@ -11,8 +11,8 @@ from typing import Any
 
 from pydantic import ValidationError
 
+from plough_opt.core.checks import check_kind, path_of
 from plough_opt.core.errors import InputError, nearest, short
-from plough_opt.core.kinds import check_kind, path_of
 from plough_opt.core.quantities import IN_FILES, READINGS, quantities
 from plough_opt.core.units import Display, display_of
 from plough_opt.design import Over

@@ -13,8 +13,8 @@ from typing import Any, Final
 
 from pydantic import ValidationError
 
+from plough_opt.core.checks import shown
 from plough_opt.core.errors import DomainError, InputError, nearest, short, unprintable
-from plough_opt.core.kinds import shown
 from plough_opt.core.units import Unit
 from plough_opt.problem_file.lines import MOST_TABLES, lines_of, nested_line
 

@@ -3,9 +3,9 @@
 from pathlib import Path
 from typing import Any
 
+from plough_opt.core.checks import path_of
 from plough_opt.core.csv_rows import check_rising, columns_of, readings_of, table_of
 from plough_opt.core.errors import InputError
-from plough_opt.core.kinds import path_of
 from plough_opt.core.units import Unit
 from plough_opt.problem_file.schema import RANDOM
 from plough_opt.problem_file.source import Source

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, Literal
 
+from plough_opt.core.checks import check_named, shown
 from plough_opt.core.errors import InputError, nearest
-from plough_opt.core.kinds import check_named, shown
-from plough_opt.core.origin import Origin
+from plough_opt.core.kept import Origin
 from plough_opt.core.quantities import quantities
 from plough_opt.core.units import Display
 from plough_opt.problem_file.evaluations import Optimisation, Simulation, SimulationOfMany, fixed_at

@@ -7,13 +7,14 @@ quadrature.
 
 import numpy as np
 
-from plough_opt.core.domain import check_domain
+from plough_opt.core.checks import check_domain
 from plough_opt.core.errors import DomainError
 from plough_opt.core.expressions import (
     Expression,
     absolute,
     as_number,
     exp,
+    gauss_legendre,
     is_symbolic,
     log1p,
     maximum,
@@ -21,7 +22,6 @@ from plough_opt.core.expressions import (
     sqrt,
     where,
 )
-from plough_opt.core.quadrature import gauss_legendre
 from plough_opt.soil.soil import Soil, check_soil
 
 # Steps of Newton's method for the front, from the cavity outwards; one is enough if the density hardly varies.

@@ -3,7 +3,7 @@
 import math
 from dataclasses import dataclass
 
-from plough_opt.core.domain import check_domain, plain_number
+from plough_opt.core.checks import check_domain, plain_number
 from plough_opt.core.expressions import Expression, arctan, cos, sqrt, tan
 from plough_opt.core.labels import checked_in_designs
 from plough_opt.core.quantities import BESIDE, settle

@@ -10,12 +10,20 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from plough_opt.core.domain import check_domain
+from plough_opt.core.checks import check_domain, check_kind
 from plough_opt.core.errors import InputError
-from plough_opt.core.expressions import Expression, as_number, cos, exp, expm1_ratio, log1p, log1p_ratio, sqrt
-from plough_opt.core.kinds import check_kind
+from plough_opt.core.expressions import (
+    Expression,
+    as_number,
+    cos,
+    exp,
+    expm1_ratio,
+    gauss_legendre,
+    log1p,
+    log1p_ratio,
+    sqrt,
+)
 from plough_opt.core.labels import checked_in_designs
-from plough_opt.core.quadrature import gauss_legendre
 from plough_opt.soil.compaction import front, mean_ratio, ratio
 from plough_opt.soil.soil import Soil, check_soil
 from plough_opt.soil.yielding import Yielding

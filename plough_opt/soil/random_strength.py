@@ -15,11 +15,20 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from plough_opt.core.domain import check_domain
+from plough_opt.core.checks import NOT_NUMBERS, check_domain
 from plough_opt.core.errors import InputError
-from plough_opt.core.expressions import Expression, arcsinh, column, exp, holds_casadi, is_casadi, one_node, rms, sqrt
-from plough_opt.core.kinds import NOT_NUMBERS
-from plough_opt.core.quadrature import gauss_legendre
+from plough_opt.core.expressions import (
+    Expression,
+    arcsinh,
+    column,
+    exp,
+    gauss_legendre,
+    holds_casadi,
+    is_casadi,
+    one_node,
+    rms,
+    sqrt,
+)
 from plough_opt.core.quantities import settle
 from plough_opt.soil.waves import StrengthWave
 

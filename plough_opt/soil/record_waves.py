@@ -4,7 +4,7 @@ import math
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from plough_opt.core.picture_files import COLOURS, save
+from plough_opt.core.files import COLOURS, save_figure
 from plough_opt.soil.random_strength import Spectrum
 from plough_opt.soil.waves import StrengthWave
 
@@ -79,4 +79,4 @@ class RecordWaves:
         axes.set_xlabel("wavelength [m]")
         axes.set_ylabel("spectrum of relative strength [m/rad]")
         axes.legend(fontsize=8)
-        return save(figure, path)
+        return save_figure(figure, path)

@@ -9,9 +9,9 @@ from typing import Any, Literal, TypeAlias, get_args
 
 import numpy as np
 
+from plough_opt.core.checks import check_kind, check_named, shown
 from plough_opt.core.errors import InputError, nearest, unprintable
 from plough_opt.core.expressions import COUNT, Expression, as_number, cos, is_count, is_symbolic
-from plough_opt.core.kinds import check_kind, check_named, shown
 from plough_opt.core.quantities import EVERY, QUANTITIES, settle
 from plough_opt.soil.yielding import Yielding, density_ratio_of, growth
 

@@ -8,7 +8,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from plough_opt.core.domain import check_domain
+from plough_opt.core.checks import check_domain
 from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import is_count
 

@@ -8,9 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from plough_opt.core.domain import LARGEST, check_domain, check_text, plain_number
+from plough_opt.core.checks import LARGEST, NOT_NUMBERS, check_domain, check_kind, check_text, plain_number, shown
 from plough_opt.core.errors import InputError
-from plough_opt.core.kinds import NOT_NUMBERS, check_kind, shown
 from plough_opt.core.quantities import MOST_WAVES
 from plough_opt.soil.random_strength import Spectrum
 from plough_opt.soil.record_waves import FoundWave, RecordWaves

@@ -7,8 +7,8 @@ import pytest
 from rich.console import Console
 
 from plough_opt.app import commands
-from plough_opt.core import heartbeat as module
-from plough_opt.core.heartbeat import heartbeat
+from plough_opt.core import process as module
+from plough_opt.core.process import heartbeat
 from plough_opt.studies.sweep.bar import bar
 
 

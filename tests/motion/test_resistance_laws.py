@@ -10,7 +10,7 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import minimize_scalar
 
 import plough_opt as po
-from plough_opt.core.domain import check_domain
+from plough_opt.core.checks import check_domain
 from plough_opt.laws import (
     LAWS,
     AsabeD497,

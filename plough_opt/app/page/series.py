@@ -7,7 +7,7 @@ import numpy as np
 
 from plough_opt.app.page.content import Report, nice
 from plough_opt.app.run_picture import changing, limits_of
-from plough_opt.core.picture_files import COLOURS
+from plough_opt.core.files import COLOURS
 from plough_opt.core.units import Display
 from plough_opt.design.landscape import FEASIBLE
 from plough_opt.motion import Run

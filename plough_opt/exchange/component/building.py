@@ -6,12 +6,10 @@ from typing import Any, TypeVar
 
 import casadi as ca
 
-from plough_opt.core.domain import check_single, plain_number
+from plough_opt.core.checks import check_kind, check_single, plain_number, shown
 from plough_opt.core.errors import DomainError, InputError
 from plough_opt.core.expressions import Expression, as_number, holds_casadi, is_count, is_symbolic, map_expressions
-from plough_opt.core.kinds import check_kind, shown
-from plough_opt.core.quantities import BESIDE, EVERY
-from plough_opt.core.quantity import Quantity
+from plough_opt.core.quantities import BESIDE, EVERY, Quantity
 from plough_opt.exchange.component.box import Box
 from plough_opt.exchange.component.function import Component
 from plough_opt.exchange.component.ports import Input, Output, Port, check_names, identifier, measure_of, port_of

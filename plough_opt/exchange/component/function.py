@@ -11,9 +11,9 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from plough_opt.core.checks import shown
 from plough_opt.core.errors import DomainError, InputError, nearest
 from plough_opt.core.expressions import Expression, as_number, is_casadi, is_symbolic
-from plough_opt.core.kinds import shown
 from plough_opt.exchange.component.ports import Port, place
 from plough_opt.motion.accuracy import Accuracy
 

@@ -11,12 +11,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from plough_opt.core.domain import check_domain, plain_number
+from plough_opt.core.checks import check_domain, plain_number, shown
 from plough_opt.core.errors import InputError, nearest, unprintable
 from plough_opt.core.expressions import Expression
-from plough_opt.core.kinds import shown
-from plough_opt.core.quantities import EVERY
-from plough_opt.core.quantity import Quantity
+from plough_opt.core.quantities import EVERY, Quantity
 from plough_opt.core.units import has_unit, in_si, unit_of
 from plough_opt.laws.law import ResistanceLaw
 from plough_opt.motion import Run

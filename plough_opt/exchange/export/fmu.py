@@ -10,11 +10,11 @@ from typing import Any, Final, Literal
 
 import numpy as np
 
+from plough_opt.core.checks import check_choice
 from plough_opt.core.compiler import compile_library, find_compiler
 from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import as_number, is_casadi, is_symbolic, map_expressions
 from plough_opt.core.files import check_file, write_file
-from plough_opt.core.kinds import check_choice
 from plough_opt.core.quantities import BESIDE
 from plough_opt.exchange.export.fmu_description import build_description, documentation, model_description
 from plough_opt.exchange.export.fmu_equations import model_of

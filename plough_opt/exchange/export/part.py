@@ -8,9 +8,9 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any, Final
 
+from plough_opt.core.checks import check_kind, path_of
 from plough_opt.core.errors import InputError
 from plough_opt.core.files import write_file
-from plough_opt.core.kinds import check_kind, path_of
 from plough_opt.soil.geometry import Cone, Wedge
 from plough_opt.soil.solid import Solid
 

@@ -9,10 +9,9 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from plough_opt.core.domain import check_single
+from plough_opt.core.checks import NOT_NUMBERS, check_kind, check_single, shown
 from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import Expression, as_number, is_casadi, is_count, is_symbolic, template_of
-from plough_opt.core.kinds import NOT_NUMBERS, check_kind, shown
 from plough_opt.core.quantities import BESIDE
 from plough_opt.motion.batch.advance import advance
 from plough_opt.motion.batch.c_source import Kernels

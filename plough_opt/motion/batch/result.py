@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from plough_opt.core.files import drawn
 from plough_opt.core.kept import Keepable
-from plough_opt.core.picture_files import drawn
 from plough_opt.core.tables import Grid, Page, data_frame
 from plough_opt.core.units import customary
 from plough_opt.motion.vocabulary import called

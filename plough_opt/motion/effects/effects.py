@@ -5,9 +5,9 @@ from typing import Literal
 
 import numpy as np
 
+from plough_opt.core.checks import check_choice, check_kind, check_switch, shown
 from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import COUNT, Expression, as_number, is_count, is_symbolic
-from plough_opt.core.kinds import check_choice, check_kind, check_switch, shown
 from plough_opt.core.quantities import MOST_WAVES, settle
 from plough_opt.laws.printed import Formulation, Printed, errors_of
 from plough_opt.motion.effects.own import OwnResistance, check_own

@@ -12,9 +12,9 @@ from typing import Any, Final, Protocol, runtime_checkable
 import casadi as ca
 import numpy as np
 
+from plough_opt.core.checks import shown
 from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import Expression, as_number, is_casadi, is_quantity, map_expressions, template_of
-from plough_opt.core.kinds import shown
 from plough_opt.motion.effects.term import Parameters, Place, Rates, Term, Towed
 
 # What prints all that it is, or its own place in memory, beside single numbers and expressions.

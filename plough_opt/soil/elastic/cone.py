@@ -7,7 +7,7 @@ S = section_factor R^2. With the potentials N and M of `plough_opt.soil.elastic.
 
 from dataclasses import dataclass
 
-from plough_opt.core.domain import LEAST, check_domain
+from plough_opt.core.checks import LEAST, check_domain
 from plough_opt.core.expressions import Expression
 from plough_opt.soil.elastic.medium import Medium, medium
 from plough_opt.soil.elastic.profile import Body, Profile, body, points

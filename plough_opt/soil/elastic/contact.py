@@ -17,12 +17,13 @@ from functools import partial
 import casadi as ca
 import numpy as np
 
-from plough_opt.core.domain import check_domain, check_single
+from plough_opt.core.checks import check_domain, check_single, check_switch
 from plough_opt.core.expressions import (
     Expression,
     absolute,
     column,
     exp,
+    gauss_legendre,
     holds_casadi,
     is_casadi,
     log,
@@ -30,8 +31,6 @@ from plough_opt.core.expressions import (
     minimum,
     where,
 )
-from plough_opt.core.kinds import check_switch
-from plough_opt.core.quadrature import gauss_legendre
 from plough_opt.soil.elastic import cone as cones
 from plough_opt.soil.elastic import wedge as wedges
 from plough_opt.soil.elastic.medium import Medium, medium

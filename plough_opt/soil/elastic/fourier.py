@@ -11,10 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from plough_opt.core.domain import check_domain, check_single
+from plough_opt.core.checks import check_domain, check_single
 from plough_opt.core.errors import DomainError, InputError
-from plough_opt.core.expressions import Expression, expm1_ratio, holds_casadi, is_count
-from plough_opt.core.quadrature import gauss_legendre
+from plough_opt.core.expressions import Expression, expm1_ratio, gauss_legendre, holds_casadi, is_count
 from plough_opt.soil.elastic import cone as cones
 from plough_opt.soil.elastic import sources
 from plough_opt.soil.elastic import wedge as wedges

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import Any
 
-from plough_opt.core.domain import check_domain
+from plough_opt.core.checks import check_domain
 from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import Expression, is_symbolic, map_expressions, sqrt, where
 from plough_opt.core.labels import Limit, attach, checked_in_designs, unlabelled

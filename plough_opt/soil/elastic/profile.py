@@ -8,7 +8,7 @@ from typing import Any, Final, TypeAlias
 
 import numpy as np
 
-from plough_opt.core.domain import LEAST, check_domain, plain_number
+from plough_opt.core.checks import LEAST, check_callable, check_domain, plain_number, shown
 from plough_opt.core.errors import DomainError, InputError
 from plough_opt.core.expressions import (
     Expression,
@@ -20,7 +20,6 @@ from plough_opt.core.expressions import (
     maximum,
     minimum,
 )
-from plough_opt.core.kinds import check_callable, shown
 from plough_opt.soil.geometry import Cone, Wedge
 
 Profile: TypeAlias = Sequence[tuple[Expression, Expression]] | Wedge | Cone

@@ -13,8 +13,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields
 
-from plough_opt.core.expressions import Expression, arcsinh, arcsinh_ratio, one_node, sqrt, where
-from plough_opt.core.quadrature import gauss_legendre
+from plough_opt.core.expressions import Expression, arcsinh, arcsinh_ratio, gauss_legendre, one_node, sqrt, where
 from plough_opt.soil.elastic.differences import FAR, FAR_NODES
 from plough_opt.soil.elastic.medium import Medium
 from plough_opt.soil.elastic.profile import Body, Segment

@@ -12,9 +12,8 @@ for k = alpha and eta, and stresses need Q_alpha, P_alpha and the differences (Q
 import math
 from dataclasses import dataclass
 
-from plough_opt.core.domain import check_domain
-from plough_opt.core.expressions import Expression, arctan2, one_node, sqrt, where
-from plough_opt.core.quadrature import gauss_legendre
+from plough_opt.core.checks import check_domain
+from plough_opt.core.expressions import Expression, arctan2, gauss_legendre, one_node, sqrt, where
 from plough_opt.soil.elastic.differences import FAR, FAR_NODES, angle_difference, log_difference
 from plough_opt.soil.elastic.medium import Medium, medium
 from plough_opt.soil.elastic.profile import Body, Profile, body, check_off_nodes, points

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
-from plough_opt.core.picture_files import COLOURS
+from plough_opt.core.files import COLOURS
 from plough_opt.studies.accuracy.contest import Entry, duration_text
 
 _BLUE, _RED, _GREEN, _PINK, _ORANGE, _SKY, _GREY = COLOURS

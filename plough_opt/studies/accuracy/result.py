@@ -8,8 +8,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from plough_opt.core.kept import Keepable
-from plough_opt.core.origin import Origin
+from plough_opt.core.kept import Keepable, Origin
 from plough_opt.core.tables import Column, Grid, Page, Part, data_frame
 from plough_opt.studies.accuracy.contest import Entry, cheapest, duration_text, efficient
 from plough_opt.studies.accuracy.methods import AUTO, COMPILED, MACHINE_CODE, error_text
@@ -248,7 +247,7 @@ class AccuracyStudy(Keepable):
         from matplotlib.axes import Axes
         from matplotlib.figure import Figure
 
-        from plough_opt.core.picture_files import save
+        from plough_opt.core.files import save_figure
         from plough_opt.studies.accuracy.picture import draw, figure_of
 
         panels = [self.panel(question) for question in self.questions]
@@ -259,7 +258,7 @@ class AccuracyStudy(Keepable):
             return whole
         figure = figure_of(panels, self.title)
         if target is not None:
-            save(figure, target)
+            save_figure(figure, target)
         return figure
 
     def panel(self, question: Question) -> Any:

@@ -7,12 +7,19 @@ from functools import partial
 from importlib.metadata import version
 from typing import TypeVar
 
-from plough_opt.core.domain import check_domain, check_text, plain_number
+from plough_opt.core.checks import (
+    check_callable,
+    check_domain,
+    check_kind,
+    check_switch,
+    check_text,
+    plain_number,
+    shown,
+)
 from plough_opt.core.errors import InputError, PloughError
 from plough_opt.core.expressions import as_number, holds_casadi, is_count, map_expressions
-from plough_opt.core.kinds import check_callable, check_kind, check_switch, shown
-from plough_opt.core.origin import versions
-from plough_opt.core.processors import available
+from plough_opt.core.kept import versions
+from plough_opt.core.process import available
 from plough_opt.core.quantities import BESIDE
 from plough_opt.design import Design
 from plough_opt.laws.elastic_medium import ElasticMedium

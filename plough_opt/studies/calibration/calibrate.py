@@ -8,10 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from plough_opt.core.domain import check_text
+from plough_opt.core.checks import check_text, shown
 from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import is_count
-from plough_opt.core.kinds import shown
 from plough_opt.motion.scene import Scene
 from plough_opt.studies.calibration.estimate import estimate
 from plough_opt.studies.calibration.fit import Fit, reported

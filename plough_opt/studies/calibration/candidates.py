@@ -8,8 +8,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from plough_opt.core.checks import check_kind
 from plough_opt.core.errors import DomainError, InputError
-from plough_opt.core.kinds import check_kind
 from plough_opt.studies.calibration.estimate import Estimate
 from plough_opt.studies.calibration.identifiability import UNIFORM
 from plough_opt.studies.calibration.measurements import RECORD, measurable, result_unit

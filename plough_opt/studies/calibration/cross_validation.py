@@ -6,9 +6,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from plough_opt.core.checks import shown
 from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import is_count
-from plough_opt.core.kinds import shown
 from plough_opt.studies.calibration.estimate import Estimate, estimate
 from plough_opt.studies.calibration.measurements import RECORD, measurable
 from plough_opt.studies.calibration.setup import Setup

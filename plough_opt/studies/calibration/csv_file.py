@@ -6,9 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
+from plough_opt.core.checks import path_of
 from plough_opt.core.csv_rows import HEADING, factor_of, raise_listed, read_rows, table_of
 from plough_opt.core.errors import InputError, nearest, short
-from plough_opt.core.kinds import path_of
 from plough_opt.core.quantities import quantities
 from plough_opt.core.units import Unit
 from plough_opt.motion.vocabulary import MEASURES

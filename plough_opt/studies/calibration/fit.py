@@ -11,10 +11,9 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from plough_opt.core.checks import check_choice
 from plough_opt.core.errors import InputError
-from plough_opt.core.kept import Keepable
-from plough_opt.core.kinds import check_choice
-from plough_opt.core.origin import Origin, versions
+from plough_opt.core.kept import Keepable, Origin, versions
 from plough_opt.core.tables import Page, Part, data_frame
 from plough_opt.motion.scene import Scene
 from plough_opt.soil.soil import Soil
@@ -267,12 +266,12 @@ class Fit(Keepable):
         Raises:
             InputError: a file name without a known ending, or a place that cannot be written.
         """
-        from plough_opt.core.picture_files import save
+        from plough_opt.core.files import save_figure
         from plough_opt.studies.calibration.picture import figure_of
 
         figure = figure_of(self.title, self.rows, self.origin)
         if target is not None:
-            save(figure, target)
+            save_figure(figure, target)
         return figure
 
     def to_json(self, page: Page | None = None) -> str:

@@ -7,8 +7,8 @@ from typing import Final, Literal
 import numpy as np
 from scipy import optimize
 
+from plough_opt.core.checks import shown
 from plough_opt.core.errors import InputError, NotConverged
-from plough_opt.core.kinds import shown
 from plough_opt.studies.calibration.estimate import Estimate
 from plough_opt.studies.calibration.least_squares import AT_BOUND
 from plough_opt.studies.calibration.unknown import Unknown

@@ -7,7 +7,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from plough_opt.core.kinds import check_named
+from plough_opt.core.checks import check_named
 
 Vector = NDArray[np.float64]
 

@@ -7,9 +7,8 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from plough_opt.core.domain import check_text
+from plough_opt.core.checks import NOT_NUMBERS, check_kind, check_named, check_text, mapping_of, shown
 from plough_opt.core.errors import InputError
-from plough_opt.core.kinds import NOT_NUMBERS, check_kind, check_named, mapping_of, shown
 from plough_opt.core.quantities import every_quantity
 from plough_opt.core.units import Unit
 from plough_opt.motion.vocabulary import MEASURES

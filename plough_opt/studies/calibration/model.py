@@ -4,9 +4,9 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Protocol, TypeAlias, runtime_checkable
 
+from plough_opt.core.checks import shown
 from plough_opt.core.errors import InputError, nearest
 from plough_opt.core.expressions import Expression, as_number, is_symbolic
-from plough_opt.core.kinds import shown
 from plough_opt.core.quantities import quantities
 from plough_opt.motion.accuracy import Accuracy
 from plough_opt.motion.scene import Scene

@@ -4,7 +4,7 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Final
 
-from plough_opt.core.origin import Origin
+from plough_opt.core.kept import Origin
 from plough_opt.core.tables import Grid
 from plough_opt.studies.calibration.candidates import NextMeasurement
 from plough_opt.studies.calibration.intervals import Interval

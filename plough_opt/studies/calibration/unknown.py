@@ -5,10 +5,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
-from plough_opt.core.domain import check_domain
+from plough_opt.core.checks import check_domain, check_named, mapping_of, shown
 from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import Expression, exp
-from plough_opt.core.kinds import check_named, mapping_of, shown
 from plough_opt.core.quantities import every_quantity
 
 CUSTOMARY: Final = {

@@ -86,13 +86,13 @@ class Comparison:
         Raises:
             InputError: a file of no known picture format, or one that cannot be written.
         """
-        from plough_opt.core.picture_files import save
+        from plough_opt.core.files import save_figure
         from plough_opt.studies.crosscheck.picture import figure_of
 
         speeds = [_KM_PER_H * speed for speed in self.speeds]
         figure = figure_of(self.own, self.others, speeds, self.depths, self.scene)
         if path is not None:
-            save(figure, path)
+            save_figure(figure, path)
         return figure
 
 

@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
-from plough_opt.core.picture_files import COLOURS
+from plough_opt.core.files import COLOURS
 from plough_opt.studies.crosscheck.rows import ModelDraft
 
 _MARKERS = "os^vDPX"

@@ -7,10 +7,9 @@ from functools import partial
 
 import numpy as np
 
-from plough_opt.core.domain import check_domain, check_single
+from plough_opt.core.checks import check_domain, check_kind, check_named, check_single
 from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import holds_casadi
-from plough_opt.core.kinds import check_kind, check_named
 from plough_opt.laws import (
     AsabeD497,
     McKyesAli,

@@ -7,7 +7,7 @@ from typing import Final
 
 import numpy as np
 
-from plough_opt.core.domain import LEAST, check_domain
+from plough_opt.core.checks import LEAST, check_domain
 from plough_opt.core.errors import InputError
 from plough_opt.laws.wedge import Tine
 from plough_opt.motion.scene import Scene

@@ -7,10 +7,9 @@ from typing import Final
 
 import numpy as np
 
-from plough_opt.core.domain import plain_number
+from plough_opt.core.checks import check_switch, plain_number, shown
 from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import is_count
-from plough_opt.core.kinds import check_switch, shown
 
 MOST_VALUES: Final = 1_000_000
 """Limit on the values of one quantity of a grid, which are held in memory; the points are not."""

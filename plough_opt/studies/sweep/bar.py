@@ -17,7 +17,7 @@ from rich.progress import (
 )
 from rich.text import Text
 
-from plough_opt.core.heartbeat import heartbeat
+from plough_opt.core.process import heartbeat
 from plough_opt.studies.sweep.engine import Progress
 
 

@@ -13,7 +13,7 @@ from concurrent.futures import BrokenExecutor, Executor, Future
 from typing import Any, BinaryIO, Final, cast
 
 from plough_opt.core.errors import InputError
-from plough_opt.core.processors import available
+from plough_opt.core.process import available
 from plough_opt.studies.sweep.work import Evaluation
 from plough_opt.studies.sweep.worker import BEGUN, READY, command, environment, is_preparing, preparation, receive, send
 

@@ -13,10 +13,10 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from plough_opt.core.checks import path_of, shown
 from plough_opt.core.errors import InputError
-from plough_opt.core.kinds import path_of, shown
-from plough_opt.core.origin import Origin
-from plough_opt.core.picture_files import drawn
+from plough_opt.core.files import drawn
+from plough_opt.core.kept import Origin
 from plough_opt.core.tables import Grid, Page, Part, Readable, data_frame
 from plough_opt.motion.vocabulary import called
 from plough_opt.studies.sweep import tables

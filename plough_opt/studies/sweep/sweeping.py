@@ -13,11 +13,11 @@ from typing import Any
 
 from rich.console import Console
 
+from plough_opt.core.checks import check_switch, path_of, shown
 from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import is_count
-from plough_opt.core.kinds import check_switch, path_of, shown
-from plough_opt.core.origin import versions
-from plough_opt.core.processors import available
+from plough_opt.core.kept import versions
+from plough_opt.core.process import available
 from plough_opt.studies.sweep.axes import axis_of
 from plough_opt.studies.sweep.bar import bar, silent
 from plough_opt.studies.sweep.cluster import Cluster

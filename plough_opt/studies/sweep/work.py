@@ -12,9 +12,9 @@ from typing import Final, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
+from plough_opt.core.checks import NOT_NUMBERS
 from plough_opt.core.errors import InputError, PloughError
-from plough_opt.core.kinds import NOT_NUMBERS
-from plough_opt.core.processors import one_of_several
+from plough_opt.core.process import one_of_several
 
 Array = NDArray[np.float64]
 

@@ -14,8 +14,7 @@ import threading
 from pathlib import Path
 from typing import Any, BinaryIO, Final
 
-from plough_opt.core.additions import load_additions
-from plough_opt.core.notices import Sieve
+from plough_opt.core.process import Sieve, load_additions
 
 READY: Final = "ready"
 BEGUN: Final = "begun"

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from plough_opt.core.errors import NotConverged
-from plough_opt.core.origin import Origin
+from plough_opt.core.kept import Origin
 from plough_opt.studies.tradeoff.candidates import MATTERS, Candidate, Failure
 from plough_opt.studies.tradeoff.certificate import FrontPoint, certify
 from plough_opt.studies.tradeoff.domination import Array

@@ -5,9 +5,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from plough_opt.core.checks import NOT_NUMBERS, shown
 from plough_opt.core.errors import InputError
-from plough_opt.core.kinds import NOT_NUMBERS, shown
-from plough_opt.core.origin import Origin, versions
+from plough_opt.core.kept import Origin, versions
 from plough_opt.core.units import Display
 from plough_opt.motion.vocabulary import called
 from plough_opt.studies.tradeoff import plane, space

@@ -4,9 +4,9 @@ from dataclasses import dataclass, field
 
 import casadi as ca
 
+from plough_opt.core.checks import shown
 from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import Expression, is_casadi
-from plough_opt.core.kinds import shown
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure, SubFigure
 from matplotlib.ticker import MaxNLocator, ScalarFormatter
 from numpy.typing import NDArray
 
-from plough_opt.core.picture_files import COLOURS
+from plough_opt.core.files import COLOURS
 from plough_opt.core.units import Display
 from plough_opt.motion.vocabulary import called
 from plough_opt.studies.tradeoff.certificate import FrontPoint

@@ -71,7 +71,7 @@ class TradeOff(Keepable, Front):
         Raises:
             InputError: a file name without a known ending, or a place that cannot be written.
         """
-        from plough_opt.core.picture_files import save
+        from plough_opt.core.files import save_figure
         from plough_opt.studies.tradeoff.picture import Drawing, draw_front, figure_of
         from plough_opt.studies.tradeoff.surface_picture import draw_surface, surface_figure
 
@@ -83,7 +83,7 @@ class TradeOff(Keepable, Front):
             return target
         figure = (figure_of if flat else surface_figure)(drawing)
         if target is not None:
-            save(figure, target)
+            save_figure(figure, target)
         return figure
 
     def to_csv(self, path: str | Path) -> Path:

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure, SubFigure
 from matplotlib.ticker import MaxNLocator
 from matplotlib.tri import Triangulation
 
-from plough_opt.core.picture_files import COLOURS
+from plough_opt.core.files import COLOURS
 from plough_opt.studies.tradeoff.domination import ACROSS
 from plough_opt.studies.tradeoff.goal import Axis
 from plough_opt.studies.tradeoff.picture import MUTED, Drawing, beside_panels, places_of, range_of

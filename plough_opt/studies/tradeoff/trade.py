@@ -8,10 +8,9 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from plough_opt.core.domain import check_text, plain_number
+from plough_opt.core.checks import check_callable, check_kind, check_switch, check_text, mapping_of, plain_number, shown
 from plough_opt.core.errors import InputError, NotConverged, nearest
 from plough_opt.core.expressions import Expression, is_count
-from plough_opt.core.kinds import check_callable, check_kind, check_switch, mapping_of, shown
 from plough_opt.design import Design, Progress
 from plough_opt.design.effort import Search
 from plough_opt.design.ipopt import Point

@@ -12,10 +12,9 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import integrate, special
 from scipy.stats import qmc
 
-from plough_opt.core.domain import check_text, plain_number
+from plough_opt.core.checks import NOT_NUMBERS, check_text, plain_number, shown
 from plough_opt.core.errors import DomainError, InputError, nearest
 from plough_opt.core.expressions import is_casadi
-from plough_opt.core.kinds import NOT_NUMBERS, shown
 from plough_opt.core.quantities import QUANTITIES
 from plough_opt.soil.soil import Soil
 from plough_opt.studies.uncertainty.samples import SoilSamples

@@ -10,10 +10,9 @@ import math
 import casadi as ca
 import numpy as np
 
-from plough_opt.core.domain import LARGEST, LEAST, plain_number
+from plough_opt.core.checks import LARGEST, LEAST, NOT_NUMBERS, plain_number, shown
 from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import Expression, is_casadi, sqrt, where
-from plough_opt.core.kinds import NOT_NUMBERS, shown
 from plough_opt.studies.uncertainty import smoothing
 
 # Halvings that reduce a range of a million widths to 1e-9 widths, an error that one step of Newton's method squares.

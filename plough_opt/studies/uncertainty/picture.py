@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from plough_opt.core.picture_files import COLOURS
+from plough_opt.core.files import COLOURS
 
 Vector = NDArray[np.float64]
 

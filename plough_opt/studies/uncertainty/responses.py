@@ -13,10 +13,9 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from plough_opt.core.domain import plain_number
+from plough_opt.core.checks import check_kind, plain_number
 from plough_opt.core.errors import InputError, nearest
 from plough_opt.core.expressions import Expression, is_quantity, map_expressions
-from plough_opt.core.kinds import check_kind
 from plough_opt.design import Optimum
 from plough_opt.design.nlp import averages_only
 from plough_opt.design.split import EmbeddedRun, split

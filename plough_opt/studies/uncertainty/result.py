@@ -7,9 +7,8 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from plough_opt.core.kept import Keepable
-from plough_opt.core.origin import Origin
-from plough_opt.core.picture_files import save
+from plough_opt.core.files import save_figure
+from plough_opt.core.kept import Keepable, Origin
 from plough_opt.core.tables import Grid, Page, Part, data_frame
 from plough_opt.design import Optimum
 from plough_opt.motion import Run
@@ -137,7 +136,7 @@ class RobustOptimum(Keepable):
         values = {"nominal design": self.nominal_fresh.values, "robust design": self.fresh.values}
         figure = plot_spread(values, panels[:_MOST_PANELS], self.origin.title)
         if target is not None:
-            save(figure, target)
+            save_figure(figure, target)
         return figure
 
     def to_dataframe(self) -> pandas.DataFrame:

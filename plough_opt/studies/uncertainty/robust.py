@@ -8,10 +8,9 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from plough_opt.core.domain import plain_number
+from plough_opt.core.checks import check_callable, check_choice, check_kind, check_named, plain_number, shown
 from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import Expression
-from plough_opt.core.kinds import check_callable, check_choice, check_kind, check_named, shown
 from plough_opt.core.tables import Grid, Page, Readable
 from plough_opt.design import Design, Optimum
 from plough_opt.studies.uncertainty import measures

@@ -9,9 +9,9 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from plough_opt.core.checks import check_callable, check_named
 from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import Expression, is_casadi
-from plough_opt.core.kinds import check_callable, check_named
 from plough_opt.soil.soil import Soil
 
 Vector = NDArray[np.float64]

@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Final
 
-from plough_opt.core.origin import Origin
+from plough_opt.core.kept import Origin
 from plough_opt.core.quantities import QUANTITIES
 from plough_opt.core.tables import Grid
 from plough_opt.design import Optimum

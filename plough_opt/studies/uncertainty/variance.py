@@ -7,9 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import qmc
 
+from plough_opt.core.checks import check_kind, shown
 from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import is_count
-from plough_opt.core.kinds import check_kind, shown
 from plough_opt.design import Optimum
 from plough_opt.studies.uncertainty.distribution import SoilDistribution
 from plough_opt.studies.uncertainty.robust import Robust

@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
+from plough_opt.core.checks import check_kind, shown
 from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import is_count
-from plough_opt.core.kinds import check_kind, shown
 from plough_opt.design import Optimum
 from plough_opt.studies.uncertainty.robust import RequestedMeasure, Robust
 

@@ -21,13 +21,13 @@ from plough_opt.design import Design, LocalOptimum, Optimum
 from plough_opt.exchange.component import Component, Input, Output, component
 from plough_opt.laws.forces import (
     added_mass,
+    cone_index,
     loosened_radius,
     resistance,
     resistance_coefficients,
     soil_reaction,
 )
 from plough_opt.laws.law import ResistanceLaw, ShareInSoil, SoilReaction
-from plough_opt.laws.penetration import cone_index
 from plough_opt.laws.printed import Printed
 from plough_opt.motion import Run, simulate
 from plough_opt.motion.accuracy import Accuracy

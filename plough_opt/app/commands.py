@@ -15,7 +15,7 @@ from plough_opt.app.uncertain import optimise_uncertain
 from plough_opt.core.errors import InputError
 from plough_opt.core.files import write_new
 from plough_opt.design.effort import Search
-from plough_opt.laws.penetration import cone_index
+from plough_opt.laws.forces import cone_index
 from plough_opt.motion.effect_costs import effect_costs
 from plough_opt.problem_file import TEMPLATE
 from plough_opt.soil.soil import named_soil, soil_names

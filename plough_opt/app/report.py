@@ -14,7 +14,7 @@ from rich.table import Table
 from plough_opt.core.quantities import quantities
 from plough_opt.core.tables import Grid, Page
 from plough_opt.core.units import customary
-from plough_opt.laws.penetration import cone_index
+from plough_opt.laws.forces import cone_index
 from plough_opt.motion import Run
 from plough_opt.motion.effect_costs import EffectCost
 from plough_opt.motion.equation import equation_of_motion

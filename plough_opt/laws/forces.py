@@ -1,7 +1,9 @@
-"""Resistance of the soil to a moving share: equations (24)-(26), each with the factor pi once."""
+"""Resistance of the plastic gas to a moving share: equations (24)-(26), each with the factor pi once, and as a law."""
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import ClassVar
 
 import casadi as ca
 import numpy as np
@@ -11,10 +13,13 @@ from plough_opt.core.checks import check_domain, check_single, shown
 from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import Expression, column, gauss_legendre, holds_casadi, is_casadi
 from plough_opt.core.labels import checked_in_designs
-from plough_opt.laws.law import SoilReaction
+from plough_opt.laws.law import ResistanceLaw, ShareInSoil, SoilReaction
 from plough_opt.soil.geometry import Cone, Wedge
 from plough_opt.soil.plastic import Cavity, WallPressure, front_radius, wall_pressure
-from plough_opt.soil.soil import Soil, check_soil
+from plough_opt.soil.soil import CONE_HALF_ANGLE, Soil, check_soil
+
+# Height [m] of a penetrometer's standard cone with a base of 323 mm^2; it counts in a soil with a density profile only.
+_STANDARD_HEIGHT = math.sqrt(323e-6 / math.pi) / math.tan(CONE_HALF_ANGLE)
 
 
 @dataclass(frozen=True)
@@ -190,3 +195,55 @@ def loosened_radius(cone: Cone, soil: Soil) -> Expression:
     check_soil(soil)
     at_base = Cavity(radius=cone.height * cone.slope, rate=0.0, acceleration=0.0)
     return front_radius(at_base, soil)
+
+
+def cone_index(soil: Soil) -> Expression:
+    """Return the pressure [Pa] on the base of a penetrometer's 30 degree cone in a soil.
+
+    It is the static part F0/(pi h^2 tan^2 beta) of equation (25) at beta = 15 degrees,
+    (1 + mu0/tan beta) phi (nu p_a + tau0/(1 + mu)) times the soil's strength factor. At the 30 mm/s of a penetrometer
+    the inertia adds some millionths. Of a constant density ratio it does not depend on the size of the cone; in a soil
+    with a density profile it is that of a base of 323 mm^2.
+
+    Laboratory values of cohesion, friction and density ratio give a level that is often far too low, by up to two
+    orders of magnitude in sand: see docs/soils.md, and `Soil.from_cone_index` for the way back from a reading.
+
+    Args:
+        soil: the soil; its properties may be floats, NumPy arrays or CasADi expressions, and the result is the like.
+
+    Raises:
+        InputError: not a soil.
+        DomainError: a density profile without a compaction front.
+
+    Example:
+        >>> import plough_opt as po
+        >>> round(po.cone_index(po.named_soil("serozem")))
+        261446
+    """
+    cone = Cone(CONE_HALF_ANGLE, _STANDARD_HEIGHT)
+    return soil_reaction(cone, soil).static / (math.pi * (cone.height * cone.slope) ** 2)
+
+
+@dataclass(frozen=True)
+class PlasticGas(ResistanceLaw):
+    """Soil that is compacted behind a front and yields: F0, Fd, added mass and loosened radius, for any motion.
+
+    Holds for a slender cone (half angle up to some 20 degrees, hypothesis of plane sections) wholly in the soil; no
+    working depth, free surface or shank enters.
+    """
+
+    label = "the plastic gas"
+    lacking: ClassVar[Mapping[str, str]] = {}
+    slender = True
+
+    def reaction(self, at: ShareInSoil) -> SoilReaction:
+        """Return `soil_reaction` of the equivalent cone."""
+        return soil_reaction(at.cone, at.soil)
+
+    def loosened_radius(self, at: ShareInSoil) -> Expression:
+        """Return the radius of the compaction front at the base [m]."""
+        return loosened_radius(at.cone, at.soil)
+
+    def warnings(self, at: ShareInSoil) -> tuple[str, ...]:
+        """Return what is to be said of the soil's numbers and of a blunt share."""
+        return (*at.soil.warnings(), *super().warnings(at))

@@ -7,16 +7,12 @@ but a scene whose formulation asks for it.
 """
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Final, Literal, TypeAlias
 
-from plough_opt.core.checks import check_domain, shown
+from plough_opt.core.checks import check_switch, shown
 from plough_opt.core.errors import InputError, nearest
-from plough_opt.core.expressions import Expression, cos, sin
-from plough_opt.laws.forces import ResistanceCoefficients
 from plough_opt.laws.law import SoilReaction
-from plough_opt.soil.geometry import Cone
-from plough_opt.soil.soil import Soil
 
 _IN_WORDS = {
     "pi_twice": "the factor pi twice",
@@ -51,10 +47,8 @@ class Printed:
     repelling_spring: bool = True
 
     def __post_init__(self) -> None:
-        for field in fields(self):
-            value = getattr(self, field.name)
-            if not isinstance(value, bool):
-                raise InputError(f"{field.name} = {shown(value)} must be True or False")
+        for name in _IN_WORDS:
+            check_switch(name, getattr(self, name))
 
     @property
     def errors(self) -> tuple[str, ...]:
@@ -95,51 +89,3 @@ def errors_of(formulation: Formulation) -> Printed:
         hint = nearest(formulation if isinstance(formulation, str) else shown(formulation), FORMULATIONS)
         raise InputError(f"formulation = {shown(formulation)} is neither a Printed(...) nor the name of one: {hint}")
     return FORMULATIONS[formulation]
-
-
-def printed_coefficients(cone: Cone, soil: Soil) -> ResistanceCoefficients:
-    """Return A [Pa], B [-] and C [-] of equation (26) to the letter: with pi, with 1/3, dividing by nu and by b1.
-
-    The straight formulas lose digits for little internal friction and for soil that locks at once; the ones
-    to compute with are `plough_opt.laws.forces.resistance_coefficients`.
-
-    Raises:
-        DomainError: no internal friction, for (26) divides by nu = 2 mu/(1 + mu).
-    """
-    check_domain("friction angle", soil.friction_angle, "rad", above=0.0, why="(26) as printed divides by nu")
-    tau0 = 2.0 * soil.cohesion * cos(soil.friction_angle)
-    mu = sin(soil.friction_angle)
-    nu = 2.0 * mu / (1.0 + mu)
-    b1 = soil.density_ratio
-    a = 1.0 / (1.0 - b1)
-    slope = cone.slope
-    growth, decay = a ** (nu / 2.0), a ** (nu / 2.0 - 1.0)
-    bracket = (nu - 2.0) / nu * (growth - 1.0) + b1 * (nu - 2.0) * growth - (decay - 1.0)
-    return ResistanceCoefficients(
-        A=soil.strength_factor
-        * math.pi
-        * slope**2
-        * (soil.ambient_pressure + tau0 / (nu * (1.0 + mu)))
-        * (growth - 1.0),
-        B=math.pi * slope**4 / (b1 * (nu - 2.0)) * bracket,
-        C=math.pi * slope**4 / (3.0 * b1 * nu) * (growth - 1.0),
-    )
-
-
-def printed_resistance(cone: Cone, soil: Soil, speed: Expression, acceleration: Expression) -> Expression:
-    """Return F [N] of equation (25) to the letter, with the coefficients (26) to the letter.
-
-    Args:
-        cone: the share's equivalent cone.
-        soil: the soil, with internal friction.
-        speed: L' of the share [m/s], at least 0.
-        acceleration: L'' [m/s^2].
-
-    Raises:
-        DomainError: no internal friction, a speed below 0 or a number that is not finite.
-    """
-    check_domain("speed", speed, "m/s", at_least=0.0, why="the plastic gas does not follow a share that retreats")
-    check_domain("acceleration", acceleration, "m/s^2")
-    c = printed_coefficients(cone, soil)
-    motion = c.B * soil.density * speed**2 + soil.density * c.C * cone.height * acceleration
-    return math.pi * (1.0 + soil.tool_friction / cone.slope) * (c.A + motion) * cone.height**2

@@ -7,13 +7,10 @@ from typing import Final
 from plough_opt.core.checks import check_named, shown
 from plough_opt.core.errors import InputError
 from plough_opt.laws.asabe import AsabeD497
-from plough_opt.laws.elastic_medium import ElasticMedium
-from plough_opt.laws.godwin import UniversalEarthmoving
+from plough_opt.laws.cones import ElasticMedium, SphericalCavity
+from plough_opt.laws.forces import PlasticGas
 from plough_opt.laws.law import ResistanceLaw
-from plough_opt.laws.mckyes_ali import McKyesAli
-from plough_opt.laws.plastic_gas import PlasticGas
-from plough_opt.laws.spherical_cavity import SphericalCavity
-from plough_opt.laws.swick_perumpral import SwickPerumpral
+from plough_opt.laws.tines import McKyesAli, SwickPerumpral, UniversalEarthmoving
 
 LAWS: Final[dict[str, type[ResistanceLaw]]] = {
     "plastic": PlasticGas,

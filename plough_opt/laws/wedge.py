@@ -1,4 +1,4 @@
-"""A tine and the wedge of soil that it shears off: what the earth-pressure laws share.
+"""A tine and the wedge of soil that it shears off, and the rupture plane of least force.
 
 With omega = alpha + delta + phi (rake, tool friction, internal friction) and a rupture plane at the angle beta to
 the surface, balance of forces on the wedge gives every factor over sin(omega + beta); the published cotangents are the
@@ -6,12 +6,18 @@ same.
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import lru_cache
 from typing import Final
+
+import casadi as ca
+import numpy as np
 
 from plough_opt.core.checks import LEAST, check_domain, check_kind
 from plough_opt.core.errors import DomainError
-from plough_opt.core.expressions import Expression, arctan, arctan2, cos, sin, sqrt, tan
+from plough_opt.core.expressions import Expression, arctan, arctan2, cos, is_casadi, minimum, sin, sqrt, tan
+from plough_opt.core.labels import Limit, attach
 from plough_opt.laws.law import ResistanceLaw, ShareInSoil
 from plough_opt.soil.geometry import Wedge
 from plough_opt.soil.soil import Soil, check_soil
@@ -21,6 +27,13 @@ GRAVITY: Final = 9.80665
 
 LARGEST_SPEED: Final = 5.0
 """Speed [m/s] beyond which the term with its square is refused."""
+
+_GRID = 64
+_HALVINGS = 40
+# The last steps make the derivatives exact: each doubles the order that is right.
+_NEWTON_STEPS = 3
+# Of the interval's end, where a force may be infinite.
+_INSIDE = 1.0 - 1e-9
 
 
 @dataclass(frozen=True)
@@ -130,6 +143,7 @@ def wedge_angles(soil: Soil, tine: Tine, speed: Expression) -> WedgeAngles:
     """Return the angles; refuse what no wedge of soil can follow.
 
     Raises:
+        InputError: not a soil, or not a tine.
         DomainError: a soil without friction, angles that sum up to 180 degrees, or a speed outside 0 to 5 m/s.
     """
     check_soil(soil)
@@ -179,13 +193,75 @@ def plane_rupture_angle(angles: WedgeAngles) -> Expression:
     return arctan2(sin(angles.total), u - cos(angles.total))
 
 
-def pressure(soil: Soil, tine: Tine, speed: Expression, n: WedgeFactors) -> Expression:
-    """Return the mean pressure on the face's projection, force over w d [Pa]: no crescents at the sides."""
-    still = soil.density * GRAVITY * tine.depth * n.weight + soil.cohesion * n.cohesion
-    return still + tine.surcharge * n.surcharge + tine.adhesion * n.adhesion + soil.density * speed**2 * n.inertia
-
-
 def horizontal(force: Expression, tine: Tine, angles: WedgeAngles) -> Expression:
     """Return the draft [N] of a force at delta to the face's normal, with the adhesion along the face."""
     along = tine.adhesion * tine.width * tine.depth / tan(tine.rake_angle)
     return force * sin(angles.rake + angles.tool_friction) + along
+
+
+def least_angle(
+    force: Callable[..., Expression], angles: WedgeAngles, *parameters: Expression, what: str
+) -> Expression:
+    """Return the rupture angle [rad] at which ``force(angles, beta, *parameters)`` is least.
+
+    It lies above 0 and below 90 degrees, and 180 degrees less omega.
+
+    Args:
+        force: written with `plough_opt.core.expressions`; smooth and finite inside that interval.
+        angles: of the wedge.
+        parameters: floats, arrays of one shape, or CasADi scalars.
+        what: name of the model, for the refusal.
+
+    Raises:
+        DomainError: the force of numbers is least at the end of the interval, not inside. Of MX symbols that is a
+            limit that a `Design` keeps by itself; of SX it is unseen.
+    """
+    search = _search(force, len(parameters))
+    upper = minimum(math.pi / 2, math.pi - angles.total)
+    arguments = (upper, angles.rake, angles.tool_friction, angles.friction, *parameters)
+    if any(map(is_casadi, arguments)):
+        found = search(*arguments)
+        over_end = force(angles, found, *parameters) / force(angles, upper * _INSIDE, *parameters)
+        limit = Limit(f"{what}: least force of a wedge over that at the end of the possible angles", at_most=1.0)
+        return attach(found, over_end, limit, limit)
+    rows = np.broadcast_arrays(*(np.asarray(argument, dtype=float) for argument in arguments))
+    beta = np.array([float(search(*row)) for row in zip(*(row.ravel() for row in rows), strict=True)])
+    beta = beta.reshape(rows[0].shape)
+    ends = rows[0] * _INSIDE
+    # Without a valley the angle is NaN, which compares as False.
+    inside = (beta > 0.0) & (beta < ends) & (force(angles, beta, *parameters) < force(angles, ends, *parameters))
+    if not np.all(inside):
+        raise DomainError(
+            f"the force of {what} is least for a wedge at the end of the possible angles, where its derivation does not"
+            " hold: take a steeper rake angle or a wider tool"
+        )
+    return beta if beta.ndim else float(beta)
+
+
+@lru_cache(maxsize=8)
+def _search(force: Callable[..., Expression], count: int) -> ca.Function:
+    """Return (upper, angles, parameters) -> angle: a grid, bisection of the slope's sign, Newton's steps."""
+    beta, upper = ca.SX.sym("beta"), ca.SX.sym("upper")
+    p = [ca.SX.sym(f"p{k}") for k in range(3 + count)]
+    value = force(WedgeAngles(*p[:3]), beta, *p[3:])
+    slope = ca.jacobian(value, beta)
+    f = ca.Function("force", [beta, *p], [value])
+    g = ca.Function("slope", [beta, *p], [slope, ca.jacobian(slope, beta)])
+    step = upper / (_GRID + 1)
+    # The first valley from the flat planes on: a force may fall again towards the end, where it means nothing.
+    best, least, falls = step, ca.SX(math.inf), ca.SX(1.0)
+    for k in range(1, _GRID + 1):
+        here = f(k * step, *p)
+        falls = ca.logic_and(falls, here < least)
+        best, least = ca.if_else(falls, k * step, best), here
+    low, high = best - step, best + step
+    for _ in range(_HALVINGS):
+        middle = (low + high) / 2.0
+        before = g(middle, *p)[0] < 0.0
+        low, high = ca.if_else(before, middle, low), ca.if_else(before, high, middle)
+    found = (low + high) / 2.0
+    for _ in range(_NEWTON_STEPS):
+        first, second = g(found, *p)
+        found = found - first / second
+    # Without a valley there is no such angle; a solver that meets NaN takes a shorter step.
+    return ca.Function("least_angle", [upper, *p], [ca.if_else(falls, math.nan, found)])

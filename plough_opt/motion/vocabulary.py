@@ -7,8 +7,8 @@ from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import Expression
 from plough_opt.core.quantities import EVERY
 from plough_opt.core.units import Unit
+from plough_opt.laws.forces import cone_index
 from plough_opt.laws.law import ResistanceLaw
-from plough_opt.laws.penetration import cone_index
 from plough_opt.motion import Run
 
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal, TypeAlias, cast
 from plough_opt.core.errors import InputError, nearest
 from plough_opt.core.expressions import as_number
 from plough_opt.core.quantities import quantities
-from plough_opt.laws.penetration import cone_index
+from plough_opt.laws.forces import cone_index
 from plough_opt.motion.vocabulary import Measure
 from plough_opt.problem_file.own_measures import measures_of
 from plough_opt.problem_file.schema import LimitTable, ProblemTable

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from plough_opt.core.quantities import EVERY, QUANTITIES
 from plough_opt.core.units import Display
 from plough_opt.design import Limit, Optimum, Sensitivity
-from plough_opt.laws.penetration import cone_index
+from plough_opt.laws.forces import cone_index
 from plough_opt.motion import Run
 from plough_opt.motion.vocabulary import called
 from plough_opt.problem_file import Problem

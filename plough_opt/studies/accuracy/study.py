@@ -22,8 +22,8 @@ from plough_opt.core.kept import versions
 from plough_opt.core.process import available
 from plough_opt.core.quantities import BESIDE
 from plough_opt.design import Design
-from plough_opt.laws.elastic_medium import ElasticMedium
-from plough_opt.laws.plastic_gas import PlasticGas
+from plough_opt.laws.cones import ElasticMedium
+from plough_opt.laws.forces import PlasticGas
 from plough_opt.motion.accuracy import DEFAULT_ERROR
 from plough_opt.motion.plan import MOST_OUTPUTS, forced_rate, numbers_of, steps_for
 from plough_opt.motion.scene import Scene

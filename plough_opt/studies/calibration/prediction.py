@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from plough_opt.core.errors import DomainError, InputError
 from plough_opt.core.expressions import Expression, as_number
-from plough_opt.laws.penetration import cone_index
+from plough_opt.laws.forces import cone_index
 from plough_opt.motion import simulate
 from plough_opt.motion.plan import numbers_of, phase
 from plough_opt.motion.scene import Scene

@@ -1,10 +1,8 @@
 """Other draft models to set beside this one: calculations side by side, of which none validates another."""
 
 from plough_opt.laws.asabe import asabe_draft
-from plough_opt.laws.godwin import godwin_draft
-from plough_opt.laws.mckyes_ali import mckyes_ali_draft
-from plough_opt.laws.spherical_cavity import spherical_cavity_draft
-from plough_opt.laws.swick_perumpral import swick_perumpral_draft
+from plough_opt.laws.cones import spherical_cavity_draft
+from plough_opt.laws.tines import godwin_draft, mckyes_ali_draft, swick_perumpral_draft
 from plough_opt.laws.wedge import Tine
 from plough_opt.studies.crosscheck.comparison import Comparison
 from plough_opt.studies.crosscheck.rows import ModelDraft

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Iterable, Sequence
 
-from plough_opt.laws.elastic_medium import ElasticMedium
+from plough_opt.laws.cones import ElasticMedium
 from plough_opt.motion.scene import Scene
 from plough_opt.studies.crosscheck.rows import ModelDraft
 from plough_opt.studies.crosscheck.tools import KM_PER_H, ToolSet

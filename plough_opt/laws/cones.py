@@ -1,4 +1,4 @@
-"""Spherical cavity in soil that locks, after Forrestal and Luk: pressure on the face of a cone."""
+"""Other laws of the equivalent cone: the linear elastic medium, and the spherical cavity after Forrestal and Luk."""
 
 import math
 from collections.abc import Mapping
@@ -8,9 +8,47 @@ from typing import ClassVar
 from plough_opt.core.checks import check_domain
 from plough_opt.core.expressions import Expression, cos, expm1_ratio, log, sin, sqrt, tan
 from plough_opt.laws.forces import check_cone
-from plough_opt.laws.law import ResistanceLaw, ShareInSoil, SoilReaction
+from plough_opt.laws.law import STEADY, ResistanceLaw, ShareInSoil, SoilReaction
+from plough_opt.soil.elastic import cone_force
 from plough_opt.soil.geometry import Cone
 from plough_opt.soil.soil import Soil, check_soil
+
+
+@dataclass(frozen=True)
+class ElasticMedium(ResistanceLaw):
+    """Linear elastic soil around the equivalent cone: `po.elastic.cone_force`, an order of magnitude.
+
+    Holds below the shear wave's speed, for soil with Young's modulus and Poisson's ratio.
+    """
+
+    label = "the elastic medium"
+    lacking: ClassVar[Mapping[str, str]] = STEADY | {
+        "strength_wave": "has no strength and is solved for steady sliding only",
+        "added_mass": "carries no soil along",
+        "loosened_radius": "has no compaction front and loosens nothing",
+        "cone_index": "has no strength",
+        "entry": "is solved for steady sliding only",
+        "uncertain": "has no strength",
+        # The force is gauge; the pressure only keeps the contact.
+        "ambient_pressure": "is computed in gauge pressure",
+    }
+    scalar = False
+    slender = True
+
+    def reaction(self, at: ShareInSoil) -> SoilReaction:
+        """Return the contact force at the tow speed as F0."""
+        return SoilReaction(static=cone_force(at.cone, at.soil, at.speed))
+
+    def check(self, at: ShareInSoil) -> None:
+        """Leave the domain to designs, which limit the speed by a requirement."""
+
+    def warnings(self, at: ShareInSoil) -> tuple[str, ...]:
+        """Return that the force is an order of magnitude."""
+        return (
+            "the elastic medium's force on a cone is an order of magnitude: strains on its face are of order one,"
+            " and its dependence on the speed is not to be trusted",
+            *super().warnings(at),
+        )
 
 
 @dataclass(frozen=True)
@@ -36,13 +74,11 @@ class CavityPressure:
     Attributes:
         static: tau0 A [Pa].
         inertia: B [-].
-        front: radius of the compaction front over the cavity's [-].
         front_speed: speed of that front over V, measured in the soil at rest [-].
     """
 
     static: Expression
     inertia: Expression
-    front: Expression
     front_speed: Expression
 
 
@@ -77,7 +113,6 @@ def spherical_cavity(soil: Soil) -> CavityPressure:
     return CavityPressure(
         static=ahead * grown + tau * 6.0 / (3.0 + 2.0 * slope) * _power(x, 2.0 * alpha),
         inertia=grown * jump + behind,
-        front=x,
         front_speed=1.0 / g,
     )
 

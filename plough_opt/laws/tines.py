@@ -1,0 +1,212 @@
+"""Draft of a tine by the wedge of soil that it shears off: McKyes and Ali, Godwin, Swick and Perumpral."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import ClassVar, Final
+
+from plough_opt.core.checks import check_domain
+from plough_opt.core.expressions import Expression, cos, sin, sqrt, tan
+from plough_opt.laws.law import STEADY, ResistanceLaw, ShareInSoil, SoilReaction
+from plough_opt.laws.wedge import (
+    GRAVITY,
+    Tine,
+    TineLaw,
+    WedgeAngles,
+    horizontal,
+    least_angle,
+    plane_rupture_angle,
+    wedge_angles,
+    wedge_factors,
+)
+from plough_opt.soil.soil import Soil
+
+CRITICAL_RATIO: Final = 6.0
+"""Depth over width beyond which soil would fail sideways at depth; 5 to 6 is said, not verified."""
+
+# Part of the depth by which the soil at the sides takes part in the inertia.
+_REACH = 0.6
+
+
+@dataclass(frozen=True)
+class McKyesAli(TineLaw):
+    """`mckyes_ali_draft` as a law: F0 and Fd of a narrow tine, without added mass and loosened radius."""
+
+    label = "McKyes-Ali"
+    source = "E. McKyes and O. S. Ali, J. Terramechanics 14 (1977) 43-51; E. McKyes, Soil Cutting and Tillage, 1985"
+    standing = "factors of the plane wedge as published; the crescents' factors not verified against the paper"
+
+    def reaction(self, at: ShareInSoil) -> SoilReaction:
+        """Return F0 [N] and Fd [N s^2/m^2]: see `mckyes_ali_draft`."""
+        return _mckyes_ali(at.soil, self.tine(at), at.speed)
+
+
+def mckyes_ali_draft(soil: Soil, tine: Tine, speed: Expression) -> Expression:
+    """Return the draft [N] of a narrow tine that shears off a wedge with a crescent at each side.
+
+    H = {gamma d^2 Ng (1 + 2s/3w) + (c Nc + q Nq)(1 + s/w) d + (c_a Nca + rho v^2 Na) d} w sin(alpha + delta) + the
+    adhesion along the face; s = d sqrt(cot beta (cot beta + 2 cot alpha)); beta makes the weight's factor least.
+    Source: McKyes and Ali 1977; the crescents' factors are not verified against the paper. The crescents leave the
+    term with the squared speed alone.
+
+    Args:
+        soil: density, cohesion, friction and tool friction enter; its ambient pressure does not.
+        tine: numbers, or scalars of CasADi.
+        speed: v [m/s], from 0 to 5.
+
+    Raises:
+        DomainError: outside the domain of a wedge, or a rake angle so flat and a tine so narrow that the weight's
+            factor is least at the end of the possible angles, which of MX symbols is a limit that a `Design` keeps.
+    """
+    found = _mckyes_ali(soil, tine, speed)
+    return found.static + found.drag * speed**2
+
+
+def _mckyes_ali(soil: Soil, tine: Tine, speed: Expression) -> SoilReaction:
+    """Return the draft's part at rest, and what the squared speed multiplies; the speed is checked only."""
+    angles = wedge_angles(soil, tine, speed)
+    beta = rupture_angle(angles, tine.depth / tine.width)
+    n = wedge_factors(angles, beta)
+    side = _side(angles.rake, beta, tine.depth / tine.width)
+    weight = soil.density * GRAVITY * tine.depth * n.weight * (1.0 + 2.0 / 3.0 * side)
+    strength = (soil.cohesion * n.cohesion + tine.surcharge * n.surcharge) * (1.0 + side)
+    face = tine.width * tine.depth
+    return SoilReaction(
+        static=horizontal((weight + strength + tine.adhesion * n.adhesion) * face, tine, angles),
+        drag=soil.density * n.inertia * face * sin(angles.rake + angles.tool_friction),
+    )
+
+
+def rupture_angle(angles: WedgeAngles, ratio: Expression) -> Expression:
+    """Return the beta [rad] at which the weight's factor, crescents included, is least; ratio = d/w.
+
+    Raises:
+        DomainError: it is least at the end of the possible angles.
+    """
+    return least_angle(_weight_factor, angles, ratio, what="McKyes and Ali")
+
+
+def _weight_factor(angles: WedgeAngles, beta: Expression, ratio: Expression) -> Expression:
+    return wedge_factors(angles, beta).weight * (1.0 + 2.0 / 3.0 * _side(angles.rake, beta, ratio))
+
+
+def _side(alpha: Expression, beta: Expression, ratio: Expression) -> Expression:
+    """Return the half-width s of a crescent over the tine's width, ratio = d/w."""
+    cot = 1.0 / tan(beta)
+    return ratio * sqrt(cot * (cot + 2.0 / tan(alpha)))
+
+
+@dataclass(frozen=True)
+class UniversalEarthmoving(TineLaw):
+    """`godwin_draft` as a law: F0 and Fd of a narrow tine, without added mass and loosened radius.
+
+    Args:
+        depth: see `TineLaw`, as all others but the last.
+        width: as said.
+        rake_angle: as said.
+        surcharge: as said.
+        adhesion: as said.
+        rupture_ratio: m, rupture distance on the surface over depth; None: the plane wedge's.
+    """
+
+    rupture_ratio: Expression | None = field(default=None, metadata={"unit": ""})
+
+    label = "the universal earthmoving equation"
+    source = (
+        "R. J. Godwin and M. J. O'Dogherty, Integrated soil tillage force prediction models, ISTVS 2003;"
+        " J. Terramechanics 44 (2007) 3-14"
+    )
+    standing = "factors of a plane wedge in the place of Hettiaratchi's charts; the critical depth not verified"
+    scalar = True
+
+    def reaction(self, at: ShareInSoil) -> SoilReaction:
+        """Return F0 [N] and Fd [N s^2/m^2]: see `godwin_draft`."""
+        return _godwin(at.soil, self.tine(at), at.speed, self.rupture_ratio)
+
+    def check(self, at: ShareInSoil) -> None:
+        """Refuse what is outside the domain, which no design keeps by itself."""
+        self.reaction(at)
+
+
+def godwin_draft(soil: Soil, tine: Tine, speed: Expression, *, rupture_ratio: Expression | None = None) -> Expression:
+    """Return the draft [N] by the universal earthmoving equation, crescents at the sides included.
+
+    H = {(gamma d^2 Ng + c d Nc + c_a d Nca + q d Nq)(w + d (m - (m - 1)/3)) + rho v^2 Na d (w + 0.6 d)}
+    sin(alpha + delta) + the adhesion along the face. Source: Godwin and O'Dogherty 2003. The charts of Hettiaratchi and
+    Reece for the factors are replaced by the plane wedge with least weight factor, which for rough tools gives more.
+
+    Args:
+        soil: density, cohesion, friction and tool friction enter; its ambient pressure does not.
+        tine: numbers, arrays or CasADi expressions.
+        speed: v [m/s], from 0 to 5.
+        rupture_ratio: m, rupture distance on the surface over depth, at least 1; None: the plane wedge's
+            cot(alpha) + cot(beta).
+
+    Raises:
+        DomainError: outside the domain of a wedge, or more than six times as deep as wide.
+    """
+    found = _godwin(soil, tine, speed, rupture_ratio)
+    return found.static + found.drag * speed**2
+
+
+def _godwin(soil: Soil, tine: Tine, speed: Expression, rupture_ratio: Expression | None) -> SoilReaction:
+    """Return the draft's part at rest, and what the squared speed multiplies; the speed is checked only."""
+    angles = wedge_angles(soil, tine, speed)
+    check_domain(
+        "depth over width", tine.depth / tine.width, at_most=CRITICAL_RATIO,
+        why="below the critical depth the soil fails sideways, which this equation lacks",
+    )  # fmt: skip
+    beta = plane_rupture_angle(angles)
+    n = wedge_factors(angles, beta)
+    m = 1.0 / tan(tine.rake_angle) + cos(beta) / sin(beta) if rupture_ratio is None else rupture_ratio
+    check_domain("rupture distance ratio m", m, at_least=1.0)
+    d, w = tine.depth, tine.width
+    still = soil.density * GRAVITY * d * n.weight + soil.cohesion * n.cohesion
+    still = still + tine.adhesion * n.adhesion + tine.surcharge * n.surcharge
+    return SoilReaction(
+        static=horizontal(still * d * (w + d * (m - (m - 1.0) / 3.0)), tine, angles),
+        drag=soil.density * n.inertia * d * (w + _REACH * d) * sin(angles.rake + angles.tool_friction),
+    )
+
+
+@dataclass(frozen=True)
+class SwickPerumpral(TineLaw):
+    """`swick_perumpral_draft` as a law of steady sliding: the rupture angle depends on the speed."""
+
+    label = "Swick-Perumpral"
+    source = "W. C. Swick and J. V. Perumpral, J. Terramechanics 25 (1988) 43-56"
+    standing = "plane wedge without side forces; that its force is minimised is not verified against the paper"
+    lacking: ClassVar[Mapping[str, str]] = {**ResistanceLaw.lacking, **STEADY}
+
+    def reaction(self, at: ShareInSoil) -> SoilReaction:
+        """Return the draft at the tow speed as F0 [N]."""
+        return SoilReaction(static=swick_perumpral_draft(at.soil, self.tine(at), at.speed))
+
+
+def swick_perumpral_draft(soil: Soil, tine: Tine, speed: Expression) -> Expression:
+    """Return the draft [N] of a plane wedge whose soil is accelerated, without forces at its sides.
+
+    H = P sin(alpha + delta) + the adhesion along the face, P/(w d) = gamma d Ng + c Nc + q Nq + c_a Nca + rho v^2 Na,
+    P least over the rupture angle. Source: Swick and Perumpral 1988; the side forces of narrow tines are left out, and
+    that P is minimised is not verified against the paper. For a narrow tine it is therefore a lower value.
+
+    Args:
+        soil: density, cohesion, friction and tool friction enter; its ambient pressure does not.
+        tine: numbers, or scalars of CasADi.
+        speed: v [m/s], from 0 to 5.
+
+    Raises:
+        DomainError: outside the domain of a wedge, or a force that is least at the end of the possible angles, which of
+            MX symbols is a limit that a `Design` keeps.
+    """
+    angles = wedge_angles(soil, tine, speed)
+    loads = (soil.density * GRAVITY * tine.depth, soil.cohesion, tine.surcharge, tine.adhesion, soil.density * speed**2)
+    beta = least_angle(_pressure, angles, *loads, what="Swick and Perumpral")
+    return horizontal(_pressure(angles, beta, *loads) * tine.width * tine.depth, tine, angles)
+
+
+def _pressure(angles: WedgeAngles, beta: Expression, weight: Expression, *loads: Expression) -> Expression:
+    """Return the mean pressure on the face's projection, force over w d [Pa]."""
+    n = wedge_factors(angles, beta)
+    cohesion, surcharge, adhesion, inertia = loads
+    still = weight * n.weight + cohesion * n.cohesion + surcharge * n.surcharge + adhesion * n.adhesion
+    return still + inertia * n.inertia

@@ -8,9 +8,9 @@ import numpy as np
 
 from plough_opt.core.errors import DomainError, InputError
 from plough_opt.design.ipopt import Point, Vector
+from plough_opt.design.nlp import RunGroup
 from plough_opt.design.polishing import AS_FOUND, solved_again
 from plough_opt.design.program import Program
-from plough_opt.design.run_groups import RunGroup
 from plough_opt.motion.batch.many_runs import ManyRuns
 from plough_opt.motion.derivative_error import derivative_error, difference_of_jets, finer_than
 from plough_opt.motion.plan import summed_rate

@@ -193,7 +193,7 @@ class Explorer:
     def _settled(self) -> bool:
         """Return whether designs drawn at random have shown so few basins that hardly any more are expected.
 
-        By the rule of Boender and Rinnooy Kan: see `plough_opt.design.record`.
+        By the rule of Boender and Rinnooy Kan: see `plough_opt.design.local_optimum`.
         """
         if not self._followed:
             return False

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from plough_opt.design.ipopt import Vector
+from plough_opt.design.optimality import least
 from plough_opt.design.program import Program
-from plough_opt.design.quadratic import least
 
 FEASIBLE = 1e-6
 """Scaled violation below which a search's design counts as meeting its requirements."""

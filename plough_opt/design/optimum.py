@@ -18,8 +18,7 @@ from plough_opt.core.kept import Origin
 from plough_opt.core.plain import to_plain
 from plough_opt.core.tables import Grid, Page, Part, data_frame
 from plough_opt.core.units import in_words
-from plough_opt.design.local_optimum import LocalOptimum
-from plough_opt.design.record import Search
+from plough_opt.design.local_optimum import LocalOptimum, Search
 from plough_opt.design.sensitivity import Sensitivities, Sensitivity
 from plough_opt.design.tolerance import Spread
 from plough_opt.motion.machine import Machine

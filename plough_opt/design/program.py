@@ -12,19 +12,13 @@ import casadi as ca
 import numpy as np
 
 from plough_opt.core.errors import InputError
-from plough_opt.design.active_rows import ActiveRows, chosen_rows
 from plough_opt.design.declarations import Declarations, Requirement
-from plough_opt.design.domain import check_bounds, corners, values_at_guess
+from plough_opt.design.forms import ActiveRows, as_machine_code, chosen_rows, first_slack, relaxed
 from plough_opt.design.ipopt import FROM_AFAR, Point, SolveOptions, Solver, Vector
-from plough_opt.design.machine_code import as_machine_code
-from plough_opt.design.nlp import Nlp, build_nlp, run_groups
-from plough_opt.design.population import Population
-from plough_opt.design.relaxation import first_slack, relaxed
-from plough_opt.design.run_groups import RunGroup
-from plough_opt.design.settled import Linear, linear_variables
+from plough_opt.design.nlp import Nlp, RunGroup, build_nlp, run_groups
+from plough_opt.design.population import Linear, Population, linear_variables
 from plough_opt.design.split import Split, split
-from plough_opt.design.steps import fewer, steps_at
-from plough_opt.design.verify import TightEvaluation
+from plough_opt.design.verify import TightEvaluation, check_bounds, corners, fewer, steps_at, values_at_guess
 from plough_opt.motion.accuracy import DEFAULT_ERROR
 
 _SMALLEST_SCALE = 1e-12
@@ -246,7 +240,7 @@ class Program:
         return BuiltProgram(steps, 1.0, nlp, rough, translated is None, solver, near_solver)
 
     def linear_variables(self, p: Vector) -> list[Linear]:
-        """Return the variables that are solved from the algebra: see `plough_opt.design.settled`."""
+        """Return the variables that are solved from the algebra: see `plough_opt.design.population`."""
         declared = self.declared
         symbols = [own.symbol for own in declared.parameters]
         return _kept(

@@ -6,8 +6,7 @@ import numpy as np
 
 from plough_opt.design.ipopt import Vector
 from plough_opt.design.landscape import Landscape, Seen
-from plough_opt.design.sampling import MANY, SEED, evolved, lowest_around
-from plough_opt.design.sobol import sobol_points
+from plough_opt.design.sampling import MANY, SEED, evolved, lowest_around, sobol_points
 
 # Designs at which all combinations together are looked at, beside those with the other variables held; and for each
 # combination at least and at most.

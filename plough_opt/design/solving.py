@@ -10,7 +10,6 @@ import numpy as np
 
 from plough_opt.core.errors import InputError, NotConverged
 from plough_opt.design.basin import near_optimum
-from plough_opt.design.curvature import flat_directions, minimum_from
 from plough_opt.design.derivatives import build_surely, with_sure_derivatives
 from plough_opt.design.effort import Search, effort_of, searched
 from plough_opt.design.exploring import Explored, Explorer, Progress
@@ -18,10 +17,18 @@ from plough_opt.design.infeasible import feasible_from
 from plough_opt.design.ipopt import Point, Vector
 from plough_opt.design.landscape import Landscape, Seen
 from plough_opt.design.local_optimum import LocalOptimum
+from plough_opt.design.local_optimum import Search as SearchRecord
 from plough_opt.design.optimum import Optimum
-from plough_opt.design.polishing import AS_FOUND, as_it_is, polished, solved_again, to_the_last_digit
+from plough_opt.design.polishing import (
+    AS_FOUND,
+    as_it_is,
+    flat_directions,
+    minimum_from,
+    polished,
+    solved_again,
+    to_the_last_digit,
+)
 from plough_opt.design.program import Program
-from plough_opt.design.record import Search as SearchRecord
 from plough_opt.design.reporting import (
     as_made,
     broken_by,

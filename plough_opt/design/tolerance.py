@@ -10,7 +10,7 @@ import numpy as np
 from plough_opt.design.declarations import Variable
 from plough_opt.design.ipopt import Vector
 from plough_opt.design.landscape import FEASIBLE, Landscape
-from plough_opt.design.sobol import sobol_points
+from plough_opt.design.sampling import sobol_points
 
 Judge = Literal["tolerance", "bare"]
 """By what optima are compared: the median objective over the tolerances, or the objective itself."""

@@ -1,7 +1,8 @@
-"""Expressions of a design at numbers, with every run inside them integrated anew and tightly."""
+"""Expressions of a design at numbers, with every run integrated anew and tightly; its domain, and its steps."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from functools import lru_cache
 from typing import Final, TypeAlias
@@ -10,14 +11,17 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from plough_opt.core.errors import IntegrationError
+from plough_opt.core.errors import DomainError, InputError, IntegrationError, PloughError
 from plough_opt.core.labels import Call, Limit
+from plough_opt.design.declarations import Declarations, Requirement
 from plough_opt.design.split import split
 from plough_opt.motion.accuracy import Accuracy
 from plough_opt.motion.compiled_steps import compiled_steps
+from plough_opt.motion.effects import MOST_HARMONICS
 from plough_opt.motion.embedding import with_numbers
 from plough_opt.motion.integrators import Integration, integration
-from plough_opt.motion.plan import checked, kink_of, most_steps, phase, suited
+from plough_opt.motion.judgement import refuse_drifting_own, refuse_stiff_orbit
+from plough_opt.motion.plan import checked, kink_of, most_steps, phase, steps_for, suited, summed_rate
 from plough_opt.motion.run import Run, assemble
 from plough_opt.motion.scene import Scene
 from plough_opt.motion.signals import signals
@@ -174,3 +178,130 @@ def _tight_results(own: Integration, inputs: tuple[float, ...], check: bool) -> 
         function = integration(own.structure, accuracy, timeline).function
         parts = [np.asarray(part).T for part in function.call([ca.DM(inputs)])]
     return np.concatenate([part.ravel() for part in parts])
+
+
+def values_at_guess(
+    declared: Declarations, exact: TightEvaluation, implied: Sequence[Requirement], p: Vector
+) -> list[Vector]:
+    """Return objective and requirements at the guess.
+
+    Args:
+        declared: the design.
+        exact: gives them at numbers.
+        implied: the last of the requirements, which theories bring.
+        p: parameters.
+
+    Raises:
+        InputError: one has no value there, or a theory has ended.
+    """
+    guess = np.array([v.guess for v in declared.variables])
+    place = declared.describe(guess)
+    try:
+        found = exact.values([*guess, *p])
+    except (PloughError, RuntimeError) as error:
+        raise InputError(f"the model cannot be evaluated at the start ({place}): {error}") from error
+    for limit, value in zip(implied, found[len(found) - len(implied) :], strict=True):
+        if limit.margin(value) < 0.0:
+            raise InputError(
+                f"at the start ({place}) '{limit.name}' is {float(np.max(value)):.6g}, where the theory ends at"
+                f" {limit.high:.6g}: start below, and let the bounds reach below"
+            )
+    names = ["the objective", *(f"requirement '{r.name}'" for r in declared.requirements)]
+    for name, value in zip(names, found, strict=True):
+        if not np.all(np.isfinite(value)):
+            raise InputError(f"{name} is not a finite number at the start ({place}): start elsewhere")
+    return found
+
+
+def corners(declared: Declarations) -> list[tuple[str, list[float]]]:
+    """Return the guess, and the guess with each variable at each of its bounds, with a clause for each."""
+    guess = [v.guess for v in declared.variables]
+    found = [("at the guess", guess)]
+    for k, v in enumerate(declared.variables):
+        for side, bound in (("lower", v.lower), ("upper", v.upper)):
+            found.append((f"at the {side} bound of '{v.name}'", [*guess[:k], bound, *guess[k + 1 :]]))
+    return found
+
+
+def check_bounds(declared: Declarations, exact: TightEvaluation, p: Vector) -> None:
+    """Refuse bounds between which a scene leaves the model's domain.
+
+    Raises:
+        DomainError: it does at one of the `corners`.
+    """
+    for clause, values in corners(declared):
+        try:
+            numbers = [*values, *p]
+            scenes = [exact.inputs(k, numbers)[1] for k in range(len(exact.runs))]
+            for scene in (*scenes, *exact.quasi_static_scenes(numbers)):
+                scene.check_reaction()
+            exact.check_calls(numbers)
+            for run, scene in zip(exact.runs, scenes, strict=True):
+                own = run.integration
+                if own.structure.orbit != "transient" and own.accuracy.method == "auto":
+                    refuse_drifting_own(scene)
+                    refuse_stiff_orbit(scene)
+        except (DomainError, IntegrationError) as error:
+            raise DomainError(f"{clause}: {error}") from None
+
+
+# By `summed_rate`: a relative error of averages of some 3e-9, and finer steps where the check finds it wanting.
+_PHASE_PER_STEP = 1.15
+_MOST_STEPS = 50_000
+_FEWEST_STEPS = 20
+# Of a periodic orbit, whose harmonics fall off exponentially.
+_HARMONICS = 12
+
+
+def steps_at(exact: TightEvaluation, designs: Sequence[Sequence[float]], refinement: float) -> list[int | None]:
+    """Return for each run the steps that the fastest of some designs needs, None where its accuracy is not automatic.
+
+    Args:
+        exact: the design's expressions.
+        designs: variables and parameters of each, in their units.
+        refinement: factor on the steps.
+
+    Raises:
+        DomainError: a motion too fast to integrate.
+    """
+    steps: list[int | None] = []
+    for k, run in enumerate(exact.runs):
+        if run.integration.accuracy.method != "auto":
+            steps.append(None)
+            continue
+        if _holds_orbit(exact, k):
+            steps.append(min(math.ceil(_HARMONICS * refinement), MOST_HARMONICS))
+            continue
+        fastest = 0.0
+        for numbers in designs:
+            given = exact.parameters(k, numbers)
+            rate = summed_rate(dict(zip(run.integration.names, given, strict=False)))
+            fastest = max(fastest, rate * float(given[-1]))
+        count = math.ceil(refinement * steps_for(fastest, _PHASE_PER_STEP))
+        if count > _MOST_STEPS:
+            raise DomainError(
+                f"between the bounds the share oscillates up to {fastest / (2 * math.pi):.3g} times in a run,"
+                f" which would take {count} integration steps: tighten the bounds on stiffness and mass,"
+                " shorten the duration, or take the quasi-static scene"
+            )
+        steps.append(_with_reserve(count))
+    return steps
+
+
+def fewer(exact: TightEvaluation, steps: Sequence[int | None]) -> list[int | None]:
+    """Return numbers of steps, or harmonics, with which runs are roughly right."""
+    return [
+        own if own is None or _holds_orbit(exact, k) else max(_FEWEST_STEPS, 2 * own // 5)
+        for k, own in enumerate(steps)
+    ]
+
+
+def _holds_orbit(exact: TightEvaluation, run: int) -> bool:
+    return exact.runs[run].integration.structure.orbit == "periodic"
+
+
+def _with_reserve(steps: int) -> int:
+    """Return at least a tenth more, to two binary digits: where an optimiser goes from a start differs little."""
+    enough = math.ceil(1.1 * steps)
+    unit = 1 << max(0, enough.bit_length() - 3)
+    return -(-enough // unit) * unit

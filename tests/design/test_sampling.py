@@ -8,7 +8,7 @@ from scipy.stats.qmc import Sobol
 
 import plough_opt as po
 from plough_opt.design.landscape import Landscape
-from plough_opt.design.sobol import MOST_DIMENSIONS, sobol_points
+from plough_opt.design.sampling import MOST_DIMENSIONS, sobol_points
 from plough_opt.design.ways import barriers, straight_below
 
 

@@ -13,7 +13,7 @@ from scipy.optimize import minimize_scalar
 import plough_opt as po
 from plough_opt.design import derivatives, solving
 from plough_opt.design import program as program_module
-from plough_opt.design import steps as steps_module
+from plough_opt.design import verify as steps_module
 from plough_opt.motion.integrators import integration
 from plough_opt.motion.terms import Structure, parameters
 from plough_opt.motion.timeline import Timeline

@@ -5,7 +5,7 @@ import pytest
 
 import plough_opt as po
 from plough_opt.design import program as program_module
-from plough_opt.design.quadratic import least
+from plough_opt.design.optimality import least
 from plough_opt.studies.tradeoff import level as level_module
 from plough_opt.studies.tradeoff.space import nearest, neighbours, off, parts_of, triangle, uncrowded, volume
 

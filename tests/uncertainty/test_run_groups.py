@@ -9,8 +9,8 @@ from helpers.differences import differences
 from scipy import stats
 
 import plough_opt as po
+from plough_opt.design.nlp import grouped
 from plough_opt.design.program import Program
-from plough_opt.design.run_groups import grouped
 from plough_opt.design.split import split
 
 POINT = np.array([0.61, 0.43, 0.37])

@@ -8,8 +8,8 @@ import casadi as ca
 import numpy as np
 
 from plough_opt.core.errors import NotConverged
+from plough_opt.design.forms import as_machine_code
 from plough_opt.design.ipopt import FAR, NEAR, OPTIONS, REMEDIES, Vector
-from plough_opt.design.machine_code import as_machine_code
 from plough_opt.design.nlp import Nlp, as_ipopt_wants
 from plough_opt.studies.accuracy.transcription import Question, Transcribed
 

@@ -17,9 +17,9 @@ import numpy as np
 from plough_opt.core.errors import InputError, NotConverged
 from plough_opt.design import Design
 from plough_opt.design.basin import first_optimum
-from plough_opt.design.curvature import minimum_from
 from plough_opt.design.ipopt import SolveOptions, Vector
 from plough_opt.design.nlp import Nlp, build_nlp
+from plough_opt.design.polishing import minimum_from
 from plough_opt.design.program import Program
 from plough_opt.motion.accuracy import Accuracy
 from plough_opt.motion.methods import METHODS, is_stepped

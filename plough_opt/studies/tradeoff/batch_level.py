@@ -6,8 +6,8 @@ import numpy as np
 
 from plough_opt.design.ipopt import Point, Vector
 from plough_opt.design.landscape import Landscape
+from plough_opt.design.optimality import made_convex
 from plough_opt.design.program import Program
-from plough_opt.design.quadratic import made_convex
 from plough_opt.studies.tradeoff.level import Level
 
 # Factor on the steps of a search: averages are then right to some 1e-10, outputs to 1e-8.

@@ -7,10 +7,9 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from plough_opt.design.basin import near_optimum
-from plough_opt.design.curvature import minimum_from
 from plough_opt.design.exploring import Progress
 from plough_opt.design.ipopt import REMEDIES, Point, Vector
-from plough_opt.design.polishing import as_it_is, polished
+from plough_opt.design.polishing import as_it_is, minimum_from, polished
 from plough_opt.studies.tradeoff.archive import Archive
 from plough_opt.studies.tradeoff.domination import undominated
 from plough_opt.studies.tradeoff.program import FrontProgram

@@ -10,13 +10,14 @@ from plough_opt.design.ipopt import Point, SolveOptions, Vector
 from plough_opt.design.optimality import (
     PULLS,
     free_directions,
+    made_convex,
+    optimum_step,
     reduced_curvatures,
     residual,
     symmetric,
     without_rounding,
 )
 from plough_opt.design.program import Program
-from plough_opt.design.quadratic import made_convex, optimum_step
 
 _STEPS: Final = 15
 # Longest step in a scaled variable: beyond it a neighbour is none.

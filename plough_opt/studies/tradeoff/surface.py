@@ -6,9 +6,9 @@ from itertools import permutations
 
 import numpy as np
 
-from plough_opt.design.curvature import minimum_from
 from plough_opt.design.exploring import Progress
 from plough_opt.design.ipopt import Point, Vector
+from plough_opt.design.polishing import minimum_from
 from plough_opt.studies.tradeoff.candidates import MATTERS, Candidate, Order
 from plough_opt.studies.tradeoff.domination import beyond_points, undominated
 from plough_opt.studies.tradeoff.program import FrontProgram

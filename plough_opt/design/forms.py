@@ -1,8 +1,4 @@
-"""IPOPT on the rows of requirements that can decide: of a limit at every output, those where a curve comes nearest.
-
-A deflection that is limited at 401 outputs gives 401 rows, of which two or three decide. The optimiser is given the
-nearest ones, and again with others where its design breaks one that was left out.
-"""
+"""Other forms of a program: in machine code, on the rows that can decide, and with requirements that give way."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -10,8 +6,39 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 
+from plough_opt.core.compiler import Variant, library
 from plough_opt.design.ipopt import Point, SolveOptions, Solver, Vector
 from plough_opt.design.nlp import Nlp, hessian_function
+
+# The reciprocal of what divides often, as the inertia, is taken once.
+_FAST = ("-O2", "-march=native", "-fno-math-errno", "-fno-trapping-math", "-freciprocal-math")
+_VARIANTS: tuple[Variant, ...] = ((_FAST, ("-lm",)), (("-O1",), ("-lm",)))
+
+
+def as_machine_code(nlp: Nlp, rough: Nlp) -> tuple[Nlp, Nlp] | None:
+    """Return a program and a rough one with what a solve asks for most in machine code; None without a compiler.
+
+    Second derivatives, which few solves need and which take a compiler longest, stay interpreted.
+
+    Args:
+        nlp: the program; its values and its first derivatives are compiled.
+        rough: one of fewer steps; its values are compiled.
+    """
+    functions = {"own_values": nlp.values, "own_slopes": nlp.slopes, "rough_values": rough.values}
+    generator = ca.CodeGenerator("design.c")
+    for name, function in functions.items():
+        generator.add(_named(function, name))
+    path = library(generator.dump(), _VARIANTS)
+    if path is None:
+        return None
+    values, slopes, roughly = (ca.external(name, str(path)) for name in functions)
+    return replace(nlp, values=values, build_slopes=lambda: slopes), replace(rough, values=roughly)
+
+
+def _named(function: ca.Function, name: str) -> ca.Function:
+    inputs = function.mx_in()
+    return ca.Function(name, inputs, function.call(inputs))
+
 
 # Dips of a requirement's margin over its rows that are taken, each with its neighbours on both sides, for the lowest
 # output moves with the design.
@@ -23,7 +50,11 @@ _BROKEN = 1e-10
 
 
 class ActiveRows:
-    """IPOPT on a choice of rows, built once for all choices."""
+    """IPOPT on the rows of requirements that can decide, built once for all choices of rows.
+
+    A deflection that is limited at 401 outputs gives 401 rows, of which two or three decide. The optimiser is given the
+    rows where the curve comes nearest to its limit, and others where its design breaks one that was left out.
+    """
 
     def __init__(self, nlp: Nlp, owner: Sequence[int], limits: tuple[Vector, Vector]) -> None:
         """Take the program.
@@ -99,3 +130,44 @@ def _of_rows(nlp: Nlp, count: int) -> Nlp:
 
     f, g = nlp.values(y, p)
     return Nlp(ca.Function("values", [y, given], [f, g[which]]), build_slopes, build_hessian)
+
+
+def relaxed(nlp: Nlp, owner: list[int], count: int) -> Nlp:
+    """Return the program that minimises how far requirements give way.
+
+    Args:
+        nlp: the program.
+        owner: for each scaled constraint, the number of its requirement.
+        count: number of requirements.
+
+    Returns:
+        A program in (y, s, t) with s, t >= 0 for each requirement: minimise the sum of s and t subject to
+        low <= g(y) + s - t <= high, with the exact derivatives of ``nlp``.
+    """
+    spread = np.eye(count)[owner]
+    give = ca.sparsify(ca.DM(np.hstack([spread, -spread])))
+    own, p = nlp.values.mx_in()
+    x = ca.MX.sym("x", own.numel() + 2 * count)
+    y, slack = ca.vertsplit(x, [0, own.numel(), x.numel()])
+    f, loose = ca.sum1(slack), ca.mtimes(give, slack)
+
+    def build_slopes() -> ca.Function:
+        _, g, _, jacobian = nlp.slopes(y, p)
+        gradient = ca.DM(np.r_[np.zeros(own.numel()), np.ones(2 * count)])
+        return ca.Function("slopes", [x, p], [f, g + loose, gradient, ca.horzcat(jacobian, give)])
+
+    def build_hessian() -> ca.Function:
+        lam_f, lam_g = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", len(owner))
+        return hessian_function(
+            x, p, lam_f, lam_g, ca.diagcat(nlp.hess_lag(y, p, 0.0, lam_g), ca.MX(2 * count, 2 * count))
+        )
+
+    return Nlp(ca.Function("values", [x, p], [f, nlp.values(y, p)[1] + loose]), build_slopes, build_hessian)
+
+
+def first_slack(g: Vector, low: Vector, high: Vector, owner: list[int], count: int) -> Vector:
+    """Return slacks that make a start feasible: the largest violation of each requirement, either way."""
+    slack = np.zeros(2 * count)
+    np.maximum.at(slack[:count], owner, low - g)
+    np.maximum.at(slack[count:], owner, g - high)
+    return slack

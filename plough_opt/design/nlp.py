@@ -33,8 +33,8 @@ class RunGroup:
 
     A design over many samples of a soil holds as many runs of one structure. They share one integrator, and the chain
     rule from a run's parameters to the few variables of the design is applied run by run inside CasADi's `map`, so that
-    building takes no longer for many of them. What belongs to one run, such as its parameters, its results or the slopes
-    of either, is a block of columns, and the blocks of all runs stand side by side: the layout of that map.
+    building takes no longer for many of them. What belongs to one run, as its parameters, its results or the slopes of
+    either, is a block of columns, and the blocks of all runs stand side by side: the layout of that map.
 
     Attributes:
         solver: what integrates each of them.

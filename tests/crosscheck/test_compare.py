@@ -283,3 +283,6 @@ def test_a_scene_of_another_law_is_called_by_it():
     # Its own row is the same law's among the others.
     assert found.ratios(row(found, "McKyes-Ali")) == pytest.approx([1.0, 1.0], rel=1e-14)
     assert "this model" not in " ".join(found.reasons)
+    fast = compare(tined, width=0.08, rake_angle=po.deg(45.0), speeds=[1.0, 6.0]).own
+    assert [math.isnan(draft) for draft in fast.drafts] == [False, True]
+    assert "speed = 6" in fast.refusal

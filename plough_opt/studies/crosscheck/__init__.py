@@ -4,8 +4,7 @@ from plough_opt.laws.asabe import asabe_draft
 from plough_opt.laws.cones import spherical_cavity_draft
 from plough_opt.laws.tines import godwin_draft, mckyes_ali_draft, swick_perumpral_draft
 from plough_opt.laws.wedge import Tine
-from plough_opt.studies.crosscheck.comparison import Comparison
-from plough_opt.studies.crosscheck.rows import ModelDraft
+from plough_opt.studies.crosscheck.comparison import Comparison, ModelDraft
 from plough_opt.studies.crosscheck.side_by_side import compare
 
 __all__ = [

@@ -1,21 +1,59 @@
-"""Why draft models differ on a scene, in sentences with its own numbers."""
+"""Sentences of a comparison: what was estimated, and why draft models differ on a scene, with its own numbers."""
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from typing import Any
 
 from plough_opt.laws.cones import ElasticMedium
 from plough_opt.motion.scene import Scene
-from plough_opt.studies.crosscheck.rows import ModelDraft
-from plough_opt.studies.crosscheck.tools import KM_PER_H, ToolSet
+from plough_opt.soil.geometry import Wedge
+from plough_opt.studies.crosscheck.comparison import KM_PER_H, ModelDraft
 
 # Depth over width at which crescents up to the surface become doubtful.
 _DEEP = 6.0
 
 
+def estimates(scene: Scene, tine: Mapping[str, Any], point: str, missing: Collection[str]) -> tuple[str, ...]:
+    """Return a sentence for each choice that is not the scene's.
+
+    Args:
+        scene: the scene.
+        tine: its width, rake angle (None: the chisel angle's), surcharge and adhesion, SI units.
+        point: of the subsoiler of D497.
+        missing: names of the arguments of a comparison that were not given.
+    """
+    soil, share, slip = scene.soil, scene.share, math.degrees(math.atan(scene.soil.tool_friction))
+    chisel = math.degrees(share.chisel_angle) if isinstance(share, Wedge) and tine["rake_angle"] is None else None
+    sentences = {
+        f"working depth {share.height:.3g} m: the share's height, for none was given": "depth" in missing,
+        f"tool width {tine['width']:.3g} m: base diameter of the equivalent cone, for none was given":
+            "width" in missing,
+        f"rake angle {chisel or 0.0:.3g} deg: the share's chisel angle, for none was given": chisel is not None,
+        "soil texture: none was given, so every one of D497 is shown": "texture" in missing,
+        f"D497: one shank with a {point} point; textures are fine (clay), medium (loam), coarse (sand)": True,
+        "rupture distance of the universal earthmoving equation: the plane wedge's, in place of charts":
+            "rupture_ratio" in missing,
+        "speeds: none were given; 3, 5, 7, 9 km/h and the tow speed": "speeds" in missing,
+        "spherical cavity: rigid soil ahead of the front, for no Young's modulus was given":
+            soil.youngs_modulus is None,
+        f"surcharge {tine['surcharge'] / 1e3:.3g} kPa and adhesion {tine['adhesion'] / 1e3:.3g} kPa in the wedge"
+        f" models; tool friction angle {slip:.3g} deg from the tool friction": True,
+    }  # fmt: skip
+    return tuple(sentence for sentence, holds in sentences.items() if holds)
+
+
 def reasons(
-    scene: Scene, tools: ToolSet, own: ModelDraft, others: Sequence[ModelDraft], course: Sequence[float]
+    scene: Scene, slimness: float, own: ModelDraft, others: Sequence[ModelDraft], course: Sequence[float]
 ) -> tuple[str, ...]:
-    """Return the sentences, the most important first."""
+    """Return the sentences, the most important first.
+
+    Args:
+        scene: the scene.
+        slimness: largest working depth over the tine's width [-].
+        own: the drafts of the scene's own law.
+        others: those of the other models.
+        course: speeds [m/s], rising.
+    """
     first = "every draft here is a calculation and none a measurement: where two agree, neither is validated"
     if not scene.law.slender:  # what follows is of the plastic gas
         return first, f"the scene's own draft is by {scene.law.label}, and the ratios are to it"
@@ -25,7 +63,7 @@ def reasons(
         " point alone; D497 and the wedge models are of a tine that cuts soil up to its surface",
         *_of_speed(own, others, course),
         *_of_pressure(scene),
-        *_of_soil(scene, tools),
+        *_of_soil(scene, slimness),
     )
 
 
@@ -56,32 +94,29 @@ def _of_pressure(scene: Scene) -> Iterable[str]:
         )
 
 
-def _of_soil(scene: Scene, tools: ToolSet) -> Iterable[str]:
+def _of_soil(scene: Scene, slimness: float) -> Iterable[str]:
     soil = scene.soil
-    if soil.youngs_modulus is not None:
-        yield (
-            "the spherical cavity pushes soil aside in three directions, and soil ahead of its front bears elastically"
-            " until it yields; in this model soil moves in two directions and bears p_a alone until the front comes"
-        )
     factor = float(soil.strength_factor)
-    if factor != 1.0:
-        yield (
-            f"this model's static draft is {factor:.3g} times what its law makes of cohesion, friction and density"
-            " ratio, by the measured strength factor; the other models compute with those properties themselves"
-        )
-    if isinstance(scene.law, ElasticMedium):
-        yield "the scene's medium is elastic, without strength; the other models take the soil's strength all the same"
-    if soil.density_profile is not None:
-        yield "the other models take the soil's constant densities in the place of its density profile"
-    if math.atan(soil.tool_friction) > soil.friction_angle:
-        yield "the tool's friction exceeds the soil's: soil would shear in itself, which the wedge models leave out"
-    if max(tools.depths) > _DEEP * tools.width:
-        yield (
-            "deeper than about six widths (a figure not verified) soil fails sideways and not up to the surface:"
-            " McKyes-Ali and Swick-Perumpral are doubtful there"
-        )
-    if scene.effects.own:
-        yield "resistances of the scene's own effects are in this model's draft and in no other"
+    sentences = {
+        "the spherical cavity pushes soil aside in three directions, and soil ahead of its front bears elastically"
+        " until it yields; in this model soil moves in two directions and bears p_a alone until the front comes":
+            soil.youngs_modulus is not None,
+        f"this model's static draft is {factor:.3g} times what its law makes of cohesion, friction and density"
+        " ratio, by the measured strength factor; the other models compute with those properties themselves":
+            factor != 1.0,
+        "the scene's medium is elastic, without strength; the other models take the soil's strength all the same":
+            isinstance(scene.law, ElasticMedium),
+        "the other models take the soil's constant densities in the place of its density profile":
+            soil.density_profile is not None,
+        "the tool's friction exceeds the soil's: soil would shear in itself, which the wedge models leave out":
+            math.atan(soil.tool_friction) > soil.friction_angle,
+        "deeper than about six widths (a figure not verified) soil fails sideways and not up to the surface: McKyes-Ali"
+        " and Swick-Perumpral are doubtful there":
+            slimness > _DEEP,
+        "resistances of the scene's own effects are in this model's draft and in no other":
+            bool(scene.effects.own),
+    }  # fmt: skip
+    return (sentence for sentence, holds in sentences.items() if holds)
 
 
 def _range(values: Sequence[float]) -> str:

@@ -2,13 +2,14 @@
 
 import dataclasses
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
+from typing import Any
 
 import numpy as np
 
 from plough_opt.core.checks import check_domain, check_kind, check_named, check_single
-from plough_opt.core.errors import InputError
+from plough_opt.core.errors import DomainError, InputError
 from plough_opt.core.expressions import holds_casadi
 from plough_opt.laws import (
     AsabeD497,
@@ -17,16 +18,14 @@ from plough_opt.laws import (
     ShareInSoil,
     SphericalCavity,
     SwickPerumpral,
+    Tine,
     UniversalEarthmoving,
 )
 from plough_opt.laws.asabe import POINTS, TEXTURES
 from plough_opt.laws.law import force_of
 from plough_opt.motion.scene import Scene
-from plough_opt.soil.soil import Soil
-from plough_opt.studies.crosscheck.comparison import Comparison
-from plough_opt.studies.crosscheck.reasons import reasons
-from plough_opt.studies.crosscheck.rows import model_draft
-from plough_opt.studies.crosscheck.tools import KM_PER_H, ToolSet, tool_set
+from plough_opt.studies.crosscheck.comparison import KM_PER_H, Comparison, ModelDraft
+from plough_opt.studies.crosscheck.reasons import estimates, reasons
 
 _USUAL_SPEEDS = tuple(speed / KM_PER_H for speed in (3.0, 5.0, 7.0, 9.0))
 
@@ -79,29 +78,69 @@ def compare(
     check_kind("laws", laws, list | tuple, "a list of resistance laws")
     for law in laws:
         check_kind("laws: one of them", law, ResistanceLaw, "a resistance law, as McKyesAli(depth=0.35)")
-    tools = tool_set(scene, depth, width, rake_angle, surcharge, adhesion)
-    course = _speeds(scene, speeds)
+    given_speeds = (*_USUAL_SPEEDS, scene.tow_speed) if speeds is None else speeds
+    course = tuple(sorted(_several("speed", "m/s", given_speeds, at_least=0.0)))
+    depths = _several("working depth", "m", scene.share.height if depth is None else depth, above=0.0)
+    wide = 2.0 * float(scene.cone.height * scene.cone.slope) if width is None else width
+    # Refuses once, and not in every row, what no tine can have.
+    Tine(wide, depths[0], math.pi / 2 if rake_angle is None else rake_angle, surcharge, adhesion)
+    tine = {"width": wide, "rake_angle": rake_angle, "surcharge": surcharge, "adhesion": adhesion}
+    rows = _rows(depths, tine, tuple(TEXTURES) if texture is None else (texture,), point, rupture_ratio)
+
     soil = scene.soil if scene.effects.ambient_pressure else dataclasses.replace(scene.soil, ambient_pressure=0.0)
-    name = "this model" if scene.law.slender else f"this scene, {scene.law.label}"
-    own = model_draft(name, None, lambda v: _own_draft(scene, v), course, scene.law.source, scene.law.standing)
-    textures = tuple(TEXTURES) if texture is None else (texture,)
-    others = []
-    given = ((law.label.removeprefix("the "), None, law) for law in laws)
-    for name, d, law in (*_laws(tools, textures, point, rupture_ratio), *given):
-        draft = partial(_steady, law, ShareInSoil(scene.share, scene.cone, soil, 0.0))
-        others.append(model_draft(name, d, draft, course, law.source, law.standing, law.band))
-    estimates = (
-        *tools.estimates,
-        *_estimates(soil, tools, texture, point, rupture_ratio, speeds),
+    at = ShareInSoil(scene.share, scene.cone, soil, 0.0)
+    others = tuple(
+        ModelDraft(name, d, *_drafts(partial(_steady, law, at), course), law.source, law.standing, law.band)
+        for name, d, law in (*rows, *((_short(law), None, law) for law in laws))
     )
+    name = "this model" if scene.law.slender else f"this scene, {scene.law.label}"
+    own = ModelDraft(name, None, *_drafts(partial(_own_draft, scene), course), scene.law.source, scene.law.standing)
+    given = {"depth": depth, "width": width, "texture": texture, "rupture_ratio": rupture_ratio, "speeds": speeds}
     return Comparison(
         scene=scene.describe(),
         speeds=course,
         own=own,
-        others=tuple(others),
-        estimates=estimates,
-        reasons=reasons(scene, tools, own, others, course),
+        others=others,
+        estimates=estimates(scene, tine, point, [name for name, value in given.items() if value is None]),
+        reasons=reasons(scene, max(depths) / wide, own, others, course),
     )
+
+
+def _several(
+    what: str,
+    unit: str,
+    given: float | Sequence[float],
+    *,
+    above: float = -np.inf,
+    at_least: float = -np.inf,
+) -> tuple[float, ...]:
+    """Return one number or several, each once, inside a domain as of `check_domain`."""
+    values = np.atleast_1d(np.asarray(given, dtype=float)).ravel()
+    check_domain(what, values, unit, above=above, at_least=at_least)
+    if not values.size:
+        raise InputError(f"{what} = () must name at least one {what.split()[-1]}, in {unit}")
+    return tuple(dict.fromkeys(values.tolist()))
+
+
+def _short(law: ResistanceLaw | type[ResistanceLaw]) -> str:
+    return law.label.removeprefix("the ")
+
+
+def _rows(
+    depths: Sequence[float], tine: dict[str, Any], textures: Sequence[str], point: str, rupture_ratio: float | None
+) -> Iterator[tuple[str, float | None, ResistanceLaw]]:
+    """Yield name, working depth [m] and law of each row; the law without a depth last."""
+    for depth in depths:
+        for texture in textures:
+            yield f"{AsabeD497.label}, {point}, {texture}", depth, AsabeD497(texture, point, depth=depth)
+        wedges = (
+            McKyesAli(depth, **tine),
+            UniversalEarthmoving(depth, **tine, rupture_ratio=rupture_ratio),
+            SwickPerumpral(depth, **tine),
+        )
+        for law in wedges:
+            yield _short(law), depth, law
+    yield _short(SphericalCavity), None, SphericalCavity()
 
 
 def _own_draft(scene: Scene, speed: float) -> float:
@@ -114,49 +153,13 @@ def _steady(law: ResistanceLaw, at: ShareInSoil, speed: float) -> float:
     return float(force_of(law, dataclasses.replace(at, speed=speed)))
 
 
-def _speeds(scene: Scene, speeds: float | Sequence[float] | None) -> tuple[float, ...]:
-    given = (*_USUAL_SPEEDS, float(scene.tow_speed)) if speeds is None else np.ravel(np.asarray(speeds))
-    check_domain("speed", np.asarray(given), "m/s", at_least=0.0)
-    if not len(given):
-        raise InputError("speeds = () must name at least one speed, in m/s")
-    return tuple(sorted({float(speed) for speed in given}))
-
-
-def _laws(
-    tools: ToolSet, textures: Sequence[str], point: str, rupture_ratio: float | None
-) -> Iterator[tuple[str, float | None, ResistanceLaw]]:
-    """Yield name, working depth and law of each row; laws without a depth last."""
-    for depth in tools.depths:
-        for texture in textures:
-            standard = AsabeD497(texture, point, depth=depth)
-            yield f"{standard.label}, {point}, {texture}", depth, standard
-        tine = depth, tools.width, tools.rake_angle, tools.surcharge, tools.adhesion
-        for law in (McKyesAli(*tine), UniversalEarthmoving(*tine, rupture_ratio), SwickPerumpral(*tine)):
-            yield law.label.removeprefix("the "), depth, law
-    yield SphericalCavity.label.removeprefix("the "), None, SphericalCavity()
-
-
-def _estimates(
-    soil: Soil,
-    tools: ToolSet,
-    texture: str | None,
-    point: str,
-    rupture_ratio: float | None,
-    speeds: float | Sequence[float] | None,
-) -> tuple[str, ...]:
-    """Return a sentence for each choice that is neither the scene's nor that of the tool set."""
-    found = []
-    if texture is None:
-        found.append("soil texture: none was given, so every one of D497 is shown")
-    found.append(f"D497: one shank with a {point} point; textures are fine (clay), medium (loam), coarse (sand)")
-    if rupture_ratio is None:
-        found.append("rupture distance of the universal earthmoving equation: the plane wedge's, in place of charts")
-    if speeds is None:
-        found.append("speeds: none were given; 3, 5, 7, 9 km/h and the tow speed")
-    if soil.youngs_modulus is None:
-        found.append("spherical cavity: rigid soil ahead of the front, for no Young's modulus was given")
-    found.append(
-        f"surcharge {tools.surcharge / 1e3:.3g} kPa and adhesion {tools.adhesion / 1e3:.3g} kPa in the wedge models;"
-        f" tool friction angle {math.degrees(math.atan(soil.tool_friction)):.3g} deg from the tool friction"
-    )
-    return tuple(found)
+def _drafts(draft: Callable[[float], float], speeds: Sequence[float]) -> tuple[tuple[float, ...], str]:
+    """Return a model's draft at each speed, NaN outside its domain, and the first reason for that."""
+    drafts, refusal = [], ""
+    for speed in speeds:
+        try:
+            drafts.append(draft(speed))
+        except DomainError as error:
+            drafts.append(math.nan)
+            refusal = refusal or str(error)
+    return tuple(drafts), refusal

@@ -48,8 +48,7 @@ if TYPE_CHECKING:
     from plough_opt.exchange.results import load
     from plough_opt.motion.batch import Batch, BatchResult
     from plough_opt.problem_file import Problem, read_problem
-    from plough_opt.problem_file.penetrometer import Penetrometer, read_penetrometer
-    from plough_opt.problem_file.strength_file import read_strength_record
+    from plough_opt.problem_file.readings import Penetrometer, read_penetrometer, read_strength_record
     from plough_opt.problem_file.sweeping import sweep
     from plough_opt.soil.record_waves import RecordWaves
     from plough_opt.soil.rig import Rig
@@ -84,10 +83,10 @@ _LATER = {
     "calibrate": "plough_opt.studies.calibration",
     "read_measurements": "plough_opt.studies.calibration",
     "Problem": "plough_opt.problem_file",
-    "Penetrometer": "plough_opt.problem_file.penetrometer",
-    "read_penetrometer": "plough_opt.problem_file.penetrometer",
+    "Penetrometer": "plough_opt.problem_file.readings",
+    "read_penetrometer": "plough_opt.problem_file.readings",
     "read_problem": "plough_opt.problem_file",
-    "read_strength_record": "plough_opt.problem_file.strength_file",
+    "read_strength_record": "plough_opt.problem_file.readings",
     "RecordWaves": "plough_opt.soil.record_waves",
     "Rig": "plough_opt.soil.rig",
     "StrengthRecord": "plough_opt.soil.strength_record",

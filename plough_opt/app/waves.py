@@ -41,7 +41,7 @@ def add_options(verb: argparse.ArgumentParser) -> None:
 
 def waves(options: argparse.Namespace) -> None:
     """Find the waves of a record, and print them as a problem file takes them."""
-    from plough_opt.problem_file.strength_file import read_strength_record
+    from plough_opt.problem_file.readings import read_strength_record
     from plough_opt.soil.strength_record import strength_waves
 
     check_outputs(options)

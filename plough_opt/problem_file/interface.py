@@ -10,9 +10,8 @@ from plough_opt.core.quantities import EVERY
 from plough_opt.exchange.component import Input, Output, Port
 from plough_opt.exchange.component.ports import port_of
 from plough_opt.motion import Run
-from plough_opt.problem_file.front import front_of
 from plough_opt.problem_file.own_measures import measures_of
-from plough_opt.problem_file.schema import ProblemTable
+from plough_opt.problem_file.schema import LimitTable, ProblemTable
 
 OBJECTIVE = "objective"
 """Name of the sum of the [minimise] table."""
@@ -58,8 +57,7 @@ def wanted_outputs(
     Raises:
         InputError: nothing to give.
     """
-    traded = front_of(table.trade_off).maximise if table.trade_off is not None else {}
-    everything = dict.fromkeys([*table.minimise, *traded, *table.require])
+    everything = dict.fromkeys([*table.minimise, *table.goals, *table.require])
     check_kind("outputs", asked, list | tuple, "a list of names")
     names = asked or [*([OBJECTIVE] if table.minimise else []), *everything]
     if not names:
@@ -71,15 +69,15 @@ def _output(name: str, table: ProblemTable, objective: Callable[[Run], Expressio
     check_kind("an output", name, str, "the name of a result")
     if name == OBJECTIVE and table.minimise:
         return Output(name, of=objective)
-    limit, measure = table.require.get(name), measures_of(table).get(name)
-    low, high = (None, None) if limit is None else (limit.at_least, limit.at_most)
+    measure = measures_of(table).get(name)
     if measure is None:  # which `build` refuses
         return Output(name)
+    low, high = table.require.get(name, LimitTable()).ends(measure.unit)
     own = name in table.measures
     return Output(
         name,
         unit=measure.unit.symbol if own else None,
         of=measure.of if own else None,
-        lower=-math.inf if low is None else measure.unit.parse(low),
-        upper=math.inf if high is None else measure.unit.parse(high),
+        lower=-math.inf if low is None else low,
+        upper=math.inf if high is None else high,
     )

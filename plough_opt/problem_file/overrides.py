@@ -6,10 +6,9 @@ from typing import Any, Final
 from plough_opt.core.checks import check_kind
 from plough_opt.core.errors import InputError, nearest, short
 from plough_opt.core.quantities import quantities
-from plough_opt.problem_file.lines import nested_line
 from plough_opt.problem_file.schema import ProblemTable
 from plough_opt.problem_file.shares import TABLE, choose_share, join_dotted_variables
-from plough_opt.problem_file.source import TOO_DEEP, Source, unreadable
+from plough_opt.problem_file.source import TOO_DEEP, Source, nested_line, unreadable
 
 # Characters of a change: a table in one line, and more.
 _LONGEST: Final = 2_000

@@ -21,12 +21,10 @@ from plough_opt.motion import Run, simulate
 from plough_opt.motion.accuracy import Accuracy
 from plough_opt.motion.machine import Machine
 from plough_opt.motion.scene import Scene
-from plough_opt.problem_file.effects import effects_of
-from plough_opt.problem_file.front import EXAMPLE, front_of
+from plough_opt.motion.vocabulary import Measure
 from plough_opt.problem_file.interface import input_ports, wanted_outputs
-from plough_opt.problem_file.named import medium_of
 from plough_opt.problem_file.own_measures import measures_of, total_of
-from plough_opt.problem_file.schema import ProblemTable
+from plough_opt.problem_file.schema import ProblemTable, medium_of
 from plough_opt.problem_file.shares import by_share
 from plough_opt.soil.geometry import Wedge
 from plough_opt.soil.random_strength import Spectrum
@@ -36,6 +34,9 @@ from plough_opt.studies.tradeoff import Goal, TradeOff, trade_off
 _T = TypeVar("_T")
 _READING = "soil.cone_index"
 _SIDES = ("lower", "upper", "guess")
+TRADED = "[trade_off] with two or three results, such as mean_draft = {} and loosened_radius = { maximise = true }"
+"""An example of the table of a front, for messages."""
+_POINTS = 40
 
 
 @dataclass(frozen=True)
@@ -48,7 +49,13 @@ class FileVariable:
     log: bool
     unit: str
     display: Display
+    domain: tuple[float, float]
     tolerance: float | str | None = None
+
+    def declared(self, design: Design, name: str, guess: float) -> Expression:
+        """Return the variable of a design, with a guess of its own."""
+        return design.variable(name, guess=guess, lower=self.lower, upper=self.upper, unit=self.unit, log=self.log,
+                               tolerance=self.tolerance, domain=self.domain, display=self.display)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -123,15 +130,13 @@ class Problem:
         Args:
             seed: of the samples that are drawn.
         """
-        limits = {name: self._ends(name) for name in self.table.require}
+        limits = {name: limit.ends(self._measure(name).unit) for name, limit in self.table.require.items()}
         return Origin.now(self.title, self.displays, file=Path(self.name).name, text=self.text, seed=seed,
                           overrides=self.overrides, data=self.data, limits=limits)  # fmt: skip
 
-    def _ends(self, name: str) -> tuple[float | None, float | None]:
-        """Return the limits of a required result, SI."""
-        unit, limit = measures_of(self.table)[self._split(name)[1]].unit, self.table.require[name]
-        low, high = (None if side is None else unit.parse(side) for side in (limit.at_least, limit.at_most))
-        return low, high
+    def _measure(self, name: str) -> Measure:
+        """Return the result of a name such as "front.loosened_radius"."""
+        return measures_of(self.table)[self._split(name)[1]]
 
     @property
     def accuracy(self) -> Accuracy:
@@ -174,7 +179,7 @@ class Problem:
             stiffness=values["scene.stiffness"],
             mass=values["scene.frame_mass"] + steel,
             tow_speed=values["scene.tow_speed"],
-            effects=effects_of(self.table.effects, values, self.spectrum),
+            effects=self.table.effects.effects(values, self.spectrum),
             medium=medium_of(self.table.scene.medium),
         )
 
@@ -222,9 +227,12 @@ class Problem:
 
     def simulate(self, changes: Mapping[str, float] | None = None) -> Run:
         """Simulate the scene of `scene`."""
-        duration, outputs = self.values(changes).get("scene.duration"), self.table.scene.outputs
-        run = simulate(self.scene(changes), duration, accuracy=self.accuracy, outputs=outputs)
-        return replace(run, origin=self.origin)
+        return replace(self.run_of(self.scene(changes), self.values(changes)), origin=self.origin)
+
+    def run_of(self, scene: Scene, values: Mapping[str, Expression]) -> Run:
+        """Simulate a scene for the duration among some values, as the file wants it."""
+        duration, outputs = values.get("scene.duration"), self.table.scene.outputs
+        return simulate(scene, duration, accuracy=self.accuracy, outputs=outputs)
 
     def design(self, *, parameters: bool = False) -> tuple[Design, Run | Machine]:
         """Return the design and its symbolic run, of several shares those of all.
@@ -260,20 +268,7 @@ class Problem:
     def _required(self, parameters: bool = False) -> tuple[Design, dict[str, Run]]:
         """Return the design with its requirements and without an objective, and the symbolic run of each share."""
         design = Design()
-        symbols = {
-            name: design.variable(
-                name,
-                guess=v.guess,
-                lower=v.lower,
-                upper=v.upper,
-                unit=v.unit,
-                log=v.log,
-                tolerance=v.tolerance,
-                domain=EVERY[self._split(name)[1]].domain,
-                display=v.display,
-            )
-            for name, v in self.variables.items()
-        }
+        symbols = {name: variable.declared(design, name, variable.guess) for name, variable in self.variables.items()}
         chosen = dict(symbols)
         if parameters:
             for name, x in self._numbers().items():
@@ -281,10 +276,9 @@ class Problem:
                 symbols[name] = design.parameter(name, x, unit=EVERY[key].unit, domain=EVERY[key].domain)
         runs = {name: part._symbolic(*(self._of_share(name, own) for own in (symbols, chosen)))
                 for name, part in self.parts.items()}  # fmt: skip
-        known = measures_of(self.table)
-        for name in self.table.require:
-            share, result = self._split(name)
-            measure, (low, high) = known[result], self._ends(name)
+        for name, limit in self.table.require.items():
+            share, measure = self._split(name)[0], self._measure(name)
+            low, high = limit.ends(measure.unit)
             value = total_of(measure, [runs[share]] if share in runs else [*runs.values()])
             design.require(name, value, at_least=low, at_most=high, unit=measure.unit.symbol,
                            display=self.displays.get(name))  # fmt: skip
@@ -296,8 +290,7 @@ class Problem:
         if len(symbols) > len(chosen):
             soil = replace(self.scene(symbols).soil, name=scene.soil.name, source=scene.soil.source)
             scene = replace(self.scene(symbols), soil=soil)
-        duration = self.values(symbols).get("scene.duration")
-        return simulate(scene, duration, accuracy=self.accuracy, outputs=self.table.scene.outputs)
+        return self.run_of(scene, self.values(symbols))
 
     def component(
         self,
@@ -383,14 +376,13 @@ class Problem:
         """
         self._refuse_without_variables()
         if self.table.trade_off is None:
-            raise InputError(f"{self.name}: nothing to trade: add a table {EXAMPLE}")
-        table = front_of(self.table.trade_off)
+            raise InputError(f"{self.name}: nothing to trade: add a table {TRADED}")
         design, runs = self._required()
         measures = measures_of(self.table)
         goals = [
             Goal(name, total_of(measures[name], [*runs.values()]), measures[name].unit.symbol, maximise)
-            for name, maximise in table.maximise.items()
+            for name, maximise in self.table.goals.items()
         ]
-        count = table.points if points is None else points
+        count = self.table.trade_off.get("points", _POINTS) if points is None else points
         found = trade_off(design, *goals, points=count, title=self.title, progress=progress)
         return replace(found, origin=self.origin)

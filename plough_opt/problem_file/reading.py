@@ -13,36 +13,18 @@ from pydantic import ValidationError
 
 from plough_opt.core.checks import check_kind, path_of
 from plough_opt.core.errors import InputError, nearest, short
-from plough_opt.core.quantities import IN_FILES, READINGS, quantities
+from plough_opt.core.quantities import IN_FILES, quantities
 from plough_opt.core.units import Display, display_of
 from plough_opt.design import Over
-from plough_opt.laws.law import ResistanceLaw
-from plough_opt.motion.accuracy import Accuracy
-from plough_opt.motion.vocabulary import Measure
-from plough_opt.problem_file.frame import joined
-from plough_opt.problem_file.front import TABLE, check_front
+from plough_opt.problem_file.checking import at, check_complete, check_front, check_measures, check_values, raw
 from plough_opt.problem_file.overrides import apply_override
 from plough_opt.problem_file.own_measures import check_own, display_of_own, measures_of
-from plough_opt.problem_file.penetrometer import average_readings
 from plough_opt.problem_file.problem import FileVariable, Problem
-from plough_opt.problem_file.schema import (
-    RANDOM,
-    WAVES,
-    EffectsFile,
-    LimitTable,
-    ProblemFile,
-    ProblemTable,
-    RandomStrengthFile,
-    StrengthWaveFile,
-    TermTable,
-    VariableTable,
-)
-from plough_opt.problem_file.shares import TABLE as TABLE_OF_SHARES
-from plough_opt.problem_file.shares import choose_share, join_dotted_variables, names_of_shares
-from plough_opt.problem_file.source import Keys, Source
-from plough_opt.problem_file.strength_file import spectrum_of_file
-from plough_opt.problem_file.uncertain import check_joint, check_uncertain, join_dotted
-from plough_opt.soil.soil import named_soil
+from plough_opt.problem_file.readings import average_readings, spectrum_of_file
+from plough_opt.problem_file.schema import ProblemFile, ProblemTable, VariableTable, valid_keys
+from plough_opt.problem_file.shares import TABLE, by_share, choose_share, join_dotted_variables, names_of_shares
+from plough_opt.problem_file.source import Source
+from plough_opt.problem_file.uncertain import check_uncertain, join_dotted
 
 _PER_CENT = re.compile(r"\s*([0-9]+\.?[0-9]*|\.[0-9]+)\s*%\s*")
 
@@ -75,8 +57,34 @@ def read_problem(path: str | Path, overrides: Iterable[str] = ()) -> Problem:
     for name in names:
         view = copy.copy(source)
         own[name] = choose_share(view, name)
-        parts[name] = _read(view, Path(path).parent, notes, (*overrides, f"{TABLE_OF_SHARES}={name}"))
-    return joined(parts, own, overrides)
+        parts[name] = _read(view, Path(path).parent, notes, (*overrides, f"{TABLE}={name}"))
+    return _joined(parts, own, overrides)
+
+
+def _joined(parts: Mapping[str, Problem], own: Mapping[str, set[str]], overrides: tuple[str, ...]) -> Problem:
+    """Return the problem of several shares in one frame.
+
+    Args:
+        parts: name of a share -> the file as it is for this share alone.
+        own: name of a share -> quantities and results of which its own table says something.
+        overrides: changes that were made to the file.
+    """
+
+    def gathered(what: str) -> Any:
+        return by_share({name: getattr(part, what) for name, part in parts.items()}, own)
+
+    first = next(iter(parts.values()))
+    require = {}
+    for name, part in parts.items():
+        for result, limit in part.table.require.items():
+            together = measures_of(part.table)[result].adds and result not in own[name]
+            require[result if together else f"{name}.{result}"] = limit
+    displays = gathered("displays")
+    displays |= {key: parts[key.partition(".")[0]].displays[key.partition(".")[2]] for key in require if "." in key}
+    return dataclasses.replace(
+        first, table=first.table.model_copy(update={"require": require}), fixed=gathered("fixed"),
+        variables=gathered("variables"), displays=displays, shares=parts, overrides=overrides,
+    )  # fmt: skip
 
 
 def _read(source: Source, folder: Path, notes: tuple[str, ...], overrides: tuple[str, ...]) -> Problem:
@@ -89,15 +97,14 @@ def _read(source: Source, folder: Path, notes: tuple[str, ...], overrides: tuple
     try:
         table = ProblemFile.model_validate(source.data)
     except ValidationError as error:
-        source.note_schema(error, _valid_keys())
+        source.note_schema(error, valid_keys)
     source.raise_noted()
     problem = dataclasses.replace(
         _checked(source, table, notes), over=over, readings=readings, spectrum=spectrum, text=source.text,
         data=source.read_files, overrides=overrides,
     )  # fmt: skip
     source.raise_noted()
-    _check_values(source, problem)
-    source.raise_noted()
+    check_values(source, problem)
     return problem
 
 
@@ -110,35 +117,20 @@ def check_changed(problem: Problem) -> None:
     if problem.shares:
         problem.scene()  # which says to choose one
     source = Source("", problem.name)
-    _check_complete(source, problem.table, {*problem.fixed, *problem.variables})
+    check_complete(source, problem.table, {*problem.fixed, *problem.variables})
     source.raise_noted()
-    _check_values(source, problem)
-    source.raise_noted()
+    check_values(source, problem)
 
 
 def _over(source: Source) -> Over | None:
     """Take over = "worst" or "mean" out of [minimise], whose other keys are results."""
-    table = source.data.get("minimise")
+    table, place = source.data.get("minimise"), ("minimise", "over")
     written = table.pop("over", None) if isinstance(table, dict) else None
-    with source.noting(("minimise", "over")):
-        if written not in (None, "worst", "mean"):
-            raise InputError(f'over = {short(repr(written))} must be "worst" or "mean", within the tolerances')
-        if written is not None and source.data.get("uncertain") is not None:
-            raise InputError("over takes the design within its tolerances in one soil: leave it out, or [uncertain]")
+    if written not in (None, "worst", "mean"):
+        source.note(place, f'over = {short(repr(written))} must be "worst" or "mean", within the tolerances')
+    elif written is not None and source.data.get("uncertain") is not None:
+        source.note(place, "over takes the design within its tolerances in one soil: leave it out, or [uncertain]")
     return typing.cast("Over | None", written)
-
-
-def _valid_keys() -> dict[str, list[str]]:
-    valid = {"": list(ProblemFile.model_fields)}
-    for name, field in ProblemFile.model_fields.items():
-        model = field.annotation
-        if isinstance(model, type) and hasattr(model, "model_fields"):
-            valid[name] = list(model.model_fields)
-    valid[RANDOM] = list(RandomStrengthFile.model_fields)
-    valid |= {name: list(StrengthWaveFile.model_fields) for name in WAVES}
-    for table, model in (("variables", VariableTable), ("minimise", TermTable), ("require", LimitTable)):
-        valid[table] = list(model.model_fields)
-    return valid
 
 
 def _checked(source: Source, table: ProblemTable, notes: tuple[str, ...]) -> Problem:
@@ -154,37 +146,21 @@ def _checked(source: Source, table: ProblemTable, notes: tuple[str, ...]) -> Pro
             displays[key] = variables[key].display
     fixed: dict[str, float] = {}
     for key, unit in units.items():
-        value, written = _at(table, key), _raw(source.data, key)
+        value, written = at(table, key), raw(source.data, key)
         if key in table.variables:
-            with source.noting(("variables", key)):
-                if written is not None:
-                    raise InputError(f"'{key}' is a variable and has a fixed value too: remove one")
+            if written is not None:
+                source.note(("variables", key), f"'{key}' is a variable and has a fixed value too: remove one")
         elif value is not None:
             fixed[key] = value
             if written is not None:
                 displays[key] = display_of(written, unit)
-    _check_complete(source, table, {*fixed, *table.variables})
+    check_complete(source, table, {*fixed, *table.variables})
     if check_own(source, table):  # what names results needs to know them
         displays |= {name: display_of_own(own.unit) for name, own in table.measures.items()}
-        _check_measures(source, table, displays)
+        check_measures(source, table, displays)
         check_uncertain(source, table)
-        if table.trade_off is not None:
-            check_front(source, table.trade_off, table.scene.law, measures_of(table))
+        check_front(source, table)
     return Problem(source.name, table, fixed, variables, displays, notes)
-
-
-def _at(table: Any, key: str) -> Any:
-    """Return what a dotted key holds, or None."""
-    for part in key.split("."):
-        table = getattr(table, part) if table is not None else None
-    return table
-
-
-def _raw(data: Any, key: str) -> object:
-    """Return what the file says at a dotted key, or None."""
-    for part in key.split("."):
-        data = data.get(part) if isinstance(data, dict) else None
-    return data
 
 
 def _variable(source: Source, key: str, declared: VariableTable) -> FileVariable:
@@ -201,14 +177,13 @@ def _variable(source: Source, key: str, declared: VariableTable) -> FileVariable
         )
     if declared.log and lower <= 0.0:
         raise InputError(f"'{key}' is log-scaled and needs a lower bound above 0, not {declared.lower}")
-    middle = math.sqrt(lower * upper) if declared.log else (lower + upper) / 2.0
-    guess = bounds.get("guess", middle)
+    guess = bounds.get("guess", math.sqrt(lower * upper) if declared.log else (lower + upper) / 2.0)
     if not lower <= guess <= upper:
         raise InputError(
             f"the guess {declared.guess} of '{key}' lies outside its bounds {declared.lower} to {declared.upper}"
         )
-    tolerance = _tolerance(source, key, declared.tolerance)
-    return FileVariable(lower, upper, guess, declared.log, unit.symbol, display_of(declared.lower, unit), tolerance)
+    display, tolerance = display_of(declared.lower, unit), _tolerance(source, key, declared.tolerance)
+    return FileVariable(lower, upper, guess, declared.log, unit.symbol, display, IN_FILES[key].domain, tolerance)
 
 
 def _tolerance(source: Source, key: str, written: str | float | None) -> float | str | None:
@@ -221,149 +196,3 @@ def _tolerance(source: Source, key: str, written: str | float | None) -> float |
     if half < 0.0:
         raise source.error(place, f"'{key}' tolerance = {written} must not be below 0")
     return half
-
-
-def _check_complete(source: Source, table: ProblemTable, known: set[str]) -> None:
-    """Note every quantity that is neither given nor a variable, and every one that nothing in the file needs."""
-    if not known <= {*quantities()}:
-        return  # a misspelt variable is noted already, and would be missing here once more
-    decided = {table.soil.adjusted} if known & {*READINGS} else set()
-    if table.soil.name is not None:
-        with source.noting(("soil", "name")):
-            named_soil(table.soil.name)
-    elif missing := [name for name in _required("soil") if name not in known | decided]:
-        with source.noting(("soil",)):
-            names = ", ".join(f"'{IN_FILES[name].key}'" for name in missing)
-            verb = "is" if len(missing) == 1 else "are"
-            raise InputError(f"{names} {verb} missing: give them in [soil], or the 'name' of a known soil")
-    effects = table.effects
-    random = [key for key in IN_FILES if IN_FILES[key].owner == RANDOM]
-    excess = dict.fromkeys(decided, "follows from the cone index: leave it out, or let that adjust another property")
-    for key, law in (("effects.contact_width", "smooth"), ("effects.breakaway", "stick_slip")):
-        if effects.contact != law:
-            excess[key] = f'belongs to contact = "{law}", which [effects] does not ask for'
-    if effects.orbit != "transient":
-        excess["scene.duration"] = (
-            "is needless: a lasting orbit has a duration of its own, one wavelength: leave it out"
-        )
-    if _at(table, RANDOM) is None:
-        excess |= dict.fromkeys(random, f"has no {RANDOM} to belong to: give that in [effects]")
-    elif _at(table, f"{RANDOM}.record") is not None:
-        excess |= dict.fromkeys(random, "and a record are given: take one")
-    for key in sorted({*excess} & known):
-        with source.noting(("variables", key) if key in table.variables else tuple(key.split("."))):
-            raise InputError(f"'{key}' {excess[key]}")
-    if effects.orbit != "harmonic_balance" and "harmonics" in effects.model_fields_set:
-        with source.noting(("effects", "harmonics")):
-            raise InputError("'effects.harmonics' belongs to orbit = \"harmonic_balance\"")
-    needed = [*_required("share", "scene"), *_wave_keys(source, table, known), *random]
-    needed += ["effects.contact_width"] if effects.contact == "smooth" else []
-    for key in needed:
-        owner, _, name = key.rpartition(".")
-        if key not in known | {*excess}:
-            with source.noting(tuple(owner.split("."))):
-                raise InputError(f"'{name}' is missing: give it in [{owner}] or make '{key}' a variable")
-
-
-def _wave_keys(source: Source, table: ProblemTable, known: set[str]) -> list[str]:
-    """Return the quantities that the file's strength waves must have; note a wave that misses those before it."""
-    keys: list[str] = []
-    missing = ""
-    for name in WAVES:
-        own = sorted(key for key in known if IN_FILES[key].owner == name)
-        given = _at(table, name) is not None
-        needed = [f"{name}.amplitude", f"{name}.wavelength"]
-        if own and not given and not {*needed} <= {*own}:
-            with source.noting(("variables", own[0])):
-                raise InputError(f"'{own[0]}' has no {name} to belong to: give that in [effects]")
-            continue
-        if (own or given) and missing:
-            with source.noting(tuple(name.split("."))):
-                raise InputError(f"'{name}' is there without '{missing}': give that one first")
-        missing = missing or ("" if own or given else name)
-        keys += needed if own or given else []
-    return keys
-
-
-def _required(*owners: str) -> list[str]:
-    """Return the quantities that a file must have in some of its tables."""
-    return [name for name, quantity in IN_FILES.items() if quantity.required and quantity.owner in owners]
-
-
-def _check_measures(source: Source, table: ProblemTable, displays: dict[str, Display]) -> None:
-    """Check objective and requirements, and note the units they are written in."""
-    known = measures_of(table)
-    terms = [(("minimise", name), {"per": term.per}) for name, term in table.minimise.items()]
-    limits = [(("require", name), limit.sides) for name, limit in table.require.items()]
-    for place, sides in (*terms, *limits):
-        with source.noting(place):
-            _check_measure(source, place, table.scene.law, sides, known)
-            for written in sides.values():
-                displays[place[1]] = display_of(written, known[place[1]].unit)
-
-
-def _check_measure(
-    source: Source, place: Keys, law: ResistanceLaw, sides: Mapping[str, Any], known: Mapping[str, Measure]
-) -> None:
-    """Check one term of the objective, or one requirement."""
-    kind, name = place
-    allowed = [m for m, measure in known.items() if kind == "require" or not measure.everywhere]
-    if name not in allowed:
-        verb = "minimised" if kind == "minimise" else "required"
-        raise InputError(f"'{name}' cannot be {verb}: {nearest(name, allowed)}")
-    known[name].check(name, law)
-    unit = known[name].unit
-    values = {side: source.parsed((*place, side), unit, one, f"'{name}' {side}") for side, one in sides.items()}
-    if kind == "minimise" and values["per"] <= 0.0:
-        raise source.error((*place, "per"), f"'{name}' per = {sides['per']} must be above 0")
-    if kind == "require" and not values:
-        raise InputError(f"'{name}' has no limit: give at_least, at_most or both")
-    if values.get("at_least", -math.inf) > values.get("at_most", math.inf):
-        raise InputError(
-            f"the limits of '{name}' contradict each other: at least {sides['at_least']} is above at most"
-            f" {sides['at_most']}"
-        )
-
-
-def _check_values(source: Source, problem: Problem) -> None:
-    """Refuse values, guesses and bounds outside the model's domain, each with the line that sets it."""
-    settings = problem.table.accuracy.model_dump(exclude_none=True)
-    for name in settings:
-        with source.noting(("accuracy", name)):
-            Accuracy(**{"method": settings["method"], name: settings[name]})
-    for key, value in problem.fixed.items():
-        with source.noting(tuple(key.split(".")), prefix=f"{_quoted(source, key)}: "):
-            _check_value(problem, key, value)
-    for key, variable in problem.variables.items():
-        for side in ("lower", "upper"):
-            written = getattr(problem.table.variables[key], side)
-            with source.noting(("variables", key, side), prefix=f"'{key}' {side} = {written}: "):
-                _check_value(problem, key, getattr(variable, side))
-    source.raise_noted()
-    # What is left are effects that exclude each other.
-    with source.noting(("effects", "motion")):
-        problem.scene()
-    source.raise_noted()
-    known = measures_of(problem.table)
-    for kind in ("minimise", "require", TABLE):
-        for name in {*(getattr(problem.table, kind) or ())} & {name for name in known if known[name].random}:
-            with source.noting((kind, name), prefix=f"'{name}': "):
-                problem.scene().check_stationary()
-    source.raise_noted()
-    check_joint(source, problem.table, lambda: problem.scene().soil)
-
-
-def _check_value(problem: Problem, key: str, value: float) -> None:
-    """Refuse a value outside its domain, whatever the others are."""
-    IN_FILES[key].check(value)
-    alone = dataclasses.replace(problem, fixed={k: IN_FILES[k].typical for k in problem.values()}, variables={})
-    scene = problem.table.scene.model_copy(update={"medium": "plastic"})
-    plain = problem.table.model_copy(update={"effects": EffectsFile(), "scene": scene})
-    alone = dataclasses.replace(alone, table=plain)
-    alone.scene({key: value})
-
-
-def _quoted(source: Source, key: str) -> str:
-    """Return a key with what the file says at it."""
-    written = _raw(source.data, key)
-    return f"'{key}'" if written is None else f"'{key}' = {written}"

@@ -2,13 +2,14 @@
 
 from collections.abc import Mapping
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
 from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import Expression
 from plough_opt.design import Design, Progress
-from plough_opt.motion import Run, simulate
+from plough_opt.motion import Run
 from plough_opt.problem_file.own_measures import measures_of
 from plough_opt.problem_file.problem import Problem
 from plough_opt.problem_file.schema import LimitTable, TermTable
@@ -16,6 +17,7 @@ from plough_opt.problem_file.uncertain import ChosenMeasure, UncertainTable, dis
 from plough_opt.soil.soil import Soil
 from plough_opt.studies.uncertainty import Robust, SoilDistribution, sobol_indices, verify
 from plough_opt.studies.uncertainty.result import RobustOptimum
+from plough_opt.studies.uncertainty.robust import Tail
 from plough_opt.studies.uncertainty.search import Spreads, best_robust
 
 # Of a result's standard deviation over the samples: the width over which its measures are rounded off.
@@ -105,34 +107,20 @@ class _RobustDesign:
     def _declared(self, start: Mapping[str, float]) -> tuple[Design, Robust, Run]:
         """Return a design with its variables, the results over the samples, and the run in the nominal soil."""
         problem, design = self._problem, Design()
-        symbols: dict[str, Expression] = {
-            key: design.variable(
-                key,
-                guess=min(max(start[key], v.lower), v.upper),
-                lower=v.lower,
-                upper=v.upper,
-                unit=v.unit,
-                log=v.log,
-                tolerance=v.tolerance,
-                display=v.display,
-            )
-            for key, v in problem.variables.items()
+        symbols = {
+            key: variable.declared(design, key, min(max(start[key], variable.lower), variable.upper))
+            for key, variable in problem.variables.items()
         }
 
         def run_in(soil: Soil | None) -> Run:
-            changes = symbols if soil is None else {**symbols, **self._changes(soil)}
-            duration = problem.values(symbols).get("scene.duration")
-            outputs = problem.table.scene.outputs
-            return simulate(problem.scene(changes), duration, accuracy=problem.accuracy, outputs=outputs)
+            properties = {} if soil is None else {f"soil.{name}": getattr(soil, name) for name in self._field.names}
+            return problem.run_of(problem.scene({**symbols, **properties}), problem.values(symbols))
 
         def response(soil: Soil) -> dict[str, Expression]:
             run = run_in(soil)
             return {name: self._measures[name].of(run) for name in self._averages}
 
         return design, Robust(self._field, response, samples=self._samples, seed=self._table.seed), run_in(None)
-
-    def _changes(self, soil: Soil) -> dict[str, Expression]:
-        return {f"soil.{name}": getattr(soil, name) for name in self._field.names}
 
     def _term(self, robust: Robust, run: Run, name: str, term: TermTable) -> Expression:
         per = self._measures[name].unit.parse(term.per)
@@ -149,9 +137,10 @@ class _RobustDesign:
         if chosen.kind == "mean_plus":
             return robust.mean_plus(name, chosen.number)
         width = self._width(name, written)
+        tail: Tail = "lower" if low_is_bad else "upper"
         if chosen.kind == "cvar":
-            return robust.cvar(name, chosen.number, width=width, tail="lower" if low_is_bad else "upper")
-        return robust.worst(name, width=width, tail="lower" if low_is_bad else "upper")
+            return robust.cvar(name, chosen.number, width=width, tail=tail)
+        return robust.worst(name, width=width, tail=tail)
 
     def _width(self, name: str, written: object) -> float:
         if written is not None:
@@ -160,22 +149,19 @@ class _RobustDesign:
         return _WIDTH * self._spreads[name]
 
     def _require(self, design: Design, robust: Robust, run: Run, name: str, limit: LimitTable) -> None:
-        measure = self._measures[name]
-        low, high = (None if side is None else measure.unit.parse(side) for side in (limit.at_least, limit.at_most))
-        unit = measure.unit.symbol
-        if limit.probability is not None and self._spreads.get(name):
-            robust.require_probability(
-                design, name, name, limit.probability, at_least=low, at_most=high,
-                width=self._width(name, limit.width), unit=unit,
-            )  # fmt: skip
-            return
-        if limit.measure is None and self._spreads.get(name):
-            design.require(name, robust.every(name, at_least=low, at_most=high), at_least=low, at_most=high, unit=unit)
-            return
-        chosen = measure_of(limit.measure or "nominal")
-        if chosen.kind in ("cvar", "worst") and low is not None and high is not None:
-            raise InputError(
-                f"{self._problem.name}: '{name}': a {chosen.kind} is limited from one side: give one limit"
-            )
-        value = self._measure(robust, run, name, chosen, limit.width, low is not None)
-        design.require(name, value, at_least=low, at_most=high, unit=unit)
+        unit = self._measures[name].unit
+        low, high = limit.ends(unit)
+        ends: dict[str, Any] = {"at_least": low, "at_most": high, "unit": unit.symbol}
+        varies = bool(self._spreads.get(name))
+        if varies and limit.probability is not None:
+            width = self._width(name, limit.width)
+            robust.require_probability(design, name, name, limit.probability, width=width, **ends)
+        elif varies and limit.measure is None:
+            design.require(name, robust.every(name, at_least=low, at_most=high), **ends)
+        else:
+            chosen = measure_of(limit.measure or "nominal")
+            if chosen.kind in ("cvar", "worst") and low is not None and high is not None:
+                one = f"a {chosen.kind} is limited from one side: give one limit"
+                raise InputError(f"{self._problem.name}: '{name}': {one}")
+            value = self._measure(robust, run, name, chosen, limit.width, low_is_bad=low is not None)
+            design.require(name, value, **ends)

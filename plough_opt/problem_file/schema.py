@@ -1,6 +1,8 @@
 """Contents of a problem file, table by table; every quantity is kept in SI."""
 
-from typing import Annotated, Any, Literal, TypeVar
+import dataclasses
+from collections.abc import Mapping
+from typing import Annotated, Any, Literal, TypeVar, get_args
 
 from pydantic import (
     AfterValidator,
@@ -14,13 +16,25 @@ from pydantic import (
     create_model,
 )
 
+from plough_opt.core.checks import check_named, shown
+from plough_opt.core.errors import InputError, nearest
+from plough_opt.core.expressions import Expression
 from plough_opt.core.quantities import IN_FILES, MOST_WAVES, wave_table
 from plough_opt.core.units import Unit
 from plough_opt.laws.law import ResistanceLaw
 from plough_opt.laws.registry import LAWS, law_of
-from plough_opt.motion.effects import MOST_HARMONICS, Effects, HarmonicBalance
-from plough_opt.problem_file.named import medium_of, own_effects_of
+from plough_opt.motion.effects import (
+    MOST_HARMONICS,
+    OWN_EFFECTS,
+    Effects,
+    HarmonicBalance,
+    OwnResistance,
+    Smooth,
+    StickSlip,
+)
+from plough_opt.soil.random_strength import RandomStrength, Spectrum
 from plough_opt.soil.soil import Adjust
+from plough_opt.soil.waves import StrengthWave
 
 Written = StrictStr | StrictFloat
 RANDOM = "effects.random_strength"
@@ -28,8 +42,66 @@ RANDOM = "effects.random_strength"
 SHARE_TABLES = ("soil", "share", "scene", "effects", "variables", "require")
 """The tables that may say something else of one share of several."""
 
+WAVES = tuple(map(wave_table, range(1, MOST_WAVES + 1)))
+"""The tables of strength waves, in order; all hold the same keys."""
 
 _T = TypeVar("_T", bound="Table")
+_Kind = TypeVar("_Kind")
+_LAW = '"plastic", or { law = "mckyes_ali", depth = "0.35 m" }'
+_EFFECTS = 'a list of tables with a name, such as [{ effect = "shank", static = "150 N" }]'
+
+
+def medium_of(written: object) -> str | ResistanceLaw:
+    """Return what `Scene` takes as its medium: a name, or a law with its own quantities in SI units.
+
+    Raises:
+        InputError: an unknown law or key, or a value that the law does not take; begins with what follows the key.
+    """
+    if isinstance(written, str):
+        law_of(written)
+        return written
+    if not isinstance(written, Mapping) or not isinstance(written.get("law"), str):
+        raise InputError(f"= {shown(written)} must be a resistance law, such as {_LAW}")
+    law_of(written["law"])
+    return _made(LAWS[written["law"]], "law", written)
+
+
+def own_effects_of(written: object) -> tuple[OwnResistance, ...]:
+    """Return own effects with their quantities in SI units.
+
+    Raises:
+        InputError: an unknown effect or key, or a value that it does not take; begins with what follows the key.
+    """
+    if not isinstance(written, list | tuple) or not all(
+        isinstance(one, Mapping) and "effect" in one for one in written
+    ):
+        raise InputError(f"= {shown(written)} must be {_EFFECTS}")
+    for one in written:
+        check_named("no own effect is named {}", one["effect"], OWN_EFFECTS)
+    return tuple(_made(OWN_EFFECTS[one["effect"]], "effect", one) for one in written)
+
+
+def _made(kind: type[_Kind], key: str, written: Mapping[str, Any]) -> _Kind:
+    """Return an instance of a class with the quantities of a table, but for the key that names the class."""
+    given = {name: _value(kind, name, value) for name, value in written.items() if name != key}
+    try:
+        return kind(**given)
+    except TypeError as error:  # what the class needs and the table lacks
+        raise InputError(f"= {shown(written)} lacks something: {error}") from None
+
+
+def _value(kind: type, key: str, value: Any) -> Any:
+    """Return the value of one field, which has a unit where its class says so."""
+    known = {each.name: each for each in dataclasses.fields(kind)}
+    if key not in known:
+        raise InputError(f"'{key}' is not a quantity of {kind.__name__}: {nearest(key, known)}")
+    unit = known[key].metadata.get("unit")
+    if unit is None:
+        return value
+    try:
+        return Unit(unit).parse(value)
+    except InputError as error:
+        raise InputError(f"'{key}' {error}") from None
 
 
 def checked_medium(written: object) -> object:
@@ -101,6 +173,42 @@ class EffectsTable(Table):
     formulation: Literal["derived", "printed"] = "derived"
     own: Annotated[list[dict[str, Any]], AfterValidator(checked_effects)] = []
 
+    def effects(self, values: Mapping[str, Expression], spectrum: Spectrum | None) -> Effects:
+        """Return the effects of the file.
+
+        Args:
+            values: every quantity of the file by key, numbers or symbols, SI.
+            spectrum: of the record that random strength is read from, if it is.
+        """
+        waves = [
+            StrengthWave(values[f"{name}.amplitude"], values[f"{name}.wavelength"], values.get(f"{name}.phase", 0.0))
+            for name in WAVES
+            if f"{name}.amplitude" in values
+        ]
+        random = [values.get(f"{RANDOM}.{key}") for key in ("rms", "correlation_length")]
+        contact: Literal["resisting"] | Smooth | StickSlip = "resisting"
+        if self.contact == "smooth":
+            contact = Smooth(values["effects.contact_width"])
+        elif self.contact == "stick_slip":
+            contact = StickSlip(values.get("effects.breakaway", StickSlip.breakaway))
+        return Effects(
+            motion=self.motion,
+            inertial_drag=self.inertial_drag,
+            added_mass=self.added_mass,
+            ambient_pressure=self.ambient_pressure,
+            contact=contact,
+            start=self.start,
+            entry=self.entry,
+            strength_wave=waves[0] if len(waves) == 1 else tuple(waves) or None,
+            random_strength=RandomStrength(*random) if None not in random else spectrum,
+            tow_ramp=values.get("effects.tow_ramp"),
+            damping=values.get("effects.damping"),
+            rate_term=values.get("effects.rate_term"),
+            orbit=HarmonicBalance(self.harmonics) if self.orbit == "harmonic_balance" else self.orbit,
+            formulation=self.formulation,
+            own=own_effects_of(self.own),
+        )
+
 
 class RandomStrengthTable(Table):
     """Random strength: its RMS and correlation length, or a record of it."""
@@ -142,6 +250,11 @@ class LimitTable(Table):
         both = {"at_least": self.at_least, "at_most": self.at_most}
         return {side: written for side, written in both.items() if written is not None}
 
+    def ends(self, unit: Unit) -> tuple[float | None, float | None]:
+        """Return both limits in a unit, None where there is none."""
+        low, high = (None if side is None else unit.parse(side) for side in (self.at_least, self.at_most))
+        return low, high
+
 
 class MeasureTable(Table):
     """A result of the file's own: an expression of others, and its unit."""
@@ -172,9 +285,15 @@ class ProblemTable(Table):
     minimise: dict[str, TermTable] = {}
     require: dict[str, LimitTable] = {}
     measures: dict[str, MeasureTable] = {}
-    trade_off: dict[str, Any] | None = None  # read by plough_opt.problem_file.front
+    trade_off: dict[str, Any] | None = None
     uncertain: dict[str, Any] | None = None  # read by plough_opt.problem_file.uncertain
     shares: dict[str, dict[str, Any]] = {}  # read by plough_opt.problem_file.shares
+
+    @property
+    def goals(self) -> dict[str, bool]:
+        """Name of each result that is traded -> whether more of it is better."""
+        traded = {name: entry for name, entry in (self.trade_off or {}).items() if name != "points"}
+        return {name: entry.get("maximise", False) for name, entry in traded.items()}
 
 
 def _with_quantities(name: str, table: type[_T], owner: str = "", **fields: Any) -> type[_T]:
@@ -191,8 +310,6 @@ ShareFile = _with_quantities("ShareFile", ShareTable, "share")
 SceneFile = _with_quantities("SceneFile", SceneTable, "scene")
 StrengthWaveFile = _with_quantities("StrengthWaveFile", Table, wave_table(1))
 RandomStrengthFile = _with_quantities("RandomStrengthFile", RandomStrengthTable, RANDOM)
-WAVES = tuple(map(wave_table, range(1, MOST_WAVES + 1)))
-"""The tables of strength waves, in order; all hold the same keys."""
 EffectsFile = _with_quantities(
     "EffectsFile",
     EffectsTable,
@@ -209,3 +326,13 @@ ProblemFile = _with_quantities(
     effects=(EffectsFile, EffectsFile()),
 )
 """The schema that problem files are read by."""
+
+
+def valid_keys(path: tuple[str, ...]) -> list[str]:
+    """Return the keys that the table at a path of a problem file may have."""
+    table: Any = ProblemFile
+    for key in path:
+        # A dictionary holds tables of one kind under any name.
+        table = table.model_fields[key].annotation if hasattr(table, "model_fields") else get_args(table)[-1]
+        table = get_args(table)[0] if type(None) in get_args(table) else table
+    return [*table.model_fields]

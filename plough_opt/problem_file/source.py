@@ -6,7 +6,7 @@ import contextlib
 import difflib
 import re
 import tomllib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Final
@@ -16,19 +16,32 @@ from pydantic import ValidationError
 from plough_opt.core.checks import shown
 from plough_opt.core.errors import DomainError, InputError, nearest, short, unprintable
 from plough_opt.core.units import Unit
-from plough_opt.problem_file.lines import MOST_TABLES, lines_of, nested_line
 
 Keys = tuple[str, ...]
 
-# What the schema calls a wrong type -> what the file must have there.
-_EXPECTED = {
-    "bool_type": "true or false",
-    "int_type": "a whole number",
-    "float_type": "a number",
-    "string_type": "a text in quotes",
+# What the schema calls a mistake -> what the file must have there.
+_WORDS = {
+    **dict.fromkeys(("model_type", "dict_type", "model_attributes_type"), "must be a table of keys, not {written}"),
+    "bool_type": "= {written} must be true or false",
+    "int_type": "= {written} must be a whole number",
+    "float_type": "= {written} must be a number",
+    "string_type": "= {written} must be a text in quotes",
+    "greater_than_equal": "= {written} must be at least {ge}",
+    "less_than_equal": "= {written} must be at most {le}",
 }
-_LIMITS = {"greater_than_equal": "at least", "less_than_equal": "at most"}
 _QUOTED = re.compile(r"'([^']*)'")
+MOST_TABLES: Final = 8
+"""Tables and lists in one another that a problem file may have; the schema needs four."""
+# What may hide brackets and line ends from a reader of TOML, brackets, and line ends.
+_TOKEN: Final = re.compile(
+    r'"""(?:\\.|[^\\])*?"{3,5}'
+    r"|'''.*?'{3,5}"
+    r'|"(?:\\.|[^"\\\n])*"'
+    r"|'[^'\n]*'"
+    r"|\#[^\n]*"
+    r"|[\[\]{}\n]",
+    re.DOTALL,
+)
 # What a problem file may be: far above any that is written by hand, and read in a second whatever it holds.
 _MOST_BYTES: Final = 100_000
 _LONGEST_LINE: Final = 1_000  # below the digits from which on Python reads no whole number
@@ -130,9 +143,13 @@ class Source:
         except PlacedError as error:
             self._noted.append(error)
         except (DomainError, InputError) as error:
-            self._noted.append(self.error(keys, f"{prefix}{error}"))
+            self.note(keys, f"{prefix}{error}")
         except ArithmeticError:  # overflow, or a difference of huge numbers that is 0
-            self._noted.append(self.error(keys, f"{prefix}too large or too small to compute with: check its unit"))
+            self.note(keys, f"{prefix}too large or too small to compute with: check its unit")
+
+    def note(self, keys: Sequence[str], message: str) -> None:
+        """Note a mistake of a key, with file and line, for `raise_noted`."""
+        self._noted.append(self.error(keys, message))
 
     def parsed(self, keys: Keys, unit: Unit, written: object, what: str, more: str = "") -> float:
         """Return a written quantity in SI.
@@ -161,12 +178,12 @@ class Source:
             more = [f"... and {rest} more"] if rest else []
             raise InputError("\n".join([*map(str, ordered[:_MOST_LISTED]), *more]))
 
-    def note_schema(self, error: ValidationError, valid: Mapping[str, Sequence[str]]) -> None:
+    def note_schema(self, error: ValidationError, valid: Callable[[Keys], Sequence[str]]) -> None:
         """Note everything a schema refused, each with its line.
 
         Args:
             error: what the schema found.
-            valid: table -> its valid keys, for suggestions; "" is the file's top level.
+            valid: path of a table -> its valid keys, for suggestions.
         """
         # A union reports each alternative that it tried: the first says enough.
         items = list({_keys(item): item for item in reversed(error.errors())}.values())
@@ -174,37 +191,29 @@ class Source:
         self._unlisted += len(items[_MOST_LISTED:])
         items = items[:_MOST_LISTED]
         meant = set()
-        for item in items:
-            if item["type"] == "extra_forbidden":
-                keys = _keys(item)
-                close = difflib.get_close_matches(keys[-1], _known(keys, valid), n=2, cutoff=0.55)
-                meant |= {(*keys[:-1], name) for name in close}
+        for *table, key in (_keys(item) for item in items if item["type"] == "extra_forbidden"):
+            close = difflib.get_close_matches(key, valid(tuple(table)), n=2, cutoff=0.55)
+            meant |= {(*table, name) for name in close}
         for item in items:
             # A misspelt key is missing too: say it once.
             if item["type"] != "missing" or _keys(item) not in meant:
                 self._noted.append(self._explained(item, valid))
 
-    def _explained(self, item: Any, valid: Mapping[str, Sequence[str]]) -> InputError:
-        keys = _keys(item)
+    def _explained(self, item: Any, valid: Callable[[Keys], Sequence[str]]) -> InputError:
+        keys, kind, written = _keys(item), item["type"], short(repr(item["input"]))
         dotted = ".".join(keys)
-        if item["type"] == "extra_forbidden":
-            return self.error(keys, f"'{dotted}' is not a known key: {nearest(keys[-1], _known(keys, valid))}")
-        if item["type"] == "missing":
+        if kind == "extra_forbidden":
+            return self.error(keys, f"'{dotted}' is not a known key: {nearest(keys[-1], valid(keys[:-1]))}")
+        if kind == "missing":
             began = next((text for path, text in self.begun.items() if path == keys[: len(path)]), None)
             if began is not None:
                 return PlacedError(f"--set {began}: '{dotted}' is missing: set it too", 0)
             return self.error(keys, f"'{dotted}' is missing: add it")
-        if item["type"] in ("model_type", "dict_type", "model_attributes_type"):
-            return self.error(keys, f"'{dotted}' must be a table of keys, not {short(repr(item['input']))}")
-        if kind := _EXPECTED.get(item["type"]):
-            return self.error(keys, f"'{dotted}' = {short(repr(item['input']))} must be {kind}")
-        if limit := _LIMITS.get(item["type"]):
-            side = next(iter(item["ctx"].values()))
-            return self.error(keys, f"'{dotted}' = {short(repr(item['input']))} must be {limit} {side}")
-        if item["type"] == "literal_error":
-            valid_values = _QUOTED.findall(item["ctx"]["expected"])
-            return self.error(keys, f"'{dotted}' = {short(repr(item['input']))} is unknown:"
-                              f" {nearest(str(item['input']), valid_values)}")  # fmt: skip
+        if kind == "literal_error":
+            choices = nearest(str(item["input"]), _QUOTED.findall(item["ctx"]["expected"]))
+            return self.error(keys, f"'{dotted}' = {written} is unknown: {choices}")
+        if words := _WORDS.get(kind):
+            return self.error(keys, f"'{dotted}' {words.format(written=written, **item.get('ctx', {}))}")
         message = item["msg"].removeprefix("Value error, ")
         joint = " " if message.startswith(("=", "is not", "has ")) else ": "
         return self.error(keys, f"'{dotted}'{joint}{message[0].lower() + message[1:]}")
@@ -238,6 +247,74 @@ def unreadable(data: Any) -> tuple[Keys, str] | None:
     return None
 
 
+def lines_of(text: str) -> dict[str, int]:
+    """Return the line on which each key and table begins.
+
+    Args:
+        text: valid TOML, its lines ended by single line feeds.
+
+    Returns:
+        Keys with the names of the tables around them, joined by dots however the text writes them, and their lines.
+    """
+    found: dict[str, int] = {}
+    table: tuple[str, ...] = ()
+    for line, statement in _statements(text):
+        parsed = tomllib.loads(statement)
+        header = statement.startswith("[")
+        if header:
+            table = ()
+        for path in _paths(parsed):
+            for count in range(1, len(table) + len(path) + 1):
+                found.setdefault(".".join((*table, *path)[:count]), line)
+        if header:
+            table = max(_paths(parsed), key=len)
+    return found
+
+
+def nested_line(text: str) -> int | None:
+    """Return the first line of a TOML text on which more than `MOST_TABLES` brackets are open, or None."""
+    depth, line = 0, 1
+    for token in _TOKEN.finditer(text):
+        depth += (token[0] in "[{") - (token[0] in "]}")
+        if depth > MOST_TABLES:
+            return line
+        line += token[0].count("\n")
+    return None
+
+
+def _statements(text: str) -> Iterator[tuple[int, str]]:
+    """Yield each key with its value, and each heading, with the line on which it begins."""
+    begin, line, depth, lines = 0, 1, 0, 1
+    for token in _TOKEN.finditer(f"{text}\n"):
+        mark = token[0]
+        if mark in "[{":
+            depth += 1
+        elif mark in "]}":
+            depth -= 1
+        elif mark != "\n":
+            lines += mark.count("\n")
+        else:
+            lines += 1
+            if depth == 0:
+                statement = text[begin : token.start()].strip()
+                if statement and not statement.startswith("#"):
+                    yield line, statement
+                begin, line = token.end(), lines
+
+
+def _paths(parsed: Any, before: Sequence[str] = ()) -> Iterator[tuple[str, ...]]:
+    """Yield the names that lead to each value and table, as deep as these may stand in one another."""
+    if len(before) > MOST_TABLES:
+        return
+    if isinstance(parsed, list):  # of a heading in double brackets
+        for one in parsed:
+            yield from _paths(one, before)
+    elif isinstance(parsed, dict):
+        for name, value in parsed.items():
+            yield (*before, name)
+            yield from _paths(value, (*before, name))
+
+
 def _nearest_file(path: Path, names: Sequence[str]) -> str:
     """Return a clause that suggests files beside a path."""
     close = difflib.get_close_matches(path.name, names, n=2, cutoff=0.7)
@@ -257,8 +334,3 @@ class PlacedError(InputError):
 def _keys(item: Any) -> Keys:
     """Return the path of a schema error, without the alternatives that a union tried."""
     return tuple(str(key) for key in item["loc"] if key not in ("str", "int", "float"))
-
-
-def _known(keys: Keys, valid: Mapping[str, Sequence[str]]) -> Sequence[str]:
-    """Return the valid keys of the table that a path's last key stands in."""
-    return valid.get(".".join(keys[:-1]), valid.get(keys[0], ()) if len(keys) > 1 else ())

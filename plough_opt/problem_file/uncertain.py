@@ -12,19 +12,17 @@ from plough_opt.core.errors import InputError, nearest
 from plough_opt.core.expressions import as_number
 from plough_opt.core.quantities import quantities
 from plough_opt.laws.forces import cone_index
-from plough_opt.motion.vocabulary import Measure
 from plough_opt.problem_file.own_measures import measures_of
+from plough_opt.problem_file.readings import lognormal
 from plough_opt.problem_file.schema import LimitTable, ProblemTable
-from plough_opt.problem_file.source import Keys, Source
+from plough_opt.problem_file.source import Source
 from plough_opt.soil.soil import Soil
 
 if TYPE_CHECKING:
     from plough_opt.studies.uncertainty import SoilDistribution
 
 TABLE = "uncertain"
-SAMPLES, FEWEST, MOST = 64, 8, 1024
-FRESH, FEWEST_FRESH, MOST_FRESH = 4096, 100, 100_000
-_COUNTS = {"samples": (FEWEST, MOST), "fresh": (FEWEST_FRESH, MOST_FRESH), "seed": (0, 2**31 - 1)}
+_COUNTS = {"samples": (8, 1024), "fresh": (100, 100_000), "seed": (0, 2**31 - 1)}
 _KINDS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {  # what each needs, and what else it may have
     "normal": (("mean", "std"), ("lower", "upper")),
     "lognormal": (("mean", "std"), ("lower", "upper")),
@@ -56,8 +54,8 @@ class UncertainTable:
 
     distributions: Mapping[str, Mapping[str, Any]]
     correlation: Mapping[tuple[str, str], float] = field(default_factory=dict)
-    samples: int = SAMPLES
-    fresh: int = FRESH
+    samples: int = 64
+    fresh: int = 4096
     seed: int = 1
 
 
@@ -159,32 +157,43 @@ def check_uncertain(source: Source, table: ProblemTable) -> None:
         _refuse_measures(source, table)
         return
     properties = [key for key in quantities() if key.startswith("soil.")]
-    given = [key for key in properties if getattr(table.soil, key.removeprefix("soil.")) is not None]
     for key, entry in table.uncertain.items():
         with source.noting((TABLE, key)):
             if key in _COUNTS:
-                _check_count(key, entry)
+                low, high = _COUNTS[key]
+                if isinstance(entry, bool) or not isinstance(entry, int) or not low <= entry <= high:
+                    raise InputError(f"'{TABLE}.{key}' = {entry!r} must be a whole number from {low} to {high}")
             elif key == "correlation":
                 _check_correlation(entry, [name for name in table.uncertain if name.startswith("soil.")])
             elif key not in properties:
                 raise InputError(f"'{key}' cannot be uncertain: {nearest(key, [*properties, *_COUNTS, 'correlation'])}")
-            elif key in table.variables:
-                raise InputError(f"'{key}' is a variable and cannot be uncertain too: remove one")
-            elif key == table.soil.adjusted and {"soil.cone_index"} & {*given, *table.variables, *table.uncertain}:
-                raise InputError(f"'{key}' follows from the cone index in every sample: make soil.cone_index uncertain")
-            elif key == "soil.cone_index" and table.soil.adjust != "strength factor":
-                raise InputError(f"'{key}' can be uncertain with adjust = \"strength factor\" only")
             else:
+                _check_property(table, key)
                 _check_distribution(source, key, entry)
-    with source.noting((TABLE,)):
-        if not any(key in properties for key in table.uncertain):
-            raise InputError(
-                "nothing is uncertain: give a property of the soil a distribution, like"
-                ' "soil.cohesion" = { distribution = "lognormal", mean = "20 kPa", std = "6 kPa" }'
-            )
-        if table.scene.law.lacks("uncertain"):
-            raise InputError(table.scene.law.refusal("uncertain", TABLE))
+    if not {*properties} & {*table.uncertain}:
+        source.note(
+            (TABLE,),
+            "nothing is uncertain: give a property of the soil a distribution, like"
+            ' "soil.cohesion" = { distribution = "lognormal", mean = "20 kPa", std = "6 kPa" }',
+        )
+    elif table.scene.law.lacks("uncertain"):
+        source.note((TABLE,), table.scene.law.refusal("uncertain", TABLE))
     _check_measures(source, table)
+
+
+def _check_property(table: ProblemTable, key: str) -> None:
+    """Refuse a property that is a variable, or that follows from a cone index in every sample."""
+    reading = "soil.cone_index"
+    if key in table.variables:
+        raise InputError(f"'{key}' is a variable and cannot be uncertain too: remove one")
+    read = getattr(table.soil, "cone_index", None) is not None or reading in {
+        *table.variables,
+        *(table.uncertain or ()),
+    }
+    if key == table.soil.adjusted and read:
+        raise InputError(f"'{key}' follows from the cone index in every sample: make {reading} uncertain")
+    if key == reading and table.soil.adjust != "strength factor":
+        raise InputError(f"'{key}' can be uncertain with adjust = \"strength factor\" only")
 
 
 def check_joint(source: Source, table: ProblemTable, soil: Callable[[], Soil]) -> None:
@@ -198,12 +207,6 @@ def check_joint(source: Source, table: ProblemTable, soil: Callable[[], Soil]) -
     source.raise_noted()
     with source.noting((TABLE, "correlation")):
         distribution_of(own, soil())
-
-
-def _check_count(key: str, value: Any) -> None:
-    low, high = _COUNTS[key]
-    if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
-        raise InputError(f"'{TABLE}.{key}' = {value!r} must be a whole number from {low} to {high}")
 
 
 def _check_correlation(entry: Any, names: Sequence[str]) -> None:
@@ -227,16 +230,14 @@ def _check_distribution(source: Source, key: str, entry: Any) -> None:
         known = nearest(str(kind), _KINDS) if "distribution" in entry else f"one of {', '.join(_KINDS)}"
         raise source.error((TABLE, key, "distribution"), f"'{key}' needs a known distribution: {known}")
     needed, more = _KINDS[kind]
-    for name in entry:
-        if name not in ("distribution", *needed, *more):
-            allowed = ["distribution", *needed, *more]
-            raise source.error((TABLE, key, name), f"'{key}.{name}' is not a key of a {kind} distribution:"
-                               f" {nearest(name, allowed)}")  # fmt: skip
+    allowed = ("distribution", *needed, *more)
+    for name, written in entry.items():
+        place = (TABLE, key, name)
+        if name not in allowed:
+            unknown = f"is not a key of a {kind} distribution: {nearest(name, allowed)}"
+            raise source.error(place, f"'{key}.{name}' {unknown}")
         if name != "distribution":
-            try:
-                quantities()[key].parse(entry[name])
-            except InputError as error:
-                raise source.error((TABLE, key, name), f"'{key}' {name} {error}") from None
+            source.parsed(place, quantities()[key], written, f"'{key}' {name}")
     if missing := [name for name in needed if name not in entry]:
         raise InputError(f"'{key}': a {kind} distribution needs {' and '.join(missing)}")
     _made(key, _parsed(key, entry))
@@ -266,8 +267,7 @@ def _made(name: str, values: Mapping[str, Any]) -> Any:
     if kind == "lognormal":
         if mean <= 0.0:
             raise InputError(f"'{name}': the mean of a lognormal distribution must be above 0")
-        spread = math.sqrt(math.log1p((std / mean) ** 2))
-        return stats.lognorm(spread, scale=mean * math.exp(-0.5 * spread**2))
+        return lognormal(mean, std)
     if kind == "uniform":
         return stats.uniform(lower, upper - lower)
     if kind == "triangular":
@@ -284,52 +284,41 @@ def _made(name: str, values: Mapping[str, Any]) -> Any:
 def _check_measures(source: Source, table: ProblemTable) -> None:
     """Note invalid measures."""
     known = measures_of(table)
-    for name, term in table.minimise.items():
-        with source.noting(("minimise", name)):
-            if term.measure is not None:
-                measure_of(term.measure)
-            _check_width(source, ("minimise", name), term.width, known.get(name))
-    for name, limit in table.require.items():
-        with source.noting(("require", name)):
-            if name in known and known[name].everywhere and limit.measure != "nominal":
-                raise InputError(
-                    f"'{name}' has a value at every output time: over samples of the soil limit its mean, or say"
-                    ' measure = "nominal"'
-                )
-            if limit.measure is not None:
-                measure_of(limit.measure)
-            _check_probability(limit, name)
-            _check_width(source, ("require", name), limit.width, known.get(name))
+    for kind in ("minimise", "require"):
+        for name, entry in getattr(table, kind).items():
+            with source.noting((kind, name)):
+                if isinstance(entry, LimitTable):
+                    _check_limit(entry, name, everywhere=name in known and known[name].everywhere)
+                if entry.measure is not None:
+                    measure_of(entry.measure)
+                if entry.width is not None and name in known:
+                    place = (kind, name, "width")
+                    if source.parsed(place, known[name].unit, entry.width, f"'{name}' width") <= 0.0:
+                        raise source.error(place, f"'{name}' width = {entry.width} must be above 0")
 
 
-def _check_probability(limit: LimitTable, name: str) -> None:
+def _check_limit(limit: LimitTable, name: str, everywhere: bool) -> None:
+    if everywhere and limit.measure != "nominal":
+        raise InputError(
+            f"'{name}' has a value at every output time: over samples of the soil limit its mean, or say"
+            ' measure = "nominal"'
+        )
     if limit.probability is None:
         return
     if limit.measure is not None:
         raise InputError(f"'{name}' has a measure and a probability: give one")
     if not 0.0 < limit.probability < 1.0:
-        raise InputError(f"'{name}': the probability {limit.probability:g} must lie between 0 and 1; leave it out for"
-                         " every sample")  # fmt: skip
-    if limit.at_least is not None and limit.at_most is not None:
+        between = "must lie between 0 and 1; leave it out for every sample"
+        raise InputError(f"'{name}': the probability {limit.probability:g} {between}")
+    if len(limit.sides) == 2:
         raise InputError(f"'{name}': a probability is of one limit: give at_least or at_most")
-
-
-def _check_width(source: Source, place: Keys, written: Any, measure: Measure | None) -> None:
-    if written is None or measure is None:
-        return
-    try:
-        width = measure.unit.parse(written)
-    except InputError as error:
-        raise source.error((*place, "width"), f"'{place[1]}' width {error}") from None
-    if width <= 0.0:
-        raise source.error((*place, "width"), f"'{place[1]}' width = {written} must be above 0")
 
 
 def _refuse_measures(source: Source, table: ProblemTable) -> None:
     """Note what belongs to an uncertain soil in a file that has none."""
-    for kind, entries in (("minimise", table.minimise), ("require", table.require)):
-        for name, entry in entries.items():
+    for kind in ("minimise", "require"):
+        for name, entry in getattr(table, kind).items():
             for key in ("measure", "probability", "width"):
-                with source.noting((kind, name, key)):
-                    if getattr(entry, key, None) is not None:
-                        raise InputError(f"'{kind}.{name}.{key}' belongs to an uncertain soil: add a table [{TABLE}]")
+                if getattr(entry, key, None) is not None:
+                    said = f"'{kind}.{name}.{key}' belongs to an uncertain soil: add a table [{TABLE}]"
+                    source.note((kind, name, key), said)

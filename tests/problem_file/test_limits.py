@@ -2,7 +2,7 @@
 
 import pytest
 
-from plough_opt.problem_file.lines import lines_of
+from plough_opt.problem_file.source import lines_of
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""Readings of a penetrometer from a CSV file: cone index over depth, of one or several insertions."""
+"""Readings from CSV files: cone index over depth of a penetrometer, strength along a path, a force on a rig."""
 
 import math
 from collections.abc import Sequence
@@ -14,13 +14,19 @@ from plough_opt.core.csv_rows import check_rising, columns_of, raise_listed, rea
 from plough_opt.core.errors import InputError
 from plough_opt.core.units import Unit
 from plough_opt.problem_file.ranges import read_axis
+from plough_opt.problem_file.schema import RANDOM
 from plough_opt.problem_file.source import Source
+from plough_opt.soil.random_strength import Spectrum
+from plough_opt.soil.rig import Rig
+from plough_opt.soil.strength_record import StrengthRecord, strength_spectrum
 from plough_opt.studies.sweep.axes import Range
 
 Vector = NDArray[np.float64]
 
-_UNITS = {"depth": Unit("m"), "cone_index": Unit("Pa"), "insertion": Unit("")}
-_EXAMPLE = "'insertion, depth [cm], cone_index [kPa]', or 'depth [cm], cone_index [kPa], cone_index [kPa]'"
+_DOWNWARDS = {"depth": Unit("m"), "cone_index": Unit("Pa"), "insertion": Unit("")}
+_ALONG = {"position": Unit("m"), "time": Unit("s"), "cone_index": Unit("Pa"), "force": Unit("N")}
+_INSERTIONS = "'insertion, depth [cm], cone_index [kPa]', or 'depth [cm], cone_index [kPa], cone_index [kPa]'"
+_RECORD = "'position [m], cone_index [kPa]', or 'time [s], force [kN]'"
 # Insertions without which a spread between them is not worth a distribution.
 _FEWEST = 3
 
@@ -84,12 +90,17 @@ class Penetrometer:
         Raises:
             InputError: fewer than three insertions, or no difference between them.
         """
-        from scipy import stats  # slow to import, and rarely needed
-
         if self.spread == 0.0:
             raise InputError(f"{self.name}: all insertions have the same mean, so that nothing is uncertain")
-        width = math.sqrt(math.log1p((self.spread / self.mean) ** 2))
-        return stats.lognorm(width, scale=self.mean * math.exp(-0.5 * width**2))
+        return lognormal(self.mean, self.spread)
+
+
+def lognormal(mean: float, std: float) -> Any:
+    """Return the lognormal distribution of scipy.stats with a mean and a standard deviation."""
+    from scipy import stats  # slow to import, and rarely needed
+
+    width = math.sqrt(math.log1p((std / mean) ** 2))
+    return stats.lognorm(width, scale=mean * math.exp(-0.5 * width**2))
 
 
 def read_penetrometer(path: str | Path, depth: tuple[float, float]) -> Penetrometer:
@@ -121,7 +132,7 @@ def read_penetrometer(path: str | Path, depth: tuple[float, float]) -> Penetrome
     low, high = (plain_number("depth", end) for end in ends) if len(ends) == 2 else (0.0, 0.0)
     if not 0.0 <= low < high:
         raise InputError(f"depth = {shown(depth)}: give two depths in metres, the shallower first, from 0 on")
-    place, headings, rows = readings_of(path, _EXAMPLE)
+    place, headings, rows = readings_of(path, _INSERTIONS)
     columns = _columns(place, headings)
     table = table_of(path, rows, columns, lambda k, value, cell: _check(columns[k][0], value, cell))
     names, lines = [name for name, _ in columns], np.array([line for line, _ in rows])
@@ -172,10 +183,10 @@ def _spread_in(uncertain: Any, found: Penetrometer) -> None:
 
 def _columns(place: str, headings: Sequence[str]) -> list[tuple[str, float]]:
     """Return name and factor to SI of every column."""
-    found = columns_of(place, headings, _UNITS)
+    found = columns_of(place, headings, _DOWNWARDS)
     names = [name for name, _ in found]
     if names.count("depth") != 1 or "cone_index" not in names or names.count("insertion") > 1:
-        raise InputError(f"{place}: one column depth and at least one column cone_index are needed, as {_EXAMPLE}")
+        raise InputError(f"{place}: one column depth and at least one column cone_index are needed, as {_INSERTIONS}")
     if "insertion" in names and names.count("cone_index") > 1:
         raise InputError(f"{place}: a column insertion goes with one column cone_index: leave it out")
     return found
@@ -208,3 +219,63 @@ def _mean(depth: Vector, pressure: Vector, low: float, high: float) -> float:
     if not mean > 0.0:
         raise InputError("its mean cone index is 0: no soil resists there")
     return mean
+
+
+def read_strength_record(path: str | Path, rig: Rig | None = None, *, tow_speed: float | None = None) -> StrengthRecord:
+    """Read a record of soil strength from a CSV file.
+
+    The first line that is neither empty nor begins with ``#`` names two columns with their units: ``position`` or
+    ``time``, and ``cone_index`` or ``force``.
+
+    Args:
+        path: the file.
+        rig: the mount on which a force was felt, without which the soil's strength does not follow from a force.
+        tow_speed: of a penetrometer or load cell whose readings are over time [m/s]; default: the rig's.
+
+    Raises:
+        InputError: no such file, a column or cell that cannot be, each with its line, a force without a rig, or times
+            without a speed.
+
+    Example:
+        >>> import plough_opt as po
+        >>> len(po.read_strength_record("problems/transect.csv").position) > 100
+        True
+    """
+    path = path_of("the file of readings", path)
+    place, headings, rows = readings_of(path, _RECORD)
+    columns = columns_of(place, headings, _ALONG)
+    names = [name for name, _ in columns]
+    along = [name for name in names if name in ("position", "time")]
+    if len(names) != 2 or len(along) != 1:
+        raise InputError(f"{place}: a place and a strength are needed, as {_RECORD}")
+    table = table_of(path, rows, columns, lambda _k, _value, _cell: None)
+    check_rising(path, [line for line, _ in rows], table[:, names.index(along[0])], along[0])
+    found = dict(zip(names, table.T, strict=True))
+    if "force" in found and rig is None:
+        raise InputError(
+            f"{path}: a force is the response of the mount that felt it: give the rig's mass, stiffness, damping and"
+            " tow speed, by which its own oscillation is divided out"
+        )
+    if "cone_index" in found:
+        rig = None
+    speed = tow_speed if tow_speed is not None else rig.tow_speed if rig is not None else None
+    if "time" in found and speed is None:
+        raise InputError(f"{path}: readings over time need the tow speed, for waves are lengths along the path")
+    position = found["position"] if "position" in found else found["time"] * (speed or 1.0)
+    return StrengthRecord(position, found["force" if "force" in found else "cone_index"], rig, str(path))
+
+
+def spectrum_of_file(source: Source, folder: Path) -> Spectrum | None:
+    """Return the spectrum of the record that a problem file's random strength names, if it names one."""
+    place = tuple(RANDOM.split("."))
+    entry: Any = source.data.get(place[0])
+    entry = entry.get(place[1]) if isinstance(entry, dict) else None
+    if not isinstance(entry, dict) or not isinstance(entry.get("record"), str):
+        return None
+    with source.noting((*place, "record")):
+        record = read_strength_record(folder / entry["record"])
+        source.read_files[entry["record"]] = (folder / entry["record"]).read_text(encoding="utf-8")
+        with source.noting((*place, "base_diameter"), prefix="'base_diameter' "):
+            diameter = Unit("m").parse(entry.get("base_diameter", "0 m"))
+            return strength_spectrum(record, base_diameter=diameter)
+    return None

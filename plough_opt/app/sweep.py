@@ -12,7 +12,6 @@ from plough_opt.app.messages import LOG, quiet
 from plough_opt.app.terminal import give, read, wrote
 from plough_opt.core.errors import InputError, NotConverged
 from plough_opt.problem_file.sweeping import ProblemSweep, What
-from plough_opt.studies.sweep.sweeping import sweep as run_sweep
 
 
 def add_options(verb: argparse.ArgumentParser) -> None:
@@ -61,9 +60,7 @@ def sweep(options: argparse.Namespace) -> None:
     for note in notes:
         LOG.info("note: %s", note)
     with _executor(options.scheduler) as (executor, workers):
-        found = run_sweep(
-            asked.evaluation,
-            asked.axes,
+        found = asked.run(
             samples=options.samples,
             seed=options.seed,
             store=store,
@@ -71,11 +68,8 @@ def sweep(options: argparse.Namespace) -> None:
             workers=workers or options.workers,
             retry=options.retry,
             progress=not quiet(),
-            question=asked.question,
-            units=asked.units,
         )
     try:
-        found.origin, found.how = asked.origin, asked.how
         give(options, found.page(), found.to_json, found.plot)
         for name, write in (("csv", found.to_csv), ("npz", found.to_npz)):
             if getattr(options, name) is not None:

@@ -14,26 +14,12 @@ from plough_opt.motion.accuracy import Accuracy
 from plough_opt.motion.vocabulary import Measure
 from plough_opt.problem_file.own_measures import measures_of
 from plough_opt.problem_file.problem import TRADED, Problem
-from plough_opt.problem_file.schema import RANDOM, WAVES, EffectsFile, ProblemTable
+from plough_opt.problem_file.schema import RANDOM, WAVES, EffectsFile, ProblemTable, at
 from plough_opt.problem_file.source import Keys, Source
 from plough_opt.problem_file.uncertain import check_joint
 from plough_opt.soil.soil import named_soil
 
 _FEWEST, _MOST = 5, 1000  # positions on a front
-
-
-def at(table: Any, key: str) -> Any:
-    """Return what a dotted key holds, or None."""
-    for part in key.split("."):
-        table = getattr(table, part) if table is not None else None
-    return table
-
-
-def raw(data: Any, key: str) -> object:
-    """Return what the file says at a dotted key, or None."""
-    for part in key.split("."):
-        data = data.get(part) if isinstance(data, dict) else None
-    return data
 
 
 def check_complete(source: Source, table: ProblemTable, known: set[str]) -> None:
@@ -206,5 +192,5 @@ def _check_value(problem: Problem, key: str, value: float) -> None:
 
 def _quoted(source: Source, key: str) -> str:
     """Return a key with what the file says at it."""
-    written = raw(source.data, key)
+    written = source.written(key)
     return f"'{key}'" if written is None else f"'{key}' = {written}"

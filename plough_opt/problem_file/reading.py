@@ -16,12 +16,12 @@ from plough_opt.core.errors import InputError, nearest, short
 from plough_opt.core.quantities import IN_FILES, quantities
 from plough_opt.core.units import Display, display_of
 from plough_opt.design import Over
-from plough_opt.problem_file.checking import at, check_complete, check_front, check_measures, check_values, raw
+from plough_opt.problem_file.checking import check_complete, check_front, check_measures, check_values
 from plough_opt.problem_file.overrides import apply_override
 from plough_opt.problem_file.own_measures import check_own, display_of_own, measures_of
 from plough_opt.problem_file.problem import FileVariable, Problem
 from plough_opt.problem_file.readings import average_readings, spectrum_of_file
-from plough_opt.problem_file.schema import ProblemFile, ProblemTable, VariableTable, valid_keys
+from plough_opt.problem_file.schema import ProblemFile, ProblemTable, VariableTable, at, valid_keys
 from plough_opt.problem_file.shares import TABLE, by_share, choose_share, join_dotted_variables, names_of_shares
 from plough_opt.problem_file.source import Source
 from plough_opt.problem_file.uncertain import check_uncertain, join_dotted
@@ -146,7 +146,7 @@ def _checked(source: Source, table: ProblemTable, notes: tuple[str, ...]) -> Pro
             displays[key] = variables[key].display
     fixed: dict[str, float] = {}
     for key, unit in units.items():
-        value, written = at(table, key), raw(source.data, key)
+        value, written = at(table, key), source.written(key)
         if key in table.variables:
             if written is not None:
                 source.note(("variables", key), f"'{key}' is a variable and has a fixed value too: remove one")

@@ -268,8 +268,7 @@ def read_strength_record(path: str | Path, rig: Rig | None = None, *, tow_speed:
 def spectrum_of_file(source: Source, folder: Path) -> Spectrum | None:
     """Return the spectrum of the record that a problem file's random strength names, if it names one."""
     place = tuple(RANDOM.split("."))
-    entry: Any = source.data.get(place[0])
-    entry = entry.get(place[1]) if isinstance(entry, dict) else None
+    entry = source.written(RANDOM)
     if not isinstance(entry, dict) or not isinstance(entry.get("record"), str):
         return None
     with source.noting((*place, "record")):

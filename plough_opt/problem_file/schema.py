@@ -336,3 +336,10 @@ def valid_keys(path: tuple[str, ...]) -> list[str]:
         table = table.model_fields[key].annotation if hasattr(table, "model_fields") else get_args(table)[-1]
         table = get_args(table)[0] if type(None) in get_args(table) else table
     return [*table.model_fields]
+
+
+def at(table: Any, key: str) -> Any:
+    """Return what a dotted key holds, or None."""
+    for part in key.split("."):
+        table = getattr(table, part) if table is not None else None
+    return table

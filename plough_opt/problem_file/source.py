@@ -120,6 +120,13 @@ class Source:
     def _line_of(self) -> dict[str, int]:
         return lines_of(self.text)
 
+    def written(self, key: str) -> object:
+        """Return what the file says at a dotted key, or None."""
+        found: Any = self.data
+        for part in key.split("."):
+            found = found.get(part) if isinstance(found, dict) else None
+        return found
+
     def error(self, keys: Sequence[str], message: str) -> InputError:
         """Return an error about a key, with its line or the override that set it."""
         for path, text in self.overridden.items():

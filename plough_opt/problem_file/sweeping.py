@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from concurrent.futures import Executor
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final, Literal
+from typing import Any, Final, Literal, get_args
 
 from plough_opt.core.checks import check_named, shown
 from plough_opt.core.errors import InputError, nearest
@@ -64,7 +64,10 @@ class ProblemSweep:
         seed: int = 0,
     ) -> ProblemSweep:
         """Check everything that can be checked before anything is computed; arguments as of `sweep`."""
-        _refuse_unknown(what, method)
+        check_named("what = {} is unknown", what, get_args(What))
+        check_named("method = {} is unknown", method, get_args(Method))
+        if what == "optimise" and method == "batch":
+            raise InputError("a batch simulates; it does not optimise: leave one of the two out")
         axes, displays = _axes(over, samples is not None)
         count = points_of(axes, samples, seed).count
         for end in (0, -1):
@@ -83,10 +86,12 @@ class ProblemSweep:
         origin = Origin(problem.title, {**problem.displays, **shown})
         return cls(evaluation, axes, origin, count, _question(problem, axes, what, how), how, notes)
 
-    @property
-    def units(self) -> dict[str, str]:
-        """Quantity or result -> SI unit."""
-        return {**self.evaluation.units, **{name: quantities()[name].symbol for name in self.axes}}
+    def run(self, **rest: Any) -> Sweep:
+        """Evaluate every point; arguments as of `sweep`."""
+        units = {**self.evaluation.units, **{name: quantities()[name].symbol for name in self.axes}}
+        found = study.sweep(self.evaluation, self.axes, question=self.question, units=units, **rest)
+        found.origin, found.how = self.origin, self.how
+        return found
 
 
 def sweep(
@@ -155,20 +160,10 @@ def sweep(
     if isinstance(what_to_sweep, Problem):
         if units is not None:
             raise InputError("units are of a function: a problem file has its own")
-        asked = ProblemSweep.of(what_to_sweep, over, what, method, samples, seed)
-        found = study.sweep(asked.evaluation, asked.axes, question=asked.question, units=asked.units, **rest)
-        found.origin, found.how = asked.origin, asked.how
-        return found
+        return ProblemSweep.of(what_to_sweep, over, what, method, samples, seed).run(**rest)
     if not (isinstance(what, str) and isinstance(method, str) and (what, method) == ("simulate", "auto")):
         raise InputError("what and method are of a problem file: a function says itself what it computes")
     return study.sweep(what_to_sweep, over, units=units, **rest)
-
-
-def _refuse_unknown(what: str, method: str) -> None:
-    for name, given, valid in (("what", what, ("simulate", "optimise")), ("method", method, ("auto", "each", "batch"))):
-        check_named(f"{name} = {{}} is unknown", given, valid)
-    if what == "optimise" and method == "batch":
-        raise InputError("a batch simulates; it does not optimise: leave one of the two out")
 
 
 def _axes(over: Mapping[str, object], sampled: bool) -> tuple[dict[str, Axis], dict[str, Display]]:

@@ -14,7 +14,7 @@ from plough_opt.core.quantities import quantities
 from plough_opt.laws.forces import cone_index
 from plough_opt.problem_file.own_measures import measures_of
 from plough_opt.problem_file.readings import lognormal
-from plough_opt.problem_file.schema import LimitTable, ProblemTable
+from plough_opt.problem_file.schema import LimitTable, ProblemTable, at
 from plough_opt.problem_file.source import Source
 from plough_opt.soil.soil import Soil
 
@@ -186,10 +186,7 @@ def _check_property(table: ProblemTable, key: str) -> None:
     reading = "soil.cone_index"
     if key in table.variables:
         raise InputError(f"'{key}' is a variable and cannot be uncertain too: remove one")
-    read = getattr(table.soil, "cone_index", None) is not None or reading in {
-        *table.variables,
-        *(table.uncertain or ()),
-    }
+    read = reading in {*table.variables, *(table.uncertain or ())} or at(table, reading) is not None
     if key == table.soil.adjusted and read:
         raise InputError(f"'{key}' follows from the cone index in every sample: make {reading} uncertain")
     if key == reading and table.soil.adjust != "strength factor":

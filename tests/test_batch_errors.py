@@ -9,8 +9,8 @@ from scipy.integrate import solve_ivp
 
 import plough_opt as po
 from plough_opt.core.expressions import as_number
-from plough_opt.motion.batch.deviation import grown, transfer
-from plough_opt.motion.batch.layout import Layout
+from plough_opt.motion.batch.advance import grown, transfer
+from plough_opt.motion.batch.equations import Layout
 from plough_opt.motion.terms import Structure, parameters
 
 NAMES = ("mean_draft", "force_rms", "mean_deflection", "displacement_rms", "tow_power", "error_estimate", "steps")

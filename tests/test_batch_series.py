@@ -9,8 +9,7 @@ from plough_opt.core.expressions import as_number
 from plough_opt.motion.batch.c_source import Kernels
 from plough_opt.motion.batch.engine import engine_of
 from plough_opt.motion.batch.interpreter import Interpreter
-from plough_opt.motion.batch.rules import series_of
-from plough_opt.motion.batch.series import Graph
+from plough_opt.motion.batch.series import Graph, series_of
 
 ORDER = 12
 # x(t): within the domain of all functions, and with all coefficients other than zero.

@@ -5,10 +5,9 @@ import pytest
 
 import plough_opt as po
 from plough_opt.design.derivatives import error_of_derivatives
-from plough_opt.motion.derivative_error import derivative_error
+from plough_opt.motion.derivatives import derivative_error, jets
+from plough_opt.motion.equation import signals
 from plough_opt.motion.integrators import integration
-from plough_opt.motion.jets import jets
-from plough_opt.motion.signals import signals
 from plough_opt.motion.terms import Structure, parameters
 from plough_opt.motion.timeline import Timeline
 

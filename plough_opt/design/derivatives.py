@@ -12,9 +12,9 @@ from plough_opt.design.nlp import RunGroup
 from plough_opt.design.polishing import AS_FOUND, solved_again
 from plough_opt.design.program import Program
 from plough_opt.motion.batch.many_runs import ManyRuns
-from plough_opt.motion.derivative_error import derivative_error, difference_of_jets, finer_than
+from plough_opt.motion.derivatives import derivative_error, difference_of_jets, finer_than
 from plough_opt.motion.plan import summed_rate
-from plough_opt.motion.pooling import pairs
+from plough_opt.motion.runge_kutta import pairs
 
 _REFINEMENTS = 4
 # Steps to an error are more by this power of how far it was missed, and at once by no more than this factor.
@@ -96,7 +96,7 @@ def error_by_differences(own: RunGroup, p: Vector, many: ManyRuns) -> float:
 
 
 def _jet(results: Vector, both: tuple[np.ndarray, np.ndarray], step: float, missing: int) -> Vector:
-    """Return value, first and second derivatives of results, columns as those of `plough_opt.motion.jets`.
+    """Return value, first and second derivatives of results, columns as those of `plough_opt.motion.derivatives`.
 
     Args:
         results: at a place, then upwards and downwards along the sum of each pair of parameters, a row each.

@@ -1,6 +1,6 @@
 """The nonlinear program of a design, with exact first and second derivatives.
 
-A run enters it by its Taylor coefficients (`plough_opt.motion.jets`), the algebra around the runs by automatic
+A run enters it by its Taylor coefficients (`plough_opt.motion.derivatives`), the algebra around the runs by automatic
 differentiation of a small scalar graph; the chain rule joins the two. With o(theta(y)) the runs' results::
 
     grad f = J_y + J_o o_y,   o_y = o_theta theta_y
@@ -21,10 +21,10 @@ import casadi as ca
 
 from plough_opt.core.process import available
 from plough_opt.design.split import EmbeddedRun, Split
+from plough_opt.motion.derivatives import jets_of, weighted_curvature
+from plough_opt.motion.equation import signals
 from plough_opt.motion.integrators import Integration, integration
-from plough_opt.motion.jets import jets_of, weighted_curvature
-from plough_opt.motion.pooling import pairs
-from plough_opt.motion.signals import signals
+from plough_opt.motion.runge_kutta import pairs
 
 
 @dataclass(frozen=True)

@@ -9,12 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from plough_opt.core.compiler import Variant, library
-from plough_opt.motion.equation import start_state
-from plough_opt.motion.readings import readings
+from plough_opt.motion.equation import signals, start_state
 from plough_opt.motion.runge_kutta import step
-from plough_opt.motion.signals import signals
 from plough_opt.motion.terms import Structure
-from plough_opt.motion.timeline import Timeline
+from plough_opt.motion.timeline import Timeline, readings
 
 Array = NDArray[np.float64]
 

@@ -13,11 +13,11 @@ from plough_opt.core.errors import InputError, IntegrationError
 from plough_opt.core.expressions import as_number
 from plough_opt.motion import simulate
 from plough_opt.motion.accuracy import Accuracy
+from plough_opt.motion.assembly import GAUSS_POINTS, MORE_POINTS
 from plough_opt.motion.effects import TERMS, Effects, Entry
 from plough_opt.motion.equation import equation_of_motion
 from plough_opt.motion.integrators import integration
 from plough_opt.motion.plan import MOST_ADAPTIVE, OUTPUTS, coarser, forced_rate, numbers_of, steps_for, timeline_of
-from plough_opt.motion.quasi_static import GAUSS_POINTS, MORE_POINTS
 from plough_opt.motion.runge_kutta import step
 from plough_opt.motion.scene import Scene
 from plough_opt.motion.terms import Structure, resistance

@@ -10,15 +10,15 @@ from numpy.typing import NDArray
 
 from plough_opt.core.errors import IntegrationError
 from plough_opt.motion.accuracy import Accuracy
-from plough_opt.motion.causes import failed_by, refuse_runaway
+from plough_opt.motion.assembly import assemble
 from plough_opt.motion.compiled_steps import CompiledSteps, compiled_steps
 from plough_opt.motion.effects import StickSlip
+from plough_opt.motion.equation import signals
 from plough_opt.motion.integrators import Integration, Sized, integration
-from plough_opt.motion.judgement import refuse_missed_event, refuse_weak_rest
+from plough_opt.motion.judgement import failed_by, refuse_missed_event, refuse_runaway, refuse_weak_rest
 from plough_opt.motion.plan import OUTPUTS, STIFF_PHASE, most_steps, numbers_of, phase, timeline_of
-from plough_opt.motion.run import Run, assemble
+from plough_opt.motion.run import Run
 from plough_opt.motion.scene import Scene
-from plough_opt.motion.signals import signals
 from plough_opt.motion.terms import Structure
 from plough_opt.motion.timeline import Timeline
 

@@ -8,11 +8,10 @@ import casadi as ca
 import numpy as np
 
 from plough_opt.motion.accuracy import Accuracy
-from plough_opt.motion.equation import equation_of_motion, start_state
+from plough_opt.motion.equation import equation_of_motion, signals, start_state
 from plough_opt.motion.methods import METHODS, is_stepped, tableau_of
 from plough_opt.motion.orbit import orbit_map
 from plough_opt.motion.runge_kutta import run_map
-from plough_opt.motion.signals import signals
 from plough_opt.motion.terms import Structure, lightest_mass, pull, start_resistance
 from plough_opt.motion.timeline import Timeline
 

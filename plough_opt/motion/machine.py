@@ -14,8 +14,7 @@ from plough_opt.core.expressions import Expression
 from plough_opt.core.files import drawn
 from plough_opt.core.kept import Keepable, Origin
 from plough_opt.core.tables import Grid, Page
-from plough_opt.motion.response import response_table
-from plough_opt.motion.run import Run
+from plough_opt.motion.run import Run, response_table
 
 if TYPE_CHECKING:
     import pandas

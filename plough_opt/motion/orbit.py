@@ -14,9 +14,8 @@ import numpy as np
 
 from plough_opt.core.expressions import Expression
 from plough_opt.motion.effects import wave_names
-from plough_opt.motion.equation import equation_of_motion
+from plough_opt.motion.equation import equation_of_motion, signals
 from plough_opt.motion.runge_kutta import run_from
-from plough_opt.motion.signals import signals
 from plough_opt.motion.terms import Structure, pull, resistance_change, start_deflection
 from plough_opt.motion.timeline import Timeline
 

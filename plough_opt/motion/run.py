@@ -3,39 +3,23 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from plough_opt.core.checks import check_domain
 from plough_opt.core.errors import InputError
-from plough_opt.core.expressions import Expression, column, is_casadi, rms, where
+from plough_opt.core.expressions import Expression, is_casadi
 from plough_opt.core.files import drawn, from_above
 from plough_opt.core.kept import Keepable, Origin
-from plough_opt.core.labels import unlabelled
 from plough_opt.core.tables import Grid, Page, data_frame
 from plough_opt.motion.accuracy import Accuracy
-from plough_opt.motion.averages import Averages, Checks
-from plough_opt.motion.equation import GAP, SLIP, STICK
-from plough_opt.motion.response import response_table
+from plough_opt.motion.averages import Averages, Checks, Settled
 from plough_opt.motion.scene import Scene
 from plough_opt.motion.scene_quantities import quantities_of
-from plough_opt.motion.settled import Settled
-from plough_opt.motion.terms import (
-    Structure,
-    carried_mass,
-    inertia_at,
-    parameters,
-    pull,
-    resistance,
-    start_force,
-    start_rate,
-    start_speed,
-    strut,
-)
 
 if TYPE_CHECKING:
     import pandas
@@ -46,6 +30,9 @@ OUTPUTS: Final = {
     "opening": "m", "mode": "",
 }  # fmt: skip
 """Arrays of a run over its output times -> their units."""
+
+# Peaks -> the names under which files limit them, and write their units.
+_LIMITED: Final = {"peak_force": "mount_force", "peak_deflection": "deflection"}
 
 
 @dataclass(frozen=True, repr=False, eq=False)
@@ -294,91 +281,53 @@ class Run(Keepable):
         return float(np.max(values))
 
 
-def assemble(
-    scene: Scene,
-    duration: Expression,
-    fractions: NDArray[np.float64],
-    states: Expression,
-    means: Expression,
-    variances: Expression,
-    accuracy: Accuracy,
-    known: tuple[Structure, dict[str, Expression]] | None = None,
-) -> Run:
-    """Turn the changes since the start that were integrated into forces and travel.
+def response_table(runs: Mapping[str, Any], origin: Origin) -> Grid:
+    """Return the table of results of numeric runs side by side, each row in one unit: see `Origin`.
 
     Args:
-        scene: the scene, of numbers or symbolic.
-        duration: simulated time [s].
-        fractions: output times as fractions of it.
-        states: (w; w') as two columns over the outputs.
-        means: of the signals of `plough_opt.motion.signals`.
-        variances: of those that have an RMS.
-        accuracy: method and setting used.
-        known: structure and parameters of the scene, where they were read off it before.
+        runs: heading of a column -> run; of several the sum stands behind them, of what adds up.
+        origin: of the runs.
     """
-    structure, p = known or (Structure.of(scene), parameters(scene))
-    if structure.entry:
-        p |= {"behind": states[:, 2], "entered": states[:, 4]}
-    time = column(fractions, is_casadi(states)) * duration
-    w, rate = states[:, 0], states[:, 1]
-    mount, u0 = strut(structure, p, time), start_speed(structure, p)
-    gain = mount.gain - rate
-    first = start_force(structure, p)
-    deflection = first / p["stiffness"] + w
-    travel = mount.path - deflection
-    force = first + pull(structure, p, w, rate)
-    soil = resistance(structure, p, travel, u0 + gain)
-    acceleration = (force - soil) / inertia_at(structure, p, travel)
-    carried = carried_mass(structure, p, travel) if structure.events else _added_mass(scene)
-    soil = soil + carried * acceleration
-    speed, opening = u0 + gain, 0.0 * w + 0.0
-    mode = opening
-    if structure.sticks:
-        opening, mode = states[:, 2], states[:, 3]
-        if not is_casadi(mode):
-            # An implicit method solves for modes too, and rounds them.
-            mode = np.round(mode)
-        speed = where((mode - STICK) ** 2 < (SLIP - STICK) ** 2 / 4.0, 0.0, speed)
-        soil = where(mode < (SLIP + STICK) / 2.0, soil, where(mode < (STICK + GAP) / 2.0, force, 0.0))
-    return Run(
-        scene=scene,
-        duration=duration,
-        time=time,
-        travel=travel,
-        speed=speed,
-        deflection=deflection,
-        mount_force=force,
-        soil_resistance=soil,
-        opening=opening,
-        mode=mode,
-        averages=averages_of(scene, structure, p, means, variances),
-        accuracy=accuracy,
-    )
+    every, several = [*runs.values()], len(runs) > 1
+    scenes = [run.scene for run in every]
+    names = {
+        "N": ("mean_draft", "force_rms", "peak_force"),
+        "m": ("peak_deflection", "mean_deflection", "displacement_rms"),
+        "W": ("tow_power",),
+    }
+    units = {
+        unit: origin.common(unit, {_LIMITED.get(name, name): max((_result(run, name) for run in every), key=abs)
+                                   for name in own})
+        for unit, own in names.items()
+    }  # fmt: skip
+    grid = Grid.of("Response", "", *runs, *(["together"] if several else []))
+
+    def row(label: str, name: str, unit: str, adds: bool = False) -> None:
+        values = [_result(run, name) for run in every]
+        shown = units.get(unit) or origin.common(unit, {name: max(values, key=abs)})
+        together = [shown.text(sum(values)) if adds else ""] if several else []
+        grid.row(label, *map(shown.text, values), *together)
+
+    row("mean draft", "mean_draft", "N", adds=True)
+    row("RMS of the mount force", "force_rms", "N")
+    row("mean deflection", "mean_deflection", "m")
+    row("RMS of the deflection", "displacement_rms", "m")
+    row("tow power", "tow_power", "W", adds=True)
+    if all(scene.effects.random_strength is not None for scene in scenes):
+        row("stationary RMS of the mount force", "stationary_force_rms", "N")
+        row("stationary RMS of the deflection", "stationary_displacement_rms", "m")
+    if not any(scene.law.lacks("loosened_radius") for scene in scenes):
+        row("draft per loosened section", "specific_draft", "Pa")
+        row("loosened radius", "loosened_radius", "m")
+    row("peak mount force", "peak_force", "N")
+    row("peak deflection", "peak_deflection", "m")
+    if all(scene.effects.orbit == "periodic" for scene in scenes):
+        comes = {True: "comes to this orbit", False: "comes to another motion", None: "has not settled"}
+        rest = [""] if several else []
+        grid.row("largest Floquet multiplier", *(f"{max(map(abs, run.floquet)):.4g}" for run in every), *rest)
+        grid.row("a share from equilibrium", *(comes[run.settles.orbit] for run in every), *rest)
+    return grid
 
 
-def _added_mass(scene: Scene) -> Expression:
-    with unlabelled():
-        return scene.reaction.added_mass
-
-
-def averages_of(
-    scene: Scene, structure: Structure, p: dict[str, Expression], means: Expression, variances: Expression
-) -> Averages:
-    """Add the values at the start back to the averages of the changes since then: see `assemble`."""
-    first = start_force(structure, p)
-    with unlabelled():
-        scale = scene.steady_resistance
-    displacement_rms = rms(variances[0], scale / scene.stiffness)
-    if structure.damper:
-        mean_draft = first + pull(structure, p, 0.0, start_rate(structure, p)) + means[1]
-        force_rms = rms(variances[1], scale)
-    else:
-        mean_draft = first + p["stiffness"] * means[0]
-        force_rms = scene.stiffness * displacement_rms
-    return Averages(
-        mean_draft=mean_draft,
-        force_rms=force_rms,
-        mean_deflection=first / p["stiffness"] + means[0],
-        displacement_rms=displacement_rms,
-        tow_power=means[-1] if structure.ramp else mean_draft * p["tow_speed"],
-    )
+def _result(run: Any, name: str) -> float:
+    return float(getattr(run if hasattr(type(run), name) else run.scene, name))

@@ -4,18 +4,192 @@ A step is a small symbolic graph, the run a loop over it (``mapaccum``), so the
 size of the graph does not grow with the number of steps and every derivative is that of the numbers.
 """
 
+import itertools
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import lru_cache
+from typing import Any
 
 import casadi as ca
+import numpy as np
 
-from plough_opt.motion.breaks import moving_ramp, spans_of, start_and_size, telling, unbroken
-from plough_opt.motion.equation import equation_of_motion, start_state
+from plough_opt.core.expressions import Expression
+from plough_opt.motion.effects import ramp_time
+from plough_opt.motion.equation import equation_of_motion, signals, start_state
 from plough_opt.motion.methods import DOP853, Tableau
-from plough_opt.motion.pooling import pooled
-from plough_opt.motion.readings import at_outputs
-from plough_opt.motion.signals import signals
-from plough_opt.motion.terms import Structure
-from plough_opt.motion.timeline import Timeline
+from plough_opt.motion.terms import Structure, start_speed, strut
+from plough_opt.motion.timeline import Timeline, at_outputs
+
+Average = Callable[[Sequence[ca.MX]], list[ca.MX]]
+"""Taylor coefficients of what is averaged, a column for each step -> those of its average over the steps."""
+
+
+def pairs(count: int) -> list[tuple[int, int]]:
+    """Return the index pairs (a, b) with a <= b of second derivatives, in the order that jets use."""
+    return [(a, b) for a in range(count) for b in range(a, count)]
+
+
+def product(x: Sequence[Any], y: Sequence[Any], count: int) -> list[Any]:
+    """Return the Taylor coefficients of a product, element by element, from those of its factors.
+
+    Args:
+        x: value, first derivatives by ``count`` parameters and, of order 2, the second ones of `pairs`.
+        y: the same of the other factor.
+        count: number of parameters.
+    """
+    found = [x[0] * y[0], *(x[0] * y[a] + x[a] * y[0] for a in range(1, 1 + count))]
+    for k, (a, b) in enumerate(pairs(count) if len(x) > 1 + count else [], start=1 + count):
+        found.append(x[0] * y[k] + x[k] * y[0] + x[1 + a] * y[1 + b] + x[1 + b] * y[1 + a])
+    return found
+
+
+def pooled(moments: Sequence[ca.MX], average: Average, signals: int, count: int = 0) -> tuple[ca.MX, ca.MX]:
+    """Pool the moments of steps into means and mean squares about the mean.
+
+    Args:
+        moments: Taylor coefficients of the moments (means of all signals, then their spreads), a column for each step.
+        average: over the steps.
+        signals: their number.
+        count: number of parameters by which the moments are differentiated.
+
+    Returns:
+        Both with the Taylor coefficients as columns.
+    """
+    own, spreads = [m[:signals, :] for m in moments], [m[signals:, :] for m in moments]
+    means, squared, steps = average(own), spreads[0].shape[0], moments[0].shape[1]
+    # Pooling the steps' own spreads with the spread of their means adds squares only: nothing cancels.
+    drift = [m[:squared, :] - ca.repmat(mean[:squared], 1, steps) for m, mean in zip(own, means, strict=True)]
+    squares = product(drift, drift, count)
+    variances = average([spread + square for spread, square in zip(spreads, squares, strict=True)])
+    return ca.horzcat(*means), ca.horzcat(*variances)
+
+
+# A kink is missed by 1e-3 of a step, and what it leaves of a second derivative by the fourth power of that.
+_BISECTIONS = 10
+
+
+def ends(timeline: Timeline, duration: Expression, ramp: Expression) -> tuple[Expression, Expression]:
+    """Return a and b, columns: steps end at a * duration + b * ramp, at the ramp's end too if that is within the run.
+
+    Both are numbers to a derivative. Where the ramp ends at a step's end, or behind the run, one step has no length.
+
+    Args:
+        timeline: the other ends.
+        duration: of the run [s].
+        ramp: time of the ramp [s].
+    """
+    nodes = ca.DM(timeline.nodes)
+    before, after = nodes[:-1], nodes[1:]
+    reached, begun = after * duration <= ramp, before * duration <= ramp
+    a = reached * after + (1.0 - begun) * before
+    b = begun - reached
+    return ca.vertcat(0.0, a, 1.0), ca.vertcat(0.0, b, 0.0)
+
+
+def telling(structure: Structure, width: int) -> Structure:
+    """Return a structure whose ramp is over where a step of a span of that width says so.
+
+    At the end itself a stage cannot decide: there the ramp's formula and the constant speed differ in second
+    derivatives.
+    """
+    return structure if width == 2 else replace(structure, tells_ramp=True)
+
+
+def start_and_size(span: ca.SX, duration: ca.SX, known: dict[str, ca.SX]) -> tuple[ca.SX, ca.SX]:
+    """Return start and size of a step [s], from their shares of the duration and, if it may end there, of the ramp."""
+    start, size = span[0] * duration, span[1] * duration
+    if span.numel() == 2:
+        return start, size
+    return start + span[2] * ramp_time(known), size + span[3] * ramp_time(known)
+
+
+def told(known: dict[str, ca.SX], span: ca.SX) -> dict[str, ca.SX]:
+    """Return parameters by name with what a span says of the ramp."""
+    return known if span.numel() == 2 else known | {"ramped": span[4]}
+
+
+def moving_ramp(structure: Structure, timeline: Timeline, p: ca.MX) -> ca.MX | None:
+    """Return the time of a ramp [s] at whose end a step ends wherever that is, or None. The duration is last in p."""
+    return ramp_time(signals(structure).named(p)) if timeline.moving and structure.ramp else None
+
+
+def spans_of(timeline: Timeline, duration: ca.MX, ramp: ca.MX | None) -> ca.MX | ca.DM:
+    """Return starts and sizes of the steps, a column for each: as fractions of the duration, then of a ramp if any.
+
+    With a ramp a fifth row is 1 once it is over.
+    """
+    if ramp is None:
+        return ca.DM(np.vstack([timeline.nodes[:-1], np.diff(timeline.nodes)]))
+    a, b = ends(timeline, duration, ramp)
+    rows = [row for end in (a, b) for row in (end[:-1], end[1:] - end[:-1])]
+    rows.append(ca.vertcat(0.0, ca.DM(timeline.nodes[1:]) * duration > ramp))
+    transposed: ca.MX = ca.horzcat(*rows).T
+    return transposed
+
+
+def unbroken(structure: Structure, timeline: Timeline, one: ca.Function, count: int = 0) -> ca.Function:
+    """Return a Function like ``one`` that takes a step in three where the smooth contact's step ends within it.
+
+    Args:
+        structure: the terms that are on.
+        timeline: whether steps end there.
+        one: (Taylor coefficients of the state, span, parameters) -> (those of the state after it, of the moments).
+        count: number of parameters by which these are differentiated.
+    """
+    if not timeline.moving or not structure.smooth:
+        return one
+    state, span, p = (ca.MX.sym(one.name_in(k), *one.size_in(k)) for k in range(3))
+    at = ca.MX.sym("at", 2)
+    after, moments = ca.MX.sym("after", *one.size_out(0)), ca.MX.sym("moments", *one.size_out(1))
+    given = [state, span, p, at, after, moments]
+    whole = ca.Function("whole", given, [after, moments])
+    cuts: list[Any] = [0.0, at[0], at[1], 1.0]
+    reached, found = state, []
+    for cut, following in itertools.pairwise(cuts):
+        times = span[:4] if span.numel() > 2 else span
+        starts, whole_sizes = times[0::2], times[1::2]
+        part = ca.vec(ca.horzcat(starts + cut * whole_sizes, (following - cut) * whole_sizes).T)
+        part = ca.vertcat(part, span[4:]) if span.numel() > 2 else part
+        reached, own = one(reached, part, p)
+        found.append(own)
+    sizes = ca.vertcat(at[0], at[1] - at[0], 1.0 - at[1])
+    columns = [ca.horzcat(*(own[:, k] for own in found)) for k in range(found[0].shape[1])]
+    both = pooled(columns, lambda parts: [part @ sizes for part in parts], signals(structure).count, count)
+    parted = ca.Function("parted", given, [reached, ca.vertcat(*both)])
+    after, moments = one(state, span, p)
+    at = _crossings(structure, span.numel())(state[:, 0], after[:, 0], span, p)
+    chosen = ca.Function.if_else("chosen", parted, whole)(at[0] < 1.0, state, span, p, at, after, moments)
+    return ca.Function("unbroken", [state, span, p], list(chosen))
+
+
+@lru_cache(maxsize=64)
+def _crossings(structure: Structure, width: int) -> ca.Function:
+    """Return (states at both ends of a step, span, p) -> at which parts of it the contact's step ends, 1 if beyond.
+
+    The share's speed between is a cubic.
+    """
+    motion, observed = equation_of_motion(telling(structure, width)), signals(structure)
+    states, span = [ca.SX.sym("first", 2), ca.SX.sym("last", 2)], ca.SX.sym("span", width)
+    p, known = observed.symbols(ca.SX)
+    known = told(known, span)
+    start, size = start_and_size(span, p[-1], known)
+    speeds, slopes = [], []
+    for time, state in zip((start, start + size), states, strict=True):
+        mount = strut(structure, known, time)
+        speeds.append(start_speed(structure, known) + mount.gain - state[1])
+        slopes.append(size * (mount.acceleration - motion.rates(time, state, known)[1]))
+    change = speeds[1] - speeds[0]
+    bend, twist = 3.0 * change - 2.0 * slopes[0] - slopes[1], slopes[0] + slopes[1] - 2.0 * change
+    found = []
+    for threshold in (0.0, known["width"]):
+        begins, part = speeds[0] < threshold, 0.0
+        for k in range(1, _BISECTIONS + 1):
+            middle = part + 0.5**k
+            speed = speeds[0] + middle * (slopes[0] + middle * (bend + middle * twist))
+            part = ca.if_else((speed < threshold) == begins, middle, part)
+        found.append(ca.if_else((speeds[1] < threshold) == begins, 1.0, part))
+    parts = ca.vertcat(ca.fmin(*found), ca.fmax(*found))
+    return ca.Function("crossings", [*states, span, p], [parts], {"is_diff_out": [False]})
 
 
 @lru_cache(maxsize=64)

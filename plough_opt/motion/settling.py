@@ -17,12 +17,13 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from plough_opt.motion.judgement import stability
+from plough_opt.motion.assembly import averages_of
+from plough_opt.motion.averages import Settled
+from plough_opt.motion.equation import signals
+from plough_opt.motion.orbit import monodromy
 from plough_opt.motion.plan import numbers_of
-from plough_opt.motion.run import Run, averages_of
+from plough_opt.motion.run import Run
 from plough_opt.motion.runge_kutta import run_from, step
-from plough_opt.motion.settled import Settled
-from plough_opt.motion.signals import signals
 from plough_opt.motion.terms import Structure, start_deflection
 from plough_opt.motion.timeline import Timeline
 
@@ -51,6 +52,8 @@ _REPEATS: Final = 1e-6
 _ROUNDING: Final = 1e-13
 # Steps of another motion's averages, over those of the orbit, beside which it may be fast.
 _FINER: Final = 2
+# A multiplier above 1 by less is that of an undamped mount, rounded.
+_MARGINAL = 1e-8
 # Least size of an orbit, as a part of the steady deflection: an orbit without a wave is a point.
 _LEAST: Final = 1e-9
 
@@ -64,6 +67,23 @@ def which_motion(run: Run) -> tuple[tuple[complex, ...], Settled, tuple[str, ...
     multipliers, unstable = stability(run)
     found = settled(run, multipliers)
     return multipliers, found, (*unstable, *_sentences(found, multipliers))
+
+
+def stability(run: Run) -> tuple[tuple[complex, ...], tuple[str, ...]]:
+    """Return the Floquet multipliers of an orbit, and a warning where it is unstable."""
+    structure, numbers = Structure.of(run.scene), numbers_of(run.scene)
+    p = ca.DM([*(numbers[name] for name in signals(structure).parameters), float(run.duration)])
+    start = ca.DM([run.deflection[0] - start_deflection(structure, numbers), run.scene.tow_speed - run.speed[0]])
+    # A numeric orbit has a number of steps; derivatives by the start are known less exactly by the same.
+    once = Timeline(1, 2 * (run.accuracy.steps or 1))
+    found = np.linalg.eigvals(monodromy(structure, once)(start, p).full())
+    largest = float(np.max(np.abs(found)))
+    multipliers = tuple(complex(value) for value in found)
+    if largest <= 1.0 + _MARGINAL:
+        return multipliers, ()
+    return multipliers, (
+        f"the orbit is unstable: a deviation grows {largest:.4g} times in every wavelength, so no share stays on it",
+    )
 
 
 def settled(run: Run, multipliers: tuple[complex, ...]) -> Settled:

@@ -10,6 +10,7 @@ from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import Expression, as_number, holds_casadi, is_count, is_symbolic, map_expressions
 from plough_opt.core.quantities import BESIDE
 from plough_opt.motion.accuracy import DEFAULT_ERROR, Accuracy
+from plough_opt.motion.assembly import SYMBOLIC_GAUSS_POINTS, assemble, quasi_static
 from plough_opt.motion.averages import Checks
 from plough_opt.motion.effects import Smooth
 from plough_opt.motion.embedding import embed
@@ -28,8 +29,7 @@ from plough_opt.motion.plan import (
     unknown_steps,
     with_setting,
 )
-from plough_opt.motion.quasi_static import SYMBOLIC_GAUSS_POINTS, quasi_static
-from plough_opt.motion.run import Run, assemble
+from plough_opt.motion.run import Run
 from plough_opt.motion.scene import Scene
 from plough_opt.motion.settling import which_motion
 from plough_opt.motion.terms import Structure, parameters

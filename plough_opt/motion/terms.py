@@ -51,7 +51,7 @@ class Structure:
         carries: whether events change the mass of soil that moves with the share.
         orbit: see `Effects`.
         harmonics: of a harmonic balance.
-        tells_ramp: whether each step says if the ramp is over: see `plough_opt.motion.breaks`.
+        tells_ramp: whether each step says if the ramp is over: see `plough_opt.motion.runge_kutta`.
         locates_ramp: whether an integrator finds the end of the ramp though nothing else calls for events.
     """
 

@@ -9,16 +9,18 @@ import numpy as np
 from plough_opt.core.compiler import NO_COMPILER
 from plough_opt.core.errors import IntegrationError
 from plough_opt.motion.accuracy import DEFAULT_ERROR, Accuracy
-from plough_opt.motion.causes import Escape, unsound_own
-from plough_opt.motion.estimate import TELLING, difference
+from plough_opt.motion.assembly import GAUSS_POINTS, MORE_POINTS, quasi_static
+from plough_opt.motion.estimate import TELLING, difference, unseen
 from plough_opt.motion.following import Array, Case, Followed, follow, thinned
 from plough_opt.motion.judgement import (
+    Escape,
     MissedEvent,
     refuse_countless_waves,
     refuse_drifting_own,
     refuse_ringing,
     refuse_stiff_orbit,
     remarks,
+    unsound_own,
 )
 from plough_opt.motion.plan import (
     MOST_FORCED,
@@ -38,10 +40,8 @@ from plough_opt.motion.plan import (
     timeline_of,
     with_setting,
 )
-from plough_opt.motion.quasi_static import GAUSS_POINTS, MORE_POINTS, quasi_static
 from plough_opt.motion.run import Run
 from plough_opt.motion.settling import which_motion
-from plough_opt.motion.touches import unseen
 
 # How often, and by what factor, the tolerance is tightened until the wanted error is reached.
 _LOG = logging.getLogger(__name__)

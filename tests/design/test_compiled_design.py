@@ -12,7 +12,7 @@ import plough_opt as po
 from plough_opt.design.ipopt import LastPoint
 from plough_opt.design.program import Program
 from plough_opt.motion.batch import many_runs
-from plough_opt.motion.signals import signals
+from plough_opt.motion.equation import signals
 from plough_opt.motion.terms import Structure, parameters
 
 

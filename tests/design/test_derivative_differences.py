@@ -5,8 +5,7 @@ import pytest
 
 from plough_opt.core.compiler import find_compiler
 from plough_opt.design.derivatives import error_of_derivatives
-from plough_opt.motion.derivative_error import difference_of_jets, finer_than
-from plough_opt.motion.jets import jets
+from plough_opt.motion.derivatives import difference_of_jets, finer_than, jets
 
 
 @pytest.mark.parametrize("damping", [None, 300.0])

@@ -8,13 +8,8 @@ import numpy as np
 import pytest
 
 import plough_opt as po
-from plough_opt.motion.effects.damping import Damping
-from plough_opt.motion.effects.inertial_drag import InertialDrag
-from plough_opt.motion.effects.rate_term import RateTerm
-from plough_opt.motion.effects.strength_waves import StrengthWaves
-from plough_opt.motion.effects.tow_ramp import TowRamp
-from plough_opt.motion.equation import equation_of_motion, start_state
-from plough_opt.motion.signals import signals
+from plough_opt.motion.effects.built_in import Damping, InertialDrag, RateTerm, StrengthWaves, TowRamp
+from plough_opt.motion.equation import equation_of_motion, signals, start_state
 from plough_opt.motion.terms import Structure, parameters, strut
 
 TERMS = {"waves": StrengthWaves(1), "rate": RateTerm(), "drag": InertialDrag(), "ramp": TowRamp(), "damper": Damping()}

@@ -6,11 +6,10 @@ import pytest
 
 import plough_opt as po
 from plough_opt.core.expressions import as_number
+from plough_opt.motion.derivatives import jets, jets_of
+from plough_opt.motion.equation import signals
 from plough_opt.motion.integrators import integration
-from plough_opt.motion.jets import jets, jets_of
-from plough_opt.motion.pooling import pairs
-from plough_opt.motion.runge_kutta import run_map
-from plough_opt.motion.signals import signals
+from plough_opt.motion.runge_kutta import pairs, run_map
 from plough_opt.motion.terms import Structure, parameters
 from plough_opt.motion.timeline import Timeline
 

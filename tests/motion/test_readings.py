@@ -5,8 +5,7 @@ import numpy as np
 import pytest
 
 import plough_opt as po
-from plough_opt.motion.readings import at_outputs
-from plough_opt.motion.timeline import Timeline
+from plough_opt.motion.timeline import Timeline, at_outputs
 
 EPS = np.finfo(float).eps
 

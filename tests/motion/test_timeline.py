@@ -4,8 +4,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from plough_opt.motion.breaks import ends
 from plough_opt.motion.plan import coarser
+from plough_opt.motion.runge_kutta import ends
 from plough_opt.motion.timeline import Timeline
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import plough_opt as po
-from plough_opt.motion.touches import unseen
+from plough_opt.motion.estimate import unseen
 
 SHARE = po.Wedge(po.deg(30), po.deg(15), 0.25)
 RATE, TIME, FASTEST = 10.0, 1.0, 2.0

@@ -12,8 +12,8 @@ from plough_opt.core.errors import DomainError, IntegrationError
 from plough_opt.exchange.component.ports import corners, inside, place
 from plough_opt.exchange.component.scenes import Resolution, Results, Scenes
 from plough_opt.motion.accuracy import DEFAULT_ERROR, Accuracy
-from plough_opt.motion.causes import refuse_runaway
-from plough_opt.motion.derivative_error import derivative_error
+from plough_opt.motion.derivatives import derivative_error
+from plough_opt.motion.judgement import refuse_runaway
 from plough_opt.motion.plan import forced_rate, numbers_of, phase, steps_for
 from plough_opt.soil.geometry import PLANE_SECTIONS_LIMIT
 

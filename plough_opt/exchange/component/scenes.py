@@ -15,10 +15,9 @@ from plough_opt.core.quantities import BESIDE
 from plough_opt.exchange.component.ports import Port
 from plough_opt.motion import Run
 from plough_opt.motion.accuracy import Accuracy
+from plough_opt.motion.assembly import assemble, quasi_static
 from plough_opt.motion.integrators import Integration, integration
 from plough_opt.motion.plan import timeline_of
-from plough_opt.motion.quasi_static import quasi_static
-from plough_opt.motion.run import assemble
 from plough_opt.motion.scene import Scene
 from plough_opt.motion.terms import Structure, parameters
 from plough_opt.motion.timeline import Timeline

@@ -17,9 +17,8 @@ from plough_opt.motion.batch.advance import advance
 from plough_opt.motion.batch.c_source import Kernels
 from plough_opt.motion.batch.domain_check import DomainCheck
 from plough_opt.motion.batch.engine import engine_of
-from plough_opt.motion.batch.equations import RESULTS, Start, of_column, setup
+from plough_opt.motion.batch.equations import RESULTS, Layout, Start, of_column, setup
 from plough_opt.motion.batch.interpreter import Array
-from plough_opt.motion.batch.layout import Layout
 from plough_opt.motion.batch.result import BatchResult
 from plough_opt.motion.effects import StickSlip
 from plough_opt.motion.scene import Scene

@@ -1,9 +1,12 @@
-"""From the user's inputs to the parameters of the motion, and from its averages to the results, as CasADi Functions."""
+"""Batches as CasADi Functions: from the user's inputs to the parameters of the motion, and from averages to results."""
+
+from __future__ import annotations
 
 import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache, reduce
 from typing import Any
 
 import casadi as ca
@@ -12,13 +15,76 @@ import numpy as np
 from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import Expression, minimum
 from plough_opt.core.labels import labels_in, without_labels
-from plough_opt.motion.batch.deviation import slopes
 from plough_opt.motion.batch.interpreter import Array
-from plough_opt.motion.batch.layout import Layout
-from plough_opt.motion.equation import equation_of_motion
+from plough_opt.motion.effects import StrengthWaves
+from plough_opt.motion.equation import equation_of_motion, signals
 from plough_opt.motion.plan import summed_rate
 from plough_opt.motion.scene import Scene
-from plough_opt.motion.terms import parameters, pull, start_deflection, start_force, start_rate
+from plough_opt.motion.terms import Structure, parameters, pull, start_deflection, start_force, start_rate
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Positions in the columns that are the arguments of a step.
+
+    Attributes:
+        structure: the terms that are on.
+        parameters: names of the equation's parameters; after them follow the end of the ramp [s], the duration [s], the
+            longest first step [s] and the error of the deflection [m] that a step may make.
+        means: number of signals that are averaged: see `plough_opt.motion.equation`.
+        squares: how many of them have an RMS.
+    """
+
+    structure: Structure
+    parameters: tuple[str, ...]
+    means: int
+    squares: int
+
+    @classmethod
+    def of(cls, structure: Structure) -> Layout:
+        """Return the layout of a structure."""
+        observed = signals(structure)
+        return cls(structure, observed.parameters, observed.count, observed.squared)
+
+    @property
+    def ends(self) -> tuple[int, ...]:
+        """Positions in the parameters of the time at which each part of the motion ends."""
+        after = len(self.parameters)
+        return (after, after + 1) if self.structure.ramp else (after + 1,)
+
+    @property
+    def longest_first_step(self) -> int:
+        """Position in the parameters of the longest first step."""
+        return len(self.parameters) + 2
+
+    @property
+    def allowed(self) -> int:
+        """Position in the parameters of the error that a step may make, the last of them."""
+        return len(self.parameters) + 3
+
+    @property
+    def state(self) -> int:
+        """Size of the state: time, w, w', means, variances, and four numbers for the errors so far.
+
+        Those are the three of `plough_opt.motion.batch.advance.grown`, and the mean of
+        `plough_opt.motion.batch.advance.square_of_error` over the time until now.
+        """
+        return 7 + self.means + self.squares
+
+    def value(self, p: ca.SX, name: str) -> ca.SX:
+        """Return a parameter by its name, of a column of them."""
+        return p[self.parameters.index(name)]
+
+    def own_frequency(self, p: ca.SX) -> ca.SX:
+        """Return sqrt(|k|/M) [rad/s]."""
+        return ca.sqrt(ca.fabs(self.value(p, "stiffness")) / self.value(p, "inertia"))
+
+    def fastest_frequency(self, p: ca.SX) -> ca.SX:
+        """Return the sum of the mount's own frequency and the fastest wave's [rad/s]."""
+        known = dict(zip(self.parameters, ca.vertsplit(p), strict=False))
+        passing: ca.SX = reduce(ca.fmax, StrengthWaves.imposed(known), ca.SX(0)) / 2.0
+        return self.own_frequency(p) + passing
+
 
 RESULTS = ("mean_draft", "force_rms", "mean_deflection", "displacement_rms", "tow_power")
 """Names of the results of each design, before its error."""
@@ -120,6 +186,15 @@ def of_column(name: str, inputs: Sequence[Expression], result: Expression) -> ca
     return ca.Function(name, [column], inner.call(parts))
 
 
+@lru_cache(maxsize=16)
+def slopes(structure: Structure) -> ca.Function:
+    """Return (time, (w, w'), parameters of the equation of motion) -> (dw''/dw [1/s^2], dw''/dw' [1/s])."""
+    motion = equation_of_motion(structure)
+    time, state, p = ca.SX.sym("time"), ca.SX.sym("state", 2), ca.SX.sym("p", len(motion.names))
+    found = ca.densify(ca.jacobian(motion.function(time, state, p)[1], state))
+    return ca.Function("slopes", [time, state, p], [ca.cse(found.T)])
+
+
 def _phase_and_part(layout: Layout) -> ca.Function:
     """Return parameters -> (phase of the run [rad], part of the wanted error that a step may make).
 
@@ -135,7 +210,7 @@ def _phase_and_part(layout: Layout) -> ca.Function:
     bent, decay = ca.SX(0), ca.SX(0)
     for k in range(_MOMENTS):
         moment = duration * math.fmod(_GOLDEN * (k + 0.5), 1.0)
-        spring, damper = ca.vertsplit(slopes(layout)(moment, ca.SX.zeros(2), own))
+        spring, damper = ca.vertsplit(slopes(layout.structure)(moment, ca.SX.zeros(2), own))
         bent, decay = bent + ca.fabs(spring + square) / (_MOMENTS * square), decay - damper / (2.0 * _MOMENTS)
     # The slower decay of an overdamped mount, times the duration.
     decay = duration * ca.fmax(decay - ca.sqrt(ca.fmax(decay**2 - square, 0.0)), 0.0)

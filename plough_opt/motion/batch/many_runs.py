@@ -21,11 +21,10 @@ from plough_opt.core.compiler import Variant, library
 from plough_opt.motion.accuracy import Accuracy
 from plough_opt.motion.batch.c_source import Statements, head
 from plough_opt.motion.batch.interpreter import Array
-from plough_opt.motion.equation import equation_of_motion, start_state
+from plough_opt.motion.equation import equation_of_motion, signals, start_state
 from plough_opt.motion.integrators import integration
 from plough_opt.motion.plan import summed_and_lasting_phase
 from plough_opt.motion.runge_kutta import step
-from plough_opt.motion.signals import signals
 from plough_opt.motion.terms import Structure
 from plough_opt.motion.timeline import Timeline
 

@@ -17,10 +17,9 @@ import numpy as np
 from plough_opt.core.errors import InputError, IntegrationError
 from plough_opt.motion import Run, simulate
 from plough_opt.motion.accuracy import Accuracy
-from plough_opt.motion.equation import GAP, SLIP, STICK, equation_of_motion, start_state
-from plough_opt.motion.run import assemble
+from plough_opt.motion.assembly import assemble
+from plough_opt.motion.equation import GAP, SLIP, STICK, equation_of_motion, signals, start_state
 from plough_opt.motion.scene import Scene
-from plough_opt.motion.signals import signals
 from plough_opt.motion.terms import Structure, lightest_mass, parameters, start_deflection, start_resistance
 from plough_opt.studies.accuracy.chebyshev import Step, first_end, gauss, step
 from plough_opt.studies.accuracy.wide import EPS, PI, WIDE, Wide, WideGraph, in_wide_floats

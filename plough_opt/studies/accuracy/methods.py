@@ -12,15 +12,15 @@ from plough_opt.core.compiler import find_compiler
 from plough_opt.core.errors import IntegrationError
 from plough_opt.motion import Run, simulate
 from plough_opt.motion.accuracy import DEFAULT_ERROR, Accuracy
+from plough_opt.motion.assembly import assemble
 from plough_opt.motion.compiled_steps import compiled_steps
 from plough_opt.motion.effects import StickSlip
+from plough_opt.motion.equation import signals
 from plough_opt.motion.integrators import integration
 from plough_opt.motion.judgement import refuse_missed_event
 from plough_opt.motion.methods import METHODS, ORDER_8, adaptive, fixed_step
 from plough_opt.motion.plan import fastest_rate, most_steps, numbers_of, phase, steps_for, timeline_of, with_setting
-from plough_opt.motion.run import assemble
 from plough_opt.motion.scene import Scene
-from plough_opt.motion.signals import signals
 from plough_opt.motion.terms import Structure
 from plough_opt.motion.timeline import Timeline
 from plough_opt.studies.accuracy.contest import Entry, Track, Use, failure, measured, rungs_of

@@ -9,9 +9,9 @@ from plough_opt.core.errors import PloughError
 from plough_opt.core.expressions import as_number
 from plough_opt.motion import Run
 from plough_opt.motion.accuracy import Accuracy
+from plough_opt.motion.assembly import quasi_static
 from plough_opt.motion.effects import HarmonicBalance
 from plough_opt.motion.plan import forced_rate, numbers_of, steps_for, timeline_of
-from plough_opt.motion.quasi_static import quasi_static
 from plough_opt.motion.scene import Scene
 from plough_opt.studies.accuracy.contest import Entry, Track, failure
 from plough_opt.studies.accuracy.methods import Prepared, Task, prepared, settings_of, text

@@ -14,8 +14,8 @@ from plough_opt.laws.forces import soil_reaction
 from plough_opt.laws.law import SoilReaction
 from plough_opt.motion import Run
 from plough_opt.motion.accuracy import Accuracy
+from plough_opt.motion.assembly import quasi_static
 from plough_opt.motion.plan import forced_rate, numbers_of, steps_for, timeline_of
-from plough_opt.motion.quasi_static import quasi_static
 from plough_opt.soil import elastic
 from plough_opt.studies.accuracy.contest import Entry, Track
 from plough_opt.studies.accuracy.methods import Task

@@ -21,11 +21,10 @@ from plough_opt.design.nlp import averages_only
 from plough_opt.design.program import Program
 from plough_opt.design.split import EmbeddedRun, Split, split
 from plough_opt.motion.accuracy import Accuracy
-from plough_opt.motion.equation import equation_of_motion, start_state
+from plough_opt.motion.equation import equation_of_motion, signals, start_state
 from plough_opt.motion.integrators import integration
 from plough_opt.motion.plan import MOST_ADAPTIVE, phase, with_setting
 from plough_opt.motion.runge_kutta import step
-from plough_opt.motion.signals import signals
 from plough_opt.motion.terms import Structure
 from plough_opt.motion.timeline import Timeline
 from plough_opt.studies.accuracy.methods import refused

@@ -1,20 +1,33 @@
-"""The quasi-static limit: the share follows the strut rigidly, and no equation of motion is solved."""
+"""Runs from what was found of them: of an integrated motion, and of a share that follows the strut rigidly."""
 
 from functools import partial
 
 import casadi as ca
 import numpy as np
+from numpy.typing import NDArray
 
-from plough_opt.core.expressions import Expression, column, holds_casadi, is_casadi, rms
+from plough_opt.core.expressions import Expression, column, holds_casadi, is_casadi, rms, where
 from plough_opt.core.labels import unlabelled
 from plough_opt.motion.accuracy import Accuracy
 from plough_opt.motion.averages import Averages
-from plough_opt.motion.breaks import ends
 from plough_opt.motion.effects import ramp_time
 from plough_opt.motion.embedding import labelled
+from plough_opt.motion.equation import GAP, SLIP, STICK
 from plough_opt.motion.run import Run
+from plough_opt.motion.runge_kutta import ends
 from plough_opt.motion.scene import Scene
-from plough_opt.motion.terms import Structure, parameters, resistance, start_speed, strut
+from plough_opt.motion.terms import (
+    Structure,
+    carried_mass,
+    inertia_at,
+    parameters,
+    pull,
+    resistance,
+    start_force,
+    start_rate,
+    start_speed,
+    strut,
+)
 from plough_opt.motion.timeline import Timeline
 
 GAUSS_POINTS = 10
@@ -28,6 +41,96 @@ SYMBOLIC_GAUSS_POINTS = 4
 
 # Exact for the square of a ramp's force, a polynomial of degree 20, in however few panels the ramp lies.
 _RAMP_GAUSS_POINTS = 11
+
+
+def assemble(
+    scene: Scene,
+    duration: Expression,
+    fractions: NDArray[np.float64],
+    states: Expression,
+    means: Expression,
+    variances: Expression,
+    accuracy: Accuracy,
+    known: tuple[Structure, dict[str, Expression]] | None = None,
+) -> Run:
+    """Turn the changes since the start that were integrated into forces and travel.
+
+    Args:
+        scene: the scene, of numbers or symbolic.
+        duration: simulated time [s].
+        fractions: output times as fractions of it.
+        states: (w; w') as two columns over the outputs.
+        means: of the signals of `plough_opt.motion.equation`.
+        variances: of those that have an RMS.
+        accuracy: method and setting used.
+        known: structure and parameters of the scene, where they were read off it before.
+    """
+    structure, p = known or (Structure.of(scene), parameters(scene))
+    if structure.entry:
+        p |= {"behind": states[:, 2], "entered": states[:, 4]}
+    time = column(fractions, is_casadi(states)) * duration
+    w, rate = states[:, 0], states[:, 1]
+    mount, u0 = strut(structure, p, time), start_speed(structure, p)
+    gain = mount.gain - rate
+    first = start_force(structure, p)
+    deflection = first / p["stiffness"] + w
+    travel = mount.path - deflection
+    force = first + pull(structure, p, w, rate)
+    soil = resistance(structure, p, travel, u0 + gain)
+    acceleration = (force - soil) / inertia_at(structure, p, travel)
+    carried = carried_mass(structure, p, travel) if structure.events else _added_mass(scene)
+    soil = soil + carried * acceleration
+    speed, opening = u0 + gain, 0.0 * w + 0.0
+    mode = opening
+    if structure.sticks:
+        opening, mode = states[:, 2], states[:, 3]
+        if not is_casadi(mode):
+            # An implicit method solves for modes too, and rounds them.
+            mode = np.round(mode)
+        speed = where((mode - STICK) ** 2 < (SLIP - STICK) ** 2 / 4.0, 0.0, speed)
+        soil = where(mode < (SLIP + STICK) / 2.0, soil, where(mode < (STICK + GAP) / 2.0, force, 0.0))
+    return Run(
+        scene=scene,
+        duration=duration,
+        time=time,
+        travel=travel,
+        speed=speed,
+        deflection=deflection,
+        mount_force=force,
+        soil_resistance=soil,
+        opening=opening,
+        mode=mode,
+        averages=averages_of(scene, structure, p, means, variances),
+        accuracy=accuracy,
+    )
+
+
+def _added_mass(scene: Scene) -> Expression:
+    with unlabelled():
+        return scene.reaction.added_mass
+
+
+def averages_of(
+    scene: Scene, structure: Structure, p: dict[str, Expression], means: Expression, variances: Expression
+) -> Averages:
+    """Add the values at the start back to the averages of the changes since then: see `assemble`."""
+    first = start_force(structure, p)
+    with unlabelled():
+        scale = scene.steady_resistance
+    displacement_rms = rms(variances[0], scale / scene.stiffness)
+    if structure.damper:
+        mean_draft = first + pull(structure, p, 0.0, start_rate(structure, p)) + means[1]
+        force_rms = rms(variances[1], scale)
+    else:
+        mean_draft = first + p["stiffness"] * means[0]
+        force_rms = scene.stiffness * displacement_rms
+    return Averages(
+        mean_draft=mean_draft,
+        force_rms=force_rms,
+        mean_deflection=first / p["stiffness"] + means[0],
+        displacement_rms=displacement_rms,
+        tow_power=means[-1] if structure.ramp else mean_draft * p["tow_speed"],
+    )
 
 
 def quasi_static(

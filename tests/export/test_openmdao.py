@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 import plough_opt as po
-import plough_opt.exchange.export
 from plough_opt.core.expressions import log
 from plough_opt.export import PloughComponent, write_openmdao
 
@@ -91,7 +90,7 @@ def test_every_unit_of_every_quantity_is_known_to_openmdao():
     from openmdao.utils.units import valid_units
 
     from plough_opt.core.quantities import BESIDE, QUANTITIES
-    from plough_opt.exchange.export.openmdao_client import units_of
+    from plough_opt.exchange.export.openmdao import units_of
     from plough_opt.motion.vocabulary import MEASURES
 
     quantities = {one.unit for one in (*QUANTITIES.values(), *BESIDE.values())}
@@ -198,7 +197,6 @@ def test_without_openmdao_the_extra_is_named(monkeypatch):
     for name in [*sys.modules]:
         if name.startswith(("openmdao", "plough_opt.exchange.export.openmdao")):
             monkeypatch.delitem(sys.modules, name)
-    monkeypatch.delattr(plough_opt.exchange.export, "openmdao_client")
     monkeypatch.setitem(sys.modules, "openmdao", None)
     with pytest.raises(po.InputError, match=r"pip install 'plough_opt\[openmdao\]'"):
         importlib.import_module("plough_opt.exchange.export.openmdao")

@@ -1,14 +1,13 @@
 """`component`: a scene as a Function of named inputs, with as many steps as the bounds on these need."""
 
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Sequence
 from typing import Any, TypeVar
 
 import casadi as ca
 
 from plough_opt.core.checks import check_kind, check_single, plain_number, shown
 from plough_opt.core.errors import DomainError, InputError
-from plough_opt.core.expressions import Expression, as_number, holds_casadi, is_count, is_symbolic, map_expressions
+from plough_opt.core.expressions import Expression, as_number, holds_casadi, is_count, is_symbolic
 from plough_opt.core.quantities import BESIDE, EVERY, Quantity
 from plough_opt.exchange.component.box import Box
 from plough_opt.exchange.component.function import Component
@@ -64,23 +63,13 @@ def component(
     duration = None if duration is None else BESIDE["scene.duration"].read(duration)
     check_single("a component", (scene, duration))
     steel = None if steel_density is None else plain_number("steel_density", steel_density)
-    named = NamedScene(scene, duration, steel)
     listed = _listed(inputs, Input)
     check_names("input", [one.name for one in listed])
-    ports = [_quantity_port(one, named) if one.symbol is None else _symbol_port(one) for one in listed]
-    symbols = {one.name: one.symbol for one in listed if one.symbol is not None}
-    expressions = _function_of_symbols(symbols, (scene, duration))
-
-    def make(values: Mapping[str, Expression]) -> tuple[Scene, Expression | None]:
-        own = {name: value for name, value in values.items() if name not in symbols}
-        if expressions is None:
-            return named.replaced(own)
-        results = iter(expressions.call([values[name] for name in symbols]))
-        changed, lasting = map_expressions((scene, duration), lambda _: _simple(next(results)))
-        return replace(named, scene=changed, duration=lasting).replaced(own)
-
+    own = {one.name: _symbol_port(one) for one in listed if one.symbol is not None}
+    named = NamedScene(scene, duration, steel, {one.name: one.symbol for one in listed if one.symbol is not None})
+    ports = [own[one.name] if one.name in own else _quantity_port(one, named) for one in listed]
     notes = _mass_notes(named, [port.name for port in ports])
-    return build(make, ports, outputs, accuracy=accuracy, samples=samples, name=name, notes=notes)
+    return build(named.replaced, ports, outputs, accuracy=accuracy, samples=samples, name=name, notes=notes)
 
 
 def build(
@@ -171,40 +160,6 @@ def _symbol_port(one: Input) -> Port:
         )
     middle = (one.lower + one.upper) / 2.0
     return port_of(one, Quantity(one.name, one.name, "", one.unit or "", middle, ()), middle)
-
-
-def _function_of_symbols(symbols: Mapping[str, Any], of: tuple[Scene, Expression | None]) -> ca.Function | None:
-    """Return all expressions in scene and duration as a Function of symbols; None where all are numbers.
-
-    Raises:
-        InputError: symbols of inputs that the scene does not hold, or others that it holds.
-    """
-    expressions: list[Any] = []
-
-    def collect(expression: Expression) -> Expression:
-        expressions.append(expression)
-        return expression
-
-    map_expressions(of, collect)
-    if not expressions:
-        if symbols:
-            raise InputError(
-                f"the scene does not hold the symbol of input '{next(iter(symbols))}': it is made of numbers"
-            )
-        return None
-    known = {hash(symbol) for symbol in symbols.values()}
-    others = {s.name() for e in expressions if is_symbolic(e) for s in ca.symvar(e) if hash(s) not in known}
-    if others:
-        raise InputError(
-            f"the scene holds symbols that are not inputs ({', '.join(sorted(others))}): make each an Input with"
-            " its symbol"
-        )
-    function = ca.Function("quantities", [*symbols.values()], expressions)
-    return function if function.is_a("SXFunction") else function.expand()
-
-
-def _simple(value: Expression) -> Expression:
-    return value if is_symbolic(value) else float(as_number(value))
 
 
 def _mass_notes(named: NamedScene, inputs: Sequence[str]) -> tuple[str, ...]:

@@ -16,9 +16,8 @@ from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import as_number, is_casadi, is_symbolic, map_expressions
 from plough_opt.core.files import check_file, write_file
 from plough_opt.core.quantities import BESIDE
-from plough_opt.exchange.export.fmu_description import build_description, documentation, model_description
-from plough_opt.exchange.export.fmu_equations import model_of
-from plough_opt.exchange.export.fmu_source import c_source
+from plough_opt.exchange.export.fmu_files import build_description, c_source, documentation, model_description
+from plough_opt.exchange.export.fmu_model import model_of
 from plough_opt.exchange.named_scene import NamedScene
 from plough_opt.motion.scene import Scene
 

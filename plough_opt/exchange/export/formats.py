@@ -1,6 +1,5 @@
 """The export formats by name: what a format is, which options it takes, and what writes it."""
 
-import importlib
 import math
 import shlex
 from collections.abc import Callable, Mapping
@@ -11,6 +10,10 @@ from typing import Any, Final
 from plough_opt.core.errors import InputError
 from plough_opt.core.files import check_file, check_new_folder
 from plough_opt.exchange.component import Component
+from plough_opt.exchange.export.c import write_c
+from plough_opt.exchange.export.fmu import write_fmu
+from plough_opt.exchange.export.part import write_part
+from plough_opt.exchange.export.serialised import write_casadi
 from plough_opt.motion.scene import Scene
 from plough_opt.soil.geometry import Cone, Wedge
 
@@ -92,36 +95,32 @@ class Format:
         return f"{self.what}{', ' if self.endings else ''}{' or '.join(self.endings)}"
 
 
-def _later(module: str, writer: str) -> Callable[..., Path]:
-    """Return a function of a module that is imported when it is used, for it may need a package of its own."""
-    found: Callable[..., Path] = getattr(importlib.import_module(f"plough_opt.exchange.export.{module}"), writer)
-    return found
-
-
 def _c(request: Request) -> Written:
     component = request.component()
-    path = _later("c", "write_c")(component, request.path)
+    path = write_c(component, request.path)
     return Written((path,), str(component), f"make -C {shlex.quote(str(path))}")
 
 
 def _casadi(request: Request) -> Written:
     component, description = request.component(), request.options.get("description")
-    path = _later("serialised", "write_casadi")(component, request.path, description)
+    path = write_casadi(component, request.path, description)
     load = shlex.quote(f"import casadi; print(casadi.Function.load({path.as_posix()!r}))")
     warning = "  # such a file can run code when it is loaded: take none from strangers"
     return Written((path, *([Path(description)] if description else [])), str(component), f"python -c {load}{warning}")
 
 
 def _openmdao(request: Request) -> Written:
+    from plough_opt.exchange.export.openmdao import write_openmdao  # which not every installation has
+
     component = request.component()
-    path = _later("openmdao", "write_openmdao")(component, request.path)
+    path = write_openmdao(component, request.path)
     module = path / component.name()
     hint = f"{module}.py holds an openmdao.api.ExplicitComponent; add_design declares variables and constraints"
     return Written((path,), str(component), hint)
 
 
 def _fmu(request: Request) -> Written:
-    path = _later("fmu", "write_fmu")(
+    path = write_fmu(
         request.scene,
         request.path,
         strut=request.options.get("strut") or "speed",
@@ -138,7 +137,7 @@ def _part(request: Request) -> Written:
     scene = request.scene if request.best is None else request.best()
     body: Wedge | Cone = scene.cone if given.get("body") == "cone" else scene.share
     opening, thickness = given.get("opening"), given.get("thickness")
-    path = _later("part", "write_part")(body, request.path, opening=opening, thickness=thickness)
+    path = write_part(body, request.path, opening=opening, thickness=thickness)
     at_values = "the guesses" if request.varies else "the file"
     design = at_values if request.best is None else "the best design"
     return Written((path,), _described(body, opening, thickness, design))

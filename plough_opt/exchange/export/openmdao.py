@@ -8,13 +8,16 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+import casadi as ca
+import numpy as np
+
 from plough_opt.core.errors import InputError
 from plough_opt.core.files import Content, check_new_folder, write_folder
 from plough_opt.exchange.component import Component
 from plough_opt.exchange.export.serialised import described, serialised
 
 try:
-    from plough_opt.exchange.export import openmdao_client
+    import openmdao.api as om
 except ModuleNotFoundError as missing:
     if missing.name is None or missing.name.partition(".")[0] != "openmdao":
         raise
@@ -26,7 +29,98 @@ _INNER = {"Any", "FunctionComponent"}
 _TAKEN = {"casadi", "numpy", "openmdao", *sys.stdlib_module_names}
 
 
-class PloughComponent(openmdao_client.FunctionComponent):
+# This class and `units_of` are copied into the module that is written: they use nothing of plough_opt.
+class FunctionComponent(om.ExplicitComponent):  # type: ignore[misc]
+    """A CasADi Function of scalars as an explicit component, with CasADi's exact derivatives as its partials.
+
+    Args:
+        function: the Function; its inputs and outputs have OpenMDAO's names.
+        inputs: a dictionary for each input: argument, unit, lower, upper, value.
+        outputs: a dictionary for each output: argument, unit, lower, upper (None: no limit), value, size.
+    """
+
+    def __init__(self, function: ca.Function, inputs: Any, outputs: Any, **options: Any) -> None:
+        super().__init__(**options)
+        self._graph, self._sources, self._results = function, inputs, outputs
+        x = ca.MX.sym("x", len(inputs))
+        values = ca.vertcat(*function.call(ca.vertsplit(x)))
+        self._graph_slopes = ca.Function("slopes", [x], [ca.densify(ca.jacobian(values, x))])
+
+    def setup(self) -> None:
+        """Declare inputs, outputs and those partials that are not zero for ever."""
+        for port in self._sources:
+            self.add_input(port["argument"], val=port["value"], units=units_of(port["unit"]))
+        for k, port in enumerate(self._results):
+            shape = (port["size"],)
+            self.add_output(port["argument"], val=port["value"], shape=shape, units=units_of(port["unit"]))
+            for j, source in enumerate(self._sources):
+                if self._graph.jac_sparsity(k, j).nnz():
+                    self.declare_partials(port["argument"], source["argument"])
+        # What check_partials takes: central differences whose step suits 0.1 rad as well as 1e6 N/m.
+        self.set_check_partial_options("*", method="fd", form="central", step=5e-6, step_calc="rel_element")
+
+    def compute(self, inputs: Any, outputs: Any) -> None:
+        """Evaluate the Function."""
+        found = self._graph.call(self._values(inputs))
+        for port, value in zip(self._results, found, strict=True):
+            array = value.full().ravel()
+            if not np.all(np.isfinite(array)):
+                raise om.AnalysisError(f"'{port['argument']}' has no finite value at {self._values(inputs)}")
+            outputs[port["argument"]] = array
+
+    def compute_partials(self, inputs: Any, partials: Any) -> None:
+        """Evaluate CasADi's Jacobian."""
+        jacobian = self._graph_slopes(self._values(inputs)).full()
+        row = 0
+        for k, port in enumerate(self._results):
+            for j, source in enumerate(self._sources):
+                if self._graph.jac_sparsity(k, j).nnz():
+                    partials[port["argument"], source["argument"]] = jacobian[row : row + port["size"], j : j + 1]
+            row += port["size"]
+
+    def _values(self, inputs: Any) -> list[float]:
+        """Return the inputs, or refuse those outside their bounds, for which steps and checks were not chosen.
+
+        The driver then tries another step.
+        """
+        values = [float(inputs[port["argument"]].item()) for port in self._sources]
+        for value, port in zip(values, self._sources, strict=True):
+            slack = 1e-6 * (port["upper"] - port["lower"])  # by which optimisers relax bounds
+            if not port["lower"] - slack <= value <= port["upper"] + slack:
+                raise om.AnalysisError(
+                    f"{port['argument']} = {value:g} must lie between {port['lower']:g} and {port['upper']:g}, the"
+                    " bounds for which this component was made"
+                )
+        return values
+
+    def add_design(self, model: Any, objective: str, prefix: str = "") -> None:
+        """Make every input a design variable between its bounds, and every output that has limits a constraint.
+
+        Args:
+            model: the group whose driver chooses.
+            objective: name of the output to minimise.
+            prefix: path of this component in the model, with a dot at its end; "" where its names are promoted.
+        """
+        names = [port["argument"] for port in self._results]
+        if objective not in names:
+            raise ValueError(f"no output is named '{objective}': one of {', '.join(names)} can be the objective")
+        for port in self._sources:
+            lower, upper = port["lower"], port["upper"]
+            model.add_design_var(prefix + port["argument"], lower=lower, upper=upper, ref0=lower, ref=upper)
+        for port in self._results:
+            limits = {side: port[side] for side in ("lower", "upper") if port[side] is not None}
+            if limits and port["argument"] != objective:
+                model.add_constraint(prefix + port["argument"], ref=max(map(abs, limits.values())) or 1.0, **limits)
+        size = self._results[names.index(objective)]["value"]
+        model.add_objective(prefix + objective, ref=abs(size) or 1.0)
+
+
+def units_of(unit: str) -> str | None:
+    """Return a unit as OpenMDAO spells it: powers with two asterisks, None for a pure number."""
+    return unit.replace("^", "**") or None
+
+
+class PloughComponent(FunctionComponent):
     """A component as an ``openmdao.api.ExplicitComponent``: names with underscores, as "share_height"; SI units.
 
     Its partials are CasADi's exact Jacobian. `add_design` declares design variables, constraints and objective.
@@ -69,15 +163,18 @@ def write_openmdao(component: Component, path: str | Path) -> Path:
 def _module(component: Component) -> str:
     """Return the module's text: the class of any Function, and the data of this one."""
     name, ports = component.name(), described(component)
-    _, _, client = inspect.getsource(openmdao_client).partition('"""\n')
-    imports, _, classes = client.strip().partition("\n\n\n")
+    classes = "\n\n".join(inspect.getsource(one) for one in (FunctionComponent, units_of)).rstrip()
     return f'''"""Written by plough_opt {version("plough_opt")}.
 
 {_quoted(str(component))}
 """
 
 from pathlib import Path as _Path
-{imports}
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import openmdao.api as om
 
 _INPUTS = {pprint.pformat(ports["inputs"], width=110, sort_dicts=False)}
 

@@ -1,37 +1,32 @@
-"""modelDescription.xml and its companions of an exported share."""
+"""The files of an FMU: modelDescription.xml, its documentation, and the C source with how to compile it."""
 
+import hashlib
 import html
 import math
 from collections.abc import Iterable
 from importlib.metadata import version
+from importlib.resources import files
+from typing import Final
 from xml.etree import ElementTree
 
-from plough_opt.core.units import registry
-from plough_opt.exchange.export.fmu_equations import KINDS, Model
-from plough_opt.exchange.export.fmu_variables import Variable
+import casadi as ca
 
-_CATEGORIES = {
+from plough_opt.core.units import registry
+from plough_opt.exchange.export.fmu_model import KINDS, Model
+
+_CATEGORIES: Final = {
     "logStatusWarning": "warnings about a run",
     "logStatusError": "why a call was refused",
 }
 # Relative tolerance that the FMU proposes: the default error of forces.
-_TOLERANCE = 1e-8
-# Kind of variables -> causality, variability and initial value by FMI 3.0.
-_KINDS = {
-    **dict.fromkeys(("states", "outputs"), ("output", "continuous", "calculated")),
-    **dict.fromkeys(("rates", "indicators"), ("local", "continuous", "calculated")),
-    "calculated": ("calculatedParameter", "tunable", "calculated"),
-    "inputs": ("input", "continuous", "exact"),
-    "parameters": ("parameter", "tunable", "exact"),
-    "discrete": ("output", "discrete", "calculated"),
-}
+_TOLERANCE: Final = 1e-8
 # Base units as FMI and as pint call them.
-_BASE = {"kg": "kilogram", "m": "meter", "s": "second", "rad": "radian"}
-
-
-def _references(model: Model) -> dict[str, str]:
-    """Return the value reference of each variable, in the order of the C source."""
-    return {name: str(k) for k, name in enumerate(["time", *(variable.name for variable in model.variables)])}
+_BASE: Final = {"kg": "kilogram", "m": "meter", "s": "second", "rad": "radian"}
+# Numbers of variables by kind, as the runtime calls them.
+_COUNTS: Final = {
+    "NX": "states", "NY": "outputs", "NZ": "indicators", "NC": "calculated", "NU": "inputs", "NP": "parameters",
+    "ND": "discrete",
+}  # fmt: skip
 
 
 def model_description(model: Model, name: str, token: str, description: str, duration: float | None) -> bytes:
@@ -91,7 +86,7 @@ def documentation(model: Model, name: str, description: str, notes: Iterable[str
     rows = "\n".join(
         f"<tr><td>{html.escape(v.name)}</td><td>{html.escape(_spelled(v.unit))}</td>"
         f"<td>{html.escape(v.description)}</td></tr>"
-        for v in (*model.of_kind["inputs"], *model.of_kind["parameters"], *_outputs(model))
+        for v in (*model.of_kind["inputs"], *model.of_kind["parameters"], *model.visible)
     )
     items = "\n".join(f"<li>{html.escape(note)}</li>" for note in notes)
     text = (
@@ -101,11 +96,6 @@ def documentation(model: Model, name: str, description: str, notes: Iterable[str
         f"<table>\n<tr><th>variable</th><th>unit</th><th>meaning</th></tr>\n{rows}\n</table>\n</body></html>\n"
     )
     return text.encode()
-
-
-def _outputs(model: Model) -> tuple[Variable, ...]:
-    """Return the variables with the causality "output": states, forces, and the mode."""
-    return tuple(one for kind in KINDS if _KINDS[kind][0] == "output" for one in model.of_kind[kind])
 
 
 def _written(root: ElementTree.Element) -> bytes:
@@ -122,8 +112,9 @@ def _spelled(unit: str) -> str:
 def _units(parent: ElementTree.Element, model: Model) -> None:
     """Define the units of the variables by SI's base units, and those in which tools may show them instead."""
     shown: dict[str, set[str]] = {"s": set()}
-    for variable in model.variables:
-        shown.setdefault(variable.unit, set()).add(variable.shown)
+    for kind in KINDS:
+        for variable in model.of_kind[kind]:
+            shown.setdefault(variable.unit, set()).add(variable.shown)
     for unit, others in shown.items():
         if not unit:
             continue
@@ -139,13 +130,11 @@ def _units(parent: ElementTree.Element, model: Model) -> None:
 def _variables(parent: ElementTree.Element, model: Model) -> None:
     time = {"name": "time", "valueReference": "0", "causality": "independent", "variability": "continuous"}
     ElementTree.SubElement(parent, "Float64", time | {"unit": "s", "description": "time"})
-    reference = _references(model)
-    for kind in KINDS:
-        causality, variability, initial = _KINDS[kind]
+    for kind, (causality, variability, initial) in KINDS.items():
         for variable in model.of_kind[kind]:
             attributes = {
                 "name": variable.name,
-                "valueReference": reference[variable.name],
+                "valueReference": model.references[variable.name],
                 "causality": causality,
                 "variability": variability,
                 "initial": initial,
@@ -156,17 +145,17 @@ def _variables(parent: ElementTree.Element, model: Model) -> None:
                 "min": repr(variable.low) if math.isfinite(variable.low) else "",
                 "max": repr(variable.high) if math.isfinite(variable.high) else "",
                 "start": repr(variable.start) if initial == "exact" else "",
-                "derivative": reference.get(variable.derivative, ""),
+                "derivative": model.references.get(variable.derivative, ""),
                 "reinit": "true" if variable.name == "speed" and model.of_kind["discrete"] else "",
             }
             ElementTree.SubElement(parent, "Float64", {name: text for name, text in attributes.items() if text})
 
 
 def _structure(parent: ElementTree.Element, model: Model) -> None:
-    of_kind, reference = model.of_kind, _references(model)
-    unknown = (*_outputs(model), *of_kind["rates"], *of_kind["calculated"])
+    of_kind, reference = model.of_kind, model.references
+    unknown = (*model.visible, *of_kind["rates"], *of_kind["calculated"])
     for name, variables in (
-        ("Output", _outputs(model)),
+        ("Output", model.visible),
         ("ContinuousStateDerivative", of_kind["rates"]),
         ("InitialUnknown", sorted(unknown, key=lambda variable: int(reference[variable.name]))),
         ("EventIndicator", of_kind["indicators"]),
@@ -176,3 +165,57 @@ def _structure(parent: ElementTree.Element, model: Model) -> None:
             if name != "InitialUnknown" and variable.name in model.depends:
                 attributes["dependencies"] = " ".join(reference[on] for on in model.depends[variable.name])
             ElementTree.SubElement(parent, name, attributes)
+
+
+def c_source(model: Model, *, pushes: bool, by_speed: bool) -> tuple[str, str]:
+    """Return the C source of an FMU, and the token that belongs to it.
+
+    Args:
+        model: the exported share.
+        pushes: whether the soil would push a share that retreats; the FMU warns if it happens.
+        by_speed: whether the strut's speed is the input.
+    """
+    folder = files("plough_opt.exchange.export")
+    functions = (folder.joinpath(name).read_text(encoding="utf-8") for name in ("fmu_runtime.c", "fmu_optional.c"))
+    # CasADi's functions are for this source alone.
+    generator = ca.CodeGenerator("share.c", {"with_header": False, "main": False, "casadi_int": "long long"})
+    for function in model.functions.values():
+        generator.add(function)
+    equations = f"#define CASADI_SYMBOL_EXPORT static\n{generator.dump()}"
+    parts = (_numbers(model, pushes, by_speed), equations, *functions)
+    # Names and units stand in the description: two FMUs that compute the same may share a token.
+    token = hashlib.sha256("".join(parts).encode()).hexdigest()[:32]
+    return "\n".join((f'#define TOKEN "{token}"', *parts)), token
+
+
+def _numbers(model: Model, pushes: bool, by_speed: bool) -> str:
+    """Return the numbers of variables, and their domains, starts and orders of magnitude."""
+    of_kind, functions = model.of_kind, model.functions
+    counts = {count: len(of_kind[kind]) for count, kind in _COUNTS.items()} | {
+        "NQ": functions["derive"].numel_out(0),
+        "NW": max(function.sz_w() for function in functions.values()),
+        "PUSHES": int(pushes),
+        "NEEDS_SPEED": int(by_speed),
+        "HAS_DERIVATIVES": int("forward_derive" in functions),
+    }
+    limits = ",\n".join(
+        f'  {{"{one.name}", {_row((one.low, one.high))}, {int(one.above)}, {int(one.below)}}}'
+        for one in of_kind["parameters"]
+    )
+    starts = _row(variable.start for kind in ("inputs", "parameters") for variable in of_kind[kind])
+    return "\n".join(
+        (
+            *(f"#define {name} {count}" for name, count in counts.items()),
+            "#include <math.h>",
+            "typedef struct { const char *name; double low, high; int above, below; } Limits;",
+            f"static const Limits limits[] = {{\n{limits}}};",
+            f"static const double starts[] = {{{starts}}};",
+            f"static const double nominals[] = {{{_row(variable.magnitude for variable in of_kind['states'])}}};",
+        )
+    )
+
+
+def _row(values: Iterable[float]) -> str:
+    """Return numbers as C writes them."""
+    infinite = {math.inf: "INFINITY", -math.inf: "-INFINITY"}
+    return ", ".join(infinite.get(value, repr(float(value))) for value in values)

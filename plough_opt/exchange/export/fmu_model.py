@@ -1,0 +1,315 @@
+"""An exported share as a model: its variables with units and domains, and the Functions that compute them."""
+
+import dataclasses
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import chain
+from operator import attrgetter
+from typing import Any, Final
+
+import casadi as ca
+import numpy as np
+
+from plough_opt.core.errors import InputError
+from plough_opt.core.expressions import Expression, is_quantity, map_expressions, template_of
+from plough_opt.core.quantities import EVERY
+from plough_opt.exchange.export.fmu_share import Share
+from plough_opt.exchange.named_scene import NamedScene
+from plough_opt.motion.scene import Scene
+from plough_opt.motion.terms import Structure, parameters
+from plough_opt.soil.geometry import Wedge
+
+KINDS: Final = {
+    "states": ("output", "continuous", "calculated"),
+    "rates": ("local", "continuous", "calculated"),
+    "outputs": ("output", "continuous", "calculated"),
+    "indicators": ("local", "continuous", "calculated"),
+    "calculated": ("calculatedParameter", "tunable", "calculated"),
+    "inputs": ("input", "continuous", "exact"),
+    "parameters": ("parameter", "tunable", "exact"),
+    "discrete": ("output", "discrete", "calculated"),
+}
+"""Kinds of variables, in the order in which the C source numbers them -> causality, variability and initial value."""
+
+
+@dataclass(frozen=True)
+class Variable:
+    """A variable of an exported share.
+
+    Attributes:
+        name: as in a problem file.
+        unit: SI unit, "1" of a pure number, or "" if it is unknown.
+        description: in words.
+        start: its value, if it has one before the start.
+        low: its least value.
+        high: its largest value.
+        above: whether the least value itself is excluded.
+        below: whether the largest value itself is excluded.
+        nominal: its order of magnitude; 0 for that of its value.
+        shown: unit in which a tool should show it, or "".
+        derivative: name of the state whose rate it is, or "".
+    """
+
+    name: str
+    unit: str
+    description: str
+    start: float = 0.0
+    low: float = -math.inf
+    high: float = math.inf
+    above: bool = False
+    below: bool = False
+    nominal: float = 0.0
+    shown: str = ""
+    derivative: str = ""
+
+    @property
+    def magnitude(self) -> float:
+        """Order of magnitude, above 0."""
+        return self.nominal or abs(self.start) or 1.0
+
+
+@dataclass(frozen=True)
+class Model:
+    """An exported share.
+
+    Attributes:
+        of_kind: variables by kind. "calculated" depend on the "parameters" alone, and of these there are those that any
+            equation depends on; "discrete" change at events only.
+        functions: by name, every argument and result a column. ``derive`` (p) -> (q, calculated), q being the numbers
+            in the equation of motion; ``begin`` (u, q) -> (x, d); ``evaluate`` (t, x, u, d, q) -> (rates, outputs,
+            indicators); ``happen`` (t, x, u, d, q) -> (x, d) after the events until now. For the first three there are
+            ``forward_...``, from the same arguments and a seed for each of x, u, p and q among them to the change of
+            all continuous results in one column, and ``reverse_...``, from the same arguments and a seed for that
+            column to the sensitivities to each. A soil with a density profile has neither.
+        depends: name of a rate, output or indicator -> names of states, inputs and time that it depends on.
+    """
+
+    of_kind: Mapping[str, tuple[Variable, ...]]
+    functions: Mapping[str, ca.Function]
+    depends: Mapping[str, tuple[str, ...]]
+
+    @property
+    def visible(self) -> tuple[Variable, ...]:
+        """Variables whose causality is "output": states, forces, and the mode."""
+        return tuple(one for kind, (causality, *_) in KINDS.items() if causality == "output"
+                     for one in self.of_kind[kind])  # fmt: skip
+
+    @cached_property
+    def references(self) -> dict[str, str]:
+        """The value reference of each variable, in the order of the C source; the time is number 0."""
+        variables = chain.from_iterable(self.of_kind[kind] for kind in KINDS)
+        return {name: str(k) for k, name in enumerate(["time", *(variable.name for variable in variables)])}
+
+
+def model_of(named: NamedScene, *, by_speed: bool) -> Model:
+    """Build the model of a numeric scene with motion from a start.
+
+    Args:
+        named: the scene.
+        by_speed: whether the input is the strut's speed; else it is its position.
+
+    Raises:
+        InputError: a strut whose position is the input and whose speed would be needed.
+    """
+    scene, structure = named.scene, Structure.of(named.scene)
+    if not by_speed:
+        _check_position_suffices(structure)
+    offered = (*_registered(named), *_unregistered(scene))
+    symbols = {variable.name: ca.SX.sym(variable.name) for variable in offered}
+    symbolic = _scene_with(named, symbols)
+    numbers = parameters(symbolic) | {"added_mass": symbolic.reaction.added_mass}
+    share = Share(scene, structure, by_speed, {name: ca.SX.sym(name) for name in numbers})
+    expressions = _moving(share, scene) | {"calculated": _calculated(scene, symbolic)}
+    x, u, d, *now, calculated = (
+        _column(expressions[kind].values())
+        for kind in ("states", "inputs", "discrete", "rates", "outputs", "indicators", "calculated")
+    )
+    moment, first, after = [share.time, x, u, d], [*map(_column, share.start())], [*map(_column, share.after_events())]
+    # Only numbers that the equations hold, and of the parameters those on which any of these depends.
+    held = _symbols_in(*first, *now, *after)
+    q, from_p = (_column(source[name] for name in share.q if name in held) for source in (share.q, numbers))
+    needed = _symbols_in(from_p, calculated)
+    p = _column(symbol for name, symbol in symbols.items() if name in needed)
+    graphs = {
+        "derive": ([p], [from_p, calculated]),
+        "begin": ([u, q], first),
+        "evaluate": ([*moment, q], now),
+        "happen": ([*moment, q], after),
+    }
+    # The quadratures of a density profile have hundreds of thousands of operations, and their derivatives more.
+    if scene.soil.density_profile is None:
+        graphs |= _derivatives("derive", *graphs["derive"], [p])
+        graphs |= _derivatives("begin", [u, q], first[:1], [u, q])
+        graphs |= _derivatives("evaluate", *graphs["evaluate"], [x, u, q])
+    functions = {
+        name: ca.Function(name, arguments, [*map(ca.densify, found)], {"cse": True})
+        for name, (arguments, found) in graphs.items()
+    }
+    of_kind = {kind: tuple(found) for kind, found in expressions.items()}
+    of_kind["parameters"] = tuple(variable for variable in offered if variable.name in needed)
+    return Model(of_kind, functions, _depends(of_kind, ca.jacobian_sparsity(_column(now), _column([x, u, share.time]))))
+
+
+def _check_position_suffices(structure: Structure) -> None:
+    """Raise InputError if the equations need the strut's speed."""
+    if structure.damper:
+        raise InputError(
+            "a damper in the mount needs the strut's speed, which its position does not give: use strut = 'speed', or"
+            " leave damping out"
+        )
+    if structure.ramp:
+        raise InputError(
+            "tow_ramp is a motion of the strut, and so is its position as the input: use strut = 'speed', or leave"
+            " tow_ramp out"
+        )
+
+
+def _column(values: Any) -> ca.SX:
+    return ca.vertcat(ca.SX(0, 1), *values)
+
+
+def _symbols_in(*expressions: ca.SX) -> set[str]:
+    return {symbol.name() for symbol in ca.symvar(ca.vertcat(*expressions))}
+
+
+def _derivatives(
+    name: str, arguments: list[ca.SX], results: list[ca.SX], by: list[ca.SX]
+) -> dict[str, tuple[list[ca.SX], list[ca.SX]]]:
+    """Return arguments and results of the products of a Jacobian with seeds, forwards and backwards."""
+    unknown, known = _column(results), _column(by)
+    seeds, seed = [ca.SX.sym("seed", part.numel()) for part in by], ca.SX.sym("seed", unknown.numel())
+    ends = np.cumsum([0, *(part.numel() for part in by)]).tolist()
+    backwards = ca.vertsplit(ca.jtimes(unknown, known, seed, True), ends)
+    return {
+        f"forward_{name}": ([*arguments, *seeds], [ca.jtimes(unknown, known, _column(seeds))]),
+        f"reverse_{name}": ([*arguments, seed], backwards),
+    }
+
+
+def _depends(of_kind: Mapping[str, tuple[Variable, ...]], pattern: ca.Sparsity) -> dict[str, tuple[str, ...]]:
+    """Return names of the states, inputs and time on which each rate, output and indicator depends."""
+    rows = [variable.name for kind in ("rates", "outputs", "indicators") for variable in of_kind[kind]]
+    known = [*(variable.name for kind in ("states", "inputs") for variable in of_kind[kind]), "time"]
+    depends: dict[str, tuple[str, ...]] = dict.fromkeys(rows, ())
+    for row, column in sorted(zip(*pattern.get_triplet(), strict=True)):
+        depends[rows[row]] += (known[column],)
+    return depends
+
+
+def _registered(named: NamedScene) -> Iterator[Variable]:
+    """Yield the quantities of a scene with their values."""
+    for name, value in named.values.items():
+        one = EVERY[name]
+        above = one.above
+        if name == "effects.tow_ramp":
+            if not named.scene.effects.ramps:  # a ramp that takes no time
+                continue
+            above = True
+        yield Variable(name, one.unit or "1", one.meaning, float(value), one.low, one.high, above, one.below,
+                       shown=one.shown)  # fmt: skip
+
+
+def _unregistered(scene: Scene) -> Iterator[Variable]:
+    """Yield the numbers of a density profile and of own resistances, of these by fields where every number is one."""
+    if (profile := scene.soil.density_profile) is not None:
+        for k, value in enumerate(profile.parameters, start=1):
+            what = f"number {k} of the density profile"
+            yield Variable(f"soil.density_profile.parameters[{k}]", "", what, float(value))
+    own: tuple[Any, ...] = scene.effects.own
+    for k, effect in enumerate(own, start=1):
+        numbers = template_of(effect)[1]
+        fields = [field.name for field in dataclasses.fields(effect) if is_quantity(getattr(effect, field.name))]
+        if len(fields) != len(numbers) or not all(map(str.isascii, fields)):
+            fields = [f"parameters[{j}]" for j, _ in enumerate(numbers, start=1)]
+        for field, value in zip(fields, numbers, strict=True):
+            what = f"{field} of the resistance {type(effect).__name__}"
+            yield Variable(f"effects.own[{k}].{field}", "", what, float(value))
+
+
+def _scene_with(named: NamedScene, values: Mapping[str, Expression]) -> Scene:
+    """Return the scene with a value for each registered quantity, and for each number beside these, by name."""
+    scene, _ = named.replaced({name: value for name, value in values.items() if name in EVERY})
+    names = (variable.name for variable in _unregistered(named.scene))
+
+    def with_values(part: Any) -> Any:
+        return map_expressions(part, lambda _: values[next(names)], is_quantity)
+
+    if (profile := scene.soil.density_profile) is not None:
+        profile = replace(profile, parameters=with_values(profile.parameters))
+        scene = replace(scene, soil=replace(scene.soil, density_profile=profile))
+    return replace(scene, effects=replace(scene.effects, own=with_values(scene.effects.own)))
+
+
+def _moving(share: Share, scene: Scene) -> dict[str, dict[Variable, Expression]]:
+    """Return the variables that change in a run with their expressions, by kind.
+
+    Args:
+        share: at one moment.
+        scene: numeric, from which the orders of magnitude are.
+    """
+    nominal, by_speed, events = _magnitudes(scene), share.by_speed, share.structure.events
+
+    def variable(name: str, unit: str, description: str, shown: str = "", **more: Any) -> Variable:
+        return Variable(name, unit, description, nominal=nominal.get(unit, 0.0), shown=shown, **more)
+
+    travel = variable("travel", "m", "travel L of the share")
+    speed = variable("speed", "m/s", "speed L' of the share", "km/h")
+    deflection = variable("deflection", "m", "deflection z of the mount's spring, compression positive", "mm")
+    place = variable("strut_position", "m", "path s of the strut")
+    ramp = ", to which it rises in the time effects.tow_ramp" if share.structure.ramp else ""
+    driven = variable("strut_speed", "m/s", f"speed s' of the strut{ramp}", "km/h", start=float(scene.tow_speed))
+    travel_rate = variable("der(travel)", "m/s", "rate of the travel", derivative="travel")
+    acceleration = variable("der(speed)", "m/s^2", "acceleration L'' of the share", derivative="speed")
+    swing = variable("der(deflection)", "m/s", "rate z' of the deflection", derivative="deflection")
+    pull = variable("mount_force", "N", "mount force P of spring and damper on the share", "kN")
+    resistance = variable("soil_resistance", "N", "resistance F of the soil with its added mass", "kN")
+    opening = variable("opening", "m", "how far the share is behind its furthest travel")
+    mode = variable("mode", "1", "0: the share slips, 1: it sticks, 2: it is behind its furthest travel")
+    furthest = variable("furthest_travel", "m", "furthest travel when the share last turned back")
+    buried = variable("buried", "1", "1 once the whole share was in the soil, before that 0")
+    event = "negative once an event has happened"
+    indicators = {variable(f"event_indicator[{k}]", "", event): one for k, one in enumerate(share.indicators, start=1)}
+    return {
+        "states": {travel: share.travel, speed: share.speed} | ({deflection: share.deflection} if by_speed else {}),
+        "rates": {travel_rate: share.speed, acceleration: share.acceleration}
+        | ({swing: share.strut_speed - share.speed} if by_speed else {}),
+        "outputs": {pull: share.pull, resistance: share.resistance}
+        | ({place: share.travel + share.deflection} if by_speed else {deflection: share.deflection})
+        | ({opening: share.opening} if events else {}),
+        "indicators": indicators,
+        "inputs": {driven if by_speed else place: share.input},
+        "discrete": ({mode: share.mode, furthest: share.furthest} if events else {})
+        | ({buried: share.entered} if share.structure.entry else {}),
+    }
+
+
+def _magnitudes(scene: Scene) -> dict[str, float]:
+    """Return orders of magnitude by unit, all above 0."""
+    speed, frequency = float(scene.tow_speed), float(scene.natural_frequency)
+    force = abs(float(scene.steady_resistance)) or speed * math.sqrt(scene.stiffness * scene.inertia) or 1.0
+    length = force / float(scene.stiffness)
+    return {"N": force, "m": length, "m/s": speed or length * frequency, "m/s^2": force / float(scene.inertia)}
+
+
+def _calculated(scene: Scene, symbolic: Scene) -> dict[Variable, ca.SX]:
+    """Return the variables that depend on the parameters alone, with expressions of a scene of the symbols of these."""
+    gas, carries = not scene.law.lacks("loosened_radius"), not scene.law.lacks("added_mass")
+    half_angle = Variable("share.half_angle", "rad", "half angle beta of the equivalent cone", shown="deg")
+    radius = Variable("share.loosened_radius", "m", "radius r* of the compaction front at the share's base")
+    static = Variable("share.static_resistance", "N", "static resistance F0", shown="kN")
+    drag = Variable("share.drag_coefficient", "N*s^2/m^2", "resistance Fd per squared speed")
+    carried = Variable("share.added_mass", "kg", "mass m_a of soil that the share carries along")
+    found = {}
+    for variable, path, present in (
+        (half_angle, "cone.half_angle", isinstance(scene.share, Wedge)),
+        (radius, "loosened_radius", gas),
+        (static, "reaction.static", True),
+        (drag, "reaction.drag", scene.effects.inertial_drag),
+        (carried, "reaction.added_mass", scene.effects.added_mass and carries),
+    ):
+        if present:
+            value = attrgetter(path)
+            found[replace(variable, nominal=abs(float(value(scene))))] = value(symbolic)
+    return found

@@ -3,6 +3,7 @@
 import numpy as np
 
 from plough_opt.design.derivatives import build_surely
+from plough_opt.design.descents import descend, nearest_feasible
 from plough_opt.design.effort import effort_of
 from plough_opt.design.exploring import Explorer
 from plough_opt.design.infeasible import feasible_from, from_least_violation
@@ -48,7 +49,7 @@ def near_optimum(landscape: Landscape, start: Vector) -> Point:
     if not begin.feasible[0]:
         begin = _far_feasible(landscape, start)
     y = begin.points[0]
-    end = landscape.descend(y).points[0]
+    end = descend(landscape, y).points[0]
     y = end if _downhill(landscape, y, end) else _descended_in_steps(landscape, y)
     build_surely(program, p, [y])
     return polished(program, p, y)
@@ -58,7 +59,7 @@ def _descended_in_steps(landscape: Landscape, y: Vector) -> Vector:
     """Return where descents lead that go no further than a part of the range at once, and across no barrier."""
     box = _BOX
     for _ in range(_MOST_BOXES):
-        end = landscape.descend(y, np.maximum(y - box, 0.0), np.minimum(y + box, 1.0)).points[0]
+        end = descend(landscape, y, (np.maximum(y - box, 0.0), np.minimum(y + box, 1.0))).points[0]
         moved = np.max(np.abs(end - y))
         if _downhill(landscape, y, end):
             y = end
@@ -75,7 +76,7 @@ def _descended_in_steps(landscape: Landscape, y: Vector) -> Vector:
 def _nearest_feasible(landscape: Landscape, start: Seen) -> Seen:
     """Return the feasible design nearest to one, as far as local searches and looks between the two find it."""
     (guess,), rng = start.points, np.random.default_rng(SEED)
-    found = landscape.nearest_feasible(guess)
+    found = nearest_feasible(landscape, guess)
     for _ in range(_LOOKS if found.feasible[0] else 0):
         distance = np.linalg.norm(found.points[0] - guess)
         directions = rng.standard_normal((_LOOKED, len(guess)))
@@ -89,7 +90,7 @@ def _nearest_feasible(landscape: Landscape, start: Seen) -> Seen:
         nearest = np.lexsort(
             (np.linalg.norm(some.points - guess, axis=1), np.where(some.feasible, 0.0, some.violation))
         )
-        again = landscape.nearest_feasible(guess, some.points[nearest[0]])
+        again = nearest_feasible(landscape, guess, some.points[nearest[0]])
         if not (again.feasible[0] and np.linalg.norm(again.points[0] - guess) < _NEARER * distance):
             break
         found = again
@@ -101,11 +102,10 @@ def _far_feasible(landscape: Landscape, start: Vector) -> Seen:
     seen = sample_of(landscape)
     if np.any(seen.feasible):
         others = seen.points[seen.feasible]
-        return landscape.nearest_feasible(start, others[np.argmin(np.sum((others - start) ** 2, axis=1))])
+        return nearest_feasible(landscape, start, others[np.argmin(np.sum((others - start) ** 2, axis=1))])
     every = tuple(range(len(start)))
     effort = effort_of("auto", len(start), landscape.program.population.runs, landscape.vectorised)
-    search = Explorer(landscape, start, every, judgement(landscape, "bare"), lambda _stage, _part: None)
-    explored = search.explored(effort)
+    explored = Explorer(landscape, start, every, judgement(landscape, "bare"), effort).explored()
     if len(explored.bottoms.f) and explored.bottoms.feasible[0]:
         return explored.bottoms.of([0])
     return landscape(feasible_from(landscape, explored, start)[None])

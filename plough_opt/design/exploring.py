@@ -1,17 +1,17 @@
 """A search over all variables: a sample, evolution on islands, descents, and the basins that they show."""
 
+import itertools
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from plough_opt.design.descents import Shortfall, descend, least_violation
 from plough_opt.design.effort import Effort
 from plough_opt.design.ipopt import Vector
-from plough_opt.design.landscape import Landscape, Seen
+from plough_opt.design.landscape import SAME, Landscape, Seen, barriers, joined, straight_below
 from plough_opt.design.sampling import MANY, SEED, evolved, lines_through, lowest_around, sample
-from plough_opt.design.shortfall import Shortfall, without_objective
-from plough_opt.design.ways import SAME, barriers, straight_below
 
 Progress = Callable[[str, float], None]
 """Called with what is being done and the fraction done of it."""
@@ -33,6 +33,10 @@ _CONVERGED = 1e-7
 _MOST_FOLLOWED = 256
 # Basins that are expected unseen, of which evolution could find one, where it is done without.
 _EXPECTED = 0.1
+
+
+def silent(_stage: str, _fraction: float) -> None:
+    """Report no progress."""
 
 
 @dataclass(frozen=True)
@@ -64,6 +68,7 @@ class Explorer:
         start: the guess, scaled; variables that are not searched stay there until the descents.
         vary: numbers of the variables that are searched.
         judge: scaled designs, a row each -> by what they are compared, in units of the merit.
+        effort: how thoroughly to look.
         progress: called with what is being done.
         seed: of the samples.
         enough: whether to end at once.
@@ -73,7 +78,8 @@ class Explorer:
     start: Vector
     vary: Sequence[int]
     judge: Callable[[Vector], Vector]
-    progress: Progress
+    effort: Effort
+    progress: Progress = silent
     seed: int = 0
     enough: Callable[[], bool] = lambda: False
     # Whether so few designs meet the requirements that any of them is better than any other design.
@@ -93,107 +99,104 @@ class Explorer:
     def __post_init__(self) -> None:
         self.vary = list(self.vary)
 
-    def explored(self, effort: Effort) -> Explored:
-        """Return what rounds of an effort see."""
+    def explored(self) -> Explored:
+        """Return what rounds of the effort see."""
         began, rounds = time.perf_counter(), 0
-        while rounds == 0 or effort.more(rounds, self.landscape.tried, began):
-            self._round(effort, rounds)
+        while rounds == 0 or self.effort.more(rounds, self.landscape.tried, began):
+            self._round(rounds)
             rounds += 1
         self.progress("telling basins apart", 0.0)
         bottoms, basin = self._basins()
-        return Explored(self._samples[0].joined(*self._samples[1:]), bottoms, *self._reached(basin), self._least)
+        return Explored(joined(self._samples), bottoms, *self._reached(basin), self._least)
 
-    def _round(self, effort: Effort, number: int) -> None:
+    def _round(self, number: int) -> None:
         rng = np.random.default_rng([SEED, self.seed, number])
-        n = len(self.vary)
-        self.progress(f"trying {effort.designs} designs", 0.0)
-        points, uniform = sample(n, effort.designs, self.start[self.vary], rng)
+        self.progress(f"trying {self.effort.designs} designs", 0.0)
+        points, uniform = sample(len(self.vary), self.effort.designs, self.start[self.vary], rng)
         seen = self.landscape(self._whole(points))
         self._samples.append(seen)
         if not np.any(np.isfinite(seen.merit)):
             return
-        few = np.count_nonzero(seen.feasible) < effort.population
+        few = np.count_nonzero(seen.feasible) < self.effort.population
         if few and isinstance(self.landscape, Landscape) and self.landscape.vectorised:
-            met = self._met(self.landscape, effort, points, seen, rng)
+            met = self._met(self.landscape, points, seen, rng)
             if met is None:
                 return
-            points, seen = np.vstack([points, met.points[:, self.vary]]), seen.joined(met)
-        self._descend(effort, points, seen, rng, [] if number else [self.start], uniform)
+            points, seen = np.vstack([points, met.points[:, self.vary]]), joined([seen, met])
+        self._descend(points, seen, rng, uniform, [] if number else [self.start])
 
-    def _met(
-        self, landscape: Landscape, effort: Effort, points: Vector, seen: Seen, rng: np.random.Generator
-    ) -> Seen | None:
+    def _met(self, landscape: Landscape, points: Vector, seen: Seen, rng: np.random.Generator) -> Seen | None:
         """Return designs that meet the requirements, which hardly any design of a sample does; None without one."""
         shortfall = Shortfall(landscape)
-        search = Explorer(
-            shortfall,
-            self.start,
-            tuple(self.vary),
-            lambda y: shortfall(y).merit,
-            self.progress,
-            self.seed,
-            lambda: shortfall.met >= effort.population,
+        search = replace(
+            self._another(self.start, self.vary, replace(self.effort, followed=0)),
+            landscape=shortfall,
+            judge=lambda y: shortfall(y).merit,
+            enough=lambda: shortfall.met >= self.effort.population,
         )
-        search._descend(replace(effort, followed=0), points, without_objective(seen), rng, [self.start], None)
+        search._descend(points, seen.without_objective(), rng, further=[self.start])
         self._narrow, self._least_of_sample = True, float(seen.violation.min())
         met = shortfall.designs()
         if met is None and not np.any(seen.feasible):
             least = search._basins()[0]
-            self._least = least if self._least is None else self._least.joined(least)
+            self._least = least if self._least is None else joined([self._least, least])
         return met
+
+    def _another(self, start: Vector, vary: Sequence[int], effort: Effort) -> "Explorer":
+        """Return a search of other variables, or of another effort, that has seen nothing yet."""
+        return Explorer(self.landscape, start, vary, self.judge, effort, self.progress, self.seed, self.enough)
 
     def _descend(
         self,
-        effort: Effort,
         points: Vector,
         seen: Seen,
         rng: np.random.Generator,
-        further: list[Vector],
-        uniform: np.ndarray | None,
+        uniform: Sequence[int] | np.ndarray = (),
+        further: Sequence[Vector] = (),
     ) -> None:
         """Descend from the lowest of designs, and from what evolution makes of them, and look around the ends.
 
         Args:
-            effort: of the search.
             points: the variables that are searched, a row for each design.
             seen: the designs.
             rng: of the evolution.
-            further: designs that are descended from, too.
             uniform: numbers of the designs that are followed to their basins, in an order of chance.
+            further: designs that are descended from, too.
         """
+        effort = self.effort
         self._dense = effort.dense and not self._narrow
-        merit = self._merit(seen)
-        lowest, downhill = lowest_around(points, merit)
+        lowest, downhill = lowest_around(points, self._merit(seen))
         if self._narrow:
             lowest = np.r_[lowest[seen.feasible[lowest]], lowest[~seen.feasible[lowest]][:_FEW]]
-        starts = [*(seen.points[k] for k in lowest[: effort.descents]), *further]
+        lowest = lowest[: effort.descents]
+        starts = [*seen.points[lowest], *further]
         ends: list[int] = []
         for done, start in enumerate(starts):
             if self.enough():
                 return
             self.progress(f"descending from {len(starts)} low designs", done / len(starts))
             ends.append(self._end_of(start))
-        known = {int(k): end for k, end in zip(lowest[: effort.descents], ends, strict=False)}
-        chance = [] if uniform is None or self._narrow else [int(downhill[k]) for k in uniform]
+        known = dict(zip(lowest.tolist(), ends, strict=False))
+        chance = [] if self._narrow else [int(downhill[k]) for k in uniform]
         if self._dense:
             # What was followed may settle which basins there are.
-            self._follow(seen, chance, known, effort.followed)
+            self._follow(seen, chance, known)
         if not (self._dense and self._settled()):
             for island in range(effort.islands if len(self.vary) > 1 else 0):
                 if self.enough():
                     return
-                self._end_of(self._evolved(effort, points, seen, island, rng))
+                self._end_of(self._evolved(points, seen, island, rng))
         self._scan()
         self._look_closer(rng)
         if self._narrow or isinstance(self.landscape, Shortfall):
-            self._search_face(effort, rng)
+            self._search_face(rng)
         if not self._dense:
-            self._follow(seen, chance, known, effort.followed)
+            self._follow(seen, chance, known)
 
     def _settled(self) -> bool:
         """Return whether designs drawn at random have shown so few basins that hardly any more are expected.
 
-        By the rule of Boender and Rinnooy Kan: see `plough_opt.design.local_optimum`.
+        By the rule of Boender and Rinnooy Kan: see `plough_opt.design.Search`.
         """
         if not self._followed:
             return False
@@ -215,7 +218,7 @@ class Explorer:
         # What a dense sample has of designs beyond the requirements has been descended from.
         return promising & seen.feasible if self._dense else promising
 
-    def _search_face(self, effort: Effort, rng: np.random.Generator) -> None:
+    def _search_face(self, rng: np.random.Generator) -> None:
         """Search again among the variables that the best design does not have at a bound, the others held."""
         bottoms, _ = self._basins()
         if not len(bottoms.f) or self.enough():
@@ -225,12 +228,12 @@ class Explorer:
         if not 2 <= len(free) < len(self.vary):
             return
         self.progress("searching among the variables that are at no bound", 0.0)
-        face = Explorer(self.landscape, best, tuple(free), self.judge, self.progress, self.seed, self.enough)
+        designs, islands = min(self.effort.designs, _ON_A_FACE), min(self.effort.islands, _FACE_ISLANDS)
+        effort = replace(self.effort, designs=designs, islands=islands, descents=_FACE_DESCENTS, followed=0)
+        face = self._another(best, free, effort)
         face._narrow, face._least_of_sample = self._narrow, self._least_of_sample
-        designs, islands = min(effort.designs, _ON_A_FACE), min(effort.islands, _FACE_ISLANDS)
-        effort = replace(effort, designs=designs, islands=islands, descents=_FACE_DESCENTS, followed=0)
         points, _ = sample(len(free), designs, best[free], rng)
-        face._descend(effort, points, self.landscape(face._whole(points)), rng, [], None)
+        face._descend(points, self.landscape(face._whole(points)), rng)
         self._found += face._found
 
     def _scan(self) -> None:
@@ -242,10 +245,10 @@ class Explorer:
             return
         lines = lines_through(bottoms.points[0], _ALONG, self.vary)
         seen = self.landscape(lines)
-        promising = self._promises(seen)
-        merit = np.pad(self._merit(seen).reshape(-1, _ALONG), ((0, 0), (1, 1)), constant_values=np.inf)
-        dips = np.flatnonzero(((merit[:, 1:-1] < merit[:, :-2]) & (merit[:, 1:-1] <= merit[:, 2:])).ravel())
-        for k in dips[np.argsort(self._merit(seen)[dips], kind="stable")][: _DIPS * len(self.vary)]:
+        promising, merit = self._promises(seen), self._merit(seen)
+        wall = np.pad(merit.reshape(-1, _ALONG), ((0, 0), (1, 1)), constant_values=np.inf)
+        dips = np.flatnonzero(((wall[:, 1:-1] < wall[:, :-2]) & (wall[:, 1:-1] <= wall[:, 2:])).ravel())
+        for k in dips[np.argsort(merit[dips], kind="stable")][: _DIPS * len(self.vary)]:
             if promising[k] and np.max(np.abs(lines[k] - bottoms.points[0])) > _BESIDE:
                 self.progress("descending from dips along each variable", 0.0)
                 self._end_of(lines[k])
@@ -257,34 +260,35 @@ class Explorer:
         for _ in range(_CLOSER):
             if self.enough():
                 return
-            bottoms, _ = self._basins()
-            before = len(self._found)
-            looks = [
-                (at, near) for at in bottoms.points[:_CLOSELY] for near in (_NARROWER if self._narrow else (_NEAR,))
-            ]
+            best, before = self._basins()[0].points[:_CLOSELY], len(self._found)
+            looks = list(itertools.product(best, _NARROWER if self._narrow else (_NEAR,)))
             for number, (at, near) in enumerate(looks):
                 self.progress("looking closer at the best designs", number / len(looks))
-                points, _ = sample(len(self.vary), _AROUND, np.full(len(self.vary), 0.5), rng)
-                around = np.repeat(at[None], len(points), axis=0)
-                around[:, self.vary] = np.clip(at[self.vary] + near * (2.0 * points - 1.0), 0.0, 1.0)
-                seen = self.landscape(around)
-                lowest, _ = lowest_around(points, self._merit(seen))
-                promising = self._promises(seen)
-                for k in lowest[:_DIPS]:
-                    if promising[k]:
-                        self._end_of(around[k])
+                self._look_around(at, near, rng)
             merits = [float(self._merit(one)[0]) for one in self._found]
-            best = min(merits[:before], default=np.inf)
-            if not min(merits[before:], default=np.inf) < best - _BETTER * abs(best):
+            lowest = min(merits[:before], default=np.inf)
+            if not min(merits[before:], default=np.inf) < lowest - _BETTER * abs(lowest):
                 return
 
-    def _follow(self, seen: Seen, ends: list[int], known: dict[int, int], most: int) -> None:
+    def _look_around(self, at: Vector, near: float, rng: np.random.Generator) -> None:
+        """Descend from the lowest designs of a box around a design."""
+        points, _ = sample(len(self.vary), _AROUND, np.full(len(self.vary), 0.5), rng)
+        around = np.repeat(at[None], len(points), axis=0)
+        around[:, self.vary] = np.clip(at[self.vary] + near * (2.0 * points - 1.0), 0.0, 1.0)
+        seen = self.landscape(around)
+        promising = self._promises(seen)
+        for k in lowest_around(points, self._merit(seen))[0][:_DIPS]:
+            if promising[k]:
+                self._end_of(around[k])
+
+    def _follow(self, seen: Seen, ends: list[int], known: dict[int, int]) -> None:
         """Follow uniform points, in their order, to where descents from the lowest designs around them lead."""
+        left = self.effort.followed
         for number, end in enumerate(ends[:_MOST_FOLLOWED]):
             if end not in known:
-                if most == 0 or not np.isfinite(seen.merit[end]):
+                if left == 0 or not np.isfinite(seen.merit[end]):
                     return
-                most -= 1
+                left -= 1
                 self.progress("following designs drawn at random", number / min(len(ends), _MOST_FOLLOWED))
                 known[end] = self._end_of(seen.points[end])
             self._followed.append(known[end])
@@ -293,7 +297,7 @@ class Explorer:
         """Return the number of the end to which a start leads, in a dense sample of a known one if it falls there."""
         landscape = self.landscape
         if self._found and self._dense and isinstance(landscape, Landscape) and landscape.vectorised:
-            below = straight_below(landscape, start, self._found[0].joined(*self._found[1:]))
+            below = straight_below(landscape, start, joined(self._found))
             if below is not None:
                 return below
         self._found.append(self._descended(start))
@@ -302,15 +306,15 @@ class Explorer:
     def _descended(self, start: Vector) -> Seen:
         """Return where a descent leads; runs that are integrated one by one are left to the optimiser."""
         landscape = self.landscape
-        if not landscape.vectorised:
-            return landscape(start[None])
-        if self._narrow and isinstance(landscape, Landscape) and not landscape(start[None]).feasible[0]:
+        if isinstance(landscape, Shortfall):
+            return landscape.descend(start)
+        if landscape.vectorised and self._narrow and not landscape(start[None]).feasible[0]:
             # Downhill lead many ways past the few designs that meet the requirements.
-            met = landscape.least_violation(start)
+            met = least_violation(landscape, start)
             if not met.feasible[0]:
                 return met
             start = met.points[0]
-        return landscape.descend(start)
+        return descend(landscape, start)
 
     def _whole(self, points: Vector) -> Vector:
         """Return designs whose searched variables are given, the others at the start."""
@@ -318,8 +322,9 @@ class Explorer:
         whole[:, self.vary] = points
         return whole
 
-    def _evolved(self, effort: Effort, points: Vector, seen: Seen, island: int, rng: np.random.Generator) -> Vector:
+    def _evolved(self, points: Vector, seen: Seen, island: int, rng: np.random.Generator) -> Vector:
         """Return the best design of an evolution that begins from a part of the sample."""
+        effort = self.effort
         self.progress(f"evolution, island {island + 1} of {effort.islands}", island / effort.islands)
         order = np.argsort(self._merit(seen), kind="stable")
         best = evolved(
@@ -336,11 +341,9 @@ class Explorer:
 
     def _basins(self) -> tuple[Seen, list[int | None]]:
         """Return the lowest design of each basin, the best first, and the basin of each descent's end."""
-        found = self._found[0].joined(*self._found[1:]) if self._found else self._samples[0].of(slice(0, 0))
+        found = joined(self._found) if self._found else self._samples[0].of(slice(0, 0))
         basin: list[int | None] = [None] * len(found.f)
-        sound = np.flatnonzero(np.isfinite(found.merit))
-        if np.any(found.feasible):
-            sound = np.flatnonzero(found.feasible)
+        sound = np.flatnonzero(found.feasible if np.any(found.feasible) else np.isfinite(found.merit))
         if len(found.f) > len(self._judged):
             self._judged += self.judge(found.points[len(self._judged) :]).tolist()
         judged = np.array(self._judged)[sound]
@@ -356,8 +359,7 @@ class Explorer:
         """Return the first basin from whose bottom no barrier parts a design, or None."""
         if not bottoms:
             return None
-        own, others = found.points[k], found.points[bottoms]
-        near = np.flatnonzero(np.max(np.abs(others - own), axis=1) < SAME)
+        near = np.flatnonzero(np.max(np.abs(found.points[bottoms] - found.points[k]), axis=1) < SAME)
         if len(near):
             return int(near[0])
         if not self.landscape.vectorised:

@@ -9,30 +9,27 @@ import numpy as np
 from plough_opt.core.compiler import Variant, library
 from plough_opt.design.ipopt import Point, SolveOptions, Solver, Vector
 from plough_opt.design.nlp import Nlp, hessian_function
+from plough_opt.design.optimality import lowest_dips
 
 # The reciprocal of what divides often, as the inertia, is taken once.
 _FAST = ("-O2", "-march=native", "-fno-math-errno", "-fno-trapping-math", "-freciprocal-math")
 _VARIANTS: tuple[Variant, ...] = ((_FAST, ("-lm",)), (("-O1",), ("-lm",)))
 
 
-def as_machine_code(nlp: Nlp, rough: Nlp) -> tuple[Nlp, Nlp] | None:
-    """Return a program and a rough one with what a solve asks for most in machine code; None without a compiler.
+def as_machine_code(nlp: Nlp) -> Nlp | None:
+    """Return a program with values and first derivatives in machine code; None without a compiler.
 
     Second derivatives, which few solves need and which take a compiler longest, stay interpreted.
-
-    Args:
-        nlp: the program; its values and its first derivatives are compiled.
-        rough: one of fewer steps; its values are compiled.
     """
-    functions = {"own_values": nlp.values, "own_slopes": nlp.slopes, "rough_values": rough.values}
+    functions = {"own_values": nlp.values, "own_slopes": nlp.slopes}
     generator = ca.CodeGenerator("design.c")
     for name, function in functions.items():
         generator.add(_named(function, name))
     path = library(generator.dump(), _VARIANTS)
     if path is None:
         return None
-    values, slopes, roughly = (ca.external(name, str(path)) for name in functions)
-    return replace(nlp, values=values, build_slopes=lambda: slopes), replace(rough, values=roughly)
+    values, slopes = (ca.external(name, str(path)) for name in functions)
+    return replace(nlp, values=values, build_slopes=lambda: slopes)
 
 
 def _named(function: ca.Function, name: str) -> ca.Function:
@@ -98,8 +95,7 @@ class ActiveRows:
                 score[own] = -np.inf
                 continue
             curve = margins[own]
-            dips = np.flatnonzero((curve <= np.r_[np.inf, curve[:-1]]) & (curve <= np.r_[curve[1:], np.inf]))
-            for k in dips[np.argsort(curve[dips], kind="stable")[:_DIPS]]:
+            for k in lowest_dips(curve, _DIPS):
                 beside = slice(max(0, k - _BESIDE), k + _BESIDE + 1)
                 score[own[beside]] = np.minimum(score[own[beside]], curve[k] - 1e6)
         score[kept] = -np.inf

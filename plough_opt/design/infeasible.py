@@ -7,9 +7,10 @@ import numpy as np
 
 from plough_opt.core.errors import InfeasibleDesign
 from plough_opt.core.units import in_words
+from plough_opt.design.descents import least_violation
 from plough_opt.design.exploring import Explored
 from plough_opt.design.ipopt import Point, Vector
-from plough_opt.design.landscape import MET, Landscape, Seen
+from plough_opt.design.landscape import FINER, MET, Landscape, Seen, joined
 from plough_opt.design.polishing import as_it_is
 from plough_opt.design.program import Program
 
@@ -23,7 +24,7 @@ _POLISHED, _NEAR_LEAST = 3, 1e-3
 # How far from a design, in parts of the range, its polished one may lie, by which derivatives, and by how much its
 # violation may be larger; and steps by which that is compared.
 _BESIDE = ((0.01, False), (0.01, True), (1e-3, False), (3e-4, True))
-_NOT_WORSE, _FINER = 1e-6, 2.0
+_NOT_WORSE = 1e-6
 # A requirement is to blame where the others are violated by so much less, in parts of the shortfall, without it.
 _HELPS = 1e-3
 
@@ -45,8 +46,7 @@ def feasible_from(landscape: Landscape, explored: Explored, start: Vector) -> Ve
     if landscape.vectorised:
         ends = explored.least
         if ends is None:
-            several = [landscape.least_violation(one) for one in starts]
-            ends = several[0].joined(*several[1:])
+            ends = joined([least_violation(landscape, one) for one in starts])
         ends = ends.of(np.argsort(ends.violation, kind="stable"))
         if ends.violation[0] <= MET:
             found: Vector = ends.points[0]
@@ -76,7 +76,7 @@ def _polished(landscape: Landscape, y: Vector, violation: float) -> Point:
         point = program.solve_relaxed(y, p, box=box, exact=exact)
         if point.solved and point.f <= (1.0 + _NOT_WORSE) * violation + _VIOLATED:
             return point
-    short = landscape.violations(landscape.rows(y[None], finer=_FINER)[1])[0]
+    short = landscape.violations(landscape.rows(y[None], finer=FINER)[1])[0]
     return replace(point, solved=True, y=np.r_[y, short, 0.0 * short], f=float(short.sum()))
 
 
@@ -97,7 +97,7 @@ def _helps(landscape: Landscape, y: Vector, requirement: int) -> bool:
         return True  # beyond the end of a theory nothing has a value
     others = np.arange(len(landscape.program.declared.requirements)) != requirement
     before = landscape.violations(landscape.rows(y[None])[1])[0][others].sum()
-    end = landscape.least_violation(np.clip(y, 0.0, 1.0), frozenset({requirement})).points
+    end = least_violation(landscape, np.clip(y, 0.0, 1.0), ignored={requirement}).points
     after = landscape.violations(landscape.rows(end)[1])[0][others].sum()
     return bool(after < (1.0 - _HELPS) * before)
 

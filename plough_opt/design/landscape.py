@@ -1,14 +1,15 @@
-"""The scaled objective and violations over all variables: what a search samples, and rough descents in it."""
+"""Scaled objective and violations over all variables: what a search samples, and the ways between its designs."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from plough_opt.design.ipopt import Vector
-from plough_opt.design.optimality import least
 from plough_opt.design.program import Program
 
 FEASIBLE = 1e-6
@@ -17,28 +18,24 @@ FEASIBLE = 1e-6
 MET = 5e-10
 """The same of a design that is given as an answer."""
 
-# A violated requirement must outweigh any gain in the scaled objective, which is of order 1.
-_PENALTY = 100.0
-# The same within the tolerance of what meets the requirements, of which an objective may not make use.
-_WITHIN = 1e4
+FINER = 2.0
+"""Factor on a sample's steps in descents and comparisons, where a few steps more or less shift nothing that matters."""
+
+PENALTY = 100.0
+"""Weight of a violated requirement, which must outweigh any gain in the scaled objective of order 1."""
+
+SAME = 1e-3
+"""Two scaled designs nearer than this are one."""
+
 # Above every scaled objective, and little enough for violations to count behind it.
 _BEYOND = 1e8
-# Scaled step of differences, between the rounding of a run (some 1e-13) and its curvature.
-_STEP = 1e-6
-# Descents take finer steps than a sample, so that the few steps by which a count changes shift nothing that matters.
-_FINER = 2.0
-_ITERATIONS = 25
-# Iterations of a descent without a bend, of which others stall when they have taken more.
-_LONG = 20
-# Of a column of a requirement, as a deflection at every output, only the worst values enter a descent.
-_MOST_ROWS = 6
-# Part of the merit by which a design is lower than another, and not just differently rounded.
-_LOWER = 1e-6
-# Projections on what is linear of the limits, by which the nearest design that meets them is looked for, and the step
-# after which they have settled: what they then miss is of its square.
-_PROJECTIONS, _SETTLED = 8, 1e-4
-# Times that a descent is begun anew, with further rows that it has broken, while it gains a part of its merit.
-_ROUNDS, _GAIN = 6, 1e-7
+# Positions on a way at which a barrier is looked for, and the part of the merit below which a rise is a ripple.
+_BETWEEN, _RIPPLE = 24, 1e-3
+# Positions on a way down to an end, denser towards both of its ends, where narrow basins would show; by what part of
+# the merit it may rise, as rounding and the end's own digits do; and how many ends, the nearest first, are tried.
+_DOWN, _RISE, _NEAREST = 40, 1e-6, 4
+# Each of how many positions is tried first.
+_COARSE = 5
 
 
 @dataclass(frozen=True)
@@ -64,7 +61,7 @@ class Seen:
     @property
     def merit(self) -> Vector:
         """Objective and violations in one number, infinite without a value."""
-        return np.where(np.isfinite(self.f), self.f + _PENALTY * self.violation, np.inf)
+        return np.where(np.isfinite(self.f), self.f + PENALTY * self.violation, np.inf)
 
     @property
     def strict_merit(self) -> Vector:
@@ -72,14 +69,18 @@ class Seen:
         beyond = _BEYOND + np.minimum(self.violation, _BEYOND)
         return np.where(np.isfinite(self.f), np.where(self.feasible, self.f, beyond), np.inf)
 
-    def joined(self, *others: Seen) -> Seen:
-        """Return the designs of all."""
-        every = (self, *others)
-        return Seen(*(np.concatenate([getattr(one, name) for one in every]) for name in ("points", "f", "violation")))
-
     def of(self, which: Any) -> Seen:
         """Return some of the designs."""
         return Seen(self.points[which], self.f[which], self.violation[which])
+
+    def without_objective(self) -> Seen:
+        """Return the designs with their violation alone for a merit."""
+        return Seen(self.points, np.where(np.isfinite(self.violation), 0.0, np.nan), self.violation)
+
+
+def joined(parts: Sequence[Seen]) -> Seen:
+    """Return the designs of all parts."""
+    return Seen(*(np.concatenate([getattr(one, name) for one in parts]) for name in ("points", "f", "violation")))
 
 
 class Landscape:
@@ -139,235 +140,53 @@ class Landscape:
             f, g = f / size, g / self._scale
         return points, f, g
 
-    # --- descents ----------------------------------------------------------------------------------------
 
-    def descend(self, start: Vector, lower: Vector | None = None, upper: Vector | None = None) -> Seen:
-        """Return where a local search by SciPy's SLSQP leads from a start; never worse than the start.
-
-        Args:
-            start: scaled variables.
-            lower: lower bounds of them; default 0.
-            upper: upper bounds; default 1.
-        """
-        box = (np.zeros(len(start)) if lower is None else lower, np.ones(len(start)) if upper is None else upper)
-        start = np.clip(start, *box)
-        if self.settled:
-            start = np.clip(self(start[None]).points[0], *box)
-        return _Descent(self, box).from_(start)
-
-    def lower_from(self, design: Vector, start: Vector) -> Vector | None:
-        """Return where a descent from a start beside a design leads, if that is lower than the design, or None."""
-        end, own = self.descend(start), self(design[None], finer=_FINER)
-        return end.points[0] if end.merit[0] < own.merit[0] - _LOWER * abs(own.merit[0]) else None
-
-    def nearest_feasible(self, design: Vector, start: Vector | None = None) -> Seen:
-        """Return the feasible design nearest to another, as far as a local search from it or a start finds it."""
-        return _Nearest(self, design).from_(design if start is None else start)
-
-    def least_violation(
-        self,
-        start: Vector,
-        ignored: frozenset[int] = frozenset(),
-        lower: Vector | None = None,
-        upper: Vector | None = None,
-    ) -> Seen:
-        """Return where the sum of all violations is least beside a start, requirements numbered ``ignored`` apart.
-
-        Bounds are those of `descend`.
-        """
-        box = (np.zeros(len(start)) if lower is None else lower, np.ones(len(start)) if upper is None else upper)
-        return _LeastViolation(self, ignored, box).from_(start)
+# --- the straight ways between designs, which show whether they lie in one basin ----------------------------
 
 
-class _NoValue(Exception):
-    """A design without a value, on which a descent ends."""
+def barriers(look: Callable[[Vector], Seen], one: Seen, others: Seen) -> NDArray[np.bool_]:
+    """Return for each of some designs whether a barrier, more than a ripple, parts it from another.
+
+    Args:
+        look: designs, a row each -> what is seen of them.
+        one: a design.
+        others: designs.
+    """
+    parts = np.linspace(0.0, 1.0, _BETWEEN + 2)[1:-1]
+    way = one.points + parts[:, None, None] * (others.points - one.points)
+    merit = look(way.reshape(-1, way.shape[2])).merit.reshape(_BETWEEN, -1)
+    higher = np.maximum(others.merit, one.merit)
+    found: NDArray[np.bool_] = merit.max(axis=0) > higher + _RIPPLE * np.abs(higher)
+    return found
 
 
-class _Descent:
-    """Runs of SLSQP on the worst rows of each requirement, repeated when others turn out to be broken."""
+def straight_below(landscape: Landscape, start: Vector, ends: Seen) -> int | None:
+    """Return the number of an end to which the merit does nothing but fall on the way from a start, or None.
 
-    # Whether it is always begun anew; else where it may have stalled in a bent valley, from which it then takes steps.
-    _twice = False
-
-    def __init__(self, landscape: Landscape, box: tuple[Vector, Vector]) -> None:
-        self._landscape, self._box, self._stalled = landscape, box, False
-        self._known: tuple[bytes, tuple[float, Vector, Vector, Vector]] | None = None
-        # What each row gives way for each further unknown, of which a descent has none.
-        self._give = np.zeros((len(landscape.program.owner), 0))
-        # Whether it breaks a requirement, its merit, and the design.
-        self._best: tuple[tuple[bool, float], Vector] = ((True, np.inf), box[0])
-
-    def from_(self, start: Vector) -> Seen:
-        """Return the best design that a descent from a start comes to."""
-        x, rows = self._begin(start), np.empty(0, dtype=int)
-        try:
-            for _ in range(_ROUNDS):
-                before, more = self._best[0], self._worst_rows(x[: len(start)], rows)
-                if len(more) == len(rows) > 0 and not (self._stalled or self._twice):
-                    break
-                x = self._minimised(x, more)
-                gained = self._best[0] < (before[0], before[1] - _GAIN * abs(before[1]))
-                if len(more) == len(rows) and not gained:
-                    break
-                rows = more
-        except _NoValue:
-            pass
-        best = start if np.isinf(self._best[0][1]) else self._best[1]
-        return self._landscape(best[None], finer=_FINER)
-
-    def _begin(self, start: Vector) -> Vector:
-        """Return the unknowns at a start."""
-        return start
-
-    def _minimised(self, x: Vector, rows: np.ndarray) -> Vector:
-        """Return the unknowns to which SLSQP leads, subject to some rows of the requirements."""
-        from scipy.optimize import minimize  # slow to import
-
-        found = minimize(
-            self._objective,
-            x,
-            jac=self._gradient,
-            bounds=[(low, high if np.isfinite(high) else None) for low, high in zip(*self._box, strict=True)],
-            constraints=self._constraints(rows),
-            method="SLSQP",
-            options={"maxiter": _ITERATIONS, "ftol": 1e-11},
-        )
-        self._stalled = not found.success or found.nit > _LONG
-        clipped: Vector = np.clip(found.x, *self._box)
-        return clipped
-
-    def _objective(self, x: Vector) -> float:
-        """Return what SLSQP minimises."""
-        return self._derivatives(x)[0]
-
-    def _gradient(self, x: Vector) -> Vector:
-        """Return its gradient."""
-        return self._derivatives(x)[1]
-
-    def _constraints(self, rows: np.ndarray) -> list[dict[str, Any]]:
-        """Return rows of the requirements as SLSQP takes them; what they give way follows the variables."""
-        program, n = self._landscape.program, self._landscape.dimensions
-        constraints = []
-        for limit, sign in ((program.low[rows], 1.0), (program.high[rows], -1.0)):
-            some = rows[np.isfinite(limit)]
-            if not len(some):
-                continue
-            at, give = limit[np.isfinite(limit)], self._give[some]
-
-            def fun(x: Vector, some: Any = some, at: Any = at, give: Any = give, sign: float = sign) -> Vector:
-                margins: Vector = sign * (self._derivatives(x)[2][some] - at) + give @ x[n:]
-                return margins
-
-            def jac(x: Vector, some: Any = some, give: Any = give, sign: float = sign) -> Vector:
-                slopes: Vector = np.hstack([sign * self._derivatives(x)[3][some], give])
-                return slopes
-
-            constraints.append({"type": "ineq", "fun": fun, "jac": jac})
-        return constraints
-
-    def _merit(self, _y: Vector, f: float, violations: Vector) -> tuple[bool, float]:
-        """Return what the best design of a descent has least of: first of all, it meets the requirements."""
-        total = float(violations.sum())
-        met = total <= FEASIBLE
-        return not met, f + (_WITHIN if met else _PENALTY) * total
-
-    def _derivatives(self, x: Vector) -> tuple[float, Vector, Vector, Vector]:
-        """Return objective, gradient, requirements and their Jacobian, by differences of runs of equal steps."""
-        n = self._landscape.dimensions
-        # SLSQP asks for each of them one by one.
-        asked = x[:n].tobytes()
-        if self._known is None or self._known[0] != asked:
-            lower, upper = (side[:n] for side in self._box)
-            y = np.clip(x[:n], lower, upper)
-            step = np.where(y + _STEP > upper, -_STEP, _STEP)
-            with np.errstate(all="ignore"):
-                f, g = self._landscape.rows(np.vstack([y, y + np.diag(step)]), finer=_FINER, together=n + 1)
-            if not (np.all(np.isfinite(f)) and np.all(np.isfinite(g))):
-                raise _NoValue
-            merit = self._merit(y, float(f[0]), self._landscape.violations(g[:1])[0])
-            if merit < self._best[0]:
-                self._best = merit, y
-            self._known = asked, (float(f[0]), (f[1:] - f[0]) / step, g[0], ((g[1:] - g[0]) / step[:, None]).T)
-        return self._known[1]
-
-    def _worst_rows(self, y: Vector, known: np.ndarray) -> np.ndarray:
-        """Return the rows nearest to their limits, some of each requirement, beside those known already."""
-        program, first = self._landscape.program, self._landscape.first_rows
-        g = self._derivatives(y)[2]
-        margin = np.minimum(g - program.low, program.high - g)
-        chosen = set(known.tolist())
-        for begin, end in zip(first, [*first, len(g)][1:], strict=True):
-            own = margin[begin:end]
-            # Of a curve over time the dips, each of which is a row of its own.
-            dips = np.flatnonzero((own <= np.r_[np.inf, own[:-1]]) & (own <= np.r_[own[1:], np.inf]))
-            which = (
-                dips[np.argsort(own[dips], kind="stable")[:_MOST_ROWS]] if len(own) > _MOST_ROWS else range(len(own))
-            )
-            chosen |= {begin + int(k) for k in which}
-        return np.array(sorted(chosen), dtype=int)
+    Such a start lies in the end's basin: a descent from it would lead there.
+    """
+    near: list[int] = []
+    distance = np.max(np.abs(ends.points - start), axis=1)
+    # Of ends that are one, the lowest.
+    for k in np.lexsort((ends.merit, distance.round(3))):
+        if np.isfinite(ends.merit[k]) and all(np.max(np.abs(ends.points[k] - ends.points[j])) >= SAME for j in near):
+            near.append(int(k))
+        if len(near) == _NEAREST:
+            break
+    parts = 0.5 - 0.5 * np.cos(np.linspace(0.0, np.pi, _DOWN))
+    # Most ways rise at once or not at all: a few positions suffice for most that do, the others for the rest.
+    for some in (parts[::_COARSE], np.delete(parts, np.s_[::_COARSE])):
+        if near:
+            near = [k for k, falls in zip(near, _fall(landscape, start, ends.points[near], some), strict=True) if falls]
+    return near[0] if near else None
 
 
-class _Nearest(_Descent):
-    """The same for the distance from a design in the place of the objective."""
-
-    def __init__(self, landscape: Landscape, design: Vector) -> None:
-        n = landscape.dimensions
-        super().__init__(landscape, (np.zeros(n), np.ones(n)))
-        self._design = design
-
-    def _objective(self, x: Vector) -> float:
-        return float(np.sum((x - self._design) ** 2))
-
-    def _gradient(self, x: Vector) -> Vector:
-        return 2.0 * (x - self._design)
-
-    def _merit(self, y: Vector, _f: float, violations: Vector) -> tuple[bool, float]:
-        return super()._merit(y, self._objective(y), violations)
-
-    def _minimised(self, x: Vector, rows: np.ndarray) -> Vector:
-        """Return where projections on the linearised limits lead, or else SLSQP."""
-        y, (low, high), program = x, self._box, self._landscape.program
-        for _ in range(_PROJECTIONS):
-            _, _, g, jacobian = self._derivatives(y)
-            limits = (
-                np.concatenate([program.low[rows] - g[rows], low - y]),
-                np.concatenate([program.high[rows] - g[rows], high - y]),
-            )
-            unit = np.eye(len(y))
-            found = least(unit, y - self._design, np.vstack([jacobian[rows], unit]), limits)
-            if found is None:
-                break
-            before, y = y, np.clip(y + found[0], low, high)
-            if np.max(np.abs(y - before)) < _SETTLED:
-                self._derivatives(y)
-                return y
-        return super()._minimised(x, rows)
-
-
-class _LeastViolation(_Descent):
-    """The same for the sum of what the requirements give way, each a further unknown."""
-
-    _twice = True
-
-    def __init__(self, landscape: Landscape, ignored: frozenset[int], box: tuple[Vector, Vector]) -> None:
-        n, count = landscape.dimensions, len(landscape.program.declared.requirements)
-        super().__init__(landscape, (np.r_[box[0], np.zeros(count)], np.r_[box[1], np.full(count, np.inf)]))
-        self._n, self._count = n, count
-        self._weights = np.array([float(k not in ignored) for k in range(count)])
-        self._give = np.eye(count)[landscape.program.owner]
-
-    def _begin(self, start: Vector) -> Vector:
-        try:
-            g = self._derivatives(start)[2]
-        except _NoValue:
-            return np.concatenate([start, np.zeros(self._count)])
-        return np.concatenate([start, self._landscape.violations(g[None])[0]])
-
-    def _merit(self, _y: Vector, _f: float, violations: Vector) -> tuple[bool, float]:
-        return False, float(violations @ self._weights)
-
-    def _objective(self, x: Vector) -> float:
-        return float(self._weights @ x[self._n :])
-
-    def _gradient(self, _: Vector) -> Vector:
-        return np.concatenate([np.zeros(self._n), self._weights])
+def _fall(landscape: Landscape, start: Vector, ends: Vector, parts: Vector) -> list[bool]:
+    """Return for each of some ends whether the merit does nothing but fall at parts of the way from a start."""
+    ways = start + parts[:, None] * (ends - start)[:, None]
+    # Equal numbers of steps along a way, so that it rises by nothing that changes of these bring.
+    merit = landscape(ways.reshape(-1, len(start)), together=len(parts)).merit.reshape(-1, len(parts))
+    with np.errstate(invalid="ignore"):
+        rise = np.max(merit[:, 1:] - np.minimum.accumulate(merit, axis=1)[:, :-1], axis=1)
+        falls: list[bool] = (np.isfinite(merit).all(axis=1) & (rise <= _RISE * np.abs(merit[:, -1]))).tolist()
+    return falls

@@ -7,6 +7,7 @@ Quadratic programs lead there from nearby, by least distances (Lawson and Hanson
 """
 
 import numpy as np
+from numpy.typing import NDArray
 
 from plough_opt.design.ipopt import Point, Vector
 
@@ -22,6 +23,12 @@ _INDEPENDENT = 1e-9
 def decides(margin: float, pull: float) -> bool:
     """Return whether a limit decides a design, by scaled margin and multiplier: at an optimum one of both vanishes."""
     return pull > PULLS and pull > margin
+
+
+def lowest_dips(margins: Vector, most: int) -> NDArray[np.intp]:
+    """Return the numbers of the local minima of a curve of margins, the lowest first, at most so many."""
+    dips = np.flatnonzero((margins <= np.r_[np.inf, margins[:-1]]) & (margins <= np.r_[margins[1:], np.inf]))
+    return dips[np.argsort(margins[dips], kind="stable")[:most]]
 
 
 def symmetric(upper: Vector) -> Vector:

@@ -26,7 +26,7 @@ from plough_opt.core.units import Display, has_unit, in_si, unit_of
 from plough_opt.design.boxed import Boxed, Over
 from plough_opt.design.declarations import EVERYWHERE, Declarations, Parameter, Requirement, Variable
 from plough_opt.design.effort import Search
-from plough_opt.design.exploring import Progress
+from plough_opt.design.exploring import Progress, silent
 from plough_opt.design.optimum import Optimum
 from plough_opt.design.program import Program
 from plough_opt.design.solving import Request, solve_program
@@ -235,7 +235,7 @@ class Design:
         declared = self.declared
         if self._program is None or self._program.compiled != compiled:
             self._program, self._boxed = Program(declared, compiled=compiled), None
-        request = Request(values, search, judge, seed, progress or _silent, started)
+        request = Request(values, search, judge, seed, progress or silent, started)
         if self._over is None:
             found = solve_program(self._program, request)
         else:
@@ -294,10 +294,6 @@ def _read(
         for value, side in zip(values, sides, strict=False)
     ]
     return numbers, unit, display or written
-
-
-def _silent(_stage: str, _fraction: float) -> None:
-    """Report nothing."""
 
 
 def _ends(name: str, domain: Any) -> tuple[float, float]:

@@ -231,9 +231,8 @@ class Program:
         nlp = build_nlp(parts, self._y, self._p, steps)
         # Where basins lie and which way they curve shows at two fifths of the steps.
         rough = build_nlp(parts, self._y, self._p, fewer(self.exact, steps))
-        translated = as_machine_code(nlp, rough) if self.compiled else None
-        if translated is not None:
-            nlp, rough = translated
+        translated = as_machine_code(nlp) if self.compiled else None
+        nlp = translated or nlp
         solver = Solver(nlp, *limits)
         few = chosen_rows(self.owner) < len(self.owner)
         near_solver = ActiveRows(nlp, self.owner, limits) if few else solver

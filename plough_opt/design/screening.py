@@ -4,8 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from plough_opt.design.descents import descend, least_violation
 from plough_opt.design.ipopt import Vector
-from plough_opt.design.landscape import Landscape, Seen
+from plough_opt.design.landscape import Landscape, Seen, joined
 from plough_opt.design.sampling import MANY, SEED, evolved, lowest_around, sobol_points
 
 # Designs at which all combinations together are looked at, beside those with the other variables held; and for each
@@ -102,8 +103,10 @@ class _View:
             best = self._closer(numbers, best, radius)
             left = _lowest(best, max(_DESCENDED, _CLOSER >> (k + 1)), np.flatnonzero(np.isin(numbers, kept)).tolist())
             numbers, best = numbers[left], best.of(left)
-        own = [held.of([k]).joined(best.of([j]), seen.of(slice(k * each, (k + 1) * each)))
-               for j, k in enumerate(numbers)]  # fmt: skip
+        own = [
+            joined([held.of([k]), best.of([j]), seen.of(slice(k * each, (k + 1) * each))])
+            for j, k in enumerate(numbers)
+        ]
         return numbers, own
 
     def _closer(self, numbers: np.ndarray, best: Seen, radius: float) -> Seen:
@@ -142,15 +145,16 @@ class _View:
         return Promising(known.number, end.points[0], merit_there) if merit_there < known.merit else known
 
     def _end(self, start: Vector) -> Seen:
-        lower, upper = np.zeros(len(start)), np.ones(len(start))
-        lower[self._fixed] = upper[self._fixed] = start[self._fixed]
-        end = self._landscape.descend(start, lower, upper)
+        box = np.zeros(len(start)), np.ones(len(start))
+        for side in box:
+            side[self._fixed] = start[self._fixed]
+        end = descend(self._landscape, start, box)
         if end.feasible[0]:
             return end
-        nearer = self._landscape.least_violation(end.points[0], lower=lower, upper=upper)
-        return self._landscape.descend(nearer.points[0], lower, upper) if nearer.feasible[0] else min(
-            (end, nearer), key=lambda one: float(one.merit[0])
-        )  # fmt: skip
+        nearer = least_violation(self._landscape, end.points[0], box)
+        if nearer.feasible[0]:
+            return descend(self._landscape, nearer.points[0], box)
+        return min((end, nearer), key=lambda one: float(one.merit[0]))
 
 
 def _best_of_each(first: Seen, others: Seen, each: int) -> Seen:
@@ -158,7 +162,7 @@ def _best_of_each(first: Seen, others: Seen, each: int) -> Seen:
     count = len(first.f)
     merit = np.column_stack([first.merit, others.merit.reshape(count, each)])
     which = np.argmin(merit, axis=1)
-    every = first.joined(others)
+    every = joined([first, others])
     return every.of(np.where(which == 0, np.arange(count), count + np.arange(count) * each + which - 1))
 
 

@@ -11,6 +11,7 @@ import numpy as np
 from plough_opt.core.errors import InputError, NotConverged
 from plough_opt.design.basin import near_optimum
 from plough_opt.design.derivatives import build_surely, with_sure_derivatives
+from plough_opt.design.descents import descend, lower_from
 from plough_opt.design.effort import Search, effort_of, searched
 from plough_opt.design.exploring import Explored, Explorer, Progress
 from plough_opt.design.infeasible import feasible_from
@@ -125,7 +126,9 @@ class _Solve:
         scenes = [scenes_at(program, point, p) for point in points]
         names = names_of(program, [[scene for _, scene in own] for own in scenes])
         last = to_the_last_digit(program, p, points[0])
-        first = points[0] = minimum_from(program, p, last, landscape.lower_from if landscape.vectorised else None)
+        first = points[0] = minimum_from(
+            program, p, last, partial(lower_from, landscape) if landscape.vectorised else None
+        )
         optima = [local_optimum(landscape, point, name) for point, name in zip(points, names, strict=True)]
         confirmed = first.status != AS_FOUND
         directions = flat_directions(program, p, first) if confirmed else []
@@ -159,7 +162,7 @@ class _Solve:
         program, landscape, request = self._program, self._landscape, self._request
         start, required = program.start(), bool(program.declared.requirements)
         effort = effort_of(request.search, len(vary), program.population.runs, landscape.vectorised)
-        explored = Explorer(landscape, start, vary, self._judged, self._progress, request.seed).explored(effort)
+        explored = Explorer(landscape, start, vary, self._judged, effort, self._progress, request.seed).explored()
         if not len(explored.bottoms.f) and explored.least is None:
             raise NotConverged(
                 f"none of {landscape.tried} designs between the bounds has a value: tighten the bounds, or shorten the"
@@ -173,7 +176,7 @@ class _Solve:
         if not points and required:
             self._progress("looking for a design that meets the requirements", 0.0)
             y = feasible_from(landscape, explored, start)
-            bottoms = landscape.descend(y) if landscape.vectorised else landscape(y[None])
+            bottoms = descend(landscape, y)
             points = self._optima(bottoms, *size)
             if not points and (met := as_it_is(program, self._p, y)).solved:
                 points = [met]
@@ -213,7 +216,7 @@ class _Solve:
             lowest = np.arange(len(merit)) * _ALONG + np.argmin(merit, axis=1)
             level = own.merit[0] - _LOWER * abs(own.merit[0])
             better = [k for k in lowest[np.argsort(seen.merit[lowest], kind="stable")] if merit.flat[k] < level]
-            ends = [landscape.descend(lines[k]).points[0] for k in better[:_MOST_BETTER]]
+            ends = [descend(landscape, lines[k]).points[0] for k in better[:_MOST_BETTER]]
             found = [polished(self._program, self._p, end) for end in ends]
             lower = [point for point in found if point.solved and point.f < best.f - _LOWER * abs(best.f)]
             if not lower:

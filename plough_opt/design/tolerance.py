@@ -9,7 +9,7 @@ import numpy as np
 
 from plough_opt.design.declarations import Variable
 from plough_opt.design.ipopt import Vector
-from plough_opt.design.landscape import FEASIBLE, Landscape
+from plough_opt.design.landscape import FEASIBLE, FINER, Landscape
 from plough_opt.design.sampling import sobol_points
 
 Judge = Literal["tolerance", "bare"]
@@ -25,8 +25,6 @@ _SEED = 64
 # Standard error of the median of so many designs, of their distance between quartiles: 1.25 sigma/sqrt(64), and sigma
 # is 1/1.35 of that distance.
 _OF_QUARTILES = 1.25 / np.sqrt(BOX_DESIGNS) / 1.35
-# Factor on the steps of a search where optima are compared with each other, and reported.
-_FINER = 2.0
 
 
 @dataclass(frozen=True)
@@ -94,10 +92,10 @@ def ranked(landscape: Landscape, judge: Judge, points: Vector) -> list[int]:
     """
     if len(points) == 1:
         return [0]
-    own = landscape(points, finer=_FINER).f
+    own = landscape(points, finer=FINER).f
     if judge == "bare" or not landscape.vectorised:
         return [int(k) for k in np.argsort(own, kind="stable")]
-    f = landscape(boxes(landscape.program.declared.variables, points), finer=_FINER).f
+    f = landscape(boxes(landscape.program.declared.variables, points), finer=FINER).f
     f = np.where(np.isnan(f), np.inf, f).reshape(len(points), -1)
     low, median, high = np.quantile(f, (0.25, 0.5, 0.75), axis=1, method="higher")
     error = _OF_QUARTILES * np.where(np.isfinite(high), high - low, np.inf)
@@ -122,7 +120,7 @@ def spread(landscape: Landscape, y: Vector, objective: float) -> Spread | None:
     landscape = landscape.of_the_design()
     program = landscape.program
     y = y[: len(program.declared.variables)]
-    _, f, g = landscape.settled_rows(boxes(program.declared.variables, y[None]), finer=_FINER)
+    _, f, g = landscape.settled_rows(boxes(program.declared.variables, y[None]), finer=FINER)
     sound = np.isfinite(f)
     values = f[sound] * landscape.objective_scale if np.any(sound) else np.array([objective])
     median = float(np.median(values))

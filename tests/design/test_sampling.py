@@ -7,9 +7,8 @@ import pytest
 from scipy.stats.qmc import Sobol
 
 import plough_opt as po
-from plough_opt.design.landscape import Landscape
+from plough_opt.design.landscape import Landscape, barriers, joined, straight_below
 from plough_opt.design.sampling import MOST_DIMENSIONS, sobol_points
-from plough_opt.design.ways import barriers, straight_below
 
 
 @pytest.mark.parametrize("n", range(1, MOST_DIMENSIONS + 2))
@@ -53,7 +52,7 @@ def at(x, y):
 
 def test_a_barrier_parts_valleys_and_nothing_else(two_valleys):
     left, right, beside = (two_valleys(at(*place)[None]) for place in ((-1.0, 0.0), (1.0, 0.0), (1.2, 0.3)))
-    assert barriers(two_valleys, right, left.joined(beside)).tolist() == [True, False]
+    assert barriers(two_valleys, right, joined([left, beside])).tolist() == [True, False]
 
 
 def test_a_design_belongs_to_the_end_to_which_it_falls_straight(two_valleys):

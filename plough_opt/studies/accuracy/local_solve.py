@@ -141,7 +141,7 @@ def compiled(nlp: Nlp) -> Nlp:
     Raises:
         NotConverged: there is no compiler, or it refuses the code.
     """
-    both = as_machine_code(nlp, nlp)
-    if both is None:
+    translated = as_machine_code(nlp)
+    if translated is None:
         raise NotConverged("no C compiler was found ($CC, cc, gcc, clang), or it refused the program", "Not_Compiled")
-    return both[0]
+    return translated

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from plough_opt.design.descents import descend
 from plough_opt.design.ipopt import Point, Vector
 from plough_opt.design.landscape import Landscape
 from plough_opt.design.optimality import made_convex
@@ -61,7 +62,7 @@ class BatchLevel(Level):
 
     def from_afar(self, at: Point, start: Vector, p: Vector) -> Point:
         """Return the optimum near a start by a search's descent, corrected."""
-        end = Landscape(self._program, p).descend(start)
+        end = descend(Landscape(self._program, p), start)
         if not end.feasible[0]:
             return replace(at, solved=False, status="Infeasible_Problem_Detected", y=end.points[0])
         return self.correct(at, end.points[0], p)

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from plough_opt.core.errors import NotConverged
+from plough_opt.design.descents import descend
 from plough_opt.design.effort import Search, effort_of, searched
 from plough_opt.design.exploring import Explorer, Progress
 from plough_opt.design.infeasible import feasible_from
@@ -59,7 +60,7 @@ class Searcher:
         """
         landscape = self.archive.landscape(p)
         judged = judgement(landscape, "tolerance")
-        explored = Explorer(landscape, self._start, self.vary, judged, self._progress).explored(self._effort)
+        explored = Explorer(landscape, self._start, self.vary, judged, self._effort, self._progress).explored()
         if not np.any(np.isfinite(explored.sample.merit)):
             raise NotConverged(
                 f"none of {landscape.tried} designs between the bounds has a value: tighten the bounds, or shorten the"
@@ -69,7 +70,7 @@ class Searcher:
         if not np.any(explored.bottoms.feasible):
             self._progress("looking for a design that meets the requirements", 0.0)
             y = feasible_from(landscape, explored, self._start)
-            return landscape.descend(y) if landscape.vectorised else landscape(y[None])
+            return descend(landscape, y)
         values = judged(explored.bottoms.points)
         limit = values.min() + _CAN_WIN * abs(values.min())
         return explored.bottoms.of([k for k in np.argsort(values, kind="stable") if values[k] <= limit][:_MOST])

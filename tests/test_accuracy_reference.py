@@ -10,9 +10,8 @@ from helpers import precise_motion, three_modes
 
 import plough_opt as po
 from plough_opt.core.expressions import maximum
-from plough_opt.studies.accuracy.chebyshev import Basis, first_end, gauss, step
 from plough_opt.studies.accuracy.reference import QUANTITIES, errors_of, reference_gradient, reference_run
-from plough_opt.studies.accuracy.wide import EPS
+from plough_opt.studies.accuracy.wide import EPS, Basis, first_end, gauss, step
 from plough_opt.studies.accuracy.wide import WIDE as W
 
 mp = precise_motion.mp

@@ -1,13 +1,13 @@
 """A motion followed in the widest floats, to all their digits.
 
-Every smooth piece of the motion is a chain of Chebyshev polynomials (`plough_opt.studies.accuracy.chebyshev`); events
-end a piece where a polynomial has its root. Averages are Gauss-Legendre quadratures of the polynomials.
+Every smooth piece of the motion is a chain of Chebyshev polynomials (`plough_opt.studies.accuracy.wide`); events end a
+piece where a polynomial has its root. Averages are Gauss-Legendre quadratures of the polynomials.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from typing import Any, Final
 
@@ -21,10 +21,19 @@ from plough_opt.motion.assembly import assemble
 from plough_opt.motion.equation import GAP, SLIP, STICK, equation_of_motion, signals, start_state
 from plough_opt.motion.scene import Scene
 from plough_opt.motion.terms import Structure, lightest_mass, parameters, start_deflection, start_resistance
-from plough_opt.studies.accuracy.chebyshev import Step, first_end, gauss, step
-from plough_opt.studies.accuracy.wide import EPS, PI, WIDE, Wide, WideGraph, in_wide_floats
+from plough_opt.studies.accuracy.wide import (
+    EPS,
+    PI,
+    WIDE,
+    Step,
+    Wide,
+    WideGraph,
+    first_end,
+    gauss,
+    in_wide_floats,
+    step,
+)
 
-_MOST_EVENTS = 200_000
 # Steps of a whole motion, which take minutes, and after how many it is seen whether they will do.
 _MOST_STEPS = 400_000
 _WATCHED = 2000
@@ -39,35 +48,24 @@ _ENDS_OF_CONTACT: Final = {SLIP: "stop", STICK: "move", GAP: "recapture"}
 _ENDS_OF_ENTRY: Final = {SLIP: "retreat", GAP: "advance"}
 
 
-@dataclass(frozen=True)
-class _Graphs:
-    """Functions that compute a structure's motion in wide floats."""
-
-    rates: WideGraph
-    events: WideGraph
-    signals: WideGraph
-    start: WideGraph
-    names: tuple[str, ...]
-
-    @classmethod
-    @lru_cache(maxsize=8)
-    def of(cls, structure: Structure) -> _Graphs:
-        """Translate the graphs of a structure, all with the parameters ``names``."""
-        motion, observed = equation_of_motion(structure), signals(structure)
-        p = ca.SX.sym("p", len(observed.parameters))
-        known = dict(zip(observed.parameters, ca.vertsplit(p), strict=True))
-        own = ca.vertcat(*(known[name] for name in motion.names))
-        time, state = ca.SX.sym("time"), ca.SX.sym("state", motion.states)
-        seen = ca.vertcat(state[:2], state[-1]) if structure.ends_ramp else state[:2]
-        at = [time, state, p]
-        events: Any = [] if motion.events is None else motion.events(time, state, own)
-        return cls(
-            in_wide_floats(at, [motion.function(time, state, own)]),
-            in_wide_floats(at, list(events)),
-            in_wide_floats(at, [observed.function(time, seen, p)]),
-            in_wide_floats([p], [start_state(structure, known)]),
-            observed.parameters,
-        )
+@lru_cache(maxsize=8)
+def _graphs(structure: Structure) -> tuple[dict[str, WideGraph], tuple[str, ...]]:
+    """Return rates, events, signals and start of a structure's motion in wide floats, and their parameters' names."""
+    motion, observed = equation_of_motion(structure), signals(structure)
+    p = ca.SX.sym("p", len(observed.parameters))
+    known = dict(zip(observed.parameters, ca.vertsplit(p), strict=True))
+    own = ca.vertcat(*(known[name] for name in motion.names))
+    time, state = ca.SX.sym("time"), ca.SX.sym("state", motion.states)
+    seen = ca.vertcat(state[:2], state[-1]) if structure.ends_ramp else state[:2]
+    events: Any = [] if motion.events is None else motion.events(time, state, own)
+    at = [time, state, p]
+    graphs = {
+        "rates": in_wide_floats(at, [motion.function(time, state, own)]),
+        "events": in_wide_floats(at, list(events)),
+        "signals": in_wide_floats(at, [observed.function(time, seen, p)]),
+        "start": in_wide_floats([p], [start_state(structure, known)]),
+    }
+    return graphs, observed.parameters
 
 
 class Motion:
@@ -76,8 +74,11 @@ class Motion:
     Attributes:
         scene: the scene, with wide numbers.
         structure: what its motion contains.
+        p: its parameters.
         swing: inverse of the lightest share's angular frequency on its mount [s].
         scales: sizes of w [m] and w' [m/s], to which rounding is relative.
+        ramp: when the strut's ramp ends, if that is no event [s]; else 0.
+        start: state at time 0.
     """
 
     def __init__(self, scene: Scene) -> None:
@@ -93,44 +94,28 @@ class Motion:
         speed = WIDE(scene.tow_speed)
         self.scene = replace(scene, stiffness=WIDE(scene.stiffness), mass=WIDE(scene.mass), tow_speed=speed)
         self.structure = Structure.of(scene)
-        self._graphs, p = _Graphs.of(self.structure), parameters(self.scene)
-        self._p = {name: WIDE(value) for name, value in p.items()}
-        self._numbers = [self._p[name] for name in self._graphs.names]
-        stiffness = abs(self._p["stiffness"])
-        hardness = np.sqrt(stiffness * lightest_mass(self._p))
+        self._graph, names = _graphs(self.structure)
+        self.p = {name: WIDE(value) for name, value in parameters(self.scene).items()}
+        self._numbers = [self.p[name] for name in names]
+        stiffness = abs(self.p["stiffness"])
+        hardness = np.sqrt(stiffness * lightest_mass(self.p))
         self.swing = hardness / stiffness
         # What rounds: the forces, and from a start that is not steady the speed that the mount must take up; soil that
         # does not resist at all leaves the rounding of that.
         steady = self.structure.start == "equilibrium" and not self.structure.ramp
         least = speed * hardness * (EPS if steady else 1)
-        force = start_resistance(self.structure, self._p) + least
+        force = start_resistance(self.structure, self.p) + least
         self.scales = np.array([force / stiffness, force / hardness])
-
-    @property
-    def ramp(self) -> Wide:
-        """When the strut's ramp ends, if that is no event [s]; else 0."""
-        return WIDE(0) if self.structure.ends_ramp else self._p.get("ramp_time", WIDE(0))
-
-    def start(self) -> Wide:
-        """Return the state at time 0."""
-        return self._graphs.start(self._numbers)[0][:, 0]
+        self.ramp = WIDE(0) if self.structure.ends_ramp else self.p.get("ramp_time", WIDE(0))
+        self.start: Wide = self._graph["start"](self._numbers)[0][:, 0]
 
     def rates(self, times: Wide, states: Wide) -> Wide:
         """Return the rates of the states, a row each, at times."""
-        return self._graphs.rates([times], states, self._numbers)[0]
-
-    def ends(self, times: Wide, states: Wide) -> Wide:
-        """Return what is positive until an event, a row for each kind."""
-        return self._graphs.events([times], states, self._numbers)[0]
-
-    def after(self, kind: int, time: Wide, state: Wide) -> Wide:
-        """Return the state after an event."""
-        columns = self._graphs.events([np.array([time])], state[:, None], self._numbers)[1]
-        return columns.reshape(-1, len(state))[kind]
+        return self._graph["rates"]([times], states, self._numbers)[0]
 
     def signals(self, times: Wide, states: Wide) -> Wide:
         """Return what is averaged, a row each."""
-        return self._graphs.signals([times], states, self._numbers)[0]
+        return self._graph["signals"]([times], states, self._numbers)[0]
 
     def names(self, state: Wide) -> list[str]:
         """Return what ends the piece that begins with a state, a name for each kind of event."""
@@ -140,47 +125,49 @@ class Motion:
         counted = (term.state for term in self.structure.ending)
         return [ends[round(float(state[3]))], *("buried" if name == "entered" else str(name) for name in counted)]
 
-    def run(self, duration: Wide, fractions: Wide, states: Wide, moments: tuple[Wide, Wide]) -> Run:
-        """Return the run of states at fractions of the duration, with means and variances of the signals."""
-        known = self.structure, dict(self._p)
-        return assemble(self.scene, duration, fractions, states, *moments, Accuracy(), known)
+    def next_event(self, state: Wide, done: Step, end: Wide) -> tuple[Wide, int | None]:
+        """Return when the piece that began with a state ends within a step, and by what; the end and None if not."""
+
+        def until(kind: int, times: Wide) -> Wide:
+            return self._graph["events"]([times], done.at(times), self._numbers)[0][kind]
+
+        first = None
+        for kind in range(len(self.names(state))):
+            found = first_end(partial(until, kind), done.start, end - done.start)
+            if found is not None and (first is None or found < end):
+                end, first = found, kind
+        return end, first
+
+    def after(self, kind: int, time: Wide, state: Wide) -> Wide:
+        """Return the state after an event."""
+        columns = self._graph["events"]([np.array([time])], state[:, None], self._numbers)[1]
+        return columns.reshape(-1, len(state))[kind]
 
 
-@dataclass
+@dataclass(frozen=True)
 class Followed:
-    """Record of a motion while it is followed.
+    """A motion that was followed.
 
     Attributes:
         motion: the motion.
         times: output times [s].
-        states: at the output times reached, a row each.
+        states: at these, a row each.
         events: time and name of each.
+        moments: means of the signals, and variances of those with an RMS.
     """
 
     motion: Motion
     times: Wide
-    states: list[Wide] = field(default_factory=list)
-    events: list[tuple[Wide, str]] = field(default_factory=list)
-    _sums: list[tuple[Wide, Wide]] = field(default_factory=list)
-
-    def note(self, done: Step, end: Wide) -> None:
-        """Note outputs and quadrature nodes of a step up to its end, or to an event."""
-        nodes, weights = gauss(done.coefficients.shape[1] + 1)
-        half = (end - done.start) / 2
-        inner = done.start + half * (nodes + 1)
-        self._sums.append((half * weights, self.motion.signals(inner, done.at(inner))))
-        at = self.times[len(self.states) :]
-        self.states += list(done.at(at[: int(np.searchsorted(at, end, "right"))]).T)
+    states: Wide
+    events: tuple[tuple[Wide, str], ...]
+    moments: tuple[Wide, Wide]
 
     def run(self) -> Run:
-        """Return the run, its averages in two passes."""
-        weights, values = (np.concatenate(parts, axis=-1) for parts in zip(*self._sums, strict=True))
-        shares = weights / np.sum(weights)
-        means = values @ shares
-        squared = signals(self.motion.structure).squared
-        variances = (values - means[:, None])[:squared] ** 2 @ shares
-        fractions = self.times / self.times[-1]
-        return self.motion.run(self.times[-1], fractions, np.array(self.states), (means, variances))
+        """Return the run."""
+        motion, duration = self.motion, self.times[-1]
+        known = motion.structure, dict(motion.p)
+        fractions = self.times / duration
+        return assemble(motion.scene, duration, fractions, self.states, *self.moments, Accuracy(), known)
 
 
 def follow(motion: Motion, duration: Wide, outputs: int, degree: int, first: Wide | None = None) -> Followed:
@@ -196,13 +183,14 @@ def follow(motion: Motion, duration: Wide, outputs: int, degree: int, first: Wid
     Raises:
         IntegrationError: steps or pauses between events grow too short, or the steps too many.
     """
-    state = motion.start() if first is None else first
+    state = motion.start if first is None else first
     times = duration * np.arange(outputs + 1) / WIDE(outputs)
     # Rounding may put the last output behind the end, where no step reaches it.
     times[-1] = duration
-    course = Followed(motion, times)
-    now, size, at_once = WIDE(0), motion.swing, 0
-    steps, watched = 0, WIDE(0)
+    states: list[Wide] = []
+    integrals: list[tuple[Wide, Wide]] = []
+    events: list[tuple[Wide, str]] = []
+    now, size, at_once, steps = WIDE(0), motion.swing, 0, 0
     while now < duration:
         stop = motion.ramp if now < motion.ramp < duration else duration
         # The last step takes what would else be left for one of no length.
@@ -211,45 +199,45 @@ def follow(motion: Motion, duration: Wide, outputs: int, degree: int, first: Wid
         if done is None:
             size = min(size, stop - now) / 2
             if size < _SHORTEST * duration:
-                raise IntegrationError(
-                    f"the reference stops at t = {float(now):.6g} s: the forces are not smooth there"
-                )
+                raise _stopped("stops", now, "the forces are not smooth there")
             continue
         steps += 1
-        if steps % _WATCHED == 0:
-            if (now - watched) * _MOST_STEPS < _WATCHED * duration:
-                raise IntegrationError(
-                    f"the reference would take more than {_MOST_STEPS} steps at t = {float(now):.6g} s: the forces"
-                    " change too fast there"
-                )
-            watched = now
-        end, kind = _next_event(motion, state, done, stop if whole else now + size)
-        course.note(done, end)
+        if steps % _WATCHED == 0 and now * _MOST_STEPS < steps * duration:
+            raise _stopped(f"would take more than {_MOST_STEPS} steps", now, "the forces change too fast there")
+        end, kind = motion.next_event(state, done, stop if whole else now + size)
+        states += list(done.at(times[len(states) : int(np.searchsorted(times, end, "right"))]).T)
+        integrals.append(_integrands(motion, done, end))
         at_once = at_once + 1 if kind is not None and end - now <= 4 * EPS * end else 0
-        name = None if kind is None else motion.names(state)[kind]
+        if at_once > _MOST_AT_ONCE:
+            raise _stopped("hangs", now, "events follow each other without end")
+        names = motion.names(state)
         now, state = end, done.at(np.array([end]))[:, 0]
-        if kind is not None and name is not None:
-            course.events.append((now, name))
+        if kind is not None:
+            events.append((now, names[kind]))
             state = motion.after(kind, now, state)
-        if at_once > _MOST_AT_ONCE or len(course.events) > _MOST_EVENTS:
-            raise IntegrationError(f"the reference finds events without end at t = {float(now):.6g} s")
         if not whole or done.used > 0.9:
             size = done.size * WIDE(min(2.0, max(0.5, 0.9 / max(done.used, 0.1))))
-    return course
+    return Followed(motion, times, np.array(states), tuple(events), _moments(motion, integrals))
 
 
-def _next_event(motion: Motion, state: Wide, done: Step, end: Wide) -> tuple[Wide, int | None]:
-    """Return when the piece ends within a step, and by what; the step's end and None where it does not."""
-    first = None
-    for kind in range(len(motion.names(state))):
-        found = first_end(partial(_end, motion, done, kind), done.start, end - done.start)
-        if found is not None and (first is None or found < end):
-            end, first = found, kind
-    return end, first
+def _stopped(what: str, now: Wide, why: str) -> IntegrationError:
+    return IntegrationError(f"the reference {what} at t = {float(now):.6g} s: {why}")
 
 
-def _end(motion: Motion, done: Step, kind: int, times: Wide) -> Wide:
-    return motion.ends(times, done.at(times))[kind]
+def _integrands(motion: Motion, done: Step, end: Wide) -> tuple[Wide, Wide]:
+    """Return Gauss weights [s] of a step up to its end, or to an event, and the signals at their nodes."""
+    nodes, weights = gauss(done.coefficients.shape[1] + 1)
+    half = (end - done.start) / 2
+    inner = done.start + half * (nodes + 1)
+    return half * weights, motion.signals(inner, done.at(inner))
+
+
+def _moments(motion: Motion, integrals: list[tuple[Wide, Wide]]) -> tuple[Wide, Wide]:
+    """Return means and variances of the signals, in two passes."""
+    weights, values = (np.concatenate(parts, axis=-1) for parts in zip(*integrals, strict=True))
+    shares = weights / np.sum(weights)
+    means = values @ shares
+    return means, (values - means[:, None])[: signals(motion.structure).squared] ** 2 @ shares
 
 
 def orbit(motion: Motion, guess: Wide, outputs: int, degree: int) -> Followed:
@@ -264,20 +252,19 @@ def orbit(motion: Motion, guess: Wide, outputs: int, degree: int) -> Followed:
     def after(first: Wide) -> Wide:
         return follow(motion, period, 1, degree, first).states[-1]
 
-    least, slope = np.inf, None
-    for _ in range(_SHOOTINGS):
+    least, slope = np.inf, np.zeros((2, 2))
+    for shot in range(_SHOOTINGS):
         miss = after(state) - state
         size = float(np.max(np.abs(miss) / unit))
         if size <= 2 * EPS or (size < 1e4 * EPS and size >= least):
             return follow(motion, period, outputs, degree, state)
-        if slope is None or size > _SLOW * least:
+        if not shot or size > _SLOW * least:
             nudges = np.diag(WIDE(math.sqrt(EPS)) * unit)
-            slope = [(after(state + nudge) - after(state - nudge)) / (2 * np.max(nudge)) for nudge in nudges]
+            columns = [(after(state + nudge) - after(state - nudge)) / (2 * np.max(nudge)) for nudge in nudges]
+            slope = np.array(columns, float).T
         least = size
-        # (slope - 1) step = - miss, for two unknowns: NumPy solves systems of doubles only.
-        (a, c), (b, d) = slope
-        a, d = a - 1, d - 1
-        state = state - np.array([d * miss[0] - b * miss[1], a * miss[1] - c * miss[0]]) / (a * d - b * c)
+        # The step itself need not have more digits than a double: the next one adds as many.
+        state = state - np.linalg.solve(slope - np.eye(2), miss.astype(float))
     raise IntegrationError("no lasting orbit was found beside that of the run")
 
 

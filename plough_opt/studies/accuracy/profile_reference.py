@@ -14,8 +14,7 @@ from plough_opt.core.expressions import as_number
 from plough_opt.soil import plastic
 from plough_opt.soil.geometry import Cone
 from plough_opt.soil.soil import Soil
-from plough_opt.studies.accuracy.chebyshev import gauss
-from plough_opt.studies.accuracy.wide import PI, WIDE, Wide
+from plough_opt.studies.accuracy.wide import PI, WIDE, Wide, gauss
 
 _NEWTON = 5
 

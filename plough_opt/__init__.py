@@ -64,7 +64,7 @@ if TYPE_CHECKING:
         calibrate,
         read_measurements,
     )
-    from plough_opt.studies.sweep.axes import Range
+    from plough_opt.studies.sweep.points import Range
     from plough_opt.studies.sweep.result import Sweep
     from plough_opt.studies.tradeoff import Goal, TradeOff, trade_off
     from plough_opt.studies.uncertainty import Robust, SoilDistribution
@@ -88,7 +88,7 @@ _NAMES_LATER = {
     "plough_opt.soil.rig": ("Rig",),
     "plough_opt.soil.strength_record": ("StrengthRecord", "strength_spectrum", "strength_waves"),
     "plough_opt.exchange.results": ("load",),
-    "plough_opt.studies.sweep.axes": ("Range",),
+    "plough_opt.studies.sweep.points": ("Range",),
     "plough_opt.studies.sweep.result": ("Sweep",),
     "plough_opt.problem_file.sweeping": ("sweep",),
     "plough_opt.studies.tradeoff": ("Goal", "TradeOff", "trade_off"),

@@ -27,8 +27,8 @@ def test_files_are_about_one_idea():
 SWITCHES = {
     r"catch_warnings|simplefilter|filterwarnings|chdir\(|redirect_std|setrecursionlimit|set_printoptions": set(),
     r"seterr\(|random\.seed|rcParams|rc_context|setlocale|umask|set_int_max|putenv|environ\[[^]]*\] *=": set(),
-    r"dup2\(": {"app/main.py", "studies/sweep/worker.py"},
-    r"sys\.std\w+ *=(?!=)": {"core/process.py", "studies/sweep/worker.py"},
+    r"dup2\(": {"app/main.py", "studies/sweep/pool.py"},
+    r"sys\.std\w+ *=(?!=)": {"core/process.py", "studies/sweep/pool.py"},
 }
 
 

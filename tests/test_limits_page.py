@@ -11,7 +11,7 @@ from plough_opt.motion import plan
 from plough_opt.motion.effects import MOST_HARMONICS
 from plough_opt.problem_file import lines, overrides, own_measures, schema, source, uncertain
 from plough_opt.soil.elastic import profile
-from plough_opt.studies.sweep import axes, points
+from plough_opt.studies.sweep import points
 from plough_opt.studies.tradeoff import trade
 from plough_opt.studies.uncertainty import distribution
 
@@ -37,7 +37,7 @@ TABLES = {
     ),
     "Saved results (`po.load`)": (kept._MOST_BYTES,),
     "Questions": (
-        axes.MOST_VALUES, points.MOST_SAMPLES, distribution._MOST_SAMPLES, uncertain.MOST_FRESH, trade._MOST,
+        points.MOST_VALUES, points.MOST_SAMPLES, distribution._MOST_SAMPLES, uncertain.MOST_FRESH, trade._MOST,
         effort._MOST_TRIED, MOST_HARMONICS, profile._MOST_PIECES, plan.MOST_OUTPUTS,
     ),
     "Motions": (plan.MOST_RINGING, plan.MOST_FORCED, plan.MOST_PANELLED, plan.MOST_SHOT),

@@ -67,7 +67,7 @@ def calibrate(options: argparse.Namespace) -> None:
     problem = read(options)
     from plough_opt.studies.calibration import calibrate as run
     from plough_opt.studies.calibration import read_measurements
-    from plough_opt.studies.calibration.intervals import check_level
+    from plough_opt.studies.calibration.estimate import check_level
 
     check_level(options.level)
     _refuse_twice(options.data)

@@ -5,7 +5,7 @@ from fractions import Fraction
 
 from plough_opt.core.errors import InputError
 from plough_opt.core.units import Display, Unit, display_of
-from plough_opt.studies.sweep.axes import Axis, Range, axis_of
+from plough_opt.studies.sweep.points import Axis, Range, axis_of
 
 _RANGE = re.compile(r"(?P<lower>.+?)\.\.(?P<upper>[^:]*)(?::(?P<count>[^:]*?))?(?P<log>\s+log)?\s*")
 _NUMBER = re.compile(r"\s*[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?")

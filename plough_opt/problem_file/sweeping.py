@@ -18,9 +18,8 @@ from plough_opt.problem_file.problem import Problem
 from plough_opt.problem_file.ranges import read_axis
 from plough_opt.problem_file.reading import check_changed
 from plough_opt.studies.sweep import sweeping as study
-from plough_opt.studies.sweep.axes import Axis, Range, axis_of
 from plough_opt.studies.sweep.engine import Progress
-from plough_opt.studies.sweep.points import points_of
+from plough_opt.studies.sweep.points import Axis, Range, axis_of, points_of
 from plough_opt.studies.sweep.result import Sweep
 from plough_opt.studies.sweep.work import Evaluation
 

@@ -3,7 +3,7 @@
 import re
 from pathlib import Path
 
-from plough_opt.studies.calibration.loss import CAUCHY, HUBER, SOFT_L1
+from plough_opt.studies.calibration.least_squares import CAUCHY, HUBER, SOFT_L1
 
 ROOT = Path(__file__).resolve().parents[2]
 TEXT = (ROOT / "docs" / "calibration.md").read_text(encoding="utf-8")

@@ -6,7 +6,7 @@ from helpers.known_soil import TRUTH, steady_scene
 from scipy import optimize
 
 import plough_opt as po
-from plough_opt.studies.calibration.loss import LOSSES
+from plough_opt.studies.calibration.least_squares import LOSSES
 
 
 def residuals(measured):

@@ -56,10 +56,10 @@ def test_sigma_in_per_cent_semicolons_tabs_weights_and_time(written):
         (HEADER.replace("mean_draft [kN]", "soil.cohesion [kPa]") + ROWS, "no column holds a measured result"),
         ("mean_draft [kN], force_rms [N]\n1, 2\n", "mean_draft and force_rms are measured: write a file for each"),
         ("mean_draft [kN], mean_draft [N]\n1, 2\n", "column 'mean_draft': it is given twice"),
-        ("mean_draft [kN], time [s]\n1, 2\n", "mean_draft is one value for a run; a time goes with mount_force"),
+        ("mean_draft [kN], time [s]\n1, 2\n", "mean_draft is one value for a run: a time goes with mount_force"),
         ("mount_force [kN]\n1\n", "a column 'time [s]' is missing"),
-        ("mean_draft [kN], sigma [N], weight\n1, 2, 1\n", "sigma and weight exclude each other"),
-        ("mean draft kN\n1\n", "a name and its unit are expected"),
+        ("mean_draft [kN], sigma [N], weight\n1, 2, 1\n", "sigma and weights exclude each other"),
+        ("mean draft kN\n1\n", "no such column is known: did you mean 'mean_draft'"),
         # a unit
         (HEADER.replace(" [kN], sigma", ", sigma") + ROWS, "line 1, column 'mean_draft': the unit is missing: write it"
          " like 'mean_draft [kN]'"),
@@ -132,8 +132,8 @@ def test_files_that_are_none(tmp_path, written):
         (("mean_draft", [1.0]), {"weights": [-1.0]}, "weights = -1 must be at least 0"),
         (("mean_draft", [1.0]), {"weights": [0.0]}, "every weight is 0"),
         (("mean_draft", [1.0]), {"weights": [1.0], "sigma": 1.0}, "exclude each other"),
-        (("mean_draft", [1.0]), {"time": [1.0]}, "a column 'time' goes with mount_force"),
-        (("mount_force", [1.0]), {}, "a column 'time' is missing"),
+        (("mean_draft", [1.0]), {"time": [1.0]}, "a time goes with mount_force"),
+        (("mount_force", [1.0]), {}, "a column 'time [s]' is missing"),
         (("mount_force", [1.0]), {"time": [-1.0]}, "time = -1 must be at least 0"),
     ],
 )

@@ -9,7 +9,7 @@ from rich.console import Console
 from plough_opt.app import commands
 from plough_opt.core import process as module
 from plough_opt.core.process import heartbeat
-from plough_opt.studies.sweep.bar import bar
+from plough_opt.studies.sweep.sweeping import bar
 
 
 def until(true):

@@ -44,7 +44,7 @@ def counted_text():
 
     def text(store, file, pause, values, executor="None"):
         return (
-            "from plough_opt.studies.sweep.axes import Range\n"
+            "from plough_opt.studies.sweep.points import Range\n"
             "from plough_opt.studies.sweep.sweeping import sweep\n"  # what files need is not imported
             "from concurrent.futures import ThreadPoolExecutor\n"
             "from pathlib import Path\n"

@@ -16,8 +16,7 @@ from helpers import swept
 
 import plough_opt as po
 from plough_opt.studies.sweep import pool as pools
-from plough_opt.studies.sweep.pool import ProcessPool, WorkerDied
-from plough_opt.studies.sweep.worker import environment
+from plough_opt.studies.sweep.pool import ProcessPool, WorkerDied, environment
 
 PROCESSES = Path("/proc")
 by_proc = pytest.mark.skipif(not PROCESSES.is_dir(), reason="finds the workers in /proc")
@@ -29,7 +28,7 @@ def workers_here():
     for entry in PROCESSES.iterdir():
         try:
             parent = int((entry / "stat").read_text().rpartition(")")[2].split()[1])
-            if parent == os.getpid() and "plough_opt.studies.sweep.worker" in (entry / "cmdline").read_text():
+            if parent == os.getpid() and "plough_opt.studies.sweep.pool" in (entry / "cmdline").read_text():
                 found.append(int(entry.name))
         except (OSError, ValueError, IndexError):  # what is not a process, or gone already
             continue
@@ -124,33 +123,15 @@ def test_a_point_that_kills_three_workers_alone_is_undetermined_and_tried_again_
 
 @pytest.mark.parametrize("evaluation", [swept.DeadOnArrival(), swept.kills_always], ids=("on arrival", "at work"))
 def test_workers_that_all_die_end_the_sweep_with_a_reason(monkeypatch, evaluation):
+    assert pools._PATIENCE == 40.0  # as docs/sweeps.md says
     monkeypatch.setattr(pools, "_PATIENCE", 0.5)
     with pytest.raises(po.InputError, match=r"worker processes ended within \d+ s before .* by signal 9 \(Killed\)"):
         po.sweep(evaluation, {"a": np.arange(64.0)}, workers=1)
 
 
-def test_the_patience_with_deaths_is_less_than_a_minute():
-    # A process is started before the last death that counts, and that takes seconds at most.
-    assert pools._PATIENCE <= 45.0
-
-
 def test_what_cannot_be_read_by_a_worker_is_told_by_its_reason():
     with pytest.raises(po.InputError, match="the worker processes could not begin: RuntimeError: not here"):
         po.sweep(swept.Unreadable(), {"a": [1.0, 2.0]}, workers=1)
-
-
-@by_proc
-def test_a_death_in_idleness_is_that_of_no_task():
-    before = set(workers_here())
-    with ProcessPool(1, swept.waves) as pool:
-        assert pool.submit(math.sqrt, 4.0).result(60.0) == 2.0
-        (idle,) = set(workers_here()) - before
-        os.kill(idle, signal.SIGKILL)
-        assert pool.submit(math.sqrt, 9.0).result(60.0) == 3.0
-        with pytest.raises(WorkerDied):
-            pool.submit(os._exit, 7).result(60.0)
-        with pytest.raises(ZeroDivisionError):
-            pool.submit(divmod, 1, 0).result(60.0)
 
 
 @by_proc

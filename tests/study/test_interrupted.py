@@ -1,7 +1,6 @@
 """Sweeps that are killed or interrupted, and two at once: real processes on one store."""
 
 import collections
-import signal
 import sqlite3
 import time
 from pathlib import Path
@@ -11,8 +10,8 @@ import pytest
 from helpers import swept
 
 import plough_opt as po
-from plough_opt.studies.sweep import store as stores
 from plough_opt.studies.sweep.store import Store
+from plough_opt.studies.sweep.work import Done
 
 PROCESSES = Path("/proc")
 VALUES = 60
@@ -91,22 +90,6 @@ def test_a_killed_sweep_resumes_and_repeats_nothing_that_was_stored(script, coun
     np.testing.assert_array_equal(found, po.sweep(swept.waves, OVER, executor=inline).table)
 
 
-@pytest.mark.slow  # by default the command's Ctrl-C and a killed sweep stand for it
-@pytest.mark.usefixtures("ctrl_c")
-def test_an_interrupted_sweep_says_what_is_stored_and_resumes(script, counted_text, inline, tmp_path):
-    store, file = tmp_path / "sweep.db", tmp_path / "calls"
-    process = script(counted_text(store, file, 0.02, VALUES, "ThreadPoolExecutor(1)"))
-    until(lambda: len(stored(store)) >= 10, process)
-    process.send_signal(signal.SIGINT)
-    error = process.communicate(timeout=60)[1]
-    kept = stored(store)
-    assert f"KeyboardInterrupt: {len(kept)} of {2 * VALUES} points are in '{store}': the same sweep continues" in error
-    with po.sweep(swept.Counted(file, 0.02), OVER, store=store, executor=inline, workers=1) as resumed:
-        np.testing.assert_array_equal(resumed.table, po.sweep(swept.waves, OVER, executor=inline).table)
-    evaluated = calls(file)
-    assert all(evaluated[row[1], row[2]] == 1 for row in kept)
-
-
 def test_two_runs_at_once_share_the_points_and_both_have_all(script, counted_text, inline, tmp_path):
     store, file = tmp_path / "sweep.db", tmp_path / "calls"
     both = [script(counted_text(store, file, 0.01, VALUES, "ThreadPoolExecutor(1)")) for _ in range(2)]
@@ -126,9 +109,9 @@ class TestClaims:
     def open_store(self, tmp_path):
         opened = []
 
-        def open_one():
+        def open_one(retry=False):
             opened.append(Store(tmp_path / "sweep.db"))
-            opened[-1].prepare({"q": "1"}, ("a",), {}, 10)
+            opened[-1].prepare({"q": "1"}, ("a",), {}, 10, retry)
             return opened[-1]
 
         yield open_one
@@ -136,63 +119,64 @@ class TestClaims:
             one.close()
 
     @staticmethod
-    def keep(store, first, last, finished):
+    def keep(store, first, last):
         numbers = np.arange(first, last)
-        return store.keep(numbers, numbers[:, None] * 1.0, None, dict.fromkeys(range(len(numbers)), "no"), (), finished)
+        reasons = dict.fromkeys(range(len(numbers)), "no")
+        return store.keep(numbers, numbers[:, None] * 1.0, Done(len(numbers), reasons=reasons))
 
     def test_runs_that_live_never_claim_the_same(self, open_store):
         one, two = open_store(), open_store()
-        assert [one.claim(4), two.claim(4), one.claim(4), two.claim(4)] == [(0, 4), (4, 8), (8, 10), None]
-        assert one.waiting()
-        assert two.waiting()
+        claimed = [run.claim(4).tolist() for run in (one, two, one)]
+        assert claimed == [[0, 1, 2, 3], [4, 5, 6, 7], [8, 9]]
+        assert two.claim(4) is None
+        assert (one.waiting(), two.waiting()) == (True, True)
 
     def test_what_is_stored_twice_is_one_row(self, open_store):
         one, two = open_store(), open_store()
-        assert self.keep(one, 0, 4, None) == 4
-        assert self.keep(two, 2, 6, None) == 2
-        assert two.stored() == (6, 6, 0)
+        assert self.keep(one, 0, 4) == 4
+        assert self.keep(two, 2, 6) == 2
+        assert two.counts() == (6, 6, 0)
 
     def test_what_a_run_released_is_taken_over_without_what_it_stored(self, open_store):
         one, two = open_store(), open_store()
         one.claim(10)
-        self.keep(one, 2, 5, None)
+        self.keep(one, 2, 5)
         assert two.claim(4) is None
-        one.release()
-        assert two.claim(4) == (0, 10)
-        assert two.missing(0, 10).tolist() == [0, 1, 5, 6, 7, 8, 9]
-        self.keep(two, 0, 10, 0)
+        one.renew(0.0)
+        assert two.claim(4).tolist() == [0, 1, 5, 6, 7, 8, 9]
+        self.keep(two, 0, 9)
+        assert one.waiting()
+        self.keep(two, 9, 10)
         assert two.claim(4) is None
         assert not one.waiting()
 
-    def test_a_run_that_is_silent_for_long_is_dead_and_one_that_renews_is_not(self, open_store, monkeypatch):
+    def test_a_run_that_is_silent_for_long_is_dead_and_one_that_renews_is_not(self, open_store):
         one, two = open_store(), open_store()
-        monkeypatch.setattr(stores, "_LEASE", -1.0)
         one.claim(10)
-        monkeypatch.setattr(stores, "_LEASE", 30.0)
+        one.renew(-1.0)
         one.renew()
         assert two.claim(4) is None
-        monkeypatch.setattr(stores, "_LEASE", -1.0)
-        one.renew()
-        assert two.claim(4) == (0, 10)
+        one.renew(-1.0)
+        assert two.claim(4).tolist() == list(range(10))
 
     def test_failures_are_not_tried_again_while_another_run_lives(self, open_store):
         one, two = open_store(), open_store()
         one.claim(10)
-        self.keep(one, 0, 4, None)
+        self.keep(one, 0, 4)
         with pytest.raises(po.InputError, match="another run fills the store"):
-            two.reopen(retry=True)
-        one.release()
-        two.reopen(retry=True)
-        assert two.stored() == (0, 0, 0)
+            open_store(retry=True)
+        one.renew(0.0)
+        open_store(retry=True)
+        assert two.counts() == (0, 0, 0)
         found = set()
         while (claim := two.claim(10)) is not None:
-            found |= set(range(*claim))
+            found |= set(claim.tolist())
         assert found == set(range(10))
 
     def test_numbers_are_stored_to_the_last_bit(self, open_store):
         store = open_store()
         store.name_results(("x",))
         numbers = np.array([[5e-324], [1.7976931348623157e308], [0.1 + 0.2], [-1.0 / 3.0], [2.0**53 + 2.0]])
-        store.keep(np.arange(5), numbers, numbers, {})
+        store.keep(np.arange(5), numbers, Done(5, numbers))
         assert list(store.rows("a", "x")) == [(x, x) for x in numbers.ravel().tolist()]
         assert all(isinstance(row[0], float) for row in store.rows("x"))

@@ -17,6 +17,7 @@ from helpers import swept
 import plough_opt as po
 from plough_opt.app import main
 from plough_opt.studies.sweep.store import Store
+from plough_opt.studies.sweep.work import Done
 
 REFERENCE = Path(__file__).parents[2] / "problems" / "reference.toml"
 OVER = {"a": [1.0, 2.0, 5.0], "b": [1.0, 2.0]}
@@ -246,7 +247,7 @@ def test_the_command_tells_what_is_undetermined_with_status_1(made, tmp_path, ca
     connection.close()
     opened = Store(store)
     reasons = {0: "3 workers ended while each worked at this point alone"}
-    opened.keep(np.array([1]), np.array([[2e4]]), None, reasons, without="undetermined")
+    opened.keep(np.array([1]), np.array([[2e4]]), Done(1, reasons=reasons), without="undetermined")
     opened.finish()
     opened.close()
     assert main([*COMMAND, "--store", str(store), "--csv", str(tmp_path / "t.csv")]) == 1

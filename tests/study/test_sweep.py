@@ -4,8 +4,6 @@ import csv
 import math
 import re
 import sqlite3
-import subprocess
-import sys
 import threading
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 
@@ -286,10 +284,3 @@ def test_a_script_without_a_guard_is_told_so(script):
     # Once, by the process that was started: its workers say nothing themselves.
     assert error.count("Traceback") == 1
     assert "a script must call sweep under if __name__ == '__main__':" in error.splitlines()[-1]
-
-
-@pytest.mark.slow
-def test_a_function_typed_at_a_prompt_is_refused_before_any_process_begins():
-    done = subprocess.run([sys.executable, "-c", UNGUARDED], capture_output=True, text=True, timeout=60, check=False)
-    assert done.returncode == 1
-    assert "was typed at a prompt" in done.stderr.splitlines()[-1]

@@ -2,8 +2,7 @@
 
 from plough_opt.studies.calibration.calibrate import Calibration, calibrate
 from plough_opt.studies.calibration.candidates import Candidate, NextMeasurement
-from plough_opt.studies.calibration.csv_file import read_measurements
 from plough_opt.studies.calibration.fit import Fit
-from plough_opt.studies.calibration.measurements import Measurements
+from plough_opt.studies.calibration.measurements import Measurements, read_measurements
 
 __all__ = ["Calibration", "Candidate", "Fit", "Measurements", "NextMeasurement", "calibrate", "read_measurements"]

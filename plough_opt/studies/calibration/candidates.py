@@ -13,9 +13,9 @@ from plough_opt.core.errors import DomainError, InputError
 from plough_opt.studies.calibration.estimate import Estimate
 from plough_opt.studies.calibration.identifiability import UNIFORM
 from plough_opt.studies.calibration.measurements import RECORD, measurable, result_unit
+from plough_opt.studies.calibration.model import Unknown, amount
 from plough_opt.studies.calibration.prediction import row_function
 from plough_opt.studies.calibration.setup import Setup
-from plough_opt.studies.calibration.unknown import Unknown, amount
 
 Vector = NDArray[np.float64]
 

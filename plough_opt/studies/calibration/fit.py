@@ -18,11 +18,8 @@ from plough_opt.core.tables import Page, Part, data_frame
 from plough_opt.motion.scene import Scene
 from plough_opt.soil.soil import Soil
 from plough_opt.studies.calibration.candidates import Candidate, NextMeasurement, next_measurements
-from plough_opt.studies.calibration.caveats import caveats
-from plough_opt.studies.calibration.cross_validation import CrossValidation, cross_validate
-from plough_opt.studies.calibration.estimate import Estimate
+from plough_opt.studies.calibration.estimate import Estimate, Interval, Kind, check_level, interval
 from plough_opt.studies.calibration.identifiability import Undetermined, undetermined
-from plough_opt.studies.calibration.intervals import Interval, Kind, check_level, interval
 from plough_opt.studies.calibration.parts import (
     Correlation,
     FittedUnknown,
@@ -30,9 +27,11 @@ from plough_opt.studies.calibration.parts import (
     Row,
     correlations_of,
     fitted_unknowns,
+    next_table,
     rows_of,
+    unknowns_table,
 )
-from plough_opt.studies.calibration.report import next_table, unknowns_table
+from plough_opt.studies.calibration.quality import CrossValidation, caveats, cross_validate
 from plough_opt.studies.calibration.setup import NOMINAL, Setup
 
 if TYPE_CHECKING:

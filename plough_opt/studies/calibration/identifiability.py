@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
-from plough_opt.studies.calibration.unknown import Unknown, amount
+from plough_opt.studies.calibration.model import Unknown, amount
 
 Vector = NDArray[np.float64]
 

@@ -1,15 +1,17 @@
-"""Measurements: one measured result over conditions or time, checked, SI units."""
+"""Measurements: one measured result over conditions or time, checked, SI units; from Python or from a CSV file."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from plough_opt.core.checks import NOT_NUMBERS, check_kind, check_named, check_text, mapping_of, shown
+from plough_opt.core.checks import NOT_NUMBERS, check_kind, check_named, check_text, mapping_of, path_of, shown
+from plough_opt.core.csv_rows import HEADING, columns_of, raise_listed, read_rows, table_of
 from plough_opt.core.errors import InputError
-from plough_opt.core.quantities import every_quantity
+from plough_opt.core.quantities import every_quantity, quantities
 from plough_opt.core.units import Unit
 from plough_opt.motion.vocabulary import MEASURES
 
@@ -17,6 +19,7 @@ Vector = NDArray[np.float64]
 
 RECORD: Final = "mount_force"
 """The result that is measured over time, in one run for each set of conditions."""
+_EXAMPLE: Final = "'scene.tow_speed [km/h], share.wedge_angle [deg], mean_draft [kN], sigma [kN]'"
 
 
 def measurable() -> tuple[str, ...]:
@@ -80,20 +83,21 @@ class Measurements:
         name: str = "measurements",
         lines: Sequence[int] = (),
     ) -> None:
-        keep = object.__setattr__
         check_text("the name of measurements", name)
         check_kind(f"{name}: lines", lines, Sequence, "a list of the rows' line numbers")
         conditions = mapping_of(f"{name}: conditions", conditions, "a quantity's key -> its values")
-        for key, value in (("result", result), ("name", name), ("lines", tuple(lines))):
-            keep(self, key, value)
-        self._check_names(conditions)
-        keep(self, "values", self._column(result, values))
-        if not self.rows:
+        _check_names(name, result, conditions)
+        for key, own in (("result", result), ("name", name), ("lines", tuple(lines))):
+            object.__setattr__(self, key, own)
+        measured = self._column(result, values)
+        count = len(measured)
+        if not count:
             raise InputError(f"{name}: there are no measurements")
-        columns = {key: self._column(key, column) for key, column in conditions.items()}
-        keep(self, "conditions", columns)
-        for key, given in (("sigma", sigma), ("weights", weights), ("time", time)):
-            keep(self, key, None if given is None else self._column(key, given))
+        columns = {key: self._column(key, column, count) for key, column in conditions.items()}
+        optional = {key: None if given is None else self._column(key, given, count)
+                    for key, given in (("sigma", sigma), ("weights", weights), ("time", time))}  # fmt: skip
+        for key, column in {"values": measured, "conditions": columns, **optional}.items():
+            object.__setattr__(self, key, column)
         self._check_columns()
 
     @property
@@ -119,15 +123,6 @@ class Measurements:
         self._check_row(number)
         return {key: float(column[number]) for key, column in self.conditions.items()}
 
-    def _check_names(self, conditions: Mapping[str, Any]) -> None:
-        known = every_quantity()
-        if not (isinstance(self.result, str) and self.result in known):
-            check_named(f"{self.name}: {{}} is not a measured result", self.result, measurable())
-        for key in conditions:
-            check_named(f"{self.name}: {{}} is not a quantity of a scene", key, known)
-            if key == self.result:
-                raise InputError(f"{self.name}: '{key}' is both measured and a condition")
-
     def _place(self, number: int) -> str:
         return f"{self.name}, line {self.lines[number]}" if self.lines else f"{self.name}, row {number + 1}"
 
@@ -135,22 +130,23 @@ class Measurements:
         if isinstance(number, bool) or not isinstance(number, int | np.integer) or not 0 <= number < self.rows:
             raise InputError(f"{self.name}: row {shown(number)} must be a whole number from 0 to {self.rows - 1}")
 
-    def _column(self, key: str, given: Any) -> Vector:
-        """Return a column of finite numbers; a single number applies to all rows."""
+    def _column(self, key: str, given: Any, rows: int | None = None) -> Vector:
+        """Return a column of finite numbers; a single number applies to all rows, if their number is known."""
         try:
             column = np.array(given, dtype=float)
         except NOT_NUMBERS:
             raise InputError(f"{self.name}: '{key}' must be a column of numbers, SI units") from None
-        if column.ndim == 0 and hasattr(self, "values"):
-            column = np.full(self.rows, float(column))
-        if column.ndim != 1 or (hasattr(self, "values") and len(column) != self.rows):
-            expected = f"{self.rows} rows, as '{self.result}' has" if hasattr(self, "values") else "one dimension"
+        if column.ndim == 0 and rows is not None:
+            column = np.full(rows, float(column))
+        if column.ndim != 1 or len(column) != (len(column) if rows is None else rows):
+            expected = "one dimension" if rows is None else f"{rows} rows, as '{self.result}' has"
             raise InputError(f"{self.name}: '{key}' has the shape {column.shape}, and must have {expected}")
         self._refuse(key, column, ~np.isfinite(column), "a finite number")
         column.flags.writeable = False
         return column
 
     def _check_columns(self) -> None:
+        """Raise InputError if numbers are outside their domains, or if columns exclude or lack each other."""
         if self.sigma is not None:
             self._refuse("sigma", self.sigma, self.sigma <= 0.0, "above 0: it is a standard deviation")
         if self.weights is not None:
@@ -161,12 +157,98 @@ class Measurements:
                 raise InputError(f"{self.name}: every weight is 0, which leaves no row")
         if self.time is not None:
             self._refuse("time", self.time, self.time < 0.0, "at least 0: it counts from the start of the run")
-        if (self.time is not None) != (self.result == RECORD):
-            if self.time is None:
-                raise InputError(f"{self.name}: {RECORD} is measured over time: a column 'time' is missing")
-            raise InputError(f"{self.name}: {self.result} is one value for a run: a column 'time' goes with {RECORD}")
+            if self.result != RECORD:
+                raise InputError(
+                    f"{self.name}, column 'time': {self.result} is one value for a run: a time goes with {RECORD}"
+                )
+        elif self.result == RECORD:
+            raise InputError(f"{self.name}: {RECORD} is measured over time: a column 'time [s]' is missing")
 
     def _refuse(self, key: str, column: Vector, bad: NDArray[np.bool_], expected: str) -> None:
         if np.any(bad):
             number = int(np.argmax(bad))
             raise InputError(f"{self._place(number)}: {key} = {column[number]:g} must be {expected}")
+
+
+def _check_names(name: str, result: object, conditions: Mapping[str, Any]) -> None:
+    """Raise InputError if a result or a condition is unknown, or if one is both."""
+    known = every_quantity()
+    if not (isinstance(result, str) and result in known):
+        check_named(f"{name}: {{}} is not a measured result", result, measurable())
+    for key in conditions:
+        check_named(f"{name}: {{}} is not a quantity of a scene", key, known)
+        if key == result:
+            raise InputError(f"{name}: '{key}' is both measured and a condition")
+
+
+def read_measurements(path: str | Path) -> Measurements:
+    """Read one measured result from a CSV file.
+
+    The first line that is neither empty nor begins with ``#`` names the columns with their units, as
+    ``scene.tow_speed [km/h], share.wedge_angle [deg], mean_draft [kN], sigma [kN]``: conditions by their keys in a
+    problem file, one measured result, and optionally ``sigma`` (its standard deviation, in its unit or in ``%``) or
+    ``weight``; ``mount_force`` needs a column ``time``. Cells are numbers with a decimal point, separated by commas,
+    semicolons or tabs.
+
+    Raises:
+        InputError: no such file, or an invalid column or cell; the message lists each with line, column, the expected
+            value and the nearest valid name.
+
+    Example:
+        >>> import plough_opt as po
+        >>> po.read_measurements("problems/synthetic_draft.csv").result
+        'mean_draft'
+    """
+    path = path_of("the file of measurements", path)
+    rows = read_rows(path, "measurements")
+    if not rows:
+        raise InputError(f"{path}: the file is empty: write a first line that names the columns, as {_EXAMPLE}")
+    line, headings = rows[0]
+    relative = any((m := HEADING.fullmatch(text)) and (m["name"], m["unit"]) == ("sigma", "%") for text in headings)
+    columns = _columns(f"{path}, line {line}", headings, relative)
+    if len(rows) == 1:
+        raise InputError(f"{path}, line {line}: there is no row below the header: add the measured values")
+    named = [(text.strip(), factor) for text, (_, factor) in zip(headings, columns, strict=True)]
+    table = table_of(path, rows[1:], named, lambda k, value, cell: _check_cell(columns[k][0], value, cell))
+    values = {name: table[:, k] for k, (name, _) in enumerate(columns)}
+    result = next(name for name in values if name in measurable())
+    sigma = values.pop("sigma", None)
+    if sigma is not None and relative:
+        with np.errstate(over="ignore"):  # `Measurements` refuses an infinite number with its row
+            sigma = sigma * np.abs(values[result])
+    time, weights, measured = values.pop("time", None), values.pop("weight", None), values.pop(result)
+    lines = [number for number, _ in rows[1:]]
+    return Measurements(result, measured, values, sigma=sigma, weights=weights, time=time, name=str(path), lines=lines)
+
+
+def _columns(place: str, headings: Sequence[str], relative: bool) -> list[tuple[str, float]]:
+    """Return name and factor to SI of the columns that a header names.
+
+    Raises:
+        InputError: an invalid column, or columns that do not belong together; every one is listed.
+    """
+    measured = [m["name"] for text in headings if (m := HEADING.fullmatch(text)) and m["name"] in measurable()]
+    units = {**quantities(), **{name: MEASURES[name].unit for name in measurable()}}
+    of_sigma = MEASURES[measured[0]].unit if measured and not relative else Unit("")
+    units |= {"sigma": of_sigma, "weight": Unit(""), "time": Unit("s")}
+    # Without a measured result nothing is known of the unit of sigma.
+    found = columns_of(place, [text for text in headings if measured or "sigma" not in text], units)
+    names = [name for name, _ in found]
+    twice = sorted({name for name in names if names.count(name) > 1})
+    errors = [f"{place}, column '{key}': it is given twice: leave one of the two out" for key in twice]
+    if not measured:
+        errors.append(
+            f"{place}: no column holds a measured result: one of {', '.join(measurable())} is needed, as {_EXAMPLE}"
+        )
+    if len(set(measured)) > 1:
+        errors.append(f"{place}: {' and '.join(measured)} are measured: write a file for each, and give all of them")
+    raise_listed(errors)
+    return found
+
+
+def _check_cell(name: str, value: float, cell: str) -> None:
+    """Raise InputError if a number is outside its column's domain."""
+    if name == "sigma" and value <= 0.0:
+        raise InputError(f"{cell} must be above 0: it is a standard deviation")
+    if name in ("weight", "time") and value < 0.0:
+        raise InputError(f"{cell} must be at least 0")

@@ -1,15 +1,22 @@
-"""Parts of a fit: unknowns, correlations and rows, as plain data."""
+"""Parts of a fit as plain data, unknowns, correlations and rows; and their tables."""
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
+from typing import Final
 
 import numpy as np
 
-from plough_opt.studies.calibration.estimate import Estimate
-from plough_opt.studies.calibration.intervals import Interval, Kind
+from plough_opt.core.kept import Origin
+from plough_opt.core.tables import Grid
+from plough_opt.studies.calibration.candidates import NextMeasurement
+from plough_opt.studies.calibration.estimate import Estimate, Interval, Kind
 from plough_opt.studies.calibration.measurements import Measurements, result_unit
-from plough_opt.studies.calibration.unknown import Unknown
+from plough_opt.studies.calibration.model import Unknown
+
+# Rows of the table of candidates.
+_MOST_CANDIDATES: Final = 6
 
 
 @dataclass(frozen=True)
@@ -111,3 +118,42 @@ def rows_of(measured: Sequence[Measurements], fit: Estimate) -> tuple[Row, ...]:
             *next(numbers))
         for m in measured for k in range(m.rows)
     )  # fmt: skip
+
+
+def unknowns_table(
+    unknowns: Sequence[FittedUnknown], level: float, intervals: Mapping[str, Interval], origin: Origin
+) -> Grid:
+    """Return the values with their standard errors, and with their intervals if these are already computed."""
+    between = [f"{100 * level:g} % interval"] if intervals else []
+    table = Grid.of("Calibrated", "unknown", "value", "standard error", *between, "bounds", "", left=("",))
+    for unknown in unknowns:
+        value, error, ends, notes = "not determined", "infinite", "infinite", []
+        if unknown.determined:
+            value, error = _text(origin, unknown, unknown.value), _text(origin, unknown, unknown.standard_error, 3)
+        if interval := intervals.get(unknown.name):
+            if unknown.determined:
+                ends = " to ".join(_text(origin, unknown, end, 4) for end in interval)
+            notes = [f"{side} end is the bound" for side in interval.clipped]
+            notes += ["linearised"] if unknown.determined and interval.kind == "linearised" else []
+        bounds = " to ".join(_text(origin, unknown, end, 3) for end in (unknown.lower, unknown.upper))
+        table.row(unknown.name, value, error, *([ends] if between else []), bounds, "; ".join(notes))
+    return table
+
+
+def next_table(unknowns: Sequence[FittedUnknown], ranking: Sequence[NextMeasurement], origin: Origin) -> Grid:
+    """Return the best candidates, with the standard errors that they would leave."""
+    names = [unknown.name.rpartition(".")[2] for unknown in unknowns]
+    title = "What to measure next: standard errors now, and with one more measurement of the same quality"
+    table = Grid.of(title, "measurement", *names, fold=("measurement",))
+    table.row("now", *(_text(origin, unknown, ranking[0].errors[unknown.name][0], 3) for unknown in unknowns))
+    for item in ranking[:_MOST_CANDIDATES]:
+        cells = [_text(origin, unknown, item.errors[unknown.name][1], 3) for unknown in unknowns]
+        table.row(item.candidate.describe(), *cells)
+    return table
+
+
+def _text(origin: Origin, unknown: FittedUnknown, value: float, digits: int = 5) -> str:
+    """Return an SI value in the one unit in which its unknown is shown."""
+    if math.isinf(value):
+        return "infinite"
+    return origin.display(unknown.name, unknown.unit, unknown.value, unknown.upper).text(value, digits)

@@ -18,8 +18,7 @@ from plough_opt.motion.plan import numbers_of, phase
 from plough_opt.motion.scene import Scene
 from plough_opt.motion.vocabulary import MEASURES
 from plough_opt.studies.calibration.measurements import RECORD, Measurements, measurable
-from plough_opt.studies.calibration.model import Model
-from plough_opt.studies.calibration.unknown import Unknown
+from plough_opt.studies.calibration.model import Model, Unknown
 
 Vector = NDArray[np.float64]
 Numbers: TypeAlias = Sequence[Expression] | Vector

@@ -9,12 +9,10 @@ from numpy.typing import NDArray
 
 from plough_opt.core.errors import DomainError, InputError
 from plough_opt.motion.scene import Scene
-from plough_opt.studies.calibration.least_squares import Data, LeastSquares
-from plough_opt.studies.calibration.loss import loss_of
+from plough_opt.studies.calibration.least_squares import Data, LeastSquares, loss_of
 from plough_opt.studies.calibration.measurements import Measurements, measurable
-from plough_opt.studies.calibration.model import Described, Model, SceneOf, model_of
+from plough_opt.studies.calibration.model import Described, Model, SceneOf, Unknown, model_of, unknowns_of
 from plough_opt.studies.calibration.prediction import Rows, predictor
-from plough_opt.studies.calibration.unknown import Unknown, unknowns_of
 
 Vector = NDArray[np.float64]
 

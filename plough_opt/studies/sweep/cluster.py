@@ -12,7 +12,7 @@ from concurrent.futures import CancelledError, Executor, Future
 from typing import TYPE_CHECKING, Any, Final
 
 from plough_opt.core.errors import InputError
-from plough_opt.studies.sweep.pool import WorkerDied
+from plough_opt.studies.sweep.pool import STORED, WorkerDied
 
 if TYPE_CHECKING:
     import distributed
@@ -21,7 +21,6 @@ if TYPE_CHECKING:
 _PATIENCE: Final = 40.0
 # Time [s] between two checks for workers, and limit on that of the answer.
 _CHECK_EVERY: Final = 3.0
-_STORED: Final = "finished points are stored, and the same sweep continues from there"
 
 
 class Cluster(Executor):
@@ -55,25 +54,18 @@ class Cluster(Executor):
         Raises:
             InputError: there have been none for long, or the scheduler does not answer.
         """
-        now = time.monotonic()
-        if now - self._checked < _CHECK_EVERY:
+        if time.monotonic() - self._checked < _CHECK_EVERY:
             return
+        assert self._client.scheduler is not None
         try:
-            workers = self._client.sync(_workers, self._client, callback_timeout=_CHECK_EVERY)
+            workers = self._client.sync(self._client.scheduler.ncores, callback_timeout=_CHECK_EVERY)
         except (OSError, TimeoutError):
             workers = {}
         now = self._checked = time.monotonic()
         if workers:
             self._seen = now
         elif now - self._seen > _PATIENCE:
-            raise InputError(f"the cluster has had no workers for {now - self._seen:.0f} s: start some; {_STORED}")
-
-
-async def _workers(client: distributed.Client) -> dict[str, int]:
-    """Return the threads of each worker."""
-    assert client.scheduler is not None
-    threads: dict[str, int] = await client.scheduler.ncores()
-    return threads
+            raise InputError(f"the cluster has had no workers for {now - self._seen:.0f} s: start some; {STORED}")
 
 
 async def _carry(task: distributed.Future[Any], future: Future[Any]) -> None:
@@ -82,7 +74,7 @@ async def _carry(task: distributed.Future[Any], future: Future[Any]) -> None:
     try:
         result = await task
     except (asyncio.CancelledError, CancelledError):
-        error = InputError(f"the cluster's scheduler is gone, or has dropped a task; {_STORED}")
+        error = InputError(f"the cluster's scheduler is gone, or has dropped a task; {STORED}")
     except Exception as reason:
         error = reason
         if type(reason).__name__ == "KilledWorker":  # workers died of it, more of them than dask allows

@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 
 from plough_opt.core.errors import InputError
 from plough_opt.studies.sweep.cluster import Cluster
-from plough_opt.studies.sweep.layout import State
-from plough_opt.studies.sweep.points import Points
-from plough_opt.studies.sweep.pool import ProcessPool, WorkerDied
+from plough_opt.studies.sweep.database import State
+from plough_opt.studies.sweep.points import Grid, Sample
+from plough_opt.studies.sweep.pool import STORED, ProcessPool, WorkerDied
 from plough_opt.studies.sweep.store import Store
 from plough_opt.studies.sweep.work import Array, Done, Evaluation, ManyPoints, work
 
@@ -39,17 +39,15 @@ _TRIED_ALONE: Final = 3
 
 @dataclass
 class _Task:
-    """Points of one claim.
+    """Points to evaluate.
 
     Attributes:
-        claim: first point of the claim.
         numbers: of the points.
         values: of the quantities, a row for each point.
         deaths: number of workers that died while it was under way.
         alone: whether it is a single point to be tried while no other task is under way.
     """
 
-    claim: int
     numbers: NDArray[np.int64]
     values: Array
     deaths: int = 0
@@ -57,14 +55,20 @@ class _Task:
 
     def part(self, which: slice, deaths: int = 0, alone: bool = False) -> _Task:
         """Return some of the points."""
-        return _Task(self.claim, self.numbers[which], self.values[which], deaths, alone)
+        return _Task(self.numbers[which], self.values[which], deaths, alone)
 
 
 class Engine:
     """A sweep under way."""
 
     def __init__(
-        self, evaluation: Evaluation, points: Points, store: Store, executor: Executor, workers: int, progress: Progress
+        self,
+        evaluation: Evaluation,
+        points: Grid | Sample,
+        store: Store,
+        executor: Executor,
+        workers: int,
+        progress: Progress,
     ) -> None:
         """Take the evaluation, the points, the store, the executor with its number of workers, and a callback."""
         self._evaluation, self._points, self._store, self._executor = evaluation, points, store, executor
@@ -76,8 +80,7 @@ class Engine:
         self._under_way: dict[Future[Done], _Task] = {}
         self._again: deque[_Task] = deque()
         self._alone: deque[_Task] = deque()
-        self._open: dict[int, int] = {}
-        self._stored, self._failed, _ = store.stored()
+        self._stored, self._failed, _ = store.counts()
         self._renewed = time.monotonic()
         self._returned = False
 
@@ -91,55 +94,47 @@ class Engine:
         try:
             while self._fill():
                 if self._under_way:
-                    done = wait(self._under_way, timeout=_GLANCE, return_when=FIRST_COMPLETED).done
-                    self._collect(done)
+                    self._collect(wait(self._under_way, timeout=_GLANCE, return_when=FIRST_COMPLETED).done)
                     if isinstance(self._executor, Cluster):
                         self._executor.check()
                 else:
                     time.sleep(_GLANCE)
                     self._count()
                     self._show()
-                self._renew()
+                if time.monotonic() - self._renewed > _RENEWAL:
+                    self._store.renew()
+                    if self._store.waiting():
+                        self._count()
+                    self._renewed = time.monotonic()
         finally:
             self._stop()
 
     def _fill(self) -> bool:
         """Submit tasks; return whether there is anything to wait for."""
         while len(self._under_way) < self._most_under_way and (task := self._following()) is not None:
-            self._submit(task)
+            try:
+                values = task.values, _BUDGET
+                future = self._executor.submit(work, self._key, self._evaluation, self._points.names, *values)
+            except BrokenExecutor as error:
+                future = Future()
+                future.set_exception(error)
+            self._under_way[future] = task
         return bool(self._under_way) or self._store.waiting()
 
     def _following(self) -> _Task | None:
         """Return the next task to submit, or None."""
         if any(task.alone for task in self._under_way.values()):
             return None
-        task = self._again.popleft() if self._again else self._claimed()
-        if task is None and self._alone and not self._under_way:
-            task = self._alone.popleft()
-        return task
-
-    def _claimed(self) -> _Task | None:
-        """Return a task of points that no run has claimed, or None."""
-        while (claim := self._store.claim(self._size)) is not None:
-            numbers = self._store.missing(*claim)
-            if len(numbers) > 0:
-                self._open[claim[0]] = len(numbers)
-                first = int(numbers[0])
-                return _Task(claim[0], numbers, self._points.block(first, int(numbers[-1]) + 1)[numbers - first])
-            self._store.keep(numbers, np.empty((0, len(self._points.names))), None, {}, finished=claim[0])
-        return None
-
-    def _submit(self, task: _Task) -> None:
-        try:
-            future = self._executor.submit(work, self._key, self._evaluation, self._points.names, task.values, _BUDGET)
-        except BrokenExecutor as error:
-            future = Future()
-            future.set_exception(error)
-        self._under_way[future] = task
+        if self._again:
+            return self._again.popleft()
+        if (numbers := self._store.claim(self._size)) is not None:
+            first = int(numbers[0])
+            return _Task(numbers, self._points.block(first, int(numbers[-1]) + 1)[numbers - first])
+        return self._alone.popleft() if self._alone and not self._under_way else None
 
     def _collect(self, done: set[Future[Done]]) -> None:
-        """Store the results of tasks that have ended."""
-        for future in sorted(done, key=lambda future: self._under_way[future].claim):
+        """Store the results of tasks that have ended, in the order of their points."""
+        for future in sorted(done, key=lambda future: int(self._under_way[future].numbers[0])):
             task = self._under_way.pop(future)
             error = CancelledError("cancelled") if future.cancelled() else future.exception()
             if error is None:
@@ -149,15 +144,9 @@ class Engine:
             elif isinstance(error, InputError):
                 raise error
             elif isinstance(error, BrokenExecutor):
-                raise InputError(
-                    f"the executor is broken: {error}; finished points are stored, and the same sweep continues from"
-                    " there with a new one"
-                ) from error
+                raise InputError(f"the executor is broken: {error}; {STORED} with a new one") from error
             else:
-                raise InputError(
-                    f"the executor failed at a task: {type(error).__name__}: {error}; finished points are stored, and"
-                    " the same sweep continues from there"
-                ) from error
+                raise InputError(f"the executor failed at a task: {type(error).__name__}: {error}; {STORED}") from error
 
     def _take(self, task: _Task, done: Done) -> None:
         """Store the points that a worker has done, and put back the others of the task."""
@@ -172,15 +161,8 @@ class Engine:
         self._size = max(1, min(wanted, _MOST[self._kind]))
 
     def _keep(self, task: _Task, done: Done, without: State = "failed") -> None:
-        """Store finished points, and end their claim if they are the last of it."""
-        notes = [
-            (kind, text, int(task.numbers[place]), points) for kind, (text, place, points) in sorted(done.notes.items())
-        ]
-        left = self._open[task.claim] - len(task.numbers)
-        finished = task.claim if left == 0 else None
-        new = self._store.keep(task.numbers, task.values, done.results, done.reasons, notes, finished, without)
-        # If this is interrupted the claim remains, for the run that resumes the sweep.
-        self._open[task.claim] = left
+        """Store finished points."""
+        new = self._store.keep(task.numbers, task.values, done, without)
         self._stored += new
         if without == "failed" and new == len(task.numbers):
             self._failed += len(done.reasons)
@@ -191,7 +173,11 @@ class Engine:
         task.deaths += deaths
         half = len(task.numbers) // 2
         if task.alone and task.deaths >= _TRIED_ALONE:
-            self._keep_undetermined(task, how)
+            reason = f"{task.deaths} workers ended while each worked at this point alone; {how}"
+            self._keep(task, Done(1, reasons={0: reason}), without="undetermined")
+            if self._returned and isinstance(self._executor, ProcessPool):
+                # Other tasks have returned: it is the point that kills workers.
+                self._executor.proceed()
         elif task.alone:
             self._alone.append(task)
         elif task.deaths < _TRIED_WHOLE:
@@ -202,23 +188,9 @@ class Engine:
         else:
             self._alone.append(task.part(slice(None), alone=True))
 
-    def _keep_undetermined(self, task: _Task, how: str) -> None:
-        """Store a point as undetermined."""
-        reason = f"{task.deaths} workers ended while each worked at this point alone; {how}"
-        self._keep(task, Done(1, reasons={0: reason}), without="undetermined")
-        if self._returned and isinstance(self._executor, ProcessPool):
-            # Other tasks have returned: it is the point that kills workers.
-            self._executor.proceed()
-
-    def _renew(self) -> None:
-        if time.monotonic() - self._renewed > _RENEWAL:
-            self._store.renew()
-            if self._store.waiting():
-                self._count()
-            self._renewed = time.monotonic()
-
     def _count(self) -> None:
-        self._stored, self._failed, _ = self._store.stored()
+        """Count what other runs have stored too."""
+        self._stored, self._failed, _ = self._store.counts()
 
     def _show(self) -> None:
         self._progress(self._stored, self._points.count, self._failed)
@@ -230,4 +202,4 @@ class Engine:
                 if not future.cancel() and future.done() and future.exception() is None:
                     self._take(task, future.result())
         finally:
-            self._store.release()
+            self._store.renew(0.0)

@@ -1,30 +1,48 @@
-"""The worker processes of a sweep on this machine, each of which may die without harm to the others."""
+"""The worker processes of a sweep on this machine, each of which may die without harm to the others.
+
+The pool writes to the standard input of a process and reads from its standard output; output of the work itself goes
+to the error stream. A message is a pickle.
+"""
 
 from __future__ import annotations
 
 import contextlib
+import multiprocessing.spawn
+import os
 import pickle
 import queue
+import re
 import signal
 import subprocess
+import sys
 import threading
 import time
 from concurrent.futures import BrokenExecutor, Executor, Future
-from typing import Any, BinaryIO, Final, cast
+from pathlib import Path
+from typing import IO, Any, Final
 
 from plough_opt.core.errors import InputError
-from plough_opt.core.process import available
+from plough_opt.core.process import Sieve, available, load_additions
 from plough_opt.studies.sweep.work import Evaluation
-from plough_opt.studies.sweep.worker import BEGUN, READY, command, environment, is_preparing, preparation, receive, send
 
 # The pool gives up after this many deaths in a row over this time [s], if no process is older and no task returned.
 _DEATHS, _PATIENCE = 3, 40.0
-# Pause before a process that could not start is replaced [s].
+STORED: Final = "finished points are stored, and the same sweep continues from there"
+"""What is left of a sweep that ends early."""
+
+# Pause before a process that died is replaced [s].
 _PAUSE: Final = 0.2
-_UNGUARDED: Final = (
-    "a script must call sweep under if __name__ == '__main__':, as worker processes import it and would sweep too"
-)
-_Call = tuple[Future[Any], bytes]
+# What a process says when it can take calls.
+_READY: Final = "ready"
+# Variables by which MPI's launchers control the processes that they started; they must not reach a child of those.
+_OF_LAUNCHERS: Final = re.compile(r"(PMI|PMIX|OMPI|PRTE|HYDI?|PALS|MPI)_")
+# Variables in which libraries of linear algebra and OpenMP look for their number of threads.
+_THREADS: Final = (
+    "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "BLIS_NUM_THREADS", "VECLIB_MAXIMUM_THREADS",
+)  # fmt: skip
+
+# True in a worker while it imports the script that started it, which without a guard would sweep again.
+_preparing = False
 
 
 class WorkerDied(BrokenExecutor):
@@ -53,14 +71,19 @@ class ProcessPool(Executor):
         Raises:
             InputError: this process is itself a worker, because its script sweeps when it is imported.
         """
-        if is_preparing():
-            raise InputError(_UNGUARDED)
-        self._first = preparation(), pickle.dumps(evaluation)
+        if _preparing:
+            raise InputError(
+                "a script must call sweep under if __name__ == '__main__':, as worker processes import it and would"
+                " sweep too"
+            )
+        script = multiprocessing.spawn.get_preparation_data("worker of a sweep")
+        del script["authkey"]  # which refuses to be pickled
+        self._first = script, pickle.dumps(evaluation)
         # Together one thread for each core: with as many threads in each worker as cores all would be slow.
         self._environment = environment(max(1, available() // workers))
-        self._calls: queue.SimpleQueue[_Call | None] = queue.SimpleQueue()
+        self._calls: queue.SimpleQueue[tuple[Future[Any], bytes] | None] = queue.SimpleQueue()
         self._lock = threading.Lock()
-        self._processes: set[_Process] = set()
+        self._processes: dict[subprocess.Popen[bytes], float] = {}  # with the times [s] of their starts
         self._deaths, self._first_death = 0, 0.0
         self._broken: InputError | None = None
         self._closing = threading.Event()
@@ -87,10 +110,6 @@ class ProcessPool(Executor):
         with self._lock:
             self._deaths = 0
 
-    def __exit__(self, *_: object) -> None:
-        """End the processes."""
-        self.shutdown()
-
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = True) -> None:
         """End the processes at once, without waiting for the tasks under way."""
         self._closing.set()
@@ -106,84 +125,69 @@ class ProcessPool(Executor):
 
     def _keep(self) -> None:
         """Keep one process at work, and replace it when it dies; this is the function of a thread."""
+        pause = 0.0
         try:
-            while (process := self._ready()) is not None:
+            while not self._closing.wait(pause):
+                pause = _PAUSE
                 try:
+                    process = self._started()
+                except OSError as error:  # no memory for another, or too many there
+                    self._note_death(f"none can be started ({error})")
+                    continue
+                if process is None:
+                    return
+                try:
+                    _send(process.stdin, self._first)
+                    if (answer := _receive(process.stdout)) != _READY:
+                        self._give_up(f"the worker processes could not begin: {answer}")
+                        return
                     while (call := self._calls.get()) is not None:
                         self._execute(process, *call)
                     return
                 except (OSError, EOFError):
-                    self._note_death(process.end())
+                    self._note_death(_end(process))
                 finally:
-                    self._remove(process)
+                    with self._lock:
+                        self._processes.pop(process)
+                    process.kill()
+                    _end(process)
         except Exception as error:
             self._give_up(f"the worker processes cannot be kept at work: {type(error).__name__}: {error}")
             raise
 
-    def _ready(self) -> _Process | None:
-        """Start a process, and again until one is ready; None if the pool ends."""
-        while not self._closing.is_set():
-            try:
-                process = self._started()
-            except OSError as error:  # no memory for another, or too many there
-                self._note_death(f"none can be started ({error})")
-            else:
-                if process is None:
-                    break
-                try:
-                    process.send(self._first)
-                    answer = process.receive()
-                except (OSError, EOFError):
-                    self._note_death(process.end())
-                    self._remove(process)
-                else:
-                    if answer == READY:
-                        return process
-                    self._remove(process)
-                    self._give_up(f"the worker processes could not begin: {answer}")
-            self._closing.wait(_PAUSE)
-        return None
-
-    def _started(self) -> _Process | None:
+    def _started(self) -> subprocess.Popen[bytes] | None:
         """Start a process; None if the pool ends."""
         with self._lock:
             if self._closing.is_set() or self._broken is not None:
                 return None
-            process = _Process(self._environment)
-            self._processes.add(process)
+            pipe = subprocess.PIPE
+            process = subprocess.Popen(_command(), stdin=pipe, stdout=pipe, env=self._environment)
+            self._processes[process] = time.monotonic()
             return process
 
-    def _remove(self, process: _Process) -> None:
-        with self._lock:
-            self._processes.discard(process)
-        process.kill()
-        process.end()
-
-    def _execute(self, process: _Process, future: Future[Any], call: bytes) -> None:
+    def _execute(self, process: subprocess.Popen[bytes], future: Future[Any], call: bytes) -> None:
         """Send a task to a process, and give its future the outcome.
 
         Raises:
             OSError: the process died.
             EOFError: the process died.
         """
-        if future.cancelled():
+        if process.poll() is not None:
+            self._calls.put((future, call))  # it was dead before the task reached it
+            raise EOFError
+        if not future.set_running_or_notify_cancel():
             return
         try:
-            process.send(call)
-            assert process.receive() == BEGUN
+            _send(process.stdin, call)
+            result, error = _receive(process.stdout)
         except (OSError, EOFError):
-            self._calls.put((future, call))  # it was dead before the task reached it
-            raise
-        wanted = future.set_running_or_notify_cancel()
-        try:
-            returned, pickled = process.receive()
-        except (OSError, EOFError):
-            if wanted:
-                future.set_exception(WorkerDied(f"the last ended {process.end()}"))
+            future.set_exception(WorkerDied(f"the last ended {_end(process)}"))
             raise
         self.proceed()
-        if wanted:
-            _resolve(future, returned, pickled)
+        if error is None:
+            future.set_result(result)
+        else:
+            future.set_exception(error)
 
     def _note_death(self, how: str) -> None:
         """Count a death, and give up if processes only die."""
@@ -194,12 +198,11 @@ class ProcessPool(Executor):
             self._first_death = self._first_death if self._deaths else now
             self._deaths += 1
             deaths, seconds = self._deaths, now - self._first_death
-            old = any(now - process.began > _PATIENCE for process in self._processes if process.lives())
+            old = any(now - began > _PATIENCE for process, began in self._processes.items() if process.poll() is None)
         if deaths >= _DEATHS and seconds > _PATIENCE and not old:
             self._give_up(
                 f"{deaths} worker processes ended within {seconds:.0f} s before one of them had finished a task, the"
-                f" last {how}: check whether they have enough memory, or what ends them; finished points are stored,"
-                " and the same sweep continues from there"
+                f" last {how}: check whether they have enough memory, or what ends them; {STORED}"
             )
 
     def _give_up(self, reason: str) -> None:
@@ -221,52 +224,108 @@ class ProcessPool(Executor):
         return futures
 
 
-class _Process:
-    """A worker process.
+def environment(threads: int) -> dict[str, str]:
+    """Return the environment of a worker: this one's without that of MPI, and with a number of threads if unset."""
+    own = {name: text for name, text in os.environ.items() if not _OF_LAUNCHERS.match(name)}
+    return {**dict.fromkeys(_THREADS, str(threads)), **own}
 
-    Attributes:
-        began: when it was started [s].
+
+def _command() -> list[str]:
+    """Return the command line of a worker, which finds modules where this process does."""
+    places = [place or str(Path.cwd()) for place in sys.path if isinstance(place, str)]
+    begin = (
+        "import signal; signal.signal(signal.SIGINT, signal.SIG_IGN)\n"  # Ctrl-C is the pool's business
+        f"import sys; sys.path[:] = {places!r}\n"
+        "from plough_opt.studies.sweep.pool import serve; serve()"
+    )
+    return [multiprocessing.spawn.get_executable(), "-c", begin]
+
+
+def _end(process: subprocess.Popen[bytes]) -> str:
+    """Wait for the end of a process, which must be near, and return how it ended."""
+    for pipe in (process.stdin, process.stdout):
+        with contextlib.suppress(OSError):  # of what could not be sent
+            assert pipe is not None
+            pipe.close()
+    status = process.wait()
+    return f"with exit status {status}" if status >= 0 else f"by signal {-status} ({signal.strsignal(-status)})"
+
+
+def _send(file: IO[bytes] | None, message: object) -> None:
+    """Write a message.
+
+    Raises:
+        OSError: the reader has ended.
     """
-
-    def __init__(self, environment: dict[str, str]) -> None:
-        pipe = subprocess.PIPE
-        self.began = time.monotonic()
-        self._process = subprocess.Popen(command(), stdin=pipe, stdout=pipe, env=environment)
-
-    def lives(self) -> bool:
-        """Return whether the process runs."""
-        return self._process.poll() is None
-
-    def send(self, message: object) -> None:
-        """Send a message to the process."""
-        send(cast(BinaryIO, self._process.stdin), message)
-
-    def receive(self) -> Any:
-        """Wait for a message from the process."""
-        return receive(cast(BinaryIO, self._process.stdout))
-
-    def kill(self) -> None:
-        """End it at once."""
-        self._process.kill()
-
-    def end(self) -> str:
-        """Wait for the end of the process, which must be near, and return how it ended."""
-        for pipe in (self._process.stdin, self._process.stdout):
-            with contextlib.suppress(OSError):  # of what could not be sent
-                cast(BinaryIO, pipe).close()
-        status = self._process.wait()
-        if status >= 0:
-            return f"with exit status {status}"
-        return f"by signal {-status} ({signal.strsignal(-status)})"
+    assert file is not None
+    pickle.dump(message, file)
+    file.flush()
 
 
-def _resolve(future: Future[Any], returned: bool, pickled: bytes) -> None:
-    """Give a future the result or the error of a call."""
+def _receive(file: IO[bytes] | None) -> Any:
+    """Read a message.
+
+    Raises:
+        EOFError: the writer has ended.
+    """
+    assert file is not None
     try:
-        outcome = pickle.loads(pickled)
-    except Exception as error:
-        returned, outcome = False, error
-    if returned:
-        future.set_result(outcome)
-    else:
-        future.set_exception(outcome)
+        return pickle.load(file)
+    except pickle.UnpicklingError as error:  # which ends within a message
+        raise EOFError from error
+
+
+def serve() -> None:
+    """Execute the pool's calls until it ends; this is the main function of a worker."""
+    inlet, outlet = os.fdopen(os.dup(0), "rb"), os.fdopen(os.dup(1), "wb")
+    if hasattr(os, "register_at_fork"):
+        # A child that outlives this process must not hold its pipe open, by which the pool sees its end.
+        os.register_at_fork(after_in_child=outlet.close)
+    os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
+    os.dup2(2, 1)
+    sys.stderr = Sieve(sys.stderr)
+    try:
+        _prepare(*_receive(inlet))
+    except EOFError:
+        return
+    except BaseException as error:  # a script may also end itself
+        _send(outlet, f"{type(error).__name__}: {error}")
+        return
+    calls: queue.SimpleQueue[bytes] = queue.SimpleQueue()
+    threading.Thread(target=_listen, args=(inlet, calls), daemon=True).start()
+    _send(outlet, _READY)
+    while True:
+        outlet.write(_outcome(calls.get()))
+        outlet.flush()
+
+
+def _prepare(script: dict[str, Any], evaluation: bytes) -> None:
+    """Import the main script of the pool's process, and check that the evaluation can be unpickled."""
+    global _preparing
+    _preparing = True
+    load_additions()
+    multiprocessing.spawn.prepare(script)
+    pickle.loads(evaluation)
+    _preparing = False
+
+
+def _listen(inlet: IO[bytes], calls: queue.SimpleQueue[bytes]) -> None:
+    """Queue the pool's calls, and end this process with the pool, even if that is killed during a computation here."""
+    try:
+        while True:
+            calls.put(_receive(inlet))
+    except EOFError:
+        os._exit(1)
+
+
+def _outcome(call: bytes) -> bytes:
+    """Return the result of a call and its error as a pickle; one of the two is None."""
+    try:
+        function, arguments, keywords = pickle.loads(call)
+        return pickle.dumps((function(*arguments, **keywords), None))
+    except BaseException as error:
+        # Not every exception can be pickled.
+        own = error if type(error) is InputError else RuntimeError(f"{type(error).__name__}: {error}")
+        return pickle.dumps((None, own))
+    finally:
+        sys.stdout.flush()

@@ -1,31 +1,40 @@
-"""The result of a sweep."""
+"""The result of a sweep, read from its store on demand; its tables as CSV and NPZ need not fit into memory."""
 
 from __future__ import annotations
 
+import csv
+import io
 import itertools
 import json
 import weakref
+import zipfile
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import IO, TYPE_CHECKING, Any, Final
 
 import numpy as np
+from numpy.lib import format as npy
 from numpy.typing import NDArray
 
 from plough_opt.core.checks import path_of, shown
 from plough_opt.core.errors import InputError
-from plough_opt.core.files import drawn
+from plough_opt.core.files import drawn, write_file
 from plough_opt.core.kept import Origin
 from plough_opt.core.tables import Grid, Page, Part, Readable, data_frame
 from plough_opt.motion.vocabulary import called
-from plough_opt.studies.sweep import tables
-from plough_opt.studies.sweep.layout import State
+from plough_opt.studies.sweep.database import State
 from plough_opt.studies.sweep.store import Store
 
 if TYPE_CHECKING:
     import pandas
     from matplotlib.figure import Figure
+
+# Failures that a table and a JSON text quote.
+_QUOTED: Final = 3
+_TOLD: Final = 1000
+# Rows of an array that are written at once.
+_AT_ONCE: Final = 16384
 
 
 @dataclass(frozen=True)
@@ -56,11 +65,6 @@ class Extreme:
     value: float
     point: int
     values: dict[str, float]
-
-
-# Failures that a table and a JSON text quote.
-_QUOTED: Final = 3
-_TOLD: Final = 1000
 
 
 class Sweep(Readable):
@@ -97,7 +101,7 @@ class Sweep(Readable):
         store = Store(path, write=False)
         try:
             store.verify()
-            return cls(store, store.stored()[0])
+            return cls(store, store.counts().stored)
         except BaseException:
             store.close()
             raise
@@ -113,7 +117,7 @@ class Sweep(Readable):
         self.close()
 
     def __len__(self) -> int:
-        return self._store.stored()[0]
+        return self._store.counts().stored
 
     @property
     def path(self) -> Path | None:
@@ -148,7 +152,7 @@ class Sweep(Readable):
     @property
     def failed(self) -> int:
         """Number of points that failed: without results for a known reason."""
-        return self._store.stored()[1]
+        return self._store.counts().failed
 
     @property
     def table(self) -> NDArray[np.void]:
@@ -178,7 +182,7 @@ class Sweep(Readable):
         """Warnings about the numbers, each kind once with the numbers of its first point."""
         count = len(self)
         # Points computed again because their rows were lost or damaged were counted twice.
-        return tuple(f"at {min(points, count)} of {count} points: {text}" for _, text, _, points in self._store.notes())
+        return tuple(f"at {min(points, count)} of {count} points: {text}" for text, points in self._store.notes())
 
     def extreme(self, name: str, *, largest: bool = False) -> Extreme | None:
         """Return the least or the largest value of a result, or None if no point has any."""
@@ -192,20 +196,18 @@ class Sweep(Readable):
 
     def page(self) -> Page:
         """Return the range of every result with its points, the first failures, and the warnings."""
-        undetermined = len(list(self.undetermined))
+        stored, failed, undetermined = self._store.counts()
         also = f", {undetermined} undetermined" if undetermined else ""
-        heading = f"{len(self)} points, {self.failed} failed{also}"
         table = Grid.of("", "result", "least", "at", "largest", "at ", left=("at", "at "))
         for name in self.results:
-            ends = [end for end in (self.extreme(name), self.extreme(name, largest=True)) if end is not None]
-            if len(ends) == 2:
-                display = self.origin.display(name, self.units.get(name, ""), *(end.value for end in ends))
-                least, largest = (display.text(end.value) for end in ends)
-                places = ["everywhere", ""] if least == largest else [self._place(end) for end in ends]
-                table.row(_short(name), least, places[0], largest, places[1])
+            if (least := self.extreme(name)) and (largest := self.extreme(name, largest=True)):
+                display = self.origin.display(name, self.units.get(name, ""), least.value, largest.value)
+                texts = [display.text(end.value) for end in (least, largest)]
+                places = ["everywhere", ""] if texts[0] == texts[1] else [self._place(least), self._place(largest)]
+                table.row(_short(name), texts[0], places[0], texts[1], places[1])
         parts: list[Part] = [table] if table.rows else []
         for state, count, points in (
-            ("failed", self.failed, self.failures),
+            ("failed", failed, self.failures),
             ("undetermined", undetermined, self.undetermined),
         ):
             for point in itertools.islice(points, _QUOTED):
@@ -215,7 +217,7 @@ class Sweep(Readable):
                 parts.append(f"... and {count - _QUOTED} more {state}: --csv writes all reasons")
         there = f"; {self.already} points were there already" if self.already else ""
         footer = f"{self.how[:1].upper()}{self.how[1:]}; stored in {self.path}{there}" if self.how else ""
-        return Page(heading, tuple(parts), self.notes, footer, self.origin.title)
+        return Page(f"{stored} points, {failed} failed{also}", tuple(parts), self.notes, footer, self.origin.title)
 
     def _place(self, end: Extreme) -> str:
         return "\n".join(f"{_short(key)} {self._text(key, value)}" for key, value in end.values.items())
@@ -271,12 +273,50 @@ class Sweep(Readable):
         return data_frame({name: table[name] for name in table.dtype.names or ()}, self.units)
 
     def to_csv(self, path: str | Path) -> Path:
-        """Write a table of all points; see `plough_opt.studies.sweep.tables.write_csv`."""
-        return tables.write_csv(self._store, path)
+        """Write a row for each point: its number, quantities and results in SI units, or the reason why it has none.
+
+        Raises:
+            InputError: a place that cannot be written.
+        """
+        columns = self._store.about.columns
+
+        def write(file: IO[bytes]) -> None:
+            text = io.TextIOWrapper(file, encoding="utf-8", newline="")
+            table = csv.writer(text, lineterminator="\n")
+            headings = (f"{name} [{self.units[name]}]" if self.units.get(name) else name for name in columns)
+            table.writerow(["point", *headings, "reason"])
+            # A float's repr has all the digits that it needs, and None is empty.
+            for *row, state, reason in self._store.rows("point", *columns, "state", "reason"):
+                table.writerow([*row, f"undetermined: {reason}" if state == "undetermined" else reason])
+            text.detach()  # flushes, and leaves the file open for `write_file`
+
+        return write_file(path, "table", write)
 
     def to_npz(self, path: str | Path) -> Path:
-        """Write an array for each column; see `plough_opt.studies.sweep.tables.write_npz`."""
-        return tables.write_npz(self._store, path)
+        """Write an array for each column.
+
+        ``failed`` has the numbers of the points that failed, ``reasons`` why they did, and ``undetermined`` the numbers
+        of undetermined points.
+
+        Raises:
+            InputError: a place that cannot be written.
+        """
+        stored, failed, undetermined = self._store.counts()
+        longest = max((len(failure.reason) for failure in self.failures), default=1)
+        numbers = {name: (np.nan if row[0] is None else row[0] for row in self._store.rows(name))
+                   for name in self._store.about.columns}  # fmt: skip
+
+        def write(file: IO[bytes]) -> None:
+            with zipfile.ZipFile(file, "w", allowZip64=True) as archive:
+                _write_array(archive, "point", "<i8", stored, (row[0] for row in self._store.rows("point")))
+                for name, column in numbers.items():
+                    _write_array(archive, name, "<f8", stored, column)
+                _write_array(archive, "failed", "<i8", failed, (one.point for one in self.failures))
+                _write_array(archive, "undetermined", "<i8", undetermined, (one.point for one in self.undetermined))
+                _write_array(archive, "reasons", f"<U{longest}", failed, (one.reason for one in self.failures),
+                             zipfile.ZIP_DEFLATED)  # fmt: skip
+
+        return write_file(path, "table", write)
 
     def _without_results(self, state: State) -> Iterator[Failure]:
         for point, reason, *values in self._store.rows("point", "reason", *self.names, where=state):
@@ -286,3 +326,20 @@ class Sweep(Readable):
 def _short(key: str) -> str:
     """Return a key without its table, which makes a column narrow."""
     return key.rpartition(".")[2]
+
+
+def _write_array(
+    archive: zipfile.ZipFile,
+    name: str,
+    kind: str,
+    count: int,
+    values: Iterator[Any],
+    compression: int = zipfile.ZIP_STORED,
+) -> None:
+    """Write one array of an archive, of which only a part is in memory at once."""
+    entry = zipfile.ZipInfo(f"{name}.npy")
+    entry.compress_type = compression
+    with archive.open(entry, "w", force_zip64=True) as file:
+        npy.write_array_header_1_0(file, {"descr": kind, "fortran_order": False, "shape": (count,)})
+        while part := list(itertools.islice(values, _AT_ONCE)):
+            file.write(np.array(part, dtype=kind).tobytes())

@@ -11,16 +11,25 @@ import time
 import uuid
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from plough_opt.core.errors import InputError
-from plough_opt.studies.sweep import layout
-from plough_opt.studies.sweep.database import Database, quoted
-from plough_opt.studies.sweep.layout import FIXED, State
-from plough_opt.studies.sweep.work import Array
+from plough_opt.studies.sweep.database import (
+    FIXED,
+    About,
+    Database,
+    State,
+    check_columns,
+    checksum,
+    create,
+    damaged,
+    quoted,
+    read,
+)
+from plough_opt.studies.sweep.work import Array, Done
 
 # Time [s] after which the run of a claim that was not renewed counts as dead.
 _LEASE: Final = 30.0
@@ -28,69 +37,102 @@ _LEASE: Final = 30.0
 _LOOKED_AT: Final = 256
 # Limit on a claim of points that are computed again: the rows that a batch simulates at once.
 _MOST_AGAIN: Final = 2048
-Note = tuple[str, str, int, int]
-"""Kind and text of a warning, its first point and the number of its points."""
+# Counts a note, and keeps its text if its point is the first of its kind.
+_NOTE: Final = (
+    "INSERT INTO notes VALUES (?, ?, ?, ?) ON CONFLICT (kind) DO UPDATE SET"
+    " text = CASE WHEN excluded.first < first THEN excluded.text ELSE text END,"
+    " first = min(first, excluded.first), points = points + excluded.points"
+)
+# Ends the claim of a point if all points in its range are stored.
+_END_CLAIM: Final = (
+    "DELETE FROM claims WHERE owner = ? AND first <= ? AND last > ? AND last - first ="
+    " (SELECT count(*) FROM points WHERE point >= claims.first AND point < claims.last)"
+)
 
 
-class Store:
+class Counts(NamedTuple):
+    """Numbers of points: those stored, and among them those that failed and those that are undetermined."""
+
+    stored: int
+    failed: int
+    undetermined: int
+
+
+class Store(Database):
     """A store, open.
 
     Attributes:
-        path: of the file, or None for one that is deleted when it is closed.
         about: quantities, results and question of the sweep.
     """
 
-    about: layout.About
+    about: About
 
     def __init__(self, path: str | Path | None, write: bool = True) -> None:
         """Open a file; a missing one is made if it is to be written.
 
+        Args:
+            path: of the file, or None for one that is deleted when it is closed.
+            write: whether points are to be stored.
+
         Raises:
             InputError: a file that cannot be made or read, or that is not a store; nothing in it is changed.
         """
-        self._database = Database(path, write)
+        super().__init__(path, write)
         self._owner = f"{platform.node()}:{os.getpid()}:{uuid.uuid4().hex}"
-        self.path = self._database.path
         try:
-            if self._database.tables():
-                self.read()
+            if self.tables():
+                self.about = read(self)
             elif not write:
                 raise InputError(f"'{self.path}' is empty, and not the store of a sweep")
             if write and path is not None:
-                self._database.write_ahead()
+                self.write_ahead()
         except InputError:
             self.close()
             raise
 
-    def close(self) -> None:
-        """Close the file."""
-        self._database.close()
+    def prepare(
+        self,
+        question: Mapping[str, str],
+        names: Sequence[str],
+        units: Mapping[str, str],
+        count: int,
+        retry: bool = False,
+    ) -> None:
+        """Enter the sweep's question, or compare it with the one in the file; then check every row.
 
-    def prepare(self, question: Mapping[str, str], names: Sequence[str], units: Mapping[str, str], count: int) -> None:
-        """Enter the sweep's question, or compare it with the one in the file.
+        Points that are neither stored nor under way in another run can be claimed afterwards.
 
         Args:
             question: everything that the results depend on.
             names: the quantities that are swept.
             units: name -> unit, of quantities and results that have one.
             count: number of points.
+            retry: delete the points that failed, are undetermined or are damaged, so that they are tried again.
 
         Raises:
-            InputError: the store belongs to another question; the message lists the differences.
+            InputError: the store belongs to another question; the message lists the differences. Or damaged rows; or,
+                with retry, another run fills the store.
         """
-        with self._database.transaction():
-            if not self._database.tables():
-                layout.create(self._database, question, names, units, count)
-        self.read()
+        with self.transaction():
+            if not self.tables():
+                create(self, question, names, units, count)
+        self.about = read(self)
         self._check_question(dict(question))
-
-    def read(self) -> None:
-        """Read `about` from the file.
-
-        Raises:
-            InputError: the file is not a store of this layout, or damaged.
-        """
-        self.about = layout.read(self._database)
+        now = time.time()
+        with self.transaction():
+            owners = self.run("SELECT owner, max(expires) FROM claims GROUP BY owner")
+            alone = all(_dead(owner, expires, now) for owner, expires in owners)
+            if not retry:
+                self.verify()
+            elif not alone:
+                raise InputError(f"another run fills the store '{self.path}': wait for its end to try failures again")
+            else:
+                self.run("DELETE FROM points WHERE state != 'computed'")
+                for point in list(self._spoilt()):
+                    self.run("DELETE FROM points WHERE point = ?", point)
+            if alone:
+                self.run("DELETE FROM claims")
+                self.run_many("INSERT INTO claims VALUES (?, ?, '', 0.0)", self._gaps(self._next()))
 
     def finish(self) -> None:
         """Check the number of points, and merge the log into the file, so that it can be read from any medium.
@@ -98,90 +140,54 @@ class Store:
         Raises:
             InputError: points are missing.
         """
-        stored = self.stored()[0]
+        self.about = read(self)  # another run may have entered names of results
+        stored = self.counts().stored
         if stored != self.about.count:
             raise InputError(
                 f"the store '{self.path}' holds {stored} of {self.about.count} points, though all of them were written:"
                 " another program, or a trigger inside it, rejects or removes rows; sweep into another file"
             )
         if self.path is not None:
-            self._database.make_whole()
+            self.make_whole()
 
-    def stored(self) -> tuple[int, int, int]:
+    def counts(self) -> Counts:
         """Return the numbers of points that are stored, that failed, and that are undetermined."""
-        counts = self._run("SELECT count(*), total(state = 'failed'), total(state = 'undetermined') FROM points")[0]
-        return int(counts[0]), int(counts[1]), int(counts[2])
+        row = self.run("SELECT count(*), total(state = 'failed'), total(state = 'undetermined') FROM points")[0]
+        return Counts(*map(int, row))
 
-    def claim(self, size: int) -> tuple[int, int] | None:
-        """Claim a range of points; return the first and one beyond the last, or None if none are left.
+    def claim(self, size: int) -> NDArray[np.int64] | None:
+        """Claim a range of points; return the numbers of those that are not stored, or None if none are left.
 
         Args:
             size: limit on a range of new points; that of a dead run is claimed as it is.
         """
-        now = time.time()
-        with self._database.transaction():
-            first = self._next()
-            last = min(first + size, self.about.count)
-            if first < self.about.count:
-                self._run("UPDATE meta SET value = ? WHERE key = 'next'", str(last))
-            else:
-                # Dead runs are those that renewed their leases longest ago.
-                oldest = self._run(
-                    "SELECT first, last, owner, expires FROM claims ORDER BY expires LIMIT ?", _LOOKED_AT
-                )
-                left = [row for row in oldest if _dead(row[2], row[3], now)]
-                if not left:
+        while True:
+            now = time.time()
+            with self.transaction():
+                first = self._next()
+                last = min(first + size, self.about.count)
+                if first < self.about.count:
+                    self.run("UPDATE meta SET value = ? WHERE key = 'next'", str(last))
+                elif (left := self._left_behind(now)) is not None:
+                    first, last = left
+                else:
                     return None
-                first, last = left[0][:2]
-            self._run("INSERT OR REPLACE INTO claims VALUES (?, ?, ?, ?)", first, last, self._owner, now + _LEASE)
-        return first, last
+                self.run("INSERT OR REPLACE INTO claims VALUES (?, ?, ?, ?)", first, last, self._owner, now + _LEASE)
+                stored = self.run("SELECT point FROM points WHERE point >= ? AND point < ?", first, last)
+                missing = np.setdiff1d(np.arange(first, last), np.array([row[0] for row in stored], dtype=np.int64))
+                if len(missing):
+                    return missing
+                self.run(_END_CLAIM, self._owner, first, first)
 
     def waiting(self) -> bool:
         """Return whether another run still works on points."""
-        return bool(self._run("SELECT 1 FROM claims WHERE owner != ? LIMIT 1", self._owner))
+        return bool(self.run("SELECT 1 FROM claims WHERE owner != ? LIMIT 1", self._owner))
 
-    def missing(self, first: int, last: int) -> NDArray[np.int64]:
-        """Return the numbers of the points of a range that are not stored."""
-        rows = self._run("SELECT point FROM points WHERE point >= ? AND point < ?", first, last)
-        return np.setdiff1d(np.arange(first, last), np.array([row[0] for row in rows], dtype=np.int64))
-
-    def renew(self) -> None:
-        """Renew this run's lease on its claims."""
-        with self._database.transaction():
-            self._run("UPDATE claims SET expires = ? WHERE owner = ?", time.time() + _LEASE, self._owner)
-
-    def release(self) -> None:
-        """End this run's lease, so that others can claim its unfinished points."""
-        with self._database.transaction():
-            self._run("UPDATE claims SET expires = 0.0 WHERE owner = ?", self._owner)
-
-    def reopen(self, retry: bool) -> None:
-        """Check every row, and make points claimable that are neither stored nor under way in another run.
-
-        Args:
-            retry: delete the points that failed, are undetermined or are damaged, so that they are tried again.
-
-        Raises:
-            InputError: damaged rows; or, with retry, another run fills the store.
-        """
-        now = time.time()
-        with self._database.transaction():
-            owners = self._run("SELECT owner, max(expires) FROM claims GROUP BY owner")
-            alone = all(_dead(owner, expires, now) for owner, expires in owners)
-            if retry:
-                if not alone:
-                    raise InputError(
-                        f"another run fills the store '{self.path}': wait for its end to try failures again"
-                    )
-                self._run("DELETE FROM points WHERE state != 'computed'")
-                for point in list(layout.spoilt_points(self._database, self.about)):
-                    self._run("DELETE FROM points WHERE point = ?", point)
-            else:
-                self.verify()
-            if alone:
-                self._run("DELETE FROM claims")
-                gaps = self._gaps(self._next())
-                self._database.run_many("INSERT INTO claims VALUES (?, ?, '', 0.0)", gaps)
+    def renew(self, seconds: float = _LEASE) -> None:
+        """Renew this run's lease on its claims; one of no time lets others claim its unfinished points at once."""
+        expires = time.time() + seconds if seconds else 0.0
+        with self.transaction():
+            self.run("UPDATE claims SET expires = ? WHERE owner = ?", expires, self._owner)
 
     def verify(self) -> None:
         """Compare every row with its checksum.
@@ -189,9 +195,9 @@ class Store:
         Raises:
             InputError: some differ.
         """
-        spoilt = list(layout.spoilt_points(self._database, self.about))
+        spoilt = list(self._spoilt())
         if spoilt:
-            raise layout.damaged(
+            raise damaged(
                 self.path,
                 f"{len(spoilt)} of its rows differ from their checksums, the first that of point {spoilt[0]}; the same"
                 " sweep with --retry (retry=True) computes them again",
@@ -203,60 +209,44 @@ class Store:
         Raises:
             InputError: names that cannot be columns, or that differ from those of earlier points.
         """
-        with self._database.transaction():
-            known = tuple(json.loads(self._run("SELECT value FROM meta WHERE key = 'results'")[0][0]))
+        with self.transaction():
+            known = tuple(json.loads(self.run("SELECT value FROM meta WHERE key = 'results'")[0][0]))
             if not known:
-                layout.check_columns((*self.about.names, *results))
+                check_columns((*self.about.names, *results))
                 for name in results:
-                    self._run(f"ALTER TABLE points ADD COLUMN {quoted(name)} REAL")
-                self._run("UPDATE meta SET value = ? WHERE key = 'results'", json.dumps(list(results)))
+                    self.run(f"ALTER TABLE points ADD COLUMN {quoted(name)} REAL")
+                self.run("UPDATE meta SET value = ? WHERE key = 'results'", json.dumps(list(results)))
                 known = tuple(results)
-        self.read()
+        self.about = read(self)
         if known != tuple(results):
             raise InputError(
                 f"the results of one point are {', '.join(results)}, those of others {', '.join(known)}: return the"
                 " same names, in the same order, at every point"
             )
 
-    def keep(
-        self,
-        numbers: NDArray[np.int64],
-        values: Array,
-        results: Array | None,
-        reasons: Mapping[int, str],
-        notes: Sequence[Note] = (),
-        finished: int | None = None,
-        without: State = "failed",
-    ) -> int:
-        """Store points, all or none; return the number of new ones.
+    def keep(self, numbers: NDArray[np.int64], values: Array, done: Done, without: State = "failed") -> int:
+        """Store points, all or none, and end their claim if they are the last of it; return the number of new ones.
 
         Args:
             numbers: of the points.
-            values: of the quantities, a row each.
-            results: a row for each point, or None if all of them failed before any succeeded.
-            reasons: place among these points -> why it has no results.
-            notes: warnings about them.
-            finished: first point of the claim that they complete.
+            values: of the quantities, a row for each point.
+            done: their results, reasons and notes.
             without: state of the points without results.
         """
-        columns = self._all_columns()
+        columns = ", ".join(map(quoted, (*FIXED, *self.about.columns)))
         marks = ", ".join("?" * (len(FIXED) + len(self.about.columns)))
-        rows = self._rows(numbers, values, results, reasons, without)
-        with self._database.transaction():
-            new = self._database.run_many(f"INSERT OR IGNORE INTO points ({columns}) VALUES ({marks})", rows)
+        rows = self._rows(numbers, values, done, without)
+        with self.transaction():
+            new = self.run_many(f"INSERT OR IGNORE INTO points ({columns}) VALUES ({marks})", rows)
             if new == len(numbers):
-                for note in notes:
-                    self._add_note(note)
-            if finished is not None:
-                self._run("DELETE FROM claims WHERE first = ? AND owner = ?", finished, self._owner)
+                for kind, (text, place, points) in sorted(done.notes.items()):
+                    self.run(_NOTE, kind, text, int(numbers[place]), points)
+            self.run(_END_CLAIM, self._owner, int(numbers[0]), int(numbers[0]))
         return new
 
-    def notes(self) -> list[Note]:
-        """Return the warnings, in the order of their first points."""
-        return [
-            (kind, text, first, points)
-            for kind, text, first, points in self._run("SELECT kind, text, first, points FROM notes ORDER BY 3, 1")
-        ]
+    def notes(self) -> list[tuple[str, int]]:
+        """Return the warnings, each with the number of its points, in the order of their first points."""
+        return [(text, points) for text, points in self.run("SELECT text, points FROM notes ORDER BY first, kind")]
 
     def rows(self, *columns: str, where: State | None = None) -> Iterator[tuple[Any, ...]]:
         """Yield columns of the points, in order, of which only a few are in memory at once.
@@ -267,31 +257,35 @@ class Store:
         """
         chosen = ", ".join(map(quoted, columns))
         condition = f"WHERE state = '{where}'" if where else ""
-        return self._database.rows(f"SELECT {chosen} FROM points {condition} ORDER BY point")
+        return self.stream(f"SELECT {chosen} FROM points {condition} ORDER BY point")
 
     def extreme(self, name: str, largest: bool) -> tuple[Any, ...] | None:
         """Return the least or largest value of a result, its first point and the quantities there, or None."""
         chosen = ", ".join(map(quoted, (name, "point", *self.about.names)))
         order = f"{quoted(name)} {'DESC' if largest else 'ASC'}, point"
-        rows = self._run(f"SELECT {chosen} FROM points WHERE state = 'computed' ORDER BY {order} LIMIT 1")
+        rows = self.run(f"SELECT {chosen} FROM points WHERE state = 'computed' ORDER BY {order} LIMIT 1")
         return rows[0] if rows else None
 
     def _rows(
-        self, numbers: NDArray[np.int64], values: Array, results: Array | None, reasons: Mapping[int, str], state: State
+        self, numbers: NDArray[np.int64], values: Array, done: Done, without: State
     ) -> Iterator[tuple[object, ...]]:
         """Yield rows as they are stored."""
         empty = [None] * len(self.about.results)
         # SQLite stores the negative zero as zero.
         for k, (number, row) in enumerate(zip(numbers.tolist(), (values + 0.0).tolist(), strict=True)):
-            reason = reasons.get(k)
-            if reason is None and results is not None:
-                numbers_of = [*row, *results[k].tolist()]
-                own: State = "computed"
-            else:
-                numbers_of, own = [*row, *empty], state
+            reason, cells, state = done.reasons.get(k), [*row, *empty], without
+            if reason is None and done.results is not None:
+                cells, state = [*row, *done.results[k].tolist()], "computed"
             # The text of any exception, which may hold surrogates that UTF-8 cannot encode.
             text = None if reason is None else reason.encode("utf-8", "backslashreplace").decode("utf-8")
-            yield number, own, text, layout.checksum(number, own, text, numbers_of, len(row)), *numbers_of
+            yield number, state, text, checksum(number, state, text, cells, len(row)), *cells
+
+    def _spoilt(self) -> Iterator[int]:
+        """Yield the points whose rows differ from their checksums, or that do not belong to the sweep."""
+        for point, state, reason, kept, *numbers in self.rows(*FIXED, *self.about.columns):
+            right = checksum(point, state, reason, numbers, len(self.about.names))
+            if kept != right or not 0 <= point < self.about.count:
+                yield point
 
     def _gaps(self, end: int) -> Iterator[tuple[int, int]]:
         """Yield the ranges of points before an end that are not stored."""
@@ -302,26 +296,21 @@ class Store:
             first = point + 1
 
     def _next(self) -> int:
-        return int(self._run("SELECT value FROM meta WHERE key = 'next'")[0][0])
+        return int(self.run("SELECT value FROM meta WHERE key = 'next'")[0][0])
 
-    def _all_columns(self) -> str:
-        return ", ".join(map(quoted, (*FIXED, *self.about.columns)))
-
-    def _add_note(self, note: Note) -> None:
-        """Count a note, and keep its text if its point is the first of its kind."""
-        self._run(
-            "INSERT INTO notes VALUES (?, ?, ?, ?) ON CONFLICT (kind) DO UPDATE SET"
-            " text = CASE WHEN excluded.first < first THEN excluded.text ELSE text END,"
-            " first = min(first, excluded.first), points = points + excluded.points",
-            *note,
-        )
+    def _left_behind(self, now: float) -> tuple[int, int] | None:
+        """Return the range of a dead run, if there is one among those that renewed their leases longest ago."""
+        oldest = self.run("SELECT first, last, owner, expires FROM claims ORDER BY expires LIMIT ?", _LOOKED_AT)
+        left = ((first, last) for first, last, owner, expires in oldest if _dead(owner, expires, now))
+        return next(left, None)
 
     def _check_question(self, question: dict[str, str]) -> None:
         """Raise InputError if the store belongs to another question."""
+        there = self.about.question
         differences = [
-            f"{key}: {self.about.question.get(key, 'absent')} there, {question.get(key, 'absent')} here"
-            for key in dict.fromkeys((*question, *self.about.question))
-            if self.about.question.get(key) != question.get(key)
+            f"{key}: {there.get(key, 'absent')} there, {question.get(key, 'absent')} here"
+            for key in dict.fromkeys((*question, *there))
+            if there.get(key) != question.get(key)
         ]
         if differences:
             more = f"; and {len(differences) - 4} more" if len(differences) > 4 else ""
@@ -329,9 +318,6 @@ class Store:
                 f"the store '{self.path}' belongs to another question ({'; '.join(differences[:4])}{more}): name"
                 " another store, or repeat the same sweep"
             )
-
-    def _run(self, statement: str, *values: object) -> list[tuple[Any, ...]]:
-        return self._database.run(statement, *values)
 
 
 def _dead(owner: str, expires: float, now: float) -> bool:

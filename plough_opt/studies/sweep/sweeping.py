@@ -3,27 +3,26 @@
 import hashlib
 import inspect
 import pickle
-import sys
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from concurrent.futures import Executor
-from contextlib import ExitStack
+from contextlib import ExitStack, contextmanager
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
+from rich.progress import Progress as Bar
 
 from plough_opt.core.checks import check_switch, path_of, shown
 from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import is_count
 from plough_opt.core.kept import versions
-from plough_opt.core.process import available
-from plough_opt.studies.sweep.axes import axis_of
-from plough_opt.studies.sweep.bar import bar, silent
+from plough_opt.core.process import available, heartbeat
 from plough_opt.studies.sweep.cluster import Cluster
+from plough_opt.studies.sweep.database import check_columns
 from plough_opt.studies.sweep.engine import Engine, Progress
-from plough_opt.studies.sweep.layout import check_columns
-from plough_opt.studies.sweep.points import points_of
+from plough_opt.studies.sweep.points import axis_of, points_of
 from plough_opt.studies.sweep.pool import ProcessPool
 from plough_opt.studies.sweep.result import Sweep
 from plough_opt.studies.sweep.store import Store
@@ -73,24 +72,21 @@ def sweep(
         KeyboardInterrupt: interrupted; the message gives the number of stored points.
     """
     _check_arguments(evaluation, over, executor, workers, units)
+    check_switch("retry", retry)
     points = points_of({name: axis_of(name, given) for name, given in over.items()}, samples, seed)
     check_columns(points.names)
-    if executor is None:
-        _check_picklable(evaluation)
     asked = {**points.question(), **(question or _identity(evaluation)), **_versions()}
-    check_switch("retry", retry)
     store = None if store is None else path_of("the store", store)
     if not retry and store is not None and (finished := _finished(store, asked)) is not None:
         return finished
     kept = Store(store)
     try:
-        kept.prepare(asked, points.names, units or {}, points.count)
-        kept.reopen(retry)
-        already = kept.stored()[0]
+        kept.prepare(asked, points.names, units or {}, points.count, retry)
+        already = kept.counts().stored
         count = workers or available()
         if already < points.count:
             with ExitStack() as stack:
-                callback = progress if callable(progress) else silent
+                callback = progress if callable(progress) else lambda *_: None
                 if progress is True:
                     callback = stack.enter_context(bar(Console(stderr=True)))
                 if executor is None:
@@ -98,10 +94,9 @@ def sweep(
                 else:
                     used = Cluster.of(executor) or executor
                 Engine(evaluation, points, kept, used, count, callback).run()
-            kept.read()  # another run may have entered names of results
         kept.finish()
     except KeyboardInterrupt:
-        done = kept.stored()[0]
+        done = kept.counts().stored
         kept.close()
         where = "lost, as they had no store" if store is None else f"in '{store}': the same sweep continues from there"
         raise KeyboardInterrupt(f"{done} of {points.count} points are {where}") from None
@@ -111,12 +106,35 @@ def sweep(
     return Sweep(kept, already)
 
 
-def _finished(path: str | Path, question: Mapping[str, str]) -> Sweep | None:
+@contextmanager
+def bar(console: Console) -> Iterator[Progress]:
+    """Show the progress of a sweep, by a bar on a terminal and else by lines; yield the function that updates it."""
+    if not console.is_terminal:
+        with heartbeat(lambda line: console.print(line, markup=False, highlight=False, soft_wrap=True)) as note:
+            yield lambda stored, count, failed: note(
+                f"sweep: {stored} of {count} points{f', {failed} failed' if failed else ''}"
+            )
+        return
+    columns = (TextColumn("sweep"), BarColumn(bar_width=24), MofNCompleteColumn(), TimeRemainingColumn(),
+               TextColumn("{task.fields[failures]}"))  # fmt: skip
+    with Bar(*columns, console=console, transient=True) as shown:
+        task = shown.add_task("sweep", total=None, failures="")
+
+        def update(stored: int, count: int, failed: int) -> None:
+            if shown.tasks[0].total is None:
+                # Points stored before this run do not count for its speed.
+                shown.reset(task, total=count, completed=stored)
+            shown.update(task, completed=stored, failures=f"{failed} failed" if failed else "")
+
+        yield update
+
+
+def _finished(path: Path, question: Mapping[str, str]) -> Sweep | None:
     """Return the sweep in a store if it is complete and of the same question; its medium may be read-only."""
-    if not Path(path).is_file() or not Path(path).stat().st_size:
+    if not path.is_file() or not path.stat().st_size:
         return None
     kept = Store(path, write=False)
-    if kept.about.question == dict(question) and kept.stored()[0] == kept.about.count:
+    if kept.about.question == dict(question) and kept.counts().stored == kept.about.count:
         kept.verify()
         return Sweep(kept, kept.about.count)
     kept.close()
@@ -134,9 +152,11 @@ def _check_arguments(evaluation: object, over: object, executor: object, workers
         raise InputError(f"executor = {shown(executor)} must be one of concurrent.futures, or have their submit")
     if workers is not None and not is_count(workers):
         raise InputError(f"workers = {shown(workers)} must be 1 or more")
+    if executor is None:
+        _check_picklable(evaluation)
 
 
-def _check_picklable(evaluation: Evaluation) -> None:
+def _check_picklable(evaluation: object) -> None:
     """Raise InputError if an evaluation cannot be sent to another process."""
     try:
         pickle.dumps(evaluation)
@@ -145,12 +165,6 @@ def _check_picklable(evaluation: Evaluation) -> None:
             f"{shown(evaluation)} cannot be sent to other processes ({error}): use a function of a module, not one"
             " inside another, or an instance of a class of a module; or an executor that needs no copy"
         ) from None
-    module = sys.modules.get(getattr(evaluation, "__module__", ""))
-    if getattr(module, "__name__", "") == "__main__" and not hasattr(module, "__file__"):
-        raise InputError(
-            f"{shown(evaluation)} was typed at a prompt, from where other processes cannot import it: write it to a"
-            " file and import it, or give an executor"
-        )
 
 
 def _identity(evaluation: Evaluation) -> dict[str, str]:

@@ -71,27 +71,10 @@ def test_both_sides_of_the_kink_against_an_exact_solution(r1_soil):
     assert scene.mass * run.speed**2 / 2.0 == pytest.approx(scene.mass * 9.0 / 2.0 - work, rel=2e-8)
 
 
-@pytest.mark.parametrize("start", ["rest", "towed"])
-def test_both_sides_of_the_kink_with_the_spring_in_closed_form(r1_soil, start):
-    # Wholly in the soil the undamped equation is linear: from the state at any later time a sine follows exactly.
-    scene = scene_of(r1_soil, start=start, stiffness=5e4, speed=2.0, inertial_drag=False)
-    run = po.simulate(scene, 0.8, outputs=400)
-    inside = np.flatnonzero(run.travel > scene.cone.height)
-    assert np.all(np.diff(inside) == 1)
-    assert len(inside) > 100
-    first, z_s = inside[0], scene.reaction.static / scene.stiffness
-    omega = math.sqrt(scene.stiffness / scene.inertia)
-    since = run.time[first:] - run.time[first]
-    w0, rate0 = run.deflection[first] - z_s, scene.tow_speed - run.speed[first]
-    expected = z_s + w0 * np.cos(omega * since) + rate0 / omega * np.sin(omega * since)
-    assert run.deflection[first:] == pytest.approx(expected, rel=0, abs=2e-8 * largest(expected))
-
-
 # --- against a solver of our own ---
 
 OTHERS = {
     "bare": {},
-    "wave": {"strength_wave": WAVE},
     "all": {"strength_wave": WAVE, "damping": 150.0, "tow_ramp": 0.3, "rate_term": 0.1},
     "force alone": {"inertial_drag": False, "added_mass": False, "strength_wave": WAVE},
 }
@@ -100,9 +83,8 @@ OTHERS = {
 @pytest.mark.parametrize("others", OTHERS.values(), ids=OTHERS)
 @pytest.mark.parametrize("contact", LAWS.values(), ids=LAWS)
 @pytest.mark.parametrize("start", ["rest", "towed"])
-@pytest.mark.parametrize("share", [SHARE, BLUNT], ids=["slender", "blunt"])
-def test_an_independent_solver_agrees(r1_soil, share, start, contact, others):
-    scene = scene_of(r1_soil, share=share, start=start, contact=contact, stiffness=2e4, speed=1.5, **others)
+def test_an_independent_solver_agrees(r1_soil, start, contact, others):
+    scene = scene_of(r1_soil, share=BLUNT, start=start, contact=contact, stiffness=2e4, speed=1.5, **others)
     run, expected = po.simulate(scene, 0.8, outputs=16), three_modes.follow(scene, 0.8, outputs=16)
     assert max(expected.travel) > scene.cone.height
     force, size = largest(expected.mount_force), max(abs(expected.mean_draft), expected.force_rms)
@@ -142,9 +124,3 @@ def test_nothing_is_felt_before_the_strut_moves(r1_soil):
     for contact in LAWS.values():
         run = po.simulate(scene_of(r1_soil, contact=contact, speed=0.0, start="rest"), 1.0, outputs=5)
         assert largest(run.mount_force) == largest(run.travel) == largest(run.soil_resistance) == 0.0
-
-
-@pytest.mark.parametrize("effects", [{}, {"contact": po.StickSlip()}, {"contact": po.Smooth(0.1)}])
-def test_entry_from_equilibrium_is_refused(effects):
-    with pytest.raises(po.InputError, match=r"entry begins at first contact.*take start = 'rest' or 'towed'"):
-        po.Effects(entry=True, **effects)

@@ -1,19 +1,141 @@
-"""Grazing: a share under stick and slip whose speed just touches zero, as from rest without damping at every cycle."""
+"""Grazing: a share under stick and slip whose speed just touches zero, as from rest without damping at every cycle.
+
+Derivatives there are those of slipping on, and so of every side that slips on. From rest without drag, wave and damper
+L' = V0 (1 - cos(omega t)) once the share has broken loose: it touches zero in every cycle, whatever stiffness and
+speed. A little damper keeps it moving; a little wave does so too, or stops it.
+"""
 
 import math
 
+import casadi as ca
 import numpy as np
 import pytest
+from helpers import three_modes
 
 import plough_opt as po
 
-SHARE = po.Wedge(po.deg(30), po.deg(15), 0.25)
+SHARE = po.Wedge(po.deg(30.0), po.deg(15.0), 0.25)
+MASS, STIFFNESS, SPEED = 20.0, 5e4, 2.0
+TIGHT = po.Accuracy("erk", tolerance=1e-13)
+RESULTS = ("mount_force", "travel", "mean_draft", "force_rms")
 
 
-def scene(breakaway=1.0, **effects):
-    soil = po.named_soil("serozem")
-    law = po.StickSlip(breakaway)
-    return po.Scene(soil, SHARE, 5e4, 20.0, 2.0, po.Effects(start="rest", contact=law, **effects))
+def scene_of(stiffness=STIFFNESS, speed=SPEED, damping=0.0, breakaway=1.0, inertial_drag=False, **effects):
+    contact = po.StickSlip(breakaway)
+    chosen = po.Effects(start="rest", contact=contact, damping=damping, inertial_drag=inertial_drag, **effects)
+    return po.Scene(po.named_soil("serozem"), SHARE, stiffness, MASS, speed, chosen)
+
+
+def waved(amplitude, wavelength):
+    return scene_of(strength_wave=po.StrengthWave(amplitude, wavelength))
+
+
+def moments():
+    """Return when the share breaks loose, and its period."""
+    scene = scene_of()
+    return scene.reaction.static / (STIFFNESS * SPEED), 2.0 * math.pi / scene.natural_frequency
+
+
+def duration(cycles=3.3):
+    loose, period = moments()
+    return loose + cycles * period
+
+
+def results_of(scene, cycles=3.3, accuracy=TIGHT):
+    run = po.simulate(scene, duration(cycles), accuracy=accuracy, outputs=1)
+    values = [getattr(run, name) for name in RESULTS]
+    return [
+        value[-1] if name in ("mount_force", "travel") else value for name, value in zip(RESULTS, values, strict=True)
+    ]
+
+
+def slopes(build, at, cycles=3.3, accuracy=TIGHT):
+    """Return the results' derivatives by the numbers of a scene, a row each."""
+    x = ca.MX.sym("x", len(at))
+    results = ca.vertcat(*results_of(build(*ca.vertsplit(x)), cycles, accuracy))
+    return ca.Function("slopes", [x], [ca.jacobian(results, x)])(at).full()
+
+
+def exact(x, cycles):
+    """Return mount force and travel of a share that breaks loose once and slips on, in closed form, as expressions."""
+    stiffness, speed, damping = ca.vertsplit(x)
+    scene = scene_of()
+    inertia, z_s = scene.inertia, scene.reaction.static / stiffness
+    # It sticks while k0 V0 t + c V0 is below F0.
+    loose = (scene.reaction.static - damping * speed) / (stiffness * speed)
+    d = damping / (2.0 * inertia)
+    omega, since = ca.sqrt(stiffness / inertia - d**2), duration(cycles) - loose
+    a = speed * loose - z_s
+    b = (speed + d * a) / omega
+    wave, turned = (
+        a * ca.cos(omega * since) + b * ca.sin(omega * since),
+        b * ca.cos(omega * since) - a * ca.sin(omega * since),
+    )
+    z, rate = z_s + ca.exp(-d * since) * wave, ca.exp(-d * since) * (omega * turned - d * wave)
+    return ca.vertcat(stiffness * z + damping * rate, speed * duration(cycles) - z)
+
+
+@pytest.mark.parametrize(
+    ("cycles", "accuracy", "allowed"),
+    [(0.5, TIGHT, 1e-11), (1.5, TIGHT, 1e-11), (3.3, TIGHT, 1e-11), (3.3, None, 1e-8)],
+    ids=["no touch", "one touch", "three touches", "three touches by the default"],
+)
+def test_value_and_derivatives_are_those_of_the_exact_motion(cycles, accuracy, allowed):
+    at = [STIFFNESS, SPEED, 0.0]
+    x = ca.SX.sym("x", 3)
+    motion = exact(x, cycles)
+    value, expected = (np.array(part) for part in ca.Function("exact", [x], [motion, ca.jacobian(motion, x)])(at))
+    # Rounding decides whether a touch of zero counts as a stop, which then lasts no time.
+    found = np.array(results_of(scene_of(), cycles))[:2]
+    assert found == pytest.approx(value.ravel(), rel=1e-11)
+    derivatives = slopes(scene_of, at, cycles, accuracy)
+    assert np.all(np.isfinite(derivatives))
+    # As parts of the results: by relative changes of stiffness and speed, and by the damper's critical one.
+    scales = np.array([STIFFNESS, SPEED, 2.0 * math.sqrt(STIFFNESS * scene_of().inertia)])
+    difference = (derivatives[:2] - expected) * scales / value
+    assert np.max(np.abs(difference)) < allowed
+
+
+def test_a_wave_that_keeps_it_moving_has_that_derivative():
+    wavelength = 0.3
+    here = np.array(results_of(scene_of()))
+    derivatives = slopes(lambda amplitude: waved(amplitude, wavelength), [0.0])[:, 0]
+    assert three_modes.follow(waved(1e-4, wavelength), duration()).count(0, 1) == 0
+    size = np.max(np.abs(derivatives / here)) * np.abs(here)
+    left = [(np.array(results_of(waved(h, wavelength))) - here) / h - derivatives for h in (2e-4, 1e-4)]
+    # A forward difference: of first order.
+    assert np.max(np.abs(left[1]) / size) < 2e-3
+    assert np.linalg.norm(left[0] / size) / np.linalg.norm(left[1] / size) == pytest.approx(2.0, rel=0.05)
+
+
+def test_a_breakaway_ratio_above_one_makes_it_stop_and_has_that_derivative_too():
+    # It sticks for 2 (r - 1) F0/(k0 V0), which is just what the swing about steady sliding loses: nothing is left.
+    derivatives = slopes(lambda breakaway: scene_of(breakaway=breakaway), [1.0])[:, 0]
+    here = np.array(results_of(scene_of()))
+    assert np.max(np.abs(derivatives) / here) < 1e-9
+    assert three_modes.follow(scene_of(breakaway=1.001), duration()).count(0, 1) == 3
+    one, two = (np.abs(np.array(results_of(scene_of(breakaway=1.0 + h))) - here) / h / here for h in (1e-3, 5e-4))
+    assert np.max(one) < 5e-3
+    assert one / two == pytest.approx(2.0, rel=0.05)
+
+
+def test_a_wave_that_makes_it_stop_has_another():
+    wavelength = 0.1
+    # The side that stops is steady too, with a slope of its own, for the share waits until the mount pulls enough.
+    here = results_of(scene_of())[0]
+    derivative = slopes(lambda amplitude: waved(amplitude, wavelength), [0.0])[0, 0]
+    assert math.isfinite(derivative)
+    books = [three_modes.follow(waved(h, wavelength), duration()) for h in (1e-3, 1e-4)]
+    assert all(book.count(0, 1) > 0 for book in books)
+    differences = [(results_of(waved(h, wavelength))[0] - here) / h for h in (1e-3, 1e-4)]
+    assert differences == pytest.approx(
+        [(book.mount_force[-1] - here) / h for book, h in zip(books, (1e-3, 1e-4), strict=True)], rel=1e-6
+    )
+    assert differences[0] == pytest.approx(differences[1], rel=0.02)
+    assert abs(differences[1] - derivative) > 0.2 * abs(derivative)
+
+
+# --- what a run says of it ---
 
 
 def grazes(run):
@@ -21,18 +143,18 @@ def grazes(run):
 
 
 def test_it_is_flagged_where_it_happens():
-    own = scene(inertial_drag=False)
+    own = scene_of()
     run = po.simulate(own, 2.0)
     (text,) = grazes(run)
     # The mount stretches to the static force, then the share swings about the tow speed: L' = V0 (1 - cos(omega t)).
     released = own.reaction.static / (own.stiffness * own.tow_speed)
     period = 2.0 * math.pi / own.natural_frequency
     assert f"t = {released + period:.2g}" in text
-    assert "no derivative" in text
+    assert "has no derivative, and derivatives given are those of slipping on" in text
 
 
 def test_the_motion_itself_is_right_over_many_touches():
-    own = scene(inertial_drag=False)
+    own = scene_of()
     run = po.simulate(own, 3.0)
     released = own.reaction.static / (own.stiffness * own.tow_speed)
     since = np.maximum(run.time - released, 0.0)
@@ -47,12 +169,7 @@ def test_the_motion_itself_is_right_over_many_touches():
     "changes", [{"damping": 300.0}, {"breakaway": 1.2}, {"breakaway": 2.0, "damping": 50.0}], ids=str
 )
 def test_a_motion_that_stops_or_keeps_going_is_not_flagged(changes):
-    assert not grazes(po.simulate(scene(**changes), 2.0))
-
-
-def test_other_contact_laws_have_no_grazing():
-    resisting = po.Scene(po.named_soil("serozem"), SHARE, 5e4, 20.0, 2.0, po.Effects(start="rest", inertial_drag=False))
-    assert not grazes(po.simulate(resisting, 1.0))
+    assert not grazes(po.simulate(scene_of(inertial_drag=True, **changes), 2.0))
 
 
 def test_a_share_that_begins_to_move_behind_a_ramp_is_not_flagged():

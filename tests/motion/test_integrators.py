@@ -5,13 +5,14 @@ import functools
 import casadi as ca
 import numpy as np
 import pytest
+from scipy.integrate import DOP853 as SCIPYS
 
 import plough_opt as po
+from plough_opt.motion.methods import DOP853
 
 WAVE = po.StrengthWave(0.3, 0.6)
 SCENES = {
     "wave": {"strength_wave": WAVE},
-    "wave from rest": {"strength_wave": WAVE, "start": "rest"},
     "damped from rest": {"strength_wave": WAVE, "start": "rest", "damping": 250.0},
     "everything": {
         "strength_wave": WAVE,
@@ -66,24 +67,18 @@ def test_estimate_of_a_named_method_covers_its_error(r1_scene, accuracy):
 
 
 @functools.cache
-def derivatives(r1_scene, name, accuracy, order):
-    """Return mean and RMS with their derivatives by height and stiffness, as fractions of both."""
+def derivatives(r1_scene, name, accuracy):
+    """Return mean and RMS with their first and second derivatives by height and stiffness, in parts of both."""
     x = ca.MX.sym("x", 2)
     scene = r1_scene(25.0, 0.25 * x[0], 5e4 * x[1], **SCENES[name])
     run = po.simulate(scene, 0.5, accuracy=accuracy, outputs=5)
-    results = [ca.vertcat(run.mean_draft, run.force_rms)]
-    for _ in range(order):
-        results.append(ca.jacobian(results[-1], x))
-    return [result.full() for result in ca.Function("derivatives", [x], results).call([ca.DM([1.0, 1.0])])]
+    value = ca.vertcat(run.mean_draft, run.force_rms)
+    second = [ca.jacobian(ca.jacobian(value, x), x)] if accuracy.method in ("dop853", "cvodes", "erk") else []
+    results = ca.Function("derivatives", [x], [value, ca.jacobian(value, x), *second]).call([ca.DM([1.0, 1.0])])
+    return [result.full() for result in results]
 
 
-def assert_same_derivatives(r1_scene, name, accuracy, allowed, order):
-    expected = derivatives(r1_scene, name, po.Accuracy("dop853", steps=400), order)
-    for found, truth in zip(derivatives(r1_scene, name, accuracy, order), expected, strict=True):
-        assert found == pytest.approx(truth, rel=0, abs=allowed * np.max(np.abs(truth)))
-
-
-@pytest.mark.parametrize("name", ["wave from rest", "damped from rest", "everything"])
+@pytest.mark.parametrize("name", ["damped from rest", "everything"])
 @pytest.mark.parametrize(
     ("accuracy", "allowed"),
     [
@@ -97,13 +92,12 @@ def assert_same_derivatives(r1_scene, name, accuracy, allowed, order):
     ],
     ids=method,
 )
-def test_all_methods_have_the_same_gradient(r1_scene, name, accuracy, allowed):
-    assert_same_derivatives(r1_scene, name, accuracy, allowed, order=1)
-
-
-@pytest.mark.parametrize("name", ["cvodes", "erk"])
-def test_adaptive_methods_have_the_same_second_derivatives(r1_scene, name):
-    assert_same_derivatives(r1_scene, "everything", po.Accuracy(name, tolerance=1e-11), 1e-8, order=2)
+def test_all_methods_have_the_same_derivatives(r1_scene, name, accuracy, allowed):
+    expected = derivatives(r1_scene, name, po.Accuracy("dop853", steps=400))
+    for found, truth in zip(derivatives(r1_scene, name, accuracy), expected, strict=False):
+        # Second derivatives, where they are taken, have lost a digit.
+        digits = allowed if found.shape[0] == 2 else max(allowed, 1e-8)
+        assert found == pytest.approx(truth, rel=0, abs=digits * np.max(np.abs(truth)))
 
 
 @pytest.mark.parametrize("name", ["cvodes", "idas", "erk", "rosenbrock", "collocation", "rk"])
@@ -116,34 +110,23 @@ def test_sx_symbols_are_refused_by_methods_that_take_mx_only(r1_scene, name):
 # --- failure ---
 
 
-def test_failure_names_scene_time_and_cause(r1_scene):
+def test_failure_names_scene_time_and_cause_and_its_advice_works(r1_scene):
     scene = r1_scene(stiffness=5e5, start="rest")
     with pytest.raises(po.IntegrationError) as caught:
-        po.simulate(scene, 200.0, accuracy=po.Accuracy("dop853", steps=4), outputs=2)
+        po.simulate(scene, 50.0, accuracy=po.Accuracy("dop853", steps=4), outputs=2)
     message = str(caught.value)
-    assert "half angle 8.93 deg and height 0.25 m" in message
-    assert "500 kN/m" in message
-    assert "at 2 m/s" in message
-    assert "beyond t = " in message
-    assert "of 200 s" in message
-    assert "4 steps are too few for" in message
-    assert "take steps=" in message
-
-
-def test_advice_of_a_failure_works(r1_scene):
-    scene = r1_scene(stiffness=5e5, start="rest")
-    with pytest.raises(po.IntegrationError) as caught:
-        po.simulate(scene, 200.0, accuracy=po.Accuracy("dop853", steps=4), outputs=2)
-    steps = int(str(caught.value).rsplit("steps=", 1)[1])
-    run = po.simulate(scene, 200.0, accuracy=po.Accuracy("dop853", steps=steps), outputs=2)
-    # Phase errors grow with 200 s of oscillation; they are told.
+    scene_in_words = ("half angle 8.93 deg and height 0.25 m", "500 kN/m", "at 2 m/s")
+    for words in (*scene_in_words, "beyond t = ", "of 50 s", "4 steps are too few for"):
+        assert words in message
+    steps = int(message.rsplit("take steps=", 1)[1])
+    run = po.simulate(scene, 50.0, accuracy=po.Accuracy("dop853", steps=steps), outputs=2)
+    # Phase errors grow with the time of oscillation; the estimate says so.
     assert run.error_estimate < 1e-6
 
 
 def test_too_few_steps_of_a_lower_order_are_named_as_the_cause(r1_scene):
-    scene = r1_scene(stiffness=5e5, start="rest")
     with pytest.raises(po.IntegrationError, match="steps are too few"):
-        po.simulate(scene, 200.0, accuracy=po.Accuracy("rk", steps=4), outputs=2)
+        po.simulate(r1_scene(stiffness=5e5, start="rest"), 50.0, accuracy=po.Accuracy("rk", steps=4), outputs=2)
 
 
 @pytest.mark.parametrize("name", ["auto", "dop853", "rosenbrock"])
@@ -152,3 +135,10 @@ def test_a_share_driven_away_without_bound_is_named_as_the_cause(r1_scene, name)
     scene = r1_scene(15.0, 0.35, 2e4, tow_speed=1.2, soil=po.named_soil("hardpan"), rate_term=0.1, start="rest")
     with pytest.raises(po.IntegrationError, match=r"in hardpan, .* beyond t = .*the resistance drives the share away"):
         po.simulate(scene, 2.0, accuracy=po.Accuracy(name), outputs=20)
+
+
+def test_coefficients_of_order_8_are_scipys():
+    assert np.array(DOP853.nodes) == pytest.approx(SCIPYS.C, rel=0, abs=0)
+    assert np.array(DOP853.weights) == pytest.approx(SCIPYS.B, rel=0, abs=0)
+    for k, row in enumerate(DOP853.stages):
+        assert list(row) == list(SCIPYS.A[k][:k])

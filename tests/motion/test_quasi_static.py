@@ -81,16 +81,6 @@ def test_tow_ramp_by_adaptive_quadrature(quasi_scene, ramp, duration, rate_term)
     assert run.speed == pytest.approx([speed(t) for t in run.time], rel=1e-12, abs=1e-15)
 
 
-@pytest.mark.parametrize("value", [0.3, 0.371234, 1.0, 2.5])
-def test_a_symbolic_ramp_has_the_averages_of_numbers(quasi_scene, value):
-    """Its end moves among the panels, so that nodes and weights are expressions too."""
-    ramp = ca.MX.sym("ramp")
-    found = po.simulate(quasi_scene(strength_wave=WAVE, tow_ramp=ramp), 1.0, outputs=10)
-    run = po.simulate(quasi_scene(strength_wave=WAVE, tow_ramp=value), 1.0, outputs=10)
-    averages = ca.Function("averages", [ramp], [getattr(found, name) for name in AVERAGES])(value)
-    assert [float(one) for one in averages] == pytest.approx([getattr(run, name) for name in AVERAGES], rel=1e-11)
-
-
 def test_without_a_wave_nothing_varies(quasi_scene):
     run = po.simulate(quasi_scene(), 2.0)
     # The weights of 400 panels sum to one within some last bits.
@@ -102,18 +92,6 @@ def test_smallest_wave_keeps_its_digits(quasi_scene):
     # Whole waves: RMS eps F0/sqrt(2). It is 1e-9 of the mean draft.
     run = po.simulate(quasi_scene(strength_wave=po.StrengthWave(1e-9, 0.5)), 2.0)
     assert run.force_rms == pytest.approx(1e-9 * run.scene.reaction.static / math.sqrt(2), rel=1e-8)
-
-
-def test_stiff_mounts_tend_to_it(r1_scene, quasi_scene):
-    def difference(stiffness):
-        moving = po.simulate(r1_scene(stiffness=stiffness, strength_wave=WAVE, damping=2000.0), 0.5)
-        limit = po.simulate(quasi_scene(stiffness=stiffness, strength_wave=WAVE), 0.5)
-        return abs(moving.mean_draft - limit.mean_draft) / limit.mean_draft
-
-    stiff, stiffer = difference(1e6), difference(1e8)
-    # The share lags by the deflection, which is in inverse proportion to the stiffness.
-    assert stiffer < 1e-5
-    assert stiff / stiffer == pytest.approx(100.0, rel=0.1)
 
 
 @pytest.mark.parametrize("kind", [ca.SX, ca.MX])
@@ -146,11 +124,6 @@ def test_gradient_is_that_of_the_closed_form(quasi_scene):
     assert found == pytest.approx(expected, rel=0, abs=1e-11 * np.max(np.abs(expected)))
 
 
-def test_a_quasi_static_run_warns_of_what_its_scene_does(quasi_scene):
-    scene = quasi_scene(strength_wave=WAVE)
-    assert po.simulate(scene, 2.0).warnings == scene.warnings()
-
-
 @pytest.mark.parametrize("kind", [ca.SX, ca.MX])
 @pytest.mark.parametrize("outputs", [1, 4, 37])
 def test_averages_do_not_depend_on_the_outputs(quasi_scene, kind, outputs):
@@ -162,23 +135,3 @@ def test_averages_do_not_depend_on_the_outputs(quasi_scene, kind, outputs):
     numbers = po.simulate(quasi_scene(strength_wave=po.StrengthWave(0.5, 0.013), tow_ramp=0.1), 2.0)
     # Three hundred waves: a panel of 4 Gauss points for half a radian of the fastest leaves some 1e-12.
     assert [float(x) for x in found] == pytest.approx([numbers.mean_draft, numbers.force_rms], rel=1e-9)
-
-
-@pytest.mark.parametrize(
-    ("name", "lower", "upper", "said"),
-    [
-        ("amplitude", 0.0, 1.5, "at the upper bound of 'amplitude'"),
-        ("stiffness", -1e4, 1e5, "at the lower bound of 'stiffness'"),
-        ("wavelength", -0.3, 0.5, "at the lower bound of 'wavelength'"),
-    ],
-)
-def test_bounds_outside_the_domain_are_refused_whatever_varies(quasi_scene, name, lower, upper, said):
-    d = po.Design()
-    values = {"amplitude": 0.3, "stiffness": 5e4, "wavelength": 0.5}
-    guess = values[name]
-    values[name] = d.variable(name, guess=guess, lower=lower, upper=upper)
-    wave = po.StrengthWave(values["amplitude"], values["wavelength"])
-    run = po.simulate(quasi_scene(stiffness=values["stiffness"], strength_wave=wave), 1.7)
-    d.minimise(2.0 + run.mean_deflection - run.force_rms / 1e3)
-    with pytest.raises(po.DomainError, match=said):
-        d.solve()

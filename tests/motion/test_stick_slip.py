@@ -73,7 +73,6 @@ SCENES = {
     ),
     "no added mass": (BLUNT, 1e3, 0.0, 2e4, 60.0, 2.0, 1.5, {"start": "rest", "added_mass": False}),
 }  # fmt: skip
-HEAVY = "soil caught again"
 
 
 def scene_of(soil, name, **changes):
@@ -127,55 +126,7 @@ def test_an_independent_solver_agrees(solved, name):
     assert run.tow_power == pytest.approx(expected.tow_power, rel=0, abs=2e-8 * size * scene.tow_speed)
 
 
-@pytest.mark.slow
-def test_the_scenes_reach_every_change_of_mode(solved):
-    counts = {
-        change: sum(solved(name)[2].count(*change) for name in SCENES)
-        for change in [(SLIP, STICK), (SLIP, GAP), (STICK, SLIP), (GAP, SLIP)]
-    }
-    # The strut never goes back, so a sticking share is never pushed back either.
-    assert all(count >= 10 for count in counts.values()), counts
-    scene, _, expected = solved(HEAVY)
-    assert expected.count(GAP, SLIP) >= 1
-    assert scene.reaction.added_mass > 0.3 * scene.mass
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("seed", range(60))
-def test_an_independent_solver_agrees_on_sampled_scenes(r1_soil, seed):
-    random = np.random.default_rng(seed)
-    heavy = random.random() < 0.5
-    soil = dataclasses.replace(r1_soil, cohesion=1e3, ambient_pressure=0.0) if heavy else r1_soil
-    start = random.choice(["equilibrium", "rest", "towed"])
-    effects = po.Effects(
-        contact=law(random.choice([1.0, 1.2, 2.0])),
-        start=str(start),
-        entry=bool(start != "equilibrium" and random.random() < 0.4),
-        strength_wave=wave(random.uniform(0.3, 1.0), random.uniform(0.1, 0.8)),
-        damping=random.choice([None, random.uniform(0.0, 500.0)]),
-        tow_ramp=random.choice([None, random.uniform(0.05, 0.5)]),
-        rate_term=random.choice([None, random.uniform(0.0, 0.2)]),
-        inertial_drag=bool(random.random() < 0.7),
-        added_mass=bool(random.random() < 0.7),
-    )
-    stiffness, speed = 10 ** random.uniform(3.3, 6.0), 10 ** random.uniform(-1.0, 0.3)
-    scene = po.Scene(soil, BLUNT if heavy else SHARP, stiffness, random.uniform(10.0, 60.0), speed, effects)
-    run, expected = po.simulate(scene, 1.0, outputs=20), three_modes.follow(scene, 1.0, outputs=20)
-    allowed = max(10.0 * run.error_estimate, 1e-9)
-    assert largest(run.mount_force - expected.mount_force) <= allowed * largest(expected.mount_force)
-    size = max(abs(expected.mean_draft), expected.force_rms)
-    assert abs(run.mean_draft - expected.mean_draft) <= allowed * size
-    assert abs(run.force_rms - expected.force_rms) <= allowed * size
-
-
 # --- energy ---
-
-
-def test_recapture_costs_energy(solved):
-    expected = solved(HEAVY)[2]
-    assert expected.capture_loss > 0.03 * expected.soil_work
-    assert solved("force alone")[2].count(GAP, SLIP) > 0
-    assert solved("force alone")[2].capture_loss == 0.0
 
 
 # --- what the three modes mean ---
@@ -202,7 +153,7 @@ def test_soil_only_resists(r1_soil, name):
     assert np.all((pull >= -1e-8 * force) & (pull <= hold[stick] + 1e-8 * force))
 
 
-@pytest.mark.parametrize("name", [HEAVY, "many gaps", "damped"])
+@pytest.mark.parametrize("name", ["soil caught again", "many gaps", "damped"])
 def test_recaptured_soil_keeps_the_momentum(solved, name):
     scene, _, expected = solved(name)
     capture = next(change for change in expected.changes if (change.old, change.new) == (GAP, SLIP))
@@ -248,20 +199,39 @@ def test_breakaway_keeps_an_exact_cycle_alive(r1_soil, breakaway, speed, cycles)
     assert run.travel[-1] == pytest.approx(cycles * speed * (stuck + slipping), rel=1e-8 * cycles)
 
 
+@pytest.mark.parametrize("density_ratio", [1e-3, 1e-6, 0.1])
+@pytest.mark.parametrize("stiffness", [5e4, 1e7])
+def test_a_share_breaks_loose_however_soon(r1_soil, density_ratio, stiffness):
+    effects = po.Effects(start="rest", contact=law(), damping=200.0, inertial_drag=False)
+    loose = dataclasses.replace(r1_soil, density_ratio=density_ratio)
+    scene = po.Scene(loose, SHARP, stiffness, 20.0, 2.0, effects)
+    run = po.simulate(scene, 0.5)
+    assert run.mode[-1] == SLIP
+    # The swing about steady sliding that follows from standstill at the static force.
+    swing = scene.tow_speed * math.sqrt(scene.stiffness * scene.inertia)
+    damper = 200.0 * 2.0 * scene.tow_speed
+    assert np.max(run.mount_force) < scene.reaction.static + swing + damper
+    decay = math.exp(-100.0 * 0.45 / scene.inertia)
+    assert abs(run.mount_force[-1] - scene.reaction.static) < decay * (swing + scene.reaction.static)
+
+
+def test_a_share_that_barely_moves_yet_has_not_stopped(r1_soil):
+    # In the first milliseconds of a ramp the share's speed is the rounding of a difference: no event may come of it.
+    strong = dataclasses.replace(r1_soil, cohesion=4e4, ambient_pressure=3e5)
+    effects = po.Effects(contact=law(2.5), start="towed", entry=True, tow_ramp=0.07, added_mass=False)
+    scene = po.Scene(strong, po.Wedge(po.deg(4.0), po.deg(15.0), 0.05), 260.0, 13.0, 0.2, effects)
+    for duration in (0.045, 0.06, 0.3, 2.0):
+        run, expected = po.simulate(scene, duration, outputs=10), three_modes.follow(scene, duration, outputs=10)
+        assert largest(run.mount_force - expected.mount_force) < 2e-8 * largest(expected.mount_force)
+        assert run.error_estimate < 1e-8
+
+
 def test_a_strut_that_stands_still_leaves_the_share_where_it_is(r1_soil):
     for start in ("rest", "towed", "equilibrium"):
         scene = po.Scene(r1_soil, SHARP, 2e4, 24.0, 0.0, po.Effects(contact=law(1.5), start=start))
         run = po.simulate(scene, 1.0, outputs=10)
         assert np.ptp(run.travel) == 0.0
         assert run.mount_force == pytest.approx(scene.reaction.static if start == "equilibrium" else 0.0)
-
-
-def test_rosenbrock_finds_the_same_events(r1_soil, solved):
-    scene, duration = scene_of(r1_soil, "many gaps")
-    run = po.simulate(scene, duration, accuracy=po.Accuracy("rosenbrock", tolerance=1e-9), outputs=40)
-    expected = solved("many gaps")[2]
-    assert run.mean_draft == pytest.approx(expected.mean_draft, rel=1e-6)
-    assert run.force_rms == pytest.approx(expected.force_rms, rel=1e-6)
 
 
 # --- a problem file, and refusals ---
@@ -345,20 +315,42 @@ def test_sx_symbols_are_refused(r1_soil):
     ("build", "said"),
     [
         (lambda: po.Smooth(0.0), "width of the smooth contact = 0 m/s must be above 0"),
-        (lambda: po.Smooth(-1.0), "width of the smooth contact = -1 m/s must be above 0"),
         (lambda: po.Smooth(math.nan), "width of the smooth contact = nan"),
         (lambda: po.StickSlip(0.999), "breakaway ratio = 0.999 must be at least 1"),
         (lambda: po.StickSlip(math.inf), "breakaway ratio = inf must be finite"),
         (lambda: po.Effects(contact=po.StickSlip), "must be 'resisting', Smooth"),
-        (lambda: po.Effects(entry=True), "entry begins at first contact"),
-        (lambda: po.Effects(motion=False, contact=law()), "a contact law needs motion"),
-        (lambda: po.Effects(motion=False, contact=po.Smooth(0.1)), "a contact law needs motion"),
-        (lambda: po.Effects(motion=False, start="towed"), "needs motion"),
-        (lambda: po.Effects(motion=False, start="rest", entry=True), "needs motion"),
-        (lambda: po.Effects(contact=law(), formulation="printed"), "the print knows no contact law"),
         (lambda: po.Effects(contact=po.Smooth(0.1), formulation="printed"), "the print knows no contact law"),
     ],
 )
 def test_what_has_no_meaning_is_refused(build, said):
     with pytest.raises(po.PloughError, match=said):
         build()
+
+
+# --- designs ---
+
+
+@pytest.mark.parametrize(
+    "contact",
+    [
+        pytest.param(po.StickSlip(1.2), marks=pytest.mark.slow, id="stick_slip"),
+        pytest.param(po.Smooth(0.2), id="smooth"),
+    ],
+)
+def test_a_design_finds_what_brute_force_finds(r1_soil, contact):
+    effects = po.Effects(contact=contact, start="rest", strength_wave=wave(0.6, 0.3), damping=200.0)
+
+    def cost(stiffness):
+        run = po.simulate(po.Scene(r1_soil, SHARP, stiffness, 24.0, 1.0, effects), 1.0, outputs=10)
+        return (run.mean_draft + run.force_rms) / 1e3
+
+    d = po.Design()
+    k0 = d.variable("stiffness", guess=1.5e4, lower=5e3, upper=5e4, unit="N/m", log=True)
+    d.minimise(cost(k0))
+    best = d.solve()
+    found = cost(best(k0))
+    assert best.status == "solved"
+    assert best.objective == pytest.approx(found, rel=1e-7)
+    # No tried stiffness beats the design, and its neighbours on either side are worse.
+    assert found <= min(map(cost, np.geomspace(5e3, 5e4, 30).tolist())) + 1e-7
+    assert all(cost(min(max(best(k0) * factor, 5e3), 5e4)) >= found - 1e-9 for factor in (0.995, 1.005))

@@ -40,15 +40,6 @@ def test_a_motion_is_that_of_scipy():
     assert run.deflection == pytest.approx(found.y[0], rel=0, abs=1e-10 * np.max(np.abs(found.y[0])))
 
 
-def test_two_halves_are_the_whole():
-    whole, half = po.StrengthWave(0.3, 0.2, 0.4), po.StrengthWave(0.15, 0.2, 0.4)
-    for orbit in ("transient", "periodic", "linearised", po.HarmonicBalance(6)):
-        duration = 1.0 if orbit == "transient" else None
-        one, two = (po.simulate(scene(w, orbit=orbit), duration) for w in (whole, (half, half)))
-        # Roots are found to 1e-12 of the orbit's size.
-        assert two.force_rms == pytest.approx(one.force_rms, rel=1e-11)
-
-
 def test_a_phase_is_a_shift_of_the_path():
     """A share towed from rest by its spring: the soil of phase phi is that of phase 0, shifted by phi/2 pi waves."""
     later = po.simulate(scene(po.StrengthWave(0.3, 0.2, 1.0), motion=False, damping=None), 1.0, outputs=400)

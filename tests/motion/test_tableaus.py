@@ -61,17 +61,6 @@ def test_run_takes_the_tableaus_steps(name):
     assert run.mean_draft == pytest.approx(draft, rel=1e-11)
 
 
-@pytest.mark.parametrize("name", OWN)
-def test_error_falls_by_the_order(name):
-    exact = po.simulate(scene(), 0.5, accuracy=po.Accuracy(error=1e-11)).mean_draft
-    errors = [
-        abs(po.simulate(scene(), 0.5, accuracy=po.Accuracy(name, steps=n), outputs=4).mean_draft - exact)
-        for n in (160, 320)
-    ]
-    # The orders of the next term are an eighth of a power at these steps.
-    assert math.log2(errors[0] / errors[1]) == pytest.approx(OWN[name].order, abs=0.25)
-
-
 def test_default_steps_suit_the_order_and_the_estimate_is_honest():
     exact = po.simulate(scene(), 0.5, accuracy=po.Accuracy(error=1e-11)).mean_draft
     run = po.simulate(scene(), 0.5, accuracy=po.Accuracy("three_eighths"))
@@ -94,14 +83,14 @@ def test_symbolic_run_has_the_derivatives_of_its_steps(kind):
 
 def test_design_by_a_tableau_is_the_design_by_the_default():
     found = []
-    for accuracy in (po.Accuracy("three_eighths", steps=3200), po.Accuracy()):
+    for accuracy in (po.Accuracy("three_eighths", steps=1600), po.Accuracy()):
         design = po.Design()
         damping = design.variable("damping", guess=400.0, lower=100.0, upper=4e3, unit="N*s/m", log=True)
         effects = po.Effects(strength_wave=po.StrengthWave(0.3, 0.2), damping=damping)
         run = po.simulate(scene(effects=effects), 0.5, accuracy=accuracy, outputs=4)
         design.minimise(run.force_rms / 1e3 + (damping / 1e3) ** 2)
         found.append(design.solve())
-    # 3200 steps of order 4 err by some 1e-9.
+    # 1600 steps of order 4 err by some 1e-8.
     assert found[0].objective == pytest.approx(found[1].objective, rel=1e-7)
     assert found[0].variables["damping"] == pytest.approx(found[1].variables["damping"], rel=1e-4)
 

@@ -73,35 +73,12 @@ def overshoots(monkeypatch, number):
     return found
 
 
-def test_where_steps_cost_time_the_error_is_not_far_less_than_wanted(monkeypatch):
-    found = [ratio for number in (1, 4, 6, 10, 11) for ratio in overshoots(monkeypatch, number)]
-    assert len(found) > 5
+@pytest.mark.parametrize("numbers", [(1, 4, 6), pytest.param(range(60), marks=pytest.mark.slow)], ids=len)
+def test_where_steps_cost_time_the_error_is_not_far_less_than_wanted(monkeypatch, numbers):
+    found = []
+    for number in numbers:
+        with contextlib.suppress(po.IntegrationError):  # a start from which the share is driven away
+            found += overshoots(monkeypatch, number)
+    assert len(found) > 1.5 * len(numbers)
     # The check with three quarters of the steps errs by ten times as much, and steps are a tenth more than enough.
     assert 5.0 < np.median(found) < 30.0, found
-
-
-@pytest.mark.slow
-def test_nor_does_it_in_nearly_all_of_many_scenes(monkeypatch):
-    pairs, dearer = 0, []
-    for number in range(100):
-        try:
-            steps, _ = steps_for_errors(monkeypatch, number)
-        except po.IntegrationError:  # a start from which the share is driven away
-            continue
-        pairs += len(steps) - 1
-        dearer += [looser / tighter for looser, tighter in itertools.pairwise(steps) if looser > max(tighter, FEW)]
-    # Where an error does not yet follow the law of order 8 a second number of steps is sought.
-    assert pairs > 500
-    assert len(dearer) <= 0.005 * pairs, dearer
-
-
-@pytest.mark.slow
-def test_nor_is_it_in_most_of_many_scenes(monkeypatch):
-    found = []
-    for number in range(60):
-        with contextlib.suppress(po.IntegrationError):
-            found += overshoots(monkeypatch, number)
-    assert len(found) > 100
-    assert np.median(found) < 30.0
-    # A tail is of motions whose error falls faster than by any law between long steps and those taken.
-    assert np.percentile(found, 70) < 50.0

@@ -115,16 +115,6 @@ class TestANewFile:
         assert (tmp_path / "a").read_text() == "one"
         assert sorted(path.name for path in tmp_path.iterdir()) == ["a", "link"]
 
-    def test_where_there_are_no_hard_links(self, tmp_path, monkeypatch):
-        def refuse(*_):
-            raise PermissionError(1, "Operation not permitted")
-
-        monkeypatch.setattr(os, "link", refuse)
-        write_new(tmp_path / "a", "problem file", "one")
-        with pytest.raises(po.InputError, match="exists already"):
-            write_new(tmp_path / "a", "problem file", "two")
-        assert _kept(tmp_path) == {"a": "one"}
-
 
 # The program may write files of 1,000 bytes at most, which is what a full disk is like.
 FULL = """

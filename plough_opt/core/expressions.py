@@ -7,7 +7,7 @@ every formula of the toolkit is written with the functions of this file.
 import dataclasses
 import math
 import numbers
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import lru_cache, wraps
 from typing import Any, TypeAlias
 
@@ -72,34 +72,34 @@ def as_number(value: Expression) -> NDArray[np.float64]:
 
 def holds_casadi(value: Any) -> bool:
     """Return whether any CasADi expression is nested in dataclasses, lists, tuples or dictionaries."""
-    return _holds(value, is_casadi)
+    return any(map(is_casadi, _nested(value)))
 
 
 def holds_several(value: Any) -> bool:
     """Return whether ``value`` is, or such a container holds, an array or CasADi matrix without exactly one element."""
-    return _holds(value, _is_several)
+    return any(isinstance(item, _MATRICES) and math.prod(item.shape) != 1 for item in _nested(value))
 
 
-def _is_several(value: Any) -> bool:
-    return isinstance(value, _MATRICES) and math.prod(value.shape) != 1
+def classes_in(value: Any) -> tuple[type, ...]:
+    """Return the classes of the dataclasses nested in a value: of two that print alike they may differ."""
+    return tuple(type(item) for item in _nested(value) if dataclasses.is_dataclass(type(item)))
 
 
-def _holds(value: Any, leaf: Callable[[Any], bool]) -> bool:
+def _nested(value: Any) -> Iterator[Any]:
+    """Yield a value and all that is nested in it, but plain numbers and texts."""
     waiting = [value]
     while waiting:
         item = waiting.pop()
-        if type(item) in _PLAIN:
-            continue
-        if leaf(item):
-            return True
         kind: type = type(item)
+        if kind in _PLAIN:
+            continue
+        yield item
         if names := _own_fields(kind):
             waiting += [getattr(item, name) for name in names]
         elif isinstance(item, Mapping):
             waiting += item.values()
         elif isinstance(item, list | tuple):
             waiting += item
-    return False
 
 
 @lru_cache(maxsize=256)
@@ -159,22 +159,6 @@ def with_numbers(template: Any, quantities: Sequence[float]) -> Any:
     """Return a template with numbers for its quantities, in the order in which `template_of` returned them."""
     numbers = iter(quantities)
     return map_expressions(template, lambda _: float(next(numbers)), is_quantity)
-
-
-def classes_in(value: Any) -> tuple[type, ...]:
-    """Return the classes of the dataclasses nested in a value: of two that print alike they may differ."""
-    found: list[type] = []
-    waiting = [value]
-    while waiting:
-        item = waiting.pop()
-        if dataclasses.is_dataclass(item) and not isinstance(item, type):
-            found.append(type(item))
-            waiting += [getattr(item, field.name) for field in dataclasses.fields(item)]
-        elif isinstance(item, Mapping):
-            waiting += item.values()
-        elif isinstance(item, list | tuple):
-            waiting += item
-    return tuple(found)
 
 
 def column(values: NDArray[np.float64], symbolic: bool) -> Expression:

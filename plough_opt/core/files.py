@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import json
 import os
-import re
 import secrets
 import shutil
 import signal
@@ -75,29 +73,14 @@ def write_files(files: Mapping[Path, Content], kind: str) -> None:
 
 
 def write_new(path: str | Path, kind: str, content: Content) -> Path:
-    """Write a file that must not exist yet, whole or not at all, into a folder that does; return its path.
+    """Write a file that must not exist yet as `write_file` does; return its path.
 
     Raises:
         InputError: it exists, or cannot be written.
     """
-    target = Path(path)
-    unfinished: list[Path] = []
-    try:
-        with _tidied(unfinished):
-            beside = _written_beside(target, content, unfinished)
-            try:
-                os.link(beside, target)  # which, unlike a move, fails if there is a file
-            except FileExistsError:
-                raise
-            except OSError:  # a file system without links
-                if os.path.lexists(target):
-                    raise FileExistsError from None
-                beside.replace(target)
-    except FileExistsError:
-        raise InputError(f"'{target}' exists already and is left as it is: name another file") from None
-    except OSError as error:
-        raise _refused(kind, target, error) from None
-    return target
+    if os.path.lexists(path):
+        raise InputError(f"'{path}' exists already and is left as it is: name another file")
+    return write_file(path, kind, content)
 
 
 def write_folder(target: Path, kind: str, files: Mapping[str, Content]) -> Path:
@@ -148,11 +131,6 @@ def check_file(path: str | Path, ending: str, kind: str) -> Path:
     if target.is_dir():
         raise InputError(f"'{target}' is a folder: name a file in it")
     return target
-
-
-def ascii_json(text: str) -> str:
-    """Return JSON with everything beyond ASCII escaped, so that it is the same in every encoding."""
-    return re.sub(r"[^\x00-\x7f]", lambda found: json.dumps(found[0])[1:-1], text)
 
 
 def _is_stream(target: Path) -> bool:

@@ -16,7 +16,7 @@ from typing import Any, ClassVar, Final, Self, TypeVar
 
 from plough_opt.core.checks import path_of, shown
 from plough_opt.core.errors import InputError, short
-from plough_opt.core.files import ascii_json, write_file, write_new
+from plough_opt.core.files import write_file, write_new
 from plough_opt.core.plain import Misfit, fields_of, from_plain, to_plain
 from plough_opt.core.tables import Page, Readable
 from plough_opt.core.units import Display, customary
@@ -126,9 +126,7 @@ class Origin:
             if Path(name).is_absolute() or ".." in Path(name).parts:
                 raise InputError(f"the problem reads '{name}', which is not below its folder: move it there")
         for name, text in self.data.items():
-            (around / name).parent.mkdir(parents=True, exist_ok=True)
             write_new(around / name, "file of data", text)
-        around.mkdir(parents=True, exist_ok=True)
         return write_new(around / self.file, "problem file", self.text)
 
     def display(self, name: str, unit: str, *values: float) -> Display:
@@ -202,7 +200,7 @@ class Keepable(Readable):
         beside = getattr(self, "_beside", None)  # of a result that was read
         beside = to_plain(self.also_kept()) if beside is None else beside
         plain = dict(zip(_HEAD, own, strict=True)) | beside | to_plain(self, type(self))
-        return ascii_json(json.dumps(plain, indent=2, allow_nan=False))
+        return json.dumps(plain, indent=2, allow_nan=False)
 
     def save(self, path: str | Path) -> Path:
         """Write the result as JSON, making its folder; `plough_opt.load` reads it back.

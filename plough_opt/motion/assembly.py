@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from plough_opt.core.expressions import Expression, column, holds_casadi, is_casadi, rms, where
 from plough_opt.core.labels import unlabelled
+from plough_opt.motion import terms
 from plough_opt.motion.accuracy import Accuracy
 from plough_opt.motion.averages import Averages
 from plough_opt.motion.effects import ramp_time
@@ -16,18 +17,7 @@ from plough_opt.motion.equation import GAP, SLIP, STICK
 from plough_opt.motion.run import Run
 from plough_opt.motion.runge_kutta import ends
 from plough_opt.motion.scene import Scene
-from plough_opt.motion.terms import (
-    Structure,
-    carried_mass,
-    inertia_at,
-    parameters,
-    pull,
-    resistance,
-    start_force,
-    start_rate,
-    start_speed,
-    strut,
-)
+from plough_opt.motion.terms import Structure
 from plough_opt.motion.timeline import Timeline
 
 GAUSS_POINTS = 10
@@ -65,20 +55,20 @@ def assemble(
         accuracy: method and setting used.
         known: structure and parameters of the scene, where they were read off it before.
     """
-    structure, p = known or (Structure.of(scene), parameters(scene))
+    structure, p = known or (Structure.of(scene), terms.parameters(scene))
     if structure.entry:
         p |= {"behind": states[:, 2], "entered": states[:, 4]}
     time = column(fractions, is_casadi(states)) * duration
     w, rate = states[:, 0], states[:, 1]
-    mount, u0 = strut(structure, p, time), start_speed(structure, p)
+    mount, u0 = terms.strut(structure, p, time), terms.start_speed(structure, p)
     gain = mount.gain - rate
-    first = start_force(structure, p)
+    first = terms.start_force(structure, p)
     deflection = first / p["stiffness"] + w
     travel = mount.path - deflection
-    force = first + pull(structure, p, w, rate)
-    soil = resistance(structure, p, travel, u0 + gain)
-    acceleration = (force - soil) / inertia_at(structure, p, travel)
-    carried = carried_mass(structure, p, travel) if structure.events else _added_mass(scene)
+    force = first + terms.pull(structure, p, w, rate)
+    soil = terms.resistance(structure, p, travel, u0 + gain)
+    acceleration = (force - soil) / terms.inertia_at(structure, p, travel)
+    carried = terms.carried_mass(structure, p, travel) if structure.events else _added_mass(scene)
     soil = soil + carried * acceleration
     speed, opening = u0 + gain, 0.0 * w + 0.0
     mode = opening
@@ -114,12 +104,12 @@ def averages_of(
     scene: Scene, structure: Structure, p: dict[str, Expression], means: Expression, variances: Expression
 ) -> Averages:
     """Add the values at the start back to the averages of the changes since then: see `assemble`."""
-    first = start_force(structure, p)
+    first = terms.start_force(structure, p)
     with unlabelled():
         scale = scene.steady_resistance
     displacement_rms = rms(variances[0], scale / scene.stiffness)
     if structure.damper:
-        mean_draft = first + pull(structure, p, 0.0, start_rate(structure, p)) + means[1]
+        mean_draft = first + terms.pull(structure, p, 0.0, terms.start_rate(structure, p)) + means[1]
         force_rms = rms(variances[1], scale)
     else:
         mean_draft = first + p["stiffness"] * means[0]
@@ -140,7 +130,7 @@ def quasi_static(
 
     Averages are composite Gauss-Legendre quadratures over the timeline's steps.
     """
-    p = parameters(scene)
+    p = terms.parameters(scene)
     inner, shares = _quadrature(timeline, points, duration, ramp_time(p) if "ramp_time" in p else 0.0)
     p["static"] = labelled(p["static"], scene)
     course = partial(_course, scene, p, duration)
@@ -200,13 +190,13 @@ def _course(
     structure = Structure.of(scene)
     known = not isinstance(fractions, np.ndarray)
     time = (fractions if known else column(fractions, holds_casadi((scene, duration)))) * duration
-    mount = strut(structure, p, time)
-    force = resistance(structure, p, mount.path, start_speed(structure, p) + mount.gain)
+    mount = terms.strut(structure, p, time)
+    force = terms.resistance(structure, p, mount.path, terms.start_speed(structure, p) + mount.gain)
     everywhere = 0.0 * time
     return (
         time,
         mount.path + everywhere,
-        start_speed(structure, p) + mount.gain + everywhere,
+        terms.start_speed(structure, p) + mount.gain + everywhere,
         force + everywhere,
     )
 

@@ -13,21 +13,9 @@ from typing import Final, TypeVar
 import casadi as ca
 
 from plough_opt.core.expressions import Expression
+from plough_opt.motion import terms
 from plough_opt.motion.effects import Strut
-from plough_opt.motion.terms import (
-    Structure,
-    carried_mass,
-    hold,
-    inertia_at,
-    pull,
-    resistance,
-    resistance_change,
-    start_deflection,
-    start_force,
-    start_rate,
-    start_speed,
-    strut,
-)
+from plough_opt.motion.terms import Structure
 
 SLIP: Final = 0.0
 STICK: Final = 1.0
@@ -92,14 +80,14 @@ def equation_of_motion(structure: Structure) -> EquationOfMotion:
 
 def start_state(structure: Structure, p: dict[str, Expression]) -> Expression:
     """Return the state at time 0 as a column."""
-    first = ca.vertcat(0.0, start_rate(structure, p))
+    first = ca.vertcat(0.0, terms.start_rate(structure, p))
     counted = (0.0,) * len(structure.ending)
     if not structure.sticks:
         return ca.vertcat(first, *((0.0, SLIP) if structure.entry else ()), *counted)
     # A share without speed sticks, unless the mount already pulls enough.
-    speed = 0.0 if structure.start == "rest" else start_speed(structure, p)
-    pulled = start_force(structure, p) + pull(structure, p, 0.0, start_rate(structure, p))
-    held = pulled < hold(structure, p, -start_deflection(structure, p))
+    speed = 0.0 if structure.start == "rest" else terms.start_speed(structure, p)
+    pulled = terms.start_force(structure, p) + terms.pull(structure, p, 0.0, terms.start_rate(structure, p))
+    held = pulled < terms.hold(structure, p, -terms.start_deflection(structure, p))
     return ca.vertcat(first, 0.0, ca.if_else(speed > 0.0, SLIP, ca.if_else(held, STICK, SLIP)), *counted)
 
 
@@ -116,13 +104,13 @@ class _Now:
         self.state = ca.vertcat(self.w, self.rate, *modes, *ended.values())
         self.structure = structure
         self.p = p | ended | ({"behind": self.opening} if structure.entry else {})
-        self.mount: Strut = strut(structure, self.p, self.time)
-        self.travel = self.mount.path - start_deflection(structure, p) - self.w
+        self.mount: Strut = terms.strut(structure, self.p, self.time)
+        self.travel = self.mount.path - terms.start_deflection(structure, p) - self.w
 
     @property
     def strut_speed(self) -> Expression:
         """Speed s' of the strut [m/s]."""
-        return start_speed(self.structure, self.p) + self.mount.gain
+        return terms.start_speed(self.structure, self.p) + self.mount.gain
 
     @property
     def speed(self) -> Expression:
@@ -137,21 +125,23 @@ class _Now:
     @property
     def pull(self) -> Expression:
         """Mount force P [N]."""
-        return start_force(self.structure, self.p) + pull(self.structure, self.p, self.w, self.rate)
+        return terms.start_force(self.structure, self.p) + terms.pull(self.structure, self.p, self.w, self.rate)
 
     @property
     def hold(self) -> Expression:
         """Mount force [N] at which a sticking share moves."""
-        return hold(self.structure, self.p, self.travel)
+        return terms.hold(self.structure, self.p, self.travel)
 
     def slipping(self) -> Expression:
         """Return w'' of a share that slips [m/s^2]."""
         structure, p = self.structure, self.p
         if structure.relaxed:
-            soil = resistance(structure, p, self.travel, self.speed)
+            soil = terms.resistance(structure, p, self.travel, self.speed)
         else:
-            soil = resistance_change(structure, p, self.travel, self.mount.gain - self.rate)
-        acceleration = (soil - pull(structure, p, self.w, self.rate)) / inertia_at(structure, p, self.travel)
+            soil = terms.resistance_change(structure, p, self.travel, self.mount.gain - self.rate)
+        acceleration = (soil - terms.pull(structure, p, self.w, self.rate)) / terms.inertia_at(
+            structure, p, self.travel
+        )
         return acceleration + self.mount.acceleration if structure.ramp else acceleration
 
     def rates_of_modes(self) -> Expression:
@@ -172,7 +162,7 @@ class _Now:
         stopped = ca.if_else(self.pull < 0.0, GAP, ca.if_else(self.pull <= self.hold, STICK, SLIP))
         at_rest = self.strut_speed
         mass = self.p["mass"]
-        taken_up = self.speed * mass / (mass + carried_mass(self.structure, self.p, self.travel))
+        taken_up = self.speed * mass / (mass + terms.carried_mass(self.structure, self.p, self.travel))
         rate = self._by_mode(at_rest, at_rest, self.strut_speed - taken_up)
         return ca.vertcat(self.w, rate, 0.0, self._by_mode(stopped, SLIP, SLIP))
 
@@ -240,15 +230,15 @@ def signals(structure: Structure) -> Signals:
     if structure.ends_ramp:
         ramped = ca.SX.sym("ramped")
         state, symbols = ca.vertcat(state, ramped), symbols | {"ramped": ramped}
-    force = pull(structure, symbols, w, rate - start_rate(structure, symbols))
+    force = terms.pull(structure, symbols, w, rate - terms.start_rate(structure, symbols))
     values = [w, force] if structure.damper else [w]
     squared = len(values)
     if structure.ramp:
-        speed = start_speed(structure, symbols) + strut(structure, symbols, time).gain
-        values.append((start_force(structure, symbols) + force) * speed)
+        speed = terms.start_speed(structure, symbols) + terms.strut(structure, symbols, time).gain
+        values.append((terms.start_force(structure, symbols) + force) * speed)
     expression = ca.vertcat(*values)
     # A start at rest needs the strut's speed even where nothing else does.
-    everything = ca.vertcat(expression, start_rate(structure, symbols))
+    everything = ca.vertcat(expression, terms.start_rate(structure, symbols))
     used = {s.name() for s in ca.symvar(everything)} | set(equation_of_motion(structure).names)
     names = tuple(name for name in structure.names if name in used)
     p = ca.vertcat(*(symbols[name] for name in names))

@@ -9,22 +9,11 @@ import numpy as np
 
 from plough_opt.core.errors import InputError, IntegrationError
 from plough_opt.core.expressions import as_number
+from plough_opt.motion import plan
 from plough_opt.motion.effects import StickSlip
 from plough_opt.motion.equation import SLIP, STICK
 from plough_opt.motion.integrators import Integration
 from plough_opt.motion.methods import METHODS
-from plough_opt.motion.plan import (
-    MOST_RINGING,
-    MOST_SHOT,
-    PHASE_PER_STEP,
-    STIFF_PHASE,
-    forced_rate,
-    numbers_of,
-    phase,
-    ringing,
-    steps_for,
-    with_setting,
-)
 from plough_opt.motion.run import Run
 from plough_opt.motion.scene import Scene
 from plough_opt.motion.terms import Structure, hold, own_force, parameters, start_deflection
@@ -117,7 +106,7 @@ def unsound_own(scene: Scene, last: Run | None, pause: float) -> str | None:
 
 def _driven_away(scene: Scene, last: Run) -> str | None:
     """Return that the soil drives a retreating share away, if the motion ends in that, and not by too long steps."""
-    speed, p = float(last.speed[-1]), numbers_of(scene)
+    speed, p = float(last.speed[-1]), plan.numbers_of(scene)
     growing = float(p.get("drag", 0.0) + p["static"] * p.get("rate_term", 0.0))
     rest = p["static"] + abs(float(last.mount_force[-1]))
     fastest = abs(speed) >= 0.99 * float(np.max(np.abs(last.speed)))
@@ -133,13 +122,13 @@ def _driven_away(scene: Scene, last: Run) -> str | None:
 
 
 def _too_much(scene: Scene, duration: float, solver: Integration) -> str:
-    total, outputs, accuracy = phase(numbers_of(scene), duration), solver.timeline.outputs, solver.accuracy
+    total, outputs, accuracy = plan.phase(plan.numbers_of(scene), duration), solver.timeline.outputs, solver.accuracy
     turns = total / (2.0 * math.pi)
     if METHODS[accuracy.method].order is not None:
-        enough = with_setting(replace(accuracy, steps=None), steps_for(total), outputs).steps or 0
+        enough = plan.with_setting(replace(accuracy, steps=None), plan.steps_for(total), outputs).steps or 0
         if enough > 2 * (accuracy.steps or 0):
             return f"{accuracy.steps} steps are too few for {turns:.3g} oscillations: take steps={enough}"
-    if total > STIFF_PHASE:
+    if total > plan.STIFF_PHASE:
         return (
             f"it oscillates {turns:.3g} times meanwhile: use the quasi-static scene (Effects(motion=False)),"
             " a softer or a damped mount, or a shorter duration"
@@ -183,10 +172,10 @@ def refuse_ringing(scene: Scene, duration: float) -> None:
     """Refuse a start from which a stiff mount rings so often that following it would take minutes."""
     if scene.effects.start == "equilibrium" or scene.effects.printed.repelling_spring:
         return
-    turns = ringing(numbers_of(scene), duration)
-    if turns <= MOST_RINGING:
+    turns = plan.ringing(plan.numbers_of(scene), duration)
+    if turns <= plan.MOST_RINGING:
         return
-    steps = turns / PHASE_PER_STEP
+    steps = turns / plan.PHASE_PER_STEP
     raise IntegrationError(
         f"the motion of a {scene.describe()}: from this start it rings {turns / (2.0 * math.pi):.3g} times, which"
         f" would take some {steps:.1g} steps: damp the mount, start at equilibrium, take a softer mount, a shorter"
@@ -203,7 +192,7 @@ def refuse_countless_waves(scene: Scene, p: Mapping[str, float], duration: float
         duration: of the run [s].
         most: phase [rad] that is followed.
     """
-    total = forced_rate(p) * duration + waves_in_flight(scene, p, duration)
+    total = plan.forced_rate(p) * duration + waves_in_flight(scene, p, duration)
     if total <= most:
         return
     by_name = ", or name a method, as Accuracy('erk'), to follow them all the same" if scene.effects.motion else ""
@@ -222,15 +211,15 @@ def refuse_stiff_orbit(scene: Scene) -> None:
     Raises:
         IntegrationError: it is stiffer than what is computed by default.
     """
-    total = phase(numbers_of(scene), float(as_number(scene.wave_period))) if scene.effects.waves else 0.0
-    if total <= MOST_SHOT:
+    total = plan.phase(plan.numbers_of(scene), float(as_number(scene.wave_period))) if scene.effects.waves else 0.0
+    if total <= plan.MOST_SHOT:
         return
     stands = "" if scene.effects.orbit == "periodic" else ", from which this stand-in's error is told,"
     raise IntegrationError(
         f"the lasting orbit of a {scene.describe()}: its fastest part runs through {total / (2.0 * math.pi):.3g} turns"
         f" in one wavelength, so that the orbit{stands} would take minutes to find: take a softer or less damped mount,"
         " a shorter wave or a higher tow speed, the quasi-static scene (Effects(motion=False)), or name a method, as"
-        f" Accuracy('dop853', steps={steps_for(total)}), to seek it all the same"
+        f" Accuracy('dop853', steps={plan.steps_for(total)}), to seek it all the same"
     )
 
 
@@ -245,7 +234,7 @@ def refuse_drifting_own(scene: Scene) -> None:
     """
     if not scene.effects.own:
         return
-    structure, p = Structure.of(scene), numbers_of(scene)
+    structure, p = Structure.of(scene), plan.numbers_of(scene)
     places = [k / _OWN_PLACES * p["wavelength"] for k in range(_OWN_PLACES)]
     both = [
         [float(as_number(own_force(structure, p, place + on, part * p["tow_speed"]))) for on in (0.0, p["wavelength"])]

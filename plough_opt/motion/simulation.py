@@ -9,6 +9,7 @@ from plough_opt.core.checks import check_domain, check_kind, check_single, check
 from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import Expression, as_number, holds_casadi, is_count, is_symbolic, map_expressions
 from plough_opt.core.quantities import BESIDE
+from plough_opt.motion import plan
 from plough_opt.motion.accuracy import DEFAULT_ERROR, Accuracy
 from plough_opt.motion.assembly import SYMBOLIC_GAUSS_POINTS, assemble, quasi_static
 from plough_opt.motion.averages import Checks
@@ -17,18 +18,6 @@ from plough_opt.motion.embedding import embed
 from plough_opt.motion.following import Case
 from plough_opt.motion.integrators import integration
 from plough_opt.motion.methods import locating
-from plough_opt.motion.plan import (
-    MOST_ADAPTIVE,
-    MOST_OUTPUTS,
-    OUTPUTS,
-    TIGHTEST,
-    forced_rate,
-    is_imposed,
-    steps_for,
-    timeline_of,
-    unknown_steps,
-    with_setting,
-)
 from plough_opt.motion.run import Run
 from plough_opt.motion.scene import Scene
 from plough_opt.motion.settling import which_motion
@@ -42,7 +31,7 @@ def simulate(
     duration: Expression | None = None,
     *,
     accuracy: Accuracy | None = None,
-    outputs: int = OUTPUTS,
+    outputs: int = plan.OUTPUTS,
     compiled: bool = False,
 ) -> Run:
     """Simulate a share on its mount, equation (27), or its quasi-static limit.
@@ -131,11 +120,13 @@ def _check_kinds(scene: Scene, accuracy: Accuracy | None, outputs: int) -> None:
     check_kind("the scene", scene, Scene, "a Scene, made of soil, share, stiffness, mass and tow speed")
     if not (accuracy is None or isinstance(accuracy, Accuracy)):
         raise InputError(f"accuracy = {shown(accuracy)} must be an Accuracy, as Accuracy('erk')")
-    if not is_count(outputs) or outputs > MOST_OUTPUTS:
-        raise InputError(f"outputs = {shown(outputs)} must be a whole number from 1 to {MOST_OUTPUTS}: of intervals")
+    if not is_count(outputs) or outputs > plan.MOST_OUTPUTS:
+        raise InputError(
+            f"outputs = {shown(outputs)} must be a whole number from 1 to {plan.MOST_OUTPUTS}: of intervals"
+        )
 
 
-def repeat(scene: Scene, duration: Expression, *, outputs: int = OUTPUTS) -> Run:
+def repeat(scene: Scene, duration: Expression, *, outputs: int = plan.OUTPUTS) -> Run:
     """Simulate a scene for the duration of a run of its like; an orbit has its own."""
     return simulate(scene, duration if scene.effects.orbit == "transient" else None, outputs=outputs)
 
@@ -158,27 +149,27 @@ def _duration(scene: Scene, duration: Expression | None) -> Expression:
 def _symbolic(scene: Scene, duration: Expression, accuracy: Accuracy, outputs: int) -> Run:
     """Return the run as expressions of the scene's symbols."""
     if not scene.effects.motion:
-        imposed = {name: value for name, value in parameters(scene).items() if is_imposed(name)}
-        panels = max(outputs, OUTPUTS)
+        imposed = {name: value for name, value in parameters(scene).items() if plan.is_imposed(name)}
+        panels = max(outputs, plan.OUTPUTS)
         if not any(map(is_symbolic, (*imposed.values(), duration))):
-            rate = forced_rate({name: float(as_number(value)) for name, value in imposed.items()})
-            panels = max(panels, steps_for(rate * float(as_number(duration))))
-        timeline = timeline_of(scene, duration, outputs, panels)
+            rate = plan.forced_rate({name: float(as_number(value)) for name, value in imposed.items()})
+            panels = max(panels, plan.steps_for(rate * float(as_number(duration))))
+        timeline = plan.timeline_of(scene, duration, outputs, panels)
         return quasi_static(scene, duration, timeline, accuracy, SYMBOLIC_GAUSS_POINTS)
     if accuracy.method != "auto":
-        accuracy = with_setting(accuracy, max(outputs, OUTPUTS), outputs)
+        accuracy = plan.with_setting(accuracy, max(outputs, plan.OUTPUTS), outputs)
     elif scene.effects.events:
         # Events are located, the ends of smooth contact's step beside them are not.
         part = 1e-4 if isinstance(scene.effects.contact, Smooth) else 1e-2
         wanted = min(accuracy.error or DEFAULT_ERROR, part * accuracy.wanted_derivatives)
-        accuracy = Accuracy("erk", tolerance=max(0.01 * wanted, TIGHTEST))
+        accuracy = Accuracy("erk", tolerance=max(0.01 * wanted, plan.TIGHTEST))
     return _embedded(scene, duration, accuracy, outputs)
 
 
 def _embedded(scene: Scene, duration: Expression, accuracy: Accuracy, outputs: int) -> Run:
     """Return a run by a method with its setting as expressions of the scene's symbols."""
-    steps = MOST_ADAPTIVE if accuracy.adaptive else accuracy.steps or unknown_steps(scene, accuracy, outputs)
-    timeline = timeline_of(scene, duration, outputs, steps, accuracy.method, symbolic=True)
+    steps = plan.MOST_ADAPTIVE if accuracy.adaptive else accuracy.steps or plan.unknown_steps(scene, accuracy, outputs)
+    timeline = plan.timeline_of(scene, duration, outputs, steps, accuracy.method, symbolic=True)
     solver, p = integration(Structure.of(scene), accuracy, timeline), parameters(scene)
     states, means, variances = embed(solver, [*(p[name] for name in solver.names), duration], scene)
     return assemble(scene, duration, timeline.output_fractions, states.T, means, variances, accuracy)

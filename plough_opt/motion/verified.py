@@ -8,6 +8,7 @@ import numpy as np
 
 from plough_opt.core.compiler import NO_COMPILER
 from plough_opt.core.errors import IntegrationError
+from plough_opt.motion import plan
 from plough_opt.motion.accuracy import DEFAULT_ERROR, Accuracy
 from plough_opt.motion.assembly import GAUSS_POINTS, MORE_POINTS, quasi_static
 from plough_opt.motion.estimate import TELLING, difference, unseen
@@ -21,24 +22,6 @@ from plough_opt.motion.judgement import (
     refuse_stiff_orbit,
     remarks,
     unsound_own,
-)
-from plough_opt.motion.plan import (
-    MOST_FORCED,
-    MOST_PANELLED,
-    automatic,
-    check_of,
-    checked,
-    fastest_rate,
-    finer,
-    forced_rate,
-    long_steps,
-    longer_by,
-    pair_of,
-    steps_by_law,
-    steps_for,
-    suited,
-    timeline_of,
-    with_setting,
 )
 from plough_opt.motion.run import Run
 from plough_opt.motion.settling import which_motion
@@ -82,12 +65,12 @@ def verified(case: Case, accuracy: Accuracy) -> tuple[Run, float, tuple[str, ...
     if effects.orbit not in ("transient", "periodic"):
         return _stand_in(case, wanted)
     if accuracy.method != "auto":
-        named = with_setting(accuracy, steps_for(case.phase), case.outputs)
-        found, error = _twice(case, named, check_of(named, case.p, case.duration, case.structure.kinked))
+        named = plan.with_setting(accuracy, plan.steps_for(case.phase), case.outputs)
+        found, error = _twice(case, named, plan.check_of(named, case.p, case.duration, case.structure.kinked))
         error, notes = _told(case, found, error, None)
     else:
         refuse_ringing(case.scene, case.duration)
-        refuse_countless_waves(case.scene, case.p, case.duration, MOST_FORCED)
+        refuse_countless_waves(case.scene, case.p, case.duration, plan.MOST_FORCED)
         found, error = _automatic(case, wanted)
         error, notes = _told(case, found, error, wanted)
     _LOG.debug("motion by %s: estimated error %.2g", found.run.accuracy, error)
@@ -109,8 +92,8 @@ def interpreted(case: Case, run: Run) -> tuple[str, ...]:
 
 def _quasi_static(case: Case, accuracy: Accuracy) -> tuple[Run, float, tuple[str, ...]]:
     scene, duration = case.scene, case.duration
-    refuse_countless_waves(scene, case.p, duration, MOST_PANELLED)
-    timeline = timeline_of(scene, duration, case.outputs, steps_for(forced_rate(case.p) * duration))
+    refuse_countless_waves(scene, case.p, duration, plan.MOST_PANELLED)
+    timeline = plan.timeline_of(scene, duration, case.outputs, plan.steps_for(plan.forced_rate(case.p) * duration))
     with np.errstate(all="ignore"):  # what is not finite is refused below
         run = quasi_static(scene, duration, timeline, accuracy)
         check = quasi_static(scene, duration, timeline, accuracy, GAUSS_POINTS + MORE_POINTS)
@@ -124,7 +107,7 @@ def _automatic(case: Case, wanted: float) -> tuple[Followed, float]:
     """Integrate by the first of the methods that suit a scene which reaches the wanted error, or comes nearest."""
     best: tuple[Followed, float] | None = None
     failure: IntegrationError | None = None
-    methods = suited(case.structure, case.phase)
+    methods = plan.suited(case.structure, case.phase)
     if methods[0] == "dop853" and case.structure.stepped and not case.structure.kinked:
         methods = methods[1:]
         best, failure = _by_measured_steps(case, wanted)
@@ -134,7 +117,7 @@ def _automatic(case: Case, wanted: float) -> tuple[Followed, float]:
         aim = wanted
         for tightened in range(1 if method == "rosenbrock" else _TIGHTENINGS):
             try:
-                found, error = _twice(case, *checked(method, aim, case.p, case.duration))
+                found, error = _twice(case, *plan.checked(method, aim, case.p, case.duration))
             except Escape:
                 raise
             except IntegrationError as failed:
@@ -147,7 +130,7 @@ def _automatic(case: Case, wanted: float) -> tuple[Followed, float]:
                 return found, error
             if best is None or error < best[1]:
                 best = found, error
-            if unseen(found.run, fastest_rate(case.p), 0.0) > wanted:
+            if unseen(found.run, plan.fastest_rate(case.p), 0.0) > wanted:
                 case = replace(case, closer=_CLOSER * case.closer)
                 continue
             if tightened and _hopeless(case, found, error, wanted):
@@ -175,27 +158,27 @@ def _by_measured_steps(case: Case, wanted: float) -> tuple[tuple[Followed, float
     """
     best: tuple[Followed, float] | None = None
     failure: IntegrationError | None = None
-    steps = long_steps(case.p, case.duration)
+    steps = plan.long_steps(case.p, case.duration)
     for _ in range(_MEASURED):
         try:
-            found, error = _twice(case, *pair_of(steps))
+            found, error = _twice(case, *plan.pair_of(steps))
         except Escape:
             raise
         except IntegrationError as failed:
-            failure, steps = failed, longer_by(steps, _ANEW)
+            failure, steps = failed, plan.longer_by(steps, _ANEW)
             continue
         if best is None or error < best[1]:
             best = found, error
         if error <= wanted:
             break
-        steps = longer_by(steps, _ANEW) if error > _KNOWN else steps_by_law(steps, error, wanted)
+        steps = plan.longer_by(steps, _ANEW) if error > _KNOWN else plan.steps_by_law(steps, error, wanted)
     return best, failure
 
 
 def _stand_in(case: Case, wanted: float) -> tuple[Run, float, tuple[str, ...]]:
     """Return a stand-in for the lasting orbit, its relative difference from the orbit, and a note if there is none."""
     exact = replace(case.scene, effects=replace(case.scene.effects, orbit="periodic"))
-    method = automatic("dop853", wanted, case.p, case.duration)
+    method = plan.automatic("dop853", wanted, case.p, case.duration)
     run = follow(case, method).run
     notes = remarks(run)
     try:
@@ -223,7 +206,7 @@ def _twice(case: Case, first: Accuracy, second: Accuracy) -> tuple[Followed, flo
     apart = _apart(case, found, check)
     coarser = _is_coarser(second, first)
     error = apart * (1.0 if coarser and not case.structure.kinked else _MARGIN)
-    return found, max(error, unseen(found.run, fastest_rate(case.p), error))
+    return found, max(error, unseen(found.run, plan.fastest_rate(case.p), error))
 
 
 def _apart(case: Case, found: Followed, other: Followed) -> float:
@@ -241,7 +224,7 @@ def _checking(case: Case, first: Accuracy, second: Accuracy, sizes: Array | None
             # An event that the check misses is a failure too.
             raise
         # Fixed steps may be too long for what only an adaptive method notices.
-        return follow(case, finer(first), sizes)
+        return follow(case, plan.finer(first), sizes)
 
 
 def _is_coarser(one: Accuracy, other: Accuracy) -> bool:

@@ -7,8 +7,7 @@ import pytest
 
 from plough_opt.core.expressions import as_number
 from plough_opt.motion.batch.c_source import Kernels
-from plough_opt.motion.batch.engine import engine_of
-from plough_opt.motion.batch.interpreter import Interpreter
+from plough_opt.motion.batch.engine import Engine, Interpreter
 from plough_opt.motion.batch.series import Graph, series_of
 
 ORDER = 12
@@ -109,11 +108,11 @@ def test_operations_in_c_and_numpy(tmp_path, monkeypatch):
     x, p = ca.SX.sym("x", 2), ca.SX.sym("p", 2)
     step = ca.Function("step", [x, p], [ca.vertcat(x[0] + 1.0, x[1] + x[0] / p[1])])
     kernels = Kernels({"operations": function}, ((step, 0),), 2)
-    engine = engine_of({"operations": function}, kernels)
+    engine = Engine({"operations": function}, kernels)
     assert engine.compiled
     monkeypatch.setenv("PATH", str(tmp_path))
     monkeypatch.delenv("CC", raising=False)
-    plain = engine_of({"operations": function}, kernels)
+    plain = Engine({"operations": function}, kernels)
     assert not plain.compiled
     random = np.random.default_rng(0)
     rows = random.uniform([[-3.0], [-3.0], [0.1]], [[3.0], [3.0], [5.0]], (3, 203))

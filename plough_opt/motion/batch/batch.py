@@ -16,9 +16,8 @@ from plough_opt.core.quantities import BESIDE
 from plough_opt.motion.batch.advance import advance
 from plough_opt.motion.batch.c_source import Kernels
 from plough_opt.motion.batch.domain_check import DomainCheck
-from plough_opt.motion.batch.engine import engine_of
+from plough_opt.motion.batch.engine import Array, Engine
 from plough_opt.motion.batch.equations import RESULTS, Layout, Start, of_column, setup
-from plough_opt.motion.batch.interpreter import Array
 from plough_opt.motion.batch.result import BatchResult
 from plough_opt.motion.effects import StickSlip
 from plough_opt.motion.scene import Scene
@@ -96,7 +95,7 @@ class Batch:
         ends = self._layout.ends
         parts = tuple((advance(self._layout, order, part), end) for part, end in enumerate(ends))
         maps = {name: one for name, one in functions.items() if one.is_a("SXFunction")}
-        self._engine = engine_of(functions, Kernels(maps, parts, self._layout.allowed + 1))
+        self._engine = Engine(functions, Kernels(maps, parts, self._layout.allowed + 1))
 
     @property
     def compiled(self) -> bool:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from plough_opt.core.errors import PloughError
 from plough_opt.core.expressions import is_quantity, map_expressions, template_of
 from plough_opt.core.quantities import BESIDE, QUANTITIES
-from plough_opt.motion.batch.interpreter import Array
+from plough_opt.motion.batch.engine import Array
 from plough_opt.motion.scene import Scene
 from plough_opt.motion.scene_quantities import quantities_of
 

@@ -1,14 +1,17 @@
-"""Evaluates a batch's operations: as compiled C, or by NumPy."""
+"""Evaluates a batch's operations: as compiled C, or by NumPy, operation by operation on many designs side by side."""
 
 import ctypes
+from collections.abc import Callable
+from typing import Any
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
 from plough_opt.core.compiler import Variant, library
-from plough_opt.motion.batch.c_source import Kernels, c_source
-from plough_opt.motion.batch.interpreter import Array, Interpreter
+from plough_opt.motion.batch.c_source import LANE_BY_LANE, LIBRARY, LIBRARY_OF_TWO, Kernels, c_source
+
+Array = NDArray[np.float64]
 
 _FLAGS = (
     "-O3",
@@ -32,21 +35,37 @@ _BLOCK = 4096
 
 
 class Engine:
-    """Evaluates maps and integrates, here by NumPy, operation by operation.
+    """Evaluates maps, and integrates designs by steps.
 
-    Arrays have a row for each element and a column for each design.
+    Arrays have a row for each element and a column for each design. Maps of SX and the steps are compiled, from the
+    fastest variant on that this system allows; without a compiler CasADi evaluates the maps, and NumPy the steps.
+
+    Attributes:
+        compiled: whether a compiler was found.
     """
 
-    compiled = False
-
     def __init__(self, functions: dict[str, ca.Function], kernels: Kernels) -> None:
-        """Take the maps, which CasADi evaluates, and the steps among the kernels."""
-        self._functions = functions
-        self._kernels = kernels
+        """Compile what can be.
+
+        Args:
+            functions: the maps, of a column each; those of SX are among the kernels too.
+            kernels: the operations.
+        """
+        path = library(c_source(kernels), _VARIANTS)
+        self.compiled = path is not None
+        self._functions, self._kernels = functions, kernels
+        self._library = None if path is None else ctypes.CDLL(str(path))
 
     def evaluate(self, name: str, rows: Array) -> Array:
         """Return the results of a map."""
-        return np.asarray(self._functions[name].map(rows.shape[1])(rows))
+        if self._library is None or name not in self._kernels.maps:
+            return np.asarray(self._functions[name].map(rows.shape[1])(rows))
+        rows = np.ascontiguousarray(rows)
+        results = np.empty((self._kernels.maps[name].numel_out(), rows.shape[1]))
+        function = getattr(self._library, name)
+        function.restype = None
+        function(ctypes.c_int64(rows.shape[1]), _pointer(rows), _pointer(results))
+        return results
 
     def run(self, p: Array, states: Array, order: NDArray[np.int64], most: int) -> Array:
         """Integrate designs from their states, in place; return the number of steps of each.
@@ -58,6 +77,15 @@ class Engine:
             most: limit on the number of steps.
         """
         taken = np.zeros(p.shape[1])
+        if self._library is None:
+            self._run_by_numpy(p, states, order, most, taken)
+            return taken
+        self._library.run.restype = None
+        counts = ctypes.c_int64(p.shape[1]), ctypes.c_int64(len(order))
+        self._library.run(*counts, *map(_pointer, (order, p, states, taken)), ctypes.c_double(most))
+        return taken
+
+    def _run_by_numpy(self, p: Array, states: Array, order: NDArray[np.int64], most: int, taken: Array) -> None:
         with np.errstate(all="ignore"):
             for step, end in self._kernels.parts:
                 interpreted = Interpreter(step)
@@ -66,54 +94,77 @@ class Engine:
                     while len(which := which[(states[0, which] < p[end, which]) & (taken[which] < most)]):
                         states[:, which] = interpreted(states[:, which], p[:, which])
                         taken[which] += 1.0
-        return taken
-
-
-class _Compiled(Engine):
-    """The same by compiled C, a vector register of designs at a time."""
-
-    compiled = True
-
-    def __init__(self, functions: dict[str, ca.Function], kernels: Kernels, library: ctypes.CDLL) -> None:
-        """Take the library compiled from the kernels."""
-        super().__init__(functions, kernels)
-        self._library = library
-        library.run.restype = None
-
-    def evaluate(self, name: str, rows: Array) -> Array:
-        if name not in self._kernels.maps:
-            return super().evaluate(name, rows)
-        rows = np.ascontiguousarray(rows)
-        results = np.empty((self._kernels.maps[name].numel_out(), rows.shape[1]))
-        function = getattr(self._library, name)
-        function.restype = None
-        function(ctypes.c_int64(rows.shape[1]), _pointer(rows), _pointer(results))
-        return results
-
-    def run(self, p: Array, states: Array, order: NDArray[np.int64], most: int) -> Array:
-        steps = np.zeros(p.shape[1])
-        self._library.run(
-            ctypes.c_int64(p.shape[1]),
-            ctypes.c_int64(len(order)),
-            _pointer(order),
-            _pointer(p),
-            _pointer(states),
-            _pointer(steps),
-            ctypes.c_double(most),
-        )
-        return steps
-
-
-def engine_of(functions: dict[str, ca.Function], kernels: Kernels) -> Engine:
-    """Return the fastest engine that this system allows.
-
-    Args:
-        functions: the maps, of a column each; those of SX are among the kernels too.
-        kernels: the operations.
-    """
-    path = library(c_source(kernels), _VARIANTS)
-    return Engine(functions, kernels) if path is None else _Compiled(functions, kernels, ctypes.CDLL(str(path)))
 
 
 def _pointer(array: NDArray[np.generic]) -> ctypes.c_void_p:
     return ctypes.c_void_p(array.ctypes.data)
+
+
+def _error_function(x: Array) -> Array:
+    from scipy.special import erf  # slow to import, and rarely needed
+
+    found: Array = erf(x)
+    return found
+
+
+# NumPy's function for each operation, by CasADi's code. C has most of them by the same names.
+_FUNCTIONS: dict[int, Callable[..., Any]] = {
+    **{code: getattr(np, name) for code, name in (LIBRARY | LIBRARY_OF_TWO | LANE_BY_LANE).items() if name != "erf"},
+    ca.OP_ERF: _error_function,
+    ca.OP_ASSIGN: lambda x: x,
+    ca.OP_ADD: np.add,
+    ca.OP_SUB: np.subtract,
+    ca.OP_MUL: np.multiply,
+    ca.OP_DIV: np.divide,
+    ca.OP_INV: np.reciprocal,
+    ca.OP_NEG: np.negative,
+    ca.OP_SQ: np.square,
+    ca.OP_TWICE: lambda x: x + x,
+    ca.OP_FABS: np.abs,
+    ca.OP_SIGN: np.sign,
+    ca.OP_FMIN: np.fmin,
+    ca.OP_FMAX: np.fmax,
+    ca.OP_LT: np.less,
+    ca.OP_LE: np.less_equal,
+    ca.OP_EQ: np.equal,
+    ca.OP_NE: np.not_equal,
+    ca.OP_NOT: np.logical_not,
+    ca.OP_AND: np.logical_and,
+    ca.OP_OR: np.logical_or,
+    ca.OP_IF_ELSE_ZERO: lambda condition, x: np.where(condition, x, 0.0),
+}
+_CONDITIONS = (ca.OP_LT, ca.OP_LE, ca.OP_EQ, ca.OP_NE, ca.OP_NOT, ca.OP_AND, ca.OP_OR)
+
+
+class Interpreter:
+    """Evaluates a Function of SX whose only result is a dense column."""
+
+    def __init__(self, function: ca.Function) -> None:
+        """Read the Function's operations; their results lie in as few places as CasADi's own do."""
+        self._results, self._places = function.numel_out(), function.sz_w()
+        self._operations = [
+            (
+                code := function.instruction_id(k),
+                function.instruction_output(k),
+                function.instruction_input(k),
+                function.instruction_constant(k) if code == ca.OP_CONST else 0.0,
+            )
+            for k in range(function.n_instructions())
+        ]
+
+    def __call__(self, *arguments: Array) -> Array:
+        """Return the result, a row for each element, of arguments with a row for each element."""
+        work: list[Any] = [None] * self._places
+        results = np.empty((self._results, arguments[0].shape[1]))
+        for code, into, of, constant in self._operations:
+            if code == ca.OP_INPUT:
+                work[into[0]] = arguments[of[0]][of[1]]
+            elif code == ca.OP_CONST:
+                work[into[0]] = constant
+            elif code == ca.OP_OUTPUT:
+                results[into[1]] = work[of[0]]
+            else:
+                found = _FUNCTIONS[code](*[work[k] for k in of])
+                # Conditions are numbers, for arithmetic.
+                work[into[0]] = np.multiply(found, 1.0) if code in _CONDITIONS else found
+        return results

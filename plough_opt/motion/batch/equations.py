@@ -15,7 +15,7 @@ import numpy as np
 from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import Expression, minimum
 from plough_opt.core.labels import labels_in, without_labels
-from plough_opt.motion.batch.interpreter import Array
+from plough_opt.motion.batch.engine import Array
 from plough_opt.motion.effects import StrengthWaves
 from plough_opt.motion.equation import equation_of_motion, signals
 from plough_opt.motion.plan import summed_rate

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from plough_opt.core.compiler import Variant, library
 from plough_opt.motion.accuracy import Accuracy
 from plough_opt.motion.batch.c_source import Statements, head
-from plough_opt.motion.batch.interpreter import Array
+from plough_opt.motion.batch.engine import Array
 from plough_opt.motion.equation import equation_of_motion, signals, start_state
 from plough_opt.motion.integrators import integration
 from plough_opt.motion.plan import summed_and_lasting_phase

@@ -110,7 +110,7 @@ def test_many_runs_without_a_compiler_are_those_with_one(r1_scene, monkeypatch, 
     names = signals(structure).parameters
     p = np.array([[*(float(known[name]) for name in names), 0.4]] * 3)
     p[:, names.index("stiffness")] *= (0.5, 1.0, 2.0)
-    monkeypatch.setattr(many_runs, "_runner", many_runs._runner.__wrapped__)  # remembers nothing
+    monkeypatch.setattr(many_runs, "_library", many_runs._library.__wrapped__)  # remembers nothing
     compiled = many_runs.ManyRuns(structure, 5)
     monkeypatch.setenv("PATH", str(tmp_path))
     monkeypatch.delenv("CC", raising=False)

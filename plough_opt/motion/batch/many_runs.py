@@ -11,7 +11,6 @@ from __future__ import annotations
 import ctypes
 from concurrent.futures import ThreadPoolExecutor
 from functools import lru_cache
-from pathlib import Path
 
 import casadi as ca
 import numpy as np
@@ -49,6 +48,8 @@ _VARIANTS: tuple[Variant, ...] = (
 _FEWEST_STEPS = 16
 # Of the steps with which a design is first looked at.
 _MOST_STEPS = 20_000
+# Doubles in the widest vector register.
+_WIDEST = 8
 # Designs that one thread integrates at once: enough to fill vector registers many times, few enough for little memory.
 _CHUNK = 1024
 
@@ -137,8 +138,7 @@ class ManyRuns:
     def __init__(self, structure: Structure, outputs: int) -> None:
         self._structure, self._outputs = structure, outputs
         self._observed = signals(structure)
-        self._phase = PHASE_PER_STEP_READ if outputs else PHASE_PER_STEP
-        self._run = _runner(structure)
+        self._library = _library(structure)
 
     @property
     def size(self) -> int:
@@ -149,7 +149,7 @@ class ManyRuns:
     @property
     def compiled(self) -> bool:
         """Whether the runs are integrated by machine code."""
-        return isinstance(self._run, _ByLibrary)
+        return self._library is not None
 
     def __call__(
         self, p: Array, *, finer: float = 1.0, together: int = 1, threads: int = 1, count: int | None = None
@@ -166,16 +166,11 @@ class ManyRuns:
         """
         columns = np.ascontiguousarray(p.T)
         results = np.full((len(p), self.size), np.nan)
+        known = dict(zip(self._observed.parameters, columns, strict=False))
         with np.errstate(all="ignore"):
-            known = dict(zip(self._observed.parameters, columns, strict=False))
             if count is None:
-                summed, lasting = summed_and_lasting_phase(known, columns[-1])
-                shorter = np.maximum((lasting / _LASTING) ** (1.0 / _LOSES) * self._phase / PHASE_PER_STEP, 1.0)
-                steps = np.maximum(np.ceil(finer * shorter * summed / self._phase), _FEWEST_STEPS)
-                # Whether a design has a value does not depend on how finely it is looked at.
-                steps[summed / self._phase > _MOST_STEPS] = np.inf
-                if together > 1:
-                    steps = np.repeat(steps.reshape(-1, together).max(axis=1), together)
+                steps = self._steps(known, columns[-1], finer)
+                steps = np.repeat(steps.reshape(-1, together).max(axis=1), together)
             else:
                 steps = np.full(len(p), float(count))
             none = np.zeros_like(steps)
@@ -185,13 +180,52 @@ class ManyRuns:
         # Designs with similar numbers of steps wait little for each other.
         order = sound[np.argsort(steps[sound], kind="stable")]
         chunks = [order[k : k + _CHUNK] for k in range(0, len(order), _CHUNK)]
+        run = self._run if self.compiled else self._interpret
         if threads > 1 and len(chunks) > 1 and self.compiled:
             with ThreadPoolExecutor(threads) as pool:
-                list(pool.map(lambda chunk: self._run(given, chunk, self._outputs, results), chunks))
+                list(pool.map(lambda chunk: run(given, chunk, results), chunks))
         else:
             for chunk in chunks:
-                self._run(given, chunk, self._outputs, results)
+                run(given, chunk, results)
         return results
+
+    def _steps(self, known: dict[str, Array], duration: Array, finer: float) -> Array:
+        """Return the number of steps of each run, infinite where they are too many."""
+        phase = PHASE_PER_STEP_READ if self._outputs else PHASE_PER_STEP
+        summed, lasting = summed_and_lasting_phase(known, duration)
+        shorter = np.maximum((lasting / _LASTING) ** (1.0 / _LOSES) * phase / PHASE_PER_STEP, 1.0)
+        steps: Array = np.maximum(np.ceil(finer * shorter * summed / phase), _FEWEST_STEPS)
+        # Whether a design has a value does not depend on how finely it is looked at.
+        steps[summed / phase > _MOST_STEPS] = np.inf
+        return steps
+
+    def _run(self, given: Array, which: NDArray[np.int64], results: Array) -> None:
+        """Fill in the results of runs by machine code.
+
+        Args:
+            given: the parameters, and as `_SOURCE` has it the steps and the kink: a column for each run.
+            which: the runs, their numbers of steps ascending.
+            results: a row for each run.
+        """
+        assert self._library is not None  # else CasADi interprets
+        ends = np.empty(3 * int(given[-3, which[-1]] + 2.0) * _WIDEST + _WIDEST)
+        # Vectors lie at addresses that are multiples of their size.
+        begin = -(-ends.ctypes.data // (8 * _WIDEST)) * (8 * _WIDEST)
+        arrays = which.ctypes.data, given.ctypes.data, results.ctypes.data
+        self._library.many_runs(given.shape[1], len(which), *arrays, results.shape[1], self._outputs, begin)
+
+    def _interpret(self, given: Array, which: NDArray[np.int64], results: Array) -> None:
+        """Fill in the results of runs by CasADi, with at least as many steps, a power of two of them."""
+        steps = 2.0 ** np.ceil(np.log2(given[-3]))
+        for count in np.unique(steps[which]):
+            own = which[steps[which] == count]
+            timeline = Timeline(
+                self._outputs or 1, int(count), aligned=self._structure.ramp, moving=self._structure.ramp
+            )
+            run = integration(self._structure, Accuracy("dop853", steps=int(count)), timeline).function
+            states, *averages = (np.asarray(part).T for part in run.map(len(own))(given[:-3, own]))
+            read = states.reshape(len(own), -1) if self._outputs else np.empty((len(own), 0))
+            results[own] = np.hstack([read, *averages])
 
 
 def _before_kink(known: dict[str, Array], duration: Array, steps: Array) -> tuple[Array, Array]:
@@ -205,75 +239,10 @@ def _before_kink(known: dict[str, Array], duration: Array, steps: Array) -> tupl
 
 
 @lru_cache(maxsize=32)
-def _runner(structure: Structure) -> _ByLibrary | _Interpreted:
-    """Return the fastest way to integrate that this system allows."""
-    path = library(_source(structure), _VARIANTS)
-    return _Interpreted(structure) if path is None else _ByLibrary(path)
-
-
-class _ByLibrary:
-    """Integration by compiled C."""
-
-    def __init__(self, path: Path) -> None:
-        self._function = ctypes.CDLL(str(path)).many_runs
-        whole, address = ctypes.c_int64, ctypes.c_void_p
-        self._function.argtypes = [whole, whole, address, address, address, whole, whole, address]
-
-    def __call__(self, given: Array, which: NDArray[np.int64], outputs: int, results: Array) -> None:
-        """Fill in the results of runs.
-
-        Args:
-            given: the parameters, and as `_SOURCE` has it the steps and the kink: a column for each run.
-            which: the runs, their numbers of steps ascending.
-            outputs: number of intervals between output times.
-            results: a row for each run.
-        """
-        ends = np.empty(3 * int(given[-3, which[-1]] + 2.0) * _WIDEST + _WIDEST)
-        # Vectors lie at addresses that are multiples of their size.
-        begin = -(-ends.ctypes.data // (8 * _WIDEST)) * (8 * _WIDEST)
-        arrays = which.ctypes.data, given.ctypes.data, results.ctypes.data
-        self._function(given.shape[1], len(which), *arrays, results.shape[1], outputs, begin)
-
-
-class _Interpreted:
-    """Integration by CasADi, for machines without a compiler: with at least as many steps, a power of two of them."""
-
-    def __init__(self, structure: Structure) -> None:
-        self._structure = structure
-
-    def __call__(self, given: Array, which: NDArray[np.int64], outputs: int, results: Array) -> None:
-        """Fill in the results of runs, as `_ByLibrary` does."""
-        steps = 2.0 ** np.ceil(np.log2(given[-3]))
-        for count in np.unique(steps[which]):
-            own = which[steps[which] == count]
-            timeline = Timeline(outputs or 1, int(count), aligned=self._structure.ramp, moving=self._structure.ramp)
-            run = integration(self._structure, Accuracy("dop853", steps=int(count)), timeline).function
-            states, *averages = (np.asarray(part).T for part in run.map(len(own))(given[:-3, own]))
-            read = states.reshape(len(own), -1) if outputs else np.empty((len(own), 0))
-            results[own] = np.hstack([read, *averages])
-
-
-_WIDEST = 8
-"""Doubles in the widest vector register."""
-
-
-def _operations(structure: Structure) -> tuple[ca.Function, ca.Function]:
-    """Return parameters -> state at the start, and (state, span, parameters) -> (state after a step, w'', moments)."""
-    motion, observed = equation_of_motion(structure), signals(structure)
-    (p, known), state, span = observed.symbols(ca.SX), ca.SX.sym("state", 2), ca.SX.sym("span", 2)
-    following, moments = step(structure)(state, span, p)
-    acceleration = motion.rates(span[0] * p[-1], state, known)[1]
-    result = ca.cse(ca.densify(ca.vertcat(following, acceleration, moments)))
-    first = ca.densify(ca.SX(start_state(structure, known)))
-    return (
-        ca.Function("begin", [p], [first]),
-        ca.Function("advance", [state, span, p], [result]),
-    )
-
-
-def _source(structure: Structure) -> str:
-    begin, one = _operations(structure)
+def _library(structure: Structure) -> ctypes.CDLL | None:
+    """Return the runs of a structure in machine code; None without a compiler."""
     observed = signals(structure)
+    begin, one = _operations(structure)
     first, text = Statements(begin, ("p",)), Statements(one, ("x", "s", "p"))
     body = _SOURCE.format(
         given=len(observed.parameters) + 1,
@@ -284,4 +253,20 @@ def _source(structure: Structure) -> str:
         once="\n".join(text.once),
         each="\n".join(text.each),
     )
-    return "\n".join([head(), body])
+    path = library("\n".join([head(), body]), _VARIANTS)
+    if path is None:
+        return None
+    loaded, whole, address = ctypes.CDLL(str(path)), ctypes.c_int64, ctypes.c_void_p
+    loaded.many_runs.argtypes = [whole, whole, address, address, address, whole, whole, address]
+    return loaded
+
+
+def _operations(structure: Structure) -> tuple[ca.Function, ca.Function]:
+    """Return parameters -> state at the start, and (state, span, parameters) -> (state after a step, w'', moments)."""
+    motion, observed = equation_of_motion(structure), signals(structure)
+    (p, known), state, span = observed.symbols(ca.SX), ca.SX.sym("state", 2), ca.SX.sym("span", 2)
+    following, moments = step(structure)(state, span, p)
+    acceleration = motion.rates(span[0] * p[-1], state, known)[1]
+    result = ca.cse(ca.densify(ca.vertcat(following, acceleration, moments)))
+    first = ca.densify(ca.SX(start_state(structure, known)))
+    return ca.Function("begin", [p], [first]), ca.Function("advance", [state, span, p], [result])

@@ -1,8 +1,8 @@
-"""Derivatives of a program's runs at its best design: whether they reach the wanted error, by more steps if need be."""
+"""Enough integration steps for a program: for objective and limits at its optima, and for derivatives at the best."""
 
 import contextlib
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 
@@ -16,7 +16,13 @@ from plough_opt.motion.derivatives import derivative_error, difference_of_jets, 
 from plough_opt.motion.plan import summed_rate
 from plough_opt.motion.runge_kutta import pairs
 
-_REFINEMENTS = 4
+SMALL = 0.25
+"""Part of the program's scale below which an objective is next to nothing, and errors are relative to the scale."""
+
+# Times that more steps are taken, while each brings what is missed down to this part at least.
+_REFINEMENTS, _FALLS = 4, 0.5
+# Above this gap a design by a method with its own setting carries a warning.
+_COARSE = 1e-6
 # Steps to an error are more by this power of how far it was missed, and at once by no more than this factor.
 _ORDER, _COARSER_BY = 0.125, 3.0
 # Relative change of a parameter by which derivatives are taken as differences: by so much of the run's phase [rad], and
@@ -30,12 +36,7 @@ _MOST_RUNS = 8
 
 def error_of_derivatives(program: Program, y: Vector, p: Vector) -> float:
     """Return the largest error of the derivatives of a program's runs at a scaled design."""
-    return _error_of_all(program.nlp.groups, y, p)
-
-
-def _error_of_all(runs: Sequence[RunGroup], y: Vector, p: Vector) -> float:
-    given = [(own, own.inputs(y, p).full()) for own in runs]
-    return max((_error(own, theta) for own, theta in given), default=0.0)
+    return max((_error(own, own.inputs(y, p).full()) for own in program.built.plain.groups), default=0.0)
 
 
 def _error(own: RunGroup, theta: Vector) -> float:
@@ -125,13 +126,11 @@ def build_surely(program: Program, p: Vector, starts: Sequence[Vector]) -> None:
     Raises:
         InputError, DomainError: as `Program.build`.
     """
-    error, wanted = _error_of_all(program.runs_at(starts, p), starts[0], p), _wanted(program)
+    program.build(p, starts=starts)
+    error, wanted = _known_error(program, starts[0], p), _wanted(program)
     if error > wanted:
         with contextlib.suppress(DomainError):  # too many steps
             program.build(p, _times(error / wanted), starts)
-            return
-    program.build(p, starts=starts)
-    program.derivative_errors.append((program.nlp, starts[0], error))
 
 
 def _wanted(program: Program) -> float:
@@ -145,39 +144,80 @@ def _times(missed: float) -> float:
 
 
 def _known_error(program: Program, y: Vector, p: Vector) -> float:
-    """Return `error_of_derivatives`, or what that was beside the design in the same solve."""
-    for nlp, place, error in program.derivative_errors:
-        if nlp is program.nlp and np.max(np.abs(place - y)) < _NEAR:
-            return error
-    error = error_of_derivatives(program, y, p)
-    program.derivative_errors.append((program.nlp, y, error))
-    return error
+    """Return `error_of_derivatives`, or what that was beside the design at the last check."""
+    checked = program.built.checked
+    if checked is None or not np.array_equal(checked[0], p) or np.max(np.abs(checked[1] - y)) >= _NEAR:
+        checked = program.built.checked = p, y, error_of_derivatives(program, y, p)
+    return checked[2]
 
 
-def with_sure_derivatives(program: Program, p: Vector, points: list[Point]) -> tuple[list[Point], tuple[str, ...]]:
-    """Take more integration steps until derivatives at the best point are those of finer ones, or say that they miss.
+def with_enough_steps(
+    program: Program, p: Vector, points: list[Point], progress: Callable[[str, float], None]
+) -> tuple[list[Point], tuple[str, ...]]:
+    """Take more steps until objective and limits of points, and derivatives at the best, are right, or say so.
 
-    More steps than for the objective are called for by kinks, across which derivatives lose more than values.
+    Objective and limits are to be those of the tight integration, derivatives those of finer steps. Kinks, across which
+    derivatives lose more than values, call for more steps than the objective does.
+
+    Args:
+        program: built.
+        p: parameters.
+        points: optima, the best first.
+        progress: called with what is being done.
+
+    Returns:
+        The points, and what a reader must know where an error is not reached.
     """
-    if points[0].status == AS_FOUND:  # which IPOPT could not follow to an optimum
-        return points, ()
-    wanted = _wanted(program)
-    error, factor = _known_error(program, points[0].y, p), program.built.refinement
-    for _ in range(_REFINEMENTS):
-        if error <= wanted:
-            return points, ()
-        factor *= _times(error / wanted)
-        before = program.nlp
+    wanted, factor, last = program.wanted_error, program.built.refinement, math.inf
+    for number in range(_REFINEMENTS + 1):
+        off, unsure = _off(program, p, points), _derivatives_off(program, p, points[0])
+        missed = max(off / (wanted or math.inf), unsure / _wanted(program))
+        # A motion may be too sensitive for any number of steps.
+        if missed <= 1.0 or missed > _FALLS * last or number == _REFINEMENTS:
+            break
+        last, before = missed, program.built
+        progress(f"refining: error {max(off, unsure):.1e}", number / _REFINEMENTS)
+        factor *= _times(missed)
         try:
             program.build(p, factor, [point.y for point in points])
         except DomainError:  # too many steps
             break
-        if program.nlp is not before:
+        if program.built is not before:
             points = [solved_again(program, p, point) for point in points]
-            error = _known_error(program, points[0].y, p)
-    if error <= wanted:
-        return points, ()
-    return points, (
-        f"the wanted error {wanted:.1e} of the motion's derivatives was not reached: it is {error:.1e}; the certificate"
-        " and the sensitivities rest on them: take a tighter tolerance, or more steps",
-    )
+    return points, tuple(_shortcomings(program, off, unsure))
+
+
+def _off(program: Program, p: Vector, points: Sequence[Point]) -> float:
+    """Return the largest relative gap of points' objectives, or of a limit that the tight run breaks by more."""
+    return max(max(gap_of(program, p, point), broken_by(program, p, point)) for point in points)
+
+
+def _derivatives_off(program: Program, p: Vector, best: Point) -> float:
+    """Return the error of derivatives at the best point; none of one that IPOPT could not follow to an optimum."""
+    return 0.0 if best.status == AS_FOUND else _known_error(program, best.y, p)
+
+
+def _shortcomings(program: Program, off: float, unsure: float) -> Iterator[str]:
+    wanted, sure = program.wanted_error, _wanted(program)
+    if wanted is None and off > _COARSE:
+        yield f"the optimiser's objective is off by a relative {off:.1e}: take more steps or a tighter tolerance"
+    if wanted is not None and off > wanted:
+        yield f"the wanted relative error {wanted:.1e} of objective and limits was not reached: it is {off:.1e}"
+    if unsure > sure:
+        yield (
+            f"the wanted error {sure:.1e} of the motion's derivatives was not reached: it is {unsure:.1e}; the"
+            " certificate and the sensitivities rest on them: take a tighter tolerance, or more steps"
+        )
+
+
+def gap_of(program: Program, p: Vector, point: Point) -> float:
+    """Return the relative difference of the optimiser's objective at a point from the tightly integrated one."""
+    exact = float(program.exact_values(point.y, p)[0][0].item())
+    return abs(point.f * program.objective_scale - exact) / max(abs(exact), SMALL * program.objective_scale)
+
+
+def broken_by(program: Program, p: Vector, point: Point) -> float:
+    """Return by what part of its size the most broken requirement is beyond its limit in the tight integration."""
+    values = zip(program.exact_values(point.y, p)[0][1:], program.scales, strict=True)
+    g = np.concatenate([np.ravel(value) / scale for value, scale in values] or [np.empty(0)])
+    return float(np.max(np.maximum(program.low - g, g - program.high), initial=0.0))

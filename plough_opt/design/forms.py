@@ -128,19 +128,19 @@ def _of_rows(nlp: Nlp, count: int) -> Nlp:
     return Nlp(ca.Function("values", [y, given], [f, g[which]]), build_slopes, build_hessian)
 
 
-def relaxed(nlp: Nlp, owner: list[int], count: int) -> Nlp:
+def relaxed(nlp: Nlp, owner: Sequence[int]) -> Nlp:
     """Return the program that minimises how far requirements give way.
 
     Args:
         nlp: the program.
-        owner: for each scaled constraint, the number of its requirement.
-        count: number of requirements.
+        owner: for each scaled constraint, the number of its requirement; each has one at least.
 
     Returns:
         A program in (y, s, t) with s, t >= 0 for each requirement: minimise the sum of s and t subject to
         low <= g(y) + s - t <= high, with the exact derivatives of ``nlp``.
     """
-    spread = np.eye(count)[owner]
+    count = len(set(owner))
+    spread = np.eye(count)[list(owner)]
     give = ca.sparsify(ca.DM(np.hstack([spread, -spread])))
     own, p = nlp.values.mx_in()
     x = ca.MX.sym("x", own.numel() + 2 * count)
@@ -161,9 +161,10 @@ def relaxed(nlp: Nlp, owner: list[int], count: int) -> Nlp:
     return Nlp(ca.Function("values", [x, p], [f, nlp.values(y, p)[1] + loose]), build_slopes, build_hessian)
 
 
-def first_slack(g: Vector, low: Vector, high: Vector, owner: list[int], count: int) -> Vector:
+def first_slack(g: Vector, limits: tuple[Vector, Vector], owner: Sequence[int]) -> Vector:
     """Return slacks that make a start feasible: the largest violation of each requirement, either way."""
+    count = len(set(owner))
     slack = np.zeros(2 * count)
-    np.maximum.at(slack[:count], owner, low - g)
-    np.maximum.at(slack[count:], owner, g - high)
+    np.maximum.at(slack[:count], owner, limits[0] - g)
+    np.maximum.at(slack[count:], owner, g - limits[1])
     return slack

@@ -9,7 +9,7 @@ from plough_opt.core.errors import InfeasibleDesign
 from plough_opt.core.units import in_words
 from plough_opt.design.descents import least_violation
 from plough_opt.design.exploring import Explored
-from plough_opt.design.ipopt import Point, Vector
+from plough_opt.design.ipopt import Point, SolveOptions, Vector
 from plough_opt.design.landscape import FINER, MET, Landscape, Seen, joined
 from plough_opt.design.polishing import as_it_is
 from plough_opt.design.program import Program
@@ -108,12 +108,12 @@ def from_least_violation(program: Program, p: Vector, start: Vector, fixed: Sequ
     Raises:
         InfeasibleDesign: none was found.
     """
-    loose, held = program.solve_relaxed(start, p, fixed), list(fixed)
+    loose = program.solve_relaxed(start, p, fixed=fixed)
     if not is_feasible(loose):
         raise infeasible(program, loose)
     y = np.clip(loose.y[: len(start)], 0.0, 1.0)
-    if len(held) < len(y):
-        point = program.solve_with_fixed(y, p, held) if held else program.solve(y, p)
+    if len(fixed) < len(y):
+        point = program.solve(y, p, SolveOptions(near=len(fixed) > 0), fixed=fixed)
         if point.solved:
             return point
     return as_it_is(program, p, y)

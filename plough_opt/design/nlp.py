@@ -238,7 +238,9 @@ def build_nlp(parts: Split, y: ca.MX, p: ca.MX, steps: list[int | None]) -> Nlp:
         p: parameters.
         steps: for each run, the number of steps, or None for the method it was written with.
     """
-    groups = run_groups(parts, y, p, steps)
+    whole = algebra_of(parts, y, p)
+    averages = [averages_only(run, whole, 2 + k) for k, run in enumerate(parts.runs)]
+    groups = grouped(parts.runs, averages, y, p, steps)
     algebra = _Algebra.around(groups, parts, y, p)
     results = _column([ca.vec(group.value(group.inputs(y, p))) for group in groups])
     f, g = map(ca.densify, algebra.values(y, p, results))
@@ -251,12 +253,6 @@ def build_nlp(parts: Split, y: ca.MX, p: ca.MX, steps: list[int | None]) -> Nlp:
         return hessian_function(y, p, *multipliers, _hessian(algebra, groups, (y, p), multipliers))
 
     return Nlp(ca.Function("values", [y, p], [f, g]), build_slopes, build_hessian, tuple(groups))
-
-
-def run_groups(parts: Split, y: ca.MX, p: ca.MX, steps: list[int | None]) -> list[RunGroup]:
-    """Return the runs of the program that `build_nlp` would assemble."""
-    whole = algebra_of(parts, y, p)
-    return grouped(parts.runs, [averages_only(run, whole, 2 + k) for k, run in enumerate(parts.runs)], y, p, steps)
 
 
 def algebra_of(parts: Split, y: ca.MX, p: ca.MX) -> ca.Function:

@@ -254,7 +254,7 @@ def _reduced_curvatures(program: Program, p: Vector, at: Point) -> tuple[Vector,
     free = free_directions(np.vstack([jacobian[touching], np.eye(len(at.y))[bounds]]))
     if not free.shape[1]:
         return np.empty(0), free
-    hessian = symmetric(np.asarray(program.rough.hess_lag(at.y, p, 1.0, at.lam_g)))
+    hessian = symmetric(np.asarray(program.built.rough.hess_lag(at.y, p, 1.0, at.lam_g)))
     if not np.all(np.isfinite(hessian)):
         # Of a motion that forgets its start at once, second derivatives may be beyond floating point.
         return np.empty(0), free[:, :0]
@@ -266,6 +266,6 @@ def _confirmed(program: Program, p: Vector, at: Point, direction: Vector) -> boo
     for sign in (1.0, -1.0):
         moved = at.y + sign * _ASIDE * direction / abs(direction[leading])
         if np.all((moved >= 0.0) & (moved <= 1.0)):
-            there = program.solve_with_fixed(moved, p, leading)
+            there = program.solve(moved, p, SolveOptions(near=True), fixed=leading)
             return there.solved and abs(there.f - at.f) <= _FLAT_OBJECTIVE * max(1.0, abs(at.f))
     return False

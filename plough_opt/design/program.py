@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import TypeVar
 
 import casadi as ca
@@ -15,9 +15,9 @@ from plough_opt.core.errors import InputError
 from plough_opt.design.declarations import Declarations, Requirement
 from plough_opt.design.forms import ActiveRows, as_machine_code, chosen_rows, first_slack, relaxed
 from plough_opt.design.ipopt import FROM_AFAR, Point, SolveOptions, Solver, Vector
-from plough_opt.design.nlp import Nlp, RunGroup, build_nlp, run_groups
+from plough_opt.design.nlp import Nlp, build_nlp
 from plough_opt.design.population import Linear, Population, linear_variables
-from plough_opt.design.split import Split, split
+from plough_opt.design.split import split
 from plough_opt.design.verify import TightEvaluation, check_bounds, corners, fewer, steps_at, values_at_guess
 from plough_opt.motion.accuracy import DEFAULT_ERROR
 
@@ -32,27 +32,58 @@ Kept = TypeVar("Kept")
 
 @dataclass
 class BuiltProgram:
-    """A program that is written for numbers of steps, with what solves it.
+    """A program that is written for numbers of steps; its parts are made once they are needed.
 
     Attributes:
         steps: for each run their number, or None for the method it was written with.
-        refinement: the factor on them that was asked for.
-        nlp: objective and requirements.
-        rough: the same with fewer steps.
-        interpreted: whether it is not in machine code.
-        solver: IPOPT on it.
-        near_solver: IPOPT on those of its rows that can decide, from nearly optimal starts.
-        relaxed: IPOPT on the sum of violations, once it was asked for.
+        fewer: the same of a rough program.
+        write: numbers of steps -> objective and requirements.
+        owner: for each row of the requirements the number of its requirement.
+        limits: scaled lower and upper limits of the rows.
+        compiled: whether machine code is wanted.
+        refinement: the factor on the steps that was asked for.
+        checked: parameters and a scaled design, with the error of derivatives that was found there.
     """
 
     steps: list[int | None]
-    refinement: float
-    nlp: Nlp
-    rough: Nlp
-    interpreted: bool
-    solver: Solver
-    near_solver: Solver | ActiveRows
-    relaxed: Solver | None = None
+    fewer: list[int | None]
+    write: Callable[[list[int | None]], Nlp]
+    owner: Sequence[int]
+    limits: tuple[Vector, Vector]
+    compiled: bool
+    refinement: float = 1.0
+    checked: tuple[Vector, Vector, float] | None = None
+
+    @cached_property
+    def plain(self) -> Nlp:
+        """Objective and requirements, interpreted."""
+        return self.write(self.steps)
+
+    @cached_property
+    def nlp(self) -> Nlp:
+        """The same, in machine code where that is wanted and there is a compiler."""
+        return (as_machine_code(self.plain) if self.compiled else None) or self.plain
+
+    @cached_property
+    def rough(self) -> Nlp:
+        """The same with two fifths of the steps, by which it shows as well which way the Lagrangian curves."""
+        return self.write(self.fewer)
+
+    @cached_property
+    def solver(self) -> Solver:
+        """IPOPT on it."""
+        return Solver(self.nlp, *self.limits)
+
+    @cached_property
+    def near_solver(self) -> Solver | ActiveRows:
+        """IPOPT on those of its rows that can decide, from nearly optimal starts."""
+        few = chosen_rows(self.owner) < len(self.owner)
+        return ActiveRows(self.nlp, self.owner, self.limits) if few else self.solver
+
+    @cached_property
+    def relaxed(self) -> Solver:
+        """IPOPT on the sum of violations."""
+        return Solver(relaxed(self.nlp, self.owner), *self.limits)
 
 
 class Program:
@@ -70,8 +101,6 @@ class Program:
         low: scaled lower limits of the rows, after `prepare`.
         high: scaled upper limits of the rows, after `prepare`.
         built: the program that was built last.
-        derivative_errors: errors of derivatives that were found at designs of this solve, with the program that has
-            them.
     """
 
     def __init__(
@@ -104,12 +133,10 @@ class Program:
         self.compiled, self.bare, self.over = compiled, bare, over
         self.objective_scale = 1.0
         self.scales: list[float] = []
-        self.derivative_errors: list[tuple[Nlp, Vector, float]] = []
         self._built: BuiltProgram | None = None
         self._prepared: bytes | None = None
         # The same question is solved by the same program again, whatever was asked in between.
         self._programs: dict[Hashable, BuiltProgram] = {}
-        self._groups: dict[Hashable, list[RunGroup]] = {}
         # Values that objective and requirements have at the guess, with the parameters of the last solve.
         self._at_guess: dict[bytes, list[Vector]] = {}
         self._linear: dict[Hashable, list[Linear]] = {}
@@ -177,7 +204,6 @@ class Program:
             InputError: the objective or a requirement has no value at the guess, nor, if any will do, in a sample.
             DomainError: bounds that lead out of the model's domain.
         """
-        self.derivative_errors.clear()
         key = p.tobytes()
         found = self._at_guess.get(key)
         if found is None:
@@ -211,32 +237,16 @@ class Program:
         if starts is None:
             ends = (values for _, values in corners(self.declared))
             starts = [np.array([v.scaled(x) for v, x in zip(variables, values, strict=True)]) for values in ends]
-        steps = self._steps_at(starts, p, refinement)
+        steps = steps_at(self.exact, [[*self.values(y), *p] for y in starts], refinement)
         key = (*steps, self.objective_scale, *self.scales)
         self._built = _kept(self._programs, key, _MOST_KEPT, lambda: self._write(steps))
         self._built.refinement = refinement
 
-    def runs_at(self, starts: Sequence[Vector], p: Vector) -> list[RunGroup]:
-        """Return the runs of the program that `build` would write for some designs."""
-        steps = self._steps_at(starts, p, 1.0)
-        y, q = self._y, self._p
-        return _kept(self._groups, tuple(steps), _MOST_KEPT, lambda: run_groups(self._parts(), y, q, steps))
-
-    def _steps_at(self, points: Sequence[Vector], p: Vector, refinement: float) -> list[int | None]:
-        return steps_at(self.exact, [[*self.values(y), *p] for y in points], refinement)
-
     def _write(self, steps: list[int | None]) -> BuiltProgram:
-        """Return the program with numbers of steps, and what solves it."""
-        parts, limits = self._parts(), (self.low, self.high)
-        nlp = build_nlp(parts, self._y, self._p, steps)
-        # Where basins lie and which way they curve shows at two fifths of the steps.
-        rough = build_nlp(parts, self._y, self._p, fewer(self.exact, steps))
-        translated = as_machine_code(nlp) if self.compiled else None
-        nlp = translated or nlp
-        solver = Solver(nlp, *limits)
-        few = chosen_rows(self.owner) < len(self.owner)
-        near_solver = ActiveRows(nlp, self.owner, limits) if few else solver
-        return BuiltProgram(steps, 1.0, nlp, rough, translated is None, solver, near_solver)
+        """Return the program with numbers of steps."""
+        write = partial(build_nlp, split(self._scaled(self._y, self._p), [self._y, self._p]), self._y, self._p)
+        limits = self.low, self.high
+        return BuiltProgram(steps, fewer(self.exact, steps), write, self.owner, limits, self.compiled)
 
     def linear_variables(self, p: Vector) -> list[Linear]:
         """Return the variables that are solved from the algebra: see `plough_opt.design.population`."""
@@ -257,20 +267,11 @@ class Program:
         """The built program."""
         return self.built.nlp
 
-    @property
-    def rough(self) -> Nlp:
-        """The same with fewer steps."""
-        return self.built.rough
-
     @cached_property
     def population(self) -> Population:
         """Objective and requirements, unscaled, of many scaled designs at once."""
         raw = [self.declared.objective, ca.vertcat(*(r.expression for r in self.declared.requirements))]
         return Population(split(self._of_scaled(raw, self._y, self._p), [self._y, self._p]), self._y, self._p)
-
-    def _parts(self) -> Split:
-        """Return the scaled program, split around its runs."""
-        return split(self._scaled(self._y, self._p), [self._y, self._p])
 
     def _scaled(self, y: ca.MX, p: ca.MX) -> list[ca.MX]:
         """Return scaled objective and requirements of scaled variables and of parameters."""
@@ -328,39 +329,52 @@ class Program:
 
     # --- solving -----------------------------------------------------------------------------------------
 
-    def solve(self, start: Vector, p: Vector, options: SolveOptions = FROM_AFAR, box: float = 1.0) -> Point:
-        """Return the local optimum that IPOPT reaches from a scaled start, no further from it than ``box``."""
-        solver = self.built.near_solver if options.near else self.built.solver
-        return solver.solve(start, p, np.maximum(start - box, 0.0), np.minimum(start + box, 1.0), options)
+    def solve(
+        self,
+        start: Vector,
+        p: Vector,
+        options: SolveOptions = FROM_AFAR,
+        box: float = 1.0,
+        fixed: int | Sequence[int] = (),
+    ) -> Point:
+        """Return the local optimum that IPOPT reaches from a scaled start.
 
-    def solve_with_fixed(self, start: Vector, p: Vector, fixed: int | list[int]) -> Point:
-        """Return the local optimum with one variable, or several, held at their start."""
-        lower, upper = np.zeros(len(start)), np.ones(len(start))
-        lower[fixed] = upper[fixed] = start[fixed]
-        return self.built.near_solver.solve(start, p, lower, upper, SolveOptions(near=True))
+        Args:
+            start: scaled variables.
+            p: parameters.
+            options: how to go about it.
+            box: how far from the start a variable may go.
+            fixed: numbers of variables that are held at the start.
+        """
+        solver = self.built.near_solver if options.near else self.built.solver
+        return solver.solve(start, p, *_bounds(start, box, fixed), options)
 
     def solve_relaxed(
-        self, start: Vector, p: Vector, fixed: Sequence[int] = (), box: float = 1.0, *, exact: bool | None = None
+        self, start: Vector, p: Vector, box: float = 1.0, fixed: Sequence[int] = (), *, exact: bool | None = None
     ) -> Point:
         """Return the design near a start at which the requirements give way least; slacks follow y.
 
-        Variables number ``fixed`` are held at the start, and the others no further from it than ``box``; of either the
-        start then lies near. Of ``exact`` see `plough_opt.design.ipopt.SolveOptions`.
+        Arguments are those of `solve`; where variables are held, or within a box, the start lies near. Of ``exact`` see
+        `plough_opt.design.ipopt.SolveOptions`.
         """
-        count, built = len(self.declared.requirements), self.built
-        if built.relaxed is None:
-            built.relaxed = Solver(relaxed(built.nlp, self.owner, count), self.low, self.high)
-        g = np.asarray(built.nlp.values(start, p)[1]).ravel()
-        slack = first_slack(g, self.low, self.high, self.owner, count)
+        g = np.asarray(self.nlp.values(start, p)[1]).ravel()
+        slack = first_slack(g, (self.low, self.high), self.owner)
         # Where a theory ends nothing gives way: beyond it the model has no value.
-        gives = np.tile(np.arange(count) < count - len(self._implied), 2)
+        count = len(self.declared.requirements)
+        gives = np.tile(np.arange(count) < len(self.own_requirements), 2)
         slack[~gives] = 0.0
-        lower = np.r_[np.maximum(start - box, 0.0), np.zeros(2 * count)]
-        upper = np.r_[np.minimum(start + box, 1.0), np.where(gives, np.inf, 0.0)]
-        held = list(fixed)
-        lower[held] = upper[held] = start[held]
-        options = SolveOptions(near=bool(held) or box < 1.0, exact=exact)
-        return built.relaxed.solve(np.r_[start, slack], p, lower, upper, options)
+        lower, upper = _bounds(start, box, fixed)
+        lower, upper = np.r_[lower, np.zeros(2 * count)], np.r_[upper, np.where(gives, np.inf, 0.0)]
+        options = SolveOptions(near=len(fixed) > 0 or box < 1.0, exact=exact)
+        return self.built.relaxed.solve(np.r_[start, slack], p, lower, upper, options)
+
+
+def _bounds(start: Vector, box: float, fixed: int | Sequence[int]) -> tuple[Vector, Vector]:
+    """Return bounds of the scaled variables within a box around a start, at which some are held."""
+    lower, upper = np.maximum(start - box, 0.0), np.minimum(start + box, 1.0)
+    held = np.atleast_1d(np.asarray(fixed, dtype=int))
+    lower[held] = upper[held] = start[held]
+    return lower, upper
 
 
 def _kept(cache: dict[Hashable, Kept], key: Hashable, most: int, make: Callable[[], Kept]) -> Kept:

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from plough_opt.core.compiler import NO_COMPILER
+from plough_opt.design.derivatives import SMALL, gap_of
 from plough_opt.design.exploring import Explored
 from plough_opt.design.ipopt import Point, Vector
 from plough_opt.design.landscape import Landscape
@@ -19,8 +20,6 @@ from plough_opt.motion.machine import alike_once
 from plough_opt.motion.scene import Scene
 from plough_opt.motion.simulation import repeat
 
-# An objective below this part of the program's scale is next to nothing, and errors are relative to the scale.
-_SMALL = 0.25
 # Mounts whose frequencies differ by less than this part are named as one, and of more than so many the first.
 _ONE_MOUNT, _MOST_MOUNTS = 0.02, 4
 
@@ -71,7 +70,7 @@ def local_optimum(landscape: Landscape, point: Point, name: str) -> LocalOptimum
         },
         limits=(*_requirements(program, point, found[1:]), *_bounds(program, point, values)),
         gap=gap_of(program, p, point),
-        error_estimate=abs(objective - float(check[0].item())) / max(abs(objective), _SMALL * program.objective_scale),
+        error_estimate=abs(objective - float(check[0].item())) / max(abs(objective), SMALL * program.objective_scale),
         iterations=point.iterations,
         spread=spread(landscape, point.y, objective),
     )
@@ -120,7 +119,7 @@ def warnings_at(program: Program, point: Point, p: Vector, scenes: Sequence[tupl
         else:
             moving += repeat(scene, float(parameters[-1])).warnings
     still = program.exact.quasi_static_scenes([*program.values(point.y), *p])
-    slow = (NO_COMPILER,) if program.compiled and program.built.interpreted else ()
+    slow = (NO_COMPILER,) if program.compiled and program.nlp is program.built.plain else ()
     return (*slow, *alike_once([*moving, *(text for scene in still for text in scene.warnings())]))
 
 
@@ -158,16 +157,3 @@ def _mounts(program: Program, scenes: Sequence[Sequence[Scene]]) -> list[list[tu
         if not any(np.allclose(ratios, [ratio for _, ratio in other], rtol=_ONE_MOUNT) for other in found):
             found.append(mount)
     return found if len(found) <= _MOST_MOUNTS else found[:1]
-
-
-def gap_of(program: Program, p: Vector, point: Point) -> float:
-    """Return the relative difference of the optimiser's objective at a point from the tightly integrated one."""
-    exact = float(program.exact_values(point.y, p)[0][0].item())
-    return abs(point.f * program.objective_scale - exact) / max(abs(exact), _SMALL * program.objective_scale)
-
-
-def broken_by(program: Program, p: Vector, point: Point) -> float:
-    """Return by what part of its size the most broken requirement is beyond its limit in the tight integration."""
-    values = zip(program.exact_values(point.y, p)[0][1:], program.scales, strict=True)
-    g = np.concatenate([np.ravel(value) / scale for value, scale in values] or [np.empty(0)])
-    return float(np.max(np.maximum(program.low - g, g - program.high), initial=0.0))

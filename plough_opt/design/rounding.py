@@ -14,7 +14,7 @@ from plough_opt.core.errors import InfeasibleDesign, InputError, nearest
 from plough_opt.core.units import in_words
 from plough_opt.design.declarations import Variable
 from plough_opt.design.infeasible import failures, from_least_violation
-from plough_opt.design.ipopt import Point, Vector
+from plough_opt.design.ipopt import Point, SolveOptions, Vector
 from plough_opt.design.landscape import Landscape
 from plough_opt.design.local_optimum import LocalOptimum
 from plough_opt.design.optimum import Choice, Rounded, values_in_words
@@ -263,7 +263,7 @@ def _solved(program: Program, p: Vector, start: Vector, fixed: list[int]) -> tup
     if len(fixed) == len(start) and begins.solved:
         return replace(begins, status="nothing left to choose"), {}
     if len(fixed) < len(start):
-        point = program.solve_with_fixed(start, p, fixed)
+        point = program.solve(start, p, SolveOptions(near=True), fixed=fixed)
         if point.solved and (not begins.solved or point.f <= begins.f + _NOT_WORSE * abs(begins.f)):
             return point, {}
         if begins.solved:

@@ -1,6 +1,5 @@
 """From a program to its certified optimum: local solve, global search, refinement, report."""
 
-import math
 import time
 from dataclasses import dataclass
 from functools import partial
@@ -10,7 +9,7 @@ import numpy as np
 
 from plough_opt.core.errors import InputError, NotConverged
 from plough_opt.design.basin import near_optimum
-from plough_opt.design.derivatives import build_surely, with_sure_derivatives
+from plough_opt.design.derivatives import build_surely, with_enough_steps
 from plough_opt.design.descents import descend, lower_from
 from plough_opt.design.effort import Search, effort_of, searched
 from plough_opt.design.exploring import Explored, Explorer, Progress
@@ -26,15 +25,12 @@ from plough_opt.design.polishing import (
     flat_directions,
     minimum_from,
     polished,
-    solved_again,
     to_the_last_digit,
 )
 from plough_opt.design.program import Program
 from plough_opt.design.reporting import (
     as_made,
-    broken_by,
     designs_without_value,
-    gap_of,
     local_optimum,
     names_of,
     scenes_at,
@@ -47,12 +43,6 @@ from plough_opt.design.sensitivity import Sensitivities
 from plough_opt.design.tolerance import Judge, judgement, ranked
 from plough_opt.design.verify import TightEvaluation
 
-_REFINEMENTS = 4
-# Of the gap before, to which half as many steps more bring it at least, by a method of order 8.
-_FALLS = 0.5
-_FINER = 1.5
-# Above this gap a design by a method with its own setting carries a warning.
-_COARSE = 1e-6
 # Basins that are optimised, the best first.
 _MOST_POLISHED = 8
 # The same where each takes longer, of more variables than so many, with the part by which their judged values may be
@@ -119,10 +109,9 @@ class _Solve:
         else:
             self._progress("solving from the guess", 0.0)
             points = [near_optimum(landscape, program.start())]
-        missed = self._refine(points)
-        self._progress("checking", 0.0)
         order = ranked(landscape, self._request.judge, np.array([point.y for point in points]))
-        points, unsure = with_sure_derivatives(program, p, [points[k] for k in order])
+        points, missed = with_enough_steps(program, p, [points[k] for k in order], self._progress)
+        self._progress("checking", 0.0)
         scenes = [scenes_at(program, point, p) for point in points]
         names = names_of(program, [[scene for _, scene in own] for own in scenes])
         last = to_the_last_digit(program, p, points[0])
@@ -134,7 +123,6 @@ class _Solve:
         directions = flat_directions(program, p, first) if confirmed else []
         warnings = (
             *missed,
-            *unsure,
             *designs_without_value(explored),
             *unconfirmed(first),
             *as_made(optima[0]),
@@ -222,35 +210,6 @@ class _Solve:
             if not lower:
                 return
             points.append(min(lower, key=lambda point: point.f))
-
-    def _refine(self, points: list[Point]) -> tuple[str, ...]:
-        """Take more integration steps until objective and limits are those of the tight integration, or say so."""
-        program, p = self._program, self._p
-        wanted = program.wanted_error
-        if wanted is None:
-            gap = max(gap_of(program, p, point) for point in points)
-            coarse = f"the optimiser's objective is off by a relative {gap:.1e}: take more steps or a tighter tolerance"
-            return (coarse,) if gap > _COARSE else ()
-        last, begin = math.inf, program.built.refinement
-        for refinement in range(1, _REFINEMENTS + 1):
-            errors = [self._error_of_steps(point) for point in points]
-            if max(errors) <= wanted:
-                return ()
-            if max(errors) > _FALLS * last:  # a motion too sensitive for any number of steps
-                break
-            last = max(errors)
-            self._progress(f"refining: error {last:.1e}", refinement / _REFINEMENTS)
-            program.build(p, begin * _FINER**refinement, [point.y for point in points])
-            for k, error in enumerate(errors):
-                if error > wanted:
-                    points[k] = solved_again(program, p, points[k])
-        error = max(self._error_of_steps(point) for point in points)
-        text = f"the wanted relative error {wanted:.1e} of objective and limits was not reached: it is {error:.1e}"
-        return () if error <= wanted else (text,)
-
-    def _error_of_steps(self, point: Point) -> float:
-        """Return the relative gap of the objective, or of a limit that the tight run breaks by more."""
-        return max(gap_of(self._program, self._p, point), broken_by(self._program, self._p, point))
 
     def _record(self, vary: tuple[int, ...], explored: Explored | None, polished: int) -> SearchRecord:
         """Return the record of a search, or of none."""

@@ -11,7 +11,7 @@ from helpers.small_designs import design
 from scipy.optimize import minimize_scalar
 
 import plough_opt as po
-from plough_opt.design import derivatives, solving
+from plough_opt.design import derivatives
 from plough_opt.design import program as program_module
 from plough_opt.design import verify as steps_module
 from plough_opt.motion.integrators import integration
@@ -233,11 +233,10 @@ def test_steps_are_refined_until_the_objective_is_right(monkeypatch, build_r1):
 
     monkeypatch.setattr(program_module, "build_nlp", counted)
     monkeypatch.setattr(steps_module, "_PHASE_PER_STEP", 2.5)
-    best = build_r1(wavelength=0.6).design.solve()
-    # A build is followed by a rough one of two fifths of its steps.
-    assert len(builds) > 2
-    assert builds[::2] == sorted(builds[::2])
-    assert builds[1::2] == [max(20, 2 * steps // 5) for steps in builds[::2]]
+    # Derivatives, which would call for more steps at the start already, may be wrong.
+    best = build_r1(wavelength=0.6, accuracy=po.Accuracy(derivatives=0.1)).design.solve()
+    assert len(builds) > 1
+    assert builds == sorted(builds)
     assert all(optimum.gap <= 1e-8 for optimum in best.local_optima)
     assert best.objective == pytest.approx(0.8250057092, rel=2e-10)
     assert not any("not reached" in warning for warning in best.warnings)
@@ -245,8 +244,7 @@ def test_steps_are_refined_until_the_objective_is_right(monkeypatch, build_r1):
 
 def test_steps_that_stay_too_coarse_are_owned_up_to(monkeypatch, build_r1):
     monkeypatch.setattr(steps_module, "_PHASE_PER_STEP", 40.0)
-    for module in (solving, derivatives):
-        monkeypatch.setattr(module, "_REFINEMENTS", 0)
+    monkeypatch.setattr(derivatives, "_REFINEMENTS", 0)
     best = build_r1().design.solve(search="local")
     assert best.gap > 1e-8
     assert any("was not reached" in warning for warning in best.warnings)

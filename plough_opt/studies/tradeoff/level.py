@@ -44,7 +44,7 @@ class Level:
 
     def __init__(self, program: Program) -> None:
         """Take a program that is built."""
-        self._program, self.nlp, self._rough = program, program.built.nlp, program.built.rough
+        self._program, self.nlp, self._built = program, program.built.nlp, program.built
         self._low, self._high = program.low, program.high
         self._curvature: Vector | None = None
         self._slopes: dict[bytes, tuple[Vector, Vector, Vector, Vector]] = {}
@@ -88,7 +88,7 @@ class Level:
         free = free_directions(np.concatenate([jacobian[touching], np.eye(len(point.y))[bounds]]))
         if not free.size:
             return None
-        whole = symmetric(np.asarray(self._rough.hess_lag(point.y, p, 1.0, point.lam_g)))
+        whole = symmetric(np.asarray(self._built.rough.hess_lag(point.y, p, 1.0, point.lam_g)))
         return float(reduced_curvatures(whole, free)[0][0])
 
     def correct(self, at: Point, start: Vector, p: Vector) -> Point:
@@ -143,7 +143,7 @@ class Level:
 
     def _first_curvature(self, y: Vector, p: Vector, lam_g: Vector) -> Vector:
         """Return the Lagrangian's Hessian, roughly integrated, with its curvatures made positive."""
-        return made_convex(symmetric(np.asarray(self._rough.hess_lag(y, p, 1.0, lam_g))))
+        return made_convex(symmetric(np.asarray(self._built.rough.hess_lag(y, p, 1.0, lam_g))))
 
     def from_afar(self, at: Point, start: Vector, p: Vector) -> Point:
         """Return the optimum near a start that is further away, by IPOPT.

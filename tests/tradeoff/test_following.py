@@ -7,7 +7,8 @@ import plough_opt as po
 from plough_opt.design import program as program_module
 from plough_opt.design.optimality import least
 from plough_opt.studies.tradeoff import level as level_module
-from plough_opt.studies.tradeoff.space import nearest, neighbours, off, parts_of, triangle, uncrowded, volume
+from plough_opt.studies.tradeoff.domination import volume
+from plough_opt.studies.tradeoff.positions import Lattice, neighbours, parts_of, uncrowded
 
 # --- quadratic programs -------------------------------------------------------------------------------------
 
@@ -113,14 +114,17 @@ def test_parameters_that_cannot_be(parameters, message):
 
 
 def test_the_lattice():
-    nodes = set(triangle(6))
+    lattice = Lattice.with_nodes(28)
+    nodes = lattice.triangle()
     assert len(nodes) == 28
-    assert {sum(node) for node in nodes} == {12}
+    assert {sum(node) for node in nodes} == {6}
     for node in nodes:
-        assert nearest(np.array(node) / 12.0 + 5.0, 6) == node
-        assert off(np.array(node) / 12.0 + 5.0, node, 6) == pytest.approx(0.0, abs=1e-12)
-        for other in neighbours(node):
-            assert off(np.array(other) / 12.0, node, 6) == pytest.approx(1.0)
+        at = np.array(node) / 6.0
+        assert lattice.node_at(at + 5.0) == node
+        assert lattice.off((at + 5.0)[None], node) == pytest.approx(0.0, abs=1e-12)
+        assert lattice.off(np.array(neighbours(node)) / 6.0, node) == pytest.approx(np.ones(6))
+    # With a node more the triangle needs a longer side.
+    assert Lattice.with_nodes(29).steps == 7
 
 
 def test_volume_is_that_of_the_boxes():

@@ -8,7 +8,7 @@ from rich.console import Console
 
 import plough_opt as po
 from plough_opt.app.terminal import print_page
-from plough_opt.studies.tradeoff.candidates import Failure
+from plough_opt.studies.tradeoff.front import Failure
 
 
 @pytest.fixture(scope="module")

@@ -9,7 +9,7 @@ import pytest
 import plough_opt as po
 from plough_opt.design import program as program_module
 from plough_opt.studies.tradeoff.assembly import hole
-from plough_opt.studies.tradeoff.candidates import Failure
+from plough_opt.studies.tradeoff.front import Failure
 
 # Ends of the five parts of ZDT3, where the next minimum or the next level begins (Zitzler, Deb and Thiele 2000).
 ZDT3 = [(0.0, 0.0830015349), (0.1822287280, 0.2577623634), (0.4093136748, 0.4538821041), (0.6183967944, 0.6525117038),

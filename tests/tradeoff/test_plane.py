@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from plough_opt.studies.tradeoff.domination import in_order
-from plough_opt.studies.tradeoff.plane import area, gaps, knee, spread
+from plough_opt.studies.tradeoff.domination import in_order, knee, volume
+from plough_opt.studies.tradeoff.positions import gaps, spread
 
 
 def test_efficient_rows_are_those_that_brute_force_finds():
@@ -39,8 +39,8 @@ def test_crowded_rows_go_and_ends_of_parts_stay():
 def test_area_of_a_staircase():
     front = np.array([[0.0, 2.0], [1.0, 1.0], [3.0, 0.0]])
     # Columns of heights 3, 4 and 5 - y: (1 - 0) 1 + (3 - 1) 2 + (4 - 3) 3 under a corner at (4, 3).
-    assert area(front, np.array([4.0, 3.0])) == pytest.approx(8.0, rel=1e-15)
-    assert area(front, np.array([0.5, 1.5])) == 0.0
+    assert volume(front, np.array([4.0, 3.0])) == pytest.approx(8.0, rel=1e-15)
+    assert volume(front, np.array([0.5, 1.5])) == 0.0
 
 
 def test_knee_is_the_farthest_point_below_the_line_of_the_ends():

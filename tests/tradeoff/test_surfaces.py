@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 import plough_opt as po
 from plough_opt.studies.tradeoff.domination import undominated
-from plough_opt.studies.tradeoff.space import distances
+from plough_opt.studies.tradeoff.positions import distances
 
 POINTS, STEPS = 28, 6
 
@@ -247,7 +247,8 @@ def test_picture_of_a_surface(sphere, tmp_path):
     figure = sphere.plot(tmp_path / "surface.png")
     space, *panels = [axes for axes in figure.axes if axes.get_label() != "<colorbar>"]
     assert space.get_zlabel() == "c"
-    drawn = np.transpose(space.lines[0].get_data_3d())
+    (line,) = [line for line in space.lines if line.get_label() == "front"]
+    drawn = np.transpose(line.get_data_3d())
     assert drawn == pytest.approx(sphere.objectives)
     assert len(panels) == 4  # the third objective and three variables
     assert np.asarray(panels[0].collections[0].get_array()) == pytest.approx(sphere.objectives[:, 2])

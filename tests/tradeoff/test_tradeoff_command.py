@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import plough_opt as po
-from plough_opt.studies.tradeoff.space import distances
+from plough_opt.studies.tradeoff.positions import distances
 
 PROBLEMS = Path(__file__).resolve().parents[2] / "problems"
 BRIEF = ("--set", "scene.duration=0.1 s", "--points", "5")

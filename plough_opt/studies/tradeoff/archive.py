@@ -1,13 +1,22 @@
-"""Every design that a front's searches looked at, with all its objectives: what the front is held against."""
+"""What a front's searches look at: starts for it, and every design with all its objectives, to hold it against."""
 
 from __future__ import annotations
+
+from collections.abc import Hashable, Mapping
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from plough_opt.core.errors import NotConverged
+from plough_opt.design.descents import descend
+from plough_opt.design.effort import Search, effort_of, searched
+from plough_opt.design.exploring import Explorer, Progress
+from plough_opt.design.infeasible import feasible_from
 from plough_opt.design.ipopt import Vector
-from plough_opt.design.landscape import FEASIBLE, Landscape
-from plough_opt.design.tolerance import NEEDLE, boxes
+from plough_opt.design.landscape import FEASIBLE, Landscape, Seen
+from plough_opt.design.sampling import SEED, evolved, sample
+from plough_opt.design.tolerance import NEEDLE, boxes, judgement
 from plough_opt.studies.tradeoff.domination import beyond_points
 from plough_opt.studies.tradeoff.program import FrontProgram
 
@@ -18,22 +27,33 @@ _FINER = 2.0
 _A_SAMPLE = 200
 # Designs that are held against their tolerances at once.
 _MOST_JUDGED = 100
+# Judged values by which a bottom may be above the best and still be followed, and how many are.
+_CAN_WIN, _MOST = 0.15, 3
+# Of an evolution at a position: designs for each variable, generations, and how alike all are when it has converged.
+_EACH, _GENERATIONS, _CONVERGED = 6, 25, 0.01
 
 
 class Archive:
-    """All designs that were looked at.
+    """All designs that were looked at, and the searches that look.
 
     Attributes:
         front: the program.
+        vary: numbers of the variables that are searched; none where only the basin of the guess is asked for.
         tried: number of designs.
+        vectorised: whether designs are looked at side by side.
     """
 
-    def __init__(self, front: FrontProgram) -> None:
-        """Take a program whose scales are set."""
-        self.front = front
-        self.tried = 0
-        self._bare = Landscape(front.program, front.nowhere())
-        self._position = front.program.owner[front.rows[0]]
+    def __init__(self, front: FrontProgram, search: Search, progress: Progress) -> None:
+        """Take a program whose scales are set, what `plough_opt.trade_off` was asked to search, and where to report.
+
+        Raises:
+            InputError: a name that is not a variable, or an invalid effort.
+        """
+        self.front, self.tried, self._progress = front, 0, progress
+        program = front.program
+        self._bare = Landscape(program, front.nowhere())
+        self.vectorised = self._bare.vectorised
+        self._position = program.owner[front.rows[0]]
         # Scaled variables and objectives of the designs that meet the requirements.
         self._designs = np.empty((0, self._bare.dimensions))
         self._objectives = np.empty((0, front.count))
@@ -42,12 +62,19 @@ class Archive:
         self._medians: dict[bytes, Vector] = {}
         # Of each design by how much it is better than all optima that it was held against, and these.
         self._beyond = np.empty(0)
-        self._against: dict[int, Vector] = {}
+        self._against: dict[Hashable, Vector] = {}
+        self.vary = searched(search, program.declared.variables)
+        self._start = program.start()
+        effort = effort_of(search, len(self.vary), program.population.runs, self.vectorised)
+        # Objectives share it; how likely further basins are is not asked of a front.
+        self._effort = replace(
+            effort,
+            followed=0,
+            most_designs=None if effort.most_designs is None else max(1, effort.most_designs // front.count),
+            seconds=None if effort.seconds is None else effort.seconds / front.count,
+        )
 
-    @property
-    def vectorised(self) -> bool:
-        """Whether designs are looked at side by side."""
-        return self._bare.vectorised
+    # --- looking -----------------------------------------------------------------------------------------
 
     def landscape(self, p: Vector) -> FrontLandscape:
         """Return what parameters of the front's program ask for, as a landscape whose designs are kept here."""
@@ -100,11 +127,11 @@ class Archive:
         met = np.flatnonzero(np.all(scaled @ normals.T <= limits, axis=1))
         return np.asarray(y[met[np.argmin(scaled[met] @ weights[1:])]]) if len(met) else None
 
-    def beyond(self, optima: dict[int, Vector]) -> Vector:
+    def beyond(self, optima: Mapping[Hashable, Vector]) -> Vector:
         """Return by how much each feasible design is better than all optima; infinite without one.
 
         Args:
-            optima: normalised objectives of optima, by identities: of those that it was held against before none is
+            optima: what stands for each -> its normalised objectives: of those that it was held against before none is
                 taken away.
         """
         _, at = self.feasible
@@ -116,6 +143,60 @@ class Archive:
         every = np.array(list(self._against.values())).reshape(-1, self.front.count)
         self._beyond = np.r_[self._beyond, beyond_points(every, at[known:])]
         return self._beyond
+
+    # --- starts ------------------------------------------------------------------------------------------
+
+    def bottoms(self, p: Vector) -> Seen:
+        """Return the lowest designs of the basins of an objective alone that can be best, the best first.
+
+        Args:
+            p: parameters that set no position.
+
+        Raises:
+            InfeasibleDesign: no design was found that meets the requirements.
+            NotConverged: no design has a value.
+        """
+        landscape = self.landscape(p)
+        judged = judgement(landscape, "tolerance")
+        explored = Explorer(landscape, self._start, self.vary, judged, self._effort, self._progress).explored()
+        if not np.any(np.isfinite(explored.sample.merit)):
+            raise NotConverged(
+                f"none of {landscape.tried} designs between the bounds has a value: tighten the bounds, or shorten the"
+                " duration",
+                "no value",
+            )
+        if not np.any(explored.bottoms.feasible):
+            self._progress("looking for a design that meets the requirements", 0.0)
+            y = feasible_from(landscape, explored, self._start)
+            return descend(landscape, y)
+        values = judged(explored.bottoms.points)
+        limit = values.min() + _CAN_WIN * abs(values.min())
+        return explored.bottoms.of([k for k in np.argsort(values, kind="stable") if values[k] <= limit][:_MOST])
+
+    def evolved_at(self, p: Vector) -> list[Vector]:
+        """Return the designs to which evolutions from samples lead at a position, one for each round of the effort."""
+        landscape, own, found = self.landscape(p), list(self.vary), []
+        if not self.vectorised or len(own) < 2:
+            return []
+
+        def whole(points: Vector) -> Vector:
+            designs = np.repeat(self._start[None], len(points), axis=0)
+            designs[:, own] = points
+            return designs
+
+        def merit(points: Vector) -> Vector:
+            return landscape(whole(points)).merit
+
+        for number in range(self._effort.rounds):
+            # That of `bottoms`, which is known.
+            points, _ = sample(len(own), self._effort.designs, self._start[own], np.random.default_rng([SEED, number]))
+            merits = merit(points)
+            if np.any(np.isfinite(merits)):
+                best = points[np.argsort(merits, kind="stable")[: _EACH * len(own)]]
+                rng = np.random.default_rng([SEED, number, 1])
+                end = evolved(merit, best, _GENERATIONS, rng, from_best=True, alike=_CONVERGED)
+                found.append(whole(end[None])[0])
+        return found
 
     # --- designs as they are made --------------------------------------------------------------------------
 
@@ -171,4 +252,4 @@ class FrontLandscape(Landscape):
         weights, normals, limits = self._asked
         g = g.copy()
         g[:, self._archive.front.rows] = objectives @ normals.T - limits
-        return (weights[0] + objectives @ weights[1:]) / self.objective_scale, g / self._scale
+        return weights[0] + objectives @ weights[1:], g / self._scale

@@ -1,19 +1,20 @@
 """From candidates to a front: certified, put in order, with its parts, holes and sentences."""
 
-import time
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+import re
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from plough_opt.core.errors import NotConverged
 from plough_opt.core.kept import Origin
-from plough_opt.studies.tradeoff.candidates import MATTERS, Candidate, Failure
-from plough_opt.studies.tradeoff.certificate import FrontPoint, certify
+from plough_opt.design.ipopt import Vector
+from plough_opt.design.optimality import PULLS, decides
+from plough_opt.motion.judgement import remarks
+from plough_opt.studies.tradeoff.candidates import MATTERS, Candidate
 from plough_opt.studies.tradeoff.domination import Array
-from plough_opt.studies.tradeoff.front import Hole
-from plough_opt.studies.tradeoff.goal import Axis, Goal
-from plough_opt.studies.tradeoff.notes import caveats, looked_at, notes_on
+from plough_opt.studies.tradeoff.front import Axis, Failure, FrontPoint, Goal, Hole
 from plough_opt.studies.tradeoff.program import FrontProgram
 from plough_opt.studies.tradeoff.result import TradeOff
 from plough_opt.studies.tradeoff.tracer import Tracer
@@ -22,120 +23,95 @@ from plough_opt.studies.tradeoff.tracer import Tracer
 _EDGE = 1e-3
 # Normalised objectives that differ by less are equal.
 _SAME = 1e-4
+# Relative ranges of all objectives below this are hardly a conflict, of one of them below the second too small to act
+# on; below the third they are rounding.
+_HARDLY, _SMALL, _ROUNDING = 0.02, 1e-3, 1e-8
+_NUMBER = re.compile(r"[-+]?[0-9]+\.?[0-9]*(?:e[-+]?[0-9]+)?")
 
 
-@dataclass(frozen=True)
-class Times:
-    """When a front was begun, and how long its program took to build [s]."""
-
-    started: float
-    building: float
-
-
-def assembled(front: FrontProgram, tracer: Tracer, goals: Sequence[Goal], title: str, times: Times) -> TradeOff:
+def assembled(tracer: Tracer, goals: Sequence[Goal], title: str) -> TradeOff:
     """Certify what was found, and return the efficient points in order with their parts and holes.
+
+    Of the many that no other dominates, only those are certified that the front shows; where that casts doubt on one,
+    another takes its place. Where all candidates are needles, they are shown as such.
 
     Raises:
         NotConverged: no point could be certified.
     """
-    certified = _Certified(front, tracer)
-    order, failures = certified.order, certified.failures()
-    if not certified.kept:
+    front, certified = tracer.front, dict[Candidate, FrontPoint]()
+    left = tracer.sound() or tracer.found
+    while True:
+        order = tracer.order(left)
+        if not (fresh := [one for one in order.kept if one not in certified]):
+            break
+        tracer.to_the_last_digits(fresh)
+        certified |= {one: certify(front, one) for one in fresh}
+        left = [one for one in left if one not in certified or not certified[one].doubt]
+    failures = _failures(tracer, order.kept, certified)
+    if not order.kept:
         raise NotConverged(f"no point of the front could be certified: {failures[-1].reason}", "Not_Certified")
-    points, others = certified.points(certified.kept), certified.points(certified.others())
+    others = [one for one in tracer.found if one not in set(order.efficient)]
+    certified |= {one: certify(front, one, beaten=True) for one in others if one not in certified}
+    points = _with_medians(tracer, order.kept, certified)
+    beaten = _with_medians(tracer, [one for one in others if not certified[one].doubt], certified)
     variables = front.program.declared.variables
     return TradeOff(
         title=title,
         goals=tuple(Axis(goal.name, goal.unit, goal.maximise) for goal in goals),
         variables=tuple(Axis(v.name, v.unit, log=v.log, lower=v.lower, upper=v.upper) for v in variables),
         points=points,
-        dominated=tuple(point for point in others if not point.needle),
-        needles=tuple(point for point in others if point.needle),
+        dominated=tuple(point for point in beaten if not point.needle),
+        needles=tuple(point for point in beaten if point.needle),
         failures=failures,
         parts=order.parts,
         holes=tuple(hole(points[a], points[b], failures, front.signs) for a, b in order.holes),
-        notes=(*notes_on(tracer, goals, points), *caveats(front, [one.point.y for one in certified.kept])),
+        notes=(*notes_on(tracer, goals, points), *caveats(front, [one.point.y for one in order.kept])),
         search=looked_at(tracer),
-        seconds=time.perf_counter() - times.started,
-        building=times.building + front.building,
         origin=_origin(front, goals, title),
     )
 
 
+def _with_medians(
+    tracer: Tracer, candidates: Sequence[Candidate], certified: Mapping[Candidate, FrontPoint]
+) -> tuple[FrontPoint, ...]:
+    """Return the certificates of candidates, with what becomes of them within their tolerances."""
+    medians = tracer.archive.medians(np.array([one.point.y for one in candidates])) if candidates else None
+    if medians is None:
+        return tuple(certified[one] for one in candidates)
+    return tuple(
+        replace(certified[one], medians=tuple((row * tracer.front.units).tolist()), needle=bool(one.needle))
+        for one, row in zip(candidates, medians, strict=True)
+    )
+
+
+def _failures(
+    tracer: Tracer, kept: Sequence[Candidate], certified: Mapping[Candidate, FrontPoint]
+) -> tuple[Failure, ...]:
+    """Return what failed, in the objectives' own units; beside a design that another beats nothing is missing."""
+    front, found = tracer.front, list[Failure]()
+    places = tracer.places(tracer.found)
+    for failure in tracer.failures:
+        at = np.array(failure.objectives)
+        if not np.any(np.all(places <= at + _SAME, axis=1) & np.any(places < at - MATTERS, axis=1)):
+            found.append(replace(failure, objectives=tuple((front.scaled(at) * front.units).tolist())))
+    for one, point in certified.items():
+        # One that a certified design is as good as leaves no place without one.
+        if point.doubt and not any(np.all(other.at <= one.at + MATTERS) for other in kept):
+            found.append(Failure(point.objectives, point.doubt))
+    return tuple(found)
+
+
 def _origin(front: FrontProgram, goals: Sequence[Goal], title: str) -> Origin:
     """Return what made a front: the design's declarations, and the objectives in the place of its own."""
-    variables = front.program.declared.variables
-    displays = {v.name: v.display for v in variables if v.display is not None}
-    declarations = front.program.declared.plain(front.own_values())
-    position = front.program.declared.requirements[-1].name  # made for the front
-    found = {name: own for name, own in declarations.items() if name not in ("objective", position)}
+    declared = front.program.declared
+    displays = {v.name: v.display for v in declared.variables if v.display is not None}
+    position = declared.requirements[-1].name  # made for the front
+    plain = declared.plain(front.own_values())
+    found = {name: own for name, own in plain.items() if name not in ("objective", position)}
     for goal in goals:
         aim = "maximise" if goal.maximise else "minimise"
         found[goal.name] = {"kind": "objective", "aim": aim, "unit": goal.unit}
     return Origin.now(title, displays, declarations=found)
-
-
-class _Certified:
-    """The candidates that make up a front, with their certificates.
-
-    Of the many that no other dominates, only those are certified that the front shows; where that casts doubt on one,
-    another takes its place. Where all candidates are needles, they are shown as such.
-
-    Attributes:
-        order: how the candidates without a doubt make up the front.
-        kept: those of the front, in order.
-    """
-
-    def __init__(self, front: FrontProgram, tracer: Tracer) -> None:
-        """Certify the candidates that make up the front."""
-        self._front, self._tracer = front, tracer
-        self._points: dict[int, FrontPoint] = {}
-        self._left = tracer.sound() or tracer.found
-        while True:
-            self.order = tracer.order(self._left)
-            self.kept = [self._left[k] for k in self.order.kept]
-            if not (fresh := [one for one in self.kept if id(one) not in self._points]):
-                break
-            tracer.to_the_last_digits(fresh)
-            self._points |= {id(one): certify(front, one) for one in fresh}
-            self._left = [one for one in self._left if not self._doubt(one)]
-
-    def _doubt(self, one: Candidate) -> str:
-        """Return what casts doubt on a candidate, as far as that was asked."""
-        return self._points[id(one)].doubt if id(one) in self._points else ""
-
-    def others(self) -> list[Candidate]:
-        """Return the needles, and the candidates that others dominate, as far as they can be certified."""
-        shown = {id(self._left[k]) for k in self.order.efficient}
-        found = [one for one in self._tracer.found if id(one) not in shown]
-        fresh = [one for one in found if id(one) not in self._points]
-        self._points |= {id(one): certify(self._front, one, beaten=True) for one in fresh}
-        return [one for one in found if not self._doubt(one)]
-
-    def points(self, candidates: Sequence[Candidate]) -> tuple[FrontPoint, ...]:
-        """Return the certificates of candidates, with what becomes of them within their tolerances."""
-        found = [self._points[id(one)] for one in candidates]
-        medians = self._tracer.archive.medians(np.array([one.point.y for one in candidates])) if candidates else None
-        if medians is None:
-            return tuple(found)
-        return tuple(
-            replace(point, medians=tuple((row * self._front.units).tolist()), needle=bool(one.needle))
-            for one, point, row in zip(candidates, found, medians, strict=True)
-        )
-
-    def failures(self) -> tuple[Failure, ...]:
-        """Return what failed, in the objectives' own units; beside a design that another beats nothing is missing."""
-        front, found = self._front, list[Failure]()
-        places = self._tracer.places(self._tracer.found)
-        for failure in self._tracer.failures:
-            at = np.array(failure.objectives)
-            if not np.any(np.all(places <= at + _SAME, axis=1) & np.any(places < at - MATTERS, axis=1)):
-                found.append(replace(failure, objectives=tuple((front.scaled(at) * front.units).tolist())))
-        for one in self._tracer.found:
-            # One that a certified design is as good as leaves no place without one.
-            if self._doubt(one) and not any(np.all(other.at <= one.at + MATTERS) for other in self.kept):
-                found.append(Failure(self._points[id(one)].objectives, self._doubt(one)))
-        return tuple(found)
 
 
 def hole(before: FrontPoint, after: FrontPoint, failures: Sequence[Failure], signs: Array) -> Hole:
@@ -152,3 +128,133 @@ def hole(before: FrontPoint, after: FrontPoint, failures: Sequence[Failure], sig
         and not failure.reason.startswith("Infeasible_Problem_Detected")
     ]
     return Hole(before.objectives, after.objectives, settled=not within)
+
+
+# --- certificates ---------------------------------------------------------------------------------------------
+
+
+def certify(front: FrontProgram, one: Candidate, *, beaten: bool = False) -> FrontPoint:
+    """Return a candidate's report from the tightly integrated model.
+
+    Args:
+        front: the program.
+        one: the candidate.
+        beaten: whether it is not on the front, so that its curvature and branch are not asked for.
+    """
+    program, point, level = front.program, one.point, front.level(one.exact)
+    scaled, found = front.tight(point.y)
+    margins, violation, active = {}, 0.0, []
+    own_requirements = program.declared.requirements[:-1]  # the last one is the position on the front
+    for k, (r, value) in enumerate(zip(own_requirements, found[:-1], strict=True)):
+        margin = r.margin(value.ravel())
+        pull = float(np.max(np.abs(point.lam_g[np.array(program.owner) == k])))
+        margins[r.name] = margin
+        violation = max(violation, -margin / program.scales[k])
+        if decides(margin / program.scales[k], pull):
+            active.append(r.name)
+    for v, y, multiplier in zip(program.declared.variables, point.y, point.lam_y, strict=True):
+        if decides(float(min(y, 1.0 - y)), float(abs(multiplier))):
+            active.append(v.name)
+    weights = _weights(front, one)
+    waved = [] if beaten else [run.scene.branch for run in front.runs(point.y) if run.scene.effects.strength_wave]
+    return FrontPoint(
+        objectives=tuple((scaled * front.units).tolist()),
+        variables={v.name: float(x) for v, x in zip(program.declared.variables, program.values(point.y), strict=True)},
+        margins=margins,
+        active=tuple(active),
+        rate=-weights[0] / weights[1] if weights is not None and front.count == 2 else None,
+        branch=next(filter(None, waved), ""),
+        residual=level.residual(point, one.p),
+        violation=violation,
+        gap=front.gap(point.y, exact=one.exact),
+        curvature=None if beaten or not one.confirmed else level.least_curvature(point, one.p),
+        weights=weights,
+        confirmed=one.confirmed,
+    )
+
+
+def _weights(front: FrontProgram, one: Candidate) -> tuple[float, ...] | None:
+    """Return how much each objective weighs per its unit, those on a range of the front together 1."""
+    point, p = one.inward or (one.point, one.p)
+    own = front.slopes(point, p) * front.span
+    # Where positions do not decide, the weights are those of the question.
+    if not front.holds(point) or np.any(own < -PULLS) or not own[-1] > PULLS:
+        return None
+    return tuple((own / np.sum(own) / (front.span * front.units)).tolist())
+
+
+# --- sentences ------------------------------------------------------------------------------------------------
+
+
+def notes_on(tracer: Tracer, goals: Sequence[Goal], points: Sequence[FrontPoint]) -> tuple[str, ...]:
+    """Return sentences on objectives that hardly conflict, needles, points that are not optima, and the error."""
+    front = tracer.front
+    notes = []
+    names = [f"'{goal.name}'" for goal in goals]
+    listed = _listed(names)
+    values = np.array([point.objectives for point in points])
+    ranges = np.ptp(values, axis=0) / np.maximum(np.max(np.abs(values), axis=0), np.finfo(float).tiny)
+    small = [k for k, change in enumerate(ranges) if change < _SMALL]
+    if len(points) == 1:
+        best = "both" if len(goals) == 2 else "all three"
+        given_up = front.rounded_off
+        within = f", to within {100.0 * given_up:.2g} %" if given_up > _ROUNDING else ""
+        where = "" if tracer.archive.vary else " in the basin of the guess"
+        notes.append(f"{listed} do not conflict{where}: one design is best in {best}{within}")
+    elif np.max(ranges) < _HARDLY:
+        how = _listed([f"{100 * change:.2g} %" for change in ranges])
+        notes.append(f"{listed} hardly conflict: along the whole front they change by {how}")
+    elif small:
+        for k in small:
+            notes.append(
+                f"{names[k]} hardly conflicts with the rest: along the whole front it changes by"
+                f" {100 * ranges[k]:.2g} % of its value"
+            )
+    if tracer.needles_beyond:
+        notes.append(
+            f"{tracer.needles_beyond} designs beyond the front were seen that are needles: within their tolerances no"
+            " workshop can hit them"
+        )
+    if any(point.needle for point in points):
+        count = sum(point.needle for point in points)
+        notes.append(f"{count} of {len(points)} designs are needles: within their tolerances no workshop can hit them")
+    if unconfirmed := sum(not point.confirmed for point in points):
+        notes.append(
+            f"{unconfirmed} of {len(points)} designs are unconfirmed: simulated, and better than every optimum that"
+            " was found and can be made, but not optima themselves"
+        )
+    wanted, gap = front.wanted_error, max((point.gap for point in points if point.confirmed), default=0.0)
+    if wanted is not None and gap > wanted:
+        notes.append(f"the wanted relative error {wanted:.1e} was not reached everywhere: the largest is {gap:.1e}")
+    return tuple(notes)
+
+
+def looked_at(tracer: Tracer) -> str:
+    """Return what was looked at."""
+    archive, vary = tracer.archive, tracer.archive.vary
+    if not vary:
+        return "Only the basin of the guess was looked at: other branches, and better ends, may be missing."
+    over = ", ".join(archive.front.program.declared.variables[k].name for k in vary)
+    slow = "" if archive.vectorised else ", few because their runs are integrated one by one"
+    return f"{archive.tried} designs tried over {over}{slow}."
+
+
+def caveats(front: FrontProgram, designs: Sequence[Vector]) -> tuple[str, ...]:
+    """Return the warnings that designs' scenes and runs carry, each kind once with the first design's numbers.
+
+    Args:
+        front: the program.
+        designs: the efficient ones, in order, as scaled variables.
+    """
+    first, often = dict[str, str](), Counter[str]()
+    for y in designs:
+        texts = [text for run in front.runs(y) for text in (*run.scene.warnings(), *remarks(run))]
+        texts += [text for scene in front.still_scenes(y) for text in scene.warnings()]
+        kinds = {_NUMBER.sub("", text): text for text in texts}
+        first = kinds | first
+        often.update(kinds.keys())
+    return tuple(f"at {often[kind]} of {len(designs)} designs: {text}" for kind, text in first.items())
+
+
+def _listed(words: Sequence[str]) -> str:
+    return f"{', '.join(words[:-1])} and {words[-1]}"

@@ -12,8 +12,7 @@ from plough_opt.design.ipopt import REMEDIES, Point, Vector
 from plough_opt.design.polishing import as_it_is, minimum_from, polished
 from plough_opt.studies.tradeoff.archive import Archive
 from plough_opt.studies.tradeoff.domination import undominated
-from plough_opt.studies.tradeoff.program import FrontProgram
-from plough_opt.studies.tradeoff.searching import Searcher
+from plough_opt.studies.tradeoff.front import Failure
 
 # Weight of the other objectives in an anchor: what is indifferent to one objective is decided by the others.
 OTHERS = 1e-4
@@ -38,9 +37,9 @@ _BESIDE = 0.05
 _RATIOS = 1e-3, 1e3
 
 
-@dataclass
+@dataclass(eq=False)
 class Candidate:
-    """A local optimum on some branch, or a design that is as good.
+    """A local optimum on some branch, or a design that is as good; each is equal to itself alone.
 
     Attributes:
         point: as the optimiser left it.
@@ -67,32 +66,19 @@ class Candidate:
 
 @dataclass(frozen=True)
 class Order:
-    """Rows of a front.
+    """How candidates make up a front.
 
     Attributes:
         efficient: those that no other dominates.
         kept: those of them that do not crowd, in order.
-        parts: numbers of kept rows.
-        holes: pairs of kept rows between which there is none.
+        parts: numbers of the kept ones in each part.
+        holes: numbers of two kept ones between which there is none.
     """
 
-    efficient: frozenset[int]
-    kept: tuple[int, ...]
+    efficient: list[Candidate]
+    kept: list[Candidate]
     parts: tuple[tuple[int, ...], ...]
     holes: tuple[tuple[int, int], ...]
-
-
-@dataclass(frozen=True)
-class Failure:
-    """A position without a certified design.
-
-    Attributes:
-        objectives: normalised objectives of the neighbour from which it was sought.
-        reason: why it failed.
-    """
-
-    objectives: tuple[float, ...]
-    reason: str
 
 
 class Candidates(ABC):
@@ -100,33 +86,38 @@ class Candidates(ABC):
 
     Attributes:
         step: distance of neighbouring positions in the normalised objectives.
+        turns: weights of the objectives in an anchor, a row for each order of the objectives; those orders that begin
+            with the same one stand together.
     """
 
     step: float
+    turns: Vector
 
-    def __init__(self, front: FrontProgram, searcher: Searcher, progress: Progress) -> None:
-        """Take the program, and what searches over its variables."""
-        self.front = front
-        self.searcher = searcher
-        self.archive: Archive = searcher.archive
-        self.progress = progress
+    def __init__(self, archive: Archive, progress: Progress) -> None:
+        """Take what looks at the designs of a front's program."""
+        self.archive, self.front, self.progress = archive, archive.front, progress
         self.found: list[Candidate] = []
         self.failures: list[Failure] = []
-        self._ranges = np.ones(front.count)
+        self._ranges = np.ones(self.front.count)
 
     # --- anchors -----------------------------------------------------------------------------------------
 
-    @abstractmethod
+    def orders(self) -> list[Vector]:
+        """Return the parameters for each order of the objectives.
+
+        Weights are on the objectives' ranges, that of the heaviest on its size: without that, what little another
+        objective weighs may be more than the range of one that hardly changes.
+        """
+        sizes = (self._ranges[int(np.argmax(weights))] / self._ranges for weights in self.turns)
+        return [self.front.weighted(w * np.clip(size, *_RATIOS)) for w, size in zip(self.turns, sizes, strict=True)]
+
     def alone(self) -> list[Vector]:
         """Return the parameters for each objective alone."""
+        return self.orders()[:: len(self.turns) // self.front.count]
 
-    def in_ranges(self, weights: Vector) -> Vector:
-        """Return the parameters for weights of the objectives on their ranges, that of the heaviest on its size.
-
-        Without that, what little another objective weighs may be more than the range of one that hardly changes.
-        """
-        first = int(np.argmax(weights))
-        return self.front.weighted(weights * np.clip(self._ranges[first] / self._ranges, *_RATIOS))
+    @abstractmethod
+    def all_anchors(self, starts: Sequence[Sequence[Vector]]) -> list[list[Point]]:
+        """Return the local optima for each of `orders` beside starts for each objective alone."""
 
     def begin(self) -> list[list[Vector]]:
         """Return starts for each objective alone, and write the program with the steps that these need.
@@ -135,12 +126,12 @@ class Candidates(ABC):
             InfeasibleDesign: no design meets the requirements.
             NotConverged: no design has a value.
         """
-        if not self.searcher.vary:
+        if not self.archive.vary:
             self.progress("solving from the guess", 0.0)
             program = self.front.program
             starts = [[near_optimum(self.archive.landscape(p), program.start()).y] for p in self.alone()]
         else:
-            starts = [list(self.searcher.bottoms(p).points) for p in self.alone()]
+            starts = [list(self.archive.bottoms(p).points) for p in self.alone()]
         # Ranges between the starts tell needles from others.
         ends = self.archive.look(np.array([own[0] for own in starts]))[0]
         sizes = np.maximum(np.abs(ends).max(axis=0), 1.0)
@@ -245,11 +236,6 @@ class Candidates(ABC):
     @abstractmethod
     def order(self, candidates: Sequence[Candidate]) -> Order:
         """Return how candidates make up a front."""
-
-    def chosen(self) -> list[Candidate]:
-        """Return the candidates that make up the front so far."""
-        sound = self.sound()
-        return [sound[k] for k in self.order(sound).kept]
 
     @abstractmethod
     def ordered(self) -> list[Candidate]:

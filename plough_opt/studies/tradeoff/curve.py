@@ -8,11 +8,10 @@ import numpy as np
 
 from plough_opt.design.exploring import Progress
 from plough_opt.design.ipopt import Point, Vector
+from plough_opt.studies.tradeoff.archive import Archive
 from plough_opt.studies.tradeoff.candidates import OTHERS, SOUGHT, Candidate, Order
 from plough_opt.studies.tradeoff.domination import in_order
-from plough_opt.studies.tradeoff.plane import gaps, needed, spread
-from plough_opt.studies.tradeoff.program import FrontProgram
-from plough_opt.studies.tradeoff.searching import Searcher
+from plough_opt.studies.tradeoff.positions import gaps, needed, spread
 from plough_opt.studies.tradeoff.tracer import Tracer
 
 # A position farther from its limit is held by none: the branch has ended.
@@ -39,12 +38,13 @@ _PLACES = 4
 class CurveTracer(Tracer):
     """The candidates for a front of two objectives."""
 
+    turns = np.array([[1.0, OTHERS], [OTHERS, 1.0]])
     matters = SOUGHT
     at_once, rounds = 6, 12
 
-    def __init__(self, front: FrontProgram, searcher: Searcher, positions: int, progress: Progress) -> None:
-        """Take the program, what searches over its variables, and the number of positions."""
-        super().__init__(front, searcher, progress)
+    def __init__(self, archive: Archive, positions: int, progress: Progress) -> None:
+        """Take what looks at the designs of a front's program, and the number of positions."""
+        super().__init__(archive, progress)
         self._grid = np.linspace(-1.0, 1.0, positions)
         self.step = 2.0 / (positions - 1)
         self.spacing = self.step / 2.0
@@ -63,12 +63,6 @@ class CurveTracer(Tracer):
         self.reach_all()
         self._fill_gaps()
         self.reach_all(look=False)
-
-    def orders(self) -> list[Vector]:
-        """Return the parameters for either objective alone."""
-        return [self.in_ranges(np.array(weights)) for weights in ((1.0, OTHERS), (OTHERS, 1.0))]
-
-    alone = orders
 
     def all_anchors(self, starts: Sequence[Sequence[Vector]]) -> list[list[Point]]:
         """Return the local optima for each of `orders` beside its starts."""
@@ -105,13 +99,13 @@ class CurveTracer(Tracer):
 
     def _search_inside(self) -> None:
         """Search basins at some positions, and follow what is new from there both ways."""
-        for number, difference in enumerate(_SEARCHED if self.searcher.vary else ()):
+        for number, difference in enumerate(_SEARCHED if self.archive.vary else ()):
             self.progress(f"searching between the anchors, {number + 1} of {len(_SEARCHED)}", number / len(_SEARCHED))
             self._search_at(difference)
 
     def _search_at(self, difference: float) -> None:
         p = self._beside(1, difference)
-        for y in self.searcher.evolved_at(p):
+        for y in self.archive.evolved_at(p):
             known = len(self.found)
             self.follow_new(self.best_from(p, y), known)
 
@@ -126,7 +120,7 @@ class CurveTracer(Tracer):
         return self._beside(1, float(at[0] - at[1]))
 
     def _beside(self, objective: int, difference: float) -> Vector:
-        return self.front.beside(objective, {1 - objective: difference})
+        return self.front.limited(objective, {1 - objective: difference}, beside=True)
 
     @staticmethod
     def _difference(one: Candidate, objective: int) -> float:
@@ -161,14 +155,14 @@ class CurveTracer(Tracer):
     def order(self, candidates: Sequence[Candidate]) -> Order:
         """Return how candidates make up a front: its points in order, its parts, and the gaps between them."""
         at, step = self.places(candidates), self.step
-        order = in_order(at)
-        own = order[needed(at[order], [candidates[k].extra for k in order], step)]
+        best = in_order(at)
+        own = best[needed(at[best], [candidates[k].extra for k in best], step)]
         kept = own[spread(at[own], step)]
         breaks = gaps(at[kept], step)
         bounds = [0, *(k + 1 for k in breaks), len(kept)]
         return Order(
-            frozenset(order.tolist()),
-            tuple(kept.tolist()),
+            [candidates[k] for k in best],
+            [candidates[k] for k in kept],
             tuple(tuple(range(i, j)) for i, j in pairwise(bounds)),
             tuple((k, k + 1) for k in breaks),
         )
@@ -188,7 +182,7 @@ class CurveTracer(Tracer):
                 for one, objective in ((left, 1), (right, 0)):
                     if objective not in one.swept:
                         self.follow(one, objective)
-                if self.searcher.vary:
+                if self.archive.vary:
                     self._search_at(float(np.mean([self._difference(one, 1) for one in (left, right)])))
                 end = self._end(left, 1, float(right.at[0]) - _BESIDE)
                 self._end(right, 0, float((end or left).at[1]) - _BESIDE)
@@ -197,7 +191,7 @@ class CurveTracer(Tracer):
 
     def _end(self, one: Candidate, objective: int, limit: float) -> Candidate | None:
         """Return the design of a branch with least of an objective, the other one limited."""
-        return self.solve(one, one.point.y, self.front.below(objective, {1 - objective: limit}), report=False)
+        return self.solve(one, one.point.y, self.front.limited(objective, {1 - objective: limit}), report=False)
 
     # --- finishing ---------------------------------------------------------------------------------------
 

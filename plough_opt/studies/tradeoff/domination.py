@@ -1,6 +1,6 @@
-"""Which designs beat others, and by how much designs are better than a front.
+"""Which designs beat others, by how much designs are better than a front, and what a front dominates.
 
-All objectives are normalised and minimised, a row for each design.
+All objectives are minimised, a row for each design; they are normalised, but for `volume` and `knee`.
 """
 
 from collections.abc import Iterator
@@ -24,6 +24,8 @@ ACROSS = np.array([[1.0, 1.0], [-1.0, 1.0], [0.0, -2.0]]) / np.sqrt([2.0, 6.0])
 
 # Designs that are compared with a front at once.
 _CHUNK = 20_000
+# A knee stands out from the line, or the plane, of the best in each objective by at least this.
+_STANDS_OUT = 1e-3
 
 
 def undominated(designs: Array, tolerance: float = EQUAL) -> NDArray[np.intp]:
@@ -136,3 +138,37 @@ def _under_surface(front: Array, designs: Array, step: float) -> Array:
     height = np.einsum("ij,ij->i", weights, corners[own[inside]].mean(axis=2))
     found[inside] = height - designs[inside].mean(axis=1)
     return found
+
+
+def volume(front: Array, reference: Array) -> float:
+    """Return the area, or the volume, that rows dominate up to a reference point, slice by slice.
+
+    Args:
+        front: two or three objectives of each row.
+        reference: a point; rows beyond it count for nothing.
+    """
+    inside = front[np.all(front < reference, axis=1)]
+    inside = inside[np.argsort(inside[:, -1], kind="stable")]
+    if front.shape[1] == 2:
+        slices = reference[0] - np.minimum.accumulate(inside[:, 0])
+    else:
+        slices = np.array([volume(inside[: k + 1, :2], reference[:2]) for k in range(len(inside))])
+    return float(slices @ np.diff(inside[:, -1], append=reference[-1]))
+
+
+def knee(front: Array) -> int | None:
+    """Return the row farthest below the plane on which the best rows of each objective lie, or the nearest of them.
+
+    Args:
+        front: objectives of efficient rows.
+
+    Returns:
+        The row, or None where none is below: of two objectives the farthest below the line between both ends.
+    """
+    if len(front) < 3:
+        return None
+    low, high = front.min(axis=0), front.max(axis=0)
+    sums = np.sum((front - low) / np.where(high > low, high - low, 1.0), axis=1)
+    below = min(sums[k] for k in np.argmin(front, axis=0)) - sums
+    best = int(np.argmax(below))
+    return best if below[best] > _STANDS_OUT else None

@@ -1,4 +1,7 @@
-"""From a neighbouring optimum to the one beside it, by sequential quadratic programming."""
+"""From a neighbouring optimum to the one beside it, by sequential quadratic programming.
+
+With exact slopes, or by the steps of a batch with slopes by differences, which is some twenty times as fast.
+"""
 
 from dataclasses import replace
 from typing import Final
@@ -6,7 +9,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from plough_opt.design.descents import descend
 from plough_opt.design.ipopt import Point, SolveOptions, Vector
+from plough_opt.design.landscape import Landscape
 from plough_opt.design.optimality import (
     PULLS,
     free_directions,
@@ -30,6 +35,14 @@ _TOUCHING: Final = 1e-7
 _DAMPED: Final = 0.2
 # Changes of gradients over shorter steps are rounding.
 _TELLING: Final = 1e-9
+# Factor on the steps of a search: averages are then right to some 1e-10, outputs to 1e-8.
+_FINER: Final = 4.0
+# Steps of differences: of slopes, between the rounding of a run (some 1e-13) and its third derivatives, and of
+# curvatures, which only have to lead the right way.
+_STEP: Final = 3e-6
+_CURVED: Final = 1e-4
+# Of first-order conditions: the differences have an error of some 1e-7.
+_STATIONARY: Final = 5e-7
 
 
 class Level:
@@ -49,11 +62,6 @@ class Level:
         self._curvature: Vector | None = None
         self._slopes: dict[bytes, tuple[Vector, Vector, Vector, Vector]] = {}
         self._values: dict[bytes, tuple[Vector, Vector]] = {}
-
-    def forget(self) -> None:
-        """Drop kept evaluations."""
-        self._slopes.clear()
-        self._values.clear()
 
     def values(self, y: Vector, p: Vector) -> tuple[Vector, Vector]:
         """Return objective and requirements; they are kept."""
@@ -158,6 +166,66 @@ class Level:
         return point if point.solved else self._program.solve(start, p)
 
 
+class BatchLevel(Level):
+    """A program whose designs and their neighbours are integrated side by side.
+
+    Attributes:
+        stationary: as of any level; in units of short ranges the rounding of objectives is larger.
+    """
+
+    def __init__(self, program: Program) -> None:
+        """Take a program that is built."""
+        super().__init__(program)
+        self.stationary = _STATIONARY
+        self._scale = np.array(program.scales)[np.array(program.owner, dtype=int)]
+
+    def normalised(self, sizes: float) -> None:
+        """Set the largest size of an objective in units of its range."""
+        self.stationary = _STATIONARY * max(1.0, sizes)
+
+    def values(self, y: Vector, p: Vector) -> tuple[Vector, Vector]:
+        """Return objective and requirements; they are kept."""
+        key = y.tobytes() + p.tobytes()
+        if key not in self._values:
+            f, g = self._rows(y[None], p)
+            self._values[key] = f, g[0]
+        return self._values[key]
+
+    def slopes(self, y: Vector, p: Vector) -> tuple[Vector, Vector, Vector, Vector]:
+        """Return objective, requirements, gradient and Jacobian; they are kept."""
+        key = y.tobytes() + p.tobytes()
+        if key not in self._slopes:
+            around, steps = _around(y)
+            self._slopes[key] = _differences(*self._rows(around, p), steps)
+        return self._slopes[key]
+
+    def _rows(self, points: Vector, p: Vector) -> tuple[Vector, Vector]:
+        """Return scaled objective and requirements of designs, a row each, all by equal numbers of steps."""
+        with np.errstate(all="ignore"):
+            f, g = self._program.population(points, p, finer=_FINER, together=len(points))
+        return f, g / self._scale
+
+    def from_afar(self, at: Point, start: Vector, p: Vector) -> Point:
+        """Return the optimum near a start by a search's descent, corrected."""
+        end = descend(Landscape(self._program, p), start)
+        if not end.feasible[0]:
+            return replace(at, solved=False, status="Infeasible_Problem_Detected", y=end.points[0])
+        return self.correct(at, end.points[0], p)
+
+    def _first_curvature(self, y: Vector, p: Vector, lam_g: Vector) -> Vector:
+        """Return the Lagrangian's Hessian, its curvatures made positive, by differences of its slopes."""
+        away = np.where(y > 0.5, -_CURVED, _CURVED)
+        around = [_around(place) for place in (y, *(y + np.diag(away)))]
+        f, g = self._rows(np.vstack([points for points, _ in around]), p)
+        count, slopes = len(around[0][0]), []
+        for k, (_, steps) in enumerate(around):
+            own = slice(k * count, (k + 1) * count)
+            _, _, gradient, jacobian = _differences(f[own], g[own], steps)
+            slopes.append(gradient + jacobian.T @ lam_g)
+        bend = (np.array(slopes[1:]) - slopes[0]) / away[:, None]
+        return made_convex((bend + bend.T) / 2.0)
+
+
 def _touches(margins: Vector, multipliers: Vector) -> NDArray[np.bool_]:
     """Return which limits leave no room: by their scaled margins, or because they pull harder than they are far."""
     pulls = np.abs(multipliers)
@@ -176,3 +244,18 @@ def _renewed(curvature: Vector, step: Vector, change: Vector) -> Vector:
         change = share * change + (1.0 - share) * along
         met = float(step @ change)
     return np.asarray(curvature - np.outer(along, along) / weight + np.outer(change, change) / met)
+
+
+def _around(y: Vector) -> tuple[Vector, Vector]:
+    """Return a design and two beside it along each variable, inwards, and the steps to the first of either."""
+    steps = np.where(y > 0.5, -_STEP, _STEP)
+    return np.vstack([y, y + np.diag(steps), y + 2.0 * np.diag(steps)]), steps
+
+
+def _differences(f: Vector, g: Vector, steps: Vector) -> tuple[Vector, Vector, Vector, Vector]:
+    """Return objective, requirements, gradient and Jacobian, to the second order, from values at such designs."""
+    n = len(steps)
+    gradient, jacobian = (
+        ((4.0 * (own[1 : n + 1] - own[0]) - (own[n + 1 :] - own[0])).T / (2.0 * steps)) for own in (f, g)
+    )
+    return f[:1], g[0], gradient, jacobian

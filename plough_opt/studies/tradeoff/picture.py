@@ -1,183 +1,143 @@
-"""A front as a picture: the objectives, and how each variable moves along them."""
+"""A front as a picture: a curve, or a surface in space, beside how each variable moves along or over it."""
 
 import math
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import Any, Final
+from collections.abc import Sequence
+from itertools import pairwise
+from typing import Final
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure, SubFigure
+from matplotlib.colors import LogNorm, Normalize
+from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator, ScalarFormatter
-from numpy.typing import NDArray
+from matplotlib.tri import Triangulation
 
 from plough_opt.core.files import COLOURS
-from plough_opt.core.units import Display
 from plough_opt.motion.vocabulary import called
-from plough_opt.studies.tradeoff.certificate import FrontPoint
-from plough_opt.studies.tradeoff.goal import Axis
+from plough_opt.studies.tradeoff.domination import ACROSS, Array
+from plough_opt.studies.tradeoff.front import Axis, Front, FrontPoint
 
-MUTED: Final = "#A8A8A8"
+_GREY: Final = "#A8A8A8"
 _BEATEN: Final = "local optima, dominated"
 # Of the front itself [inch].
 _WIDTH: Final = 7.0
-# Of a variable's bounds.
+# Of a variable's panel beside a curve and beside a surface, and the least height of the whole [inch].
+_PANEL: Final = {2: (3.6, 1.75, 5.2), 3: (4.2, 2.1, 5.6)}
+# Part of a variable's bounds, or of its value on a logarithmic scale: what moves less is drawn as hardly moving.
 _LEAST_RANGE: Final = 0.02
 # Of an objective's value: an axis shows no less, and no more ticks than fit beside each other.
 _LEAST_CHANGE: Final = 0.01
 _TICKS: Final = 6
 # Of a variable's size: what changes less along a front is the optimiser's rounding.
 _CONSTANT: Final = 1e-4
+# Triangles with a side longer than so many times the usual one lie across a hole.
+_LONGEST: Final = 3.0
+_LEAST_CORNERS: Final = 3
+# Of the view [deg].
+_ABOVE: Final = 22.0
+_ASIDE: Final = 20.0
+# Between ticks and the name of an axis [points], and of the cube in its panel, so that nothing touches or is cut.
+_ROOM: Final = 10.0
+_ZOOM: Final = 0.85
+_TICKS_IN_SPACE: Final = 5
 
 
-@dataclass(frozen=True)
-class Drawing:
-    """The parts of a front that are drawn.
-
-    Attributes:
-        title: above everything.
-        goals: the objectives.
-        variables: a panel each.
-        points: efficient designs in order.
-        dominated: local optima that are not.
-        parts: numbers of the points of each connected part.
-        knee: a point that stands out, or None.
-        displays: name of an objective or a variable -> unit in which it is drawn.
-    """
-
-    title: str
-    goals: tuple[Axis, ...]
-    variables: tuple[Axis, ...]
-    points: tuple[FrontPoint, ...]
-    dominated: tuple[FrontPoint, ...]
-    parts: tuple[tuple[int, ...], ...]
-    knee: FrontPoint | None
-    displays: Mapping[str, Display] = field(default_factory=dict)
-
-    def display(self, axis: Axis) -> Display:
-        """Return the unit in which an objective or a variable is drawn."""
-        return self.displays.get(axis.name) or Display(axis.unit, 1.0)
-
-    def label(self, axis: Axis) -> str:
-        """Return an objective's or a variable's name and unit."""
-        return self.display(axis).heading(called(axis.name))
-
-    @property
-    def varying(self) -> tuple[Axis, ...]:
-        """The variables that change along the front, or all where none does."""
-        columns = {v: np.array([point.variables[v.name] for point in self.points]) for v in self.variables}
-        found = (v for v, own in columns.items() if np.ptp(own) > _CONSTANT * np.max(np.abs(own)))
-        return tuple(found) or self.variables
-
-    @property
-    def heading(self) -> str:
-        """Heading: the title, and the variables that are the same in every design."""
-        same = [v for v in self.variables if v not in self.varying]
-        values = (self.display(v).text(self.points[0].variables[v.name], 4) for v in same)
-        words = ", ".join(f"{called(v.name)} {value}" for v, value in zip(same, values, strict=True))
-        return "\n".join(part for part in (self.title, f"{words} in every design" if words else "") if part)
-
-
-def figure_of(front: Drawing) -> Figure:
-    """Return the front beside a panel for each variable."""
-
-    def place(left: SubFigure) -> None:
-        draw_front(left.subplots(), front)
-
-    figure, panels = beside_panels(front, front.varying, (3.6, 1.75), 5.2, place, _draw_variable)
-    for axes in panels[-1]:
-        axes.set_xlabel(front.label(front.goals[0]))
-        _plain(axes, places_of(front.points, front)[:, 0], "x")
+def front_figure(front: Front) -> Figure:
+    """Return the front beside panels for the variables that change along it, and for a third objective."""
+    varying = [v for v, own in zip(front.variables, front.designs.T, strict=True)
+               if np.ptp(own) > _CONSTANT * np.max(np.abs(own))]  # fmt: skip
+    varying = varying or list(front.variables)
+    flat = len(front.goals) == 2
+    panels = [*front.goals[2:], *varying]
+    columns = 1 if len(panels) <= 3 else 2
+    rows = math.ceil(len(panels) / columns)
+    width, height, least = _PANEL[len(front.goals)]
+    figure = Figure(figsize=(_WIDTH + width * columns, max(least, height * rows)), layout="constrained")
+    left, right = figure.subfigures(1, 2, squeeze=False, width_ratios=(_WIDTH, width * columns))[0]
+    draw_front(left.add_subplot(projection=None if flat else "3d"), front)
+    every = right.subplots(rows, columns, sharex=True, sharey=not flat, squeeze=False)
+    for axes, axis in zip(every.T.ravel(), panels, strict=False):
+        (_draw_along if flat else _draw_over)(axes, front, axis)
+    for axes in every.T.ravel()[len(panels) :]:
+        axes.set_axis_off()
+    for axes in every[-1]:
+        axes.set_xlabel(_label(front, front.goals[0]), fontsize=None if flat else "small")
+        if flat:
+            _plain(axes, _places(front, front.points)[:, 0], "x")
+    for axes in [] if flat else every[:, 0]:
+        axes.set_ylabel(_label(front, front.goals[1]), fontsize="small")
+    if heading := _heading(front, [v for v in front.variables if v not in varying]):
+        figure.suptitle(heading)
     return figure
 
 
-def beside_panels(
-    front: Drawing,
-    axes_of: Sequence[Axis],
-    size: tuple[float, float],
-    least: float,
-    place: Callable[[SubFigure], None],
-    draw: Callable[[Axes, Drawing, Axis], None],
-    **shared: bool,
-) -> tuple[Figure, NDArray[Any]]:
-    """Return a figure with the front and a panel for each variable on its right, and the panels.
+def draw_front(axes: Axes, front: Front) -> None:
+    """Draw the parts of a front, its holes, its knee, and the local optima that it dominates.
 
     Args:
-        front: what is drawn.
-        axes_of: what has a panel.
-        size: width and height of a panel [inch].
-        least: height of the figure [inch].
-        place: draws the front itself.
-        draw: draws a variable on its panel.
-        shared: further arguments of ``subplots``.
+        axes: to draw on; of three objectives in space.
+        front: the front.
     """
-    count = len(axes_of)
-    columns = 1 if count <= 3 else 2
-    rows = math.ceil(count / columns)
-    width = size[0] * columns
-    figure = Figure(figsize=(_WIDTH + width, max(least, size[1] * rows)), layout="constrained")
-    left, right = figure.subfigures(1, 2, squeeze=False, width_ratios=(_WIDTH, width))[0]
-    place(left)
-    panels = right.subplots(rows, columns, sharex=True, squeeze=False, **shared)
-    for k, axes in enumerate(panels.T.ravel()):
-        if k < count:
-            draw(axes, front, axes_of[k])
-        else:
-            axes.set_axis_off()
-    if front.heading:
-        figure.suptitle(front.heading)
-    return figure, panels
-
-
-def draw_front(axes: Axes, front: Drawing) -> None:
-    """Draw the parts of a front, its holes, its knee, and the local optima that it dominates."""
-    first, second = front.goals
-    beaten = places_of(front.dominated, front)
+    flat = len(front.goals) == 2
+    places, beaten = _places(front, front.points), _places(front, front.dominated)
     if len(beaten):
-        axes.plot(beaten[:, 0], beaten[:, 1], "x", color=MUTED, markersize=4.5, zorder=2,
-                  label=_BEATEN)  # fmt: skip
-    places = places_of(front.points, front)
+        axes.plot(*beaten.T, "x", color=_GREY, markersize=4.5, zorder=2, label=_BEATEN)
     for number, part in enumerate(front.parts):
-        own = places[list(part)]
+        own, colour = places[list(part)], COLOURS[number % len(COLOURS)]
+        for corners in [] if flat else _triangles(own):
+            axes.plot_trisurf(*own.T, triangles=corners, color=colour, alpha=0.35, linewidth=0.3, edgecolor=colour)  # type: ignore[attr-defined]
         label = "front" if len(front.parts) == 1 else f"front, part {number + 1}"
-        colour = COLOURS[number % len(COLOURS)]
-        axes.plot(own[:, 0], own[:, 1], "o-", color=colour, markersize=4, linewidth=1.3, zorder=4,
-                  label=label)  # fmt: skip
+        axes.plot(*own.T, "o-" if flat else "o", color=colour, markersize=4, linewidth=1.3, zorder=4, label=label)
     if len(open_ones := places[[not point.confirmed for point in front.points]]):
-        axes.plot(open_ones[:, 0], open_ones[:, 1], "o", color="white", markersize=3, zorder=5, label="unconfirmed")
-    for number, (before, after) in enumerate(zip(front.parts, front.parts[1:], strict=False)):
-        ends = places[[before[-1], after[0]]]
-        axes.plot(ends[:, 0], ends[:, 1], ":", color="black", linewidth=1.0, zorder=3,
-                  label="hole: no efficient design" if number == 0 else None)  # fmt: skip
+        axes.plot(*open_ones.T, "o", color="white", markersize=3, zorder=9, label="unconfirmed")
+    if flat:
+        _finish_curve(axes, front, places, beaten)
+    else:
+        _finish_surface(axes, front)
     if front.knee is not None:
-        knee = places_of((front.knee,), front)[0]
-        axes.plot(knee[0], knee[1], "*", color="black", markersize=13, zorder=5, label="knee")
+        axes.plot(*_places(front, (front.knee,)).T, "*", color="black", markersize=13, zorder=9, label="knee")
+    axes.legend(fontsize="small", loc="best" if flat else "upper left")
+
+
+def _finish_curve(axes: Axes, front: Front, places: Array, beaten: Array) -> None:
+    """Draw the holes of a curve, limit its axes, and label them."""
+    for number, (before, after) in enumerate(pairwise(front.parts)):
+        axes.plot(*places[[before[-1], after[0]]].T, ":", color="black", linewidth=1.0, zorder=3,
+                  label="hole: no efficient design" if number == 0 else None)  # fmt: skip
     _limit(axes, places, beaten)
     (left, right), (bottom, top) = sorted(axes.get_xlim()), sorted(axes.get_ylim())
     if not any(left <= x <= right and bottom <= y <= top for x, y in beaten):
         for line in axes.get_lines():
             if line.get_label() == _BEATEN:
                 line.remove()
-    axes.set(xlabel=front.label(first), ylabel=front.label(second))
+    axes.set(xlabel=_label(front, front.goals[0]), ylabel=_label(front, front.goals[1]))
     for along, values in zip("xy", places.T, strict=True):
         _plain(axes, values, along)
     axes.grid(alpha=0.25)
-    axes.legend(fontsize="small")
 
 
-def _limit(axes: Axes, places: np.ndarray, beaten: np.ndarray) -> None:
+def _finish_surface(axes: Axes, front: Front) -> None:
+    """Label the axes of a surface, and look at it from the side on which both of the first objectives are better."""
+    for along, goal in zip("xyz", front.goals, strict=True):
+        getattr(axes, f"set_{along}label")(_label(front, goal), labelpad=_ROOM)
+        getattr(axes, f"{along}axis").set_major_locator(MaxNLocator(_TICKS_IN_SPACE))
+    axes.set_box_aspect(None, zoom=_ZOOM)  # type: ignore[call-arg]
+    first, second = (goal.sign for goal in front.goals[:2])
+    axes.view_init(elev=_ABOVE, azim=math.degrees(math.atan2(-second, -first)) + _ASIDE)  # type: ignore[attr-defined]
+
+
+def _limit(axes: Axes, places: Array, beaten: Array) -> None:
     """Show the front with half its range around it, however far dominated optima lie."""
     low, high = places.min(axis=0), places.max(axis=0)
     if not len(beaten) or not np.all(high > low):
         return
-    pad = 0.5 * (high - low)
-    least, most = (f(np.vstack([places, beaten]), axis=0) for f in (np.min, np.max))
-    edge = 0.04 * (high - low)
-    axes.set_xlim(max(low[0] - pad[0], least[0]) - edge[0], min(high[0] + pad[0], most[0]) + edge[0])
-    axes.set_ylim(max(low[1] - pad[1], least[1]) - edge[1], min(high[1] + pad[1], most[1]) + edge[1])
+    pad, edge = 0.5 * (high - low), 0.04 * (high - low)
+    every = np.vstack([places, beaten])
+    least, most = np.maximum(low - pad, every.min(axis=0)) - edge, np.minimum(high + pad, every.max(axis=0)) + edge
+    axes.set(xlim=(least[0], most[0]), ylim=(least[1], most[1]))
 
 
-def _plain(axes: Axes, values: np.ndarray, along: str) -> None:
+def _plain(axes: Axes, values: Array, along: str) -> None:
     """Show whole numbers that do not touch along an axis, and what hardly changes as hardly changing.
 
     Args:
@@ -194,48 +154,96 @@ def _plain(axes: Axes, values: np.ndarray, along: str) -> None:
     axis.set_major_formatter(ScalarFormatter(useOffset=False))
 
 
-def _draw_variable(axes: Axes, front: Drawing, variable: Axis) -> None:
+def _draw_along(axes: Axes, front: Front, variable: Axis) -> None:
     """Draw a variable along the first objective, its bounds where it comes near them."""
-    factor = front.display(variable).factor
-    values = np.array([point.variables[variable.name] for point in front.points]) / factor
-    places = places_of(front.points, front)[:, 0]
+    values, factor = _values(front, variable), front.display(variable).factor
+    places = _places(front, front.points)[:, 0]
     for number, part in enumerate(front.parts):
         own = list(part)
         axes.plot(places[own], values[own], "o-", color=COLOURS[number % len(COLOURS)], markersize=2.5, linewidth=1.2)
     if variable.log:
         axes.set_yscale("log")
     elif variable.lower is not None and variable.upper is not None:
-        axes.set_ylim(*range_of(variable, values, factor, margin=0.1))
+        axes.set_ylim(*_range(variable, values, factor, margin=0.1))
     low, high = axes.get_ylim()
     for bound in (variable.lower, variable.upper):
         if bound is not None and low < bound / factor < high:
             axes.axhline(bound / factor, color="black", linestyle="--", linewidth=0.8)
             axes.annotate("bound", (1.0, bound / factor), (-3, 2), xycoords=axes.get_yaxis_transform(), ha="right",
                           textcoords="offset points", fontsize="x-small")  # fmt: skip
-    axes.set_ylabel(front.label(variable), fontsize="small")
+    axes.set_ylabel(_label(front, variable), fontsize="small")
     axes.grid(alpha=0.25)
 
 
-def range_of(variable: Axis, values: np.ndarray, factor: float, margin: float = 0.0) -> tuple[float, float]:
+def _triangles(places: Array) -> list[np.ndarray]:
+    """Return the corners of the triangles between a part's points, in a list that is empty for a part that is a line.
+
+    They are seen along the diagonal on which all objectives grow, from which no part of a front hides another.
+    """
+    if len(places) < _LEAST_CORNERS:
+        return []
+    low, span = places.min(axis=0), np.ptp(places, axis=0)
+    flat = (places - low) / np.where(span > 0.0, span, 1.0) @ ACROSS
+    if np.linalg.matrix_rank(flat - flat.mean(axis=0), tol=1e-6) < 2:
+        return []
+    corners = Triangulation(*flat.T).triangles
+    sides = np.linalg.norm(flat[corners] - flat[np.roll(corners, 1, axis=1)], axis=2)
+    short = np.max(sides, axis=1) < _LONGEST * np.median(sides)
+    return [corners[short]] if np.any(short) else []
+
+
+def _draw_over(axes: Axes, front: Front, axis: Axis) -> None:
+    """Draw a variable, or the third objective, as the colour of the points over the first two objectives."""
+    values = _values(front, axis)
+    places = _places(front, front.points)
+    low, high = _range(axis, values, front.display(axis).factor)
+    norm = LogNorm(low, high) if axis.log else Normalize(low, high)
+    drawn = axes.scatter(places[:, 0], places[:, 1], c=values, norm=norm, cmap="viridis", s=22)
+    figure = axes.get_figure()
+    assert figure is not None  # panels are drawn on one
+    bar = figure.colorbar(drawn, ax=axes, pad=0.02)
+    bar.set_label(_label(front, axis), fontsize="small")
+    bar.ax.tick_params(labelsize="small")
+    axes.grid(alpha=0.25)
+
+
+def _range(axis: Axis, values: Array, factor: float, margin: float = 0.0) -> tuple[float, float]:
     """Return the range in which a variable is drawn: what hardly moves is drawn as hardly moving.
 
     Args:
-        variable: with its bounds.
+        axis: with its bounds.
         values: along the front, in the unit in which they are drawn.
         factor: that unit's size.
         margin: part of the range that is left free.
     """
     low, high = float(values.min()), float(values.max())
-    if variable.log:
+    if axis.log:
         return (low, high) if high > (1.0 + _LEAST_RANGE) * low else (low / 1.1, high * 1.1)
     least = 0.0
-    if variable.lower is not None and variable.upper is not None:
-        least = _LEAST_RANGE * (variable.upper - variable.lower) / factor
+    if axis.lower is not None and axis.upper is not None:
+        least = _LEAST_RANGE * (axis.upper - axis.lower) / factor
     middle, half = (high + low) / 2.0, max((0.5 + 0.5 * margin) * (high - low), least)
     return middle - half, middle + half
 
 
-def places_of(points: Sequence[FrontPoint], front: Drawing) -> np.ndarray:
+def _places(front: Front, points: Sequence[FrontPoint]) -> Array:
     """Return the objectives of points in the units in which they are drawn, a row each."""
     factors = [front.display(goal).factor for goal in front.goals]
     return np.array([point.objectives for point in points]).reshape(-1, len(factors)) / factors
+
+
+def _values(front: Front, axis: Axis) -> Array:
+    """Return an objective or a variable of every point in the unit in which it is drawn."""
+    columns = dict(zip((*front.goals, *front.variables), (*front.objectives.T, *front.designs.T), strict=True))
+    return np.asarray(columns[axis] / front.display(axis).factor)
+
+
+def _label(front: Front, axis: Axis) -> str:
+    return front.display(axis).heading(called(axis.name))
+
+
+def _heading(front: Front, same: Sequence[Axis]) -> str:
+    """Return the title, and the variables that are the same in every design."""
+    values = [f"{called(v.name)} {front.display(v).text(front.points[0].variables[v.name], 4)}" for v in same]
+    words = f"{', '.join(values)} in every design" if values else ""
+    return "\n".join(part for part in (front.title, words) if part)

@@ -24,9 +24,8 @@ from plough_opt.design.program import Program
 from plough_opt.design.verify import TightEvaluation
 from plough_opt.motion.run import Run
 from plough_opt.motion.scene import Scene
-from plough_opt.studies.tradeoff.batch_level import BatchLevel
-from plough_opt.studies.tradeoff.goal import Goal
-from plough_opt.studies.tradeoff.level import Level
+from plough_opt.studies.tradeoff.front import Goal
+from plough_opt.studies.tradeoff.level import BatchLevel, Level
 
 _POSITION = "position on the front"
 _FINER = 1.5
@@ -45,9 +44,6 @@ class FrontProgram:
         signs: -1 for an objective that is maximised.
         units: what a scaled objective is multiplied by to be one in its unit.
         rows: numbers of the constraints that set the position.
-        fine: solves it with exact slopes.
-        quick: solves it by the steps of a batch, with slopes by differences; without runs of automatic steps, or where
-            these are integrated one by one, the fine one.
         low: normalised objectives' zero, in scaled units.
         span: their range.
         building: time that was spent on writing it since it was last prepared [s].
@@ -76,25 +72,26 @@ class FrontProgram:
         scaled = ca.vertcat(
             *(goal.sign * ca.MX(goal.expression) / s for goal, s in zip(goals, self.scales, strict=True))
         )
-        weights = [ca.MX.sym(f"w{k}") for k in range(self.count + 1)]
-        normals = [[ca.MX.sym(f"n{k}{i}") for i in range(self.count)] for k in range(1, self.count)]
-        limits = [ca.MX.sym(f"c{k}") for k in range(1, self.count)]
-        extra = [*weights, *(symbol for normal in normals for symbol in normal), *limits]
-        rows = [ca.dot(ca.vertcat(*n), scaled) - c for n, c in zip(normals, limits, strict=True)]
+        count = self.count
+        own = [ca.MX.sym(f"{_POSITION} {k}") for k in range(count * (count + 1))]
+        weights, limits = ca.vertcat(*own[: 1 + count]), ca.vertcat(*own[1 - count :])
+        normals = ca.reshape(ca.vertcat(*own[1 + count : 1 - count]), count, count - 1).T
         self.program = Program(
             replace(
                 declared,
-                parameters=(*self.own_parameters, *(Parameter(symbol.name(), symbol, 0.0, "") for symbol in extra)),
-                objective=weights[0] + ca.dot(ca.vertcat(*weights[1:]), scaled),
-                requirements=(*declared.requirements, Requirement(_POSITION, ca.vertcat(*rows), None, 0.0, "")),
+                parameters=(*self.own_parameters, *(Parameter(symbol.name(), symbol, 0.0, "") for symbol in own)),
+                objective=weights[0] + ca.dot(weights[1:], scaled),
+                requirements=(
+                    *declared.requirements,
+                    Requirement(_POSITION, normals @ scaled - limits, None, 0.0, ""),
+                ),
             ),
             compiled=compiled,
         )
         first = self.program.owner.index(len(declared.requirements))
-        self.rows = np.arange(first, first + self.count - 1)
+        self.rows = np.arange(first, first + count - 1)
         self._tight: dict[bytes, tuple[Vector, list[Vector]]] = {}
-        self.fine: Level | None = None
-        self.quick: Level | None = None
+        self._levels: dict[bool, Level] = {}
         self.building = 0.0
         self.rounded_off = 0.0
         self._refinement = 1.0
@@ -112,13 +109,11 @@ class FrontProgram:
         """
         self._values = [changed.get(parameter.name, parameter.value) for parameter in self.own_parameters]
         self._tight.clear()
-        for level in (self.fine, self.quick):
-            if level is not None:
-                level.forget()
+        self._levels.clear()
         self.normalise(np.zeros(self.count), np.ones(self.count))
         # With these parameters objective and positions are the scaled objectives.
         count = self.count
-        self._all = self.parameters((0.0, 1.0, *np.zeros(count - 1)), np.eye(count)[1:], np.zeros(count - 1).tolist())
+        self._all = self.parameters((0.0, 1.0, *np.zeros(count - 1)), np.eye(count)[1:], np.zeros(count - 1))
         self._refinement, self.building = 1.0, 0.0
         self.program.prepare(self.nowhere())
 
@@ -126,7 +121,7 @@ class FrontProgram:
         """Return the values of the design's own parameters by name."""
         return {p.name: float(value) for p, value in zip(self.own_parameters, self._values, strict=True)}
 
-    def parameters(self, weights: Sequence[float], normals: Vector, positions: Sequence[float]) -> Vector:
+    def parameters(self, weights: Sequence[float], normals: Vector, positions: Vector) -> Vector:
         """Return the program's parameters for w, n (a row for each position) and c, in scaled units."""
         return np.array([*self._values, *weights, *np.ravel(normals), *positions])
 
@@ -144,25 +139,25 @@ class FrontProgram:
         program, began = self.program, time.perf_counter()
         program.build(self.nowhere(), self._refinement, self._starts)
         self.building += time.perf_counter() - began
-        if self.fine is None or self.fine.nlp is not program.built.nlp:
-            self.fine = self.quick = Level(program)
-            if self.wanted_error and program.population.vectorised:
-                self.quick = BatchLevel(program)
+        if not self._levels or self._levels[True].nlp is not program.built.nlp:
+            batched = self.wanted_error and program.population.vectorised
+            self._levels[True] = Level(program)
+            self._levels[False] = BatchLevel(program) if batched else self._levels[True]
         self.normalise(self.low, self.span)
 
     def level(self, exact: bool) -> Level:
-        """Return what solves the program, with exact slopes or quickly."""
-        found = self.fine if exact else self.quick
-        assert found is not None  # whoever asks has called `build`
-        return found
+        """Return what solves the built program: with exact slopes, or quickly.
 
-    @property
-    def by_differences(self) -> bool:
-        """Whether the quick way has its slopes by differences."""
-        return self.quick is not self.fine
+        Quickly is by the steps of a batch, with slopes by differences; without runs of automatic steps, or where these
+        are integrated one by one, the slopes are exact, too.
+        """
+        return self._levels[exact]
 
     def nowhere(self) -> Vector:
-        """Return parameters without objective or position."""
+        """Return parameters with which the objective is 1 and no position is set.
+
+        The program is scaled by its values with these, so that the scales of objective and positions are 1.
+        """
         nothing = self.weighted(np.zeros(self.count))
         nothing[len(self._values)] = 1.0
         return nothing
@@ -175,42 +170,38 @@ class FrontProgram:
     def normalise(self, low: Vector, span: Vector) -> None:
         """Set the scaled objectives that are 0, and the range that is 1."""
         self.low, self.span = low, span
-        if isinstance(self.quick, BatchLevel):
-            self.quick.normalised(float(np.max((np.abs(low) + span) / span)))
+        quick = self._levels.get(False)
+        if isinstance(quick, BatchLevel):
+            quick.normalised(float(np.max((np.abs(low) + span) / span)))
 
     # --- questions ---------------------------------------------------------------------------------------
 
     def weighted(self, weights: Vector) -> Vector:
         """Return the parameters for a weighted sum of the scaled objectives."""
         count = self.count
-        return self.parameters((0.0, *weights), np.zeros((count - 1, count)), np.ones(count - 1).tolist())
+        return self.parameters((0.0, *weights), np.zeros((count - 1, count)), np.ones(count - 1))
 
-    def beside(self, objective: int, differences: Mapping[int, float], others: float = 0.0) -> Vector:
-        """Return the parameters for one normalised objective where others exceed it by at most so much.
+    def limited(
+        self, objective: int, limits: Mapping[int, float], others: float = 0.0, *, beside: bool = False
+    ) -> Vector:
+        """Return the parameters for one normalised objective with limits on the others.
 
         Args:
             objective: which is minimised.
-            differences: largest value of each other one minus this one, normalised.
+            limits: largest value of each other one, normalised.
             others: weight of the others, which decides what the limits leave open.
+            beside: whether limits are on what the others exceed the objective by.
         """
-        normals = [{k: 1.0, objective: -1.0} for k in differences]
-        return self._question(objective, normals, list(differences.values()), others)
-
-    def below(self, objective: int, limits: Mapping[int, float], others: float = 0.0) -> Vector:
-        """Return the parameters for one normalised objective with the others at most at limits."""
-        return self._question(objective, [{k: 1.0} for k in limits], list(limits.values()), others)
-
-    def _question(
-        self, objective: int, normals: list[dict[int, float]], positions: list[float], others: float
-    ) -> Vector:
-        weights, along = np.full(self.count, others), np.zeros((self.count - 1, self.count))
+        weights, normals = np.full(self.count, others), np.zeros((self.count - 1, self.count))
         weights[objective] = 1.0
-        for row, normal in enumerate(normals):
-            for k, value in normal.items():
-                along[row, k] = value
-        offset = -float(np.sum(weights * self.low / self.span))
-        shifts = along @ (self.low / self.span)
-        return self.parameters((offset, *(weights / self.span)), along / self.span, (positions + shifts).tolist())
+        normals[np.arange(len(limits)), list(limits)] = 1.0
+        normals[:, objective] = -1.0 if beside else 0.0
+        zero = self.low / self.span
+        return self.parameters(
+            (-float(weights @ zero), *(weights / self.span)),
+            normals / self.span,
+            np.array(list(limits.values())) + normals @ zero,
+        )
 
     def asked(self, p: Vector) -> tuple[Vector, Vector, Vector]:
         """Return w, n and c of parameters."""
@@ -235,7 +226,7 @@ class FrontProgram:
     def objectives(self, y: Vector, *, exact: bool = False) -> Vector:
         """Return the normalised objectives as the optimiser has them."""
         f, g = self.level(exact).values(y, self._all)
-        return self.normalised(np.concatenate([f * self.program.objective_scale, g[self.rows] * self._row_scale]))
+        return self.normalised(np.concatenate([f, g[self.rows]]))
 
     def look(self, points: Vector, finer: float, together: int) -> tuple[Vector, Vector]:
         """Return scaled objectives and all rows of requirements, in their units, of designs, a row for each.
@@ -292,15 +283,10 @@ class FrontProgram:
         """Return whether it is the position that decides where on the front an optimum lies."""
         return bool(np.all(point.lam_g[self.rows] > _PULLS))
 
-    @property
-    def _row_scale(self) -> float:
-        return float(self.program.scales[self.program.owner[self.rows[0]]])
-
     def slopes(self, point: Point, p: Vector) -> Vector:
         """Return how strongly an optimum weighs each scaled objective: their gradients so weighted balance."""
         weights, normals, _ = self.asked(p)
-        pulls = point.lam_g[self.rows] / self._row_scale
-        return np.asarray(weights[1:] / self.program.objective_scale + pulls @ normals)
+        return np.asarray(weights[1:] + point.lam_g[self.rows] @ normals)
 
 
 def declarations(design: Design, goals: Sequence[Goal]) -> Declarations:

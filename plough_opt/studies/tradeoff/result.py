@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+from collections.abc import Sequence
 from dataclasses import dataclass
 from io import StringIO
 from pathlib import Path
@@ -10,10 +11,9 @@ from typing import TYPE_CHECKING, Any, overload
 
 from plough_opt.core.files import write_file
 from plough_opt.core.kept import Keepable
-from plough_opt.core.tables import Page, data_frame
-from plough_opt.studies.tradeoff.front import Front, rate_of
-from plough_opt.studies.tradeoff.goal import Axis
-from plough_opt.studies.tradeoff.table import front_page
+from plough_opt.core.tables import Column, Grid, Page, data_frame
+from plough_opt.motion.vocabulary import called
+from plough_opt.studies.tradeoff.front import Axis, Front, FrontPoint
 
 if TYPE_CHECKING:
     import pandas
@@ -42,7 +42,7 @@ class TradeOff(Keepable, Front):
 
     def page(self) -> Page:
         """Return the front as a table by parts, its holes, what a little more costs, and what has no result."""
-        return front_page(self)
+        return _page(self)
 
     def to_dataframe(self) -> pandas.DataFrame:
         """Return a row for each point: part, objectives and variables, SI; ``attrs["units"]`` has the units.
@@ -50,11 +50,10 @@ class TradeOff(Keepable, Front):
         Raises:
             InputError: pandas is not installed.
         """
-        part_of = {k: number for number, part in enumerate(self.parts, start=1) for k in part}
-        columns: dict[str, Any] = {"part": [part_of[k] for k in range(len(self.points))]}
-        columns |= {goal.name: self.objectives[:, k] for k, goal in enumerate(self.goals)}
-        columns |= {v.name: self.designs[:, k] for k, v in enumerate(self.variables)}
-        return data_frame(columns, {axis.name: axis.unit for axis in (*self.goals, *self.variables)})
+        axes = (*self.goals, *self.variables)
+        columns: dict[str, Any] = {"part": self.part_of}
+        columns |= zip((axis.name for axis in axes), (*self.objectives.T, *self.designs.T), strict=True)
+        return data_frame(columns, {axis.name: axis.unit for axis in axes})
 
     @overload
     def plot(self, target: Axes) -> Axes: ...
@@ -72,16 +71,12 @@ class TradeOff(Keepable, Front):
             InputError: a file name without a known ending, or a place that cannot be written.
         """
         from plough_opt.core.files import save_figure
-        from plough_opt.studies.tradeoff.picture import Drawing, draw_front, figure_of
-        from plough_opt.studies.tradeoff.surface_picture import draw_surface, surface_figure
+        from plough_opt.studies.tradeoff.picture import draw_front, front_figure
 
-        own = {name: getattr(self, name) for name in Drawing.__dataclass_fields__ if name != "displays"}
-        drawing = Drawing(**own, displays={axis.name: self.display(axis) for axis in (*self.goals, *self.variables)})
-        flat = len(self.goals) == 2
         if target is not None and not isinstance(target, str | Path):
-            (draw_front if flat else draw_surface)(target, drawing)
+            draw_front(target, self)
             return target
-        figure = (figure_of if flat else surface_figure)(drawing)
+        figure = front_figure(self)
         if target is not None:
             save_figure(figure, target)
         return figure
@@ -95,18 +90,17 @@ class TradeOff(Keepable, Front):
         text = StringIO()
         table = csv.writer(text, lineterminator="\n")
         margins = list(self.points[0].margins)
-        pairs = [(of, by) for by in range(len(self.goals)) for of in range(by + 1, len(self.goals))]
-        rates = (
-            ["rate"] if len(pairs) == 1 else [f"{self.goals[of].name} per {self.goals[by].name}" for of, by in pairs]
-        )
+        names = [goal.name for goal in self.goals]
+        rates = ["rate"] if len(self.pairs) == 1 else [f"{names[of]} per {names[by]}" for of, by in self.pairs]
         table.writerow(["status", "part", *(_heading(axis) for axis in (*self.goals, *self.variables)), *rates,
                         *(f"margin of {name}" for name in margins), "active", "branch", "residual", "gap"])  # fmt: skip
-        part_of = {k: number for number, part in enumerate(self.parts, start=1) for k in part}
-        status_of = {True: "front", False: "unconfirmed"}
-        rows = [(status_of[point.confirmed], part_of[k], point) for k, point in enumerate(self.points)]
+        rows: list[tuple[str, object, FrontPoint]] = [
+            ("front" if point.confirmed else "unconfirmed", part, point)
+            for part, point in zip(self.part_of, self.points, strict=True)
+        ]
         for status, part, point in (*rows, *(("dominated", "", point) for point in self.dominated)):
             values = [*point.objectives, *(point.variables[v.name] for v in self.variables)]
-            found = [rate_of(point, of, by) for of, by in pairs]
+            found = [point.rate_of(of, by) for of, by in self.pairs]
             rates = ["" if rate is None else repr(rate) for rate in found]
             table.writerow([status, part, *map(repr, values), *rates, *(repr(point.margins[name]) for name in margins),
                             "; ".join(point.active), point.branch, repr(point.residual), repr(point.gap)])  # fmt: skip
@@ -115,3 +109,83 @@ class TradeOff(Keepable, Front):
 
 def _heading(axis: Axis) -> str:
     return f"{axis.name} [{axis.unit}]" if axis.unit else axis.name
+
+
+def _page(front: Front) -> Page:
+    """Return a front as tables and sentences."""
+    everywhere = [name for name in front.points[0].active if all(name in point.active for point in front.points)]
+    parts: list[Grid | str] = [_table(front, everywhere)]
+    for hole in front.holes:
+        start, end = (_place(front, place) for place in (hole.start, hole.end))
+        doubt = "" if hole.settled else "; the optimiser failed within, so that some may be missing"
+        parts.append(f"Hole: no efficient design between {start}, and {end}{doubt}.")
+    if front.knee is not None:
+        number = front.points.index(front.knee)
+        costs = "; ".join(front.in_words(number, of, by).partition(": ")[2] for of, by in front.pairs)
+        parts.append(f"Knee (bold), at {_place(front, front.knee.objectives)}: {costs}.")
+    if everywhere:
+        parts.append(f"Limits that decide every design: {', '.join(map(called, everywhere))}.")
+    parts += [front.search] if front.search else []
+    failures: dict[str, list[str]] = {}
+    for failure in front.failures:
+        # Before the colon is IPOPT's own word.
+        reason = failure.reason.partition(": ")[2] or failure.reason
+        failures.setdefault(reason, []).append(_place(front, failure.objectives))
+    parts += [f"No certified design near {'; '.join(places)}: {reason}." for reason, places in failures.items()]
+    gap = max(point.gap for point in front.points)
+    residual = max((point.residual for point in front.points if point.confirmed), default=0.0)
+    footer = (
+        f"{len(front.dominated)} further local optima are dominated, {len(front.needles)} are needles; first-order"
+        f" conditions met to {residual:.0e}, re-integrated tightly: gap {gap:.0e}; {front.seconds:.1f} s,"
+        f" {front.building:.1f} s of them for building"
+    )
+    names = ", ".join(called(goal.name) for goal in front.goals)
+    return Page(f"Front of {len(front.points)} designs: {names}", tuple(parts), front.notes, footer, front.title)
+
+
+def _table(front: Front, everywhere: Sequence[str]) -> Grid:
+    """Return the table of a front, its knee bold.
+
+    Args:
+        front: the front.
+        everywhere: limits that decide every design, which no row repeats.
+    """
+    pairs, knee = front.pairs, front.knee
+    more = [f"{'more' if goal.maximise else 'less'} {called(goal.name)}" for goal in front.goals]
+    heads = ["1 % costs"] if len(pairs) == 1 else [f"cost ({letter})" for letter in "abc"]
+    lines = [f"{head}: of {called(front.goals[of].name)} for 1 % {more[by]}"
+             for head, (of, by) in zip(heads, pairs, strict=True)]  # fmt: skip
+    limits = list(dict.fromkeys(name for point in front.points for name in point.active if name not in everywhere))
+    if limits:
+        lines.append("limits: " + ", ".join(f"{k} {called(name)}" for k, name in enumerate(limits, start=1)))
+    axes = (*front.goals, *front.variables)
+    displays = [front.display(axis) for axis in axes]
+    headings = [display.heading(called(axis.name)) for axis, display in zip(axes, displays, strict=True)]
+    # A surface's table is just as wide as 120 characters with headings of one word in a line.
+    between = " " if len(pairs) == 1 else "\n"
+    columns = [
+        Column(text.replace(" ", between), fold=True) for text in (*headings, *(f"{head} [%]" for head in heads))
+    ]
+    branches = any(point.branch for point in front.points)
+    unconfirmed = not all(point.confirmed for point in front.points)
+    columns += [Column("branch", left=True, fold=True)] if branches else []
+    columns += [Column("status", left=True, fold=True)] if unconfirmed else []
+    columns += [Column("limits", left=True)] if limits else []
+    table = Grid(tuple(columns), caption="\n".join(lines))
+    for part in front.parts:
+        for k in part:
+            point = front.points[k]
+            values = [*point.objectives, *(point.variables[v.name] for v in front.variables)]
+            cells = [display.number(float(value)) for value, display in zip(values, displays, strict=True)]
+            cells += ["" if (cost := front.cost(k, *pair)) is None else f"{cost:.3g}" for pair in pairs]
+            cells += [point.branch] if branches else []
+            cells += ["" if point.confirmed else "unconfirmed"] if unconfirmed else []
+            decided = " ".join(str(number) for number, name in enumerate(limits, start=1) if name in point.active)
+            cells += [decided] if limits else []
+            table.row(*cells, bold=point is knee, end=k == part[-1])
+    return table
+
+
+def _place(front: Front, values: Sequence[float]) -> str:
+    *first, last = front.cells(values)
+    return f"{', '.join(first)} and {last}"

@@ -9,30 +9,18 @@ import numpy as np
 from plough_opt.design.exploring import Progress
 from plough_opt.design.ipopt import Point, Vector
 from plough_opt.design.polishing import minimum_from
+from plough_opt.studies.tradeoff.archive import Archive
 from plough_opt.studies.tradeoff.candidates import MATTERS, Candidate, Order
 from plough_opt.studies.tradeoff.domination import beyond_points, undominated
-from plough_opt.studies.tradeoff.program import FrontProgram
-from plough_opt.studies.tradeoff.searching import Searcher
-from plough_opt.studies.tradeoff.space import (
-    Node,
-    covering,
-    lattice,
-    nearest,
-    nearest_nodes,
-    neighbours,
-    off,
-    parts_of,
-    positions,
-    triangle,
-    uncrowded,
-)
+from plough_opt.studies.tradeoff.positions import Lattice, Node, covering, neighbours, parts_of, uncrowded
 from plough_opt.studies.tradeoff.tracer import Tracer
 
 # Weight of the other objectives at the edges of the front, which limits on them and the best of one leave open. A tail
 # that gains less than so much of what it gives away is left out.
 _OTHERS = 0.01
-# Of the objectives of an anchor: of the one it is best in, of another and of the last, in all six orders.
-IN_TURN = np.array(list(permutations((1.0, 1e-3, 1e-6))))[[0, 1, 2, 4, 3, 5]]
+# Weights of the objectives of an anchor: of the one it is best in, of another and of the last, in all six orders. An
+# optimum of one objective that leaves the others open is not an anchor: it does not bound them.
+_TURNS = np.array(list(permutations((1.0, 1e-3, 1e-6))))[[0, 1, 2, 4, 3, 5]]
 # Of a range: what is worse than the best by less is nearly the best.
 _NEARLY = 0.02
 # Farthest that the lattice reaches beyond the triangle of utopia, in its sides.
@@ -41,8 +29,6 @@ _BEYOND = 1.0
 _BESIDE = 1.0
 # Nearer is at the node.
 _EXACT = 1e-3
-# Of six anchors none has to stay where it lies beside another.
-_LAST = np.full(6, 1)
 # Steps between points that are not on positions.
 _ROOM = 0.7
 # Steps, in the objectives: no efficient design that was found is farther from a point, and none that was seen and can
@@ -57,16 +43,17 @@ class SurfaceTracer(Tracer):
         matters: more than of a curve, for triangles lie beside what is curved between its points.
     """
 
+    turns = _TURNS
     matters = 5e-3
     at_once, rounds = 20, 4
 
-    def __init__(self, front: FrontProgram, searcher: Searcher, count: int, progress: Progress) -> None:
-        """Take the program, what searches over its variables, and the least number of positions in the triangle."""
-        super().__init__(front, searcher, progress)
-        self._steps = positions(count)
-        self.step = 1.0 / self._steps
+    def __init__(self, archive: Archive, count: int, progress: Progress) -> None:
+        """Take what looks at the designs of a front's program, and the least number of positions in the triangle."""
+        super().__init__(archive, progress)
+        self._lattice = Lattice.with_nodes(count)
+        self.step = 1.0 / self._lattice.steps
         self.spacing = _COVERED * self.step
-        self._inside = set(triangle(self._steps))
+        self._inside = self._lattice.triangle()
         self._at: dict[Node, list[Candidate]] = {}
 
     def trace(self, anchors: Sequence[Sequence[Point]]) -> None:
@@ -83,7 +70,7 @@ class SurfaceTracer(Tracer):
             self._start_in_the_middle(ends)
             for number, one in enumerate(ends):
                 self.progress(f"following branch {number + 1} of {len(ends)}", number / len(ends))
-                self._flood(one, nearest(one.at, self._steps))
+                self._flood(one, self._lattice.node_at(one.at))
         self._fill_gaps()
         self.reach_all()
 
@@ -93,24 +80,22 @@ class SurfaceTracer(Tracer):
         That is asked of the designs with the least sums beside each node, which are few.
         """
         y, at = self.archive.feasible
-        nodes = nearest_nodes(at, self._steps)
+        nodes = self._lattice.nearest(at)
         lowest = np.argsort(at.sum(axis=1), kind="stable")
         _, first = np.unique(nodes[lowest], axis=0, return_index=True)
         best = np.flatnonzero(beyond_points(at[lowest[first]], at) > -MATTERS)
-        best = best[np.argsort([off(at[k], nodes[k], self._steps) for k in best], kind="stable")]
+        best = best[np.argsort(self._lattice.off(at[best], nodes[best]), kind="stable")]
         _, first = np.unique(nodes[best], axis=0, return_index=True)
         best = best[first][~self.archive.needles(y[best[first]], at[best[first]])]
         starts = [((int(i), int(j), int(k)), y[own]) for (i, j, k), own in zip(nodes[best], best, strict=True)]
         self._inside &= {node for node, _ in starts}
         for number, (node, start) in enumerate(starts):
             self.progress("solving from the best designs seen", number / len(starts))
-            found = self.best_from(self._question(node), start)
-            if found is not None and not any(found is other for other in self._at.setdefault(node, [])):
-                self._at[node].append(found)
+            self._new_at(node, self.best_from(self._question(node), start))
 
     def _start_in_the_middle(self, ends: Sequence[Candidate]) -> None:
         """Follow branches from the middle of the triangle: at an end of a front slopes may vanish that lead inside."""
-        middle = nearest(np.full(3, 1.0 / 3.0), self._steps)
+        middle = self._lattice.node_at(np.full(3, 1.0 / 3.0))
         p = self._question(middle)
         seen = self.archive.best_at(p)
         self.progress("solving in the middle", 0.0)
@@ -121,17 +106,6 @@ class SurfaceTracer(Tracer):
                 self._flood(found, middle)
                 return
 
-    def orders(self) -> list[Vector]:
-        """Return the parameters for each objective alone, with either other one next: six questions.
-
-        An optimum of one objective that leaves the others open is not an anchor: it does not bound them.
-        """
-        return [self.in_ranges(weights) for weights in IN_TURN]
-
-    def alone(self) -> list[Vector]:
-        """Return the first of either two orders that begin with the same objective."""
-        return self.orders()[::2]
-
     def all_anchors(self, bottoms: Sequence[Sequence[Vector]]) -> list[list[Point]]:
         """Return local optima for each of `orders`, beside the bottoms of its first objective."""
         orders, found = self.orders(), list[list[Point]]()
@@ -139,7 +113,7 @@ class SurfaceTracer(Tracer):
             points, beside = self.anchors(orders[2 * number], own), orders[2 * number + 1]
             if not points:
                 return [*found, [], []]
-            starts = [*self._toward(IN_TURN[2 * number + 1]), *own]
+            starts = [*self._toward(_TURNS[2 * number + 1]), *own]
             others = [self.front.solve(points[0], y, beside) for y in starts]
             others += [self.front.solve(point, point.y, beside) for point in points]
             others = [minimum_from(self.front.program, beside, point) for point in others if point.solved]
@@ -161,16 +135,32 @@ class SurfaceTracer(Tracer):
 
     def _question(self, node: Node) -> Vector:
         """Return the parameters at a node."""
-        return self._question_at(np.array(node) * self.step / 2.0)
-
-    def _question_at(self, place: Vector) -> Vector:
-        """Return the parameters at a place: the objective farthest beyond its corner's side is minimised."""
-        objective = int(np.argmin(place))
-        return self.front.beside(objective, {k: float(place[k] - place[objective]) for k in range(3) if k != objective})
+        return self.position(np.array(node) * self.step)
 
     def position(self, at: Vector) -> Vector:
-        """Return the parameters that ask for the front's design at the place of normalised objectives."""
-        return self._question_at(at - np.mean(at) + 1.0 / 3.0)
+        """Return the parameters that ask for the front's design at the place of normalised objectives.
+
+        The objective farthest beyond its corner's side is minimised.
+        """
+        objective = int(np.argmin(at))
+        limits = {k: float(at[k] - at[objective]) for k in range(3) if k != objective}
+        return self.front.limited(objective, limits, beside=True)
+
+    def _off(self, one: Candidate, node: Node) -> float:
+        """Return how many steps a candidate is from a node."""
+        return float(self._lattice.off(one.at[None], node)[0])
+
+    def _is_at(self, one: Candidate, node: Node) -> bool:
+        """Return whether a local optimum of a node is on the front at that very position."""
+        return self.is_efficient(one) and self._off(one, node) < _EXACT
+
+    def _new_at(self, node: Node, found: Candidate | None) -> bool:
+        """Keep what was found at a node; return whether it is something that was not known there."""
+        known = self._at.setdefault(node, [])
+        if found is None or found in known:
+            return False
+        known.append(found)
+        return True
 
     def _flood(self, one: Candidate, node: Node, *, report: bool = True) -> None:
         """Follow a branch from a node over all nodes that it reaches.
@@ -182,31 +172,26 @@ class SurfaceTracer(Tracer):
                 out of.
         """
         visited: dict[Node, Candidate] = {}
-        waiting: deque[tuple[Candidate, Node]] = deque([(one, node)])
+        waiting = deque([(one, one.point.y, node)])
         seen = {node}
         while waiting:
-            near, node = waiting.popleft()
-            found = self._step_to(node, near, self._extrapolated(visited, near, node), report=report)
-            if found is None:
+            near, start, node = waiting.popleft()
+            found = self.solve(near, start, self._question(node), report=report)
+            if found is None or not self._new_at(node, found):
                 continue
             visited[node] = found
             if not report and self.is_beaten(found):
                 continue
             held = self._is_at(found, node)
-            if held or (node in self._inside and off(found.at, node, self._steps) < _BESIDE):
-                for fresh in neighbours(node):
-                    if fresh not in seen and (fresh in self._inside or (held and self._near(fresh))):
-                        seen.add(fresh)
-                        waiting.append((found, fresh))
-
-    def _step_to(self, node: Node, near: Candidate, start: Vector, *, report: bool = True) -> Candidate | None:
-        """Return a new local optimum at a node, None where there is none or another branch has found it."""
-        found = self.solve(near, start, self._question(node), report=report)
-        others = self._at.setdefault(node, [])
-        if found is None or any(found is other for other in others):
-            return None
-        others.append(found)
-        return found
+            if not (held or (node in self._inside and self._off(found, node) < _BESIDE)):
+                continue
+            for fresh in neighbours(node):
+                beyond = held and not self._looks_beside and min(fresh) >= -_BEYOND * self._lattice.steps
+                if fresh not in seen and (fresh in self._inside or beyond):
+                    seen.add(fresh)
+                    i, j, k = (2 * a - b for a, b in zip(node, fresh, strict=True))
+                    behind = visited.get((i, j, k), found)
+                    waiting.append((found, np.clip(2.0 * found.point.y - behind.point.y, 0.0, 1.0), fresh))
 
     def at_the_edge(self, p: Vector, point: Point) -> Candidate:
         """Return the candidate of an optimum at a position; where the position does not hold it, that of the edge.
@@ -216,28 +201,11 @@ class SurfaceTracer(Tracer):
         if not self.front.holds(point):
             objective = int(np.argmax(self.front.asked(p)[0][1:]))
             at = self.front.objectives(point.y)
-            better = self.front.below(objective, {k: float(at[k]) for k in range(3) if k != objective}, _OTHERS)
+            better = self.front.limited(objective, {k: float(at[k]) for k in range(3) if k != objective}, _OTHERS)
             found = self.front.solve(point, point.y, better)
             if found.solved:
                 p, point = better, found
         return self.kept(point, p)
-
-    def _is_at(self, one: Candidate, node: Node) -> bool:
-        """Return whether a local optimum of a node is on the front at that very position."""
-        return self.is_efficient(one) and off(one.at, node, self._steps) < _EXACT
-
-    def _near(self, node: Node) -> bool:
-        return min(node) >= -2 * _BEYOND * self._steps
-
-    @staticmethod
-    def _extrapolated(visited: dict[Node, Candidate], near: Candidate, node: Node) -> Vector:
-        """Return where the branch leads from the node behind the neighbour, or the neighbour."""
-        for middle in neighbours(node):
-            if visited.get(middle) is near:
-                i, j, k = (2 * a - b for a, b in zip(middle, node, strict=True))
-                if (behind := visited.get((i, j, k))) is not None:
-                    return np.clip(2.0 * near.point.y - behind.point.y, 0.0, 1.0)
-        return near.point.y
 
     def uncovered(self, own: Vector, at: Vector) -> Vector:
         """Return how far designs lie from every point, if that is far, and at a place where none was sought; else 0.
@@ -257,24 +225,18 @@ class SurfaceTracer(Tracer):
     def follow_all(self, one: Candidate) -> None:
         """Follow a branch from the node nearest to a candidate, where the archive has too few designs to lead on."""
         if not self._looks_beside:
-            self._flood(one, nearest(one.at, self._steps), report=False)
+            self._flood(one, self._lattice.node_at(one.at), report=False)
 
     def _fill_gaps(self) -> None:
-        """Look for efficient designs at nodes that have none, from every neighbour that has one."""
-        tried: set[tuple[Node, Node]] = set()
-        while True:
-            best = {id(one) for one in self.ordered()}
-            front = {node: one for node, own in self._at.items() for one in own
-                     if id(one) in best and self._is_at(one, node)}  # fmt: skip
-            fresh = [(node, other) for node in front for other in neighbours(node)
-                     if other not in front and other in self._inside and (node, other) not in tried]  # fmt: skip
-            for k, (node, other) in enumerate(fresh):
-                self.progress("looking into gaps", k / len(fresh))
-                tried.add((node, other))
-                if not any(self._is_at(one, other) for one in self._at.get(other, ())):
-                    self._step_to(other, front[node], self._extrapolated(front, front[node], other), report=False)
-            if not fresh:
-                return
+        """Follow the front to nodes that have no efficient design, from every neighbour that has one."""
+        best = set(self.ordered())
+        front = [(node, one) for node, own in self._at.items() for one in own
+                 if one in best and self._is_at(one, node)]  # fmt: skip
+        for number, (node, one) in enumerate(front):
+            self.progress("looking into gaps", number / len(front))
+            for other in neighbours(node):
+                if other in self._inside and not any(self._is_at(own, other) for own in self._at.get(other, ())):
+                    self._flood(one, other, report=False)
 
     # --- what makes up the front -------------------------------------------------------------------------
 
@@ -289,18 +251,19 @@ class SurfaceTracer(Tracer):
         own = np.flatnonzero([self.is_efficient(one) for one in candidates])
         order = np.sort(own[undominated(at[own])])
         if not len(order):
-            return Order(frozenset(), (), (), ())
+            return Order([], [], (), ())
         parts, ends = parts_of(at[order], step)
-        anchors = np.argmin(at[order] @ IN_TURN.T, axis=0)
-        rank = lattice(at[order], self._steps)
-        apart = anchors[uncrowded(at[order[anchors]], _LAST, _ROOM * step)]
+        anchors = np.argmin(at[order] @ _TURNS.T, axis=0)
+        rank = (self._lattice.off(at[order], self._lattice.nearest(at[order])) > _EXACT).astype(int)
+        # Of the anchors none has to stay where it lies beside another.
+        apart = anchors[uncrowded(at[order[anchors]], np.ones_like(anchors), _ROOM * step)]
         rank[[*apart, *(row for pair in ends for row in pair)]] = 0
         kept = covering(at[order], uncrowded(at[order], rank, _ROOM * step), _COVERED * step)
         kept = kept[np.lexsort(at[order[kept]].T[::-1])]
         number = {int(row): k for k, row in enumerate(kept)}
         return Order(
-            frozenset(order.tolist()),
-            tuple(order[kept].tolist()),
+            [candidates[k] for k in order],
+            [candidates[k] for k in order[kept]],
             tuple(tuple(sorted(number[row] for row in part if row in number)) for part in parts),
             tuple((number[a], number[b]) for a, b in ends),
         )

@@ -10,10 +10,9 @@ from plough_opt.design.exploring import Progress
 from plough_opt.design.ipopt import Point, Vector
 from plough_opt.design.polishing import as_it_is
 from plough_opt.design.sampling import SEED
+from plough_opt.studies.tradeoff.archive import Archive
 from plough_opt.studies.tradeoff.candidates import MATTERS, OTHERS, ROUGHLY, SOUGHT, Candidate, Candidates
 from plough_opt.studies.tradeoff.domination import beating, beyond_front, beyond_points, undominated
-from plough_opt.studies.tradeoff.program import FrontProgram
-from plough_opt.studies.tradeoff.searching import Searcher
 
 # Times that is looked beside the front while that shows what it misses.
 _LOOKS = 4
@@ -44,9 +43,9 @@ class Tracer(Candidates):
     at_once: int
     rounds: int
 
-    def __init__(self, front: FrontProgram, searcher: Searcher, progress: Progress) -> None:
-        """Take the program, and what searches over its variables."""
-        super().__init__(front, searcher, progress)
+    def __init__(self, archive: Archive, progress: Progress) -> None:
+        """Take what looks at the designs of a front's program."""
+        super().__init__(archive, progress)
         self._pricks: set[int] = set()
         self.tried: set[bytes] = set()
         self._looks = 0
@@ -66,7 +65,7 @@ class Tracer(Candidates):
     @property
     def _looks_beside(self) -> bool:
         """Whether designs beside those of the archive are looked at, which few can be where runs go one by one."""
-        return bool(self.searcher.vary) and self.archive.vectorised
+        return bool(self.archive.vary) and self.archive.vectorised
 
     def look_beside(self) -> None:
         """Look at designs about those of the archive that no other beats, at first far and then near."""
@@ -90,7 +89,7 @@ class Tracer(Candidates):
         Candidates that others dominate, and needles, do not count.
         """
         y, at = self.archive.feasible
-        return y, at, self.archive.beyond({id(one): one.at for one in self.ordered()})
+        return y, at, self.archive.beyond({one: one.at for one in self.ordered()})
 
     def uncovered(self, _own: Vector, at: Vector) -> Vector:
         """Return how far designs lie from the front's points where it has too few, else 0; a curve has enough."""
@@ -106,7 +105,7 @@ class Tracer(Candidates):
         front, held = self.front, None
         at = front.objectives(y)
         others = [{j: float(at[j]) for j in range(front.count) if j != k} for k in range(front.count)]
-        for p in (self.position(at), *(front.below(k, limits, OTHERS) for k, limits in enumerate(others))):
+        for p in (self.position(at), *(front.limited(k, limits, OTHERS) for k, limits in enumerate(others))):
             found = self.best_from(p, y)
             if found is not None and self.is_efficient(found):
                 return found
@@ -173,7 +172,7 @@ class Tracer(Candidates):
             known: designs that are left out, as bytes: those that were tried in vain would hide others beside them.
             sparse: whether to add those that lie where the front has too few points.
         """
-        if not self.searcher.vary:
+        if not self.archive.vary:
             return []
         y, at, beyond = self._held_against()
         own = self.places(self.ordered())

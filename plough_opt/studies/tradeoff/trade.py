@@ -15,12 +15,11 @@ from plough_opt.design import Design, Progress
 from plough_opt.design.effort import Search
 from plough_opt.design.ipopt import Point
 from plough_opt.studies.tradeoff.archive import Archive
-from plough_opt.studies.tradeoff.assembly import Times, assembled
+from plough_opt.studies.tradeoff.assembly import assembled
 from plough_opt.studies.tradeoff.curve import CurveTracer
-from plough_opt.studies.tradeoff.goal import Goal
+from plough_opt.studies.tradeoff.front import Goal
 from plough_opt.studies.tradeoff.program import FrontProgram, declarations
 from plough_opt.studies.tradeoff.result import TradeOff
-from plough_opt.studies.tradeoff.searching import Searcher
 from plough_opt.studies.tradeoff.surface import SurfaceTracer
 from plough_opt.studies.tradeoff.tracer import Tracer
 
@@ -108,7 +107,7 @@ def trade_off(
     front.prepare(_checked(front, parameters))
     building = time.perf_counter() - started
     kind = CurveTracer if len(goals) == 2 else SurfaceTracer
-    tracer = kind(front, Searcher(Archive(front), search, notify), int(points), notify)
+    tracer = kind(Archive(front, search, notify), int(points), notify)
     anchors = _anchors(front, tracer)
     idle = _normalise(front, anchors)
     if len(idle) == 1 and len(goals) == 3:
@@ -130,7 +129,8 @@ def trade_off(
         tracer.look_inward()
         tracer.add_unconfirmed()
     notify("checking", 0.0)
-    return assembled(front, tracer, goals, title, Times(started, building))
+    found = assembled(tracer, goals, title)
+    return replace(found, seconds=time.perf_counter() - started, building=building + front.building)
 
 
 def _built(design: Design, goals: Sequence[Goal], compiled: bool) -> FrontProgram:
@@ -147,7 +147,7 @@ def _built(design: Design, goals: Sequence[Goal], compiled: bool) -> FrontProgra
     return front
 
 
-def _anchors(front: FrontProgram, tracer: CurveTracer | SurfaceTracer) -> list[list[Point]]:
+def _anchors(front: FrontProgram, tracer: Tracer) -> list[list[Point]]:
     """Return all local optima of each objective alone."""
     found = tracer.all_anchors(tracer.begin())
     for number, points in enumerate(found):
@@ -175,7 +175,7 @@ def _normalise(front: FrontProgram, anchors: Sequence[Sequence[Point]]) -> list[
 def _refine(tracer: Tracer, front: FrontProgram, notify: Progress) -> None:
     """Solve what makes up the front to the last digits, by as many integration steps as the wanted error takes."""
     for refinement in range(_REFINEMENTS):
-        chosen = tracer.chosen()
+        chosen = tracer.order(tracer.sound()).kept
         tracer.to_the_last_digits(chosen)
         if all(front.accurate(one.point.y) for one in chosen if one.exact):
             return

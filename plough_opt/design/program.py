@@ -244,7 +244,7 @@ class Program:
 
     def _write(self, steps: list[int | None]) -> BuiltProgram:
         """Return the program with numbers of steps."""
-        write = partial(build_nlp, split(self._scaled(self._y, self._p), [self._y, self._p]), self._y, self._p)
+        write = partial(build_nlp, split(self.scaled(self._y, self._p), [self._y, self._p]), self._y, self._p)
         limits = self.low, self.high
         return BuiltProgram(steps, fewer(self.exact, steps), write, self.owner, limits, self.compiled)
 
@@ -273,7 +273,7 @@ class Program:
         raw = [self.declared.objective, ca.vertcat(*(r.expression for r in self.declared.requirements))]
         return Population(split(self._of_scaled(raw, self._y, self._p), [self._y, self._p]), self._y, self._p)
 
-    def _scaled(self, y: ca.MX, p: ca.MX) -> list[ca.MX]:
+    def scaled(self, y: ca.MX, p: ca.MX) -> list[ca.MX]:
         """Return scaled objective and requirements of scaled variables and of parameters."""
         rows = [r.expression / scale for r, scale in zip(self.declared.requirements, self.scales, strict=True)]
         return self._of_scaled([self.declared.objective / self.objective_scale, ca.vertcat(*rows)], y, p)
@@ -289,7 +289,7 @@ class Program:
         """Return the built program in (scaled variables, parameters) as one column, and in no parameters."""
         n = self._y.numel()
         both, none = ca.MX.sym("z", n + self._p.numel()), ca.MX.sym("p", 0)
-        parts = split(self._scaled(both[:n], both[n:]), [both, none])
+        parts = split(self.scaled(both[:n], both[n:]), [both, none])
         return build_nlp(parts, both, none, self.built.steps)
 
     def _set_scales(self, start: list[Vector]) -> None:

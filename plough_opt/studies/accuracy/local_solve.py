@@ -1,6 +1,6 @@
 """One local solve of a design's program by IPOPT, with a choice of derivatives."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -9,7 +9,7 @@ import numpy as np
 
 from plough_opt.core.errors import NotConverged
 from plough_opt.design.forms import as_machine_code
-from plough_opt.design.ipopt import FAR, NEAR, OPTIONS, REMEDIES, Vector
+from plough_opt.design.ipopt import FAR, NEAR, OPTIONS, REMEDIES, Point, Vector
 from plough_opt.design.nlp import Nlp, as_ipopt_wants
 from plough_opt.studies.accuracy.transcription import Question, Transcribed
 
@@ -56,16 +56,18 @@ def solve_nlp(nlp: Nlp, question: Question, start: Start, derivatives: Derivativ
             its root.
         tolerance: of IPOPT.
     """
-    slopes = nlp.slopes
+    slopes, count = nlp.slopes, len(start.y)
     if derivatives in ("central", "forward"):
-        slopes = _differences(nlp.values, len(start.y), central=derivatives == "central")
+        slopes = _differences(nlp.values, count, central=derivatives == "central")
     own = as_ipopt_wants(nlp.values, slopes)
-    options: dict[str, Any] = {"ipopt.tol": tolerance, "grad_f": own["grad_f"], "jac_g": own["jac_g"]}
-    options |= _limited_memory(derivatives) | ({"hess_lag": nlp.hess_lag} if derivatives == "exact" else {})
-    y, none = ca.MX.sym("y", len(start.y)), ca.MX.sym("p", 0)
-    problem = {"x": y, "p": none, "f": ca.densify(own["f"](y, none)), "g": ca.densify(own["g"](y, none))}
-    bounds = {"lbx": 0.0, "ubx": 1.0, "lbg": question.program.low, "ubg": question.program.high}
-    return _ipopt(problem, options, bounds, start, start.y)
+    given = {"grad_f": own["grad_f"], "jac_g": own["jac_g"]}
+    if derivatives == "exact":
+        given["hess_lag"] = nlp.hess_lag
+    y, none = ca.MX.sym("y", count), ca.MX.sym("p", 0)
+    f, g = (ca.densify(own[name](y, none)) for name in ("f", "g"))
+    limits = question.program.low, question.program.high
+    form = Transcribed(y, f, (g,), *limits, np.zeros(count), np.ones(count), start.y)
+    return _ipopt({"x": y, "p": none, "f": f, "g": g}, given, form, start, exact=derivatives == "exact", tol=tolerance)
 
 
 def _differences(values: ca.Function, variables: int, *, central: bool) -> ca.Function:
@@ -81,56 +83,52 @@ def _differences(values: ca.Function, variables: int, *, central: bool) -> ca.Fu
 
 
 def solve_transcribed(
-    own: Transcribed, start: Start, derivatives: Derivatives = "exact", tolerance: float = 1e-10, *, scalar: bool
+    form: Transcribed, start: Start, *, exact: bool = True, tolerance: float = 1e-10, scalar: bool
 ) -> Solve:
     """Return the local solve of a transcribed program, differentiated by CasADi.
 
     Args:
-        own: the program.
+        form: the program.
         start: how to begin; the program holds where.
-        derivatives: ``"exact"`` or ``"gradient"``.
+        exact: whether to take second derivatives.
         tolerance: of IPOPT.
         scalar: whether to expand the graph into scalar operations: slower to build, faster to evaluate.
     """
-    whole = ca.Function("whole", [own.x], [own.f, *own.g])
+    whole = ca.Function("whole", [form.x], [form.f, *form.g])
     kind: Any = ca.SX if scalar else ca.MX
-    x, none = kind.sym("x", own.x.numel()), kind.sym("p", 0)
+    x, none = kind.sym("x", form.x.numel()), kind.sym("p", 0)
     f, *blocks = (whole.expand() if scalar else whole).call([x])
-    g: Any = ca.vertcat(*blocks)
-    options: dict[str, Any] = {"ipopt.tol": tolerance} | _limited_memory(derivatives)
+    g, given = ca.vertcat(*blocks), {}
     if len(blocks) > 1:
         # Block by block, CasADi takes the cheaper mode for each; together, rows and columns without zeros spoil both.
         jacobian = ca.vertcat(*(ca.jacobian(block, x) for block in blocks))
-        options["jac_g"] = ca.Function("jac_g", [x, none], [ca.densify(g), jacobian], ["x", "p"], ["g", "jac_g_x"])
-    bounds = {"lbx": own.lower, "ubx": own.upper, "lbg": own.low, "ubg": own.high}
-    return _ipopt({"x": x, "f": f, "g": g}, options, bounds, start, own.start)
-
-
-def _limited_memory(derivatives: Derivatives) -> dict[str, Any]:
-    return {} if derivatives == "exact" else {"ipopt.hessian_approximation": "limited-memory"}
+        given["jac_g"] = ca.Function("jac_g", [x, none], [ca.densify(g), jacobian], ["x", "p"], ["g", "jac_g_x"])
+    return _ipopt({"x": x, "f": f, "g": g}, given, form, start, exact=exact, tol=tolerance)
 
 
 def _ipopt(
-    problem: dict[str, Any], options: Mapping[str, Any], bounds: dict[str, Any], start: Start, x0: Vector
+    problem: dict[str, Any], given: dict[str, ca.Function], form: Transcribed, start: Start, *, exact: bool, tol: float
 ) -> Solve:
     """Return a solve with the toolkit's own settings of IPOPT, but for those given."""
     # CasADi builds a gradient of its own beside the given one, which compiled code cannot serve.
-    plain = OPTIONS | {"no_nlp_grad": True, "ipopt.max_wall_time": start.limit}
-    own = plain | (NEAR if start.near else FAR) | {"ipopt.max_iter": _MOST_ITERATIONS, **options}
-    solver = ca.nlpsol("contestant", "ipopt", problem, own)
-    count = len(start.y)
+    options = OPTIONS | {"no_nlp_grad": True, "ipopt.max_wall_time": start.limit} | (NEAR if start.near else FAR)
+    options |= {"ipopt.max_iter": _MOST_ITERATIONS, "ipopt.tol": tol, **given}
+    if not exact:
+        options["ipopt.hessian_approximation"] = "limited-memory"
+    solver = ca.nlpsol("contestant", "ipopt", problem, options)
+    bounds = {"x0": form.start, "lbx": form.lower, "ubx": form.upper, "lbg": form.low, "ubg": form.high}
 
     def solve() -> Found:
-        result = solver(x0=x0, **bounds)
-        stats = solver.stats()
-        status, iterations = stats["return_status"], int(stats["iter_count"])
-        x = np.asarray(result["x"]).ravel()
-        if status == "Solve_Succeeded" and np.all(np.isfinite(x)):
-            return Found(np.clip(x[:count], 0.0, 1.0), float(result["f"]))
-        if "WallTime" in status:
-            raise NotConverged(f"no optimum after {start.limit:g} s and {iterations} iterations", status)
-        # The toolkit's remedies follow the reason, behind a colon; here they are no use.
-        raise NotConverged(f"{REMEDIES.get(status, status).split(':')[0]}, after {iterations} iterations", status)
+        result = solver(**bounds)
+        point = Point.of(result, solver.stats())
+        if point.solved:
+            return Found(np.clip(point.y[: len(start.y)], 0.0, 1.0), point.f)
+        if "WallTime" in point.status:
+            reason = f"no optimum after {start.limit:g} s and {point.iterations} iterations"
+        else:
+            # The toolkit's remedies follow the reason, behind a colon; here they are no use.
+            reason = f"{REMEDIES.get(point.status, point.status).split(':')[0]}, after {point.iterations} iterations"
+        raise NotConverged(reason, point.status)
 
     return solve
 

@@ -17,8 +17,9 @@ import numpy as np
 from plough_opt.core.errors import InputError, NotConverged
 from plough_opt.design import Design
 from plough_opt.design.basin import first_optimum
-from plough_opt.design.ipopt import SolveOptions, Vector
+from plough_opt.design.ipopt import Point, SolveOptions, Vector
 from plough_opt.design.nlp import Nlp, build_nlp
+from plough_opt.design.optimality import decides, newton_step, symmetric
 from plough_opt.design.polishing import minimum_from
 from plough_opt.design.program import Program
 from plough_opt.motion.accuracy import Accuracy
@@ -34,7 +35,6 @@ from plough_opt.studies.accuracy.local_solve import (
     solve_nlp,
     solve_transcribed,
 )
-from plough_opt.studies.accuracy.tight_optimum import Certificate, TightOptimum
 from plough_opt.studies.accuracy.transcription import Mesh, Points, Question, Transcription, transcribe
 
 REPORTED = "objective as reported"
@@ -81,6 +81,42 @@ _CARRIED: tuple[tuple[str, Derivatives, float], ...] = (
     ("forward differences, L-BFGS", "forward", _NOISY),
 )
 _NO_CODE = "finds the lasting orbit by Newton's method, which CasADi does not translate into C"
+# Tolerance of the adaptive method; and phase [rad] in a step of order 8, which takes its place where a lasting orbit is
+# to be found.
+_TIGHT_TOLERANCE = 1e-12
+_TIGHT_PHASE = 0.1
+_MOST_NEWTON_STEPS = 6
+# Scaled variables further than this from where IPOPT stopped are those of another point.
+_NEAR = 1e-4
+# Singular values below this part of the largest: directions in which the optimum is not unique.
+_FLAT = 1e-10
+
+
+@dataclass(frozen=True)
+class TightOptimum:
+    """A local optimum found and checked much more tightly than any contestant's.
+
+    Attributes:
+        variables: name -> value, SI units.
+        objective: tightly re-integrated.
+        check: relative difference of two tight integrations of the objective, of which one checks the other [-].
+        residual: largest component of the scaled optimality conditions, by the derivatives of another integrator [-].
+        y: scaled variables.
+        off: by how much the last of Newton's steps, which is rounding, would move them [-].
+    """
+
+    variables: dict[str, float]
+    objective: float
+    check: float
+    residual: float
+    y: Vector
+    off: float
+
+    @property
+    def floor(self) -> float:
+        """Relative error of the objective below which contestants cannot be told apart [-]."""
+        # At an optimum on its limits the objective is off by the residual times the error of the variables.
+        return max(self.check, self.residual * max(self.off, self.residual), float(np.finfo(float).eps))
 
 
 @dataclass(frozen=True)
@@ -123,8 +159,7 @@ def design_contest(
         NotConverged: the reference was not found.
     """
     judge = _Judge(design)
-    best = judge.reference()
-    question = judge.question
+    best, question = judge.optima[0], judge.question
     y = best.y + _BESIDE * np.where(best.y < 0.5, 1.0, -1.0) if near else question.program.start()
     contestants = _Contestants(question, best, Start(y, near, limit))
     tracks = [
@@ -139,29 +174,27 @@ def design_contest(
 
 
 class _Judge:
-    """Knows the tight optima, and measures a contestant by the one in whose basin it ended."""
+    """Knows the tight optima, and measures a contestant by the one in whose basin it ended.
+
+    IPOPT, which every contestant uses, stops a little inside the limits that decide. From there Newton's method leads
+    onto them; its gradients are those of an integrator that shares nothing with those of contestants.
+    """
 
     def __init__(self, design: Design) -> None:
-        """Build the program, and the question that contestants put in their own form."""
+        """Find the local optimum to which the guess leads, by the toolkit's steps and then by finer ones."""
         declared = design.declared
-        self._p = np.array([parameter.value for parameter in declared.parameters])
-        self._tight = Program(declared)
-        self._tight.build(self._p)
-        self.question = Question.of(self._tight, self._p)
-        self._certificate = Certificate(self.question)
-        self.optima: list[TightOptimum] = []
-        self._basins: dict[bytes, int] = {}
-
-    def reference(self) -> TightOptimum:
-        """Return the local optimum to which the guess leads, by the toolkit's steps and then by finer ones."""
-        program = self._tight
-        first = minimum_from(program, self._p, first_optimum(program, self._p))
-        program.build(self._p, _FINER)
-        point = program.solve(first.y, self._p, SolveOptions(near=True))
+        p = self._p = np.array([parameter.value for parameter in declared.parameters])
+        program = self._tight = Program(declared)
+        program.build(p)
+        self.question = Question.of(program, p)
+        first = minimum_from(program, p, first_optimum(program, p))
+        program.build(p, _FINER)
+        point = program.solve(first.y, p, SolveOptions(near=True))
         if not point.solved:
             raise NotConverged("the reference was lost when the steps were refined: tighten the bounds", point.status)
-        self.optima.append(self._certificate.tight(point))
-        return self.optima[0]
+        self._slopes = _tight_slopes(self.question, point.y)
+        self.optima = [self._optimum(point)]
+        self._basins: dict[bytes, int] = {}
 
     def errors(self, found: Found) -> Mapping[str, float]:
         """Return the errors of what a contestant found."""
@@ -179,32 +212,91 @@ class _Judge:
 
     def elsewhere(self, found: Found) -> str:
         """Return a clause that says where a contestant ended, if not in the reference."""
-        number = self._basin(found.y)
-        if number == 0:
-            return ""
-        return (
-            f"ended in another optimum, {self.optima[number].objective:.7g} instead of {self.optima[0].objective:.7g}"
-        )
+        first, own = self.optima[0], self.optima[self._basin(found.y)]
+        return "" if own is first else f"ended in another optimum, {own.objective:.7g} instead of {first.objective:.7g}"
 
     def _basin(self, y: Vector) -> int:
         """Return the number of the tight optimum to which a design leads; one that is new is added."""
         key = y.tobytes()
         if key not in self._basins:
-            self._basins[key] = self._new_basin(y)
+            number = self._near(y)
+            if number is None:
+                point = self._tight.solve(y, self._p, SolveOptions(near=True))
+                if not point.solved:
+                    why = "it stopped at a design that leads to no optimum of the tight model"
+                    raise NotConverged(why, point.status)
+                number = self._near(point.y)
+                if number is None:
+                    number = len(self.optima)
+                    self.optima.append(self._optimum(point))
+            self._basins[key] = number
         return self._basins[key]
 
-    def _new_basin(self, y: Vector) -> int:
-        for number, optimum in enumerate(self.optima):
-            if np.max(np.abs(y - optimum.y)) < _SAME:
-                return number
-        point = self._tight.solve(y, self._p, SolveOptions(near=True))
-        if not point.solved:
-            raise NotConverged("it stopped at a design that leads to no optimum of the tight model", point.status)
-        for number, optimum in enumerate(self.optima):
-            if np.max(np.abs(point.y - optimum.y)) < _SAME:
-                return number
-        self.optima.append(self._certificate.tight(point))
-        return len(self.optima) - 1
+    def _near(self, y: Vector) -> int | None:
+        """Return the number of the tight optimum beside a design, or None."""
+        return next((k for k, own in enumerate(self.optima) if np.max(np.abs(y - own.y)) < _SAME), None)
+
+    def _optimum(self, point: Point) -> TightOptimum:
+        """Return the optimum beside where IPOPT stopped on the tight program."""
+        program = self._tight
+        y, residual, off = self._polished(point)
+        found, check = (float(values[0].item()) for values in program.exact_values(y, self._p))
+        return TightOptimum(
+            variables={v.name: float(x) for v, x in zip(program.declared.variables, program.values(y), strict=True)},
+            objective=found,
+            check=abs(found - check) / max(abs(found), program.objective_scale * 1e-12),
+            residual=residual,
+            y=y,
+            off=off,
+        )
+
+    def _polished(self, point: Point) -> tuple[Vector, float, float]:
+        """Return scaled variables on the limits that decide, what is left of the conditions, and the next step."""
+        program, y, n = self._tight, point.y, len(point.y)
+        g = np.asarray(program.nlp.values(y, self._p)[1]).ravel()
+        deciding, limits = _deciding(program, point, g)
+        hessian = symmetric(np.asarray(program.nlp.hess_lag(y, self._p, 1.0, point.lam_g)))
+        best = (y, np.inf, np.inf)
+        for _ in range(_MOST_NEWTON_STEPS):
+            gradient, g, jacobian = (np.asarray(result) for result in self._slopes(y))
+            rows = np.vstack([jacobian, np.eye(n)])[deciding]
+            margins = np.r_[g.ravel(), y][deciding] - limits
+            move, pulls = newton_step(hessian, gradient.ravel(), rows, margins, _FLAT)
+            left = np.r_[gradient.ravel() - rows.T @ pulls, margins]
+            residual, step = float(np.max(np.abs(left))), float(np.max(np.abs(move)))
+            if step < best[2]:
+                best = (y, residual, step)
+            y = y + move
+            if not step < best[2] * 1e3 or np.max(np.abs(y - point.y)) > _NEAR:
+                break
+        return best
+
+
+def _tight_slopes(question: Question, y: Vector) -> ca.Function:
+    """Return y -> the objective's gradient, the requirements and their Jacobian, by steps that suit one design."""
+    accuracy = Accuracy("erk", tolerance=_TIGHT_TOLERANCE)
+    if question.orbits:
+        accuracy = Accuracy("dop853", steps=question.intervals(steps_for(question.phase(y), _TIGHT_PHASE)))
+    own = transcribe(question, accuracy)
+    return ca.Function("slopes", [own.x], [ca.gradient(own.f, own.x), own.g[0], ca.jacobian(own.g[0], own.x)])
+
+
+def _deciding(program: Program, point: Point, g: Vector) -> tuple[Vector, Vector]:
+    """Return rows of requirements and, after them, variables that are on a limit that decides; and these limits.
+
+    They are read off where IPOPT stopped: a multiplier is negative at a lower limit.
+    """
+    low = np.r_[program.low, np.zeros(len(point.y))]
+    high = np.r_[program.high, np.ones(len(point.y))]
+    values, pulls = np.r_[g, point.y], np.r_[point.lam_g, point.lam_y]
+    limits = np.asarray(np.where(pulls < 0.0, low, high))
+    rows = [
+        row
+        for row, margin in enumerate(np.abs(values - limits))
+        if decides(margin, abs(pulls[row])) or low[row] == high[row]
+    ]
+    chosen = np.array(rows, int)
+    return chosen, limits[chosen]
 
 
 Setting = tuple[str, Callable[[], Solve]]
@@ -264,7 +356,7 @@ class _Contestants:
             for method, tolerances in _ADAPTIVE for tolerance in tolerances
         ]  # fmt: skip
         for accuracy, text, tolerance in settings:
-            build = partial(self._by_casadi, accuracy, "gradient", tolerance)
+            build = partial(self._by_casadi, accuracy, exact=False, tolerance=tolerance)
             if reason := self._question.refusal(accuracy.method):
                 build = partial(_refuse, reason)
             self._add("integrator", accuracy.method, text, build)
@@ -289,11 +381,11 @@ class _Contestants:
         build = partial(_refuse, _NO_CODE) if question.orbits else partial(built, "gradient", _TIGHT, compiled)
         self._add("compiled", f"{GRADIENT}, compiled", text, build)
 
-    def _by_casadi(self, form: Transcription, derivatives: Derivatives = "exact", tolerance: float = _TIGHT) -> Solve:
+    def _by_casadi(self, form: Transcription, *, exact: bool = True, tolerance: float = _TIGHT) -> Solve:
         """Return the solve of a transcription; collocation, of many small pieces, as scalar operations."""
         own = transcribe(self._question, form, self._start.y)
         scalar = isinstance(form, Mesh) and not form.steps
-        return solve_transcribed(own, self._start, derivatives, tolerance, scalar=scalar)
+        return solve_transcribed(own, self._start, exact=exact, tolerance=tolerance, scalar=scalar)
 
 
 def _refuse(reason: str) -> Solve:

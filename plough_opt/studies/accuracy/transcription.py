@@ -8,9 +8,9 @@ Nonlinear Programming, 2nd ed., 2010, chapters 3 and 4.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Literal
+from typing import Literal, TypeAlias
 
 import casadi as ca
 import numpy as np
@@ -78,14 +78,8 @@ class Question:
     @classmethod
     def of(cls, program: Program, p: Vector) -> Question:
         """Take a program that is built, not yet finer, and the values of its parameters."""
-        declared = program.declared
-        y = ca.MX.sym("y", len(declared.variables))
-        unscaled = [v.unscaled(own) for v, own in zip(declared.variables, ca.vertsplit(y), strict=True)]
-        scaled = [r.expression / scale for r, scale in zip(declared.requirements, program.scales, strict=True)]
-        expressions = [declared.objective / program.objective_scale, ca.vertcat(ca.MX(0, 1), *scaled)]
-        given = [*unscaled, *(ca.MX(float(value)) for value in p)]
-        parts = split(ca.graph_substitute(expressions, declared.symbols(), given), [y])
-        return cls(program, p, y, parts, tuple(program.built.steps))
+        y = ca.MX.sym("y", len(program.declared.variables))
+        return cls(program, p, y, split(program.scaled(y, ca.MX(ca.DM(p))), [y]), tuple(program.built.steps))
 
     @cached_property
     def full(self) -> ca.Function:
@@ -93,18 +87,18 @@ class Question:
         return ca.Function("full", [self.y, *self.parts.results], list(self.parts.expressions))
 
     @property
-    def events(self) -> bool:
-        """Whether the motion of any run has events."""
-        return any(run.integration.structure.events for run in self.parts.runs)
+    def structures(self) -> list[Structure]:
+        """Return what the motion of each run contains."""
+        return [run.integration.structure for run in self.parts.runs]
 
     @property
     def orbits(self) -> bool:
         """Whether any run is a lasting orbit."""
-        return any(run.integration.structure.orbit != "transient" for run in self.parts.runs)
+        return any(structure.orbit != "transient" for structure in self.structures)
 
     def refusal(self, method: str) -> str:
         """Return why a method of integration cannot do the runs, or nothing."""
-        return refused(method, orbits=self.orbits, events=self.events)
+        return refused(method, orbits=self.orbits, events=any(structure.events for structure in self.structures))
 
     def phase(self, y: Vector) -> float:
         """Return the phase [rad] of the fastest oscillation of any run at scaled variables."""
@@ -152,6 +146,16 @@ class Transcribed:
     start: Vector
 
 
+@dataclass(frozen=True)
+class _Lift:
+    """A run's results, stacked, as expressions of the variables and of further unknowns that ties hold at zero."""
+
+    results: ca.MX
+    unknowns: ca.MX = field(default_factory=lambda: ca.MX(0, 1))
+    ties: tuple[ca.MX, ...] = ()
+    start: Vector = field(default_factory=lambda: np.zeros(0))
+
+
 def transcribe(question: Question, form: Transcription, first: Vector | None = None) -> Transcribed:
     """Write a design's program with its runs in one form.
 
@@ -164,7 +168,12 @@ def transcribe(question: Question, form: Transcription, first: Vector | None = N
         InputError: a run with events, or a lasting orbit, in a form that adds unknowns.
     """
     first = question.program.start() if first is None else first
-    lifts = [_lifted(question, k, form, first) for k in range(len(question.parts.runs))]
+    lifts = [
+        _shot_once(run, form, question.outputs_used(k))
+        if isinstance(form, Accuracy)
+        else _meshed(run, form, question.outputs_used(k), ca.Function("inputs", [question.y], [run.inputs])(first))
+        for k, run in enumerate(question.parts.runs)
+    ]
     f, g = question.full(question.y, *(lift.results for lift in lifts))
     ties = [block for lift in lifts for block in lift.ties]
     start = np.concatenate([first, *(lift.start for lift in lifts)])
@@ -182,54 +191,76 @@ def transcribe(question: Question, form: Transcription, first: Vector | None = N
     )
 
 
-@dataclass(frozen=True)
-class _Lift:
-    """A run's results, stacked, as expressions of the variables and of further unknowns that ties hold at zero."""
-
-    results: ca.MX
-    unknowns: ca.MX
-    ties: tuple[ca.MX, ...]
-    start: Vector
-
-
-def _lifted(question: Question, run: int, form: Transcription, first: Vector) -> _Lift:
-    own, outputs = question.parts.runs[run], question.outputs_used(run)
-    structure, timeline = own.integration.structure, own.integration.timeline
-    if isinstance(form, Accuracy):
-        return _shot_once(own, form, outputs)
-    if structure.events or structure.orbit != "transient":
-        what = "events" if structure.events else "a lasting orbit"
-        raise InputError(f"a run with {what} is only shot as a whole: its states are not unknowns of a mesh")
-    mesh = Timeline(outputs, form.intervals, timeline.kink)
-    piece = _segment(structure, form.steps) if form.steps else _collocated(structure, form.degree, form.points)
-    path = _Path.of(own, ca.Function("inputs", [question.y], [own.inputs])(first), timeline.kink)
-    return _tied(own, mesh, piece, path)
-
-
 def _shot_once(run: EmbeddedRun, accuracy: Accuracy, outputs: int) -> _Lift:
     """Return the results of a run that is integrated from its start to its end; without unknowns."""
     own = run.integration
     accuracy = with_setting(accuracy, 1, outputs)
     timeline = Timeline(outputs, accuracy.steps or MOST_ADAPTIVE, own.timeline.kink)
     results = integration(own.structure, accuracy, timeline).function.call([run.inputs])
-    stacked = ca.vertcat(*(ca.vec(result) for result in results))
-    missing = sum(output.numel() for output in run.outputs) - stacked.numel()
-    return _Lift(ca.vertcat(ca.MX.zeros(missing), stacked), ca.MX(0, 1), (), np.zeros(0))
+    return _Lift(_as_written(run, [ca.vec(result) for result in results]))
 
 
-@dataclass(frozen=True)
-class _Piece:
-    """One interval of a mesh.
+def _as_written(run: EmbeddedRun, results: list[ca.MX]) -> ca.MX:
+    """Return results with as many outputs as the run was written with; those that nobody uses are zero."""
+    stacked = ca.vertcat(*results)
+    return ca.vertcat(ca.MX.zeros(sum(output.numel() for output in run.outputs) - stacked.numel()), stacked)
 
-    Attributes:
-        function: (state, states at the points, (start, size) as fractions, parameters with the duration last) ->
-            (following state, what vanishes at the points, mean of each signal, mean square about that mean of each
-            signal with an RMS).
-        points: where further states are unknowns, as fractions of the interval.
+
+def _meshed(run: EmbeddedRun, form: Mesh, outputs: int, inputs: ca.DM) -> _Lift:
+    """Lift a run on a mesh: unknowns are the nodes' states but the first, the inner ones, means and variances.
+
+    Means and variances, one sum over the whole run each, are unknowns so that the Hessian stays sparse.
+
+    Args:
+        run: the run.
+        form: the mesh.
+        outputs: number of its intervals between outputs that the design uses.
+        inputs: numbers of the start design, by which the further unknowns start.
     """
+    structure = run.integration.structure
+    if structure.events or structure.orbit != "transient":
+        what = "events" if structure.events else "a lasting orbit"
+        raise InputError(f"a run with {what} is only shot as a whole: its states are not unknowns of a mesh")
+    observed, kink = signals(structure), run.integration.timeline.kink
+    path = _Path.of(structure, inputs, kink)
+    function, points = _segment(structure, form.steps) if form.steps else _collocated(structure, form)
+    mesh = Timeline(outputs, form.intervals, kink)
+    lengths = np.diff(mesh.nodes)
+    count, inner = len(lengths), 2 * len(points)
+    nodes, within = ca.MX.sym("nodes", 2 * count), ca.MX.sym("within", inner * count)
+    mean, variance = ca.MX.sym("mean", observed.count), ca.MX.sym("variance", observed.squared)
 
-    function: ca.Function
-    points: Vector
+    unit, inner_unit = ca.DM(path.units), ca.DM(np.tile(path.units, len(points)))
+    scaled = ca.reshape(nodes, 2, count) * ca.repmat(unit, 1, count)
+    states = ca.horzcat(start_state(structure, observed.named(run.inputs)), scaled)
+    following, residual, means, spreads = function.map(count)(
+        states[:, :count],
+        ca.reshape(within, inner, count) * ca.repmat(inner_unit, 1, count),
+        ca.DM(np.vstack([mesh.nodes[:-1], lengths])),
+        ca.repmat(run.inputs, 1, count),
+    )
+    size, square = ca.DM(path.sizes), ca.DM(path.sizes[: observed.squared] ** 2)
+    drift = means[: observed.squared, :] - ca.repmat((mean * size)[: observed.squared], 1, count)
+    gaps = (following - states[:, 1:]) / ca.repmat(unit, 1, count)
+    motion = ca.vertcat(ca.vec(gaps), ca.vec(residual / ca.repmat(inner_unit, 1, count)))
+    pooled = [means @ ca.DM(lengths) / size - mean, (spreads + drift**2) @ ca.DM(lengths) / square - variance]
+    places = (mesh.nodes[:-1, None] + lengths[:, None] * points).ravel()
+    averages = [path.means / path.sizes, path.variances / path.sizes[: observed.squared] ** 2]
+    return _Lift(
+        results=_as_written(run, [ca.vec(states[:, mesh.output_columns]), mean * size, variance * square]),
+        unknowns=ca.vertcat(nodes, within, mean, variance),
+        ties=(motion, ca.vertcat(*pooled)),
+        start=np.concatenate([path.at(mesh.nodes[1:]), path.at(places), *averages]),
+    )
+
+
+_Piece: TypeAlias = tuple[ca.Function, Vector]
+"""One interval of a mesh, and where inside it further states are unknowns, as fractions of it.
+
+The Function goes from (state, states at these points, (start, size) as fractions, parameters with the duration last) to
+(following state, what vanishes at the points, mean of each signal, mean square about that mean of each signal with an
+RMS).
+"""
 
 
 def _segment(structure: Structure, steps: int) -> _Piece:
@@ -245,13 +276,14 @@ def _segment(structure: Structure, steps: int) -> _Piece:
     drift = means[: observed.squared, :] - ca.repmat(mean[: observed.squared], 1, steps)
     spread = ca.sum2(moments[observed.count :, :] + drift**2) / steps
     function = ca.Function("segment", [state, inner, span, p], [states[:, -1], ca.MX(0, 1), mean, spread])
-    return _Piece(function, np.zeros(0))
+    return function, np.zeros(0)
 
 
-def _collocated(structure: Structure, degree: int, points: Points) -> _Piece:
+def _collocated(structure: Structure, form: Mesh) -> _Piece:
     """Return an interval of collocation; its inner unknowns are the states at the points, one after another."""
+    degree = form.degree
     motion, observed = equation_of_motion(structure), signals(structure)
-    nodes = ca.collocation_points(degree, points)
+    nodes = ca.collocation_points(degree, form.points)
     slopes, ends, weights = ca.collocation_coeff(nodes)
     state, inner, span = ca.SX.sym("state", 2), ca.SX.sym("inner", 2 * degree), ca.SX.sym("span", 2)
     p = ca.SX.sym("p", len(observed.parameters) + 1)
@@ -271,7 +303,7 @@ def _collocated(structure: Structure, degree: int, points: Points) -> _Piece:
     spread = ca.mtimes((signal - ca.repmat(mean, 1, degree))[: observed.squared, :] ** 2, weights)
     following = ca.mtimes(polynomial, ends)
     results = [following, ca.vec(residual), mean, spread]
-    return _Piece(ca.Function("interval", [state, inner, span, p], results), np.array(nodes))
+    return ca.Function("interval", [state, inner, span, p], results), np.array(nodes)
 
 
 @dataclass(frozen=True)
@@ -280,80 +312,33 @@ class _Path:
 
     Attributes:
         fractions: times, as fractions of the duration.
-        states: states at them, a column each.
+        states: states at them, a row for each.
         means: of the signals.
         variances: of those with an RMS.
+        units: largest value of each state; 1 of one that stays zero.
+        sizes: size of each signal's mean and spread; 1 of one that stays zero.
     """
 
     fractions: Vector
     states: Vector
     means: Vector
     variances: Vector
+    units: Vector
+    sizes: Vector
 
     @classmethod
-    def of(cls, run: EmbeddedRun, inputs: ca.DM, kink: float | None) -> _Path:
+    def of(cls, structure: Structure, inputs: ca.DM, kink: float | None) -> _Path:
         """Integrate a run at numbers."""
         timeline = Timeline(_START_STEPS, _START_STEPS, kink)
-        solver = integration(run.integration.structure, Accuracy("dop853", steps=_START_STEPS), timeline)
+        solver = integration(structure, Accuracy("dop853", steps=_START_STEPS), timeline)
         states, means, variances = (np.asarray(result) for result in solver.function.call([inputs]))
-        return cls(timeline.output_fractions, states, means.ravel(), variances.ravel())
-
-    @property
-    def units(self) -> Vector:
-        """Largest value of each state; 1 of one that stays zero."""
-        return _or_one(np.max(np.abs(self.states), axis=1))
-
-    @property
-    def sizes(self) -> Vector:
-        """Size of each signal's mean and spread; 1 of one that stays zero."""
-        spread = np.r_[self.variances, np.zeros(len(self.means) - len(self.variances))]
-        return _or_one(np.sqrt(self.means**2 + spread))
+        squares = means.ravel() ** 2
+        squares[: len(variances)] += variances.ravel()
+        largest, sizes = np.max(np.abs(states), axis=1), np.sqrt(squares)
+        units, sizes = (np.where(found > 0.0, found, 1.0) for found in (largest, sizes))
+        return cls(timeline.output_fractions, states, means.ravel(), variances.ravel(), units, sizes)
 
     def at(self, fractions: Vector) -> Vector:
         """Return the states at times, in their units, one time after another."""
         rows = [np.interp(fractions, self.fractions, row) for row in self.states]
         return (np.array(rows) / self.units[:, None]).ravel(order="F")
-
-
-def _or_one(values: Vector) -> Vector:
-    return np.where(values > 0.0, values, 1.0)
-
-
-def _tied(run: EmbeddedRun, mesh: Timeline, piece: _Piece, path: _Path) -> _Lift:
-    """Lift a run on a mesh: unknowns are the nodes' states but the first, the inner ones, means and variances.
-
-    Means and variances, one sum over the whole run each, are unknowns so that the Hessian stays sparse.
-    """
-    observed = signals(run.integration.structure)
-    count, inner = len(mesh.nodes) - 1, 2 * len(piece.points)
-    nodes, within = ca.MX.sym("nodes", 2 * count), ca.MX.sym("within", inner * count)
-    mean, variance = ca.MX.sym("mean", observed.count), ca.MX.sym("variance", observed.squared)
-
-    unit, inner_unit = ca.DM(path.units), ca.DM(np.tile(path.units, len(piece.points)))
-    lengths = np.diff(mesh.nodes)
-    states = ca.horzcat(
-        start_state(run.integration.structure, observed.named(run.inputs)),
-        ca.reshape(nodes, 2, count) * ca.repmat(unit, 1, count),
-    )
-    following, residual, means, spreads = piece.function.map(count)(
-        states[:, :count],
-        ca.reshape(within, inner, count) * ca.repmat(inner_unit, 1, count),
-        ca.DM(np.vstack([mesh.nodes[:-1], lengths])),
-        ca.repmat(run.inputs, 1, count),
-    )
-    size, square = ca.DM(path.sizes), ca.DM(path.sizes[: observed.squared] ** 2)
-    drift = means[: observed.squared, :] - ca.repmat((mean * size)[: observed.squared], 1, count)
-    gaps = (following - states[:, 1:]) / ca.repmat(unit, 1, count)
-    motion = ca.vertcat(ca.vec(gaps), ca.vec(residual / ca.repmat(inner_unit, 1, count)))
-    pooled = [means @ ca.DM(lengths) / size - mean, (spreads + drift**2) @ ca.DM(lengths) / square - variance]
-    at_outputs = ca.vec(states[:, mesh.output_columns])
-    results = ca.vertcat(at_outputs, mean * size, variance * square)
-    missing = sum(output.numel() for output in run.outputs) - results.numel()
-    points = (mesh.nodes[:-1, None] + lengths[:, None] * piece.points).ravel()
-    averages = [path.means / path.sizes, path.variances / path.sizes[: observed.squared] ** 2]
-    return _Lift(
-        results=ca.vertcat(ca.MX.zeros(missing), results),
-        unknowns=ca.vertcat(nodes, within, mean, variance),
-        ties=(motion, ca.vertcat(*pooled)),
-        start=np.concatenate([path.at(mesh.nodes[1:]), path.at(points), *averages]),
-    )

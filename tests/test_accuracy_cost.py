@@ -37,20 +37,6 @@ def test_the_scenes_are_what_they_are_called(cost):
     assert float(smooth[0].natural_frequency) * smooth[1] < 100
 
 
-def check(cost, folder, capsys):
-    cost.main(["--thin", "--folder", str(folder)])
-    printed = capsys.readouterr().out
-    assert printed.count("averages of the motion: for 1e-06 take ") == 5
-    assert printed.count("averages of the motion: relative error against time") == 5
-    assert "finds no events" in printed
-    assert "casadi 3" in printed
-    assert matplotlib.image.imread(folder / "accuracy_cost.png").shape[:2] == (1014, 1560)
-    for word, name in zip(("smooth", "stiff", "resonant", "stick", "entry"), cost.scenes(), strict=True):
-        study = po.AccuracyStudy.load(folder / f"accuracy_cost_{word}.json")
-        assert study.title == name
-        assert study.advice in printed
-
-
 @pytest.mark.slow
 def test_short_versions_of_the_scenes(cost, tmp_path, monkeypatch, capsys):
     short = {
@@ -58,9 +44,14 @@ def test_short_versions_of_the_scenes(cost, tmp_path, monkeypatch, capsys):
         for name, (scene, duration) in cost.scenes().items()
     }
     monkeypatch.setattr(cost, "scenes", lambda: short)
-    check(cost, tmp_path, capsys)
-
-
-@pytest.mark.slow
-def test_the_scenes_themselves(cost, tmp_path, capsys):
-    check(cost, tmp_path, capsys)
+    cost.main(["--thin", "--folder", str(tmp_path)])
+    printed = capsys.readouterr().out
+    for words in ("averages of the motion: for 1e-06 take ", "averages of the motion: relative error against time"):
+        assert printed.count(words) == 5
+    assert "finds no events" in printed
+    assert "casadi 3" in printed
+    assert matplotlib.image.imread(tmp_path / "accuracy_cost.png").shape[:2] == (1014, 1560)
+    for word, name in zip(("smooth", "stiff", "resonant", "stick", "entry"), cost.scenes(), strict=True):
+        study = po.AccuracyStudy.load(tmp_path / f"accuracy_cost_{word}.json")
+        assert study.title == name
+        assert study.advice in printed

@@ -7,6 +7,7 @@ import pytest
 
 import plough_opt as po
 from plough_opt.core import compiler
+from plough_opt.core.compiler import find_compiler
 from plough_opt.core.errors import InfeasibleDesign, InputError
 from plough_opt.studies.accuracy import contest as contests
 from plough_opt.studies.accuracy import optimum
@@ -80,20 +81,15 @@ def test_errors_of_order_8_fall_with_the_steps_and_the_variables_follow(contest)
 
 def test_derivatives_change_the_time_and_not_the_answer(contest):
     rows = entries_of(contest, "derivatives") + entries_of(contest, "compiled")
-    exact = [entry for entry in rows if "differences" not in entry.method and entry.failure is None]
-    assert len(exact) >= 3
+    exact = [entry for entry in rows if "differences" not in entry.method]
+    if find_compiler() is None:
+        exact.remove(rows[-1])
+    assert len(exact) == 3 + (find_compiler() is not None)
     first = exact[0].errors
     for entry in exact:
         # The same steps in another order of operations: rounding, and IPOPT's tolerance of 1e-10.
         assert entry.errors[REPORTED] == pytest.approx(first[REPORTED], abs=1e-11)
         assert entry.errors[VARIABLES] == pytest.approx(first[VARIABLES], abs=1e-8)
-
-
-def test_compiled_functions_are_the_interpreted_ones(contest):
-    rows = entries_of(contest, "compiled")
-    if any("no C compiler" in (entry.failure or "") for entry in rows):
-        pytest.skip("no C compiler on this machine")
-    assert [entry.failure for entry in rows] == [None] * len(rows)
 
 
 # --- failures ----------------------------------------------------------------------------------------------
@@ -110,8 +106,12 @@ def bowl():
     return d
 
 
-def test_a_design_without_a_run_has_derivatives_alone(bowl, monkeypatch):
-    monkeypatch.setattr(compiler, "find_compiler", lambda: None)
+@pytest.mark.parametrize("broken", [False, True], ids=["no compiler", "one that refuses"])
+def test_a_design_without_a_run_has_derivatives_alone(bowl, monkeypatch, tmp_path, broken):
+    path = tmp_path / "broken-cc"
+    path.write_text("#!/bin/sh\necho 'cannot do that' >&2\nexit 1\n", encoding="utf-8")
+    path.chmod(0o755)
+    monkeypatch.setattr(compiler, "find_compiler", lambda: (str(path),) if broken else None)
     contest = design_contest(bowl, budget=0.0)
     best = contest.optima[0]
     # IPOPT stops 1e-11 inside the limit, and 1e-10 beside the bottom; the reference does not.
@@ -121,21 +121,12 @@ def test_a_design_without_a_run_has_derivatives_alone(bowl, monkeypatch):
     assert {entry.family for entry in contest.entries} == {"derivatives", "compiled"}
     for entry in contest.entries:
         if entry.family == "compiled":
-            assert entry.failure.startswith("no C compiler was found ($CC, cc, gcc, clang), or it refused")
+            assert entry.failure == "no C compiler was found ($CC, cc, gcc, clang), or it refused the program"
         else:
             # Rounding over the step of a forward difference, and a tolerance of 1e-6.
             limit = 1e-5 if "differences" in entry.method else 1e-9
             assert entry.failure is None
             assert max(entry.errors.values()) < limit
-
-
-def test_a_compiler_that_refuses_is_a_row_with_its_reason(bowl, monkeypatch, tmp_path):
-    broken = tmp_path / "broken-cc"
-    broken.write_text("#!/bin/sh\necho 'cannot do that' >&2\nexit 1\n", encoding="utf-8")
-    broken.chmod(0o755)
-    monkeypatch.setattr(compiler, "find_compiler", lambda: (str(broken),))
-    failures = {entry.failure for entry in design_contest(bowl, budget=0.0).entries if entry.family == "compiled"}
-    assert failures == {"no C compiler was found ($CC, cc, gcc, clang), or it refused the program"}
 
 
 def test_a_solve_that_takes_too_long_is_a_row_with_its_reason(bowl, monkeypatch):

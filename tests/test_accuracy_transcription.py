@@ -164,27 +164,6 @@ def test_every_result_of_a_run_is_that_of_the_tight_integration(rich, form):
     np.testing.assert_allclose(np.asarray(found["g"]).ravel()[: len(truth)], truth, rtol=0.0, atol=1e-8)
 
 
-@pytest.mark.parametrize("form", [shots(10, 1), collocation(10, 2, "radau"), collocation(10, 3, "legendre")], ids=str)
-def test_derivatives_of_a_transcription_are_those_of_its_values(rich, form):
-    own = transcribe(rich, form)
-    g = ca.vertcat(*own.g)
-    values = ca.Function("values", [own.x], [ca.vertcat(own.f, g)])
-    lam = np.random.default_rng(1).normal(size=1 + g.numel())
-    lagrangian = ca.dot(ca.DM(lam), ca.vertcat(own.f, g))
-    slopes = ca.Function("slopes", [own.x], [ca.jacobian(ca.vertcat(own.f, g), own.x), ca.gradient(lagrangian, own.x)])
-    hessian = np.asarray(ca.Function("hessian", [own.x], [ca.hessian(lagrangian, own.x)[0]])(own.start))
-    jacobian = np.asarray(slopes(own.start)[0])
-    step = 6e-6  # cube root of the rounding: differences err by some 1e-10 of derivatives of order one
-    for k in (0, *np.random.default_rng(2).choice(len(own.start), 8, replace=False)):
-        move = np.zeros(len(own.start))
-        move[k] = step
-        ahead, behind = own.start + move, own.start - move
-        column = np.asarray(values(ahead) - values(behind)).ravel() / (2.0 * step)
-        np.testing.assert_allclose(jacobian[:, k], column, rtol=0.0, atol=1e-8 * max(1.0, np.max(np.abs(column))))
-        row = np.asarray(slopes(ahead)[1] - slopes(behind)[1]).ravel() / (2.0 * step)
-        np.testing.assert_allclose(hessian[:, k], row, rtol=0.0, atol=1e-8 * max(1.0, np.max(np.abs(row))))
-
-
 def test_a_run_whose_averages_alone_count_takes_the_mesh_that_is_asked_for(r1, rich):
     def unknowns(question, form):
         own = transcribe(question, form)
@@ -209,15 +188,3 @@ def test_a_run_with_events_is_shot_as_a_whole_only(r1_soil, r1_wave):
     for form in (shots(4, 5), collocation(4, 3)):
         with pytest.raises(InputError, match="events is only shot as a whole"):
             transcribe(question, form)
-
-
-def test_a_design_without_a_moving_run_has_nothing_to_transcribe():
-    d = po.Design()
-    x = d.variable("x", guess=0.5, lower=0.0, upper=2.0)
-    d.minimise((x - 1.25) ** 2)
-    question = question_of(d)
-    for form in (single(5), shots(3, 2), collocation(3, 2)):
-        own = transcribe(question, form)
-        found = solve_transcribed(own, Start(own.start, False, 10.0), scalar=True)()
-        # The interior point ends within its tolerance of 1e-10 of a parabola's end.
-        assert question.program.values(found.y) == pytest.approx([1.25], abs=1e-9)

@@ -118,14 +118,14 @@ def test_profile_ends_are_where_the_loss_has_risen(fitted):
 
     def rise(own):
         def loss(rest):
-            return found.problem.total(np.array([own, *rest]), found.data)
+            return found.setup.problem.total(np.array([own, *rest]), found.data)
 
         return (
             optimize.minimize(loss, found.y[1:], method="Nelder-Mead", options={"xatol": 1e-9, "fatol": 1e-11}).fun
             - limit
         )
 
-    cohesion = fitted.source.setup.unknowns[0]
+    cohesion = fitted.source.estimate.unknowns[0]
     for end in fitted.intervals()["soil.cohesion"]:
         assert abs(rise(cohesion.scaled(end))) < 1e-6
 

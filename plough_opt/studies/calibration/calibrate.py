@@ -68,7 +68,7 @@ class Calibration:
 
     def predict(self, values: Mapping[str, float]) -> Vector:
         """Return the predictions of all rows with given unknowns, SI."""
-        y = np.array([unknown.scaled(values[unknown.name]) for unknown in self.setup.unknowns])
+        y = np.array([unknown.scaled(values[unknown.name]) for unknown in self.setup.model.unknowns])
         return self.setup.problem.predict(y)
 
     def fit(self, observed: Vector | None = None) -> Fit:
@@ -85,8 +85,7 @@ class Calibration:
             if values.shape != data.observed.shape or not np.all(np.isfinite(values)):
                 raise InputError(f"observed must be {len(data.observed)} finite numbers, one for each row")
             data = replace(data, observed=values)
-        found = estimate(self.setup.problem, data, self.setup.guess, self.starts)
-        return reported(self.title, self.setup, found, started)
+        return reported(self.title, estimate(self.setup, data, self.setup.model.guess, self.starts), started)
 
 
 def calibrate(

@@ -89,15 +89,12 @@ class NextMeasurement:
         return f"{self.candidate.describe()}: {'; '.join(largest) or 'hardly any gain'}"
 
 
-def next_measurements(
-    setup: Setup, fit: Estimate, candidates: Sequence[Candidate] | None = None
-) -> tuple[NextMeasurement, ...]:
+def next_measurements(fit: Estimate, candidates: Sequence[Candidate] | None = None) -> tuple[NextMeasurement, ...]:
     """Return candidates by their gain of information, the best first.
 
     This is D-optimal, with the bounds as prior knowledge: a uniform distribution between them.
 
     Args:
-        setup: model, data and unknowns.
         fit: the estimate from the data.
         candidates: default: other conditions, other results, and the unknowns by themselves.
 
@@ -105,11 +102,11 @@ def next_measurements(
         InputError: a candidate of another type, or none that is a measurement of this scene.
     """
     if candidates is None:
-        candidates = _proposals(setup)
+        candidates = _proposals(fit.setup)
     check_kind("the candidates", candidates, Sequence, "a list of po.Candidate")
     for one in candidates:
         check_kind("a candidate", one, Candidate, "a po.Candidate")
-    unknowns = setup.unknowns
+    unknowns = fit.unknowns
     slopes = np.array([unknown.slope(float(y)) for unknown, y in zip(unknowns, fit.y, strict=True)])
     weighted = fit.slope * fit.data.weights[:, None]
     now = np.linalg.inv(weighted.T @ weighted / fit.variance + np.eye(len(unknowns)) / UNIFORM**2)
@@ -117,7 +114,7 @@ def next_measurements(
     ranking = []
     for candidate in candidates:
         try:
-            sigma, slope = _measurement(candidate, setup, fit, slopes)
+            sigma, slope = _measurement(candidate, fit, slopes)
         except (DomainError, InputError):  # the scene has no such result, or not at these conditions
             continue
         row = slope / sigma
@@ -131,20 +128,20 @@ def next_measurements(
     return tuple(sorted(ranking, key=lambda item: -item.information))
 
 
-def _measurement(candidate: Candidate, setup: Setup, fit: Estimate, slopes: Vector) -> tuple[float, Vector]:
+def _measurement(candidate: Candidate, fit: Estimate, slopes: Vector) -> tuple[float, Vector]:
     """Return the standard deviation of a candidate's error, and its derivatives by the scaled unknowns.
 
     Raises:
         DomainError: conditions outside the model's domain.
         InputError: a result or a condition that the scene does not have.
     """
-    for k, unknown in enumerate(setup.unknowns):
+    for k, unknown in enumerate(fit.unknowns):
         if unknown.name == candidate.result:
             return candidate.sigma or _direct_error(unknown), slopes[k] * np.eye(len(slopes))[k]
     if candidate.result not in measurable() or candidate.result == RECORD:
         raise InputError(f"'{candidate.result}' is neither a single result of a run nor one of the unknowns")
-    middles = {key: float(np.median(column)) for m in setup.measured for key, column in m.conditions.items()}
-    row = row_function(setup.model, setup.unknowns, {}, candidate.result, fixed={**middles, **candidate.conditions})
+    middles = {key: float(np.median(column)) for m in fit.setup.measured for key, column in m.conditions.items()}
+    row = row_function(fit.setup.model, {}, candidate.result, fixed={**middles, **candidate.conditions})
     value, slope = row(fit.y, np.zeros(0))
     size, observed = abs(float(value)), np.abs(fit.data.observed)
     counts = (fit.data.weights > 0.0) & (observed > 0.0)
@@ -154,7 +151,7 @@ def _measurement(candidate: Candidate, setup: Setup, fit: Estimate, slopes: Vect
 
 def _proposals(setup: Setup) -> list[Candidate]:
     """Return candidates beside the data: other conditions, other results, and the unknowns by themselves."""
-    names = {unknown.name for unknown in setup.unknowns}
+    names = {unknown.name for unknown in setup.model.unknowns}
     results = [m.result for m in setup.measured if m.result in measurable() and m.result != RECORD] or ["mean_draft"]
     candidates: list[Candidate] = []
     for result in dict.fromkeys(results):
@@ -172,7 +169,7 @@ def _proposals(setup: Setup) -> list[Candidate]:
             candidates.append(Candidate(result, {"soil.tool_friction": _COATED}, why=why))
     if "loosened_radius" not in results:
         candidates.append(Candidate("loosened_radius", why="loosened_radius"))
-    for unknown in setup.unknowns:
+    for unknown in setup.model.unknowns:
         error = _direct_error(unknown)
         why = f"{unknown.name} by itself, to ±{amount(error, unknown.unit)}"
         candidates.append(Candidate(unknown.name, sigma=error, why=why))

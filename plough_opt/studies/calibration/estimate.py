@@ -15,6 +15,7 @@ from plough_opt.core.errors import InputError, NotConverged
 from plough_opt.studies.calibration.identifiability import Spread, spread_of
 from plough_opt.studies.calibration.least_squares import AT_BOUND, Data, LeastSquares, Minimum
 from plough_opt.studies.calibration.model import Unknown
+from plough_opt.studies.calibration.setup import Setup
 
 Vector = NDArray[np.float64]
 Kind = Literal["profile", "linearised"]
@@ -40,10 +41,10 @@ _ACCURACY: Final = 1e-7
 
 @dataclass(frozen=True)
 class Estimate:
-    """The best fit, with its problem.
+    """The best fit, with its calibration.
 
     Attributes:
-        problem: the sum of losses.
+        setup: model, measurements and problem.
         data: observed values and weights, which include the estimated scale.
         best: the best optimum.
         optima: sums of losses of all distinct local optima, the best first.
@@ -55,7 +56,7 @@ class Estimate:
         normal: whether quantiles are normal, because the variance is known, or Student's.
     """
 
-    problem: LeastSquares
+    setup: Setup
     data: Data
     best: Minimum
     optima: tuple[float, ...]
@@ -67,6 +68,11 @@ class Estimate:
     normal: bool
 
     @property
+    def unknowns(self) -> tuple[Unknown, ...]:
+        """The unknowns with their bounds."""
+        return self.setup.model.unknowns
+
+    @property
     def y(self) -> Vector:
         """Scaled unknowns."""
         return self.best.y
@@ -74,12 +80,12 @@ class Estimate:
     @property
     def predicted(self) -> Vector:
         """Predictions (n), SI."""
-        return self.problem.at(self.y)[0]
+        return self.setup.problem.at(self.y)[0]
 
     @property
     def slope(self) -> Vector:
         """Jacobian of the predictions (n, p)."""
-        return self.problem.at(self.y)[1]
+        return self.setup.problem.at(self.y)[1]
 
     @property
     def deviation(self) -> Vector:
@@ -93,13 +99,14 @@ class Estimate:
         return float(stats.norm.ppf(side) if self.normal else stats.t.ppf(side, self.freedom))
 
 
-def estimate(problem: LeastSquares, data: Data, guess: Vector, starts: int) -> Estimate:
+def estimate(setup: Setup, data: Data, guess: Vector, starts: int) -> Estimate:
     """Return the best fit from a guess and further starts between the bounds.
 
     Raises:
         NotConverged: no start led to an optimum.
     """
-    scaled, (best, optima) = data, _best(problem, data, guess, starts)
+    problem, scaled = setup.problem, data
+    best, optima = _best(problem, data, guess, starts)
     if problem.loss.robust and not data.stated:
         # A robust loss depends on the scale of the residuals, and that scale on the fit.
         scale = 1.0
@@ -110,7 +117,7 @@ def estimate(problem: LeastSquares, data: Data, guess: Vector, starts: int) -> E
                 break
             best = problem.solve(best.y, scaled)
         best, optima = _best(problem, scaled, best.y, starts)
-    return _with_accuracy(problem, scaled, best, optima)
+    return _with_accuracy(setup, scaled, best, optima)
 
 
 def _best(problem: LeastSquares, data: Data, guess: Vector, starts: int) -> tuple[Minimum, tuple[float, ...]]:
@@ -149,8 +156,9 @@ def _scale(problem: LeastSquares, data: Data, y: Vector) -> float:
     return max(_MAD * float(np.median(size)) * math.sqrt(len(size) / (len(size) - problem.unknowns)), _LEAST_SCALE)
 
 
-def _with_accuracy(problem: LeastSquares, data: Data, best: Minimum, optima: tuple[float, ...]) -> Estimate:
+def _with_accuracy(setup: Setup, data: Data, best: Minimum, optima: tuple[float, ...]) -> Estimate:
     """Return the estimate with the accuracy of the unknowns."""
+    problem = setup.problem
     predicted, slope = problem.at(best.y)
     residuals, weighted = data.weights * (predicted - data.observed), slope * data.weights[:, None]
     freedom = data.count - spread_of(weighted, 1.0).rank
@@ -161,7 +169,7 @@ def _with_accuracy(problem: LeastSquares, data: Data, best: Minimum, optima: tup
     bend = max(float(np.mean(problem.loss.curvature(own))), _LEAST_BEND)
     variance = square / bend**2
     spread = spread_of(weighted, variance**0.5)
-    return Estimate(problem, data, best, optima, residuals, spread, freedom, variance, square / bend, normal)
+    return Estimate(setup, data, best, optima, residuals, spread, freedom, variance, square / bend, normal)
 
 
 @dataclass(frozen=True)
@@ -194,7 +202,7 @@ def check_level(level: float) -> float:
     return float(level)
 
 
-def interval(fit: Estimate, unknown: Unknown, k: int, level: float, kind: Kind) -> Interval:
+def interval(fit: Estimate, k: int, level: float, kind: Kind) -> Interval:
     """Return the interval of unknown number k.
 
     Profile: all values with which, the other unknowns adjusted, the loss rises by no more than the quantile allows.
@@ -211,6 +219,7 @@ def interval(fit: Estimate, unknown: Unknown, k: int, level: float, kind: Kind) 
             low, high = (_profile_end(fit, k, sign, fit.quantile(level)) for sign in (-1.0, 1.0))
         except NotConverged:
             kind = "linearised"
+    unknown = fit.unknowns[k]
     beyond = {"lower": low <= AT_BOUND, "upper": high >= 1.0 - AT_BOUND}
     lower = unknown.lower if beyond["lower"] else float(unknown.value(low))
     upper = unknown.upper if beyond["upper"] else float(unknown.value(high))
@@ -234,7 +243,7 @@ def _profile_end(fit: Estimate, k: int, sign: float, quantile: float) -> float:
             nearest = min(known, key=lambda other: abs(other - own))
             start = np.clip(known[nearest].y + (own - nearest) * along, 0.0, 1.0)
             start[k] = own
-            known[own] = found = fit.problem.solve(start, fit.data, centre, held=k)
+            known[own] = found = fit.setup.problem.solve(start, fit.data, centre, held=k)
             if not found.converged:
                 raise NotConverged(f"the profile likelihood has no optimum: {found.status}", found.status)
         return float(np.sqrt(max(2.0 * (known[own].loss - fit.best.loss), 0.0) / fit.rise)) - quantile

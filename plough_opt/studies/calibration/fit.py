@@ -32,7 +32,7 @@ from plough_opt.studies.calibration.parts import (
     unknowns_table,
 )
 from plough_opt.studies.calibration.quality import CrossValidation, caveats, cross_validate
-from plough_opt.studies.calibration.setup import NOMINAL, Setup
+from plough_opt.studies.calibration.setup import NOMINAL
 
 if TYPE_CHECKING:
     import pandas
@@ -46,9 +46,8 @@ _CORRELATED: Final = 0.5
 
 @dataclass(frozen=True)
 class Source:
-    """The calibration and the estimate behind a fit, and the results computed from them so far."""
+    """The estimate behind a fit, and the results computed from them so far."""
 
-    setup: Setup
     estimate: Estimate
     intervals: dict[tuple[float, Kind], dict[str, Interval]] = field(default_factory=dict)
     ranking: list[NextMeasurement] = field(default_factory=list)
@@ -165,8 +164,8 @@ class Fit(Keepable):
         known = self._known_intervals()
         if (level, kind) not in known:
             source = self._source_to(f"compute {kind} intervals of level {level:g} of")
-            unknowns = source.setup.unknowns
-            own = {u.name: interval(source.estimate, u, k, level, kind) for k, u in enumerate(unknowns)}
+            unknowns = source.estimate.unknowns
+            own = {u.name: interval(source.estimate, k, level, kind) for k, u in enumerate(unknowns)}
             known = source.intervals
             known[level, kind] = own
         return dict(known[level, kind])
@@ -183,9 +182,9 @@ class Fit(Keepable):
         """
         if candidates is not None:
             source = self._source_to("rank other candidates for")
-            return next_measurements(source.setup, source.estimate, candidates)
+            return next_measurements(source.estimate, candidates)
         if self.source is not None and not self.source.ranking:
-            self.source.ranking.extend(next_measurements(self.source.setup, self.source.estimate))
+            self.source.ranking.extend(next_measurements(self.source.estimate))
         return self._known_ranking()
 
     @property
@@ -205,18 +204,17 @@ class Fit(Keepable):
             InputError: an invalid number of folds, or a fit from a file.
             NotConverged: a fit without some of the rows has no optimum.
         """
-        source = self._source_to("cross-validate")
-        return cross_validate(source.setup, source.estimate, folds, seed)
+        return cross_validate(self._source_to("cross-validate").estimate, folds, seed)
 
     @property
     def scene(self) -> Scene:
         """The scene with the calibrated values."""
-        source = self._source_to("take the scene of")
-        scene = source.setup.model.scene(self.values)
+        setup = self._source_to("take the scene of").estimate.setup
+        scene = setup.model.scene(self.values)
         own = [name.removeprefix("soil.") for name in self.values if name.startswith("soil.")]
         if not own:
             return scene
-        files = ", ".join(dict.fromkeys(m.name for m in source.setup.measured))
+        files = ", ".join(dict.fromkeys(m.name for m in setup.measured))
         origin = f"{', '.join(own)} from {files}; {scene.soil.source}"
         return replace(scene, soil=replace(scene.soil, name=f"{scene.soil.name}, calibrated", source=origin))
 
@@ -311,25 +309,25 @@ class Fit(Keepable):
         return self.saved_next if self.source is None else tuple(self.source.ranking)
 
 
-def reported(title: str, setup: Setup, estimate: Estimate, started: float) -> Fit:
+def reported(title: str, estimate: Estimate, started: float) -> Fit:
     """Return the fit of an estimate; ``started`` is the reading of the clock at its beginning."""
-    unknowns, data = setup.unknowns, setup.data
+    data = estimate.setup.data
     unscaled = data.weights * (estimate.predicted - estimate.data.observed)
     scatter = float(np.sqrt(np.sum(unscaled**2) / max(estimate.freedom, 1)))
     return Fit(
         title=title,
-        unknowns=fitted_unknowns(unknowns, estimate),
-        correlations_found=correlations_of(unknowns, estimate),
-        unidentifiable=undetermined(unknowns, estimate.y, estimate.spread),
-        rows=rows_of(setup.measured, estimate),
-        loss=estimate.problem.loss.name,
+        unknowns=fitted_unknowns(estimate),
+        correlations_found=correlations_of(estimate),
+        unidentifiable=undetermined(estimate.unknowns, estimate.y, estimate.spread),
+        rows=rows_of(estimate),
+        loss=estimate.setup.problem.loss.name,
         total=estimate.best.loss,
         optima=estimate.optima,
         freedom=estimate.freedom,
         scatter=scatter if data.stated else NOMINAL * scatter,
         stated=data.stated,
         status=estimate.best.status,
-        warnings=caveats(setup, estimate),
+        warnings=caveats(estimate),
         seconds=time.perf_counter() - started,
-        source=Source(setup, estimate),
+        source=Source(estimate),
     )

@@ -4,9 +4,13 @@ An unknown is sought between bounds, and scaled to the interval from 0 to 1.
 """
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence, Set
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, Final, Protocol, TypeAlias, runtime_checkable
+
+import numpy as np
+from numpy.typing import NDArray
 
 from plough_opt.core.checks import check_domain, check_named, mapping_of, shown
 from plough_opt.core.errors import InputError, nearest
@@ -16,6 +20,7 @@ from plough_opt.motion.accuracy import Accuracy
 from plough_opt.motion.scene import Scene
 from plough_opt.motion.scene_quantities import quantities_of, with_quantities
 
+Vector = NDArray[np.float64]
 SceneOf: TypeAlias = Callable[[Mapping[str, Expression]], Scene]
 _DURATION = "scene.duration"
 CUSTOMARY: Final = {
@@ -28,22 +33,6 @@ CUSTOMARY: Final = {
 """SI unit -> the unit in which amounts are shown, and its factor."""
 # From this ratio of the bounds on an unknown is scaled logarithmically.
 _WIDE = 10.0
-
-
-class Bounded(Protocol):
-    """A quantity between bounds."""
-
-    @property
-    def lower(self) -> float:
-        """Least value."""
-
-    @property
-    def upper(self) -> float:
-        """Largest value."""
-
-    @property
-    def guess(self) -> float:
-        """Value where a search begins."""
 
 
 @runtime_checkable
@@ -59,85 +48,14 @@ class Described(Protocol):
         """Method and setting of runs."""
 
     @property
-    def variables(self) -> Mapping[str, Bounded]:
-        """Quantities that a design may change."""
+    def variables(self) -> Mapping[str, Any]:
+        """Quantities that a design may change, each with lower, upper and guess."""
 
     def values(self) -> dict[str, Expression]:
         """Return the given quantities, by name."""
 
     def scene(self, changes: Mapping[str, Expression] | None = None) -> Scene:
         """Return the scene, with other values of some quantities."""
-
-
-@dataclass(frozen=True)
-class Model:
-    """A scene by the names of its quantities.
-
-    Attributes:
-        title: for reports.
-        build: values by key, numbers or symbols, that differ from the scene's own -> scene.
-        current: key -> the scene's own value.
-        duration: simulated time [s], or None if no result needs it.
-        accuracy: method and setting of runs.
-    """
-
-    title: str
-    build: SceneOf
-    current: Mapping[str, float]
-    duration: float | None
-    accuracy: Accuracy
-
-    def scene(self, values: Mapping[str, Expression]) -> Scene:
-        """Return the scene with changed values; a duration among them does not belong to the scene."""
-        scene = self.build({key: value for key, value in values.items() if key != _DURATION})
-        if not isinstance(scene, Scene):
-            raise InputError(f"the function of values returned {shown(scene)}, and must return a Scene")
-        return scene
-
-    def duration_of(self, values: Mapping[str, Expression]) -> Expression | None:
-        """Return the simulated time [s]."""
-        return values.get(_DURATION, self.duration)
-
-
-def model_of(given: Described | Scene | SceneOf, duration: float | None = None) -> Model:
-    """Return the model of a problem, a scene or a function.
-
-    Args:
-        given: a problem, a numeric scene, or a function of values by key that returns a scene.
-        duration: simulated time [s], if not the problem's.
-
-    Raises:
-        InputError: something else.
-    """
-    if isinstance(given, Described):
-        own = given.values()
-        values = {**_current(given.scene()), **{key: float(value) for key, value in own.items()}}
-        duration = values.get(_DURATION) if duration is None else duration
-        return Model(given.title, lambda values: _of_file(given, values), values, duration, given.accuracy)
-    if isinstance(given, Scene):
-        scene = given
-        return Model(
-            given.soil.name, lambda values: with_quantities(scene, values), _current(given), duration, Accuracy()
-        )
-    if callable(given):
-        return Model("calibration", given, {}, duration, Accuracy())
-    raise InputError(f"{shown(given)} must be a Problem, a Scene, or a function of values by key that returns a Scene")
-
-
-def _of_file(problem: Described, values: Mapping[str, Expression]) -> Scene:
-    """Return a problem's scene; its quantities are those of files, with frame and steel instead of the whole mass."""
-    for name in values:
-        if name not in quantities():
-            raise InputError(f"a problem file has no '{name}': {nearest(name, quantities())}")
-    return problem.scene(values)
-
-
-def _current(scene: Scene) -> dict[str, float]:
-    """Return the quantities that a numeric scene has, by name."""
-    values = {name: value for name, value in quantities_of(scene).items() if value is not None}
-    if any(map(is_symbolic, values.values())):
-        raise InputError("the scene holds symbols: calibrate a numeric scene, and name its unknowns")
-    return {name: float(as_number(value)) for name, value in values.items()}
 
 
 @dataclass(frozen=True)
@@ -179,21 +97,109 @@ class Unknown:
         return (value - self.lower) / (self.upper - self.lower)
 
 
+@dataclass(frozen=True)
+class Model:
+    """A scene by the names of its quantities, and the unknowns among these.
+
+    Attributes:
+        title: for reports.
+        build: values by key, numbers or symbols, that differ from the scene's own -> scene.
+        current: key -> the scene's own value.
+        duration: simulated time [s], or None if no result needs it.
+        accuracy: method and setting of runs.
+        unknowns: to be found.
+    """
+
+    title: str
+    build: SceneOf
+    current: Mapping[str, float]
+    duration: float | None
+    accuracy: Accuracy
+    unknowns: tuple[Unknown, ...]
+
+    @property
+    def guess(self) -> Vector:
+        """Scaled unknowns at their guesses."""
+        return np.array([unknown.scaled(unknown.guess) for unknown in self.unknowns])
+
+    def values(self, y: Sequence[Expression] | Vector) -> dict[str, Expression]:
+        """Return the unknowns by name at their scaled values."""
+        return {unknown.name: unknown.value(y[k]) for k, unknown in enumerate(self.unknowns)}
+
+    def scene(self, values: Mapping[str, Expression]) -> Scene:
+        """Return the scene with changed values; a duration among them does not belong to the scene."""
+        scene = self.build({key: value for key, value in values.items() if key != _DURATION})
+        if not isinstance(scene, Scene):
+            raise InputError(f"the function of values returned {shown(scene)}, and must return a Scene")
+        return scene
+
+    def duration_of(self, values: Mapping[str, Expression]) -> Expression | None:
+        """Return the simulated time [s]."""
+        return values.get(_DURATION, self.duration)
+
+
+def model_of(
+    given: Described | Scene | SceneOf, duration: float | None, unknown: Mapping[str, Any] | None, columns: Set[str]
+) -> Model:
+    """Return the model of a problem, a scene or a function.
+
+    Args:
+        given: a problem, a numeric scene, or a function of values by key that returns a scene.
+        duration: simulated time [s], if not the problem's.
+        unknown: key -> (lower, upper) or (lower, upper, guess); None: the problem's variables but for the columns.
+        columns: keys that the data give.
+
+    Raises:
+        InputError: something else, an unknown name, or invalid bounds.
+    """
+    title, accuracy = "calibration", Accuracy()
+    current: dict[str, float] = {}
+    build: SceneOf
+    if isinstance(given, Described):
+        current = _current(given.scene()) | {key: float(value) for key, value in given.values().items()}
+        duration = current.get(_DURATION) if duration is None else duration
+        title, build, accuracy = given.title, partial(_of_file, given), given.accuracy
+        if unknown is None:
+            variables = {key: own for key, own in given.variables.items() if key not in columns}
+            unknown = {key: (own.lower, own.upper, own.guess) for key, own in variables.items()}
+    elif isinstance(given, Scene):
+        title, build, current = given.soil.name, partial(with_quantities, given), _current(given)
+    elif callable(given):
+        build = given
+    else:
+        raise InputError(
+            f"{shown(given)} must be a Problem, a Scene, or a function of values by key that returns a Scene"
+        )
+    return Model(title, build, current, duration, accuracy, _unknowns(unknown or {}, current))
+
+
+def _of_file(problem: Described, values: Mapping[str, Expression]) -> Scene:
+    """Return a problem's scene; its quantities are those of files, with frame and steel instead of the whole mass."""
+    for name in values:
+        if name not in quantities():
+            raise InputError(f"a problem file has no '{name}': {nearest(name, quantities())}")
+    return problem.scene(values)
+
+
+def _current(scene: Scene) -> dict[str, float]:
+    """Return the quantities that a numeric scene has, by name."""
+    values = {name: value for name, value in quantities_of(scene).items() if value is not None}
+    if any(map(is_symbolic, values.values())):
+        raise InputError("the scene holds symbols: calibrate a numeric scene, and name its unknowns")
+    return {name: float(as_number(value)) for name, value in values.items()}
+
+
 def amount(value: float, unit: str) -> str:
     """Return an SI value in a customary unit as text of three digits."""
     symbol, factor = CUSTOMARY.get(unit, (unit, 1.0))
     return f"{value / factor:.3g} {symbol}".rstrip()
 
 
-def unknowns_of(given: Mapping[str, Any], current: Mapping[str, float]) -> tuple[Unknown, ...]:
-    """Return checked unknowns.
-
-    Args:
-        given: key -> (lower, upper) or (lower, upper, guess), SI numbers or text with a unit such as "5 kPa".
-        current: values of the scene, which are the guesses if they lie between the bounds.
+def _unknowns(given: Mapping[str, Any], current: Mapping[str, float]) -> tuple[Unknown, ...]:
+    """Return checked unknowns; values of the scene are their guesses if they lie between the bounds.
 
     Raises:
-        InputError: an unknown name, or invalid bounds.
+        InputError: no unknowns, an unknown name, or invalid bounds.
     """
     if not mapping_of("unknown", given, "{'soil.cohesion': (1e3, 80e3)}"):
         raise InputError("there are no unknowns: name each with its bounds, as {'soil.cohesion': (1e3, 80e3)}")

@@ -12,8 +12,7 @@ from plough_opt.core.kept import Origin
 from plough_opt.core.tables import Grid
 from plough_opt.studies.calibration.candidates import NextMeasurement
 from plough_opt.studies.calibration.estimate import Estimate, Interval, Kind
-from plough_opt.studies.calibration.measurements import Measurements, result_unit
-from plough_opt.studies.calibration.model import Unknown
+from plough_opt.studies.calibration.measurements import result_unit
 
 # Rows of the table of candidates.
 _MOST_CANDIDATES: Final = 6
@@ -90,25 +89,25 @@ class KnownInterval:
     interval: Interval
 
 
-def fitted_unknowns(unknowns: Sequence[Unknown], fit: Estimate) -> tuple[FittedUnknown, ...]:
+def fitted_unknowns(fit: Estimate) -> tuple[FittedUnknown, ...]:
     """Return every unknown with its standard error."""
     errors = np.where(fit.spread.determined, np.sqrt(np.diag(fit.spread.covariance)), np.inf)
     return tuple(
         FittedUnknown(u.name, u.unit, float(u.value(y)), float(error * u.slope(y)), u.lower, u.upper, error < np.inf)
-        for u, y, error in zip(unknowns, fit.y.tolist(), errors.tolist(), strict=True)
+        for u, y, error in zip(fit.unknowns, fit.y.tolist(), errors.tolist(), strict=True)
     )
 
 
-def correlations_of(unknowns: Sequence[Unknown], fit: Estimate) -> tuple[Correlation, ...]:
+def correlations_of(fit: Estimate) -> tuple[Correlation, ...]:
     """Return the correlations of the determined unknowns."""
-    errors = np.sqrt(np.diag(fit.spread.covariance))
+    errors, unknowns = np.sqrt(np.diag(fit.spread.covariance)), fit.unknowns
     return tuple(
         Correlation(unknowns[i].name, unknowns[j].name, float(fit.spread.covariance[i, j] / (errors[i] * errors[j])))
         for i, j in combinations(np.flatnonzero(errors > 0.0).tolist(), 2)
     )
 
 
-def rows_of(measured: Sequence[Measurements], fit: Estimate) -> tuple[Row, ...]:
+def rows_of(fit: Estimate) -> tuple[Row, ...]:
     """Return every measured row beside the fit."""
     error = np.sqrt(np.maximum(np.einsum("ni,ij,nj->n", fit.slope, fit.spread.covariance, fit.slope), 0.0))
     columns = (fit.data.observed, fit.predicted, fit.deviation, error, fit.predicted - fit.data.observed)
@@ -116,7 +115,7 @@ def rows_of(measured: Sequence[Measurements], fit: Estimate) -> tuple[Row, ...]:
     return tuple(
         Row(m.row(k), m.result, result_unit(m.result).symbol, m.at(k), None if m.time is None else float(m.time[k]),
             *next(numbers))
-        for m in measured for k in range(m.rows)
+        for m in fit.setup.measured for k in range(m.rows)
     )  # fmt: skip
 
 

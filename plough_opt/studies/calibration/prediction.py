@@ -18,7 +18,7 @@ from plough_opt.motion.plan import numbers_of, phase
 from plough_opt.motion.scene import Scene
 from plough_opt.motion.vocabulary import MEASURES
 from plough_opt.studies.calibration.measurements import RECORD, Measurements, measurable
-from plough_opt.studies.calibration.model import Model, Unknown
+from plough_opt.studies.calibration.model import Model
 
 Vector = NDArray[np.float64]
 Numbers: TypeAlias = Sequence[Expression] | Vector
@@ -45,12 +45,10 @@ class Rows:
     Attributes:
         measured: the set.
         model: to calibrate.
-        unknowns: to be found.
     """
 
     measured: Measurements
     model: Model
-    unknowns: tuple[Unknown, ...]
 
     @cached_property
     def _distinct(self) -> tuple[Vector, NDArray[np.intp]]:
@@ -73,7 +71,7 @@ class Rows:
         found = []
         for number, conditions in enumerate([] if self.direct else self._distinct[0].tolist()):
             rows = np.flatnonzero(self._distinct[1] == number)
-            values = _values(self.unknowns, y) | dict(zip(self.measured.conditions, conditions, strict=True))
+            values = self.model.values(y) | dict(zip(self.measured.conditions, conditions, strict=True))
             try:
                 scene = self.model.scene(values)
                 scene.check_reaction()
@@ -83,74 +81,68 @@ class Rows:
             found.append((scene, self.model.duration_of(values) if time is None else float(np.max(time[rows])), rows))
         return found
 
-    def predicted(self, y: ca.MX, guess: Vector) -> tuple[ca.MX, ca.MX, bool]:
+    def predicted(self, y: ca.MX) -> tuple[ca.MX, ca.MX, bool]:
         """Return the predictions (n) at scaled unknowns, their Jacobian (n, p), and whether they need no runs.
 
         Raises:
             InputError: a row whose conditions are outside the model's domain, or a missing duration.
         """
         if self.direct:
-            k = [unknown.name for unknown in self.unknowns].index(self.measured.result)
-            value = ca.MX.ones(self.measured.rows) * self.unknowns[k].value(y[k])
+            value = ca.MX.ones(self.measured.rows) * self.model.values(ca.vertsplit(y))[self.measured.result]
             return value, ca.jacobian(value, y), True
-        for scene, duration, _ in self.scenes(guess):
+        for scene, duration, _ in self.scenes(self.model.guess):
             needs_run = not is_closed(scene, self.measured.result) and scene.effects.orbit == "transient"
             if needs_run and (duration is None or not duration > 0.0):
                 raise InputError(f"{self.measured.name}: {self.measured.result} of this scene is a run's: give the"
                                  " duration of the run, in seconds")  # fmt: skip
         if self.measured.result == RECORD:
-            value = self._record(y, guess)
+            value = self._record(y)
             return value, ca.jacobian(value, y), False
         distinct, which = self._distinct
-        function = row_function(self.model, self.unknowns, self.measured.at(0), self.measured.result)
+        function = row_function(self.model, self.measured.at(0), self.measured.result)
         value, slope = function.map(len(distinct))(ca.repmat(y, 1, len(distinct)), ca.DM(distinct.T))
         return value.T[which.tolist(), :], slope.T[which.tolist(), :], function.is_a("SXFunction")
 
-    def _record(self, y: ca.MX, guess: Vector) -> ca.MX:
+    def _record(self, y: ca.MX) -> ca.MX:
         """Return the mount force at the times of a run for each distinct condition."""
         parts, order = [], []
-        at_guess = self.scenes(guess)
+        at_guess = self.scenes(self.model.guess)
         for (scene, duration, rows), (example, _, _) in zip(self.scenes(ca.vertsplit(y)), at_guess, strict=True):
             parts.append(_force_at(scene, duration, self.measured, rows, self.model, example))
             order.extend(rows.tolist())
         return ca.MX(ca.vertcat(*parts))[np.argsort(order).tolist(), 0]
 
 
-def predictor(sets: Sequence[Rows], guess: Vector) -> ca.Function:
+def predictor(sets: Sequence[Rows], model: Model) -> ca.Function:
     """Return scaled unknowns (p) -> (predictions of all sets (n), their Jacobian (n, p)); of scalars if without runs.
 
     Raises:
         InputError: a row whose conditions are outside the model's domain, or a missing duration.
     """
-    y = ca.MX.sym("y", len(guess))
-    values, slopes, closed = zip(*(rows.predicted(y, guess) for rows in sets), strict=True)
+    y = ca.MX.sym("y", len(model.unknowns))
+    values, slopes, closed = zip(*(rows.predicted(y) for rows in sets), strict=True)
     whole = ca.Function("predicted", [y], [ca.densify(ca.vertcat(*values)), ca.densify(ca.vertcat(*slopes))])
     return whole.expand() if all(closed) and whole.numel_out(0) <= _MOST_EXPANDED else whole
 
 
 def row_function(
-    model: Model,
-    unknowns: Sequence[Unknown],
-    conditions: Mapping[str, float],
-    result: str,
-    fixed: Mapping[str, float] | None = None,
+    model: Model, conditions: Mapping[str, float], result: str, fixed: Mapping[str, float] | None = None
 ) -> ca.Function:
     """Return scaled unknowns and conditions -> (a result, its derivatives by the unknowns as a column).
 
     Args:
         model: to calibrate.
-        unknowns: to be found.
         conditions: names of the conditions, with valid values.
         result: the measured result.
         fixed: further conditions, which are constants of the Function.
     """
     fixed = dict(fixed or {})
-    example = model.scene({**{unknown.name: unknown.guess for unknown in unknowns}, **conditions, **fixed})
+    example = model.scene({**{unknown.name: unknown.guess for unknown in model.unknowns}, **conditions, **fixed})
     closed = is_closed(example, result)
     # A law with quadratures of matrices, or loops, would be unrolled by scalar operations.
     kind: Any = ca.SX if closed and example.law.scalar else ca.MX
-    y, c = kind.sym("y", len(unknowns)), kind.sym("c", len(conditions))
-    values = _values(unknowns, ca.vertsplit(y)) | {key: c[k] for k, key in enumerate(conditions)} | fixed
+    y, c = kind.sym("y", len(model.unknowns)), kind.sym("c", len(conditions))
+    values = model.values(ca.vertsplit(y)) | {key: c[k] for k, key in enumerate(conditions)} | fixed
     scene = model.scene(values)
     if result in _OF_SCENE:
         value = _OF_SCENE[result](scene)
@@ -160,7 +152,7 @@ def row_function(
         value = MEASURES[result].of(simulate(scene, model.duration_of(values), accuracy=model.accuracy))
     value = kind(value)
     # Forward through an integration: the reverse mode takes far longer to build.
-    slope = [ca.jtimes(value, y, column) for column in ca.horzsplit(ca.DM.eye(len(unknowns)))]
+    slope = [ca.jtimes(value, y, column) for column in ca.horzsplit(ca.DM.eye(len(model.unknowns)))]
     return ca.Function("row", [y, c], [value, ca.densify(ca.vertcat(*slope))])
 
 
@@ -181,10 +173,6 @@ def checked(rows: Rows, scene: Scene, duration: Expression | None, which: NDArra
         return np.asarray(force, dtype=float).ravel()
     run = simulate(scene, duration, accuracy=rows.model.accuracy)
     return np.full(len(which), float(as_number(MEASURES[rows.measured.result].of(run))))
-
-
-def _values(unknowns: Sequence[Unknown], y: Numbers) -> dict[str, Expression]:
-    return {unknown.name: unknown.value(y[k]) for k, unknown in enumerate(unknowns)}
 
 
 def _force_at(

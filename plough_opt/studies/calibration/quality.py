@@ -18,7 +18,6 @@ from plough_opt.studies.calibration.estimate import Estimate, estimate
 from plough_opt.studies.calibration.least_squares import AT_BOUND
 from plough_opt.studies.calibration.measurements import RECORD, measurable
 from plough_opt.studies.calibration.prediction import Rows, SceneOfRows, checked, is_closed
-from plough_opt.studies.calibration.setup import Setup
 
 Vector = NDArray[np.float64]
 
@@ -34,19 +33,19 @@ _MOST_CHECKED: Final = 12
 _MOST_LEFT_OUT: Final = 60
 
 
-def caveats(setup: Setup, fit: Estimate) -> tuple[str, ...]:
+def caveats(fit: Estimate) -> tuple[str, ...]:
     """Return the warnings about a fit."""
-    at_fit = [rows.scenes(fit.y) for rows in setup.rows]
+    at_fit = [rows.scenes(fit.y) for rows in fit.setup.rows]
     scenes = [scene for own in at_fit for scene, _, _ in own]
     return (
         *_scatter(fit),
-        *_outliers(setup, fit),
-        *_neighbours(setup, fit),
-        *_bounds(setup, fit),
+        *_outliers(fit),
+        *_neighbours(fit),
+        *_bounds(fit),
         *_optima(fit),
-        *_checked(setup, fit, at_fit),
+        *_checked(fit, at_fit),
         *_blunt(scenes),
-        *_pressure(setup, scenes),
+        *_pressure(fit, scenes),
     )
 
 
@@ -64,24 +63,24 @@ def _scatter(fit: Estimate) -> Iterator[str]:
         yield f"residuals are only {ratio}: sigma is too large"
 
 
-def _outliers(setup: Setup, fit: Estimate) -> Iterator[str]:
+def _outliers(fit: Estimate) -> Iterator[str]:
     size = np.abs(fit.residuals) / math.sqrt(fit.variance)
     far = [k for k in np.argsort(-size) if size[k] > _OUTLIER]
     if far:
         more = f" and {len(far) - 3} more" if len(far) > 3 else ""
-        first = ", ".join(f"{setup.places[k]} ({size[k]:.2g} sigma)" for k in far[:3])
+        first = ", ".join(f"{fit.setup.places[k]} ({size[k]:.2g} sigma)" for k in far[:3])
         yield f"outliers: {first}{more}; a robust loss, such as 'huber', gives them less weight"
 
 
-def _parts(setup: Setup, values: NDArray[Any]) -> Iterator[tuple[Rows, NDArray[Any]]]:
+def _parts(fit: Estimate, values: NDArray[Any]) -> Iterator[tuple[Rows, NDArray[Any]]]:
     """Yield every set of rows with its part of a column over all rows."""
-    ends = np.cumsum([m.rows for m in setup.measured])[:-1]
-    yield from zip(setup.rows, np.split(values, ends), strict=True)
+    ends = np.cumsum([m.rows for m in fit.setup.measured])[:-1]
+    yield from zip(fit.setup.rows, np.split(values, ends), strict=True)
 
 
-def _neighbours(setup: Setup, fit: Estimate) -> Iterator[str]:
+def _neighbours(fit: Estimate) -> Iterator[str]:
     """Yield a warning for each record whose residuals are correlated in time."""
-    for rows, own in _parts(setup, fit.residuals):
+    for rows, own in _parts(fit, fit.residuals):
         m = rows.measured
         if m.time is None or len(own) < _FEWEST or not np.any(own):
             continue
@@ -95,9 +94,9 @@ def _neighbours(setup: Setup, fit: Estimate) -> Iterator[str]:
             )
 
 
-def _bounds(setup: Setup, fit: Estimate) -> Iterator[str]:
+def _bounds(fit: Estimate) -> Iterator[str]:
     for k in np.flatnonzero(fit.spread.determined):
-        unknown = setup.unknowns[k]
+        unknown = fit.unknowns[k]
         for side, distance, bound in (("lower", fit.y[k], unknown.lower), ("upper", 1.0 - fit.y[k], unknown.upper)):
             if distance < AT_BOUND:
                 place = f"{unknown.name} is at its {side} bound {bound:g} {unknown.unit}".rstrip()
@@ -113,10 +112,10 @@ def _optima(fit: Estimate) -> Iterator[str]:
         )
 
 
-def _checked(setup: Setup, fit: Estimate, at_fit: list[list[SceneOfRows]]) -> Iterator[str]:
+def _checked(fit: Estimate, at_fit: list[list[SceneOfRows]]) -> Iterator[str]:
     """Yield a warning if numeric runs, which check their own error, differ from the fitted values."""
     worst, done = 0.0, 0
-    for (rows, numbers), scenes in zip(_parts(setup, np.arange(len(fit.residuals))), at_fit, strict=True):
+    for (rows, numbers), scenes in zip(_parts(fit, np.arange(len(fit.residuals))), at_fit, strict=True):
         for scene, duration, which in scenes:
             if is_closed(scene, rows.measured.result) or done >= _MOST_CHECKED:
                 continue
@@ -142,9 +141,9 @@ def _blunt(scenes: list[Scene]) -> Iterator[str]:
         )
 
 
-def _pressure(setup: Setup, scenes: list[Scene]) -> Iterator[str]:
+def _pressure(fit: Estimate, scenes: list[Scene]) -> Iterator[str]:
     """Yield that an ambient pressure is taken as known, if it carries a part of the draft."""
-    known = {unknown.name for unknown in setup.unknowns}.union(*(m.conditions for m in setup.measured))
+    known = {unknown.name for unknown in fit.unknowns}.union(*(m.conditions for m in fit.setup.measured))
     share = max((float(as_number(scene.ambient_share)) for scene in scenes), default=0.0)
     if "soil.ambient_pressure" not in known and share > 0.0:
         pressure = float(as_number(scenes[0].soil.ambient_pressure)) / 1e3
@@ -175,11 +174,10 @@ class CrossValidation:
     rms_fitted: Mapping[str, float]
 
 
-def cross_validate(setup: Setup, fit: Estimate, folds: int | None, seed: int) -> CrossValidation:
+def cross_validate(fit: Estimate, folds: int | None, seed: int) -> CrossValidation:
     """Leave parts of the rows out in turn.
 
     Args:
-        setup: model, data and unknowns.
         fit: the fit to all rows.
         folds: number of parts, from 2 to the number of rows; None: each row by itself, 20 parts for over 60 rows, and 5
             if the rows need runs.
@@ -189,12 +187,12 @@ def cross_validate(setup: Setup, fit: Estimate, folds: int | None, seed: int) ->
         InputError: an invalid number of folds.
         NotConverged: a fit without some of the rows has no optimum.
     """
-    problem, data = setup.problem, fit.data
+    setup, data = fit.setup, fit.data
     results = np.array([m.result for m in setup.measured for _ in range(m.rows)])
     order = np.flatnonzero(np.isin(results, measurable()))
     count = len(order)
     if folds is None:
-        folds = (count if count <= _MOST_LEFT_OUT else 20) if problem.closed else min(5, count)
+        folds = (count if count <= _MOST_LEFT_OUT else 20) if setup.problem.closed else min(5, count)
     if not is_count(folds) or not 2 <= folds <= count:
         raise InputError(f"folds = {shown(folds)} must be a whole number from 2 to {count}, the number of rows")
     rows = order.copy()
@@ -204,9 +202,9 @@ def cross_validate(setup: Setup, fit: Estimate, folds: int | None, seed: int) ->
     for part in np.array_split(order, folds):
         weights = setup.data.weights.copy()
         weights[part] = 0.0
-        if np.sum(weights > 0.0) < problem.unknowns:
+        if np.sum(weights > 0.0) < setup.problem.unknowns:
             raise InputError(f"{folds} folds leave fewer rows than unknowns: use more folds")
-        without = estimate(problem, replace(data, weights=weights), fit.y, starts=1)
+        without = estimate(setup, replace(data, weights=weights), fit.y, starts=1)
         errors[part] = (without.predicted - data.observed)[part]
 
     def rms(of: Vector) -> dict[str, float]:

@@ -1,20 +1,17 @@
-"""A calibration before it is solved: model, measurements and unknowns, checked, with the least-squares problem."""
+"""A calibration before it is solved: model and measurements, checked, with the least-squares problem."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from plough_opt.core.errors import DomainError, InputError
 from plough_opt.motion.scene import Scene
 from plough_opt.studies.calibration.least_squares import Data, LeastSquares, loss_of
 from plough_opt.studies.calibration.measurements import Measurements, measurable
-from plough_opt.studies.calibration.model import Described, Model, SceneOf, Unknown, model_of, unknowns_of
+from plough_opt.studies.calibration.model import Described, Model, SceneOf, model_of
 from plough_opt.studies.calibration.prediction import Rows, predictor
-
-Vector = NDArray[np.float64]
 
 NOMINAL: Final = 0.01
 """Standard deviation, as a part of the mean measured value, from which weights follow if no sigma is stated."""
@@ -28,15 +25,13 @@ class Setup:
     """A checked calibration.
 
     Attributes:
-        model: the scene as a function of its quantities.
-        unknowns: to be found.
+        model: the scene as a function of its quantities, with the unknowns.
         rows: the sets of measurements.
         problem: the sum of losses.
         data: measured values and their weights.
     """
 
     model: Model
-    unknowns: tuple[Unknown, ...]
     rows: tuple[Rows, ...]
     problem: LeastSquares
     data: Data
@@ -50,11 +45,6 @@ class Setup:
     def places(self) -> list[str]:
         """Name of every row in messages."""
         return [m.row(k) for m in self.measured for k in range(m.rows)]
-
-    @property
-    def guess(self) -> Vector:
-        """Scaled unknowns at their guesses."""
-        return _guess(self.unknowns)
 
 
 def setup_of(
@@ -74,28 +64,18 @@ def setup_of(
         raise InputError("the data must be Measurements, one set or several: po.read_measurements reads a file")
     if not any(np.any(m.values) for m in measured):
         raise InputError(f"{measured[0].name}: every measured value is 0, which fits no soil: check the column")
-    own, model = loss_of(loss), model_of(given, duration)
-    if unknown is None and isinstance(given, Described):
-        columns = {key for m in measured for key in m.conditions}
-        unknown = {key: (v.lower, v.upper, v.guess) for key, v in given.variables.items() if key not in columns}
-    unknowns = unknowns_of(unknown or {}, model.current)
-    _check_names(measured, unknowns)
-    _check_bounds(model, measured, unknowns)
-    rows = tuple(Rows(m, model, unknowns) for m in measured)
-    problem = LeastSquares(predictor(rows, _guess(unknowns)), own)
-    setup = Setup(model, unknowns, rows, problem, _data(measured))
-    _check_count(setup)
-    _check_finite(setup)
+    own, model = loss_of(loss), model_of(given, duration, unknown, {key for m in measured for key in m.conditions})
+    _check_names(model, measured)
+    _check_bounds(model, measured)
+    rows = tuple(Rows(m, model) for m in measured)
+    setup = Setup(model, rows, LeastSquares(predictor(rows, model), own), _data(measured))
+    _check_numbers(setup)
     return setup
 
 
-def _guess(unknowns: Sequence[Unknown]) -> Vector:
-    return np.array([unknown.scaled(unknown.guess) for unknown in unknowns])
-
-
-def _check_names(measured: Sequence[Measurements], unknowns: Sequence[Unknown]) -> None:
+def _check_names(model: Model, measured: Sequence[Measurements]) -> None:
     """Raise InputError if a column is an unknown too, or if neither a result nor an unknown was measured."""
-    names = {unknown.name for unknown in unknowns}
+    names = {unknown.name for unknown in model.unknowns}
     for m in measured:
         if both := names & set(m.conditions):
             raise InputError(f"{m.name}: '{min(both)}' is a column of the data, and so cannot be an unknown")
@@ -104,15 +84,15 @@ def _check_names(measured: Sequence[Measurements], unknowns: Sequence[Unknown]) 
             raise InputError(f"{m.name}: '{m.result}' was measured, and is not among the unknowns: {known}")
 
 
-def _check_bounds(model: Model, measured: Sequence[Measurements], unknowns: Sequence[Unknown]) -> None:
+def _check_bounds(model: Model, measured: Sequence[Measurements]) -> None:
     """Raise InputError if bounds or the first row are outside the model's domain; `Rows` checks the other rows."""
     first = next((m for m in measured if m.result in measurable()), measured[0])
-    guess = {unknown.name: unknown.guess for unknown in unknowns} | first.at(0)
-    tried = [(first.row(0), guess)]
-    for own in unknowns:
-        tried += [(f"lower bound of '{own.name}'", guess | {own.name: own.lower})]
-        tried += [(f"upper bound of '{own.name}'", guess | {own.name: own.upper})]
-    for place, values in tried:
+    guess = {unknown.name: unknown.guess for unknown in model.unknowns} | first.at(0)
+    tried = {first.row(0): guess}
+    for own in model.unknowns:
+        tried[f"lower bound of '{own.name}'"] = guess | {own.name: own.lower}
+        tried[f"upper bound of '{own.name}'"] = guess | {own.name: own.upper}
+    for place, values in tried.items():
         try:
             model.scene(values)
         except DomainError as error:
@@ -137,9 +117,9 @@ def _data(measured: Sequence[Measurements]) -> Data:
     return Data(np.concatenate([m.values for m in measured]), np.concatenate(weights), stated.pop())
 
 
-def _check_count(setup: Setup) -> None:
-    """Raise InputError if there are too few rows."""
-    data, unknowns = setup.data, setup.unknowns
+def _check_numbers(setup: Setup) -> None:
+    """Raise InputError if there are too few rows, or if a prediction or a derivative at the guesses is not finite."""
+    data, unknowns = setup.data, setup.model.unknowns
     least = len(unknowns) + (0 if data.stated and not setup.problem.loss.robust else 1)
     if data.count < least:
         why = "" if data.stated else ", and the scatter is to be estimated too: state sigma, or measure more"
@@ -147,11 +127,9 @@ def _check_count(setup: Setup) -> None:
             f"{setup.measured[0].name}: {data.count} rows are too few for {len(unknowns)} unknowns"
             f" ({', '.join(u.name for u in unknowns)}): at least {least} are needed{why}"
         )
-
-
-def _check_finite(setup: Setup) -> None:
-    """Raise InputError if a prediction or its derivatives at the guesses are not finite."""
-    values, slopes = setup.problem.at(np.clip(setup.guess, _INSIDE, 1.0 - _INSIDE))
+    values, slopes = setup.problem.at(np.clip(setup.model.guess, _INSIDE, 1.0 - _INSIDE))
     finite = np.isfinite(values) & np.isfinite(slopes).all(axis=1)
-    for k in np.flatnonzero(~finite)[:1]:
-        raise InputError(f"{setup.places[k]}: the model gives no finite number at these conditions")
+    if not np.all(finite):
+        raise InputError(
+            f"{setup.places[int(np.argmin(finite))]}: the model gives no finite number at these conditions"
+        )

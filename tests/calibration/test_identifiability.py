@@ -113,7 +113,7 @@ def test_an_unknown_that_was_measured_itself_settles_it(measured):
 
 def test_profile_ends_are_where_the_loss_has_risen(fitted):
     """Against a profile by SciPy: the other unknowns fitted at each value of the first."""
-    found = fitted.source.estimate
+    found = fitted.source
     limit = fitted.total + 0.5 * stats.norm.ppf(0.975) ** 2
 
     def rise(own):
@@ -125,7 +125,7 @@ def test_profile_ends_are_where_the_loss_has_risen(fitted):
             - limit
         )
 
-    cohesion = fitted.source.estimate.unknowns[0]
+    cohesion = fitted.source.unknowns[0]
     for end in fitted.intervals()["soil.cohesion"]:
         assert abs(rise(cohesion.scaled(end))) < 1e-6
 

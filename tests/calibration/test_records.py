@@ -59,7 +59,7 @@ def test_the_calibrated_scene_predicts_the_record(from_record, record):
 
 
 def test_slopes_of_a_record_are_those_of_differences(from_record):
-    problem, y, step = from_record.source.estimate.setup.problem, np.array([0.3, 0.4]), 1e-5
+    problem, y, step = from_record.source.setup.problem, np.array([0.3, 0.4]), 1e-5
     slope = problem.at(y)[1]
     for k, by in enumerate(step * np.eye(2)):
         difference = (problem.predict(y + by) - problem.predict(y - by)) / (2.0 * step)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -44,15 +45,6 @@ Vector = NDArray[np.float64]
 _CORRELATED: Final = 0.5
 
 
-@dataclass(frozen=True)
-class Source:
-    """The estimate behind a fit, and the results computed from them so far."""
-
-    estimate: Estimate
-    intervals: dict[tuple[float, Kind], dict[str, Interval]] = field(default_factory=dict)
-    ranking: list[NextMeasurement] = field(default_factory=list)
-
-
 @dataclass(frozen=True, repr=False)
 class Fit(Keepable):
     """A calibration: unknowns with their uncertainty, and how well the model follows the data.
@@ -76,6 +68,7 @@ class Fit(Keepable):
         saved_intervals: those in a file.
         saved_next: the ranking in a file.
         versions: of packages, and the machine.
+        source: the estimate behind it; None of a fit from a file.
         origin: what made it.
 
     Example:
@@ -109,7 +102,7 @@ class Fit(Keepable):
     saved_intervals: tuple[KnownInterval, ...] = ()
     saved_next: tuple[NextMeasurement, ...] = ()
     versions: Mapping[str, str] = field(default_factory=versions)
-    source: Source | None = field(default=None, repr=False, compare=False)
+    source: Estimate | None = field(default=None, repr=False, compare=False)
     origin: Origin = field(default=Origin(), compare=False)
 
     @property
@@ -161,14 +154,11 @@ class Fit(Keepable):
         """
         level = check_level(level)
         check_choice("kind", kind, ("profile", "linearised"))
-        known = self._known_intervals()
-        if (level, kind) not in known:
-            source = self._source_to(f"compute {kind} intervals of level {level:g} of")
-            unknowns = source.estimate.unknowns
-            own = {u.name: interval(source.estimate, k, level, kind) for k, u in enumerate(unknowns)}
-            known = source.intervals
-            known[level, kind] = own
-        return dict(known[level, kind])
+        if (level, kind) not in self._intervals:
+            estimate = self._source_to(f"compute {kind} intervals of level {level:g} of")
+            own = {u.name: interval(estimate, k, level, kind) for k, u in enumerate(estimate.unknowns)}
+            self._intervals[level, kind] = own
+        return dict(self._intervals[level, kind])
 
     def next_measurements(self, candidates: Sequence[Candidate] | None = None) -> tuple[NextMeasurement, ...]:
         """Return further measurements by their gain of information, the best first.
@@ -181,11 +171,10 @@ class Fit(Keepable):
             InputError: a candidate of another type, or candidates for a fit from a file, which has only its own.
         """
         if candidates is not None:
-            source = self._source_to("rank other candidates for")
-            return next_measurements(source.estimate, candidates)
-        if self.source is not None and not self.source.ranking:
-            self.source.ranking.extend(next_measurements(self.source.estimate))
-        return self._known_ranking()
+            return next_measurements(self._source_to("rank other candidates for"), candidates)
+        if not self._ranking and self.source is not None:
+            self._ranking.extend(next_measurements(self.source))
+        return tuple(self._ranking)
 
     @property
     def next_measurement(self) -> NextMeasurement:
@@ -204,12 +193,12 @@ class Fit(Keepable):
             InputError: an invalid number of folds, or a fit from a file.
             NotConverged: a fit without some of the rows has no optimum.
         """
-        return cross_validate(self._source_to("cross-validate").estimate, folds, seed)
+        return cross_validate(self._source_to("cross-validate"), folds, seed)
 
     @property
     def scene(self) -> Scene:
         """The scene with the calibrated values."""
-        setup = self._source_to("take the scene of").estimate.setup
+        setup = self._source_to("take the scene of").setup
         scene = setup.model.scene(self.values)
         own = [name.removeprefix("soil.") for name in self.values if name.startswith("soil.")]
         if not own:
@@ -228,14 +217,15 @@ class Fit(Keepable):
 
         Intervals and the ranking of further measurements take time, and are shown only if they are already computed.
         """
-        level, intervals = self._last_intervals()
+        profiles = [(level, own) for (level, kind), own in self._intervals.items() if kind == "profile"]
+        level, intervals = profiles[-1] if profiles else (0.0, {})
         parts: list[Part] = [unknowns_table(self.unknowns, level, intervals, self.origin)]
         correlated = [c for c in self.correlations_found if abs(c.value) >= _CORRELATED]
         for c in sorted(correlated, key=lambda c: -abs(c.value)):
             parts.append(f"Errors of {c.first} and {c.second} are correlated: {c.value:+.3f}.")
         parts += [f"Not determined: {item.words}." for item in self.unidentifiable]
-        if ranking := self._known_ranking():
-            parts.append(next_table(self.unknowns, ranking, self.origin))
+        if self._ranking:
+            parts.append(next_table(self.unknowns, self._ranking, self.origin))
         kind = "times the stated sigma" if self.stated else "of the mean measured value"
         parts.append(f"Scatter about the fit: {self.scatter:.3g} {kind}, {self.freedom} degrees of freedom.")
         footer = f"Converged: no step lowers the loss ({self.status}); {self.seconds:.2f} s"
@@ -279,34 +269,30 @@ class Fit(Keepable):
         self.intervals(0.95, "profile")
         intervals = tuple(
             KnownInterval(name, level, kind, own)
-            for (level, kind), every in self.source.intervals.items()
+            for (level, kind), every in self._intervals.items()
             for name, own in every.items()
         )
         whole = replace(self, source=None, saved_intervals=intervals, saved_next=self.next_measurements())
         return whole.to_json(page or self.page())
 
-    def _source_to(self, verb: str) -> Source:
-        """Return the source of a fit that is not from a file."""
-        if self.source is None:
-            raise InputError(f"this fit comes from a file: calibrate again to {verb} it")
-        return self.source
-
-    def _known_intervals(self) -> dict[tuple[float, Kind], dict[str, Interval]]:
-        """Return the intervals computed so far, or those in the file, by level and kind."""
-        if self.source is not None:
-            return self.source.intervals
+    @cached_property
+    def _intervals(self) -> dict[tuple[float, Kind], dict[str, Interval]]:
+        """The intervals in the file, and those computed so far, by level and kind."""
         known: dict[tuple[float, Kind], dict[str, Interval]] = {}
         for item in self.saved_intervals:
             known.setdefault((item.level, item.asked), {})[item.name] = item.interval
         return known
 
-    def _last_intervals(self) -> tuple[float, dict[str, Interval]]:
-        """Return the level and the profile intervals that were computed last; empty if there are none."""
-        profiles = [(level, own) for (level, kind), own in self._known_intervals().items() if kind == "profile"]
-        return profiles[-1] if profiles else (0.0, {})
+    @cached_property
+    def _ranking(self) -> list[NextMeasurement]:
+        """The ranking of candidates in the file, or once it is computed."""
+        return list(self.saved_next)
 
-    def _known_ranking(self) -> tuple[NextMeasurement, ...]:
-        return self.saved_next if self.source is None else tuple(self.source.ranking)
+    def _source_to(self, verb: str) -> Estimate:
+        """Return the estimate behind a fit that is not from a file."""
+        if self.source is None:
+            raise InputError(f"this fit comes from a file: calibrate again to {verb} it")
+        return self.source
 
 
 def reported(title: str, estimate: Estimate, started: float) -> Fit:
@@ -329,5 +315,5 @@ def reported(title: str, estimate: Estimate, started: float) -> Fit:
         status=estimate.best.status,
         warnings=caveats(estimate),
         seconds=time.perf_counter() - started,
-        source=Source(estimate),
+        source=estimate,
     )

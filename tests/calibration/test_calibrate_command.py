@@ -1,7 +1,5 @@
 """`plough-opt calibrate`: tables, files, and what is wrong with an input."""
 
-import contextlib
-import io
 import json
 from pathlib import Path
 from types import SimpleNamespace
@@ -15,15 +13,13 @@ PROBLEMS = Path(__file__).resolve().parents[2] / "problems"
 FILE, DATA = PROBLEMS / "calibration.toml", PROBLEMS / "synthetic_draft.csv"
 
 
-@pytest.fixture(scope="session")
-def cli():
+@pytest.fixture
+def cli(capsys):
     """Run the command line in this process."""
 
     def call(*arguments):
-        out, err = io.StringIO(), io.StringIO()
-        with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
-            status = main([str(argument) for argument in arguments])
-        return SimpleNamespace(status=status, out=out.getvalue(), err=err.getvalue())
+        status = main([str(argument) for argument in arguments])
+        return SimpleNamespace(status=status, **capsys.readouterr()._asdict())
 
     return call
 

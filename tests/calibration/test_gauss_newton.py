@@ -1,12 +1,15 @@
 """The optimum against a search without derivatives on losses written apart; derivatives against differences."""
 
+import re
+from pathlib import Path
+
 import numpy as np
 import pytest
 from helpers.known_soil import TRUTH, steady_scene
 from scipy import optimize
 
 import plough_opt as po
-from plough_opt.studies.calibration.least_squares import LOSSES
+from plough_opt.studies.calibration.least_squares import CAUCHY, HUBER, LOSSES, SOFT_L1
 
 
 def residuals(measured):
@@ -29,6 +32,11 @@ WRITTEN = {
     "soft_l1": lambda r: 1.287**2 * (np.sqrt(1 + (r / 1.287) ** 2) - 1),
     "cauchy": lambda r: 2.385**2 / 2 * np.log(1 + (r / 2.385) ** 2),
 }
+
+
+def test_the_page_names_the_constants_of_the_code():
+    text = (Path(__file__).resolve().parents[2] / "docs" / "calibration.md").read_text(encoding="utf-8")
+    assert [float(c) for c in re.findall(r"\$c=([\d.]+)\$", text)] == [HUBER, SOFT_L1, CAUCHY]
 
 
 @pytest.mark.parametrize("loss", LOSSES)

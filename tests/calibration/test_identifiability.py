@@ -128,9 +128,3 @@ def test_profile_ends_are_where_the_loss_has_risen(fitted):
     cohesion = fitted.source.unknowns[0]
     for end in fitted.intervals()["soil.cohesion"]:
         assert abs(rise(cohesion.scaled(end))) < 1e-6
-
-
-def test_several_optima_that_fit_are_reported(measured, three):
-    fit = po.calibrate(steady_scene(), measured, three)
-    assert len(fit.optima) == 1
-    assert not any("local optima" in warning for warning in fit.warnings)

@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from helpers.known_soil import steady_scene
 from scipy import stats
 
 import plough_opt as po
@@ -112,8 +111,6 @@ def test_a_row_of_weight_zero_is_as_if_left_out(regression):
     weights[3] = 0.0
     scene, spoilt = linear_scene(20e3, 1400.0, 2.0), values.copy()
     spoilt[3] *= 3.0
-    mean = np.mean(np.abs(spoilt))
-    assert mean > 0.0
     fit = po.calibrate(
         scene, po.Measurements("mean_draft", spoilt, {"scene.tow_speed": speeds}, weights=weights), UNKNOWN
     )
@@ -125,7 +122,3 @@ def test_a_row_of_weight_zero_is_as_if_left_out(regression):
     for name in UNKNOWN:
         assert fit.values[name] == pytest.approx(without.values[name], rel=1e-7)
         assert fit.standard_errors[name] == pytest.approx(without.standard_errors[name], rel=1e-6)
-
-
-def test_steady_scene_is_what_the_fixtures_say():
-    assert float(steady_scene().steady_resistance) == pytest.approx(float(po.simulate(steady_scene(), 1.0).mean_draft))

@@ -112,13 +112,7 @@ def test_failures_are_told(cli, reference, tmp_path, monkeypatch):
 WRONG = {
     "name": (("--over", "soil.cohesoin=5..45 kPa:9"), "'soil.cohesoin' cannot be swept: did you mean 'soil.cohesion'"),
     "no range": (("--over", "soil.cohesion"), "expected KEY=RANGE, like soil.cohesion"),
-    "unit": (("--over", "soil.cohesion=5..45 kg:9"), "'soil.cohesion' = \"5 kg\" has the wrong unit"),
-    "no unit": (("--over", "soil.cohesion=5..45:9"), "'soil.cohesion' = \"5\" has no unit"),
-    "reversed": (("--over", "soil.cohesion=45..5 kPa:9"), "the range from 45 to 5 is empty"),
-    "one": (("--over", "soil.cohesion=5..45 kPa:1"), "must be a whole number from 2 on"),
     "too many": (("--over", "soil.cohesion=5..45 kPa:1000000000000"), "can be 1000000 at most; use a sample"),
-    "no count": (("--over", "soil.cohesion=5..45 kPa"), "has no number of values"),
-    "count of a sample": ((*COHESION, "--samples", "8"), "a sample fills the range; leave it out"),
     "samples": (("--over", "soil.cohesion=5..45 kPa", "--samples", "0"), "0 samples: give a whole number from 2"),
     "twice": ((*COHESION, *COHESION), "'soil.cohesion' is swept twice"),
     "fixed": ((*COHESION, "--set", "soil.cohesion=5 kPa"), "'soil.cohesion' is fixed by --set too"),
@@ -127,7 +121,6 @@ WRONG = {
     "same file": ((*COHESION, "--csv", "x", "--npz", "x"), "--npz 'x' is the file of --csv too"),
     "workers": ((*COHESION, "--workers", "0"), "--workers 0: a sweep takes one or more"),
     "both": ((*COHESION, "--workers", "2", "--scheduler", "tcp://x:1"), "leave one of the two out"),
-    "batch": ((*COHESION, "--optimise", "--method", "batch"), "it does not optimise"),
     "no store": ((*COHESION, "--store", __file__), "file is not a database"),
 }
 

@@ -38,11 +38,6 @@ def test_the_numbers_are_those_of_the_command_at_every_point(problem, inline):
         assert row["moving_mass"] == run.scene.mass
 
 
-def test_the_same_bits_in_another_process(problem, inline):
-    with po.sweep(problem, OVER, executor=inline) as one, po.sweep(problem, OVER, workers=1) as other:
-        np.testing.assert_array_equal(one.table, other.table)
-
-
 def test_warnings_are_kept_once_with_the_number_of_their_points(problem, inline):
     with po.sweep(problem, {"share.wedge_angle": "30, 55 deg", "share.height": "0.2, 0.3 m"}, executor=inline) as found:
         notes = found.notes
@@ -164,7 +159,6 @@ class TestAxes:
     def test_grids_and_lists(self, text, unit, expected):
         # To the last bit: these are the numbers that a file would have.
         assert read_axis(text, Unit(unit))[0] == expected
-        assert read_axis(text, Unit(unit))[0] == expected
 
     def test_the_numbers_are_those_of_a_file(self):
         found = read_axis("1..7 km/h:61", Unit("m/s"))[0]
@@ -224,14 +218,6 @@ def test_a_design_whose_variables_are_all_swept_has_nothing_to_choose(problem):
     over = {"share.wedge_angle": [0.4, 0.5], "share.height": [0.2, 0.3], "scene.stiffness": [5e4, 6e4]}
     with pytest.raises(po.InputError, match="nothing to choose: every variable is fixed"):
         po.sweep(problem, over, what="optimise")
-
-
-def test_a_store_of_another_file_is_refused_by_the_quantity_that_differs(problem, inline, tmp_path):
-    store = tmp_path / "sweep.db"
-    po.sweep(problem, OVER, executor=inline, store=store).close()
-    other = po.read_problem(COTTON, (*BRIEF, "scene.frame_mass=25 kg"))
-    with pytest.raises(po.InputError, match=r"\(scene.frame_mass: 20.0 there, 25.0 here\)"):
-        po.sweep(other, OVER, executor=inline, store=store)
 
 
 def test_units_of_an_optimisation_cover_its_results(problem):

@@ -1,6 +1,7 @@
 """Stores that somebody damaged, moved to a medium that cannot be written, or took rows from."""
 
 import contextlib
+import functools
 import io
 import os
 import shutil
@@ -23,21 +24,22 @@ REFERENCE = Path(__file__).parents[2] / "problems" / "reference.toml"
 OVER = {"a": [1.0, 2.0, 5.0], "b": [1.0, 2.0]}
 
 
+def change(path, *statements):
+    """Execute statements in an SQLite file."""
+    connection = sqlite3.connect(path)
+    for statement in statements:
+        connection.execute(statement)
+    connection.commit()
+    connection.close()
+    return path
+
+
 @pytest.fixture
 def store(inline, tmp_path):
     """Return a finished store, and change it by a statement."""
     path = tmp_path / "sweep.db"
     po.sweep(swept.failing_at_one, OVER, executor=inline, store=path).close()
-
-    def changed(*statements):
-        connection = sqlite3.connect(path)
-        for statement in statements:
-            connection.execute(statement)
-        connection.commit()
-        connection.close()
-        return path
-
-    return changed
+    return functools.partial(change, path)
 
 
 def test_every_row_carries_the_checksum_that_the_documentation_says(store):
@@ -226,25 +228,16 @@ def test_a_finished_store_is_one_file_and_the_command_reads_it_without_writing(m
     assert capsys.readouterr().out.splitlines()[:-1] == first.splitlines()[:-1]
 
 
-@pytest.mark.parametrize(
-    "statement", ["ALTER TABLE points DROP COLUMN mean_draft", "UPDATE points SET mean_draft = 'much'"]
-)
-def test_the_command_tells_a_damaged_store_with_status_2(made, tmp_path, capsys, statement):
+def test_the_command_tells_a_damaged_store_with_status_2(made, tmp_path, capsys):
     store, _ = made(tmp_path)
-    connection = sqlite3.connect(store)
-    connection.execute(statement)
-    connection.commit()
-    connection.close()
+    change(store, "UPDATE points SET mean_draft = 'much'")
     assert main([*COMMAND, "--store", str(store)]) == 2
     assert f"bad input: the store '{store}' is damaged: " in capsys.readouterr().err
 
 
 def test_the_command_tells_what_is_undetermined_with_status_1(made, tmp_path, capsys):
     store, first = made(tmp_path)
-    connection = sqlite3.connect(store)
-    connection.execute("DELETE FROM points WHERE point = 1")
-    connection.commit()
-    connection.close()
+    change(store, "DELETE FROM points WHERE point = 1")
     opened = Store(store)
     reasons = {0: "3 workers ended while each worked at this point alone"}
     opened.keep(np.array([1]), np.array([[2e4]]), Done(1, reasons=reasons), without="undetermined")

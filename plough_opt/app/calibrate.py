@@ -9,8 +9,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from plough_opt.app.messages import LOG
-from plough_opt.app.terminal import give, progress, read
+from plough_opt.app.options import add_shared
+from plough_opt.app.terminal import LOG, give, progress, read
 from plough_opt.core.errors import InputError, NotConverged, nearest
 from plough_opt.core.quantities import quantities
 from plough_opt.core.units import customary
@@ -57,9 +57,7 @@ def add_options(verb: argparse.ArgumentParser) -> None:
     verb.add_argument("--loss", choices=_LOSSES, default="squares", help="robust losses give outliers less weight")
     verb.add_argument("--level", type=float, default=0.95, metavar="P", help="of the intervals (default: 0.95)")
     verb.add_argument("--folds", type=int, metavar="N", help="of the cross-validation (default: each row by itself)")
-    verb.add_argument("--json", action="store_true", help="print JSON (SI units) instead of tables")
-    verb.add_argument("--plot", metavar="FILE", help="write a picture of the residuals: .png, .svg or .pdf")
-    verb.add_argument("--output", metavar="FILE", help="write everything as JSON")
+    add_shared(verb, "json", "output", plot="write a picture of the residuals: .png, .svg or .pdf")
 
 
 def calibrate(options: argparse.Namespace) -> None:

@@ -2,25 +2,34 @@
 
 import argparse
 import json
+from collections.abc import Callable
 from functools import partial
 from typing import Any, Final
 
-from plough_opt.app import part
-from plough_opt.app.messages import printable
-from plough_opt.app.terminal import console, progress, read, wrote
+from plough_opt.app.options import QuantityOption, add_quantities, add_shared, given_quantities
+from plough_opt.app.terminal import console, printable, progress, read, wrote
 from plough_opt.core.errors import InputError
 from plough_opt.core.files import check_file
 from plough_opt.exchange.component import Component
 from plough_opt.exchange.export.formats import FORMATS, Request
+from plough_opt.motion import Run
+from plough_opt.motion.scene import Scene
 from plough_opt.problem_file import Problem
 
+_LENGTHS: Final = {
+    "opening": QuantityOption(
+        "rad", "90 deg", "of a part: angle between the share's faces (default: at which the block weighs what the model"
+        " counts)"
+    ),
+    "thickness": QuantityOption("m", "10 mm", "of a part: bent from plate (default: a block)"),
+}  # fmt: skip
 _OPTIONS: Final = tuple(sorted({option for own in FORMATS.values() for option in own.options}))
 
 
 def add_options(verb: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
     formats_text = "; ".join(f"{name}: {own}" for name, own in FORMATS.items())
-    verb.add_argument("--json", action="store_true", help="print what was written as JSON")
+    add_shared(verb, json="print what was written as JSON")
     verb.add_argument("--to", required=True, choices=FORMATS, metavar="FORMAT", help=formats_text)
     verb.add_argument("--output", required=True, metavar="PATH", help="file or folder to write")
     verb.add_argument(
@@ -35,7 +44,13 @@ def add_options(verb: argparse.ArgumentParser) -> None:
     verb.add_argument("--name", metavar="NAME", help="name of the function or model (default: share)")
     verb.add_argument("--strut", choices=("speed", "position"), help="of an FMU: its input (default: speed)")
     verb.add_argument("--sources", action="store_true", help="of an FMU: its C source only, which needs no compiler")
-    part.add_options(verb)
+    add_quantities(verb, _LENGTHS)
+    verb.add_argument("--body", choices=("share", "cone"), help="of a part: which body (default: share)")
+    verb.add_argument(
+        "--at",
+        choices=("best", "guess"),
+        help="of a part: the best design, or the variables' guesses (default: best where the file minimises)",
+    )
 
 
 def export(options: argparse.Namespace) -> None:
@@ -49,7 +64,7 @@ def export(options: argparse.Namespace) -> None:
         name=name,
         component=partial(_component, problem, options, name),
         scene=problem.scene(),
-        best=part.best_of(problem, options.at),
+        best=_best_of(problem, options.at),
         steel_density=values["scene.steel_density"],
         duration=values.get("scene.duration"),
         varies=bool(problem.variables),
@@ -85,7 +100,7 @@ def _options(options: argparse.Namespace) -> dict[str, Any]:
             raise InputError(f"--{name} does not go with --to {options.to}: it belongs to {others}")
     if options.description is not None:
         check_file(options.description, ".json", "description")
-    given = {name: part.in_si(name, getattr(options, name)) for name in chosen.options}
+    given = {name: getattr(options, name) for name in chosen.options} | given_quantities(options, _LENGTHS)
     if chosen.check is not None:
         chosen.check(given)
     return given
@@ -101,3 +116,22 @@ def _names(option: str, written: str | None) -> tuple[str, ...]:
             f"--{option} '{written}' lacks a name: write them with commas between, as share.height,soil.cohesion"
         )
     return names
+
+
+def _best_of(problem: Problem, at: str | None) -> Callable[[], Scene] | None:
+    """Return what searches the scene of a file's best design, or None where no search is asked for."""
+    if at == "guess" or (at is None and not (problem.variables and problem.table.minimise)):
+        return None
+    return lambda: _best(problem)
+
+
+def _best(problem: Problem) -> Scene:
+    """Return the scene of the best design, of the robust one where the soil is uncertain."""
+    with progress() as notify:
+        if problem.table.uncertain is None:
+            run = problem.optimise(notify)[1]
+            assert isinstance(run, Run)  # several shares are refused
+            return run.scene
+        from plough_opt.problem_file.robust_design import optimise_robust  # scipy.stats is slow to import
+
+        return optimise_robust(problem, notify).run.scene

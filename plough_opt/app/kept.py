@@ -8,8 +8,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from plough_opt.app.messages import printable
-from plough_opt.app.terminal import check_outputs, console, give, wrote
+from plough_opt.app.options import add_shared
+from plough_opt.app.terminal import check_outputs, console, give, printable, wrote
 from plough_opt.core.errors import InputError
 from plough_opt.core.kept import Origin
 from plough_opt.core.quantities import EVERY
@@ -37,18 +37,15 @@ _RESULTS = {
 def add_show(verb: argparse.ArgumentParser) -> None:
     """Add the options of `show`."""
     verb.add_argument("file", metavar="FILE", help="a saved result (JSON), or the store of a sweep")
-    verb.add_argument("--json", action="store_true", help="print the result as JSON (SI units)")
+    add_shared(verb, json="print the result as JSON (SI units)")
     verb.add_argument("--problem", action="store_true", help="print the whole problem in its place, with its data")
     verb.add_argument("--restore", metavar="FOLDER", help="write the problem and its data, to compute it again")
-    verb.set_defaults(run=show)
 
 
 def add_compare(verb: argparse.ArgumentParser) -> None:
     """Add the options of `compare`."""
     verb.add_argument("file", metavar="FILE", nargs="+", help="saved designs or runs (JSON), two or more")
-    verb.add_argument("--json", action="store_true", help="print JSON (SI units) instead of a table")
-    verb.add_argument("--plot", metavar="FILE", help="write a picture: .png, .svg or .pdf")
-    verb.set_defaults(run=compare)
+    add_shared(verb, "json", "plot")
 
 
 def show(options: argparse.Namespace) -> None:

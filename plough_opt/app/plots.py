@@ -9,8 +9,19 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
-from plough_opt.app.run_picture import changing, draw_deflection, draw_force, draw_speed, plot_run, subject
-from plough_opt.app.side_by_side import SIDE_BY_SIDE, draw_side_by_side, plot_designs, plot_forces
+from plough_opt.app.run_picture import (
+    SIDE_BY_SIDE,
+    changing,
+    draw_deflection,
+    draw_force,
+    draw_panel,
+    draw_side_by_side,
+    draw_speed,
+    plot_designs,
+    plot_forces,
+    plot_run,
+    subject,
+)
 from plough_opt.core.checks import check_kind
 from plough_opt.core.files import COLOURS, check_format
 from plough_opt.core.files import PICTURE_FORMATS as FORMATS
@@ -179,7 +190,8 @@ def plot_optimum(best: Optimum, run: Run | Machine) -> Figure:
     panels = list(best.variables) if best.search is not None and len(best.search.objective) > 0 else []
     required = [limit for limit in best.limits if limit.kind == "requirement"]
     rows = -(-len(panels) // _PANELS)
-    response = [draw for draw in changing(run) if draw is not draw_speed] if isinstance(run, Run) else []
+    response = changing(run, best.limits) if isinstance(run, Run) else []
+    response = [panel for panel in response if panel.name != "speed"]
     first = 2 if response else 1  # row of the search
     figure = Figure(figsize=(12.5, 0.8 + 3.2 * first + 3.0 * rows), layout="constrained")
     figure.suptitle(subject(run) if isinstance(run, Run) else run.origin.title)
@@ -192,8 +204,8 @@ def plot_optimum(best: Optimum, run: Run | Machine) -> Figure:
     else:
         draw_wedge(left[0], run.scene)
         draw_cone(left[1], run.scene)
-        for k, draw in enumerate(response):
-            draw(figure.add_subplot(grid[1, 6 * k : 6 * k + 6]), run, best.limits)
+        for k, panel in enumerate(response):
+            draw_panel(figure.add_subplot(grid[1, 6 * k : 6 * k + 6]), run, panel)
     if required:
         draw_margins(figure.add_subplot(grid[0, right:]), required)
     for row in range(rows):

@@ -9,11 +9,13 @@ from typing import TYPE_CHECKING
 
 from rich.console import Console
 from rich.markup import escape
-from rich.table import Table
 
+from plough_opt.app.terminal import LOG
+from plough_opt.core.errors import InputError, NotConverged
 from plough_opt.core.quantities import quantities
 from plough_opt.core.tables import Grid, Page
 from plough_opt.core.units import customary
+from plough_opt.design import Optimum, Progress, Sensitivity
 from plough_opt.laws.forces import cone_index
 from plough_opt.motion import Run
 from plough_opt.motion.effect_costs import EffectCost
@@ -28,6 +30,9 @@ from plough_opt.soil.soil import Soil
 if TYPE_CHECKING:
     from plough_opt.studies.crosscheck import Comparison
 
+# Smaller elasticities are the rounding of none.
+_NONE = 1e-9
+
 
 def shown(problem: Problem, key: str, value: float, unit: str) -> str:
     """Return an SI value in the unit that the file gives the key in, or in a customary one."""
@@ -36,12 +41,12 @@ def shown(problem: Problem, key: str, value: float, unit: str) -> str:
 
 def print_soils(console: Console, soils: Sequence[Soil]) -> None:
     """Print the named soils, then where their values come from."""
-    table = Table(title="Named soils (engineering choices inside published brackets; none measured as a set)")
-    for heading in ("name", "density", "locked density", "ratio b1", "cohesion", "friction angle", "tool friction",
-                    "cone index"):  # fmt: skip
-        table.add_column(heading, justify="left" if heading == "name" else "right")
+    table = Grid.of(
+        "Named soils (engineering choices inside published brackets; none measured as a set)",
+        "name", "density", "locked density", "ratio b1", "cohesion", "friction angle", "tool friction", "cone index",
+    )  # fmt: skip
     for soil in soils:
-        table.add_row(
+        table.row(
             soil.name,
             f"{soil.density:.0f} kg/m^3",
             f"{soil.density / soil.density_ratio:.0f} kg/m^3",
@@ -101,8 +106,13 @@ def print_check(console: Console, problem: Problem) -> None:
         names = ", ".join(key for key in problem.table.uncertain if key.startswith("soil."))
         console.print(f"Uncertain: {escape(names)}: optimise designs for them, all else takes the nominal soil.",
                       soft_wrap=True)  # fmt: skip
-    for warning in dict.fromkeys(text for part in problem.parts.values() for text in part.scene().warnings()):
+    for warning in warnings_of(problem):
         console.print(f"[yellow]Note:[/] {escape(warning)}.")
+
+
+def warnings_of(problem: Problem) -> tuple[str, ...]:
+    """Return what a reader must know of the scenes of a file, each sentence once."""
+    return tuple(dict.fromkeys(text for part in problem.parts.values() for text in part.scene().warnings()))
 
 
 def _simulated(problem: Problem, scene: Scene) -> Grid:
@@ -135,16 +145,13 @@ def _simulated(problem: Problem, scene: Scene) -> Grid:
 
 def print_effects(console: Console, costs: Sequence[EffectCost]) -> None:
     """Print what each effect adds to the differential equation and to the operations of a run."""
-    table = Table(title="What each effect adds to this scene")
-    for heading in ("effect", "", "nodes", "states", "events", "operations, with it over without"):
-        table.add_column(heading, justify="left" if heading == "effect" else "right")
+    headings = ("effect", "", "nodes", "states", "events", "operations, with it over without")
+    table = Grid.of("What each effect adds to this scene", *headings)
     for cost in costs:
-        if cost.refused:
-            table.add_row(cost.name, "on" if cost.on else "off", "", "", "", "not here, see below")
-            continue
-        sizes = (f"{size:+d}" for size in (cost.nodes, cost.states, cost.events))
+        sizes = [f"{size:+d}" for size in (cost.nodes, cost.states, cost.events)]
         ratio = "a search" if cost.operations is None else f"{cost.operations:.3g}"
-        table.add_row(cost.name, "on" if cost.on else "off", *sizes, ratio)
+        found = ("", "", "", "not here, see below") if cost.refused else (*sizes, ratio)
+        table.row(cost.name, "on" if cost.on else "off", *found)
     console.print(table)
     for cost in costs:
         if cost.refused:
@@ -183,3 +190,43 @@ def _scene_table(problem: Problem, scene: Scene, share: str = "") -> Grid:
         rows.append(("law of resistance", scene.law.label))
     title = f"Scene of the share '{share}'" if share else "Scene"
     return Grid.pairs(f"{title}, variables at their guesses" if problem.variables else title, *rows)
+
+
+def sensitivities_of(best: Optimum, notify: Progress) -> tuple[Sensitivity, ...]:
+    """Return all sensitivities of an optimum, or none and a note that says why it has none."""
+    notify("sensitivities", 1.0)
+    try:
+        return best.every_sensitivity()
+    except (InputError, NotConverged) as error:
+        LOG.info("note: no sensitivities: %s", error)
+        return ()
+
+
+def with_sensitivities(page: Page, problem: Problem, found: Sequence[Sensitivity]) -> Page:
+    """Return a page with elasticities of the best objective and of the variables, by size, and how far they hold."""
+    if not found:
+        return page
+    names = [key.rpartition(".")[2] for key in problem.variables]
+    table = Grid.of(
+        "Change in per cent for one per cent more, solved again; the same limits decide from ... to ...",
+        "quantity or limit", "value", "objective", *names, "same limits from", "to", fold=("quantity or limit",),
+    )  # fmt: skip
+    for item in found:
+        moves = [_percent(item.elasticity), *(_percent(item.elasticities[key]) for key in problem.variables)]
+        key = item.name.partition(" ")[0]
+        ends = [_end(problem, key, item, end) for end in (item.valid_from, item.valid_to)]
+        table.row(item.name, shown(problem, key, item.value, item.unit), *moves, *ends)
+    met = dict.fromkeys(name for item in found for name in item.touching)
+    notes = (f"{name} is just met: the figures are for values that grow" for name in met)
+    return replace(page, parts=(*page.parts, table), notes=(*page.notes, *notes))
+
+
+def _percent(elasticity: float | None) -> str:
+    if elasticity is None:
+        return "value 0"
+    return "0" if abs(elasticity) < _NONE else f"{elasticity:+.3g}"
+
+
+def _end(problem: Problem, key: str, item: Sensitivity, end: float | None) -> str:
+    """Return an end of a range; none where it is beyond zero, where no quantity of a file can go."""
+    return "" if end is None or end * item.value <= 0.0 else shown(problem, key, end, item.unit)

@@ -1,6 +1,9 @@
-"""A run over time: forces, deflection and speed, in the units of its question, with the limits that it must keep."""
+"""Runs over time: forces, deflection and speed of one, in the units of its question, and several side by side."""
 
-from collections.abc import Callable, Iterable, Sequence
+import itertools
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -9,8 +12,9 @@ from numpy.typing import NDArray
 
 from plough_opt.core.checks import check_kind
 from plough_opt.core.files import COLOURS
+from plough_opt.core.kept import Origin
 from plough_opt.core.units import Display
-from plough_opt.design import Limit
+from plough_opt.design import Limit, LocalOptimum
 from plough_opt.motion import Run
 from plough_opt.motion.equation import GAP, STICK
 from plough_opt.motion.terms import Structure, parameters, start_speed, strut
@@ -18,9 +22,66 @@ from plough_opt.motion.vocabulary import called
 
 OWN, LIMIT, SOIL, STRUT = COLOURS[0], COLOURS[1], COLOURS[4], COLOURS[6]
 """Colours of the share's own motion and force, of limits, of the soil, and of the strut, in every picture."""
+SIDE_BY_SIDE: Final = {"mount_force": "N", "deflection": "m"}
+"""Results over time that are drawn of several runs, with their units."""
 
 # Part of its size by which a value that stays the same changes through rounding.
 _CONSTANT = 1e-6
+# Part of a limit's size that is shown on either side of it: less would magnify rounding.
+_LEAST_ROOM = 0.02
+
+
+@dataclass(frozen=True)
+class Panel:
+    """Results of a run over time that are drawn together, on the screen or on a page.
+
+    Attributes:
+        name: of what is drawn.
+        unit: in which it is shown.
+        lines: label -> values [SI], colour, and whether the line is dashed; the most important first.
+        limits: words and value [SI] of each limit.
+        mean: name, mean [SI] and RMS about it [SI], where there is one.
+    """
+
+    name: str
+    unit: Display
+    lines: dict[str, tuple[NDArray[np.float64], str, bool]]
+    limits: Sequence[tuple[str, float]]
+    mean: tuple[str, float, float] | None = None
+
+    @property
+    def changes(self) -> bool:
+        """Whether anything in it changes over time."""
+        return any(np.ptp(values) > _CONSTANT * np.max(np.abs(values)) for values, _, _ in self.lines.values())
+
+
+def force_of(run: Run, limits: Sequence[Limit] = ()) -> Panel:
+    """Return mount force and soil resistance, with mean draft and RMS, and the limits of both."""
+    unit = run.origin.common("N", {"mount_force": run.peak_force, "mean_draft": run.mean_draft})
+    lines = {"mount force": (run.mount_force, OWN, False), "soil resistance": (run.soil_resistance, SOIL, False)}
+    mean = ("mean draft", run.mean_draft, run.force_rms)
+    return Panel("force", unit, lines, limits_of(run, limits, "mount_force", "mean_draft"), mean)
+
+
+def deflection_of(run: Run, limits: Sequence[Limit] = ()) -> Panel:
+    """Return the spring's deflection, with its mean and RMS, and the limits of these."""
+    unit = run.origin.common("m", {"deflection": run.peak_deflection, "mean_deflection": run.mean_deflection})
+    mean = ("mean", run.mean_deflection, run.displacement_rms)
+    lines = {"deflection": (run.deflection, OWN, False)}
+    return Panel("deflection", unit, lines, limits_of(run, limits, "deflection", "mean_deflection"), mean)
+
+
+def speed_of(run: Run, limits: Sequence[Limit] = ()) -> Panel:
+    """Return the share's speed beside the strut's, and its limits."""
+    structure, p = Structure.of(run.scene), parameters(run.scene)
+    strut_speed = start_speed(structure, p) + strut(structure, p, run.time).gain + 0.0 * run.time
+    lines = {"share": (run.speed, OWN, False), "strut": (strut_speed, STRUT, True)}
+    return Panel("speed", run.origin.display("scene.tow_speed", "m/s"), lines, limits_of(run, limits, "speed"))
+
+
+def changing(run: Run, limits: Sequence[Limit] = ()) -> list[Panel]:
+    """Return force, deflection and speed of a run, without those that stay the same."""
+    return [panel for panel in (of(run, limits) for of in (force_of, deflection_of, speed_of)) if panel.changes]
 
 
 def subject(run: Run) -> str:
@@ -40,7 +101,7 @@ def plot_run(run: Run, limits: Sequence[Limit] = ()) -> Figure:
         InputError: no run.
     """
     check_kind("the run", run, Run, "a numeric Run, as po.simulate returns one")
-    panels = changing(run)
+    panels = changing(run, limits)
     figure = Figure(figsize=(9, 1.0 + 2.3 * max(1, len(panels))), layout="constrained")
     figure.suptitle(subject(run))
     if not panels:
@@ -50,66 +111,47 @@ def plot_run(run: Run, limits: Sequence[Limit] = ()) -> Figure:
                   family="monospace", transform=axes.transAxes)  # fmt: skip
         return figure
     rows = figure.subplots(len(panels), 1, sharex=True, squeeze=False)[:, 0]
-    for axes, draw in zip(rows, panels, strict=True):
-        draw(axes, run, limits)
+    for axes, panel in zip(rows, panels, strict=True):
+        draw_panel(axes, run, panel)
         axes.set_xlabel("")
     rows[-1].set_xlabel("time [s]")
     return figure
 
 
-def changing(run: Run) -> list[Callable[[Axes, Run, Sequence[Limit]], None]]:
-    """Return what draws force, deflection and speed of a run, without those that stay the same."""
-    forces = (run.mount_force, run.soil_resistance)
-    every = ((draw_force, forces), (draw_deflection, (run.deflection,)), (draw_speed, (run.speed, _strut_speed(run))))
-    return [draw for draw, values in every if any(map(_changes, values))]
-
-
 def draw_force(axes: Axes, run: Run, limits: Sequence[Limit] = ()) -> None:
     """Draw mount force and soil resistance, with mean draft and RMS."""
-    unit = run.origin.common("N", {"mount_force": run.peak_force, "mean_draft": run.mean_draft})
-    axes.plot(run.time, run.soil_resistance / unit.factor, color=SOIL, linewidth=1.0, label="soil resistance")
-    axes.plot(run.time, run.mount_force / unit.factor, color=OWN, linewidth=1.4, label="mount force")
-    _draw_mean(axes, "mean draft", run.mean_draft, run.force_rms, unit)
-    _shade_modes(axes, run)
-    _finish(axes, run, "force", unit, limits_of(run, limits, "mount_force", "mean_draft"))
+    draw_panel(axes, run, force_of(run, limits))
 
 
 def draw_deflection(axes: Axes, run: Run, limits: Sequence[Limit] = ()) -> None:
     """Draw the spring's deflection, with its mean and RMS."""
-    unit = run.origin.common("m", {"deflection": run.peak_deflection, "mean_deflection": run.mean_deflection})
-    axes.plot(run.time, run.deflection / unit.factor, color=OWN, linewidth=1.2, label="deflection")
-    _draw_mean(axes, "mean", run.mean_deflection, run.displacement_rms, unit)
-    _finish(axes, run, "deflection", unit, limits_of(run, limits, "deflection", "mean_deflection"))
+    draw_panel(axes, run, deflection_of(run, limits))
 
 
 def draw_speed(axes: Axes, run: Run, limits: Sequence[Limit] = ()) -> None:
     """Draw the share's speed beside the strut's."""
-    unit = run.origin.display("scene.tow_speed", "m/s")
-    axes.plot(run.time, _strut_speed(run) / unit.factor, color=STRUT, linewidth=1.0, linestyle="--", label="strut")
-    axes.plot(run.time, run.speed / unit.factor, color=OWN, linewidth=1.2, label="share")
-    _finish(axes, run, "speed", unit, limits_of(run, limits, "speed"))
+    draw_panel(axes, run, speed_of(run, limits))
 
 
-def _strut_speed(run: Run) -> NDArray[np.float64]:
-    structure, p = Structure.of(run.scene), parameters(run.scene)
-    found: NDArray[np.float64] = start_speed(structure, p) + strut(structure, p, run.time).gain + 0.0 * run.time
-    return found
-
-
-def _draw_mean(axes: Axes, name: str, mean: float, rms: float, unit: Display) -> None:
-    """Draw a mean with a band of its RMS, where there is one."""
-    axes.axhline(mean / unit.factor, color="black", linewidth=1.0, linestyle="--", label=f"{name} {unit.text(mean, 3)}")
-    if rms > _CONSTANT * abs(mean):
-        axes.axhspan((mean - rms) / unit.factor, (mean + rms) / unit.factor, color="black", alpha=0.08,
-                     label=f"± RMS {unit.text(rms, 3)}")  # fmt: skip
-
-
-def _finish(axes: Axes, run: Run, name: str, unit: Display, limits: Iterable[tuple[str, float]]) -> None:
-    """Draw limits, name the axes, and give the legend room above all lines."""
-    for words, value in limits:
+def draw_panel(axes: Axes, run: Run, panel: Panel) -> None:
+    """Draw results over time with their mean and a band of the RMS, their limits, and a legend above all lines."""
+    unit = panel.unit
+    for label, (values, colour, dashed) in reversed(panel.lines.items()):
+        style, width = "--" if dashed else "-", 1.4 if colour == OWN else 1.0
+        axes.plot(run.time, values / unit.factor, color=colour, linestyle=style, linewidth=width, label=label)
+    if panel.mean is not None:
+        name, mean, rms = panel.mean
+        label = f"{name} {unit.text(mean, 3)}"
+        axes.axhline(mean / unit.factor, color="black", linewidth=1.0, linestyle="--", label=label)
+        if rms > _CONSTANT * abs(mean):
+            axes.axhspan((mean - rms) / unit.factor, (mean + rms) / unit.factor, color="black", alpha=0.08,
+                         label=f"± RMS {unit.text(rms, 3)}")  # fmt: skip
+    if panel.name == "force":
+        _shade_modes(axes, run)
+    for words, value in panel.limits:
         label = f"limit of the {words} {unit.text(value, 4)}"
         axes.axhline(value / unit.factor, color=LIMIT, linewidth=1.6, label=label)
-    axes.set(xlabel="time [s]", ylabel=unit.heading(name), xlim=(float(run.time[0]), float(run.time[-1])))
+    axes.set(xlabel="time [s]", ylabel=unit.heading(panel.name), xlim=(float(run.time[0]), float(run.time[-1])))
     low, high = axes.get_ylim()
     # What stays the same would have its rounding magnified.
     least = _CONSTANT * max(abs(low), abs(high))
@@ -126,10 +168,6 @@ def limits_of(run: Run, limits: Sequence[Limit], *names: str) -> list[tuple[str,
     return [(called(name), end) for name in names for end in every.get(name, ()) if end is not None]
 
 
-def _changes(values: NDArray[np.float64]) -> bool:
-    return bool(np.ptp(values) > _CONSTANT * np.max(np.abs(values)))
-
-
 def _shade_modes(axes: Axes, run: Run) -> None:
     """Shade the times in which a share under stick and slip sticks or has a gap ahead."""
     for mode, label, color in ((STICK, "sticks", STRUT), (GAP, "gap", LIMIT)):
@@ -137,3 +175,77 @@ def _shade_modes(axes: Axes, run: Run) -> None:
         if np.any(inside):
             axes.fill_between(run.time, 0, 1, where=inside.tolist(), transform=axes.get_xaxis_transform(),
                               color=color, alpha=0.18, linewidth=0.0, label=label)  # fmt: skip
+
+
+def plot_designs(designs: Mapping[str, LocalOptimum]) -> Figure:
+    """Draw designs side by side: every variable between its bounds, every requirement beside its limits.
+
+    Args:
+        designs: name -> a design; the first has the variables and requirements that are drawn.
+    """
+    first = next(iter(designs.values()))
+    figure = Figure(figsize=(8, 0.9 + 0.75 * len(first.limits)), layout="constrained")
+    rows = figure.subplots(len(first.limits), 1, squeeze=False)[:, 0]
+    for axes, limit in zip(rows, first.limits, strict=True):
+        _draw_limit(
+            axes, limit, [next((x for x in one.limits if x.name == limit.name), None) for one in designs.values()]
+        )
+    for name, colour in zip(designs, itertools.cycle(COLOURS), strict=False):
+        rows[0].plot([], [], "o", color=colour, label=name)
+    figure.legend(loc="outside lower center", ncols=min(4, len(designs)), fontsize="small")
+    return figure
+
+
+def _draw_limit(axes: Axes, limit: Limit, found: Sequence[Limit | None]) -> None:
+    """Draw what designs have of one limited quantity on a line, its limits as bars across."""
+    factor = limit.shown.factor
+    ends = [end / factor for end in (limit.low, limit.high) if end is not None]
+    values = [None if one is None else one.value / factor for one in found]
+    for k, value in enumerate(values):
+        if value is not None:
+            # One below the other, so that designs that are alike do not hide each other.
+            height = 0.0 if len(values) == 1 else 0.5 - k / (len(values) - 1)
+            axes.plot(value, height, "o", color=COLOURS[k % len(COLOURS)], markersize=7, zorder=3, clip_on=False)
+    axes.set_ylim(-1.0, 1.0)
+    for end in ends:
+        axes.axvline(end, color="black", linewidth=2.0)
+    every = [*ends, *(value for value in values if value is not None)]
+    room = max(0.08 * (max(every) - min(every)), _LEAST_ROOM * max(map(abs, every))) or 1.0
+    axes.set_xlim(min(every) - room, max(every) + room)
+    if limit.low is not None and limit.high is not None and 0.0 < 20.0 * limit.low < limit.high:
+        axes.set_xscale("log")
+        axes.set_xlim(0.8 * min(every), 1.25 * max(every))
+    axes.set_yticks([])
+    axes.set_ylabel(limit.shown.heading(called(limit.name)), rotation=0, ha="right", va="center")
+    for side in ("left", "right", "top"):
+        axes.spines[side].set_visible(False)
+
+
+def draw_side_by_side(axes: Axes, runs: Mapping[str, Run], name: str, origin: Origin) -> None:
+    """Draw a result of several runs over time, each in a colour.
+
+    Args:
+        axes: where.
+        runs: name -> numeric run.
+        name: of the result, one of `SIDE_BY_SIDE`.
+        origin: of the runs, which has the unit.
+    """
+    size = max(float(np.max(np.abs(getattr(run, name)))) for run in runs.values())
+    unit = origin.common(SIDE_BY_SIDE[name], {name: size})
+    for (label, run), colour in zip(runs.items(), itertools.cycle(COLOURS), strict=False):
+        axes.plot(run.time, getattr(run, name) / unit.factor, color=colour, linewidth=1.2, label=label)
+        for _, end in limits_of(run, (), name):
+            axes.axhline(end / unit.factor, color=colour, linewidth=1.6, linestyle=":", label=f"limit of {label}")
+    axes.set(xlabel="time [s]", ylabel=unit.heading(called(name)))
+    axes.legend(fontsize="small")
+
+
+def plot_forces(runs: Mapping[str, Run]) -> Figure:
+    """Draw the mount forces of several numeric runs over time.
+
+    Args:
+        runs: name -> run.
+    """
+    figure = Figure(figsize=(8.0, 4.0), layout="constrained")
+    draw_side_by_side(figure.subplots(), runs, "mount_force", next(iter(runs.values())).origin)
+    return figure

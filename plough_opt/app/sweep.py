@@ -8,8 +8,8 @@ from concurrent.futures import Executor
 from contextlib import contextmanager
 from pathlib import Path
 
-from plough_opt.app.messages import LOG, quiet
-from plough_opt.app.terminal import give, read, wrote
+from plough_opt.app.options import add_shared
+from plough_opt.app.terminal import LOG, give, quiet, read, wrote
 from plough_opt.core.errors import InputError, NotConverged
 from plough_opt.problem_file.sweeping import ProblemSweep, What
 
@@ -25,7 +25,6 @@ def add_options(verb: argparse.ArgumentParser) -> None:
         ' scene.tow_speed="1 m/s, 2 m/s"; repeatable: all combinations',
     )
     verb.add_argument("--samples", type=int, metavar="N", help="a Sobol sample of the ranges; best a power of two")
-    verb.add_argument("--seed", type=int, default=0, metavar="N", help="seed of the sample (default: 0)")
     verb.add_argument("--optimise", action="store_true", help="optimise at every point in the place of simulating")
     verb.add_argument(
         "--method",
@@ -37,10 +36,9 @@ def add_options(verb: argparse.ArgumentParser) -> None:
     verb.add_argument("--scheduler", metavar="ADDRESS", help="the workers of a dask scheduler, like tcp://host:8786")
     verb.add_argument("--store", metavar="FILE", help="where finished points are kept (default: named after the sweep)")
     verb.add_argument("--retry", action="store_true", help="try the points again that failed or are undetermined")
-    verb.add_argument("--json", action="store_true", help="print JSON (SI units) instead of a table")
-    verb.add_argument("--csv", metavar="FILE", help="write a table of all points")
     verb.add_argument("--npz", metavar="FILE", help="write an array for each column")
-    verb.add_argument("--plot", metavar="FILE", help="write a picture of every result: .png, .svg or .pdf")
+    every = "write a picture of every result: .png, .svg or .pdf"
+    add_shared(verb, "json", "csv", seed="seed of the sample (default: 0)", plot=every)
 
 
 def sweep(options: argparse.Namespace) -> None:

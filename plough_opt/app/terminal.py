@@ -1,24 +1,24 @@
-"""Where commands read from and write to: the problem file, the two streams, progress."""
+"""Where commands read from and write to: the problem file, the two streams, messages, progress."""
 
 from __future__ import annotations
 
 import argparse
+import logging
 import os
 import signal
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from types import FrameType
-from typing import TYPE_CHECKING, NoReturn
+from typing import TYPE_CHECKING, Final, NoReturn
 
 from rich.console import Console
 from rich.markup import escape
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
 from plough_opt import design as designs
-from plough_opt.app.messages import LOG, printable, quiet, stepwise
-from plough_opt.core.errors import InputError, short
+from plough_opt.core.errors import InputError, short, unprintable
 from plough_opt.core.files import save_figure, write_file
 from plough_opt.core.process import heartbeat
 from plough_opt.core.tables import Page
@@ -26,6 +26,63 @@ from plough_opt.problem_file import Problem, read_problem
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+# Messages of commands themselves, which are shown unless -q silences them; those of the library need -v.
+LOG = logging.getLogger(__name__)
+_LIBRARY = logging.getLogger("plough_opt")
+_LEVELS: Final = (logging.WARNING, logging.INFO, logging.DEBUG)
+
+
+class _ErrorStream(logging.Handler):
+    """Writes each message in a line of its own, with the time since the start where steps are shown."""
+
+    def __init__(self, timed: bool) -> None:
+        super().__init__()
+        self._timed = timed
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Write a message; one that the reader's terminal would take for commands is quoted."""
+        time = f"{record.relativeCreated / 1e3:8.2f} s  " if self._timed else ""
+        Console(stderr=True, highlight=False, soft_wrap=True).print(
+            f"{time}{printable(record.getMessage())}", markup=False
+        )
+
+
+def add_how_much(parser: argparse.ArgumentParser) -> None:
+    """Add -q and -v."""
+    how_much = parser.add_mutually_exclusive_group()
+    how_much.add_argument("-q", "--quiet", action="store_true", help="no progress, notes or names of files written")
+    how_much.add_argument(
+        "-v", "--verbose", action="count", default=0, help="each step with its time; twice: every solve and run too"
+    )
+
+
+@contextmanager
+def messages(options: argparse.Namespace) -> Iterator[None]:
+    """Show messages as -q and -v ask for, for the time of one command."""
+    verbose = min(options.verbose, len(_LEVELS) - 1)
+    handler = _ErrorStream(timed=verbose > 0)
+    before = _LIBRARY.level, LOG.level
+    _LIBRARY.addHandler(handler)
+    _LIBRARY.setLevel(_LEVELS[verbose])
+    LOG.setLevel(logging.ERROR if options.quiet else logging.DEBUG if verbose else logging.INFO)
+    try:
+        yield
+    finally:
+        _LIBRARY.removeHandler(handler)
+        _LIBRARY.setLevel(before[0])
+        LOG.setLevel(before[1])
+
+
+def printable(text: str) -> str:
+    """Return a user's text in which what a terminal would take for a command is written as Python writes it."""
+    return "".join(repr(character)[1:-1] if unprintable(character) else character for character in text)
+
+
+def quiet() -> bool:
+    """Return True under -q."""
+    return not LOG.isEnabledFor(logging.INFO)
+
 
 # Options that name a file to be written.
 _OUTPUTS = ("plot", "csv", "npz", "output", "description", "store")
@@ -193,42 +250,35 @@ def wrote(path: Path) -> None:
 @contextmanager
 def progress() -> Iterator[designs.Progress]:
     """Show on the error stream what is being done, and how long it has taken: a bar on a terminal, else lines."""
-    if quiet() or stepwise():
-        yield _step_by_step()
-        _stop_if_interrupted()
-        return
     stream = Console(stderr=True, highlight=False)
-    if not stream.is_terminal:
-        with heartbeat(lambda line: stream.print(line, markup=False, soft_wrap=True)) as said:
-
-            def say(stage: str, _fraction: float) -> None:
-                _stop_if_interrupted()
-                said(stage)
-
-            yield say
-        _stop_if_interrupted()
-        return
-    columns = (TextColumn("{task.description}"), BarColumn(bar_width=24), TimeElapsedColumn())
-    with Progress(*columns, console=stream, transient=True) as bar:
-        task = bar.add_task("reading", total=1.0)
+    with ExitStack() as stack:
+        show: Callable[[str, float], object]
+        if not LOG.isEnabledFor(logging.INFO) or LOG.isEnabledFor(logging.DEBUG):
+            show = _StepByStep()
+        elif stream.is_terminal:
+            columns = (TextColumn("{task.description}"), BarColumn(bar_width=24), TimeElapsedColumn())
+            bar = stack.enter_context(Progress(*columns, console=stream, transient=True))
+            task = bar.add_task("reading", total=1.0)
+            show = lambda stage, fraction: bar.update(task, description=stage, completed=fraction)  # noqa: E731
+        else:
+            said = stack.enter_context(heartbeat(lambda line: stream.print(line, markup=False, soft_wrap=True)))
+            show = lambda stage, _fraction: said(stage)  # noqa: E731
 
         def notify(stage: str, fraction: float) -> None:
             _stop_if_interrupted()
-            bar.update(task, description=stage, completed=fraction)
+            show(stage, fraction)
 
         yield notify
     _stop_if_interrupted()
 
 
-def _step_by_step() -> designs.Progress:
-    """Return a progress whose stages are messages of their own, which -q silences."""
-    last = ""
+class _StepByStep:
+    """Shows each stage as a message of its own, which -q silences."""
 
-    def notify(stage: str, _fraction: float) -> None:
-        nonlocal last
-        _stop_if_interrupted()
-        if stage != last:
+    def __init__(self) -> None:
+        self._last = ""
+
+    def __call__(self, stage: str, _fraction: float) -> None:
+        if stage != self._last:
             LOG.debug(stage)
-            last = stage
-
-    return notify
+            self._last = stage

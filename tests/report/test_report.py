@@ -10,8 +10,7 @@ import pytest
 
 import plough_opt as po
 from plough_opt.app import main
-from plough_opt.app.page.making import reported
-from plough_opt.app.page.writing import page
+from plough_opt.app.page.writing import page, reported
 
 PROBLEMS = Path(__file__).parents[2] / "problems"
 # Two variables fewer than the file has, so that the search is short.

@@ -7,6 +7,7 @@ from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
 
+from plough_opt.app.options import add_shared
 from plough_opt.app.terminal import progress, read, wrote
 from plough_opt.core.errors import InputError
 from plough_opt.core.files import check_file
@@ -16,8 +17,7 @@ from plough_opt.problem_file import Problem
 def add_options(verb: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
     verb.add_argument("-o", "--output", required=True, metavar="FILE.html", help="page to write")
-    verb.add_argument("--json", action="store_true", help="print what was written, and what made it, as JSON")
-    verb.add_argument("--seed", type=int, default=0, metavar="N", help="of the search's samples (default: 0)")
+    add_shared(verb, "seed", json="print what was written, and what made it, as JSON")
     verb.add_argument("--no-accuracy", action="store_true", help="leave out the study of what accuracy costs")
 
 
@@ -28,8 +28,7 @@ def report(options: argparse.Namespace) -> None:
         InputError: a mistake in the file, an output that cannot be written, or a file that trades results or whose
             soil is uncertain.
     """
-    from plough_opt.app.page.making import reported  # the studies are slow to import
-    from plough_opt.app.page.writing import write_page
+    from plough_opt.app.page.writing import reported, write_page  # the studies are slow to import
 
     check_file(options.output, ".html", "page")
     problem = read(options)

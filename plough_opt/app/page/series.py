@@ -6,12 +6,11 @@ from typing import Any, Final
 import numpy as np
 
 from plough_opt.app.page.content import Report, nice
-from plough_opt.app.run_picture import changing, limits_of
+from plough_opt.app.run_picture import Panel, changing
 from plough_opt.core.files import COLOURS
 from plough_opt.core.units import Display
 from plough_opt.design.landscape import FEASIBLE
 from plough_opt.motion import Run
-from plough_opt.motion.terms import Structure, parameters, start_speed, strut
 from plough_opt.motion.vocabulary import called
 from plough_opt.soil.geometry import Wedge
 from plough_opt.soil.solid import Solid
@@ -24,74 +23,42 @@ _SIDES: Final = 96
 # Digits of a number on the page, and designs of a search that are drawn: a screen shows no more.
 _DIGITS: Final = 6
 _MOST_DESIGNS: Final = 1500
-# Of a result's size: what changes less is constant, and has no picture.
-_CONSTANT: Final = 1e-6
 
 
 def charts(report: Report) -> list[dict[str, Any]]:
     """Return forces, deflection and speed over time, those that change."""
-    run = report.run
-    origin = report.problem.origin
-    force = origin.common("N", {"mount_force": run.peak_force, "mean_draft": run.mean_draft})
-    length = origin.common("m", {"deflection": run.peak_deflection, "mean_deflection": run.mean_deflection})
-    speed = report.display("scene.tow_speed", "m/s")
-    structure, p = Structure.of(run.scene), parameters(run.scene)
-    own = start_speed(structure, p) + strut(structure, p, run.time).gain + 0.0 * run.time
-    found = [
-        _chart(report, "force", "Force", force, {
-            "mount force": (run.mount_force, _BLUE, ""),
-            "soil resistance": (run.soil_resistance, _ORANGE, ""),
-        }, [("mean draft ± RMS", run.mean_draft, "#000000", "dash"), *_limits(report, "mount_force", "mean_draft")],
-            (run.mean_draft - run.force_rms, run.mean_draft + run.force_rms)),
-        _chart(report, "deflection", "Deflection", length, {"deflection": (run.deflection, _BLUE, "")},
-               [("mean ± RMS", run.mean_deflection, "#000000", "dash"),
-                *_limits(report, "deflection", "mean_deflection")],
-               (run.mean_deflection - run.displacement_rms, run.mean_deflection + run.displacement_rms)),
-        _chart(report, "speed", "Speed", speed, {"share": (run.speed, _BLUE, ""), "strut": (own, _GREY, "dash")},
-               _limits(report, "speed")),
-    ]  # fmt: skip
-    return [chart for chart in found if chart]
+    return [_chart(report.run, panel) for panel in changing(report.run)]
 
 
-def _chart(
-    report: Report,
-    key: str,
-    name: str,
-    display: Display,
-    series: dict[str, tuple[Any, str, str]],
-    lines: Sequence[tuple[str, float, str, str]],
-    band: tuple[float, ...] = (),
-) -> dict[str, Any]:
-    """Return a chart over time, or nothing where nothing in it changes."""
-    values = {label: np.asarray(values, dtype=float) for label, (values, _, _) in series.items()}
-    size = max(float(np.max(np.abs(own))) for own in values.values())
-    if all(float(np.ptp(own)) <= _CONSTANT * size for own in values.values()):
-        return {}
+def _chart(run: Run, panel: Panel) -> dict[str, Any]:
+    """Return a chart over time."""
+    unit = panel.unit
     extremes = [
-        f"{label} from {display.text(float(own.min()), 3)} to {display.text(float(own.max()), 3)}"
-        for label, own in values.items()
+        f"{label} from {unit.text(float(np.min(values)), 3)} to {unit.text(float(np.max(values)), 3)}"
+        for label, (values, _, _) in panel.lines.items()
     ]
+    lines = [(f"limit of {words}", end, _RED, "") for words, end in panel.limits]
+    band: tuple[float, ...] = ()
+    if panel.mean is not None:
+        name, mean, rms = panel.mean
+        lines.insert(0, (f"{name} ± RMS", mean, "#000000", "dash"))
+        band = mean - rms, mean + rms
     return {
-        "id": key,
-        "title": name,
-        "says": f"{name} over {report.run.duration:.3g} s: {'; '.join(extremes)}.",
-        "x": {"label": "time", "unit": "s", "values": _short(report.run.time)},
-        "y": {"label": name.lower(), "unit": _unit(display)},
+        "id": panel.name,
+        "title": _sentence(panel.name),
+        "says": f"{_sentence(panel.name)} over {run.duration:.3g} s: {'; '.join(extremes)}.",
+        "x": {"label": "time", "unit": "s", "values": _short(run.time)},
+        "y": {"label": panel.name, "unit": _unit(unit)},
         "series": [
-            {"label": label, "colour": colour, "dash": dash, "values": _short(values[label] / display.factor)}
-            for label, (_, colour, dash) in series.items()
+            {"label": label, "colour": colour, "dash": "dash" * dashed, "values": _short(values / unit.factor)}
+            for label, (values, colour, dashed) in panel.lines.items()
         ],
-        "band": [end / display.factor for end in band],
+        "band": [end / unit.factor for end in band],
         "lines": [
-            {"label": label, "value": value / display.factor, "colour": colour, "dash": dash}
+            {"label": label, "value": value / unit.factor, "colour": colour, "dash": dash}
             for label, value, colour, dash in lines
         ],
     }
-
-
-def _limits(report: Report, *names: str) -> list[tuple[str, float, str, str]]:
-    """Return the limits that the file sets to some results, as lines."""
-    return [(f"limit of {words}", end, _RED, "") for words, end in limits_of(report.run, (), *names)]
 
 
 def search(report: Report) -> list[dict[str, Any]]:

@@ -19,13 +19,16 @@ def cotton():
     return (PROBLEMS / "cotton_subsoiler.toml").read_text(encoding="utf-8")
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def changed(cotton):
-    """Return the problem file's text with one place of it changed."""
+    """Return the problem file's text with some places of it changed."""
 
-    def change(old, new):
-        assert cotton.count(old) == 1, f"{old!r} must stand in the file once"
-        return cotton.replace(old, new)
+    def change(*places):
+        text = cotton
+        for old, new in places:
+            assert text.count(old) == 1, f"{old!r} must stand in the file once"
+            text = text.replace(old, new)
+        return text
 
     return change
 
@@ -52,3 +55,22 @@ def refusal(read, tmp_path):
         return str(caught.value).replace(f"{tmp_path}/", "")
 
     return refusal
+
+
+def line_of(text, fragment):
+    """Return the number of the one line of a text that holds a fragment."""
+    (found,) = [number for number, line in enumerate(text.split("\n"), 1) if fragment in line]
+    return found
+
+
+@pytest.fixture
+def blames(refusal):
+    """Check that a text is refused in one sentence that names the one line with a fragment, and has some pieces."""
+
+    def check(text, fragment, *pieces):
+        message = refusal(text)
+        assert "\n" not in message
+        assert message.startswith(f"share.toml, line {line_of(text, fragment)}: ")
+        assert [piece for piece in pieces if piece not in message] == [], message
+
+    return check

@@ -1,7 +1,5 @@
 """A file's cone index is measured: whatever else varies or is uncertain, the soil keeps it."""
 
-import re
-
 import numpy as np
 import pytest
 from scipy import stats
@@ -81,31 +79,21 @@ def test_in_python_the_response_sets_the_level_anew():
     assert each["kept"] == pytest.approx(np.full(8, 1.5e6), rel=1e-12)
 
 
+COHESION = '"soil.cohesion" = { distribution = "uniform", lower = "1 kPa", upper = "9 kPa" }'
+FACTOR = '"soil.strength_factor" = { distribution = "uniform", lower = 1.0, upper = 2.0 }'
+READING = '"soil.cone_index" = { distribution = "uniform", lower = "1 MPa", upper = "2 MPa" }'
+
+
 @pytest.mark.parametrize(
-    ("adjust", "entry", "words"),
+    ("adjust", "entries", "words"),
     [
-        (
-            "cohesion",
-            '"soil.cohesion" = { distribution = "uniform", lower = "1 kPa", upper = "9 kPa" }',
-            "line .*'soil.cohesion' follows from the cone index in every sample: make soil.cone_index uncertain",
-        ),
-        (
-            "strength factor",
-            '"soil.strength_factor" = { distribution = "uniform", lower = 1.0, upper = 2.0 }',
-            "line .*'soil.strength_factor' follows from the cone index",
-        ),
-        (
-            "cohesion",
-            '"soil.cone_index" = { distribution = "uniform", lower = "1 MPa", upper = "2 MPa" }',
-            'can be uncertain with adjust = "strength factor" only',
-        ),
+        ("cohesion", COHESION, "'soil.cohesion' follows from the cone index in every sample: make soil.cone_index"),
+        ("strength factor", FACTOR, "'soil.strength_factor' follows from the cone index"),
+        ("cohesion", READING, 'can be uncertain with adjust = "strength factor" only'),
+        ("strength factor", f"{COHESION}\n{READING}", "make only one of them uncertain"),
     ],
 )
-def test_what_the_reading_decides_is_not_uncertain_by_itself(refusal, adjust, entry, words):
-    said = refusal(adjusting(adjust) + f"[uncertain]\n{entry}\n")
-    assert re.search(words, said), said
-
-
-def test_reading_and_cohesion_are_not_uncertain_together(refusal):
-    both = UNCERTAIN + '"soil.cone_index" = { distribution = "uniform", lower = "1 MPa", upper = "2 MPa" }\n'
-    assert "make only one of them uncertain" in refusal(TEXT + both)
+def test_what_the_reading_decides_is_not_uncertain_by_itself(refusal, adjust, entries, words):
+    said = refusal(adjusting(adjust) + f"[uncertain]\n{entries}\n")
+    assert words in said
+    assert ", line " in said

@@ -2,6 +2,7 @@
 
 import pytest
 
+import plough_opt as po
 from plough_opt.problem_file.source import lines_of
 
 
@@ -20,21 +21,16 @@ from plough_opt.problem_file.source import lines_of
     ids=lambda value: str(value)[:20],
 )
 def test_what_cannot_be_read_is_told_with_its_line(changed, refusal, inserted, line, told):
-    message = refusal(changed("[scene]", f"[scene]\n{inserted}"))
+    message = refusal(changed(("[scene]", f"[scene]\n{inserted}")))
     assert message.startswith(f"share.toml, line {line}: ")
     assert told in message
 
 
 @pytest.mark.parametrize("written", ["1 m^9^9^9", "1 m**9**9", "1 m^99", "1 m^-99", "1 m^1.25", "1 m^9 ^9", "1 m^9**9"])
-@pytest.mark.parametrize("where", ["file", "--set", "variable"])
-def test_powers_of_units_are_one_digit(changed, cotton, refusal, written, where):
-    if where == "file":
-        message = refusal(changed("7.2 km/h", written))
-    elif where == "--set":
-        message = refusal(cotton, f'share.height="{written}"')
-    else:
-        message = refusal(changed("0.1 m", written))
-    assert f'= "{written}" has a unit that cannot be read: its powers are one digit each, as "kg/m^3"' in message
+def test_powers_of_units_are_one_digit(changed, cotton, refusal, written):
+    file, variable = changed(("7.2 km/h", written)), changed(("0.1 m", written))
+    for message in (refusal(file), refusal(cotton, f'share.height="{written}"'), refusal(variable)):
+        assert f'= "{written}" has a unit that cannot be read: its powers are one digit each, as "kg/m^3"' in message
 
 
 @pytest.mark.parametrize("written", ["9.80665 m/s^2*kg/m^2", "1 N*m^-2", "1 N*m**-2", "1 kN*m^-1.5*m^-0.5"])
@@ -42,30 +38,12 @@ def test_units_with_powers_are_read(cotton, read, written):
     assert read(cotton, f'soil.cohesion="{written}"').fixed["soil.cohesion"] in (9.80665, 1.0, 1000.0)
 
 
-def test_a_quantity_is_short(changed, refusal):
-    message = refusal(changed("7.2 km/h", f"{'1' * 400} km/h"))
-    assert "has 405 characters, and a quantity at most 100: write it like" in message
-
-
-def test_a_file_is_short(cotton, refusal):
+def test_quantities_and_files_are_short(changed, cotton, refusal):
+    said = refusal(changed(("7.2 km/h", f"{'1' * 400} km/h")))
+    assert "has 405 characters, and a quantity at most 100: write it like" in said
     assert "too long for a problem file: at most 100 kB can be read" in refusal(cotton + "# comment\n" * 10_000)
-
-
-def test_a_file_without_an_end_is_not_read_to_it(cli_check):
-    assert "at most 100 kB" in cli_check("/dev/zero")
-
-
-@pytest.fixture
-def cli_check():
-    """Return the message with which a file is refused."""
-    import plough_opt as po
-
-    def check(path):
-        with pytest.raises(po.InputError) as caught:
-            po.read_problem(path)
-        return str(caught.value)
-
-    return check
+    with pytest.raises(po.InputError, match="at most 100 kB"):  # nor is one without an end read to it
+        po.read_problem("/dev/zero")
 
 
 def test_many_mistakes_are_counted(cotton, refusal):

@@ -10,7 +10,6 @@ CHANGES = [
     ('scene.tow_speed="2.5 m/s"', lambda p: p.scene().tow_speed, 2.5),
     ("scene.tow_speed=2.5 m/s", lambda p: p.scene().tow_speed, 2.5),
     ("scene.tow_speed = 9 km/h", lambda p: p.scene().tow_speed, 2.5),
-    ("scene.tow_speed='9 km/h'", lambda p: p.scene().tow_speed, 2.5),
     ("effects.strength_wave.amplitude=0.1", lambda p: p.scene().effects.strength_wave.amplitude, 0.1),
     ("effects.strength_wave.amplitude=10 %", lambda p: p.scene().effects.strength_wave.amplitude, 0.1),
     ("effects.strength_wave={amplitude = 0, wavelength = '1 m'}", lambda p: p.fixed[WAVELENGTH], 1.0),
@@ -24,6 +23,7 @@ CHANGES = [
     ("accuracy.error=1e-6", lambda p: p.accuracy.error, 1e-6),
     ("title=A = B", lambda p: p.title, "A = B"),
     ('variables.share.height.upper="0.4 m"', lambda p: p.variables["share.height"].upper, 0.4),
+    ('variables."share.height".upper=0.4 m', lambda p: p.variables["share.height"].upper, 0.4),
     ("variables.share.height.guess=20 cm", lambda p: p.scene().share.height, 0.2),
     ("variables.scene.stiffness.log=false", lambda p: p.variables["scene.stiffness"].log, False),
     ('require.loosened_radius.at_least="0.1 m"', lambda p: p.table.require["loosened_radius"].at_least, "0.1 m"),
@@ -41,38 +41,26 @@ def test_a_key_is_changed(read, cotton, override, value, expected):
     assert problem.notes == ()
 
 
-def test_nothing_else_is_changed(read, cotton):
-    changed, unchanged = read(cotton, "scene.tow_speed=2.5 m/s"), read(cotton)
+def test_nothing_else_is_changed_and_the_last_change_counts(read, cotton):
+    unchanged, changed = read(cotton), read(cotton, "scene.tow_speed=1 m/s", "scene.tow_speed=2.5 m/s")
     assert changed.values() == unchanged.values() | {"scene.tow_speed": 2.5}
     assert changed.variables == unchanged.variables
 
 
-def test_of_two_changes_of_one_key_the_last_counts(read, cotton):
-    assert read(cotton, "scene.tow_speed=1 m/s", "scene.tow_speed=3 m/s").scene().tow_speed == 3.0
-
-
 def test_a_variable_given_a_value_is_fixed_with_a_note(read, cotton):
-    problem = read(cotton, 'share.height="30 cm"')
-    assert list(problem.variables) == ["share.wedge_angle", "scene.stiffness"]
+    problem = read(cotton, 'share.height="30 cm"', "share.wedge_angle=30 deg")
+    assert [*problem.variables] == ["scene.stiffness"]
     assert problem.scene().share.height == pytest.approx(0.3)
-    assert problem.notes == ("'share.height' is a variable of the file: it is fixed at \"30 cm\"",)
-
-
-def test_every_variable_that_is_fixed_has_its_note(read, cotton):
-    problem = read(cotton, "share.height=30 cm", "share.wedge_angle=30 deg", "scene.stiffness=60 kN/m")
-    assert problem.variables == {}
-    assert len(problem.notes) == 3
-    scene = problem.scene()
-    assert (scene.share.angle, scene.stiffness) == (pytest.approx(30 * DEG), pytest.approx(60e3))
+    assert problem.scene().share.angle == pytest.approx(30 * DEG)
+    assert problem.notes == (
+        "'share.height' is a variable of the file: it is fixed at \"30 cm\"",
+        "'share.wedge_angle' is a variable of the file: it is fixed at 30 deg",
+    )
 
 
 def test_a_new_variable_may_be_set(read, cotton):
     problem = read(cotton, "variables.soil.density={ lower = '1.3 t/m^3', upper = '1.5 t/m^3' }")
     assert problem.scene().soil.density == pytest.approx(1400.0)
-
-
-def test_a_variable_may_be_named_with_the_quotes_of_the_file(read, cotton):
-    assert read(cotton, 'variables."share.height".upper=0.4 m').variables["share.height"].upper == 0.4
 
 
 def test_the_unit_of_a_change_is_the_unit_of_its_results(read, cotton):
@@ -81,11 +69,8 @@ def test_the_unit_of_a_change_is_the_unit_of_its_results(read, cotton):
 
 REFUSED = [
     ("scene.tow_speed=2.5", "'scene.tow_speed' = 2.5 has no unit", '"7.2 km/h"'),
-    ("scene.tow_speed=2.5 kg", "'scene.tow_speed' = \"2.5 kg\" has the wrong unit", "m/s"),
     ("scene.tow_speed=2.5 kmh", "unknown unit 'kmh'", "'km/h'"),
     ("scene.tow_sped=2.5 m/s", "'scene.tow_sped' is not a known key", "did you mean 'tow_speed'?"),
-    ("scene.tow_speed=-2.5 m/s", "tow speed = -2.5 m/s", "at least 0"),
-    ("share.hight=0.3 m", "'share.hight' is not a known key", "did you mean 'height'?"),
     ("share.height=-0.3 m", "share height = -0.3 m", "above 0"),
     ("share.height=1e300 m", "share height = 1e+300 m must be at most 1e+60 m"),
     ("variables.share.height.upper=1e300 m", "share height = 1e+300 m must be at most 1e+60 m"),
@@ -93,37 +78,31 @@ REFUSED = [
     ("effects.start=now", "'effects.start' = 'now' is unknown", "equilibrium, rest, towed"),
     ("effects.motion=no", "'effects.motion' = 'no' must be true or false"),
     ("scene.outputs=2.5", "'scene.outputs' = 2.5 must be a whole number"),
+    ("scene.outputs=true", "'scene.outputs' = True must be a whole number"),
     ("scene.outputs=0", "'scene.outputs' = 0 must be at least 1"),
     ("scene.outputs=1000000", "'scene.outputs' = 1000000 must be at most 100000"),
     ("scene..tow_speed=2 m/s", "'scene..tow_speed' is not a key"),
     ("accuracy.error='1e-6'", "'accuracy.error' = '1e-6' must be a number"),
     ("effects.motion=false", "damping needs motion", "leave it out"),
-    ("effects.strength_wave.amplitude=1.3", "amplitude = 1.3", "at most 1"),
     ("soil.name=hardpn", "no soil is named 'hardpn'", "did you mean 'hardpan'?"),
     ("accuracy.method=cvode", "is named 'cvode'", "did you mean 'cvodes'?"),
     ("title=3", "'title' = 3 must be a text in quotes"),
     ("variables.share.height.uper=0.4 m", "share.height.uper' is not a known key", "did you mean 'upper'?"),
     ("variables.share.height.upper=0.4", "'share.height' upper = 0.4 has no unit", '"0.3 m"'),
     ("variables.share.height.lower=0.6 m", "contradict each other", "lower 0.6 m is not below upper 0.5 m"),
-    ("variables.share.height.guess=0.6 m", "the guess 0.6 m of 'share.height'", "outside its bounds 0.1 m to 0.5 m"),
     ("variables.share.hight.upper=0.4 m", "share.hight", "did you mean 'share.height'"),
-    ("variables.scene.stiffness.lower=0 N/m", "'scene.stiffness' is log-scaled", "above 0"),
     ("require.losened_radius.at_least=0.1 m", "'losened_radius' cannot be required", "'loosened_radius'"),
-    ("require.half_angle.at_lest=1 deg", "at_lest' is not a known key", "'at_least'"),
     ("require.half_angle.at_least=20 deg", "contradict each other", "at least 20 deg is above at most 15 deg"),
     ("minimise.tow_powr.per=1 kW", "'tow_powr' cannot be minimised", "'tow_power'"),
     ("scen.tow_speed=2 m/s", "no table is named 'scen'", "did you mean 'scene'?"),
-    ("minimize.mean_draft.per=1 kN", "no table is named 'minimize'", "did you mean 'minimise'?"),
     ("scene.tow_speed.x=3", "'tow_speed' holds a value already"),
     ("scene.tow_speed", "expected KEY=VALUE", 'like scene.tow_speed="2.5 m/s"'),
     ("scene.tow_speed=", "expected KEY=VALUE"),
     ("=3", "expected KEY=VALUE"),
     ("", "expected KEY=VALUE"),
-    ("soil=serozem", "'soil'"),
     ("scene=3", "'scene'"),
     ("variables=3", "'variables'"),
     ("variables.share.height=3", "'variables.share.height'"),
-    ("require=3", "'require'"),
     ("require.mean_draft.at_most=14", "'mean_draft' at_most = 14.0 has no unit"),
     ("minimise.mean_draft.per=0 kN", "'mean_draft' per = 0 kN must be above 0"),
     ("variables.scene.tow_speed.upper=3 m/s", "'variables.scene.tow_speed.lower' is missing"),
@@ -153,22 +132,19 @@ def test_the_file_is_blamed_for_its_own_mistakes_beside_a_change(refusal, cotton
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "override", "mistake"),
+    ("place", "override", "mistake"),
     [
-        ('tow_speed = "7.2 km/h"\n', "", "scene.duration=1 s", "line 9: 'tow_speed' is missing"),
+        (('tow_speed = "7.2 km/h"\n', ""), "scene.duration=1 s", "line 9: 'tow_speed' is missing"),
         (
-            'upper = "0.5 m"',
-            'upper = "0.05 m"',
+            ('upper = "0.5 m"', 'upper = "0.05 m"'),
             "variables.share.height.log=true",
             "line 21: the bounds of 'share.height'",
         ),
     ],
     ids=["table", "variable"],
 )
-def test_a_change_is_not_blamed_for_a_mistake_of_the_file_in_the_same_table(
-    refusal, changed, old, new, override, mistake
-):
-    assert refusal(changed(old, new), override).startswith(f"share.toml, {mistake}")
+def test_a_change_is_not_blamed_for_a_mistake_of_the_file_in_the_same_table(refusal, changed, place, override, mistake):
+    assert refusal(changed(place), override).startswith(f"share.toml, {mistake}")
 
 
 def test_a_change_can_mend_a_mistake_of_the_file(read, cotton):

@@ -46,12 +46,6 @@ MOVING = TWO.replace(
 )
 
 
-def read(tmp_path, text, *overrides):
-    path = tmp_path / "frame.toml"
-    path.write_text(text, encoding="utf-8")
-    return po.read_problem(path, overrides)
-
-
 def scene_of(height, *, angle=35.0, cohesion=None):
     """Return the scene that `TWO` describes, built without a problem file."""
     soil = po.named_soil("serozem")
@@ -63,8 +57,8 @@ def scene_of(height, *, angle=35.0, cohesion=None):
     return po.Scene(soil, share, 60e3, mass, 2.0, po.Effects(motion=False))
 
 
-def test_they_are_one_design_of_all_scenes(tmp_path):
-    best, machine = read(tmp_path, TWO).optimise(search="near")
+def test_they_are_one_design_of_all_scenes(read):
+    best, machine = read(TWO).optimise(search="near")
     design = po.Design()
     front = design.variable("front", guess=0.25, lower=0.1, upper=0.5, unit="m")
     rear = design.variable("rear", guess=0.25, lower=0.1, upper=0.45, unit="m")
@@ -84,85 +78,83 @@ def test_they_are_one_design_of_all_scenes(tmp_path):
     }  # fmt: skip
 
 
-def test_what_is_chosen_above_is_one_value_for_all_shares(tmp_path):
+def test_what_is_chosen_above_is_one_value_for_all_shares(read):
     """Two shares alike need what one needs: twice the draft, at the same height."""
-    alone, _ = read(tmp_path, FRAME).optimise(search="near")
-    both, machine = read(tmp_path, f"{FRAME}\n[shares.left]\n[shares.right]\n").optimise(search="near")
+    alone, _ = read(FRAME).optimise(search="near")
+    both, machine = read(f"{FRAME}\n[shares.left]\n[shares.right]\n").optimise(search="near")
     assert both.variables == pytest.approx(alone.variables, rel=1e-8)
     assert both.objective == pytest.approx(2.0 * alone.objective, rel=1e-8)
     assert machine.tow_power == pytest.approx(2.0 * alone.run.tow_power, rel=1e-8)
 
 
-def test_drafts_are_limited_together_and_all_else_for_each_share(tmp_path):
-    best, machine = read(tmp_path, TWO).optimise(search="near")
+def test_drafts_are_limited_together_and_all_else_for_each_share(read):
+    best, machine = read(TWO).optimise(search="near")
     # The radii need this draft of both shares together, and less is not to be had.
     least = float(machine.mean_draft) / 1e3
     with pytest.raises(po.InfeasibleDesign, match="mean_draft"):
-        read(tmp_path, TWO, f"require.mean_draft.at_most={0.99 * least} kN").optimise(search="near")
-    loose, _ = read(tmp_path, TWO, f"require.mean_draft.at_most={1.01 * least} kN").optimise(search="near")
+        read(TWO, f"require.mean_draft.at_most={0.99 * least} kN").optimise(search="near")
+    loose, _ = read(TWO, f"require.mean_draft.at_most={1.01 * least} kN").optimise(search="near")
     limits = {one.name: one.value for one in loose.limits}
     assert limits["mean_draft"] == pytest.approx(machine.mean_draft, rel=1e-8)
     assert best.margins["rear.loosened_radius"] == pytest.approx(0.0, abs=1e-8)
 
 
-def test_a_value_takes_the_place_of_a_variable_above_and_the_other_way_round(tmp_path):
-    problem = read(tmp_path, f'{FRAME}\n[shares.a]\nshare.height = "0.3 m"\n[shares.b]\n')
+def test_a_value_takes_the_place_of_a_variable_above_and_the_other_way_round(read):
+    problem = read(f'{FRAME}\n[shares.a]\nshare.height = "0.3 m"\n[shares.b]\n')
     assert set(problem.variables) == {"share.height"}
     assert problem.fixed["a.share.height"] == 0.3
     runs = problem.machine().runs
     assert [runs[name].scene.share.height for name in "ab"] == [0.3, 0.25]
     assert problem.machine({"share.height": 0.2}).runs["a"].scene.share.height == 0.3
-    problem = read(
-        tmp_path, f'{FRAME}\n[shares.a]\nvariables."scene.stiffness" = {{ lower = "9 kN/m", upper = "90 kN/m" }}'
-    )
+    problem = read(f'{FRAME}\n[shares.a]\nvariables."scene.stiffness" = {{ lower = "9 kN/m", upper = "90 kN/m" }}')
     assert set(problem.variables) == {"share.height", "a.scene.stiffness"}
     assert problem.shares["a"].values()["scene.stiffness"] == pytest.approx(49.5e3)
 
 
-def test_changes_reach_one_share_or_all(tmp_path):
+def test_changes_reach_one_share_or_all(read):
     change = (
         'shares.rear.soil.cohesion="12 kPa"',
         'scene.tow_speed="3 m/s"',
         'shares.front.variables.share.height.upper="0.4 m"',
     )
-    problem = read(tmp_path, TWO, *change)
+    problem = read(TWO, *change)
     scenes = {name: part.scene() for name, part in problem.shares.items()}
     assert [scene.tow_speed for scene in scenes.values()] == [3.0, 3.0]
     assert scenes["rear"].soil.cohesion == 12e3 != scenes["front"].soil.cohesion
     assert problem.variables["front.share.height"].upper == 0.4
-    fixed = read(tmp_path, TWO, 'shares.rear.share.height="0.2 m"')
+    fixed = read(TWO, 'shares.rear.share.height="0.2 m"')
     assert set(fixed.variables) == {"share.height"}
     assert "is fixed at 0.2 m" in " ".join(fixed.notes).replace('"', "")
     assert fixed.shares["rear"].scene().share.height == 0.2
 
 
-def test_one_share_can_be_chosen(tmp_path):
-    problem = read(tmp_path, TWO, "shares=rear", 'soil.cohesion="31 kPa"')
+def test_one_share_can_be_chosen(read):
+    problem = read(TWO, "shares=rear", 'soil.cohesion="31 kPa"')
     assert not problem.shares
     assert problem.scene().soil.cohesion == 31e3
     assert problem.table.require["loosened_radius"].at_least == "0.15 m"
-    machine = read(tmp_path, TWO)
+    machine = read(TWO)
     with pytest.raises(po.InputError, match=r"several shares, front, rear.*--set shares=front.*problem\.shares"):
         machine.scene()
-    again = read(tmp_path, TWO, *machine.shares["rear"].origin.overrides)
+    again = read(TWO, *machine.shares["rear"].origin.overrides)
     assert again.scene() == machine.shares["rear"].scene()
     assert machine.shares["rear"].simulate().mean_draft == machine.machine().runs["rear"].mean_draft
 
 
-def test_sensitivities_tell_shares_apart(tmp_path):
-    best, _ = read(tmp_path, TWO).optimise(search="near", parameters=True)
+def test_sensitivities_tell_shares_apart(read):
+    best, _ = read(TWO).optimise(search="near", parameters=True)
     # The soil above is that of the front share alone, for the rear one has its own.
     front, rear = (best.sensitivity(name, check=True) for name in ("soil.cohesion", "rear.soil.cohesion"))
     assert max(front.difference, rear.difference) < 1e-4  # central differences of two solves
     assert best.sensitivity("scene.tow_speed").objective > 0.0  # one speed for both
-    alone, _ = read(tmp_path, TWO, "shares=front").optimise(search="near", parameters=True)
+    alone, _ = read(TWO, "shares=front").optimise(search="near", parameters=True)
     assert front.objective == pytest.approx(alone.sensitivity("soil.cohesion").objective, rel=1e-6)
 
 
-def test_a_front_trades_sums_over_the_shares(tmp_path):
+def test_a_front_trades_sums_over_the_shares(read):
     traded = f"{TWO}\n[trade_off]\nmean_draft = {{}}\nloosened_radius = {{ maximise = true }}\npoints = 5\n"
-    front = read(tmp_path, traded).trade_off()
-    best, _ = read(tmp_path, TWO).optimise(search="near")
+    front = read(traded).trade_off()
+    best, _ = read(TWO).optimise(search="near")
     assert min(front.to_dataframe()["mean_draft"]) == pytest.approx(1e3 * best.objective, rel=1e-6)
 
 
@@ -179,21 +171,21 @@ def test_a_front_trades_sums_over_the_shares(tmp_path):
         (FRAME, "shares = 3\n", "'shares' must hold a table for each share"),
     ],
 )
-def test_a_mistake_is_named_with_its_line(tmp_path, old, new, said):
+def test_a_mistake_is_named_with_its_line(read, old, new, said):
     assert old in TWO
     text = TWO.replace(old, new, 1)
     text = f"shares = 3\n{FRAME}" if old == FRAME else text
     with pytest.raises(po.InputError, match=re.escape(said)):
-        read(tmp_path, text)
+        read(text)
 
 
-def test_an_unknown_share_is_refused(tmp_path):
+def test_an_unknown_share_is_refused(read):
     with pytest.raises(po.InputError, match="did you mean 'rear'"):
-        read(tmp_path, TWO, "shares=reer")
+        read(TWO, "shares=reer")
     with pytest.raises(po.InputError, match="did you mean 'rear'"):
-        read(tmp_path, TWO, "shares.reer.soil.cohesion=3 kPa")
+        read(TWO, "shares.reer.soil.cohesion=3 kPa")
     with pytest.raises(po.InputError, match="no share is named"):
-        read(tmp_path, FRAME, "shares=rear")
+        read(FRAME, "shares=rear")
 
 
 def test_the_schema_knows_them():
@@ -229,8 +221,8 @@ def test_the_commands_show_them_side_by_side(tmp_path, capsys):
         assert "--set shares=front" in capsys.readouterr().err
 
 
-def test_a_machine_prints_its_table_and_draws_itself(tmp_path):
-    machine = read(tmp_path, MOVING).machine()
+def test_a_machine_prints_its_table_and_draws_itself(read):
+    machine = read(MOVING).machine()
     rows = {label: cells for label, *cells in machine.response().rows}
     own = [run.mean_draft for run in machine.runs.values()]
     drafts = [float(cell.split()[0]) for cell in rows["mean draft"]]

@@ -9,7 +9,7 @@ import math
 import numbers
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import lru_cache, wraps
-from typing import Any, TypeAlias
+from typing import Any, Protocol, TypeAlias, TypeVar, overload
 
 import casadi as ca
 import numpy as np
@@ -20,6 +20,23 @@ from plough_opt.core.errors import InputError
 Expression: TypeAlias = Any
 """A float, a NumPy array, or a CasADi ``SX``, ``MX`` or ``DM``: the argument of every physical function."""
 
+
+Column: TypeAlias = Any
+"""Values below one another: a NumPy array or a CasADi matrix. The two share no signatures, so no type names both."""
+
+
+class Elementary(Protocol):
+    """A function of one variable, element by element: of a number it is a number, of an array an array."""
+
+    @overload
+    def __call__(self, x: float, /) -> float: ...
+    @overload
+    def __call__(self, x: NDArray[np.float64], /) -> NDArray[np.float64]: ...
+    @overload
+    def __call__(self, x: Expression, /) -> Expression: ...
+
+
+_Function = TypeVar("_Function", bound=Callable[..., Any])
 _SYMBOLIC = (ca.SX, ca.MX)
 _CASADI = (ca.SX, ca.MX, ca.DM)
 _MATRICES = (np.ndarray, *_CASADI)
@@ -161,12 +178,22 @@ def with_numbers(template: Any, quantities: Sequence[float]) -> Any:
     return map_expressions(template, lambda _: float(next(numbers)), is_quantity)
 
 
-def column(values: NDArray[np.float64], symbolic: bool) -> Expression:
+def column(values: Column, symbolic: bool) -> Column:
     """Return an array as it is, or as a CasADi column that may meet symbols."""
     return ca.DM(values) if symbolic else values
 
 
-def one_node(function: Callable[..., tuple[Expression, ...]]) -> Callable[..., tuple[Expression, ...]]:
+def stacked(*parts: Column) -> Column:
+    """Return expressions below one another, as one CasADi column."""
+    return ca.vertcat(*parts)
+
+
+def total(values: Column) -> Expression:
+    """Return the sum over an array or a CasADi column."""
+    return ca.sum1(values) if is_casadi(values) else float(np.sum(values))
+
+
+def one_node(function: Callable[..., tuple[Any, ...]]) -> Callable[..., tuple[Any, ...]]:
     """Decorate a function of scalars so that a graph of MX holds it as one node instead of its every operation.
 
     With numbers, arrays and SX it is called as it is. With MX each argument is a scalar or a column, and a scalar
@@ -179,7 +206,7 @@ def one_node(function: Callable[..., tuple[Expression, ...]]) -> Callable[..., t
         return ca.Function(function.__name__.strip("_"), arguments, list(function(*arguments)))
 
     @wraps(function)
-    def apply(*arguments: Expression) -> tuple[Expression, ...]:
+    def apply(*arguments: Any) -> tuple[Any, ...]:
         if not any(isinstance(argument, ca.MX) for argument in arguments):
             return function(*arguments)
         columns = [ca.MX(argument) for argument in arguments]
@@ -190,13 +217,29 @@ def one_node(function: Callable[..., tuple[Expression, ...]]) -> Callable[..., t
     return apply
 
 
-def _unary(casadi_function: Any, numpy_function: Any) -> Any:
-    def apply(x: Expression) -> Expression:
+# The same functions for any operand: CasADi's and NumPy's own signatures name their own types only.
+_if_else: Callable[..., Expression] = ca.if_else
+_choose: Callable[..., NDArray[np.float64]] = np.where
+
+
+def _described(apply: _Function, numpy_function: Any) -> _Function:
+    apply.__name__ = apply.__qualname__ = numpy_function.__name__
+    apply.__doc__ = f"{numpy_function.__name__} of floats, arrays or CasADi expressions."
+    return apply
+
+
+def _unary(casadi_function: Any, numpy_function: Any) -> Elementary:
+    def apply(x: Any, /) -> Any:
         return casadi_function(x) if is_casadi(x) else numpy_function(x)
 
-    apply.__name__ = apply.__qualname__ = numpy_function.__name__
-    apply.__doc__ = f"{numpy_function.__name__} of a float, an array or a CasADi expression."
-    return apply
+    return _described(apply, numpy_function)
+
+
+def _binary(casadi_function: Any, numpy_function: Any) -> Callable[[Expression, Expression], Expression]:
+    def apply(x: Any, y: Any, /) -> Any:
+        return casadi_function(x, y) if is_casadi(x) or is_casadi(y) else numpy_function(x, y)
+
+    return _described(apply, numpy_function)
 
 
 sin = _unary(ca.sin, np.sin)
@@ -211,6 +254,9 @@ log = _unary(ca.log, np.log)
 log1p = _unary(ca.log1p, np.log1p)
 expm1 = _unary(ca.expm1, np.expm1)
 absolute = _unary(ca.fabs, np.abs)
+minimum = _binary(ca.fmin, np.minimum)
+maximum = _binary(ca.fmax, np.maximum)
+arctan2 = _binary(ca.atan2, np.arctan2)
 
 
 def where(condition: Expression, yes: Expression, no: Expression) -> Expression:
@@ -218,19 +264,9 @@ def where(condition: Expression, yes: Expression, no: Expression) -> Expression:
     if isinstance(condition, bool) and isinstance(yes, float) and isinstance(no, float):
         return yes if condition else no
     if is_casadi(condition) or is_casadi(yes) or is_casadi(no):
-        return ca.if_else(condition, yes, no)
-    chosen: Any = np.where(condition, yes, no)
-    return chosen if chosen.ndim else chosen.item()
-
-
-def minimum(x: Expression, y: Expression) -> Expression:
-    """Return the smaller of two values, element by element."""
-    return ca.fmin(x, y) if is_casadi(x) or is_casadi(y) else np.minimum(x, y)
-
-
-def maximum(x: Expression, y: Expression) -> Expression:
-    """Return the larger of two values, element by element."""
-    return ca.fmax(x, y) if is_casadi(x) or is_casadi(y) else np.maximum(x, y)
+        return _if_else(condition, yes, no)
+    chosen = _choose(condition, yes, no)
+    return chosen if chosen.ndim else float(chosen)
 
 
 def rms(variance: Expression, scale: Expression) -> Expression:
@@ -238,14 +274,9 @@ def rms(variance: Expression, scale: Expression) -> Expression:
     if isinstance(variance, float):
         return math.sqrt(max(variance, 0.0))
     if not is_casadi(variance):
-        return sqrt(np.maximum(variance, 0.0))
+        return sqrt(maximum(variance, 0.0))
     least = _LEAST_RMS * scale + 1e-100
     return sqrt(variance + least**2) - least
-
-
-def arctan2(y: Expression, x: Expression) -> Expression:
-    """Return the angle of the point (x, y) in its plane [rad], from -pi to pi."""
-    return ca.atan2(y, x) if is_casadi(x) or is_casadi(y) else np.arctan2(y, x)
 
 
 def expm1_ratio(x: Expression) -> Expression:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from plough_opt.core.checks import check_domain, check_single, shown
 from plough_opt.core.errors import InputError
-from plough_opt.core.expressions import Expression, column, gauss_legendre, holds_casadi, is_casadi
+from plough_opt.core.expressions import Column, Expression, column, gauss_legendre, holds_casadi, is_casadi
 from plough_opt.core.labels import checked_in_designs
 from plough_opt.laws.law import ResistanceLaw, ShareInSoil, SoilReaction
 from plough_opt.soil.geometry import Cone, Wedge
@@ -100,7 +100,7 @@ def _mean_wall_pressure(cone: Cone, soil: Soil) -> WallPressure:
     )
 
 
-def _dot(weights: NDArray[np.float64], values: Expression) -> Expression:
+def _dot(weights: NDArray[np.float64], values: Column) -> Expression:
     return ca.dot(ca.DM(weights), values) if is_casadi(values) else float(weights @ values)
 
 

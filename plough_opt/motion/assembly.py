@@ -6,12 +6,13 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from plough_opt.core.expressions import Expression, column, holds_casadi, is_casadi, rms, where
+from plough_opt.core.expressions import Column, Expression, column, holds_casadi, is_casadi, rms, where
 from plough_opt.core.labels import unlabelled
 from plough_opt.motion import terms
 from plough_opt.motion.accuracy import Accuracy
 from plough_opt.motion.averages import Averages
 from plough_opt.motion.effects import ramp_time
+from plough_opt.motion.effects.term import Parameters
 from plough_opt.motion.embedding import labelled
 from plough_opt.motion.equation import GAP, SLIP, STICK
 from plough_opt.motion.run import Run
@@ -37,11 +38,11 @@ def assemble(
     scene: Scene,
     duration: Expression,
     fractions: NDArray[np.float64],
-    states: Expression,
-    means: Expression,
-    variances: Expression,
+    states: Column,
+    means: Column,
+    variances: Column,
     accuracy: Accuracy,
-    known: tuple[Structure, dict[str, Expression]] | None = None,
+    known: tuple[Structure, Parameters] | None = None,
 ) -> Run:
     """Turn the changes since the start that were integrated into forces and travel.
 
@@ -57,7 +58,7 @@ def assemble(
     """
     structure, p = known or (Structure.of(scene), terms.parameters(scene))
     if structure.entry:
-        p |= {"behind": states[:, 2], "entered": states[:, 4]}
+        p = {**p, "behind": states[:, 2], "entered": states[:, 4]}
     time = column(fractions, is_casadi(states)) * duration
     w, rate = states[:, 0], states[:, 1]
     mount, u0 = terms.strut(structure, p, time), terms.start_speed(structure, p)
@@ -100,9 +101,7 @@ def _added_mass(scene: Scene) -> Expression:
         return scene.reaction.added_mass
 
 
-def averages_of(
-    scene: Scene, structure: Structure, p: dict[str, Expression], means: Expression, variances: Expression
-) -> Averages:
+def averages_of(scene: Scene, structure: Structure, p: Parameters, means: Column, variances: Column) -> Averages:
     """Add the values at the start back to the averages of the changes since then: see `assemble`."""
     first = terms.start_force(structure, p)
     with unlabelled():
@@ -166,9 +165,7 @@ def quasi_static(
     )
 
 
-def _quadrature(
-    timeline: Timeline, points: int, duration: Expression, ramp: Expression
-) -> tuple[Expression, Expression]:
+def _quadrature(timeline: Timeline, points: int, duration: Expression, ramp: Expression) -> tuple[Column, Column]:
     """Return nodes and weights of an average over the timeline's steps, as fractions of the duration."""
     points = max(points, _RAMP_GAUSS_POINTS) if timeline.moving else points
     nodes, weights = np.polynomial.legendre.leggauss(points)
@@ -184,8 +181,8 @@ def _quadrature(
 
 
 def _course(
-    scene: Scene, p: dict[str, Expression], duration: Expression, fractions: Expression
-) -> tuple[Expression, Expression, Expression, Expression]:
+    scene: Scene, p: Parameters, duration: Expression, fractions: Column
+) -> tuple[Column, Column, Column, Column]:
     """Return time [s], path [m], speed [m/s] and resistance [N] at fractions of the duration."""
     structure = Structure.of(scene)
     known = not isinstance(fractions, np.ndarray)
@@ -201,7 +198,8 @@ def _course(
     )
 
 
-def _average(values: Expression, shares: Expression) -> Expression:
+def _average(values: Column, shares: Column) -> Expression:
     if not is_casadi(values):
         return float(shares @ values)
-    return ca.dot(ca.DM(shares) if isinstance(shares, np.ndarray) else shares, values)
+    mean: Expression = ca.dot(ca.DM(shares) if isinstance(shares, np.ndarray) else shares, values)
+    return mean

@@ -10,7 +10,7 @@ from typing import Any
 import casadi as ca
 
 from plough_opt.core.errors import InputError, IntegrationError
-from plough_opt.core.expressions import as_number
+from plough_opt.core.expressions import Column, as_number
 from plough_opt.motion import simulate
 from plough_opt.motion.accuracy import Accuracy
 from plough_opt.motion.assembly import GAUSS_POINTS, MORE_POINTS
@@ -136,7 +136,7 @@ def _of_resistance(structure: Structure) -> int:
     """Return the operations of the resistance at one point of the path."""
     symbols = {name: ca.SX.sym(name) for name in structure.names}
     travel, speed = ca.SX.sym("travel"), ca.SX.sym("speed")
-    force = resistance(structure, symbols, travel, speed)
+    force: Column = resistance(structure, symbols, travel, speed)
     return int(ca.Function("resistance", [*symbols.values(), travel, speed], [force]).n_instructions())
 
 

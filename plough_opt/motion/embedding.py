@@ -7,7 +7,7 @@ import casadi as ca
 
 from plough_opt.core import expressions
 from plough_opt.core.errors import InputError
-from plough_opt.core.expressions import Expression, classes_in, is_symbolic, template_of
+from plough_opt.core.expressions import Expression, classes_in, is_symbolic, stacked, template_of
 from plough_opt.core.labels import Meanings, attach
 from plough_opt.motion.integrators import Integration
 from plough_opt.motion.methods import is_stepped
@@ -54,8 +54,8 @@ def embed(solver: Integration, p: Sequence[Expression], scene: Scene) -> tuple[E
         InputError: SX symbols and a method that exists for MX only.
     """
     template, quantities = template_of(scene)
-    carried = ca.vertcat(*quantities)
-    inputs = ca.vertcat(*p)
+    carried = stacked(*quantities)
+    inputs = stacked(*p)
     if isinstance(inputs, ca.SX) or isinstance(carried, ca.SX):
         if solver.structure.orbit != "transient":
             raise InputError("an orbit takes MX symbols only, for it is the root of an equation: use casadi.MX")
@@ -73,7 +73,7 @@ def embed(solver: Integration, p: Sequence[Expression], scene: Scene) -> tuple[E
 def labelled(value: Expression, scene: Scene) -> Expression:
     """Return a value of a scene, labelled, where the scene holds MX symbols, with its template and its quantities."""
     template, quantities = template_of(scene)
-    carried = ca.vertcat(*quantities)
+    carried = stacked(*quantities)
     if isinstance(carried, ca.MX) and is_symbolic(carried):
         value = ca.MX(value)
     return attach(value, carried, template, _key(template))

@@ -5,16 +5,16 @@ behind its furthest point [m], and its mode, whose rate is zero. Of a share that
 wholly in the soil, and before 0; behind a strut whose speed ramps up the last one is 1 once the ramp is over.
 """
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Final, TypeVar
 
 import casadi as ca
 
-from plough_opt.core.expressions import Expression
+from plough_opt.core.expressions import Column, Expression, stacked, where
 from plough_opt.motion import terms
 from plough_opt.motion.effects import Strut
+from plough_opt.motion.effects.term import Parameters
 from plough_opt.motion.terms import Structure
 
 SLIP: Final = 0.0
@@ -40,9 +40,9 @@ class EquationOfMotion:
     events: ca.Function | None
     names: tuple[str, ...]
 
-    def rates(self, time: Expression, state: Expression, p: Mapping[str, Expression]) -> Expression:
+    def rates(self, time: Expression, state: Column, p: Parameters) -> Column:
         """Return the rate of the state, of parameters by name."""
-        return self.function(time, state, ca.vertcat(*(p[name] for name in self.names)))
+        return self.function(time, state, stacked(*(p[name] for name in self.names)))
 
     @property
     def states(self) -> int:
@@ -60,35 +60,35 @@ def equation_of_motion(structure: Structure) -> EquationOfMotion:
     elif structure.entry:
         rates, zeros, after = now.rates_of_entry(), [now.until_it_turns()], [now.after_it_turned()]
     else:
-        rates, zeros, after = ca.vertcat(now.rate, now.slipping()), [], []
+        rates, zeros, after = stacked(now.rate, now.slipping()), [], []
     counted = now.state[4 if structure.events else 2 :]
-    rates, after = ca.vertcat(rates, ca.SX.zeros(counted.numel())), [ca.vertcat(state, counted) for state in after]
+    rates, after = stacked(rates, ca.SX.zeros(counted.numel())), [stacked(state, counted) for state in after]
     for term, ended in zip(structure.ending, ca.vertsplit(counted), strict=True):
-        zeros.append(ca.if_else(ended < 0.5, term.until(now.p, now.time, now.travel), 1.0))
+        zeros.append(where(ended < 0.5, term.until(now.p, now.time, now.travel), 1.0))
         after.append(ca.substitute(now.state, ended, 1.0))
-    everything = ca.vertcat(rates, *zeros, *after)
+    everything = stacked(rates, *zeros, *after)
     used = {symbol.name() for symbol in ca.symvar(everything)} & set(structure.names)
     names = tuple(name for name in structure.names if name in used)
-    inputs = [now.time, now.state, ca.vertcat(*(symbols[name] for name in names))]
+    inputs = [now.time, now.state, stacked(*(symbols[name] for name in names))]
     labels = ["time", "state", "parameters"]
     function = ca.Function("equation_of_motion", inputs, [rates], labels, ["rate"])
     if not zeros:
         return EquationOfMotion(function, None, names)
-    results = [ca.vertcat(*zeros), ca.horzcat(*after)]
+    results = [stacked(*zeros), ca.horzcat(*after)]
     return EquationOfMotion(function, ca.Function("events", inputs, results, labels, ["zero", "after"]), names)
 
 
-def start_state(structure: Structure, p: dict[str, Expression]) -> Expression:
+def start_state(structure: Structure, p: Parameters) -> Column:
     """Return the state at time 0 as a column."""
-    first = ca.vertcat(0.0, terms.start_rate(structure, p))
+    first = stacked(0.0, terms.start_rate(structure, p))
     counted = (0.0,) * len(structure.ending)
     if not structure.sticks:
-        return ca.vertcat(first, *((0.0, SLIP) if structure.entry else ()), *counted)
+        return stacked(first, *((0.0, SLIP) if structure.entry else ()), *counted)
     # A share without speed sticks, unless the mount already pulls enough.
     speed = 0.0 if structure.start == "rest" else terms.start_speed(structure, p)
     pulled = terms.start_force(structure, p) + terms.pull(structure, p, 0.0, terms.start_rate(structure, p))
     held = pulled < terms.hold(structure, p, -terms.start_deflection(structure, p))
-    return ca.vertcat(first, 0.0, ca.if_else(speed > 0.0, SLIP, ca.if_else(held, STICK, SLIP)), *counted)
+    return stacked(first, 0.0, where(speed > 0.0, SLIP, where(held, STICK, SLIP)), *counted)
 
 
 class _Now:
@@ -101,7 +101,7 @@ class _Now:
         self.opening, self.mode = ca.SX.sym("opening"), ca.SX.sym("mode")
         modes = (self.opening, self.mode) if structure.events else ()
         ended = {term.state: ca.SX.sym(term.state) for term in structure.ending}
-        self.state = ca.vertcat(self.w, self.rate, *modes, *ended.values())
+        self.state = stacked(self.w, self.rate, *modes, *ended.values())
         self.structure = structure
         self.p = p | ended | ({"behind": self.opening} if structure.entry else {})
         self.mount: Strut = terms.strut(structure, self.p, self.time)
@@ -144,50 +144,50 @@ class _Now:
         )
         return acceleration + self.mount.acceleration if structure.ramp else acceleration
 
-    def rates_of_modes(self) -> Expression:
+    def rates_of_modes(self) -> Column:
         """Return the rate of the four states in the mode that is on."""
         flying = self.mount.acceleration - self.pull / self.p["mass"]
-        slip = ca.vertcat(self.rate, self.slipping(), 0.0, 0.0)
-        stick = ca.vertcat(self.strut_speed, self.mount.acceleration, 0.0, 0.0)
-        gap = ca.vertcat(self.rate, flying, -self.speed, 0.0)
+        slip = stacked(self.rate, self.slipping(), 0.0, 0.0)
+        stick = stacked(self.strut_speed, self.mount.acceleration, 0.0, 0.0)
+        gap = stacked(self.rate, flying, -self.speed, 0.0)
         return self._by_mode(slip, stick, gap)
 
-    def until_contact_changes(self) -> Expression:
+    def until_contact_changes(self) -> Column:
         """Return what becomes negative when a mode ends."""
         # While the share sticks the strut only stretches the mount: P never falls back to 0.
         return self._by_mode(self._stopping, self.hold - self.pull, self.opening)
 
-    def after_contact_changed(self) -> Expression:
+    def after_contact_changed(self) -> Column:
         """Return the state after the mode has ended."""
-        stopped = ca.if_else(self.pull < 0.0, GAP, ca.if_else(self.pull <= self.hold, STICK, SLIP))
+        stopped = where(self.pull < 0.0, GAP, where(self.pull <= self.hold, STICK, SLIP))
         at_rest = self.strut_speed
         mass = self.p["mass"]
         taken_up = self.speed * mass / (mass + terms.carried_mass(self.structure, self.p, self.travel))
         rate = self._by_mode(at_rest, at_rest, self.strut_speed - taken_up)
-        return ca.vertcat(self.w, rate, 0.0, self._by_mode(stopped, SLIP, SLIP))
+        return stacked(self.w, rate, 0.0, self._by_mode(stopped, SLIP, SLIP))
 
-    def rates_of_entry(self) -> Expression:
+    def rates_of_entry(self) -> Column:
         """Return the rate of the four states of a share that enters and never leaves contact."""
         behind = self.mode > STICK
-        return ca.vertcat(self.rate, self.slipping(), ca.if_else(behind, -self.speed, 0.0), 0.0)
+        return stacked(self.rate, self.slipping(), where(behind, -self.speed, 0.0), 0.0)
 
-    def until_it_turns(self) -> Expression:
+    def until_it_turns(self) -> Column:
         """Return what becomes negative when a share that enters turns back, or is at its furthest point again."""
-        turning = ca.if_else(self.mode > STICK, self.opening, self._stopping)
-        return ca.if_else(self.p["entered"] < 0.5, turning, 1.0)
+        turning = where(self.mode > STICK, self.opening, self._stopping)
+        return where(self.p["entered"] < 0.5, turning, 1.0)
 
-    def after_it_turned(self) -> Expression:
+    def after_it_turned(self) -> Column:
         """Return the state after that."""
-        return ca.vertcat(self.w, self.rate, 0.0, ca.if_else(self.mode > STICK, SLIP, GAP))
+        return stacked(self.w, self.rate, 0.0, where(self.mode > STICK, SLIP, GAP))
 
-    def _by_mode(self, slip: Expression, stick: Expression, gap: Expression) -> Expression:
+    def _by_mode(self, slip: Column, stick: Column, gap: Column) -> Column:
         """Choose by the mode, element by element."""
         middle = (SLIP + STICK) / 2.0, (STICK + GAP) / 2.0
         chosen = [
-            ca.if_else(self.mode < middle[0], a, ca.if_else(self.mode < middle[1], b, c))
+            where(self.mode < middle[0], a, where(self.mode < middle[1], b, c))
             for a, b, c in zip(*(ca.vertsplit(ca.densify(ca.SX(x))) for x in (slip, stick, gap)), strict=True)
         ]
-        return ca.vertcat(*chosen)
+        return stacked(*chosen)
 
 
 Symbols = TypeVar("Symbols", ca.SX, ca.MX)
@@ -226,21 +226,21 @@ def signals(structure: Structure) -> Signals:
     """Build the signals of a structure. Without a damper the mount force is k0 z and needs none of its own."""
     symbols = {name: ca.SX.sym(name) for name in structure.names}
     time, w, rate = ca.SX.sym("time"), ca.SX.sym("w"), ca.SX.sym("rate")
-    state = ca.vertcat(w, rate)
+    state = stacked(w, rate)
     if structure.ends_ramp:
         ramped = ca.SX.sym("ramped")
-        state, symbols = ca.vertcat(state, ramped), symbols | {"ramped": ramped}
+        state, symbols = stacked(state, ramped), symbols | {"ramped": ramped}
     force = terms.pull(structure, symbols, w, rate - terms.start_rate(structure, symbols))
     values = [w, force] if structure.damper else [w]
     squared = len(values)
     if structure.ramp:
         speed = terms.start_speed(structure, symbols) + terms.strut(structure, symbols, time).gain
         values.append((terms.start_force(structure, symbols) + force) * speed)
-    expression = ca.vertcat(*values)
+    expression = stacked(*values)
     # A start at rest needs the strut's speed even where nothing else does.
-    everything = ca.vertcat(expression, terms.start_rate(structure, symbols))
+    everything = stacked(expression, terms.start_rate(structure, symbols))
     used = {s.name() for s in ca.symvar(everything)} | set(equation_of_motion(structure).names)
     names = tuple(name for name in structure.names if name in used)
-    p = ca.vertcat(*(symbols[name] for name in names))
+    p = stacked(*(symbols[name] for name in names))
     function = ca.Function("signals", [time, state, p], [expression])
     return Signals(function, names, len(values), squared)

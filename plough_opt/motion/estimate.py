@@ -37,21 +37,22 @@ def difference(run: Run, other: Run) -> float:
     # A share that sticks has a travel of rounding.
     largest[4] = max(largest[4], largest[2])
     force, deflection, speed = _scales(run, largest)
-    found, check = run.averages, other.averages
+    found, check = ({name: float(value) for name, value in vars(one.averages).items()} for one in (run, other))
     least, least_z = _LEAST * force, _LEAST * deflection
     leasts = (least, least, least_z, _LEAST * speed, least_z)
     pairs = [(change, max(scale, low)) for change, scale, low in zip(wrong, largest, leasts, strict=True)]
-    size = max(abs(found.mean_draft), found.force_rms, least)
-    size_z = max(abs(found.mean_deflection), found.displacement_rms, least_z)
-    pairs += [
-        (abs(found.mean_draft - check.mean_draft), size),
-        (abs(found.force_rms - check.force_rms), max(found.force_rms, least)),
-        (abs(found.mean_deflection - check.mean_deflection), size_z),
-        (abs(found.displacement_rms - check.displacement_rms), max(found.displacement_rms, least_z)),
-    ]
+    size = max(abs(found["mean_draft"]), found["force_rms"], least)
+    size_z = max(abs(found["mean_deflection"]), found["displacement_rms"], least_z)
+    sizes = {
+        "mean_draft": size,
+        "force_rms": max(found["force_rms"], least),
+        "mean_deflection": size_z,
+        "displacement_rms": max(found["displacement_rms"], least_z),
+    }
     if run.scene.effects.ramps:
         towed = (run.travel[-1] + run.deflection[-1] - run.travel[0] - run.deflection[0]) / run.duration
-        pairs.append((abs(found.tow_power - check.tow_power), max(abs(found.tow_power), size * towed)))
+        sizes["tow_power"] = max(abs(found["tow_power"]), size * float(towed))
+    pairs += [(abs(found[name] - check[name]), scale) for name, scale in sizes.items()]
     if run.scene.effects.events:
         pairs.append((float(np.abs(run.opening - other.opening).max()), max(largest[2], least_z)))
     if not all(math.isfinite(change) for change, _ in pairs):

@@ -7,6 +7,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from plough_opt.core.expressions import stacked
 from plough_opt.motion.accuracy import Accuracy
 from plough_opt.motion.equation import equation_of_motion, signals, start_state
 from plough_opt.motion.methods import METHODS, is_stepped, tableau_of
@@ -113,12 +114,12 @@ def _by_casadi(structure: Structure, accuracy: Accuracy, timeline: Timeline) -> 
     sizes = ca.MX.sym("sizes", 2 + observed.count + observed.squared)
     unit = _units(structure, sizes)
     first = start_state(structure, known)
-    given = ca.vertcat(first / unit, ca.MX.zeros(observed.squared)), ca.vertcat(p, sizes)
+    given = stacked(first / unit, ca.MX.zeros(observed.squared)), stacked(p, sizes)
     result = solver(x0=given[0], p=given[1])
     states = result["xf"][:count, asked] * ca.repmat(unit, 1, timeline.outputs)
     _, of_means, of_spreads = ca.vertsplit(sizes, [0, 2, 2 + observed.count, sizes.numel()])
     spreads, others = ca.vertsplit(result["qf"][:, -1], [0, observed.squared, observed.count])
-    means = ca.vertcat(result["xf"][count:, -1], others) * of_means
+    means = stacked(result["xf"][count:, -1], others) * of_means
     found = [ca.horzcat(first, states), means, spreads * of_spreads**2]
     function = ca.Function(f"sized_{accuracy.method}", [p, sizes], found, {"never_inline": True})
     expected = ca.Function("expected", [p], [_expected(structure, known, p[-1])])
@@ -141,13 +142,13 @@ def _expected(structure: Structure, p: dict[str, Any], duration: Any) -> Any:
         squared.append(force + pull(structure, p, 0.0, rate))
     if structure.ramp:
         others.append(force * (p["tow_speed"] + rate))
-    return ca.vertcat(deflection, rate, *squared, *others, *squared)
+    return stacked(deflection, rate, *squared, *others, *squared)
 
 
 def _units(structure: Structure, sizes: Any) -> Any:
     """Return the units of an equation's states: deflection, rate, a gap's opening; mode and entry count."""
     modes = (sizes[0], 1.0) if structure.events else ()
-    return ca.vertcat(sizes[0], sizes[1], *modes, *(1.0,) * len(structure.ending))
+    return stacked(sizes[0], sizes[1], *modes, *(1.0,) * len(structure.ending))
 
 
 def _scaled_equation(structure: Structure) -> tuple[dict[str, ca.SX], ca.Function | None]:
@@ -166,22 +167,22 @@ def _scaled_equation(structure: Structure) -> tuple[dict[str, ca.SX], ca.Functio
     _, of_means, of_spreads = ca.vertsplit(sizes, [0, 2, 2 + observed.count, sizes.numel()])
     duration = p[-1]
     time, state = fraction * duration, x[:count] * unit
-    own = ca.vertcat(*(known[name] for name in motion.names))
+    own = stacked(*(known[name] for name in motion.names))
     rate = motion.function(time, state, own)
-    seen = ca.vertcat(state[:2], state[-1]) if structure.ends_ramp else state
+    seen = stacked(state[:2], state[-1]) if structure.ends_ramp else state
     values = observed.function(time, seen[: observed.function.size1_in(1)], p[:-1]) / of_means
     squared = values[: observed.squared]
     # At the start the running mean is 0/0; the spread is 0 there.
     started = fraction > 0.0
     running_mean = x[count:] / ca.if_else(started, fraction, 1.0)
     deviation = ca.if_else(started, squared - running_mean, 0.0) * of_means[: observed.squared]
-    given = ca.vertcat(p, sizes)
+    given = stacked(p, sizes)
     equation = {
         "t": fraction,
         "x": x,
         "p": given,
-        "ode": ca.vertcat(rate * duration / unit, squared),
-        "quad": ca.vertcat((deviation / of_spreads) ** 2, values[observed.squared :, :]),
+        "ode": stacked(rate * duration / unit, squared),
+        "quad": stacked((deviation / of_spreads) ** 2, values[observed.squared :, :]),
     }
     if motion.events is None:
         return equation, None
@@ -190,7 +191,7 @@ def _scaled_equation(structure: Structure) -> tuple[dict[str, ca.SX], ca.Functio
     chosen = after[:, 0]
     for k in range(1, after.shape[1]):
         chosen = ca.if_else(index < k - 0.5, chosen, after[:, k])
-    following = ca.vertcat(chosen / unit, x[count:])
+    following = stacked(chosen / unit, x[count:])
     names = ["index", "t", "x", "z", "p", "u"], ["post_x", "post_z"]
     transition = ca.Function("transition", [index, fraction, x, none[0], given, none[1]], [following, none[0]], *names)
     return equation | {"zero": zero}, transition

@@ -12,7 +12,7 @@ from functools import lru_cache
 import casadi as ca
 import numpy as np
 
-from plough_opt.core.expressions import Expression
+from plough_opt.core.expressions import Expression, stacked
 from plough_opt.motion.effects import wave_names
 from plough_opt.motion.equation import equation_of_motion, signals
 from plough_opt.motion.runge_kutta import run_from
@@ -57,7 +57,7 @@ def _response(structure: Structure, p: dict[str, Expression]) -> tuple[Expressio
     """
     names, repeats = signals(structure).parameters, _repeats(structure, p)
     omega = 2.0 * math.pi * p["tow_speed"] / repeats
-    mean, along_sine, along_cosine, slope = _series(structure)(ca.vertcat(*(p[name] for name in names)))
+    mean, along_sine, along_cosine, slope = _series(structure)(stacked(*(p[name] for name in names)))
     turns = _turns(structure)
     n = ca.DM(turns)
     damping = pull(structure, p, 0.0, 1.0) + slope
@@ -118,11 +118,11 @@ def _shooting(structure: Structure, timeline: Timeline) -> ca.Function:
     mean, sines, cosines = _response(structure, known)
     omega = 2.0 * math.pi * known["tow_speed"] / _repeats(structure, known)
     size = _size(structure, known)
-    unit = ca.vertcat(size, size * omega)
+    unit = stacked(size, size * omega)
     once = run_from(structure, Timeline(1, timeline.steps))
     miss = (once(x * unit, p)[0][:, -1] - x * unit) / unit
     turning = omega * ca.dot(ca.DM(range(1, sines.numel() + 1)), sines)
-    first = _root(x, p, miss, ca.vertcat(mean + ca.sum1(cosines), turning) / unit) * unit
+    first = _root(x, p, miss, stacked(mean + ca.sum1(cosines), turning) / unit) * unit
     results = run_from(structure, timeline)(first, p)
     return ca.Function("orbit", [p], list(results), {"never_inline": True})
 
@@ -131,7 +131,7 @@ def _linear(structure: Structure) -> ca.Function:
     """Return the Fourier coefficients of the linear response: mean, cosines, sines."""
     p, known = signals(structure).symbols(ca.MX)
     mean, sines, cosines = _response(structure, known)
-    return ca.Function("linear", [p], [ca.vertcat(mean, cosines, sines)])
+    return ca.Function("linear", [p], [stacked(mean, cosines, sines)])
 
 
 @lru_cache(maxsize=32)
@@ -148,15 +148,15 @@ def _balanced(structure: Structure) -> ca.Function:
     w, rate, acceleration = (size * ca.mtimes(ca.DM(b), x) for b in (basis, slope, bend))
     rate, acceleration = rate * omega, acceleration * omega**2
     motion = equation_of_motion(structure)
-    own = ca.vertcat(*(known[name] for name in motion.names))
-    states = ca.vertcat(w.T, rate.T)
+    own = stacked(*(known[name] for name in motion.names))
+    states = stacked(w.T, rate.T)
     forced = motion.function.map(samples)(ca.DM(phases).T / omega, states, ca.repmat(own, 1, samples))[1, :].T
     weights = np.where(np.arange(2 * count + 1) == 0, 1.0, 2.0)[:, None] * basis.T / samples
     # Scaled by the spring, whose force on the response is of order one.
     stiff = known["stiffness"] / known["inertia"] + omega**2
     out_of_balance = ca.mtimes(ca.DM(weights), acceleration - forced) / (size * stiff)
     rest = ca.MX.zeros(count - sines.numel())
-    guess = ca.vertcat(mean / size, cosines / size, rest, sines / size, rest)
+    guess = stacked(mean / size, cosines / size, rest, sines / size, rest)
     return ca.Function("balanced", [p], [_root(x, p, out_of_balance, guess) * size])
 
 
@@ -194,4 +194,4 @@ def _from_series(structure: Structure, timeline: Timeline, series: ca.Function) 
         k, c = known["stiffness"], known["damping"] * omega * ca.DM(np.arange(1, count + 1))
         means.append(k * x[0])
         variances.append((ca.sumsqr(k * cosines + c * sines) + ca.sumsqr(k * sines - c * cosines)) / 2.0)
-    return ca.Function("series", [p], [states, ca.vertcat(*means), ca.vertcat(*variances)], {"never_inline": True})
+    return ca.Function("series", [p], [states, stacked(*means), stacked(*variances)], {"never_inline": True})

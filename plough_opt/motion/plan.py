@@ -184,7 +184,7 @@ def timeline_of(
         symbolic: whether the run is to be differentiated, so that steps end where smooth contact ends too.
     """
     effects, aligned = scene.effects, method not in ORDER_8
-    ramp = effects.tow_ramp if effects.ramps else 0.0
+    ramp: Any = effects.tow_ramp if effects.ramps else 0.0
     timed = not effects.ramps or not (is_symbolic(ramp) or is_symbolic(duration))
     if not timed or (symbolic and effects.motion and isinstance(effects.contact, Smooth)):
         return _timeline(outputs, steps, None, True, True)

@@ -12,7 +12,7 @@ import numpy as np
 
 from plough_opt.core.checks import check_domain
 from plough_opt.core.errors import InputError
-from plough_opt.core.expressions import Expression, is_casadi
+from plough_opt.core.expressions import Column, Expression, is_casadi
 from plough_opt.core.files import drawn, from_above
 from plough_opt.core.kept import Keepable, Origin
 from plough_opt.core.tables import Grid, Page, data_frame
@@ -72,14 +72,14 @@ class Run(Keepable):
 
     scene: Scene
     duration: Expression
-    time: Expression
-    travel: Expression
-    speed: Expression
-    deflection: Expression
-    mount_force: Expression
-    soil_resistance: Expression
-    opening: Expression
-    mode: Expression
+    time: Column
+    travel: Column
+    speed: Column
+    deflection: Column
+    mount_force: Column
+    soil_resistance: Column
+    opening: Column
+    mode: Column
     averages: Averages
     accuracy: Accuracy
     checks: Checks | None = None
@@ -273,7 +273,7 @@ class Run(Keepable):
             raise InputError(f"a symbolic run has no {what}: simulate the scene with numbers, for instance best(run)")
         return self.checks
 
-    def _peak(self, name: str, values: Expression, array: str) -> float:
+    def _peak(self, name: str, values: Column, array: str) -> float:
         if is_casadi(values):
             raise InputError(
                 f"a symbolic run has no {name}, which has no derivative: limit run.{array} itself, at every output"

@@ -13,7 +13,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from plough_opt.core.expressions import Expression
+from plough_opt.core.expressions import Expression, stacked
 from plough_opt.motion.effects import ramp_time
 from plough_opt.motion.equation import equation_of_motion, signals, start_state
 from plough_opt.motion.methods import DOP853, Tableau
@@ -83,7 +83,7 @@ def ends(timeline: Timeline, duration: Expression, ramp: Expression) -> tuple[Ex
     reached, begun = after * duration <= ramp, before * duration <= ramp
     a = reached * after + (1.0 - begun) * before
     b = begun - reached
-    return ca.vertcat(0.0, a, 1.0), ca.vertcat(0.0, b, 0.0)
+    return stacked(0.0, a, 1.0), stacked(0.0, b, 0.0)
 
 
 def telling(structure: Structure, width: int) -> Structure:
@@ -122,7 +122,7 @@ def spans_of(timeline: Timeline, duration: ca.MX, ramp: ca.MX | None) -> ca.MX |
         return ca.DM(np.vstack([timeline.nodes[:-1], np.diff(timeline.nodes)]))
     a, b = ends(timeline, duration, ramp)
     rows = [row for end in (a, b) for row in (end[:-1], end[1:] - end[:-1])]
-    rows.append(ca.vertcat(0.0, ca.DM(timeline.nodes[1:]) * duration > ramp))
+    rows.append(stacked(0.0, ca.DM(timeline.nodes[1:]) * duration > ramp))
     transposed: ca.MX = ca.horzcat(*rows).T
     return transposed
 
@@ -149,13 +149,13 @@ def unbroken(structure: Structure, timeline: Timeline, one: ca.Function, count: 
         times = span[:4] if span.numel() > 2 else span
         starts, whole_sizes = times[0::2], times[1::2]
         part = ca.vec(ca.horzcat(starts + cut * whole_sizes, (following - cut) * whole_sizes).T)
-        part = ca.vertcat(part, span[4:]) if span.numel() > 2 else part
+        part = stacked(part, span[4:]) if span.numel() > 2 else part
         reached, own = one(reached, part, p)
         found.append(own)
-    sizes = ca.vertcat(at[0], at[1] - at[0], 1.0 - at[1])
+    sizes = stacked(at[0], at[1] - at[0], 1.0 - at[1])
     columns = [ca.horzcat(*(own[:, k] for own in found)) for k in range(found[0].shape[1])]
     both = pooled(columns, lambda parts: [part @ sizes for part in parts], signals(structure).count, count)
-    parted = ca.Function("parted", given, [reached, ca.vertcat(*both)])
+    parted = ca.Function("parted", given, [reached, stacked(*both)])
     after, moments = one(state, span, p)
     at = _crossings(structure, span.numel())(state[:, 0], after[:, 0], span, p)
     chosen = ca.Function.if_else("chosen", parted, whole)(at[0] < 1.0, state, span, p, at, after, moments)
@@ -188,7 +188,7 @@ def _crossings(structure: Structure, width: int) -> ca.Function:
             speed = speeds[0] + middle * (slopes[0] + middle * (bend + middle * twist))
             part = ca.if_else((speed < threshold) == begins, middle, part)
         found.append(ca.if_else((speeds[1] < threshold) == begins, 1.0, part))
-    parts = ca.vertcat(ca.fmin(*found), ca.fmax(*found))
+    parts = stacked(ca.fmin(*found), ca.fmax(*found))
     return ca.Function("crossings", [*states, span, p], [parts], {"is_diff_out": [False]})
 
 
@@ -206,8 +206,8 @@ def step(structure: Structure, width: int = 2, tableau: Tableau = DOP853) -> ca.
     state = ca.SX.sym("state", 2)
     span = ca.SX.sym("span", width)
     p = ca.SX.sym("p", len(observed.parameters) + 1 - structure.tells_ramp)
-    given = ca.vertcat(p[:-1], span[4:])
-    known = observed.named(ca.vertcat(given, p[-1]))
+    given = stacked(p[:-1], span[4:])
+    known = observed.named(stacked(given, p[-1]))
     start, size = start_and_size(span, p[-1], known)
 
     rates: list[ca.SX] = []
@@ -229,7 +229,7 @@ def step(structure: Structure, width: int = 2, tableau: Tableau = DOP853) -> ca.
         if weight != 0.0:
             following = following + (size * weight) * rate
     spread = square - mean[: observed.squared] ** 2
-    return ca.Function("step", [state, span, p], ca.cse([following, ca.vertcat(first + mean, spread)]))
+    return ca.Function("step", [state, span, p], ca.cse([following, stacked(first + mean, spread)]))
 
 
 def run_map(structure: Structure, timeline: Timeline, tableau: Tableau = DOP853) -> ca.Function:

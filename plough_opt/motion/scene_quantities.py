@@ -18,7 +18,7 @@ def quantity_of(scene: Scene, name: str) -> Expression:
     """
     if name not in QUANTITIES:
         raise InputError(f"a scene has no quantity '{name}': {nearest(name, QUANTITIES)}")
-    value = _at(scene, QUANTITIES[name].path)
+    value: Expression | None = _at(scene, QUANTITIES[name].path)
     if value is None:
         raise InputError(f"the scene has no '{name}': give it one, or leave the name out")
     return value

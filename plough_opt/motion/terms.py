@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Literal, TypeVar
 
-from plough_opt.core.expressions import Expression
+from plough_opt.core.expressions import Column, Expression
 from plough_opt.core.labels import unlabelled
 from plough_opt.motion.effects import (
     TERMS,
@@ -227,7 +227,7 @@ def resistance_change(structure: Structure, p: Parameters, travel: Expression, g
     return _resist(structure, p, Changed(p["static"], 0.0), at).change
 
 
-def _resist(structure: Structure, p: Parameters, force: Any, at: Place) -> Any:
+def _resist(structure: Structure, p: Parameters, force: Any, at: Place) -> Column:
     for term in structure.terms:
         force = term.resist(force, at, p)
     return force

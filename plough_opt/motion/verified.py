@@ -8,6 +8,7 @@ import numpy as np
 
 from plough_opt.core.compiler import NO_COMPILER
 from plough_opt.core.errors import IntegrationError
+from plough_opt.core.expressions import as_number
 from plough_opt.motion import plan
 from plough_opt.motion.accuracy import DEFAULT_ERROR, Accuracy
 from plough_opt.motion.assembly import GAUSS_POINTS, MORE_POINTS, quasi_static
@@ -97,7 +98,7 @@ def _quasi_static(case: Case, accuracy: Accuracy) -> tuple[Run, float, tuple[str
     with np.errstate(all="ignore"):  # what is not finite is refused below
         run = quasi_static(scene, duration, timeline, accuracy)
         check = quasi_static(scene, duration, timeline, accuracy, GAUSS_POINTS + MORE_POINTS)
-    if not all(np.isfinite(part).all() for part in (run.mount_force, run.mean_draft, run.force_rms)):
+    if not all(np.isfinite(as_number(part)).all() for part in (run.mount_force, run.mean_draft, run.force_rms)):
         why = unsound_own(scene, run, 0.0) or "look at its numbers"
         raise IntegrationError(f"the resistance of a {scene.describe()} is not finite: {why}")
     return run, difference(run, check), ()

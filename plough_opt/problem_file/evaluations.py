@@ -11,7 +11,7 @@ import casadi as ca
 import numpy as np
 
 from plough_opt.core.errors import IntegrationError, PloughError
-from plough_opt.core.expressions import Expression
+from plough_opt.core.expressions import Expression, stacked
 from plough_opt.motion import Run
 from plough_opt.motion.accuracy import DEFAULT_ERROR
 from plough_opt.motion.batch import Batch
@@ -128,7 +128,7 @@ class SimulationOfMany:
                 scene = self.problem.scene(symbols)
                 duration = self.problem.values(symbols)["scene.duration"]
                 batch = Batch(scene, duration, list(symbols.values()), error=self.error)
-                of_scene = ca.vertcat(*(of(scene) for of in self._of_scene.values()), scene.ambient_share)
+                of_scene = stacked(*(of(scene) for of in self._of_scene.values()), scene.ambient_share)
                 self._built = batch, ca.Function("of_scene", [ca.vertcat(*symbols.values())], [of_scene])
         return self._built
 

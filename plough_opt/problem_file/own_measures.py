@@ -75,7 +75,8 @@ def own_measure(text: str, unit: str) -> Measure:
     _check_unit(tree, text, unit)
 
     def of(run: Run) -> Expression:
-        return _value(tree, _Known(lambda name: _of_run(run, name), _applied))
+        value: Expression = _value(tree, _Known(lambda name: _of_run(run, name), _applied))
+        return value
 
     parts = [MEASURES[name] for name in names if name in MEASURES]
     needs = tuple(dict.fromkeys(what for one in parts for what in one.needs))

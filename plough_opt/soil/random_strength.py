@@ -11,7 +11,6 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -24,10 +23,10 @@ from plough_opt.core.expressions import (
     exp,
     gauss_legendre,
     holds_casadi,
-    is_casadi,
     one_node,
     rms,
     sqrt,
+    total,
 )
 from plough_opt.core.quantities import settle
 from plough_opt.soil.waves import StrengthWave
@@ -172,7 +171,7 @@ class Spectrum:
         known = (q[:-1], q[1:], density[:-1], np.diff(density) / np.diff(q))
         panels = (column(x, holds_casadi(to)) for x in known)
         place, rate = _over_panels(*panels, to.force, to.stiffness, to.inertia, to.damping, to.speed)
-        return _sum(place), _sum(rate)
+        return total(place), total(rate)
 
     def _panels(self) -> tuple[Vector, Vector]:
         """Return ends and densities of its panels: of very many the means of neighbours, with the same variance."""
@@ -237,7 +236,3 @@ def _over_panels(*given: Expression) -> tuple[Expression, ...]:
         part = weight * (last - first) * width * (up + 1.0 / up) / 2.0 / to.speed * there * to.squared(frequency)
         place, rate = place + part, rate + frequency**2 * part
     return place, rate
-
-
-def _sum(values: Expression) -> Expression:
-    return ca.sum1(values) if is_casadi(values) else float(np.sum(values))

@@ -161,7 +161,7 @@ def share(report: Report) -> Table:
     """Return the measures of the share and of its cone."""
     body, cone = report.run.scene.share, report.run.scene.cone
     length, angle = (
-        report.display("share.height", "m", cone.height),
+        report.display("share.height", "m", float(cone.height)),
         report.display("share.wedge_angle", "rad"),
     )
     rows = []

@@ -10,7 +10,7 @@ from typing import Any
 import casadi as ca
 
 from plough_opt.core.errors import InputError
-from plough_opt.core.expressions import Expression, as_number
+from plough_opt.core.expressions import Expression, as_number, stacked
 from plough_opt.core.quantities import BESIDE
 from plough_opt.exchange.component.ports import Port
 from plough_opt.motion import Run
@@ -150,7 +150,7 @@ class Scenes:
         timeline = self._timeline(resolution)
         solver = integration(Structure.of(scene), Accuracy("dop853", steps=timeline.steps), timeline)
         p = parameters(scene)
-        return solver, ca.Function("parameters", x, [ca.vertcat(*(p[key] for key in solver.names), duration)])
+        return solver, ca.Function("parameters", x, [stacked(*(p[key] for key in solver.names), duration)])
 
     def _timeline(self, resolution: Resolution) -> Timeline:
         """Return the times of a run of symbols."""

@@ -8,7 +8,8 @@ at events.
 
 import casadi as ca
 
-from plough_opt.core.expressions import Expression, absolute
+from plough_opt.core.expressions import Column, Expression, absolute, where
+from plough_opt.motion.effects.term import Parameters
 from plough_opt.motion.equation import GAP, SLIP, STICK
 from plough_opt.motion.scene import Scene
 from plough_opt.motion.terms import (
@@ -54,14 +55,14 @@ class Share:
             ca.SX.sym, ("time", "input", "travel", "speed", "mode", "furthest", "entered")
         )
         self.deflection = ca.SX.sym("deflection") if by_speed else self.input - self.travel
-        self.opening = ca.if_else(self.mode > STICK, self.furthest - self.travel, 0.0)
+        self.opening = where(self.mode > STICK, self.furthest - self.travel, 0.0)
         p = q | ({"entered": self.entered, "behind": self.opening} if structure.entry else {})
         driven = p | {"tow_speed": self.input}
         self.strut_speed = start_speed(structure, driven) + strut(structure, driven, self.time).gain
-        self.pull = pull(structure, q, self.deflection, self.strut_speed - self.speed)
+        self.pull: Column = pull(structure, q, self.deflection, self.strut_speed - self.speed)
         steady = resistance(structure, p, self.travel, self.speed)
         self._carried = carried_mass(structure, p, self.travel) if structure.events else q["added_mass"]
-        self._slipping = (self.pull - steady) / inertia_at(structure, p, self.travel)
+        self._slipping: Column = (self.pull - steady) / inertia_at(structure, p, self.travel)
         self.acceleration, self.resistance = self._slipping, steady + self._carried * self._slipping
         if self.sticks:
             # Mount force at which a sticking share moves.
@@ -70,9 +71,9 @@ class Share:
             self.resistance = self._by_mode(self.resistance, self.pull, 0.0)
         self._swift, self._high = scene.tow_speed or 1.0, scene.cone.height
 
-    def _by_mode(self, slip: Expression, stick: Expression, gap: Expression) -> Expression:
-        rest = ca.if_else(self.mode < (STICK + GAP) / 2.0, stick, gap)
-        return ca.if_else(self.mode < (SLIP + STICK) / 2.0, slip, rest)
+    def _by_mode(self, slip: Column, stick: Column, gap: Column) -> Column:
+        rest = where(self.mode < (STICK + GAP) / 2.0, stick, gap)
+        return where(self.mode < (SLIP + STICK) / 2.0, slip, rest)
 
     @property
     def indicators(self) -> list[Expression]:
@@ -87,10 +88,10 @@ class Share:
                 self._by_mode(1.0, self.pull + _ROUNDING * absolute(self._hold), 1.0),
             ]
         else:
-            turning = ca.if_else(self.mode > STICK, closing, stopping)
-            indicators = [ca.if_else(self.entered < 0.5, turning, 1.0)]
+            turning = where(self.mode > STICK, closing, stopping)
+            indicators = [where(self.entered < 0.5, turning, 1.0)]
         if self.structure.entry:
-            indicators.append(ca.if_else(self.entered < 0.5, self.q["height"] - self.travel, 1.0))
+            indicators.append(where(self.entered < 0.5, self.q["height"] - self.travel, 1.0))
         return indicators
 
     def after_events(self) -> tuple[list[Expression], list[Expression]]:
@@ -98,25 +99,25 @@ class Share:
         rest = [self.deflection] if self.by_speed else []
         if not self.structure.events:
             return [self.travel, self.speed, *rest], []
-        slowed: Expression = self.speed
+        slowed: Column = self.speed
         stopped = ca.logic_and(self.speed <= _BESIDE * self._swift, self._slipping <= 0.0)
         closed = ca.logic_and(self.opening <= _BESIDE * self._high, self.speed > 0.0)
         if self.sticks:
             held = self.pull < self._hold - _BESIDE * absolute(self._hold)
-            freed = ca.if_else(self.pull < 0.0, GAP, ca.if_else(held, STICK, SLIP))
-            mode = self._by_mode(ca.if_else(stopped, freed, SLIP), freed, ca.if_else(closed, SLIP, GAP))
+            freed = where(self.pull < 0.0, GAP, where(held, STICK, SLIP))
+            mode = self._by_mode(where(stopped, freed, SLIP), freed, where(closed, SLIP, GAP))
             mass = self.q["mass"]
             taken_up = self.speed * mass / (mass + self._carried)
-            slowed = self._by_mode(ca.if_else(stopped, 0.0, self.speed), 0.0, ca.if_else(closed, taken_up, self.speed))
+            slowed = self._by_mode(where(stopped, 0.0, self.speed), 0.0, where(closed, taken_up, self.speed))
         else:
-            turned = ca.if_else(stopped, GAP, SLIP)
-            mode = ca.if_else(self.mode > STICK, ca.if_else(closed, SLIP, GAP), turned)
-            mode = ca.if_else(self.entered < 0.5, mode, SLIP)
+            turned = where(stopped, GAP, SLIP)
+            mode = where(self.mode > STICK, where(closed, SLIP, GAP), turned)
+            mode = where(self.entered < 0.5, mode, SLIP)
         leaving = ca.logic_and(mode > STICK, self.mode < GAP)
-        discrete = [mode, ca.if_else(leaving, self.travel, self.furthest)]
+        discrete = [mode, where(leaving, self.travel, self.furthest)]
         if self.structure.entry:
             inside = self.travel >= self.q["height"] * (1.0 - _BESIDE)
-            discrete.append(ca.if_else(inside, 1.0, self.entered))
+            discrete.append(where(inside, 1.0, self.entered))
         return [self.travel, slowed, *rest], discrete
 
     def start(self) -> tuple[list[Expression], list[Expression]]:
@@ -130,7 +131,7 @@ class Share:
             return x, []
         mode: Expression = SLIP
         if self.sticks:
-            buried = {"entered": 0.0, "behind": 0.0} if structure.entry else {}
-            held = pull(structure, p, first, rate) < hold(structure, p | buried, travel)
-            mode = ca.if_else(speed > 0.0, SLIP, ca.if_else(held, STICK, SLIP))
+            buried: Parameters = {"entered": 0.0, "behind": 0.0} if structure.entry else {}
+            held = pull(structure, p, first, rate) < hold(structure, {**p, **buried}, travel)
+            mode = where(speed > 0.0, SLIP, where(held, STICK, SLIP))
         return x, [mode, travel, *([0.0] if structure.entry else [])]

@@ -13,7 +13,7 @@ import casadi as ca
 import numpy as np
 
 from plough_opt.core.errors import InputError
-from plough_opt.core.expressions import Expression, minimum
+from plough_opt.core.expressions import Column, Expression, minimum, stacked
 from plough_opt.core.labels import labels_in, without_labels
 from plough_opt.motion.batch.engine import Array
 from plough_opt.motion.effects import StrengthWaves
@@ -112,13 +112,13 @@ class Start:
         restoring: the same, of a repelling spring negative [N/m].
     """
 
-    rate: Array
-    phase: Array
-    force: Array
-    deflection: Array
-    tow_speed: Array
-    stiffness: Array
-    restoring: Array
+    rate: Column
+    phase: Column
+    force: Column
+    deflection: Column
+    tow_speed: Column
+    stiffness: Column
+    restoring: Column
 
     def averages(self, layout: Layout, state: Array) -> Array:
         """Return `RESULTS` and the relative error, a row each.
@@ -148,7 +148,7 @@ def setup(
     values = [known[name] for name in layout.parameters]
     end = minimum(known["ramp_time"], duration) if structure.ramp else duration
     size = ca.fabs(scene.steady_resistance / scene.stiffness) + _TINY
-    phase, part = _phase_and_part(layout)(ca.vertcat(*values, end, duration, 0.0, 0.0))
+    phase, part = _phase_and_part(layout)(stacked(*values, end, duration, 0.0, 0.0))
     rate = start_rate(structure, known)
     start = Start(
         rate=rate,
@@ -159,7 +159,7 @@ def setup(
         stiffness=scene.stiffness,
         restoring=scene.restoring_stiffness,
     )
-    column = ca.vertcat(*values, end, duration, duration / (1.0 + phase), error * size * part, *vars(start).values())
+    column = stacked(*values, end, duration, duration / (1.0 + phase), error * size * part, *vars(start).values())
     return of_column("setup", inputs, column)
 
 
@@ -205,7 +205,7 @@ def _phase_and_part(layout: Layout) -> ca.Function:
     """
     p = ca.SX.sym("p", layout.allowed + 1)
     known = dict(zip(layout.parameters, ca.vertsplit(p), strict=False))
-    own = ca.vertcat(*(known[name] for name in equation_of_motion(layout.structure).names))
+    own = stacked(*(known[name] for name in equation_of_motion(layout.structure).names))
     duration, square = p[layout.ends[-1]], layout.own_frequency(p) ** 2
     bent, decay = ca.SX(0), ca.SX(0)
     for k in range(_MOMENTS):

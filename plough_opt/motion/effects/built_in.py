@@ -188,7 +188,7 @@ class TowRamp(Term):
         return (2.0 * math.pi / p["ramp_time"],) if "ramp_time" in p else ()
 
 
-def ramp_time(p: Parameters) -> Any:
+def ramp_time(p: Parameters) -> Expression:
     """Return the time of the strut's ramp [s]: of one that symbols make 0, one so short that it changes nothing."""
     time = p["ramp_time"]
     return where(time > 0.0, time, time + _SHORTEST_RAMP)

@@ -10,7 +10,7 @@ from plough_opt.core.expressions import Expression
 from plough_opt.laws.law import SoilReaction
 from plough_opt.soil.geometry import Cone
 
-Parameters = Mapping[str, Any]
+Parameters = Mapping[str, Expression]
 """Numbers or symbols of an equation, by name."""
 
 
@@ -63,7 +63,7 @@ class Place(NamedTuple):
     """
 
     travel: Expression | None
-    speed: Expression
+    speed: Any
 
     @property
     def squared_speed(self) -> Expression:

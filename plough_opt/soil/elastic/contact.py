@@ -14,7 +14,6 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
 
-import casadi as ca
 import numpy as np
 
 from plough_opt.core.checks import check_domain, check_single, check_switch
@@ -25,10 +24,10 @@ from plough_opt.core.expressions import (
     exp,
     gauss_legendre,
     holds_casadi,
-    is_casadi,
     log,
     maximum,
     minimum,
+    total,
     where,
 )
 from plough_opt.soil.elastic import cone as cones
@@ -93,11 +92,11 @@ def _ends(symbolic: bool) -> tuple[Expression, Expression]:
 
 def _over(half: _Half, first: Expression, last: Expression, integrand: Field) -> Expression:
     """Return the integral along the face over parts of the cells, from first to last in tau."""
-    total: Expression = 0.0
+    value: Expression = 0.0
     for node, weight in zip(*gauss_legendre(_ORDER), strict=True):
         tau = first + (last - first) * node
-        total = total + weight * (last - first) * half.distance(tau) * integrand(half, tau)
-    return ca.sum1(total) if is_casadi(total) else float(np.sum(total))
+        value = value + weight * (last - first) * half.distance(tau) * integrand(half, tau)
+    return total(value)
 
 
 def _lost(face: Body, pressure: Field, weight: Field, symbolic: bool) -> Expression:

@@ -218,7 +218,7 @@ def _shaped(columns: Array, shape: tuple[int, ...]) -> list[Expression]:
 
 def _spectrum(curve: Curve, length: float, places: Array, state: Medium, order: int, *, graded: bool) -> _Spectrum:
     """Return the transform of a curve's slope on wave numbers that resolve the integrals at all places."""
-    last = _DECAY / (state.eta * float(np.min(places[:, 1])))
+    last = _DECAY / (float(state.eta) * float(np.min(places[:, 1])))
     longest = max(float(np.max(np.abs(places[:, 0]))), float(np.max(np.abs(places[:, 0] - length))), length)
     waves, lengths = (order * last * longest / (2.0 * math.pi), order * length * last / (2.0 * math.pi))
     if waves * lengths > _MOST_NODES:

@@ -1,7 +1,7 @@
 """The elastic soil at a speed: wave speeds, and the functions of the speed that all formulas share."""
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeVar
 
 from plough_opt.core.checks import check_domain
 from plough_opt.core.errors import InputError
@@ -10,6 +10,7 @@ from plough_opt.core.labels import Limit, attach, checked_in_designs, unlabelled
 from plough_opt.soil.soil import Soil, check_soil
 
 # At the shear wave's speed the fields are finite, but their slope is infinite: the limit in designs is a little lower.
+_Result = TypeVar("_Result")
 _SUBSONIC = Limit("elastic medium: speed over shear wave speed", at_most=0.9999)
 # Each step of Newton's method for the cubic of the Rayleigh speed doubles the digits; the start has three.
 _RAYLEIGH_STEPS = 5
@@ -43,7 +44,7 @@ def longitudinal_wave_speed(soil: Soil) -> Expression:
     Raises:
         InputError: the soil's Young's modulus or Poisson's ratio is not given.
     """
-    return shear_wave_speed(soil) / sqrt(_kappa(soil.poisson_ratio))
+    return shear_wave_speed(soil) / sqrt(_kappa(_constants(soil)[1]))
 
 
 @checked_in_designs
@@ -108,11 +109,12 @@ class Medium:
         """Return R/m = ((1 + eta^2)^2 - 4 alpha eta)/m, which changes its sign at the Rayleigh speed."""
         return 4.0 * self.product - 4.0 + self.m
 
-    def limited(self, result: Any) -> Any:
+    def limited(self, result: _Result) -> _Result:
         """Return a result; every expression in it is labelled with the limit on the speed, for designs."""
         if not is_symbolic(self.mach):
             return result
-        return map_expressions(result, lambda value: attach(value, self.mach, _SUBSONIC, _SUBSONIC))
+        labelled: _Result = map_expressions(result, lambda value: attach(value, self.mach, _SUBSONIC, _SUBSONIC))
+        return labelled
 
 
 def medium(soil: Soil, speed: Expression) -> Medium:
@@ -151,10 +153,11 @@ def medium(soil: Soil, speed: Expression) -> Medium:
 def _constants(soil: Soil) -> tuple[Expression, Expression]:
     """Return Young's modulus [Pa] and Poisson's ratio."""
     check_soil(soil)
-    for name in ("youngs_modulus", "poisson_ratio"):
-        if getattr(soil, name) is None:
+    known: dict[str, Any] = {name: getattr(soil, name) for name in ("youngs_modulus", "poisson_ratio")}
+    for name, value in known.items():
+        if value is None:
             raise InputError(f"the elastic medium needs {name}, which {soil.name} does not give: set soil.{name}")
-    return soil.youngs_modulus, soil.poisson_ratio
+    return known["youngs_modulus"], known["poisson_ratio"]
 
 
 def _kappa(poisson_ratio: Expression) -> Expression:

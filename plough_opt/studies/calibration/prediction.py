@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from plough_opt.core.errors import DomainError, InputError
-from plough_opt.core.expressions import Expression, as_number
+from plough_opt.core.expressions import Expression, as_number, stacked
 from plough_opt.laws.forces import cone_index
 from plough_opt.motion import simulate
 from plough_opt.motion.plan import numbers_of, phase
@@ -110,7 +110,7 @@ class Rows:
         for (scene, duration, rows), (example, _, _) in zip(self.scenes(ca.vertsplit(y)), at_guess, strict=True):
             parts.append(_force_at(scene, duration, self.measured, rows, self.model, example))
             order.extend(rows.tolist())
-        return ca.MX(ca.vertcat(*parts))[np.argsort(order).tolist(), 0]
+        return ca.MX(stacked(*parts))[np.argsort(order).tolist(), 0]
 
 
 def predictor(sets: Sequence[Rows], model: Model) -> ca.Function:

@@ -8,7 +8,7 @@ import numpy as np
 
 from plough_opt.core.checks import NOT_NUMBERS, shown
 from plough_opt.core.errors import InputError
-from plough_opt.core.expressions import Expression, is_casadi
+from plough_opt.core.expressions import Column, is_casadi
 from plough_opt.core.kept import Origin, versions
 from plough_opt.core.units import Display
 from plough_opt.motion.vocabulary import called
@@ -43,7 +43,7 @@ class Goal:
     """
 
     name: str
-    expression: Expression = field(repr=False)
+    expression: Column = field(repr=False)
     unit: str = ""
     maximise: bool = False
 

@@ -1,7 +1,6 @@
 """A density that varies behind the front: against the closed form, the source's equations and other integrators."""
 
 import dataclasses
-import itertools
 import math
 from itertools import pairwise
 
@@ -45,60 +44,33 @@ def radii(cavity, soil, count=5):
 
 # --- a constant profile is the closed form ----------------------------------------------------------------------------
 
-RATIOS = [1e-6, 1e-3, 0.1, 0.5, 0.8, 0.95, 0.999]
-ANGLES = [0.0, 1e-9, 0.1, 0.5, 1.0, 1.4]
 # A dozen roundings; the worst found is 1.4e-15, in the added mass of soil with b1 = 0.999 and 1.4 rad.
 CONSTANT = 1e-14
 
 
-def constant_pairs():
-    """Yield a constant locked density as such, and the same as a profile."""
-    for b1, angle in itertools.product(RATIOS, ANGLES):
-        plain = po.Soil(DENSITY, b1, 2e4, angle, 0.45, 1e4)
-        varied = plain.with_density_profile(lambda r, rho: rho + 0.0 * r, DENSITY / b1)
-        yield b1, angle, plain, varied
-
-
-def kinematics(r, cavity, soil):
-    """Return everything around a cavity that is not pressure."""
-    found = {
-        name: getattr(plastic, name)(r, cavity, soil)
-        for name in ("density", "current_radius", "particle_velocity", "particle_acceleration")
-    }
-    front = {name: getattr(plastic, name)(cavity, soil) for name in ("front_radius", "front_speed")}
-    return found | front
-
-
-@pytest.mark.parametrize("cavity", CAVITIES.values(), ids=CAVITIES)
-def test_a_constant_profile_moves_as_the_closed_form(cavity):
-    for b1, angle, plain, varied in constant_pairs():
-        r = radii(cavity, plain)
-        wanted = kinematics(r, cavity, plain)
-        for name, found in kinematics(r, cavity, varied).items():
-            np.testing.assert_allclose(found, wanted[name], rtol=CONSTANT, err_msg=f"{name}, b1 = {b1}, {angle} rad")
-
-
-@pytest.mark.parametrize("ratio", RATIOS)
-def test_a_constant_profile_presses_and_resists_as_the_closed_form(ratio):
+@pytest.mark.parametrize("angle", [0.0, 1e-9, 0.5, 1.4])
+@pytest.mark.parametrize("b1", [1e-6, 0.1, 0.8, 0.999])
+def test_a_constant_profile_is_the_closed_form(b1, angle):
     cone = po.Cone(0.2, 0.3)
-    for b1, angle, plain, varied in constant_pairs():
-        if b1 != ratio:
-            continue
-        label = f"b1 = {b1}, {angle} rad"
-        for cavity in CAVITIES.values():
-            found, wanted = (plastic.surface_pressure(cavity, soil) for soil in (varied, plain))
-            p = plastic.wall_pressure(plain)
-            # The terms without their signs, which slowing down makes cancel.
-            inertial = p.rate * cavity.rate**2 + p.inertia * cavity.radius * abs(cavity.acceleration)
-            assert found == pytest.approx(wanted, abs=CONSTANT * (p.strength + DENSITY * inertial)), label
-        for quantity in (
-            lambda soil: dataclasses.astuple(po.resistance_coefficients(cone, soil)),
-            lambda soil: po.resistance(cone, soil, 2.0, 3.0),
-            lambda soil: po.added_mass(cone, soil),
-            lambda soil: po.loosened_radius(cone, soil),
-            lambda soil: dataclasses.astuple(plastic.wall_pressure(soil, 0.05)),
-        ):
-            assert quantity(varied) == pytest.approx(quantity(plain), rel=CONSTANT), label
+    plain = po.Soil(DENSITY, b1, 2e4, angle, 0.45, 1e4)
+    varied = plain.with_density_profile(lambda r, rho: rho + 0.0 * r, DENSITY / b1)
+    for cavity in CAVITIES.values():
+        r = radii(cavity, plain)
+        for name in ("density", "current_radius", "particle_velocity", "particle_acceleration"):
+            found, wanted = (getattr(plastic, name)(r, cavity, soil) for soil in (varied, plain))
+            np.testing.assert_allclose(found, wanted, rtol=CONSTANT, err_msg=name)
+        assert plastic.front_speed(cavity, varied) == pytest.approx(plastic.front_speed(cavity, plain), rel=CONSTANT)
+        found, wanted = (plastic.surface_pressure(cavity, soil) for soil in (varied, plain))
+        p = plastic.wall_pressure(plain)
+        # The terms without their signs, which slowing down makes cancel.
+        inertial = p.rate * cavity.rate**2 + p.inertia * cavity.radius * abs(cavity.acceleration)
+        assert found == pytest.approx(wanted, abs=CONSTANT * (p.strength + DENSITY * inertial))
+    for quantity in (
+        lambda soil: dataclasses.astuple(po.resistance_coefficients(cone, soil)),
+        lambda soil: po.resistance(cone, soil, 2.0, 3.0),
+        lambda soil: po.loosened_radius(cone, soil),
+    ):
+        assert quantity(varied) == pytest.approx(quantity(plain), rel=CONSTANT)
 
 
 def test_a_constant_profile_needs_one_node_for_its_front_and_few_for_the_rest():
@@ -144,30 +116,7 @@ def test_values_against_75_digits(name, cavity):
         hp.assert_close(-stress.tangential, precise.tangential_pressure(exact), digits, "tangential", wall)
 
 
-@profiles
-def test_the_precise_profile_is_the_toolkits_and_its_integrals_are_checked(name):
-    earth = ground(name)
-    precise = earth.field(0.03, 1.5, 40.0)
-    for r in (0.0, 0.02, 0.06):
-        assert float(DENSITY / precise.ratio(mp.mpf(r))) == pytest.approx(
-            earth.soil(1).density_profile.at(r), rel=4e-16
-        )
-    with mp.workdps(40):
-        swept = mp.quad(lambda s: 2 * precise.ratio(s) * s, [0, precise.front])
-        assert abs(swept / precise.swept(precise.front) - 1) < mp.mpf(10) ** -35
-
-        def momentum(s):
-            return precise.current_radius(s) ** (precise.nu - 1) * s * precise.acceleration_of(s)
-
-        carried = DENSITY * mp.quad(momentum, [0, precise.front])
-        jump = DENSITY * precise.front_speed * precise.velocity(precise.front)
-        ends = [radius**precise.nu for radius in (precise.front, precise.radius)]
-        shear = precise.tau0 / (1 + precise.mu) * (ends[0] - ends[1]) / precise.nu
-        pressure = (ends[0] * (precise.ambient_pressure + jump) + carried + shear) / ends[1]
-        assert abs(precise.pressure(mp.mpf(0)) / pressure - 1) < mp.mpf(10) ** -35
-
-
-@profiles
+@pytest.mark.parametrize("name", ["exponential, b rising", "bell"])
 def test_resistance_is_the_pressure_integrated_over_the_cone(name):
     earth, cone, speed, acceleration = ground(name), po.Cone(0.2, 0.3), 2.0, 3.0
     soil = earth.soil(24)

@@ -123,32 +123,24 @@ def test_arrays_are_taken_element_by_element():
 
 WEDGE = {"angle": 0.5, "chisel_angle": 0.2, "height": 0.3}
 CONE = {"half_angle": 0.2, "height": 0.3}
+NOT_FINITE = (math.nan, math.inf, -math.inf)
 BAD = [
-    *[(po.Wedge, WEDGE, "angle", "wedge angle", v) for v in (0.0, -0.1, math.pi / 2, 2.0)],
-    *[(po.Wedge, WEDGE, "chisel_angle", "chisel angle", v) for v in (-1e-9, math.pi / 2, 2.0)],
-    *[(po.Wedge, WEDGE, "height", "share height", v) for v in (0.0, -0.3)],
-    *[(po.Cone, CONE, "half_angle", "half angle", v) for v in (0.0, -0.1, math.pi / 2, 2.0)],
-    *[(po.Cone, CONE, "height", "share height", v) for v in (0.0, -0.3)],
-]
-NOT_FINITE = [
-    (kind, good, argument, name, value)
-    for kind, good, argument, name in {(k, tuple(g.items()), a, n) for k, g, a, n, _ in BAD}
-    for value in (math.nan, math.inf, -math.inf)
+    (po.Wedge, WEDGE, "angle", "wedge angle", (0.0, -0.1, math.pi / 2, 2.0, *NOT_FINITE)),
+    (po.Wedge, WEDGE, "chisel_angle", "chisel angle", (-1e-9, math.pi / 2, 2.0, *NOT_FINITE)),
+    (po.Wedge, WEDGE, "height", "share height", (0.0, -0.3, *NOT_FINITE)),
+    (po.Cone, CONE, "half_angle", "half angle", (0.0, -0.1, math.pi / 2, 2.0, *NOT_FINITE)),
+    (po.Cone, CONE, "height", "share height", (0.0, -0.3, *NOT_FINITE)),
 ]
 
 
-@pytest.mark.parametrize(("kind", "good", "argument", "name", "value"), BAD + sorted(NOT_FINITE, key=str))
-def test_number_outside_the_domain_is_refused_by_name_and_value(kind, good, argument, name, value):
-    good = dict(good)
-    kinds = [float(value), np.array([good[argument], value]), ca.DM(value), ca.SX(value), ca.MX(value)]
-    for number in kinds:
-        with pytest.raises(po.DomainError) as error:
-            kind(**(good | {argument: number}))
-        assert name in str(error.value)
-        assert any(f"{value:.{digits}g}" in str(error.value) for digits in (6, 17))
-        assert ("must be finite" in str(error.value)) is not math.isfinite(value)
-        assert isinstance(error.value, po.PloughError)
-        assert isinstance(error.value, ValueError)
+@pytest.mark.parametrize(("kind", "good", "argument", "name", "values"), BAD)
+def test_number_outside_the_domain_is_refused_by_name_and_value(kind, good, argument, name, values):
+    for value in values:
+        for number in (float(value), np.array([good[argument], value]), ca.DM(value), ca.SX(value), ca.MX(value)):
+            with pytest.raises(po.DomainError, match=name) as error:
+                kind(**(good | {argument: number}))
+            assert any(f"{value:.{digits}g}" in str(error.value) for digits in (6, 17))
+            assert ("must be finite" in str(error.value)) is not math.isfinite(value)
 
 
 @pytest.mark.parametrize("symbol", [ca.SX, ca.MX])

@@ -34,15 +34,9 @@ def test_named_soil_has_the_values_of_the_table(name):
     assert soil.ambient_pressure == STANDARD_ATMOSPHERE == 101325.0
     assert soil.youngs_modulus == 1e6 * modulus
     assert soil.poisson_ratio == poisson
-
-
-@pytest.mark.parametrize("name", TABLE)
-def test_named_soil_says_that_its_values_are_a_choice(name):
-    source = po.named_soil(name).source
-    assert "choice" in source
-    assert "not measured" in source
-    assert "density" in source
-    assert "tool friction" in source
+    # None of the sets was measured on one soil.
+    for word in ("choice", "not measured", "density", "tool friction"):
+        assert word in soil.source
 
 
 @pytest.mark.parametrize(
@@ -79,20 +73,18 @@ DOMAIN = [
     ("youngs_modulus", "Young's modulus", [0.0, -1e6]),
     ("poisson_ratio", "Poisson's ratio", [-0.1, 0.5, 0.7]),
 ]
-REFUSED = [
-    (argument, name, value) for argument, name, values in DOMAIN for value in [*values, math.nan, math.inf, -math.inf]
-]
 
 
-@pytest.mark.parametrize(("argument", "name", "value"), REFUSED)
-def test_number_outside_the_domain_is_refused_by_name_and_value(argument, name, value):
+@pytest.mark.parametrize(("argument", "name", "values"), DOMAIN)
+def test_number_outside_the_domain_is_refused_by_name_and_value(argument, name, values):
     firm = po.named_soil("firm sandy loam")
     good = getattr(firm, argument)
-    for number in [float(value), np.array([good, value]), ca.DM(value), ca.SX(value), ca.MX(value)]:
-        with pytest.raises(po.DomainError) as error:
-            replace(firm, **{argument: number})
-        assert any(f"{name} = {value:.{digits}g}" in str(error.value) for digits in (6, 17))
-        assert ("must be finite" in str(error.value)) is not math.isfinite(value)
+    for value in [*values, math.nan, math.inf, -math.inf]:
+        for number in [float(value), np.array([good, value]), ca.DM(value), ca.SX(value), ca.MX(value)]:
+            with pytest.raises(po.DomainError) as error:
+                replace(firm, **{argument: number})
+            assert any(f"{name} = {value:.{digits}g}" in str(error.value) for digits in (6, 17))
+            assert ("must be finite" in str(error.value)) is not math.isfinite(value)
 
 
 @pytest.mark.parametrize(

@@ -86,15 +86,12 @@ def test_a_force_is_freed_of_its_rig():
         assert one.wave.amplitude == pytest.approx(a, rel=2e-3)
         assert one.wave.wavelength == pytest.approx(length, rel=1e-4)
         assert math.remainder(one.wave.phase - first, 2 * math.pi) == pytest.approx(0.0, abs=2e-2)
+    # The spectrum too, around the waves; the same segments and windows are left of the rig's response.
+    force_spectrum = po.strength_spectrum(po.StrengthRecord(2.0 * times[late], force[late], rig))
+    assert np.all(np.abs(force_spectrum.wave_number / rig.resonance - 1.0) >= 0.2)
+    assert force_spectrum.variance == pytest.approx(sum(a**2 / 2.0 for a, *_ in waves), rel=0.05)
     # sqrt(4e4/25)/2 = 20 rad/m.
     assert any(f"waves of {2 * math.pi / 20.0:.3g} m are left out" in note for note in found.notes)
-
-
-def test_the_waves_go_into_a_scene():
-    found = po.strength_waves(record(5), 0.5)
-    effects = po.Effects(strength_wave=found.waves, damping=400.0)
-    scene = po.Scene(po.named_soil("serozem"), po.Cone(0.2, 0.2), 1e5, 20.0, 2.0, effects)
-    assert po.simulate(scene, 1.0).force_rms > 0.0
 
 
 @pytest.mark.parametrize(

@@ -22,7 +22,6 @@ from helpers.field_cases import (
     precise_cone,
     precise_wedge,
     slow,
-    soil_of,
     thinned,
 )
 
@@ -97,28 +96,6 @@ def precise_wedge_force(body, speed, ambient_pressure, separation=True):
         return oracle.wedge_force(exact_nodes(body), exact_medium(speed), *numbers, separation)
 
 
-@bodies
-@pytest.mark.parametrize("speed", [1e-6, 0.3, 0.9274, 0.95])
-def test_signed_drag_is_zero(body, speed):
-    """Below the shear wave's speed nothing is radiated: int p h' dx = 0, by quadrature and by the closed form."""
-    nodes = nodes_of(inputs(0, 0, body))
-    soil, V0 = ground(speed, tool_friction=0.0)
-    assert po.elastic.wedge_force(nodes, soil, V0, separation=False) == 0.0
-    drag = parts = 0.0
-    # Distances from each node fall exponentially, which makes the logarithms straight.
-    tau, weight = np.polynomial.legendre.leggauss(60)
-    tau, weight = 18.0 * (1.0 + tau), 18.0 * weight
-    for (a, left), (b, right) in itertools.pairwise(nodes):
-        distance = (b - a) / 2.0 * np.exp(-tau)
-        for x in (a + distance, b - distance):
-            # Beside a node its own coordinate rounds the distance, harmlessly: it is that small.
-            inside = (x > a) & (x < b)
-            pressure = po.elastic.wedge_pressure(x[inside], nodes, soil, V0)
-            shares = (right - left) / (b - a) * pressure * (weight * distance)[inside]
-            drag, parts = drag + np.sum(shares), parts + np.sum(np.abs(shares))
-    assert abs(drag) < 1e-10 * parts
-
-
 def straight_force(E, nu, speed, length, thickness, tool_friction, ambient_pressure):
     """2 (t + mu0) l A ln(1 + exp(-p_a/A)), A = mu |K| t/pi, per metre of width."""
     medium, t = oracle.Medium(E, nu, RHO, speed), thickness / length
@@ -126,10 +103,12 @@ def straight_force(E, nu, speed, length, thickness, tool_friction, ambient_press
     return 2 * (t + tool_friction) * length * A * mp.log(1 + mp.exp(-ambient_pressure / A))
 
 
-PRESSURES = [0.0, 1e4, 1e5, 7e5, 4e6]
+PRESSURES = [0.0, 1e5, 4e6]
+# Contact is lost and found again on both sides of corners that point inwards.
+MANY = ((0.05, 0.1, 0.2, 0.3, 0.42, 0.5), (0.02, 0.021, 0.05, 0.045, 0.07, 0.071))
 
 
-@pytest.mark.parametrize("speed", [1e-6, 0.3, 0.8, 0.95])
+@pytest.mark.parametrize("speed", [1e-6, 0.8, 0.95])
 @pytest.mark.parametrize("ambient_pressure", PRESSURES)
 def test_force_on_a_straight_wedge_by_hand(ambient_pressure, speed):
     soil, V0 = ground(speed, ambient_pressure=ambient_pressure)
@@ -139,7 +118,8 @@ def test_force_on_a_straight_wedge_by_hand(ambient_pressure, speed):
 
 
 @pytest.mark.parametrize(
-    ("body", "speed", "ambient_pressure"), thinned(BODIES, [1e-6, 0.3, 0.95], [*PRESSURES, 1e6, 1e7], keep=5)
+    ("body", "speed", "ambient_pressure"),
+    [(MANY, 0.3, 2e5), *thinned(BODIES, [1e-6, 0.3, 0.95], [*PRESSURES, 1e6, 1e7], keep=7)],
 )
 def test_force_on_any_wedge_against_precise_integration(body, speed, ambient_pressure):
     soil, V0 = ground(speed, ambient_pressure=ambient_pressure)
@@ -149,15 +129,6 @@ def test_force_on_any_wedge_against_precise_integration(body, speed, ambient_pre
         wanted = precise_wedge_force(body, speed, ambient_pressure, separation)
         force = po.elastic.wedge_force(nodes, soil, V0, separation=separation)
         assert force == pytest.approx(float(wanted), rel=0, abs=4 * EPS * size)
-
-
-def test_force_of_many_nodes():
-    """Contact is lost and found again on both sides of corners that point inwards."""
-    nodes = [(0.0, 0.0), (0.05, 0.02), (0.1, 0.021), (0.2, 0.05), (0.3, 0.045), (0.42, 0.07), (0.5, 0.071)]
-    soil, V0 = ground(ambient_pressure=2e5)
-    exact = [(mp.mpf(a), mp.mpf(b)) for a, b in nodes]
-    wanted = oracle.wedge_force(exact, exact_medium(), mp.mpf(FRICTION), mp.mpf(2e5))
-    assert po.elastic.wedge_force(nodes, soil, V0) == pytest.approx(float(wanted), rel=1e-14)
 
 
 # Positions and half thicknesses of nodes whose pressure has an extremum inside a straight piece, the speed, and an
@@ -170,7 +141,7 @@ SHORT = [
 ]
 
 
-@pytest.mark.parametrize("body", [*SHORT[:2], *slow(SHORT[2:])], ids=str)
+@pytest.mark.parametrize("body", [SHORT[0], *slow(SHORT[1:])], ids=str)
 def test_contact_that_is_lost_or_kept_on_a_short_part_of_a_piece(body):
     body, speed = body
     nodes = nodes_of(inputs(0, 0, body))
@@ -180,7 +151,7 @@ def test_contact_that_is_lost_or_kept_on_a_short_part_of_a_piece(body):
         pressure = po.elastic.wedge_pressure(np.linspace(a, b, 1001)[1:-1], nodes, soil, V0)
         slopes = np.diff(pressure)
         turning += list(pressure[1:-1][slopes[1:] * slopes[:-1] < 0.0])
-    ambient = [-p * part for p in turning for part in (0.7, 0.95, 1.05, 1.3) if p < 0.0]
+    ambient = [-p * part for p in turning for part in (0.7, 0.95, 1.05) if p < 0.0]
     assert ambient
     for ambient_pressure in ambient:
         exact = precise_wedge_force(body, speed, float(ambient_pressure))
@@ -339,17 +310,6 @@ def test_gradient_of_the_force_on_a_cone(speed):
 # --- numbers, symbols, shares, refusals ------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("share", [po.Wedge(po.deg(25.0), po.deg(15.0), 0.25), po.Cone(po.deg(10.0), 0.3)])
-def test_a_share_stands_for_its_nodes(share):
-    soil, speed = ground(ambient_pressure=1e5)
-    cone = share.equivalent_cone() if isinstance(share, po.Wedge) else share
-    nodes = [(0.0, 0.0), (cone.height, cone.height * cone.slope)]
-    for force in (po.elastic.wedge_force, po.elastic.cone_force):
-        assert force(share, soil, speed) == force(nodes, soil, speed)
-    for pressure in (po.elastic.wedge_pressure, po.elastic.cone_pressure):
-        assert pressure(0.1, share, soil, speed) == pressure(0.1, nodes, soil, speed)
-
-
 @pytest.mark.parametrize("symbol", [ca.SX, ca.MX])
 def test_numbers_arrays_and_symbols_give_the_same_pressure(symbol):
     soil, speed = ground()
@@ -360,18 +320,6 @@ def test_numbers_arrays_and_symbols_give_the_same_pressure(symbol):
         floats = [pressure(float(place), nodes, soil, speed) for place in places]
         np.testing.assert_allclose(pressure(places, nodes, soil, speed), floats, rtol=1e-14)
         np.testing.assert_allclose([float(evaluate(place)) for place in places], floats, rtol=1e-14)
-
-
-@pytest.mark.parametrize("symbol", [ca.MX, *slow([ca.SX])])
-def test_symbols_give_the_force_of_numbers(symbol):
-    values = inputs(0, 0, "diamond", 0.95)
-    soil = {"ambient_pressure": 1e5}
-    number = po.elastic.wedge_force(nodes_of(values), soil_of(values, **soil), values[5])
-    v = symbol.sym("v", len(values))
-    entries = ca.vertsplit(v)
-    force = po.elastic.wedge_force(nodes_of(entries), soil_of(entries, **soil), entries[5])
-    evaluated = float(ca.Function("force", [v], [force])(values))
-    assert evaluated == pytest.approx(number, rel=0, abs=4 * EPS * thrust("diamond", 0.95))
 
 
 GOOD = [(0.0, 0.0), (0.25, 0.025), (0.5, 0.0)]

@@ -25,15 +25,6 @@ from scipy.optimize import minimize, minimize_scalar
 
 import plough_opt as po
 
-
-def thinned(cases, of, ids=None):
-    """Parametrize by cases, of which every ``of``-th runs by default and the others are slow."""
-    names = list(map(str, cases) if ids is None else ids)
-    wrapped = [case if isinstance(case, tuple) else (case,) for case in cases]
-    slow = [[pytest.mark.slow] if k % of else [] for k in range(len(names))]
-    return [pytest.param(*case, id=name, marks=m) for case, name, m in zip(wrapped, names, slow, strict=True)]
-
-
 # --- where the start is ------------------------------------------------------------------------------------
 
 STARTS = {
@@ -49,7 +40,7 @@ STARTS = {
 }
 
 
-@pytest.mark.parametrize(("guess", "broken"), thinned(STARTS.values(), 3, ids=STARTS))
+@pytest.mark.parametrize(("guess", "broken"), STARTS.values(), ids=STARTS)
 def test_any_start_leads_to_the_optimum(guess, broken):
     question = Question(guess=(po.deg(guess[0]), guess[1], guess[2]))
     violated = {name for name, much in question.violations(question.guess).items() if much > 0.0}
@@ -105,7 +96,7 @@ def test_optima_at_bounds(question, active):
 # --- requirements said twice, hardly to be met, or not at all -----------------------------------------------
 
 
-@pytest.mark.parametrize("times", thinned([2, 5, 10], 3))
+@pytest.mark.parametrize("times", [2, 5, 10])
 def test_a_requirement_said_often_counts_once(times):
     limits = USUAL | {f"loosened radius again {k}": USUAL["loosened radius"] for k in range(times - 1)}
     once, often = Question(), Question(limits=limits)
@@ -134,7 +125,7 @@ def up_to(height):
     return Question(guess=(po.deg(25.0), 0.15, 5e4), upper=np.array([po.deg(60.0), height, 5e5]))
 
 
-@pytest.mark.parametrize("width", thinned([1e-6, 1e-3, 1e-9, 1e-12, 0.0], 2))
+@pytest.mark.parametrize("width", [1e-6, 1e-3, 1e-9, 1e-12, 0.0])
 def test_a_feasible_set_of_hardly_any_width(width):
     question = up_to(JUST * (1.0 + width))
     best = question.design().solve()
@@ -149,7 +140,7 @@ def test_a_feasible_set_of_hardly_any_width(width):
     assert_is_balanced(question, best, x)
 
 
-@pytest.mark.parametrize("lack", thinned([1e-6, 1e-4, 1e-2], 2))
+@pytest.mark.parametrize("lack", [1e-6, 1e-4, 1e-2])
 def test_a_conflict_however_small_is_named_with_its_size(lack):
     with pytest.raises(po.InfeasibleDesign) as caught:
         up_to(JUST * (1.0 - lack)).design().solve()
@@ -161,7 +152,7 @@ def test_a_conflict_however_small_is_named_with_its_size(lack):
     }  # fmt: skip
 
 
-@pytest.mark.parametrize("lack", thinned([1e-8, 1e-10, 1e-9, 1e-7], 4))
+@pytest.mark.parametrize("lack", [1e-8, 1e-10, 1e-9, 1e-7])
 def test_a_conflict_at_the_edge_of_the_tolerance_is_refused_or_within_it(lack):
     try:
         best = up_to(JUST * (1.0 - lack)).design().solve()
@@ -271,7 +262,7 @@ def test_variables_eighteen_orders_of_magnitude_apart(log):
 # --- a moving share ------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("first_stiffness", "first_height"), thinned([(5.1e3, 0.16), (4.9e5, 0.34), (2e4, 0.16)], 3))
+@pytest.mark.parametrize(("first_stiffness", "first_height"), [(5.1e3, 0.16), (4.9e5, 0.34), (2e4, 0.16)])
 def test_a_moving_share_from_starts_that_break_its_limits(first_stiffness, first_height):
     effects = po.Effects(strength_wave=po.StrengthWave(0.3, 0.6), damping=300.0)
     lower, upper, most = np.array([5e3, 0.15]), np.array([5e5, 0.35]), 0.03

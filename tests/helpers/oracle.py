@@ -1,21 +1,14 @@
 """The elastic medium around a thin wedge or a slender cone in 120-digit arithmetic: what the toolkit is judged by.
 
-Two descriptions of one field, of which only the second is fast:
-
-1. Fourier integrals over potentials whose amplitudes are solved for, wave number by wave number, from the boundary
-   conditions (`wedge_gradient_by_waves`, `cone_displacement_by_waves`).
-2. The potentials' kernels integrated over each straight piece in closed form, nothing rearranged against cancellation
-   (all other functions).
-
-`test_oracle.py` shows that they agree. Nothing is imported from the toolkit. A body is a list of nodes
-(x, half thickness or radius), joined by straight lines and followed by a parallel shank. V0 must not be zero: at rest
-the potentials coincide and every formula here is 0/0. The field is even in V0 and analytic: 1e-15 c2 stands for rest.
+The potentials' kernels are integrated over each straight piece in closed form, nothing rearranged against cancellation,
+and nothing is imported from the toolkit. By way of the toolkit it agrees with values that were computed elsewhere,
+tests/reference/elastic.json, and with Fourier integrals. A body is a list of nodes (x, half thickness or radius),
+joined by straight lines and followed by a parallel shank. V0 must not be zero: at rest the potentials coincide and each
+formula here is 0/0. The field is even in V0 and analytic: 1e-15 c2 stands for rest.
 """
 
 import itertools
 from collections import namedtuple
-
-from mpmath.calculus.quadrature import GaussLegendre
 
 from helpers import high_precision as hp
 
@@ -99,48 +92,6 @@ def wedge(x, y, nodes, medium):
 def _logarithm(X, c):
     """Return ln sqrt(X^2 + c^2) and the angle atan(X/c), at c = 0 the limit from above."""
     return mp.log(X**2 + c**2) / 2, mp.atan(X / c) if c else mp.sign(X) * mp.pi / 2
-
-
-def wedge_gradient_by_waves(x, y, nodes, medium):
-    """Return ux_x, uy_y, ux_y, uy_x as Fourier integrals, with amplitudes that solve the boundary conditions.
-
-    u = phi_x + psi_y, v = phi_y - psi_x; phi ~ A exp(-alpha p y), psi ~ B exp(-eta p y), and on y = 0
-    v = h and sigma_12 = 0. A and B are found numerically.
-    """
-    alpha, eta = medium.alpha, medium.eta
-
-    def waves(p):
-        # The transform of the slope, with +ipx in the exponent and without 1/sqrt(2 pi).
-        slope = mp.fsum(
-            (right - left) / (b - a) * (mp.expj(p * b) - mp.expj(p * a)) / (1j * p)
-            for a, left, b, right in segments(nodes)
-        )
-        # Unknowns p^2 A, p^2 B; d/dx is a factor -ip, so the transform of h is that of the slope over -ip.
-        system = mp.matrix([[-alpha, 1j], [2j * alpha, 1 + eta**2]])
-        A, B = mp.lu_solve(system, mp.matrix([1j * slope, 0]))
-        A, B = A * mp.exp(-alpha * p * y), B * mp.exp(-eta * p * y)
-        forward = mp.expj(-p * x)
-        parts = (-A + 1j * eta * B, alpha**2 * A - 1j * eta * B, 1j * alpha * A + eta**2 * B, 1j * alpha * A + B)
-        return mp.matrix([(part * forward).real for part in parts])
-
-    return _integrate_waves(waves, eta * y, abs(x) + nodes[-1][0])
-
-
-def _integrate_waves(waves, decay, extent, halvings=0):
-    """Return (1/pi) times the integrals from 0 to infinity over functions that decay and oscillate.
-
-    With ``halvings`` the first interval is halved towards zero, where the functions may have a logarithm.
-    """
-    last = mp.mpf(mp.dps + 2) * mp.log(10) / decay
-    edges = mp.linspace(0, last, int(last * extent / 12) + 6)
-    edges[1:1] = [edges[1] / 2**i for i in range(halvings, 0, -1)]
-    rule = GaussLegendre(mp).calc_nodes(4, mp.prec)  # 24 nodes on [-1, 1]
-    parts = [
-        (end - start) / 2 * w * waves(start + (end - start) / 2 * (1 + t))
-        for start, end in itertools.pairwise(edges)
-        for t, w in rule
-    ]
-    return list(sum(parts[1:], parts[0]) / mp.pi)
 
 
 def wedge_pressure(x, nodes, medium):
@@ -330,36 +281,3 @@ def cone_force(nodes, medium, tool_friction, ambient_pressure, section_factor=HA
             lost -= mp.fsum(mp.quad(lambda x: radius(x, nodes), part) for part in parts)
             force -= weight * ambient_pressure * lost
     return force
-
-
-def cone_displacement_by_waves(x, r, nodes, medium, section_factor=HALF):
-    """Return the displacements as Fourier integrals, with amplitudes that solve the boundary conditions on the axis.
-
-    u_x = phi_x + (r psi)_r/r, u_r = phi_r - psi_x; phi ~ A K0(alpha p r), psi ~ B K1(eta p r). As r -> 0 the shear
-    stress, which goes as 1/r, must vanish and r u_r must tend to S. The axial part of a body that is open behind has a
-    principal value only: S(inf)/(2 r) makes the disturbance vanish far ahead.
-    """
-    alpha, eta = medium.alpha, medium.eta
-
-    def rate(p):
-        # Transform of S' = section_factor (R^2)', where R R' is linear on each piece.
-        total = mp.mpf(0)
-        with mp.extradps(40):  # small p cancel
-            for a, left, b, right in segments(nodes):
-                t = (right - left) / (b - a)
-                at_a, at_b = mp.expj(p * a), mp.expj(p * b)
-                total += t * (right * at_b - left * at_a) / (1j * p) + t**2 * (at_b - at_a) / p**2
-        return 2 * section_factor * total
-
-    def waves(p):
-        # Unknowns p A, p B. As r -> 0: K0(z) -> -ln z and K1(z) -> 1/z.
-        system = mp.matrix([[2j, eta + 1 / eta], [-1, 1j / eta]])
-        A, B = mp.lu_solve(system, mp.matrix([0, 1j * rate(p)]))
-        forward = mp.expj(-p * x)
-        axial = -1j * A * mp.besselk(0, alpha * p * r) - eta * B * mp.besselk(0, eta * p * r)
-        radial = -alpha * A * mp.besselk(1, alpha * p * r) + 1j * B * mp.besselk(1, eta * p * r)
-        return mp.matrix([(axial * forward).real, (radial * forward).real])
-
-    # Down to p = 1e-8 of the first interval, which leaves an error of 1e-10 of the result.
-    axial, radial = _integrate_waves(waves, eta * r, abs(x) + nodes[-1][0], halvings=26)
-    return axial, radial + section_factor * nodes[-1][1] ** 2 / (2 * r)

@@ -27,8 +27,8 @@ class Shank:
         return self.static + self.viscous * speed + 0.0 * travel
 
 
-def sampled(seed):
-    """Return a scene with a motion, its duration [s] and outputs; None for one that is refused or too long."""
+def sampled(seed, most_phase=MOST_PHASE):
+    """Return a scene with a motion, its duration [s] and outputs; None for one that is refused or turns too often."""
     random = np.random.default_rng([seed, 20])
 
     def log(low, high):
@@ -73,7 +73,7 @@ def sampled(seed):
         scene = po.Scene(soil, share, *mount, po.Effects(**effects))
     except po.PloughError:
         return None
-    return (scene, duration, outputs) if phase(numbers_of(scene), duration) < MOST_PHASE else None
+    return (scene, duration, outputs) if phase(numbers_of(scene), duration) < most_phase else None
 
 
 def errors(run, reference):

@@ -1,0 +1,473 @@
+"""The medium around a thin wedge and a slender cone: equations of motion, boundary conditions, digits of every form."""
+
+import itertools
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+import pytest
+from helpers import high_precision as hp
+from helpers import oracle
+from helpers.field_cases import (
+    BODIES,
+    EPS,
+    MU,
+    RHO,
+    SHEAR_WAVE,
+    assert_accurate,
+    assert_derivatives,
+    cone,
+    differentiated,
+    ground,
+    inputs,
+    nodes_of,
+    precise,
+    precise_cone,
+    precise_wedge,
+    slow,
+    wedge,
+)
+
+import plough_opt as po
+
+mp = hp.mp
+
+
+@dataclass(frozen=True)
+class Field:
+    """All that the toolkit says around a kind of body, its precise counterpart, and where they are compared.
+
+    Values and derivatives are compared in units of 2.2e-16 of what rounding of the inputs does: of a wedge some thirty
+    operations on each straight piece, of a cone two dozen quadrature nodes where it is far off.
+    """
+
+    evaluate: Callable
+    precise: Callable
+    names: tuple
+    values: int
+    derivatives: int
+    points: dict
+    cases: tuple
+    quantities: tuple
+
+
+FIELDS = {
+    "wedge": Field(
+        wedge, precise_wedge, oracle.Wedge._fields, 4, 64,
+        {
+            "beside": (0.2, 0.1),
+            "ahead": (-0.1, 0.05),
+            "behind": (0.9, 0.3),
+            "beside a node": (0.5 + 1e-7, 1e-7),
+            "near the tip": (1e-6, 1e-6),
+            "near the face": (0.15, 1e-9),
+            "above a node": (0.5, 0.02),
+            "far": (30.0, 40.0),
+            "far ahead": (-3000.0, 0.01),
+            "where quadrature takes over": (0.2501, 0.3501),
+        },
+        (
+            ("wedge", "beside", 0.3, 0.3),
+            ("diamond", "beside", 1e-6, 0.3),
+            ("wedge", "near the face", 0.7, 0.0),
+            ("wedge", "far", 0.3, 0.3),
+            ("wedge", "beside a node", 0.99, 0.3),
+            ("wedge", "far ahead", 1e-12, 0.49),
+        ),
+        ("wedge_stress", "wedge_gradient", "wedge_displacement"),
+    ),
+    "cone": Field(
+        cone, precise_cone, oracle.Cone._fields, 8, 32,
+        {
+            "beside": (0.22, 0.1),
+            "ahead": (-0.1, 0.05),
+            "behind": (0.9, 0.3),
+            "above a node": (0.5, 0.02),
+            "on the face": (0.15, 0.015),
+            "far": (30.0, 40.0),
+            "where quadrature takes over": (0.2501, 0.3124),
+            "far ahead": (-3000.0, 0.01),
+            "far wake": (2000.0, 0.06),
+            "axis inside": (0.17, 1e-8),
+            "axis ahead": (-0.1, 1e-8),
+            "axis behind": (1.2, 1e-8),
+        },
+        (
+            ("wedge", "beside", 0.3, 0.3),
+            ("diamond", "behind", 1e-6, 0.3),
+            ("wedge", "on the face", 0.7, 0.0),
+            ("wedge", "above a node", 0.7, 0.0),
+            ("wedge", "where quadrature takes over", 0.02, 0.3),
+            ("wedge", "far ahead", 1e-12, 0.49),
+        ),
+        ("cone_stress", "cone_displacement"),
+    ),
+}  # fmt: skip
+# In units of the shear wave's; 0.9274 is the Rayleigh wave's for a Poisson's ratio of 0.3.
+SPEEDS = [1e-12, 1e-9, 1e-6, 1e-3, 0.3, 0.7, 0.9274, 0.99, 0.9999]
+RATIOS = [0.0, 0.3, 0.49]
+# Second derivatives around a cone whose speed is within a few per cent of the shear wave's go as the gap to the -3/2.
+BESIDE_THE_SHEAR_WAVE = 512
+
+fields = pytest.mark.parametrize("kind", FIELDS)
+bodies = pytest.mark.parametrize("body", BODIES)
+
+
+def combinations(*, quick, derivatives=False):
+    """Yield kinds, bodies, points, speeds and ratios, of which every ``quick``-th runs by default."""
+    for kind, field in FIELDS.items():
+        points = [name for name in field.points if not (derivatives and name.startswith("axis"))]
+        for i, case in enumerate(itertools.product(BODIES, points, SPEEDS, RATIOS)):
+            yield pytest.param(kind, *case, marks=() if quick and i % quick == 0 else pytest.mark.slow)
+
+
+# --- digits ----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("kind", "body", "point", "speed", "nu"), [*combinations(quick=34)])
+def test_every_component_to_the_digits_that_its_inputs_have(kind, body, point, speed, nu):
+    field = FIELDS[kind]
+    values = inputs(*field.points[point], body, speed, nu)
+    wanted, size = precise(field.precise, values)
+    assert_accurate(field.evaluate(*values), wanted[0], size[0], field.names, field.values)
+
+
+def check_gradient_and_hessian(symbol, kind, body, point, speed, nu, modulus=False):
+    field = FIELDS[kind]
+    values = inputs(*field.points[point], body, speed, nu)
+    # Place, Poisson's ratio, speed, the first half thickness or radius after the tip and, last, the modulus.
+    chosen = (0, 1, 3, 5, len(values) - len(BODIES[body][0]), *([2] if modulus else []))
+    wanted, size = precise(field.precise, values, chosen)
+    multiple = BESIDE_THE_SHEAR_WAVE if kind == "cone" and speed > 0.95 else field.derivatives
+    found = differentiated(field.evaluate, symbol, len(values), chosen)(values)
+    assert_derivatives(found, wanted, size, field.names, multiple)
+
+
+CASES = [(kind, *case) for kind, field in FIELDS.items() for case in field.cases]
+
+
+@pytest.mark.parametrize("case", CASES, ids=str)
+def test_gradient_and_hessian(case):
+    check_gradient_and_hessian(ca.SX, *case)
+
+
+@pytest.mark.parametrize("case", [*CASES[:1], *slow(CASES[1:])], ids=str)
+def test_gradient_and_hessian_of_matrix_expressions(case):
+    check_gradient_and_hessian(ca.MX, *case)
+
+
+@pytest.mark.parametrize(("kind", "body", "point", "speed", "nu"), [*combinations(quick=0, derivatives=True)][::7])
+def test_gradient_and_hessian_in_the_modulus_too(kind, body, point, speed, nu):
+    check_gradient_and_hessian(ca.SX, kind, body, point, speed, nu, modulus=True)
+
+
+@pytest.mark.parametrize("body", ["diamond", *slow(["wedge", "ogive", "tapered"])])
+def test_second_derivatives_above_every_node(body):
+    """The field of a cone is analytic there, though its parts, the displaced section and the rest, are not."""
+    field = FIELDS["cone"]
+    for node in (0.0, *BODIES[body][0]):
+        values = inputs(node, 0.07, body, 0.7)
+        wanted, size = precise(precise_cone, values, (0, 1))
+        found = differentiated(cone, ca.SX, len(values), (0, 1))(values)
+        assert_derivatives(found, wanted, size, field.names, field.derivatives)
+
+
+@fields
+@bodies
+@pytest.mark.parametrize("speed", [0.0, *slow([1e-9])])
+def test_at_rest_the_field_is_the_limit_of_slow_motion(kind, body, speed):
+    field = FIELDS[kind]
+    for point in field.points.values():
+        slowest, size = precise(field.precise, inputs(*point, body, 1e-15))
+        found = field.evaluate(*inputs(*point, body, speed))
+        assert_accurate(found, slowest[0], size[0], field.names, field.values)
+
+
+@fields
+@pytest.mark.parametrize("symbol", [ca.SX, *slow([ca.MX])])
+def test_at_rest_derivatives_are_finite_and_even_in_speed(kind, symbol):
+    field = FIELDS[kind]
+    slowest, rest = inputs(0.2, 0.1, "wedge", 1e-15), inputs(0.2, 0.1, "wedge", 0.0)
+    chosen = (0, 5)
+    wanted, size = precise(field.precise, slowest, chosen)
+    found = differentiated(field.evaluate, symbol, len(rest), chosen)(rest)
+    for gradient, hessian in zip(*found[1:], strict=True):
+        assert gradient[1] == hessian[0, 1] == hessian[1, 0] == 0.0
+    # Value, d/dx, d2/dx2 and d2/dV0^2: those that are even in speed.
+    assert_derivatives(found, wanted, size, field.names, field.derivatives, [0, 1, 3, 6])
+
+
+# --- equations -------------------------------------------------------------------------------------------------------
+
+
+def d(f, *along):
+    for s in along:
+        f = ca.jacobian(f, s)
+    return f
+
+
+def balances_of_wedge(x, y, values, lam):
+    """Return (terms of each balance, share of each node in it): all terms of one vanish on lines of symmetry."""
+    field, inertia = wedge(*values), values[4] * values[5] ** 2
+    of_motion = [
+        (d(field.xx, x), d(field.xy, y), -inertia * d(field.ux_x, x)),
+        (d(field.xy, x), d(field.yy, y), -inertia * d(field.uy_x, x)),
+        # Compatibility: the gradient is one of a displacement.
+        (MU * d(field.ux_x, y), -MU * d(field.ux_y, x)),
+        (MU * d(field.uy_x, y), -MU * d(field.uy_y, x)),
+    ]
+    of_strain = [(field.uy_x, -d(field.uy, x)), (field.uy_y, -d(field.uy, y))]
+    of_stress = [
+        (field.xx, -(lam + 2.0 * MU) * field.ux_x, -lam * field.uy_y),
+        (field.yy, -(lam + 2.0 * MU) * field.uy_y, -lam * field.ux_x),
+        (field.zz, -lam * field.ux_x, -lam * field.uy_y),
+        (field.xy, -MU * field.ux_y, -MU * field.uy_x),
+    ]
+    nodes = np.array(nodes_of(values))
+    slopes = np.abs(np.diff(nodes[:, 1]) / np.diff(nodes[:, 0])) / np.pi
+    distance = [ca.hypot(x - node, y) for node in nodes[:, 0]]
+    bend = sum(g * (1 / a + 1 / b) for g, a, b in zip(slopes, distance, distance[1:], strict=False))
+    return [(of_strain, sum(slopes)), (of_stress, (lam + 2.0 * MU) * sum(slopes)), (of_motion, MU * bend)]
+
+
+def balances_of_cone(x, r, values, lam):
+    field, inertia = cone(*values), values[4] * values[5] ** 2
+    ux_x, ur_r, hoop = d(field.axial, x), d(field.radial, r), field.radial / r
+    stiff = lam + 2.0 * MU
+    of_motion = [
+        (d(field.xx, x), d(field.rx, r), field.rx / r, -inertia * d(field.axial, x, x)),
+        (d(field.rx, x), d(field.rr, r), (field.rr - field.tt) / r, -inertia * d(field.radial, x, x)),
+    ]
+    of_stress = [
+        (field.xx, -stiff * ux_x, -lam * ur_r, -lam * hoop),
+        (field.rr, -stiff * ur_r, -lam * ux_x, -lam * hoop),
+        (field.tt, -stiff * hoop, -lam * ux_x, -lam * ur_r),
+        (field.rx, -MU * d(field.axial, r), -MU * d(field.radial, x)),
+    ]
+    strain = bend = 0
+    for (a, left), (b, right) in itertools.pairwise(nodes_of(values)):
+        g = abs(right - left) / (b - a)
+        for radius, distance in ((left, ca.hypot(x - a, r)), (right, ca.hypot(x - b, r))):
+            strain += g * radius / distance
+            bend += g * radius / distance**2 + g**2 / distance
+    return [(of_stress, stiff * strain), (of_motion, MU * bend)]
+
+
+@pytest.mark.parametrize("body", ["tapered", *slow(["wedge", "diamond", "ogive"])])
+@pytest.mark.parametrize(
+    ("balances_of", "roundings", "nearest"), [(balances_of_wedge, 32, 3e-3), (balances_of_cone, 64, 1e-2)]
+)
+def test_equations_of_motion_and_hookes_law(balances_of, roundings, nearest, body):
+    x, y, speed, nu = symbols = ca.vertsplit(ca.SX.sym("v", 4))
+    groups = balances_of(x, y, inputs(x, y, body, speed, nu), 2.0 * MU * nu / (1.0 - 2.0 * nu))
+    residual = [sum(terms) for balances, _ in groups for terms in balances]
+    size = [sum(map(ca.fabs, terms)) + share for balances, share in groups for terms in balances]
+    evaluate = ca.Function("balances", symbols, [ca.vertcat(*residual), ca.vertcat(*size)])
+    # Points beside, ahead and behind, as rows that a function of symbols takes one by one.
+    at = [c.reshape(1, -1) for c in np.meshgrid(np.linspace(-0.6, 1.1, 9), np.geomspace(nearest, 2.0, 7))]
+    for speed_ratio, poisson_ratio in itertools.product([0.0, 1e-6, 0.3, 0.9274, 0.999], RATIOS):
+        residual, size = map(np.asarray, evaluate(*at, speed_ratio, poisson_ratio))
+        # A few dozen roundings in a derivative.
+        assert np.max(np.abs(residual) / size) <= roundings * EPS, (speed_ratio, poisson_ratio)
+
+
+@bodies
+@pytest.mark.parametrize("speed", [0.0, 0.3, 0.9274])
+def test_boundary_conditions_on_the_whole_line_of_a_wedge(body, speed):
+    """The face is moved by the half thickness, and slides without shear; ahead and behind the line is straight."""
+    x = np.array([-5.0, -0.3, 0.01, 0.15, 0.22, 0.35, 0.47, 0.6, 0.71, 3.0])
+    values = inputs(x, np.zeros_like(x), body, speed)
+    positions, thicknesses = [0.0, *BODIES[body][0]], [0.0, *BODIES[body][1]]
+    slopes = np.array([0.0, *np.diff(thicknesses) / np.diff(positions), 0.0])
+    field = wedge(*values)
+    half_thickness = np.interp(x, positions, thicknesses)
+    # The kernels' antiderivatives are lengths of up to 5 m times a slope of 0.1.
+    np.testing.assert_allclose(field.uy, half_thickness, rtol=0, atol=8 * EPS * 0.5)
+    np.testing.assert_allclose(field.uy_x, slopes[np.searchsorted(positions, x)], rtol=0, atol=4 * EPS)
+    np.testing.assert_allclose(field.xy, 0.0, atol=4 * EPS * MU)
+    # At the nodes themselves, where the strains are infinite, the face is what it was made.
+    soil, V0 = ground(speed)
+    moved = po.elastic.wedge_displacement(np.array(positions), np.zeros(len(positions)), nodes_of(values), soil, V0)
+    np.testing.assert_allclose(moved, thicknesses, rtol=0, atol=8 * EPS * 0.5)
+
+
+@bodies
+@pytest.mark.parametrize("speed", [0.0, 0.3, 0.99])
+def test_on_the_axis_of_a_cone_the_soil_is_moved_aside_by_the_section(body, speed):
+    """As r -> 0, r u_r -> S(x) = R^2/2, the error being of order r^2 ln r; the shear stress vanishes with r."""
+    x, r = np.array([-0.3, 0.07, 0.15, 0.22, 0.35, 0.47, 0.6, 0.9]), 1e-9
+    positions, radii = [0.0, *BODIES[body][0]], [0.0, *BODIES[body][1]]
+    found = cone(*inputs(x, np.full_like(x, r), body, speed))
+    section = np.interp(x, positions, radii) ** 2 / 2.0
+    np.testing.assert_allclose(r * found.radial, section, rtol=4 * EPS, atol=r**2)
+    nearby = cone(*inputs(x, np.full_like(x, 1e3 * r), body, speed))
+    np.testing.assert_allclose(1e3 * found.rx, nearby.rx, rtol=1e-4, atol=0.0)
+
+
+@bodies
+def test_far_ahead_of_a_cone_nothing_moves(body):
+    """The print's (4) leaves -S(inf)/(2r) there."""
+    length, widest = BODIES[body][0][-1], max(BODIES[body][1])
+    for distance in (1e2, 1e4, 1e6):
+        away = distance * length
+        found = cone(*inputs(-away, 0.01, body, 0.3))
+        assert abs(found.axial) < 2.0 * widest**2 / away
+        assert abs(found.radial) < 2.0 * widest**2 * 0.01 / away**2
+        assert max(map(abs, found[2:])) < 4.0 * MU * widest**2 / away**2
+
+
+# --- invariances and special speeds ----------------------------------------------------------------------------------
+
+
+@bodies
+def test_upper_and_lower_half_of_a_wedge_mirror_each_other(body):
+    for x, y in FIELDS["wedge"].points.values():
+        above, below = wedge(*inputs(x, y, body)), wedge(*inputs(x, -y, body))
+        for name in FIELDS["wedge"].names:
+            sign = -1.0 if name in ("xy", "ux_y", "uy_x", "uy") else 1.0
+            assert getattr(above, name) == sign * getattr(below, name), name
+
+
+def test_section_factor_is_a_factor():
+    soil, speed = ground(0.6)
+    nodes = nodes_of(inputs(0, 0, "ogive"))
+    for point in FIELDS["cone"].points.values():
+        for quantity in (po.elastic.cone_displacement, po.elastic.cone_stress):
+            by_volume, by_energy = (vars(quantity(*point, nodes, soil, speed, factor)) for factor in (0.5, 1.0))
+            assert by_energy == {name: 2.0 * value for name, value in by_volume.items()}
+            assert vars(quantity(*point, nodes, soil, speed)) == by_volume
+
+
+@pytest.mark.parametrize("nu", [0.0, 0.25, 0.3, 0.49])
+def test_rayleigh_speed_solves_its_equation(nu):
+    soil, _ = ground(nu=nu)
+    modulus = mp.mpf(soil.youngs_modulus)
+    exact = mp.findroot(
+        lambda speed: oracle.Medium(modulus, nu, RHO, speed).rayleigh_function, (90, 94 if nu < 0.4 else 96)
+    )
+    assert po.elastic.rayleigh_speed(soil) == pytest.approx(float(exact), rel=4 * EPS)
+    assert po.elastic.shear_wave_speed(soil) == pytest.approx(SHEAR_WAVE, rel=4 * EPS)
+    if nu == 0.25:
+        # Poisson solid: 0.9194017 c2, e.g. Achenbach, Wave Propagation in Elastic Solids, 1973, section 5.11.
+        assert po.elastic.rayleigh_speed(soil) / SHEAR_WAVE == pytest.approx(0.9194017, abs=5e-8)
+
+
+def test_at_the_shear_wave_speed_the_field_of_a_wedge_is_the_limit_from_below():
+    """There eta = 0, and what hangs on it goes as the root of the distance in speed, 1.4e-6 at 1e-12."""
+    (soil, _), nodes = ground(), nodes_of(inputs(0, 0, "diamond"))
+    speed = po.elastic.shear_wave_speed(soil)
+    for name in ("beside", "ahead", "behind"):
+        point = FIELDS["wedge"].points[name]
+        at, below = (vars(po.elastic.wedge_stress(*point, nodes, soil, V0)) for V0 in (speed, speed * (1.0 - 1e-12)))
+        assert at == pytest.approx(below, rel=0, abs=1e-4 * max(map(abs, below.values())))
+
+
+# --- numbers, arrays and symbols -------------------------------------------------------------------------------------
+
+
+@fields
+@pytest.mark.parametrize("symbol", [ca.SX, ca.MX])
+@pytest.mark.parametrize("point", ["ahead", *slow(["near the face", "far", "axis inside"])])
+def test_numbers_arrays_and_symbols_give_the_same(kind, point, symbol):
+    field = FIELDS[kind]
+    if point not in field.points:
+        return
+    values = inputs(*field.points[point], "tapered")
+    numbers = field.evaluate(*values)
+    # An array of points, among others that would expose a mix-up.
+    x, y = np.array([0.3, values[0], -2.0]), np.array([0.07, values[1], 0.4])
+    arrays = field.evaluate(x, y, *values[2:])
+    v = symbol.sym("v", len(values))
+    symbols = ca.Function("f", [v], list(field.evaluate(*ca.vertsplit(v))))(values)
+    size = precise(field.precise, values)[1][0]
+    for name, number, array, expression, s in zip(field.names, numbers, arrays, symbols, size, strict=True):
+        assert isinstance(number, float)
+        assert array.shape == x.shape
+        assert number == pytest.approx(array[1], rel=0, abs=field.values * EPS * float(s)), name
+        assert number == pytest.approx(float(expression), rel=0, abs=field.values * EPS * float(s)), name
+
+
+@pytest.mark.parametrize("symbol", [ca.SX, ca.MX])
+@pytest.mark.parametrize("quantity", ["wedge_stress", "cone_stress"])
+def test_arrays_of_points_meet_symbols(quantity, symbol):
+    soil, V0 = ground()
+    speed, nodes, stress = symbol.sym("V0"), nodes_of(inputs(0, 0, "tapered")), getattr(po.elastic, quantity)
+    x, y = np.array([0.3, -0.4, 2.0]), np.array([0.07, 0.1, 0.4])
+    found = np.asarray(ca.Function("xx", [speed], [stress(x, y, nodes, soil, speed).xx])(V0)).ravel()
+    np.testing.assert_allclose(found, stress(x, y, nodes, soil, V0).xx, rtol=1e-12)
+    plane = stress(x.reshape(3, 1), y.reshape(3, 1), nodes, soil, V0).xx
+    assert plane.shape == (3, 1)
+    np.testing.assert_allclose(plane.ravel(), found, rtol=1e-12)
+
+
+@pytest.mark.parametrize("share", [po.Wedge(po.deg(25.0), po.deg(15.0), 0.25), po.Cone(po.deg(10.0), 0.3)])
+def test_a_share_stands_for_its_nodes(share):
+    soil, speed = ground(ambient_pressure=1e5)
+    body = share.equivalent_cone() if isinstance(share, po.Wedge) else share
+    nodes = [(0.0, 0.0), (body.height, body.height * body.slope)]
+    for quantity in itertools.chain(*(field.quantities for field in FIELDS.values())):
+        of = getattr(po.elastic, quantity)
+        assert repr(of(0.1, 0.2, share, soil, speed)) == repr(of(0.1, 0.2, nodes, soil, speed))
+    for kind in FIELDS:
+        force, pressure = (getattr(po.elastic, f"{kind}_{of}") for of in ("force", "pressure"))
+        assert force(share, soil, speed) == force(nodes, soil, speed)
+        assert pressure(0.1, share, soil, speed) == pressure(0.1, nodes, soil, speed)
+
+
+# --- refusals --------------------------------------------------------------------------------------------------------
+
+GOOD = [(0.0, 0.0), (0.25, 0.025), (0.5, 0.0)]
+REFUSED = {
+    "supersonic": ({"speed": 100.001}, r"speed over shear wave speed = 1\.00001"),
+    "backwards": ({"speed": -1.0}, "speed = -1 m/s"),
+    "speed not a number": ({"speed": math.nan}, "speed = nan"),
+    "point not a number": ({"x": math.nan}, "x = nan"),
+    "point at infinity": ({"away": math.inf}, "(r|distance from the axis) = inf m must be finite"),
+    "array with one bad point": ({"x": np.array([0.1, math.nan])}, "x = nan"),
+    "nodes descending": ({"profile": [(0.0, 0.0), (0.5, 0.05), (0.25, 0.0)]}, "node 3 minus x of node 2.*backwards"),
+    "nodes coincide": ({"profile": [(0.0, 0.0), (0.5, 0.05), (0.5, 0.0)]}, "= 0 m must be above 0 m.*backwards"),
+    "first node thick": ({"profile": [(0.0, 0.01), (0.5, 0.05)]}, "first node"),
+    "single node": ({"profile": [(0.0, 0.0)]}, "two nodes"),
+    "node not a number": ({"profile": [(0.0, 0.0), (0.5, math.nan)]}, "= nan m must be finite"),
+    "negative height": ({"profile": [(0.0, 0.0), (0.5, -0.05)]}, "node 2 of the profile = -0.05 m"),
+}
+OF_WEDGES = {
+    "on the tip": ({"x": 0.0, "away": 0.0}, "node"),
+    "array with one point on a node": ({"x": np.array([0.1, 0.25]), "away": np.array([0.0, 0.0])}, "node"),
+}
+OF_CONES = {
+    "on the axis": ({"away": 0.0}, "r = 0 m must be above 0 m"),
+    "below the axis": ({"away": -0.1}, "r = -0.1 m must be above 0 m"),
+    "array with one point on the axis": ({"x": np.array([0.1, 0.2]), "away": np.array([0.1, 0.0])}, "r = 0 m"),
+    "no section": ({"section_factor": 0.0}, "section factor = 0"),
+}
+
+
+def refusals():
+    for kind, own in (("wedge", OF_WEDGES), ("cone", OF_CONES)):
+        for name, (change, sentence) in (REFUSED | own).items():
+            yield pytest.param(kind, change, sentence, id=f"{kind} {name}")
+
+
+@pytest.mark.parametrize(("kind", "change", "sentence"), [*refusals()])
+def test_what_the_theory_does_not_cover_is_refused(kind, change, sentence):
+    soil, speed = ground()
+    for quantity in FIELDS[kind].quantities:
+        given = {"x": 0.2, "away": 0.1, "profile": GOOD, "soil": soil, "speed": speed, **change}
+        given["y" if kind == "wedge" else "r"] = given.pop("away")
+        if quantity == "wedge_displacement" and sentence == "node":
+            # The displacement has a corner there, and a value.
+            assert np.all(np.isfinite(po.elastic.wedge_displacement(**given)))
+            continue
+        with pytest.raises((po.DomainError, po.InputError), match=sentence):
+            getattr(po.elastic, quantity)(**given)
+
+
+@pytest.mark.parametrize("missing", ["youngs_modulus", "poisson_ratio"])
+@pytest.mark.parametrize("quantity", ["wedge_stress", "cone_stress"])
+def test_a_soil_without_moduli_is_refused_with_a_remedy(quantity, missing):
+    known = {"youngs_modulus": 4e7, "poisson_ratio": 0.3, missing: None}
+    with pytest.raises(po.InputError, match=f"set soil.{missing}"):
+        getattr(po.elastic, quantity)(0.2, 0.1, GOOD, po.Soil(1600.0, 0.8, 15e3, 0.5, 0.3, **known), 1.0)

@@ -131,22 +131,24 @@ class Population:
         runs: number of runs in a design.
     """
 
-    def __init__(self, parts: Split, y: ca.MX, p: ca.MX) -> None:
+    def __init__(self, parts: Split, y: ca.MX, p: ca.MX, *, rough: bool = True) -> None:
         """Take objective (first) and requirements (second, a column) of scaled variables y and of parameters p.
 
         Args:
             parts: the expressions, split around their runs.
             y: scaled variables.
             p: parameters.
+            rough: whether runs that go one by one are integrated roughly, and runs of a method that was named by steps.
         """
         full = algebra_of(parts, y, p)
         self.runs = len(parts.runs)
-        self.vectorised = True
+        self.vectorised, self._rough = True, rough
         found: dict[object, list[int]] = {}
         for k, run in enumerate(parts.runs):
             averages = averages_only(run, full, 2 + k)
             outputs = 0 if averages else run.integration.timeline.outputs
-            key = (run.integration.structure, outputs) if run.integration.structure.stepped else k
+            stepped = run.integration.structure.stepped and (rough or run.integration.accuracy.method == "auto")
+            key = (run.integration.structure, outputs) if stepped else k
             found.setdefault(key, []).append(k)
         self._groups = [self._group(parts, members, key) for key, members in found.items()]
         inputs = [ca.horzcat(*(parts.runs[k].inputs for k in group.members)) for group in self._groups]
@@ -169,7 +171,8 @@ class Population:
 
                 return _Group(tuple(members), follow, many.size)
         self.vectorised = False
-        solver = _roughly(parts.runs[members[0]])
+        run = parts.runs[members[0]]
+        solver = _roughly(run) if self._rough else run.integration
         return _Group(tuple(members), lambda theta, _finer, _together: _each(solver, theta), solver.results)
 
     def __call__(self, points: Vector, p: Vector, *, finer: float = 1.0, together: int = 1) -> tuple[Vector, Vector]:

@@ -135,7 +135,7 @@ def test_correlations_that_cannot_hold_together_are_refused():
 
 
 def test_what_is_no_soil_no_seed_no_field_or_no_response_is_refused():
-    with pytest.raises(po.InputError, match="'serozem' is not a soil"):
+    with pytest.raises(po.InputError, match="the soil = 'serozem' must be a soil"):
         po.SoilDistribution("serozem", cohesion=stats.uniform(1e4, 2e4))
     field = po.SoilDistribution(SEROZEM, cohesion=stats.uniform(1e4, 2e4))
     for make in (field.sample, field.draw):

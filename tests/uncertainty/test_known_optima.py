@@ -10,7 +10,7 @@ import pytest
 from scipy import stats
 
 import plough_opt as po
-from plough_opt.studies.uncertainty import measures, smoothing
+from plough_opt.studies.uncertainty import measures
 
 MEAN, STD = 20e3, 4e3
 # A normal distribution in units of 10 kPa, and its cohesion as that number.
@@ -68,7 +68,7 @@ def test_newsvendor(part):
     samples = FIELD.sample(256, seed=3)
     demand = _numbers(samples)
     # By the threshold of Rockafellar and Uryasev the least of x + CVaR part of what is missing is at that quantile.
-    d.minimise(x + width * po.uncertainty.expected(smoothing.ramp((demand - x) / width)) / (1 - part))
+    d.minimise(x + width * po.uncertainty.expected(measures.ramp((demand - x) / width)) / (1 - part))
     found = d.solve().variables["x"]
     assert found == pytest.approx(measures.quantile(demand, part, width=width), abs=1e-8)
     assert found == pytest.approx(M + S * stats.norm.ppf(part), abs=0.02)

@@ -7,7 +7,7 @@ import pytest
 from scipy import integrate, optimize, stats
 
 import plough_opt as po
-from plough_opt.studies.uncertainty import measures, smoothing
+from plough_opt.studies.uncertainty import measures
 
 _WEIGHTS = np.array([4 / 5, -1 / 5, 4 / 105, -1 / 280])
 SAMPLES = stats.lognorm(0.3, scale=4.0).ppf((np.arange(64) + 0.5) / 64)[np.random.default_rng(3).permutation(64)]
@@ -35,14 +35,14 @@ def test_step_and_ramp_are_integrals_of_the_kernel(u):
         step = mpmath.quad(kernel, [-1, end])
         ramp = mpmath.quad(lambda x: kernel(x) * max(mpmath.mpf(u) - x, 0), [-1, end])
     # Sums of terms of order one.
-    assert smoothing.step(u) == pytest.approx(float(step), abs=1e-15)
-    assert smoothing.ramp(u) == pytest.approx(float(ramp), abs=1e-15)
+    assert measures.step(u) == pytest.approx(float(step), abs=1e-15)
+    assert measures.ramp(u) == pytest.approx(float(ramp), abs=1e-15)
 
 
 def test_kernel_constants():
-    variance, _ = integrate.quad(lambda x: x * x * smoothing.density(x), -1.0, 1.0)
-    assert variance == pytest.approx(smoothing.KERNEL_VARIANCE, rel=1e-12)
-    assert smoothing.ramp(0.0) == smoothing.MOST_ROUNDING
+    variance, _ = integrate.quad(lambda x: x * x * measures.density(x), -1.0, 1.0)
+    assert variance == pytest.approx(1.0 / 9.0, rel=1e-12)
+    assert measures.ramp(0.0) == measures.MOST_ROUNDING
 
 
 # --- values ----------------------------------------------------------------------------------------------
@@ -65,7 +65,7 @@ def test_sharp_values():
 @pytest.mark.parametrize("width", [0.01, 0.5, 3.0])
 def test_cvar_is_the_minimum_over_the_threshold(level, width):
     def at(t):
-        return t + width * np.mean(smoothing.ramp((SAMPLES - t) / width)) / (1.0 - level)
+        return t + width * np.mean(measures.ramp((SAMPLES - t) / width)) / (1.0 - level)
 
     # Golden section on a convex function; beside its flat bottom the value has all its digits.
     found = optimize.minimize_scalar(at, bracket=(SAMPLES.min(), SAMPLES.max()), tol=1e-10)
@@ -77,7 +77,7 @@ def test_rounding_off_raises_cvar_within_its_bound(level):
     sharp = measures.cvar(SAMPLES, level)
     for width in (0.05, 0.2, 1.0):
         rounded = measures.cvar(SAMPLES, level, width=width)
-        assert sharp - 1e-14 <= rounded <= sharp + smoothing.MOST_ROUNDING * width / (1.0 - level) + 1e-14
+        assert sharp - 1e-14 <= rounded <= sharp + measures.MOST_ROUNDING * width / (1.0 - level) + 1e-14
 
 
 def test_worst_is_sharp_where_the_next_is_two_widths_below():

@@ -12,7 +12,6 @@ from plough_opt.app import main
 from plough_opt.problem_file.robust_design import optimise_robust
 from plough_opt.problem_file.uncertain import ChosenMeasure, measure_of
 from plough_opt.studies.uncertainty import measures
-from plough_opt.studies.uncertainty.picture import Panel, plot_spread
 from plough_opt.studies.uncertainty.result import RobustOptimum
 
 matplotlib.use("Agg")
@@ -49,6 +48,8 @@ loosened_radius = { at_least = "0.15 m", probability = 0.9 }
 
 @pytest.fixture
 def written(tmp_path):
+    """Return a function that writes the file with changes, and returns its path."""
+
     def write(*changes):
         text = TEXT
         for old, new in changes:
@@ -61,35 +62,43 @@ def written(tmp_path):
     return write
 
 
-def test_file_is_solved_beside_the_nominal_design_and_verified(written, capsys, tmp_path):
+@pytest.fixture(scope="module")
+def found(tmp_path_factory):
+    """The robust optimum of the file as it stands."""
+    path = tmp_path_factory.mktemp("found") / "field.toml"
+    path.write_text(TEXT, encoding="utf-8")
+    return optimise_robust(po.read_problem(path), lambda *_: None)
+
+
+def test_the_command_keeps_both_optima_and_every_check(written, capsys, tmp_path):
     picture = tmp_path / "field.png"
-    assert main(["optimise", written(), "--plot", str(picture)]) == 0
-    out = capsys.readouterr().out
+    assert main(["optimise", written(), "--json", "--plot", str(picture)]) == 0
+    text = capsys.readouterr().out
+    assert picture.read_bytes().startswith(b"\x89PNG")
+    (tmp_path / "found.json").write_text(text, encoding="utf-8")
+    assert RobustOptimum.load(tmp_path / "found.json").to_json() == text.rstrip()
+    kept = json.loads(text)
+    assert kept["kind"] == "robust optimum"
+    assert kept["best"]["variables"]["share.height"] > kept["nominal"]["variables"]["share.height"]
+    names = [(check["result"], check["text"]) for check in kept["checks"]]
+    assert names == [("mean_draft", "mean of the largest 10 %"), ("loosened_radius", "probability of at least 0.15")]
+    assert kept["indices"]["loosened_radius"]["names"] == ["cohesion", "density_ratio given cohesion"]
+
+
+def test_tables_show_the_soil_both_designs_and_the_fresh_samples(found):
+    out = str(found)
     assert "loosened_radius, probability of at least 0.15 m: " in out
     for words in ("Uncertain soil: serozem", "robust", "nominal", "95 % interval", "Sobol indices", "8 samples"):
         assert words in out
-    assert picture.read_bytes().startswith(b"\x89PNG")
 
 
-def test_json_holds_both_optima_and_every_check(written, capsys, tmp_path):
-    assert main(["optimise", written(), "--json"]) == 0
-    text = capsys.readouterr().out
-    found = json.loads(text)
-    assert found["kind"] == "robust optimum"
-    (tmp_path / "found.json").write_text(text, encoding="utf-8")
-    assert RobustOptimum.load(tmp_path / "found.json").to_json() == text.rstrip()
+def test_another_file_is_not_a_robust_optimum():
     with pytest.raises(po.InputError, match="not a robust optimum"):
         RobustOptimum.load(FIELD)
-    assert found["best"]["variables"]["share.height"] > found["nominal"]["variables"]["share.height"]
-    names = [(check["result"], check["text"]) for check in found["checks"]]
-    assert names == [("mean_draft", "mean of the largest 10 %"), ("loosened_radius", "probability of at least 0.15")]
-    assert found["indices"]["loosened_radius"]["names"] == ["cohesion", "density_ratio given cohesion"]
 
 
-def test_the_optimum_is_the_one_that_the_samples_demand(written):
+def test_the_optimum_is_the_one_that_the_samples_demand(found):
     """The radius goes with the height alone, so the robust height follows from the samples' quantile."""
-    problem = po.read_problem(written())
-    found = optimise_robust(problem, lambda *_: None)
     height = found.best.variables["share.height"]
     radii = found.robust.values({"share.height": 1.0})["loosened_radius"]
     (width,) = (asked.width for asked in found.robust.requested if asked.result == "loosened_radius")
@@ -102,6 +111,23 @@ def test_the_optimum_is_the_one_that_the_samples_demand(written):
     assert robust == pytest.approx(0.9, abs=0.08)
     draft = found.fresh["mean_draft", "mean of"]
     assert draft.low < draft.fresh < draft.high
+
+
+def test_picture_shows_both_designs_their_means_and_the_limit(found):
+    for axes, label, name, factor in zip(
+        found.plot().axes, ("mean draft [kN]", "loosened radius [m]"), found.fresh.values, (1e3, 1.0), strict=True
+    ):
+        texts = [text.get_text() for text in axes.get_legend().get_texts()]
+        assert axes.get_xlabel() == label
+        for text, design, own in zip(texts, ("nominal", "robust"), (found.nominal_fresh, found.fresh), strict=False):
+            values = own.values[name] / factor
+            assert text.startswith(f"{design} design: mean {np.mean(values):.4g}")
+            rest = (
+                f"worst tenth {np.mean(np.sort(values)[-30:]):.4g} kN" if name == "mean_draft" else "within the limit"
+            )
+            assert text.endswith(rest)
+    assert f"{100.0 * np.mean(values >= 0.15):.1f} % within" in texts[1]
+    assert texts[2] == "limit 0.15 m"
 
 
 def test_every_kind_of_measure_is_read(written):
@@ -211,19 +237,6 @@ def test_requirements_that_no_soil_can_meet_have_no_solution(written, capsys):
     path = written(('at_least = "0.15 m"', 'at_least = "0.295 m"'))
     assert main(["optimise", path, "--set", 'share.wedge_angle="38 deg"']) == 1
     assert "loosened_radius" in capsys.readouterr().err
-
-
-def test_picture_shows_every_design_and_limit():
-    values = {name: {"radius": np.linspace(low, low + 0.02, 50)} for name, low in (("nominal", 0.14), ("robust", 0.15))}
-    figure = plot_spread(values, [Panel("radius", "radius [cm]", 0.01, at_least=0.15, unit="cm")])
-    (axes,) = figure.axes
-    texts = [text.get_text() for text in axes.get_legend().get_texts()]
-    assert texts == [
-        "nominal: mean 15 cm, 50.0 % within the limit",
-        "robust: mean 16 cm, 100.0 % within the limit",
-        "limit 15 cm",
-    ]
-    assert axes.get_xlabel() == "radius [cm]"
 
 
 @pytest.mark.parametrize("samples", [8, pytest.param(64, marks=pytest.mark.slow)])

@@ -2,7 +2,7 @@
 
 import contextlib
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
@@ -12,9 +12,9 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import integrate, special
 from scipy.stats import qmc
 
-from plough_opt.core.checks import NOT_NUMBERS, check_text, plain_number, shown
+from plough_opt.core.checks import NOT_NUMBERS, check_kind, check_text, plain_number, shown
 from plough_opt.core.errors import DomainError, InputError, nearest
-from plough_opt.core.expressions import is_casadi
+from plough_opt.core.expressions import is_casadi, is_count
 from plough_opt.core.quantities import QUANTITIES
 from plough_opt.soil.soil import Soil
 from plough_opt.studies.uncertainty.samples import SoilSamples
@@ -184,11 +184,9 @@ class SoilDistribution:
                 raise InputError(f"'{name}' is not a property of a soil: {nearest(name, PROPERTIES)}")
         if not properties:
             raise InputError("nothing is uncertain: give a property a distribution, such as cohesion=stats.norm(...)")
-        if not isinstance(soil, Soil):
-            raise InputError(f"{shown(soil)} is not a soil: po.named_soil(...) or po.Soil(...) makes one")
+        check_kind("the soil", soil, Soil, "a soil, which po.named_soil(...) or po.Soil(...) makes")
         for what, given in (("within", within), ("correlation", correlation)):
-            if given is not None and not isinstance(given, Mapping):
-                raise InputError(f"{what} = {shown(given)} must be a dictionary, by the properties")
+            check_kind(what, given, Mapping | None, "a dictionary, by the properties")
         bounds = {name: _pair_of(name, ends) for name, ends in (within or {}).items()}
         for name in bounds:
             if name not in properties:
@@ -217,7 +215,13 @@ class SoilDistribution:
         """Correlations of the normal scores, in the order of `names`."""
         matrix = np.eye(len(self.names))
         for pair, value in self.correlation.items():
-            a, b = self._pair(pair)
+            if isinstance(pair, str) or len(pair) != 2 or pair[0] == pair[1]:
+                raise InputError(f"a correlation belongs to a pair of properties, not to {shown(pair)}")
+            for name in pair:
+                if name not in self.names:
+                    known = nearest(str(name), self.names)
+                    raise InputError(f"the correlation names '{name}', which has no distribution: {known}")
+            a, b = map(self.names.index, pair)
             if not isinstance(value, int | float | np.number) or not -1.0 < value < 1.0:
                 raise InputError(
                     f"the correlation of {pair[0]} and {pair[1]}, {shown(value)}, must lie between -1 and 1"
@@ -248,9 +252,9 @@ class SoilDistribution:
         Raises:
             InputError: an invalid count or seed.
         """
-        power = math.ceil(math.log2(_count(count)))
-        sequence = qmc.Sobol(len(self.names), scramble=True, rng=np.random.default_rng(_seed(seed)))
-        return self.at(sequence.random_base2(power)[:count])
+        _check_draw(count, seed)
+        sequence = qmc.Sobol(len(self.names), scramble=True, rng=np.random.default_rng(seed))
+        return self.at(sequence.random_base2(math.ceil(math.log2(count)))[:count])
 
     def draw(self, count: int, *, seed: int) -> SoilSamples:
         """Return samples drawn independently of each other, as confidence intervals need them.
@@ -258,7 +262,8 @@ class SoilDistribution:
         Raises:
             InputError: an invalid count or seed.
         """
-        return self.at(np.random.default_rng(_seed(seed)).random((_count(count), len(self.names))))
+        _check_draw(count, seed)
+        return self.at(np.random.default_rng(seed).random((count, len(self.names))))
 
     def corners(self, part: float = 0.9) -> SoilSamples:
         """Return the corners of a box, for the worst case over a set.
@@ -297,24 +302,14 @@ class SoilDistribution:
         """Mean and standard deviation of every property."""
         return {name: own.moments for name, own in self.marginals.items()}
 
-    def _pair(self, pair: Sequence[str]) -> tuple[int, int]:
-        if isinstance(pair, str) or len(pair) != 2 or pair[0] == pair[1]:
-            raise InputError(f"a correlation belongs to a pair of properties, not to {shown(pair)}")
-        for name in pair:
-            if name not in self.names:
-                raise InputError(f"the correlation names '{name}', which has no distribution: "
-                                 f"{nearest(str(name), self.names)}")  # fmt: skip
-        return self.names.index(pair[0]), self.names.index(pair[1])
-
     def _check_domain(self) -> None:
         for name, own in self.marginals.items():
             if is_casadi(getattr(self.soil, name)):
                 raise InputError(f"'{name}' is an expression in the soil and cannot be uncertain too: give it a number")
             for end in (_OUTSIDE, 1.0 - _OUTSIDE):
-                value = float(own.quantile(end))
-                changed: dict[str, Any] = {name: value}
+                value: Any = float(own.quantile(end))
                 try:
-                    replace(self.soil, **changed)
+                    replace(self.soil, **{name: value})
                 except DomainError as error:
                     raise DomainError(
                         f"the distribution of {name} reaches {value:.4g}, out of the model's domain: {error}; truncate"
@@ -344,13 +339,9 @@ def _numbers(what: str, values: ArrayLike) -> Vector:
     return array
 
 
-def _seed(seed: int) -> int:
-    if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
-        raise InputError(f"the seed {shown(seed)} must be a whole number from 0 on")
-    return int(seed)
-
-
-def _count(count: int) -> int:
-    if isinstance(count, bool) or not isinstance(count, int | np.integer) or not 1 <= count <= _MOST_SAMPLES:
+def _check_draw(count: int, seed: int) -> None:
+    """Raise InputError for a number of samples, or a seed, that cannot be."""
+    if not is_count(count) or count > _MOST_SAMPLES:
         raise InputError(f"{shown(count)} samples must be a whole number from 1 to {_MOST_SAMPLES}")
-    return int(count)
+    if not (is_count(seed) or (seed == 0 and not isinstance(seed, bool))):
+        raise InputError(f"the seed {shown(seed)} must be a whole number from 0 on")

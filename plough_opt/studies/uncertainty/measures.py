@@ -3,6 +3,12 @@
 Every function accepts the values of equally likely samples as an array or as a CasADi column of a design's expressions.
 For numbers each measure is that of the samples, exactly. In a design it must be smooth: a measure with kinks or jumps
 takes a width, in the unit of the values, over which it is smoothed, and its docstring gives the largest difference.
+
+A smoothed step and a smoothed ramp are convolutions with the triweight kernel k(u) = 35/32 (1 - u^2)^3 on [-1, 1],
+u = x/width (Wand and Jones 1995, "Kernel smoothing", section 2.2), and have continuous second derivatives: beyond the
+width they are exactly the step 1(x > 0) and the ramp max(x, 0). The kernel has the variance 1/9, so that averages over
+a density f differ from the sharp ones by f'(0) width^2/18 and f(0) width^2/18 to first order; the ramp lies above the
+sharp one by at most 35/256 of the width.
 """
 
 import math
@@ -12,15 +18,50 @@ import numpy as np
 
 from plough_opt.core.checks import LARGEST, LEAST, NOT_NUMBERS, plain_number, shown
 from plough_opt.core.errors import InputError
-from plough_opt.core.expressions import Expression, is_casadi, sqrt, where
-from plough_opt.studies.uncertainty import smoothing
+from plough_opt.core.expressions import Expression, is_casadi, maximum, minimum, sqrt, where
 
 # Halvings that reduce a range of a million widths to 1e-9 widths, an error that one step of Newton's method squares.
 _HALVINGS = 50
 # Spread added to a standard deviation, relative to the mean: the root has no derivative at 0.
 _LEAST_SPREAD = 1e-10
 _TINY = 1e-200
+MOST_ROUNDING = 35.0 / 256.0
+"""Largest difference of the ramp from max(x, 0), in widths."""
+
+# Largest value of the kernel.
+_PEAK = 35.0 / 32.0
 _NO_SAMPLES = "there are no samples to take a measure of"
+
+
+# --- step and ramp ---------------------------------------------------------------------------------------------
+
+
+def density(u: Expression) -> Expression:
+    """Return the kernel k(u)."""
+    inner = 1.0 - _clipped(u) ** 2
+    return _PEAK * inner**3
+
+
+def step(u: Expression) -> Expression:
+    """Return the integral of the kernel up to u: 0 below -1, 1/2 at 0, 1 above 1."""
+    u = _clipped(u)
+    square = u * u
+    return 0.5 + _PEAK * u * (1.0 + square * (-1.0 + square * (0.6 - square / 7.0)))
+
+
+def ramp(u: Expression) -> Expression:
+    """Return the integral of the step up to u: 0 below -1, u above 1."""
+    inner = _clipped(u)
+    square = inner * inner
+    rounded = _PEAK * square * (0.5 + square * (-0.25 + square * (0.1 - square / 56.0)))
+    return MOST_ROUNDING + 0.5 * inner + rounded + maximum(u - 1.0, 0.0)
+
+
+def _clipped(u: Expression) -> Expression:
+    return minimum(maximum(u, -1.0), 1.0)
+
+
+# --- measures --------------------------------------------------------------------------------------------------
 
 
 def expected(values: Expression) -> Expression:
@@ -73,11 +114,11 @@ def cvar(values: Expression, level: float, *, width: float = 0.0) -> Expression:
     scaled = column / width
     t = _threshold(scaled, part)
     above = scaled - t
-    rest = 1.0 - expected(smoothing.step(above)) / part
-    curvature = expected(smoothing.density(above)) / part
+    rest = 1.0 - expected(step(above)) / part
+    curvature = expected(density(above)) / part
     # t has no derivatives here: at the minimum the value does not depend on it, and the last term, a step of Newton's
     # method, gives the second derivative its part due to the change of t.
-    return width * (t + expected(smoothing.ramp(above)) / part - 0.5 * rest**2 / (curvature + _TINY))
+    return width * (t + expected(ramp(above)) / part - 0.5 * rest**2 / (curvature + _TINY))
 
 
 def worst(values: Expression, *, width: float = 0.0) -> Expression:
@@ -122,8 +163,8 @@ def probability(
     column = _column(values)
     if not _smooth("probability", column, width):
         return float(np.mean((column >= low) & (column <= high)))
-    parts = [] if at_least is None else [smoothing.step((column - low) / width)]
-    parts += [] if at_most is None else [smoothing.step((high - column) / width)]
+    parts = [] if at_least is None else [step((column - low) / width)]
+    parts += [] if at_most is None else [step((high - column) / width)]
     return expected(sum(parts[1:], parts[0])) - (len(parts) - 1.0)
 
 
@@ -153,8 +194,8 @@ def quantile(values: Expression, level: float, *, width: float = 0.0) -> Express
     # The threshold has no derivatives: the first step of Newton's method gives the root its first derivative, the next
     # one its second.
     for _ in range(2):
-        excess = expected(smoothing.step(scaled - t)) - (1.0 - level)
-        t = t + excess / (expected(smoothing.density(scaled - t)) + _TINY)
+        excess = expected(step(scaled - t)) - (1.0 - level)
+        t = t + excess / (expected(density(scaled - t)) + _TINY)
     return width * t
 
 
@@ -166,7 +207,7 @@ def _threshold(scaled: Expression, part: float) -> Expression:
     low, high = _floor(_least(scaled)) - 1.0, _floor(-_least(-scaled)) + 2.0
     for _ in range(_HALVINGS):
         middle = 0.5 * (low + high)
-        beyond = expected(smoothing.step(scaled - middle)) > part
+        beyond = expected(step(scaled - middle)) > part
         low, high = where(beyond, middle, low), where(beyond, high, middle)
     return 0.5 * (low + high)
 

@@ -2,35 +2,37 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from plough_opt.core.files import save_figure
+import numpy as np
+
+from plough_opt.core.files import COLOURS, save_figure
 from plough_opt.core.kept import Keepable, Origin
+from plough_opt.core.quantities import QUANTITIES
 from plough_opt.core.tables import Grid, Page, Part, data_frame
 from plough_opt.design import Optimum
 from plough_opt.motion import Run
 from plough_opt.motion.vocabulary import MEASURES, called
+from plough_opt.studies.uncertainty.distribution import SoilDistribution
 from plough_opt.studies.uncertainty.robust import Robust
-from plough_opt.studies.uncertainty.table import (
-    checks_table,
-    design_table,
-    indices_table,
-    limits_table,
-    remarks_on,
-    soil_table,
-)
 from plough_opt.studies.uncertainty.variance import SobolIndices
 from plough_opt.studies.uncertainty.verification import Check, Verification, in_words
 
 if TYPE_CHECKING:
     import pandas
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-# Results that hardly vary make no picture.
+# Results in the picture, and bars of each.
 _MOST_PANELS: Final = 4
+_BINS: Final = 60
+# Part of the fresh samples that lie beyond either end of a panel.
+_BEYOND: Final = 0.001
+# Parts of a variance below this are shown as 0.
+_NONE: Final = 5e-4
 
 
 @dataclass(frozen=True, repr=False)
@@ -66,8 +68,8 @@ class RobustOptimum(Keepable):
     def page(self) -> Page:
         """Return the soil, the robust design beside the nominal one, and the fresh samples of both."""
         checks = [self._written(check) for check in self.fresh.checks]
-        parts: list[Part] = [soil_table(self.robust.field, self.origin), design_table(self.best, self.nominal)]
-        required = limits_table(self.best, self.requirements, self.origin)
+        parts: list[Part] = [_soil_table(self.robust.field, self.origin), _design_table(self.best, self.nominal)]
+        required = _limits_table(self.best, self.requirements, self.origin)
         parts += [required] if required.rows else []
         if len(self.best.local_optima) > 1:
             optima = Grid.of("All robust optima found", "", "objective", *self.best.variables)
@@ -75,10 +77,10 @@ class RobustOptimum(Keepable):
                 cells = (self.best.display(name).text(value, 6) for name, value in one.variables.items())
                 optima.row(one.name, f"{one.objective:.9g}", *cells)
             parts.append(optima)
-        parts.append(checks_table(checks, self.nominal_fresh.checks, self.fresh.samples, self.origin))
-        parts += [f"* {text}" for check in checks for text in remarks_on(check, self.origin)]
+        parts.append(_checks_table(checks, self.nominal_fresh.checks, self.fresh.samples, self.origin))
+        parts += [f"* {text}" for check in checks for text in _remarks_on(check, self.origin)]
         if self.indices:
-            parts.append(indices_table(self.indices))
+            parts.append(_indices_table(self.indices))
         if note := next((own.note for own in self.indices.values() if own.note), ""):
             parts.append(f"In that table {note}.")
         parts.append(f"In the robust design {in_words(checks)}.")
@@ -122,22 +124,57 @@ class RobustOptimum(Keepable):
         Raises:
             InputError: a file name without a known ending, or a place that cannot be written.
         """
-        from plough_opt.studies.uncertainty.picture import Panel, plot_spread
+        from matplotlib.figure import Figure
 
-        limits = {limit.name: limit for limit in self.best.limits if limit.kind == "requirement"}
-        panels = []
-        for name in dict.fromkeys(check.result for check in self.fresh.checks):
-            unit = MEASURES[name].unit.symbol if name in MEASURES else ""
-            display = self.origin.display(name, unit, *self.fresh.values[name].tolist())
-            # A limited probability has its limit in the share of the samples, and not in the result.
-            own = limits.get(name) if name in limits and limits[name].unit == unit else None
-            low, high = (None, None) if own is None else (own.low, own.high)
-            panels.append(Panel(name, display.heading(called(name)), display.factor, low, high, display.symbol))
-        values = {"nominal design": self.nominal_fresh.values, "robust design": self.fresh.values}
-        figure = plot_spread(values, panels[:_MOST_PANELS], self.origin.title)
+        names = list(dict.fromkeys(check.result for check in self.fresh.checks))[:_MOST_PANELS]
+        columns = 1 if len(names) < 2 else 2
+        rows = max(1, -(-len(names) // columns))
+        figure = Figure(figsize=(6.2 * columns, 4.0 * rows), layout="constrained")
+        heading = "over fresh samples of the soil; dashed: means"
+        figure.suptitle("\n".join(part for part in (self.origin.title, heading) if part))
+        every = figure.subplots(rows, columns, squeeze=False).ravel()
+        for axes in every[len(names) :]:
+            axes.set_visible(False)
+        for axes, name in zip(every, names, strict=False):
+            self._draw(axes, name)
         if target is not None:
             save_figure(figure, target)
         return figure
+
+    def _draw(self, axes: Axes, name: str) -> None:
+        """Draw how a result spreads in both designs, a colour for each, with means and limits."""
+        unit = MEASURES[name].unit.symbol if name in MEASURES else ""
+        display = self.origin.display(name, unit, *self.fresh.values[name].tolist())
+        beside = f" {display.symbol}".rstrip()
+        # A limited probability has its limit in the share of the samples, and not in the result.
+        wanted = ("requirement", name, unit)
+        limit = next((own for own in self.best.limits if (own.kind, own.name, own.unit) == wanted), None)
+        low, high = (None, None) if limit is None else (limit.low, limit.high)
+        sides = [side / display.factor for side in (low, high) if side is not None]
+        beyond = np.array([-np.inf if low is None else low, np.inf if high is None else high]) / display.factor
+        designs = {"nominal design": self.nominal_fresh.values[name], "robust design": self.fresh.values[name]}
+        every = np.concatenate(list(designs.values())) / display.factor
+        first, last = np.quantile(every, [_BEYOND, 1.0 - _BEYOND])
+        first, last = min([first, *sides]), max([last, *sides])
+        room = 0.04 * (last - first) or 0.5 * abs(last) or 1.0
+        bins = np.linspace(first - room, last + room, _BINS + 1).tolist()
+        for (design, fresh), colour in zip(designs.items(), COLOURS, strict=False):
+            values = np.sort(fresh) / display.factor
+            if sides:
+                part = 100.0 * np.mean((values >= beyond[0]) & (values <= beyond[1]))
+                text = f"{part:.1f} % within the limit"
+            else:
+                text = f"worst tenth {np.mean(values[-max(1, len(values) // 10) :]):.4g}{beside}"
+            label = f"{design}: mean {np.mean(values):.4g}{beside}, {text}"
+            weights = np.full(len(values), 100.0 / len(values))
+            axes.hist(values, bins, weights=weights, color=colour, alpha=0.45, label=label)
+            axes.axvline(float(np.mean(values)), color=colour, linestyle="--", linewidth=1.2)
+        for side in sides:
+            axes.axvline(side, color="black", linewidth=1.4, label=f"limit {side:.4g}{beside}")
+        axes.set(xlabel=display.heading(called(name)), ylabel="samples [%]")
+        # Room for the legend above the bars.
+        axes.set_ylim(0.0, axes.get_ylim()[1] * (1.1 + 0.12 * (len(designs) + len(sides))))
+        axes.legend(loc="upper left", frameon=True, framealpha=1.0, edgecolor="none", fontsize=9)
 
     def to_dataframe(self) -> pandas.DataFrame:
         """Return a row for each variable: robust and nominal value, SI; ``attrs["units"]`` has their units by name.
@@ -150,3 +187,99 @@ class RobustOptimum(Keepable):
         frame = data_frame(columns | {"nominal": [self.nominal.variables[name] for name in names]}, {})
         frame.attrs["units"] = {limit.name: limit.unit for limit in self.best.limits if limit.kind == "bound"}
         return frame
+
+
+def _soil_table(field: SoilDistribution, origin: Origin) -> Grid:
+    """Return the uncertain properties of a soil."""
+    table = Grid.of(
+        f"Uncertain soil: {field.soil.name}", "property", "nominal", "mean", "standard deviation", "correlated with",
+        left=("correlated with",),
+    )  # fmt: skip
+    for name, (mean, spread) in field.moments.items():
+        key = f"soil.{name}"
+        values = (float(getattr(field.soil, name)), mean, spread)
+        display = origin.display(key, QUANTITIES[key].unit, *values)
+        pairs = [(pair, value) for pair, value in field.correlation.items() if name in pair]
+        others = ", ".join(f"{pair[0] if pair[1] == name else pair[1]} {value:+.2g}" for pair, value in pairs)
+        table.row(key, *map(display.text, values), others)
+    return table
+
+
+def _design_table(best: Optimum, nominal: Optimum) -> Grid:
+    """Return the variables of the robust design beside those of the nominal one."""
+    title = f"Design: robust objective {best.objective:.9g} ({best.status})"
+    table = Grid.of(title, "variable", "robust", "nominal", "bounds", "", mark="")
+    for limit in best.limits:
+        if limit.kind == "bound":
+            values = (limit.shown.text(one.variables[limit.name], 6) for one in (best, nominal))
+            table.row(limit.name, *values, limit.limits, "at its bound" if limit.active else "")
+    return table
+
+
+def _limits_table(best: Optimum, requirements: Mapping[str, tuple[str, str]], origin: Origin) -> Grid:
+    """Return the requirements of the robust design.
+
+    Args:
+        best: the robust design.
+        requirements: name -> its limits, and in which soils it meets them.
+        origin: with the units.
+    """
+    title = "Requirements of the robust design"
+    table = Grid.of(title, "requirement", "limits", "in", "value", "margin", "", left=("in",), mark="")
+    for limit in best.limits:
+        if limit.kind == "requirement" and limit.name in requirements:
+            limits, how = requirements[limit.name]
+            display = origin.display(limit.name, limit.unit, limit.value)
+            own = replace(limit, display=display)
+            decides = "decides" if limit.active else ""
+            table.row(limit.name, limits, how, display.text(limit.value), own.margin_text(), decides)
+    return table
+
+
+def _checks_table(checks: Sequence[Check], nominal: Sequence[Check], samples: int, origin: Origin) -> Grid:
+    """Return the checks of a design by fresh samples, and of another one if its checks are given."""
+    beside = ["nominal design"] if nominal else []
+    title = f"What {samples} fresh samples say" + (", of the robust design and of the nominal one" if nominal else "")
+    table = Grid.of(
+        title, "result", "measure", "the optimiser saw", "fresh samples", "95 % interval", *beside, "",
+        left=("measure",), fold=("measure",),
+    )  # fmt: skip
+    for k, check in enumerate(checks):
+        ends = [None if end is None else _value_text(origin, check, end) for end in (check.low, check.high)]
+        interval = "" if None in ends else f"{ends[0]} to {ends[1]}"
+        numbers = [_value_text(origin, check, x) for x in (check.seen, check.fresh)]
+        other = [_value_text(origin, nominal[k], nominal[k].fresh)] if nominal else []
+        table.row(check.result, check.text, *numbers, interval, *other, check.verdict)
+    return table
+
+
+def _remarks_on(check: Check, origin: Origin) -> list[str]:
+    """Return remarks on a measure: the number of worse soils, and the effect of its smoothing."""
+    found = [] if check.worse is None else [f"{check.result}, {check.text}: of the fresh samples {check.note}."]
+    if check.width:
+        width, rounding = _value_text(origin, check, check.width, True), _value_text(origin, check, check.rounding)
+        found.append(f"{check.result}, {check.text}: rounded off over {width}, which changes it by {rounding}.")
+    return found
+
+
+def _value_text(origin: Origin, check: Check, value: float, of_result: bool = False) -> str:
+    """Return a measure's value, or with ``of_result`` one in the result's own unit, as the question shows it."""
+    if check.text.startswith("probability") and not of_result:
+        return f"{100.0 * value:.2f} %"
+    unit = MEASURES[check.result].unit.symbol if check.result in MEASURES else ""
+    return origin.display(check.result, unit, check.seen).text(value)
+
+
+def _indices_table(indices: Mapping[str, SobolIndices]) -> Grid:
+    """Return the part of each result's variance that each property explains, alone and with others."""
+    names = next(iter(indices.values())).names
+    title = "Sobol indices of the robust design: part of each result's variance, alone / with others"
+    table = Grid.of(title, "result", *names, fold=names)
+    for own in indices.values():
+        parts = [f"{_percent(a)} / {_percent(b)}" for a, b in zip(own.first, own.total, strict=True)]
+        table.row(own.result, *parts)
+    return table
+
+
+def _percent(part: float) -> str:
+    return "0 %" if abs(part) < _NONE else f"{100.0 * part:.1f} %"

@@ -15,8 +15,7 @@ from plough_opt.core.tables import Grid, Page, Readable
 from plough_opt.design import Design, Optimum
 from plough_opt.studies.uncertainty import measures
 from plough_opt.studies.uncertainty.distribution import SoilDistribution
-from plough_opt.studies.uncertainty.responses import Response, Responses
-from plough_opt.studies.uncertainty.samples import SoilSamples
+from plough_opt.studies.uncertainty.samples import Response, Responses, SoilSamples
 
 Vector = NDArray[np.float64]
 Kind = Literal["mean", "largest", "smallest", "probability"]

@@ -1,6 +1,9 @@
-"""Samples of a soil: the same ones for every design, so that averages over them are smooth."""
+"""Samples of a soil, and the results of a function of the soil over them: as expressions, and as numbers.
 
-from collections.abc import Callable, Iterator, Mapping
+The samples are the same ones for every design, so that averages over them are smooth.
+"""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -9,12 +12,21 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from plough_opt.core.checks import check_callable, check_named
-from plough_opt.core.errors import InputError
+from plough_opt.core.checks import check_callable, check_kind, check_named, plain_number
+from plough_opt.core.errors import InputError, nearest
 from plough_opt.core.expressions import Expression, is_casadi
+from plough_opt.design import Optimum
+from plough_opt.design.population import Population
+from plough_opt.design.split import split
+from plough_opt.motion.batch.domain_check import DomainCheck
+from plough_opt.motion.scene import Scene
 from plough_opt.soil.soil import Soil
 
 Vector = NDArray[np.float64]
+Response = Callable[[Soil], Mapping[str, Expression]]
+
+# Factor on the steps of a search: averages are then right to some 1e-10, far below what a few thousand samples say.
+_FINER = 4.0
 
 
 @dataclass(frozen=True)
@@ -67,6 +79,92 @@ class SoilSamples:
         if not rows or not all(isinstance(row, Mapping) and row for row in rows):
             raise InputError('the response to a soil must be results by name, like {"draft": run.mean_draft}')
         return {name: _column(name, [row[name] for row in rows]) for name in rows[0]}
+
+
+@dataclass(frozen=True)
+class ResponseValues:
+    """Results over samples.
+
+    Attributes:
+        values: name -> value of each sample with results.
+        failures: number of a sample without results -> the reason.
+    """
+
+    values: dict[str, Vector]
+    failures: dict[int, str]
+
+
+class Responses:
+    """The results of a function for each of very many soils, at one design of numbers.
+
+    The function is called once, with symbols for the uncertain properties. Design and properties are then the variables
+    of a population, which follows the runs of all soils side by side where it can, and evaluates the algebra around
+    them.
+    """
+
+    def __init__(self, response: Response, soil: Soil, names: Sequence[str]) -> None:
+        """Call the function with symbols for the properties of the given names."""
+        own: list[Any] = [ca.MX.sym(name) for name in names]
+        results = response(replace(soil, **dict(zip(names, own, strict=True))))
+        self.names = tuple(results)
+        column = ca.vertcat(*(ca.MX(value) for value in results.values()))
+        known = {hash(symbol) for symbol in own}
+        self._design = [symbol for symbol in ca.symvar(column) if hash(symbol) not in known]
+        self._y = ca.MX.sym("design and soil", len(self._design) + len(own))
+        (column,) = ca.graph_substitute([column], [*self._design, *own], ca.vertsplit(self._y))
+        none = ca.MX.sym("none", 0)
+        self._parts = split([column[0], column], [self._y, none])
+        self._population = Population(self._parts, self._y, none, rough=False)
+
+    def __call__(self, at: Optimum | Mapping[str, float], samples: SoilSamples) -> ResponseValues:
+        """Return the results for each soil at a design.
+
+        Args:
+            at: the design: an optimum, or variables and parameters by name.
+            samples: the soils.
+        """
+        design = [_number(at, symbol) for symbol in self._design]
+        rows = np.hstack([np.tile(design, (len(samples), 1)), samples.values])
+        failures = self._outside(rows)
+        _, values = self._population(rows, np.empty(0), finer=_FINER)
+        for bad in np.flatnonzero(~np.all(np.isfinite(values), axis=1)):
+            failures.setdefault(int(bad), "a result is not a finite number")
+        kept = np.delete(values, list(failures), axis=0)
+        return ResponseValues(dict(zip(self.names, kept.T, strict=True)), failures)
+
+    @cached_property
+    def _scenes(self) -> list[tuple[DomainCheck, ca.Function]]:
+        """Every scene in the results: its domain check, and its quantities and duration from the symbols."""
+        scenes = [(run.embedding.template, run.quantities, run.inputs[-1]) for run in self._parts.runs]
+        scenes += [
+            (label.meaning, carried, ca.MX(1.0))
+            for label, carried in self._parts.labels
+            if isinstance(label.meaning, Scene)
+        ]
+        return [
+            (
+                DomainCheck(template, [None] * quantities.numel()),
+                ca.Function("quantities", [self._y], [ca.densify(ca.vertcat(quantities, duration))]),
+            )
+            for template, quantities, duration in scenes
+        ]
+
+    def _outside(self, rows: Vector) -> dict[int, str]:
+        """Return the numbers of the rows outside the model's domain, with the reasons."""
+        reasons: dict[int, str] = {}
+        for check, quantities in self._scenes:
+            reasons |= check.reasons(np.asarray(quantities.map(len(rows))(rows.T)))
+        return reasons
+
+
+def _number(at: Optimum | Mapping[str, float], symbol: ca.MX) -> float:
+    check_kind("the design", at, Optimum | Mapping, "an Optimum, or its values by name")
+    values = at.variables if isinstance(at, Optimum) else at
+    if symbol.name() in values:
+        return plain_number(f"'{symbol.name()}'", values[symbol.name()])
+    if isinstance(at, Optimum):
+        return float(at(symbol))
+    raise InputError(f"the design has no value for '{symbol.name()}': {nearest(symbol.name(), values)}")
 
 
 def _column(name: str, values: list[Expression]) -> Expression:

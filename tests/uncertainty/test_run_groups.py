@@ -2,16 +2,13 @@
 
 from dataclasses import replace
 
-import casadi as ca
 import numpy as np
 import pytest
 from helpers.differences import differences
 from scipy import stats
 
 import plough_opt as po
-from plough_opt.design.nlp import grouped
 from plough_opt.design.program import Program
-from plough_opt.design.split import split
 
 POINT = np.array([0.61, 0.43, 0.37])
 FIELD = po.SoilDistribution(
@@ -104,23 +101,6 @@ def test_runs_with_events_and_orbits_are_mapped_too(effects):
     assert po.uncertainty.mean_plus(robust.values(best)["rms"], 1.0) == pytest.approx(best.objective, rel=1e-8)
 
 
-def test_runs_of_one_structure_are_one_map():
-    program = _program(6, other=True, path=True)
-    y, p = ca.MX.sym("y", 3), ca.MX.sym("p", 0)
-    parts = split(program._scaled(y, p), [y, p])
-    averages = [k != 1 for k in range(7)]
-    alike = grouped(parts.runs, averages, y, p, [None] * 7)
-    assert sorted(len(own.members) for own in alike) == [1, 1, 5]
-    assert sorted(k for own in alike for k in own.members) == list(range(7))
-
-
 def test_the_graph_of_the_derivatives_does_not_grow_with_the_samples():
     sizes = [_program(count).nlp.slopes.n_instructions() for count in (4, 12)]
     assert sizes[0] == sizes[1]
-
-
-def test_many_runs_are_those_of_each_alone():
-    whole = _program(4)
-    found = whole.exact.runs
-    assert len(found) == 4
-    assert len({id(run.integration) for run in found}) == 1

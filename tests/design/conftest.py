@@ -10,7 +10,7 @@ import plough_opt as po
 from plough_opt.design.program import Program
 
 # What judges these designs integrates in C.
-JUDGED = ("catalogues", "conflicts", "*_study", "independent_motion", "near", "search_reproductions")
+JUDGED = ("*_study", "independent_motion", "near", "search_reproductions")
 collect_ignore_glob = [] if shutil.which("cc") else [f"test_{name}.py" for name in JUDGED]
 PROBLEMS = Path(__file__).resolve().parents[2] / "problems"
 

@@ -2,7 +2,6 @@
 
 import dataclasses
 
-import casadi as ca
 import numpy as np
 import pytest
 from helpers.small_designs import design
@@ -114,13 +113,3 @@ def test_bounds_without_a_front_are_refused_by_name(r1_soil):
     d.minimise(po.simulate(scene_of(soil_of(r1_soil, core=core)), 0.5, outputs=10).mean_draft / 1e3)
     with pytest.raises(po.DomainError, match="at the lower bound of 'core': "):
         d.solve()
-
-
-def test_a_finer_quadrature_changes_a_run_by_its_error_only(r1_soil):
-    core = ca.MX.sym("core")
-    draft = {}
-    for order in (4, 16, 24):
-        run = po.simulate(scene_of(soil_of(r1_soil, core=core, order=order), start="rest"), 0.5, outputs=10)
-        draft[order] = float(ca.Function("draft", [core], [run.mean_draft])(1700.0))
-    assert 1e-8 < abs(draft[4] / draft[24] - 1.0) < 1e-3
-    assert draft[16] == pytest.approx(draft[24], rel=1e-11)

@@ -129,12 +129,6 @@ def test_feasible_designs_behind_a_bend_are_found():
 # --- not converged ------------------------------------------------------------------------------------------
 
 
-def _rosenbrock():
-    d, x, y = design(x=(-1.2, -2.0, 2.0), y=(1.0, -2.0, 2.0))
-    d.minimise((1.0 - x) ** 2 + 100.0 * (y - x**2) ** 2)
-    return d, x, y
-
-
 def _unconfirmed(d):
     """Solve a design whose optimum the optimiser cannot confirm."""
     best = d.solve()
@@ -143,20 +137,14 @@ def _unconfirmed(d):
     return best
 
 
-def test_too_few_iterations_confirm_no_optimum(monkeypatch):
-    monkeypatch.setitem(ipopt.OPTIONS, "ipopt.max_iter", 1)
-    monkeypatch.setitem(ipopt.NEAR, "ipopt.max_iter", 1)
-    monkeypatch.setitem(ipopt.FROM_BOTTOM, "ipopt.max_iter", 1)
-    d, _, _ = _rosenbrock()
-    _unconfirmed(d)
-
-
-def test_too_few_iterations_with_requirements_are_not_called_infeasible(monkeypatch):
-    monkeypatch.setitem(ipopt.OPTIONS, "ipopt.max_iter", 1)
-    d, x, y = _rosenbrock()
-    monkeypatch.setitem(ipopt.NEAR, "ipopt.max_iter", 1)
-    monkeypatch.setitem(ipopt.FROM_BOTTOM, "ipopt.max_iter", 1)
-    d.require("sum", x + y, at_least=1.0)
+@pytest.mark.parametrize("required", [False, True])
+def test_too_few_iterations_confirm_no_optimum_and_are_not_called_infeasible(monkeypatch, required):
+    for options in (ipopt.OPTIONS, ipopt.NEAR, ipopt.FROM_BOTTOM):
+        monkeypatch.setitem(options, "ipopt.max_iter", 1)
+    d, x, y = design(x=(-1.2, -2.0, 2.0), y=(1.0, -2.0, 2.0))
+    d.minimise((1.0 - x) ** 2 + 100.0 * (y - x**2) ** 2)
+    if required:
+        d.require("sum", x + y, at_least=1.0)
     _unconfirmed(d)
 
 

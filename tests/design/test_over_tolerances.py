@@ -1,6 +1,7 @@
 """The mean and the worst objective within tolerances: closed forms, and variables solved from the algebra in place."""
 
 import math
+import re
 from pathlib import Path
 
 import casadi as ca
@@ -247,3 +248,19 @@ def test_a_file_asks_for_the_worst_within_tolerances(tmp_path, capsys):
 def test_files_with_wrong_tolerances_are_refused(change, words):
     with pytest.raises(po.InputError, match=words):
         po.read_problem(FILE, [change])
+
+
+ROOT = Path(__file__).parents[2]
+TEXT = (ROOT / "docs" / "tolerances.md").read_text(encoding="utf-8")
+BLOCKS = re.findall(r"```(\w+)\n(.*?)```", TEXT, flags=re.DOTALL)
+
+
+def test_its_variables_are_those_of_a_file(tmp_path):
+    (variables,) = (text for language, text in BLOCKS if language == "toml")
+    file = (ROOT / "problems" / "cotton_subsoiler.toml").read_text(encoding="utf-8")
+    start = file.index("[variables]")
+    path = tmp_path / "share.toml"
+    end = file.index("\n[", start)
+    path.write_text(f"{file[:start]}{variables}{file[end:]}", encoding="utf-8")
+    problem = po.read_problem(path, ['share.wedge_angle="39 deg"'])
+    assert [v.tolerance for v in problem.variables.values()] == [0.002, "5 %"]

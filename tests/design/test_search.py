@@ -8,33 +8,25 @@ import casadi as ca
 import numpy as np
 import pytest
 from helpers.small_designs import design
-from scipy.optimize import minimize_scalar
 
 import plough_opt as po
 from plough_opt.design import derivatives
 from plough_opt.design import program as program_module
 from plough_opt.design import verify as steps_module
+from plough_opt.design.tolerance import boxes
+from plough_opt.motion.batch.many_runs import ManyRuns
 from plough_opt.motion.integrators import integration
 from plough_opt.motion.terms import Structure, parameters
 from plough_opt.motion.timeline import Timeline
 
 
-def _averages(scenes, duration, steps, outputs=1):
-    """Return mean and RMS of the mount force and the largest deflection, by order 8 outside any design."""
-    structure = Structure.of(scenes[0])
-    solver = integration(structure, po.Accuracy("dop853", steps=steps), Timeline(outputs, steps))
+def _averages(scenes, duration, steps):
+    """Return mean and RMS of the mount force of undamped shares, by order 8 outside any design."""
+    solver = integration(Structure.of(scenes[0]), po.Accuracy("dop853", steps=steps), Timeline(1, steps))
     p = np.array([[float(parameters(scene)[name]) for name in solver.names] + [duration] for scene in scenes])
-    states, means, variances = (np.asarray(result) for result in solver.function.map(len(scenes))(p.T))
+    _, means, variances = (np.asarray(result) for result in solver.function.map(len(scenes))(p.T))
     k0, static, drag, speed = (p[:, solver.names.index(name)] for name in ("stiffness", "static", "drag", "tow_speed"))
-    first = static + drag * speed**2
-    peak = first / k0 + np.max(states[0].reshape(len(scenes), outputs + 1), axis=1)
-    if structure.damper:
-        return first + means[1], np.sqrt(np.maximum(variances[1], 0.0)), peak
-    return first + k0 * means[0], k0 * np.sqrt(np.maximum(variances[0], 0.0)), peak
-
-
-def _on_other_mounts(scene, stiffness):
-    return [po.Scene(scene.soil, scene.share, float(k), scene.mass, scene.tow_speed, scene.effects) for k in stiffness]
+    return static + drag * speed**2 + k0 * means[0], k0 * np.sqrt(np.maximum(variances[0], 0.0))
 
 
 @pytest.fixture
@@ -150,7 +142,7 @@ def test_what_a_search_recorded_is_the_objective(r1, r1_soil):
         share = po.Wedge(angle, po.deg(15.0), height)
         mass = 20.0 + share.equivalent_cone().solid_mass(7850.0)
         scenes.append(po.Scene(r1_soil, share, stiffness, mass, 2.0, po.Effects(strength_wave=wave)))
-    mean, rms, _ = _averages(scenes, 2.0, 1000)
+    mean, rms = _averages(scenes, 2.0, 1000)
     # A sample's runs are rough: some 1e-5 of an oscillation.
     assert search.objective[chosen] == pytest.approx((mean + rms) / 1e3, rel=1e-3)
     assert r1.best.objective <= np.min(search.objective[search.violation <= 1e-6]) * (1.0 + 1e-4)
@@ -192,32 +184,6 @@ def test_cotton_without_a_damper_has_several_optima(cotton):
         assert optimum.error_estimate < 1e-10
         assert all(margin > -1e-9 for margin in optimum.margins.values())
     assert [o.objective for o in optima] == sorted(o.objective for o in optima)
-
-
-@pytest.mark.slow
-def test_cotton_is_no_worse_than_a_fine_scan(cotton):
-    scene = cotton.best(cotton.run.scene)
-
-    def objective(stiffness):
-        mean, rms, peak = _averages(_on_other_mounts(scene, stiffness), 2.0, 800, 400)
-        return np.where(peak <= 0.12, (mean + rms) / 1e3, np.inf)
-
-    stiffness = np.geomspace(1e4, 1e6, 1500)
-    found = objective(stiffness)
-    inner = found[1:-1]
-    basins = 1 + np.flatnonzero((inner < found[:-2]) & (inner <= found[2:]))
-    best = min(found[0], found[-1])
-    for k in basins[np.argsort(found[basins])][:3]:
-        polished = minimize_scalar(
-            lambda log: float(objective([math.exp(log)])[0]),
-            bounds=(math.log(stiffness[k - 1]), math.log(stiffness[k + 1])),
-            method="bounded",
-            options={"xatol": 1e-5},
-        )
-        best = min(best, polished.fun)
-        # Every basin is an optimum that the search found as well; 1e-5 off, its bottom is 1e-8 too high.
-        assert any(optimum.objective == pytest.approx(polished.fun, rel=1e-7) for optimum in cotton.best.local_optima)
-    assert cotton.best.objective <= best * (1.0 + 1e-9)
 
 
 # --- steps of integration ------------------------------------------------------------------------------------
@@ -267,11 +233,11 @@ def test_coarse_steps_by_wish_are_reported_honestly(build_r1):
     coarse = build_r1(accuracy=po.Accuracy("dop853", steps=20), outputs=20, guess=(25.0, 0.25, 5e3))
     best = coarse.design.solve(search="local")
     scene = best(coarse.scene)
-    mean, rms, _ = _averages([scene], 2.0, 1000)
+    mean, rms = _averages([scene], 2.0, 1000)
     tight = float((mean + rms)[0]) / 1e3
     # The objective is of the motion itself, integrated tightly, and the gap shows what the optimiser saw instead.
     assert best.objective == pytest.approx(tight, rel=1e-9)
-    mean, rms, _ = _averages([scene], 2.0, 20)
+    mean, rms = _averages([scene], 2.0, 20)
     seen = float((mean + rms)[0]) / 1e3
     assert best.gap > 1e-6
     assert best.gap == pytest.approx(abs(seen - tight) / tight, rel=1e-6)
@@ -295,3 +261,42 @@ def test_designs_without_a_value_are_passed_over():
     assert best.variables["x"] == pytest.approx(0.5 + math.exp(-1.0), abs=1e-6)
     assert np.any(np.isnan(best.search.objective))
     assert np.all(np.isinf(best.search.violation[np.isnan(best.search.objective)]))
+
+
+# --- stiff mounts that swing on: few steps keep their amplitude, so that none looks too quiet ---------------
+
+
+DURATION = 2.0
+
+
+def _scene(stiffness, damping):
+    effects = po.Effects(strength_wave=po.StrengthWave(0.3, 0.6), damping=damping, start="towed")
+    share = po.Wedge(po.deg(25), po.deg(15), 0.25)
+    return po.Scene(po.named_soil("firm sandy loam"), share, stiffness, 6.0, 1.5, effects)
+
+
+@pytest.mark.parametrize("damping", [0.0, 1.0, 50.0])
+def test_a_search_keeps_the_amplitude_of_a_towed_share(damping):
+    # Swings of 400 to 4000 rad in a run; steps in proportion to the phase alone lost up to 20 % of the RMS.
+    scenes = [_scene(float(stiffness), damping) for stiffness in np.geomspace(5e5, 5e7, 3)]
+    many = ManyRuns(Structure.of(scenes[0]), 0)
+    p = np.array([[*(float(parameters(scene)[name]) for name in many._observed.parameters), DURATION]
+                  for scene in scenes])  # fmt: skip
+    true = np.array([po.simulate(scene, DURATION).force_rms for scene in scenes])
+    for finer, left in ((1.0, 6e-3), (2.0, 2e-5)):
+        found = np.sqrt(many(p, finer=finer)[:, -1])  # the last result is the mean square of the force
+        assert found == pytest.approx(true, rel=left)
+
+
+def test_the_median_over_tolerances_is_that_of_exact_runs():
+    d = po.Design()
+    stiffness = d.variable("stiffness", guess=1e6, lower=8e5, upper=1.2e6, unit="N/m", log=True)
+    d.minimise(po.simulate(_scene(stiffness, 0.0), DURATION).force_rms)
+    best = d.solve()
+    variables = d._program.declared.variables
+    y = np.array([[v.scaled(best.variables[v.name]) for v in variables]])
+    values = [float(variables[0].unscaled(one)) for one in boxes(variables, y)[:, 0]]
+    exact = [po.simulate(_scene(value, 0.0), DURATION).force_rms for value in values]
+    # Twice a search's steps leave some 1e-5.
+    assert best.spread.median == pytest.approx(np.median(exact), rel=3e-5)
+    assert best.spread.worst == pytest.approx(np.max(exact), rel=3e-5)

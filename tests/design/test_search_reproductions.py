@@ -189,31 +189,6 @@ def test_a_guess_that_is_the_optimum_already_is_solved():
     assert best.objective == pytest.approx(0.0, abs=1e-15)
 
 
-@pytest.mark.slow
-def test_force_and_mass_conflict_where_they_do():
-    soil = po.Soil(1300.0, 0.722, 5e3, po.deg(30.0), 0.4, 5e3)
-    d = po.Design()
-    angle = d.variable("wedge angle", guess=po.deg(25.0), lower=po.deg(5.0), upper=po.deg(60.0), unit="rad")
-    height = d.variable("height", guess=0.25, lower=0.1, upper=0.5, unit="m")
-    mass = d.variable("mass", guess=50.0, lower=10.0, upper=120.0, unit="kg")
-    k0 = d.variable("stiffness", guess=1e5, lower=1e4, upper=1e6, unit="N/m", log=True)
-    share = po.Wedge(angle, po.deg(10.0), height)
-    cone = share.equivalent_cone()
-    effects = po.Effects(strength_wave=po.StrengthWave(0.3, 0.4), damping=150.0)
-    run = po.simulate(po.Scene(soil, share, k0, mass, 1.5, effects), 1.5)
-    d.minimise(run.force_rms)
-    d.require("half angle", cone.half_angle, at_most=po.deg(15.0), unit="rad")
-    d.require("loosened radius", po.loosened_radius(cone, soil), at_least=0.1, unit="m")
-    d.require("mean deflection", run.mean_deflection, at_most=0.06, unit="m")
-    front = po.trade_off(d, po.Goal("force", run.force_rms, unit="N"), po.Goal("mass", mass, unit="kg"), points=10)
-    found = front.objectives
-    # By the independent search: the least force at all, and those of the lightest share and of one of 60 kg.
-    assert min(found[:, 0]) == pytest.approx(11.670252940, rel=1e-6)
-    assert min(found[:, 1]) == pytest.approx(10.0, rel=1e-9)
-    assert found[found[:, 1].argmin(), 0] == pytest.approx(33.453368242, rel=1e-6)
-    assert any(force <= 19.1936 * 1.001 and at <= 60.0 + 20.0 for force, at in found)
-
-
 SOIL = (1300.0, 0.8, 5e3, 0.5, 0.4)
 
 

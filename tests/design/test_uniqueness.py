@@ -1,7 +1,5 @@
 """Optima that are not unique: along which directions nothing changes, and that unique ones have none."""
 
-import casadi as ca
-import numpy as np
 import pytest
 from helpers.small_designs import design
 
@@ -125,16 +123,3 @@ def test_a_start_on_top_of_a_hill_is_left(others):
     d.minimise(hill)
     # Both ends of x are 0.25 lower than the top, where the gradient is zero too.
     assert d.solve().objective == pytest.approx(1.75, rel=1e-8)
-
-
-def test_r1_is_unique(r1):
-    assert r1.best.status == "solved"
-    assert r1.best.flat_directions == ()
-
-
-def test_flat_directions_keep_the_parameters(two_angles):
-    _, best, share, _ = two_angles
-    assert set(best.flat_directions[0]) == {"wedge angle", "chisel angle", "height"}
-    assert isinstance(best(share), po.Wedge)
-    assert not isinstance(best(share).angle, ca.MX)
-    assert np.isfinite(best(share).angle)

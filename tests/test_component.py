@@ -240,32 +240,6 @@ def test_nlpsol_finds_the_optimum_of_r1_in_sx(r1_scene, r1_wave):
     assert 1e4 * float(found["x"]) == pytest.approx(OPTIMUM[2], rel=1e-7)
 
 
-def test_nlpsol_solves_a_scene_of_ones_own_in_sx(r1_soil):
-    """The physics itself in a graph of SX: least draft that loosens 0.1 m, as `Design` finds it."""
-
-    def question(angle, height):
-        scene = po.Scene(r1_soil, po.Wedge(angle, po.deg(15), height), 5e4, 25.0, 2.0, po.Effects(motion=False))
-        return po.simulate(scene, 1.0, outputs=1).mean_draft, scene.loosened_radius, scene.cone.half_angle
-
-    d = po.Design()
-    angle = d.variable("angle", guess=0.5, lower=0.2, upper=0.9, unit="rad")
-    height = d.variable("height", guess=0.25, lower=0.1, upper=0.4, unit="m")
-    draft, radius, half_angle = question(angle, height)
-    d.minimise(draft)
-    d.require("radius", radius, at_least=0.1, unit="m")
-    d.require("half angle", half_angle, at_most=po.deg(15), unit="rad")
-    best = d.solve()
-
-    x = ca.SX.sym("x", 2)
-    draft, radius, half_angle = question(x[0], x[1])
-    problem = {"x": x, "f": draft / 1e3, "g": ca.vertcat(radius, half_angle)}
-    found = ca.nlpsol("solver", "ipopt", problem, IPOPT)(
-        x0=[0.5, 0.25], lbx=[0.2, 0.1], ubx=[0.9, 0.4], lbg=[0.1, 0.0], ubg=[1.0, po.deg(15)]
-    )
-    assert 1e3 * float(found["f"]) == pytest.approx(best.objective, rel=1e-9)
-    assert found["x"].full().ravel() == pytest.approx([*best.variables.values()], rel=1e-8)
-
-
 def test_shares_soils_scenes_and_runs_are_expressions_of_ones_own_graph(r1, r1_soil, r1_wave):
     """Without a component: the physics itself in somebody's Opti, and the same values as the component's."""
     opti = ca.Opti()

@@ -88,17 +88,6 @@ def test_the_elastic_medium_can_be_a_component():
         po.component(scene, 1.0, inputs=inputs, outputs=["loosened_radius"])
 
 
-def test_the_names_and_units_are_those_of_problem_files():
-    from plough_opt.core.quantities import quantities
-
-    files = {key: unit.symbol for key, unit in quantities().items()}
-    beside = {"scene.duration": "s", "scene.frame_mass": "kg", "scene.steel_density": "kg/m^3"}
-    own = {"scene.mass": "kg", "share.half_angle": "rad"}
-    readings = {"soil.cone_index": "Pa"}
-    units = {key: quantity.unit for key, quantity in QUANTITIES.items()}
-    assert units | beside | readings == files | own
-
-
 def test_duration_and_masses_are_inputs_too(r1_scene):
     scene = r1_scene(damping=300.0, start="rest")
     names = ["scene.duration", "scene.frame_mass", "scene.steel_density"]

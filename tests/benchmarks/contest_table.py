@@ -221,21 +221,3 @@ def fresh(setup, statement, rounds=3):
         done = subprocess.run([sys.executable, "-W", "ignore", "-c", code], check=True, capture_output=True, text=True)
         found.append(Spent(*map(float, done.stdout.splitlines()[-1].split()[1:])))
     return median(found)
-
-
-def processes(commands, rounds=5):
-    """Return the median times of whole processes, started in turns after a warm-up."""
-    from resource import RUSAGE_CHILDREN, getrusage  # not on every system
-
-    def cpu():
-        usage = getrusage(RUSAGE_CHILDREN)
-        return usage.ru_utime + usage.ru_stime
-
-    found = {name: [] for name in commands}
-    for turn in range(rounds + 1):
-        for name, command in commands.items():
-            began, before = time.perf_counter(), cpu()
-            subprocess.run(command, check=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-            if turn > 0:
-                found[name].append(Spent(cpu() - before, time.perf_counter() - began))
-    return {name: median(spent) for name, spent in found.items()}

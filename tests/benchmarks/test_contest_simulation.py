@@ -168,10 +168,8 @@ def test_one_simulation(r1_scene, r1_wave, contest, peer):
             errors.append(_error([[mean], [rms]], [[truth.mean_draft], [truth.force_rms]]))
         return float(max(errors))
 
-    scene = r1_scene(strength_wave=r1_wave)
-    setup = (
-        f"import plough_opt as po; from peers import r1; problem = po.read_problem({r1.PROBLEM!r}); s = problem.scene()"
-    )
+    scene, read = r1_scene(strength_wave=r1_wave), f"problem = po.read_problem({r1.PROBLEM!r})"
+    setup = f"import plough_opt as po; from peers import r1; {read}; s = problem.scene()"
     rows = {}
     for name, compiled in ((OURS, False), (f"{OURS}, compiled before", True)):
         simulate = partial(po.simulate, scene, r1.DURATION, compiled=compiled)
@@ -186,13 +184,8 @@ def test_one_simulation(r1_scene, r1_wave, contest, peer):
         steps = next(n for n in range(OUTPUTS, 40 * OUTPUTS, OUTPUTS) if error(numba.forces(*p, n, OUTPUTS)) < TIGHT)
         setup = "from peers import r1, numba_rk4; p = [float(x) for x in r1.equation(*r1.START)]"
         call = f"numba_rk4.forces(*p, {steps}, {OUTPUTS})"
-        rows["RK4 in Numba"] = (
-            lambda: numba.forces(*p, steps, OUTPUTS),
-            error(numba.forces(*p, steps, OUTPUTS)),
-            setup,
-            call,
-            f"{steps} steps",
-        )
+        forces = partial(numba.forces, *p, steps, OUTPUTS)
+        rows["RK4 in Numba"] = (forces, error(forces()), setup, call, f"{steps} steps")
     spent = race({name: row[0] for name, row in rows.items()})
     for name, (_, reached, setup, call, note) in rows.items():
         first = fresh(setup, call)
@@ -212,14 +205,8 @@ def _scipy_rows(p, error, contest):
                 arguments = (method, float(f"{tolerance:.2g}"), OUTPUTS, averages)
                 reached = error(scipy_ivp.solve(p, *arguments))
                 if reached < TIGHT:
-                    call = f"scipy_ivp.solve(p, *{arguments!r})"
-                    rows[name] = (
-                        lambda a=arguments: scipy_ivp.solve(p, *a),
-                        reached,
-                        setup,
-                        call,
-                        f"rtol {arguments[1]:g}",
-                    )
+                    call, solve = f"scipy_ivp.solve(p, *{arguments!r})", partial(scipy_ivp.solve, p, *arguments)
+                    rows[name] = (solve, reached, setup, call, f"rtol {arguments[1]:g}")
                     break
             else:
                 contest.missing[name] = f"no tolerance reaches {TIGHT:g}"

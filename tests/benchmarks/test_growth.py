@@ -21,6 +21,7 @@ EFFECTS = {
     "rate_term": 0.05,
     "tow_ramp": 0.137,
 }
+COUNTS = (1, 2, 3, 4, 5)
 MEMORY = """
 import casadi as ca, numpy as np, plough_opt as po
 from pathlib import Path
@@ -49,108 +50,64 @@ print(next(line.split()[1] for line in Path("/proc/self/status").read_text().spl
 """
 
 
-def _add(contest, what, sizes, make, rounds=3):
-    """Measure a function for every size, and keep how its time grows."""
-    spent = race({size: make(size) for size in sizes}, rounds)
+def _add(contest, what, sizes, call, rounds=3):
+    """Measure a function of the size, whose result is called, and keep how its time grows."""
+    spent = race({size: call(size) for size in sizes}, rounds)
     contest.growths.append(Growth(what, tuple(sizes), tuple(spent[size].cpu for size in sizes)))
 
 
-def test_simulation_over_its_horizon(contest, r1_scene, r1_wave):
-    scene = r1_scene(strength_wave=r1_wave)
-    _add(
-        contest,
-        "simulate, seconds simulated",
-        tuple(4.0 * 2.0**k for k in range(7)),
-        lambda t: lambda: po.simulate(scene, t),
-    )
+def _effects(count):
+    return {"inertial_drag": False, **{name: EFFECTS[name] for name in list(EFFECTS)[:count]}}
 
 
-def test_simulation_over_its_outputs(contest, r1_scene, r1_wave):
-    scene = r1_scene(strength_wave=r1_wave)
-    sizes = (400, 1600, 6400, 25600, 102400)
-    _add(contest, "simulate, output intervals", sizes, lambda n: lambda: po.simulate(scene, 2.0, outputs=n))
+def test_simulation(contest, r1_scene, r1_wave):
+    scene, horizons = r1_scene(strength_wave=r1_wave), [4.0 * 2.0**k for k in range(7)]
+    _add(contest, "simulate, seconds simulated", horizons, lambda t: lambda: po.simulate(scene, t))
+    outputs = (400, 1600, 6400, 25600, 102400)
+    _add(contest, "simulate, output intervals", outputs, lambda n: lambda: po.simulate(scene, 2.0, outputs=n))
+    scenes = {count: r1_scene(**_effects(count)) for count in COUNTS}
+    _add(contest, "simulate, effects that are on", COUNTS, lambda n: lambda: po.simulate(scenes[n], 2.0), 7)
 
 
-def test_simulation_over_its_effects(contest, r1_scene):
-    def make(count):
-        on = {name: EFFECTS[name] for name in list(EFFECTS)[:count]}
-        scene = r1_scene(**{"inertial_drag": False, **on})
-        return lambda: po.simulate(scene, 2.0)
-
-    _add(contest, "simulate, effects that are on", (1, 2, 3, 4, 5), make, 7)
-
-
-def test_design_over_its_effects(contest, r1_scene):
-    def make(count):
-        effects = {"inertial_drag": False, **{name: EFFECTS[name] for name in list(EFFECTS)[:count]}}
-
-        def solve():
-            d = po.Design()
-            angle = d.variable("angle", guess=25.0, lower=5.0, upper=60.0)
-            height = d.variable("height", guess=0.25, lower=0.1, upper=0.5)
-            scene = r1_scene(angle, height, **effects)
-            run = po.simulate(scene, 2.0)
-            d.minimise((run.mean_draft + run.force_rms) / 1e3)
-            d.require("loosened radius", scene.loosened_radius, at_least=0.12)
-            return d.solve(search="local")
-
-        return solve
-
-    _add(contest, "Design built and solved, effects that are on", (1, 2, 3, 4, 5), make)
+def _solved(r1_scene, duration, requirements=0, **effects):
+    """Build and solve a design of two variables."""
+    d = po.Design()
+    angle = d.variable("angle", guess=25.0, lower=5.0, upper=60.0)
+    height = d.variable("height", guess=0.25, lower=0.1, upper=0.5)
+    scene = r1_scene(angle, height, **effects)
+    run = po.simulate(scene, duration)
+    d.minimise((run.mean_draft + run.force_rms) / 1e3)
+    d.require("loosened radius", scene.loosened_radius, at_least=0.12)
+    for k in range(requirements):
+        d.require(f"spare {k}", run.mean_draft * (1.0 + 0.01 * k), at_most=1e5)
+    return d.solve(search="local")
 
 
-def test_design_over_its_requirements(contest):
-    problem = po.read_problem(r1.PROBLEM)
-
-    def make(count):
-        def solve():
-            design, run = problem.design()
-            for k in range(count):
-                design.require(f"spare {k}", run.mean_draft * (1.0 + 0.01 * k), at_most=1e5)
-            return design.solve(search="local")
-
-        return solve
-
-    _add(contest, "Design built and solved, requirements", (4, 8, 16, 32, 64), make)
+def test_design(contest, r1_scene, r1_wave):
+    what, wave = "Design built and solved", {"strength_wave": r1_wave}
+    _add(contest, f"{what}, effects that are on", COUNTS, lambda n: lambda: _solved(r1_scene, 2.0, **_effects(n)))
+    counts, horizons = (4, 8, 16, 32, 64), (2.0, 4.0, 8.0, 16.0)
+    _add(contest, f"{what}, requirements", counts, lambda n: lambda: _solved(r1_scene, 2.0, n, **wave))
+    _add(contest, f"{what}, seconds simulated", horizons, lambda t: lambda: _solved(r1_scene, t, **wave))
 
 
-def test_design_over_its_horizon(contest, r1_scene, r1_wave):
-    def make(duration):
-        def solve():
-            d = po.Design()
-            angle = d.variable("angle", guess=25.0, lower=5.0, upper=60.0)
-            height = d.variable("height", guess=0.25, lower=0.1, upper=0.5)
-            scene = r1_scene(angle, height, strength_wave=r1_wave)
-            run = po.simulate(scene, duration)
-            d.minimise(run.mean_draft / 1e3)
-            d.require("loosened radius", scene.loosened_radius, at_least=0.12)
-            return d.solve(search="local")
-
-        return solve
-
-    _add(contest, "Design built and solved, seconds simulated", (2.0, 4.0, 8.0, 16.0), make)
-
-
-def _batch(soil, wave, duration, **effects):
+def _batch(soil, duration, **effects):
     angle, height, k0 = (ca.MX.sym(name) for name in ("angle", "height", "k0"))
     share = po.Wedge(angle, po.deg(15.0), height)
     mass = 20.0 + share.equivalent_cone().solid_mass(7850.0)
-    scene = po.Scene(soil, share, k0, mass, 2.0, po.Effects(strength_wave=wave, **effects))
-    return po.Batch(scene, duration, [angle, height, k0])
+    return po.Batch(po.Scene(soil, share, k0, mass, 2.0, po.Effects(**effects)), duration, [angle, height, k0])
 
 
 def _designs(count):
     return np.column_stack(r1.unscaled(np.random.default_rng(0).uniform(0.0, 1.0, (3, count))))
 
 
-def test_batch_over_its_designs(contest, r1_soil, r1_wave):
-    batch = _batch(r1_soil, r1_wave, 2.0)
-
-    def make(count):
-        values = _designs(count)
-        return lambda: batch(values)
-
-    _add(contest, "Batch, designs", (4096, 16384, 65536, 262144), make)
+def test_batch(contest, r1_soil, r1_wave):
+    batch = _batch(r1_soil, 2.0, strength_wave=r1_wave)
+    sizes = {count: _designs(count) for count in (4096, 16384, 65536, 262144)}
+    _add(contest, "Batch, designs", tuple(sizes), lambda n: lambda: batch(sizes[n]))
+    batches = {count: _batch(r1_soil, 2.0, **_effects(count)) for count in COUNTS}
+    _add(contest, "Batch of 4096, effects that are on", COUNTS, lambda n: lambda: batches[n](sizes[4096]))
 
 
 @pytest.mark.parametrize("damping", [None, 250.0, 2000.0])
@@ -158,30 +115,17 @@ def test_batch_over_its_designs(contest, r1_soil, r1_wave):
 def test_batch_over_its_horizon(contest, r1_soil, r1_wave, where, damping):
     # All over the domain three undamped motions in a thousand turn chaotic within a minute, and miss the wanted error.
     values = _designs(2048) if where != "near the start" else r1.START * np.linspace(0.999, 1.001, 2048)[:, None]
-
-    def make(duration):
-        batch = _batch(r1_soil, r1_wave, duration, damping=damping)
-        return lambda: batch(values)
-
+    horizons = (0.5, 2.0, 8.0, 32.0, 64.0)
+    batches = {t: _batch(r1_soil, t, strength_wave=r1_wave, damping=damping) for t in horizons}
     damper = "undamped" if damping is None else f"damped by {damping:g} N s/m"
-    _add(contest, f"Batch of 2048 {where}, {damper}, seconds simulated", (0.5, 2.0, 8.0, 32.0, 64.0), make)
-
-
-def test_batch_over_its_effects(contest, r1_soil):
-    values = _designs(4096)
-
-    def make(count):
-        on = {name: EFFECTS[name] for name in list(EFFECTS)[:count]}
-        batch = _batch(r1_soil, on.pop("strength_wave"), 2.0, **{"inertial_drag": False, **on})
-        return lambda: batch(values)
-
-    _add(contest, "Batch of 4096, effects that are on", (1, 2, 3, 4, 5), make)
+    what = f"Batch of 2048 {where}, {damper}, seconds simulated"
+    _add(contest, what, horizons, lambda t: lambda: batches[t](values))
 
 
 def _add_memory(contest, what, sizes, codes):
     """Keep how the memory that a process prints [kB] grows; return it [MiB]."""
     if not Path("/proc/self/status").exists():
-        contest.missing[what] = "the system does not tell the memory of a process"
+        contest.missing[what] = "the system does not say how much memory a process takes"
         return None
     done = [subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True) for code in codes]
     costs = tuple(int(one.stdout) / 1024.0 for one in done)

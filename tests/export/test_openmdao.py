@@ -111,31 +111,6 @@ def test_its_driver_finds_our_optimum(around_r1):
         assert float(problem[name][0]) == pytest.approx(value, rel=1e-5), name
 
 
-def test_its_driver_finds_what_design_solve_finds(r1_scene, r1_soil):
-    """A quasi-static question: least draft for a loosened radius, with the half angle limited."""
-    d = po.Design()
-    angle = d.variable("angle", guess=0.5, lower=0.2, upper=0.9, unit="rad")
-    height = d.variable("height", guess=0.25, lower=0.1, upper=0.4, unit="m")
-    share = po.Wedge(angle, po.deg(15), height)
-    scene = po.Scene(r1_soil, share, 5e4, 25.0, 2.0, po.Effects(motion=False))
-    d.minimise(po.simulate(scene, 1.0).mean_draft)
-    d.require("radius", scene.loosened_radius, at_least=0.1, unit="m")
-    d.require("half angle", scene.cone.half_angle, at_most=po.deg(15), unit="rad")
-    best = d.solve()
-
-    bounds = [po.Input("share.wedge_angle", 0.2, 0.9, 0.5), po.Input("share.height", 0.1, 0.4, 0.25)]
-    limits = [po.Output("loosened_radius", lower=0.1), po.Output("half_angle", upper=po.deg(15))]
-    made = po.component(r1_scene(motion=False), 1.0, inputs=bounds, outputs=["mean_draft", *limits])
-    problem, component = _problem(made)
-    problem.driver = om.ScipyOptimizeDriver(optimizer="SLSQP", tol=1e-12, disp=False)
-    component.add_design(problem.model, "mean_draft")
-    problem.setup()
-    assert problem.run_driver().success
-    assert float(problem["mean_draft"][0]) == pytest.approx(best.objective, rel=1e-9)
-    assert float(problem["share_wedge_angle"][0]) == pytest.approx(best.variables["angle"], rel=1e-8)
-    assert float(problem["share_height"][0]) == pytest.approx(best.variables["height"], rel=1e-8)
-
-
 def test_the_written_module_needs_no_plough_opt(around_r1, tmp_path):
     folder = write_openmdao(around_r1, tmp_path / "share_for_openmdao")
     code = f"""

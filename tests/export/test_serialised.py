@@ -66,8 +66,10 @@ def test_names_units_and_bounds_are_written_where_asked(around_r1, tmp_path):
 def test_a_file_is_replaced_whole_and_a_folder_never(around_r1, tmp_path):
     path = tmp_path / "r1.casadi"
     path.write_text("old")
+    (tmp_path / "r1.json").write_text("mine")
     write_casadi(around_r1, path)
     assert path.stat().st_size > 10_000
+    assert (tmp_path / "r1.json").read_text() == "mine"
     for name, text in (("r1.txt", "end it in .casadi"), ("folder.casadi", "is a folder")):
         (tmp_path / "folder.casadi").mkdir(exist_ok=True)
         with pytest.raises(po.InputError, match=text):
@@ -75,14 +77,7 @@ def test_a_file_is_replaced_whole_and_a_folder_never(around_r1, tmp_path):
     (tmp_path / "other.json").mkdir()
     with pytest.raises(po.InputError, match=r"other.json' is a folder"):
         write_casadi(around_r1, tmp_path / "other.casadi", tmp_path / "other.json")
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["folder.casadi", "other.json", "r1.casadi"]
-
-
-def test_nothing_unnamed_is_written(around_r1, tmp_path):
-    (tmp_path / "r1.json").write_text("an optimum of somebody's")
-    write_casadi(around_r1, tmp_path / "r1.casadi")
-    assert (tmp_path / "r1.json").read_text() == "an optimum of somebody's"
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["r1.casadi", "r1.json"]
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["folder.casadi", "other.json", "r1.casadi", "r1.json"]
 
 
 def test_outside_its_bounds_there_is_nothing(around_r1, tmp_path):

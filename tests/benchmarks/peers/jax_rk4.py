@@ -1,9 +1,7 @@
-"""The expert's JAX: classical Runge-Kutta under vmap and jit, and diffrax's adaptive steps; forward derivatives."""
+"""The expert's JAX: classical Runge-Kutta under vmap and jit."""
 
 import math
-from functools import partial
 
-import diffrax
 import jax
 import jax.numpy as jnp
 from peers import r1
@@ -41,17 +39,6 @@ def rk4(p, steps):
     return _averages(*jax.lax.fori_loop(0, steps, step, (0.0,) * 4)[2:])
 
 
-def tsit5(p, tolerance):
-    """Return mean and standard deviation of w of a design, by steps that diffrax chooses."""
-    term = diffrax.ODETerm(lambda t, y, p: jnp.stack(_rate(t, y, p)))
-    control = diffrax.PIDController(rtol=tolerance, atol=tolerance * 1e-3)
-    solution = diffrax.diffeqsolve(
-        term, diffrax.Tsit5(), 0.0, r1.DURATION, 1e-3, jnp.zeros(4), p,
-        stepsize_controller=control, max_steps=100_000, adjoint=diffrax.ForwardMode(),
-    )  # fmt: skip
-    return _averages(*solution.ys[0, 2:])
-
-
 _side_by_side = jax.jit(jax.vmap(rk4, in_axes=(0, None)))
 
 
@@ -59,26 +46,3 @@ def batch(p, steps):
     """Return mean and standard deviation of w of designs, a column each."""
     parts = [_side_by_side(tuple(p[:, k : k + SIDE_BY_SIDE]), steps) for k in range(0, p.shape[1], SIDE_BY_SIDE)]
     return jnp.concatenate([jnp.stack(part) for part in parts], axis=1)
-
-
-def functions(averages):
-    """Return the objective and requirements of a scaled design, and the same with their derivatives."""
-
-    def values(y):
-        angle, height, stiffness = r1.unscaled(y, jnp)
-        p = r1.equation(angle, height, stiffness, jnp)
-        mean, spread = averages(p)
-        mean, rms = stiffness * (p[4] + mean), stiffness * spread
-        return jnp.stack([(mean + rms) / 1e3, *r1.requirements(angle, height, stiffness, mean, jnp)])
-
-    return jax.jit(values), jax.jit(jax.jacfwd(values))
-
-
-def by_rk4(steps):
-    """Return `functions` of Runge-Kutta steps."""
-    return functions(partial(rk4, steps=steps))
-
-
-def by_tsit5(tolerance):
-    """Return `functions` of diffrax."""
-    return functions(partial(tsit5, tolerance=tolerance))

@@ -1,89 +1,96 @@
-"""SciPy's SLSQP on R1 with whatever simulates it."""
+"""SciPy's SLSQP with differences, on R1 and on five shares of it, with whatever simulates them."""
 
-from collections import OrderedDict
+import math
 
 import numpy as np
 from peers import r1
 from scipy.optimize import minimize
 
 _CONVERGED = 1e-11
+# Five shares across a field that hardens: ten variables, coupled by what they loosen together.
+COHESIONS = tuple(r1.COHESION * (0.8 + 0.1 * k) for k in range(5))
+STIFFNESS, MEAN_RADIUS = 5e4, 0.12
 
 
-class Question:
-    """Objective and requirements of a scaled design; an evaluation serves all that ask for the same design."""
+def minimised(values, start):
+    """Return SLSQP's design and objective from a start.
 
-    def __init__(self, values, jacobian=None):
-        self._values, self._jacobian = values, jacobian
-        self._known = OrderedDict()
+    Args:
+        values: design between 0 and 1 -> objective, and what must not be negative.
+        start: a design between 0 and 1.
+    """
+    known = {}
 
-    def _at(self, function, y):
-        key = (function is self._values, y.tobytes())
-        if key not in self._known:
-            self._known[key] = np.asarray(function(y))
-            if len(self._known) > 16:
-                self._known.popitem(last=False)
-        return self._known[key]
+    def at(y):  # objective and constraints ask for the same designs
+        key = y.tobytes()
+        if key not in known:
+            known[key] = np.asarray(values(y))
+        return known[key]
 
-    def local(self, start):
-        """Return the design and objective to which SLSQP goes from a start; by differences without derivatives."""
-        self._known.clear()
-        value, exact = self._values, self._jacobian
-        gradient = {} if exact is None else {"jac": lambda y: self._at(exact, y)[0]}
-        slopes = {} if exact is None else {"jac": lambda y: self._at(exact, y)[1:]}
-        found = minimize(
-            lambda y: float(self._at(value, y)[0]),
-            r1.scaled(start),
-            method="SLSQP",
-            bounds=[(0.0, 1.0)] * 3,
-            constraints={"type": "ineq", "fun": lambda y: self._at(value, y)[1:], **slopes},
-            options={"ftol": _CONVERGED, "maxiter": 200},
-            **gradient,
-        )
-        return np.array(r1.unscaled(found.x)), float(found.fun)
-
-    def best(self):
-        """Return the best of all starts."""
-        return min((self.local(start) for start in r1.STARTS), key=lambda found: found[1])
+    found = minimize(
+        lambda y: float(at(y)[0]),
+        start,
+        method="SLSQP",
+        bounds=[(0.0, 1.0)] * len(start),
+        constraints={"type": "ineq", "fun": lambda y: at(y)[1:]},
+        options={"ftol": _CONVERGED, "maxiter": 200},
+    )
+    return found.x, float(found.fun)
 
 
-def from_averages(averages):
-    """Return the question of a function from F0, Fd, M, k, z0 to mean draft and RMS force."""
-
-    def values(y):
-        x = [float(a) for a in r1.unscaled(y)]
-        mean, rms = averages(*(float(a) for a in r1.equation(*x)))
-        return np.array([(mean + rms) / 1e3, *r1.requirements(*x, mean)])
-
-    return Question(values)
-
-
-def by_scipy(method, tolerance):
-    """Return the question by one of SciPy's integrators."""
+def scipy_averages(method, tolerance):
+    """Return a function from F0, Fd, M, k, z0 to mean and RMS force, by one of SciPy's integrators."""
     from peers import scipy_ivp
 
-    return from_averages(lambda *p: scipy_ivp.solve(p, method, tolerance)[:2])
+    return lambda *p: scipy_ivp.solve(p, method, tolerance)[:2]
 
 
-def by_numba(steps):
-    """Return the question by Numba."""
+def numba_averages(steps):
+    """Return the same by Numba's Runge-Kutta steps."""
     from peers import numba_rk4
 
     def averages(static, drag, inertia, stiffness, z0):
         mean, spread = numba_rk4.averages(static, drag, inertia, stiffness, z0, steps)
         return stiffness * (z0 + mean), stiffness * spread
 
-    return from_averages(averages)
+    return averages
 
 
-def by_jax(steps):
-    """Return the question by JAX's own loop, with its derivatives."""
-    from peers import jax_rk4
+def local(averages, start=r1.START):
+    """Return design and objective of R1 from a start."""
 
-    return Question(*jax_rk4.by_rk4(steps))
+    def values(y):
+        x = [float(a) for a in r1.unscaled(y)]
+        mean, rms = averages(*(float(a) for a in r1.equation(*x)))
+        return [(mean + rms) / 1e3, *r1.requirements(*x, mean)]
+
+    found, objective = minimised(values, r1.scaled(start))
+    return np.array(r1.unscaled(found)), objective
 
 
-def by_diffrax(tolerance):
-    """Return the question by diffrax, with its derivatives."""
-    from peers import jax_rk4
+def best(averages):
+    """Return the best of all starts of R1."""
+    return min((local(averages, start) for start in r1.STARTS), key=lambda found: found[1])
 
-    return Question(*jax_rk4.by_tsit5(tolerance))
+
+def five_requirements(angles, heights, means):
+    """Return what must not be negative of five shares: mean loosened radius, deflections and half angles."""
+    parts = np.array([r1.requirements(*x, STIFFNESS, mean) for *x, mean in zip(angles, heights, means, strict=True)])
+    radii, deflections, half_angles = parts.T
+    return [np.mean(radii), *deflections, *half_angles]
+
+
+def five_shares(averages):
+    """Return angles and heights, in a row, and the objective of five shares."""
+    low, high, start = (np.repeat(x[:2], len(COHESIONS)) for x in (r1.LOWER, r1.UPPER, r1.START))
+
+    def values(y):
+        angles, heights = np.split(low + y * (high - low), 2)
+        pairs = []
+        for angle, height, cohesion in zip(angles, heights, COHESIONS, strict=True):
+            p = r1.equation(float(angle), float(height), STIFFNESS, math, cohesion)
+            pairs.append(averages(*(float(x) for x in p)))
+        return [sum(map(sum, pairs)) / 1e3, *five_requirements(angles, heights, [mean for mean, _ in pairs])]
+
+    found, objective = minimised(values, (start - low) / (high - low))
+    return low + found * (high - low), objective

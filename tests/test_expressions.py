@@ -4,6 +4,7 @@ import math
 from dataclasses import dataclass
 
 import casadi as ca
+import mpmath
 import numpy as np
 import pytest
 from helpers.high_precision import assert_close, derivatives, mp
@@ -173,3 +174,24 @@ def test_a_column_meets_symbols_or_stays_an_array():
     x = ca.SX.sym("x")
     product = ca.Function("f", [x], [x * ex.column(values, symbolic=True)])(3.0)
     assert product.full().tolist() == [[3.0], [6.0]]
+
+
+@pytest.mark.parametrize("order", [1, 2, 3, 8, 16, 33, 64])
+def test_nodes_and_weights_are_the_roots_and_their_christoffel_numbers(order):
+    precise = mpmath.mp.clone()
+    precise.dps = 50
+    nodes, weights = ex.gauss_legendre(order)
+    assert len(nodes) == len(weights) == order
+    assert list(nodes) == sorted(nodes)
+    for node, weight in zip(nodes, weights, strict=True):
+        root = precise.findroot(lambda t: precise.legendre(order, t), 2 * precise.mpf(node) - 1)
+        slope = precise.diff(lambda t: precise.legendre(order, t), root)
+        assert abs((root + 1) / 2 - precise.mpf(node)) < 1.2e-16
+        assert weight == pytest.approx(float(1 / ((1 - root**2) * slope**2)), rel=2e-14)
+
+
+def test_numbers_are_plain_and_cannot_be_changed_by_accident():
+    nodes, weights = ex.gauss_legendre(4)
+    assert all(type(value) is float for value in (*nodes, *weights))  # CasADi keeps floats as constants
+    assert isinstance(nodes, tuple)
+    assert ex.gauss_legendre(4) is ex.gauss_legendre(4)

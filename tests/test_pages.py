@@ -1,16 +1,30 @@
-"""docs/*.md: code runs in the order of the page and gives what the page says, formulas survive GitHub's Markdown."""
+"""docs/*.md: code runs and gives what the page says, tables are the code's, formulas survive GitHub's Markdown."""
 
+import inspect
 import re
 import shlex
 import subprocess
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import reduce
 from pathlib import Path
 
 import pytest
 
+import plough_opt as po
 from plough_opt.app import main
+from plough_opt.core import csv_rows, kept, quantities, units
+from plough_opt.core.quantities import EVERY
+from plough_opt.design import effort
+from plough_opt.motion import plan
+from plough_opt.motion.effects import MOST_HARMONICS
+from plough_opt.motion.vocabulary import MEASURES
+from plough_opt.problem_file import overrides, own_measures, schema, source, uncertain
+from plough_opt.soil.elastic import profile
+from plough_opt.studies.sweep import points
+from plough_opt.studies.tradeoff import trade
+from plough_opt.studies.uncertainty import distribution
 
 ROOT = Path(__file__).parents[1]
 TEXTS = {path.stem: path.read_text(encoding="utf-8") for path in sorted((ROOT / "docs").glob("*.md"))}
@@ -115,3 +129,102 @@ def test_formulas_survive_markdown(name):
     for formula in re.findall(r"```math\n(.*?)```", TEXTS[name], flags=re.DOTALL):
         assert formula.count(r"\left") == formula.count(r"\right")
         assert formula.count("{") == formula.count("}")
+
+
+# --- theory.md: every equation has its function and its test ---
+
+EQUATIONS = re.findall(
+    r"^\| \((\d+)\) \| (.+) \| `([\w.]+)` \| \[.+\]\(\.\./(.+)\) \| `(tests/[\w/.]+)` \|$",
+    TEXTS["theory"],
+    flags=re.MULTILINE,
+)
+LETTER = (ROOT / "tests" / "test_source_equations.py").read_text(encoding="utf-8")
+
+
+def test_the_table_has_every_equation_once():
+    assert [int(number) for number, *_ in EQUATIONS] == list(range(1, 28))
+
+
+@pytest.mark.parametrize(("number", "what", "function", "file", "test"), EQUATIONS, ids=[row[0] for row in EQUATIONS])
+def test_an_equation_has_its_function_and_its_test(number, what, function, file, test):
+    assert what.strip()
+    defined = reduce(getattr, function.split("."), po)
+    source = (ROOT / file).read_text(encoding="utf-8")
+    assert (
+        inspect.getsourcefile(inspect.unwrap(getattr(defined, "fget", defined))) == str(ROOT / file)
+        or f"({number})" in source
+    )
+    assert re.search(rf"def test_equation_{number}(_|\()", LETTER)
+    assert (ROOT / test).exists()
+
+
+@pytest.mark.parametrize("name", sorted(set(re.findall(r"`((?:plastic|elastic|plots)\.\w+)`", TEXTS["theory"]))))
+def test_a_named_function_exists(name):
+    assert reduce(getattr, name.split("."), po) is not None
+
+
+def test_links_within_the_page_lead_to_headings():
+    headings = {re.sub(r"[^\w -]", "", heading).strip().lower().replace(" ", "-")
+                for heading in re.findall(r"^#+ (.+)$", TEXTS["theory"], flags=re.MULTILINE)}  # fmt: skip
+    assert set(re.findall(r"\]\(#([\w-]+)\)", TEXTS["theory"])) <= headings
+
+
+# --- embedding.md ---
+
+
+def test_the_tables_of_embedding_hold_every_name_and_no_other():
+    rows = re.findall(r"^\| ([^|]*`[^|]*) \| ([^|]*) \|$", TEXTS["embedding"], flags=re.MULTILINE)
+    named = {name for names, _ in rows for name in re.findall(r"`([\w.]+)`", names)} - {"steel_density"}
+    # Further strength waves are named in a sentence.
+    assert named == {name for name in (*EVERY, *MEASURES) if not re.search(r"wave_\d", name)}
+    units = {unit.strip() for _, column in rows for unit in column.split(";")}
+    known = {one.unit for one in EVERY.values()} | {one.unit.symbol for one in MEASURES.values()}
+    assert {unit or "1" for unit in known} == units
+
+
+# --- limits.md: every figure is the constant by which the code refuses ---
+
+
+def most_outputs():
+    """Return the schema's bound of a file's output intervals."""
+    field = schema.SceneTable.model_json_schema()["properties"]["outputs"]
+    return field["maximum"]
+
+
+LIMITS = {
+    "Problem files and `--set`": (
+        source._MOST_BYTES, source._LONGEST_LINE, source.MOST_TABLES, source._MOST_BITS, units._LONGEST,
+        overrides._LONGEST, source._MOST_LISTED,
+        most_outputs(),
+        quantities.MOST_WAVES,
+        own_measures._LONGEST, own_measures._DEEPEST, own_measures._LARGEST_POWER,
+    ),
+    "CSV files of measurements and penetrometer readings": (
+        csv_rows._MOST_BYTES, csv_rows._LONGEST_LINE, csv_rows._MOST_LISTED,
+    ),
+    "Saved results (`po.load`)": (kept._MOST_BYTES,),
+    "Questions": (
+        points.MOST_VALUES, points.MOST_SAMPLES, distribution._MOST_SAMPLES, uncertain._COUNTS["fresh"][1], trade._MOST,
+        effort._MOST_TRIED, MOST_HARMONICS, profile._MOST_PIECES, plan.MOST_OUTPUTS,
+    ),
+    "Motions": (plan.MOST_RINGING, plan.MOST_FORCED, plan.MOST_PANELLED, plan.MOST_SHOT),
+}  # fmt: skip
+
+
+def figures(table):
+    """Return the figures in a table's second column, sizes in bytes."""
+    _, _, rest = TEXTS["limits"].partition(f"| {table} | at most |\n|---|---|\n")
+    assert rest, f"no table {table}"
+    rows = [line.split("|")[2].strip() for line in rest.partition("\n\n")[0].splitlines()]
+    scales = {"": 1, " kB": 1_000, " MB": 1_000_000}
+    found = [re.fullmatch(r"([\d,]+)( kB| MB|)", row) for row in rows]
+    return tuple(int(one[1].replace(",", "")) * scales[one[2]] for one in found)
+
+
+@pytest.mark.parametrize("table", LIMITS)
+def test_figures_of_limits_are_the_codes(table):
+    assert figures(table) == LIMITS[table]
+
+
+def test_every_table_of_limits_is_tested():
+    assert TEXTS["limits"].count("| at most |") == len(LIMITS)

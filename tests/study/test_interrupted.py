@@ -10,6 +10,7 @@ import pytest
 from helpers import swept
 
 import plough_opt as po
+from plough_opt.studies.sweep.database import About
 from plough_opt.studies.sweep.store import Store
 from plough_opt.studies.sweep.work import Done
 
@@ -111,7 +112,8 @@ class TestClaims:
 
         def open_one(retry=False):
             opened.append(Store(tmp_path / "sweep.db"))
-            opened[-1].prepare({"q": "1"}, ("a",), {}, 10, retry)
+            about = About.model_construct(names=("a",), units={}, question={"q": "1"}, count=10, results=(), next=0)
+            opened[-1].prepare(about, retry)
             return opened[-1]
 
         yield open_one

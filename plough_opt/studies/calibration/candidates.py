@@ -12,9 +12,9 @@ from plough_opt.core.checks import check_kind
 from plough_opt.core.errors import DomainError, InputError
 from plough_opt.studies.calibration.estimate import Estimate
 from plough_opt.studies.calibration.identifiability import UNIFORM
-from plough_opt.studies.calibration.measurements import RECORD, measurable, result_unit
+from plough_opt.studies.calibration.measurements import RECORD, Measurements, measurable, result_unit
 from plough_opt.studies.calibration.model import Unknown, amount
-from plough_opt.studies.calibration.prediction import row_function
+from plough_opt.studies.calibration.prediction import Rows, predictor
 from plough_opt.studies.calibration.setup import Setup
 
 Vector = NDArray[np.float64]
@@ -138,11 +138,11 @@ def _measurement(candidate: Candidate, fit: Estimate, slopes: Vector) -> tuple[f
     for k, unknown in enumerate(fit.unknowns):
         if unknown.name == candidate.result:
             return candidate.sigma or _direct_error(unknown), slopes[k] * np.eye(len(slopes))[k]
-    if candidate.result not in measurable() or candidate.result == RECORD:
-        raise InputError(f"'{candidate.result}' is neither a single result of a run nor one of the unknowns")
+    if candidate.result not in measurable():
+        raise InputError(f"'{candidate.result}' is neither a result of a run nor one of the unknowns")
     middles = {key: float(np.median(column)) for m in fit.setup.measured for key, column in m.conditions.items()}
-    row = row_function(fit.setup.model, {}, candidate.result, fixed={**middles, **candidate.conditions})
-    value, slope = row(fit.y, np.zeros(0))
+    added = Measurements(candidate.result, [0.0], {**middles, **candidate.conditions})
+    value, slope = predictor((Rows(added, fit.setup.model),), fit.setup.model)(fit.y)
     size, observed = abs(float(value)), np.abs(fit.data.observed)
     counts = (fit.data.weights > 0.0) & (observed > 0.0)
     relative = float(np.median(fit.deviation[counts] / observed[counts]))

@@ -18,20 +18,10 @@ from plough_opt.core.kept import Keepable, Origin, versions
 from plough_opt.core.tables import Page, Part, data_frame
 from plough_opt.motion.scene import Scene
 from plough_opt.soil.soil import Soil
+from plough_opt.studies.calibration import parts
 from plough_opt.studies.calibration.candidates import Candidate, NextMeasurement, next_measurements
 from plough_opt.studies.calibration.estimate import Estimate, Interval, Kind, check_level, interval
 from plough_opt.studies.calibration.identifiability import Undetermined, undetermined
-from plough_opt.studies.calibration.parts import (
-    Correlation,
-    FittedUnknown,
-    KnownInterval,
-    Row,
-    correlations_of,
-    fitted_unknowns,
-    next_table,
-    rows_of,
-    unknowns_table,
-)
 from plough_opt.studies.calibration.quality import CrossValidation, caveats, cross_validate
 from plough_opt.studies.calibration.setup import NOMINAL
 
@@ -86,10 +76,10 @@ class Fit(Keepable):
     unkept = frozenset({"source"})
 
     title: str
-    unknowns: tuple[FittedUnknown, ...]
-    correlations_found: tuple[Correlation, ...]
+    unknowns: tuple[parts.FittedUnknown, ...]
+    correlations_found: tuple[parts.Correlation, ...]
     unidentifiable: tuple[Undetermined, ...]
-    rows: tuple[Row, ...]
+    rows: tuple[parts.Row, ...]
     loss: str
     total: float
     optima: tuple[float, ...]
@@ -99,7 +89,7 @@ class Fit(Keepable):
     status: str
     warnings: tuple[str, ...]
     seconds: float
-    saved_intervals: tuple[KnownInterval, ...] = ()
+    saved_intervals: tuple[parts.KnownInterval, ...] = ()
     saved_next: tuple[NextMeasurement, ...] = ()
     versions: Mapping[str, str] = field(default_factory=versions)
     source: Estimate | None = field(default=None, repr=False, compare=False)
@@ -219,19 +209,19 @@ class Fit(Keepable):
         """
         profiles = [(level, own) for (level, kind), own in self._intervals.items() if kind == "profile"]
         level, intervals = profiles[-1] if profiles else (0.0, {})
-        parts: list[Part] = [unknowns_table(self.unknowns, level, intervals, self.origin)]
+        shown: list[Part] = [parts.unknowns_table(self.unknowns, level, intervals, self.origin)]
         correlated = [c for c in self.correlations_found if abs(c.value) >= _CORRELATED]
         for c in sorted(correlated, key=lambda c: -abs(c.value)):
-            parts.append(f"Errors of {c.first} and {c.second} are correlated: {c.value:+.3f}.")
-        parts += [f"Not determined: {item.words}." for item in self.unidentifiable]
+            shown.append(f"Errors of {c.first} and {c.second} are correlated: {c.value:+.3f}.")
+        shown += [f"Not determined: {item.words}." for item in self.unidentifiable]
         if self._ranking:
-            parts.append(next_table(self.unknowns, self._ranking, self.origin))
+            shown.append(parts.next_table(self.unknowns, self._ranking, self.origin))
         kind = "times the stated sigma" if self.stated else "of the mean measured value"
-        parts.append(f"Scatter about the fit: {self.scatter:.3g} {kind}, {self.freedom} degrees of freedom.")
+        shown.append(f"Scatter about the fit: {self.scatter:.3g} {kind}, {self.freedom} degrees of freedom.")
         footer = f"Converged: no step lowers the loss ({self.status}); {self.seconds:.2f} s"
         files = ", ".join(dict.fromkeys(row.place.partition(",")[0] for row in self.rows))
         heading = f"{len(self.unknowns)} unknowns from {len(self.rows)} rows of {files}"
-        return Page(heading, tuple(parts), self.warnings, footer, self.title)
+        return Page(heading, tuple(shown), self.warnings, footer, self.title)
 
     def to_dataframe(self) -> pandas.DataFrame:
         """Return a row for each measured row beside the fit, SI; the unit of each is a column.
@@ -268,7 +258,7 @@ class Fit(Keepable):
         self.intervals(0.95, "linearised")
         self.intervals(0.95, "profile")
         intervals = tuple(
-            KnownInterval(name, level, kind, own)
+            parts.KnownInterval(name, level, kind, own)
             for (level, kind), every in self._intervals.items()
             for name, own in every.items()
         )
@@ -302,10 +292,10 @@ def reported(title: str, estimate: Estimate, started: float) -> Fit:
     scatter = float(np.sqrt(np.sum(unscaled**2) / max(estimate.freedom, 1)))
     return Fit(
         title=title,
-        unknowns=fitted_unknowns(estimate),
-        correlations_found=correlations_of(estimate),
+        unknowns=parts.fitted_unknowns(estimate),
+        correlations_found=parts.correlations_of(estimate),
         unidentifiable=undetermined(estimate.unknowns, estimate.y, estimate.spread),
-        rows=rows_of(estimate),
+        rows=parts.rows_of(estimate),
         loss=estimate.setup.problem.loss.name,
         total=estimate.best.loss,
         optima=estimate.optima,

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Mapping, Sequence
+from itertools import cycle
 from typing import Final
 
 import numpy as np
@@ -47,34 +48,24 @@ def figure_of(title: str, rows: Sequence[Row], origin: Origin) -> Figure:
 
 def _draw_fit(axes: Axes, rows: Sequence[Row], kinds: Mapping[str, Display]) -> None:
     """Draw measured over predicted values with their errors; several results each over its largest value."""
-    low, high = math.inf, -math.inf
-    for number, (result, display) in enumerate(kinds.items()):
+    for (result, display), colour in zip(kinds.items(), cycle(COLOURS)):
         own = [row for row in rows if row.result == result]
-        scale = display.factor
-        predicted, observed = (
-            np.array([getattr(row, key) for row in own]) / scale for key in ("predicted", "observed")
+        predicted, observed, sigma, error = (
+            np.array([getattr(row, key) for row in own]) / display.factor
+            for key in ("predicted", "observed", "sigma", "standard_error")
         )
-        bars = np.array([1.96 * row.sigma for row in own]) / scale
-        across = np.array([1.96 * row.standard_error for row in own]) / scale
-        axes.errorbar(predicted, observed, yerr=bars, xerr=across, fmt="o", markersize=4, linewidth=0.8,
-                      color=COLOURS[number % len(COLOURS)], label=f"{called(result)}, n = {len(own)}")  # fmt: skip
-        low, high = min(low, predicted.min(), observed.min()), max(high, predicted.max(), observed.max())
-    pad = 0.04 * (high - low)
-    axes.plot(
-        [low - pad, high + pad], [low - pad, high + pad], color="black", linewidth=0.9, label="measured = predicted"
-    )
+        axes.errorbar(predicted, observed, yerr=1.96 * sigma, xerr=1.96 * error, fmt="o", markersize=4, linewidth=0.8,
+                      color=colour, label=f"{called(result)}, n = {len(own)}")  # fmt: skip
+    _draw_diagonal(axes, float(predicted[0]), "measured = predicted")
     axes.set(xlabel=_predicted_label(kinds), ylabel=_predicted_label(kinds).replace("predicted", "measured"))
     axes.set_title("bars: 95 % of the measuring error; across: of the prediction", fontsize="small")
-    axes.grid(alpha=0.25)
-    axes.legend(fontsize="small")
 
 
 def _draw_residuals(axes: Axes, rows: Sequence[Row], kinds: Mapping[str, Display], places: Sequence[float],
                     label: str) -> None:  # fmt: skip
-    for number, result in enumerate(kinds):
-        own = [k for k, row in enumerate(rows) if row.result == result]
-        axes.plot([places[k] for k in own], [_standardised(rows[k]) for k in own], "o", markersize=4,
-                  color=COLOURS[number % len(COLOURS)], label=called(result))  # fmt: skip
+    for result, colour in zip(kinds, cycle(COLOURS)):
+        own = [(place, _standardised(row)) for place, row in zip(places, rows, strict=True) if row.result == result]
+        axes.plot(*zip(*own, strict=True), "o", markersize=4, color=colour, label=called(result))
     axes.axhline(0.0, color="black", linewidth=0.9)
     for size, name in ((-1.96, None), (1.96, "95 % of normal errors: ±1.96")):
         axes.axhline(size, color=_MUTED, linewidth=0.9, linestyle="--", label=name)
@@ -87,9 +78,13 @@ def _draw_quantiles(axes: Axes, rows: Sequence[Row]) -> None:
     """Draw the ordered residuals over the normal quantiles that they would have."""
     (theory, ordered), _ = stats.probplot([_standardised(row) for row in rows])
     axes.plot(theory, ordered, "o", markersize=4, color=COLOURS[0])
-    ends = [float(theory[0]), float(theory[-1])]
-    axes.plot(ends, ends, color="black", linewidth=0.9, label="normal")
+    _draw_diagonal(axes, 0.0, "normal")
     axes.set(xlabel="normal quantile", ylabel="(predicted - measured) / standard error, ordered")
+
+
+def _draw_diagonal(axes: Axes, place: float, label: str) -> None:
+    """Draw the line of equal values through a place on it."""
+    axes.axline((place, place), slope=1.0, color="black", linewidth=0.9, label=label)
     axes.grid(alpha=0.25)
     axes.legend(fontsize="small")
 

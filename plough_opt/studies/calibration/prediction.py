@@ -1,7 +1,7 @@
 """Predictions of the model for every row of measurements: a Function of the scaled unknowns, with derivatives."""
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Final, TypeAlias
@@ -99,9 +99,30 @@ class Rows:
             value = self._record(y)
             return value, ca.jacobian(value, y), False
         distinct, which = self._distinct
-        function = row_function(self.model, self.measured.at(0), self.measured.result)
+        function = self._of_conditions()
         value, slope = function.map(len(distinct))(ca.repmat(y, 1, len(distinct)), ca.DM(distinct.T))
         return value.T[which.tolist(), :], slope.T[which.tolist(), :], function.is_a("SXFunction")
+
+    def _of_conditions(self) -> ca.Function:
+        """Return scaled unknowns and conditions -> (the result, its derivatives by the unknowns as a column)."""
+        model, result, conditions = self.model, self.measured.result, self.measured.at(0)
+        example = model.scene(model.values(model.guess) | conditions)
+        closed = is_closed(example, result)
+        # A law with quadratures of matrices, or loops, would be unrolled by scalar operations.
+        kind: Any = ca.SX if closed and example.law.scalar else ca.MX
+        y, c = kind.sym("y", len(model.unknowns)), kind.sym("c", len(conditions))
+        values = model.values(ca.vertsplit(y)) | {key: c[k] for k, key in enumerate(conditions)}
+        scene = model.scene(values)
+        if result in _OF_SCENE:
+            value = _OF_SCENE[result](scene)
+        elif closed:
+            value = scene.steady_resistance
+        else:
+            value = MEASURES[result].of(simulate(scene, model.duration_of(values), accuracy=model.accuracy))
+        value = kind(value)
+        # Forward through an integration: the reverse mode takes far longer to build.
+        slope = [ca.jtimes(value, y, column) for column in ca.horzsplit(ca.DM.eye(len(model.unknowns)))]
+        return ca.Function("row", [y, c], [value, ca.densify(ca.vertcat(*slope))])
 
     def _record(self, y: ca.MX) -> ca.MX:
         """Return the mount force at the times of a run for each distinct condition."""
@@ -123,37 +144,6 @@ def predictor(sets: Sequence[Rows], model: Model) -> ca.Function:
     values, slopes, closed = zip(*(rows.predicted(y) for rows in sets), strict=True)
     whole = ca.Function("predicted", [y], [ca.densify(ca.vertcat(*values)), ca.densify(ca.vertcat(*slopes))])
     return whole.expand() if all(closed) and whole.numel_out(0) <= _MOST_EXPANDED else whole
-
-
-def row_function(
-    model: Model, conditions: Mapping[str, float], result: str, fixed: Mapping[str, float] | None = None
-) -> ca.Function:
-    """Return scaled unknowns and conditions -> (a result, its derivatives by the unknowns as a column).
-
-    Args:
-        model: to calibrate.
-        conditions: names of the conditions, with valid values.
-        result: the measured result.
-        fixed: further conditions, which are constants of the Function.
-    """
-    fixed = dict(fixed or {})
-    example = model.scene({**{unknown.name: unknown.guess for unknown in model.unknowns}, **conditions, **fixed})
-    closed = is_closed(example, result)
-    # A law with quadratures of matrices, or loops, would be unrolled by scalar operations.
-    kind: Any = ca.SX if closed and example.law.scalar else ca.MX
-    y, c = kind.sym("y", len(model.unknowns)), kind.sym("c", len(conditions))
-    values = model.values(ca.vertsplit(y)) | {key: c[k] for k, key in enumerate(conditions)} | fixed
-    scene = model.scene(values)
-    if result in _OF_SCENE:
-        value = _OF_SCENE[result](scene)
-    elif closed:
-        value = scene.steady_resistance
-    else:
-        value = MEASURES[result].of(simulate(scene, model.duration_of(values), accuracy=model.accuracy))
-    value = kind(value)
-    # Forward through an integration: the reverse mode takes far longer to build.
-    slope = [ca.jtimes(value, y, column) for column in ca.horzsplit(ca.DM.eye(len(model.unknowns)))]
-    return ca.Function("row", [y, c], [value, ca.densify(ca.vertcat(*slope))])
 
 
 def is_closed(scene: Scene, result: str) -> bool:

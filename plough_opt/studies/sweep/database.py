@@ -5,14 +5,13 @@ renews its lease while it runs. Every row of ``points`` has a checksum of its co
 """
 
 import contextlib
-import json
 import shutil
 import sqlite3
 import struct
 import tempfile
 import time
 import zlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal
 
@@ -198,22 +197,17 @@ def _reader(path: Path, mode: str) -> sqlite3.Connection:
     return connection
 
 
-def create(
-    database: Database, question: Mapping[str, str], names: Sequence[str], units: Mapping[str, str], count: int
-) -> None:
-    """Make the tables of a sweep in an empty file; the arguments are attributes of `About`."""
+def create(database: Database, about: About) -> None:
+    """Make the tables of a sweep in an empty file."""
     for statement in filter(str.strip, _TABLES.split(";")):
         database.run(statement)
-    columns = ", ".join(f"{quoted(name)} REAL NOT NULL" for name in names)
+    columns = ", ".join(f"{quoted(name)} REAL NOT NULL" for name in about.names)
     database.run(
         "CREATE TABLE points (point INTEGER PRIMARY KEY, state TEXT NOT NULL, reason TEXT, checksum INTEGER NOT NULL,"
         f" {columns})"
     )
-    values = {
-        "layout": str(LAYOUT), "next": "0", "count": str(count), "names": json.dumps(list(names)), "results": "[]",
-        "units": json.dumps(dict(units)), "question": json.dumps(dict(question)),
-    }  # fmt: skip
-    database.run_many("INSERT INTO meta VALUES (?, ?)", iter(values.items()))
+    meta = {"layout": LAYOUT, **about.model_dump(round_trip=True)}
+    database.run_many("INSERT INTO meta VALUES (?, ?)", ((key, str(value)) for key, value in meta.items()))
 
 
 def read(database: Database) -> About:

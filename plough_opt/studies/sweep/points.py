@@ -20,8 +20,6 @@ MOST_VALUES: Final = 1_000_000
 """Limit on the values of one quantity of a grid, which are held in memory; the points are not."""
 # As many numbers as SciPy's Sobol sequence of the default 30 bits has.
 MOST_SAMPLES: Final = 2**30
-# As many dimensions as SciPy's direction numbers cover.
-_MOST_DIMENSIONS: Final = 21201
 
 
 @dataclass(frozen=True)
@@ -160,8 +158,6 @@ class Sample:
             raise InputError(f"{count!r} samples: give a whole number from 2 to {MOST_SAMPLES}, best a power of two")
         if isinstance(seed, bool) or not isinstance(seed, int) or seed < 0:
             raise InputError(f"the seed {seed!r} must be a whole number from 0 on")
-        if len(axes) > _MOST_DIMENSIONS:
-            raise InputError(f"a Sobol sample has at most {_MOST_DIMENSIONS} quantities, not {len(axes)}")
         self.names = tuple(axes)
         self.count = count
         self._seed = seed

@@ -9,7 +9,7 @@ import os
 import platform
 import time
 import uuid
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -17,18 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from plough_opt.core.errors import InputError
-from plough_opt.studies.sweep.database import (
-    FIXED,
-    About,
-    Database,
-    State,
-    check_columns,
-    checksum,
-    create,
-    damaged,
-    quoted,
-    read,
-)
+from plough_opt.studies.sweep import database
+from plough_opt.studies.sweep.database import Database, State, quoted
 from plough_opt.studies.sweep.work import Array, Done
 
 # Time [s] after which the run of a claim that was not renewed counts as dead.
@@ -65,7 +55,7 @@ class Store(Database):
         about: quantities, results and question of the sweep.
     """
 
-    about: About
+    about: database.About
 
     def __init__(self, path: str | Path | None, write: bool = True) -> None:
         """Open a file; a missing one is made if it is to be written.
@@ -81,7 +71,7 @@ class Store(Database):
         self._owner = f"{platform.node()}:{os.getpid()}:{uuid.uuid4().hex}"
         try:
             if self.tables():
-                self.about = read(self)
+                self.about = database.read(self)
             elif not write:
                 raise InputError(f"'{self.path}' is empty, and not the store of a sweep")
             if write and path is not None:
@@ -90,23 +80,13 @@ class Store(Database):
             self.close()
             raise
 
-    def prepare(
-        self,
-        question: Mapping[str, str],
-        names: Sequence[str],
-        units: Mapping[str, str],
-        count: int,
-        retry: bool = False,
-    ) -> None:
-        """Enter the sweep's question, or compare it with the one in the file; then check every row.
+    def prepare(self, about: database.About, retry: bool = False) -> None:
+        """Enter the sweep, or compare its question with the one in the file; then check every row.
 
         Points that are neither stored nor under way in another run can be claimed afterwards.
 
         Args:
-            question: everything that the results depend on.
-            names: the quantities that are swept.
-            units: name -> unit, of quantities and results that have one.
-            count: number of points.
+            about: the sweep.
             retry: delete the points that failed, are undetermined or are damaged, so that they are tried again.
 
         Raises:
@@ -115,9 +95,9 @@ class Store(Database):
         """
         with self.transaction():
             if not self.tables():
-                create(self, question, names, units, count)
-        self.about = read(self)
-        self._check_question(dict(question))
+                database.create(self, about)
+        self.about = database.read(self)
+        self._check_question(about.question)
         now = time.time()
         with self.transaction():
             owners = self.run("SELECT owner, max(expires) FROM claims GROUP BY owner")
@@ -140,7 +120,7 @@ class Store(Database):
         Raises:
             InputError: points are missing.
         """
-        self.about = read(self)  # another run may have entered names of results
+        self.about = database.read(self)  # another run may have entered names of results
         stored = self.counts().stored
         if stored != self.about.count:
             raise InputError(
@@ -197,7 +177,7 @@ class Store(Database):
         """
         spoilt = list(self._spoilt())
         if spoilt:
-            raise damaged(
+            raise database.damaged(
                 self.path,
                 f"{len(spoilt)} of its rows differ from their checksums, the first that of point {spoilt[0]}; the same"
                 " sweep with --retry (retry=True) computes them again",
@@ -210,18 +190,17 @@ class Store(Database):
             InputError: names that cannot be columns, or that differ from those of earlier points.
         """
         with self.transaction():
-            known = tuple(json.loads(self.run("SELECT value FROM meta WHERE key = 'results'")[0][0]))
-            if not known:
-                check_columns((*self.about.names, *results))
+            self.about = database.read(self)
+            if not self.about.results:
+                database.check_columns((*self.about.names, *results))
                 for name in results:
                     self.run(f"ALTER TABLE points ADD COLUMN {quoted(name)} REAL")
                 self.run("UPDATE meta SET value = ? WHERE key = 'results'", json.dumps(list(results)))
-                known = tuple(results)
-        self.about = read(self)
-        if known != tuple(results):
+                self.about = database.read(self)
+        if self.about.results != tuple(results):
             raise InputError(
-                f"the results of one point are {', '.join(results)}, those of others {', '.join(known)}: return the"
-                " same names, in the same order, at every point"
+                f"the results of one point are {', '.join(results)}, those of others {', '.join(self.about.results)}:"
+                " return the same names, in the same order, at every point"
             )
 
     def keep(self, numbers: NDArray[np.int64], values: Array, done: Done, without: State = "failed") -> int:
@@ -233,8 +212,8 @@ class Store(Database):
             done: their results, reasons and notes.
             without: state of the points without results.
         """
-        columns = ", ".join(map(quoted, (*FIXED, *self.about.columns)))
-        marks = ", ".join("?" * (len(FIXED) + len(self.about.columns)))
+        columns = ", ".join(map(quoted, (*database.FIXED, *self.about.columns)))
+        marks = ", ".join("?" * (len(database.FIXED) + len(self.about.columns)))
         rows = self._rows(numbers, values, done, without)
         with self.transaction():
             new = self.run_many(f"INSERT OR IGNORE INTO points ({columns}) VALUES ({marks})", rows)
@@ -278,12 +257,12 @@ class Store(Database):
                 cells, state = [*row, *done.results[k].tolist()], "computed"
             # The text of any exception, which may hold surrogates that UTF-8 cannot encode.
             text = None if reason is None else reason.encode("utf-8", "backslashreplace").decode("utf-8")
-            yield number, state, text, checksum(number, state, text, cells, len(row)), *cells
+            yield number, state, text, database.checksum(number, state, text, cells, len(row)), *cells
 
     def _spoilt(self) -> Iterator[int]:
         """Yield the points whose rows differ from their checksums, or that do not belong to the sweep."""
-        for point, state, reason, kept, *numbers in self.rows(*FIXED, *self.about.columns):
-            right = checksum(point, state, reason, numbers, len(self.about.names))
+        for point, state, reason, kept, *numbers in self.rows(*database.FIXED, *self.about.columns):
+            right = database.checksum(point, state, reason, numbers, len(self.about.names))
             if kept != right or not 0 <= point < self.about.count:
                 yield point
 

@@ -20,7 +20,7 @@ from plough_opt.core.expressions import is_count
 from plough_opt.core.kept import versions
 from plough_opt.core.process import available, heartbeat
 from plough_opt.studies.sweep.cluster import Cluster
-from plough_opt.studies.sweep.database import check_columns
+from plough_opt.studies.sweep.database import About, check_columns
 from plough_opt.studies.sweep.engine import Engine, Progress
 from plough_opt.studies.sweep.points import axis_of, points_of
 from plough_opt.studies.sweep.pool import ProcessPool
@@ -81,7 +81,10 @@ def sweep(
         return finished
     kept = Store(store)
     try:
-        kept.prepare(asked, points.names, units or {}, points.count, retry)
+        about = About.model_construct(
+            names=points.names, results=(), units=dict(units or {}), question=asked, count=points.count, next=0
+        )
+        kept.prepare(about, retry)
         already = kept.counts().stored
         count = workers or available()
         if already < points.count:

@@ -20,7 +20,7 @@ from plough_opt.studies.accuracy import contest, methods, picture, quadratures
 from plough_opt.studies.accuracy import study as studies
 from plough_opt.studies.accuracy.contest import Entry, cheapest, efficient
 from plough_opt.studies.accuracy.methods import AUTO, BARE, COMPILED, Task, prepared
-from plough_opt.studies.accuracy.profile_reference import profile_reaction
+from plough_opt.studies.accuracy.quadratures import profile_reaction
 from plough_opt.studies.accuracy.result import AccuracyStudy
 from plough_opt.studies.accuracy.wide import EPS
 

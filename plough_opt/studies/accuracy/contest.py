@@ -31,6 +31,8 @@ _TURNS: Final = 15
 _LEAST_TURN: Final = 3e-3
 _FEWEST_TURNS: Final = 3
 _ALL_TURNS: Final = 2.0
+# Repetitions of which a time is the median.
+_LEAST, _MOST = 3, 15
 # The coarsest number of steps in eighths of a power of two: a 128th of the usual one.
 _COARSEST: Final = -56
 
@@ -145,15 +147,15 @@ def measured(
         floor: error [-] of the reference itself.
         progress: called with the method that is next and the part done.
     """
-    tried = [_Tried(track, allowance) for track in tracks]
+    tried = [_Tried(track, key, wanted, allowance) for track in tracks]
     for k, one in enumerate(tried):
         progress(f"{one.track.family}: {one.track.method}", k / len(tried))
         one.try_shown()
-    best = min((one.cheapest(key, wanted) for one in tried), default=math.inf)
+    best = min((one.least for one in tried), default=math.inf)
     for one in tried:
-        if one.track.shown is not None and one.cheapest(key, wanted) <= _WORTH * best < math.inf:
-            one.narrow(key, wanted)
-    _measure_in_turns(tried, key, wanted, allowance)
+        if one.track.shown is not None and one.least <= _WORTH * best < math.inf:
+            one.narrow()
+    _measure_in_turns(tried, allowance)
     entries = [entry for one in tried for entry in one.entries.values()]
     for family in dict.fromkeys(track.family for track in tracks):
         front = efficient([entry for entry in entries if entry.family == family], key, floor)
@@ -165,11 +167,11 @@ def measured(
 class _Tried:
     """The settings of a track that were tried: place -> entry, and what is timed."""
 
-    def __init__(self, track: Track, allowance: float) -> None:
+    def __init__(self, track: Track, key: str, wanted: float, allowance: float) -> None:
         self.track = track
         self.entries: dict[int, Entry] = {}
         self.uses: dict[int, Use] = {}
-        self._allowance = allowance
+        self._key, self._wanted, self._allowance = key, wanted, allowance
 
     def try_shown(self) -> None:
         """Try what is tried in any case, until it takes too long."""
@@ -202,10 +204,8 @@ class _Tried:
         # A repetition may take just longer than a limit that the first just kept.
         with contextlib.suppress(PloughError, RuntimeError):
             seconds = median_time(use, budget=0.1 * self._allowance, warm=True)
-        setup = max(built, first - seconds)
-        self.entries[place] = Entry(
-            track.family, track.method, track.label(setting), seconds, setup, errors, elsewhere=elsewhere
-        )
+        setup, label = max(built, first - seconds), track.label(setting)
+        self.entries[place] = Entry(track.family, track.method, label, seconds, setup, errors, elsewhere=elsewhere)
         self.uses[place] = use
         return seconds
 
@@ -213,26 +213,26 @@ class _Tried:
         track = self.track
         self.entries[place] = failure(track.family, track.method, reason, track.label(track.rungs[place]))
 
-    def reaches(self, place: int, key: str, wanted: float) -> bool:
-        """Return whether a setting that was tried reaches an error."""
-        return cheapest([self.entries[place]], key, wanted) is not None
+    @property
+    def good(self) -> dict[int, Entry]:
+        """The settings that were tried and reach the error."""
+        reached = (
+            (place, entry) for place, entry in self.entries.items() if cheapest([entry], self._key, self._wanted)
+        )
+        return dict(reached)
 
-    def cheapest(self, key: str, wanted: float) -> float:
-        """Return the least time [s] of a setting that reaches an error; infinite where none does."""
-        return min((e.seconds for p, e in self.entries.items() if self.reaches(p, key, wanted)), default=math.inf)
+    @property
+    def least(self) -> float:
+        """The least time [s] of a setting that reaches the error; infinite where none does."""
+        return min((entry.seconds for entry in self.good.values()), default=math.inf)
 
-    def coarsest(self, key: str, wanted: float) -> int | None:
-        """Return the place of the coarsest setting that was tried and reaches an error; None where none does."""
-        return min((place for place in self.entries if self.reaches(place, key, wanted)), default=None)
-
-    def narrow(self, key: str, wanted: float) -> None:
-        """Halve the settings down to a pair of neighbours of which the finer one alone reaches an error.
+    def narrow(self) -> None:
+        """Halve the settings down to a pair of neighbours of which the finer one alone reaches the error.
 
         The halving goes over all settings, so that it comes to the same pair whichever of them were tried before; what
         is finer than one that is known to reach the error is not tried, for it may take long.
         """
-        known, bad, good = self.coarsest(key, wanted), -1, len(self.track.rungs) - 1
-        assert known is not None  # what nothing reaches is not narrowed down
+        known, bad, good = min(self.good), -1, len(self.track.rungs) - 1
         while good - bad > 1:
             middle = (good + bad) // 2
             if middle >= known:
@@ -241,7 +241,7 @@ class _Tried:
             shown = middle in self.entries
             if not shown:
                 self._try(middle)
-            if self.reaches(middle, key, wanted):
+            if middle in self.good:
                 good = middle
             else:
                 bad = middle
@@ -258,37 +258,36 @@ class _Tried:
                     self.entries[place] = replace(entry, checked=seconds)
 
 
-def _measure_in_turns(tried: list[_Tried], key: str, wanted: float, allowance: float) -> None:
+def _measure_in_turns(tried: list[_Tried], allowance: float) -> None:
     """Measure again, one after the other and all of them several times, what may be the cheapest.
 
     That is of every method that was narrowed down the coarsest setting, however long it seemed to take, and what seemed
     to take hardly longer than the cheapest. The least time counts: what else the machine does only adds to it.
     """
-    best = min((one.cheapest(key, wanted) for one in tried), default=math.inf)
-    close = [
-        (one, place)
-        for one in tried
-        for place, entry in one.entries.items()
-        if one.reaches(place, key, wanted)
-        and entry.seconds <= (_WORTH if place == one.coarsest(key, wanted) else _CLOSE) * best
-    ]
-    if len(close) < 2:
+    best = min((one.least for one in tried), default=math.inf)
+    taken: dict[tuple[int, int], list[float]] = {}
+    for number, one in enumerate(tried):
+        good = one.good
+        for place, entry in good.items():
+            if entry.seconds <= (_WORTH if place == min(good) else _CLOSE) * best:
+                taken[number, place] = []
+    if len(taken) < 2:
         return
-    taken: list[list[float]] = [[] for _ in close]
     spent = 0.0
     for turn in range(_TURNS):
         if turn >= _FEWEST_TURNS and spent > _ALL_TURNS * allowance:
             break
-        for (one, place), seconds in zip(close, taken, strict=True):
-            often = max(1, math.ceil(_LEAST_TURN / max(one.entries[place].seconds, 1e-9)))
-            use, started = one.uses[place], time.process_time()
+        for (number, place), seconds in taken.items():
+            use, known = tried[number].uses[place], tried[number].entries[place].seconds
+            often, started = max(1, math.ceil(_LEAST_TURN / max(known, 1e-9))), time.process_time()
             for _ in range(often):
                 with contextlib.suppress(PloughError, RuntimeError):
                     use()
             seconds.append((time.process_time() - started) / often)
             spent += often * seconds[-1]
-    for (one, place), seconds in zip(close, taken, strict=True):
-        one.entries[place] = replace(one.entries[place], seconds=min(seconds))
+    for (number, place), seconds in taken.items():
+        entries = tried[number].entries
+        entries[place] = replace(entries[place], seconds=min(seconds))
 
 
 def _reason(error: Exception) -> str:
@@ -299,22 +298,20 @@ def _reason(error: Exception) -> str:
     return f"CasADi gave up: {lines[-1] if lines else type(error).__name__}"
 
 
-def median_time(action: Use, *, budget: float = 0.5, least: int = 3, most: int = 15, warm: bool = False) -> float:
+def median_time(action: Use, *, budget: float = 0.5, warm: bool = False) -> float:
     """Return the median processor time [s] of an action after a warm-up.
 
     Processor time is that of this process: what else the machine does meanwhile is not in it.
 
     Args:
-        action: what is timed.
-        budget: time [s] after which no repetition begins beyond the least, and after ten of which none at all.
-        least: smallest number of repetitions of an action that does not take long beside the budget; else it is one.
-        most: largest number of repetitions.
+        action: what is timed; at least thrice, if it does not take long beside the budget, and at most 15 times.
+        budget: time [s] after which no repetition begins beyond the third, and after ten of which none at all.
         warm: whether the action was done before: there is no warm-up then.
     """
     if not warm:
         action()
     seconds: list[float] = []
-    while not seconds or (len(seconds) < most and sum(seconds) < (budget if len(seconds) >= least else 10.0 * budget)):
+    while not seconds or (len(seconds) < _MOST and sum(seconds) < budget * (1.0 if len(seconds) >= _LEAST else 10.0)):
         started = time.process_time()
         action()
         seconds.append(time.process_time() - started)

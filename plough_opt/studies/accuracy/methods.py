@@ -1,4 +1,4 @@
-"""Contestants that integrate the equation of motion: every method over its settings, values and gradients."""
+"""Contestants that simulate a scene: methods over their settings, values and gradients, and models of the motion."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
@@ -9,20 +9,29 @@ import casadi as ca
 import numpy as np
 
 from plough_opt.core.compiler import find_compiler
-from plough_opt.core.errors import IntegrationError
+from plough_opt.core.errors import IntegrationError, PloughError
+from plough_opt.core.expressions import as_number
 from plough_opt.motion import Run, simulate
 from plough_opt.motion.accuracy import DEFAULT_ERROR, Accuracy
-from plough_opt.motion.assembly import assemble
+from plough_opt.motion.assembly import assemble, quasi_static
 from plough_opt.motion.compiled_steps import compiled_steps
-from plough_opt.motion.effects import StickSlip
+from plough_opt.motion.effects import HarmonicBalance, StickSlip
 from plough_opt.motion.equation import signals
 from plough_opt.motion.integrators import integration
 from plough_opt.motion.judgement import refuse_missed_event
 from plough_opt.motion.methods import METHODS, ORDER_8, adaptive, fixed_step
-from plough_opt.motion.plan import fastest_rate, most_steps, numbers_of, phase, steps_for, timeline_of, with_setting
+from plough_opt.motion.plan import (
+    fastest_rate,
+    forced_rate,
+    most_steps,
+    numbers_of,
+    phase,
+    steps_for,
+    timeline_of,
+    with_setting,
+)
 from plough_opt.motion.scene import Scene
 from plough_opt.motion.terms import Structure
-from plough_opt.motion.timeline import Timeline
 from plough_opt.studies.accuracy.contest import Entry, Track, Use, failure, measured, rungs_of
 from plough_opt.studies.accuracy.reference import AVERAGES, QUANTITIES, Reference, ReferenceGradient, errors_of
 
@@ -41,6 +50,9 @@ GRADIENT_TOLERANCES: Final = (1e-6, 1e-9)
 GRADIENT_FACTORS: Final = (0.5, 1.0, 2.0)
 """The same of derivatives."""
 
+HARMONICS: Final = (1, 3, 8, 16)
+"""Numbers of harmonics tried."""
+
 # Time [s] of one explicit step, by which hopeless ones are left out before they are tried; and how much longer a
 # gradient may be expected to take.
 _ONE_STEP = 2e-6
@@ -54,7 +66,7 @@ _TIGHTEST = 1e-12
 _PATIENCE = 20.0
 
 _Number = TypeVar("_Number", int, float)
-Prepared = tuple[Use, Callable[[], Run]]
+Errors = Callable[[Any], Mapping[str, float]]
 
 
 @dataclass(frozen=True)
@@ -92,94 +104,66 @@ class Task:
         """Return the entries of tracks that are ranked by an error."""
         return measured(tracks, key, self.wanted, self.allowance, floor=floor)
 
-    def timeline(self, accuracy: Accuracy) -> Timeline:
-        """Return the times of a run by a named method."""
-        steps = accuracy.steps or most_steps(phase(numbers_of(self.scene), self.duration))
-        return timeline_of(self.scene, self.duration, self.outputs, steps, accuracy.method)
 
-    def assembled(self, accuracy: Accuracy, timeline: Timeline, states: Any, means: Any, variances: Any) -> Run:
-        """Return a run of finite results.
+def prepared(task: Task, accuracy: Accuracy, *, compiled: bool = False) -> tuple[Use, Callable[[], Run]]:
+    """Return one integration by a named method, without the check that `simulate` adds, and the run that it gives.
 
-        Raises:
-            IntegrationError: they are not.
-        """
-        if not all(np.all(np.isfinite(part)) for part in (states, means, variances)):
-            raise IntegrationError("the result is not finite")
-        return assemble(self.scene, self.duration, timeline.output_fractions, states, means, variances, accuracy)
-
-
-def prepared(task: Task, accuracy: Accuracy) -> Prepared:
-    """Return one integration by a named method, without the check that `simulate` adds, and the run that it gives."""
-    timeline = task.timeline(accuracy)
-    solver = integration(Structure.of(task.scene), accuracy, timeline)
-    known = numbers_of(task.scene)
-    p = ca.DM([*(known[name] for name in solver.names), task.duration])
-
-    def once() -> list[ca.DM]:
-        found: list[ca.DM] = solver.function.call([p])
-        return found
+    Args:
+        task: the task.
+        accuracy: the method and its setting.
+        compiled: whether to take steps of order 8 in machine code.
+    """
+    scene, structure, known = task.scene, Structure.of(task.scene), numbers_of(task.scene)
+    steps = accuracy.steps or most_steps(phase(known, task.duration))
+    timeline = timeline_of(scene, task.duration, task.outputs, steps, accuracy.method)
+    code = compiled_steps(structure) if compiled else None
+    once: Use
+    if code is not None:
+        once = partial(code, timeline, [*(known[name] for name in signals(structure).parameters), task.duration])
+    else:
+        solver = integration(structure, accuracy, timeline)
+        once = partial(solver.function.call, [ca.DM([*(known[name] for name in solver.names), task.duration])])
 
     def run() -> Run:
-        states, means, variances = (np.asarray(result) for result in once())
-        found = task.assembled(accuracy, timeline, states.T, means.ravel(), variances.ravel())
-        if isinstance(task.scene.effects.contact, StickSlip):
+        results: Any = once()
+        if results is None or not all(np.all(np.isfinite(np.asarray(part))) for part in results):
+            raise IntegrationError("the result is not finite")
+        states, means, variances = map(np.asarray, results)
+        states = states.T if code is None else states
+        fractions = timeline.output_fractions
+        found = assemble(scene, task.duration, fractions, states, means.ravel(), variances.ravel(), accuracy)
+        if isinstance(scene.effects.contact, StickSlip):
             refuse_missed_event(found)
         return found
 
     return once, run
 
 
-def _in_machine_code(task: Task, accuracy: Accuracy) -> Prepared:
-    """Return the same by steps of order 8 in machine code."""
+def integrators(task: Task, reference: Reference) -> list[Entry]:
+    """Return every method that can integrate the scene over its settings, and steps of order 8 in machine code."""
+    able, refused = _by_ability(task.scene)
+    families: list[tuple[str, str, dict[str, str], bool]] = [("integrator", AUTO, {m: m for m in able}, False)]
     structure = Structure.of(task.scene)
-    code, timeline, known = compiled_steps(structure), task.timeline(accuracy), numbers_of(task.scene)
-    assert code is not None  # else it takes no part
-    p = [*(known[name] for name in signals(structure).parameters), task.duration]
+    if structure.stepped and find_compiler() is not None and compiled_steps(structure) is not None:
+        families.append((MACHINE_CODE, COMPILED, {BARE: "dop853"}, True))
+    errors = partial(errors_of, reference=reference.run)
+    entries = []
+    for family, auto, names, compiled in families:
+        simulated = partial(_simulated, task, compiled=compiled)
+        once = partial(prepared, task, compiled=compiled)
+        tracks = [Track(family, auto, simulated, errors, automatic_settings(task), label=text, patience=_patience)]
+        tracks += [_track(task, family, m, once, errors, name=name, check=simulated) for name, m in names.items()]
+        entries += task.ranked(tracks, "averages", reference.errors["averages"])
+    return entries + [failure("integrator", method, reason) for method, reason in refused.items()]
 
-    def once() -> tuple[Any, ...]:
-        found = code(timeline, p)
-        if found is None:
-            raise IntegrationError("the result is not finite")
-        return found
 
-    return once, lambda: task.assembled(accuracy, timeline, *once())
-
-
-def simulated(task: Task, accuracy: Accuracy, *, compiled: bool = False) -> Callable[[], Run]:
+def _simulated(task: Task, accuracy: Accuracy, *, compiled: bool) -> Callable[[], Run]:
     """Return the use of `simulate`, which checks itself."""
     return partial(simulate, task.scene, task.given, accuracy=accuracy, outputs=task.outputs, compiled=compiled)
 
 
-def integrators(task: Task, reference: Reference) -> list[Entry]:
-    """Return every method that can integrate the scene over its settings, and steps of order 8 in machine code."""
-
-    def errors(run: Run) -> Mapping[str, float]:
-        return errors_of(run, reference.run)
-
-    def automatic(family: str, name: str, *, compiled: bool) -> Track:
-        return Track(
-            family, name, partial(simulated, task, compiled=compiled), errors, automatic_settings(task), label=text,
-            patience=lambda accuracy: _PATIENCE if accuracy.error == DEFAULT_ERROR else 1.0,
-        )  # fmt: skip
-
-    def named(family: str, name: str, method: str, prepare: Callable[[Task, Accuracy], Prepared]) -> Track:
-        check = partial(simulated, task, compiled=family == MACHINE_CODE)
-        return _track(task, family, method, partial(prepare, task), errors, name=name, check=check)
-
-    families = [[automatic("integrator", AUTO, compiled=False)]]
-    refused = []
-    for method in (*fixed_step(), *adaptive()):
-        if reason := refusal(task.scene, method):
-            refused.append(failure("integrator", method, reason))
-        else:
-            families[0].append(named("integrator", method, method, prepared))
-    structure = Structure.of(task.scene)
-    if structure.stepped and find_compiler() is not None and compiled_steps(structure) is not None:
-        bare = named(MACHINE_CODE, BARE, "dop853", _in_machine_code)
-        families.append([automatic(MACHINE_CODE, COMPILED, compiled=True), bare])
-    floor = reference.errors["averages"]
-    found = [task.ranked(tracks, "averages", floor) for tracks in families]
-    return [*found[0], *refused, *(entry for entries in found[1:] for entry in entries)]
+def _patience(accuracy: Accuracy) -> float:
+    return _PATIENCE if accuracy.error == DEFAULT_ERROR else 1.0
 
 
 def gradients(task: Task, reference: ReferenceGradient) -> list[Entry]:
@@ -189,8 +173,7 @@ def gradients(task: Task, reference: ReferenceGradient) -> list[Entry]:
     def prepare(accuracy: Accuracy) -> tuple[Use, Callable[[], Any]]:
         x = ca.MX.sym("x", len(QUANTITIES))
         varied: dict[str, Any] = dict(zip(QUANTITIES, ca.vertsplit(x), strict=True))
-        scene = replace(task.scene, **varied)
-        run = simulate(scene, task.given, accuracy=accuracy, outputs=1)
+        run = simulate(replace(task.scene, **varied), task.given, accuracy=accuracy, outputs=1)
         averages = ca.vertcat(*(getattr(run, name) for name in AVERAGES))
         function = ca.Function("gradient", [x], [ca.densify(ca.jacobian(averages, x))])
 
@@ -209,9 +192,8 @@ def gradients(task: Task, reference: ReferenceGradient) -> list[Entry]:
         return {"gradient": float(np.max(wrong)), **{f"gradient of {name}": float(w) for name, w in own}}
 
     tracks = [Track("derivatives", AUTO, prepare, errors, (Accuracy(),), label=text)]
-    for method in (*fixed_step(), *adaptive()):
-        if not refusal(task.scene, method):
-            tracks.append(_track(replace(task, outputs=1), "derivatives", method, prepare, errors, slower=_GRADIENT))
+    single = replace(task, outputs=1)
+    tracks += [_track(single, "derivatives", method, prepare, errors) for method in _by_ability(task.scene)[0]]
     return task.ranked(tracks, "gradient")
 
 
@@ -219,24 +201,33 @@ def _track(
     task: Task,
     family: str,
     method: str,
-    prepare: Callable[[Accuracy], tuple[Use, Callable[[], Any]]],
-    errors: Callable[[Any], Mapping[str, float]],
+    prepare: Callable[[Accuracy], Any],
+    errors: Errors,
     *,
     name: str = "",
-    slower: float = 1.0,
     check: Callable[[Any], Use] | None = None,
 ) -> Track:
     """Return a named method over its settings."""
-    rungs, shown = settings_of(task, method, gradient=family == "derivatives")
-    return Track(
-        family, name or method, prepare, errors, rungs, shown, text,
-        least=lambda accuracy: slower * hopeless(task, accuracy), check=check,
-    )  # fmt: skip
+    derivatives = family == "derivatives"
+    rungs, shown = settings_of(task, method, gradient=derivatives)
+    least = partial(_least_time, task, slower=_GRADIENT if derivatives else 1.0)
+    return Track(family, name or method, prepare, errors, rungs, shown, text, least=least, check=check)
 
 
-def refusal(scene: Scene, method: str) -> str:
-    """Return why a method cannot do a scene, or nothing."""
-    return refused(method, orbits=scene.effects.orbit != "transient", events=scene.effects.events)
+def _least_time(task: Task, accuracy: Accuracy, *, slower: float) -> float:
+    """Return the time [s] that a method needs at the very least, by its number of steps."""
+    steps: float = accuracy.steps or 0
+    if accuracy.method == "erk":
+        # Stability holds the steps of an explicit method to the fastest oscillation, whether or not it swings.
+        steps = fastest_rate(numbers_of(task.scene)) * task.duration / _PHASE_OF_A_STEP
+    return slower * steps * _ONE_STEP
+
+
+def _by_ability(scene: Scene) -> tuple[list[str], dict[str, str]]:
+    """Return the methods that can do a scene, and of the others why not."""
+    orbits, events = scene.effects.orbit != "transient", scene.effects.events
+    found = {method: refused(method, orbits=orbits, events=events) for method in (*fixed_step(), *adaptive())}
+    return [method for method, why in found.items() if not why], {method: why for method, why in found.items() if why}
 
 
 def refused(method: str, *, orbits: bool, events: bool) -> str:
@@ -282,11 +273,74 @@ def text(accuracy: Accuracy) -> str:
     return f"{accuracy.steps} steps" if accuracy.steps else f"tolerance {accuracy.tolerance:.0e}"
 
 
-def hopeless(task: Task, accuracy: Accuracy) -> float:
-    """Return the time [s] that a method needs at the very least, by its number of steps."""
-    if accuracy.steps is not None:
-        return accuracy.steps * _ONE_STEP
-    if accuracy.method == "erk":
-        # Stability holds the steps of an explicit method to the fastest oscillation, whether or not it swings.
-        return fastest_rate(numbers_of(task.scene)) * task.duration / _PHASE_OF_A_STEP * _ONE_STEP
-    return 0.0
+# --- models, which leave something of the motion out ---
+
+
+def lasting_orbit(scene: Scene) -> Scene | None:
+    """Return the scene of the lasting orbit of a scene with one strength wave, or None where it can have none."""
+    effects = scene.effects
+    if len(effects.waves) != 1 or not effects.motion:
+        return None
+    try:
+        return replace(scene, effects=replace(effects, orbit="periodic", start="equilibrium", tow_ramp=None))
+    except PloughError:
+        return None
+
+
+def models(task: Task, motion: Reference | None, lasting: Reference | None) -> list[Entry]:
+    """Return the models; errors called "lasting ..." are those from the averages of the lasting orbit.
+
+    Args:
+        task: the scene, and how long.
+        motion: the scene's own motion, or None if there is no reference of it.
+        lasting: the lasting orbit that the scene's motion may tend to, or None.
+    """
+
+    def errors(found: Run) -> Mapping[str, float]:
+        return _errors("", found, motion) | _errors("lasting ", found, lasting)
+
+    tracks, entries = [Track("model", "quasi-static", lambda _: _quasi_static(task), errors)], []
+    if task.scene.effects.entry:
+        entries = [failure("model", tracks.pop().method, "has a share that is wholly buried, and so no entry")]
+    transient, orbit = task.scene.effects.orbit == "transient", lasting_orbit(task.scene)
+    if orbit is not None and not (transient and lasting is None):
+        around = replace(task, scene=orbit, duration=float(as_number(orbit.wave_period)))
+        rungs, shown = settings_of(around, "dop853")
+
+        def stand_in(kind: Any) -> tuple[Use, Callable[[], Run]]:
+            scene = replace(orbit, effects=replace(orbit.effects, orbit=kind))
+            return prepared(replace(around, scene=scene), rungs[-1])
+
+        balances = tuple(map(HarmonicBalance, range(1, HARMONICS[-1] + 1)))
+        chosen = tuple(count - 1 for count in task.some(HARMONICS))
+        tracks.append(Track("model", "linearised", lambda _: stand_in("linearised"), errors))
+        tracks.append(Track("model", "harmonic balance", stand_in, errors, balances, chosen, _counted))
+        if transient:
+            tracks.append(Track("model", "lasting orbit", partial(prepared, around), errors, rungs, shown, text))
+    return entries + task.ranked(tracks, "lasting averages" if transient else "averages")
+
+
+def _counted(balance: HarmonicBalance) -> str:
+    return f"{balance.harmonics} harmonic{'s' * (balance.harmonics > 1)}"
+
+
+def _quasi_static(task: Task) -> Callable[[], Run]:
+    """Return the quasi-static limit of a scene, over the same time."""
+    effects = replace(
+        task.scene.effects, motion=False, start="equilibrium", damping=None, contact="resisting", orbit="transient"
+    )
+    scene = replace(task.scene, effects=effects)
+    steps = steps_for(forced_rate(numbers_of(scene)) * task.duration)
+    timeline = timeline_of(scene, task.duration, task.outputs, steps)
+    return partial(quasi_static, scene, task.duration, timeline, Accuracy())
+
+
+def _errors(prefix: str, found: Run, reference: Reference | None) -> dict[str, float]:
+    """Return the errors from a reference; mount forces are compared where the outputs are the same times."""
+    if reference is None:
+        return {}
+    truth = reference.run
+    same = len(found.time) == len(truth.time) and abs(found.time[-1] - truth.time[-1]) < 1e-9
+    own = errors_of(found, truth)
+    names = own if same else ("averages", "mean draft", "RMS")
+    return {prefix + name: own[name] for name in names}

@@ -9,6 +9,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import as_number
 from plough_opt.laws.forces import soil_reaction
 from plough_opt.laws.law import SoilReaction
@@ -16,12 +17,13 @@ from plough_opt.motion import Run
 from plough_opt.motion.accuracy import Accuracy
 from plough_opt.motion.assembly import quasi_static
 from plough_opt.motion.plan import forced_rate, numbers_of, steps_for, timeline_of
-from plough_opt.soil import elastic
+from plough_opt.soil import elastic, plastic
+from plough_opt.soil.geometry import Cone
+from plough_opt.soil.soil import Soil
 from plough_opt.studies.accuracy.contest import Entry, Track
 from plough_opt.studies.accuracy.methods import Task
-from plough_opt.studies.accuracy.profile_reference import WideReaction, profile_reaction
 from plough_opt.studies.accuracy.reference import errors_of
-from plough_opt.studies.accuracy.wide import EPS
+from plough_opt.studies.accuracy.wide import EPS, PI, WIDE, Wide, gauss
 
 ORDERS: Final = (2, 4, 8, 16, 32, 64)
 """Orders of a density profile's quadrature that are tried."""
@@ -38,6 +40,9 @@ FINER: Final = ((17, 3), (13, 2))
 NODES: Final = (4, 16, 64, 256)
 """Gauss-Legendre points on the whole face of an elastic contact that are tried."""
 
+_NEWTON: Final = 5
+"""Steps of Newton's method to the front."""
+
 Found = tuple[list[Entry], float]
 """Entries of one kind of quadrature, and the relative error [-] of their reference."""
 
@@ -52,7 +57,7 @@ def density_profile(task: Task) -> Found:
 
     exact, check = (profile_reaction(scene.cone, scene.soil, *panels) for panels in PANELS)
 
-    def errors(found: SoilReaction | WideReaction) -> dict[str, float]:
+    def errors(found: SoilReaction) -> dict[str, float]:
         names = {"static resistance": "static", "drag": "drag", "added mass": "added_mass"}
         apart = {
             name: float(abs(getattr(found, key) - getattr(exact, key)) / abs(getattr(exact, key)))
@@ -137,3 +142,90 @@ def _edges(total: Callable[[NDArray[np.float64]], NDArray[np.float64]], height: 
         for k in np.flatnonzero(values[:-1] * values[1:] < 0.0)
     ]
     return [0.0, *places, height]
+
+
+def profile_reaction(cone: Cone, soil: Soil, panels: int, count: int) -> SoilReaction:
+    """Return what the soil's density profile adds up to, in the widest floats.
+
+    Equations (14) to (24) are taken as they stand. The quadratures of `soil.plastic` and `laws.forces` are nested Gauss
+    rules in variables of their own. Here psi is an integral of its own for every radius, the front its root, and what
+    remains are integrals over the particles s and over the cone's face x, all by Gauss's rule in several panels.
+
+    Args:
+        cone: numeric.
+        soil: numeric, with a density profile.
+        panels: of every integral.
+        count: points of Gauss's rule in each panel.
+
+    Raises:
+        InputError: a profile that takes no wide floats.
+    """
+    height, slope, friction, density = (
+        WIDE(float(as_number(value))) for value in (cone.height, cone.slope, soil.tool_friction, soil.density)
+    )
+    profile = soil.density_profile
+    assert profile is not None
+
+    def ratio(r: Wide) -> Wide:
+        try:
+            found = np.asarray(profile.at(r), WIDE)
+        except (TypeError, NotImplementedError, AttributeError) as error:
+            raise InputError(f"the density profile takes no wide floats: {error}") from None
+        return density / (found.reshape(r.shape) if found.size == r.size else found + 0 * r)
+
+    parts, weights = _panels(WIDE(1), panels, count)
+
+    def psi(r: Wide) -> Wide:
+        s = r[..., None] * parts
+        return r * ((ratio(s) * s) @ weights)
+
+    points, shares = height * parts, height * weights
+    radius = points * slope
+    # Newton's method gives radii beside the front's all their digits.
+    cavities = (plastic.Cavity(float(r), 0.0, 0.0) for r in radius)
+    front = np.array([float(as_number(plastic.front_radius(cavity, soil))) for cavity in cavities], WIDE)
+    for _ in range(_NEWTON):
+        front = front - (front**2 - 2 * psi(front) - radius**2) / (2 * front * (1 - ratio(front)))
+    s = front[:, None] * parts
+    y = np.sqrt(radius[:, None] ** 2 + 2 * psi(s))
+    strength, rate, inertia = _wall(soil, radius, front, 1 - ratio(front), (s, y, weights))
+    face = 2 * PI * slope * (slope + friction)
+    return SoilReaction(
+        static=face * (shares @ (points * strength)),
+        drag=face * slope**2 * density * (shares @ (points * rate)),
+        added_mass=face * slope**2 * density * (shares @ (points**2 * inertia)),
+    )
+
+
+def _panels(end: Wide, panels: int, count: int) -> tuple[Wide, Wide]:
+    """Return Gauss points from 0 to an end, in panels, and their weights."""
+    nodes, weights = gauss(count)
+    half = end / panels / 2
+    return ((2 * np.arange(panels)[:, None] + nodes + 1) * half).ravel(), np.tile(weights * half, panels)
+
+
+def _wall(
+    soil: Soil, radius: Wide, front: Wide, jump: Wide, particles: tuple[Wide, Wide, Wide]
+) -> tuple[Wide, Wide, Wide]:
+    """Return the wall's gauge pressure at rest [Pa], and its coefficients of rho0 R'^2 and rho0 R R''.
+
+    Args:
+        soil: numeric.
+        radius: R of the wall, for each point of the face [m].
+        front: radius of the front there [m].
+        jump: 1 - b at the front.
+        particles: where they began s and where they are y, a row for each wall [m]; weights of their integral.
+    """
+    angle, cohesion, ambient = (
+        WIDE(float(as_number(value))) for value in (soil.friction_angle, soil.cohesion, soil.ambient_pressure)
+    )
+    mu = np.sin(angle)
+    nu, tau = 2 * mu / (1 + mu), 2 * cohesion * np.cos(angle)
+    log = np.log(front / radius)
+    growth = np.expm1(nu * log) / nu if nu > 0 else log
+    s, y, weights = particles
+    share = (y / radius[:, None]) ** nu * s / y**2 * front[:, None]
+    inertia = share @ weights
+    slowing = (share * (radius[:, None] / y) ** 2) @ weights
+    driven = np.exp(nu * log) * (radius / front) ** 2 / jump
+    return growth * (nu * ambient + tau / (1 + mu)), driven + inertia - slowing, inertia

@@ -1,9 +1,9 @@
 """References that take no part in a contest: a motion in the widest floats, and the gradient of its averages."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import Any, Final, Protocol
+from typing import Any, Final
 
 import numpy as np
 
@@ -28,41 +28,25 @@ AVERAGES: Final = ("mean_draft", "force_rms")
 _WEIGHTS: Final = (WIDE(4) / 5, -WIDE(1) / 5, WIDE(4) / 105, -WIDE(1) / 280)
 
 
-class Response(Protocol):
-    """Results that method and reference have in common: averages, and the mount force at the outputs."""
-
-    @property
-    def mean_draft(self) -> Any:
-        """Mean of the mount force [N]."""
-
-    @property
-    def force_rms(self) -> Any:
-        """RMS of the mount force about its mean [N]."""
-
-    @property
-    def mount_force(self) -> Any:
-        """Mount force at the output times [N]."""
-
-
-def errors_of(found: Response, reference: Response) -> dict[str, float]:
+def errors_of(found: Any, reference: Any) -> dict[str, float]:
     """Return the relative errors [-] of averages and mount force.
 
     Mean draft and RMS count relative to the larger of the two, mount forces relative to the largest of them.
     ``"averages"`` is the larger of the first two.
+
+    Args:
+        found: a run, or what else has ``mean_draft``, ``force_rms`` and ``mount_force`` [N], the last at the outputs.
+        reference: the like, at the same outputs.
     """
     size = max(abs(reference.mean_draft), reference.force_rms)
-    peak = np.max(np.abs(reference.mount_force))
     averages = {
         "mean draft": _over(abs(found.mean_draft - reference.mean_draft), size),
         "RMS": _over(abs(found.force_rms - reference.force_rms), size),
     }
+    peak = np.max(np.abs(reference.mount_force))
     wrong = np.abs(np.asarray(found.mount_force) - reference.mount_force)
-    return {
-        "averages": max(averages.values()),
-        **averages,
-        "last force": _over(wrong[-1], peak),
-        "trajectory": _over(np.max(wrong), peak),
-    }
+    forces = {"last force": _over(wrong[-1], peak), "trajectory": _over(np.max(wrong), peak)}
+    return {"averages": max(averages.values()), **averages, **forces}
 
 
 def _over(difference: Any, size: Any) -> float:
@@ -102,26 +86,21 @@ def reference_run(scene: Scene, duration: float | None = None, *, outputs: int =
         InputError: a scene of which there is no reference; the message says why.
         IntegrationError: the motion could not be followed.
     """
-    guess = _guess(scene, duration)
-    found, check = (_followed(Motion(scene), duration, guess, outputs, degree) for degree in (DEGREE, CHECK_DEGREE))
+    followed = _way(scene, duration)
+    found, check = (followed(scene, outputs, degree) for degree in (DEGREE, CHECK_DEGREE))
     run = found.run()
     errors = {name: max(float(EPS), error) for name, error in errors_of(check.run(), run).items()}
-    return Reference(run, tuple(found.events), errors)
+    return Reference(run, found.events, errors)
 
 
-def _guess(scene: Scene, duration: float | None) -> Wide | None:
-    """Return a state beside the lasting orbit of a scene that asks for that, or None."""
+def _way(scene: Scene, duration: float | None) -> Callable[[Scene, int, int], Followed]:
+    """Return (a scene, outputs, degree) -> its motion, or for scenes that ask for it the lasting orbit."""
     if scene.effects.motion and scene.effects.orbit == "periodic":
-        return beside_orbit(scene)
+        guess = beside_orbit(scene)
+        return lambda own, outputs, degree: orbit(Motion(own), guess, outputs, degree)
     if scene.effects.orbit == "transient" and duration is None:
         raise InputError("the duration is missing: how long shall the reference be, in seconds?")
-    return None
-
-
-def _followed(motion: Motion, duration: float | None, guess: Wide | None, outputs: int, degree: int) -> Followed:
-    if guess is not None:
-        return orbit(motion, guess, outputs, degree)
-    return follow(motion, WIDE(duration), outputs, degree)
+    return lambda own, outputs, degree: follow(Motion(own), WIDE(duration), outputs, degree)
 
 
 @dataclass(frozen=True)
@@ -150,11 +129,11 @@ def reference_gradient(scene: Scene, duration: float | None) -> ReferenceGradien
         InputError: as `reference_run`.
         IntegrationError: as `reference_run`, or no steps over which the events stay the same ones.
     """
-    guess = _guess(scene, duration)
+    followed = _way(scene, duration)
 
     def averages(name: str, factor: Wide) -> tuple[Wide, list[str]]:
         varied = replace(scene, **{name: WIDE(getattr(scene, name)) * factor})
-        found = _followed(Motion(varied), duration, guess, 1, DEGREE)
+        found = followed(varied, 1, DEGREE)
         run = found.run()
         return np.array([getattr(run, average) for average in AVERAGES]), [event for _, event in found.events]
 

@@ -13,7 +13,6 @@ from plough_opt.core.tables import Column, Grid, Page, Part, data_frame
 from plough_opt.studies.accuracy.contest import Entry, cheapest, duration_text, efficient
 from plough_opt.studies.accuracy.methods import AUTO, COMPILED, MACHINE_CODE, error_text
 from plough_opt.studies.accuracy.optimum import REPORTED, REQUIREMENTS, TRUE, VARIABLES
-from plough_opt.studies.accuracy.thoroughness import Thoroughness
 
 if TYPE_CHECKING:
     import pandas
@@ -56,6 +55,25 @@ class Question:
     columns: Mapping[str, str]
     ranked: str = ""
     default: tuple[str, str] = ("", "")
+
+
+@dataclass(frozen=True)
+class Thoroughness:
+    """Cost of a thorough search: how often one effort finds the best optimum of a design, against its time.
+
+    Attributes:
+        search: as `plough_opt.Design.solve` takes it.
+        designs: tried, the median over the seeds.
+        asked: how many searches with seeds of their own were made.
+        right: how many of them came to the best that any search of the study found.
+        seconds: median time of one [s].
+    """
+
+    search: str
+    designs: int
+    asked: int
+    right: int
+    seconds: float
 
 
 @dataclass(frozen=True, repr=False)

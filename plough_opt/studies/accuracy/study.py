@@ -1,11 +1,13 @@
 """Time that accuracy costs, for a scene or a design: the efficient methods, and which one to choose."""
 
 import platform
+import time
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from importlib.metadata import version
-from typing import TypeVar
+from statistics import median
+from typing import Final, TypeVar
 
 from plough_opt.core.checks import (
     check_callable,
@@ -16,22 +18,22 @@ from plough_opt.core.checks import (
     plain_number,
     shown,
 )
-from plough_opt.core.errors import InputError, PloughError
+from plough_opt.core.errors import InfeasibleDesign, InputError, NotConverged, PloughError
 from plough_opt.core.expressions import as_number, holds_casadi, is_count, map_expressions
 from plough_opt.core.kept import versions
 from plough_opt.core.process import available
 from plough_opt.core.quantities import BESIDE
-from plough_opt.design import Design
+from plough_opt.design import Design, Optimum
+from plough_opt.design.effort import Search
 from plough_opt.laws.cones import ElasticMedium
 from plough_opt.laws.forces import PlasticGas
 from plough_opt.motion.accuracy import DEFAULT_ERROR
 from plough_opt.motion.plan import MOST_OUTPUTS, forced_rate, numbers_of, steps_for
 from plough_opt.motion.scene import Scene
 from plough_opt.studies.accuracy.contest import Entry, Progress
-from plough_opt.studies.accuracy.methods import Task, gradients, integrators
-from plough_opt.studies.accuracy.models import lasting_orbit, models
+from plough_opt.studies.accuracy.methods import Task, gradients, integrators, lasting_orbit, models
 from plough_opt.studies.accuracy.optimum import GRADIENT, VARIABLES, design_contest
-from plough_opt.studies.accuracy.quadratures import Found, density_profile, elastic_contact, quasi_static_course
+from plough_opt.studies.accuracy.quadratures import density_profile, elastic_contact, quasi_static_course
 from plough_opt.studies.accuracy.reference import Reference, reference_gradient, reference_run
 from plough_opt.studies.accuracy.result import (
     CONTACT,
@@ -42,8 +44,8 @@ from plough_opt.studies.accuracy.result import (
     OPTIMUM,
     PROFILE,
     AccuracyStudy,
+    Thoroughness,
 )
-from plough_opt.studies.accuracy.thoroughness import thoroughness
 from plough_opt.studies.accuracy.wide import WIDER
 
 OUTPUTS = 40
@@ -51,6 +53,13 @@ OUTPUTS = 40
 
 ALLOWANCE = 1.0
 """Default time [s] that one use of a contestant may take."""
+
+# From the basin of the guess to four times the default search.
+_EFFORTS: Final[tuple[Search, ...]] = ("near", 250, 1000, "auto", "thorough")
+# Seeds of the samples; a thin study takes fewer.
+_SEEDS, _THIN_SEEDS = 8, 3
+# Judged values that differ by less are of the same optimum: they are medians of rough runs.
+_SAME = 1e-5
 
 _T = TypeVar("_T")
 
@@ -107,16 +116,16 @@ def study_accuracy(
     if duration is None:
         raise InputError("the duration is missing: how long shall the scene be simulated, in seconds?")
     duration = plain_number("duration", BESIDE["scene.duration"].read(duration))
-    collected = _Collected(Task(scene, float(duration), int(outputs), float(allowance), thin, wanted))
-    collected.fill(progress or (lambda _stage, _part: None), derivatives=derivatives)
+    task = Task(scene, float(duration), int(outputs), float(allowance), thin, wanted)
+    entries, floors, notes = _contests(task, progress or (lambda _stage, _part: None), derivatives=derivatives)
     return AccuracyStudy(
         title=title,
-        duration=collected.task.duration,
+        duration=task.duration,
         wanted=wanted,
-        entries=tuple(collected.entries),
-        floors=collected.floors,
-        notes=tuple(collected.notes),
-        defaults=_defaults(collected.task),
+        entries=tuple(entries),
+        floors=floors,
+        notes=tuple(notes),
+        defaults=_defaults(task),
         versions=_versions(),
     )
 
@@ -174,78 +183,114 @@ def study_design(
         floors={OPTIMUM: found.optima[0].floor, f"{OPTIMUM}, {VARIABLES}": found.optima[0].off},
         defaults={OPTIMUM: ours[0]},
         versions=_versions(),
-        thoroughness=thoroughness(design, limit=limit, thin=thin, progress=progress),
+        thoroughness=_thoroughness(design, limit=limit, thin=thin, progress=progress),
     )
 
 
-class _Collected:
-    """Entries, errors of references, and notes on what has none, as they come in."""
+def _contests(task: Task, progress: Progress, *, derivatives: bool) -> tuple[list[Entry], dict[str, float], list[str]]:
+    """Measure every contestant that can do the scene, against references that take no part.
 
-    def __init__(self, task: Task) -> None:
-        self.task = task
-        self.entries: list[Entry] = []
-        self.floors: dict[str, float] = {}
-        self.notes: list[str] = []
+    Returns:
+        Entries, errors of the references by name, and notes on what has no reference.
+    """
+    scene, entries, floors, notes = task.scene, list[Entry](), dict[str, float](), list[str]()
 
-    def fill(self, progress: Progress, *, derivatives: bool) -> None:
-        """Measure every contestant that can do the scene, against references that take no part."""
-        task, scene = self.task, self.task.scene
-        if scene.effects.motion:
-            progress("following the reference", 0.0)
-            self._motion(progress)
-            if derivatives:
-                progress("derivatives", 0.6)
-                self._derivatives()
-            if not WIDER:
-                self.notes.append("this machine has no floats wider than a double: the references are no better")
-        elif isinstance(scene.law, ElasticMedium):
-            self._quadrature(CONTACT, partial(elastic_contact, task))
-        else:
-            self._quadrature(COURSE, partial(quasi_static_course, task))
-        if scene.soil.density_profile is not None and isinstance(scene.law, PlasticGas):
-            progress("quadratures", 0.9)
-            self._quadrature(PROFILE, partial(density_profile, task))
-
-    def _motion(self, progress: Progress) -> None:
-        """Measure integrators and models."""
-        scene, outputs = self.task.scene, self.task.outputs
-        around = lasting_orbit(scene)
-        own = self._reference(MOTION, partial(reference_run, scene, self.task.given, outputs=outputs))
-        lasting = None
-        if scene.effects.orbit == "transient" and around is not None:
-            lasting = self._reference(LASTING, partial(reference_run, around, outputs=outputs))
-        if own is not None:
-            progress("integrators", 0.1)
-            self.entries += integrators(self.task, own)
-        if own is not None or lasting is not None:
-            progress("models", 0.5)
-            self.entries += models(self.task, own, lasting)
-
-    def _derivatives(self) -> None:
-        reference = self._noted(DERIVATIVES, partial(reference_gradient, self.task.scene, self.task.given))
-        if reference is not None:
-            self.floors[DERIVATIVES] = reference.error
-            self.entries += gradients(self.task, reference)
-
-    def _reference(self, name: str, find: Callable[[], Reference]) -> Reference | None:
-        found = self._noted(name, find)
-        if found is not None:
-            self.floors |= {name: found.errors["averages"], f"{name}, trajectory": found.errors["trajectory"]}
-        return found
-
-    def _quadrature(self, name: str, measure: Callable[[], Found]) -> None:
-        found = self._noted(name, measure)
-        if found is not None:
-            entries, self.floors[name] = found
-            self.entries += entries
-
-    def _noted(self, name: str, find: Callable[[], _T]) -> _T | None:
-        """Return what is found, or None and a note that says why there is none."""
+    def found(name: str, find: Callable[[], _T]) -> _T | None:
         try:
             return find()
         except PloughError as error:
-            self.notes.append(f"no reference of the {name}: {error}")
+            notes.append(f"no reference of the {name}: {error}")
             return None
+
+    def reference(name: str, of: Scene, duration: float | None) -> Reference | None:
+        run = found(name, partial(reference_run, of, duration, outputs=task.outputs))
+        if run is not None:
+            floors.update({name: run.errors["averages"], f"{name}, trajectory": run.errors["trajectory"]})
+        return run
+
+    if scene.effects.motion:
+        progress("following the reference", 0.0)
+        own, around = reference(MOTION, scene, task.given), lasting_orbit(scene)
+        transient = scene.effects.orbit == "transient"
+        lasting = reference(LASTING, around, None) if transient and around is not None else None
+        if own is not None:
+            progress("integrators", 0.1)
+            entries += integrators(task, own)
+        if own is not None or lasting is not None:
+            progress("models", 0.5)
+            entries += models(task, own, lasting)
+        if derivatives:
+            progress("derivatives", 0.6)
+            gradient = found(DERIVATIVES, partial(reference_gradient, scene, task.given))
+            if gradient is not None:
+                floors[DERIVATIVES] = gradient.error
+                entries += gradients(task, gradient)
+        if not WIDER:
+            notes.append("this machine has no floats wider than a double: the references are no better")
+    quadratures = {
+        COURSE: (quasi_static_course, not scene.effects.motion and not isinstance(scene.law, ElasticMedium)),
+        CONTACT: (elastic_contact, not scene.effects.motion and isinstance(scene.law, ElasticMedium)),
+        PROFILE: (density_profile, scene.soil.density_profile is not None and isinstance(scene.law, PlasticGas)),
+    }
+    progress("quadratures", 0.9)
+    for name, (measure, takes_part) in quadratures.items():
+        result = found(name, partial(measure, task)) if takes_part else None
+        if result is not None:
+            entries += result[0]
+            floors[name] = result[1]
+    return entries, floors, notes
+
+
+def _thoroughness(design: Design, *, limit: float, thin: bool, progress: Progress | None) -> tuple[Thoroughness, ...]:
+    """Return what each effort finds of a design, and in what time.
+
+    "Right" is the best that any of the searches found: there is no other truth of a design of one's own.
+
+    Args:
+        design: with something to minimise.
+        limit: time of one search [s] above which an effort is tried with one seed only, and a larger one not at all.
+        thin: take fewer seeds.
+        progress: called with the present step in words, and the part done.
+
+    Raises:
+        InfeasibleDesign: no search found a design that meets the requirements.
+    """
+    design.solve(search="near")  # builds what all searches share
+    found: dict[Search, list[tuple[Optimum | None, float]]] = {}
+    for number, search in enumerate(_EFFORTS):
+        if progress is not None:
+            progress(f"searching: {search}", number / len(_EFFORTS))
+        runs = found[search] = [_solved(design, search, 0)]
+        too_long = runs[0][1] > limit
+        seeds = 1 if search == "near" or too_long else _THIN_SEEDS if thin else _SEEDS
+        runs += [_solved(design, search, seed) for seed in range(1, seeds)]
+        if too_long:
+            break
+    best = min(_judged(one) for runs in found.values() for one, _ in runs if one is not None)
+    return tuple(
+        Thoroughness(
+            search=f"{search} designs" if isinstance(search, int) else str(search),
+            designs=int(median([one.search.designs for one, _ in runs if one and one.search] or [0])),
+            asked=len(runs),
+            right=sum(one is not None and _judged(one) <= best + _SAME * abs(best) for one, _ in runs),
+            seconds=median(seconds for _, seconds in runs),
+        )
+        for search, runs in found.items()
+    )
+
+
+def _solved(design: Design, search: Search, seed: int) -> tuple[Optimum | None, float]:
+    """Return what a search finds, or None, and its time [s]."""
+    began = time.perf_counter()
+    try:
+        best = design.solve(search=search, seed=seed)
+    except (InfeasibleDesign, NotConverged):
+        return None, time.perf_counter() - began
+    return best, time.perf_counter() - began
+
+
+def _judged(best: Optimum) -> float:
+    return best.objective if best.spread is None else best.spread.median
 
 
 def _defaults(task: Task) -> dict[str, tuple[str, str]]:

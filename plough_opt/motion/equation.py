@@ -13,7 +13,6 @@ import casadi as ca
 
 from plough_opt.core.expressions import Column, Expression, stacked, where
 from plough_opt.motion import terms
-from plough_opt.motion.effects import Strut
 from plough_opt.motion.effects.term import Parameters
 from plough_opt.motion.terms import Structure
 
@@ -50,17 +49,86 @@ class EquationOfMotion:
         return int(self.function.numel_out(0))
 
 
+class _Now:
+    """The share at one moment: its state as symbols, and what follows from it.
+
+    Attributes:
+        speed: L' [m/s].
+        stopping: becomes negative when the share stops: its speed, but for rounding of one that barely moves yet.
+        pull: mount force P [N].
+        slipping: w'' of a share that slips [m/s^2].
+    """
+
+    def __init__(self, structure: Structure, p: dict[str, ca.SX]) -> None:
+        """Make the symbols of a structure's state."""
+        self.time = ca.SX.sym("time")
+        self.w, self.rate = ca.SX.sym("w"), ca.SX.sym("rate")
+        self.opening, self.mode = ca.SX.sym("opening"), ca.SX.sym("mode")
+        modes = (self.opening, self.mode) if structure.events else ()
+        ended = {term.state: ca.SX.sym(term.state) for term in structure.ending}
+        self.state = stacked(self.w, self.rate, *modes, *ended.values())
+        self.structure = structure
+        self.p = p | ended | ({"behind": self.opening} if structure.entry else {})
+        self.mount = terms.strut(structure, self.p, self.time)
+        self.travel = self.mount.path - terms.start_deflection(structure, p) - self.w
+        self.strut_speed = terms.start_speed(structure, self.p) + self.mount.gain
+        self.speed = self.strut_speed - self.rate
+        self.stopping = self.speed + _STANDSTILL * self.p["tow_speed"]
+        change = terms.pull(structure, self.p, self.w, self.rate)
+        self.pull = terms.start_force(structure, self.p) + change
+        if structure.relaxed:
+            soil = terms.resistance(structure, self.p, self.travel, self.speed)
+        else:
+            soil = terms.resistance_change(structure, self.p, self.travel, self.mount.gain - self.rate)
+        acceleration = (soil - change) / terms.inertia_at(structure, self.p, self.travel)
+        self.slipping = acceleration + self.mount.acceleration if structure.ramp else acceleration
+
+    def by_mode(self, slip: Column, stick: Column, gap: Column) -> Column:
+        """Choose by the mode, element by element."""
+        middle = (SLIP + STICK) / 2.0, (STICK + GAP) / 2.0
+        chosen = [
+            where(self.mode < middle[0], a, where(self.mode < middle[1], b, c))
+            for a, b, c in zip(*(ca.vertsplit(ca.densify(ca.SX(x))) for x in (slip, stick, gap)), strict=True)
+        ]
+        return stacked(*chosen)
+
+
+def _stick_slip(now: _Now) -> tuple[Column, list[Column], list[Column]]:
+    """Return the rate of the four states in the mode that is on, what is negative once that ends, the state after."""
+    p, mass = now.p, now.p["mass"]
+    hold = terms.hold(now.structure, p, now.travel)
+    slip = stacked(now.rate, now.slipping, 0.0, 0.0)
+    stick = stacked(now.strut_speed, now.mount.acceleration, 0.0, 0.0)
+    gap = stacked(now.rate, now.mount.acceleration - now.pull / mass, -now.speed, 0.0)
+    # While the share sticks the strut only stretches the mount: P never falls back to 0.
+    until = now.by_mode(now.stopping, hold - now.pull, now.opening)
+    stopped = where(now.pull < 0.0, GAP, where(now.pull <= hold, STICK, SLIP))
+    taken_up = now.speed * mass / (mass + terms.carried_mass(now.structure, p, now.travel))
+    rate = now.by_mode(now.strut_speed, now.strut_speed, now.strut_speed - taken_up)
+    after = stacked(now.w, rate, 0.0, now.by_mode(stopped, SLIP, SLIP))
+    return now.by_mode(slip, stick, gap), [until], [after]
+
+
+def _entering(now: _Now) -> tuple[Column, list[Column], list[Column]]:
+    """Return the like of a share that enters and never leaves contact; it may turn back, and is then behind."""
+    behind = now.mode > STICK
+    rates = stacked(now.rate, now.slipping, where(behind, -now.speed, 0.0), 0.0)
+    turning = where(now.p["entered"] < 0.5, where(behind, now.opening, now.stopping), 1.0)
+    after = stacked(now.w, now.rate, 0.0, where(behind, SLIP, GAP))
+    return rates, [turning], [after]
+
+
 @lru_cache(maxsize=64)
 def equation_of_motion(structure: Structure) -> EquationOfMotion:
     """Build the differential equation of a structure; terms that are off leave no trace in it."""
     symbols = {name: ca.SX.sym(name) for name in structure.names}
     now = _Now(structure, symbols)
     if structure.sticks:
-        rates, zeros, after = now.rates_of_modes(), [now.until_contact_changes()], [now.after_contact_changed()]
+        rates, zeros, after = _stick_slip(now)
     elif structure.entry:
-        rates, zeros, after = now.rates_of_entry(), [now.until_it_turns()], [now.after_it_turned()]
+        rates, zeros, after = _entering(now)
     else:
-        rates, zeros, after = stacked(now.rate, now.slipping()), [], []
+        rates, zeros, after = stacked(now.rate, now.slipping), [], []
     counted = now.state[4 if structure.events else 2 :]
     rates, after = stacked(rates, ca.SX.zeros(counted.numel())), [stacked(state, counted) for state in after]
     for term, ended in zip(structure.ending, ca.vertsplit(counted), strict=True):
@@ -89,105 +157,6 @@ def start_state(structure: Structure, p: Parameters) -> Column:
     pulled = terms.start_force(structure, p) + terms.pull(structure, p, 0.0, terms.start_rate(structure, p))
     held = pulled < terms.hold(structure, p, -terms.start_deflection(structure, p))
     return stacked(first, 0.0, where(speed > 0.0, SLIP, where(held, STICK, SLIP)), *counted)
-
-
-class _Now:
-    """The share at one moment: its state as symbols, and what follows from it."""
-
-    def __init__(self, structure: Structure, p: dict[str, ca.SX]) -> None:
-        """Make the symbols of a structure's state."""
-        self.time = ca.SX.sym("time")
-        self.w, self.rate = ca.SX.sym("w"), ca.SX.sym("rate")
-        self.opening, self.mode = ca.SX.sym("opening"), ca.SX.sym("mode")
-        modes = (self.opening, self.mode) if structure.events else ()
-        ended = {term.state: ca.SX.sym(term.state) for term in structure.ending}
-        self.state = stacked(self.w, self.rate, *modes, *ended.values())
-        self.structure = structure
-        self.p = p | ended | ({"behind": self.opening} if structure.entry else {})
-        self.mount: Strut = terms.strut(structure, self.p, self.time)
-        self.travel = self.mount.path - terms.start_deflection(structure, p) - self.w
-
-    @property
-    def strut_speed(self) -> Expression:
-        """Speed s' of the strut [m/s]."""
-        return terms.start_speed(self.structure, self.p) + self.mount.gain
-
-    @property
-    def speed(self) -> Expression:
-        """L' of the share [m/s]."""
-        return self.strut_speed - self.rate
-
-    @property
-    def _stopping(self) -> Expression:
-        """Becomes negative when the share stops: its speed, but for rounding of a share that barely moves yet."""
-        return self.speed + _STANDSTILL * self.p["tow_speed"]
-
-    @property
-    def pull(self) -> Expression:
-        """Mount force P [N]."""
-        return terms.start_force(self.structure, self.p) + terms.pull(self.structure, self.p, self.w, self.rate)
-
-    @property
-    def hold(self) -> Expression:
-        """Mount force [N] at which a sticking share moves."""
-        return terms.hold(self.structure, self.p, self.travel)
-
-    def slipping(self) -> Expression:
-        """Return w'' of a share that slips [m/s^2]."""
-        structure, p = self.structure, self.p
-        if structure.relaxed:
-            soil = terms.resistance(structure, p, self.travel, self.speed)
-        else:
-            soil = terms.resistance_change(structure, p, self.travel, self.mount.gain - self.rate)
-        acceleration = (soil - terms.pull(structure, p, self.w, self.rate)) / terms.inertia_at(
-            structure, p, self.travel
-        )
-        return acceleration + self.mount.acceleration if structure.ramp else acceleration
-
-    def rates_of_modes(self) -> Column:
-        """Return the rate of the four states in the mode that is on."""
-        flying = self.mount.acceleration - self.pull / self.p["mass"]
-        slip = stacked(self.rate, self.slipping(), 0.0, 0.0)
-        stick = stacked(self.strut_speed, self.mount.acceleration, 0.0, 0.0)
-        gap = stacked(self.rate, flying, -self.speed, 0.0)
-        return self._by_mode(slip, stick, gap)
-
-    def until_contact_changes(self) -> Column:
-        """Return what becomes negative when a mode ends."""
-        # While the share sticks the strut only stretches the mount: P never falls back to 0.
-        return self._by_mode(self._stopping, self.hold - self.pull, self.opening)
-
-    def after_contact_changed(self) -> Column:
-        """Return the state after the mode has ended."""
-        stopped = where(self.pull < 0.0, GAP, where(self.pull <= self.hold, STICK, SLIP))
-        at_rest = self.strut_speed
-        mass = self.p["mass"]
-        taken_up = self.speed * mass / (mass + terms.carried_mass(self.structure, self.p, self.travel))
-        rate = self._by_mode(at_rest, at_rest, self.strut_speed - taken_up)
-        return stacked(self.w, rate, 0.0, self._by_mode(stopped, SLIP, SLIP))
-
-    def rates_of_entry(self) -> Column:
-        """Return the rate of the four states of a share that enters and never leaves contact."""
-        behind = self.mode > STICK
-        return stacked(self.rate, self.slipping(), where(behind, -self.speed, 0.0), 0.0)
-
-    def until_it_turns(self) -> Column:
-        """Return what becomes negative when a share that enters turns back, or is at its furthest point again."""
-        turning = where(self.mode > STICK, self.opening, self._stopping)
-        return where(self.p["entered"] < 0.5, turning, 1.0)
-
-    def after_it_turned(self) -> Column:
-        """Return the state after that."""
-        return stacked(self.w, self.rate, 0.0, where(self.mode > STICK, SLIP, GAP))
-
-    def _by_mode(self, slip: Column, stick: Column, gap: Column) -> Column:
-        """Choose by the mode, element by element."""
-        middle = (SLIP + STICK) / 2.0, (STICK + GAP) / 2.0
-        chosen = [
-            where(self.mode < middle[0], a, where(self.mode < middle[1], b, c))
-            for a, b, c in zip(*(ca.vertsplit(ca.densify(ca.SX(x))) for x in (slip, stick, gap)), strict=True)
-        ]
-        return stacked(*chosen)
 
 
 Symbols = TypeVar("Symbols", ca.SX, ca.MX)

@@ -22,13 +22,12 @@ from plough_opt.motion.methods import DOP853
 from plough_opt.motion.plan import finer
 from plough_opt.motion.runge_kutta import (
     Average,
+    OneStep,
     moving_ramp,
     pairs,
     pooled,
     product,
     spans_of,
-    start_and_size,
-    telling,
     unbroken,
 )
 from plough_opt.motion.terms import Structure, start_deflection
@@ -184,15 +183,14 @@ def _at_start(structure: Structure, varying: tuple[int, ...], order: int) -> ca.
 def _jet_step(structure: Structure, varying: tuple[int, ...], order: int, width: int) -> ca.Function:
     """Return one step of the jet: (jet of the state, span, parameters) -> (jet of the state, of the moments).
 
-    The span is that of `plough_opt.motion.runge_kutta.step`, of that width.
+    The span is that of `OneStep`, of that width.
 
     The derivatives solve the equation of motion expanded at every stage, which takes a fraction of the operations of
     the whole step differentiated.
     """
-    observed, count = signals(structure), len(varying)
-    (p, known), span = observed.symbols(ca.SX), ca.SX.sym("span", width)
+    observed, count, one = signals(structure), len(varying), OneStep.of(structure, width)
+    p, span, start, size = one.p, one.span, one.start, one.size
     jet = ca.SX.sym("jet", 2, _width(count, order))
-    start, size = start_and_size(span, p[-1], known)
     # Of the step by the parameters: nothing, unless the duration or a ramp's time is one of them.
     lateness, lengthening = (ca.jacobian(time, p[list(varying)]) for time in (start, size))
 
@@ -211,7 +209,7 @@ def _jet_step(structure: Structure, varying: tuple[int, ...], order: int, width:
         return following
 
     # Of the same symbols, so that what depends on the parameters alone is shared by the stages.
-    at = _expanded(telling(structure, width), varying, order, (p, span))
+    at = _expanded(one.structure, varying, order, (p, span))
     _, first, _ = at(ca.horzcat(start, lateness), jet, 0.0, p, span)
     found: list[list[ca.SX]] = []
     for row, node in zip(DOP853.stages, DOP853.nodes, strict=True):

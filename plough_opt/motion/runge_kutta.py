@@ -4,9 +4,11 @@ A step is a small symbolic graph, the run a loop over it (``mapaccum``), so the
 size of the graph does not grow with the number of steps and every derivative is that of the numbers.
 """
 
+from __future__ import annotations
+
 import itertools
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
 
@@ -86,26 +88,39 @@ def ends(timeline: Timeline, duration: Expression, ramp: Expression) -> tuple[Ex
     return stacked(0.0, a, 1.0), stacked(0.0, b, 0.0)
 
 
-def telling(structure: Structure, width: int) -> Structure:
-    """Return a structure whose ramp is over where a step of a span of that width says so.
+@dataclass(frozen=True)
+class OneStep:
+    """The symbols of one step.
 
-    At the end itself a stage cannot decide: there the ramp's formula and the constant speed differ in second
-    derivatives.
+    Attributes:
+        structure: the terms that are on. Where a step may end at the ramp's end, its span says whether the ramp is
+            over: at the end itself a stage cannot decide, for there the ramp's formula and the constant speed differ
+            in second derivatives.
+        span: start and size of the step as fractions of the duration and, of width 5, of the ramp's time, which add up,
+            and whether the ramp is over.
+        p: the parameters, the duration last.
+        known: the parameters by name, without the duration.
+        start: time at which it begins [s].
+        size: its length [s].
     """
-    return structure if width == 2 else replace(structure, tells_ramp=True)
 
+    structure: Structure
+    span: ca.SX
+    p: ca.SX
+    known: dict[str, ca.SX]
+    start: ca.SX
+    size: ca.SX
 
-def start_and_size(span: ca.SX, duration: ca.SX, known: dict[str, ca.SX]) -> tuple[ca.SX, ca.SX]:
-    """Return start and size of a step [s], from their shares of the duration and, if it may end there, of the ramp."""
-    start, size = span[0] * duration, span[1] * duration
-    if span.numel() == 2:
-        return start, size
-    return start + span[2] * ramp_time(known), size + span[3] * ramp_time(known)
-
-
-def told(known: dict[str, ca.SX], span: ca.SX) -> dict[str, ca.SX]:
-    """Return parameters by name with what a span says of the ramp."""
-    return known if span.numel() == 2 else known | {"ramped": span[4]}
+    @classmethod
+    def of(cls, structure: Structure, width: int) -> OneStep:
+        """Make the symbols of a step with a span of that width."""
+        span, (p, known) = ca.SX.sym("span", width), signals(structure).symbols(ca.SX)
+        start, size = span[0] * p[-1], span[1] * p[-1]
+        if width > 2:
+            structure = replace(structure, ramp_by_step=True)
+            start, size = start + span[2] * ramp_time(known), size + span[3] * ramp_time(known)
+            known = known | {"ramped": span[4]}
+        return cls(structure, span, p, known, start, size)
 
 
 def moving_ramp(structure: Structure, timeline: Timeline, p: ca.MX) -> ca.MX | None:
@@ -168,13 +183,10 @@ def _crossings(structure: Structure, width: int) -> ca.Function:
 
     The share's speed between is a cubic.
     """
-    motion, observed = equation_of_motion(telling(structure, width)), signals(structure)
-    states, span = [ca.SX.sym("first", 2), ca.SX.sym("last", 2)], ca.SX.sym("span", width)
-    p, known = observed.symbols(ca.SX)
-    known = told(known, span)
-    start, size = start_and_size(span, p[-1], known)
+    states, at = [ca.SX.sym("first", 2), ca.SX.sym("last", 2)], OneStep.of(structure, width)
+    motion, known, size = equation_of_motion(at.structure), at.known, at.size
     speeds, slopes = [], []
-    for time, state in zip((start, start + size), states, strict=True):
+    for time, state in zip((at.start, at.start + size), states, strict=True):
         mount = strut(structure, known, time)
         speeds.append(start_speed(structure, known) + mount.gain - state[1])
         slopes.append(size * (mount.acceleration - motion.rates(time, state, known)[1]))
@@ -189,37 +201,30 @@ def _crossings(structure: Structure, width: int) -> ca.Function:
             part = ca.if_else((speed < threshold) == begins, middle, part)
         found.append(ca.if_else((speeds[1] < threshold) == begins, 1.0, part))
     parts = stacked(ca.fmin(*found), ca.fmax(*found))
-    return ca.Function("crossings", [*states, span, p], [parts], {"is_diff_out": [False]})
+    return ca.Function("crossings", [*states, at.span, at.p], [parts], {"is_diff_out": [False]})
 
 
 @lru_cache(maxsize=64)
 def step(structure: Structure, width: int = 2, tableau: Tableau = DOP853) -> ca.Function:
     """Return one step as a Function: (state, span, parameters with the duration last) -> (state, moments).
 
-    The span is start and size of the step as fractions of the duration and, of width 5, of the ramp's time, which add
-    up, and whether the ramp is over. The moments are, for each signal, the mean over the step, then, for each signal
-    with an RMS, the mean square about that mean. Both are taken from the deviation from the value at the step's start,
-    where they lose at most a factor of four to cancellation.
+    The span is that of `OneStep`. The moments are, for each signal, the mean over the step, then, for each signal with
+    an RMS, the mean square about that mean. Both are taken from the deviation from the value at the step's start, where
+    they lose at most a factor of four to cancellation.
     """
-    structure = telling(structure, width)
-    motion, observed = equation_of_motion(structure), signals(structure)
-    state = ca.SX.sym("state", 2)
-    span = ca.SX.sym("span", width)
-    p = ca.SX.sym("p", len(observed.parameters) + 1 - structure.tells_ramp)
-    given = stacked(p[:-1], span[4:])
-    known = observed.named(stacked(given, p[-1]))
-    start, size = start_and_size(span, p[-1], known)
-
+    at, state = OneStep.of(structure, width), ca.SX.sym("state", 2)
+    motion, observed, size = equation_of_motion(at.structure), signals(at.structure), at.size
+    given = stacked(at.p[:-1], at.span[4:])
     rates: list[ca.SX] = []
-    first = observed.function(start, state, given)
+    first = observed.function(at.start, state, given)
     mean, square = ca.SX.zeros(observed.count), ca.SX.zeros(observed.squared)
     for row, node, weight in zip(tableau.stages, tableau.nodes, tableau.weights, strict=True):
         stage = state
         for coefficient, rate in zip(row, rates, strict=True):
             if coefficient != 0.0:
                 stage = stage + (size * coefficient) * rate
-        time = start + node * size
-        rates.append(motion.rates(time, stage, known))
+        time = at.start + node * size
+        rates.append(motion.rates(time, stage, at.known))
         if weight != 0.0:
             change = observed.function(time, stage, given) - first
             mean += weight * change
@@ -229,7 +234,7 @@ def step(structure: Structure, width: int = 2, tableau: Tableau = DOP853) -> ca.
         if weight != 0.0:
             following = following + (size * weight) * rate
     spread = square - mean[: observed.squared] ** 2
-    return ca.Function("step", [state, span, p], ca.cse([following, stacked(first + mean, spread)]))
+    return ca.Function("step", [state, at.span, at.p], ca.cse([following, stacked(first + mean, spread)]))
 
 
 def run_map(structure: Structure, timeline: Timeline, tableau: Tableau = DOP853) -> ca.Function:

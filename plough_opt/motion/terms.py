@@ -51,7 +51,7 @@ class Structure:
         carries: whether events change the mass of soil that moves with the share.
         orbit: see `Effects`.
         harmonics: of a harmonic balance.
-        tells_ramp: whether each step says if the ramp is over: see `plough_opt.motion.runge_kutta`.
+        ramp_by_step: whether each step says if the ramp is over: see `plough_opt.motion.runge_kutta.OneStep`.
         locates_ramp: whether an integrator finds the end of the ramp though nothing else calls for events.
     """
 
@@ -60,7 +60,7 @@ class Structure:
     carries: bool = False
     orbit: Literal["transient", "periodic", "linearised", "harmonic_balance"] = "transient"
     harmonics: int = 0
-    tells_ramp: bool = False
+    ramp_by_step: bool = False
     locates_ramp: bool = False
 
     @classmethod
@@ -82,8 +82,8 @@ class Structure:
     @property
     def names(self) -> tuple[str, ...]:
         """Names of everything that its terms may need, in order."""
-        told = ("ramped",) if self.tells_ramp else ()
-        return (*_COMMON, *(name for term in self.terms for name in term.names), *told)
+        by_step = ("ramped",) if self.ramp_by_step else ()
+        return (*_COMMON, *(name for term in self.terms for name in term.names), *by_step)
 
     @cached_property
     def wave(self) -> StrengthWaves | None:

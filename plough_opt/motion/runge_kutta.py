@@ -172,13 +172,13 @@ def unbroken(structure: Structure, timeline: Timeline, one: ca.Function, count: 
     both = pooled(columns, lambda parts: [part @ sizes for part in parts], signals(structure).count, count)
     parted = ca.Function("parted", given, [reached, stacked(*both)])
     after, moments = one(state, span, p)
-    at = _crossings(structure, span.numel())(state[:, 0], after[:, 0], span, p)
+    at = crossings(structure, span.numel())(state[:, 0], after[:, 0], span, p)
     chosen = ca.Function.if_else("chosen", parted, whole)(at[0] < 1.0, state, span, p, at, after, moments)
     return ca.Function("unbroken", [state, span, p], list(chosen))
 
 
 @lru_cache(maxsize=64)
-def _crossings(structure: Structure, width: int) -> ca.Function:
+def crossings(structure: Structure, width: int) -> ca.Function:
     """Return (states at both ends of a step, span, p) -> at which parts of it the contact's step ends, 1 if beyond.
 
     The share's speed between is a cubic.

@@ -12,8 +12,8 @@ from functools import lru_cache
 import casadi as ca
 import numpy as np
 
-from plough_opt.core.expressions import Expression, stacked
-from plough_opt.motion.effects import wave_names
+from plough_opt.core.expressions import Expression
+from plough_opt.motion.effects import StrengthWaves, wave_names
 from plough_opt.motion.equation import equation_of_motion, signals
 from plough_opt.motion.runge_kutta import run_from
 from plough_opt.motion.terms import Structure, pull, resistance_change, start_deflection
@@ -55,7 +55,7 @@ def _response(structure: Structure, p: dict[str, Expression]) -> tuple[Expressio
     theta), with an n for each wave's turns in the common length; so M w'' + d w' + k0 w is that series at the lag
     2 pi z0/ell, with d = c + dF/dL'. Coefficients are columns by n.
     """
-    names, repeats = signals(structure).parameters, _repeats(structure, p)
+    names, repeats = signals(structure).parameters, _wave(structure).repeats(p)
     omega = 2.0 * math.pi * p["tow_speed"] / repeats
     mean, along_sine, along_cosine, slope = _series(structure)(stacked(*(p[name] for name in names)))
     turns = _turns(structure)
@@ -71,16 +71,15 @@ def _response(structure: Structure, p: dict[str, Expression]) -> tuple[Expressio
     return mean / p["stiffness"], sines, ca.mtimes(every, cosine * ca.cos(lag) - sine * ca.sin(lag))
 
 
-def _repeats(structure: Structure, p: dict[str, Expression]) -> Expression:
-    """Return the length [m] after which the soil repeats itself."""
-    assert structure.wave is not None  # an orbit has some
-    return structure.wave.repeats(p)
+def _wave(structure: Structure) -> StrengthWaves:
+    """Return the soil's strength along the path, which an orbit has."""
+    assert structure.wave is not None
+    return structure.wave
 
 
 def _turns(structure: Structure) -> list[int]:
     """Return the numbers of turns of the waves in the common length, ascending."""
-    assert structure.wave is not None  # an orbit has some
-    return sorted({*(structure.wave.turns or (1,))})
+    return sorted({*(_wave(structure).turns or (1,))})
 
 
 @lru_cache(maxsize=32)
@@ -98,7 +97,7 @@ def _series(structure: Structure) -> ca.Function:
     count = _SAMPLES * turns[-1]
     phases = 2.0 * math.pi * np.arange(count) / count
     p = ca.MX.sym("p", len(names))
-    repeats = _repeats(structure, dict(zip(names, ca.vertsplit(p), strict=True)))
+    repeats = _wave(structure).repeats(dict(zip(names, ca.vertsplit(p), strict=True)))
     forces, slopes = at.map(count)(ca.DM(phases).T / (2.0 * math.pi) * repeats, ca.repmat(p, 1, count))
     sines, cosines = (2.0 / count * function(np.outer(phases, turns)) for function in (np.sin, np.cos))
     found = [ca.sum2(forces) / count, *((forces @ ca.DM(b)).T for b in (sines, cosines)), ca.sum2(slopes) / count]
@@ -107,8 +106,7 @@ def _series(structure: Structure) -> ca.Function:
 
 def _size(structure: Structure, p: dict[str, Expression]) -> Expression:
     """Return the unit [m] of an orbit's unknowns: the waves' deflection of the spring."""
-    assert structure.wave is not None  # an orbit has some
-    amplitude = ca.sqrt(sum(p[wave_names(k)[0]] ** 2 for k in range(structure.wave.count)) + _LEAST_AMPLITUDE**2)
+    amplitude = ca.sqrt(sum(p[wave_names(k)[0]] ** 2 for k in range(_wave(structure).count)) + _LEAST_AMPLITUDE**2)
     return amplitude * p["static"] / p["stiffness"] + 1e-30
 
 
@@ -116,7 +114,7 @@ def _shooting(structure: Structure, timeline: Timeline) -> ca.Function:
     """Return the orbit to which one period of steps returns."""
     (p, known), x = signals(structure).symbols(ca.MX), ca.MX.sym("x", 2)
     mean, sines, cosines = _response(structure, known)
-    omega = 2.0 * math.pi * known["tow_speed"] / _repeats(structure, known)
+    omega = 2.0 * math.pi * known["tow_speed"] / _wave(structure).repeats(known)
     size = _size(structure, known)
     unit = stacked(size, size * omega)
     once = run_from(structure, Timeline(1, timeline.steps))
@@ -143,7 +141,7 @@ def _balanced(structure: Structure) -> ca.Function:
     basis, slope, bend = _basis(count, phases)
     (p, known), x = signals(structure).symbols(ca.MX), ca.MX.sym("x", 2 * count + 1)
     mean, sines, cosines = _response(structure, known)
-    omega = 2.0 * math.pi * known["tow_speed"] / _repeats(structure, known)
+    omega = 2.0 * math.pi * known["tow_speed"] / _wave(structure).repeats(known)
     size = _size(structure, known)
     w, rate, acceleration = (size * ca.mtimes(ca.DM(b), x) for b in (basis, slope, bend))
     rate, acceleration = rate * omega, acceleration * omega**2
@@ -183,7 +181,7 @@ def _basis(count: int, phases: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.n
 def _from_series(structure: Structure, timeline: Timeline, series: ca.Function) -> ca.Function:
     """Return states at the outputs, means and variances of a Fourier series."""
     p, known = signals(structure).symbols(ca.MX)
-    omega = 2.0 * math.pi * known["tow_speed"] / _repeats(structure, known)
+    omega = 2.0 * math.pi * known["tow_speed"] / _wave(structure).repeats(known)
     x = series(p)
     count = (x.numel() - 1) // 2
     basis, slope, _ = _basis(count, 2.0 * math.pi * timeline.output_fractions)

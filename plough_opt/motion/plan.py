@@ -32,22 +32,37 @@ TIGHTEST = 1e-13
 STIFF_TOLERANCE = 1e-9
 """Tightest tolerance for an implicit method; below it the steps follow every oscillation of a stiff mount."""
 
+# Steps of order 8. Their error falls with the eighth power of the phase in a step, so that one length that was tried
+# gives those for all errors. By the fastest oscillation 0.5 rad a step leave some 1e-10; by `summed_rate`, which
+# scatters half as far, 0.475 rad usually do: where they do not, the check finds out, and steps are repeated finer.
 PHASE_PER_STEP = 0.5
 """Phase [rad] of the fastest oscillation in one step of order 8 that leaves a relative error of some 1e-10."""
-
-# The same by `summed_rate`, which usually does; where it does not, the check finds out, and steps are repeated finer.
 _USUAL_PHASE = 0.475
-# Phase, by `summed_rate`, in a long step whose error others are chosen by, and by how much those are more than the law
-# of order 8 says, and more than the last at least.
+# Where the motion is smooth, long steps come first: of 1.6 rad by `summed_rate`, from which on errors follow the law.
 _LONG_PHASE = 1.6
+# From an error up to 1e-3 follows how many steps reach the wanted one: by a power a little below 1/8, for from long
+# steps the error falls a little faster at first; an eighth more, to be sure; and no less than 1.15 times as many.
+_KNOWN = 1e-3
+_FALLS = 1.0 / 8.5
 _SURE = 1.12
 _LEAST_FINER = 1.15
-# Power of an error with which steps grow: from long steps it falls a little faster than by the order at first.
-_FALLS = 1.0 / 8.5
-# Part of the steps with which a run is checked.
+# From a larger one nothing follows but that they must be shorter.
+_ANEW = 1.4
+# Three quarters of the steps err by (4/3)^8 = 10 times as much: enough for a check, at less than another run's cost.
 _COARSER = 0.75
-# Part of the tolerance of its check with which an adaptive method runs: it then errs by a tenth of it or so.
+# Fewest steps of a run, between which eight are read from at once, and most, for their memory.
+_FEWEST_STEPS = 20
+_MOST_STEPS = 4_000_000
+# Phase [rad] over a run that steps of order 8 follow within seconds.
+_ORDER_8_PHASE = 4e5
+
+# Adaptive methods. Part of the tolerance of its check with which one runs: it then errs by a tenth of it or so.
 _RUN_FINER = 0.2
+# The tightest takes some 100 steps for a phase of 1 rad: it may take three times as many, and 10,000 for a start.
+_ADAPTIVE_PER_PHASE = 300.0
+_FEWEST_ADAPTIVE = 1e4
+MOST_ADAPTIVE = 10_000_000
+"""Steps after which an adaptive method of a symbolic scene gives up, whose phase is unknown."""
 
 MOST_RINGING = 2e4
 """Phase [rad] of the share's own oscillation from a start that is not steady, up to which it is followed by default."""
@@ -64,18 +79,8 @@ MOST_SHOT = 1e4
 MOST_OUTPUTS = 10_000_000
 """Output intervals of a run, whose arrays are in memory at once."""
 
-# Phase [rad] over a run that steps of order 8 follow within seconds.
-_ORDER_8_PHASE = 4e5
 # exp(-30) is the rounding of the first swing.
 _DECAYED = 30.0
-_FEWEST_STEPS = 20
-_MOST_STEPS = 4_000_000
-MOST_ADAPTIVE = 10_000_000
-"""Steps after which an adaptive method of a symbolic scene gives up, whose phase is unknown."""
-
-# Steps of the tightest adaptive method: some 100 for a phase of 1 rad.
-_ADAPTIVE_PER_PHASE = 300.0
-_FEWEST_ADAPTIVE = 1e4
 
 
 def numbers_of(scene: Scene, structure: Structure | None = None) -> dict[str, float]:
@@ -162,6 +167,10 @@ def steps_for(total_phase: float, phase_per_step: float = PHASE_PER_STEP) -> int
     return max(_FEWEST_STEPS, math.ceil(min(total_phase / phase_per_step, _MOST_STEPS)))
 
 
+# Scenes much alike share one, whose times are computed once.
+_timeline = lru_cache(maxsize=256)(Timeline)
+
+
 def timeline_of(
     scene: Scene,
     duration: Expression,
@@ -187,20 +196,14 @@ def timeline_of(
     ramp: Any = effects.tow_ramp if effects.ramps else 0.0
     timed = not effects.ramps or not (is_symbolic(ramp) or is_symbolic(duration))
     if not timed or (symbolic and effects.motion and isinstance(effects.contact, Smooth)):
-        return _timeline(outputs, steps, None, True, True)
+        return _timeline(outputs, steps, moving=True)
     kink = kink_of(float(as_number(ramp)), float(as_number(duration))) if effects.ramps else None
-    return _timeline(outputs, steps, kink, aligned, False)
+    return _timeline(outputs, steps, kink, aligned)
 
 
 def kink_of(ramp: float, duration: float) -> float | None:
     """Return at which part of the duration [s] a ramp of a time [s], or 0, ends; None if not within the run."""
     return ramp / duration if 0.0 < ramp < duration else None
-
-
-@lru_cache(maxsize=256)
-def _timeline(outputs: int, steps: int, kink: float | None, aligned: bool, moving: bool) -> Timeline:
-    """Return a timeline, whose times are computed once."""
-    return Timeline(outputs, steps, kink, aligned, moving)
 
 
 def unknown_steps(scene: Scene, accuracy: Accuracy, outputs: int) -> int:
@@ -259,19 +262,17 @@ def automatic(method: str, wanted: float, p: Mapping[str, float], duration: floa
     return _order_8(_rounded(math.ceil(enough / _COARSER)))
 
 
-def long_steps(p: Mapping[str, float], duration: float) -> int:
+def first_steps(p: Mapping[str, float], duration: float) -> int:
     """Return how many steps of order 8 are so long that their error just begins to follow the order's law."""
     return _rounded(steps_for(summed_rate(p) * duration, _LONG_PHASE))
 
 
-def steps_by_law(steps: int, error: float, wanted: float) -> int:
-    """Return how many steps of order 8 reach an error, if so many have another one."""
-    return max(longer_by(steps, _LEAST_FINER), _rounded(math.ceil(_SURE * steps * (error / wanted) ** _FALLS), 5))
-
-
-def longer_by(steps: int, factor: float) -> int:
-    """Return so many times more steps."""
-    return _rounded(math.ceil(factor * steps), 5)
+def next_steps(steps: int, error: float, wanted: float) -> int:
+    """Return how many steps of order 8 to take for an error, after so many that left another one; infinite: failed."""
+    if error > _KNOWN:
+        return _rounded(math.ceil(_ANEW * steps), 5)
+    by_law = math.ceil(_SURE * steps * (error / wanted) ** _FALLS)
+    return max(_rounded(math.ceil(_LEAST_FINER * steps), 5), _rounded(by_law, 5))
 
 
 def pair_of(steps: int) -> tuple[Accuracy, Accuracy]:
@@ -296,9 +297,7 @@ def checked(method: str, wanted: float, p: Mapping[str, float], duration: float)
     The coarser of the two errs by several times as much as the run, so that their difference is no less than its error.
     """
     chosen = automatic(method, wanted, p, duration)
-    if method != "dop853":
-        return finer(chosen, _RUN_FINER), chosen
-    return chosen, _order_8(coarser(chosen.steps or 1))
+    return pair_of(chosen.steps) if chosen.steps else (finer(chosen, _RUN_FINER), chosen)
 
 
 @lru_cache(maxsize=256)

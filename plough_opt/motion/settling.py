@@ -9,7 +9,6 @@ of the orbit, and its states at their ends are compared with the orbit's and wit
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from functools import lru_cache
 from typing import Final
 
@@ -64,38 +63,28 @@ def which_motion(run: Run) -> tuple[tuple[complex, ...], Settled, tuple[str, ...
     Args:
         run: the orbit, of numbers.
     """
-    multipliers, unstable = stability(run)
-    found = settled(run, multipliers)
-    return multipliers, found, (*unstable, *_sentences(found, multipliers))
-
-
-def stability(run: Run) -> tuple[tuple[complex, ...], tuple[str, ...]]:
-    """Return the Floquet multipliers of an orbit, and a warning where it is unstable."""
-    structure, numbers = Structure.of(run.scene), numbers_of(run.scene)
-    p = ca.DM([*(numbers[name] for name in signals(structure).parameters), float(run.duration)])
-    start = ca.DM([run.deflection[0] - start_deflection(structure, numbers), run.scene.tow_speed - run.speed[0]])
+    path = _Path(run)
     # A numeric orbit has a number of steps; derivatives by the start are known less exactly by the same.
-    once = Timeline(1, 2 * (run.accuracy.steps or 1))
-    found = np.linalg.eigvals(monodromy(structure, once)(start, p).full())
-    largest = float(np.max(np.abs(found)))
-    multipliers = tuple(complex(value) for value in found)
-    if largest <= 1.0 + _MARGINAL:
-        return multipliers, ()
-    return multipliers, (
-        f"the orbit is unstable: a deviation grows {largest:.4g} times in every wavelength, so no share stays on it",
-    )
+    once = Timeline(1, 2 * path.steps)
+    found = np.linalg.eigvals(monodromy(path.structure, once)(path.orbit, path.p).full())
+    multipliers, largest = tuple(complex(value) for value in found), float(np.max(np.abs(found)))
+    notes: tuple[str, ...] = ()
+    if largest > 1.0 + _MARGINAL:
+        grows = f"a deviation grows {largest:.4g} times in every wavelength, so no share stays on it"
+        notes = (f"the orbit is unstable: {grows}",)
+    settles = _settled(path, largest)
+    return multipliers, settles, (*notes, *_sentences(settles, largest))
 
 
-def settled(run: Run, multipliers: tuple[complex, ...]) -> Settled:
+def _settled(path: _Path, largest: float) -> Settled:
     """Return to which motion a share comes that starts from equilibrium.
 
     It is followed for as many wavelengths as `MOST_STEPS` steps reach, at least 4.
 
     Args:
-        run: the lasting orbit, of numbers.
-        multipliers: its Floquet multipliers [-].
+        path: the share.
+        largest: size of the orbit's largest multiplier [-].
     """
-    path, largest = _Path.of(run), max(map(abs, multipliers))
     lasts = MOST_STEPS // path.steps if abs(largest - 1.0) > _REPEATS else _UNDAMPED
     shrinks, distances = largest < 1.0 - _REPEATS, [math.inf]
     while True:
@@ -107,7 +96,7 @@ def settled(run: Run, multipliers: tuple[complex, ...]) -> Settled:
         spent = path.count >= lasts
         distances.append(distance)
         if near or (spent and shrinks and _shrinks(distances, largest ** (len(distances) // 2 * path.at_once))):
-            return Settled(True, path.count, 1, float(run.force_rms), 1, distance, retreats=False)
+            return Settled(True, path.count, 1, float(path.run.force_rms), 1, distance, retreats=False)
         if period := path.period(largest):
             return Settled(False, path.count, period, *path.last(period, distance))
         if spent:
@@ -119,11 +108,10 @@ def _shrinks(distances: list[float], factor: float) -> bool:
     return distances[-1] < _WITHIN and distances[-1] < _AS_SLOWLY * factor * distances[len(distances) // 2]
 
 
-def _sentences(found: Settled, multipliers: tuple[complex, ...]) -> tuple[str, ...]:
+def _sentences(found: Settled, largest: float) -> tuple[str, ...]:
     """Return what a reader of an orbit must know of the motion from equilibrium: nothing where it is the orbit."""
     if found.orbit:
         return ()
-    largest = max(map(abs, multipliers))
     if largest < 1.0 - _REPEATS:
         why = f", although the orbit is stable: a slight deviation shrinks to {largest:.4g} in every wavelength"
     else:
@@ -131,35 +119,22 @@ def _sentences(found: Settled, multipliers: tuple[complex, ...]) -> tuple[str, .
     return (f"a share that starts from equilibrium {found.text}{why}",)
 
 
-@dataclass
 class _Path:
     """A share that is followed from equilibrium, by its states at the ends of wavelengths, a row each."""
 
-    run: Run
-    structure: Structure
-    p: ca.DM
-    steps: int
-    orbit: Array
-    unit: Array
-    states: Array
-
-    @classmethod
-    def of(cls, run: Run) -> _Path:
-        structure, numbers = Structure.of(run.scene), numbers_of(run.scene)
-        first = float(start_deflection(structure, numbers))
+    def __init__(self, run: Run) -> None:
+        """Begin at equilibrium, beside an orbit whose half ranges are the units of distances."""
+        self.run, self.structure, self.numbers = run, Structure.of(run.scene), numbers_of(run.scene)
+        self.steps = run.accuracy.steps or 1
+        names = signals(self.structure).parameters
+        self.p = ca.DM([*(self.numbers[name] for name in names), float(run.duration)])
+        first = float(start_deflection(self.structure, self.numbers))
         w, rate = run.deflection - first, run.scene.tow_speed - run.speed
         frequency = max(float(run.scene.wave_frequency), float(run.scene.natural_frequency))
         range_of_w = max(float(np.ptp(w)) / 2.0, float(np.ptp(rate)) / 2.0 / frequency, _LEAST * abs(first))
-        unit = np.array([1.0, frequency]) * (range_of_w or 1.0)
-        return cls(
-            run=run,
-            structure=structure,
-            p=ca.DM([*(numbers[name] for name in signals(structure).parameters), float(run.duration)]),
-            steps=run.accuracy.steps or 1,
-            orbit=np.array([w[0], rate[0]]),
-            unit=unit,
-            states=np.zeros((1, 2)),
-        )
+        self.unit: Array = np.array([1.0, frequency]) * (range_of_w or 1.0)
+        self.orbit: Array = np.array([w[0], rate[0]])
+        self.states: Array = np.zeros((1, 2))
 
     @property
     def count(self) -> int:
@@ -200,8 +175,8 @@ class _Path:
         p = ca.vertcat(self.p[:-1], count * float(self.run.duration))
         found = run_from(self.structure, timeline)(self.states[-1 - count], p)
         states, means, variances = (np.asarray(result) for result in found)
-        scene, numbers = self.run.scene, numbers_of(self.run.scene)
-        averages = averages_of(scene, self.structure, numbers, means.ravel(), variances.ravel())
+        scene = self.run.scene
+        averages = averages_of(scene, self.structure, self.numbers, means.ravel(), variances.ravel())
         return float(averages.force_rms), count, distance, bool(np.max(states[1]) > scene.tow_speed)
 
 

@@ -27,17 +27,14 @@ from plough_opt.motion.judgement import (
 from plough_opt.motion.run import Run
 from plough_opt.motion.settling import which_motion
 
-# How often, and by what factor, the tolerance is tightened until the wanted error is reached.
 _LOG = logging.getLogger(__name__)
-_TIGHTENINGS = 3
-# The same of steps of order 8, whose number follows from an error that was measured; how much shorter they become where
-# the error is too large to be estimated, and up to where it is not.
+
+# How often, and by what factor at least, the tolerance is tightened until the wanted error is reached; and how often
+# steps of order 8 are shortened, whose number follows from an error that was measured.
+_TIGHTENINGS, _TIGHTER = 3, 0.03
 _MEASURED = 6
-_ANEW = 1.4
 # How many times more outputs are followed where a share may have stopped between them.
 _CLOSER = 4
-_KNOWN = 1e-3
-_TIGHTER = 0.03
 # Relative difference of a stand-in from the lasting orbit that a reader must know.
 _FAR = 1e-2
 # Of a run whose check is finer the difference is less than its error by the check's own, a sixth of it or so; across
@@ -159,20 +156,21 @@ def _by_measured_steps(case: Case, wanted: float) -> tuple[tuple[Followed, float
     """
     best: tuple[Followed, float] | None = None
     failure: IntegrationError | None = None
-    steps = plan.long_steps(case.p, case.duration)
+    steps = plan.first_steps(case.p, case.duration)
     for _ in range(_MEASURED):
+        error = math.inf
         try:
             found, error = _twice(case, *plan.pair_of(steps))
         except Escape:
             raise
         except IntegrationError as failed:
-            failure, steps = failed, plan.longer_by(steps, _ANEW)
-            continue
-        if best is None or error < best[1]:
-            best = found, error
-        if error <= wanted:
-            break
-        steps = plan.longer_by(steps, _ANEW) if error > _KNOWN else plan.steps_by_law(steps, error, wanted)
+            failure = failed
+        else:
+            if best is None or error < best[1]:
+                best = found, error
+            if error <= wanted:
+                break
+        steps = plan.next_steps(steps, error, wanted)
     return best, failure
 
 

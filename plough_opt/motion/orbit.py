@@ -12,7 +12,7 @@ from functools import lru_cache
 import casadi as ca
 import numpy as np
 
-from plough_opt.core.expressions import Expression
+from plough_opt.core.expressions import Expression, stacked
 from plough_opt.motion.effects import StrengthWaves, wave_names
 from plough_opt.motion.equation import equation_of_motion, signals
 from plough_opt.motion.runge_kutta import run_from

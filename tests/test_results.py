@@ -1,69 +1,114 @@
-"""Saved results: complete, strict JSON that reads back equal, and refusal of what is no result."""
+"""Results of every kind: printed, drawn, as frames, saved as strict JSON that reads back equal; what is no result."""
 
 import dataclasses
+import functools
 import json
 import math
 import platform
+import re
+import subprocess
+import sys
 from importlib.metadata import version
+from pathlib import Path
 
+import casadi as ca
 import numpy as np
 import pytest
 
 import plough_opt as po
+from plough_opt.core.tables import Grid, Page, data_frame
+from plough_opt.core.units import customary
+from plough_opt.problem_file.robust_design import optimise_robust
+
+pandas = pytest.importorskip("pandas")
+ROOT = Path(__file__).parents[1]
 
 
-@pytest.fixture(scope="module")
-def scene():
-    share = po.Wedge(angle=po.deg(25), chisel_angle=po.deg(15), height=0.25)
-    effects = po.Effects(strength_wave=po.StrengthWave(amplitude=0.3, wavelength=0.2), damping=400.0)
-    return po.Scene(po.named_soil("serozem"), share, stiffness=5e4, mass=23.0, tow_speed=2.0, effects=effects)
+@dataclasses.dataclass(frozen=True)
+class Drag:
+    newtons: float
+
+    def force(self, travel, speed):
+        return self.newtons + 0.0 * travel * speed
 
 
-@pytest.fixture(scope="module")
-def run(scene):
-    return po.simulate(scene, duration=0.5, outputs=20)
+SCENE = po.Scene(
+    po.named_soil("serozem"), po.Cone(po.deg(10), 0.25), 5e4, 20.0, 2.0,
+    po.Effects(damping=400.0, strength_wave=po.StrengthWave(0.3, 0.2)),
+)  # fmt: skip
+STILL = dataclasses.replace(SCENE, effects=po.Effects(motion=False))
 
 
-@pytest.fixture(scope="module")
-def optimum(scene):
-    """Return an optimum, and its run, of a quasi-static question with a known answer."""
-    design = po.Design()
-    height = design.variable("height", guess=0.25, lower=0.1, upper=0.5, unit="m")
-    cone = po.Cone(half_angle=po.deg(10), height=height)
-    found = po.simulate(
-        po.Scene(scene.soil, cone, stiffness=5e4, mass=20.0, tow_speed=2.0, effects=po.Effects(motion=False)), 1.0
-    )
-    design.minimise(found.mean_draft / 1e3)
-    design.require("loosened radius", po.loosened_radius(cone, scene.soil), at_least=0.12, unit="m")
-    best = design.solve()
-    return best, best(found)
+@functools.cache
+def run():
+    return po.simulate(SCENE, 0.2, outputs=20)
 
 
-@pytest.fixture(scope="module")
-def saved_run(run):
-    return run
+@functools.cache
+def optimum():
+    """Return an optimum with two variables and two requirements, one of which decides, and with its run."""
+    d = po.Design()
+    height = d.variable("height", guess="250 mm", lower="100 mm", upper="500 mm")
+    stiffness = d.variable("stiffness", guess=1e5, lower=1e4, upper=1e6, unit="N/m", log=True)
+    scene = dataclasses.replace(STILL, share=po.Cone(po.deg(10), height), stiffness=stiffness)
+    moving = po.simulate(scene, 1.0)
+    d.minimise(moving.mean_draft / 1e3 + 1e-9 * (stiffness - 5e4) ** 2)
+    d.require("loosened radius", scene.loosened_radius, at_least=0.12, unit="m")
+    d.require("half height", height / 2.0, at_least="40 mm")
+    best = d.solve(search=200)
+    return dataclasses.replace(best, run=best(moving), sensitivities=best.every_sensitivity())
 
 
-@pytest.fixture(scope="module")
-def saved_optimum(optimum):
-    best, run = optimum
-    return dataclasses.replace(best, run=run)
+@functools.cache
+def batch():
+    mass = ca.MX.sym("mass")
+    return po.Batch(dataclasses.replace(SCENE, mass=mass), 0.2, [mass])(np.array([[20.0], [30.0], [-1.0]]))
 
 
-@pytest.fixture
-def written(tmp_path):
-    """Write a text as result.json and return its path."""
+@functools.cache
+def fit():
+    measured = po.Measurements("mean_draft", [7e3, 8e3, 9e3], {"scene.tow_speed": [1.0, 1.5, 2.0]}, sigma=100.0)
+    return po.calibrate(STILL, measured, {"soil.cohesion": (1e3, 8e4)})
 
-    def write(text):
-        path = tmp_path / "result.json"
-        path.write_text(text, encoding="utf-8")
-        return path
 
-    return write
+@functools.cache
+def front():
+    d = po.Design()
+    x = d.variable("x", guess="500 mm", lower="0 mm", upper="1000 mm")
+    k = d.parameter("k", 2.0)
+    d.require("sum", x * k, at_most=1.5)
+    goals = po.Goal("draft", 5000.0 * (0.1 + x**2), "N"), po.Goal("radius", 0.1 + k * x, "m", maximise=True)
+    return po.trade_off(d, *goals, points=5, title="a front", parameters={"k": 1.0})
+
+
+@functools.cache
+def study():
+    return po.study_accuracy(STILL, 0.1, thin=True, allowance=0.01)
+
+
+@functools.cache
+def robust():
+    small = ("uncertain.samples=8", "uncertain.fresh=100", "effects={motion=false}", "scene.stiffness=200 kN/m",
+             "share.wedge_angle=30 deg", "minimise={mean_draft={per='1 kN', measure='cvar 0.9'}}")  # fmt: skip
+    return optimise_robust(po.read_problem(ROOT / "problems" / "uncertain_field.toml", small), lambda *_: None)
+
+
+EVERY = {
+    "Run": run,
+    "Machine": lambda: po.Machine({"front": run(), "rear": run()}),
+    "Optimum": optimum,
+    "LocalOptimum": lambda: optimum().local_optima[0],
+    "Rounded": lambda: optimum().rounded(stiffness=[4e4, 6.3e4]),
+    "BatchResult": batch,
+    "Fit": fit,
+    "TradeOff": front,
+    "AccuracyStudy": study,
+    "RobustOptimum": robust,
+}
 
 
 def strict(text):
-    """Parse JSON that holds no NaN and no infinity."""
+    """Return parsed JSON; refuse what is none, such as NaN."""
 
     def refuse(constant):
         raise AssertionError(f"{constant} is not JSON")
@@ -71,172 +116,271 @@ def strict(text):
     return json.loads(text, parse_constant=refuse)
 
 
-def numbers(value):
-    """Return all numbers in parsed JSON."""
-    if isinstance(value, dict):
-        return [x for item in value.values() for x in numbers(item)]
-    if isinstance(value, list):
-        return [x for item in value for x in numbers(item)]
-    return [value] if isinstance(value, int | float) else []
+def drawn(figure):
+    """Return what stands on a picture: titles, axes, and the ends of their scales."""
+    return [
+        (axes.get_title(), axes.get_xlabel(), axes.get_ylabel(), axes.get_xlim(), axes.get_ylim())
+        for axes in figure.axes
+    ]
 
 
-def test_a_run_reads_back_equal(saved_run, written):
-    again = po.load(written(saved_run.to_json()))
-    assert again.scene == saved_run.scene
-    assert again.to_json() == saved_run.to_json()
+@pytest.mark.parametrize("name", EVERY)
+def test_what_is_loaded_is_what_was_saved(name, tmp_path):
+    """The same class, words, tables, pictures and frames, and the same file if it is saved once more."""
+    made = EVERY[name]()
+    assert type(made).__name__ == name
+    path = made.save(tmp_path / "deep" / "result.json")
+    saved = strict(path.read_text(encoding="utf-8"))
+    assert saved["schema"] == 2
+    packages = {package: version(package) for package in ("plough_opt", "casadi", "numpy")}
+    assert saved["versions"].items() >= (packages | {"python": platform.python_version()}).items()
+    found = po.load(str(path))
+    assert type(found) is type(made)
+    assert type(found).load(path).to_json() == found.to_json()
+    assert (str(found), repr(found)) == (str(made), repr(made))
+    assert found.save(tmp_path / "again.json").read_bytes() == path.read_bytes()
+    assert found._repr_html_().partition("<img")[0] == made._repr_html_().partition("<img")[0]
+    assert drawn(found.plot()) == drawn(made.plot())
+    again, frame = found.to_dataframe(), made.to_dataframe()
+    assert again.equals(frame)
+    assert again.attrs == frame.attrs
 
 
-def test_an_optimum_reads_back_equal(saved_optimum, written):
-    again = po.load(written(saved_optimum.to_json()))
-    assert (again.variables, again.limits, again.local_optima) == (
-        saved_optimum.variables, saved_optimum.limits, saved_optimum.local_optima,
-    )  # fmt: skip
-    assert again.to_json() == saved_optimum.to_json()
+@pytest.mark.parametrize("name", EVERY)
+def test_every_result_shows_itself_briefly_and_writes_its_picture(name, tmp_path):
+    result = EVERY[name]()
+    assert len(repr(result)) < 200
+    assert "\n" not in repr(result)
+    assert name == "Rounded" or str(result).count("\n") >= 2  # a sentence, or a table
+    assert not re.search(r"array\(|MX\(|object at 0x", str(result))
+    html = result._repr_html_()
+    assert html.count("<table>") == html.count("</table>") >= 1
+    assert 'src="data:image/png;base64,' in html
+    assert result.plot(tmp_path / "picture.svg").axes
+    assert (tmp_path / "picture.svg").read_text(encoding="utf-8").lstrip().startswith("<?xml")
+    with pytest.raises(po.InputError, match="no known picture format"):
+        result.plot(tmp_path / "picture.txt")
 
 
-def test_the_path_may_be_text(saved_run, written):
-    assert po.load(str(written(saved_run.to_json()))).to_json() == saved_run.to_json()
+def test_a_run_prints_and_saves_its_numbers():
+    made = run()
+    text, saved = str(made), json.loads(made.to_json())
+    assert re.search(rf"mean draft +{made.mean_draft / 1e3:.5g} kN", text)
+    assert re.search(rf"RMS of the mount force +{made.force_rms / 1e3:.5g} kN", text)
+    # Deflections of some and of some tens of millimetres stand beside each other in one unit.
+    assert len(set(re.findall(r"deflection +[-0-9.e]+ (\w+)", text))) == 1
+    assert all(f"Note: {note}." in text for note in made.warnings)
+    assert saved["kind"] == "run"
+    for name in ("time", "travel", "speed", "deflection", "mount_force", "soil_resistance"):
+        np.testing.assert_array_equal(saved[name], getattr(made, name))
+    for name in ("mean_draft", "force_rms", "mean_deflection", "displacement_rms", "tow_power"):
+        assert saved["averages"][name] == getattr(made, name)
+    assert saved["peak_force"] == np.max(made.mount_force)
+    for name in ("specific_draft", "error_estimate", "seconds"):
+        assert saved[name] == getattr(made, name)
+    assert saved["quantities"]["soil.friction_angle"] == math.radians(28.0)
+
+
+def test_an_optimum_prints_and_saves_its_design_and_limits(tmp_path):
+    best = optimum()
+    text, saved = str(best), json.loads(best.to_json())
+    for words in ("Best design: objective", "(solved)", "height", "loosened radius", "decides", " m "):
+        assert words in text, words
+    assert f"{1e3 * best.variables['height']:.7g} mm" in text  # the value printed is the one returned
+    # A limit that decides has no margin.
+    assert re.search(r"loosened radius +at least 0.12 m +0.12 m +0 m +decides\n", text)
+    assert str(best.local_optima[0]).count("\n") >= 4
+    assert saved["best"]["variables"] == best.variables
+    (radius,) = [limit for limit in saved["best"]["limits"] if limit["name"] == "loosened radius"]
+    assert radius["value"] == pytest.approx(0.12, rel=1e-7)
+    assert radius["active"] is True
+    assert saved["local_optima"][0] == saved["best"]
+    assert saved["run"]["averages"]["mean_draft"] == best.run.mean_draft
+    found = po.load(best.save(tmp_path / "best.json"))
+    assert (found.margins, found.active) == (best.margins, best.active)
+
+
+def test_a_symbolic_run_shows_no_numbers():
+    symbolic = po.simulate(dataclasses.replace(STILL, mass=ca.MX.sym("mass")), 0.1)
+    assert str(symbolic) == "<Run: expressions of a scene's symbols>"
+    assert "expressions" in symbolic._repr_html_()
+    for refused in (symbolic.plot, symbolic.to_dataframe):
+        with pytest.raises(po.InputError, match="symbolic run"):
+            refused()
+
+
+def test_frames_hold_the_numbers_with_their_units():
+    made, best = run(), optimum()
+    frame = made.to_dataframe()
+    np.testing.assert_array_equal(frame["mount_force"], made.mount_force)
+    assert frame.attrs["units"]["mount_force"] == "N"
+    frame = best.to_dataframe()
+    assert frame.loc[0, "height"] == best.variables["height"]
+    assert frame.attrs["units"] == {"height": "m", "stiffness": "N/m"}
+    assert list(best.local_optima[0].to_dataframe()["name"]) == [limit.name for limit in best.limits]
+    frame = front().to_dataframe()
+    np.testing.assert_array_equal(frame[["draft", "radius"]], front().objectives)
+    assert frame.attrs["units"] == {"draft": "N", "radius": "m", "x": "m"}
+    np.testing.assert_array_equal(batch().to_dataframe()["mean_draft"], batch().mean_draft)
+    np.testing.assert_array_equal(fit().to_dataframe()["observed"], fit().observed)
+    assert len(study().to_dataframe()) == len(study().entries)
+
+
+def test_a_frame_without_pandas_says_what_to_install(monkeypatch):
+    monkeypatch.setitem(sys.modules, "pandas", None)
+    with pytest.raises(po.InputError, match=r"pip install 'plough_opt\[pandas\]'"):
+        data_frame({"x": [1.0]}, {"x": "m"})
+
+
+def test_designs_are_drawn_between_their_limits():
+    figure = optimum().local_optima[0].plot()
+    labels = [axes.get_ylabel() for axes in figure.axes]
+    assert labels == ["loosened radius [m]", "half height [mm]", "height [mm]", "stiffness [kN/m]"]
+    places = {line.get_marker(): line.get_xdata()[0] for line in figure.axes[0].lines if len(line.get_xdata())}
+    assert places == {"o": optimum().limits[0].value, "None": 0.12}
+
+
+def squared(point):
+    if point["a"] == 2.0 and point["b"] == 10.0:
+        raise ValueError("too much")
+    return {"force": 1e3 * point["a"] ** 2 + point["b"]}
+
+
+def test_a_sweep_prints_draws_and_gives_its_points(tmp_path):
+    over = {"a": [1.0, 2.0, 3.0], "b": [0.0, 10.0]}
+    with po.sweep(squared, over, workers=1, units={"force": "N"}) as swept:
+        text, frame = str(swept), swept.to_dataframe()
+        assert 'src="data:image/png;base64,' in swept._repr_html_()
+        assert swept.plot(tmp_path / "picture.svg").axes
+    assert "6 points, 1 failed" in text
+    assert re.search(r"force +1 kN +a 1 +9\.01 kN +a 3\n +b 0 +b 10", text)
+    assert "failed at a = 2, b = 10: ValueError: too much" in text
+    np.testing.assert_array_equal(frame["force"], [1000.0, 1010.0, 4000.0, math.nan, 9000.0, 9010.0])
+    assert frame.attrs["units"] == {"force": "N"}
+
+
+def test_values_of_a_kind_have_one_unit():
+    assert customary("N", 12.0, 1200.0).text(12.0) == "0.012 kN"
+    assert customary("m", 0.003, 0.05).text(0.003) == "0.003 m"
+    assert customary("m", 0.003, -0.004).text(0.003) == "3 mm"
+    assert customary("N", math.inf, math.nan).text(2.0) == "2 N"
+
+
+def test_texts_of_a_user_are_no_markup():
+    grid = Grid.of("<b>title</b>", "name", "value")
+    grid.row("[bold]x[/] & y", "two\nlines")
+    page = Page("<script>", (grid, "1 < 2"), ("a < b",), "end", "[red]")
+    html = page.html()
+    assert "<script>" not in html
+    assert "&lt;b&gt;title" in html
+    assert "two<br>lines" in html
+    assert "[bold]x[/] & y" in str(page)
+    assert str(grid).splitlines()[-1].strip() == "lines"
 
 
 @pytest.mark.parametrize("title", ["Плуг β = 15°", 'with "quotes" \\ and\nlines', "", "[bold]"])
-def test_any_title_reads_back_equal(run, written, title):
-    named = dataclasses.replace(run, origin=dataclasses.replace(run.origin, title=title))
-    assert po.load(written(named.to_json())).origin.title == title
+def test_any_title_reads_back_equal(tmp_path, title):
+    named = dataclasses.replace(run(), origin=dataclasses.replace(run().origin, title=title))
+    assert po.load(named.save(tmp_path / "run.json")).origin.title == title
 
 
-@pytest.mark.parametrize("kind", ["run", "optimum"])
-def test_a_result_says_what_made_it(kind, request):
-    saved = strict(request.getfixturevalue(f"saved_{kind}").to_json())
-    assert (saved["schema"], saved["kind"]) == (2, kind)
-    versions = saved["versions"]
-    for package in ("plough_opt", "casadi", "numpy"):
-        assert versions[package] == version(package)
-    assert versions["python"] == platform.python_version()
+def test_designs_in_python_keep_their_declarations(tmp_path):
+    d = po.Design()
+    height = d.variable("height", guess="250 mm", lower="100 mm", upper="500 mm")
+    cohesion = d.parameter("cohesion", "20 kPa")
+    d.minimise(height * cohesion / 1e3)
+    d.require("half height", height / 2.0, at_least="60 mm")
+    best = d.solve(search="near", seed=3, parameters={"cohesion": 3e4})
+    found = po.load(best.save(tmp_path / "best.json"))
+    declared = found.origin.declarations
+    assert [declared["height"][key] for key in ("kind", "lower", "upper", "unit")] == ["variable", 0.1, 0.5, "m"]
+    assert declared["cohesion"]["value"] == 3e4
+    assert declared["half height"]["at_least"] == 0.06
+    assert "height" in declared["objective"]["expression"]
+    assert found.origin.seed == 3
+    declared = po.load(front().save(tmp_path / "front.json")).origin.declarations
+    kinds = {"x": "variable", "k": "parameter", "sum": "requirement", "draft": "objective", "radius": "objective"}
+    assert {name: own["kind"] for name, own in declared.items()} == kinds
+    assert declared["k"]["value"] == 1.0
+    assert declared["radius"]["aim"] == "maximise"
+    assert "x [mm]" in str(front())
 
 
-@pytest.mark.parametrize("kind", ["run", "optimum"])
-def test_every_number_of_a_result_is_finite(kind, request):
-    found = numbers(strict(request.getfixturevalue(f"saved_{kind}").to_json()))
-    assert len(found) > 100
-    assert all(math.isfinite(x) for x in found)
-
-
-def test_a_saved_run_holds_the_numbers_of_the_run(run, saved_run):
-    saved = strict(saved_run.to_json())
-    for name in ("time", "travel", "speed", "deflection", "mount_force", "soil_resistance"):
-        np.testing.assert_array_equal(saved[name], getattr(run, name))
-    for name in ("mean_draft", "force_rms", "mean_deflection", "displacement_rms", "tow_power"):
-        assert saved["averages"][name] == getattr(run, name)
-    assert saved["peak_force"] == np.max(run.mount_force)
-    assert saved["peak_deflection"] == np.max(run.deflection)
-    assert saved["specific_draft"] == run.specific_draft
-    assert saved["accuracy"]["method"] == run.accuracy.method
-    assert (saved["error_estimate"], saved["seconds"]) == (run.error_estimate, run.seconds)
-    assert saved["warnings"] == list(run.warnings)
-
-
-def test_a_saved_optimum_holds_the_design_its_limits_and_its_run(optimum, saved_optimum):
-    best, run = optimum
-    saved = strict(saved_optimum.to_json())
-    assert saved["status"] == "solved"
-    assert saved["best"]["variables"] == best.variables
-    assert saved["best"]["objective"] == pytest.approx(run.mean_draft / 1e3, rel=1e-9)
-    limits = {limit["name"]: limit for limit in saved["best"]["limits"]}
-    assert set(limits) == {"loosened radius", "height"}
-    assert limits["loosened radius"]["value"] == pytest.approx(0.12, rel=1e-7)
-    assert limits["loosened radius"]["active"] is True
-    assert saved["local_optima"][0] == saved["best"]
-    assert saved["run"]["averages"]["mean_draft"] == run.mean_draft
-
-
-def test_a_loaded_optimum_answers_as_the_solved_one_does(optimum, saved_optimum, written):
-    best, _ = optimum
-    loaded = po.load(written(saved_optimum.to_json()))
-    assert loaded.margins == best.margins
-    assert loaded.active == best.active
-
-
-def test_soil_without_any_strength_gives_a_result_without_gaps(written):
+def test_soil_without_any_strength_gives_a_result_without_gaps(tmp_path):
     soil = po.Soil(1350.0, 0.8, 0.0, po.deg(28), 0.5, ambient_pressure=0.0)
-    scene = po.Scene(soil, po.Cone(po.deg(10), 0.25), stiffness=5e4, mass=20.0, tow_speed=0.0)
-    run = po.simulate(scene, 0.5, outputs=4)
-    assert run.averages.mean_draft == pytest.approx(0.0, abs=1e-9)
-    assert po.load(written(run.to_json())).to_json() == run.to_json()
+    weak = po.simulate(po.Scene(soil, po.Cone(po.deg(10), 0.25), stiffness=5e4, mass=20.0, tow_speed=0.0), 0.5)
+    assert weak.averages.mean_draft == pytest.approx(0.0, abs=1e-9)
+    assert po.load(weak.save(tmp_path / "run.json")).to_json() == weak.to_json()
 
 
-def test_a_stand_in_for_no_orbit_reads_back_with_its_infinite_error(written):
+def test_a_stand_in_for_no_orbit_reads_back_with_its_infinite_error(tmp_path):
     wave = po.StrengthWave(amplitude=1.0, wavelength=0.02)
     effects = po.Effects(strength_wave=wave, orbit="linearised")
-    run = po.simulate(po.Scene(po.named_soil("serozem"), po.Cone(po.deg(12), 0.25), 2e3, 25.0, 0.3, effects), outputs=4)
-    assert run.error_estimate == math.inf
-    text = run.to_json()
-    assert strict(text)["error_estimate"] == "Infinity"
-    assert po.load(written(text)).error_estimate == math.inf
+    lost = po.simulate(po.Scene(po.named_soil("serozem"), po.Cone(po.deg(12), 0.25), 2e3, 25.0, 0.3, effects))
+    assert strict(lost.to_json())["error_estimate"] == "Infinity"
+    assert po.load(lost.save(tmp_path / "run.json")).error_estimate == math.inf
 
 
-class TestLoadRefuses:
-    """What is no result of this version is refused with a sentence that names the file."""
+def test_functions_and_effects_that_are_not_there_are_named_and_not_run(tmp_path):
+    scene = dataclasses.replace(SCENE, effects=po.Effects(own=(Drag(30.0),)))
+    path = po.simulate(scene, 0.1).save(tmp_path / "own.json")
+    assert po.load(path).scene == scene  # this module is there
+    text = path.read_text(encoding="utf-8")
+    own = f"{__name__}:Drag"
+    assert own in text
+    path.write_text(text.replace(own, "elsewhere:Drag"), encoding="utf-8")
+    found = po.load(path)
+    assert "mean draft" in str(found)
+    (effect,) = found.scene.effects.own
+    assert effect.newtons == 30.0
+    with pytest.raises(po.InputError, match="'elsewhere:Drag', which is not defined here"):
+        effect.force(0.0, 1.0)
+    # Nor is a class taken that belongs to Python, or is no effect.
+    path.write_text(text.replace(own, "subprocess:Popen"), encoding="utf-8")
+    assert not isinstance(po.load(path).scene.effects.own[0], subprocess.Popen)  # a stand-in of that name
+    path.write_text(text.replace(own, "plough_opt.soil.geometry:Cone"), encoding="utf-8")
+    with pytest.raises(po.InputError, match="own"):
+        po.load(path)
 
-    def refusal(self, path):
-        with pytest.raises(po.InputError) as caught:
-            po.load(path)
-        message = str(caught.value)
-        assert str(path) in message
-        assert "\n" not in message
-        return message
 
-    @pytest.mark.parametrize(
-        "text",
-        [
-            "",
-            "{}",
-            "[]",
-            "3",
-            "null",
-            '"run"',
-            '{"kind": "run"}',
-            '{"kind": "run", "schema": 2}',
-            'title = "a problem"',
-        ],
-    )
-    def test_a_wrong_file(self, written, text):
-        assert "is not a result of this version (schema 2)" in self.refusal(written(text))
+# What is no result of this version is refused with a sentence that names the file.
+WRONG = "is not a result of this version (schema 2)"
 
-    @pytest.mark.parametrize("kind", ["run", "optimum"])
-    @pytest.mark.parametrize("part", [0.1, 0.5, 0.999])
-    def test_truncated_json(self, written, request, kind, part):
-        text = request.getfixturevalue(f"saved_{kind}").to_json()
-        assert "Invalid JSON" in self.refusal(written(text[: int(part * len(text))]))
 
-    @pytest.mark.parametrize("schema", [0, 1, True, "2", None, 2.5])
-    def test_another_schema_number(self, saved_run, written, schema):
-        changed = json.dumps(json.loads(saved_run.to_json()) | {"schema": schema})
-        message = self.refusal(written(changed))
-        assert "schema 2" in message
-        assert "schema" in message.split("(schema 2)")[1]
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        *((text, WRONG) for text in ("", "{}", "[]", "3", "null", '"run"', '{"kind": "run"}', 'title = "a problem"')),
+        *((part, "Invalid JSON") for part in (0.1, 0.5, 0.999)),
+        *(({"schema": schema}, "schema") for schema in (0, 1, True, "2", None, 2.5)),
+        ({"kind": "sweep"}, "'sweep'"),
+        *((without, without) for without in ("schema", "title", "versions", "averages", "time")),
+        (b"\x89PNG\r\n\x1a\n", "cannot be read"),
+    ],
+)
+def test_what_is_no_result_is_refused(tmp_path, text, words):
+    path = tmp_path / "result.json"
+    whole = run().to_json()
+    if isinstance(text, float):
+        text = whole[: int(text * len(whole))]
+    elif isinstance(text, dict):
+        text = json.dumps(json.loads(whole) | text)
+    elif text == words:
+        text = json.dumps({key: value for key, value in json.loads(whole).items() if key != text})
+    path.write_bytes(text if isinstance(text, bytes) else text.encode())
+    refused(path, words)
 
-    def test_no_schema_number(self, saved_run, written):
-        found = json.loads(saved_run.to_json())
-        del found["schema"]
-        assert "schema" in self.refusal(written(json.dumps(found))).split("(schema 2)")[1]
 
-    def test_another_kind(self, saved_run, written):
-        changed = json.dumps(json.loads(saved_run.to_json()) | {"kind": "sweep"})
-        assert "'sweep'" in self.refusal(written(changed))
+def refused(path, words):
+    """Check that a file is refused with some words behind its name and that of the version."""
+    with pytest.raises(po.InputError) as caught:
+        po.load(path)
+    message = str(caught.value)
+    assert str(path) in message
+    assert "\n" not in message
+    assert words in (message if words == WRONG or "(schema 2)" not in message else message.split("(schema 2)")[1])
 
-    @pytest.mark.parametrize("key", ["title", "versions", "averages", "time"])
-    def test_a_missing_key_is_named(self, saved_run, written, key):
-        found = json.loads(saved_run.to_json())
-        del found[key]
-        assert key in self.refusal(written(json.dumps(found)))
 
-    def test_a_missing_file(self, tmp_path):
-        assert "cannot be read" in self.refusal(tmp_path / "nothing.json")
-
-    def test_a_folder(self, tmp_path):
-        assert "cannot be read" in self.refusal(tmp_path)
-
-    def test_a_file_that_is_no_text(self, tmp_path):
-        path = tmp_path / "plot.png"
-        path.write_bytes(b"\x89PNG\r\n\x1a\n")
-        assert "cannot be read" in self.refusal(path)
+def test_what_is_no_file_is_refused(tmp_path):
+    refused(tmp_path, "cannot be read")
+    refused(tmp_path / "nothing.json", "cannot be read")

@@ -45,7 +45,9 @@ def add_init(verb: argparse.ArgumentParser) -> None:
 
 
 def init(options: argparse.Namespace) -> None:
-    """Write the template; an existing file is left alone."""
+    """Write the template; an existing file is left alone, and no folder is made."""
+    if not Path(options.file).parent.is_dir():
+        raise InputError(f"'{options.file}' cannot be written: make its folder first, or name another place")
     path = write_new(options.file, "problem file", TEMPLATE)
     if options.json:
         print(json.dumps({"wrote": [str(path)]}))

@@ -73,15 +73,13 @@ def write_files(files: Mapping[Path, Content], kind: str) -> None:
 
 
 def write_new(path: str | Path, kind: str, content: Content) -> Path:
-    """Write a file that must not exist yet, into a folder that does, as `write_file` does; return its path.
+    """Write a file that must not exist yet as `write_file` does; return its path.
 
     Raises:
         InputError: it exists, or cannot be written.
     """
     if os.path.lexists(path):
         raise InputError(f"'{path}' exists already and is left as it is: name another file")
-    if not Path(path).parent.is_dir():
-        raise InputError(f"the {kind} '{path}' cannot be written: its folder does not exist")
     return write_file(path, kind, content)
 
 

@@ -73,9 +73,3 @@ def optimised_json(reference, tmp_path_factory):
     """Return the outcome of optimising R1, as JSON, and the picture that came with it."""
     picture = tmp_path_factory.mktemp("pictures") / "r1.svg"
     return call("optimise", reference, "--json", "--plot", picture), picture
-
-
-@pytest.fixture(scope="session")
-def infeasible(reference):
-    """Return the outcome of asking R1 for more loosened soil than its bounds allow."""
-    return call("optimise", reference, "--set", "require.loosened_radius.at_least=2 m")

@@ -56,6 +56,7 @@ def test_every_parameter_is_identifiable_in_some_case(script):
     assert {own.name for case in found for own in case if own.identifiable} == set(script.BOUNDS)
 
 
+@pytest.mark.slow
 def test_intervals_that_are_too_narrow_are_found_out(script):
     """The benchmark can fail: with errors twice those that are stated, coverage falls to what theory says."""
     case = script.CASES[0]

@@ -4,13 +4,12 @@ import csv
 import os
 import re
 import signal
-import sqlite3
 import subprocess
 import sys
-import time
 
 import numpy as np
 import pytest
+from helpers import swept
 
 import plough_opt as po
 
@@ -59,16 +58,12 @@ def test_ctrl_c_leaves_a_store_that_goes_on(cli, tmp_path):
         [sys.executable, "-c", line, *command], stderr=subprocess.PIPE, text=True, env=os.environ
     )
     try:
-        end = time.monotonic() + 60.0
-        while stored(store) == 0:
-            assert process.poll() is None
-            assert time.monotonic() < end
-            time.sleep(0.02)
+        swept.until(lambda: swept.stored(store), process)
         process.send_signal(signal.SIGINT)
         error = process.communicate(timeout=60)[1]
     finally:
         process.kill()
-    kept = stored(store)
+    kept = len(swept.stored(store))
     assert 0 < kept < 10_000
     assert process.returncode == 130
     # Before it, where the machine is slow, how far it was after every ten seconds.
@@ -79,19 +74,6 @@ def test_ctrl_c_leaves_a_store_that_goes_on(cli, tmp_path):
     assert other.status == 2
     assert "scene.frame_mass: 20.0 there, 25.0 here" in other.err.replace("\n", " ")
     assert not table.exists()
-
-
-def stored(path):
-    """Return the number of points in a store that another process writes."""
-    if not path.exists():
-        return 0
-    connection = sqlite3.connect(path, timeout=60.0)
-    try:
-        return connection.execute("SELECT count(*) FROM points").fetchone()[0]
-    except sqlite3.OperationalError:
-        return 0
-    finally:
-        connection.close()
 
 
 def test_failures_are_told(cli, reference, tmp_path, monkeypatch):

@@ -3,6 +3,7 @@
 import math
 import os
 import signal
+import sqlite3
 import time
 from dataclasses import dataclass
 from pathlib import Path
@@ -108,3 +109,25 @@ class Counted:
         os.close(descriptor)
         time.sleep(self.pause)
         return waves(values)
+
+
+def stored(path, columns="point"):
+    """Return columns of the points that a store holds, also while others write to it."""
+    if not path.exists():
+        return []
+    connection = sqlite3.connect(path, timeout=60.0)
+    try:
+        return connection.execute(f"SELECT {columns} FROM points ORDER BY point").fetchall()
+    except sqlite3.OperationalError:  # there is no such table yet
+        return []
+    finally:
+        connection.close()
+
+
+def until(enough, process):
+    """Wait until something holds while a process runs."""
+    end = time.monotonic() + 60.0
+    while not enough():
+        assert process.poll() is None, process.communicate()
+        assert time.monotonic() < end
+        time.sleep(0.01)

@@ -1,7 +1,6 @@
 """Sweeps that are killed or interrupted, and two at once: real processes on one store."""
 
 import collections
-import sqlite3
 import time
 from pathlib import Path
 
@@ -17,28 +16,6 @@ from plough_opt.studies.sweep.work import Done
 PROCESSES = Path("/proc")
 VALUES = 60
 OVER = {"a": po.Range(0.0, 1.0, VALUES), "b": [1.0, 2.0]}
-
-
-def stored(path):
-    """Return the points that a store holds, also while others write to it."""
-    if not path.exists():
-        return []
-    connection = sqlite3.connect(path, timeout=60.0)
-    try:
-        return connection.execute("SELECT point, a, b, sine, root FROM points ORDER BY point").fetchall()
-    except sqlite3.OperationalError:  # there is no such table yet
-        return []
-    finally:
-        connection.close()
-
-
-def until(enough, process, seconds=60.0):
-    """Wait until something holds while a process runs."""
-    end = time.monotonic() + seconds
-    while not enough():
-        assert process.poll() is None, process.communicate()
-        assert time.monotonic() < end
-        time.sleep(0.01)
 
 
 def calls(path):
@@ -66,11 +43,11 @@ def children_of(parent):
 def test_a_killed_sweep_resumes_and_repeats_nothing_that_was_stored(script, counted_text, inline, tmp_path):
     store, file = tmp_path / "sweep.db", tmp_path / "calls"
     process = script(counted_text(store, file, 0.02, VALUES))
-    until(lambda: len(stored(store)) >= 10, process)
+    swept.until(lambda: len(swept.stored(store)) >= 10, process)
     workers = children_of(process.pid)
     process.kill()
     process.wait()
-    kept = stored(store)
+    kept = swept.stored(store, "a, b")
     assert workers
     assert 10 <= len(kept) < 2 * VALUES
     # Workers end with their parent, so that nothing else evaluates.
@@ -85,7 +62,7 @@ def test_a_killed_sweep_resumes_and_repeats_nothing_that_was_stored(script, coun
         found = resumed.table
     evaluated = calls(file)
     assert len(evaluated) == 2 * VALUES
-    assert all(evaluated[row[1], row[2]] == 1 for row in kept)
+    assert all(evaluated[row] == 1 for row in kept)
     # What was not stored was under way: six tasks for two workers, each of a quarter of a second of pauses at most.
     assert sum(evaluated.values()) - 2 * VALUES <= 6 * int(0.25 / 0.02)
     np.testing.assert_array_equal(found, po.sweep(swept.waves, OVER, executor=inline).table)
@@ -125,13 +102,6 @@ class TestClaims:
         numbers = np.arange(first, last)
         reasons = dict.fromkeys(range(len(numbers)), "no")
         return store.keep(numbers, numbers[:, None] * 1.0, Done(len(numbers), reasons=reasons))
-
-    def test_runs_that_live_never_claim_the_same(self, open_store):
-        one, two = open_store(), open_store()
-        claimed = [run.claim(4).tolist() for run in (one, two, one)]
-        assert claimed == [[0, 1, 2, 3], [4, 5, 6, 7], [8, 9]]
-        assert two.claim(4) is None
-        assert (one.waiting(), two.waiting()) == (True, True)
 
     def test_what_is_stored_twice_is_one_row(self, open_store):
         one, two = open_store(), open_store()
@@ -174,11 +144,3 @@ class TestClaims:
         while (claim := two.claim(10)) is not None:
             found |= set(claim.tolist())
         assert found == set(range(10))
-
-    def test_numbers_are_stored_to_the_last_bit(self, open_store):
-        store = open_store()
-        store.name_results(("x",))
-        numbers = np.array([[5e-324], [1.7976931348623157e308], [0.1 + 0.2], [-1.0 / 3.0], [2.0**53 + 2.0]])
-        store.keep(np.arange(5), numbers, Done(5, numbers))
-        assert list(store.rows("a", "x")) == [(x, x) for x in numbers.ravel().tolist()]
-        assert all(isinstance(row[0], float) for row in store.rows("x"))

@@ -47,6 +47,12 @@ def test_the_same_bits_whatever_the_executor_the_workers_and_the_size_of_tasks(i
     np.testing.assert_array_equal(po.sweep(swept.waves, OVER, executor=inline).table, first)
 
 
+def test_numbers_are_stored_to_the_last_bit(inline):
+    numbers = [5e-324, 1.7976931348623157e308, 0.1 + 0.2, -1.0 / 3.0, 2.0**53 + 2.0]
+    with po.sweep(lambda values: {"x": values["a"]}, {"a": numbers}, executor=inline) as found:
+        assert found.table[["a", "x"]].tolist() == [(number, number) for number in numbers]
+
+
 def test_failures_are_rows_with_a_reason(inline):
     result = po.sweep(swept.failing, {"a": [0.0, 1.0, 2.0, 3.0]}, executor=inline)
     assert [(failure.point, failure.values, failure.reason) for failure in result.failures] == [

@@ -74,6 +74,11 @@ class Sweep(Readable):
         already: number of points that were stored before this run began.
         origin: the problem behind it, if known.
         how: how the points were computed, in a sentence, if known.
+        path: of the store; None if it has no file of its own.
+        names: the quantities that were swept.
+        results: names of the results.
+        units: name -> SI unit, of quantities and results that have one.
+        question: everything that the results depend on, as text.
 
     Example:
         >>> import plough_opt as po
@@ -84,8 +89,9 @@ class Sweep(Readable):
     how = ""
 
     def __init__(self, store: Store, already: int = 0) -> None:
-        self._store = store
-        self.already = already
+        self._store, self.already, self.path = store, already, store.path
+        about = store.about
+        self.names, self.results, self.units, self.question = about.names, about.results, about.units, about.question
         weakref.finalize(self, store.close)
 
     @classmethod
@@ -118,31 +124,6 @@ class Sweep(Readable):
 
     def __len__(self) -> int:
         return self._store.counts().stored
-
-    @property
-    def path(self) -> Path | None:
-        """File of the store."""
-        return self._store.path
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """The quantities that were swept."""
-        return self._store.about.names
-
-    @property
-    def results(self) -> tuple[str, ...]:
-        """Names of the results."""
-        return self._store.about.results
-
-    @property
-    def units(self) -> dict[str, str]:
-        """Name -> SI unit, of quantities and results that have one."""
-        return self._store.about.units
-
-    @property
-    def question(self) -> dict[str, str]:
-        """Everything that the results depend on, as text."""
-        return self._store.about.question
 
     @property
     def complete(self) -> bool:

@@ -35,6 +35,7 @@ from plough_opt.studies.accuracy.local_solve import (
     solve_nlp,
     solve_transcribed,
 )
+from plough_opt.studies.accuracy.methods import text
 from plough_opt.studies.accuracy.transcription import Mesh, Points, Question, Transcription, transcribe
 
 REPORTED = "objective as reported"
@@ -99,24 +100,16 @@ class TightOptimum:
     Attributes:
         variables: name -> value, SI units.
         objective: tightly re-integrated.
-        check: relative difference of two tight integrations of the objective, of which one checks the other [-].
-        residual: largest component of the scaled optimality conditions, by the derivatives of another integrator [-].
+        floor: relative error of the objective below which contestants cannot be told apart [-].
         y: scaled variables.
         off: by how much the last of Newton's steps, which is rounding, would move them [-].
     """
 
     variables: dict[str, float]
     objective: float
-    check: float
-    residual: float
+    floor: float
     y: Vector
     off: float
-
-    @property
-    def floor(self) -> float:
-        """Relative error of the objective below which contestants cannot be told apart [-]."""
-        # At an optimum on its limits the objective is off by the residual times the error of the variables.
-        return max(self.check, self.residual * max(self.off, self.residual), float(np.finfo(float).eps))
 
 
 @dataclass(frozen=True)
@@ -241,14 +234,11 @@ class _Judge:
         program = self._tight
         y, residual, off = self._polished(point)
         found, check = (float(values[0].item()) for values in program.exact_values(y, self._p))
-        return TightOptimum(
-            variables={v.name: float(x) for v, x in zip(program.declared.variables, program.values(y), strict=True)},
-            objective=found,
-            check=abs(found - check) / max(abs(found), program.objective_scale * 1e-12),
-            residual=residual,
-            y=y,
-            off=off,
-        )
+        apart = abs(found - check) / max(abs(found), program.objective_scale * 1e-12)
+        variables = zip(program.declared.variables, program.values(y), strict=True)
+        # At an optimum on its limits the objective is off by the residual times the error of the variables.
+        floor = max(apart, residual * max(off, residual), float(np.finfo(float).eps))
+        return TightOptimum({v.name: float(x) for v, x in variables}, found, floor, y, off)
 
     def _polished(self, point: Point) -> tuple[Vector, float, float]:
         """Return scaled variables on the limits that decide, what is left of the conditions, and the next step."""
@@ -319,8 +309,8 @@ class _Contestants:
         self._derivatives()
         return self._found
 
-    def _add(self, family: str, name: str, text: str, build: Callable[[], Solve]) -> None:
-        self._found.setdefault((family, name), []).append((text, build))
+    def _add(self, family: str, name: str, setting: str, build: Callable[[], Solve]) -> None:
+        self._found.setdefault((family, name), []).append((setting, build))
 
     def _steps(self, angle: float) -> int:
         """Return how many steps of so many radians a run takes."""
@@ -329,44 +319,41 @@ class _Contestants:
     def _transcriptions(self) -> None:
         """Add the forms of the program, each with exact derivatives by CasADi."""
         count = self._steps(_SINGLE)
-        single, text = Accuracy("dop853", steps=count), f"{count} steps of order 8"
+        single, words = Accuracy("dop853", steps=count), f"{count} steps of order 8"
         if self._question.refusal("dop853"):
-            single, text = Accuracy("erk", tolerance=_TIGHTER), f"erk, tolerance {_TIGHTER:.0e}"
-        self._add("transcription", "single shooting", text, partial(self._by_casadi, single))
+            single, words = Accuracy("erk", tolerance=_TIGHTER), f"erk, tolerance {_TIGHTER:.0e}"
+        self._add("transcription", "single shooting", words, partial(self._by_casadi, single))
         for segments in dict.fromkeys(map(self._question.intervals, _SEGMENTS)):
             each = math.ceil(count / segments)
-            text = f"{segments} segments of {each} step{'s' * (each > 1)}"
+            words = f"{segments} segments of {each} step{'s' * (each > 1)}"
             build = partial(self._by_casadi, Mesh(segments, steps=each))
-            self._add("transcription", "multiple shooting", text, build)
+            self._add("transcription", "multiple shooting", words, build)
         for points, degree, angles in _MESHES:
             for intervals in dict.fromkeys(map(self._steps, angles)):
                 build = partial(self._by_casadi, Mesh(intervals, degree=degree, points=points))
-                text = f"{intervals} intervals of degree {degree}"
-                self._add("transcription", f"collocation, {points.title()}", text, build)
+                words = f"{intervals} intervals of degree {degree}"
+                self._add("transcription", f"collocation, {points.title()}", words, build)
 
     def _integrators(self) -> None:
         """Add single shooting by other integrators, each with an exact gradient and limited-memory BFGS."""
         others = {name: METHODS[name].finer for name in METHODS if is_stepped(name) and name not in ("auto", "dop853")}
         fixed = (*_FIXED, *((name, (1.0 / by, 0.5 / by)) for name, by in others.items()))
-        settings = [
-            (Accuracy(method, steps=count), f"{count} steps", _TIGHT)
-            for method, angles in fixed for count in dict.fromkeys(map(self._steps, angles))
-        ] + [
-            (Accuracy(method, tolerance=tolerance), f"tolerance {tolerance:.0e}", _NOISY)
-            for method, tolerances in _ADAPTIVE for tolerance in tolerances
-        ]  # fmt: skip
-        for accuracy, text, tolerance in settings:
+        counts = [(method, dict.fromkeys(map(self._steps, angles))) for method, angles in fixed]
+        settings = [Accuracy(method, steps=count) for method, own in counts for count in own]
+        settings += [Accuracy(method, tolerance=tolerance) for method, own in _ADAPTIVE for tolerance in own]
+        for accuracy in settings:
+            tolerance = _TIGHT if accuracy.steps else _NOISY
             build = partial(self._by_casadi, accuracy, exact=False, tolerance=tolerance)
             if reason := self._question.refusal(accuracy.method):
                 build = partial(_refuse, reason)
-            self._add("integrator", accuracy.method, text, build)
+            self._add("integrator", accuracy.method, text(accuracy), build)
 
     def _derivatives(self) -> None:
         """Add choices of derivatives, interpreted and compiled, of the program that `Design.solve` takes."""
         question = self._question
         counts = [count for count in question.steps if count is not None]
         unit = "harmonics" if question.orbits else "steps of order 8"
-        text = ", ".join(f"{count} {unit}" for count in dict.fromkeys(counts))
+        words = ", ".join(f"{count} {unit}" for count in dict.fromkeys(counts))
 
         def built(derivatives: Derivatives, tolerance: float, change: Callable[[Nlp], Nlp] = lambda nlp: nlp) -> Solve:
             # The toolkit's own program: derivatives carried along the steps.
@@ -374,12 +361,12 @@ class _Contestants:
             return solve_nlp(change(nlp), question, self._start, derivatives, tolerance)
 
         for name, derivatives, tolerance in _CARRIED:
-            self._add("derivatives", name, text, partial(built, derivatives, tolerance))
+            self._add("derivatives", name, words, partial(built, derivatives, tolerance))
         if counts and not question.orbits:
             build = partial(self._by_casadi, Accuracy("dop853", steps=max(counts)))
-            self._add("derivatives", _OF_GRAPH, text, build)
+            self._add("derivatives", _OF_GRAPH, words, build)
         build = partial(_refuse, _NO_CODE) if question.orbits else partial(built, "gradient", _TIGHT, compiled)
-        self._add("compiled", f"{GRADIENT}, compiled", text, build)
+        self._add("compiled", f"{GRADIENT}, compiled", words, build)
 
     def _by_casadi(self, form: Transcription, *, exact: bool = True, tolerance: float = _TIGHT) -> Solve:
         """Return the solve of a transcription; collocation, of many small pieces, as scalar operations."""

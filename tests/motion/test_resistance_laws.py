@@ -23,7 +23,6 @@ from plough_opt.laws import (
 from plough_opt.problem_file import read_problem
 from plough_opt.studies.crosscheck import (
     asabe_draft,
-    compare,
     godwin_draft,
     mckyes_ali_draft,
     spherical_cavity_draft,
@@ -218,13 +217,6 @@ def test_problem_file_refuses_with_the_line(tmp_path, old, new, message):
     with pytest.raises(po.InputError, match=message) as refusal:
         read_problem(path)
     assert "line 14" in str(refusal.value)
-
-
-def test_comparison_takes_further_laws():
-    found = compare(scene("plastic"), laws=[McKyesAli(width=0.2)], speeds=[1.0, 2.0])
-    wide = Tine(0.2, 0.25, po.deg(35))
-    assert found.others[-1].model == "McKyes-Ali"
-    assert found.others[-1].drafts == tuple(mckyes_ali_draft(SOIL, wide, v) for v in (1.0, 2.0))
 
 
 def limited(largest):

@@ -102,12 +102,6 @@ class Move:
     then: str
 
 
-def slope(program: Program, number: int, y: float) -> float:
-    """Return d variable / d scaled variable."""
-    v = program.declared.variables[number]
-    return float(v.unscaled(y)) * math.log(v.upper / v.lower) if v.log else v.upper - v.lower
-
-
 class ActiveSet:
     """The limits that decide an optimum, and how it moves with parameters and limits."""
 
@@ -311,7 +305,7 @@ def sides_of(program: Program, point: Point, fixed: Sequence[int]) -> list[Side]
                 found.append(Side(name, r.name, limit, r.unit, row, sign, bound, sign / scale, hidden=hidden))
     for k, v in enumerate(declared.variables):
         row, y = len(program.owner) + k, float(point.y[k])
-        per_unit, log = 1.0 / slope(program, k, y), math.log(v.upper / v.lower) if v.log else 0.0
+        per_unit, log = 1.0 / v.slope(y), math.log(v.upper / v.lower) if v.log else 0.0
         if k in fixed:
             found.append(Side(v.name, v.name, v.value(y), v.unit, row, 1.0, y, per_unit, True, hidden=True))
             continue

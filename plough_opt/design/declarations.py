@@ -74,6 +74,10 @@ class Variable:
             return self.lower * exp(y * math.log(self.upper / self.lower))
         return self.lower + (self.upper - self.lower) * y
 
+    def slope(self, y: float) -> float:
+        """Return the derivative of the value by its position between the bounds."""
+        return float(self.unscaled(y)) * math.log(self.upper / self.lower) if self.log else self.upper - self.lower
+
     def value(self, y: float) -> float:
         """Return the value at a position; exactly the bound at 0 and 1."""
         if y <= 0.0:

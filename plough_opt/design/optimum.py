@@ -8,8 +8,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from plough_opt.core.checks import mapping_of
 from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import is_casadi, map_expressions
@@ -19,7 +17,7 @@ from plough_opt.core.plain import to_plain
 from plough_opt.core.tables import Grid, Page, Part, data_frame
 from plough_opt.core.units import in_words
 from plough_opt.design.local_optimum import LocalOptimum, Search
-from plough_opt.design.sensitivity import Sensitivities, Sensitivity
+from plough_opt.design.sensitivity import Sensitivity, Solved
 from plough_opt.design.tolerance import Spread
 from plough_opt.motion.machine import Machine
 from plough_opt.motion.run import Run
@@ -32,11 +30,6 @@ if TYPE_CHECKING:
 # Per cent of an objective below which a cost is the rounding of none.
 _ROUNDING = 1e-9
 _LEFT_BEHIND = "this optimum was kept without its design: evaluate expressions before, or solve again"
-
-
-def _left_behind(_expression: object) -> np.ndarray:
-    """Stand in for the design's graph in an optimum that was pickled or read from a file."""
-    raise InputError(_LEFT_BEHIND)
 
 
 @dataclass(frozen=True, repr=False)
@@ -77,14 +70,13 @@ class Optimum(LocalOptimum):
     search: Search | None = None
     seconds: float = 0.0
     warnings: tuple[str, ...] = ()
-    evaluate: Callable[[Any], np.ndarray] = field(repr=False, default=_left_behind)
-    differentiated: Sensitivities | None = field(repr=False, default=None)
+    solved: Solved | None = field(repr=False, default=None)
     rounder: Callable[[Mapping[str, Any]], Rounded] | None = field(repr=False, default=None)
     sensitivities: tuple[Sensitivity, ...] = field(default=(), compare=False)
     run: Run | Machine | None = field(default=None, compare=False)
     origin: Origin = field(default=Origin(), compare=False)
     kind = "optimum"
-    unkept = frozenset({"evaluate", "differentiated", "rounder"})
+    unkept = frozenset({"solved", "rounder"})
 
     def __call__(self, item: Any) -> Any:
         """Return an expression, or any object with expressions nested in it, with numbers in their place.
@@ -183,11 +175,11 @@ class Optimum(LocalOptimum):
                 not curve, or its limits decide more than once.
             NotConverged: the optimum is not determined well enough, or could not be solved again.
         """
-        if self.differentiated is None and not check:
+        if self.solved is None and not check:
             for one in self.sensitivities:
                 if one.name == name:
                     return one
-        return self._asked()(name, check=check)
+        return self._unique().sensitivity(name, check=check)
 
     def every_sensitivity(self) -> tuple[Sensitivity, ...]:
         """Return the sensitivities to all parameters that matter and all limits that decide, the largest first.
@@ -195,7 +187,7 @@ class Optimum(LocalOptimum):
         Raises:
             InputError, NotConverged: as `sensitivity`.
         """
-        return self.sensitivities or self._asked().every()
+        return self.sensitivities or self._unique().every()
 
     def rounded(
         self, catalogues: Mapping[str, float | Sequence[float]] | None = None, /, **more: float | Sequence[float]
@@ -221,23 +213,26 @@ class Optimum(LocalOptimum):
             raise InputError("this optimum is rounded already" if isinstance(self, Rounded) else _LEFT_BEHIND)
         return self.rounder({**mapping_of("catalogues", catalogues, "a variable's name -> its values"), **more})
 
-    def _asked(self) -> Sensitivities:
+    def _unique(self) -> Solved:
         if self.flat_directions:
             along = "; ".join(", ".join(name for name, change in d.items() if change) for d in self.flat_directions)
             raise InputError(f"the optimum is not unique, and has no sensitivity: fix one of {along}")
-        if self.differentiated is None:
+        return self._with_design()
+
+    def _with_design(self) -> Solved:
+        if self.solved is None:
             raise InputError(_LEFT_BEHIND)
-        return self.differentiated
+        return self.solved
 
     def __getstate__(self) -> dict[str, Any]:
         """Leave the design's graph, which cannot be pickled, behind."""
-        return {**self.__dict__, "evaluate": _left_behind, "differentiated": None, "rounder": None}
+        return {**self.__dict__, **dict.fromkeys(self.unkept)}
 
     def _with_numbers(self, item: Any) -> Any:
         if isinstance(item, Run):
             outputs = item.time.numel() - 1 if is_casadi(item.time) else len(item.time) - 1
             return repeat(self(item.scene), self(item.duration), outputs=outputs)
-        value = self.evaluate(item)
+        value = self._with_design().evaluate(item)
         return float(value) if value.size == 1 else value
 
 

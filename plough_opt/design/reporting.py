@@ -1,7 +1,6 @@
 """The report on a local optimum: its limits, its name, and what a reader of its numbers must know."""
 
-import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -15,7 +14,7 @@ from plough_opt.design.optimality import decides
 from plough_opt.design.polishing import AS_FOUND
 from plough_opt.design.program import Program
 from plough_opt.design.tolerance import spread
-from plough_opt.motion.judgement import remarks
+from plough_opt.motion.judgement import remarks as remarks_on_run
 from plough_opt.motion.machine import alike_once
 from plough_opt.motion.scene import Scene
 from plough_opt.motion.simulation import repeat
@@ -24,39 +23,37 @@ from plough_opt.motion.simulation import repeat
 _ONE_MOUNT, _MOST_MOUNTS = 0.02, 4
 
 
-def designs_without_value(explored: Explored | None) -> tuple[str, ...]:
-    """Return what a reader must know of designs between the bounds that a search could not look at."""
-    if explored is None or not (part := np.mean(np.isnan(explored.sample.f))):
-        return ()
-    return (
-        f"{100.0 * part:.2g} % of the designs tried between the bounds have no value, and were passed over: the model"
-        " ends, the share runs away, or it oscillates too fast to be followed; tighten the bounds, shorten the"
-        " duration, or take the quasi-static scene",
-    )
+def remarks(explored: Explored | None, point: Point, best: LocalOptimum) -> Iterator[str]:
+    """Give what a reader must know of a search, of a design that was not confirmed, and of one as it is made."""
+    if explored is not None and (part := np.mean(np.isnan(explored.sample.f))):
+        yield (
+            f"{100.0 * part:.2g} % of the designs tried between the bounds have no value, and were passed over: the"
+            " model ends, the share runs away, or it oscillates too fast to be followed; tighten the bounds, shorten"
+            " the duration, or take the quasi-static scene"
+        )
+    if point.status == AS_FOUND:
+        yield (
+            "the design is the best that was seen, but the optimiser did not confirm it as an optimum: objective or"
+            " requirements are not smooth there (a kink, noise, a needle), or leave no room to move"
+        )
+    if best.spread is not None and best.spread.needle:
+        yield (
+            f"the best design is a needle: within its tolerances the objective is {best.spread.median:.6g} in the"
+            f" middle of the cases, where {best.objective:.6g} was found; no workshop can hit it"
+        )
 
 
-def unconfirmed(point: Point) -> tuple[str, ...]:
-    """Return what a reader must know of a design that the optimiser did not confirm."""
-    if point.status != AS_FOUND:
-        return ()
-    return (
-        "the design is the best that was seen, but the optimiser did not confirm it as an optimum: objective or"
-        " requirements are not smooth there (a kink, noise, a needle), or leave no room to move",
-    )
+def reports(landscape: Landscape, points: Sequence[Point]) -> tuple[tuple[LocalOptimum, ...], tuple[str, ...]]:
+    """Return the reports on points, no two names alike, and what a reader of the first must know of its runs."""
+    program, p = landscape.program, landscape.p
+    numbers = [[*program.values(point.y), *p] for point in points]
+    runs = [[program.exact.inputs(k, own) for k in range(len(program.exact.runs))] for own in numbers]
+    names = _names_of(program, [[scene for _, scene in own] for own in runs])
+    optima = [_local_optimum(landscape, point, name) for point, name in zip(points, names, strict=True)]
+    return tuple(optima), _warnings_at(program, numbers[0], runs[0])
 
 
-def as_made(best: LocalOptimum) -> tuple[str, ...]:
-    """Return what a reader must know of the best design as it is made."""
-    spread = best.spread
-    if spread is None or not spread.needle:
-        return ()
-    return (
-        f"the best design is a needle: within its tolerances the objective is {spread.median:.6g} in the middle of the"
-        f" cases, where {best.objective:.6g} was found; no workshop can hit it",
-    )
-
-
-def local_optimum(landscape: Landscape, point: Point, name: str) -> LocalOptimum:
+def _local_optimum(landscape: Landscape, point: Point, name: str) -> LocalOptimum:
     """Return the report on a point, from the tightly integrated model."""
     program, p = landscape.program, landscape.p
     found, check = program.exact_values(point.y, p)
@@ -96,34 +93,27 @@ def _bounds(program: Program, point: Point, values: Vector) -> list[Limit]:
     for v, x, y, pull in zip(program.declared.variables, values.tolist(), point.y, np.abs(point.lam_y), strict=True):
         if v.auxiliary:
             continue
-        slope = x * math.log(v.upper / v.lower) if v.log else v.upper - v.lower
         text = f"{v.shown.text(v.lower)} to {v.shown.text(v.upper)}"
-        margin, multiplier = min(x - v.lower, v.upper - x), float(pull * program.objective_scale / slope)
+        margin, multiplier = min(x - v.lower, v.upper - x), float(pull * program.objective_scale / v.slope(float(y)))
         active = decides(float(min(y, 1.0 - y)), float(pull))
         limits.append(Limit(v.name, "bound", x, text, margin, multiplier, active, v.unit, v.shown, v.lower, v.upper))
     return limits
 
 
-def scenes_at(program: Program, point: Point, p: Vector) -> list[tuple[Vector, Scene]]:
-    """Return the parameters, the duration last [s], and the scenes of the program's runs at a point, with numbers."""
-    numbers = [*program.values(point.y), *p]
-    return [program.exact.inputs(k, numbers) for k in range(len(program.exact.runs))]
-
-
-def warnings_at(program: Program, point: Point, p: Vector, scenes: Sequence[tuple[Vector, Scene]]) -> tuple[str, ...]:
-    """Return what a reader of the results at a point must know, each sentence once."""
+def _warnings_at(program: Program, numbers: Sequence[float], runs: Sequence[tuple[Vector, Scene]]) -> tuple[str, ...]:
+    """Return what a reader of the runs at a point must know, each sentence once."""
     moving: list[str] = []
-    for k, (parameters, scene) in enumerate(scenes):
+    for k, (parameters, scene) in enumerate(runs):
         if scene.effects.orbit == "transient":
-            moving += (*scene.warnings(), *remarks(program.exact.followed(k, parameters, scene)))
+            moving += (*scene.warnings(), *remarks_on_run(program.exact.followed(k, parameters, scene)))
         else:
             moving += repeat(scene, float(parameters[-1])).warnings
-    still = program.exact.quasi_static_scenes([*program.values(point.y), *p])
+    still = program.exact.quasi_static_scenes(numbers)
     slow = (NO_COMPILER,) if program.compiled and program.nlp is program.built.plain else ()
     return (*slow, *alike_once([*moving, *(text for scene in still for text in scene.warnings())]))
 
 
-def names_of(program: Program, scenes: Sequence[Sequence[Scene]]) -> list[str]:
+def _names_of(program: Program, scenes: Sequence[Sequence[Scene]]) -> list[str]:
     """Return a name for each optimum, no two alike: under a strength wave its branch, soft or stiff beside resonance.
 
     Args:

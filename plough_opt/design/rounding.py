@@ -3,9 +3,8 @@
 import itertools
 import math
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 
@@ -16,12 +15,12 @@ from plough_opt.design.declarations import Variable
 from plough_opt.design.infeasible import failures, from_least_violation
 from plough_opt.design.ipopt import Point, SolveOptions, Vector
 from plough_opt.design.landscape import Landscape
-from plough_opt.design.local_optimum import LocalOptimum
 from plough_opt.design.optimum import Choice, Rounded, values_in_words
 from plough_opt.design.polishing import AS_FOUND, as_it_is
 from plough_opt.design.program import Program
+from plough_opt.design.reporting import reports
 from plough_opt.design.screening import promising
-from plough_opt.design.sensitivity import Sensitivities
+from plough_opt.design.sensitivity import Solved
 from plough_opt.design.tolerance import Judge, judgement, spread
 
 Catalogue = float | Sequence[float]
@@ -147,114 +146,84 @@ _NOT_WORSE = 1e-5
 _MOST_NAMED = 5
 
 
-def rounded(
-    program: Program,
-    p: Vector,
-    judge: Judge,
-    point: Point,
-    best: LocalOptimum,
-    report: Callable[[Point], tuple[LocalOptimum, tuple[str, ...]]],
-    evaluate: Callable[..., Vector],
-    catalogues: Mapping[str, Catalogue],
-) -> Rounded:
+def rounded(solved: Solved, judge: Judge, unrounded: float, catalogues: Mapping[str, Catalogue]) -> Rounded:
     """Return the best design with some variables in catalogue values: see `Optimum.rounded`.
 
     Args:
-        program: the design's program, built.
-        p: parameters of the optimum.
+        solved: the design's program with its optimum.
         judge: by what choices are compared.
-        point: the optimum.
-        best: its report.
-        report: gives the report on a point, and its warnings.
-        evaluate: (values of the variables, expression) -> number.
+        unrounded: the optimum's objective.
         catalogues: for each variable to round, its values or step.
     """
     started = time.perf_counter()
+    program, p = solved.program, solved.p
     landscape = Landscape(program, p)
     offered = allowed(program.declared.variables, catalogues)
     fixed = [own.number for own in offered]
     count = math.prod(own.count for own in offered)
     every = landscape.vectorised and count < _MOST_SCREENED
-    starts = _screened(landscape, point, best, offered) if every else _neighbours(point, best, offered)
+    starts = _starts(landscape, solved, offered, every)
     program.build(p, starts=[start for start, _ in starts])
-    tried, found = [], []
+    reached: list[tuple[Choice, Point, Combination]] = []
+    failed: list[Choice] = []
     for start, values in starts:
-        reached, conflicts = _solved(program, p, start, fixed)
         names = {own.variable.name: value for own, value in zip(offered, values, strict=True)}
-        objective = reached.f * program.objective_scale if reached else None
-        around = spread(landscape, reached.y, objective) if reached and objective is not None else None
-        tried.append(Choice(names, objective, conflicts, around))
-        if reached:
-            found.append((reached, values, names))
+        point, conflicts = _solved(program, p, start, fixed)
+        if point is None:
+            failed.append(Choice(names, None, conflicts))
+        else:
+            objective = point.f * program.objective_scale
+            reached.append((Choice(names, objective, {}, spread(landscape, point.y, objective)), point, values))
     looked_at = count if every else len(starts)
-    if not found:
-        raise _nothing(program, tried, looked_at)
-    judged = judgement(landscape, judge)(np.array([reached.y for reached, *_ in found]))
-    order = sorted(range(len(found)), key=lambda k: (round(float(judged[k]), 9), found[k][0].f))
-    reached, values, names = found[order[0]]
+    if not reached:
+        raise _nothing(program, failed, looked_at)
+    judged = judgement(landscape, judge)(np.array([point.y for _, point, _ in reached]))
+    order = sorted(range(len(reached)), key=lambda k: (round(float(judged[k]), 9), reached[k][1].f))
+    choice, point, values = reached[order[0]]
     # What holds a rounded variable is the catalogue, and no bound.
-    pulls = reached.lam_y.copy()
+    pulls = point.lam_y.copy()
     pulls[fixed] = 0.0
-    local, warnings = report(replace(reached, lam_y=pulls))
-    numbers = program.values(reached.y)
-    numbers[fixed] = values
-    local = replace(local, variables={**local.variables, **names})
-    ranks = {str(found[k][2]): rank for rank, k in enumerate(order)}
+    (local,), warnings = reports(landscape, [replace(point, lam_y=pulls)])
+    local = replace(local, variables={**local.variables, **choice.values})
     return Rounded(
-        **{name: getattr(local, name) for name in LocalOptimum.__dataclass_fields__},
+        **local.__dict__,
         local_optima=(local,),
         over=program.over,
-        status="unconfirmed" if reached.status == AS_FOUND else "solved",
+        status="unconfirmed" if point.status == AS_FOUND else "solved",
         seconds=time.perf_counter() - started,
         warnings=warnings,
-        evaluate=partial(evaluate, numbers),
-        differentiated=Sensitivities(program, p, reached, fixed),
-        fixed=tuple(names),
-        unrounded=best.objective,
-        tried=tuple(sorted(tried, key=lambda choice: ranks.get(str(choice.values), len(ranks)))),
+        solved=Solved(program, p, point, dict(zip(fixed, values, strict=True))),
+        fixed=tuple(choice.values),
+        unrounded=unrounded,
+        tried=(*(reached[k][0] for k in order), *failed),
         combinations=count,
         screened=looked_at,
     )
 
 
-# --- what to try ------------------------------------------------------------------------------------------
-
-Start = tuple[Vector, tuple[float, ...]]
-"""A scaled design, and the catalogue's values in it."""
+Combination = tuple[float, ...]
+"""Values from the catalogues, one of each."""
 
 
-def _screened(landscape: Landscape, point: Point, best: LocalOptimum, offered: Sequence[Allowed]) -> list[Start]:
-    """Return starts of the combinations that can be best."""
-    columns = [own.values() for own in offered]
-    scaled = [[own.variable.scaled(x) for x in column] for own, column in zip(offered, columns, strict=True)]
-    grid = np.array(list(itertools.product(*scaled)))
-    combinations = list(itertools.product(*columns))
-    beside = [own.beside(best.variables[own.variable.name]) for own in offered]
-    kept: list[int] = []
-    if math.prod(map(len, beside)) <= _MOST_TRIED:
-        places = [[column.index(x) for x in near] for column, near in zip(columns, beside, strict=True)]
-        sizes = tuple(len(column) for column in columns)
-        kept = [int(np.ravel_multi_index(place, sizes)) for place in itertools.product(*places)]
-    found = promising(landscape, point.y, [own.number for own in offered], grid, kept)
-    return [(one.start, combinations[one.number]) for one in found[:_MOST_TRIED]]
-
-
-def _neighbours(point: Point, best: LocalOptimum, offered: Sequence[Allowed]) -> list[Start]:
-    """Return starts of the combinations of the values on either side of the optimum's."""
-    beside = [own.beside(best.variables[own.variable.name]) for own in offered]
-    if math.prod(map(len, beside)) > _MOST_NEIGHBOURS:
+def _starts(
+    landscape: Landscape, solved: Solved, offered: Sequence[Allowed], every: bool
+) -> list[tuple[Vector, Combination]]:
+    """Return scaled designs to optimise with combinations held: those that can be best, or those beside the optimum."""
+    beside = [own.beside(float(solved.values[own.number])) for own in offered]
+    near = math.prod(map(len, beside))
+    if not every and near > _MOST_NEIGHBOURS:
         raise InputError(f"{len(beside)} variables have too many combinations of neighbours: round fewer at a time")
-    starts = []
-    for values in itertools.product(*beside):
-        start = point.y.copy()
-        start[[own.number for own in offered]] = [
-            own.variable.scaled(x) for own, x in zip(offered, values, strict=True)
-        ]
-        starts.append((start, values))
-    return starts
-
-
-# --- solving ----------------------------------------------------------------------------------------------
+    combinations = list(itertools.product(*([own.values() for own in offered] if every else beside)))
+    scaled = [[own.variable.scaled(x) for own, x in zip(offered, values, strict=True)] for values in combinations]
+    fixed = [own.number for own in offered]
+    if every:
+        neighbours = set(itertools.product(*beside)) if near <= _MOST_TRIED else set()
+        kept = [k for k, values in enumerate(combinations) if values in neighbours]
+        found = promising(landscape, solved.point.y, fixed, np.array(scaled), kept)[:_MOST_TRIED]
+        return [(one.start, combinations[one.number]) for one in found]
+    designs = np.repeat(solved.point.y[None], len(combinations), axis=0)
+    designs[:, fixed] = scaled
+    return list(zip(designs, combinations, strict=True))
 
 
 def _solved(program: Program, p: Vector, start: Vector, fixed: list[int]) -> tuple[Point | None, dict[str, float]]:

@@ -1,19 +1,22 @@
-"""How an optimum changes with a parameter or a limit: derivatives, elasticities, and how far they hold."""
+"""What a solved design can be asked: values of expressions, and how it changes with a parameter or a limit."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from types import MappingProxyType
 
+import casadi as ca
 import numpy as np
 
 from plough_opt.core.checks import check_kind, check_switch, shown
 from plough_opt.core.errors import InputError, NotConverged, nearest
 from plough_opt.core.units import in_words
-from plough_opt.design.active_set import ActiveSet, Move, sides_of, slope
+from plough_opt.design.active_set import ActiveSet, Move, sides_of
 from plough_opt.design.declarations import EVERYWHERE
 from plough_opt.design.ipopt import Point, SolveOptions, Solver, Vector
 from plough_opt.design.program import Program
+from plough_opt.design.verify import TightEvaluation
 
 # Of the value asked for: differences leave its square, and the optimiser's 1e-10 divided by it.
 _CHECK_STEP = 2e-4
@@ -102,30 +105,57 @@ class _Target:
         return inside, then if inside == end else "the model's domain ends"
 
 
-class Sensitivities:
-    """Sensitivities of one optimum; what they share is computed when the first is asked for."""
+class Solved:
+    """A program with its optimum: values of expressions there, and sensitivities.
 
-    def __init__(self, program: Program, p: Vector, point: Point, fixed: Sequence[int] = ()) -> None:
-        """Take an optimum of a built program, with some of its variables held."""
-        self._program, self._p, self._point, self._fixed = program, p, point, tuple(fixed)
+    Attributes:
+        program: built.
+        p: its parameters.
+        point: the optimum.
+        values: of the variables, in their units.
+    """
+
+    def __init__(
+        self, program: Program, p: Vector, point: Point, fixed: Mapping[int, float] = MappingProxyType({})
+    ) -> None:
+        """Take an optimum of a built program, with some of its variables, by number, held at values."""
+        self.program, self.p, self.point = program, p, point
+        self._fixed = tuple(fixed)
+        self.values = program.values(point.y)
+        self.values[list(self._fixed)] = list(fixed.values())
+
+    def evaluate(self, expression: ca.MX) -> Vector:
+        """Return an expression of the design's symbols at the optimum, its runs integrated tightly.
+
+        Raises:
+            InputError: it holds symbols that are not of this design.
+        """
+        if isinstance(expression, ca.SX):
+            raise InputError("an SX expression cannot be of this design, whose variables are MX")
+        declared, expression = self.program.declared, ca.MX(expression)
+        if strangers := declared.strangers(expression):
+            raise InputError(f"the expression holds symbols that are not of this design: {', '.join(strangers)}")
+        evaluation = TightEvaluation([expression], declared.symbols(), beside=self.program.exact)
+        return np.squeeze(evaluation.values([*self.values, *self.p])[0])
 
     @cached_property
     def _active(self) -> ActiveSet:
-        return ActiveSet(self._program, self._p, self._point, self._fixed)
+        """What all sensitivities share."""
+        return ActiveSet(self.program, self.p, self.point, self._fixed)
 
-    def __call__(self, name: str, *, check: bool = False) -> Sensitivity:
+    def sensitivity(self, name: str, *, check: bool = False) -> Sensitivity:
         """Return the sensitivity to a parameter or a limit: see `Optimum.sensitivity`."""
         check_switch("check", check)
         target = self._target(name)
         change = self._active.change(target.parameter, target.side)
         up, down = self._active.move(change, 1.0), self._active.move(change, -1.0)
-        objective = self._active.objective_slope(change) * self._program.objective_scale
-        best = self._active.f * self._program.objective_scale
+        objective = self._active.objective_slope(change) * self.program.objective_scale
+        best = self._active.f * self.program.objective_scale
         rising, falling = self._in_units(up.y), self._in_units(down.y)
-        values = dict(zip(rising, self._values(self._active.y), strict=True))
+        values = dict(zip(rising, self._unscaled(self._active.y), strict=True))
         lowest, below = target.within(target.value - down.until, down.then)
         highest, above = target.within(target.value + up.until, up.then)
-        names = [v.name for v in self._program.declared.variables if not v.auxiliary]
+        names = [v.name for v in self.program.declared.variables if not v.auxiliary]
         differs = bool(np.max(np.abs(up.y - down.y)) > _SAME * np.max(np.abs([up.y, down.y])))
         return Sensitivity(
             name=name,
@@ -146,20 +176,20 @@ class Sensitivities:
     def every(self) -> tuple[Sensitivity, ...]:
         """Return those to all parameters that matter and all limits that decide, the largest elasticity first."""
         matters = self._active.parameters_that_matter
-        names = [p.name for p, matter in zip(self._program.declared.parameters, matters, strict=True) if matter]
+        names = [p.name for p, matter in zip(self.program.declared.parameters, matters, strict=True) if matter]
         names += [name for name in self._active.deciding_names if name in self._limits]
-        return tuple(sorted(map(self, names), key=lambda found: -abs(found.elasticity or 0.0)))
+        return tuple(sorted(map(self.sensitivity, names), key=lambda found: -abs(found.elasticity or 0.0)))
 
     # --- what can be asked -------------------------------------------------------------------------------
 
     def _target(self, name: str) -> _Target:
         check_kind("the name", name, str, "that of a parameter or a limit")
-        for k, (parameter, value) in enumerate(zip(self._program.declared.parameters, self._p, strict=True)):
+        for k, (parameter, value) in enumerate(zip(self.program.declared.parameters, self.p, strict=True)):
             if parameter.name == name:
                 return _Target(float(value), parameter.unit, parameter=k, domain=parameter.domain)
         if name in self._limits:
             return self._limits[name]
-        parameters = [parameter.name for parameter in self._program.declared.parameters]
+        parameters = [parameter.name for parameter in self.program.declared.parameters]
         own = [limit for limit in self._limits if limit.rpartition(" ")[0] == name]
         hint = f"did you mean {' or '.join(map(repr, own))}?" if own else nearest(name, [*parameters, *self._limits])
         end = "" if hint.endswith("?") else "."
@@ -172,7 +202,7 @@ class Sensitivities:
     @cached_property
     def _limits(self) -> dict[str, _Target]:
         """Limits that can be asked for: those of a requirement by its name too, where it has just one."""
-        sides = [side for side in sides_of(self._program, self._point, self._fixed) if not side.hidden]
+        sides = [side for side in sides_of(self.program, self.point, self._fixed) if not side.hidden]
         found = {side.name: _Target(side.limit, side.unit, side=side.name, domain=side.domain) for side in sides}
         names: dict[str, set[str]] = {}
         for side in sides:
@@ -183,24 +213,23 @@ class Sensitivities:
 
     def _in_units(self, dy: Vector) -> dict[str, float]:
         """Return derivatives of the scaled variables as derivatives of the variables."""
-        program = self._program
         return {
-            v.name: float(d) * slope(program, k, float(self._active.y[k]))
-            for k, (v, d) in enumerate(zip(program.declared.variables, dy, strict=True))
+            v.name: float(d) * v.slope(float(y))
+            for v, d, y in zip(self.program.declared.variables, dy, self._active.y, strict=True)
         }
 
-    def _values(self, y: Vector) -> list[float]:
+    def _unscaled(self, y: Vector) -> list[float]:
         """Return the variables, beyond their bounds too where these have moved."""
-        return [float(v.unscaled(float(x))) for v, x in zip(self._program.declared.variables, y, strict=True)]
+        return [float(v.unscaled(float(x))) for v, x in zip(self.program.declared.variables, y, strict=True)]
 
     # --- solving again -----------------------------------------------------------------------------------
 
     def _difference(self, target: _Target, objective: float, up: Move, down: Move) -> float:
         """Return how far differences of optima beside the value are from the derivatives, per relative change."""
         size = abs(target.value) or 1.0
-        ranges = [v.upper - v.lower for v in self._program.declared.variables]
-        here = np.r_[self._active.f * self._program.objective_scale, self._values(self._active.y)]
-        scales = np.r_[max(abs(here[0]), self._program.objective_scale), ranges]
+        ranges = [v.upper - v.lower for v in self.program.declared.variables]
+        here = np.r_[self._active.f * self.program.objective_scale, self._unscaled(self._active.y)]
+        scales = np.r_[max(abs(here[0]), self.program.objective_scale), ranges]
         found = []
         for move, sign in ((up, 1.0), (down, -1.0)):
             step = min(_CHECK_STEP * size, 0.5 * move.until)
@@ -216,7 +245,7 @@ class Sensitivities:
 
     def _solved_at(self, target: _Target, step: float) -> Vector:
         """Return objective and variables of the design solved again with the parameter or limit moved by a step."""
-        program, p = self._program, self._p.copy()
+        program, p = self.program, self.p.copy()
         low, high = program.low.copy(), program.high.copy()
         lower, upper = np.zeros(len(self._active.y)), np.ones(len(self._active.y))
         held = list(self._fixed)
@@ -239,7 +268,7 @@ class Sensitivities:
         point = solver.solve(np.clip(self._active.y, lower, upper), p, lower, upper, SolveOptions(near=True))
         if not point.solved:
             raise NotConverged(f"beside the value the design cannot be solved: {point.status}", point.status)
-        return np.array([point.f * program.objective_scale, *self._values(point.y)])
+        return np.array([point.f * program.objective_scale, *self._unscaled(point.y)])
 
 
 def _elasticity(derivative: float, value: float, result: float) -> float | None:

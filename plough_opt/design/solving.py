@@ -4,10 +4,9 @@ import time
 from dataclasses import dataclass
 from functools import partial
 
-import casadi as ca
 import numpy as np
 
-from plough_opt.core.errors import InputError, NotConverged
+from plough_opt.core.errors import NotConverged
 from plough_opt.design.basin import near_optimum
 from plough_opt.design.derivatives import build_surely, with_enough_steps
 from plough_opt.design.descents import descend, lower_from
@@ -16,7 +15,6 @@ from plough_opt.design.exploring import Explored, Explorer, Progress
 from plough_opt.design.infeasible import feasible_from
 from plough_opt.design.ipopt import Point, Vector
 from plough_opt.design.landscape import Landscape, Seen
-from plough_opt.design.local_optimum import LocalOptimum
 from plough_opt.design.local_optimum import Search as SearchRecord
 from plough_opt.design.optimum import Optimum
 from plough_opt.design.polishing import (
@@ -28,20 +26,11 @@ from plough_opt.design.polishing import (
     to_the_last_digit,
 )
 from plough_opt.design.program import Program
-from plough_opt.design.reporting import (
-    as_made,
-    designs_without_value,
-    local_optimum,
-    names_of,
-    scenes_at,
-    unconfirmed,
-    warnings_at,
-)
+from plough_opt.design.reporting import remarks, reports
 from plough_opt.design.rounding import rounded
 from plough_opt.design.sampling import lines_through
-from plough_opt.design.sensitivity import Sensitivities
+from plough_opt.design.sensitivity import Solved
 from plough_opt.design.tolerance import Judge, judgement, ranked
-from plough_opt.design.verify import TightEvaluation
 
 # Basins that are optimised, the best first.
 _MOST_POLISHED = 8
@@ -112,37 +101,23 @@ class _Solve:
         order = ranked(landscape, self._request.judge, np.array([point.y for point in points]))
         points, missed = with_enough_steps(program, p, [points[k] for k in order], self._progress)
         self._progress("checking", 0.0)
-        scenes = [scenes_at(program, point, p) for point in points]
-        names = names_of(program, [[scene for _, scene in own] for own in scenes])
-        last = to_the_last_digit(program, p, points[0])
-        first = points[0] = minimum_from(
-            program, p, last, partial(lower_from, landscape) if landscape.vectorised else None
-        )
-        optima = [local_optimum(landscape, point, name) for point, name in zip(points, names, strict=True)]
-        confirmed = first.status != AS_FOUND
-        directions = flat_directions(program, p, first) if confirmed else []
-        warnings = (
-            *missed,
-            *designs_without_value(explored),
-            *unconfirmed(first),
-            *as_made(optima[0]),
-            *warnings_at(program, first, p, scenes[0]),
-        )
-        evaluate = partial(_evaluated, program, p)
+        best = to_the_last_digit(program, p, points[0])
+        best = minimum_from(program, p, best, partial(lower_from, landscape) if landscape.vectorised else None)
+        optima, warnings = reports(landscape, [best, *points[1:]])
+        confirmed = best.status != AS_FOUND
+        directions = flat_directions(program, p, best) if confirmed else []
+        solved = Solved(program, p, best)
         return Optimum(
             **optima[0].__dict__,
             status="unconfirmed" if not confirmed else "not unique" if directions else "solved",
             over=program.over,
-            flat_directions=tuple(_in_units(program, first, d) for d in directions),
-            local_optima=tuple(optima),
+            flat_directions=tuple(_in_units(program, best, d) for d in directions),
+            local_optima=optima,
             search=self._record(vary, explored, len(points)),
             seconds=time.perf_counter() - self._request.started,
-            warnings=warnings,
-            evaluate=partial(evaluate, program.values(first.y)),
-            differentiated=Sensitivities(program, p, first),
-            rounder=partial(
-                rounded, program, p, self._request.judge, first, optima[0], partial(_report, program, p), evaluate
-            ),
+            warnings=(*missed, *remarks(explored, best, optima[0]), *warnings),
+            solved=solved,
+            rounder=partial(rounded, solved, self._request.judge, optima[0].objective),
         )
 
     def _search(self, vary: tuple[int, ...]) -> tuple[Explored, list[Point]]:
@@ -243,27 +218,8 @@ def _that_can_win(judged: Vector, few: bool, rounds: int) -> list[int]:
     return [int(k) for k in order if judged[k] <= limit][: _MOST_OF_MANY * rounds]
 
 
-def _report(program: Program, p: Vector, point: Point) -> tuple[LocalOptimum, tuple[str, ...]]:
-    """Return the report on a point, named as if it were alone, and its warnings."""
-    scenes = scenes_at(program, point, p)
-    (name,) = names_of(program, [[scene for _, scene in scenes]])
-    return local_optimum(Landscape(program, p), point, name), warnings_at(program, point, p, scenes)
-
-
 def _in_units(program: Program, point: Point, direction: Vector) -> dict[str, float]:
     """Return a scaled direction as changes of the variables, for a step of 1 % of the range of the one that leads."""
     step = 0.01 * direction / np.max(np.abs(direction))
     change = program.values(np.clip(point.y + step, 0.0, 1.0)) - program.values(point.y)
     return {v.name: float(x) for v, x in zip(program.declared.variables, change, strict=True)}
-
-
-def _evaluated(program: Program, p: Vector, values: Vector, expression: ca.MX) -> Vector:
-    """Return an expression of the design's symbols at numbers, its runs integrated tightly."""
-    if isinstance(expression, ca.SX):
-        raise InputError("an SX expression cannot be of this design, whose variables are MX")
-    symbols = program.declared.symbols()
-    expression = ca.MX(expression)
-    if strangers := program.declared.strangers(expression):
-        raise InputError(f"the expression holds symbols that are not of this design: {', '.join(strangers)}")
-    (value,) = TightEvaluation([expression], symbols, beside=program.exact).values([*values, *p])
-    return np.squeeze(value)

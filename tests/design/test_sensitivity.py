@@ -163,8 +163,8 @@ def test_check_solves_again(name, most):
 
 def test_check_finds_a_wrong_derivative(monkeypatch):
     best = _cost_against_yield().solve()
-    right = best.differentiated._in_units
-    monkeypatch.setattr(best.differentiated, "_in_units", lambda dy: {k: 1.01 * v for k, v in right(dy).items()})
+    right = best.solved._in_units
+    monkeypatch.setattr(best.solved, "_in_units", lambda dy: {k: 1.01 * v for k, v in right(dy).items()})
     # One per cent of dy/dw = sqrt(c/a)/2, times w = 2, over y's range of 9.9.
     assert best.sensitivity("weight", check=True).difference == pytest.approx(0.01 * math.sqrt(1.5) / 9.9, rel=0.01)
 
